@@ -1,0 +1,63 @@
+# Commands for people and CI. Everything runs in .venv; nothing outside the repository is changed.
+#   make PYTHON=python3.12 test      another interpreter (after `make clean` if .venv exists)
+#   make test PYTEST="-k fatigue"    more arguments for pytest
+
+SHELL := bash
+.DEFAULT_GOAL := help
+
+PYTHON ?= python3
+PYTEST ?=
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
+
+.PHONY: help setup demo test test-slow lint format bench clean
+
+help: ## Show this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s  %s\n", $$1, $$2 }' Makefile
+
+setup: $(STAMP) ## Create .venv and install MyoWarp with the development tools
+
+# pip's log is cut to one line per download; its errors go to stderr and stay complete.
+$(STAMP): pyproject.toml
+	@command -v $(PYTHON) >/dev/null || { \
+	  echo "MyoWarp needs Python 3.11 or newer; '$(PYTHON)' was not found. Choose one: make PYTHON=/path/to/python3.11 setup" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "MyoWarp needs Python 3.11 or newer; '$(PYTHON)' is $$($(PYTHON) --version). Choose another: make PYTHON=python3.12 setup" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+	  echo "'$(PYTHON)' has no venv module. On Debian or Ubuntu: apt-get install python3-venv" >&2; exit 1; }
+	@echo "Creating $(VENV) with $$($(PYTHON) --version)"
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP) install --quiet --upgrade pip
+	@echo "Installing MyoWarp and its dependencies (a few hundred megabytes the first time)"
+	@set -o pipefail; $(PIP) install --progress-bar off -e ".[dev]" | awk '/Downloading|Installing collected/ { print substr($$0, 1, 100); fflush() }'
+	@touch $@
+	@echo "Ready: $(BIN)/myowarp --help"
+
+demo: setup ## Simulate 256 hands and write out/demo.mp4
+	@mkdir -p out
+	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --num-worlds 256 --video out/demo.mp4
+
+test: lint ## Check format, lint and types, then run the fast tests (what CI runs)
+	$(BIN)/python -m pytest -m "not slow" $(PYTEST)
+
+test-slow: setup ## Run the tests marked slow
+	$(BIN)/python -m pytest -m slow $(PYTEST)
+
+lint: setup ## Check format, lint and types
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+format: setup ## Format the code and apply safe lint fixes
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: setup ## Run the benchmarks, JSON to out/bench.json
+	@mkdir -p out
+	$(BIN)/python -m benchmarks --output out/bench.json
+
+clean: ## Remove .venv, caches and outputs
+	rm -rf $(VENV) out build dist .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

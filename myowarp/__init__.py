@@ -1,0 +1,9 @@
+"""MyoWarp: musculoskeletal motor control, simulated in thousands of worlds at once.
+
+Importing the package registers every task with Gymnasium under `MyoWarp/<name>-v<version>`.
+"""
+
+import myowarp.tasks  # noqa: F401  (registers the tasks)
+from myowarp.bridge_gym import register_all
+
+register_all()

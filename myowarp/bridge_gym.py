@@ -1,0 +1,466 @@
+"""Gymnasium on top of the simulation: a vector environment, and one world as a plain environment.
+
+    env = gymnasium.make_vec("MyoWarp/myoHandPoseRandom-v0", num_envs=256)
+    env = gymnasium.make("MyoWarp/myoHandPoseRandom-v0")
+
+Ids carry upstream's names; importing `myowarp` registers them. World i of `make_vec(...).reset(seed=s)` is
+the world of `make(...).reset(seed=s + i)`, as in Gymnasium's own vector environments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+import numpy as np
+import warp as wp
+from gymnasium.error import DependencyNotInstalled, ResetNeeded
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from myowarp.kernels.episode import FAULTS
+from myowarp.sim import Simulation
+from myowarp.spec import TASKS
+
+if TYPE_CHECKING:
+    from myowarp.view.human import HumanViewer
+    from myowarp.view.render import WorldRenderer
+
+OUTPUTS = ("numpy", "torch", "warp")
+RENDER_MODES = ("human", "rgb_array")
+NO_HORIZON = 2**31 - 1  # steps; a single environment leaves truncation to Gymnasium's TimeLimit
+AUTORESET_NAMES = {
+    AutoresetMode.DISABLED: "disabled",
+    AutoresetMode.NEXT_STEP: "next_step",
+    AutoresetMode.SAME_STEP: "same_step",
+}
+
+
+class MyoWarpVectorEnv(VectorEnv):
+    """All worlds of a task as one Gymnasium vector environment.
+
+    `step` returns observation (num_envs, n) float32, reward (num_envs,) float32, terminated and truncated
+    (num_envs,) bool, and an info dictionary of arrays with one entry a world:
+
+    - `success`: more than 5 steps of the episode were solved so far (MyoSuite's metric),
+    - `solved`: the task is solved in this state,
+    - `terms/<name>`: reward terms before weighting,
+    - `fault`: 0, or bits of `myowarp.kernels.episode.FAULTS`; a faulty world ends with reward 0 and the
+      last healthy observation, and is reset by itself,
+    - with autoreset in the same step `final_obs` and `final_info` of the worlds that ended.
+
+    `_<key>` masks the worlds to which an entry belongs, as in Gymnasium.
+
+    What is returned may be memory of the simulation: with `copy=False` every array is a view that the next
+    `step` or `reset` overwrites.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int | None = None,
+        device: str | None = None,
+        physics: str = "parity",
+        muscle: str = "mujoco",
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        output: str = "numpy",
+        copy: bool | None = None,
+        render_mode: str | None = None,
+        render_size: tuple[int, int] = (640, 480),
+        camera: str | None = None,
+        progress: bool = True,
+    ) -> None:
+        """Compile the task and its kernels; half a minute the first time, seconds later.
+
+        Args:
+            task: Name with version, such as "myoHandPoseRandom-v0"; `make_vec` fills it in.
+            num_envs: Worlds stepped together.
+            max_episode_steps: Steps after which an episode is truncated; None: the task's horizon.
+            device: Warp device, such as "cpu" or "cuda:0"; None: the first CUDA device, else the CPU.
+            physics: "parity" (MyoSuite's integrator and step) or "fast" (`myowarp.spec.PHYSICS`).
+            muscle: Muscle model, a name in `myowarp.models.muscles.MUSCLES`.
+            autoreset_mode: When a finished world starts its next episode.
+            output: Arrays of this library: "numpy", "torch" or "warp".
+            copy: Whether returned arrays are copies; None: copies for numpy, views otherwise.
+            render_mode: "rgb_array" or "human"; None: no pictures.
+            render_size: Width and height of a picture [px].
+            camera: Name of a camera of the model; None frames the limb.
+            progress: Whether to show a progress bar while kernels compile.
+
+        Raises:
+            ValueError: An argument is out of its range; nothing was built.
+            gymnasium.error.DependencyNotInstalled: `output="torch"` without torch.
+        """
+        spec = TASKS[task]
+        _require("output", output, OUTPUTS)
+        _require("render_mode", render_mode, (None, *RENDER_MODES))
+        mode = _autoreset_mode(autoreset_mode)
+        if output == "torch":
+            _require_torch()
+        self.output = output
+        self.copy = output == "numpy" if copy is None else copy
+        self.render_mode = render_mode
+        self._pictures = _Pictures(render_mode, render_size, camera)
+        self.sim = Simulation(
+            spec,
+            num_envs,
+            device=device,
+            physics=physics,
+            muscle=muscle,
+            autoreset=AUTORESET_NAMES[mode],
+            horizon=max_episode_steps,
+            progress=progress,
+        )
+        self.num_envs = self.sim.num_worlds
+        self.metadata = {
+            "render_modes": list(RENDER_MODES),
+            "render_fps": round(1.0 / spec.control_dt),
+            "autoreset_mode": mode,
+        }
+        num_obs, num_actions = self.sim.transition.obs.shape[1], self.sim.action.shape[1]
+        self.single_observation_space = Box(-np.inf, np.inf, (num_obs,), np.float32)
+        self.single_action_space = Box(-1.0, 1.0, (num_actions,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._autoreset = mode
+        self._was_reset = False
+        self._ended = np.zeros(self.num_envs, dtype=bool)
+        self._resetting = np.zeros(self.num_envs, dtype=bool)
+        self._warned = False
+
+    @property
+    def muscle_names(self) -> tuple[str, ...]:
+        """Names of the muscles, in the order of the `act` columns."""
+        return self.sim.scene.muscles.names
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start new episodes.
+
+        Args:
+            seed: World i gets `seed + i`, or the i-th of a sequence; None lets the random streams go on.
+            options: `{"reset_mask": mask}`, a (num_envs,) bool array, resets only those worlds.
+
+        Returns:
+            Observations of all worlds, and an empty dictionary.
+
+        Raises:
+            ValueError: A seed or an option is not as described; no world was reset.
+        """
+        mask = self._reset_mask(options)
+        seeds, seeded = self._seeds(seed)
+        if seeds is None:
+            self.sim.reset(mask)
+        else:
+            self.sim.reset(mask & seeded, seeds)
+            if not seeded.all():
+                self.sim.reset(mask & ~seeded)
+        self._was_reset = self._was_reset or bool(mask.all())
+        self._ended[mask] = False
+        self._resetting[mask] = False
+        self._show()
+        return self._give(self.sim.transition.obs), {}
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Advance every world by one control step.
+
+        Args:
+            actions: Shape (num_envs, num_actions), floating point, clipped to [-1, 1]; NumPy array, or a
+                torch tensor or Warp array on the device of the environment.
+
+        Raises:
+            ValueError: Wrong shape or dtype, or an action on the host is NaN or infinite; no world was
+                stepped. On other devices such a world gets a fault instead.
+            gymnasium.error.ResetNeeded: Not reset yet, or, without autoreset, a world has ended.
+        """
+        if not self._was_reset:
+            raise ResetNeeded("step needs an environment that was reset; call reset() first")
+        if self._ended.any():
+            worlds = np.flatnonzero(self._ended).tolist()
+            raise ResetNeeded(
+                f"worlds {worlds} have ended; reset them with reset(options={{'reset_mask': mask}}) first"
+            )
+        self.sim.action.assign(self._check_action(actions))
+        self.sim.step()
+        transition = self.sim.transition
+        info = self._info()
+        self._show()
+        return (
+            self._give(transition.obs),
+            self._give(transition.reward),
+            self._give(transition.terminated),
+            self._give(transition.truncated),
+            info,
+        )
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Return a picture of every world, each (height, width, 3) uint8; None in human mode.
+
+        Raises:
+            ValueError: The environment was made without a render mode.
+            myowarp.view.render.NoGraphicsError: No OpenGL was found.
+        """
+        if self.render_mode is None:
+            raise ValueError("render needs a render mode; pass render_mode='rgb_array' to make_vec")
+        if self.render_mode == "human":
+            self._show()
+            return None
+        return tuple(self._pictures.frame(self.sim, world) for world in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close windows and drawing contexts."""
+        self._pictures.close()
+
+    def _show(self) -> None:
+        """Update the window of human mode."""
+        if self.render_mode == "human":
+            self._pictures.show(self.sim)
+
+    def _reset_mask(self, options: dict[str, Any] | None) -> np.ndarray:
+        """Return the worlds to reset."""
+        options = dict(options or {})
+        mask = options.pop("reset_mask", None)
+        if options:
+            raise ValueError(f"reset option {next(iter(options))!r} unknown; available: reset_mask")
+        if mask is None:
+            return np.ones(self.num_envs, dtype=bool)
+        mask = np.asarray(mask)
+        if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
+            raise ValueError(
+                f"reset_mask must be a bool array of shape ({self.num_envs},) with a True entry, "
+                f"got {mask.dtype} of shape {mask.shape} with {np.count_nonzero(mask)} true entries"
+            )
+        return mask
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> tuple[np.ndarray | None, np.ndarray]:
+        """Return a seed for every world and which of them to use."""
+        if seed is None:
+            return None, np.zeros(self.num_envs, dtype=bool)
+        if isinstance(seed, (int, np.integer)):
+            seed = [int(seed) + i for i in range(self.num_envs)]
+        seeds = list(seed)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed must have one entry for each of {self.num_envs} worlds, got {len(seeds)}")
+        if any(s is not None and (not isinstance(s, (int, np.integer)) or s < 0) for s in seeds):
+            raise ValueError(f"seeds must be non-negative integers or None, got {seed!r}")
+        seeded = np.array([s is not None for s in seeds])
+        return np.array([(s or 0) % 2**64 for s in seeds], dtype=np.uint64), seeded
+
+    def _check_action(self, actions: Any) -> Any:
+        """Return actions as something that `wp.array.assign` takes, checked."""
+        shape = self.sim.action.shape
+        if isinstance(actions, wp.array):
+            if actions.shape != shape or actions.dtype != wp.float32:
+                raise ValueError(
+                    f"actions must be float32 of shape {shape}, got {actions.dtype.__name__} {actions.shape}"
+                )
+            return actions
+        if type(actions).__module__.split(".")[0] == "torch" and actions.device.type == "cuda":
+            if tuple(actions.shape) != shape or not actions.is_floating_point():
+                raise ValueError(
+                    f"actions must be floating point of shape {shape}, "
+                    f"got {actions.dtype} {tuple(actions.shape)}"
+                )
+            return wp.from_torch(actions.detach().float().contiguous())
+        host = actions.detach().cpu().numpy() if hasattr(actions, "detach") else np.asarray(actions)
+        if host.shape != shape or not np.issubdtype(host.dtype, np.floating):
+            raise ValueError(
+                f"actions must be floating point of shape {shape}, got {host.dtype} {host.shape}"
+            )
+        if not np.isfinite(host).all():
+            worlds = np.flatnonzero(~np.isfinite(host).all(axis=1)).tolist()
+            raise ValueError(f"actions must be finite, got NaN or infinity for worlds {worlds}")
+        return np.ascontiguousarray(host, dtype=np.float32)
+
+    def _give(self, array: wp.array) -> Any:
+        """Return an array of the simulation in the library asked for."""
+        if self.output == "warp":
+            return wp.clone(array) if self.copy else array
+        if self.output == "torch":
+            tensor = wp.to_torch(array)
+            return tensor.clone() if self.copy else tensor
+        host = array.numpy()
+        return host.copy() if self.copy else host
+
+    def _entries(self, transition: Any) -> dict[str, Any]:
+        """Return the info arrays of a transition."""
+        terms = self._give(transition.terms)
+        entries = {
+            "success": self._give(transition.success),
+            "solved": self._give(transition.solved),
+            "fault": self._give(transition.fault),
+        }
+        for k, term in enumerate(self.sim.terms):
+            entries[f"terms/{term.name}"] = terms[:, k]
+        return entries
+
+    def _info(self) -> dict[str, Any]:
+        """Return the info dictionary of the last step, masks included where arrays are on the host."""
+        info = self._entries(self.sim.transition)
+        same_step = self._autoreset == AutoresetMode.SAME_STEP
+        if self.output != "numpy" and not self.sim.scene.device.is_cpu:
+            # No masks and no look at what ended: that would wait for the device.
+            if same_step:
+                info["final_obs"] = self._give(self.sim.final.obs)
+                info["final_info"] = self._entries(self.sim.final)
+            return info
+        transition = self.sim.transition
+        ended = transition.terminated.numpy() | transition.truncated.numpy()
+        stepped = ~ended if same_step else ~self._resetting
+        self._resetting = ended & (self._autoreset == AutoresetMode.NEXT_STEP)
+        self._ended = ended & (self._autoreset == AutoresetMode.DISABLED)
+        self._warn_of_faults(transition.fault.numpy())
+        info |= {f"_{key}": stepped for key in tuple(info)}
+        if same_step and ended.any():
+            final = self._entries(self.sim.final)
+            info["final_obs"] = self._give(self.sim.final.obs)
+            info["final_info"] = final | {f"_{key}": ended for key in final}
+            info["_final_obs"] = info["_final_info"] = ended
+        return info
+
+    def _warn_of_faults(self, fault: np.ndarray) -> None:
+        """Say once that worlds had to be reset."""
+        if self._warned or not fault.any():
+            return
+        self._warned = True
+        world = int(np.flatnonzero(fault)[0])
+        reasons = [text for bit, text in FAULTS.items() if fault[world] & bit]
+        gym.logger.warn(
+            f"world {world} was reset after a fault ({', '.join(reasons)}); later faults show only in "
+            "info['fault']"
+        )
+
+
+class MyoWarpEnv(gym.Env):
+    """One world of a task as a plain Gymnasium environment.
+
+    Observation, reward and info are those of `MyoWarpVectorEnv` for one world. Truncation at the horizon is
+    left to the `TimeLimit` wrapper that `gymnasium.make` adds.
+    """
+
+    def __init__(self, task: str, **options: Any) -> None:
+        """Compile the task; options are those of `MyoWarpVectorEnv` that make sense for one world.
+
+        Raises:
+            ValueError: An option is unknown or out of its range.
+        """
+        for option in ("num_envs", "autoreset_mode", "output", "copy", "max_episode_steps"):
+            if option in options:
+                raise ValueError(f"option {option!r} is for make_vec; a single environment has none")
+        self._vector = MyoWarpVectorEnv(
+            task, 1, max_episode_steps=NO_HORIZON, autoreset_mode=AutoresetMode.DISABLED, **options
+        )
+        self.metadata = {k: v for k, v in self._vector.metadata.items() if k != "autoreset_mode"}
+        self.render_mode = self._vector.render_mode
+        self.observation_space = self._vector.single_observation_space
+        self.action_space = self._vector.single_action_space
+
+    @property
+    def sim(self) -> Simulation:
+        """The simulation of this one world."""
+        return self._vector.sim
+
+    @property
+    def muscle_names(self) -> tuple[str, ...]:
+        """Names of the muscles, in the order of the `act` columns."""
+        return self._vector.muscle_names
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start a new episode; see `MyoWarpVectorEnv.reset`."""
+        super().reset(seed=seed)
+        obs, info = self._vector.reset(seed=seed, options=options)
+        return obs[0], info
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Advance by one control step; see `MyoWarpVectorEnv.step`."""
+        shape = self.action_space.shape
+        if np.shape(action) != shape:
+            raise ValueError(f"action must be floating point of shape {shape}, got shape {np.shape(action)}")
+        obs, reward, terminated, truncated, info = self._vector.step(np.asarray(action)[None])
+        info = {key: value[0].item() for key, value in info.items() if not key.startswith("_")}
+        return obs[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
+
+    def render(self) -> np.ndarray | None:
+        """Return a picture (height, width, 3) uint8; None in human mode."""
+        frames = self._vector.render()
+        return None if frames is None else frames[0]
+
+    def close(self) -> None:
+        """Close windows and drawing contexts."""
+        self._vector.close()
+
+
+class _Pictures:
+    """Makes the renderer or viewer of an environment when it is first needed."""
+
+    def __init__(self, mode: str | None, size: tuple[int, int], camera: str | None) -> None:
+        self._mode, self._size, self._camera = mode, size, camera
+        self._renderer: WorldRenderer | None = None
+        self._viewer: HumanViewer | None = None
+
+    def frame(self, sim: Simulation, world: int) -> np.ndarray:
+        """Return a picture of one world."""
+        if self._renderer is None:
+            from myowarp.view.render import WorldRenderer
+
+            self._renderer = WorldRenderer(sim.scene.full, *self._size, camera=self._camera)
+        return self._renderer.frame(*sim.look(world))
+
+    def show(self, sim: Simulation) -> None:
+        """Show world 0 in the window."""
+        if self._viewer is None:
+            from myowarp.view.human import HumanViewer
+
+            self._viewer = HumanViewer(sim.scene.full)
+        self._viewer.show(*sim.look(0))
+
+    def close(self) -> None:
+        """Close what is open."""
+        for view in (self._renderer, self._viewer):
+            if view is not None:
+                view.close()
+        self._renderer = self._viewer = None
+
+
+def _require(name: str, value: object, choices: Sequence[object]) -> None:
+    """Raise ValueError if `value` is none of `choices`."""
+    if value not in choices:
+        raise ValueError(f"{name} {value!r} unknown; available: {', '.join(map(str, choices))}")
+
+
+def _autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:
+    """Return Gymnasium's enum member for a mode or its name."""
+    named = {m.value.lower(): m for m in AutoresetMode} | {v: k for k, v in AUTORESET_NAMES.items()}
+    key = mode.value.lower() if isinstance(mode, AutoresetMode) else str(mode).lower()
+    _require("autoreset_mode", key, tuple(named))
+    return named[key]
+
+
+def _require_torch() -> None:
+    """Raise if torch cannot be imported."""
+    try:
+        import torch  # noqa: F401
+    except ImportError as error:
+        raise DependencyNotInstalled(
+            'output="torch" needs torch, which is not installed; run `pip install "myowarp[torch]"`'
+        ) from error
+
+
+def register_all() -> None:
+    """Register every task with Gymnasium; called by `import myowarp`."""
+    for key in TASKS:
+        spec = TASKS[key]
+        gym.register(
+            id=spec.env_id,
+            entry_point="myowarp.bridge_gym:MyoWarpEnv",
+            vector_entry_point="myowarp.bridge_gym:MyoWarpVectorEnv",
+            max_episode_steps=spec.horizon,
+            kwargs={"task": spec.key},
+        )

@@ -1,0 +1,63 @@
+"""Results that take seconds to make and never change, kept on disk between runs.
+
+A key names everything the result depends on, package versions included. An entry that cannot be read
+is made again, never trusted. `MYOWARP_CACHE_DIR` moves the folder.
+"""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import TypeVar
+
+import platformdirs
+
+T = TypeVar("T")
+
+
+def cache_dir() -> Path:
+    """Return the folder of the cache; it may not exist yet."""
+    default = platformdirs.user_cache_dir("myowarp")
+    return Path(os.environ.get("MYOWARP_CACHE_DIR", default))
+
+
+def cached(
+    key: tuple[object, ...],
+    suffix: str,
+    make: Callable[[], T],
+    save: Callable[[T, str], None],
+    load: Callable[[str], T],
+) -> T:
+    """Return the object that `key` names: loaded from disk if there, else made and saved.
+
+    Args:
+        key: What the result depends on; `repr` must identify it. Versions of mujoco and myo-sim are
+            added.
+        suffix: File suffix, dot included.
+        make: Builds the object.
+        save: Writes the object to a path.
+        load: Reads it back; raises ValueError on a damaged file.
+
+    Returns:
+        The object. A cache folder that cannot be written only costs time.
+    """
+    versions = (version("mujoco"), version("myo-sim"))
+    digest = hashlib.sha256(repr((key, versions)).encode()).hexdigest()[:24]
+    path = cache_dir() / f"{digest}{suffix}"
+    if path.exists():
+        try:
+            return load(str(path))
+        except ValueError:
+            path.unlink(missing_ok=True)
+    entry = make()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, scratch = tempfile.mkstemp(suffix=suffix, dir=path.parent)
+        os.close(handle)
+        save(entry, scratch)
+        Path(scratch).replace(path)
+    except OSError:
+        pass
+    return entry

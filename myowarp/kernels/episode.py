@@ -1,0 +1,217 @@
+"""Bookkeeping of episodes: faults, reward, termination, truncation, success, final values."""
+
+import warp as wp
+from mujoco_warp import OverflowType
+
+from myowarp.kernels.action import FAULT_ACTION
+
+FAULT_NONFINITE = wp.constant(1)
+FAULT_ROWS = wp.constant(2)
+FAULT_CONTACTS = wp.constant(4)
+
+FAULTS = {
+    int(FAULT_NONFINITE): "state not finite",
+    int(FAULT_ROWS): "more constraint rows than allocated",
+    int(FAULT_CONTACTS): "more contacts than allocated",
+    int(FAULT_ACTION): "action not finite",
+}
+"""Meaning of the bits of a fault."""
+
+STATE_LIMIT = wp.constant(1.0e10)  # largest state entry that MuJoCo accepts, mjMAXVAL
+SUCCESS_STEPS = wp.constant(5)  # an episode succeeds with more solved steps than this; MyoSuite
+
+ROW_BITS = wp.constant(int(OverflowType.NEFC | OverflowType.NJMAX_NNZ))
+CONTACT_BITS = wp.constant(int(OverflowType.BROADPHASE | OverflowType.NARROWPHASE | OverflowType.CCD))
+
+RESET_DISABLED = wp.constant(0)  # Gymnasium's autoreset modes
+RESET_NEXT_STEP = wp.constant(1)
+RESET_SAME_STEP = wp.constant(2)
+
+
+@wp.struct
+class EpisodeState:
+    """Where every world stands in its episode; all arrays (num_worlds,).
+
+    Attributes:
+        step_count: Steps since reset.
+        solved_count: Steps since reset in which the task was solved.
+        pending: The last step ended the episode, and the next step has to reset the world.
+    """
+
+    step_count: wp.array[int]
+    solved_count: wp.array[int]
+    pending: wp.array[bool]
+
+
+@wp.struct
+class Transition:
+    """What one step of every world led to; arrays (num_worlds,), terms (num_worlds, num_terms).
+
+    Attributes:
+        obs: Observation, shape (num_worlds, obs_size).
+        terms: Reward terms before weighting.
+        reward: Weighted sum of the terms.
+        solved: The task is solved in this state.
+        failed: The task has failed in this state.
+        success: The episode counts as a success so far.
+        terminated: The episode ended by failure or fault.
+        truncated: The episode ended by its horizon.
+        fault: Bits of `FAULTS`.
+    """
+
+    obs: wp.array2d[float]
+    terms: wp.array2d[float]
+    reward: wp.array[float]
+    solved: wp.array[bool]
+    failed: wp.array[bool]
+    success: wp.array[bool]
+    terminated: wp.array[bool]
+    truncated: wp.array[bool]
+    fault: wp.array[int]
+
+
+@wp.struct
+class Masks:
+    """Which worlds the later kernels of a step act on; all arrays (num_worlds,).
+
+    Attributes:
+        live: Stepped and healthy: observe the state reached.
+        reset: To be reset now.
+        fresh: Reset now, and to be observed anew.
+    """
+
+    live: wp.array[bool]
+    reset: wp.array[bool]
+    fresh: wp.array[bool]
+
+
+@wp.kernel(enable_backward=False)
+def count_step(
+    # Out:
+    episode: EpisodeState,
+):
+    """step_count += 1."""
+    worldid = wp.tid()
+    episode.step_count[worldid] += 1
+
+
+@wp.kernel(enable_backward=False)
+def detect_faults(
+    # Data in:
+    qpos_in: wp.array2d[float],
+    qvel_in: wp.array2d[float],
+    # In:
+    activation: wp.array2d[float],
+    # Data out:
+    overflow_out: wp.array[int],
+    # Out:
+    fault: wp.array[int],
+):
+    """Add fault bits for states that are not finite and for capacities that overflowed."""
+    worldid = wp.tid()
+    bits = fault[worldid]
+    for i in range(qpos_in.shape[1]):
+        if not (wp.abs(qpos_in[worldid, i]) <= STATE_LIMIT):
+            bits |= FAULT_NONFINITE
+    for i in range(qvel_in.shape[1]):
+        if not (wp.abs(qvel_in[worldid, i]) <= STATE_LIMIT):
+            bits |= FAULT_NONFINITE
+    for i in range(activation.shape[1]):
+        if not wp.isfinite(activation[worldid, i]):
+            bits |= FAULT_NONFINITE
+    if (overflow_out[worldid] & ROW_BITS) != 0:
+        bits |= FAULT_ROWS
+    if (overflow_out[worldid] & CONTACT_BITS) != 0:
+        bits |= FAULT_CONTACTS
+    overflow_out[worldid] = 0
+    fault[worldid] = bits
+
+
+@wp.kernel(enable_backward=False)
+def advance_episode(
+    # Params:
+    weights: wp.array[float],
+    horizon: wp.array[int],
+    autoreset: int,
+    # Out:
+    episode: EpisodeState,
+    transition: Transition,
+    masks: Masks,
+):
+    """reward = weights . terms; decide what ends, what is reset and what is observed.
+
+    A world that was pending is only reset. A faulty world ends with reward 0, keeps its last observation
+    and is reset at once, in every mode.
+    """
+    worldid = wp.tid()
+    was_pending = episode.pending[worldid]
+    if was_pending:
+        transition.fault[worldid] = 0
+    faulty = transition.fault[worldid] != 0
+    live = not was_pending and not faulty
+
+    reward = float(0.0)
+    for k in range(weights.shape[0]):
+        if live:
+            reward += weights[k] * transition.terms[worldid, k]
+        else:
+            transition.terms[worldid, k] = 0.0
+    solved = live and transition.solved[worldid]
+    if solved:
+        episode.solved_count[worldid] += 1
+    terminated = faulty or (live and transition.failed[worldid])
+    truncated = not was_pending and episode.step_count[worldid] >= horizon[0]
+    ended = terminated or truncated
+    reset_now = ended and autoreset == RESET_SAME_STEP
+
+    transition.reward[worldid] = reward
+    transition.solved[worldid] = solved
+    transition.success[worldid] = not was_pending and episode.solved_count[worldid] > SUCCESS_STEPS
+    transition.terminated[worldid] = terminated
+    transition.truncated[worldid] = truncated
+    episode.pending[worldid] = ended and autoreset == RESET_NEXT_STEP
+    masks.live[worldid] = live
+    masks.reset[worldid] = was_pending or faulty or reset_now
+    masks.fresh[worldid] = was_pending or reset_now
+
+
+@wp.kernel(enable_backward=False)
+def keep_final(
+    # Out:
+    transition: Transition,
+    final: Transition,
+):
+    """Copy what a finished episode ended with, and clear what its reset in the same step voids.
+
+    The fault stays visible in the transition.
+    """
+    worldid = wp.tid()
+    if not (transition.terminated[worldid] or transition.truncated[worldid]):
+        return
+    for i in range(transition.obs.shape[1]):
+        final.obs[worldid, i] = transition.obs[worldid, i]
+    for k in range(transition.terms.shape[1]):
+        final.terms[worldid, k] = transition.terms[worldid, k]
+        transition.terms[worldid, k] = 0.0
+    final.solved[worldid] = transition.solved[worldid]
+    final.success[worldid] = transition.success[worldid]
+    final.fault[worldid] = transition.fault[worldid]
+    transition.solved[worldid] = False
+    transition.success[worldid] = False
+
+
+@wp.kernel(enable_backward=False)
+def open_episode(
+    # In:
+    mask: wp.array[bool],
+    asked: bool,
+    # Out:
+    episode: EpisodeState,
+):
+    """Put the counters of the worlds of the mask to 0; a reset that was asked for leaves none pending."""
+    worldid = wp.tid()
+    if mask[worldid]:
+        episode.step_count[worldid] = 0
+        episode.solved_count[worldid] = 0
+        if asked:
+            episode.pending[worldid] = False

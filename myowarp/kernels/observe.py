@@ -1,0 +1,37 @@
+"""Packing of state into the columns of an observation row.
+
+Each function writes one block and returns the column after it, so that the kernel of a task reads like
+its table of columns.
+"""
+
+import warp as wp
+
+
+@wp.func
+def pack(obs: wp.array2d[float], worldid: int, column: int, values: wp.array2d[float], scale: float) -> int:
+    """Write `scale * values[worldid]`."""
+    for i in range(values.shape[1]):
+        obs[worldid, column + i] = scale * values[worldid, i]
+    return column + values.shape[1]
+
+
+@wp.func
+def pack_difference(
+    obs: wp.array2d[float],
+    worldid: int,
+    column: int,
+    target: wp.array2d[float],
+    values: wp.array2d[float],
+) -> int:
+    """Write `target[worldid] - values[worldid]`."""
+    for i in range(target.shape[1]):
+        obs[worldid, column + i] = target[worldid, i] - values[worldid, i]
+    return column + target.shape[1]
+
+
+@wp.func
+def pack_vec3(obs: wp.array2d[float], worldid: int, column: int, vector: wp.vec3) -> int:
+    """Write a position or other three-vector."""
+    for i in range(3):
+        obs[worldid, column + i] = vector[i]
+    return column + 3

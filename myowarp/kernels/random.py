@@ -1,0 +1,30 @@
+"""Random numbers that depend on (seed, episode, stream) of a world and on nothing else.
+
+No generator state is stored: a world draws the same numbers for any number of worlds, on any shard and
+any device, in eager mode and in a replayed graph.
+"""
+
+import warp as wp
+
+GOAL = wp.constant(0)
+START = wp.constant(1)
+
+
+@wp.struct
+class RandomKeys:
+    """What the numbers of a world are drawn from.
+
+    Attributes:
+        seed: Seed of each world, shape (num_worlds,).
+        episode: Resets of each world since it was seeded, shape (num_worlds,).
+    """
+
+    seed: wp.array[wp.int32]
+    episode: wp.array[wp.int32]
+
+
+@wp.func
+def open_stream(keys: RandomKeys, worldid: int, stream: int) -> wp.uint32:
+    """Return the state of an independent stream of this world's present episode."""
+    episode_state = wp.rand_init(keys.seed[worldid], keys.episode[worldid])
+    return wp.rand_init(wp.int32(episode_state), stream)

@@ -1,0 +1,71 @@
+"""Masked reset of world state; nothing here allocates or reads back."""
+
+import mujoco_warp as mjw
+import warp as wp
+
+from myowarp.kernels.random import RandomKeys
+
+
+@wp.kernel(enable_backward=False)
+def fill_rows(mask: wp.array[bool], value: float, values: wp.array2d[float]):
+    """values[world, :] = value in the worlds of the mask."""
+    worldid, i = wp.tid()
+    if mask[worldid]:
+        values[worldid, i] = value
+
+
+def masked_fill(mask: wp.array, values: wp.array, value: float) -> None:
+    """Set the rows of `values` (num_worlds, n) that `mask` (num_worlds,) selects to `value`."""
+    wp.launch(fill_rows, dim=values.shape, inputs=[mask, value], outputs=[values])
+
+
+@wp.kernel(enable_backward=False)
+def reset_world(
+    # In:
+    mask: wp.array[bool],
+    qpos_start: wp.array[float],
+    # Data out:
+    qpos_out: wp.array2d[float],
+    qvel_out: wp.array2d[float],
+    ctrl_out: wp.array2d[float],
+    qacc_warmstart_out: wp.array2d[float],
+    time_out: wp.array[float],
+    overflow_out: wp.array[int],
+    # Out:
+    keys: RandomKeys,
+):
+    """Put the worlds of the mask into the start configuration at rest and open their next episode."""
+    worldid = wp.tid()
+    if not mask[worldid]:
+        return
+    for i in range(qpos_out.shape[1]):
+        qpos_out[worldid, i] = qpos_start[i]
+    for i in range(qvel_out.shape[1]):
+        qvel_out[worldid, i] = 0.0
+        qacc_warmstart_out[worldid, i] = 0.0
+    for i in range(ctrl_out.shape[1]):
+        ctrl_out[worldid, i] = 0.0
+    time_out[worldid] = 0.0
+    overflow_out[worldid] = 0
+    keys.episode[worldid] = keys.episode[worldid] + 1
+
+
+def reset_worlds(mask: wp.array, qpos_start: wp.array, data: mjw.Data, keys: RandomKeys) -> None:
+    """Reset the mechanical state of the worlds that `mask` (num_worlds,) bool selects.
+
+    Everything else in `data` is recomputed from this state by the next step.
+    """
+    wp.launch(
+        reset_world,
+        dim=data.nworld,
+        inputs=[mask, qpos_start],
+        outputs=[
+            data.qpos,
+            data.qvel,
+            data.ctrl,
+            data.qacc_warmstart,
+            data.time,
+            data.overflow,
+            keys,
+        ],
+    )

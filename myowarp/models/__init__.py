@@ -1,0 +1,1 @@
+"""Bodies and muscle models, and how a body is made small."""

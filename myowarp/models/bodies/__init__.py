@@ -1,0 +1,29 @@
+"""Bodies: each a function that returns a fresh, editable `mujoco.MjSpec` built from myo-sim.
+
+A new body is one file here and one import at the foot of this one.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+
+from myowarp.registry import Registry
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body.
+
+    Attributes:
+        build: Returns the full model as a fresh spec.
+        tips: Names of the sites at the ends of the limb, which tasks show or steer.
+    """
+
+    build: Callable[[], mujoco.MjSpec]
+    tips: tuple[str, ...]
+
+
+BODIES: Registry[Body] = Registry("body")
+
+from myowarp.models.bodies import elbow, finger, hand  # noqa: E402, F401  (they register themselves)

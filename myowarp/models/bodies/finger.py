@@ -1,0 +1,29 @@
+"""Index finger, four joints: with five muscles, or with five tendon motors.
+
+Source: myo-sim 0.2.3, legacy finger models. The motors carry MyoSuite 3.0.0's gears, four times those of
+the file, with which upstream made the motor twins of the finger tasks solvable.
+"""
+
+import mujoco
+from myo_sim import MODELS_DIR
+
+from myowarp.models.bodies import BODIES, Body
+
+MOTOR_GEARS = {"extn": 80.0, "adabR": 20.0, "adabL": 20.0, "mflx": 40.0, "dflx": 40.0}  # N per unit
+
+
+def finger() -> mujoco.MjSpec:
+    """Return the finger with five muscles; joints IFadb, IFmcp, IFpip, IFdip."""
+    return mujoco.MjSpec.from_file(str(MODELS_DIR / "legacy/finger/myofinger_v0.xml"))
+
+
+def motor_finger() -> mujoco.MjSpec:
+    """Return the finger with five tendon motors, control range -1 (full pull) to 0."""
+    spec = mujoco.MjSpec.from_file(str(MODELS_DIR / "legacy/finger/motorfinger_v0.xml"))
+    for name, gear in MOTOR_GEARS.items():
+        spec.actuator(name).gear[0] = gear
+    return spec
+
+
+BODIES.add("finger", Body(finger, tips=("IFtip",)))
+BODIES.add("motor_finger", Body(motor_finger, tips=("IFtip",)))

@@ -1,0 +1,214 @@
+"""MuJoCo's muscle: rigid tendon, no pennation, piecewise quadratic curves.
+
+    F = -(f_L(l) f_V(v) a + f_P(l)) F_max,    l = (length - l_T) / l_0,    v = velocity / (l_0 v_max)
+
+Source: MuJoCo documentation, *Computation, Muscle actuators*. The active and the passive part each have
+their own length scale and peak force, as `gainprm` and `biasprm` do. Forces agree with MuJoCo C to 1e-5 of
+the peak (tests/test_muscles.py).
+"""
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+from mujoco_warp._src.types import vec10
+
+from myowarp.kernels.activation import activation_rate
+from myowarp.kernels.curves import (
+    quadratic_force_length,
+    quadratic_force_velocity,
+    quadratic_force_velocity_slope,
+    quadratic_passive_force,
+)
+from myowarp.kernels.reset import masked_fill
+from myowarp.models.muscles import MUSCLES, MuscleModel
+
+
+@wp.struct
+class MujocoMuscleParams:
+    """Parameters of all muscles; every array but the first is (1 or num_worlds, num_muscles).
+
+    Attributes:
+        actuator_id: Actuator of each muscle, shape (num_muscles,).
+        excitation_range: Lowest and highest excitation [1].
+        activation_time_constant: Time constant at full rise [s].
+        deactivation_time_constant: Time constant of decay [s].
+        smoothing_width: Width of the switch between the two [1].
+        max_isometric_force: Peak active force [N].
+        optimal_fiber_length: Length scale l_0 of the active part [m].
+        tendon_slack_length: Length offset l_T of the active part [m].
+        min_norm_length: l at which the active force starts [1].
+        max_norm_length: l at which the active force ends [1].
+        max_contraction_velocity: v_max [l_0/s].
+        eccentric_multiplier: Largest f_V [1].
+        passive_peak_force: Force that scales f_P [N].
+        passive_optimal_length: l_0 of the passive part [m].
+        passive_slack_length: l_T of the passive part [m].
+        passive_max_norm_length: l at which f_P reaches `passive_multiplier` [1].
+        passive_multiplier: f_P there [1].
+    """
+
+    actuator_id: wp.array[int]
+    excitation_range: wp.array2d[wp.vec2]
+    activation_time_constant: wp.array2d[float]
+    deactivation_time_constant: wp.array2d[float]
+    smoothing_width: wp.array2d[float]
+    max_isometric_force: wp.array2d[float]
+    optimal_fiber_length: wp.array2d[float]
+    tendon_slack_length: wp.array2d[float]
+    min_norm_length: wp.array2d[float]
+    max_norm_length: wp.array2d[float]
+    max_contraction_velocity: wp.array2d[float]
+    eccentric_multiplier: wp.array2d[float]
+    passive_peak_force: wp.array2d[float]
+    passive_optimal_length: wp.array2d[float]
+    passive_slack_length: wp.array2d[float]
+    passive_max_norm_length: wp.array2d[float]
+    passive_multiplier: wp.array2d[float]
+
+
+@wp.kernel(enable_backward=False)
+def mujoco_muscle(
+    # Model:
+    opt_timestep: wp.array[float],
+    # Params:
+    params: MujocoMuscleParams,
+    # Data in:
+    ctrl_in: wp.array2d[float],
+    actuator_length_in: wp.array2d[float],
+    actuator_velocity_in: wp.array2d[float],
+    # In:
+    implicit: bool,
+    # Out:
+    activation: wp.array2d[float],
+    actuator_biasprm: wp.array2d[vec10],
+):
+    """F from the present activation; then a += dt da/dt, in MuJoCo's order."""
+    worldid, muscleid = wp.tid()
+    actuatorid = params.actuator_id[muscleid]
+    p = worldid % params.max_isometric_force.shape[0]
+
+    length_scale = params.optimal_fiber_length[p, muscleid]
+    velocity_scale = length_scale * params.max_contraction_velocity[p, muscleid]
+    velocity = actuator_velocity_in[worldid, actuatorid]
+    norm_length = (
+        actuator_length_in[worldid, actuatorid] - params.tendon_slack_length[p, muscleid]
+    ) / length_scale
+    norm_velocity = velocity / velocity_scale
+    passive_norm_length = (
+        actuator_length_in[worldid, actuatorid] - params.passive_slack_length[p, muscleid]
+    ) / params.passive_optimal_length[p, muscleid]
+
+    fvmax = params.eccentric_multiplier[p, muscleid]
+    a = activation[worldid, muscleid]
+    active = (
+        a
+        * params.max_isometric_force[p, muscleid]
+        * quadratic_force_length(
+            norm_length, params.min_norm_length[p, muscleid], params.max_norm_length[p, muscleid]
+        )
+    )
+    passive = params.passive_peak_force[p, muscleid] * quadratic_passive_force(
+        passive_norm_length,
+        params.passive_max_norm_length[p, muscleid],
+        params.passive_multiplier[p, muscleid],
+    )
+    force = -(active * quadratic_force_velocity(norm_velocity, fvmax) + passive)
+
+    # Explicit integrators have no use for the slope, and force - kv v + kv v would only round.
+    kv = float(0.0)
+    if implicit:
+        kv = -active * quadratic_force_velocity_slope(norm_velocity, fvmax) / velocity_scale
+    bias = vec10()
+    bias[0] = force - kv * velocity
+    bias[2] = kv
+    actuator_biasprm[worldid, actuatorid] = bias
+
+    bounds = params.excitation_range[p, muscleid]
+    excitation = wp.clamp(ctrl_in[worldid, actuatorid], bounds[0], bounds[1])
+    dt = opt_timestep[worldid % opt_timestep.shape[0]]
+    activation[worldid, muscleid] = a + dt * activation_rate(
+        excitation,
+        a,
+        params.activation_time_constant[p, muscleid],
+        params.deactivation_time_constant[p, muscleid],
+        params.smoothing_width[p, muscleid],
+    )
+
+
+def peak_force(prm: np.ndarray, acc0: np.ndarray) -> np.ndarray:
+    """Return the peak force [N] that a muscle's gain or bias parameters mean, shape (num_muscles,).
+
+    A negative stored force asks for scale / acc0, acc0 being the acceleration by unit force at qpos0.
+    """
+    return np.where(prm[:, 2] < 0.0, prm[:, 3] / np.maximum(acc0, 1e-15), prm[:, 2])
+
+
+def length_scale(prm: np.ndarray, lengthrange: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return l_0 and l_T [m], each (num_muscles,): l runs over prm[0..1] as length over its range."""
+    optimal = (lengthrange[:, 1] - lengthrange[:, 0]) / np.maximum(prm[:, 1] - prm[:, 0], 1e-15)
+    return optimal, lengthrange[:, 0] - prm[:, 0] * optimal
+
+
+class MujocoMuscle(MuscleModel):
+    """MuJoCo's muscle in a kernel of ours; parameters are read from a compiled `mujoco.MjModel`.
+
+    Attributes:
+        params: The parameters, editable in place.
+    """
+
+    def __init__(self, model: mujoco.MjModel, num_worlds: int) -> None:
+        """Read the parameters of every actuator with muscle dynamics."""
+        super().__init__(model, num_worlds)
+        ids = self.actuator_id
+        gain, bias = model.actuator_gainprm[ids], model.actuator_biasprm[ids]
+        dyn, acc0 = model.actuator_dynprm[ids], model.actuator_acc0[ids]
+        optimal, slack = length_scale(gain, model.actuator_lengthrange[ids])
+        passive_optimal, passive_slack = length_scale(bias, model.actuator_lengthrange[ids])
+        limited = model.actuator_ctrllimited[ids, None]
+        bounds = np.where(limited, model.actuator_ctrlrange[ids], (-np.inf, np.inf))
+
+        self.params = MujocoMuscleParams()
+        self.params.actuator_id = wp.array(ids, dtype=int)
+        self.params.excitation_range = wp.array(bounds[None], dtype=wp.vec2)
+        for name, values in {
+            "activation_time_constant": dyn[:, 0],
+            "deactivation_time_constant": dyn[:, 1],
+            "smoothing_width": dyn[:, 2],
+            "max_isometric_force": peak_force(gain, acc0),
+            "optimal_fiber_length": optimal,
+            "tendon_slack_length": slack,
+            "min_norm_length": gain[:, 4],
+            "max_norm_length": gain[:, 5],
+            "max_contraction_velocity": gain[:, 6],
+            "eccentric_multiplier": gain[:, 8],
+            "passive_peak_force": peak_force(bias, acc0),
+            "passive_optimal_length": passive_optimal,
+            "passive_slack_length": passive_slack,
+            "passive_max_norm_length": bias[:, 5],
+            "passive_multiplier": bias[:, 7],
+        }.items():
+            setattr(self.params, name, wp.array(values[None], dtype=float))
+
+    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Engine callback; see `MuscleModel.launch`."""
+        wp.launch(
+            mujoco_muscle,
+            dim=self.activation.shape,
+            inputs=[
+                model.opt.timestep,
+                self.params,
+                data.ctrl,
+                data.actuator_length,
+                data.actuator_velocity,
+                bool(model.opt.integrator != mjw.IntegratorType.EULER),
+            ],
+            outputs=[self.activation, model.actuator_biasprm],
+        )
+
+    def reset(self, mask: wp.array) -> None:
+        """Set the activation of the worlds of `mask` to 0."""
+        masked_fill(mask, self.activation, 0.0)
+
+
+MUSCLES.add("mujoco", MujocoMuscle)

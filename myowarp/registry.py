@@ -1,0 +1,59 @@
+"""Names to objects: the one way in which bodies, muscle models and tasks are found.
+
+A registered object is found by its name everywhere: in `gymnasium.make_vec`, on the command line and
+in the tests, which run over everything registered.
+"""
+
+import difflib
+from collections.abc import Callable, Iterator
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class Registry(Generic[T]):
+    """An ordered mapping from names to objects that explains itself when a name is unknown.
+
+    Args:
+        kind: What is registered, in the singular; used in error messages.
+    """
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        self._entries: dict[str, T] = {}
+
+    def add(self, name: str, entry: T) -> T:
+        """Register `entry` under `name`.
+
+        Raises:
+            ValueError: `name` is taken.
+        """
+        if name in self._entries:
+            raise ValueError(f"{self.kind} {name!r} is already registered; choose another name")
+        self._entries[name] = entry
+        return entry
+
+    def register(self, name: str) -> Callable[[T], T]:
+        """Decorator form of `add`."""
+        return lambda entry: self.add(name, entry)
+
+    def __getitem__(self, name: str) -> T:
+        """Return the entry called `name`.
+
+        Raises:
+            ValueError: No such entry; the message lists the close names, or all.
+        """
+        if name in self._entries:
+            return self._entries[name]
+        close = difflib.get_close_matches(str(name), self._entries, n=3)
+        hint = f"did you mean {', '.join(close)}?" if close else f"available: {', '.join(self)}"
+        raise ValueError(f"{self.kind} {name!r} unknown; {hint}")
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._entries
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)

@@ -1,0 +1,200 @@
+"""A task made concrete: names resolved to ids, the body slimmed, all arrays allocated.
+
+After `compile_scene` every shape is fixed; the step loop only launches kernels over these arrays.
+"""
+
+import hashlib
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+from myowarp.cache import cached
+from myowarp.kernels.action import MOTOR, MUSCLE
+from myowarp.kernels.random import RandomKeys
+from myowarp.models.bodies import BODIES
+from myowarp.models.capacity import Capacity, calibrate
+from myowarp.models.muscles import MUSCLES, MuscleModel
+from myowarp.models.slim import slim
+from myowarp.spec import PHYSICS, TaskSpec
+
+
+@dataclass
+class Scene:
+    """A compiled task.
+
+    Attributes:
+        spec: The task.
+        num_worlds: Worlds stepped together.
+        num_substeps: Physics steps in a control step, after the physics preset.
+        oracle: Slim model with MuJoCo's built-in muscles, host; what our kernels must reproduce.
+        model: Stepped model, stateless actuators.
+        data: State of all worlds.
+        muscles: The muscles of all worlds.
+        keys: What random numbers are drawn from.
+        qpos_start: Start configuration of an episode, shape (nq,).
+        actuator_kind: MUSCLE or MOTOR for each actuator, shape (nu,).
+        capacity: Contacts and constraint rows that the arrays hold.
+    """
+
+    spec: TaskSpec
+    num_worlds: int
+    num_substeps: int
+    oracle: mujoco.MjModel
+    model: mjw.Model
+    data: mjw.Data
+    muscles: MuscleModel
+    keys: RandomKeys
+    qpos_start: wp.array
+    actuator_kind: wp.array
+    capacity: Capacity
+    device: wp.Device = field(repr=False)
+
+    @property
+    def control_dt(self) -> float:
+        """Duration of a control step [s]."""
+        return self.spec.control_dt
+
+    @cached_property
+    def full(self) -> mujoco.MjModel:
+        """The unslimmed model with the task's objects, for pictures and comparisons; host."""
+        return full_spec(self.spec).compile()
+
+    def site_id(self, name: str) -> int:
+        """Return the id of a site of the stepped model."""
+        return self.oracle.site(name).id
+
+
+def full_spec(spec: TaskSpec) -> mujoco.MjSpec:
+    """Return the editable full model of a task: the body and what the task adds."""
+    body = BODIES[spec.body].build()
+    body.option.timestep = spec.physics_dt
+    spec.edit(body)
+    return body
+
+
+@lru_cache(maxsize=1)
+def _slim_spec(spec: TaskSpec) -> mujoco.MjSpec:
+    """Return the slim spec of a task; shared by the two models that are compiled from it."""
+    return slim(full_spec(spec), spec.sites)
+
+
+def slim_model(spec: TaskSpec) -> mujoco.MjModel:
+    """Return the slim model of a task with MuJoCo's built-in muscles."""
+    return _slim_spec(spec).copy().compile()
+
+
+def stateless_model(spec: TaskSpec) -> mujoco.MjModel:
+    """Return the slim model with every muscle made a stateless AFFINE actuator (see `MuscleModel`)."""
+    small = _slim_spec(spec).copy()
+    for actuator in small.actuators:
+        if actuator.dyntype == mujoco.mjtDyn.mjDYN_MUSCLE:
+            actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
+            actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            actuator.gainprm = np.zeros(10)
+            actuator.biasprm = np.zeros(10)
+            actuator.actlimited = False
+    return small.compile()
+
+
+def _sources(spec: TaskSpec) -> str:
+    """Return a digest of the code that builds the scene of a task, so that an edit renews the cache."""
+    files = sorted(Path(__file__).parent.glob("models/**/*.py"))
+    files.append(Path(inspect.getfile(type(spec))))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
+def _cached_model(spec: TaskSpec, make: Callable[[TaskSpec], mujoco.MjModel]) -> mujoco.MjModel:
+    """Return `make(spec)` through the disk cache."""
+    return cached(
+        (make.__name__, spec.scene_key, _sources(spec)),
+        ".mjb",
+        make=lambda: make(spec),
+        save=mujoco.mj_saveModel,
+        load=mujoco.MjModel.from_binary_path,
+    )
+
+
+def compile_scene(
+    spec: TaskSpec,
+    num_worlds: int,
+    device: str | None = None,
+    physics: str = "parity",
+    muscle: str = "mujoco",
+) -> Scene:
+    """Build everything that a task needs on a device.
+
+    Args:
+        spec: The task.
+        num_worlds: Worlds to step together, >= 1.
+        device: Warp device such as "cpu" or "cuda:0"; None: the first CUDA device if there is one.
+        physics: Name in `PHYSICS`.
+        muscle: Name in `MUSCLES`.
+
+    Raises:
+        ValueError: An argument is out of its range, or the device does not exist.
+    """
+    if isinstance(num_worlds, bool) or not isinstance(num_worlds, (int, np.integer)) or num_worlds < 1:
+        raise ValueError(f"num_envs must be a positive integer, got {num_worlds!r}")
+    if physics not in PHYSICS:
+        raise ValueError(f"physics {physics!r} unknown; available: {', '.join(PHYSICS)}")
+    muscle_class = MUSCLES[muscle]
+    where = resolve_device(device)
+
+    preset = PHYSICS[physics]
+    oracle = _cached_model(spec, slim_model)
+    stepped = _cached_model(spec, stateless_model)
+    num_substeps = -(-spec.num_substeps // preset.stride)
+    for host in (oracle, stepped):
+        host.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{preset.integrator}")
+        host.opt.timestep = spec.control_dt / num_substeps
+    capacity = calibrate(oracle)
+    with wp.ScopedDevice(where):
+        model = mjw.put_model(stepped, batch_sizes={"actuator_biasprm": num_worlds})
+        model.opt.warn_overflow = False
+        data = mjw.make_data(stepped, nworld=num_worlds, nconmax=capacity.contacts, njmax=capacity.rows)
+        muscles = muscle_class(oracle, num_worlds)
+        model.callback.control = muscles.launch
+        keys = RandomKeys()
+        keys.seed = wp.zeros(num_worlds, dtype=wp.int32)
+        keys.episode = wp.zeros(num_worlds, dtype=wp.int32)
+        kind = np.full(oracle.nu, int(MOTOR), dtype=np.int32)
+        kind[muscles.actuator_id] = int(MUSCLE)
+        return Scene(
+            spec=spec,
+            num_worlds=int(num_worlds),
+            num_substeps=num_substeps,
+            oracle=oracle,
+            model=model,
+            data=data,
+            muscles=muscles,
+            keys=keys,
+            qpos_start=wp.array(oracle.qpos0, dtype=float),
+            actuator_kind=wp.array(kind, dtype=int),
+            capacity=capacity,
+            device=where,
+        )
+
+
+def resolve_device(device: str | None) -> wp.Device:
+    """Return the Warp device called `device`, the preferred one for None.
+
+    Raises:
+        ValueError: No such device here; the message lists those there are.
+    """
+    wp.init()
+    if device is None:
+        return wp.get_preferred_device()
+    known = [d.alias for d in wp.get_devices()]
+    if str(device) == "cuda" and wp.is_cuda_available():
+        return wp.get_device("cuda")
+    if str(device) not in known:
+        raise ValueError(f"device {str(device)!r} is not available; available: {', '.join(known)}")
+    return wp.get_device(str(device))

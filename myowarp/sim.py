@@ -1,0 +1,246 @@
+"""The step loop: action, muscles, physics, observation, reward, termination and reset as one graph.
+
+`Simulation.step` replays a captured graph of kernel launches; nothing in it allocates or reads back. With
+`graph=False` the same launches run one by one, with the same numbers.
+"""
+
+import secrets
+from collections.abc import Callable
+
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+from myowarp.kernels.action import apply_action
+from myowarp.kernels.episode import (
+    RESET_DISABLED,
+    RESET_NEXT_STEP,
+    RESET_SAME_STEP,
+    EpisodeState,
+    Masks,
+    Transition,
+    advance_episode,
+    count_step,
+    detect_faults,
+    keep_final,
+    open_episode,
+)
+from myowarp.kernels.reset import reset_worlds
+from myowarp.scene import compile_scene
+from myowarp.spec import TaskSpec
+from myowarp.warmup import compile_kernels, quiet
+
+AUTORESET = {
+    "disabled": int(RESET_DISABLED),
+    "next_step": int(RESET_NEXT_STEP),
+    "same_step": int(RESET_SAME_STEP),
+}
+
+
+class Simulation:
+    """All worlds of a task, stepped together.
+
+    Every array is written in place and never replaced; read them through `numpy()`.
+
+    Attributes:
+        scene: The compiled task.
+        program: The task's kernels.
+        action: Policy actions in [-1, 1], to be written before `step`, shape (num_worlds, num_actuators).
+        transition: What the last step led to.
+        final: What finished episodes ended with; only with autoreset "same_step".
+        episode: Counters of the present episodes.
+    """
+
+    def __init__(
+        self,
+        spec: TaskSpec,
+        num_worlds: int,
+        *,
+        device: str | None = None,
+        physics: str = "parity",
+        muscle: str = "mujoco",
+        autoreset: str = "next_step",
+        horizon: int | None = None,
+        graph: bool = True,
+        progress: bool = True,
+    ) -> None:
+        """Compile the scene, compile the kernels and capture the step.
+
+        Args:
+            spec: The task.
+            num_worlds: Worlds to step together.
+            device: Warp device; None: the first CUDA device if there is one, else the CPU.
+            physics: Name in `spec.PHYSICS`.
+            muscle: Name in `MUSCLES`.
+            autoreset: Gymnasium's mode, a key of `AUTORESET`.
+            horizon: Control steps in an episode; None: the task's.
+            graph: Whether to capture the step as a graph.
+            progress: Whether to show a progress bar while kernels compile.
+
+        Raises:
+            ValueError: An argument is out of its range.
+        """
+        if autoreset not in AUTORESET:
+            raise ValueError(f"autoreset {autoreset!r} unknown; available: {', '.join(AUTORESET)}")
+        horizon = spec.horizon if horizon is None else horizon
+        if isinstance(horizon, bool) or not isinstance(horizon, int) or horizon < 1:
+            raise ValueError(f"max_episode_steps must be a positive integer, got {horizon!r}")
+        self.autoreset = AUTORESET[autoreset]
+        with quiet():
+            self.scene = compile_scene(spec, num_worlds, device, physics, muscle)
+        with quiet(), wp.ScopedDevice(self.scene.device):
+            self.program = spec.bind(self.scene)
+            self._allocate(horizon)
+            compile_kernels(self._launch_all, self.scene.device, show=progress)
+            self._step_graph = self._capture(self._launch_step) if graph else None
+            self._reset_graph = self._capture(self._launch_asked_reset) if graph else None
+        self.reset()
+
+    @property
+    def num_worlds(self) -> int:
+        """Worlds stepped together."""
+        return self.scene.num_worlds
+
+    def _allocate(self, horizon: int) -> None:
+        """Allocate every array of the step."""
+        n, scene, spec = self.num_worlds, self.scene, self.scene.spec
+        columns = spec.columns(scene.oracle.nq, len(scene.muscles.names))
+        self.columns = tuple(column for column in columns if column.size)
+        self.terms = spec.reward_terms()
+        self.action = wp.zeros((n, scene.oracle.nu), dtype=float)
+        self.weights = wp.array([term.weight for term in self.terms], dtype=float)
+        self.horizon = wp.array([horizon], dtype=int)
+        self.transition = self._new_transition()
+        self.final = self._new_transition()
+        self.episode = EpisodeState()
+        self.episode.step_count = wp.zeros(n, dtype=int)
+        self.episode.solved_count = wp.zeros(n, dtype=int)
+        self.episode.pending = wp.zeros(n, dtype=bool)
+        self.masks = Masks()
+        self.masks.live = wp.zeros(n, dtype=bool)
+        self.masks.reset = wp.zeros(n, dtype=bool)
+        self.masks.fresh = wp.zeros(n, dtype=bool)
+        self._asked = wp.zeros(n, dtype=bool)
+
+    def _new_transition(self) -> Transition:
+        """Allocate one set of step results."""
+        n = self.num_worlds
+        transition = Transition()
+        transition.obs = wp.zeros((n, sum(column.size for column in self.columns)), dtype=float)
+        transition.terms = wp.zeros((n, len(self.terms)), dtype=float)
+        transition.reward = wp.zeros(n, dtype=float)
+        transition.fault = wp.zeros(n, dtype=int)
+        for flag in ("solved", "failed", "success", "terminated", "truncated"):
+            setattr(transition, flag, wp.zeros(n, dtype=bool))
+        return transition
+
+    def _launch_all(self) -> None:
+        """Every launch there is, for the compiler."""
+        self._launch_step()
+        self._launch_asked_reset()
+
+    def _launch_step(self) -> None:
+        """One control step of all worlds."""
+        self.launch_action()
+        for _ in range(self.scene.num_substeps):
+            mjw.step(self.scene.model, self.scene.data)
+        self._refresh()
+        wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
+        self.launch_scoring()
+        self.program.observe(self.masks.live, self.transition.obs)
+        if self.autoreset == RESET_SAME_STEP:
+            wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
+        self._launch_reset(self.masks.reset, self.masks.fresh, asked=False)
+
+    def launch_action(self) -> None:
+        """Map actions to controls."""
+        scene, transition = self.scene, self.transition
+        wp.launch(
+            apply_action,
+            dim=self.num_worlds,
+            inputs=[scene.actuator_kind, scene.model.actuator_ctrlrange, self.action],
+            outputs=[scene.data.ctrl, transition.fault],
+        )
+
+    def launch_scoring(self) -> None:
+        """Judge the present state: faults, reward terms, reward, and what ends."""
+        data, transition = self.scene.data, self.transition
+        wp.launch(
+            detect_faults,
+            dim=self.num_worlds,
+            inputs=[data.qpos, data.qvel, self.scene.muscles.activation],
+            outputs=[data.overflow, transition.fault],
+        )
+        self.program.score(self.episode.step_count, transition.terms, transition.solved, transition.failed)
+        wp.launch(
+            advance_episode,
+            dim=self.num_worlds,
+            inputs=[self.weights, self.horizon, self.autoreset],
+            outputs=[self.episode, transition, self.masks],
+        )
+
+    def _launch_asked_reset(self) -> None:
+        """Reset that the user asked for."""
+        self._launch_reset(self._asked, self._asked, asked=True)
+
+    def _launch_reset(self, mask: wp.array, fresh: wp.array, asked: bool) -> None:
+        """Reset the worlds of `mask`, observe those of `fresh`."""
+        scene = self.scene
+        reset_worlds(mask, scene.qpos_start, scene.data, scene.keys)
+        scene.muscles.reset(mask)
+        wp.launch(open_episode, dim=self.num_worlds, inputs=[mask, asked], outputs=[self.episode])
+        self.program.sample_goal(mask)
+        self._refresh()
+        self.program.observe(fresh, self.transition.obs)
+
+    def _refresh(self) -> None:
+        """Make body and site positions those of the present state; a step leaves them one substep old."""
+        if self.scene.spec.uses_kinematics:
+            mjw.kinematics(self.scene.model, self.scene.data)
+
+    def _capture(self, launches: Callable[[], None]) -> wp.Graph:
+        """Record launches as a graph."""
+        with wp.ScopedCapture(device=self.scene.device, force_module_load=False) as capture:
+            launches()
+        return capture.graph
+
+    def step(self) -> None:
+        """Advance all worlds by one control step under `action`; results are in `transition`."""
+        with wp.ScopedDevice(self.scene.device):
+            if self._step_graph is None:
+                self._launch_step()
+            else:
+                wp.capture_launch(self._step_graph)
+
+    def look(self, world: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """Return joint configuration (nq,), activations (num_muscles,) and goal markers of one world."""
+        return (
+            self.scene.data.qpos.numpy()[world],
+            self.scene.muscles.activation.numpy()[world],
+            self.program.goal_markers(world),
+        )
+
+    def reset(self, mask: np.ndarray | None = None, seeds: np.ndarray | None = None) -> None:
+        """Start new episodes; their first observation is in `transition.obs`.
+
+        Args:
+            mask: Worlds to reset, shape (num_worlds,) bool; None: all.
+            seeds: New seeds of these worlds, shape (num_worlds,), any integers; None: the random streams
+                go on, after the first call with fresh entropy.
+        """
+        mask = np.ones(self.num_worlds, dtype=bool) if mask is None else mask
+        keys = self.scene.keys
+        if seeds is None and not hasattr(self, "_seeded"):
+            seeds = secrets.randbits(32) + np.arange(self.num_worlds)
+        if seeds is not None:
+            self._seeded = True
+            folded = np.asarray(seeds, dtype=np.uint64)
+            folded = (folded ^ (folded >> np.uint64(32))).astype(np.uint32).view(np.int32)
+            keys.seed.assign(np.where(mask, folded, keys.seed.numpy()))
+            keys.episode.assign(np.where(mask, 0, keys.episode.numpy()).astype(np.int32))
+        self._asked.assign(mask)
+        with wp.ScopedDevice(self.scene.device):
+            if self._reset_graph is None:
+                self._launch_asked_reset()
+            else:
+                wp.capture_launch(self._reset_graph)

@@ -1,0 +1,100 @@
+"""Compile all kernels of a step before it runs: in parallel, with progress.
+
+Warp compiles a module when one of its kernels is first launched, one after the other: half a minute of
+silence for a hand. Here the launches are first only listed, then their modules are compiled on all cores.
+"""
+
+import contextlib
+import os
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+from unittest import mock
+
+import warp as wp
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+PATIENCE = 0.5  # s without a word
+
+
+def progress_bar(description: str, unit: str) -> Progress:
+    """Return a progress bar on the terminal's error stream, which leaves the output to pipe."""
+    return Progress(
+        TextColumn(f"[bold]{description}[/bold]"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(unit),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+    )
+
+
+@contextlib.contextmanager
+def _recorded(modules: dict[str, Any]) -> Iterator[None]:
+    """Note the modules of all launches in the block instead of launching."""
+
+    def note(kernel: Any, *args: Any, **kwargs: Any) -> None:
+        block_dim = kwargs.get("block_dim", 256)
+        modules[f"{kernel.module.name} {kernel.module.get_module_hash()} {block_dim}"] = kernel.module
+
+    def launch(*args: Any, **kwargs: Any) -> None:
+        note(*args, **kwargs) if args else note(**kwargs)
+
+    def call_while(condition: Any, while_body: Callable[..., None], **kwargs: Any) -> None:
+        while_body(**kwargs)
+
+    def call_if(condition: Any, on_true: Any = None, on_false: Any = None, **kwargs: Any) -> None:
+        for branch in (on_true, on_false):
+            if callable(branch):
+                branch(**kwargs)
+
+    with (
+        mock.patch.object(wp, "launch", launch),
+        mock.patch.object(wp, "launch_tiled", launch),
+        mock.patch.object(wp, "capture_while", call_while),
+        mock.patch.object(wp, "capture_if", call_if),
+    ):
+        yield
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Keep Warp's log of loaded modules off the terminal."""
+    level = wp.config.log_level
+    wp.config.log_level = max(level, wp.LOG_ERROR)
+    try:
+        yield
+    finally:
+        wp.config.log_level = level
+
+
+def compile_kernels(launches: Callable[[], None], device: wp.Device, show: bool = True) -> int:
+    """Compile and load the modules of every kernel that `launches` launches.
+
+    Args:
+        launches: Launches kernels; it is called once, with launching switched off.
+        device: Where they will run.
+        show: Whether to draw a progress bar once this takes longer than a moment.
+
+    Returns:
+        Number of modules loaded.
+    """
+    found: dict[str, Any] = {}
+    with _recorded(found):
+        launches()
+    modules = list(dict.fromkeys(found.values()))
+    workers = os.cpu_count() or 1
+    begin = time.monotonic()
+    bar = progress_bar("Compiling kernels", "modules")
+    task = bar.add_task("", total=len(modules))
+    try:
+        for start in range(0, len(modules), workers):
+            chunk = modules[start : start + workers]
+            wp.force_load(device=device, modules=chunk, max_workers=workers)
+            bar.advance(task, len(chunk))
+            if show and time.monotonic() - begin > PATIENCE:
+                bar.start()
+    finally:
+        bar.stop()
+    return len(modules)
