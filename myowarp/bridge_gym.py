@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 import numpy as np
 import warp as wp
-from gymnasium.error import DependencyNotInstalled, ResetNeeded
+from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -93,7 +93,7 @@ class MyoWarpVectorEnv(VectorEnv):
 
         Raises:
             ValueError: An argument is out of its range; nothing was built.
-            gymnasium.error.DependencyNotInstalled: `output="torch"` without torch.
+            ImportError: `output="torch"` without torch.
         """
         spec = TASKS[task]
         _require("output", output, OUTPUTS)
@@ -448,7 +448,7 @@ def _require_torch() -> None:
     try:
         import torch  # noqa: F401
     except ImportError as error:
-        raise DependencyNotInstalled(
+        raise ImportError(
             'output="torch" needs torch, which is not installed; run `pip install "myowarp[torch]"`'
         ) from error
 

@@ -122,6 +122,11 @@ def _cached_model(spec: TaskSpec, make: Callable[[TaskSpec], mujoco.MjModel]) ->
     )
 
 
+def oracle_model(spec: TaskSpec) -> mujoco.MjModel:
+    """Return `slim_model` through the disk cache."""
+    return _cached_model(spec, slim_model)
+
+
 def compile_scene(
     spec: TaskSpec,
     num_worlds: int,
@@ -149,7 +154,7 @@ def compile_scene(
     where = resolve_device(device)
 
     preset = PHYSICS[physics]
-    oracle = _cached_model(spec, slim_model)
+    oracle = oracle_model(spec)
     stepped = _cached_model(spec, stateless_model)
     num_substeps = -(-spec.num_substeps // preset.stride)
     for host in (oracle, stepped):

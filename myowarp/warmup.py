@@ -96,5 +96,6 @@ def compile_kernels(launches: Callable[[], None], device: wp.Device, show: bool 
             if show and time.monotonic() - begin > PATIENCE:
                 bar.start()
     finally:
-        bar.stop()
+        if bar.live.is_started:
+            bar.stop()
     return len(modules)

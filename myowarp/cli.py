@@ -1,0 +1,208 @@
+"""The command `myowarp`: list tasks, roll out policies, compile kernels ahead of time."""
+
+import dataclasses
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+import warp as wp
+from rich.console import Console
+from rich.progress import track
+from rich.table import Column, Table
+
+from myowarp.spec import TASKS
+
+TILE = (320, 240)  # px of one world in a video
+
+
+@dataclass
+class Tasks:
+    """List the tasks with their sizes."""
+
+    family: str | None = None
+    """Only this family, such as pose or reach."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def __call__(self) -> None:
+        """Print the list."""
+        from myowarp.scene import oracle_model
+
+        rows = []
+        for key in track(TASKS, "Building bodies", console=Console(stderr=True), transient=True):
+            spec = TASKS[key]
+            if self.family not in (None, spec.family):
+                continue
+            model = oracle_model(spec)
+            num_muscles = model.na
+            rows.append(
+                {
+                    "id": spec.env_id,
+                    "family": spec.family,
+                    "body": spec.body,
+                    "obs": sum(column.size for column in spec.columns(model.nq, num_muscles)),
+                    "act": model.nu,
+                    "muscles": num_muscles,
+                    "horizon": spec.horizon,
+                    "control_dt": spec.control_dt,
+                    "doc": spec.doc,
+                }
+            )
+        if not rows:
+            known = sorted({TASKS[key].family for key in TASKS})
+            raise ValueError(f"family {self.family!r} unknown; available: {', '.join(known)}")
+        if self.json:
+            print(json.dumps(rows, indent=1))
+            return
+        table = Table(
+            "id", "obs", "act", "horizon", "dt [s]", "task", title=f"{len(rows)} tasks, MyoWarp/..."
+        )
+        for row in rows:
+            sizes = (str(row[name]) for name in ("obs", "act", "horizon"))
+            table.add_row(
+                row["id"].removeprefix("MyoWarp/"),
+                *sizes,
+                f"{row['control_dt']:.3f}",
+                row["doc"].split(". ")[0],
+            )
+        Console().print(table)
+
+
+@dataclass
+class Rollout:
+    """Run a policy in many worlds, print figures, and save data and video.
+
+    Example: myowarp rollout MyoWarp/myoHandReachRandom-v0 --num-worlds 256 --video hand.mp4
+    """
+
+    task: Annotated[str, tyro.conf.Positional]
+    """Task id, with or without "MyoWarp/"; `myowarp tasks` lists them."""
+    num_worlds: int = 64
+    """Worlds simulated together."""
+    steps: int | None = None
+    """Control steps; by default one episode."""
+    policy: str = "random"
+    """random, zero, package.module:function or file.py:function (observations -> actions)."""
+    seed: int = 0
+    """Seed of resets and of the random policy."""
+    device: str | None = None
+    """Warp device, such as cpu or cuda:0; by default the GPU if there is one."""
+    physics: str = "parity"
+    """parity (MyoSuite's integrator and step) or fast (implicit, twice the step)."""
+    save: Path | None = None
+    """Write observations, actions, rewards and endings of all steps to this .npz."""
+    video: Path | None = None
+    """Write a video of some worlds to this .mp4."""
+    video_worlds: int = 6
+    """Worlds in the video."""
+    json: bool = False
+    """Print the figures as JSON."""
+
+    def __call__(self) -> None:
+        """Run and report."""
+        from myowarp import rollout
+        from myowarp.bridge_gym import MyoWarpVectorEnv
+        from myowarp.view.render import NoGraphicsError
+
+        spec = TASKS[self.task.removeprefix("MyoWarp/")]
+        steps = spec.horizon if self.steps is None else self.steps
+        for name, number in (("steps", steps), ("video-worlds", self.video_worlds)):
+            if number < 1:
+                raise ValueError(f"--{name} must be at least 1, got {number}")
+        rollout.check_output(self.save, ".npz")
+        rollout.check_output(self.video, ".mp4")
+        console = Console(stderr=True)
+        env = MyoWarpVectorEnv(
+            spec.key,
+            self.num_worlds,
+            device=self.device,
+            physics=self.physics,
+            autoreset_mode="same_step",
+        )
+        summary, recording = rollout.run(
+            env,
+            self.policy,
+            steps,
+            self.seed,
+            record=self.save is not None,
+            filmed=min(self.video_worlds, self.num_worlds) if self.video else 0,
+            console=console,
+        )
+        if self.save:
+            rollout.save_recording(self.save, env, recording)
+            console.print(f"Saved {self.save}")
+        _report(dataclasses.asdict(summary), self.json)
+        if self.video:
+            try:
+                rollout.film(self.video, env, recording, TILE, console)
+                console.print(f"Saved {self.video}")
+            except NoGraphicsError as error:
+                console.print(f"No video: {error}", style="yellow")
+        env.close()
+
+
+@dataclass
+class Warmup:
+    """Compile the kernels of tasks now, so that later starts take seconds."""
+
+    tasks: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """Task ids; none means all."""
+    device: str | None = None
+    """Warp device; by default the GPU if there is one."""
+    physics: str = "parity"
+    """Physics preset."""
+
+    def __call__(self) -> None:
+        """Build one small simulation of every scene."""
+        from myowarp.sim import Simulation
+
+        keys = [task.removeprefix("MyoWarp/") for task in self.tasks] or list(TASKS)
+        scenes = {TASKS[key].scene_key: TASKS[key] for key in keys}
+        for spec in scenes.values():
+            Console(stderr=True).print(f"{spec.family} with {spec.body}")
+            Simulation(spec, 1, device=self.device, physics=self.physics)
+
+
+def _report(figures: dict[str, object], as_json: bool) -> None:
+    """Print the figures of a rollout."""
+    if as_json:
+        print(json.dumps(figures, indent=1))
+        return
+    Console().print(figures["task"], style="bold", highlight=False)
+    table = Table(show_header=False)
+    for name, value in figures.items():
+        if name == "task" or value is None:
+            continue
+        text = (
+            f"{value:,.0f}"
+            if name.endswith("_per_s")
+            else f"{value:.4g}"
+            if isinstance(value, float)
+            else str(value)
+        )
+        table.add_row(name.replace("_per_s", "/s").replace("_", " "), text)
+    Console().print(table)
+
+
+def main() -> None:
+    """Entry point of the command; errors are one sentence and exit status 2."""
+    wp.config.log_level = wp.LOG_ERROR
+    command = tyro.extras.subcommand_cli_from_dict(
+        {"tasks": Tasks, "rollout": Rollout, "warmup": Warmup},
+        prog="myowarp",
+        description="Musculoskeletal motor control, simulated in thousands of worlds at once.",
+    )
+    try:
+        command()
+    except (ValueError, OSError, RuntimeError, ImportError) as error:
+        Console(stderr=True, highlight=False, soft_wrap=True).print(
+            f"myowarp: {error}", style="red", markup=False
+        )
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

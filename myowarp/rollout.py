@@ -1,0 +1,253 @@
+"""The main job: run a policy in many worlds, measure, and keep what happened.
+
+A policy is a function of the observations, shape (num_worlds, obs_size), that returns actions in [-1, 1],
+shape (num_worlds, num_actions).
+"""
+
+import importlib
+import os
+import runpy
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.view.render import WorldRenderer
+from myowarp.view.video import write_video
+
+Policy = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass
+class Recording:
+    """What happened, step by step; T steps, N worlds.
+
+    Attributes:
+        arrays: Name to array of shape (T, N, ...).
+        frames: Joint configuration, activation and goal markers of the filmed worlds, one entry a step.
+    """
+
+    arrays: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    frames: list[list[tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]]] = field(default_factory=list)
+
+    def add(self, **values: np.ndarray) -> None:
+        """Append one step."""
+        for name, value in values.items():
+            self.arrays.setdefault(name, []).append(value)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Figures of a rollout; the rates cover the steps alone, without start-up and pictures."""
+
+    task: str
+    policy: str
+    device: str
+    num_worlds: int
+    steps: int
+    env_steps_per_s: float
+    physics_steps_per_s: float
+    episodes: int
+    return_mean: float | None
+    return_std: float | None
+    success_percent: float | None
+    faults: int
+
+
+def find_policy(name: str, env: MyoWarpVectorEnv, seed: int) -> Policy:
+    """Return a policy by name.
+
+    Args:
+        name: "random", "zero", "package.module:function" or "file.py:function".
+        env: Environment that it will act in.
+        seed: Seed of the random policy.
+
+    Raises:
+        ValueError: No such policy.
+    """
+    shape = (env.num_envs, env.sim.action.shape[1])
+    if name == "zero":
+        return lambda obs: np.zeros(shape, dtype=np.float32)
+    if name == "random":
+        rng = np.random.default_rng(seed)
+        return lambda obs: rng.uniform(-1.0, 1.0, shape).astype(np.float32)
+    source, colon, attribute = name.rpartition(":")
+    if not colon:
+        raise ValueError(
+            f"policy {name!r} unknown; available: random, zero, package.module:function, file.py:function"
+        )
+    try:
+        if source.endswith(".py"):
+            policy = runpy.run_path(source)[attribute]
+        else:
+            sys.path.insert(0, "")
+            policy = getattr(importlib.import_module(source), attribute)
+    except (ImportError, OSError, KeyError, AttributeError) as error:
+        raise ValueError(f"policy {name!r} not found ({type(error).__name__}: {error})") from error
+    if not callable(policy):
+        raise ValueError(
+            f"policy {name!r} must be a function of the observations, got {type(policy).__name__}"
+        )
+    return policy
+
+
+def check_output(path: Path | None, suffix: str) -> None:
+    """Raise a clear error now if a file could not be written after the work is done.
+
+    Raises:
+        ValueError: Wrong suffix, no such folder, or no permission.
+    """
+    if path is None:
+        return
+    if path.suffix.lower() != suffix:
+        raise ValueError(f"output {str(path)!r} must end in {suffix}")
+    if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise ValueError(f"output {str(path)!r} cannot be written; its folder must exist and be writable")
+
+
+def run(
+    env: MyoWarpVectorEnv,
+    policy: str,
+    steps: int,
+    seed: int,
+    *,
+    record: bool = False,
+    filmed: int = 0,
+    console: Console | None = None,
+) -> tuple[Summary, Recording]:
+    """Run a policy.
+
+    Args:
+        env: Environment with NumPy output and autoreset in the same step.
+        policy: Name of the policy, see `find_policy`.
+        steps: Control steps.
+        seed: Seed of the resets and of the random policy.
+        record: Whether to keep observation, action, reward and endings of every step.
+        filmed: Number of leading worlds whose configurations are kept for pictures.
+        console: Where to draw the progress bar.
+
+    Returns:
+        Figures and recording.
+
+    Raises:
+        ValueError: No such policy, or it returned actions of a wrong shape or value.
+    """
+    act = find_policy(policy, env, seed)
+    recording = Recording()
+    obs, _ = env.reset(seed=seed)
+    running = np.zeros(env.num_envs)
+    returns: list[float] = []
+    successes: list[bool] = []
+    seconds, faults = 0.0, 0
+    with _bar("Simulating", "steps  {task.fields[rate]:>9,.0f} env steps/s", console) as bar:
+        task = bar.add_task("", total=steps, rate=0.0)
+        for step in range(1, steps + 1):
+            actions = np.asarray(act(obs))
+            begin = time.perf_counter()
+            next_obs, reward, terminated, truncated, info = env.step(actions)
+            seconds += time.perf_counter() - begin
+            if record:
+                recording.add(
+                    obs=obs, action=actions, reward=reward, terminated=terminated, truncated=truncated
+                )
+            if filmed:
+                recording.frames.append([env.sim.look(world) for world in range(filmed)])
+            obs = next_obs
+            running += reward
+            faults += int(np.count_nonzero(info["fault"]))
+            ended = terminated | truncated
+            if ended.any():
+                returns += running[ended].tolist()
+                successes += info["final_info"]["success"][ended].tolist()
+                running[ended] = 0.0
+            bar.update(task, advance=1, rate=env.num_envs * step / seconds)
+    scene = env.sim.scene
+    rate = env.num_envs * steps / seconds
+    summary = Summary(
+        task=scene.spec.env_id,
+        policy=policy,
+        device=str(scene.device),
+        num_worlds=env.num_envs,
+        steps=steps,
+        env_steps_per_s=rate,
+        physics_steps_per_s=rate * scene.num_substeps,
+        episodes=len(returns),
+        return_mean=float(np.mean(returns)) if returns else None,
+        return_std=float(np.std(returns)) if returns else None,
+        success_percent=100.0 * float(np.mean(successes)) if returns else None,
+        faults=faults,
+    )
+    return summary, recording
+
+
+def _bar(title: str, unit: str, console: Console | None) -> Progress:
+    """Return a progress bar."""
+    return Progress(
+        TextColumn(f"[bold]{title}[/bold]"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(unit),
+        TimeRemainingColumn(),
+        console=console or Console(stderr=True),
+    )
+
+
+def save_recording(path: Path, env: MyoWarpVectorEnv, recording: Recording) -> None:
+    """Write a recording as compressed npz, in place in one move.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    columns = [f"{c.name}[{i}]" for c in env.sim.columns for i in range(c.size)]
+    arrays = {name: np.stack(steps) for name, steps in recording.arrays.items()}
+    arrays |= {"columns": np.array(columns), "muscles": np.array(env.muscle_names)}
+    arrays |= {"control_dt": np.array(env.sim.scene.control_dt)}
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as scratch:
+        try:
+            np.savez_compressed(scratch, allow_pickle=False, **arrays)
+        except BaseException:
+            Path(scratch.name).unlink()
+            raise
+    Path(scratch.name).chmod(0o644)
+    Path(scratch.name).replace(path)
+
+
+def film(
+    path: Path,
+    env: MyoWarpVectorEnv,
+    recording: Recording,
+    size: tuple[int, int],
+    console: Console | None = None,
+) -> None:
+    """Draw the filmed worlds side by side and write the video.
+
+    Args:
+        path: File to write, ending in .mp4.
+        env: Environment that was filmed.
+        recording: Recording with frames.
+        size: Width and height of one world's tile [px].
+        console: Where to draw the progress bar.
+
+    Raises:
+        myowarp.view.render.NoGraphicsError: No OpenGL was found.
+        OSError: The file cannot be written.
+    """
+    bar = _bar("Drawing", "frames", console)
+    with WorldRenderer(env.sim.scene.full, *size) as renderer, bar:
+        images = (
+            renderer.frame_grid(
+                np.stack([qpos for qpos, _, _ in worlds]),
+                np.stack([activation for _, activation, _ in worlds]) if env.muscle_names else None,
+                {name: np.stack([sites[name] for _, _, sites in worlds]) for name in worlds[0][2]},
+                columns=-(-len(worlds) // 2) if len(worlds) > 3 else None,
+            )
+            for worlds in bar.track(recording.frames)
+        )
+        write_video(path, images, fps=1.0 / env.sim.scene.control_dt)
