@@ -58,7 +58,13 @@ class Tasks:
             print(json.dumps(rows, indent=1))
             return
         table = Table(
-            "id", "obs", "act", "horizon", "dt [s]", "task", title=f"{len(rows)} tasks, MyoWarp/..."
+            Column("id", no_wrap=True),
+            "obs",
+            "act",
+            "horizon",
+            "dt [s]",
+            "task",
+            title=f"{len(rows)} tasks, MyoWarp/...",
         )
         for row in rows:
             sizes = (str(row[name]) for name in ("obs", "act", "horizon"))
