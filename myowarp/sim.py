@@ -215,8 +215,8 @@ class Simulation:
     def look(self, world: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """Return joint configuration (nq,), activations (num_muscles,) and goal markers of one world."""
         return (
-            self.scene.data.qpos.numpy()[world],
-            self.scene.muscles.activation.numpy()[world],
+            self.scene.data.qpos.numpy()[world].copy(),
+            self.scene.muscles.activation.numpy()[world].copy(),
             self.program.goal_markers(world),
         )
 

@@ -34,6 +34,9 @@ VISIBLE_GEOM_GROUPS = (0, 1, 2)
 
 ROUND_GEOMS = (mujoco.mjtGeom.mjGEOM_SPHERE.value, mujoco.mjtGeom.mjGEOM_CAPSULE.value)
 
+MARGIN = 1.2
+"""Camera distance over the one at which the range of motion of single joints just fits."""
+
 
 def muscle_tendons(model: mujoco.MjModel) -> np.ndarray:
     """Returns the tendon id of each muscle, in actuator order, shape ``(num_muscles,)``."""
@@ -123,6 +126,17 @@ def moving_bodies(model: mujoco.MjModel) -> np.ndarray:
     return moving
 
 
+def acting_bodies(model: mujoco.MjModel) -> np.ndarray:
+    """Returns a mask over bodies: True below more than a quarter of the longest chain's joints.
+
+    That is every moving body of an elbow or a finger, and of an arm with a hand the hand.
+    """
+    depth = np.zeros(model.nbody, dtype=int)
+    for body in range(1, model.nbody):
+        depth[body] = depth[model.body_parentid[body]] + model.body_dofnum[body]
+    return 4 * depth > depth.max()
+
+
 def limb_bodies(model: mujoco.MjModel) -> np.ndarray:
     """Returns a mask over bodies: True where the body moves or a muscle path touches it."""
     limb = moving_bodies(model)
@@ -191,7 +205,9 @@ def motion_samples(model: mujoco.MjModel) -> Iterator[np.ndarray]:
 
 
 def limb_points(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points that a picture must contain: moving geoms and muscle paths over the range of motion.
+    """Points that a picture must contain: geoms of acting bodies over the range of motion, and muscle paths.
+
+    Where the acting bodies are but the end of the limb, muscle paths may leave the picture.
 
     Returns:
         ``(rest, motion, away)``: points [m] of shape ``(n, 3)`` in the reference pose and over the range of
@@ -201,15 +217,14 @@ def limb_points(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarr
     data = mujoco.MjData(model)
     drawn = drawn_geoms(model)
     drawn = drawn[model.geom_type[drawn] != mujoco.mjtGeom.mjGEOM_PLANE]
-    moving = moving_bodies(model)[model.geom_bodyid[drawn]]
-    limb, still = drawn[moving], drawn[~moving]
+    moving, acting = moving_bodies(model), acting_bodies(model)
+    limb, still = drawn[acting[model.geom_bodyid[drawn]]], drawn[~moving[model.geom_bodyid[drawn]]]
     limb = limb if len(limb) else drawn
     tendons, clouds = muscle_tendons(model), []
     for qpos in motion_samples(model):
         pose(model, data, qpos)
-        clouds.append(
-            np.concatenate((geom_box(model, data, limb), *tendon_segments(model, data, tendons)[:2]))
-        )
+        paths = tendon_segments(model, data, tendons)[:2] if (acting == moving).all() else ()
+        clouds.append(np.concatenate((geom_box(model, data, limb), *paths)))
     if not len(clouds[0]):
         raise ValueError(
             "the camera needs a geom or a muscle to look at, got a model with neither; pass a camera"
@@ -273,7 +288,7 @@ def frame_camera(model: mujoco.MjModel, aspect: float) -> tuple[mujoco.MjvCamera
     offset = seen - middle
     half = np.tan(np.radians(model.vis.global_.fovy) / 2) * np.array((aspect, 1.0))
     depth = np.abs(offset[:, :2]) / half - offset[:, 2:]
-    camera.distance = 1.06 * float(depth.max())
+    camera.distance = MARGIN * float(depth.max())
     camera.lookat[:] = middle @ axes
     return camera, float(np.abs(offset[:, :2]).max())
 

@@ -1,0 +1,146 @@
+"""What holds for everything registered, without anything being named here."""
+
+import numpy as np
+import pytest
+
+from myowarp.models.bodies import BODIES
+from myowarp.sim import Simulation
+from myowarp.spec import TASKS
+
+KEYS = sorted(TASKS)
+SCENES = sorted({TASKS[key].scene_key: key for key in KEYS}.values())
+NUM_STEPS = 12
+HORIZON = 5  # so that resets happen within the test
+
+
+def actions(num_worlds, num_actions):
+    """Actions of worlds 0, 1, ...: those of a smaller batch are a prefix of those of a larger."""
+    draws = [
+        np.random.default_rng(world).uniform(-1, 1, (NUM_STEPS, num_actions)) for world in range(num_worlds)
+    ]
+    return np.stack(draws, axis=1).astype(np.float32)
+
+
+def trajectory(key, num_worlds, *, disturb=None, **options):
+    """Return observations, rewards, endings and faults of a short run with resets."""
+    settings = {"device": "cpu", "autoreset": "same_step", "horizon": HORIZON, "progress": False} | options
+    sim = Simulation(TASKS[key], num_worlds, **settings)
+    sim.reset(seeds=100 + np.arange(num_worlds))
+    rows = {name: [] for name in ("obs", "reward", "terminated", "truncated", "fault")}
+    for step, action in enumerate(actions(num_worlds, sim.action.shape[1])):
+        if disturb is not None:
+            disturb(sim, step)
+        sim.action.assign(action)
+        sim.step()
+        for name, values in rows.items():
+            values.append(getattr(sim.transition, name).numpy().copy())
+    return {name: np.stack(values) for name, values in rows.items()}
+
+
+def assert_same(first, second, worlds):
+    """Assert that two runs agree bit for bit in some worlds."""
+    for name, values in first.items():
+        np.testing.assert_array_equal(values[:, worlds], second[name][:, worlds], err_msg=name)
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_spec_is_complete(key):
+    spec = TASKS[key]
+    assert spec.key == key
+    assert spec.body in BODIES
+    assert spec.doc.endswith(".")
+    assert spec.horizon > 0
+    assert spec.num_substeps > 0
+    names = [term.name for term in spec.reward_terms()]
+    assert len(set(names)) == len(names)
+    assert any(term.weight for term in spec.reward_terms())
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_observation_is_alive(key):
+    """No observation column is constant over random motion and episodes; all are finite."""
+    obs = trajectory(key, 24)["obs"]
+    assert np.isfinite(obs).all()
+    assert obs.reshape(-1, obs.shape[2]).std(axis=0).min() > 0
+
+
+@pytest.mark.parametrize("key", SCENES)
+def test_world_is_independent_of_the_batch(key):
+    """World i goes the same way among 7 and among 64 worlds, resets included."""
+    small, large = trajectory(key, 7), trajectory(key, 64)
+    assert small["truncated"].any()
+    assert np.unique(small["obs"][0], axis=0).shape[0] == 7
+    assert_same(small, large, slice(0, 7))
+
+
+@pytest.mark.parametrize("key", SCENES)
+def test_eager_is_the_graph(key):
+    few = trajectory(key, 7)
+    assert_same(few, trajectory(key, 7, graph=False), slice(0, 7))
+
+
+@pytest.mark.parametrize("key", [key for key in SCENES if "Elbow" in key or "HandReach" in key])
+def test_world_is_independent_of_a_large_batch(key):
+    assert_same(trajectory(key, 7), trajectory(key, 256), slice(0, 7))
+
+
+@pytest.mark.parametrize("autoreset", ["same_step", "next_step"])
+@pytest.mark.parametrize("key", SCENES)
+def test_a_broken_world_breaks_alone(key, autoreset):
+    """NaN in one world's qvel: flagged once, ended, reset; the others do not notice, bit for bit."""
+    broken, moment = 3, 2
+
+    def disturb(sim, step):
+        if step == moment:
+            sim.scene.data.qvel.numpy()[broken] = np.nan
+
+    options = {"autoreset": autoreset, "horizon": 100}
+    whole = trajectory(key, 7, **options)
+    hurt = trajectory(key, 7, disturb=disturb, **options)
+    assert_same(whole, hurt, np.arange(7) != broken)
+    flagged = np.zeros(NUM_STEPS, dtype=bool)
+    flagged[moment] = True
+    np.testing.assert_array_equal(hurt["fault"][:, broken] == 1, flagged)
+    np.testing.assert_array_equal(hurt["terminated"][:, broken] & flagged, flagged)
+    assert hurt["reward"][moment, broken] == 0
+    assert np.isfinite(hurt["obs"]).all()
+    assert not np.array_equal(whole["obs"][-1, broken], hurt["obs"][-1, broken])
+
+
+@pytest.mark.parametrize("key", SCENES)
+def test_seed_decides(key):
+    sim = Simulation(TASKS[key], 5, device="cpu", graph=False, progress=False)
+
+    def goals():
+        return np.concatenate([sim.program.target.numpy(), sim.scene.data.qpos.numpy()], axis=1).copy()
+
+    sim.reset(seeds=np.arange(5))
+    first = goals()
+    sim.reset()
+    second = goals()
+    sim.reset(seeds=np.arange(5))
+    np.testing.assert_array_equal(goals(), first)
+    sim.reset()
+    np.testing.assert_array_equal(goals(), second)
+    spec = TASKS[key]
+    if getattr(spec, "random_start", False) or getattr(spec, "low", 0) != getattr(spec, "high", 0):
+        assert not np.array_equal(first, second)
+        assert len(np.unique(first, axis=0)) == 5
+
+
+@pytest.mark.parametrize("key", SCENES)
+def test_masked_reset_touches_only_its_worlds(key):
+    sim = Simulation(TASKS[key], 6, device="cpu", graph=False, progress=False)
+    sim.reset(seeds=np.arange(6))
+    sim.action.assign(actions(6, sim.action.shape[1])[0])
+    sim.step()
+    data = sim.scene.data
+    arrays = (data.qpos, data.qvel, sim.scene.muscles.activation, sim.transition.obs, sim.episode.step_count)
+    before = [array.numpy().copy() for array in arrays]
+    mask = np.array([False, True, False, False, True, False])
+    sim.reset(mask)
+    for array, old in zip(arrays, before, strict=True):
+        np.testing.assert_array_equal(array.numpy()[~mask], old[~mask])
+    assert not sim.scene.data.qvel.numpy()[mask].any()
+    assert not sim.episode.step_count.numpy()[mask].any()
+    assert np.abs(before[1][mask]).max() > 0
