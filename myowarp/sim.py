@@ -26,6 +26,7 @@ from myowarp.kernels.episode import (
     open_episode,
 )
 from myowarp.kernels.reset import reset_worlds
+from myowarp.prune import pruned, verified_idle
 from myowarp.scene import compile_scene
 from myowarp.spec import TaskSpec
 from myowarp.warmup import compile_kernels, quiet
@@ -91,7 +92,11 @@ class Simulation:
         with quiet(), wp.ScopedDevice(self.scene.device):
             self.program = spec.bind(self.scene)
             self._allocate(horizon)
+            self._idle: frozenset[str] = frozenset()
             compile_kernels(self._launch_all, self.scene.device, show=progress)
+            self._idle = verified_idle(
+                self.scene.oracle, self.scene.model, self.scene.data, self._launch_physics
+            )
             self._step_graph = self._capture(self._launch_step) if graph else None
             self._reset_graph = self._capture(self._launch_asked_reset) if graph else None
         self.reset()
@@ -142,8 +147,9 @@ class Simulation:
     def _launch_step(self) -> None:
         """One control step of all worlds."""
         self.launch_action()
-        for _ in range(self.scene.num_substeps):
-            mjw.step(self.scene.model, self.scene.data)
+        with pruned(self._idle):
+            for _ in range(self.scene.num_substeps):
+                self._launch_physics()
         self._refresh()
         wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
         self.launch_scoring()
@@ -151,6 +157,10 @@ class Simulation:
         if self.autoreset == RESET_SAME_STEP:
             wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
         self._launch_reset(self.masks.reset, self.masks.fresh, asked=False)
+
+    def _launch_physics(self) -> None:
+        """One physics step of all worlds; the muscles run in the engine's control callback."""
+        mjw.step(self.scene.model, self.scene.data)
 
     def launch_action(self) -> None:
         """Map actions to controls."""

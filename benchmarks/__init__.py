@@ -1,0 +1,1 @@
+"""Speed, measured in one run beside a rival; never asserted in tests."""

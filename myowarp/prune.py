@@ -1,0 +1,102 @@
+"""Leave out the engine's launches that can do nothing for a model.
+
+mujoco-warp launches kernels for tendon armature, springs, friction, gravity compensation and more whatever
+the model holds. On the CPU device these are a quarter of a hand's step. Each entry of `IDLE_WHEN` names a
+kernel and the condition on the model under which it writes nothing that is read. Because the names are the
+engine's own, `verified_idle` trusts none of them before a pruned step has given the same state as a stock
+step, bit for bit.
+"""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import Any
+from unittest import mock
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+
+def _zero(*names: str) -> Callable[[mujoco.MjModel], bool]:
+    """Return a condition: these fields of the model are all zero."""
+    return lambda model: not any(np.any(getattr(model, name)) for name in names)
+
+
+_NO_TENDON_ARMATURE = _zero("tendon_armature", "actuator_armature")
+_NO_TENDON_DAMPING = _zero("tendon_damping", "tendon_dampingpoly", "actuator_damping", "actuator_dampingpoly")
+_NO_TENDON_SPRING = _zero("tendon_stiffness", "tendon_stiffnesspoly")
+_NO_FORCE_LIMIT = _zero("tendon_actfrclimited", "actuator_forcelimited")
+
+IDLE_WHEN: dict[str, Callable[[mujoco.MjModel], bool]] = {
+    "_tendon_armature": _NO_TENDON_ARMATURE,
+    "_tendon_bias_coef": _NO_TENDON_ARMATURE,
+    "_tendon_bias_qfrc": _NO_TENDON_ARMATURE,
+    "_tendon_dot": _NO_TENDON_ARMATURE,
+    "_spring_damper_tendon_passive": lambda m: _NO_TENDON_DAMPING(m) and _NO_TENDON_SPRING(m),
+    "_tendon_velocity": lambda m: _NO_TENDON_DAMPING(m) and m.nsensor == 0,
+    "_qderiv_tendon_damping": _NO_TENDON_DAMPING,
+    "_friction_tendon": _zero("tendon_frictionloss"),
+    "_gravity_force": _zero("body_gravcomp"),
+    "_tendon_actuator_force": lambda m: _NO_FORCE_LIMIT(m) and m.nsensor == 0,
+    "_tendon_actuator_force_clamp": _NO_FORCE_LIMIT,
+    "_spatial_tendon_wrap": lambda m: True,  # exports the path for drawing; we draw with MuJoCo C
+    "_apply_ft": lambda m: True,  # external forces on bodies; the simulation applies none
+}
+
+
+def idle_kernels(model: mujoco.MjModel) -> frozenset[str]:
+    """Return the names of the kernels that do nothing for this model."""
+    return frozenset(name for name, idle in IDLE_WHEN.items() if idle(model))
+
+
+@contextlib.contextmanager
+def pruned(names: frozenset[str]) -> Iterator[None]:
+    """Skip launches of the kernels with these names in the block."""
+
+    def filtered(launch: Callable[..., Any]) -> Callable[..., Any]:
+        def launch_unless_idle(*args: Any, **kwargs: Any) -> Any:
+            kernel = args[0] if args else kwargs["kernel"]
+            if kernel.key.split("__locals__")[0] in names:
+                return None
+            return launch(*args, **kwargs)
+
+        return launch_unless_idle
+
+    if not names:
+        yield
+        return
+    with (
+        mock.patch.object(wp, "launch", filtered(wp.launch)),
+        mock.patch.object(wp, "launch_tiled", filtered(wp.launch_tiled)),
+    ):
+        yield
+
+
+def verified_idle(
+    host: mujoco.MjModel, model: mjw.Model, data: mjw.Data, launch_step: Callable[[], None]
+) -> frozenset[str]:
+    """Return the kernels to leave out, none if leaving them out changes the state by a single bit.
+
+    Args:
+        host: The stepped model.
+        model: The same on the device.
+        data: State of the worlds, overwritten.
+        launch_step: Launches physics steps eagerly, from `data.qpos` and `data.qvel` alone.
+    """
+    names = idle_kernels(host)
+    rng = np.random.default_rng(0)
+    low, high = np.where(host.jnt_limited[:, None], host.jnt_range, (-1.0, 1.0)).T
+    qpos = np.tile(host.qpos0, (data.nworld, 1))
+    scalar = np.isin(host.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value))
+    qpos[:, host.jnt_qposadr[scalar]] = rng.uniform(low, high, (data.nworld, host.njnt))[:, scalar]
+    qvel = rng.standard_normal((data.nworld, host.nv))
+    ends = []
+    for skipped in (names, frozenset[str]()):
+        data.qpos.assign(qpos)
+        data.qvel.assign(qvel)
+        data.qacc_warmstart.zero_()
+        with pruned(skipped):
+            launch_step()
+        ends.append(np.concatenate([data.qpos.numpy(), data.qvel.numpy()], axis=1).copy())
+    return names if np.array_equal(ends[0], ends[1]) else frozenset()
