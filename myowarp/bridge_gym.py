@@ -10,7 +10,7 @@ the world of `make(...).reset(seed=s + i)`, as in Gymnasium's own vector environ
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -20,15 +20,12 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from myowarp.interop import OUTPUTS, checked_action, require_torch, to_output
 from myowarp.kernels.episode import FAULTS
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
+from myowarp.view.pictures import Pictures
 
-if TYPE_CHECKING:
-    from myowarp.view.human import HumanViewer
-    from myowarp.view.render import WorldRenderer
-
-OUTPUTS = ("numpy", "torch", "warp")
 RENDER_MODES = ("human", "rgb_array")
 NO_HORIZON = 2**31 - 1  # steps; a single environment leaves truncation to Gymnasium's TimeLimit
 AUTORESET_NAMES = {
@@ -100,11 +97,11 @@ class MyoWarpVectorEnv(VectorEnv):
         _require("render_mode", render_mode, (None, *RENDER_MODES))
         mode = _autoreset_mode(autoreset_mode)
         if output == "torch":
-            _require_torch()
+            require_torch()
         self.output = output
         self.copy = output == "numpy" if copy is None else copy
         self.render_mode = render_mode
-        self._pictures = _Pictures(render_mode, render_size, camera)
+        self._pictures = Pictures(render_size, camera)
         self.sim = Simulation(
             spec,
             num_envs,
@@ -115,22 +112,26 @@ class MyoWarpVectorEnv(VectorEnv):
             horizon=max_episode_steps,
             progress=progress,
         )
+        self._set_up(mode)
+
+    def _set_up(self, mode: AutoresetMode) -> None:
+        """Fill in what Gymnasium wants to know, and where the worlds stand."""
         self.num_envs = self.sim.num_worlds
         self.metadata = {
             "render_modes": list(RENDER_MODES),
-            "render_fps": round(1.0 / spec.control_dt),
+            "render_fps": round(1.0 / self.sim.scene.control_dt),
             "autoreset_mode": mode,
         }
+        self._autoreset = mode
+        self._was_reset = False
+        self._warned = False
+        self._ended = np.zeros(self.num_envs, dtype=bool)
+        self._resetting = np.zeros(self.num_envs, dtype=bool)
         num_obs, num_actions = self.sim.transition.obs.shape[1], self.sim.action.shape[1]
         self.single_observation_space = Box(-np.inf, np.inf, (num_obs,), np.float32)
         self.single_action_space = Box(-1.0, 1.0, (num_actions,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._autoreset = mode
-        self._was_reset = False
-        self._ended = np.zeros(self.num_envs, dtype=bool)
-        self._resetting = np.zeros(self.num_envs, dtype=bool)
-        self._warned = False
 
     @property
     def muscle_names(self) -> tuple[str, ...]:
@@ -185,7 +186,7 @@ class MyoWarpVectorEnv(VectorEnv):
             raise ResetNeeded(
                 f"worlds {worlds} have ended; reset them with reset(options={{'reset_mask': mask}}) first"
             )
-        self.sim.action.assign(self._check_action(actions))
+        self.sim.action.assign(checked_action(actions, self.sim.action.shape))
         self.sim.step()
         transition = self.sim.transition
         info = self._info()
@@ -251,41 +252,9 @@ class MyoWarpVectorEnv(VectorEnv):
         seeded = np.array([s is not None for s in seeds])
         return np.array([(s or 0) % 2**64 for s in seeds], dtype=np.uint64), seeded
 
-    def _check_action(self, actions: Any) -> Any:
-        """Return actions as something that `wp.array.assign` takes, checked."""
-        shape = self.sim.action.shape
-        if isinstance(actions, wp.array):
-            if actions.shape != shape or actions.dtype != wp.float32:
-                raise ValueError(
-                    f"actions must be float32 of shape {shape}, got {actions.dtype.__name__} {actions.shape}"
-                )
-            return actions
-        if type(actions).__module__.split(".")[0] == "torch" and actions.device.type == "cuda":
-            if tuple(actions.shape) != shape or not actions.is_floating_point():
-                raise ValueError(
-                    f"actions must be floating point of shape {shape}, "
-                    f"got {actions.dtype} {tuple(actions.shape)}"
-                )
-            return wp.from_torch(actions.detach().float().contiguous())
-        host = actions.detach().cpu().numpy() if hasattr(actions, "detach") else np.asarray(actions)
-        if host.shape != shape or not np.issubdtype(host.dtype, np.floating):
-            raise ValueError(
-                f"actions must be floating point of shape {shape}, got {host.dtype} {host.shape}"
-            )
-        if not np.isfinite(host).all():
-            worlds = np.flatnonzero(~np.isfinite(host).all(axis=1)).tolist()
-            raise ValueError(f"actions must be finite, got NaN or infinity for worlds {worlds}")
-        return np.ascontiguousarray(host, dtype=np.float32)
-
     def _give(self, array: wp.array) -> Any:
         """Return an array of the simulation in the library asked for."""
-        if self.output == "warp":
-            return wp.clone(array) if self.copy else array
-        if self.output == "torch":
-            tensor = wp.to_torch(array)
-            return tensor.clone() if self.copy else tensor
-        host = array.numpy()
-        return host.copy() if self.copy else host
+        return to_output(array, self.output, self.copy)
 
     def _entries(self, transition: Any) -> dict[str, Any]:
         """Return the info arrays of a transition."""
@@ -397,38 +366,6 @@ class MyoWarpEnv(gym.Env):
         self._vector.close()
 
 
-class _Pictures:
-    """Makes the renderer or viewer of an environment when it is first needed."""
-
-    def __init__(self, mode: str | None, size: tuple[int, int], camera: str | None) -> None:
-        self._mode, self._size, self._camera = mode, size, camera
-        self._renderer: WorldRenderer | None = None
-        self._viewer: HumanViewer | None = None
-
-    def frame(self, sim: Simulation, world: int) -> np.ndarray:
-        """Return a picture of one world."""
-        if self._renderer is None:
-            from myowarp.view.render import WorldRenderer
-
-            self._renderer = WorldRenderer(sim.scene.full, *self._size, camera=self._camera)
-        return self._renderer.frame(*sim.look(world))
-
-    def show(self, sim: Simulation) -> None:
-        """Show world 0 in the window."""
-        if self._viewer is None:
-            from myowarp.view.human import HumanViewer
-
-            self._viewer = HumanViewer(sim.scene.full)
-        self._viewer.show(*sim.look(0))
-
-    def close(self) -> None:
-        """Close what is open."""
-        for view in (self._renderer, self._viewer):
-            if view is not None:
-                view.close()
-        self._renderer = self._viewer = None
-
-
 def _require(name: str, value: object, choices: Sequence[object]) -> None:
     """Raise ValueError if `value` is none of `choices`."""
     if value not in choices:
@@ -441,16 +378,6 @@ def _autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:
     key = mode.value.lower() if isinstance(mode, AutoresetMode) else str(mode).lower()
     _require("autoreset_mode", key, tuple(named))
     return named[key]
-
-
-def _require_torch() -> None:
-    """Raise if torch cannot be imported."""
-    try:
-        import torch  # noqa: F401
-    except ImportError as error:
-        raise ImportError(
-            'output="torch" needs torch, which is not installed; run `pip install "myowarp[torch]"`'
-        ) from error
 
 
 def register_all() -> None:

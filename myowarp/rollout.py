@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -140,12 +141,9 @@ def run(
         ValueError: No such policy, or it returned actions of a wrong shape or value.
     """
     act = find_policy(policy, env, seed)
-    recording = Recording()
+    recording, tally = Recording(), _Tally(env.num_envs)
     obs, _ = env.reset(seed=seed)
-    running = np.zeros(env.num_envs)
-    returns: list[float] = []
-    successes: list[bool] = []
-    seconds, faults = 0.0, 0
+    seconds = 0.0
     with _bar("Simulating", "steps  {task.fields[rate]:>9,.0f} env steps/s", console) as bar:
         task = bar.add_task("", total=steps, rate=0.0)
         for step in range(1, steps + 1):
@@ -160,13 +158,7 @@ def run(
             if filmed:
                 recording.frames.append([env.sim.look(world) for world in range(filmed)])
             obs = next_obs
-            running += reward
-            faults += int(np.count_nonzero(info["fault"]))
-            ended = terminated | truncated
-            if ended.any():
-                returns += running[ended].tolist()
-                successes += info["final_info"]["success"][ended].tolist()
-                running[ended] = 0.0
+            tally.add(reward, terminated | truncated, info)
             bar.update(task, advance=1, rate=env.num_envs * step / seconds)
     scene = env.sim.scene
     rate = env.num_envs * steps / seconds
@@ -178,13 +170,39 @@ def run(
         steps=steps,
         env_steps_per_s=rate,
         physics_steps_per_s=rate * scene.num_substeps,
-        episodes=len(returns),
-        return_mean=float(np.mean(returns)) if returns else None,
-        return_std=float(np.std(returns)) if returns else None,
-        success_percent=100.0 * float(np.mean(successes)) if returns else None,
-        faults=faults,
+        **tally.figures(),
     )
     return summary, recording
+
+
+class _Tally:
+    """Returns and successes of finished episodes."""
+
+    def __init__(self, num_worlds: int) -> None:
+        self._running = np.zeros(num_worlds)
+        self._returns: list[float] = []
+        self._successes: list[bool] = []
+        self._faults = 0
+
+    def add(self, reward: np.ndarray, ended: np.ndarray, info: dict[str, Any]) -> None:
+        """Count one step of all worlds."""
+        self._running += reward
+        self._faults += int(np.count_nonzero(info["fault"]))
+        if ended.any():
+            self._returns += self._running[ended].tolist()
+            self._successes += info["final_info"]["success"][ended].tolist()
+            self._running[ended] = 0.0
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures of `Summary` that come from episodes."""
+        finished = bool(self._returns)
+        return {
+            "episodes": len(self._returns),
+            "return_mean": float(np.mean(self._returns)) if finished else None,
+            "return_std": float(np.std(self._returns)) if finished else None,
+            "success_percent": 100.0 * float(np.mean(self._successes)) if finished else None,
+            "faults": self._faults,
+        }
 
 
 def _bar(title: str, unit: str, console: Console | None) -> Progress:

@@ -7,7 +7,13 @@ from myowarp.kernels.random import RandomKeys
 
 
 @wp.kernel(enable_backward=False)
-def fill_rows(mask: wp.array[bool], value: float, values: wp.array2d[float]):
+def fill_rows(
+    # In:
+    mask: wp.array[bool],
+    value: float,
+    # Out:
+    values: wp.array2d[float],
+):
     """values[world, :] = value in the worlds of the mask."""
     worldid, i = wp.tid()
     if mask[worldid]:

@@ -67,6 +67,34 @@ class MujocoMuscleParams:
     passive_multiplier: wp.array2d[float]
 
 
+@wp.func
+def muscle_force(
+    params: MujocoMuscleParams, p: int, muscleid: int, length: float, velocity: float, activation: float
+) -> wp.vec2:
+    """Return the force [N], pulling is negative, and its derivative by velocity [N s/m]."""
+    l0 = params.optimal_fiber_length[p, muscleid]
+    v0 = l0 * params.max_contraction_velocity[p, muscleid]
+    norm_length = (length - params.tendon_slack_length[p, muscleid]) / l0
+    norm_velocity = velocity / v0
+    passive_norm_length = (length - params.passive_slack_length[p, muscleid]) / params.passive_optimal_length[
+        p, muscleid
+    ]
+    lmin = params.min_norm_length[p, muscleid]
+    lmax = params.max_norm_length[p, muscleid]
+    fvmax = params.eccentric_multiplier[p, muscleid]
+    isometric = (
+        activation * params.max_isometric_force[p, muscleid] * quadratic_force_length(norm_length, lmin, lmax)
+    )
+    passive = params.passive_peak_force[p, muscleid] * quadratic_passive_force(
+        passive_norm_length,
+        params.passive_max_norm_length[p, muscleid],
+        params.passive_multiplier[p, muscleid],
+    )
+    force = isometric * quadratic_force_velocity(norm_velocity, fvmax) + passive
+    slope = isometric * quadratic_force_velocity_slope(norm_velocity, fvmax) / v0
+    return wp.vec2(-force, -slope)
+
+
 @wp.kernel(enable_backward=False)
 def mujoco_muscle(
     # Model:
@@ -87,48 +115,21 @@ def mujoco_muscle(
     worldid, muscleid = wp.tid()
     actuatorid = params.actuator_id[muscleid]
     p = worldid % params.max_isometric_force.shape[0]
-
-    length_scale = params.optimal_fiber_length[p, muscleid]
-    velocity_scale = length_scale * params.max_contraction_velocity[p, muscleid]
     velocity = actuator_velocity_in[worldid, actuatorid]
-    norm_length = (
-        actuator_length_in[worldid, actuatorid] - params.tendon_slack_length[p, muscleid]
-    ) / length_scale
-    norm_velocity = velocity / velocity_scale
-    passive_norm_length = (
-        actuator_length_in[worldid, actuatorid] - params.passive_slack_length[p, muscleid]
-    ) / params.passive_optimal_length[p, muscleid]
-
-    fvmax = params.eccentric_multiplier[p, muscleid]
     a = activation[worldid, muscleid]
-    active = (
-        a
-        * params.max_isometric_force[p, muscleid]
-        * quadratic_force_length(
-            norm_length, params.min_norm_length[p, muscleid], params.max_norm_length[p, muscleid]
-        )
-    )
-    passive = params.passive_peak_force[p, muscleid] * quadratic_passive_force(
-        passive_norm_length,
-        params.passive_max_norm_length[p, muscleid],
-        params.passive_multiplier[p, muscleid],
-    )
-    force = -(active * quadratic_force_velocity(norm_velocity, fvmax) + passive)
+    force = muscle_force(params, p, muscleid, actuator_length_in[worldid, actuatorid], velocity, a)
 
     # Explicit integrators have no use for the slope, and force - kv v + kv v would only round.
-    kv = float(0.0)
-    if implicit:
-        kv = -active * quadratic_force_velocity_slope(norm_velocity, fvmax) / velocity_scale
+    kv = wp.where(implicit, force[1], 0.0)
     bias = vec10()
-    bias[0] = force - kv * velocity
+    bias[0] = force[0] - kv * velocity
     bias[2] = kv
     actuator_biasprm[worldid, actuatorid] = bias
 
     bounds = params.excitation_range[p, muscleid]
-    excitation = wp.clamp(ctrl_in[worldid, actuatorid], bounds[0], bounds[1])
     dt = opt_timestep[worldid % opt_timestep.shape[0]]
     activation[worldid, muscleid] = a + dt * activation_rate(
-        excitation,
+        wp.clamp(ctrl_in[worldid, actuatorid], bounds[0], bounds[1]),
         a,
         params.activation_time_constant[p, muscleid],
         params.deactivation_time_constant[p, muscleid],

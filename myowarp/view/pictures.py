@@ -1,0 +1,50 @@
+"""The pictures of an environment: a renderer or a live viewer, opened when first needed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from myowarp.sim import Simulation
+    from myowarp.view.human import HumanViewer
+    from myowarp.view.render import WorldRenderer
+
+
+class Pictures:
+    """Draws worlds of a simulation."""
+
+    def __init__(self, size: tuple[int, int], camera: str | None) -> None:
+        """Remember how to draw; nothing is opened yet.
+
+        Args:
+            size: Width and height of a picture [px].
+            camera: Name of a camera of the model; None frames the limb.
+        """
+        self._size, self._camera = size, camera
+        self._renderer: WorldRenderer | None = None
+        self._viewer: HumanViewer | None = None
+
+    def frame(self, sim: Simulation, world: int) -> np.ndarray:
+        """Return a picture of one world, (height, width, 3) uint8."""
+        if self._renderer is None:
+            from myowarp.view.render import WorldRenderer
+
+            self._renderer = WorldRenderer(sim.scene.full, *self._size, camera=self._camera)
+        return self._renderer.frame(*sim.look(world))
+
+    def show(self, sim: Simulation) -> None:
+        """Show world 0 in the live viewer."""
+        if self._viewer is None:
+            from myowarp.view.human import HumanViewer
+
+            self._viewer = HumanViewer(sim.scene.full)
+        self._viewer.show(*sim.look(0))
+
+    def close(self) -> None:
+        """Close what is open."""
+        for view in (self._renderer, self._viewer):
+            if view is not None:
+                view.close()
+        self._renderer = self._viewer = None

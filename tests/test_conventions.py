@@ -1,0 +1,218 @@
+"""Rules of the code base that no linter knows, checked on the syntax trees of the package."""
+
+import ast
+from functools import lru_cache
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "myowarp"
+FILES = {str(path.relative_to(PACKAGE)): path for path in sorted(PACKAGE.rglob("*.py"))}
+
+MAX_FILE_LINES = 400
+MAX_FUNCTION_LINES = 60
+MAX_PARAMETERS = 12
+
+GROUPS = ("# Model:", "# Params:", "# Data in:", "# In:", "# Data out:", "# Out:")
+SUFFIXES = {"# Data in:": "_in", "# Data out:": "_out"}
+
+ALIASES: dict[str, set[str]] = {}
+"""Parameter name: other names that an argument may have; empty as long as the code can do without."""
+
+FORBIDDEN = {
+    "registry": {"spec", "kernels", "models", "scene", "tasks", "sim", "warmup", "bridge_gym"},
+    "cache": {"spec", "kernels", "models", "scene", "tasks", "sim", "warmup", "bridge_gym"},
+    "spec": {"kernels", "models", "tasks", "sim", "bridge_gym"},
+    "kernels": {"spec", "models", "scene", "tasks", "sim", "warmup", "bridge_gym"},
+    "models": {"scene", "tasks", "sim", "warmup", "bridge_gym"},
+    "scene": {"tasks", "sim", "warmup", "bridge_gym"},
+    "tasks": {"sim", "warmup", "bridge_gym"},
+    "warmup": {"spec", "kernels", "models", "scene", "tasks", "sim", "bridge_gym"},
+    "sim": {"tasks", "bridge_gym"},
+}
+"""What a module or package of ours must not import: everything that stands on its shoulders."""
+
+
+@lru_cache
+def tree(name):
+    """Return the syntax tree of a file."""
+    return ast.parse(FILES[name].read_text())
+
+
+def is_warp(node, attribute):
+    """Whether `node` is `wp.<attribute>` or a call of it."""
+    node = node.func if isinstance(node, ast.Call) else node
+    return (
+        isinstance(node, ast.Attribute)
+        and node.attr == attribute
+        and isinstance(node.value, ast.Name)
+        and node.value.id == "wp"
+    )
+
+
+def _collect():
+    """Return all kernels by name, and all launches as (file, call)."""
+    kernels, launches = {}, []
+    for name in FILES:
+        for node in ast.walk(tree(name)):
+            if isinstance(node, ast.FunctionDef):
+                if any(is_warp(decorator, "kernel") for decorator in node.decorator_list):
+                    assert node.name not in kernels, f"two kernels are called {node.name}"
+                    kernels[node.name] = (name, node)
+            elif isinstance(node, ast.Call) and (is_warp(node, "launch") or is_warp(node, "launch_tiled")):
+                launches.append((name, node))
+    return kernels, launches
+
+
+KERNELS, LAUNCHES = _collect()
+LAUNCH_IDS = [f"{name}:{call.args[0].id if call.args else call.lineno}" for name, call in LAUNCHES]
+
+
+def parameters(kernel):
+    """Return the parameter names of a kernel."""
+    return [argument.arg for argument in KERNELS[kernel][1].args.args]
+
+
+def group_of_parameters(kernel):
+    """Return the comment group of every parameter, None where there is none."""
+    name, node = KERNELS[kernel]
+    lines = FILES[name].read_text().splitlines()
+    groups, current = [], None
+    next_line = node.lineno
+    for argument in node.args.args:
+        for line in lines[next_line : argument.lineno]:
+            current = line.strip() if line.strip() in GROUPS else current
+        next_line = argument.lineno
+        groups.append(current)
+    return groups
+
+
+def names_of(argument):
+    """Return the names that an argument expression has: its own, and joined with its owner's."""
+    if isinstance(argument, ast.Name):
+        return {argument.id}
+    if isinstance(argument, ast.Attribute):
+        owner = argument.value
+        last = owner.attr if isinstance(owner, ast.Attribute) else getattr(owner, "id", "")
+        return {argument.attr, f"{last}_{argument.attr}"}
+    return set()
+
+
+def test_there_is_something_to_check():
+    assert len(FILES) > 20
+    assert len(KERNELS) >= 10
+    assert {call.args[0].id for _, call in LAUNCHES} == set(KERNELS), "a kernel nobody launches"
+
+
+@pytest.mark.parametrize(("name", "call"), LAUNCHES, ids=LAUNCH_IDS)
+def test_launch_arguments_match_parameters(name, call):
+    """`wp.launch` checks dtype and rank only: swapped arrays of one kind would go unseen."""
+    where = f"{name}:{call.lineno}"
+    assert len(call.args) == 1, f"{where}: all but the kernel by keyword"
+    keywords = {keyword.arg: keyword.value for keyword in call.keywords}
+    assert "dim" in keywords, where
+    arguments = []
+    for side in ("inputs", "outputs"):
+        values = keywords.get(side, ast.List(elts=[]))
+        assert isinstance(values, ast.List), f"{where}: {side} is no literal list"
+        arguments += values.elts
+    kernel = call.args[0].id
+    expected = parameters(kernel)
+    assert len(arguments) == len(expected), f"{where}: {kernel} takes {expected}"
+    for argument, parameter in zip(arguments, expected, strict=True):
+        names = names_of(argument)
+        base = parameter.removesuffix("_in").removesuffix("_out")
+        allowed = {parameter, base} | ALIASES.get(parameter, set())
+        assert not names or names & allowed, f"{where}: {ast.unparse(argument)} for {parameter}"
+
+
+@pytest.mark.parametrize(("name", "call"), LAUNCHES, ids=LAUNCH_IDS)
+def test_outputs_are_the_written_parameters(name, call):
+    """What stands under `# Data out:` and `# Out:` is passed as outputs, all else as inputs."""
+    keywords = {keyword.arg: keyword.value for keyword in call.keywords}
+    kernel = call.args[0].id
+    outputs = len(keywords["outputs"].elts) if "outputs" in keywords else 0
+    groups = group_of_parameters(kernel)
+    written = [group in ("# Data out:", "# Out:") for group in groups]
+    assert written == [False] * (len(groups) - outputs) + [True] * outputs, f"{name}:{call.lineno}"
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_kernel_signature(kernel):
+    _, node = KERNELS[kernel]
+    assert ast.get_docstring(node), "a kernel's docstring is its formula"
+    assert len(node.args.args) <= MAX_PARAMETERS
+    assert all(argument.annotation is not None for argument in node.args.args)
+    groups = group_of_parameters(kernel)
+    assert None not in groups, f"parameters without a group comment; the groups are {GROUPS}"
+    order = [GROUPS.index(group) for group in groups]
+    assert order == sorted(order), f"groups out of order: {groups}"
+    for parameter, group in zip(parameters(kernel), groups, strict=True):
+        suffix = SUFFIXES.get(group, "")
+        if suffix:
+            assert parameter.endswith(suffix), f"{parameter} stands under {group}"
+        else:
+            assert not parameter.endswith(("_in", "_out")), f"{parameter} stands under {group}"
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_kernel_begins_with_its_indices(kernel):
+    _, node = KERNELS[kernel]
+    first = node.body[1]
+    assert isinstance(first, ast.Assign)
+    assert is_warp(first.value, "tid")
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_sizes(name):
+    assert len(FILES[name].read_text().splitlines()) <= MAX_FILE_LINES
+    for node in ast.walk(tree(name)):
+        if isinstance(node, ast.FunctionDef):
+            lines = node.end_lineno - node.lineno + 1
+            assert lines <= MAX_FUNCTION_LINES, f"{name}:{node.name} has {lines} lines"
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_no_catch_all(name):
+    for node in ast.walk(tree(name)):
+        if isinstance(node, ast.ExceptHandler):
+            caught = {sub.id for sub in ast.walk(node.type or node) if isinstance(sub, ast.Name)}
+            where = f"{name}:{node.lineno}"
+            assert node.type is not None, f"{where}: bare except"
+            tidies_up = isinstance(node.body[-1], ast.Raise) and node.body[-1].exc is None
+            assert tidies_up or not caught & {"Exception", "BaseException"}, where
+
+
+def imports(name):
+    """Return (line, dotted module) of every import that runs; those for type checkers do not."""
+    skipped = {
+        id(sub)
+        for node in ast.walk(tree(name))
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for sub in ast.walk(node)
+    }
+    for node in ast.walk(tree(name)):
+        if id(node) in skipped:
+            continue
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{name}:{node.lineno}: relative import"
+            yield node.lineno, node.module
+            yield from ((node.lineno, f"{node.module}.{alias.name}") for alias in node.names)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_gymnasium_only_in_the_bridge(name):
+    if name != "bridge_gym.py":
+        found = [module for _, module in imports(name) if module.split(".")[0] == "gymnasium"]
+        assert not found
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_imports_go_one_way(name):
+    forbidden = FORBIDDEN.get(name.split("/")[0].removesuffix(".py"), set())
+    for line, module in imports(name):
+        parts = module.split(".")
+        if parts[0] == "myowarp" and len(parts) > 1:
+            assert parts[1] not in forbidden, f"{name}:{line} imports {module}"
