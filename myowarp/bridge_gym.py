@@ -250,7 +250,7 @@ class MyoWarpVectorEnv(VectorEnv):
         if any(s is not None and (not isinstance(s, (int, np.integer)) or s < 0) for s in seeds):
             raise ValueError(f"seeds must be non-negative integers or None, got {seed!r}")
         seeded = np.array([s is not None for s in seeds])
-        return np.array([(s or 0) % 2**64 for s in seeds], dtype=np.uint64), seeded
+        return np.array([s or 0 for s in seeds], dtype=object), seeded
 
     def _give(self, array: wp.array) -> Any:
         """Return an array of the simulation in the library asked for."""

@@ -38,7 +38,7 @@ def cached(
         suffix: File suffix, dot included.
         make: Builds the object.
         save: Writes the object to a path.
-        load: Reads it back; raises ValueError on a damaged file.
+        load: Reads it back; raises ValueError, EOFError or OSError on a damaged file.
 
     Returns:
         The object. A cache folder that cannot be written only costs time.
@@ -49,9 +49,10 @@ def cached(
     if path.exists():
         try:
             return load(str(path))
-        except ValueError:
-            path.unlink(missing_ok=True)
+        except (ValueError, EOFError, OSError):
+            pass  # damaged or unreadable: made again below
     entry = make()
+    scratch = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, scratch = tempfile.mkstemp(suffix=suffix, dir=path.parent)
@@ -59,5 +60,6 @@ def cached(
         save(entry, scratch)
         Path(scratch).replace(path)
     except OSError:
-        pass
+        if scratch is not None:
+            Path(scratch).unlink(missing_ok=True)
     return entry

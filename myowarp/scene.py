@@ -106,8 +106,9 @@ def stateless_model(spec: TaskSpec) -> mujoco.MjModel:
 
 def _sources(spec: TaskSpec) -> str:
     """Return a digest of the code that builds the scene of a task, so that an edit renews the cache."""
-    files = sorted(Path(__file__).parent.glob("models/**/*.py"))
-    files.append(Path(inspect.getfile(type(spec))))
+    package = Path(__file__).parent
+    files = [Path(__file__), package / "tasks/markers.py", Path(inspect.getfile(type(spec)))]
+    files += [*sorted(package.glob("models/bodies/*.py")), package / "models/slim.py"]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 

@@ -244,7 +244,7 @@ class Simulation:
             seeds = secrets.randbits(32) + np.arange(self.num_worlds)
         if seeds is not None:
             self._seeded = True
-            folded = np.asarray(seeds, dtype=np.uint64)
+            folded = np.array([int(seed) % 2**64 for seed in seeds], dtype=np.uint64)
             folded = (folded ^ (folded >> np.uint64(32))).astype(np.uint32).view(np.int32)
             keys.seed.assign(np.where(mask, folded, keys.seed.numpy()))
             keys.episode.assign(np.where(mask, 0, keys.episode.numpy()).astype(np.int32))

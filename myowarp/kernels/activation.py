@@ -1,7 +1,7 @@
 """Excitation to activation: first-order dynamics, faster up than down.
 
 Source: Millard, Uchida, Seth, Delp (2013), doi:10.1115/1.4023390, eq. 1-2, in MuJoCo's form (MuJoCo
-documentation, *Computation, Muscle actuators*), which adds an optional smooth switch between the two
+documentation, *Modeling, Actuators, Muscles*), which adds an optional smooth switch between the two
 time constants.
 """
 

@@ -1,6 +1,6 @@
 """Muscle curves: force multipliers over normalized length and velocity.
 
-MuJoCo's curves are piecewise quadratic (MuJoCo documentation, *Computation, Muscle actuators*). All
+MuJoCo's curves are piecewise quadratic (MuJoCo documentation, *Modeling, Actuators, Muscles*). All
 functions map floats to floats, dimensionless.
 """
 

@@ -47,7 +47,7 @@ def calibrate(model: mujoco.MjModel) -> Capacity:
         return Capacity(contacts=0, rows=max(rows, 1), peak_contacts=0)
     peak = _peak_contacts(model)
     contacts = int(np.ceil(MARGIN * peak))
-    condim = int(model.geom_condim.max())
+    condim = max(int(model.geom_condim.max()), int(model.pair_dim.max(initial=1)))
     rows += max(contacts, 1) * max(1, 2 * (condim - 1))
     return Capacity(contacts=max(contacts, len(pairs)), rows=max(rows, 1), peak_contacts=peak)
 

@@ -28,6 +28,8 @@ def slim(full: mujoco.MjSpec, keep_sites: Iterable[str]) -> mujoco.MjSpec:
         ValueError: A name of `keep_sites` does not exist.
     """
     spec = full.copy()
+    for index, geom in enumerate(spec.geoms):
+        geom.name = geom.name or f"geom {index}"
     model = spec.compile()
     names = {model.site(i).name for i in range(model.nsite)}
     if missing := sorted(set(keep_sites) - names):
@@ -47,7 +49,15 @@ def slim(full: mujoco.MjSpec, keep_sites: Iterable[str]) -> mujoco.MjSpec:
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.compiler.discardvisual = True
     spec.compiler.fusestatic = True
+    # Fused into its parent, a static body hands its exclusions on to all of the parent's geoms.
+    if _pair_names(spec.copy().compile()) != _pair_names(model):
+        spec.compiler.fusestatic = False
     return spec
+
+
+def _pair_names(model: mujoco.MjModel) -> set[frozenset[str]]:
+    """Return the names of the geoms that can collide, pair by pair."""
+    return {frozenset(model.geom(i).name for i in pair) for pair in colliding_pairs(model)}
 
 
 def _path_sites(model: mujoco.MjModel) -> set[int]:

@@ -26,4 +26,4 @@ class Body:
 
 BODIES: Registry[Body] = Registry("body")
 
-from myowarp.models.bodies import elbow, finger, hand  # noqa: E402, F401  (they register themselves)
+from myowarp.models.bodies import contact_hand, elbow, finger, hand  # noqa: E402, F401  (they register themselves)

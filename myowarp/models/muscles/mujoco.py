@@ -2,9 +2,10 @@
 
     F = -(f_L(l) f_V(v) a + f_P(l)) F_max,    l = (length - l_T) / l_0,    v = velocity / (l_0 v_max)
 
-Source: MuJoCo documentation, *Computation, Muscle actuators*. The active and the passive part each have
-their own length scale and peak force, as `gainprm` and `biasprm` do. Forces agree with MuJoCo C to 1e-5 of
-the peak (tests/test_muscles.py).
+Source: MuJoCo documentation, *Modeling, Actuators, Muscles*. The active and the passive part each have
+their own length scale and peak force, as `gainprm` and `biasprm` do. Given the same length and velocity,
+forces agree with MuJoCo C to 1e-5 of the peak; the engine's lengths, in float32, add up to 7e-5 in short
+muscles of the hand (tests/test_muscles.py).
 """
 
 import mujoco
@@ -26,7 +27,7 @@ from myowarp.models.muscles import MUSCLES, MuscleModel
 
 @wp.struct
 class MujocoMuscleParams:
-    """Parameters of all muscles; every array but the first is (1 or num_worlds, num_muscles).
+    """Parameters of all muscles; each array but the first is (1 or num_worlds, num_muscles) on its own.
 
     Attributes:
         actuator_id: Actuator of each muscle, shape (num_muscles,).
@@ -44,8 +45,8 @@ class MujocoMuscleParams:
         passive_peak_force: Force that scales f_P [N].
         passive_optimal_length: l_0 of the passive part [m].
         passive_slack_length: l_T of the passive part [m].
-        passive_max_norm_length: l at which f_P reaches `passive_multiplier` [1].
-        passive_multiplier: f_P there [1].
+        passive_max_norm_length: l_max of f_P; half way from 1 to it f_P is half of `passive_multiplier` [1].
+        passive_multiplier: Scale of f_P [1].
     """
 
     actuator_id: wp.array[int]
@@ -68,27 +69,34 @@ class MujocoMuscleParams:
 
 
 @wp.func
+def of_world(values: wp.array2d[float], worldid: int, muscleid: int) -> float:
+    """Return a muscle's parameter in a world; arrays with one row serve all worlds."""
+    return values[worldid % values.shape[0], muscleid]
+
+
+@wp.func
 def muscle_force(
-    params: MujocoMuscleParams, p: int, muscleid: int, length: float, velocity: float, activation: float
+    params: MujocoMuscleParams, worldid: int, muscleid: int, length: float, velocity: float, activation: float
 ) -> wp.vec2:
     """Return the force [N], pulling is negative, and its derivative by velocity [N s/m]."""
-    l0 = params.optimal_fiber_length[p, muscleid]
-    v0 = l0 * params.max_contraction_velocity[p, muscleid]
-    norm_length = (length - params.tendon_slack_length[p, muscleid]) / l0
+    l0 = of_world(params.optimal_fiber_length, worldid, muscleid)
+    v0 = l0 * of_world(params.max_contraction_velocity, worldid, muscleid)
+    fvmax = of_world(params.eccentric_multiplier, worldid, muscleid)
     norm_velocity = velocity / v0
-    passive_norm_length = (length - params.passive_slack_length[p, muscleid]) / params.passive_optimal_length[
-        p, muscleid
-    ]
-    lmin = params.min_norm_length[p, muscleid]
-    lmax = params.max_norm_length[p, muscleid]
-    fvmax = params.eccentric_multiplier[p, muscleid]
     isometric = (
-        activation * params.max_isometric_force[p, muscleid] * quadratic_force_length(norm_length, lmin, lmax)
+        activation
+        * of_world(params.max_isometric_force, worldid, muscleid)
+        * quadratic_force_length(
+            (length - of_world(params.tendon_slack_length, worldid, muscleid)) / l0,
+            of_world(params.min_norm_length, worldid, muscleid),
+            of_world(params.max_norm_length, worldid, muscleid),
+        )
     )
-    passive = params.passive_peak_force[p, muscleid] * quadratic_passive_force(
-        passive_norm_length,
-        params.passive_max_norm_length[p, muscleid],
-        params.passive_multiplier[p, muscleid],
+    passive_length = length - of_world(params.passive_slack_length, worldid, muscleid)
+    passive = of_world(params.passive_peak_force, worldid, muscleid) * quadratic_passive_force(
+        passive_length / of_world(params.passive_optimal_length, worldid, muscleid),
+        of_world(params.passive_max_norm_length, worldid, muscleid),
+        of_world(params.passive_multiplier, worldid, muscleid),
     )
     force = isometric * quadratic_force_velocity(norm_velocity, fvmax) + passive
     slope = isometric * quadratic_force_velocity_slope(norm_velocity, fvmax) / v0
@@ -114,10 +122,9 @@ def mujoco_muscle(
     """F from the present activation; then a += dt da/dt, in MuJoCo's order."""
     worldid, muscleid = wp.tid()
     actuatorid = params.actuator_id[muscleid]
-    p = worldid % params.max_isometric_force.shape[0]
     velocity = actuator_velocity_in[worldid, actuatorid]
     a = activation[worldid, muscleid]
-    force = muscle_force(params, p, muscleid, actuator_length_in[worldid, actuatorid], velocity, a)
+    force = muscle_force(params, worldid, muscleid, actuator_length_in[worldid, actuatorid], velocity, a)
 
     # Explicit integrators have no use for the slope, and force - kv v + kv v would only round.
     kv = wp.where(implicit, force[1], 0.0)
@@ -126,14 +133,14 @@ def mujoco_muscle(
     bias[2] = kv
     actuator_biasprm[worldid, actuatorid] = bias
 
-    bounds = params.excitation_range[p, muscleid]
+    bounds = params.excitation_range[worldid % params.excitation_range.shape[0], muscleid]
     dt = opt_timestep[worldid % opt_timestep.shape[0]]
     activation[worldid, muscleid] = a + dt * activation_rate(
         wp.clamp(ctrl_in[worldid, actuatorid], bounds[0], bounds[1]),
         a,
-        params.activation_time_constant[p, muscleid],
-        params.deactivation_time_constant[p, muscleid],
-        params.smoothing_width[p, muscleid],
+        of_world(params.activation_time_constant, worldid, muscleid),
+        of_world(params.deactivation_time_constant, worldid, muscleid),
+        of_world(params.smoothing_width, worldid, muscleid),
     )
 
 
@@ -167,7 +174,7 @@ class MujocoMuscle(MuscleModel):
         optimal, slack = length_scale(gain, model.actuator_lengthrange[ids])
         passive_optimal, passive_slack = length_scale(bias, model.actuator_lengthrange[ids])
         limited = model.actuator_ctrllimited[ids, None]
-        bounds = np.where(limited, model.actuator_ctrlrange[ids], (-np.inf, np.inf))
+        bounds = np.clip(np.where(limited, model.actuator_ctrlrange[ids], (0.0, 1.0)), 0.0, 1.0)
 
         self.params = MujocoMuscleParams()
         self.params.actuator_id = wp.array(ids, dtype=int)

@@ -1,0 +1,83 @@
+"""Right hand that touches: MyoSuite's hand for objects (key turn, object hold, pen, baoding balls).
+
+MyoSuite 3.0.0 simulates objects with an older hand than its pose and reach tasks. myo-sim 0.2.3 does not have
+it; these edits of the composed hand give the same mechanics: muscle torques to 7e-9 and accelerations to
+3.3e-6, relative. Collision, inertia floors and masses decide about contact and conditioning; the other edits
+are needed for parity only.
+"""
+
+import mujoco
+from myo_sim.build.compose import apply_inertia_floor
+
+from myowarp.models.bodies import BODIES, Body
+from myowarp.models.bodies.hand import hand
+
+INERTIA_FLOOR = 1e-4  # kg m^2, MyoSuite's compiler setting
+MASS_FLOOR = 1e-3  # kg
+
+LUNATE_FILLERS = (  # radius, half length [m], position [m], orientation: mass the composed hand lacks
+    (0.008, 0.02, (0.0007, 0.0, 0.003), (1.0, 0.0, 0.0, 0.0)),
+    (0.007, 0.02, (0.0, -0.01, -0.004), (0.807649, -0.0333177, 0.588355, 0.0207694)),
+)
+UNTOUCHABLE = ("humerus_coll_r", "radius_coll_r")
+SOFT = (0.8, 0.8, 0.01, 0.5, 2.0)  # solimp of hand collision geoms
+PALM_SITES = {
+    "S_grasp": (-0.011, -0.06, -0.03),
+    "target1_site": (-0.03, -0.05, -0.02),
+    "target2_site": (0.005, -0.1, -0.02),
+}  # m, on the trapezium
+
+
+def contact_hand() -> mujoco.MjSpec:
+    """Return the hand with 27 collision geoms; joint order and muscles are those of the hand."""
+    spec = hand()
+    lunate = spec.body("lunate_r")
+    for radius, half_length, pos, quat in LUNATE_FILLERS:
+        filler = lunate.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=(radius, half_length, 0.0))
+        filler.pos, filler.quat = pos, quat
+        filler.density, filler.contype, filler.conaffinity, filler.group = 1000.0, 0, 0, 4
+    radius_bone = spec.body("radius_r")
+    radius_bone.pos = (0.0004, -0.011503, 0.019999)
+    radius_bone.inertia = (0.000441184, 0.000415088, 0.0001)
+    radius_bone.iquat = (0.770264, 0.635590, 0.011983, 0.050738)
+    _make_touchable(spec)
+    _undo_corrections(spec)
+    trapezium = spec.body("trapezium_r")
+    for name, pos in PALM_SITES.items():
+        trapezium.add_site(name=name, pos=pos, size=(0.007, 0.007, 0.007))
+    apply_inertia_floor(spec, INERTIA_FLOOR, MASS_FLOOR)
+    return spec
+
+
+def _make_touchable(spec: mujoco.MjSpec) -> None:
+    """Let the hand's collision geoms meet objects and each other."""
+    for geom in spec.geoms:
+        if geom.name in UNTOUCHABLE:
+            geom.contype = geom.conaffinity = 0
+        elif geom.contype:
+            geom.conaffinity = 1
+            geom.solimp = SOFT
+
+
+def _undo_corrections(spec: mujoco.MjSpec) -> None:
+    """Put back what myo-sim 0.2 changed: thumb ranges, one finger axis, three wrapping surfaces."""
+    spec.joint("cmc_flexion_r").range = (-0.5, 0.78)
+    spec.joint("cmc_abduction_r").range = (-0.78, 0.7)
+    spec.joint("md5_flexion_r").axis = (0.643112, -0.226804, 0.731414)
+    spec.geom("EDCL_torus_wrap").pos = (-0.0128, -0.0133, 0.0148)
+    spec.geom("EDCM_torus_wrap").pos = (-0.0007, -0.0117, 0.0191)
+    spec.geom("3rdmcp_ellipsoid_wrap").alt.euler = (2.5794221, -1.44967048, 2.90614774)
+
+
+def add_object(
+    spec: mujoco.MjSpec, name: str, pos: tuple[float, float, float], *, mocap: bool = False
+) -> mujoco.MjsBody:
+    """Return a new body in the world, with the floors of the hand."""
+    body = spec.worldbody.add_body(name=name, pos=pos, mocap=mocap)
+    body.compiler.boundinertia = INERTIA_FLOOR
+    body.compiler.boundmass = MASS_FLOOR
+    return body
+
+
+TIPS = ("THtip_r", "IFtip_r", "MFtip_r", "RFtip_r", "LFtip_r")
+BODIES.add("contact_hand", Body(contact_hand, tips=TIPS))

@@ -1,0 +1,158 @@
+"""Capacities: bounds hold in motion that calibration has not seen, and closed forms for small models."""
+
+from functools import lru_cache
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import pytest
+
+import myowarp.tasks  # noqa: F401
+from myowarp.models.capacity import MARGIN, calibrate
+from myowarp.scene import compile_scene
+from myowarp.spec import PHYSICS, TASKS
+
+NUM_POSES = 200
+NUM_STEPS = 300
+SEED = 12345  # calibration uses 0
+
+SCENES = {f"{TASKS[key].body}-{TASKS[key].family}": TASKS[key] for key in TASKS}
+
+
+@lru_cache
+def scene_of(name, physics):
+    """Return a compiled scene of a few worlds."""
+    return compile_scene(SCENES[name], 33, "cpu", physics)
+
+
+def poses(model, count, seed):
+    """Return configurations up to a fifth beyond the joint ranges, so that limits act."""
+    rng = np.random.default_rng(seed)
+    low, high = model.jnt_range.T
+    margin = 0.2 * (high - low)
+    return rng.uniform(low - margin, high + margin, (count, model.nq))
+
+
+def peaks(model, configurations):
+    """Return the most contacts and rows of MuJoCo C in these poses and in random-control motion."""
+    rng = np.random.default_rng(SEED)
+    data = mujoco.MjData(model)
+    met = []
+    for qpos in configurations:
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = qpos
+        mujoco.mj_forward(model, data)
+        met.append((data.ncon, data.nefc))
+    mujoco.mj_resetData(model, data)
+    for step in range(NUM_STEPS):
+        if step % 7 == 0:
+            data.ctrl[:] = rng.uniform(*model.actuator_ctrlrange.T)
+        mujoco.mj_step(model, data)
+        met.append((data.ncon, data.nefc))
+    return np.max(met, axis=0)
+
+
+@pytest.mark.parametrize("physics", PHYSICS)
+@pytest.mark.parametrize("name", SCENES)
+def test_bounds_hold(name, physics):
+    scene = scene_of(name, physics)
+    contacts, rows = peaks(scene.oracle, poses(scene.oracle, NUM_POSES, SEED))
+    assert contacts <= scene.capacity.contacts
+    assert rows <= scene.capacity.rows
+    assert rows > 0, "no constraint acted"
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_engine_does_not_overflow(name):
+    scene = scene_of(name, "parity")
+    scene.data.qpos.assign(np.float32(poses(scene.oracle, scene.num_worlds, SEED)))
+    scene.data.overflow.zero_()
+    mjw.forward(scene.model, scene.data)
+    assert not scene.data.overflow.numpy().any()
+    assert scene.data.nefc.numpy().max() > 0
+
+
+def compiled(xml, **attributes):
+    """Return the compiled model of an MJCF string with `{name}` fields."""
+    return mujoco.MjModel.from_xml_string(xml.format(**attributes))
+
+
+BOX = """
+<mujoco>
+  <worldbody>
+    <geom type="plane" size="5 5 .1" condim="{condim}"/>
+    <body pos="0 0 0.099"><freejoint/><geom type="box" size=".1 .1 .1" condim="{condim}"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize(("condim", "rows_per_contact"), [(1, 1), (3, 4), (4, 6), (6, 10)])
+def test_box_on_a_plane(condim, rows_per_contact):
+    """Four corners touch; a pyramidal friction cone takes two rows for every tangential direction."""
+    model = compiled(BOX, condim=condim)
+    capacity = calibrate(model)
+    assert capacity.peak_contacts == 4
+    assert capacity.contacts == 4 * MARGIN
+    assert capacity.rows == 4 * MARGIN * rows_per_contact
+    _, rows = peaks(model, [])
+    assert rows == 4 * rows_per_contact
+
+
+ROWS = """
+<mujoco>
+  <worldbody>
+    <body name="a"><joint name="a" range="-1 1" limited="true" frictionloss="0.1"/>
+      <geom size=".1" contype="0" conaffinity="0"/>
+      <body name="b" pos="1 0 0"><joint name="b" axis="0 1 0" frictionloss="0.1"/>
+        <geom size=".1" contype="0" conaffinity="0"/><site name="tip"/></body>
+    </body>
+    <body name="free" pos="0 0 3"><freejoint/>
+      <geom size=".1" contype="0" conaffinity="0"/></body>
+    <site name="root" pos="0 -1 0"/>
+  </worldbody>
+  <tendon>
+    <spatial name="t" limited="true" range="0.2 0.9" frictionloss="1">
+      <site site="root"/><site site="tip"/>
+    </spatial>
+  </tendon>
+  <equality><weld body1="free" body2="world"/></equality>
+</mujoco>
+"""
+
+
+def test_rows_without_contacts():
+    """A joint limit, a tendon limit, two joint and one tendon friction, six of the weld."""
+    model = compiled(ROWS)
+    capacity = calibrate(model)
+    assert capacity.contacts == capacity.peak_contacts == 0
+    assert capacity.rows == 11
+    beyond = model.qpos0.copy()
+    beyond[model.joint("a").qposadr] = 1.2
+    _, rows = peaks(model, [beyond])
+    assert rows == 11
+
+
+PAIR = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 .1" condim="1" contype="0" conaffinity="0"/>
+    <body pos="0 0 0.09"><freejoint/>
+      <geom name="ball" size=".1" condim="1" contype="0" conaffinity="0"/></body>
+  </worldbody>
+  <contact><pair geom1="floor" geom2="ball" condim="6"/></contact>
+</mujoco>
+"""
+
+
+def test_explicit_pair_has_its_own_friction_dimension():
+    model = compiled(PAIR)
+    _, rows = peaks(model, [])
+    assert rows == 10
+    assert rows <= calibrate(model).rows
+
+
+def test_model_without_constraints_keeps_one_row():
+    model = compiled("<mujoco><worldbody><body><joint/><geom size='.1'/></body></worldbody></mujoco>")
+    capacity = calibrate(model)
+    assert (capacity.contacts, capacity.rows, capacity.peak_contacts) == (0, 1, 0)

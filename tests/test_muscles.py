@@ -1,0 +1,276 @@
+"""Muscle models on every body with muscles, against MuJoCo C and the float64 reference."""
+
+from functools import lru_cache
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import pytest
+import warp as wp
+from reference import mujoco_muscle as reference
+
+import myowarp.tasks  # noqa: F401
+from myowarp.models.muscles import MUSCLES
+from myowarp.models.muscles.mujoco import MujocoMuscle, MujocoMuscleParams
+from myowarp.scene import compile_scene, slim_model
+from myowarp.spec import PHYSICS, TASKS
+
+NUM_WORLDS = 250  # no multiple of 32
+
+KERNEL_FORCE = 1e-5
+"""Of the peak: our kernel given the engine's own length and velocity; float32 roundings of lengths
+that are up to 20 times the length over which the force changes, 20 x 2^-24 x 8."""
+
+ENGINE_FORCE = 1e-4
+"""Of the peak, MuJoCo C from the same qpos and qvel. The engine's float32 tendon lengths are off by
+3e-7 m (points 1.4 m from the origin); a hand muscle with L_0 = 2 cm on the steep part of its curves
+turns that into 7e-5 of its peak. Finger and elbow stay below 1e-5."""
+
+ACTIVATION = 1e-6
+"""An activation of order one, a handful of float32 roundings of 2^-24."""
+
+QVEL = 5e-5
+"""Of the largest change of any joint's velocity in one step; float32 factorization of the inertia
+matrix, measured 1.2e-5."""
+
+EFFECT = 10.0
+
+
+def _tasks_with_muscles():
+    """Return the first task of each body that has muscles."""
+    first = {TASKS[key].body: TASKS[key] for key in reversed(list(TASKS))}
+    muscle = mujoco.mjtDyn.mjDYN_MUSCLE
+    return [spec for spec in first.values() if (slim_model(spec).actuator_dyntype == muscle).any()]
+
+
+BODY_TASKS = {spec.body: spec for spec in _tasks_with_muscles()}
+
+
+class States:
+    """Random states of a scene's oracle, exactly representable in float32; one for each world."""
+
+    def __init__(self, model, num_worlds, seed=0):
+        rng = np.random.default_rng(seed)
+        low, high = model.jnt_range.T
+        shape = (num_worlds, model.nu)
+        self.qpos = np.float32(rng.uniform(low, high, (num_worlds, model.nq)))
+        self.qvel = np.float32(rng.normal(size=(num_worlds, model.nv)))
+        self.activation = np.float32(rng.uniform(0.0, 1.0, (num_worlds, model.na)))
+        self.ctrl = np.float32(rng.uniform(-0.2, 1.2, shape))  # beyond ctrlrange on both sides
+
+
+def load(scene, states):
+    """Write states into a scene and poison what a step has to overwrite."""
+    scene.data.qpos.assign(states.qpos)
+    scene.data.qvel.assign(states.qvel)
+    scene.data.ctrl.assign(states.ctrl)
+    scene.muscles.activation.assign(states.activation)
+    bias = scene.model.actuator_biasprm.numpy()
+    bias[:, scene.muscles.actuator_id] = np.nan
+    scene.model.actuator_biasprm.assign(bias)
+    scene.data.actuator_force.fill_(np.nan)
+
+
+def step_in_c(model, states):
+    """Return force, activation and qvel of one `mj_step` from each state, built-in muscles."""
+    data = mujoco.MjData(model)
+    force, activation, qvel = [], [], []
+    for i in range(len(states.qpos)):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = states.qpos[i], states.qvel[i]
+        data.act[:], data.ctrl[:] = states.activation[i], states.ctrl[i]
+        mujoco.mj_step(model, data)
+        force.append(data.actuator_force.copy())
+        activation.append(data.act.copy())
+        qvel.append(data.qvel.copy())
+    return np.array(force), np.array(activation), np.array(qvel)
+
+
+def peaks(model):
+    """Return the peak force of every muscle [N]."""
+    ids = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_MUSCLE
+    return reference.peak_force(model.actuator_acc0[ids], model.actuator_gainprm[ids])
+
+
+def force_from_path(scene, activation, gainprm, biasprm):
+    """Return the reference force at the engine's own lengths and velocities."""
+    model, ids = scene.oracle, scene.muscles.actuator_id
+    length = scene.data.actuator_length.numpy().astype(np.float64)[:, ids]
+    velocity = scene.data.actuator_velocity.numpy().astype(np.float64)[:, ids]
+    lengthrange, acc0 = model.actuator_lengthrange[ids], model.actuator_acc0[ids]
+    active = activation * reference.gain(length, velocity, lengthrange, acc0, gainprm)
+    return active + reference.bias(length, lengthrange, acc0, biasprm)
+
+
+@lru_cache(maxsize=2)
+def stepped(body, physics):
+    """Return scene, states, and what one step in MuJoCo C gives; the scene is stepped once."""
+    scene = compile_scene(BODY_TASKS[body], NUM_WORLDS, "cpu", physics, "mujoco")
+    states = States(scene.oracle, NUM_WORLDS)
+    load(scene, states)
+    mjw.step(scene.model, scene.data)
+    return scene, states, step_in_c(scene.oracle, states)
+
+
+@pytest.mark.parametrize("physics", PHYSICS)
+@pytest.mark.parametrize("body", BODY_TASKS)
+def test_one_step_equals_mujoco(body, physics):
+    scene, states, (force, activation, qvel) = stepped(body, physics)
+    ids = scene.muscles.actuator_id
+    error = np.abs(scene.data.actuator_force.numpy() - force)[:, ids] / peaks(scene.oracle)
+    assert error.max() <= ENGINE_FORCE
+    assert np.abs(force[:, ids] / peaks(scene.oracle)).max() > EFFECT * ENGINE_FORCE
+
+    assert np.abs(scene.muscles.activation.numpy() - activation).max() <= ACTIVATION
+    assert np.abs(states.activation - activation).max() > EFFECT * ACTIVATION
+
+    scale = np.abs(qvel - states.qvel).max()
+    assert np.abs(scene.data.qvel.numpy() - qvel).max() <= QVEL * scale
+
+
+@pytest.mark.parametrize("physics", PHYSICS)
+@pytest.mark.parametrize("body", BODY_TASKS)
+def test_kernel_equals_reference(body, physics):
+    scene, states, _ = stepped(body, physics)
+    model, ids = scene.oracle, scene.muscles.actuator_id
+    expected = force_from_path(
+        scene, states.activation, model.actuator_gainprm[ids], model.actuator_biasprm[ids]
+    )
+    error = np.abs(scene.data.actuator_force.numpy()[:, ids] - expected) / peaks(model)
+    assert error.max() <= KERNEL_FORCE
+
+
+@pytest.mark.parametrize("body", BODY_TASKS)
+def test_force_comes_from_the_callback(body):
+    scene = compile_scene(BODY_TASKS[body], 33, "cpu", "parity", "mujoco")
+    states = States(scene.oracle, 33)
+    force, _, _ = step_in_c(scene.oracle, states)
+    load(scene, states)
+    scene.model.actuator_biasprm.zero_()
+    scene.model.callback.control = None
+    mjw.forward(scene.model, scene.data)
+    difference = np.abs(scene.data.actuator_force.numpy() - force)[:, scene.muscles.actuator_id]
+    assert np.all(difference.max(axis=0) > EFFECT * ENGINE_FORCE * peaks(scene.oracle))
+
+
+@pytest.mark.parametrize("body", BODY_TASKS)
+def test_implicit_integrator_needs_the_force_slope(body):
+    """The same force without kv moves the velocity after one step by much more than the tolerance."""
+    scene = compile_scene(BODY_TASKS[body], 33, "cpu", "fast", "mujoco")
+    states = States(scene.oracle, 33)
+    _, _, qvel = step_in_c(scene.oracle, states)
+
+    def without_slope(model, data):
+        scene.muscles.launch(model, data)
+        bias = model.actuator_biasprm.numpy()
+        bias[..., 0] += bias[..., 2] * data.actuator_velocity.numpy()
+        bias[..., 2] = 0.0
+        model.actuator_biasprm.assign(bias)
+
+    load(scene, states)
+    scene.model.callback.control = without_slope
+    mjw.step(scene.model, scene.data)
+    scale = np.abs(qvel - states.qvel).max()
+    assert np.abs(scene.data.qvel.numpy() - qvel).max() > EFFECT * QVEL * scale
+
+
+GAIN_COLUMN = {"max_isometric_force": 2, "max_contraction_velocity": 6}
+BIAS_COLUMN = {"passive_peak_force": 2, "passive_multiplier": 7}
+VARIED = {**GAIN_COLUMN, **BIAS_COLUMN}
+
+
+@pytest.mark.parametrize("widened", [*VARIED, "all"])
+def test_parameters_of_each_world(widened):
+    """Any array may be (num_worlds, num_muscles) while others are (1, num_muscles)."""
+    num_worlds = 3
+    scene = compile_scene(BODY_TASKS["elbow"], num_worlds, "cpu", "parity", "mujoco")
+    model, ids, params = scene.oracle, scene.muscles.actuator_id, scene.muscles.params
+    states = States(model, num_worlds)
+    for values in vars(states).values():
+        values[:] = values[0]  # only the parameters differ
+    factor = np.array([1.0, 0.5, 0.8])[:, None]
+    gain = np.tile(model.actuator_gainprm[ids], (num_worlds, 1, 1))
+    bias = np.tile(model.actuator_biasprm[ids], (num_worlds, 1, 1))
+    if widened == "all":
+        for name in MujocoMuscleParams.vars:
+            array = getattr(params, name)
+            if array.ndim == 2:
+                wide = np.repeat(array.numpy(), num_worlds, axis=0)
+                setattr(params, name, wp.array(wide, dtype=array.dtype, device="cpu"))
+    for name in VARIED if widened == "all" else [widened]:
+        prm = gain if name in GAIN_COLUMN else bias
+        prm[..., VARIED[name]] *= factor
+        values = wp.array(prm[..., VARIED[name]], dtype=float, device="cpu")
+        setattr(params, name, values)
+    load(scene, states)
+    mjw.forward(scene.model, scene.data)
+    force = scene.data.actuator_force.numpy()[:, ids]
+    expected = force_from_path(scene, states.activation, gain, bias)
+    assert np.abs((force - expected) / peaks(model)).max() <= KERNEL_FORCE
+    difference = np.abs(expected[1:] - expected[0]) / peaks(model)
+    assert np.all(difference.max(axis=1) > EFFECT * KERNEL_FORCE)
+
+
+TINY = """
+<mujoco>
+  <option timestep="0.002"/>
+  <worldbody>
+    <body>
+      <joint name="hinge" axis="0 1 0" range="-1 1" limited="true"/>
+      <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <muscle joint="hinge" lengthrange="-0.5 0.5"/>
+    <muscle joint="hinge" lengthrange="-1 1" ctrllimited="true" ctrlrange="0.2 0.7" force="50"/>
+    <muscle joint="hinge" lengthrange="-0.7 1.2" tausmooth="0.4" timeconst="0.02 0.06"
+            range="0.6 1.2" lmin="0.4" lmax="1.5" vmax="3" fpmax="0.9" fvmax="1.5"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def test_options_of_a_muscle():
+    """Force from scale and acc0, no or a narrow ctrlrange, smooth switch: as MuJoCo C."""
+    model = mujoco.MjModel.from_xml_string(TINY)
+    num_worlds = 101
+    states = States(model, num_worlds)
+    states.ctrl = np.float32(np.random.default_rng(1).uniform(-0.5, 1.5, states.ctrl.shape))
+    expected_force, expected_activation, _ = step_in_c(model, states)
+    with wp.ScopedDevice("cpu"):
+        muscles = MujocoMuscle(model, num_worlds)
+        engine = mjw.put_model(model, batch_sizes={"actuator_biasprm": num_worlds})
+        data = mjw.make_data(model, nworld=num_worlds)
+        muscles.activation.assign(states.activation)
+        data.ctrl.assign(states.ctrl)
+        data.actuator_length.assign(np.repeat(states.qpos, 3, axis=1))
+        data.actuator_velocity.assign(np.repeat(states.qvel, 3, axis=1))
+        muscles.launch(engine, data)
+    bias = engine.actuator_biasprm.numpy()
+    force = bias[..., 0] + bias[..., 2] * data.actuator_velocity.numpy()
+    assert np.abs((force - expected_force) / peaks(model)).max() <= KERNEL_FORCE
+    assert np.abs(muscles.activation.numpy() - expected_activation).max() <= ACTIVATION
+
+
+@pytest.mark.parametrize("muscle", MUSCLES)
+@pytest.mark.parametrize("body", BODY_TASKS)
+def test_every_model_pulls_and_resets_by_mask(body, muscle):
+    num_worlds = 33
+    scene = compile_scene(BODY_TASKS[body], num_worlds, "cpu", "parity", muscle)
+    states = States(scene.oracle, num_worlds)
+    for name in ("qpos", "qvel", "activation", "ctrl"):
+        getattr(states, name)[-1] = getattr(states, name)[0]
+    load(scene, states)
+    mjw.forward(scene.model, scene.data)
+    force = scene.data.actuator_force.numpy()[:, scene.muscles.actuator_id]
+    assert np.isfinite(scene.model.actuator_biasprm.numpy()).all()
+    assert np.all(force <= KERNEL_FORCE * peaks(scene.oracle))
+    assert np.all(force[0] == force[-1]), "the force depends on which world it is"
+
+    before = scene.muscles.activation.numpy().copy()  # numpy() is a view on the CPU
+    mask = np.arange(num_worlds) % 2 == 0
+    scene.muscles.reset(wp.array(mask, dtype=bool, device="cpu"))
+    after = scene.muscles.activation.numpy()
+    assert np.all(after[~mask] == before[~mask])
+    assert np.all(after[mask] == 0.0)
+    assert np.abs(before[mask]).max() > 0.1
