@@ -37,7 +37,7 @@ $(STAMP): pyproject.toml
 
 demo: setup ## Simulate 256 hands and write out/demo.mp4
 	@mkdir -p out
-	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v0 --num-worlds 256 --video out/demo.mp4
+	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --num-worlds 256 --video out/demo.mp4
 
 test: lint ## Check format, lint and types, then run the fast tests (what CI runs)
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST)

@@ -36,7 +36,9 @@ class Recording:
     """
 
     arrays: dict[str, list[np.ndarray]] = field(default_factory=dict)
-    frames: list[list[tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]]] = field(default_factory=list)
+    frames: list[list[tuple[np.ndarray, np.ndarray | None, dict[str, np.ndarray]]]] = field(
+        default_factory=list
+    )
 
     def add(self, **values: np.ndarray) -> None:
         """Append one step."""

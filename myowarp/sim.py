@@ -222,13 +222,14 @@ class Simulation:
             else:
                 wp.capture_launch(self._step_graph)
 
-    def look(self, world: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        """Return joint configuration (nq,), activations (num_muscles,) and goal markers of one world."""
-        return (
-            self.scene.data.qpos.numpy()[world].copy(),
-            self.scene.muscles.activation.numpy()[world].copy(),
-            self.program.goal_markers(world),
-        )
+    def look(self, world: int) -> tuple[np.ndarray, np.ndarray | None, dict[str, np.ndarray]]:
+        """Return what a picture of one world shows.
+
+        Returns:
+            Joint configuration (nq,), activations (num_muscles,) or None without muscles, goal markers.
+        """
+        activation = self.scene.muscles.activation.numpy()[world].copy() if self.scene.muscles.names else None
+        return self.scene.data.qpos.numpy()[world].copy(), activation, self.program.goal_markers(world)
 
     def reset(self, mask: np.ndarray | None = None, seeds: np.ndarray | None = None) -> None:
         """Start new episodes; their first observation is in `transition.obs`.

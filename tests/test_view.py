@@ -1,0 +1,125 @@
+"""Pictures show the state they are given; videos hold the frames; failures leave files alone."""
+
+import imageio_ffmpeg
+import mujoco
+import numpy as np
+import pytest
+
+from myowarp.scene import full_spec
+from myowarp.spec import TASKS
+from myowarp.view import look
+from myowarp.view.human import HumanViewer
+from myowarp.view.render import NoGraphicsError, WorldRenderer
+from myowarp.view.video import write_video
+
+SIZE = (160, 120)
+BODIES = {TASKS[key].body: key for key in TASKS}
+
+
+@pytest.fixture(scope="module", params=BODIES)
+def model(request):
+    return full_spec(TASKS[BODIES[request.param]]).compile()
+
+
+@pytest.fixture
+def renderer(model):
+    try:
+        with WorldRenderer(model, *SIZE) as opened:
+            yield opened
+    except NoGraphicsError as error:
+        pytest.skip(str(error))
+
+
+def middle(model):
+    qpos = model.qpos0.copy()
+    limited = np.flatnonzero(model.jnt_limited)
+    qpos[model.jnt_qposadr[limited]] = model.jnt_range[limited].mean(axis=1)
+    return qpos
+
+
+def test_picture_shows_pose_activation_and_target(model, renderer):
+    rest = renderer.frame(model.qpos0)
+    assert rest.shape == (SIZE[1], SIZE[0], 3)
+    assert rest.dtype == np.uint8
+    assert rest.std() > 5
+    np.testing.assert_array_equal(rest, renderer.frame(model.qpos0))
+    assert not np.array_equal(rest, renderer.frame(middle(model)))
+    calm, strained = (renderer.frame(model.qpos0, np.full(renderer.num_muscles, a)) for a in (0.0, 1.0))
+    redness = [
+        float(image[..., 0].astype(int).sum() - image[..., 2].astype(int).sum()) for image in (calm, strained)
+    ]
+    assert redness[1] > redness[0]
+    tip = look.tip_sites(model)
+    if tip:
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        marked = renderer.frame(
+            model.qpos0, sites={"anywhere": data.site_xpos[tip[0]] + (0, 0, 0.3 * renderer.radius)}
+        )
+        assert (marked != rest).any(axis=2).sum() > 20
+
+
+def test_grid_holds_the_tiles(model, renderer):
+    poses = np.stack([model.qpos0, middle(model), model.qpos0])
+    grid = renderer.frame_grid(poses, columns=2)
+    np.testing.assert_array_equal(grid[: SIZE[1], : SIZE[0]], renderer.frame(poses[0]))
+    np.testing.assert_array_equal(grid[: SIZE[1], -SIZE[0] :], renderer.frame(poses[1]))
+
+
+def test_unknown_camera_lists_the_known(model):
+    with pytest.raises(ValueError, match="camera 'nowhere' unknown; available: "):
+        WorldRenderer(model, *SIZE, camera="nowhere")
+
+
+def test_viewer_takes_worlds(model):
+    """Newton's null viewer accepts everything a window would draw."""
+    num_muscles = len(look.muscle_tendons(model))
+    with HumanViewer(model, backend="null") as viewer:
+        for time in (0.0, 0.1):
+            viewer.show(middle(model), np.linspace(0, 1, num_muscles), {"goal": np.zeros(3)}, time)
+        with pytest.raises(ValueError, match="qpos"):
+            viewer.show(np.zeros(model.nq + 1))
+
+
+def frames(count):
+    return [np.full((32, 48, 3), 20 * i, dtype=np.uint8) for i in range(count)]
+
+
+def test_video_holds_the_frames(tmp_path):
+    path = write_video(tmp_path / "a.mp4", iter(frames(9)), fps=25)
+    count, seconds = imageio_ffmpeg.count_frames_and_secs(str(path))
+    assert count == 9
+    assert seconds == pytest.approx(9 / 25, abs=0.02)
+    reader = imageio_ffmpeg.read_frames(str(path))
+    assert next(reader)["size"] == (48, 32)
+    brightness = [np.frombuffer(frame, np.uint8).mean() for frame in reader]
+    np.testing.assert_allclose(brightness, 20 * np.arange(9), atol=4)
+
+
+def test_broken_video_leaves_the_old_file(tmp_path):
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"old")
+
+    def failing():
+        yield from frames(3)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_video(path, failing(), fps=25)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("name", "images", "text"),
+    [
+        ("a.avi", frames(2), "path that ends in .mp4"),
+        ("no/such/a.mp4", frames(2), "existing folder"),
+        ("a.mp4", [], "at least one frame"),
+        ("a.mp4", [np.zeros((4, 4))], "uint8 frames"),
+    ],
+)
+def test_bad_video_is_refused(tmp_path, name, images, text):
+    with pytest.raises((ValueError, OSError), match=text):
+        write_video(tmp_path / name, images, fps=25)
+    assert not any(tmp_path.iterdir())
