@@ -54,6 +54,8 @@ class MyoWarpVectorEnv(VectorEnv):
     `step` or `reset` overwrites.
     """
 
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012 (Gymnasium's protocol)
+
     def __init__(
         self,
         task: str,
@@ -311,6 +313,8 @@ class MyoWarpEnv(gym.Env):
     Observation, reward and info are those of `MyoWarpVectorEnv` for one world. Truncation at the horizon is
     left to the `TimeLimit` wrapper that `gymnasium.make` adds.
     """
+
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012 (Gymnasium's protocol)
 
     def __init__(self, task: str, **options: Any) -> None:
         """Compile the task; options are those of `MyoWarpVectorEnv` that make sense for one world.

@@ -264,7 +264,7 @@ def film(
         images = (
             renderer.frame_grid(
                 np.stack([qpos for qpos, _, _ in worlds]),
-                np.stack([activation for _, activation, _ in worlds]) if env.muscle_names else None,
+                None if worlds[0][1] is None else np.array([activation for _, activation, _ in worlds]),
                 {name: np.stack([sites[name] for _, _, sites in worlds]) for name in worlds[0][2]},
                 columns=-(-len(worlds) // 2) if len(worlds) > 3 else None,
             )

@@ -56,7 +56,7 @@ def test_picture_shows_pose_activation_and_target(model, renderer):
         marked = renderer.frame(
             model.qpos0, sites={"anywhere": data.site_xpos[tip[0]] + (0, 0, 0.3 * renderer.radius)}
         )
-        assert (marked != rest).any(axis=2).sum() > 20
+        assert (marked != rest).any(axis=2).sum() > 5
 
 
 def test_grid_holds_the_tiles(model, renderer):
