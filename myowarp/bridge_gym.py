@@ -246,7 +246,7 @@ class MyoWarpVectorEnv(VectorEnv):
             return None, np.zeros(self.num_envs, dtype=bool)
         if isinstance(seed, (int, np.integer)):
             seed = [int(seed) + i for i in range(self.num_envs)]
-        seeds = list(seed)
+        seeds = list(seed) if np.iterable(seed) else self.num_envs * [seed]
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed must have one entry for each of {self.num_envs} worlds, got {len(seeds)}")
         if any(s is not None and (not isinstance(s, (int, np.integer)) or s < 0) for s in seeds):
@@ -286,12 +286,12 @@ class MyoWarpVectorEnv(VectorEnv):
         self._resetting = ended & (self._autoreset == AutoresetMode.NEXT_STEP)
         self._ended = ended & (self._autoreset == AutoresetMode.DISABLED)
         self._warn_of_faults(transition.fault.numpy())
-        info |= {f"_{key}": stepped for key in tuple(info)}
+        info |= {f"_{key}": stepped.copy() for key in tuple(info)}
         if same_step and ended.any():
             final = self._entries(self.sim.final)
             info["final_obs"] = self._give(self.sim.final.obs)
-            info["final_info"] = final | {f"_{key}": ended for key in final}
-            info["_final_obs"] = info["_final_info"] = ended
+            info["final_info"] = final | {f"_{key}": ended.copy() for key in final}
+            info |= {"_final_obs": ended.copy(), "_final_info": ended.copy()}
         return info
 
     def _warn_of_faults(self, fault: np.ndarray) -> None:
@@ -320,7 +320,8 @@ class MyoWarpEnv(gym.Env):
         """Compile the task; options are those of `MyoWarpVectorEnv` that make sense for one world.
 
         Raises:
-            ValueError: An option is unknown or out of its range.
+            TypeError: An option is unknown.
+            ValueError: An option is out of its range, or makes sense for many worlds only.
         """
         for option in ("num_envs", "autoreset_mode", "output", "copy", "max_episode_steps"):
             if option in options:
@@ -378,8 +379,10 @@ def _require(name: str, value: object, choices: Sequence[object]) -> None:
 
 def _autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:
     """Return Gymnasium's enum member for a mode or its name."""
-    named = {m.value.lower(): m for m in AutoresetMode} | {v: k for k, v in AUTORESET_NAMES.items()}
-    key = mode.value.lower() if isinstance(mode, AutoresetMode) else str(mode).lower()
+    if isinstance(mode, AutoresetMode):
+        return mode
+    named = {name: m for m, name in AUTORESET_NAMES.items()}
+    key = {m.value.lower(): name for m, name in AUTORESET_NAMES.items()}.get(str(mode).lower(), mode)
     _require("autoreset_mode", key, tuple(named))
     return named[key]
 

@@ -118,6 +118,9 @@ class Rollout:
         for name, number in (("steps", steps), ("video-worlds", self.video_worlds)):
             if number < 1:
                 raise ValueError(f"--{name} must be at least 1, got {number}")
+        if self.seed < 0:
+            raise ValueError(f"--seed must be at least 0, got {self.seed}")
+        rollout.find_policy(self.policy)
         rollout.check_output(self.save, ".npz")
         rollout.check_output(self.video, ".mp4")
         console = Console(stderr=True)
@@ -137,10 +140,10 @@ class Rollout:
             filmed=min(self.video_worlds, self.num_worlds) if self.video else 0,
             console=console,
         )
+        _report(dataclasses.asdict(summary), self.json)
         if self.save:
             rollout.save_recording(self.save, env, recording)
             console.print(f"Saved {self.save}")
-        _report(dataclasses.asdict(summary), self.json)
         if self.video:
             try:
                 rollout.film(self.video, env, recording, TILE, console)

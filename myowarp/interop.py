@@ -46,16 +46,17 @@ def checked_action(actions: Any, shape: tuple[int, ...]) -> Any:
         return actions
     if hasattr(actions, "detach"):
         tensor = actions.detach()
+        _check(str(tensor.dtype), tensor.is_floating_point(), tuple(tensor.shape), shape)
+        tensor = tensor.float().contiguous()
         if tensor.device.type != "cpu":
-            _check(str(tensor.dtype), tensor.is_floating_point(), tuple(tensor.shape), shape)
-            return wp.from_torch(tensor.float().contiguous())
+            return wp.from_torch(tensor)
         actions = tensor.numpy()
     host = np.asarray(actions)
     _check(str(host.dtype), np.issubdtype(host.dtype, np.floating), host.shape, shape)
     if not np.isfinite(host).all():
         worlds = np.flatnonzero(~np.isfinite(host).all(axis=1)).tolist()
         raise ValueError(f"actions must be finite, got NaN or infinity for worlds {worlds}")
-    return np.ascontiguousarray(host, dtype=np.float32)
+    return np.ascontiguousarray(np.clip(host, -1.0, 1.0), dtype=np.float32)
 
 
 def _check(dtype: str, floating: bool, got: tuple[int, ...], required: tuple[int, ...]) -> None:

@@ -24,6 +24,7 @@ from myowarp.view.render import WorldRenderer
 from myowarp.view.video import write_video
 
 Policy = Callable[[np.ndarray], np.ndarray]
+BUILT_IN = ("random", "zero")
 
 
 @dataclass
@@ -64,27 +65,26 @@ class Summary:
     faults: int
 
 
-def find_policy(name: str, env: MyoWarpVectorEnv, seed: int) -> Policy:
-    """Return a policy by name.
+class PolicyError(Exception):
+    """A user's policy raised; the cause says where."""
+
+
+def find_policy(name: str) -> Policy | None:
+    """Return a user's policy by name, None for the built-in ones.
 
     Args:
         name: "random", "zero", "package.module:function" or "file.py:function".
-        env: Environment that it will act in.
-        seed: Seed of the random policy.
 
     Raises:
         ValueError: No such policy.
     """
-    shape = (env.num_envs, env.sim.action.shape[1])
-    if name == "zero":
-        return lambda obs: np.zeros(shape, dtype=np.float32)
-    if name == "random":
-        rng = np.random.default_rng(seed)
-        return lambda obs: rng.uniform(-1.0, 1.0, shape).astype(np.float32)
+    if name in BUILT_IN:
+        return None
     source, colon, attribute = name.rpartition(":")
     if not colon:
         raise ValueError(
-            f"policy {name!r} unknown; available: random, zero, package.module:function, file.py:function"
+            f"policy {name!r} unknown; available: {', '.join(BUILT_IN)}, package.module:function, "
+            "file.py:function"
         )
     try:
         if source.endswith(".py"):
@@ -99,6 +99,23 @@ def find_policy(name: str, env: MyoWarpVectorEnv, seed: int) -> Policy:
             f"policy {name!r} must be a function of the observations, got {type(policy).__name__}"
         )
     return policy
+
+
+def _acting(name: str, policy: Policy | None, shape: tuple[int, ...], seed: int) -> Policy:
+    """Return the function that acts: the user's, with its errors marked as such, or a built-in one."""
+    if policy is not None:
+
+        def guarded(obs: np.ndarray) -> np.ndarray:
+            try:
+                return policy(obs)
+            except (ValueError, OSError, RuntimeError, ImportError) as error:
+                raise PolicyError(f"policy {name!r} failed") from error
+
+        return guarded
+    if name == "zero":
+        return lambda obs: np.zeros(shape, dtype=np.float32)
+    rng = np.random.default_rng(seed)
+    return lambda obs: rng.uniform(-1.0, 1.0, shape).astype(np.float32)
 
 
 def check_output(path: Path | None, suffix: str) -> None:
@@ -142,14 +159,14 @@ def run(
     Raises:
         ValueError: No such policy, or it returned actions of a wrong shape or value.
     """
-    act = find_policy(policy, env, seed)
+    act = _acting(policy, find_policy(policy), env.sim.action.shape, seed)
     recording, tally = Recording(), _Tally(env.num_envs)
     obs, _ = env.reset(seed=seed)
     seconds = 0.0
     with _bar("Simulating", "steps  {task.fields[rate]:>9,.0f} env steps/s", console) as bar:
         task = bar.add_task("", total=steps, rate=0.0)
         for step in range(1, steps + 1):
-            actions = np.asarray(act(obs))
+            actions = np.array(act(obs.copy() if record else obs))  # a policy may reuse its arrays
             begin = time.perf_counter()
             next_obs, reward, terminated, truncated, info = env.step(actions)
             seconds += time.perf_counter() - begin
@@ -231,11 +248,13 @@ def save_recording(path: Path, env: MyoWarpVectorEnv, recording: Recording) -> N
     arrays |= {"control_dt": np.array(env.sim.scene.control_dt)}
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as scratch:
         try:
-            np.savez_compressed(scratch, allow_pickle=False, **arrays)
+            np.savez_compressed(scratch, **arrays)  # type: ignore[arg-type]
         except BaseException:
             Path(scratch.name).unlink()
             raise
-    Path(scratch.name).chmod(0o644)
+    mask = os.umask(0)
+    os.umask(mask)
+    Path(scratch.name).chmod(0o666 & ~mask)
     Path(scratch.name).replace(path)
 
 

@@ -128,6 +128,22 @@ def oracle_model(spec: TaskSpec) -> mujoco.MjModel:
     return _cached_model(spec, slim_model)
 
 
+def checked_num_worlds(num_worlds: int) -> int:
+    """Return the number of worlds as a plain integer.
+
+    Raises:
+        ValueError: It is no positive integer.
+    """
+    if isinstance(num_worlds, bool) or not isinstance(num_worlds, (int, np.integer)) or num_worlds < 1:
+        raise ValueError(f"num_envs must be a positive integer, got {num_worlds!r}")
+    return int(num_worlds)
+
+
+def actuator_kinds(model: mujoco.MjModel) -> np.ndarray:
+    """Return MUSCLE or MOTOR for each actuator, shape (nu,)."""
+    return np.where(model.actuator_dyntype == mujoco.mjtDyn.mjDYN_MUSCLE, int(MUSCLE), int(MOTOR))
+
+
 def compile_scene(
     spec: TaskSpec,
     num_worlds: int,
@@ -147,8 +163,7 @@ def compile_scene(
     Raises:
         ValueError: An argument is out of its range, or the device does not exist.
     """
-    if isinstance(num_worlds, bool) or not isinstance(num_worlds, (int, np.integer)) or num_worlds < 1:
-        raise ValueError(f"num_envs must be a positive integer, got {num_worlds!r}")
+    num_worlds = checked_num_worlds(num_worlds)
     if physics not in PHYSICS:
         raise ValueError(f"physics {physics!r} unknown; available: {', '.join(PHYSICS)}")
     muscle_class = MUSCLES[muscle]
@@ -161,9 +176,12 @@ def compile_scene(
     for host in (oracle, stepped):
         host.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{preset.integrator}")
         host.opt.timestep = spec.control_dt / num_substeps
-    capacity = calibrate(oracle)
+    start = spec.start(oracle)
+    capacity = calibrate(oracle, start)
     with wp.ScopedDevice(where):
-        model = mjw.put_model(stepped, batch_sizes={"actuator_biasprm": num_worlds})
+        model = mjw.put_model(
+            stepped, batch_sizes=dict.fromkeys(("actuator_biasprm", *spec.batched), num_worlds)
+        )
         model.opt.warn_overflow = False
         data = mjw.make_data(stepped, nworld=num_worlds, nconmax=capacity.contacts, njmax=capacity.rows)
         muscles = muscle_class(oracle, num_worlds)
@@ -171,19 +189,17 @@ def compile_scene(
         keys = RandomKeys()
         keys.seed = wp.zeros(num_worlds, dtype=wp.int32)
         keys.episode = wp.zeros(num_worlds, dtype=wp.int32)
-        kind = np.full(oracle.nu, int(MOTOR), dtype=np.int32)
-        kind[muscles.actuator_id] = int(MUSCLE)
         return Scene(
             spec=spec,
-            num_worlds=int(num_worlds),
+            num_worlds=num_worlds,
             num_substeps=num_substeps,
             oracle=oracle,
             model=model,
             data=data,
             muscles=muscles,
             keys=keys,
-            qpos_start=wp.array(oracle.qpos0, dtype=float),
-            actuator_kind=wp.array(kind, dtype=int),
+            qpos_start=wp.array(start, dtype=float),
+            actuator_kind=wp.array(actuator_kinds(oracle), dtype=int),
             capacity=capacity,
             device=where,
         )

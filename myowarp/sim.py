@@ -84,7 +84,7 @@ class Simulation:
         if autoreset not in AUTORESET:
             raise ValueError(f"autoreset {autoreset!r} unknown; available: {', '.join(AUTORESET)}")
         horizon = spec.horizon if horizon is None else horizon
-        if isinstance(horizon, bool) or not isinstance(horizon, int) or horizon < 1:
+        if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 1:
             raise ValueError(f"max_episode_steps must be a positive integer, got {horizon!r}")
         self.autoreset = AUTORESET[autoreset]
         with quiet():

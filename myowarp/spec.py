@@ -131,6 +131,15 @@ class TaskSpec(abc.ABC):
     def sites(self) -> tuple[str, ...]:
         """Names of the sites that the task reads; they survive slimming."""
 
+    @property
+    def batched(self) -> tuple[str, ...]:
+        """Names of the model's fields that the task sets per world."""
+        return ()
+
+    def start(self, model: mujoco.MjModel) -> np.ndarray:
+        """Return the configuration from which episodes start, shape (nq,)."""
+        return model.qpos0.copy()
+
     @abc.abstractmethod
     def edit(self, spec: mujoco.MjSpec) -> None:
         """Add what the task puts into the scene to the body's `MjSpec`, in place."""

@@ -183,21 +183,20 @@ def keep_final(
 ):
     """Copy what a finished episode ended with, and clear what its reset in the same step voids.
 
-    The fault stays visible in the transition.
+    Rows of other worlds become 0. The fault stays visible in the transition.
     """
     worldid = wp.tid()
-    if not (transition.terminated[worldid] or transition.truncated[worldid]):
-        return
+    ended = transition.terminated[worldid] or transition.truncated[worldid]
     for i in range(transition.obs.shape[1]):
-        final.obs[worldid, i] = transition.obs[worldid, i]
+        final.obs[worldid, i] = wp.where(ended, transition.obs[worldid, i], 0.0)
     for k in range(transition.terms.shape[1]):
-        final.terms[worldid, k] = transition.terms[worldid, k]
-        transition.terms[worldid, k] = 0.0
-    final.solved[worldid] = transition.solved[worldid]
-    final.success[worldid] = transition.success[worldid]
-    final.fault[worldid] = transition.fault[worldid]
-    transition.solved[worldid] = False
-    transition.success[worldid] = False
+        final.terms[worldid, k] = wp.where(ended, transition.terms[worldid, k], 0.0)
+        transition.terms[worldid, k] = wp.where(ended, 0.0, transition.terms[worldid, k])
+    final.solved[worldid] = ended and transition.solved[worldid]
+    final.success[worldid] = ended and transition.success[worldid]
+    final.fault[worldid] = wp.where(ended, transition.fault[worldid], 0)
+    transition.solved[worldid] = transition.solved[worldid] and not ended
+    transition.success[worldid] = transition.success[worldid] and not ended
 
 
 @wp.kernel(enable_backward=False)

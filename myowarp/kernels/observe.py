@@ -8,11 +8,25 @@ import warp as wp
 
 
 @wp.func
+def pack_range(
+    obs: wp.array2d[float],
+    worldid: int,
+    column: int,
+    values: wp.array2d[float],
+    first: int,
+    count: int,
+    scale: float,
+) -> int:
+    """Write `scale * values[worldid, first : first + count]`."""
+    for i in range(count):
+        obs[worldid, column + i] = scale * values[worldid, first + i]
+    return column + count
+
+
+@wp.func
 def pack(obs: wp.array2d[float], worldid: int, column: int, values: wp.array2d[float], scale: float) -> int:
     """Write `scale * values[worldid]`."""
-    for i in range(values.shape[1]):
-        obs[worldid, column + i] = scale * values[worldid, i]
-    return column + values.shape[1]
+    return pack_range(obs, worldid, column, values, 0, values.shape[1], scale)
 
 
 @wp.func

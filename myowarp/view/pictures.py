@@ -21,7 +21,12 @@ class Pictures:
         Args:
             size: Width and height of a picture [px].
             camera: Name of a camera of the model; None frames the limb.
+
+        Raises:
+            ValueError: The size is not two positive integers.
         """
+        if len(size) != 2 or any(not isinstance(side, int) or side < 1 for side in size):
+            raise ValueError(f"render_size must be two positive integers, width and height, got {size!r}")
         self._size, self._camera = size, camera
         self._renderer: WorldRenderer | None = None
         self._viewer: HumanViewer | None = None

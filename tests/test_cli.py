@@ -1,0 +1,374 @@
+"""The command line: what it prints, what it writes, and how it says no."""
+
+import json
+import os
+import subprocess
+import sys
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+
+from myowarp import cli
+from myowarp.spec import TASKS
+from myowarp.view.render import NoGraphicsError, WorldRenderer
+
+ELBOW = "myoElbowPose1D6MRandom-v0"
+SCENES = sorted({TASKS[key].scene_key: key for key in TASKS}.values())
+COLUMNS = ["qpos[0]", "qvel[0]", "pose_err[0]", *(f"act[{i}]" for i in range(6))]
+MUSCLES = ["TRIlong", "TRIlat", "TRImed", "BIClong", "BICshort", "BRA"]
+PENDULUM = '<mujoco><worldbody><body><joint type="hinge"/><geom size=".1"/></body></worldbody></mujoco>'
+POLICY = """
+import numpy as np
+
+gains = np.linspace(-1.0, 1.0, 6)
+
+def act(obs):
+    return np.tanh(obs[:, 2:3] * gains)
+"""
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command in this process; return exit status, output and error stream."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["myowarp", *map(str, arguments)])
+        status = 0
+        try:
+            cli.main()
+        except SystemExit as exit_:
+            status = exit_.code
+        return status, *capsys.readouterr()
+
+    return call
+
+
+@pytest.fixture
+def rollout(run):
+    """Roll out a few elbows; return the figures printed as JSON and the error stream."""
+
+    def call(*arguments, worlds=3, device="cpu"):
+        status, out, err = run(
+            "rollout", ELBOW, "--num-worlds", worlds, "--device", device, "--json", *arguments
+        )
+        assert status == 0, err
+        return json.loads(out), err
+
+    return call
+
+
+@pytest.fixture
+def no_simulation(monkeypatch):
+    """Whoever builds a simulation fails."""
+
+    def refuse(*args, **options):
+        pytest.fail("a simulation was built")
+
+    monkeypatch.setattr("myowarp.bridge_gym.MyoWarpVectorEnv.__init__", refuse)
+
+
+def direct(policy, num_steps, seed, worlds=3):
+    """Roll out through Gymnasium; return what a recording should hold, and the successes of what ended."""
+    env = gym.make_vec(f"MyoWarp/{ELBOW}", num_envs=worlds, device="cpu", autoreset_mode="same_step")
+    rows = {name: [] for name in ("obs", "action", "reward", "terminated", "truncated")}
+    obs, _ = env.reset(seed=seed)
+    successes = []
+    for _ in range(num_steps):
+        action = policy(obs)
+        after, reward, terminated, truncated, info = env.step(action)
+        for name, value in zip(rows, (obs, action, reward, terminated, truncated), strict=True):
+            rows[name].append(value)
+        obs = after
+        if "final_info" in info:
+            successes += info["final_info"]["success"][info["_final_info"]].tolist()
+    return {name: np.stack(values) for name, values in rows.items()}, successes
+
+
+def user_policy(obs):
+    return np.tanh(obs[:, 2:3] * np.linspace(-1.0, 1.0, 6))
+
+
+def assert_recorded(path, expected):
+    with np.load(path) as saved:
+        assert set(saved.files) == {*expected, "columns", "muscles", "control_dt"}
+        for name, values in expected.items():
+            np.testing.assert_array_equal(saved[name], values, err_msg=name)
+            assert saved[name].shape[:2] == (len(values), 3)
+        assert saved["columns"].tolist() == COLUMNS
+        assert saved["muscles"].tolist() == MUSCLES
+        assert saved["control_dt"] == 0.02
+
+
+def test_tasks_prints_every_id(run):
+    status, out, _ = run("tasks")
+    assert status == 0
+    assert f"{len(TASKS)} tasks" in out
+    printed = {line.split("│")[1].strip() for line in out.splitlines() if line.startswith("│")}
+    assert set(TASKS) <= printed
+
+
+def test_tasks_of_a_family(run):
+    _, out, _ = run("tasks", "--family", "reach", "--json")
+    ids = [row["id"].removeprefix("MyoWarp/") for row in json.loads(out)]
+    assert ids == [key for key in TASKS if TASKS[key].family == "reach"]
+    assert 0 < len(ids) < len(TASKS)
+
+
+def test_tasks_as_json_is_what_the_environments_are(run):
+    _, out, _ = run("tasks", "--json")
+    rows = {row["id"]: row for row in json.loads(out)}
+    assert list(rows) == [TASKS[key].env_id for key in TASKS]
+    for key in SCENES:
+        env, row = gym.make(TASKS[key].env_id, device="cpu"), rows[TASKS[key].env_id]
+        assert (row["obs"],) == env.observation_space.shape
+        assert (row["act"],) == env.action_space.shape
+        assert row["muscles"] == len(env.unwrapped.muscle_names)
+        assert row["horizon"] == env.spec.max_episode_steps
+        assert row["control_dt"] == pytest.approx(1 / env.metadata["render_fps"])
+        assert (row["family"], row["body"]) == (TASKS[key].family, TASKS[key].body)
+        assert row["doc"] == TASKS[key].doc
+
+
+def test_rollout_of_one_episode(rollout, tmp_path):
+    """Figures and file agree with each other and with a rollout through Gymnasium."""
+    path = tmp_path / "zero.npz"
+    figures, err = rollout("--policy", "zero", "--save", path, "--seed", 3)
+    expected, successes = direct(lambda obs: np.zeros((3, 6), np.float32), 100, seed=3)
+    assert_recorded(path, expected)
+    assert expected["truncated"].sum() == 3
+    assert "Saved" in err
+    returns = expected["reward"].astype(float).sum(axis=0)
+    rates = {name: figures.pop(name) for name in ("env_steps_per_s", "physics_steps_per_s")}
+    assert rates["env_steps_per_s"] > 0
+    assert rates["physics_steps_per_s"] == pytest.approx(10 * rates["env_steps_per_s"])
+    assert figures.pop("return_mean") == pytest.approx(returns.mean())
+    assert figures.pop("return_std") == pytest.approx(returns.std())
+    assert figures.pop("success_percent") == pytest.approx(100 * np.mean(successes))
+    assert figures == {
+        "task": f"MyoWarp/{ELBOW}",
+        "policy": "zero",
+        "device": "cpu",
+        "num_worlds": 3,
+        "steps": 100,
+        "episodes": 3,
+        "faults": 0,
+    }
+
+
+def test_random_rollout_repeats(rollout, tmp_path):
+    files = [tmp_path / f"{name}.npz" for name in ("first", "again", "other")]
+    for path, seed in zip(files, (5, 5, 6), strict=True):
+        figures, _ = rollout("--steps", 12, "--seed", seed, "--save", path)
+        assert figures["policy"] == "random"
+        assert (figures["steps"], figures["episodes"], figures["return_mean"]) == (12, 0, None)
+    first, again, other = (dict(np.load(path)) for path in files)
+    assert set(first) == set(again)
+    for name in first:
+        np.testing.assert_array_equal(first[name], again[name])
+    assert not np.array_equal(first["action"], other["action"])
+    assert not np.array_equal(first["obs"][0], other["obs"][0])
+    assert first["action"].dtype == np.float32
+    assert -1.0 <= first["action"].min() < -0.9 < 0.9 < first["action"].max() <= 1.0
+    actions = iter(first["action"])
+    assert_recorded(files[0], direct(lambda obs: next(actions), 12, seed=5)[0])
+
+
+@pytest.mark.parametrize("kind", ["file", "module"])
+def test_policy_of_the_user(rollout, tmp_path, monkeypatch, kind):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    package = tmp_path / "policies_of_test_cli"
+    package.mkdir()
+    (package / "reach.py").write_text(POLICY)
+    name = {"file": f"{package.name}/reach.py:act", "module": f"{package.name}.reach:act"}[kind]
+    rollout("--policy", name, "--steps", 9, "--seed", 2, "--save", "data.npz")
+    assert_recorded("data.npz", direct(user_policy, 9, seed=2)[0])
+
+
+def test_fast_physics_takes_fewer_steps(rollout):
+    figures, _ = rollout("--physics", "fast", "--steps", 2)
+    assert figures["physics_steps_per_s"] == pytest.approx(5 * figures["env_steps_per_s"])
+
+
+def test_figures_as_a_table(run):
+    status, out, err = run("rollout", f"MyoWarp/{ELBOW}", "--num-worlds", 2, "--steps", 2, "--device", "cpu")
+    assert status == 0, err
+    assert out.startswith(f"MyoWarp/{ELBOW}\n")
+    cells = [[cell.strip() for cell in line.split("│")[1:3]] for line in out.splitlines() if "│" in line]
+    table = dict(cells)
+    assert table["policy"] == "random"
+    assert (table["num worlds"], table["steps"], table["episodes"]) == ("2", "2", "0")
+    assert {"env steps/s", "physics steps/s"} <= set(table)
+    assert "return mean" not in table
+
+
+BAD = {
+    "unknown family": (["tasks", "--family", "walk"], "family 'walk' unknown; available: "),
+    "unknown task": (["rollout", "myoElbowPose1D6MRandm-v0"], f"unknown; did you mean {ELBOW}, "),
+    "unknown task to warm up": (["warmup", "myoElbowPose1D6MRandm-v0"], f"unknown; did you mean {ELBOW}, "),
+    "no steps": (["rollout", ELBOW, "--steps", "0"], "--steps must be at least 1, got 0"),
+    "no filmed worlds": (
+        ["rollout", ELBOW, "--video-worlds", "-1"],
+        "--video-worlds must be at least 1, got -1",
+    ),
+    "wrong suffix": (["rollout", ELBOW, "--save", "data.csv"], "output 'data.csv' must end in .npz"),
+    "wrong video": (["rollout", ELBOW, "--video", "film.gif"], "output 'film.gif' must end in .mp4"),
+    "no folder": (
+        ["rollout", ELBOW, "--save", "none/data.npz"],
+        "output 'none/data.npz' cannot be written; its folder must exist and be writable",
+    ),
+    "a folder": (
+        ["rollout", ELBOW, "--video", "folder.mp4"],
+        "output 'folder.mp4' cannot be written; its folder must exist and be writable",
+    ),
+    "no permission": (
+        ["rollout", ELBOW, "--save", "locked/data.npz"],
+        "output 'locked/data.npz' cannot be written; its folder must exist and be writable",
+    ),
+}
+BAD_LATER = {
+    "no worlds": (["--num-worlds", "0"], "num_envs must be a positive integer, got 0"),
+    "no such device": (["--device", "cuda:77"], "device 'cuda:77' is not available; available: "),
+    "no such physics": (["--physics", "exact"], "physics 'exact' unknown; available: parity, fast"),
+    "negative seed": (["--seed", "-1"], "seed"),
+    "no such policy": (
+        ["--policy", "best"],
+        "policy 'best' unknown; available: random, zero, package.module:function, file.py:function",
+    ),
+    "no such file": (["--policy", "none.py:act"], "policy 'none.py:act' not found (FileNotFoundError: "),
+    "no such module": (["--policy", "none:act"], "policy 'none:act' not found (ModuleNotFoundError: "),
+    "no such function": (["--policy", "math:act"], "policy 'math:act' not found (AttributeError: "),
+    "no function in file": (["--policy", "policy.py:none"], "policy 'policy.py:none' not found (KeyError: "),
+    "no function": (["--policy", "math:pi"], "must be a function of the observations, got float"),
+    "wrong actions": (
+        ["--policy", "policy.py:narrow"],
+        "actions must be floating point of shape (2, 6), got float64 of shape (2, 5)",
+    ),
+}
+
+
+def assert_one_sentence(result, sentence):
+    status, out, err = result
+    assert status == 2
+    assert out == ""
+    assert "Traceback" not in err
+    said = [line for line in err.splitlines() if line.startswith("myowarp: ")]
+    assert len(said) == 1
+    assert sentence in said[0]
+    assert err.rstrip().endswith(said[0].rstrip())
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_refusal_before_any_simulation(run, no_simulation, monkeypatch, tmp_path, case):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder.mp4").mkdir()
+    (tmp_path / "locked").mkdir()
+    access = os.access
+    monkeypatch.setattr("os.access", lambda path, mode: "locked" not in str(path) and access(path, mode))
+    arguments, sentence = BAD[case]
+    assert_one_sentence(run(*arguments), sentence)
+
+
+@pytest.mark.parametrize("case", BAD_LATER)
+def test_refusal(run, monkeypatch, tmp_path, case):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "policy.py").write_text(
+        "import numpy as np\n\nnarrow = lambda obs: np.zeros((len(obs), 5))\n"
+    )
+    arguments, sentence = BAD_LATER[case]
+    arguments = [*([] if "--num-worlds" in arguments else ["--num-worlds", "2"]), *arguments]
+    arguments = [*([] if "--device" in arguments else ["--device", "cpu"]), *arguments]
+    assert_one_sentence(run("rollout", ELBOW, *arguments, "--save", "data.npz"), sentence)
+    assert not (tmp_path / "data.npz").exists()
+
+
+@pytest.mark.parametrize("arguments", [["bogus"], ["rollout"], ["rollout", ELBOW, "--steps", "many"]])
+def test_wrong_usage(run, no_simulation, arguments):
+    status, _, err = run(*arguments)
+    assert status == 2
+    assert "Traceback" not in err
+    assert "myowarp" in err
+
+
+def test_warmup_builds_each_scene_once(run, monkeypatch):
+    built = []
+    monkeypatch.setattr("myowarp.sim.Simulation", lambda *args, **options: built.append((*args, options)))
+    assert run("warmup", "--device", "cpu", "--physics", "fast")[0] == 0
+    assert sorted(spec.scene_key for spec, *_ in built) == sorted(TASKS[key].scene_key for key in SCENES)
+    assert all(options == {"device": "cpu", "physics": "fast"} for *_, options in built)
+
+
+def test_warmup_runs(run):
+    status, _, err = run("warmup", ELBOW, "MyoWarp/myoElbowPose1D6MFixed-v0", "--device", "cpu")
+    assert status == 0
+    assert err.count("pose with elbow") == 1
+    assert "hand" not in err
+
+
+@pytest.fixture(scope="module")
+def graphics():
+    try:
+        WorldRenderer(mujoco.MjModel.from_xml_string(PENDULUM), 16, 16).close()
+    except NoGraphicsError as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.usefixtures("graphics")
+def test_video(rollout, tmp_path):
+    """Two of three worlds side by side, a frame a step."""
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    path = tmp_path / "film.mp4"
+    _, err = rollout("--video", path, "--video-worlds", 2, "--steps", 4, "--policy", "zero")
+    assert "Saved" in err
+    assert [file.name for file in tmp_path.iterdir()] == ["film.mp4"]
+    reader = imageio_ffmpeg.read_frames(path)
+    about = next(reader)
+    frames = [np.frombuffer(frame, dtype=np.uint8).reshape(240, 642, 3) for frame in reader]
+    assert about["size"] == (642, 240)
+    assert about["fps"] == 50
+    assert len(frames) == 4
+    assert not np.array_equal(frames[0], frames[-1])
+    assert frames[0][:, :320].std() > 1
+    assert frames[0][:, 322:].std() > 1
+
+
+def test_rollout_without_graphics(rollout, monkeypatch, tmp_path):
+    """No OpenGL: data and figures come all the same, and what to install is said."""
+
+    def no_renderer(*args, **options):
+        raise RuntimeError("no EGL device")
+
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    monkeypatch.setattr(mujoco, "Renderer", no_renderer)
+    video, data = tmp_path / "film.mp4", tmp_path / "data.npz"
+    figures, err = rollout("--video", video, "--save", data, "--steps", 2, "--policy", "zero")
+    assert figures["steps"] == 2
+    assert "No video: drawing needs OpenGL" in err
+    assert "apt-get install libegl1 libgl1" in " ".join(err.split())
+    assert [file.name for file in tmp_path.iterdir()] == ["data.npz"]
+
+
+def shell(*arguments, cwd, **environment):
+    command = [sys.executable, "-m", "myowarp.cli", *arguments]
+    return subprocess.run(
+        command, cwd=cwd, env=os.environ | environment, capture_output=True, text=True, check=False
+    )
+
+
+def test_command_in_a_process_of_its_own(tmp_path):
+    """The output is JSON and nothing else, also where drawing was switched off."""
+    arguments = ("rollout", ELBOW, "--num-worlds", "2", "--steps", "3", "--device", "cpu", "--json")
+    done = shell(*arguments, "--video", "film.mp4", cwd=tmp_path, MUJOCO_GL="disable")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["steps"] == 3
+    assert "No video: drawing needs OpenGL, got MUJOCO_GL=disable" in done.stderr
+    assert not any(tmp_path.iterdir())
+
+
+def test_error_of_a_process_of_its_own(tmp_path):
+    done = shell("rollout", ELBOW, "--device", "cuda:77", cwd=tmp_path)
+    result = (done.returncode, done.stdout, done.stderr)
+    assert_one_sentence(result, "device 'cuda:77' is not available; available: ")

@@ -1,0 +1,98 @@
+"""Recordings: what a policy does with its arrays, and a disk that fails."""
+
+import numpy as np
+import pytest
+
+from myowarp import rollout
+from myowarp.bridge_gym import MyoWarpVectorEnv
+
+TASK = "myoElbowPose1D6MRandom-v0"
+
+
+@pytest.fixture(scope="module")
+def env():
+    return MyoWarpVectorEnv(TASK, 2, device="cpu", autoreset_mode="same_step", max_episode_steps=4)
+
+
+def record(env, monkeypatch, policy, steps=6, **options):
+    monkeypatch.setattr(rollout, "find_policy", lambda *args: policy)
+    return rollout.run(env, "mine", steps, 0, record=True, **options)
+
+
+def growing(reuse):
+    """Policy whose action grows from step to step, in new arrays or in one that it overwrites."""
+    buffer, step = np.zeros((2, 6), dtype=np.float32), 0
+
+    def act(obs):
+        nonlocal step, buffer
+        step += 1
+        buffer = buffer if reuse else buffer.copy()
+        buffer[:] = 0.1 * step
+        return buffer
+
+    return act
+
+
+def test_policy_may_reuse_its_array(env, monkeypatch):
+    _, expected = record(env, monkeypatch, growing(reuse=False))
+    _, got = record(env, monkeypatch, growing(reuse=True))
+    for name, steps in expected.arrays.items():
+        np.testing.assert_array_equal(np.stack(got.arrays[name]), np.stack(steps), err_msg=name)
+    assert len(np.unique(np.stack(expected.arrays["action"]))) == 6
+
+
+def test_policy_may_write_into_its_observations(env, monkeypatch):
+    def tidy(obs):
+        return np.zeros((2, 6))
+
+    def untidy(obs):
+        obs[:] = np.nan
+        return np.zeros((2, 6))
+
+    _, expected = record(env, monkeypatch, tidy)
+    _, got = record(env, monkeypatch, untidy)
+    np.testing.assert_array_equal(np.stack(got.arrays["obs"]), np.stack(expected.arrays["obs"]))
+
+
+def test_figures_over_several_episodes(env, monkeypatch):
+    """Ten steps of episodes of four: two finished ones a world; the third is left out."""
+    summary, recording = record(env, monkeypatch, growing(reuse=False), steps=10)
+    reward = np.stack(recording.arrays["reward"]).astype(float)
+    returns = np.concatenate([reward[:4].sum(axis=0), reward[4:8].sum(axis=0)])
+    assert summary.episodes == 4
+    assert summary.return_mean == pytest.approx(returns.mean())
+    assert summary.return_std == pytest.approx(returns.std())
+    assert summary.return_std > 0
+    assert np.flatnonzero(np.stack(recording.arrays["truncated"]).all(axis=1)).tolist() == [3, 7]
+
+
+def test_filmed_worlds_are_the_leading_ones(env, monkeypatch):
+    summary, recording = record(env, monkeypatch, growing(reuse=False), steps=3, filmed=1)
+    assert [len(worlds) for worlds in recording.frames] == [1, 1, 1]
+    angles = [worlds[0][0][0] for worlds in recording.frames]
+    seen = [obs[0, 0] for obs in recording.arrays["obs"]]
+    np.testing.assert_array_equal(angles[:2], seen[1:])
+    assert len(set(angles)) == 3
+    assert summary.steps == 3
+
+
+def test_failing_disk_leaves_the_older_file(env, monkeypatch, tmp_path):
+    path = tmp_path / "data.npz"
+    path.write_bytes(b"older")
+    _, recording = record(env, monkeypatch, growing(reuse=False))
+
+    def full(file, **arrays):
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez_compressed", full)
+        with pytest.raises(OSError, match="No space left on device"):
+            rollout.save_recording(path, env, recording)
+    assert path.read_bytes() == b"older"
+    assert list(tmp_path.iterdir()) == [path]
+    rollout.save_recording(path, env, recording)
+    with np.load(path) as saved:
+        assert saved["obs"].shape == (6, 2, 9)
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.stat().st_mode & 0o444 == 0o444
