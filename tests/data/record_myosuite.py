@@ -11,16 +11,26 @@ Run in an environment of its own:
     python tests/data/record_myosuite.py --out tests/data/myosuite
 """
 
-import argparse
-import json
-from importlib.metadata import version
-from pathlib import Path
-
 import gymnasium
 import mujoco
 import myosuite  # noqa: F401  (registers the environments)
 import numpy as np
 from myosuite.utils import reach_workspace
+from recording import (
+    STATE,
+    clip_rows,
+    common_meta,
+    copies,
+    largest_gap,
+    main,
+    names_meta,
+    replay,
+    result_row,
+    run_episode,
+    save,
+    sigmoid_ctrl,
+    stack,
+)
 
 # Under MuJoCo 4.0 `np.int32(3) in (mjtJoint.mjJNT_HINGE,)` is False, so that MyoSuite samples no
 # joint and every FingerReachRandom target is the straight finger. Integers compare as intended and
@@ -38,15 +48,11 @@ MODEL_FIELDS = """nq nv nu na ntendon qpos0 jnt_range jnt_axis jnt_pos jnt_solre
     actuator_biasprm actuator_dynprm actuator_gear actuator_ctrlrange actuator_lengthrange
     actuator_acc0 tendon_range tendon_limited"""
 META_FIELDS = "frame_skip dt far_th pose_thd target_type target_sampling reset_type"
-PACKAGES = ("myosuite", "mujoco", "myo-sim", "gymnasium", "numpy")
-STATE = ("qpos", "qvel", "act")
-FORCES = "actuator_force actuator_length actuator_velocity qfrc_actuator qfrc_passive qacc"
 
 ACTION_KINDS = ("uniform", "uniform", "uniform", "plus", "minus", "bang")
-FIRST_STEPS, STRIDE = 3, 6
+STRIDE = 6
 NUM_REPLAYS = 32
 NUM_TABLE_ROWS = 200
-NUM_CLIPS, CLIP_SCALE = 4, 3.0  # steps with actions in [-3, 3], beyond the action space
 # Distances of the written states from the target, in units of the task's thresholds.
 DISTANCES = {
     "thd": (0.0, 0.5, 0.99, 1.01, 1.25, 1.49, 1.51, 2.0, 4.0),
@@ -70,10 +76,6 @@ def thresholds(env):
     return {"near": NEAR_PER_SITE * num_sites, "far": env.far_th * num_sites}
 
 
-def copies(data, names, suffix=""):
-    return {f"{name}{suffix}": getattr(data, name).copy() for name in names}
-
-
 def state_row(env):
     """What the observation and the reward are functions of; reach positions are flattened."""
     row = copies(env.data, STATE) | {"time": env.data.time}
@@ -83,49 +85,8 @@ def state_row(env):
     return row | {"target": target.ravel(), "tip": tip.ravel()}
 
 
-def result_row(env, result):
-    """State row plus observation, reward terms and flags of a Gymnasium 5-tuple."""
-    obs, reward, _, _, info = result
-    terms = info["rwd_dict"]
-    row = state_row(env) | {"obs": obs.copy(), "reward": reward}
-    row |= {f"reward_{k}": float(terms[k]) for k in (task_of(env), "bonus", "penalty", "act_reg")}
-    row["sparse"] = float(terms["sparse"])
-    return row | {"solved": bool(terms["solved"]), "done": bool(terms["done"])}
-
-
-def stack(rows, prefix):
-    return {f"{prefix}_{k}": np.stack([np.asarray(row[k]) for row in rows]) for k in rows[0]}
-
-
-def draw_action(kind, rng, nu):
-    if kind == "uniform":
-        return rng.uniform(-1.0, 1.0, nu).astype(np.float32)
-    if kind == "bang":
-        return rng.choice(np.float32([-1.0, 1.0]), nu)
-    return np.full(nu, 1.0 if kind == "plus" else -1.0, dtype=np.float32)
-
-
-def run_episode(wrapped, index, kind, seed):
-    """One episode: (episode facts, reset row, sampled step rows, physics row of every step)."""
-    env, rng = wrapped.unwrapped, np.random.default_rng(seed)
-    obs, _ = wrapped.reset(seed=seed)
-    reset = state_row(env) | {"obs": obs.copy(), "episode": index}
-    steps, physics, step, ended = [], [], 0, False
-    while not ended:
-        step += 1
-        action = draw_action(kind, rng, env.model.nu)
-        before = copies(env.data, STATE, "_before")
-        result = wrapped.step(action)
-        terminated, truncated = result[2:4]
-        ended = terminated or truncated
-        ctrl = env.data.ctrl.copy()
-        physics.append(before | {"ctrl": ctrl} | copies(env.data, STATE, "_env"))
-        if step <= FIRST_STEPS or step % STRIDE == 0 or ended:
-            row = {"episode": index, "step": step, "action": action, "ctrl": ctrl}
-            steps.append(row | result_row(env, result))
-    facts = {"length": step, "terminated": terminated, "truncated": truncated, "kind": kind}
-    facts |= {"seed": seed, "unstable": bool(env._check_mj_instability_termination())}
-    return facts, reset, steps, physics
+def terms_of(env):
+    return (task_of(env), "bonus", "penalty", "act_reg")
 
 
 def force_state(wrapped, rng, unit, factor, step):
@@ -149,32 +110,13 @@ def force_state(wrapped, rng, unit, factor, step):
     data.time = 0.0
     for _ in range(step * env.frame_skip):  # the same float accumulation as in mj_step
         data.time += model.opt.timestep
-    return {"step": step, "distance": distance} | result_row(env, env.forward())
+    result = env.forward()
+    return {"step": step, "distance": distance} | result_row(state_row(env), result, terms_of(env))
 
 
 def force_states(wrapped, rng):
     cases = [(unit, f) for unit in thresholds(wrapped.unwrapped) for f in DISTANCES[unit]]
     return [force_state(wrapped, rng, *case, step) for case in cases for step in FORCED_STEPS]
-
-
-def clip_row(wrapped, rng):
-    """Action beyond the action space and the ctrl it leads to."""
-    nu = wrapped.unwrapped.model.nu
-    action = rng.uniform(-CLIP_SCALE, CLIP_SCALE, nu).astype(np.float32)
-    wrapped.step(action)
-    return {"action": action, "ctrl": wrapped.unwrapped.data.ctrl.copy()}
-
-
-def replay(env, row):
-    """frame_skip x mj_step of the environment's model from a fresh MjData (cold solver start)."""
-    before, after = mujoco.MjData(env.model), mujoco.MjData(env.model)
-    for data in (before, after):
-        data.ctrl[:] = row["ctrl"]
-        for name in STATE:
-            getattr(data, name)[:] = row[f"{name}_before"]
-    mujoco.mj_forward(env.model, before)
-    mujoco.mj_step(env.model, after, env.frame_skip)
-    return row | copies(before, FORCES.split()) | copies(after, STATE, "_after")
 
 
 def target_facts(env):
@@ -196,24 +138,12 @@ def target_facts(env):
 
 def meta_of(wrapped, env_id):
     env = wrapped.unwrapped
-    model = env.model
-    obs = env.get_obs_dict(env._accessor)
-    return {name: getattr(env, name, None) for name in META_FIELDS.split()} | {
-        "id": env_id,
-        "task": task_of(env),
-        "versions": {name: version(name) for name in PACKAGES},
-        "horizon": wrapped.get_wrapper_attr("_max_episode_steps"),
-        "timestep": model.opt.timestep,
-        "obs": {key: int(np.size(value)) for key, value in obs.items()},
-        "weights": {key: float(value) for key, value in env.rwd_keys_wt.items()},
-        "action_dim": int(model.nu),
+    fields = {name: getattr(env, name, None) for name in META_FIELDS.split()}
+    own = {
         "thresholds": {key: float(value) for key, value in thresholds(env).items()},
-        "tip_sites": [model.site(i).name for i in env.tip_sids],
-        "joints": [model.joint(i).name for i in range(model.njnt)],
-        "actuators": [model.actuator(i).name for i in range(model.nu)],
-        "tendons": [model.tendon(i).name for i in range(model.ntendon)],
-        "bodies": [model.body(i).name for i in range(model.nbody)],
+        "tip_sites": [env.model.site(i).name for i in env.tip_sids],
     }
+    return fields | common_meta(wrapped, env_id, task_of(env)) | own | names_meta(env.model)
 
 
 def expected(env, arrays, prefix):
@@ -240,10 +170,6 @@ def expected(env, arrays, prefix):
     return out
 
 
-def largest_gap(a, b):
-    return np.abs(np.asarray(a, dtype=float) - np.asarray(b, dtype=float)).max(initial=0.0)
-
-
 def deviations(env, arrays):
     """Worst absolute deviation of the recording from the formulas, per quantity."""
     worst = {}
@@ -252,9 +178,9 @@ def deviations(env, arrays):
             gap = largest_gap(arrays[f"{prefix}_{key}"], value)
             worst[key] = max(worst.get(key, 0.0), gap)
     for prefix in ("step", "clip"):
-        action = np.clip(arrays[f"{prefix}_action"].astype(float), -1.0, 1.0)
-        muscle = env.model.na > 0
-        ctrl = 1 / (1 + np.exp(-5 * (action - 0.5))) if muscle else (action - 1) / 2
+        action = arrays[f"{prefix}_action"]
+        motor = (np.clip(action.astype(float), -1.0, 1.0) - 1) / 2
+        ctrl = sigmoid_ctrl(action) if env.model.na > 0 else motor
         worst[f"{prefix}_ctrl"] = largest_gap(arrays[f"{prefix}_ctrl"], ctrl)
     for name in STATE:  # the environment itself continues with a warm solver
         gap = largest_gap(arrays[f"replay_{name}_after"], arrays.pop(f"replay_{name}_env"))
@@ -266,35 +192,23 @@ def record(env_id, out, index):
     """Record one id into `<out>/<id>.npz`; returns the file size [bytes]."""
     wrapped = gymnasium.make(env_id)
     env, rng = wrapped.unwrapped, np.random.default_rng(index)
-    runs = [run_episode(wrapped, i, k, 100 * index + i) for i, k in enumerate(ACTION_KINDS)]
+    runs = [
+        run_episode(wrapped, i, kind, 100 * index + i, state_row, terms_of(env), STRIDE)
+        for i, kind in enumerate(ACTION_KINDS)
+    ]
     facts, resets, steps, physics = zip(*runs, strict=True)
     visited = [row for rows in physics for row in rows]
     chosen = np.linspace(0, len(visited) - 1, NUM_REPLAYS).round().astype(int)
     arrays = stack(facts, "episode") | stack(resets, "reset")
     arrays |= stack([row for rows in steps for row in rows], "step")
-    arrays |= target_facts(env) | stack([replay(env, visited[i]) for i in chosen], "replay")
+    arrays |= target_facts(env) | stack([replay(env, visited[i])[0] for i in chosen], "replay")
     arrays |= stack(force_states(wrapped, rng), "forced")
-    arrays |= stack([clip_row(wrapped, rng) for _ in range(NUM_CLIPS)], "clip")
+    arrays |= clip_rows(wrapped, rng)
     if env_id in MODEL_IDS:
         arrays |= {f"model_{k}": np.array(getattr(env.model, k)) for k in MODEL_FIELDS.split()}
-    worst = {key: f"{value:.1e}" for key, value in deviations(env, arrays).items()}
-    path = out / f"{env_id}.npz"
-    np.savez_compressed(path, meta=json.dumps(meta_of(wrapped, env_id)), **arrays)
-    size = path.stat().st_size
-    ends = [f"{f['length']}{'T' if f['terminated'] else ''}" for f in facts]
-    print(f"{env_id}: {size / 1e3:.0f} kB, episodes {' '.join(ends)}, worst {worst}")
-    return size
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--ids", nargs="*", default=IDS)
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    total = sum(record(env_id, args.out, IDS.index(env_id)) for env_id in args.ids)
-    print(f"total {total / 1e6:.2f} MB")
+    worst = deviations(env, arrays)
+    return save(out, env_id, meta_of(wrapped, env_id), arrays, facts, worst)
 
 
 if __name__ == "__main__":
-    main()
+    main(__doc__.splitlines()[0], IDS, record)
