@@ -91,7 +91,7 @@ BOX = """
 def test_box_on_a_plane(condim, rows_per_contact):
     """Four corners touch; a pyramidal friction cone takes two rows for every tangential direction."""
     model = compiled(BOX, condim=condim)
-    capacity = calibrate(model)
+    capacity = calibrate(model, model.qpos0)
     assert capacity.peak_contacts == 4
     assert capacity.contacts == 4 * MARGIN
     assert capacity.rows == 4 * MARGIN * rows_per_contact
@@ -124,7 +124,7 @@ ROWS = """
 def test_rows_without_contacts():
     """A joint limit, a tendon limit, two joint and one tendon friction, six of the weld."""
     model = compiled(ROWS)
-    capacity = calibrate(model)
+    capacity = calibrate(model, model.qpos0)
     assert capacity.contacts == capacity.peak_contacts == 0
     assert capacity.rows == 11
     beyond = model.qpos0.copy()
@@ -149,10 +149,10 @@ def test_explicit_pair_has_its_own_friction_dimension():
     model = compiled(PAIR)
     _, rows = peaks(model, [])
     assert rows == 10
-    assert rows <= calibrate(model).rows
+    assert rows <= calibrate(model, model.qpos0).rows
 
 
 def test_model_without_constraints_keeps_one_row():
     model = compiled("<mujoco><worldbody><body><joint/><geom size='.1'/></body></worldbody></mujoco>")
-    capacity = calibrate(model)
+    capacity = calibrate(model, model.qpos0)
     assert (capacity.contacts, capacity.rows, capacity.peak_contacts) == (0, 1, 0)

@@ -4,6 +4,7 @@ Arrays in mujoco-warp have fixed sizes; what does not fit is dropped, with wrong
 measured with MuJoCo C, with a margin, and never guessed.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -11,10 +12,10 @@ import numpy as np
 
 from myowarp.models.slim import colliding_pairs
 
-MARGIN = 1.5  # over the largest number of contacts seen
-NUM_POSES = 200
-NUM_EPISODES = 8
+MARGIN = 1.5  # over the largest numbers seen
+NUM_EPISODES = 16
 EPISODE_STEPS = 500
+HOLD_STEPS = 10  # a control is held
 
 
 @dataclass(frozen=True)
@@ -32,44 +33,54 @@ class Capacity:
     peak_contacts: int
 
 
-def calibrate(model: mujoco.MjModel) -> Capacity:
+def calibrate(model: mujoco.MjModel, start: np.ndarray) -> Capacity:
     """Return sizes for a model.
 
-    Limits, friction loss and equalities have an exact bound. Contacts are counted over random poses within
-    the joint ranges and over random-control motion from the initial pose; a model in which no pair of
-    geoms can collide needs none.
+    Limits, friction loss and equalities have an exact bound. Contacts, and pairs of geoms whose bounding
+    spheres overlap, are counted over random-control motion from the start; a model in which no pair of geoms
+    can collide needs none.
+
+    Args:
+        model: The model.
+        start: Configuration from which motion starts, shape (nq,).
     """
-    pairs = colliding_pairs(model)
+    pairs = np.array(sorted(colliding_pairs(model)), dtype=int).reshape(-1, 2)
     rows = int(model.jnt_limited.sum() + model.tendon_limited.sum())
     rows += int((model.dof_frictionloss > 0).sum() + (model.tendon_frictionloss > 0).sum())
     rows += 6 * model.neq
-    if not pairs:
+    if not len(pairs):
         return Capacity(contacts=0, rows=max(rows, 1), peak_contacts=0)
-    peak = _peak_contacts(model)
-    contacts = int(np.ceil(MARGIN * peak))
+    counts = np.array([(data.ncon, _candidates(model, data, pairs)) for data in _motion(model, start)])
+    peak, mean_candidates = counts[:, 0].max(), counts[:, 1].mean()
+    contacts = max(1, int(np.ceil(MARGIN * peak)))
     condim = max(int(model.geom_condim.max()), int(model.pair_dim.max(initial=1)))
-    rows += max(contacts, 1) * max(1, 2 * (condim - 1))
-    return Capacity(contacts=max(contacts, len(pairs)), rows=max(rows, 1), peak_contacts=peak)
+    rows += contacts * max(1, 2 * (condim - 1))
+    # The pool is shared by all worlds and holds candidates that pass a finer filter, less than half.
+    pool = max(contacts, int(np.ceil(mean_candidates)))
+    return Capacity(contacts=pool, rows=rows, peak_contacts=int(peak))
 
 
-def _peak_contacts(model: mujoco.MjModel) -> int:
-    """Return the largest number of contacts met in MuJoCo C."""
+def _candidates(model: mujoco.MjModel, data: mujoco.MjData, pairs: np.ndarray) -> int:
+    """Return how many pairs of geoms have overlapping bounding spheres; planes overlap everything."""
+    first, second = pairs.T
+    radius, margin = model.geom_rbound, model.geom_margin
+    distance = np.linalg.norm(data.geom_xpos[first] - data.geom_xpos[second], axis=1)
+    reach = radius[first] + radius[second] + margin[first] + margin[second]
+    plane = (radius[first] == 0) | (radius[second] == 0)
+    return int(np.count_nonzero(plane | (distance <= reach)))
+
+
+def _motion(model: mujoco.MjModel, start: np.ndarray) -> Iterator[mujoco.MjData]:
+    """Yield states of MuJoCo C: random controls from the start, drawn uniformly or at their extremes."""
     rng = np.random.default_rng(0)
     data = mujoco.MjData(model)
-    low, high = model.jnt_range.T
-    scalar = np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE))
-    address = model.jnt_qposadr[scalar & (model.jnt_limited > 0)]
-    peak = 0
-    for _ in range(NUM_POSES):
+    low, high = model.actuator_ctrlrange.T
+    for episode in range(NUM_EPISODES):
         mujoco.mj_resetData(model, data)
-        data.qpos[address] = rng.uniform(low, high)[scalar & (model.jnt_limited > 0)]
-        mujoco.mj_forward(model, data)
-        peak = max(peak, data.ncon)
-    for _ in range(NUM_EPISODES):
-        mujoco.mj_resetData(model, data)
+        data.qpos[:] = start
         for step in range(EPISODE_STEPS):
-            if step % 10 == 0:
-                data.ctrl[:] = rng.uniform(*model.actuator_ctrlrange.T)
+            if step % HOLD_STEPS == 0:
+                draw = rng.uniform(size=model.nu)
+                data.ctrl[:] = low + (high - low) * (draw.round() if episode % 2 else draw)
             mujoco.mj_step(model, data)
-            peak = max(peak, data.ncon)
-    return peak
+            yield data

@@ -1,9 +1,9 @@
 """Right hand that touches: MyoSuite's hand for objects (key turn, object hold, pen, baoding balls).
 
 MyoSuite 3.0.0 simulates objects with an older hand than its pose and reach tasks. myo-sim 0.2.3 does not have
-it; these edits of the composed hand give the same mechanics: muscle torques to 7e-9 and accelerations to
-3.3e-6, relative. Collision, inertia floors and masses decide about contact and conditioning; the other edits
-are needed for parity only.
+it; these edits of the composed hand give it: every field that moves it agrees to rounding
+(tests/test_oracle_contact.py). Collision, inertia floors and masses decide about contact and conditioning; the
+other edits are needed for parity only.
 """
 
 import mujoco
@@ -11,6 +11,9 @@ from myo_sim.build.compose import apply_inertia_floor
 
 from myowarp.models.bodies import BODIES, Body
 from myowarp.models.bodies.hand import hand
+
+ROOT_POS = (-0.025203285253, 0.071449974504, 1.392442909705)  # m
+ROOT_QUAT = (0.521702295767, 0.469732569517, -0.478718760568, -0.527263099417)  # w, x, y, z
 
 INERTIA_FLOOR = 1e-4  # kg m^2, MyoSuite's compiler setting
 MASS_FLOOR = 1e-3  # kg
@@ -21,16 +24,13 @@ LUNATE_FILLERS = (  # radius, half length [m], position [m], orientation: mass t
 )
 UNTOUCHABLE = ("humerus_coll_r", "radius_coll_r")
 SOFT = (0.8, 0.8, 0.01, 0.5, 2.0)  # solimp of hand collision geoms
-PALM_SITES = {
-    "S_grasp": (-0.011, -0.06, -0.03),
-    "target1_site": (-0.03, -0.05, -0.02),
-    "target2_site": (0.005, -0.1, -0.02),
-}  # m, on the trapezium
 
 
 def contact_hand() -> mujoco.MjSpec:
     """Return the hand with 27 collision geoms; joint order and muscles are those of the hand."""
     spec = hand()
+    root = spec.body("myoarm_r_root")
+    root.pos, root.quat = ROOT_POS, ROOT_QUAT
     lunate = spec.body("lunate_r")
     for radius, half_length, pos, quat in LUNATE_FILLERS:
         filler = lunate.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=(radius, half_length, 0.0))
@@ -38,13 +38,10 @@ def contact_hand() -> mujoco.MjSpec:
         filler.density, filler.contype, filler.conaffinity, filler.group = 1000.0, 0, 0, 4
     radius_bone = spec.body("radius_r")
     radius_bone.pos = (0.0004, -0.011503, 0.019999)
-    radius_bone.inertia = (0.000441184, 0.000415088, 0.0001)
-    radius_bone.iquat = (0.770264, 0.635590, 0.011983, 0.050738)
+    radius_bone.inertia = (0.000441184070984, 0.000415087788797, 0.0001)
+    radius_bone.iquat = (0.770264275598, 0.635590307004, 0.011983263361, 0.050737646562)
     _make_touchable(spec)
     _undo_corrections(spec)
-    trapezium = spec.body("trapezium_r")
-    for name, pos in PALM_SITES.items():
-        trapezium.add_site(name=name, pos=pos, size=(0.007, 0.007, 0.007))
     apply_inertia_floor(spec, INERTIA_FLOOR, MASS_FLOOR)
     return spec
 
@@ -70,12 +67,23 @@ def _undo_corrections(spec: mujoco.MjSpec) -> None:
 
 
 def add_object(
-    spec: mujoco.MjSpec, name: str, pos: tuple[float, float, float], *, mocap: bool = False
+    spec: mujoco.MjSpec,
+    name: str,
+    pos: tuple[float, float, float],
+    *,
+    mocap: bool = False,
+    floored: bool = True,
 ) -> mujoco.MjsBody:
-    """Return a new body in the world, with the floors of the hand."""
-    body = spec.worldbody.add_body(name=name, pos=pos, mocap=mocap)
-    body.compiler.boundinertia = INERTIA_FLOOR
-    body.compiler.boundmass = MASS_FLOOR
+    """Return a new body in the world, with the floors of the hand or, not `floored`, its true inertia."""
+    if floored:
+        body = spec.worldbody.add_body(name=name, pos=pos, mocap=mocap)
+        body.compiler.boundinertia = INERTIA_FLOOR
+        body.compiler.boundmass = MASS_FLOOR
+        return body
+    # A body keeps the compiler settings of the spec it was made in; those of the hand's are shared.
+    own = mujoco.MjSpec().worldbody.add_body(name=name, pos=pos, mocap=mocap)
+    body = spec.worldbody.add_frame().attach_body(own, "own_", "")
+    body.name = name
     return body
 
 
