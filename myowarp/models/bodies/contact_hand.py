@@ -2,8 +2,8 @@
 
 MyoSuite 3.0.0 simulates objects with an older hand than its pose and reach tasks. myo-sim 0.2.3 does not have
 it; these edits of the composed hand give it: every field that moves it agrees to rounding
-(tests/test_oracle_contact.py). Collision, inertia floors and masses decide about contact and conditioning; the
-other edits are needed for parity only.
+(tests/test_oracle_contact.py). Collision, inertia floors and masses decide about contact and conditioning;
+the other edits are needed for parity only.
 """
 
 import mujoco
@@ -54,6 +54,8 @@ def _make_touchable(spec: mujoco.MjSpec) -> None:
         elif geom.contype:
             geom.conaffinity = 1
             geom.solimp = SOFT
+            # How hard a contact is follows from the weight of its geom's own body, so the body must stay one.
+            geom.parent.fuse = 0
 
 
 def _undo_corrections(spec: mujoco.MjSpec) -> None:
