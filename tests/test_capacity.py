@@ -6,6 +6,7 @@ import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import pytest
+from configurations import configurations
 
 import myowarp.tasks  # noqa: F401
 from myowarp.models.capacity import MARGIN, calibrate
@@ -14,9 +15,11 @@ from myowarp.spec import PHYSICS, TASKS
 
 NUM_POSES = 200
 NUM_STEPS = 300
+NUM_EPISODES = 12  # of motion with contacts
 SEED = 12345  # calibration uses 0
+BEYOND = 0.2  # of a joint's range, so that limits act
 
-SCENES = {f"{TASKS[key].body}-{TASKS[key].family}": TASKS[key] for key in TASKS}
+SCENES = {spec.key: spec for spec in {TASKS[key].scene_key: TASKS[key] for key in TASKS}.values()}
 
 
 @lru_cache
@@ -25,47 +28,55 @@ def scene_of(name, physics):
     return compile_scene(SCENES[name], 33, "cpu", physics)
 
 
-def poses(model, count, seed):
+def poses(scene, count):
     """Return configurations up to a fifth beyond the joint ranges, so that limits act."""
-    rng = np.random.default_rng(seed)
-    low, high = model.jnt_range.T
-    margin = 0.2 * (high - low)
-    return rng.uniform(low - margin, high + margin, (count, model.nq))
+    return configurations(scene.oracle, scene.spec.start(scene.oracle), count, SEED, BEYOND)
 
 
-def peaks(model, configurations):
-    """Return the most contacts and rows of MuJoCo C in these poses and in random-control motion."""
+def peaks(model, poses, start=None, episodes=1):
+    """Return the most contacts and rows of MuJoCo C in these poses and in random-control motion.
+
+    Controls of every second episode are at their extremes.
+    """
     rng = np.random.default_rng(SEED)
     data = mujoco.MjData(model)
     met = []
-    for qpos in configurations:
+    for qpos in poses:
         mujoco.mj_resetData(model, data)
         data.qpos[:] = qpos
         mujoco.mj_forward(model, data)
         met.append((data.ncon, data.nefc))
-    mujoco.mj_resetData(model, data)
-    for step in range(NUM_STEPS):
-        if step % 7 == 0:
-            data.ctrl[:] = rng.uniform(*model.actuator_ctrlrange.T)
-        mujoco.mj_step(model, data)
-        met.append((data.ncon, data.nefc))
+    low, high = model.actuator_ctrlrange.T
+    for episode in range(episodes):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = model.qpos0 if start is None else start
+        for step in range(NUM_STEPS):
+            if step % 7 == 0:
+                draw = rng.uniform(size=model.nu)
+                data.ctrl[:] = low + (high - low) * (draw.round() if episode % 2 else draw)
+            mujoco.mj_step(model, data)
+            met.append((data.ncon, data.nefc))
     return np.max(met, axis=0)
 
 
 @pytest.mark.parametrize("physics", PHYSICS)
 @pytest.mark.parametrize("name", SCENES)
 def test_bounds_hold(name, physics):
+    """In any pose; where geoms can touch, in motion: poses put them into each other as motion never does."""
     scene = scene_of(name, physics)
-    contacts, rows = peaks(scene.oracle, poses(scene.oracle, NUM_POSES, SEED))
+    start, touching = scene.spec.start(scene.oracle), scene.capacity.peak_contacts > 0
+    configured = [] if touching else poses(scene, NUM_POSES)
+    contacts, rows = peaks(scene.oracle, configured, start, NUM_EPISODES if touching else 1)
     assert contacts <= scene.capacity.contacts
     assert rows <= scene.capacity.rows
     assert rows > 0, "no constraint acted"
+    assert bool(contacts) == touching
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_engine_does_not_overflow(name):
     scene = scene_of(name, "parity")
-    scene.data.qpos.assign(np.float32(poses(scene.oracle, scene.num_worlds, SEED)))
+    scene.data.qpos.assign(np.float32(poses(scene, scene.num_worlds)))
     scene.data.overflow.zero_()
     mjw.forward(scene.model, scene.data)
     assert not scene.data.overflow.numpy().any()

@@ -1,0 +1,128 @@
+"""Baoding balls that differ: mass, size and friction drawn anew in every episode.
+
+Source: MyoSuite 3.0.0, `myoChallengeBaodingP2-v1`. It recompiles what MuJoCo derives from a ball's size and
+mass; here the same fields of the model are written per world. Mass and size are drawn independently. The
+engine takes the larger friction of ball and hand, so that draws below the hand's (1, 0.005, 0.0001) have no
+effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import mujoco
+import mujoco_warp as mjw
+import warp as wp
+
+from myowarp.kernels.random import START, RandomKeys, open_stream
+
+BATCHED = (
+    "body_mass",
+    "body_subtreemass",
+    "body_invweight0",
+    "geom_size",
+    "geom_rbound",
+    "geom_aabb",
+    "geom_friction",
+)
+"""Names of the model's fields that `sample_balls` writes per world."""
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class BallRanges:
+    """Bounds of the balls' uniformly drawn properties.
+
+    Attributes:
+        mass: Mass [kg].
+        radius: Radius [m].
+        friction: Lower and upper bounds of the coefficients (slide, spin, roll).
+    """
+
+    mass: Range
+    radius: Range
+    friction: tuple[tuple[float, float, float], tuple[float, float, float]]
+
+
+@wp.struct
+class BallBounds:
+    """`BallRanges` on the device."""
+
+    mass: wp.vec2
+    radius: wp.vec2
+    friction_low: wp.vec3
+    friction_high: wp.vec3
+
+
+@wp.kernel(enable_backward=False)
+def sample_balls(
+    # Params:
+    ball_body: wp.vec2i,
+    ball_geom: wp.vec2i,
+    bounds: BallBounds,
+    # In:
+    keys: RandomKeys,
+    mask: wp.array[bool],
+    # Out:
+    body_mass: wp.array2d[float],
+    body_subtreemass: wp.array2d[float],
+    body_invweight0: wp.array2d[wp.vec2],
+    geom_size: wp.array2d[wp.vec3],
+    geom_rbound: wp.array2d[float],
+    geom_aabb: wp.array3d[wp.vec3],
+    geom_friction: wp.array2d[wp.vec3],
+):
+    """mass, radius, friction ~ U(low, high) for each ball, and what the engine derives from them.
+
+    The inertia stays: solid balls of up to 0.3 kg and 24 mm are below MyoSuite's floor of 1e-4 kg m^2.
+    """
+    worldid = wp.tid()
+    if not mask[worldid]:
+        return
+    state = open_stream(keys, worldid, START)
+    b = bounds
+    for i in range(2):
+        body, geom = ball_body[i], ball_geom[i]
+        mass = wp.randf(state, b.mass[0], b.mass[1])
+        body_mass[worldid, body] = mass
+        body_subtreemass[worldid, body] = mass
+        body_invweight0[worldid, body][0] = 1.0 / mass
+        radius = wp.randf(state, b.radius[0], b.radius[1])
+        geom_size[worldid, geom] = wp.vec3(radius, radius, radius)
+        geom_rbound[worldid, geom] = radius
+        geom_aabb[worldid, geom, 1] = wp.vec3(radius, radius, radius)
+        slide = wp.randf(state, b.friction_low[0], b.friction_high[0])
+        spin = wp.randf(state, b.friction_low[1], b.friction_high[1])
+        roll = wp.randf(state, b.friction_low[2], b.friction_high[2])
+        geom_friction[worldid, geom] = wp.vec3(slide, spin, roll)
+
+
+class BallDraw:
+    """The balls of a scene, and what they are drawn from."""
+
+    def __init__(self, ranges: BallRanges, model: mujoco.MjModel, names: Iterable[str]) -> None:
+        """Resolve the names of the two balls, of bodies and geoms alike."""
+        self.ball_body = wp.vec2i(*(model.body(name).id for name in names))
+        self.ball_geom = wp.vec2i(*(model.geom(name).id for name in names))
+        self.bounds = BallBounds()
+        self.bounds.mass, self.bounds.radius = wp.vec2(*ranges.mass), wp.vec2(*ranges.radius)
+        self.bounds.friction_low, self.bounds.friction_high = (wp.vec3(*end) for end in ranges.friction)
+
+    def launch(self, model: mjw.Model, keys: RandomKeys, mask: wp.array) -> None:
+        """Launch `sample_balls`."""
+        wp.launch(
+            sample_balls,
+            dim=mask.shape[0],
+            inputs=[self.ball_body, self.ball_geom, self.bounds, keys, mask],
+            outputs=[
+                model.body_mass,
+                model.body_subtreemass,
+                model.body_invweight0,
+                model.geom_size,
+                model.geom_rbound,
+                model.geom_aabb,
+                model.geom_friction,
+            ],
+        )

@@ -1,0 +1,163 @@
+"""MyoSuite's recorded values of the tasks with objects, and simulations that are put into them."""
+
+import copy
+import json
+from functools import lru_cache
+from pathlib import Path
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+from myowarp.sim import Simulation
+from myowarp.spec import TASKS
+
+DATA = Path(__file__).parent / "data/myosuite"
+ALIASES = {
+    "myoHandBaodingFixed-v0": "myoChallengeBaodingP1-v1",
+    "myoHandBaodingRandom-v0": "myoChallengeBaodingP2-v1",
+}
+"""Ids under a second name: recorded under the first."""
+
+KEYS = sorted(
+    {ALIASES.get(key, key) for key in TASKS if TASKS[key].body == "contact_hand" and TASKS[key].version == 0}
+)
+"""Ids of upstream; each has to have a recording."""
+
+NUM_WORLDS = 200
+
+
+@lru_cache
+def recorded(key):
+    """Return what was recorded for an id, and its description; fails if nothing was."""
+    with np.load(DATA / f"{ALIASES.get(key, key)}.npz") as file:
+        record = {name: file[name] for name in file.files}
+    return record, json.loads(str(record.pop("meta")))
+
+
+@lru_cache
+def simulation(key):
+    """Return the simulation that the tests of an id share."""
+    return Simulation(TASKS[key], NUM_WORLDS, device="cpu", graph=False, progress=False)
+
+
+def padded(rows):
+    """Return rows with the last repeated, one for every world."""
+    return np.concatenate([rows, np.repeat(rows[-1:], NUM_WORLDS - len(rows), axis=0)])
+
+
+def write_state(sim, record, prefix, suffix=""):
+    """Put the first worlds into recorded states; returns how many."""
+    data = sim.scene.data
+    data.qpos.assign(padded(record[f"{prefix}_qpos{suffix}"]))
+    data.qacc_warmstart.zero_()
+    for name, array in (("qvel", data.qvel), ("act", sim.scene.muscles.activation)):
+        values = record.get(f"{prefix}_{name}{suffix}")
+        array.zero_() if values is None else array.assign(padded(values))
+    return len(record[f"{prefix}_qpos{suffix}"])
+
+
+def object_ids(model, meta):
+    """Return the ids of the objects' bodies, collision geoms and degrees of freedom."""
+    bodies = [model.body(name).id for name in meta["object_bodies"]]
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies) & collides)
+    return {"body": bodies, "geom": geoms, "dof": np.flatnonzero(np.isin(model.dof_bodyid, bodies))}
+
+
+def reset_rows(record, episodes):
+    """Return the rows of the reset arrays that belong to episodes."""
+    return np.array([np.flatnonzero(record["reset_episode"] == episode)[0] for episode in episodes])
+
+
+def oracle_of(key, episode):
+    """Return MuJoCo C's model of an id with the objects of a recorded episode."""
+    record, meta = recorded(key)
+    model = copy.copy(simulation(key).scene.oracle)
+    ids, row = object_ids(model, meta), reset_rows(record, [episode])[0]
+    for name, values in record.items():
+        _, kind, field = (*name.split("_", 2), "")[:3]
+        if name.startswith("reset_") and kind in ids:
+            getattr(model, f"{kind}_{field}")[ids[kind]] = values[row]
+    return model
+
+
+def write_objects(sim, record, meta, rows):
+    """Give the first worlds the objects of rows of the reset arrays."""
+    ids, worlds = object_ids(sim.scene.oracle, meta), np.arange(NUM_WORLDS)[:, None]
+    for name in sim.scene.spec.batched:
+        array = getattr(sim.scene.model, name)
+        values = array.numpy()
+        source = record["reset_" + name.replace("subtreemass", "mass")]
+        place = worlds, ids[name.split("_")[0]]
+        values[place] = padded(source[rows]).reshape(values[place].shape)
+        array.assign(values)
+
+
+def aim_key(sim, record, prefix):
+    """Put the key where it was."""
+    values = sim.scene.model.body_pos.numpy()
+    values[:, sim.scene.oracle.body("key").id] = padded(record[f"{prefix}_key_pos"])
+    sim.scene.model.body_pos.assign(values)
+
+
+def aim_baoding(sim, record, prefix):
+    """Give the targets their orbits and their step."""
+    orbits = sim.program.orbits
+    names = {"direction": "sign", "radii": "radii", "period": "period"}
+    for ours, theirs in names.items():
+        getattr(orbits, ours).assign(padded(record[f"{prefix}_{theirs}"]))
+    orbits.start_angle.assign(padded(record[f"{prefix}_start_angles"][:, 0]))
+
+
+def aim_hold(sim, record, prefix):
+    """Put the goal where it was."""
+    sim.program.goal.assign(padded(record[f"{prefix}_goal_pos"]))
+
+
+def aim_pen(sim, record, prefix):
+    """Turn the target pen."""
+    sim.scene.data.mocap_quat.assign(padded(record[f"{prefix}_target_quat"])[:, None])
+
+
+AIMS = {"key": aim_key, "hold": aim_hold, "pen": aim_pen, "baoding": aim_baoding}
+"""Task: writes what the goals of recorded states were."""
+
+
+def written(key, prefix, steps):
+    """Return the simulation with its first worlds in recorded states, scored and observed; their number."""
+    (record, meta), sim = recorded(key), simulation(key)
+    count = write_state(sim, record, prefix)
+    AIMS[meta["task"]](sim, record, prefix)
+    sim.episode.step_count.assign(padded(steps.astype(np.int32)))
+    sim.episode.pending.zero_()
+    sim.transition.fault.zero_()
+    sim.transition.obs.fill_(np.nan)
+    sim.transition.terms.fill_(np.nan)
+    mjw.kinematics(sim.scene.model, sim.scene.data)
+    sim.launch_scoring()
+    sim.program.observe(wp.ones(NUM_WORLDS, dtype=bool), sim.transition.obs)
+    return sim, count
+
+
+def oracle_data(key, episode, **state):
+    """Return MuJoCo C's model and data of an id in a state, with the objects of a recorded episode."""
+    model = oracle_of(key, episode)
+    data = mujoco.MjData(model)
+    for name, values in state.items():
+        getattr(data, name)[:] = values
+    if model.nmocap:
+        record = recorded(key)[0]
+        data.mocap_quat[:] = record["reset_target_quat"][reset_rows(record, [episode])]
+    return model, data
+
+
+def write_episodes(key, table, suffix=""):
+    """Put the first worlds into the states of a table, with their episodes' objects; returns how many."""
+    (record, meta), sim = recorded(key), simulation(key)
+    rows = reset_rows(record, record[f"{table}_episode"])
+    write_objects(sim, record, meta, rows)
+    if sim.scene.oracle.nmocap:
+        sim.scene.data.mocap_quat.assign(padded(record["reset_target_quat"][rows])[:, None])
+    return write_state(sim, record, table, suffix)

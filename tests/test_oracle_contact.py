@@ -1,0 +1,261 @@
+"""The tasks with objects against values recorded from MyoSuite 3.0.0 (tests/data/README.md).
+
+As `test_oracle.py`; recorded states are written into the first worlds of one simulation per id. Physics is
+in `test_oracle_contact_physics.py`.
+"""
+
+import numpy as np
+import pytest
+from contact_oracle import ALIASES, KEYS, NUM_WORLDS, object_ids, padded, recorded, simulation, written
+
+from myowarp.spec import TASKS
+
+NUM_HAND = 23
+
+VALUE_TOLERANCE = 1e-5  # observation and reward terms, in their units; float32 against float64
+EDGE = 1e-5  # values this close to a threshold may fall on either side of it in float32
+ACTIVATION_TOLERANCE = 1e-6
+
+
+def edges(record, prefix, task):
+    """Yield the quantities that are compared with thresholds, and the thresholds."""
+    if task == "key":
+        for tip in ("IFtip", "THtip"):
+            yield -record[f"{prefix}_reward_{tip}_approach"], (0.05, 0.1)
+        yield record[f"{prefix}_key_angle"], (np.pi / 2, np.pi, 3.14, 2 * np.pi)
+    elif task == "hold":
+        yield -record[f"{prefix}_sparse"], (0.01, 0.02, 0.3)
+    elif task == "pen":
+        yield -record[f"{prefix}_reward_pos_align"], (0.075,)
+        yield record[f"{prefix}_reward_rot_align"], (0.9, 0.95)
+    else:
+        for i in (1, 2):
+            yield -record[f"{prefix}_reward_pos_dist_{i}"], (0.015,)
+            yield record[f"{prefix}_ball{i}_pos"][:, 2], (1.25,)
+
+
+def away_from_edges(record, prefix, task):
+    """Return the states in which nothing is within rounding of a threshold."""
+    gaps = [
+        np.abs(values[:, None] - np.array(thresholds)).min(axis=1)
+        for values, thresholds in edges(record, prefix, task)
+    ]
+    return np.min(gaps, axis=0) > EDGE
+
+
+def assert_close(values, expected, message=""):
+    """Assert float32 accuracy: absolute for small values, relative for large ones."""
+    error = np.abs(values - expected) / np.maximum(1, np.abs(expected))
+    assert error.max() < VALUE_TOLERANCE, message
+
+
+def counter(record, prefix):
+    """Return the steps since the reset that recorded states stand for."""
+    fallback = np.ones(len(record[f"{prefix}_qpos"]))
+    return record.get(f"{prefix}_counter", record.get(f"{prefix}_step", fallback))
+
+
+@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize("prefix", ["step", "forced"])
+def test_observation_reward_and_ending(key, prefix):
+    record, meta = recorded(key)
+    sim, n = written(key, prefix, counter(record, prefix))
+    results = {k: getattr(sim.transition, k).numpy()[:n] for k in ("obs", "terms", "reward", "fault")}
+    assert_close(results["obs"], record[f"{prefix}_obs"])
+    clear = away_from_edges(record, prefix, meta["task"])
+    assert clear.mean() > 0.9
+    for column, term in enumerate(sim.terms):
+        field = f"{prefix}_sparse" if term.name == "sparse" else f"{prefix}_reward_{term.name}"
+        assert_close(results["terms"][clear, column], record[field][clear], term.name)
+    weights = sum(term.weight for term in sim.terms)
+    error = np.abs(results["reward"] - record[f"{prefix}_reward"])[clear]
+    assert error.max() < weights * VALUE_TOLERANCE
+    for ours, theirs in (("solved", "solved"), ("terminated", "done")):
+        flag = getattr(sim.transition, ours).numpy()[:n]
+        np.testing.assert_array_equal(flag[clear], record[f"{prefix}_{theirs}"][clear])
+    assert not results["fault"].any()
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_recorded_states_reach_every_branch(key):
+    """Without this the comparison above could pass on constants."""
+    record, meta = recorded(key)
+    terms = [name for name in record if name.startswith("forced_reward_")]
+    assert len(terms) == len(TASKS[key].reward_terms()) - 1  # sparse has a name of its own
+    for name in (*terms, "forced_sparse", "forced_solved", "forced_done"):
+        assert len(np.unique(record[name])) > 1, name
+    levels = {"key": {0, 1, 2}, "hold": {0, 1, 2}, "pen": {0, 1, 6}}
+    if meta["task"] in levels:
+        assert set(record["forced_reward_bonus"]) == levels[meta["task"]]
+    assert len(record["episode_length"]) == 8
+
+
+@pytest.mark.parametrize("key", [*KEYS, *ALIASES])
+def test_task_facts(key):
+    """Horizon, control step, sizes, order of columns and weights; a second name changes nothing."""
+    (record, meta), spec = recorded(key), TASKS[key]
+    assert spec.horizon == meta["horizon"]
+    assert spec.num_substeps == meta["frame_skip"]
+    assert spec.physics_dt == pytest.approx(meta["timestep"])
+    assert spec.control_dt == pytest.approx(meta["dt"])
+    num_joints, num_muscles = record["step_qpos"].shape[1], record["step_act"].shape[1]
+    columns = [(c.name, c.size) for c in spec.columns(num_joints, num_muscles)]
+    assert columns == list(meta["obs"].items())
+    assert {t.name: t.weight for t in spec.reward_terms() if t.weight} == meta["weights"]
+    if key in ALIASES:
+        first = vars(TASKS[ALIASES[key]])
+        assert {k for k, v in vars(spec).items() if v != first[k]} <= {"name", "version", "doc"}
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_episodes_end_like_upstream(key):
+    """Truncation: at the horizon and nowhere else; and every recorded episode ended one of both ways."""
+    record, spec = recorded(key)[0], TASKS[key]
+    np.testing.assert_array_equal(record["episode_truncated"], record["episode_length"] == spec.horizon)
+    steps = np.resize([1, spec.horizon - 1, spec.horizon], len(record["reset_qpos"]))
+    sim, n = written(key, "reset", steps)
+    np.testing.assert_array_equal(sim.transition.truncated.numpy()[:n], steps == spec.horizon)
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_reset(key):
+    """Start state, and what upstream observes of it."""
+    record, meta = recorded(key)
+    sim, n = written(key, "reset", np.zeros(len(record["reset_qpos"])))
+    assert_close(sim.transition.obs.numpy()[:n], record["reset_obs"])
+    assert not record["reset_qvel"].any()
+    assert not record["reset_act"].any()
+    sim.reset(seeds=np.arange(NUM_WORLDS))
+    assert not sim.scene.data.qvel.numpy().any()
+    assert not sim.scene.muscles.activation.numpy().any()
+    fixed = NUM_HAND if meta["task"] == "key" else record["reset_qpos"].shape[1]
+    qpos = sim.scene.data.qpos.numpy()[:n, :fixed]
+    np.testing.assert_allclose(qpos, record["reset_qpos"][:, :fixed], atol=VALUE_TOLERANCE)
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_action_map(key):
+    """Action to control, clipping included."""
+    record, sim = recorded(key)[0], simulation(key)
+    for table in ("step", "clip"):
+        sim.action.assign(padded(record[f"{table}_action"]))
+        sim.launch_action()
+        ctrl = sim.scene.data.ctrl.numpy()[: len(record[f"{table}_ctrl"])]
+        np.testing.assert_allclose(ctrl, record[f"{table}_ctrl"], atol=ACTIVATION_TOLERANCE)
+
+
+FIXED = {
+    "key": {"key_angle": (0, 0), "key_pos": ((-0.15, -0.55, 1.425),) * 2},
+    "hold": {"goal_pos": ((-0.24, -0.52, 1.47),) * 2, "object_size": ((0.025, 0.036, 0.03),) * 2},
+    "pen": {"tilt": ((0, 0), (0, 0))},
+    "baoding": {
+        "sign": (1, 1),
+        "start_angle": (np.pi / 4, np.pi / 4),
+        "period": (5, 5),
+        "radii": ((0.025, 0.028),) * 2,
+        "ball_mass": (0.043, 0.043),
+        "ball_radius": (0.022, 0.022),
+        "ball_friction": ((1, 0.005, 0.0001),) * 2,
+    },
+}
+DRAWN = {
+    "key": {
+        "key_angle": (-np.pi / 2, np.pi / 2),
+        "key_pos": ((-0.16, -0.56, 1.415), (-0.14, -0.54, 1.435)),
+    },
+    "hold": {
+        "goal_pos": ((-0.265, -0.54, 1.42), (-0.205, -0.48, 1.48)),
+        "object_size": ((0.02,) * 3, (0.03,) * 3),
+    },
+    "pen": {"tilt": ((-1, -1), (1, 1))},
+    "baoding": {
+        "sign": (-1, 1),
+        "start_angle": (0, 2 * np.pi),
+        "period": (4, 6),
+        "radii": ((0.02, 0.022), (0.03, 0.032)),
+        "ball_mass": (0.03, 0.3),
+        "ball_radius": (0.018, 0.024),
+        "ball_friction": ((0.8, 0.004, 0.00008), (1.2, 0.006, 0.00012)),
+    },
+}
+"""What episodes draw, lowest and highest; spec/tasks.md, section 3."""
+
+
+def tilt(quat):
+    """Return the angles (u, v) of a rotation Rx(u) Ry(v)."""
+    product = quat[:, 1] * quat[:, 2]
+    np.testing.assert_allclose(quat[:, 3] * quat[:, 0], product, atol=VALUE_TOLERANCE)
+    return 2 * np.arctan2(quat[:, 1:3], quat[:, :1])
+
+
+def drawn_by_us(sim, meta):
+    """Return what the worlds have drawn, by its name in the recordings."""
+    program, ids = sim.program, object_ids(sim.scene.oracle, meta)
+
+    def field(name):
+        return getattr(sim.scene.model, name).numpy()[:, ids[name.split("_")[0]]]
+
+    if meta["task"] == "key":
+        return {"key_angle": sim.scene.data.qpos.numpy()[:, 23], "key_pos": field("body_pos")[:, 0]}
+    if meta["task"] == "hold":
+        return {"goal_pos": program.goal.numpy(), "object_size": field("geom_size")[:, 0]}
+    if meta["task"] == "pen":
+        return {"tilt": tilt(sim.scene.data.mocap_quat.numpy()[:, 0])}
+    balls = {"mass": field("body_mass"), "radius": field("geom_size")[:, :, 0]}
+    balls["friction"] = field("geom_friction")
+    orbits = {"sign": "direction", "start_angle": "start_angle", "period": "period", "radii": "radii"}
+    drawn = {theirs: getattr(program.orbits, ours).numpy() for theirs, ours in orbits.items()}
+    return drawn | {f"ball_{name}": values for name, values in balls.items()}
+
+
+def drawn_by_upstream(record, meta):
+    """Return what the recorded episodes have drawn."""
+    if meta["task"] == "pen":
+        return {"tilt": tilt(record["reset_target_quat"])}
+    names = FIXED[meta["task"]]
+    first = {"start_angle": record.get("reset_start_angles", np.zeros((1, 1)))[:, 0]}
+    return {name: first[name] if name in first else record[f"reset_{name}"] for name in names}
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_episodes_draw_like_upstream(key):
+    """Bounds of everything randomised; ours fill them."""
+    record, meta = recorded(key)
+    random = "Random" in key or "P2" in key
+    sim = simulation(key)
+    sim.reset(seeds=np.arange(NUM_WORLDS))
+    ours, theirs = drawn_by_us(sim, meta), drawn_by_upstream(record, meta)
+    bounds = (DRAWN if random else FIXED)[meta["task"]]
+    assert set(ours) == set(theirs) == set(bounds)
+    for name, (low, high) in bounds.items():
+        low, spread = np.array(low), np.subtract(high, low)
+        scale = np.maximum(np.abs(low), spread)
+        for values in (ours[name], theirs[name]):
+            assert np.all(values >= low - VALUE_TOLERANCE * scale), name
+            assert np.all(values <= high + VALUE_TOLERANCE * scale), name
+        filled = ours[name].max(axis=0) - ours[name].min(axis=0)
+        assert np.all(filled >= 0.95 * spread), name
+        if name == "sign" and random:
+            assert set(ours[name]) == set(theirs[name]) == {-1, 0, 1}
+
+
+@pytest.mark.parametrize("key", [key for key in KEYS if "geom_size" in TASKS[key].batched])
+def test_fields_that_follow_from_what_is_drawn(key):
+    """Bounds for the broad phase and inverse weights, as upstream's recompilation gives them."""
+    record, meta = recorded(key)
+    sim = simulation(key)
+    sim.reset(seeds=np.arange(NUM_WORLDS))
+    ids, model = object_ids(sim.scene.oracle, meta), sim.scene.model
+    names = ["geom_size", "geom_rbound", "geom_aabb", "body_mass", "body_inertia", "body_invweight0"]
+    ours = {name: getattr(model, name).numpy()[:, ids[name.split("_")[0]]] for name in names}
+    theirs = {name: record[f"reset_{name}"] for name in names}
+    for fields in (ours, theirs):
+        size = fields["geom_size"]
+        box = fields["geom_aabb"].reshape(*size.shape[:2], 2, 3)
+        expected = {"geom_rbound": size.max(axis=-1), "body_inertia": np.full(3, 1e-4)}
+        for name, values in expected.items():
+            np.testing.assert_allclose(fields[name], np.broadcast_to(values, fields[name].shape), 1e-6)
+        np.testing.assert_allclose(box, np.stack([0 * size, size], axis=2), 1e-6)
+        mass = fields["body_mass"]
+        inverse = np.stack([1 / mass, np.full_like(mass, 1e4)], axis=-1)
+        np.testing.assert_allclose(fields["body_invweight0"], inverse, 1e-6)
