@@ -20,12 +20,15 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from myowarp.interop import OUTPUTS, checked_action, require_torch, to_output
-from myowarp.kernels.episode import FAULTS
+from myowarp.interop import OUTPUTS, checked_action, require_library, to_output
+from myowarp.kernels.episode import describe_fault
+from myowarp.scene import check_choice
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
+from myowarp.tasks.paper import grid
 from myowarp.view.pictures import Pictures
 
+CONDITIONS = ("none",)
 RENDER_MODES = ("human", "rgb_array")
 NO_HORIZON = 2**31 - 1  # steps; a single environment leaves truncation to Gymnasium's TimeLimit
 AUTORESET_NAMES = {
@@ -65,6 +68,8 @@ class MyoWarpVectorEnv(VectorEnv):
         device: str | None = None,
         physics: str = "parity",
         muscle: str = "mujoco",
+        reset: str = "task",
+        condition: str = "none",
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         output: str = "numpy",
         copy: bool | None = None,
@@ -82,6 +87,8 @@ class MyoWarpVectorEnv(VectorEnv):
             device: Warp device, such as "cpu" or "cuda:0"; None: the first CUDA device, else the CPU.
             physics: "parity" (MyoSuite's integrator and step) or "fast" (`myowarp.spec.PHYSICS`).
             muscle: Muscle model, a name in `myowarp.models.muscles.MUSCLES`.
+            reset: What episodes start from: "task", "fixed", "random" or "none" (`myowarp.spec.RESETS`).
+            condition: Muscle condition; "none" is the only one so far.
             autoreset_mode: When a finished world starts its next episode.
             output: Arrays of this library: "numpy", "torch" or "warp".
             copy: Whether returned arrays are copies; None: copies for numpy, views otherwise.
@@ -95,21 +102,21 @@ class MyoWarpVectorEnv(VectorEnv):
             ImportError: `output="torch"` without torch.
         """
         spec = TASKS[task]
-        _require("output", output, OUTPUTS)
-        _require("render_mode", render_mode, (None, *RENDER_MODES))
+        check_choice("condition", condition, CONDITIONS)
+        check_choice("output", output, OUTPUTS)
+        check_choice("render_mode", render_mode, (None, *RENDER_MODES))
         mode = _autoreset_mode(autoreset_mode)
-        if output == "torch":
-            require_torch()
+        require_library(output)
         self.output = output
         self.copy = output == "numpy" if copy is None else copy
-        self.render_mode = render_mode
-        self._pictures = Pictures(render_size, camera)
+        self.render_mode, self._pictures = render_mode, Pictures(render_size, camera)
         self.sim = Simulation(
             spec,
             num_envs,
             device=device,
             physics=physics,
             muscle=muscle,
+            reset=reset,
             autoreset=AUTORESET_NAMES[mode],
             horizon=max_episode_steps,
             progress=progress,
@@ -300,11 +307,8 @@ class MyoWarpVectorEnv(VectorEnv):
             return
         self._warned = True
         world = int(np.flatnonzero(fault)[0])
-        reasons = [text for bit, text in FAULTS.items() if fault[world] & bit]
-        gym.logger.warn(
-            f"world {world} was reset after a fault ({', '.join(reasons)}); later faults show only in "
-            "info['fault']"
-        )
+        reason = describe_fault(fault[world])
+        gym.logger.warn(f"world {world} was reset after a fault ({reason}); later ones show in info['fault']")
 
 
 class MyoWarpEnv(gym.Env):
@@ -371,30 +375,25 @@ class MyoWarpEnv(gym.Env):
         self._vector.close()
 
 
-def _require(name: str, value: object, choices: Sequence[object]) -> None:
-    """Raise ValueError if `value` is none of `choices`."""
-    if value not in choices:
-        raise ValueError(f"{name} {value!r} unknown; available: {', '.join(map(str, choices))}")
-
-
 def _autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:
     """Return Gymnasium's enum member for a mode or its name."""
     if isinstance(mode, AutoresetMode):
         return mode
     named = {name: m for m, name in AUTORESET_NAMES.items()}
     key = {m.value.lower(): name for m, name in AUTORESET_NAMES.items()}.get(str(mode).lower(), mode)
-    _require("autoreset_mode", key, tuple(named))
+    check_choice("autoreset_mode", key, tuple(named))
     return named[key]
 
 
 def register_all() -> None:
-    """Register every task with Gymnasium; called by `import myowarp`."""
-    for key in TASKS:
-        spec = TASKS[key]
+    """Register every task, and the paper's grid, with Gymnasium; called by `import myowarp`."""
+    options = {TASKS[key].env_id: {"task": key} for key in TASKS}
+    options |= {r.id: {"task": r.task, "reset": r.reset, "condition": r.condition} for r in grid()}
+    for env_id, kwargs in options.items():
         gym.register(
-            id=spec.env_id,
+            id=env_id,
             entry_point="myowarp.bridge_gym:MyoWarpEnv",
             vector_entry_point="myowarp.bridge_gym:MyoWarpVectorEnv",
-            max_episode_steps=spec.horizon,
-            kwargs={"task": spec.key},
+            max_episode_steps=TASKS[kwargs["task"]].horizon,
+            kwargs=kwargs,
         )

@@ -24,11 +24,16 @@ class Tasks:
 
     family: str | None = None
     """Only this family, such as pose or reach."""
+    paper: bool = False
+    """List the paper's grid of 204 tasks instead."""
     json: bool = False
     """Print JSON instead of a table."""
 
     def __call__(self) -> None:
         """Print the list."""
+        if self.paper:
+            _list_paper(self.json)
+            return
         from myowarp.scene import oracle_model
 
         rows = []
@@ -75,6 +80,20 @@ class Tasks:
                 row["doc"].split(". ")[0],
             )
         Console().print(table)
+
+
+def _list_paper(as_json: bool) -> None:
+    """Print the paper's grid."""
+    from myowarp.tasks.paper import grid
+
+    rows = [dataclasses.asdict(row) for row in grid()]
+    if as_json:
+        print(json.dumps(rows, indent=1))
+        return
+    table = Table(*rows[0], title=f"{len(rows)} tasks")
+    for row in rows:
+        table.add_row(*row.values())
+    Console().print(table)
 
 
 @dataclass

@@ -1,5 +1,6 @@
 """Arrays of the simulation for users of NumPy, torch or Warp, and their actions back."""
 
+import importlib.util
 from typing import Any
 
 import numpy as np
@@ -65,11 +66,9 @@ def _check(dtype: str, floating: bool, got: tuple[int, ...], required: tuple[int
         raise ValueError(f"actions must be floating point of shape {required}, got {dtype} of shape {got}")
 
 
-def require_torch() -> None:
-    """Raise ImportError if torch cannot be imported."""
-    try:
-        import torch  # noqa: F401
-    except ImportError as error:
+def require_library(output: str) -> None:
+    """Raise ImportError if the library of an output is not installed."""
+    if importlib.util.find_spec(output) is None:
         raise ImportError(
-            'output="torch" needs torch, which is not installed; run `pip install "myowarp[torch]"`'
-        ) from error
+            f'output="{output}" needs {output}, which is not installed; run `pip install "myowarp[{output}]"`'
+        )

@@ -5,7 +5,7 @@ After `compile_scene` every shape is fixed; the step loop only launches kernels 
 
 import hashlib
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -22,7 +22,7 @@ from myowarp.models.bodies import BODIES
 from myowarp.models.capacity import Capacity, calibrate
 from myowarp.models.muscles import MUSCLES, MuscleModel
 from myowarp.models.slim import slim
-from myowarp.spec import PHYSICS, TaskSpec
+from myowarp.spec import PHYSICS, RESETS, PhysicsPreset, TaskSpec
 
 
 @dataclass
@@ -39,6 +39,7 @@ class Scene:
         muscles: The muscles of all worlds.
         keys: What random numbers are drawn from.
         qpos_start: Start configuration of an episode, shape (nq,).
+        reset: What episodes start from, one of `spec.RESETS`.
         actuator_kind: MUSCLE or MOTOR for each actuator, shape (nu,).
         capacity: Contacts and constraint rows that the arrays hold.
     """
@@ -52,6 +53,7 @@ class Scene:
     muscles: MuscleModel
     keys: RandomKeys
     qpos_start: wp.array
+    reset: str
     actuator_kind: wp.array
     capacity: Capacity
     device: wp.Device = field(repr=False)
@@ -104,7 +106,7 @@ def stateless_model(spec: TaskSpec) -> mujoco.MjModel:
     return small.compile()
 
 
-def _sources(spec: TaskSpec) -> str:
+def source_digest(spec: TaskSpec) -> str:
     """Return a digest of the code that builds the scene of a task, so that an edit renews the cache."""
     package = Path(__file__).parent
     files = [Path(__file__), package / "tasks/markers.py", Path(inspect.getfile(type(spec)))]
@@ -115,7 +117,7 @@ def _sources(spec: TaskSpec) -> str:
 def _cached_model(spec: TaskSpec, make: Callable[[TaskSpec], mujoco.MjModel]) -> mujoco.MjModel:
     """Return `make(spec)` through the disk cache."""
     return cached(
-        (make.__name__, spec.scene_key, _sources(spec)),
+        (make.__name__, spec.scene_key, source_digest(spec)),
         ".mjb",
         make=lambda: make(spec),
         save=mujoco.mj_saveModel,
@@ -126,6 +128,21 @@ def _cached_model(spec: TaskSpec, make: Callable[[TaskSpec], mujoco.MjModel]) ->
 def oracle_model(spec: TaskSpec) -> mujoco.MjModel:
     """Return `slim_model` through the disk cache."""
     return _cached_model(spec, slim_model)
+
+
+def set_physics(spec: TaskSpec, preset: PhysicsPreset, models: Iterable[mujoco.MjModel]) -> int:
+    """Set integrator and step of models to a preset's; returns the physics steps in a control step."""
+    num_substeps = -(-spec.num_substeps // preset.stride)
+    for model in models:
+        model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{preset.integrator}")
+        model.opt.timestep = spec.control_dt / num_substeps
+    return num_substeps
+
+
+def check_choice(name: str, value: object, choices: Iterable[object]) -> None:
+    """Raise ValueError if `value` is none of `choices`."""
+    if value not in choices:
+        raise ValueError(f"{name} {value!r} unknown; available: {', '.join(map(str, choices))}")
 
 
 def checked_num_worlds(num_worlds: int) -> int:
@@ -150,6 +167,7 @@ def compile_scene(
     device: str | None = None,
     physics: str = "parity",
     muscle: str = "mujoco",
+    reset: str = "task",
 ) -> Scene:
     """Build everything that a task needs on a device.
 
@@ -159,23 +177,19 @@ def compile_scene(
         device: Warp device such as "cpu" or "cuda:0"; None: the first CUDA device if there is one.
         physics: Name in `PHYSICS`.
         muscle: Name in `MUSCLES`.
+        reset: What episodes start from, one of `spec.RESETS`.
 
     Raises:
         ValueError: An argument is out of its range, or the device does not exist.
     """
     num_worlds = checked_num_worlds(num_worlds)
-    if physics not in PHYSICS:
-        raise ValueError(f"physics {physics!r} unknown; available: {', '.join(PHYSICS)}")
+    check_choice("physics", physics, PHYSICS)
+    check_choice("reset", reset, RESETS)
     muscle_class = MUSCLES[muscle]
     where = resolve_device(device)
 
-    preset = PHYSICS[physics]
-    oracle = oracle_model(spec)
-    stepped = _cached_model(spec, stateless_model)
-    num_substeps = -(-spec.num_substeps // preset.stride)
-    for host in (oracle, stepped):
-        host.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{preset.integrator}")
-        host.opt.timestep = spec.control_dt / num_substeps
+    oracle, stepped = oracle_model(spec), _cached_model(spec, stateless_model)
+    num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped))
     start = spec.start(oracle)
     capacity = calibrate(oracle, start)
     with wp.ScopedDevice(where):
@@ -199,6 +213,7 @@ def compile_scene(
             muscles=muscles,
             keys=keys,
             qpos_start=wp.array(start, dtype=float),
+            reset=reset,
             actuator_kind=wp.array(actuator_kinds(oracle), dtype=int),
             capacity=capacity,
             device=where,

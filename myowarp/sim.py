@@ -25,10 +25,11 @@ from myowarp.kernels.episode import (
     keep_final,
     open_episode,
 )
-from myowarp.kernels.reset import reset_worlds
+from myowarp.kernels.reset import place_posture, reset_worlds
 from myowarp.prune import pruned, verified_idle
 from myowarp.scene import compile_scene
 from myowarp.spec import TaskSpec
+from myowarp.starts import posture_joints, random_starts
 from myowarp.warmup import compile_kernels, quiet
 
 AUTORESET = {
@@ -60,6 +61,7 @@ class Simulation:
         device: str | None = None,
         physics: str = "parity",
         muscle: str = "mujoco",
+        reset: str = "task",
         autoreset: str = "next_step",
         horizon: int | None = None,
         graph: bool = True,
@@ -73,6 +75,7 @@ class Simulation:
             device: Warp device; None: the first CUDA device if there is one, else the CPU.
             physics: Name in `spec.PHYSICS`.
             muscle: Name in `MUSCLES`.
+            reset: What episodes start from, one of `spec.RESETS`.
             autoreset: Gymnasium's mode, a key of `AUTORESET`.
             horizon: Control steps in an episode; None: the task's.
             graph: Whether to capture the step as a graph.
@@ -88,10 +91,14 @@ class Simulation:
             raise ValueError(f"max_episode_steps must be a positive integer, got {horizon!r}")
         self.autoreset = AUTORESET[autoreset]
         with quiet():
-            self.scene = compile_scene(spec, num_worlds, device, physics, muscle)
+            self.scene = compile_scene(spec, num_worlds, device, physics, muscle, reset)
         with quiet(), wp.ScopedDevice(self.scene.device):
             self.program = spec.bind(self.scene)
             self._allocate(horizon)
+            self.postures = self.posture_address = None
+            if reset == "random":
+                self.postures = wp.array(random_starts(spec), dtype=float)
+                self.posture_address = wp.array(posture_joints(self.scene.oracle), dtype=int)
             self._idle: frozenset[str] = frozenset()
             compile_kernels(self._launch_all, self.scene.device, show=progress)
             self._idle = verified_idle(
@@ -122,9 +129,8 @@ class Simulation:
         self.episode.solved_count = wp.zeros(n, dtype=int)
         self.episode.pending = wp.zeros(n, dtype=bool)
         self.masks = Masks()
-        self.masks.live = wp.zeros(n, dtype=bool)
-        self.masks.reset = wp.zeros(n, dtype=bool)
-        self.masks.fresh = wp.zeros(n, dtype=bool)
+        for mask in ("live", "renew", "reset", "fresh"):
+            setattr(self.masks, mask, wp.zeros(n, dtype=bool))
         self._asked = wp.zeros(n, dtype=bool)
 
     def _new_transition(self) -> Transition:
@@ -156,7 +162,7 @@ class Simulation:
         self.program.observe(self.masks.live, self.transition.obs)
         if self.autoreset == RESET_SAME_STEP:
             wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
-        self._launch_reset(self.masks.reset, self.masks.fresh, asked=False)
+        self._launch_reset(self.masks.renew, self.masks.reset, self.masks.fresh, asked=False)
 
     def _launch_physics(self) -> None:
         """One physics step of all worlds; the muscles run in the engine's control callback."""
@@ -185,21 +191,31 @@ class Simulation:
         wp.launch(
             advance_episode,
             dim=self.num_worlds,
-            inputs=[self.weights, self.horizon, self.autoreset],
+            inputs=[self.weights, self.horizon, self.autoreset, self.scene.reset == "none"],
             outputs=[self.episode, transition, self.masks],
         )
 
     def _launch_asked_reset(self) -> None:
-        """Reset that the user asked for."""
-        self._launch_reset(self._asked, self._asked, asked=True)
+        """Reset that the user asked for; the state is reset in every mode."""
+        self._launch_reset(self._asked, self._asked, self._asked, asked=True)
 
-    def _launch_reset(self, mask: wp.array, fresh: wp.array, asked: bool) -> None:
-        """Reset the worlds of `mask`, observe those of `fresh`."""
+    def _launch_reset(self, renew: wp.array, reset: wp.array, fresh: wp.array, asked: bool) -> None:
+        """Open episodes in the worlds of `renew`, reset the state of `reset`, observe those of `fresh`."""
         scene = self.scene
-        reset_worlds(mask, scene.qpos_start, scene.data, scene.keys)
-        scene.muscles.reset(mask)
-        wp.launch(open_episode, dim=self.num_worlds, inputs=[mask, asked], outputs=[self.episode])
-        self.program.sample_goal(mask)
+        wp.launch(
+            open_episode, dim=self.num_worlds, inputs=[renew, asked], outputs=[self.episode, scene.keys]
+        )
+        reset_worlds(reset, scene.qpos_start, scene.data)
+        scene.muscles.reset(reset)
+        self.program.sample_start(reset)
+        if self.postures is not None:
+            wp.launch(
+                place_posture,
+                dim=self.num_worlds,
+                inputs=[self.postures, self.posture_address, scene.keys, reset],
+                outputs=[scene.data.qpos],
+            )
+        self.program.sample_goal(renew)
         self._refresh()
         self.program.observe(fresh, self.transition.obs)
 

@@ -58,8 +58,14 @@ class Program(Protocol):
     Every method only launches kernels, so that a whole environment step can be captured as one graph.
     """
 
+    def sample_start(self, mask: wp.array) -> None:
+        """Draw what an episode starts from, in the worlds of `mask` (num_worlds,) bool.
+
+        The common start configuration is in place; objects, and their properties, are drawn here.
+        """
+
     def sample_goal(self, mask: wp.array) -> None:
-        """Draw a new goal, and start configuration, in the worlds of `mask` (num_worlds,) bool."""
+        """Draw what the episode asks for, in the worlds of `mask` (num_worlds,) bool."""
 
     def observe(self, mask: wp.array, obs: wp.array) -> None:
         """Write `obs` (num_worlds, obs_size) in the worlds of `mask`."""
@@ -164,5 +170,10 @@ PHYSICS = {
 """`parity`: MyoSuite's integrator and step. `fast`: implicit in velocity, twice the step; hand-joint
 RMS error against Euler 0.1 ms over 0.2 s of policy-like excitations 0.015 rad instead of 0.006 rad
 (hand pose), measured in MuJoCo C."""
+
+RESETS = ("task", "fixed", "random", "none")
+"""What a new episode starts from: the task's own way; the task's start configuration; a random posture free
+of penetration and of immediate failure; or the state that the last episode left (reset-free, only goal and
+counters are new)."""
 
 TASKS: Registry[TaskSpec] = Registry("task")

@@ -1,8 +1,8 @@
 """Random start configurations of a task: within the joint ranges, without penetration, not failing at once.
 
-A start is drawn between the task's own start and a uniformly random posture, so that hands that must stay near
-an object are found too. It is kept if MuJoCo C sees no deeper penetration than the task's own start has, and if
-the task's own score does not call it failed.
+A start is drawn between the task's own start and a uniformly random posture, so that hands that must stay
+near an object are found too. It is kept if MuJoCo C sees no deeper penetration than the task's own start has,
+and if the task's own score does not call it failed.
 """
 
 import mujoco
@@ -36,9 +36,7 @@ def random_starts(spec: TaskSpec) -> np.ndarray:
         ValueError: Too few postures are free of penetration and failure.
     """
     key = ("random_starts", spec.key, source_digest(spec), NUM_STARTS, PENETRATION)
-    return cached(
-        key, ".npy", lambda: _find(spec), lambda starts, path: np.save(path, starts), np.load
-    )
+    return cached(key, ".npy", lambda: _find(spec), lambda starts, path: np.save(path, starts), np.load)
 
 
 def _find(spec: TaskSpec) -> np.ndarray:

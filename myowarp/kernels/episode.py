@@ -4,6 +4,7 @@ import warp as wp
 from mujoco_warp import OverflowType
 
 from myowarp.kernels.action import FAULT_ACTION
+from myowarp.kernels.random import RandomKeys
 
 FAULT_NONFINITE = wp.constant(1)
 FAULT_ROWS = wp.constant(2)
@@ -16,6 +17,12 @@ FAULTS = {
     int(FAULT_ACTION): "action not finite",
 }
 """Meaning of the bits of a fault."""
+
+
+def describe_fault(bits: int) -> str:
+    """Return the meaning of the bits of a fault."""
+    return ", ".join(text for bit, text in FAULTS.items() if bits & bit)
+
 
 STATE_LIMIT = wp.constant(1.0e10)  # largest state entry that MuJoCo accepts, mjMAXVAL
 SUCCESS_STEPS = wp.constant(5)  # an episode succeeds with more solved steps than this; MyoSuite
@@ -76,11 +83,13 @@ class Masks:
 
     Attributes:
         live: Stepped and healthy: observe the state reached.
-        reset: To be reset now.
-        fresh: Reset now, and to be observed anew.
+        renew: A new episode opens now.
+        reset: Its state is reset now.
+        fresh: A new episode opens now, and is to be observed.
     """
 
     live: wp.array[bool]
+    renew: wp.array[bool]
     reset: wp.array[bool]
     fresh: wp.array[bool]
 
@@ -133,6 +142,7 @@ def advance_episode(
     weights: wp.array[float],
     horizon: wp.array[int],
     autoreset: int,
+    keep_state: bool,
     # Out:
     episode: EpisodeState,
     transition: Transition,
@@ -140,8 +150,8 @@ def advance_episode(
 ):
     """reward = weights . terms; decide what ends, what is reset and what is observed.
 
-    A world that was pending is only reset. A faulty world ends with reward 0, keeps its last observation
-    and is reset at once, in every mode.
+    A world that was pending is only renewed: reset, unless states carry over (`keep_state`). A faulty world
+    ends with reward 0, keeps its last observation and is reset at once, in every mode.
     """
     worldid = wp.tid()
     was_pending = episode.pending[worldid]
@@ -171,7 +181,8 @@ def advance_episode(
     transition.truncated[worldid] = truncated
     episode.pending[worldid] = ended and autoreset == RESET_NEXT_STEP
     masks.live[worldid] = live
-    masks.reset[worldid] = was_pending or faulty or reset_now
+    masks.renew[worldid] = was_pending or faulty or reset_now
+    masks.reset[worldid] = faulty or ((was_pending or reset_now) and not keep_state)
     masks.fresh[worldid] = was_pending or reset_now
 
 
@@ -202,15 +213,20 @@ def keep_final(
 @wp.kernel(enable_backward=False)
 def open_episode(
     # In:
-    mask: wp.array[bool],
+    renew: wp.array[bool],
     asked: bool,
     # Out:
     episode: EpisodeState,
+    keys: RandomKeys,
 ):
-    """Put the counters of the worlds of the mask to 0; a reset that was asked for leaves none pending."""
+    """Put the counters of the worlds to renew to 0; a reset that was asked for leaves none pending.
+
+    The next episode's random numbers are other ones.
+    """
     worldid = wp.tid()
-    if mask[worldid]:
+    if renew[worldid]:
         episode.step_count[worldid] = 0
         episode.solved_count[worldid] = 0
+        keys.episode[worldid] += 1
         if asked:
             episode.pending[worldid] = False

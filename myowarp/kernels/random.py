@@ -8,6 +8,7 @@ import warp as wp
 
 GOAL = wp.constant(0)
 START = wp.constant(1)
+POSTURE = wp.constant(2)
 
 
 @wp.struct

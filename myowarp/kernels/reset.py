@@ -3,7 +3,7 @@
 import mujoco_warp as mjw
 import warp as wp
 
-from myowarp.kernels.random import RandomKeys
+from myowarp.kernels.random import POSTURE, RandomKeys, open_stream
 
 
 @wp.kernel(enable_backward=False)
@@ -37,10 +37,8 @@ def reset_world(
     qacc_warmstart_out: wp.array2d[float],
     time_out: wp.array[float],
     overflow_out: wp.array[int],
-    # Out:
-    keys: RandomKeys,
 ):
-    """Put the worlds of the mask into the start configuration at rest and open their next episode."""
+    """Put the worlds of the mask into the start configuration at rest."""
     worldid = wp.tid()
     if not mask[worldid]:
         return
@@ -53,10 +51,9 @@ def reset_world(
         ctrl_out[worldid, i] = 0.0
     time_out[worldid] = 0.0
     overflow_out[worldid] = 0
-    keys.episode[worldid] = keys.episode[worldid] + 1
 
 
-def reset_worlds(mask: wp.array, qpos_start: wp.array, data: mjw.Data, keys: RandomKeys) -> None:
+def reset_worlds(mask: wp.array, qpos_start: wp.array, data: mjw.Data) -> None:
     """Reset the mechanical state of the worlds that `mask` (num_worlds,) bool selects.
 
     Everything else in `data` is recomputed from this state by the next step.
@@ -72,6 +69,26 @@ def reset_worlds(mask: wp.array, qpos_start: wp.array, data: mjw.Data, keys: Ran
             data.qacc_warmstart,
             data.time,
             data.overflow,
-            keys,
         ],
     )
+
+
+@wp.kernel(enable_backward=False)
+def place_posture(
+    # Params:
+    postures: wp.array2d[float],
+    posture_address: wp.array[int],
+    # In:
+    keys: RandomKeys,
+    reset: wp.array[bool],
+    # Data out:
+    qpos_out: wp.array2d[float],
+):
+    """qpos[address] = a row of the table, drawn uniformly."""
+    worldid = wp.tid()
+    if not reset[worldid]:
+        return
+    state = open_stream(keys, worldid, POSTURE)
+    row = wp.randi(state, 0, postures.shape[0])
+    for i in range(posture_address.shape[0]):
+        qpos_out[worldid, posture_address[i]] = postures[row, i]

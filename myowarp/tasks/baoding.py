@@ -284,8 +284,13 @@ class BaodingProgram:
         self.orbits.radii = wp.zeros(n, dtype=wp.vec2)
         self.target = wp.zeros((n, 2), dtype=wp.vec3)
 
+    def sample_start(self, mask: wp.array) -> None:
+        """Draw the balls where they differ."""
+        if self.draw is not None:
+            self.draw.launch(self.scene.model, self.scene.keys, mask)
+
     def sample_goal(self, mask: wp.array) -> None:
-        """Launch `sample_orbit`, and draw the balls where they differ."""
+        """Launch `sample_orbit`."""
         scene = self.scene
         wp.launch(
             sample_orbit,
@@ -293,8 +298,6 @@ class BaodingProgram:
             inputs=[self.orbit_ranges, scene.keys, mask],
             outputs=[self.orbits, self.target],
         )
-        if self.draw is not None:
-            self.draw.launch(scene.model, scene.keys, mask)
 
     def observe(self, mask: wp.array, obs: wp.array) -> None:
         """Launch `observe_baoding`."""

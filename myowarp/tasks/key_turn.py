@@ -213,6 +213,9 @@ class KeyTurnProgram:
         self.key_site, self.index_site, self.thumb_site = map(scene.site_id, spec.sites)
 
     def sample_goal(self, mask: wp.array) -> None:
+        """Nothing to draw: the goal angle is the task's."""
+
+    def sample_start(self, mask: wp.array) -> None:
         """Launch `sample_key`."""
         spec, scene = self.spec, self.scene
         wp.launch(

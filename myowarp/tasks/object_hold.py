@@ -117,32 +117,25 @@ class ObjectHoldTask(TaskSpec):
 
 
 @wp.kernel(enable_backward=False)
-def sample_hold(
-    # Params:
-    goal_low: wp.vec3,
-    goal_high: wp.vec3,
-    size_low: wp.vec3,
-    size_high: wp.vec3,
+def sample_box(
     # In:
+    low: wp.vec3,
+    high: wp.vec3,
+    stream: int,
     keys: RandomKeys,
     mask: wp.array[bool],
     # Out:
-    goal: wp.array[wp.vec3],
-    object_size: wp.array[wp.vec3],
+    drawn: wp.array[wp.vec3],
 ):
-    """goal ~ U(goal_low, goal_high), semi-axes ~ U(size_low, size_high)."""
+    """drawn ~ U(low, high)."""
     worldid = wp.tid()
     if not mask[worldid]:
         return
-    place = open_stream(keys, worldid, GOAL)
-    shape = open_stream(keys, worldid, START)
-    goal_drawn = wp.vec3()
-    size_drawn = wp.vec3()
+    state = open_stream(keys, worldid, stream)
+    values = wp.vec3()
     for i in range(3):
-        goal_drawn[i] = wp.randf(place, goal_low[i], goal_high[i])
-        size_drawn[i] = wp.randf(shape, size_low[i], size_high[i])
-    goal[worldid] = goal_drawn
-    object_size[worldid] = size_drawn
+        values[i] = wp.randf(state, low[i], high[i])
+    drawn[worldid] = values
 
 
 @wp.kernel(enable_backward=False)
@@ -268,23 +261,26 @@ class ObjectHoldProgram:
         self.goal = wp.zeros(scene.num_worlds, dtype=wp.vec3)
         self.object_size = wp.zeros(scene.num_worlds, dtype=wp.vec3)
 
-    def sample_goal(self, mask: wp.array) -> None:
-        """Draw goals and sizes, and give the objects their sizes."""
-        spec, scene = self.spec, self.scene
+    def _draw(
+        self, box: tuple[tuple[float, ...], tuple[float, ...]], stream: int, mask: wp.array, drawn: wp.array
+    ) -> None:
+        """Launch `sample_box`."""
+        low, high = (wp.vec3(*corner) for corner in box)
         wp.launch(
-            sample_hold,
-            dim=scene.num_worlds,
-            inputs=[
-                wp.vec3(*spec.goal_low),
-                wp.vec3(*spec.goal_high),
-                wp.vec3(*spec.size_low),
-                wp.vec3(*spec.size_high),
-                scene.keys,
-                mask,
-            ],
-            outputs=[self.goal, self.object_size],
+            sample_box,
+            dim=self.scene.num_worlds,
+            inputs=[low, high, stream, self.scene.keys, mask],
+            outputs=[drawn],
         )
+
+    def sample_start(self, mask: wp.array) -> None:
+        """Draw sizes, and give the objects their sizes."""
+        self._draw((self.spec.size_low, self.spec.size_high), START, mask, self.object_size)
         self.shape_object(mask)
+
+    def sample_goal(self, mask: wp.array) -> None:
+        """Draw goals."""
+        self._draw((self.spec.goal_low, self.spec.goal_high), GOAL, mask, self.goal)
 
     def shape_object(self, mask: wp.array) -> None:
         """Write into the model what follows from `object_size` in the worlds of `mask`."""

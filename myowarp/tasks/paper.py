@@ -1,8 +1,8 @@
 """The paper's grid of 204 tasks: nine families, easy and hard, three resets, muscle conditions.
 
 Source: Caggiano et al. (2022), arXiv:2205.13600, table of tasks: six hand families and the elbow under four
-conditions each, the two finger families under three. *Easy* is the family's fixed task, *hard* its random one.
-Upstream never registered the reset axis nor the full grid.
+conditions each, the two finger families under three. *Easy* is the family's fixed task, *hard* its random
+one. Upstream never registered the reset axis nor the full grid.
 """
 
 from dataclasses import dataclass

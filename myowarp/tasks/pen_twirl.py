@@ -249,6 +249,9 @@ class PenTwirlProgram:
         self.target_body = scene.oracle.body("target").id
         self.target_quat = scene.data.mocap_quat
 
+    def sample_start(self, mask: wp.array) -> None:
+        """Nothing to draw: the common start is the task's."""
+
     def sample_goal(self, mask: wp.array) -> None:
         """Launch `sample_pen`."""
         scene = self.scene

@@ -82,31 +82,42 @@ class PoseTask(TaskSpec):
 
 @wp.kernel(enable_backward=False)
 def sample_pose(
-    # Model:
-    jnt_range: wp.array2d[wp.vec2],
     # Params:
     target_low: wp.array[float],
     target_high: wp.array[float],
     # In:
     keys: RandomKeys,
     mask: wp.array[bool],
-    random_start: bool,
-    # Data out:
-    qpos_out: wp.array2d[float],
     # Out:
     target: wp.array2d[float],
 ):
-    """target ~ U(low, high); with a random start also qpos ~ U(joint range)."""
+    """target ~ U(low, high)."""
     worldid = wp.tid()
     if not mask[worldid]:
         return
     goal = open_stream(keys, worldid, GOAL)
-    start = open_stream(keys, worldid, START)
     for i in range(target.shape[1]):
         target[worldid, i] = wp.randf(goal, target_low[i], target_high[i])
-        if random_start:
-            limits = jnt_range[worldid % jnt_range.shape[0], i]
-            qpos_out[worldid, i] = wp.randf(start, limits[0], limits[1])
+
+
+@wp.kernel(enable_backward=False)
+def sample_configuration(
+    # Model:
+    jnt_range: wp.array2d[wp.vec2],
+    # In:
+    keys: RandomKeys,
+    mask: wp.array[bool],
+    # Data out:
+    qpos_out: wp.array2d[float],
+):
+    """qpos ~ U(joint range)."""
+    worldid = wp.tid()
+    if not mask[worldid]:
+        return
+    start = open_stream(keys, worldid, START)
+    for i in range(qpos_out.shape[1]):
+        limits = jnt_range[worldid % jnt_range.shape[0], i]
+        qpos_out[worldid, i] = wp.randf(start, limits[0], limits[1])
 
 
 @wp.kernel(enable_backward=False)
@@ -180,21 +191,24 @@ class PoseProgram:
         self.target_low = wp.array(spec.target_low, dtype=float)
         self.target_high = wp.array(spec.target_high, dtype=float)
 
-    def sample_goal(self, mask: wp.array) -> None:
-        """Draw targets, and start configurations where the task has random ones."""
+    def sample_start(self, mask: wp.array) -> None:
+        """Draw configurations where the task's own start is random."""
         scene = self.scene
+        if self.spec.random_start and scene.reset == "task":
+            wp.launch(
+                sample_configuration,
+                dim=scene.num_worlds,
+                inputs=[scene.model.jnt_range, scene.keys, mask],
+                outputs=[scene.data.qpos],
+            )
+
+    def sample_goal(self, mask: wp.array) -> None:
+        """Launch `sample_pose`."""
         wp.launch(
             sample_pose,
-            dim=scene.num_worlds,
-            inputs=[
-                scene.model.jnt_range,
-                self.target_low,
-                self.target_high,
-                scene.keys,
-                mask,
-                self.spec.random_start,
-            ],
-            outputs=[scene.data.qpos, self.target],
+            dim=self.scene.num_worlds,
+            inputs=[self.target_low, self.target_high, self.scene.keys, mask],
+            outputs=[self.target],
         )
 
     def observe(self, mask: wp.array, obs: wp.array) -> None:

@@ -211,6 +211,9 @@ class ReachProgram:
         self.target_high = wp.array(high, dtype=float)
         self.tip_site = wp.array([scene.site_id(name) for name in spec.tips], dtype=int)
 
+    def sample_start(self, mask: wp.array) -> None:
+        """Nothing to draw: the common start is the task's."""
+
     def sample_goal(self, mask: wp.array) -> None:
         """Launch `sample_reach`."""
         wp.launch(

@@ -1,0 +1,104 @@
+"""What episodes start from: the task's start, a random posture, or where the last episode ended."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from myowarp.sim import Simulation
+from myowarp.spec import TASKS
+from myowarp.starts import NUM_STARTS, PENETRATION, posture_joints, random_starts
+
+SCENES = sorted({TASKS[key].scene_key: key for key in TASKS if "Random" in key or "P2" in key}.values())
+NUM_WORLDS = 24
+FLOAT32 = 1e-6  # rad, rounding of joint angles
+SPREAD = 0.02  # rad; a posture joint that is drawn varies by more than this
+
+
+def simulation(key, reset, **options):
+    settings = {"device": "cpu", "graph": False, "progress": False, "autoreset": "same_step"} | options
+    sim = Simulation(TASKS[key], NUM_WORLDS, reset=reset, **settings)
+    sim.reset(seeds=np.arange(NUM_WORLDS))
+    return sim
+
+
+def penetration(model, qpos):
+    """Return the deepest penetration in MuJoCo C."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    return max(0.0, -data.contact.dist.min(initial=0.0))
+
+
+@pytest.mark.parametrize("key", SCENES)
+def test_fixed(key):
+    """Every world starts in the task's start posture."""
+    sim = simulation(key, "fixed")
+    address = posture_joints(sim.scene.oracle)
+    start = TASKS[key].start(sim.scene.oracle)[address]
+    np.testing.assert_allclose(
+        sim.scene.data.qpos.numpy()[:, address], np.tile(start, (NUM_WORLDS, 1)), atol=FLOAT32
+    )
+
+
+@pytest.mark.parametrize("key", SCENES)
+def test_random(key):
+    """Postures differ, lie within the ranges, touch nothing deeper than the start does, and do not fail."""
+    sim = simulation(key, "random")
+    model = sim.scene.oracle
+    address = posture_joints(model)
+    posture = sim.scene.data.qpos.numpy()[:, address]
+    low, high = model.jnt_range[np.flatnonzero(model.jnt_limited)].T
+    assert (posture >= low - FLOAT32).all()
+    assert (posture <= high + FLOAT32).all()
+    assert posture.std(axis=0).min() > SPREAD
+    table = random_starts(TASKS[key])
+    assert table.shape == (NUM_STARTS, len(address))
+    start = TASKS[key].start(model)
+    allowed = penetration(model, start) + PENETRATION
+    for row in table[:50]:
+        start[address] = row
+        assert penetration(model, start) <= allowed + FLOAT32
+    nearest = np.abs(table[None] - posture[:, None]).max(axis=2).min(axis=1)
+    assert nearest.max() < FLOAT32
+
+
+@pytest.mark.parametrize("key", SCENES)
+def test_none_carries_the_state_over(key):
+    """Ends of episodes leave the mechanics alone, bit for bit; goals and counters are new."""
+    free, short = simulation(key, "none", horizon=1000), simulation(key, "none", horizon=3)
+    fixed = simulation(key, "fixed", horizon=3)
+    rng = np.random.default_rng(0)
+    ended = np.zeros(NUM_WORLDS, dtype=bool)
+    for step in range(4):
+        action = rng.uniform(-1, 1, free.action.shape).astype(np.float32)
+        for sim in (free, short, fixed):
+            sim.action.assign(action)
+            sim.step()
+        ended |= short.transition.terminated.numpy() | free.transition.terminated.numpy()
+        if step == 2:
+            assert short.transition.truncated.numpy().all()
+            assert not short.episode.step_count.numpy().any()
+            assert (short.scene.keys.episode.numpy() == 2).all()
+    same = ~ended
+    assert same.any()
+    for name in ("qpos", "qvel"):
+        carried, whole = (getattr(sim.scene.data, name).numpy()[same] for sim in (short, free))
+        np.testing.assert_array_equal(carried, whole)
+    activations = (sim.scene.muscles.activation.numpy()[same] for sim in (short, free))
+    np.testing.assert_array_equal(*activations)
+    assert not np.array_equal(fixed.scene.data.qpos.numpy()[same], free.scene.data.qpos.numpy()[same])
+
+
+def test_none_still_resets_a_broken_world():
+    sim = simulation("myoElbowPose1D6MRandom-v0", "none")
+    sim.scene.data.qvel.numpy()[3] = np.nan
+    sim.step()
+    assert sim.transition.fault.numpy()[3]
+    assert sim.scene.data.qvel.numpy()[3] == 0
+    assert np.isfinite(sim.scene.data.qpos.numpy()).all()
+    assert np.abs(sim.scene.data.qvel.numpy()[np.arange(NUM_WORLDS) != 3]).min() > 0
+
+
+def test_unknown_reset_is_refused():
+    with pytest.raises(ValueError, match=r"^reset 'never' unknown; available: task, fixed, random, none$"):
+        simulation("myoElbowPose1D6MRandom-v0", "never")
