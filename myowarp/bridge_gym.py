@@ -101,7 +101,6 @@ class MyoWarpVectorEnv(VectorEnv):
             ValueError: An argument is out of its range; nothing was built.
             ImportError: `output="torch"` without torch.
         """
-        spec = TASKS[task]
         check_choice("condition", condition, CONDITIONS)
         check_choice("output", output, OUTPUTS)
         check_choice("render_mode", render_mode, (None, *RENDER_MODES))
@@ -111,7 +110,7 @@ class MyoWarpVectorEnv(VectorEnv):
         self.copy = output == "numpy" if copy is None else copy
         self.render_mode, self._pictures = render_mode, Pictures(render_size, camera)
         self.sim = Simulation(
-            spec,
+            TASKS[task],
             num_envs,
             device=device,
             physics=physics,
