@@ -88,7 +88,7 @@ class MyoWarpVectorEnv(VectorEnv):
             physics: "parity" (MyoSuite's integrator and step) or "fast" (`myowarp.spec.PHYSICS`).
             muscle: Muscle model, a name in `myowarp.models.muscles.MUSCLES`.
             reset: What episodes start from: "task", "fixed", "random" or "none" (`myowarp.spec.RESETS`).
-            condition: Muscle condition; "none" is the only one so far.
+            condition: Muscle condition; none exists yet but "none".
             autoreset_mode: When a finished world starts its next episode.
             output: Arrays of this library: "numpy", "torch" or "warp".
             copy: Whether returned arrays are copies; None: copies for numpy, views otherwise.
@@ -99,15 +99,14 @@ class MyoWarpVectorEnv(VectorEnv):
 
         Raises:
             ValueError: An argument is out of its range; nothing was built.
-            ImportError: `output="torch"` without torch.
+            ImportError: Output for a library that is not installed.
         """
         check_choice("condition", condition, CONDITIONS)
         check_choice("output", output, OUTPUTS)
         check_choice("render_mode", render_mode, (None, *RENDER_MODES))
         mode = _autoreset_mode(autoreset_mode)
         require_library(output)
-        self.output = output
-        self.copy = output == "numpy" if copy is None else copy
+        self.output, self.copy = output, (output == "numpy" if copy is None else copy)
         self.render_mode, self._pictures = render_mode, Pictures(render_size, camera)
         self.sim = Simulation(
             TASKS[task],
