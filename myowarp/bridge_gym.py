@@ -20,7 +20,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from myowarp.interop import OUTPUTS, checked_action, require_library, to_output
+from myowarp.interop import check_output, checked_action, to_output
 from myowarp.kernels.episode import describe_fault
 from myowarp.scene import check_choice
 from myowarp.sim import Simulation
@@ -102,10 +102,9 @@ class MyoWarpVectorEnv(VectorEnv):
             ImportError: Output for a library that is not installed.
         """
         check_choice("condition", condition, CONDITIONS)
-        check_choice("output", output, OUTPUTS)
         check_choice("render_mode", render_mode, (None, *RENDER_MODES))
         mode = _autoreset_mode(autoreset_mode)
-        require_library(output)
+        check_output(output)
         self.output, self.copy = output, (output == "numpy" if copy is None else copy)
         self.render_mode, self._pictures = render_mode, Pictures(render_size, camera)
         self.sim = Simulation(

@@ -66,8 +66,15 @@ def _check(dtype: str, floating: bool, got: tuple[int, ...], required: tuple[int
         raise ValueError(f"actions must be floating point of shape {required}, got {dtype} of shape {got}")
 
 
-def require_library(output: str) -> None:
-    """Raise ImportError if the library of an output is not installed."""
+def check_output(output: str) -> None:
+    """Raise if an output cannot be had.
+
+    Raises:
+        ValueError: It is none of `OUTPUTS`.
+        ImportError: Its library is not installed.
+    """
+    if output not in OUTPUTS:
+        raise ValueError(f"output {output!r} unknown; available: {', '.join(OUTPUTS)}")
     if importlib.util.find_spec(output) is None:
         raise ImportError(
             f'output="{output}" needs {output}, which is not installed; run `pip install "myowarp[{output}]"`'
