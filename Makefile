@@ -12,7 +12,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help setup demo test test-slow lint format bench clean
+.PHONY: help setup demo test test-slow lint format bench parity clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -58,6 +58,12 @@ bench: setup ## Run the benchmarks, JSON to out/bench.json
 	@mkdir -p out
 	$(BIN)/python -m benchmarks --output out/bench.json
 
+parity: setup ## Install MyoSuite 3.0.0 beside us, record fresh values, compare every id
+	@mkdir -p out
+	@test -x .venv-parity/bin/python || $(PYTHON) -m venv .venv-parity
+	.venv-parity/bin/python -m pip install --quiet --disable-pip-version-check myosuite==3.0.0
+	$(BIN)/python -m benchmarks.parity --recorder .venv-parity/bin/python --output out/parity.json
+
 clean: ## Remove .venv, caches and outputs
-	rm -rf $(VENV) out build dist .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) .venv-parity out build dist .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import os
 from functools import lru_cache
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import warp as wp
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 
-DATA = Path(__file__).parent / "data/myosuite"
+DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parent / "data/myosuite"))
 ALIASES = {
     "myoHandBaodingFixed-v0": "myoChallengeBaodingP1-v1",
     "myoHandBaodingRandom-v0": "myoChallengeBaodingP2-v1",

@@ -5,6 +5,7 @@ physics is compared on its own, over one control step from recorded states.
 """
 
 import json
+import os
 from pathlib import Path
 
 import mujoco_warp as mjw
@@ -15,7 +16,7 @@ import warp as wp
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 
-DATA = Path(__file__).parent / "data/myosuite"
+DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parent / "data/myosuite"))
 UPSTREAM = sorted(
     key for key in TASKS if TASKS[key].version == 0 and TASKS[key].body != "contact_hand"
 )  # tasks with objects: test_oracle_contact.py
@@ -66,12 +67,14 @@ def away_from_edges(sim, record, prefix):
 
 @pytest.mark.parametrize("key", UPSTREAM)
 @pytest.mark.parametrize("prefix", ["step", "forced"])
-def test_observation_reward_and_ending(key, prefix):
+def test_observation_reward_and_ending(key, prefix, record_property):
     record = recorded(key)
     steps = record[f"{prefix}_step"]
     sim = written(key, record, prefix, steps)
     transition = sim.transition
-    assert np.abs(transition.obs.numpy() - record[f"{prefix}_obs"]).max() < VALUE_TOLERANCE
+    worst = np.abs(transition.obs.numpy() - record[f"{prefix}_obs"]).max()
+    record_property("observation", worst)
+    assert worst < VALUE_TOLERANCE
     clear = away_from_edges(sim, record, prefix)
     assert clear.mean() > 0.9
     terms = {term.name: i for i, term in enumerate(sim.terms)}
@@ -80,8 +83,9 @@ def test_observation_reward_and_ending(key, prefix):
         error = np.abs(transition.terms.numpy()[:, column] - record[field])
         assert error[clear].max() < VALUE_TOLERANCE, name
     reward = record[f"{prefix}_reward"]
-    tolerance = VALUE_TOLERANCE * (1 + np.abs(reward))
-    assert (np.abs(transition.reward.numpy() - reward) < tolerance)[clear].all()
+    error = np.abs(transition.reward.numpy() - reward)[clear]
+    record_property("reward", error.max())
+    assert (error < VALUE_TOLERANCE * (1 + np.abs(reward[clear]))).all()
     np.testing.assert_array_equal(transition.solved.numpy()[clear], record[f"{prefix}_solved"][clear])
     np.testing.assert_array_equal(transition.terminated.numpy()[clear], record[f"{prefix}_done"][clear])
     assert not transition.fault.numpy().any()
@@ -164,7 +168,7 @@ def test_targets_are_drawn_like_upstream(key):
 
 
 @pytest.mark.parametrize("key", UPSTREAM)
-def test_one_control_step_of_physics(key):
+def test_one_control_step_of_physics(key, record_property):
     """qpos and activation after frame_skip substeps from the same state and the same excitation."""
     record = recorded(key)
     states = {name.replace("_before", ""): record[name] for name in record.files}
@@ -181,6 +185,8 @@ def test_one_control_step_of_physics(key):
     for _ in range(sim.scene.num_substeps):
         mjw.step(sim.scene.model, data)
     error = np.abs(data.qpos.numpy() - record["replay_qpos_after"])
+    record_property("qpos median", np.median(error.max(axis=1)))
+    record_property("qpos worst", error.max())
     assert np.median(error.max(axis=1)) < QPOS_TOLERANCE
     if sim.scene.muscles.activation.size:
         activation = sim.scene.muscles.activation.numpy()

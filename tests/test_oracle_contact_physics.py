@@ -54,7 +54,7 @@ def test_contacts_are_those_of_upstream(key):
 
 
 @pytest.mark.parametrize("key", KEYS)
-def test_one_control_step_of_physics(key):
+def test_one_control_step_of_physics(key, record_property):
     """Forces and a control step of recorded states: of our model in MuJoCo C, and of the engine."""
     record, sim = recorded(key)[0], simulation(key)
     n = write_episodes(key, "replay", "_before")
@@ -82,6 +82,8 @@ def test_one_control_step_of_physics(key):
     for _ in range(num_substeps):
         mjw.step(sim.scene.model, data)
     error = np.abs(data.qpos.numpy()[:n] - after).max(axis=1)
+    record_property("qpos median", np.median(error))
+    record_property("qpos worst", error.max())
     assert np.median(error) < QPOS_TOLERANCE
     assert error.max() < CONTACT_TOLERANCE
     moved = np.abs(after - record["replay_qpos_before"]).max(axis=1)
