@@ -2,9 +2,10 @@
 
     make parity
 
-The recorders of tests/data run in MyoSuite's own environment; then the oracle tests run on what they wrote. The
-table gives the worst differences per id: observation and reward in states written in, joint configuration
-after one control step from the same state.
+The recorders of tests/data run in MyoSuite's own environment; then the oracle tests run on what they wrote.
+The table gives the worst differences per id: observation and reward in states written in, joint
+configuration after one control step from the same state. Rollouts over several contacts are left out: whether
+a touch is found in float32 can decide the whole of one, so a bound on the worst of new ones would not hold.
 """
 
 import json
@@ -55,16 +56,8 @@ def compare(folder: Path) -> tuple[dict[str, dict[str, float]], int]:
     """
     report = folder / "report.xml"
     tests = [str(ROOT / "tests" / name) for name in TESTS]
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        f"--junitxml={report}",
-        "-o",
-        "junit_family=xunit1",
-        *tests,
-    ]
+    command = [sys.executable, "-m", "pytest", "-q", f"--junitxml={report}", "-o", "junit_family=xunit1"]
+    command += ["-k", "not rollouts", *tests]
     subprocess.run(command, cwd=ROOT, env=os.environ | {"MYOWARP_ORACLE": str(folder)}, check=False)
     worst: dict[str, dict[str, float]] = {}
     failed = 0
