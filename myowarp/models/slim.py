@@ -45,6 +45,9 @@ def slim(full: mujoco.MjSpec, keep_sites: Iterable[str]) -> mujoco.MjSpec:
         if geom.id not in colliding:
             geom.contype = 0
             geom.conaffinity = 0
+        else:
+            # How hard a contact is follows from the weight of its geom's own body, so the body stays one.
+            geom.parent.fuse = 0
     if not colliding:
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.compiler.discardvisual = True

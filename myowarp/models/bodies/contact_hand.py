@@ -54,8 +54,6 @@ def _make_touchable(spec: mujoco.MjSpec) -> None:
         elif geom.contype:
             geom.conaffinity = 1
             geom.solimp = SOFT
-            # How hard a contact is follows from the weight of its geom's own body, so the body must stay one.
-            geom.parent.fuse = 0
 
 
 def _undo_corrections(spec: mujoco.MjSpec) -> None:
