@@ -7,6 +7,7 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 import warp as wp
+from configurations import configurations
 from reference import mujoco_muscle as reference
 
 import myowarp.tasks  # noqa: F401
@@ -46,14 +47,21 @@ def _tasks_with_muscles():
 BODY_TASKS = {spec.body: spec for spec in _tasks_with_muscles()}
 
 
+def muscle_scene(body, num_worlds, physics, muscle):
+    """Return a scene in which nothing touches: muscles alone move the joints, in the engine and in C."""
+    scene = compile_scene(BODY_TASKS[body], num_worlds, "cpu", physics, muscle)
+    scene.oracle.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    scene.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return scene
+
+
 class States:
     """Random states of a scene's oracle, exactly representable in float32; one for each world."""
 
     def __init__(self, model, num_worlds, seed=0):
         rng = np.random.default_rng(seed)
-        low, high = model.jnt_range.T
         shape = (num_worlds, model.nu)
-        self.qpos = np.float32(rng.uniform(low, high, (num_worlds, model.nq)))
+        self.qpos = np.float32(configurations(model, model.qpos0, num_worlds, seed))
         self.qvel = np.float32(rng.normal(size=(num_worlds, model.nv)))
         self.activation = np.float32(rng.uniform(0.0, 1.0, (num_worlds, model.na)))
         self.ctrl = np.float32(rng.uniform(-0.2, 1.2, shape))  # beyond ctrlrange on both sides
@@ -105,7 +113,7 @@ def force_from_path(scene, activation, gainprm, biasprm):
 @lru_cache(maxsize=2)
 def stepped(body, physics):
     """Return scene, states, and what one step in MuJoCo C gives; the scene is stepped once."""
-    scene = compile_scene(BODY_TASKS[body], NUM_WORLDS, "cpu", physics, "mujoco")
+    scene = muscle_scene(body, NUM_WORLDS, physics, "mujoco")
     states = States(scene.oracle, NUM_WORLDS)
     load(scene, states)
     mjw.step(scene.model, scene.data)
@@ -142,7 +150,7 @@ def test_kernel_equals_reference(body, physics):
 
 @pytest.mark.parametrize("body", BODY_TASKS)
 def test_force_comes_from_the_callback(body):
-    scene = compile_scene(BODY_TASKS[body], 33, "cpu", "parity", "mujoco")
+    scene = muscle_scene(body, 33, "parity", "mujoco")
     states = States(scene.oracle, 33)
     force, _, _ = step_in_c(scene.oracle, states)
     load(scene, states)
@@ -156,7 +164,7 @@ def test_force_comes_from_the_callback(body):
 @pytest.mark.parametrize("body", BODY_TASKS)
 def test_implicit_integrator_needs_the_force_slope(body):
     """The same force without kv moves the velocity after one step by much more than the tolerance."""
-    scene = compile_scene(BODY_TASKS[body], 33, "cpu", "fast", "mujoco")
+    scene = muscle_scene(body, 33, "fast", "mujoco")
     states = States(scene.oracle, 33)
     _, _, qvel = step_in_c(scene.oracle, states)
 
@@ -183,7 +191,7 @@ VARIED = {**GAIN_COLUMN, **BIAS_COLUMN}
 def test_parameters_of_each_world(widened):
     """Any array may be (num_worlds, num_muscles) while others are (1, num_muscles)."""
     num_worlds = 3
-    scene = compile_scene(BODY_TASKS["elbow"], num_worlds, "cpu", "parity", "mujoco")
+    scene = muscle_scene("elbow", num_worlds, "parity", "mujoco")
     model, ids, params = scene.oracle, scene.muscles.actuator_id, scene.muscles.params
     states = States(model, num_worlds)
     for values in vars(states).values():
@@ -256,7 +264,7 @@ def test_options_of_a_muscle():
 @pytest.mark.parametrize("body", BODY_TASKS)
 def test_every_model_pulls_and_resets_by_mask(body, muscle):
     num_worlds = 33
-    scene = compile_scene(BODY_TASKS[body], num_worlds, "cpu", "parity", muscle)
+    scene = muscle_scene(body, num_worlds, "parity", muscle)
     states = States(scene.oracle, num_worlds)
     for name in ("qpos", "qvel", "activation", "ctrl"):
         getattr(states, name)[-1] = getattr(states, name)[0]
