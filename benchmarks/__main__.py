@@ -85,6 +85,7 @@ class MujocoC:
         self.data = mujoco.MjData(self.model)
         self.num_substeps = spec.num_substeps
         self.horizon = spec.horizon
+        self.start = spec.start(self.model)
         self.rng = np.random.default_rng(0)
         self.steps = max(10, round(options.seconds / self.run(10)))
 
@@ -95,6 +96,7 @@ class MujocoC:
         for step, control in enumerate(controls):
             if step % self.horizon == 0:
                 mujoco.mj_resetData(self.model, self.data)
+                self.data.qpos[:] = self.start
             self.data.ctrl[:] = control
             mujoco.mj_step(self.model, self.data, self.num_substeps)
         return (time.perf_counter() - begin) / steps
