@@ -34,7 +34,7 @@ VISIBLE_GEOM_GROUPS = (0, 1, 2)
 
 ROUND_GEOMS = (mujoco.mjtGeom.mjGEOM_SPHERE.value, mujoco.mjtGeom.mjGEOM_CAPSULE.value)
 
-MARGIN = 1.2
+MARGIN = 1.35
 """Camera distance over the one at which the range of motion of single joints just fits."""
 
 
