@@ -22,7 +22,7 @@ from gymnasium.vector.utils import batch_space
 
 from myowarp.interop import check_output, checked_action, to_output
 from myowarp.kernels.episode import describe_fault
-from myowarp.scene import check_choice
+from myowarp.registry import check_choice
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 from myowarp.tasks.paper import grid

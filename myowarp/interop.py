@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from myowarp.registry import check_choice
+
 OUTPUTS = ("numpy", "torch", "warp")
 
 
@@ -73,8 +75,7 @@ def check_output(output: str) -> None:
         ValueError: It is none of `OUTPUTS`.
         ImportError: Its library is not installed.
     """
-    if output not in OUTPUTS:
-        raise ValueError(f"output {output!r} unknown; available: {', '.join(OUTPUTS)}")
+    check_choice("output", output, OUTPUTS)
     if importlib.util.find_spec(output) is None:
         raise ImportError(
             f'output="{output}" needs {output}, which is not installed; run `pip install "myowarp[{output}]"`'

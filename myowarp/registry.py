@@ -5,10 +5,16 @@ in the tests, which run over everything registered.
 """
 
 import difflib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
+
+
+def check_choice(name: str, value: object, choices: Iterable[object]) -> None:
+    """Raise ValueError if `value` is none of `choices`."""
+    if value not in choices:
+        raise ValueError(f"{name} {value!r} unknown; available: {', '.join(map(str, choices))}")
 
 
 class Registry(Generic[T]):

@@ -22,6 +22,7 @@ from myowarp.models.bodies import BODIES
 from myowarp.models.capacity import Capacity, calibrate
 from myowarp.models.muscles import MUSCLES, MuscleModel
 from myowarp.models.slim import slim
+from myowarp.registry import check_choice
 from myowarp.spec import PHYSICS, RESETS, PhysicsPreset, TaskSpec
 
 
@@ -137,12 +138,6 @@ def set_physics(spec: TaskSpec, preset: PhysicsPreset, models: Iterable[mujoco.M
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{preset.integrator}")
         model.opt.timestep = spec.control_dt / num_substeps
     return num_substeps
-
-
-def check_choice(name: str, value: object, choices: Iterable[object]) -> None:
-    """Raise ValueError if `value` is none of `choices`."""
-    if value not in choices:
-        raise ValueError(f"{name} {value!r} unknown; available: {', '.join(map(str, choices))}")
 
 
 def checked_num_worlds(num_worlds: int) -> int:

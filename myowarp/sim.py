@@ -27,6 +27,7 @@ from myowarp.kernels.episode import (
 )
 from myowarp.kernels.reset import place_posture, reset_worlds
 from myowarp.prune import pruned, verified_idle
+from myowarp.registry import check_choice
 from myowarp.scene import compile_scene
 from myowarp.spec import TaskSpec
 from myowarp.starts import posture_joints, random_starts
@@ -84,8 +85,7 @@ class Simulation:
         Raises:
             ValueError: An argument is out of its range.
         """
-        if autoreset not in AUTORESET:
-            raise ValueError(f"autoreset {autoreset!r} unknown; available: {', '.join(AUTORESET)}")
+        check_choice("autoreset", autoreset, AUTORESET)
         horizon = spec.horizon if horizon is None else horizon
         if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 1:
             raise ValueError(f"max_episode_steps must be a positive integer, got {horizon!r}")

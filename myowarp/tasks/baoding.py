@@ -23,13 +23,12 @@ import warp as wp
 from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
 from myowarp.kernels.reward import activation_effort
-from myowarp.models.bodies.contact_hand import add_object
+from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
 from myowarp.scene import Scene
 from myowarp.spec import TASKS, Column, RewardTerm, TaskSpec
 from myowarp.tasks.baoding_balls import BATCHED, BallDraw, BallRanges, Range
 from myowarp.tasks.markers import add_tip_targets
 
-HAND_JOINTS = wp.constant(23)
 BALL_QPOS = wp.constant(wp.vec2i(23, 30))  # where the free joints start in qpos
 BALL_QVEL = wp.constant(wp.vec2i(23, 29))
 ELLIPSE_CENTER = wp.constant(wp.vec3(-0.0125, -0.07, -0.02))  # m, frame of the trapezium

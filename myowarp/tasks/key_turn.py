@@ -18,11 +18,10 @@ import warp as wp
 from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
 from myowarp.kernels.reward import activation_effort, indicator
-from myowarp.models.bodies.contact_hand import add_object
+from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
 from myowarp.scene import Scene
 from myowarp.spec import TASKS, Column, RewardTerm, TaskSpec
 
-HAND_JOINTS = wp.constant(23)
 KEY = wp.constant(23)  # joint of the key, after the hand's
 GRIP = wp.constant(0.03)  # m, wanted distance of a tip from the key head
 LOOSE = wp.constant(0.05)  # m, error beyond which a tip is penalised

@@ -17,12 +17,11 @@ import warp as wp
 from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
 from myowarp.kernels.reward import activation_effort, indicator
-from myowarp.models.bodies.contact_hand import add_object
+from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
 from myowarp.scene import Scene
 from myowarp.spec import TASKS, Column, RewardTerm, TaskSpec
 from myowarp.tasks.markers import add_tip_targets
 
-HAND_JOINTS = wp.constant(23)
 OBJECT = wp.constant(23)  # first of the object's seven coordinates, after the hand's
 NEAR = wp.constant(0.01)  # m, error below which the task counts as solved
 FAR = wp.constant(0.3)  # m, error beyond which the object is lost

@@ -18,12 +18,11 @@ import warp as wp
 from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
 from myowarp.kernels.reward import activation_effort, indicator
-from myowarp.models.bodies.contact_hand import add_object
+from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
 from myowarp.scene import Scene
 from myowarp.spec import TASKS, Column, RewardTerm, TaskSpec
 from myowarp.tasks.markers import add_tip_targets
 
-HAND_JOINTS = wp.constant(23)  # the joints of the pen come after them
 DROPPED = wp.constant(0.075)  # m, distance from the start beyond which the pen is lost
 CLOSE = wp.constant(0.9)  # cosines with bonus
 ALIGNED = wp.constant(0.95)

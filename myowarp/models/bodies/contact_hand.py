@@ -7,6 +7,7 @@ the other edits are needed for parity only.
 """
 
 import mujoco
+import warp as wp
 from myo_sim.build.compose import apply_inertia_floor
 
 from myowarp.models.bodies import BODIES, Body
@@ -15,6 +16,7 @@ from myowarp.models.bodies.hand import hand
 ROOT_POS = (-0.025203285253, 0.071449974504, 1.392442909705)  # m
 ROOT_QUAT = (0.521702295767, 0.469732569517, -0.478718760568, -0.527263099417)  # w, x, y, z
 
+HAND_JOINTS = wp.constant(23)  # those of the objects come after them
 INERTIA_FLOOR = 1e-4  # kg m^2, MyoSuite's compiler setting
 MASS_FLOOR = 1e-3  # kg
 
