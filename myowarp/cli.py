@@ -1,4 +1,4 @@
-"""The command `myowarp`: list tasks, roll out policies, compile kernels ahead of time."""
+"""The command `myowarp`: list tasks, roll out policies, audit tasks, compile kernels ahead of time."""
 
 import dataclasses
 import json
@@ -194,6 +194,78 @@ class Warmup:
             Simulation(spec, 1, device=self.device, physics=self.physics)
 
 
+@dataclass
+class Audit:
+    """Check whether tasks are sound: run zero, random and extreme actions, and examine targets and objects.
+
+    Says for each id how often episodes fail at once, which share of the targets can be met, what of the
+    observation and the reward never moves, whether failing early pays, how full contacts were, and whether
+    objects have the inertia and friction that they should. A corrected version stands beside the one with
+    MyoSuite's semantics. An id takes from seconds (elbow) to minutes (hand that touches).
+
+    Two versions of a task: myowarp audit myoHandReachFixed-v0 myoHandReachFixed-v1
+
+    Every registered id: myowarp audit --output out/all
+
+    The paper's grid, each id with its reset: myowarp audit --paper
+    """
+
+    tasks: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """Task ids, with or without "MyoWarp/", the paper's too; none means every registered id."""
+    paper: bool = False
+    """Audit the paper's grid; ids whose muscle condition does not exist yet are left out."""
+    num_worlds: int = 64
+    """Worlds simulated together: episodes seen for each policy."""
+    steps: int | None = None
+    """Control steps of each policy; by default, and at least, one horizon of the task (reset-free: two)."""
+    seed: int = 0
+    """World i resets with seed + i."""
+    device: str | None = None
+    """Warp device, such as cpu or cuda:0; by default the GPU if there is one."""
+    physics: str = "parity"
+    """parity (MyoSuite's integrator and step) or fast (implicit, twice the step)."""
+    output: Path = Path("out/audit")
+    """Folder for audit.json, written after every id, and index.html with plots (needs matplotlib)."""
+    json: bool = False
+    """Print the JSON instead of a table."""
+
+    def __call__(self) -> None:
+        """Check everything, then audit and report."""
+        from myowarp.audit import command
+        from myowarp.registry import check_choice
+        from myowarp.scene import resolve_device
+        from myowarp.spec import PHYSICS
+
+        jobs, left_out = command.find_jobs(self.tasks, self.paper)
+        for name, number, least in (
+            ("num-worlds", self.num_worlds, 1),
+            ("steps", 1 if self.steps is None else self.steps, 1),
+            ("seed", self.seed, 0),
+        ):
+            if number < least:
+                raise ValueError(f"--{name} must be at least {least}, got {number}")
+        check_choice("physics", self.physics, PHYSICS)
+        resolve_device(self.device)
+        command.check_folder(self.output)
+        console = Console(stderr=True, highlight=False, soft_wrap=True)
+        if left_out:
+            console.print(f"Left out {left_out} ids whose muscle condition does not exist yet")
+        audits = command.audit_all(
+            jobs,
+            self.output,
+            console,
+            num_worlds=self.num_worlds,
+            steps=self.steps,
+            seed=self.seed,
+            device=self.device,
+            physics=self.physics,
+        )
+        if self.json:
+            print(command.as_json(audits))
+        else:
+            command.print_table(audits, Console())
+
+
 def _report(figures: dict[str, object], as_json: bool) -> None:
     """Print the figures of a rollout."""
     if as_json:
@@ -219,7 +291,7 @@ def main() -> None:
     """Entry point of the command; errors are one sentence and exit status 2."""
     wp.config.log_level = wp.LOG_ERROR
     command = tyro.extras.subcommand_cli_from_dict(
-        {"tasks": Tasks, "rollout": Rollout, "warmup": Warmup},
+        {"tasks": Tasks, "rollout": Rollout, "audit": Audit, "warmup": Warmup},
         prog="myowarp",
         description="Musculoskeletal motor control, simulated in thousands of worlds at once.",
     )

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.progress import progress_bar
 from myowarp.view.render import WorldRenderer
 from myowarp.view.video import write_video
 
@@ -163,7 +163,7 @@ def run(
     recording, tally = Recording(), _Tally(env.num_envs)
     obs, _ = env.reset(seed=seed)
     seconds = 0.0
-    with _bar("Simulating", "steps  {task.fields[rate]:>9,.0f} env steps/s", console) as bar:
+    with progress_bar("Simulating", "steps  {task.fields[rate]:>9,.0f} env steps/s", console) as bar:
         task = bar.add_task("", total=steps, rate=0.0)
         for step in range(1, steps + 1):
             actions = np.array(act(obs.copy() if record else obs))  # a policy may reuse its arrays
@@ -224,18 +224,6 @@ class _Tally:
         }
 
 
-def _bar(title: str, unit: str, console: Console | None) -> Progress:
-    """Return a progress bar."""
-    return Progress(
-        TextColumn(f"[bold]{title}[/bold]"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(unit),
-        TimeRemainingColumn(),
-        console=console or Console(stderr=True),
-    )
-
-
 def save_recording(path: Path, env: MyoWarpVectorEnv, recording: Recording) -> None:
     """Write a recording as compressed npz, in place in one move.
 
@@ -278,7 +266,7 @@ def film(
         myowarp.view.render.NoGraphicsError: No OpenGL was found.
         OSError: The file cannot be written.
     """
-    bar = _bar("Drawing", "frames", console)
+    bar = progress_bar("Drawing", "frames", console)
     with WorldRenderer(env.sim.scene.full, *size) as renderer, bar:
         images = (
             renderer.frame_grid(

@@ -4,7 +4,6 @@ After `compile_scene` every shape is fixed; the step loop only launches kernels 
 """
 
 import hashlib
-import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -107,18 +106,18 @@ def stateless_model(spec: TaskSpec) -> mujoco.MjModel:
     return small.compile()
 
 
-def source_digest(spec: TaskSpec) -> str:
-    """Return a digest of the code that builds the scene of a task, so that an edit renews the cache."""
+def source_digest(*more: Path) -> str:
+    """Return a digest of the code that builds scenes, and of `more` files: an edit renews the cache."""
     package = Path(__file__).parent
-    files = [Path(__file__), package / "tasks/markers.py", Path(inspect.getfile(type(spec)))]
-    files += [*sorted(package.glob("models/bodies/*.py")), package / "models/slim.py"]
+    files = [Path(__file__), package / "models/slim.py", *more]
+    files += [*sorted(package.glob("tasks/*.py")), *sorted(package.glob("models/bodies/*.py"))]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def _cached_model(spec: TaskSpec, make: Callable[[TaskSpec], mujoco.MjModel]) -> mujoco.MjModel:
     """Return `make(spec)` through the disk cache."""
     return cached(
-        (make.__name__, spec.scene_key, source_digest(spec)),
+        (make.__name__, spec.scene_key, source_digest()),
         ".mjb",
         make=lambda: make(spec),
         save=mujoco.mj_saveModel,

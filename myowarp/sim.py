@@ -25,12 +25,12 @@ from myowarp.kernels.episode import (
     keep_final,
     open_episode,
 )
-from myowarp.kernels.reset import place_posture, reset_worlds
+from myowarp.kernels.reset import place_start, reset_worlds
 from myowarp.prune import pruned, verified_idle
 from myowarp.registry import check_choice
 from myowarp.scene import compile_scene
 from myowarp.spec import TaskSpec
-from myowarp.starts import posture_joints, random_starts
+from myowarp.starts import random_starts, start_address
 from myowarp.warmup import compile_kernels, quiet
 
 AUTORESET = {
@@ -80,7 +80,7 @@ class Simulation:
             autoreset: Gymnasium's mode, a key of `AUTORESET`.
             horizon: Control steps in an episode; None: the task's.
             graph: Whether to capture the step as a graph.
-            progress: Whether to show a progress bar while kernels compile.
+            progress: Whether to show progress bars while kernels compile and random starts are found.
 
         Raises:
             ValueError: An argument is out of its range.
@@ -95,10 +95,10 @@ class Simulation:
         with quiet(), wp.ScopedDevice(self.scene.device):
             self.program = spec.bind(self.scene)
             self._allocate(horizon)
-            self.postures = self.posture_address = None
+            self.starts = self.start_address = None
             if reset == "random":
-                self.postures = wp.array(random_starts(spec), dtype=float)
-                self.posture_address = wp.array(posture_joints(self.scene.oracle), dtype=int)
+                self.starts = wp.array(find_starts(spec, progress), dtype=float)
+                self.start_address = wp.array(start_address(spec, self.scene.oracle), dtype=int)
             self._idle: frozenset[str] = frozenset()
             compile_kernels(self._launch_all, self.scene.device, show=progress)
             self._idle = verified_idle(
@@ -208,11 +208,11 @@ class Simulation:
         reset_worlds(reset, scene.qpos_start, scene.data)
         scene.muscles.reset(reset)
         self.program.sample_start(reset)
-        if self.postures is not None:
+        if self.starts is not None:
             wp.launch(
-                place_posture,
+                place_start,
                 dim=self.num_worlds,
-                inputs=[self.postures, self.posture_address, scene.keys, reset],
+                inputs=[self.starts, self.start_address, scene.keys, reset],
                 outputs=[scene.data.qpos],
             )
         self.program.sample_goal(renew)
@@ -271,3 +271,15 @@ class Simulation:
                 self._launch_asked_reset()
             else:
                 wp.capture_launch(self._reset_graph)
+
+
+def find_starts(spec: TaskSpec, progress: bool = True) -> np.ndarray:
+    """Return the random starts of a task, tried in a simulation of their own on the CPU."""
+
+    def simulate(num_worlds: int) -> Simulation:
+        return Simulation(
+            spec, num_worlds, device="cpu", reset="fixed", autoreset="disabled", progress=progress
+        )
+
+    with quiet(), wp.ScopedDevice("cpu"):
+        return random_starts(spec, simulate, progress)

@@ -142,6 +142,11 @@ class TaskSpec(abc.ABC):
         """Names of the model's fields that the task sets per world."""
         return ()
 
+    @property
+    def carried(self) -> tuple[str, ...]:
+        """Names of the bodies that lie in the hand; a random start posture carries them along."""
+        return ()
+
     def start(self, model: mujoco.MjModel) -> np.ndarray:
         """Return the configuration from which episodes start, shape (nq,)."""
         return model.qpos0.copy()
@@ -172,8 +177,8 @@ RMS error against Euler 0.1 ms over 0.2 s of policy-like excitations 0.015 rad i
 (hand pose), measured in MuJoCo C."""
 
 RESETS = ("task", "fixed", "random", "none")
-"""What a new episode starts from: the task's own way; the task's start configuration; a random posture free
-of penetration and of immediate failure; or the state that the last episode left (reset-free, only goal and
-counters are new)."""
+"""What a new episode starts from: the task's own way; the task's start configuration; a random posture that
+carries along what lies in the hand, free of penetration and of immediate failure; or the state that the last
+episode left (reset-free, only goal and counters are new)."""
 
 TASKS: Registry[TaskSpec] = Registry("task")

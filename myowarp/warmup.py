@@ -6,28 +6,15 @@ silence for a hand. Here the launches are first only listed, then their modules 
 
 import contextlib
 import os
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 from unittest import mock
 
 import warp as wp
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from myowarp.progress import patient_bar
 
 PATIENCE = 0.5  # s without a word
-
-
-def progress_bar(description: str, unit: str) -> Progress:
-    """Return a progress bar on the terminal's error stream, which leaves the output to pipe."""
-    return Progress(
-        TextColumn(f"[bold]{description}[/bold]"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(unit),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-    )
 
 
 @contextlib.contextmanager
@@ -85,17 +72,9 @@ def compile_kernels(launches: Callable[[], None], device: wp.Device, show: bool 
         launches()
     modules = list(dict.fromkeys(found.values()))
     workers = os.cpu_count() or 1
-    begin = time.monotonic()
-    bar = progress_bar("Compiling kernels", "modules")
-    task = bar.add_task("", total=len(modules))
-    try:
+    with patient_bar("Compiling kernels", "modules", len(modules), patience=PATIENCE, show=show) as advance:
         for start in range(0, len(modules), workers):
             chunk = modules[start : start + workers]
             wp.force_load(device=device, modules=chunk, max_workers=workers)
-            bar.advance(task, len(chunk))
-            if show and time.monotonic() - begin > PATIENCE:
-                bar.start()
-    finally:
-        if bar.live.is_started:
-            bar.stop()
+            advance(len(chunk))
     return len(modules)

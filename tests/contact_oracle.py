@@ -21,9 +21,11 @@ ALIASES = {
 }
 """Ids under a second name: recorded under the first."""
 
-KEYS = sorted(
-    {ALIASES.get(key, key) for key in TASKS if TASKS[key].body == "contact_hand" and TASKS[key].version == 0}
-)
+OURS = {"myoHandBaodingSwap-v0"}
+"""Ids of version 0 that upstream does not have."""
+
+UPSTREAM = {key for key in TASKS if TASKS[key].body == "contact_hand" and TASKS[key].version == 0} - OURS
+KEYS = sorted({ALIASES.get(key, key) for key in UPSTREAM})
 """Ids of upstream; each has to have a recording."""
 
 NUM_WORLDS = 200

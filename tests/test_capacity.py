@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from configurations import configurations
 
+import myowarp.models.capacity as capacity_module
 import myowarp.tasks  # noqa: F401
 from myowarp.models.capacity import MARGIN, calibrate
 from myowarp.scene import compile_scene
@@ -142,6 +143,22 @@ def test_rows_without_contacts():
     beyond[model.joint("a").qposadr] = 1.2
     _, rows = peaks(model, [beyond])
     assert rows == 11
+
+
+def test_a_model_is_measured_once(monkeypatch, tmp_path):
+    """Until the model, its options or the start change."""
+    monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path))
+    measured, measure = [], capacity_module._measure
+    monkeypatch.setattr(capacity_module, "_measure", lambda *args: measured.append(1) or measure(*args))
+    model = compiled(ROWS)
+    assert (
+        calibrate(model, model.qpos0) == calibrate(compiled(ROWS), model.qpos0) == measure(model, model.qpos0)
+    )
+    assert len(measured) == 1
+    calibrate(model, model.qpos0 + 0.1)
+    model.opt.timestep *= 2
+    calibrate(model, model.qpos0)
+    assert len(measured) == 3
 
 
 PAIR = """

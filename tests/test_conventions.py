@@ -20,15 +20,18 @@ ALIASES: dict[str, set[str]] = {}
 """Parameter name: other names that an argument may have; empty as long as the code can do without."""
 
 FORBIDDEN = {
-    "registry": {"spec", "kernels", "models", "scene", "tasks", "sim", "warmup", "bridge_gym"},
-    "cache": {"spec", "kernels", "models", "scene", "tasks", "sim", "warmup", "bridge_gym"},
-    "spec": {"kernels", "models", "tasks", "sim", "bridge_gym"},
-    "kernels": {"spec", "models", "scene", "tasks", "sim", "warmup", "bridge_gym"},
-    "models": {"scene", "tasks", "sim", "warmup", "bridge_gym"},
-    "scene": {"tasks", "sim", "warmup", "bridge_gym"},
-    "tasks": {"sim", "warmup", "bridge_gym"},
-    "warmup": {"spec", "kernels", "models", "scene", "tasks", "sim", "bridge_gym"},
-    "sim": {"tasks", "bridge_gym"},
+    "registry": {"spec", "kernels", "models", "scene", "tasks", "sim", "warmup", "audit", "bridge_gym"},
+    "cache": {"spec", "kernels", "models", "scene", "tasks", "sim", "warmup", "audit", "bridge_gym"},
+    "progress": {"spec", "kernels", "models", "scene", "tasks", "sim", "warmup", "audit", "bridge_gym"},
+    "spec": {"kernels", "models", "tasks", "sim", "audit", "bridge_gym"},
+    "kernels": {"spec", "models", "scene", "tasks", "sim", "warmup", "audit", "bridge_gym"},
+    "models": {"scene", "tasks", "sim", "warmup", "audit", "bridge_gym"},
+    "scene": {"tasks", "sim", "warmup", "audit", "bridge_gym"},
+    "tasks": {"sim", "warmup", "audit", "bridge_gym"},
+    "warmup": {"spec", "kernels", "models", "scene", "tasks", "sim", "audit", "bridge_gym"},
+    "starts": {"tasks", "sim", "audit", "bridge_gym"},
+    "sim": {"tasks", "audit", "bridge_gym"},
+    "audit": {"bridge_gym", "rollout", "view", "cli"},
 }
 """What a module or package of ours must not import: everything that stands on its shoulders."""
 

@@ -74,10 +74,10 @@ def reset_worlds(mask: wp.array, qpos_start: wp.array, data: mjw.Data) -> None:
 
 
 @wp.kernel(enable_backward=False)
-def place_posture(
+def place_start(
     # Params:
-    postures: wp.array2d[float],
-    posture_address: wp.array[int],
+    starts: wp.array2d[float],
+    start_address: wp.array[int],
     # In:
     keys: RandomKeys,
     reset: wp.array[bool],
@@ -89,6 +89,6 @@ def place_posture(
     if not reset[worldid]:
         return
     state = open_stream(keys, worldid, POSTURE)
-    row = wp.randi(state, 0, postures.shape[0])
-    for i in range(posture_address.shape[0]):
-        qpos_out[worldid, posture_address[i]] = postures[row, i]
+    row = wp.randi(state, 0, starts.shape[0])
+    for i in range(start_address.shape[0]):
+        qpos_out[worldid, start_address[i]] = starts[row, i]

@@ -4,13 +4,16 @@ Arrays in mujoco-warp have fixed sizes; what does not fit is dropped, with wrong
 measured with MuJoCo C, with a margin, and never guessed.
 """
 
+import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from myowarp.models.slim import colliding_pairs
+from myowarp.cache import cached
+from myowarp.models import slim
 
 MARGIN = 1.5  # over the largest numbers seen
 NUM_EPISODES = 16
@@ -34,7 +37,7 @@ class Capacity:
 
 
 def calibrate(model: mujoco.MjModel, start: np.ndarray) -> Capacity:
-    """Return sizes for a model.
+    """Return sizes for a model, from disk if this model was measured before.
 
     Limits, friction loss and equalities have an exact bound. Contacts, and pairs of geoms whose bounding
     spheres overlap, are counted over random-control motion from the start; a model in which no pair of geoms
@@ -44,7 +47,22 @@ def calibrate(model: mujoco.MjModel, start: np.ndarray) -> Capacity:
         model: The model.
         start: Configuration from which motion starts, shape (nq,).
     """
-    pairs = np.array(sorted(colliding_pairs(model)), dtype=int).reshape(-1, 2)
+    content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    code = b"".join(Path(file).read_bytes() for file in (__file__, slim.__file__))
+    digest = hashlib.sha256(code + content.tobytes() + start.tobytes()).hexdigest()
+    return cached(
+        ("capacity", digest),
+        ".npy",
+        make=lambda: _measure(model, start),
+        save=lambda capacity, path: np.save(path, astuple(capacity)),
+        load=lambda path: Capacity(*np.load(path).tolist()),
+    )
+
+
+def _measure(model: mujoco.MjModel, start: np.ndarray) -> Capacity:
+    """Measure what `calibrate` returns."""
+    pairs = np.array(sorted(slim.colliding_pairs(model)), dtype=int).reshape(-1, 2)
     rows = int(model.jnt_limited.sum() + model.tendon_limited.sum())
     rows += int((model.dof_frictionloss > 0).sum() + (model.tendon_frictionloss > 0).sum())
     rows += 6 * model.neq

@@ -1,15 +1,16 @@
-"""Baoding balls: let two balls circle each other on the palm.
+"""Baoding balls: let two balls circle each other on the palm, or swap them.
 
-    reward = -5 |p1 - t1| - 5 |p2 - t2|
+    reward = -5 d1 - 5 d2                                                              (MyoSuite's)
+    reward = -5 d1 - 5 d2 + 1[d1 < 0.015] + 1[d2 < 0.015] + 4 1[both] - |act| / n - 500 1[fall]  (corrected)
 
-with ball i's position p_i and target t_i [m]. The targets stand opposite each other on an ellipse in the
-frame of the trapezium, so that they ride with the wrist. In step k after the reset they are at the angles
+with d_i the distance of ball i from its target [m]. The targets stand opposite each other on an ellipse in
+the frame of the trapezium, so that they ride with the wrist; in step k after the reset they are where
+`baoding_orbits` has them at the time (k - 1) control_dt. The episode fails with a fall, when a ball is below
+1.25 m. Source: MyoSuite 3.0.0, family Baoding, ids `myoChallengeBaodingP1-v1` and `P2-v1` (paper: Caggiano
+et al. 2022, arXiv:2205.13600, where the tasks are called Fixed and Random).
 
-    angle_i = start + direction 2 pi (k - 1) control_dt / period - (i - 1) pi.
-
-The episode fails when a ball falls below 1.25 m. Source: MyoSuite 3.0.0, family Baoding, ids
-`myoChallengeBaodingP1-v1` and `P2-v1` (paper: Caggiano et al. 2022, arXiv:2205.13600, where the tasks are
-called Fixed and Random and reward and start differ).
+The corrected reward is that of the paper's own code without its term for a still wrist: the targets ride with
+the wrist, so that no stillness is asked for. Corrected balls are those of `baoding_balls`.
 """
 
 from __future__ import annotations
@@ -21,20 +22,19 @@ import numpy as np
 import warp as wp
 
 from myowarp.kernels.observe import pack, pack_range, pack_vec3
-from myowarp.kernels.random import GOAL, RandomKeys, open_stream
-from myowarp.kernels.reward import activation_effort
-from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
+from myowarp.kernels.reward import activation_effort, indicator
+from myowarp.models.bodies.contact_hand import HAND_JOINTS, SOFT, add_object
 from myowarp.scene import Scene
 from myowarp.spec import TASKS, Column, RewardTerm, TaskSpec
-from myowarp.tasks.baoding_balls import BATCHED, BallDraw, BallRanges, Range
+from myowarp.tasks.baoding_balls import BATCHED, BATCHED_INERTIA, BallDraw, BallRanges
+from myowarp.tasks.baoding_orbits import OrbitDraw, OrbitRanges, Orbits, orbit_point, orbit_turns
 from myowarp.tasks.markers import add_tip_targets
 
 BALL_QPOS = wp.constant(wp.vec2i(23, 30))  # where the free joints start in qpos
 BALL_QVEL = wp.constant(wp.vec2i(23, 29))
-ELLIPSE_CENTER = wp.constant(wp.vec3(-0.0125, -0.07, -0.02))  # m, frame of the trapezium
 NEAR = wp.constant(0.015)  # m, distance of each ball within which the task is solved
 DROPPED = wp.constant(1.25)  # m, height of a ball's centre below which the episode fails
-TWO_PI = wp.constant(2.0 * np.pi)
+DROP = wp.constant(4)  # column of the first term that only the corrected reward has
 
 PALM_UP = -1.57  # rad, pronation at the start
 BALLS = {"ball1": (-0.227, -0.511, 1.452), "ball2": (-0.256, -0.552, 1.442)}  # m, world
@@ -42,27 +42,30 @@ COLORS = ((0.8, 0.25, 0.2, 1.0), (0.2, 0.4, 0.8, 1.0))
 BALL_RADIUS, BALL_MASS = 0.022, 0.043  # m, kg
 BALL_FRICTION = (1.0, 0.005, 0.0001)  # slide, spin, roll
 FRICTION_RANGE = ((0.8, 0.004, 0.00008), (1.2, 0.006, 0.00012))  # nominal -+ (0.2, 0.001, 0.00002)
+DROP_WEIGHT = 500.0
+"""What a fall costs, in the paper's code. It exceeds 200 steps at full effort with both balls as far from
+their targets as the hand reaches, 0.19 m: 200 (10 * 0.19 + 0.16) = 412."""
 
 
 @dataclass(frozen=True)
 class BaodingTask(TaskSpec):
-    """Circle two balls.
+    """Circle two balls, or swap them.
 
     Attributes:
-        directions: Senses of rotation to choose from: 1 counter-clockwise, -1 clockwise, 0 hold.
-        angle: Bounds of the first ball's start angle [rad].
-        radius_x: Bounds of the ellipse's half axis along x [m].
-        radius_y: Bounds of its half axis along y [m].
-        period: Bounds of the duration of a revolution [s].
+        orbits: How the targets move.
         balls: Bounds of the balls' properties; None: always the nominal ones.
+        corrected: Whether the reward is the corrected one, and the balls are solid spheres with their own
+            friction. Without, they have MyoSuite's inertia floor, and a contact the larger friction.
     """
 
-    directions: tuple[float, ...] = field(default=(1.0,), kw_only=True)
-    angle: Range = field(default=(0.25 * np.pi, 0.25 * np.pi), kw_only=True)
-    radius_x: Range = field(default=(0.025, 0.025), kw_only=True)
-    radius_y: Range = field(default=(0.028, 0.028), kw_only=True)
-    period: Range = field(default=(5.0, 5.0), kw_only=True)
+    orbits: OrbitRanges = field(default=OrbitRanges(), kw_only=True)
     balls: BallRanges | None = field(default=None, kw_only=True)
+    corrected: bool = field(default=False, kw_only=True)
+
+    @property
+    def scene_key(self) -> tuple[object, ...]:
+        """Inertia and friction of the balls are compiled in."""
+        return (*super().scene_key, self.corrected)
 
     @property
     def sites(self) -> tuple[str, ...]:
@@ -72,7 +75,13 @@ class BaodingTask(TaskSpec):
     @property
     def batched(self) -> tuple[str, ...]:
         """What differs between balls."""
-        return () if self.balls is None else BATCHED
+        inertia = BATCHED_INERTIA if self.corrected else ()
+        return () if self.balls is None else (*BATCHED, *inertia)
+
+    @property
+    def carried(self) -> tuple[str, ...]:
+        """The balls."""
+        return tuple(BALLS)
 
     def start(self, model: mujoco.MjModel) -> np.ndarray:
         """Open hand, palm up, the balls above it."""
@@ -84,11 +93,15 @@ class BaodingTask(TaskSpec):
         """Add the frame of the targets and two free balls."""
         spec.body("trapezium_r").add_site(name="palm_frame")
         for (name, pos), color in zip(BALLS.items(), COLORS, strict=True):
-            body = add_object(spec, name, pos)
+            body = add_object(spec, name, pos, floored=not self.corrected)
             body.add_freejoint(name=name)
             ball = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE)
             ball.size, ball.mass, ball.rgba = (BALL_RADIUS, 0.0, 0.0), BALL_MASS, color
             ball.contype, ball.conaffinity, ball.condim, ball.friction = 1, 1, 4, BALL_FRICTION
+            if self.corrected:
+                # A contact takes all it has from the geom of higher priority, so the ball gets the mean
+                # impedance that it would have with the hand, and only friction differs there.
+                ball.priority, ball.solimp = 1, 0.5 * (ball.solimp + np.array(SOFT))
             body.add_site(name=name, size=(0.005, 0.005, 0.005))
         add_tip_targets(spec, BALLS)
 
@@ -102,11 +115,13 @@ class BaodingTask(TaskSpec):
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
         """In the order in which `score_baoding` writes them."""
+        corrections = (RewardTerm("drop", DROP_WEIGHT), RewardTerm("bonus", 1.0))
         return (
             RewardTerm("pos_dist_1", 5.0),
             RewardTerm("pos_dist_2", 5.0),
-            RewardTerm("act_reg", 0.0),
+            RewardTerm("act_reg", float(self.corrected)),
             RewardTerm("sparse", 0.0),
+            *(corrections if self.corrected else ()),
         )
 
     def bind(self, scene: Scene) -> BaodingProgram:
@@ -114,75 +129,11 @@ class BaodingTask(TaskSpec):
         return BaodingProgram(self, scene)
 
 
-@wp.struct
-class OrbitRanges:
-    """Bounds of the uniformly drawn orbits, as in `BaodingTask`; radii along (x, y)."""
-
-    directions: wp.array[float]
-    angle: wp.vec2
-    radii_low: wp.vec2
-    radii_high: wp.vec2
-    period: wp.vec2
-
-
-@wp.struct
-class Orbits:
-    """The orbit of every world's targets; all arrays (num_worlds,).
-
-    Attributes:
-        direction: 1 counter-clockwise, -1 clockwise, 0 hold.
-        start_angle: Angle of the first target at the reset [rad].
-        radii: Half axes of the ellipse [m].
-        period: Duration of a revolution [s].
-    """
-
-    direction: wp.array[float]
-    start_angle: wp.array[float]
-    radii: wp.array[wp.vec2]
-    period: wp.array[float]
-
-
-@wp.func
-def orbit_point(orbits: Orbits, worldid: int, ball: int, elapsed: float) -> wp.vec3:
-    """Target of ball 0 or 1 after `elapsed` [s], in the frame of the trapezium [m]."""
-    turn = orbits.direction[worldid] * TWO_PI * elapsed / orbits.period[worldid]
-    angle = orbits.start_angle[worldid] + turn - 0.5 * TWO_PI * float(ball)
-    radii = orbits.radii[worldid]
-    return ELLIPSE_CENTER + wp.vec3(radii[0] * wp.cos(angle), radii[1] * wp.sin(angle), 0.0)
-
-
 @wp.func
 def position_of(qpos: wp.array2d[float], worldid: int, ball: int) -> wp.vec3:
     """Centre of ball 0 or 1 in the world [m]."""
     first = BALL_QPOS[ball]
     return wp.vec3(qpos[worldid, first], qpos[worldid, first + 1], qpos[worldid, first + 2])
-
-
-@wp.kernel(enable_backward=False)
-def sample_orbit(
-    # Params:
-    orbit_ranges: OrbitRanges,
-    # In:
-    keys: RandomKeys,
-    mask: wp.array[bool],
-    # Out:
-    orbits: Orbits,
-    target: wp.array2d[wp.vec3],
-):
-    """direction ~ choice, all else ~ U(low, high); the targets are at their start angles."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    state = open_stream(keys, worldid, GOAL)
-    r = orbit_ranges
-    orbits.direction[worldid] = r.directions[wp.randi(state, 0, r.directions.shape[0])]
-    orbits.start_angle[worldid] = wp.randf(state, r.angle[0], r.angle[1])
-    radius_x = wp.randf(state, r.radii_low[0], r.radii_high[0])
-    radius_y = wp.randf(state, r.radii_low[1], r.radii_high[1])
-    orbits.radii[worldid] = wp.vec2(radius_x, radius_y)
-    orbits.period[worldid] = wp.randf(state, r.period[0], r.period[1])
-    for ball in range(2):
-        target[worldid, ball] = orbit_point(orbits, worldid, ball, 0.0)
 
 
 @wp.kernel(enable_backward=False)
@@ -238,23 +189,31 @@ def score_baoding(
     solved: wp.array[bool],
     failed: wp.array[bool],
 ):
-    """Targets of this step; terms pos_dist_1, pos_dist_2, act_reg, sparse."""
+    """Targets of this step; terms pos_dist_1, pos_dist_2, act_reg, sparse, and corrected drop, bonus.
+
+    Targets that jump have to be met after their first jump.
+    """
     worldid = wp.tid()
     palm, frame = site_xpos_in[worldid, palm_site], site_xmat_in[worldid, palm_site]
     elapsed = control_dt * float(wp.max(step_count[worldid] - 1, 0))
-    near, fallen = bool(True), bool(False)
-    total = float(0.0)
+    turns = orbit_turns(orbits, worldid, elapsed)
+    fallen = bool(False)
+    total, met = float(0.0), float(0.0)
     for i in range(2):
-        target[worldid, i] = orbit_point(orbits, worldid, i, elapsed)
+        target[worldid, i] = orbit_point(orbits, worldid, i, turns)
         position = position_of(qpos_in, worldid, i)
         distance = wp.length(palm + frame * target[worldid, i] - position)
         terms[worldid, i] = -distance
         total += distance
-        near = near and distance < NEAR
+        met += indicator(distance < NEAR)
         fallen = fallen or position[2] < DROPPED
     terms[worldid, 2] = -activation_effort(activation, worldid)
     terms[worldid, 3] = -total
-    solved[worldid] = near and not fallen
+    if terms.shape[1] > DROP:
+        terms[worldid, DROP] = -indicator(fallen)
+        terms[worldid, DROP + 1] = met + 4.0 * indicator(met == 2.0)
+    begun = orbits.jumps == 0 or turns > 0.0
+    solved[worldid] = met == 2.0 and begun and not fallen
     failed[worldid] = fallen
 
 
@@ -269,34 +228,22 @@ class BaodingProgram:
 
     def __init__(self, spec: BaodingTask, scene: Scene) -> None:
         """Resolve names, allocate the targets."""
-        self.spec, self.scene, n = spec, scene, scene.num_worlds
+        self.spec, self.scene = spec, scene
         self.palm_site = scene.site_id("palm_frame")
-        self.draw = None if spec.balls is None else BallDraw(spec.balls, scene.oracle, BALLS)
-        self.orbit_ranges = OrbitRanges()
-        self.orbit_ranges.directions = wp.array(spec.directions, dtype=float)
-        self.orbit_ranges.angle, self.orbit_ranges.period = wp.vec2(*spec.angle), wp.vec2(*spec.period)
-        low, high = zip(spec.radius_x, spec.radius_y, strict=True)
-        self.orbit_ranges.radii_low, self.orbit_ranges.radii_high = wp.vec2(*low), wp.vec2(*high)
-        self.orbits = Orbits()
-        for name in ("direction", "start_angle", "period"):
-            setattr(self.orbits, name, wp.zeros(n, dtype=float))
-        self.orbits.radii = wp.zeros(n, dtype=wp.vec2)
-        self.target = wp.zeros((n, 2), dtype=wp.vec3)
+        self.ball_draw = None
+        if spec.balls is not None:
+            self.ball_draw = BallDraw(spec.balls, scene.oracle, BALLS, spec.corrected)
+        self.orbit_draw = OrbitDraw(spec.orbits, scene.num_worlds)
+        self.orbits, self.target = self.orbit_draw.orbits, self.orbit_draw.target
 
     def sample_start(self, mask: wp.array) -> None:
         """Draw the balls where they differ."""
-        if self.draw is not None:
-            self.draw.launch(self.scene.model, self.scene.keys, mask)
+        if self.ball_draw is not None:
+            self.ball_draw.launch(self.scene.model, self.scene.keys, mask)
 
     def sample_goal(self, mask: wp.array) -> None:
-        """Launch `sample_orbit`."""
-        scene = self.scene
-        wp.launch(
-            sample_orbit,
-            dim=scene.num_worlds,
-            inputs=[self.orbit_ranges, scene.keys, mask],
-            outputs=[self.orbits, self.target],
-        )
+        """Draw the orbits of the targets."""
+        self.orbit_draw.launch(self.scene.keys, mask)
 
     def observe(self, mask: wp.array, obs: wp.array) -> None:
         """Launch `observe_baoding`."""
@@ -346,6 +293,11 @@ class BaodingProgram:
         return {f"{name}_target": place for name, place in zip(BALLS, places, strict=True)}
 
 
+CORRECTED = (
+    " A fall costs 500, and balls near their targets pay; in MyoSuite 3.0.0 every step costs and a fall ends"
+    " the episode for free. The balls have the inertia of solid spheres, which MyoSuite raises to 1e-4 kg m^2"
+    " and so up to 26 times; the friction of a contact is the ball's, not the larger of ball's and hand's."
+)
 _P1 = BaodingTask(
     "myoChallengeBaodingP1",
     1,
@@ -359,17 +311,31 @@ _P2 = replace(
     _P1,
     name="myoChallengeBaodingP2",
     doc="Circle two balls of unknown mass, size and friction either way, or hold them.",
-    directions=(0.0, -1.0, 1.0),
-    angle=(0.0, 2.0 * np.pi),
-    radius_x=(0.02, 0.03),
-    radius_y=(0.022, 0.032),
-    period=(4.0, 6.0),
+    orbits=OrbitRanges(
+        directions=(0.0, -1.0, 1.0),
+        angle=(0.0, 2.0 * np.pi),
+        radius_x=(0.02, 0.03),
+        radius_y=(0.022, 0.032),
+        period=(4.0, 6.0),
+    ),
     balls=BallRanges(mass=(0.03, 0.3), radius=(0.018, 0.024), friction=FRICTION_RANGE),
 )
-for _spec in (
+for _spec, _name in ((_P1, "myoHandBaodingFixed"), (_P2, "myoHandBaodingRandom")):
+    _next = replace(_spec, version=2, corrected=True, doc=_spec.doc + CORRECTED)
+    _ours = (replace(_spec, name=_name, version=0), replace(_next, name=_name, version=1))
+    for _each in (_spec, _next, *_ours):
+        TASKS.add(_each.key, _each)
+
+# One jump, in the middle of the episode: with a period below 5 s a second one takes the targets back to where
+# they began, to a hand that never swapped; with a longer one less time is left for the swap than half a
+# revolution of the other tasks takes.
+_SWAP = replace(
     _P1,
-    _P2,
-    replace(_P1, name="myoHandBaodingFixed", version=0),
-    replace(_P2, name="myoHandBaodingRandom", version=0),
-):
-    TASKS.add(_spec.key, _spec)
+    name="myoHandBaodingSwap",
+    version=0,
+    doc="Hold two balls on the palm for 2.5 s, then swap them and hold them again. It counts as solved only"
+    " after the targets have jumped." + CORRECTED,
+    orbits=OrbitRanges(period=(5.0, 5.0), jumps=2),
+    corrected=True,
+)
+TASKS.add(_SWAP.key, _SWAP)

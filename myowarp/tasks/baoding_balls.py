@@ -1,9 +1,13 @@
 """Baoding balls that differ: mass, size and friction drawn anew in every episode.
 
 Source: MyoSuite 3.0.0, `myoChallengeBaodingP2-v1`. It recompiles what MuJoCo derives from a ball's size and
-mass; here the same fields of the model are written per world. Mass and size are drawn independently. The
-engine takes the larger friction of ball and hand, so that draws below the hand's (1, 0.005, 0.0001) have no
-effect.
+mass; here the same fields of the model are written per world. Mass and size are drawn independently. Contacts
+have four dimensions, so that rolling friction never acts.
+
+In MyoSuite the engine takes the larger friction of ball and hand, so that draws below the hand's
+(1, 0.005, 0.0001) have no effect, and every ball has the inertia floor of 1e-4 kg m^2. Corrected balls are
+solid spheres, and their friction comes before the hand's; between two balls the larger one acts, and contacts
+are as soft as with the hand.
 """
 
 from __future__ import annotations
@@ -27,6 +31,9 @@ BATCHED = (
     "geom_friction",
 )
 """Names of the model's fields that `sample_balls` writes per world."""
+
+BATCHED_INERTIA = ("body_inertia",)
+"""What `weigh_balls` writes besides."""
 
 Range = tuple[float, float]
 
@@ -74,10 +81,7 @@ def sample_balls(
     geom_aabb: wp.array3d[wp.vec3],
     geom_friction: wp.array2d[wp.vec3],
 ):
-    """mass, radius, friction ~ U(low, high) for each ball, and what the engine derives from them.
-
-    The inertia stays: solid balls of up to 0.3 kg and 24 mm are below MyoSuite's floor of 1e-4 kg m^2.
-    """
+    """mass, radius, friction ~ U(low, high) for each ball, and what follows from them but inertia."""
     worldid = wp.tid()
     if not mask[worldid]:
         return
@@ -99,11 +103,47 @@ def sample_balls(
         geom_friction[worldid, geom] = wp.vec3(slide, spin, roll)
 
 
+@wp.kernel(enable_backward=False)
+def weigh_balls(
+    # Model:
+    body_mass: wp.array2d[float],
+    geom_size: wp.array2d[wp.vec3],
+    # Params:
+    ball_body: wp.vec2i,
+    ball_geom: wp.vec2i,
+    # In:
+    mask: wp.array[bool],
+    # Out:
+    body_inertia: wp.array2d[wp.vec3],
+    body_invweight0: wp.array2d[wp.vec2],
+):
+    """I = 2/5 m r^2 about every axis; inverse weight of rotation 1/I, the mean over the axes."""
+    worldid = wp.tid()
+    if not mask[worldid]:
+        return
+    for i in range(2):
+        body = ball_body[i]
+        radius = geom_size[worldid, ball_geom[i]][0]
+        inertia = 0.4 * body_mass[worldid, body] * radius * radius
+        body_inertia[worldid, body] = wp.vec3(inertia, inertia, inertia)
+        body_invweight0[worldid, body][1] = 1.0 / inertia
+
+
 class BallDraw:
     """The balls of a scene, and what they are drawn from."""
 
-    def __init__(self, ranges: BallRanges, model: mujoco.MjModel, names: Iterable[str]) -> None:
-        """Resolve the names of the two balls, of bodies and geoms alike."""
+    def __init__(
+        self, ranges: BallRanges, model: mujoco.MjModel, names: Iterable[str], true_inertia: bool
+    ) -> None:
+        """Resolve the names of the two balls, of bodies and geoms alike.
+
+        Args:
+            ranges: What is drawn.
+            model: The scene's model.
+            names: The two balls.
+            true_inertia: Whether inertia follows from what is drawn; without, it stays as compiled.
+        """
+        self.true_inertia = true_inertia
         self.ball_body = wp.vec2i(*(model.body(name).id for name in names))
         self.ball_geom = wp.vec2i(*(model.geom(name).id for name in names))
         self.bounds = BallBounds()
@@ -111,7 +151,7 @@ class BallDraw:
         self.bounds.friction_low, self.bounds.friction_high = (wp.vec3(*end) for end in ranges.friction)
 
     def launch(self, model: mjw.Model, keys: RandomKeys, mask: wp.array) -> None:
-        """Launch `sample_balls`."""
+        """Launch `sample_balls`, and `weigh_balls` where inertia follows."""
         wp.launch(
             sample_balls,
             dim=mask.shape[0],
@@ -126,3 +166,10 @@ class BallDraw:
                 model.geom_friction,
             ],
         )
+        if self.true_inertia:
+            wp.launch(
+                weigh_balls,
+                dim=mask.shape[0],
+                inputs=[model.body_mass, model.geom_size, self.ball_body, self.ball_geom, mask],
+                outputs=[model.body_inertia, model.body_invweight0],
+            )

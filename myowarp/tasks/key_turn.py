@@ -5,6 +5,10 @@
 with q the key's angle [rad], a and b how far the distances of index tip and thumb tip from the key head are
 from 30 mm [m]; the episode fails where a or b exceeds 0.1 m. Source: MyoSuite 3.0.0, family KeyTurn (paper:
 Caggiano et al. 2022, arXiv:2205.13600).
+
+Version 1 adds 60 1[not failed], so that living on pays. Both versions keep MyoSuite's floor under the key's
+inertia: against the damping of its hinge a free key slows down with a time constant of 1 ms with the floor
+and 0.03 ms without, both below the physics step.
 """
 
 from __future__ import annotations
@@ -29,8 +33,13 @@ LOST = wp.constant(0.1)  # m, error beyond which the episode fails
 HALF_TURN = wp.constant(np.pi)
 QUARTER_TURN = wp.constant(0.5 * np.pi)
 
+ALIVE = wp.constant(7)  # column of the term of that name
+
 KEY_POS = (-0.15, -0.55, 1.425)  # m, world
 KEY_TILT = 2.2  # rad about the vertical
+ALIVE_WEIGHT = 60.0
+"""What a step without failure earns, more than the 58.4 that it can cost: penalties 2 * 25, distances of at
+most 0.1 m 2 * 1, effort 1 / sqrt(39) = 0.16, and a key turned the wrong way by a revolution 6.28."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +51,14 @@ class KeyTurnTask(TaskSpec):
         angle_high: Upper bound.
         jitter: Half width of the uniform offset of the key's position, each axis [m].
         goal_angle: Angle beyond which the task counts as solved [rad].
+        alive_weight: What a step without failure earns; 0: there is no such term, as in MyoSuite.
     """
 
     goal_angle: float = field(kw_only=True)
     angle_low: float = field(default=0.0, kw_only=True)
     angle_high: float = field(default=0.0, kw_only=True)
     jitter: float = field(default=0.0, kw_only=True)
+    alive_weight: float = field(default=0.0, kw_only=True)
 
     @property
     def sites(self) -> tuple[str, ...]:
@@ -93,6 +104,7 @@ class KeyTurnTask(TaskSpec):
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
         """In the order in which `score_key` writes them."""
+        alive = (RewardTerm("alive", self.alive_weight),) if self.alive_weight else ()
         return (
             RewardTerm("key_turn", 1.0),
             RewardTerm("IFtip_approach", 10.0),
@@ -101,6 +113,7 @@ class KeyTurnTask(TaskSpec):
             RewardTerm("bonus", 4.0),
             RewardTerm("penalty", 25.0),
             RewardTerm("sparse", 0.0),
+            *alive,
         )
 
     def bind(self, scene: Scene) -> KeyTurnProgram:
@@ -185,7 +198,7 @@ def score_key(
     solved: wp.array[bool],
     failed: wp.array[bool],
 ):
-    """Terms key_turn, IFtip_approach, THtip_approach, act_reg, bonus, penalty, sparse."""
+    """Terms key_turn, IFtip_approach, THtip_approach, act_reg, bonus, penalty, sparse, alive if weighted."""
     worldid = wp.tid()
     head = site_xpos_in[worldid, key_site]
     a = wp.abs(wp.length(head - site_xpos_in[worldid, index_site]) - GRIP)
@@ -198,8 +211,11 @@ def score_key(
     terms[worldid, 4] = indicator(q > QUARTER_TURN) + indicator(q > HALF_TURN)
     terms[worldid, 5] = -indicator(a > LOOSE) - indicator(b > LOOSE)
     terms[worldid, 6] = q
+    lost = a > LOST or b > LOST
+    if terms.shape[1] > ALIVE:
+        terms[worldid, ALIVE] = indicator(not lost)
     solved[worldid] = q > goal_angle
-    failed[worldid] = a > LOST or b > LOST
+    failed[worldid] = lost
 
 
 class KeyTurnProgram:
@@ -275,27 +291,39 @@ class KeyTurnProgram:
         return {"keyhead": self.scene.data.site_xpos.numpy()[world, self.key_site].copy()}
 
 
-for _spec in (
-    KeyTurnTask(
-        "myoHandKeyTurnFixed",
-        0,
-        "contact_hand",
-        10,
-        200,
-        "Turn a key by half a revolution.",
-        goal_angle=3.14,
-    ),
-    KeyTurnTask(
-        "myoHandKeyTurnRandom",
-        0,
-        "contact_hand",
-        10,
-        200,
-        "Turn a key, met at a random angle and place, by a full revolution.",
-        goal_angle=2.0 * np.pi,
-        angle_low=-0.5 * np.pi,
-        angle_high=0.5 * np.pi,
-        jitter=0.01,
-    ),
+LIVING_PAYS = (
+    " Every step without failure earns 60. In v0, as in MyoSuite 3.0.0, a step can cost 52 and failing ends"
+    " the episode for free, so that failing at once is worth more than holding on."
+)
+HALF = " The task is solved from half a revolution on; in v0 from 3.14 rad, just before the bonus for it."
+
+for _version, _alive_weight, _half_turn, _why, _why_half in (
+    (0, 0.0, 3.14, "", ""),
+    (1, ALIVE_WEIGHT, np.pi, LIVING_PAYS, HALF),
 ):
-    TASKS.add(_spec.key, _spec)
+    for _spec in (
+        KeyTurnTask(
+            "myoHandKeyTurnFixed",
+            _version,
+            "contact_hand",
+            10,
+            200,
+            f"Turn a key by half a revolution.{_why}{_why_half}",
+            goal_angle=_half_turn,
+            alive_weight=_alive_weight,
+        ),
+        KeyTurnTask(
+            "myoHandKeyTurnRandom",
+            _version,
+            "contact_hand",
+            10,
+            200,
+            f"Turn a key, met at a random angle and place, by a full revolution.{_why}",
+            goal_angle=2.0 * np.pi,
+            angle_low=-0.5 * np.pi,
+            angle_high=0.5 * np.pi,
+            jitter=0.01,
+            alive_weight=_alive_weight,
+        ),
+    ):
+        TASKS.add(_spec.key, _spec)

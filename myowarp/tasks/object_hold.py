@@ -72,6 +72,11 @@ class ObjectHoldTask(TaskSpec):
         mass = ("body_mass", "body_subtreemass", "body_inertia", "body_invweight0")
         return (*shape, *mass) if self.true_inertia else shape
 
+    @property
+    def carried(self) -> tuple[str, ...]:
+        """The object."""
+        return ("object",)
+
     def start(self, model: mujoco.MjModel) -> np.ndarray:
         """Return the open hand, palm up, with the object on it."""
         qpos = super().start(model)

@@ -2,7 +2,9 @@
 
 Source: Caggiano et al. (2022), arXiv:2205.13600, table of tasks: six hand families and the elbow under four
 conditions each, the two finger families under three. *Easy* is the family's fixed task, *hard* its random
-one. Upstream never registered the reset axis nor the full grid.
+one; of the baoding balls easy is the swap that the paper's text describes. Upstream never registered the
+reset axis nor the full grid: the grid's ids are ours and mean the corrected version of every task, while ids
+that upstream has keep upstream's meaning.
 """
 
 from dataclasses import dataclass
@@ -21,10 +23,10 @@ FAMILIES = {
     "ElbowPose": ("myoElbowPose1D6MFixed-v0", "myoElbowPose1D6MRandom-v0", ELBOW_CONDITIONS),
     "HandPose": ("myoHandPoseFixed-v1", "myoHandPoseRandom-v1", HAND_CONDITIONS),
     "HandReach": ("myoHandReachFixed-v1", "myoHandReachRandom-v1", HAND_CONDITIONS),
-    "HandKeyTurn": ("myoHandKeyTurnFixed-v0", "myoHandKeyTurnRandom-v0", HAND_CONDITIONS),
-    "HandObjHold": ("myoHandObjHoldFixed-v0", "myoHandObjHoldRandom-v0", HAND_CONDITIONS),
-    "HandPenTwirl": ("myoHandPenTwirlFixed-v0", "myoHandPenTwirlRandom-v0", HAND_CONDITIONS),
-    "HandBaoding": ("myoHandBaodingFixed-v0", "myoHandBaodingRandom-v0", HAND_CONDITIONS),
+    "HandKeyTurn": ("myoHandKeyTurnFixed-v1", "myoHandKeyTurnRandom-v1", HAND_CONDITIONS),
+    "HandObjHold": ("myoHandObjHoldFixed-v1", "myoHandObjHoldRandom-v1", HAND_CONDITIONS),
+    "HandPenTwirl": ("myoHandPenTwirlFixed-v1", "myoHandPenTwirlRandom-v1", HAND_CONDITIONS),
+    "HandBaoding": ("myoHandBaodingSwap-v0", "myoHandBaodingRandom-v1", HAND_CONDITIONS),
 }
 DIFFICULTIES = ("easy", "hard")
 RESETS = {"F": "fixed", "R": "random", "N": "none"}

@@ -76,6 +76,11 @@ class PenTwirlTask(TaskSpec):
         """None: the frames of the two pens say everything."""
         return ()
 
+    @property
+    def carried(self) -> tuple[str, ...]:
+        """The pen."""
+        return ("Object",)
+
     def start(self, model: mujoco.MjModel) -> np.ndarray:
         """Return the open hand, palm up, with the pen on it."""
         qpos = super().start(model)

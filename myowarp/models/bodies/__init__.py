@@ -18,10 +18,12 @@ class Body:
     Attributes:
         build: Returns the full model as a fresh spec.
         tips: Names of the sites at the ends of the limb, which tasks show or steer.
+        palm: Name of the body on which objects lie; None where none can.
     """
 
     build: Callable[[], mujoco.MjSpec]
     tips: tuple[str, ...]
+    palm: str | None = None
 
 
 BODIES: Registry[Body] = Registry("body")

@@ -90,4 +90,5 @@ def add_object(
 
 
 TIPS = ("THtip_r", "IFtip_r", "MFtip_r", "RFtip_r", "LFtip_r")
-BODIES.add("contact_hand", Body(contact_hand, tips=TIPS))
+PALM = "lunate_r"  # carries the wrist's joints; the metacarpals of the four fingers are fixed to it
+BODIES.add("contact_hand", Body(contact_hand, tips=TIPS, palm=PALM))

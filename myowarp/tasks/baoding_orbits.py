@@ -1,0 +1,152 @@
+"""Targets of the baoding balls: two points opposite each other on an ellipse, circling or jumping along it.
+
+    angle_i(t) = start + direction 2 pi turns(t) - (i - 1) pi
+    turns(t) = t / period,  or  floor(m t / period) / m  with m jumps in a revolution
+
+Source: MyoSuite 3.0.0, family Baoding, whose targets circle; the paper's own code (Caggiano et al. 2022,
+arXiv:2205.13600) also has targets that jump.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from myowarp.kernels.random import GOAL, RandomKeys, open_stream
+
+ELLIPSE_CENTER = wp.constant(wp.vec3(-0.0125, -0.07, -0.02))  # m, frame of the trapezium
+TWO_PI = wp.constant(2.0 * np.pi)
+JUMP_SLACK = wp.constant(1.0e-4)  # jumps; rounding of the time must not delay one by a step
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class OrbitRanges:
+    """What the orbits of the targets are drawn from, uniformly.
+
+    Attributes:
+        directions: Senses of rotation to choose from: 1 counter-clockwise, -1 clockwise, 0 hold.
+        angle: Bounds of the first target's angle at the reset [rad].
+        radius_x: Bounds of the ellipse's half axis along x [m].
+        radius_y: Bounds of its half axis along y [m].
+        period: Bounds of the duration of a revolution [s].
+        jumps: Jumps in a revolution, after equal times; 0: the targets circle.
+    """
+
+    directions: tuple[float, ...] = (1.0,)
+    angle: Range = (0.25 * np.pi, 0.25 * np.pi)
+    radius_x: Range = (0.025, 0.025)
+    radius_y: Range = (0.028, 0.028)
+    period: Range = (5.0, 5.0)
+    jumps: int = 0
+
+
+@wp.struct
+class OrbitBounds:
+    """`OrbitRanges` on the device; radii along (x, y)."""
+
+    directions: wp.array[float]
+    angle: wp.vec2
+    radii_low: wp.vec2
+    radii_high: wp.vec2
+    period: wp.vec2
+
+
+@wp.struct
+class Orbits:
+    """The orbit of every world's targets; arrays (num_worlds,).
+
+    Attributes:
+        direction: 1 counter-clockwise, -1 clockwise, 0 hold.
+        start_angle: Angle of the first target at the reset [rad].
+        radii: Half axes of the ellipse [m].
+        period: Duration of a revolution [s].
+        jumps: Jumps in a revolution, of all worlds; 0: the targets circle.
+    """
+
+    direction: wp.array[float]
+    start_angle: wp.array[float]
+    radii: wp.array[wp.vec2]
+    period: wp.array[float]
+    jumps: int
+
+
+@wp.func
+def orbit_turns(orbits: Orbits, worldid: int, elapsed: float) -> float:
+    """Revolutions of the targets after `elapsed` [s], whichever way."""
+    turns = elapsed / orbits.period[worldid]
+    if orbits.jumps > 0:
+        jumps = float(orbits.jumps)
+        turns = wp.floor(turns * jumps + JUMP_SLACK) / jumps
+    return turns
+
+
+@wp.func
+def orbit_point(orbits: Orbits, worldid: int, ball: int, turns: float) -> wp.vec3:
+    """Target of ball 0 or 1 after these revolutions, in the frame of the trapezium [m]."""
+    turn = orbits.direction[worldid] * TWO_PI * turns
+    angle = orbits.start_angle[worldid] + turn - 0.5 * TWO_PI * float(ball)
+    radii = orbits.radii[worldid]
+    return ELLIPSE_CENTER + wp.vec3(radii[0] * wp.cos(angle), radii[1] * wp.sin(angle), 0.0)
+
+
+@wp.kernel(enable_backward=False)
+def sample_orbit(
+    # Params:
+    bounds: OrbitBounds,
+    # In:
+    keys: RandomKeys,
+    mask: wp.array[bool],
+    # Out:
+    orbits: Orbits,
+    target: wp.array2d[wp.vec3],
+):
+    """direction ~ choice, all else ~ U(low, high); the targets are at their start angles."""
+    worldid = wp.tid()
+    if not mask[worldid]:
+        return
+    state = open_stream(keys, worldid, GOAL)
+    b = bounds
+    orbits.direction[worldid] = b.directions[wp.randi(state, 0, b.directions.shape[0])]
+    orbits.start_angle[worldid] = wp.randf(state, b.angle[0], b.angle[1])
+    radius_x = wp.randf(state, b.radii_low[0], b.radii_high[0])
+    radius_y = wp.randf(state, b.radii_low[1], b.radii_high[1])
+    orbits.radii[worldid] = wp.vec2(radius_x, radius_y)
+    orbits.period[worldid] = wp.randf(state, b.period[0], b.period[1])
+    for ball in range(2):
+        target[worldid, ball] = orbit_point(orbits, worldid, ball, 0.0)
+
+
+class OrbitDraw:
+    """The targets of all worlds, and what their orbits are drawn from.
+
+    Attributes:
+        orbits: How the targets move.
+        target: Where they are in this step, frame of the trapezium [m], shape (num_worlds, 2) of vec3.
+    """
+
+    def __init__(self, ranges: OrbitRanges, num_worlds: int) -> None:
+        """Allocate."""
+        self.bounds = OrbitBounds()
+        self.bounds.directions = wp.array(ranges.directions, dtype=float)
+        self.bounds.angle, self.bounds.period = wp.vec2(*ranges.angle), wp.vec2(*ranges.period)
+        low, high = zip(ranges.radius_x, ranges.radius_y, strict=True)
+        self.bounds.radii_low, self.bounds.radii_high = wp.vec2(*low), wp.vec2(*high)
+        self.orbits = Orbits()
+        for name in ("direction", "start_angle", "period"):
+            setattr(self.orbits, name, wp.zeros(num_worlds, dtype=float))
+        self.orbits.radii = wp.zeros(num_worlds, dtype=wp.vec2)
+        self.orbits.jumps = ranges.jumps
+        self.target = wp.zeros((num_worlds, 2), dtype=wp.vec3)
+
+    def launch(self, keys: RandomKeys, mask: wp.array) -> None:
+        """Launch `sample_orbit`."""
+        wp.launch(
+            sample_orbit,
+            dim=mask.shape[0],
+            inputs=[self.bounds, keys, mask],
+            outputs=[self.orbits, self.target],
+        )

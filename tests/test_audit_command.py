@@ -1,0 +1,211 @@
+"""The command `myowarp audit`: which ids, what it says, what it writes, and how it says no."""
+
+import itertools
+import json
+import re
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from myowarp import cli
+from myowarp.audit import audit, command, runs
+from myowarp.audit.figures import FIGURES, changes, findings
+from myowarp.audit.page import COLORS, Page, draw
+from myowarp.sim import Simulation
+from myowarp.spec import TASKS
+
+ELBOW, REACH = "myoElbowPose1D6MRandom-v0", "myoHandReachFixed-v0"
+MAX_ID_BYTES = 50_000  # of the page for each id, so that 60 ids make 3 MB
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_probes():
+    """Random starts take long to find, so no audit here looks for them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("myowarp.audit.measure.PROBED_RESETS", ("task",))
+        yield
+
+
+@pytest.fixture(scope="module")
+def reach():
+    return audit(TASKS[REACH], 1, device="cpu")
+
+
+def test_findings_and_changes(reach):
+    """A corrected version beside upstream's: what is shown otherwise, and only that."""
+    better = replace(
+        reach,
+        id="MyoWarp/myoHandReachFixed-v1",
+        version=1,
+        scores=reach.scores | {"zero": replace(reach.scores["zero"], failed=0.25)},
+        constant_columns=tuple(f"qpos[{i}]" for i in range(10)),
+    )
+    assert (reach.corrected, better.corrected) == (False, True)
+    shown = {figure.head: (there, here) for figure, there, here in changes(better, reach)}
+    assert shown == {"failed zero, %": ("100", "25"), "constant columns": ("0", "10")}
+    rows = json.loads(command.as_json([reach, better]))["audits"]
+    assert [row["corrected"] for row in rows] == [False, True]
+    assert [row["changed"] for row in rows] == [{}, {head: list(pair) for head, pair in shown.items()}]
+    page = Page()
+    page.add(reach)
+    page.add(better)
+    assert '<td class="changed">25<small>100</small></td>' in page.html()
+    assert list(changes(reach, reach)) == list(changes(better, None)) == []
+    columns = ", ".join(f"qpos[{i}]" for i in range(8))
+    assert findings(better) == [f"Observation columns that never change: {columns} and 2 more."]
+
+
+@pytest.mark.parametrize("figure", FIGURES, ids=lambda figure: figure.head)
+def test_a_finding_has_a_sentence(figure):
+    assert figure.meaning.endswith(".")
+    assert not figure.finding or figure.finding.endswith(".")
+    extremes = [figure.bad(value) for value in (-1e9, 1e9)]
+    assert any(extremes) == bool(figure.finding)
+
+
+def test_jobs_are_every_id_with_versions_together():
+    jobs, left_out = command.find_jobs((), paper=False)
+    assert sorted(job.spec.key for job in jobs) == sorted(TASKS)
+    assert left_out == 0
+    names = [job.spec.name for job in jobs]
+    assert sum(a != b for a, b in itertools.pairwise(names)) == len(set(names)) - 1
+    for one, other in itertools.pairwise(jobs):
+        assert one.spec.name != other.spec.name or one.spec.version < other.spec.version
+
+
+def test_paper_jobs_are_the_cells_without_condition():
+    """9 families x easy, hard x 3 resets; the other 150 of the 204 need a muscle condition."""
+    jobs, left_out = command.find_jobs((), paper=True)
+    assert (len(jobs), left_out) == (54, 150)
+    assert {job.reset for job in jobs} == {"fixed", "random", "none"}
+    (one,), _ = command.find_jobs(("MyoWarp/paperElbowPoseHardN-v0",), paper=False)
+    assert (one.spec.key, one.reset) == (ELBOW, "none")
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command in this process; return exit status, output and error stream."""
+
+    def call(*arguments):
+        monkeypatch.setattr("sys.argv", ["myowarp", "audit", *map(str, arguments)])
+        status = 0
+        try:
+            cli.main()
+        except SystemExit as exit_:
+            status = exit_.code
+        return status, *capsys.readouterr()
+
+    return call
+
+
+def test_paper_says_how_many_ids_it_leaves_out(run, monkeypatch, tmp_path):
+    asked = []
+    monkeypatch.setattr(command, "audit_all", lambda jobs, *args, **options: asked.extend(jobs) or [])
+    status, out, err = run("--paper", "--json", "--output", tmp_path)
+    assert (status, json.loads(out), len(asked)) == (0, {"audits": []}, 54)
+    assert "Left out 150 ids whose muscle condition does not exist yet" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["myoElbowPose"], "task 'myoElbowPose' unknown; did you mean "),
+        ([ELBOW, "nonsense"], "task 'nonsense' unknown; available: "),
+        (
+            ["paperElbowPoseEasyFExo-v0"],
+            "MyoWarp/paperElbowPoseEasyFExo-v0 needs condition 'exoskeleton', which does not exist yet",
+        ),
+        (["--paper", ELBOW], f"--paper audits the whole grid; leave it or '{ELBOW}' away"),
+        (["--num-worlds", 0], "--num-worlds must be at least 1, got 0"),
+        (["--steps", 0], "--steps must be at least 1, got 0"),
+        (["--seed", -1], "--seed must be at least 0, got -1"),
+        (["--physics", "slow"], "physics 'slow' unknown; available: parity, fast"),
+        (["--device", "cuda:77"], "device 'cuda:77' is not available; available: "),
+        (["--output", "{file}/deeper"], "output '{file}/deeper' must be a folder that can be written: "),
+    ],
+)
+def test_bad_input_is_refused_before_anything_runs(run, monkeypatch, tmp_path, arguments, sentence):
+    def refuse(*args, **options):
+        pytest.fail("a simulation was built")
+
+    monkeypatch.setattr(Simulation, "__init__", refuse)
+    (tmp_path / "file").touch()
+    fill = {"file": tmp_path / "file"}
+    here = ["--output", tmp_path / "out"] if "--output" not in arguments else []
+    status, out, err = run(*(str(argument).format(**fill) for argument in arguments), *here)
+    assert (status, out) == (2, "")
+    assert err.startswith(f"myowarp: {sentence.format(**fill)}")
+    assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"steps": 0}, "steps must be an integer of at least 1, got 0"),
+        ({"seed": -1}, "seed must be an integer of at least 0, got -1"),
+        ({"num_worlds": 0}, "num_envs must be a positive integer, got 0"),
+        ({"reset": "maybe"}, "reset 'maybe' unknown; available: task, fixed, random, none"),
+    ],
+)
+def test_audit_refuses_bad_arguments(options, sentence):
+    with pytest.raises(ValueError, match=f"^{re.escape(sentence)}$"):
+        audit(TASKS[ELBOW], **options)
+
+
+def test_command_writes_json_and_page(run, tmp_path):
+    names = [f"MyoWarp/{ELBOW}", "paperElbowPoseHardN-v0"]
+    options = ("--num-worlds", 2, "--device", "cpu", "--output", tmp_path / "new" / "folder")
+    status, out, err = run(*names, "--json", *options)
+    assert status == 0, err
+    saved = (tmp_path / "new" / "folder" / "audit.json").read_text()
+    assert json.loads(out) == json.loads(saved)
+    first, second = json.loads(saved)["audits"]
+    assert (first["id"], second["id"]) == (names[0], f"MyoWarp/{names[1]}")
+    assert (first["reset"], second["reset"], second["steps"]) == ("task", "none", 200)
+    assert first["findings"] == ["Reward terms that never leave 0: penalty."]
+    assert first["targets"]["solvable"] == 1.0
+    page = (tmp_path / "new" / "folder" / "index.html").read_text()
+    assert page.count("data:image/svg+xml;base64,") == page.count("<img") == 2
+    assert f'<h3 id="{ELBOW}">' in page
+    assert len(page) < 2 * MAX_ID_BYTES
+    assert "Saved audit.json and index.html in" in err
+
+
+def test_without_matplotlib_json_and_table_come(run, monkeypatch, tmp_path):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    status, out, err = run(ELBOW, "--num-worlds", 1, "--device", "cpu", "--output", tmp_path)
+    assert status == 0, err
+    assert "No page: it needs matplotlib; pip install 'myowarp[plot]'\n" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["audit.json"]
+    assert out.count(ELBOW) > 1  # the table comes in parts
+
+
+def test_interruption_loses_nothing(tmp_path, reach):
+    def measure(spec, reset, tick, **options):
+        if spec.key == ELBOW:
+            raise KeyboardInterrupt
+        tick(0.5, "half")
+        return reach
+
+    jobs, _ = command.find_jobs((REACH, ELBOW), paper=False)
+    with pytest.raises(KeyboardInterrupt):
+        command.audit_all(jobs, tmp_path, Console(quiet=True), measure=measure)
+    (row,) = json.loads((tmp_path / "audit.json").read_text())["audits"]
+    assert row["id"] == reach.id
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["audit.json", "index.html"]
+
+
+def test_numbers_that_are_not_finite_become_null(reach):
+    endless = replace(reach, failing=replace(reach.failing, living_reward=float("nan")))
+    (row,) = json.loads(command.as_json([endless]))["audits"]
+    assert row["failing"]["living_reward"] is None
+    assert row["failing"]["failing_reward"] == reach.failing.failing_reward
+
+
+def test_picture_shows_every_policy(reach):
+    picture = draw(reach, "svg").decode()
+    for policy in runs.POLICIES:
+        assert COLORS[policy] in picture
+    for block in ("qpos", "tip_pos", "penalty", "not failed yet"):
+        assert block in picture
