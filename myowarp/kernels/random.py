@@ -24,6 +24,14 @@ class RandomKeys:
     episode: wp.array[wp.int32]
 
 
+def new_keys(num_worlds: int) -> RandomKeys:
+    """Return keys on the current Warp device, all 0."""
+    keys = RandomKeys()
+    keys.seed = wp.zeros(num_worlds, dtype=wp.int32)
+    keys.episode = wp.zeros(num_worlds, dtype=wp.int32)
+    return keys
+
+
 @wp.func
 def open_stream(keys: RandomKeys, worldid: int, stream: int) -> wp.uint32:
     """Return the state of an independent stream of this world's present episode."""

@@ -26,6 +26,13 @@ FAMILIES = {
     "HandPenTwirl": ("myoHandPenTwirlFixed-v0", "myoHandPenTwirlRandom-v0", HAND_CONDITIONS),
     "HandBaoding": ("myoHandBaodingFixed-v0", "myoHandBaodingRandom-v0", HAND_CONDITIONS),
 }
+IN_OUR_NAMES = {
+    "none": (),
+    "sarcopenia": ("sarcopenia",),
+    "fatigue": ("fatigue_ma2009",),
+    "tendon_transfer": ("tendon_transfer",),
+    "exoskeleton": ("exoskeleton",),
+}
 DIFFICULTIES = ("easy", "hard")
 RESETS = {"F": "fixed", "R": "random", "N": "none"}
 SUFFIXES = {
@@ -46,7 +53,7 @@ class PaperTask:
         family: Row of the paper's table.
         difficulty: "easy" or "hard".
         reset: "fixed", "random" or "none" (reset-free).
-        condition: Muscle condition.
+        condition: Muscle condition, in the paper's words.
         task: The registered task that it varies.
     """
 
@@ -56,6 +63,11 @@ class PaperTask:
     reset: str
     condition: str
     task: str
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """Names in `CONDITIONS`."""
+        return IN_OUR_NAMES[self.condition]
 
 
 def grid() -> tuple[PaperTask, ...]:
