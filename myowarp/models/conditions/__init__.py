@@ -52,10 +52,12 @@ class Condition(abc.ABC):
         STAGE: Where it acts.
         WRITES: Names of the quantities that it sets. No two conditions of an environment may set the same.
             What only multiplies (strength, transmission) is not listed: factors compose.
+        NEUTRAL: Parameters with which it changes nothing, bit for bit.
     """
 
     STAGE: ClassVar[Stage]
     WRITES: ClassVar[tuple[str, ...]] = ()
+    NEUTRAL: ClassVar[dict[str, float]]
 
     @property
     def name(self) -> str:

@@ -8,7 +8,7 @@ The passive force stays. Source: Caggiano et al. (2022), arXiv:2205.13600, where
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import warp as wp
 
@@ -28,6 +28,7 @@ class Sarcopenia(Condition):
     """
 
     STAGE = Stage.STRENGTH
+    NEUTRAL: ClassVar = {"strength": 1.0}
 
     strength: Value = 0.5
 
