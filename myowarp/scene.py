@@ -122,6 +122,7 @@ def source_digest(spec: TaskSpec) -> str:
     package = Path(__file__).parent
     files = [Path(__file__), package / "tasks/markers.py", Path(inspect.getfile(type(spec)))]
     files += [*sorted(package.glob("models/bodies/*.py")), package / "models/slim.py"]
+    files += sorted(package.glob("models/conditions/*.py"))
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 

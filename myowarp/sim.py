@@ -7,6 +7,7 @@
 import secrets
 from collections.abc import Callable, Iterable
 
+import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
@@ -108,6 +109,7 @@ class Simulation:
                 self.postures = wp.array(random_starts(spec), dtype=float)
                 self.posture_address = wp.array(posture_joints(self.scene.oracle), dtype=int)
             self._idle: frozenset[str] = frozenset()
+            self._probes: list[Callable[[], None]] = []
             compile_kernels(self._launch_all, self.scene.device, show=progress)
             self._idle = verified_idle(
                 self.scene.oracle, self.scene.model, self.scene.data, self._launch_physics
@@ -179,6 +181,9 @@ class Simulation:
         wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
         self.launch_scoring()
         self._launch_observation(self.masks.live)
+        with pruned(self._idle):
+            for launch in self._probes:
+                launch()
         if self.autoreset == RESET_SAME_STEP:
             wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
         self._launch_reset(self.masks.renew, self.masks.reset, self.masks.fresh, asked=False)
@@ -229,8 +234,9 @@ class Simulation:
             inputs=[data.qpos, data.qvel, self.scene.muscles.activation],
             outputs=[data.overflow, transition.fault],
         )
-        self.program.score(self.episode.step_count, transition.terms, transition.solved, transition.failed)
         column = len(self.scene.spec.reward_terms())
+        terms = transition.terms[:, :column]
+        self.program.score(self.episode.step_count, terms, transition.solved, transition.failed)
         for effect in self.effects:
             effect.score(transition.terms, column)
             column += len(effect.terms)
@@ -287,14 +293,38 @@ class Simulation:
             else:
                 wp.capture_launch(self._step_graph)
 
+    def attach(self, launch: Callable[[], None]) -> None:
+        """Launch more in every step, after observation and before what ended is reset.
+
+        Args:
+            launch: Launches kernels that only look: all that they may write is their own arrays, and what
+                the next physics step computes anew.
+        """
+        self._probes.append(launch)
+        with quiet(), wp.ScopedDevice(self.scene.device):
+            compile_kernels(launch, self.scene.device, show=False)
+            if self._step_graph is not None:
+                self._step_graph = self._capture(self._launch_step)
+
     def look(self, world: int) -> tuple[np.ndarray, np.ndarray | None, dict[str, np.ndarray]]:
         """Return what a picture of one world shows.
 
         Returns:
-            Joint configuration (nq,), activations (num_muscles,) or None without muscles, goal markers.
+            Joint configuration (nq,); for every actuator with a tendon the activation of the muscle that
+            pulls it, NaN if none does, or None without muscles; goal markers.
         """
-        activation = self.scene.muscles.activation.numpy()[world].copy() if self.scene.muscles.names else None
-        return self.scene.data.qpos.numpy()[world].copy(), activation, self.program.goal_markers(world)
+        qpos, goals = self.scene.data.qpos.numpy()[world].copy(), self.program.goal_markers(world)
+        muscles = self.scene.muscles
+        if not muscles.names:
+            return qpos, None, goals
+        path, transmission = (
+            values.numpy()[world % values.shape[0]]
+            for values in (muscles.anatomy.path, muscles.anatomy.transmission)
+        )
+        on_tendon = self.scene.oracle.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
+        activation = np.full(len(on_tendon), np.nan)
+        activation[path] = np.where(transmission > 0.0, muscles.activation.numpy()[world], np.nan)
+        return qpos, activation[on_tendon], goals
 
     def reset(self, mask: np.ndarray | None = None, seeds: np.ndarray | None = None) -> None:
         """Start new episodes; their first observation is in `transition.obs`.

@@ -160,4 +160,14 @@ def resolve(conditions: str | Condition | Iterable[str | Condition], spec: TaskS
     return tuple(sorted(found, key=lambda condition: (condition.STAGE, condition.name)))
 
 
-from myowarp.models.conditions import sarcopenia  # noqa: E402, F401  (it registers itself)
+from myowarp.models.conditions import (  # noqa: E402  (they register themselves)
+    exoskeleton,  # noqa: F401
+    fatigue_3ccr,  # noqa: F401
+    fatigue_ma2009,  # noqa: F401
+    load,  # noqa: F401
+    motor_noise,  # noqa: F401
+    reafferentation,  # noqa: F401
+    sarcopenia,  # noqa: F401
+    tendon_tear,  # noqa: F401
+    tendon_transfer,  # noqa: F401
+)

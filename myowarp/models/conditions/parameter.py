@@ -204,7 +204,7 @@ class Parameter:
         """Return a value on the device, shape (1 or num_worlds, 1 or num_muscles)."""
         if isinstance(value, Uniform):
             return self._drawn(value, end)
-        numbers = self._by_name(value) if isinstance(value, Mapping) else self._numbers(value)
+        numbers = self._by_name(value) if isinstance(value, Mapping) and self.names else self._numbers(value)
         self._check_range(numbers)
         return wp.array(numbers, dtype=float)
 

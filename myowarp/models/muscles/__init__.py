@@ -80,6 +80,16 @@ class MuscleModel(abc.ABC):
         self.anatomy.transmission = wp.ones(shape, dtype=float)
 
     @abc.abstractmethod
+    def set_length_range(self, muscleid: int, length_range: tuple[float, float], mask: wp.array) -> None:
+        """Fit a muscle to lengths of its path, in some worlds; a launch, after `individualize`.
+
+        Args:
+            muscleid: The muscle.
+            length_range: Least and greatest musculotendon length [m], over which its fibers operate.
+            mask: The worlds, shape (num_worlds,) bool.
+        """
+
+    @abc.abstractmethod
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Write the muscles' `actuator_biasprm` and advance `activation` by one physics step."""
 

@@ -170,6 +170,36 @@ def length_scale(prm: np.ndarray, lengthrange: np.ndarray) -> tuple[np.ndarray, 
     return optimal, lengthrange[:, 0] - prm[:, 0] * optimal
 
 
+@wp.kernel(enable_backward=False)
+def set_length_scale(
+    # Params:
+    muscleid: int,
+    active_scale: wp.vec2,
+    passive_scale: wp.vec2,
+    # In:
+    mask: wp.array[bool],
+    # Out:
+    params: MujocoMuscleParams,
+):
+    """(l_0, l_T) = scale, of the active and the passive part, in the worlds of the mask."""
+    worldid = wp.tid()
+    if not mask[worldid]:
+        return
+    params.optimal_fiber_length[worldid, muscleid] = active_scale[0]
+    params.tendon_slack_length[worldid, muscleid] = active_scale[1]
+    params.passive_optimal_length[worldid, muscleid] = passive_scale[0]
+    params.passive_slack_length[worldid, muscleid] = passive_scale[1]
+
+
+LENGTHS = (
+    "optimal_fiber_length",
+    "tendon_slack_length",
+    "passive_optimal_length",
+    "passive_slack_length",
+)
+"""Parameters that follow from a range of lengths."""
+
+
 class MujocoMuscle(MuscleModel):
     """MuJoCo's muscle in a kernel of ours; parameters are read from a compiled `mujoco.MjModel`.
 
@@ -183,6 +213,7 @@ class MujocoMuscle(MuscleModel):
         ids = self.actuator_id
         gain, bias = model.actuator_gainprm[ids], model.actuator_biasprm[ids]
         dyn, acc0 = model.actuator_dynprm[ids], model.actuator_acc0[ids]
+        self._curves = gain, bias
         optimal, slack = length_scale(gain, model.actuator_lengthrange[ids])
         passive_optimal, passive_slack = length_scale(bias, model.actuator_lengthrange[ids])
         limited = model.actuator_ctrllimited[ids, None]
@@ -209,6 +240,26 @@ class MujocoMuscle(MuscleModel):
             "passive_multiplier": bias[:, 7],
         }.items():
             setattr(self.params, name, wp.array(values[None], dtype=float))
+
+    def individualize(self) -> None:
+        """Give every world an anatomy and length scales of its own."""
+        super().individualize()
+        for name in LENGTHS:
+            values = np.repeat(getattr(self.params, name).numpy(), self.activation.shape[0], axis=0)
+            setattr(self.params, name, wp.array(values, dtype=float))
+
+    def set_length_range(self, muscleid: int, length_range: tuple[float, float], mask: wp.array) -> None:
+        """Launch `set_length_scale`; see `MuscleModel.set_length_range`."""
+        row, lengths = [muscleid], np.array([length_range])
+        active_scale, passive_scale = (
+            wp.vec2(*np.concatenate(length_scale(curve[row], lengths))) for curve in self._curves
+        )
+        wp.launch(
+            set_length_scale,
+            dim=mask.shape[0],
+            inputs=[muscleid, active_scale, passive_scale, mask],
+            outputs=[self.params],
+        )
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Engine callback; see `MuscleModel.launch`."""

@@ -1,0 +1,45 @@
+"""Progress bars of long work, all alike, on the error stream, which leaves the output to pipe."""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+
+def progress_bar(title: str, unit: str, console: Console | None = None) -> Progress:
+    """Return a progress bar that counts units; `unit` may show fields of the bar's task."""
+    return Progress(
+        TextColumn(f"[bold]{title}[/bold]"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(unit),
+        TimeRemainingColumn(elapsed_when_finished=True),
+        console=console or Console(stderr=True),
+    )
+
+
+@contextlib.contextmanager
+def patient_bar(
+    title: str, unit: str, total: int, *, patience: float, show: bool = True
+) -> Iterator[Callable[[int], None]]:
+    """Draw a progress bar once the block takes longer than `patience` [s], never if not `show`.
+
+    Yields:
+        A function that says how many more units are done.
+    """
+    bar = progress_bar(title, unit)
+    task = bar.add_task("", total=total)
+    begin = time.monotonic()
+
+    def advance(count: int) -> None:
+        bar.advance(task, count)
+        if show and time.monotonic() - begin > patience:
+            bar.start()
+
+    try:
+        yield advance
+    finally:
+        if bar.live.is_started:
+            bar.stop()
