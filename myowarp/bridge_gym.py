@@ -9,7 +9,7 @@ the world of `make(...).reset(seed=s + i)`, as in Gymnasium's own vector environ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -22,13 +22,13 @@ from gymnasium.vector.utils import batch_space
 
 from myowarp.interop import check_output, checked_action, to_output
 from myowarp.kernels.episode import describe_fault
+from myowarp.models.conditions import Condition
 from myowarp.registry import check_choice
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
-from myowarp.tasks.paper import grid
+from myowarp.tasks.variants import variants
 from myowarp.view.pictures import Pictures
 
-CONDITIONS = ("none",)
 RENDER_MODES = ("human", "rgb_array")
 NO_HORIZON = 2**31 - 1  # steps; a single environment leaves truncation to Gymnasium's TimeLimit
 AUTORESET_NAMES = {
@@ -47,6 +47,7 @@ class MyoWarpVectorEnv(VectorEnv):
     - `success`: more than 5 steps of the episode were solved so far (MyoSuite's metric),
     - `solved`: the task is solved in this state,
     - `terms/<name>`: reward terms before weighting,
+    - what conditions show of their state, such as `fatigue` (num_envs, num_muscles),
     - `fault`: 0, or bits of `myowarp.kernels.episode.FAULTS`; a faulty world ends with reward 0 and the
       last healthy observation, and is reset by itself,
     - with autoreset in the same step `final_obs` and `final_info` of the worlds that ended.
@@ -69,7 +70,7 @@ class MyoWarpVectorEnv(VectorEnv):
         physics: str = "parity",
         muscle: str = "mujoco",
         reset: str = "task",
-        condition: str = "none",
+        conditions: str | Condition | Iterable[str | Condition] = (),
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         output: str = "numpy",
         copy: bool | None = None,
@@ -88,7 +89,7 @@ class MyoWarpVectorEnv(VectorEnv):
             physics: "parity" (MyoSuite's integrator and step) or "fast" (`myowarp.spec.PHYSICS`).
             muscle: Muscle model, a name in `myowarp.models.muscles.MUSCLES`.
             reset: What episodes start from: "task", "fixed", "random" or "none" (`myowarp.spec.RESETS`).
-            condition: Muscle condition; none exists yet but "none".
+            conditions: Muscle conditions: names in `CONDITIONS`, or `Condition` objects with parameters.
             autoreset_mode: When a finished world starts its next episode.
             output: Arrays of this library: "numpy", "torch" or "warp".
             copy: Whether returned arrays are copies; None: copies for numpy, views otherwise.
@@ -101,7 +102,6 @@ class MyoWarpVectorEnv(VectorEnv):
             ValueError: An argument is out of its range; nothing was built.
             ImportError: Output for a library that is not installed.
         """
-        check_choice("condition", condition, CONDITIONS)
         check_choice("render_mode", render_mode, (None, *RENDER_MODES))
         mode = _autoreset_mode(autoreset_mode)
         check_output(output)
@@ -114,6 +114,7 @@ class MyoWarpVectorEnv(VectorEnv):
             physics=physics,
             muscle=muscle,
             reset=reset,
+            conditions=conditions,
             autoreset=AUTORESET_NAMES[mode],
             horizon=max_episode_steps,
             progress=progress,
@@ -277,6 +278,8 @@ class MyoWarpVectorEnv(VectorEnv):
     def _info(self) -> dict[str, Any]:
         """Return the info dictionary of the last step, masks included where arrays are on the host."""
         info = self._entries(self.sim.transition)
+        for effect in self.sim.effects:
+            info |= {name: self._give(array) for name, array in effect.info.items()}
         same_step = self._autoreset == AutoresetMode.SAME_STEP
         if self.output != "numpy" and not self.sim.scene.device.is_cpu:
             # No masks and no look at what ended: that would wait for the device.
@@ -359,7 +362,7 @@ class MyoWarpEnv(gym.Env):
         if np.shape(action) != shape:
             raise ValueError(f"action must be floating point of shape {shape}, got shape {np.shape(action)}")
         obs, reward, terminated, truncated, info = self._vector.step(np.asarray(action)[None])
-        info = {key: value[0].item() for key, value in info.items() if not key.startswith("_")}
+        info = {k: v[0].item() if v.ndim == 1 else v[0] for k, v in info.items() if not k.startswith("_")}
         return obs[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
 
     def render(self) -> np.ndarray | None:
@@ -383,14 +386,12 @@ def _autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:
 
 
 def register_all() -> None:
-    """Register every task, and the paper's grid, with Gymnasium; called by `import myowarp`."""
-    options = {TASKS[key].env_id: {"task": key} for key in TASKS}
-    options |= {r.id: {"task": r.task, "reset": r.reset, "condition": r.condition} for r in grid()}
-    for env_id, kwargs in options.items():
+    """Register every id with Gymnasium; called by `import myowarp`."""
+    for env_id, variant in variants().items():
         gym.register(
             id=env_id,
             entry_point="myowarp.bridge_gym:MyoWarpEnv",
             vector_entry_point="myowarp.bridge_gym:MyoWarpVectorEnv",
-            max_episode_steps=TASKS[kwargs["task"]].horizon,
-            kwargs=kwargs,
+            max_episode_steps=TASKS[variant.task].horizon,
+            kwargs=vars(variant).copy(),
         )

@@ -1,11 +1,12 @@
-"""The command `myowarp`: list tasks, roll out policies, audit tasks, compile kernels ahead of time."""
+"""The command `myowarp`: list tasks, roll out policies, audit tasks, simulate cohorts, compile kernels."""
 
 import dataclasses
 import json
 import sys
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 import warp as wp
@@ -110,7 +111,7 @@ class Rollout:
     steps: int | None = None
     """Control steps; by default one episode."""
     policy: str = "random"
-    """random, zero, package.module:function or file.py:function (observations -> actions)."""
+    """random, zero, hold, package.module:function or file.py:function (observations -> actions)."""
     seed: int = 0
     """Seed of resets and of the random policy."""
     device: str | None = None
@@ -123,6 +124,10 @@ class Rollout:
     """Write a video of some worlds to this .mp4."""
     video_worlds: int = 6
     """Worlds in the video."""
+    signals: Path | None = None
+    """Write muscle signals and joint angles to this .parquet (tidy tables) or .npz."""
+    signals_every: int = 1
+    """Control steps from one sample of the signals to the next."""
     json: bool = False
     """Print the figures as JSON."""
 
@@ -130,18 +135,22 @@ class Rollout:
         """Run and report."""
         from myowarp import rollout
         from myowarp.bridge_gym import MyoWarpVectorEnv
+        from myowarp.files import check_output
+        from myowarp.signals.record import check_recording, recording
         from myowarp.view.render import NoGraphicsError
 
         spec = TASKS[self.task.removeprefix("MyoWarp/")]
         steps = spec.horizon if self.steps is None else self.steps
-        for name, number in (("steps", steps), ("video-worlds", self.video_worlds)):
+        numbers = {"steps": steps, "video-worlds": self.video_worlds, "signals-every": self.signals_every}
+        for name, number in numbers.items():
             if number < 1:
                 raise ValueError(f"--{name} must be at least 1, got {number}")
         if self.seed < 0:
             raise ValueError(f"--seed must be at least 0, got {self.seed}")
-        rollout.find_policy(self.policy)
-        rollout.check_output(self.save, ".npz")
-        rollout.check_output(self.video, ".mp4")
+        rollout.check_policy(self.policy, spec)
+        check_output(self.save, ".npz")
+        check_output(self.video, ".mp4")
+        check_recording(self.signals)
         console = Console(stderr=True)
         env = MyoWarpVectorEnv(
             spec.key,
@@ -150,26 +159,83 @@ class Rollout:
             physics=self.physics,
             autoreset_mode="same_step",
         )
-        summary, recording = rollout.run(
-            env,
-            self.policy,
-            steps,
-            self.seed,
-            record=self.save is not None,
-            filmed=min(self.video_worlds, self.num_worlds) if self.video else 0,
-            console=console,
-        )
+        with (
+            recording(env.sim, self.signals, self.signals_every)
+            if self.signals
+            else nullcontext() as recorder
+        ):
+            summary, kept = rollout.run(
+                env,
+                self.policy,
+                steps,
+                self.seed,
+                record=self.save is not None,
+                filmed=min(self.video_worlds, self.num_worlds) if self.video else 0,
+                recorder=recorder,
+                console=console,
+            )
         _report(dataclasses.asdict(summary), self.json)
         if self.save:
-            rollout.save_recording(self.save, env, recording)
+            rollout.save_recording(self.save, env, kept)
             console.print(f"Saved {self.save}")
+        if self.signals:
+            console.print(f"Saved {self.signals}")
         if self.video:
             try:
-                rollout.film(self.video, env, recording, TILE, console)
+                rollout.film(self.video, env, kept, TILE, console)
                 console.print(f"Saved {self.video}")
             except NoGraphicsError as error:
                 console.print(f"No video: {error}", style="yellow")
         env.close()
+
+
+@dataclass
+class Cohort:
+    """Simulate a table of patients, all at once: results as tidy tables, and a plot.
+
+    The table has one row per patient and a column for everything in which patients differ, such as strength
+    (healthy: 1), fatigue_rate [1/s], load_mass [kg], exo_assistance, tendon_tear (names of muscles),
+    tendon_transfer (0 or 1); a wrong name lists all. Every patient meets the same trials.
+
+    Example: raise the forearm from hanging down, and hold it for ten seconds:
+    myowarp cohort examples/elbow_cohort.csv --task myoElbowPose1D6MFixed-v0 --reset fixed --steps 500
+    """
+
+    table: Annotated[Path, tyro.conf.Positional]
+    """Patients, .csv or .parquet."""
+    task: str
+    """Task id, with or without "MyoWarp/"; `myowarp tasks` lists them."""
+    policy: str = "hold"
+    """hold (pose tasks: proportional control of the joints), random, zero, package.module:function or
+    file.py:function (observations -> actions)."""
+    output: Path = Path("out/cohort")
+    """Folder for results, summary.csv, settings.json and plot.png."""
+    steps: int | None = None
+    """Control steps; by default one episode of the task."""
+    trials: int = 1
+    """Episodes of each patient; trial k has the same start, goal and noise for all."""
+    seed: int = 0
+    """Seed of the first trial."""
+    every: int | None = None
+    """Control steps from one row of the results to the next; by default steps / 100."""
+    reset: str = "task"
+    """What episodes start from: task, fixed, random or none."""
+    physics: str = "parity"
+    """parity (MyoSuite's integrator and step) or fast (implicit, twice the step)."""
+    device: str | None = None
+    """Warp device, such as cpu or cuda:0; by default the GPU if there is one."""
+    format: Literal["parquet", "csv"] = "parquet"
+    """Format of the results."""
+
+    def __call__(self) -> None:
+        """Check, run, write."""
+        from myowarp.cohort import command
+
+        settings = dataclasses.asdict(self)
+        table, output, suffix = settings.pop("table"), settings.pop("output"), settings.pop("format")
+        command.run(
+            table, output, f".{suffix}", Console(stderr=True, highlight=False, soft_wrap=True), **settings
+        )
 
 
 @dataclass
@@ -291,7 +357,7 @@ def main() -> None:
     """Entry point of the command; errors are one sentence and exit status 2."""
     wp.config.log_level = wp.LOG_ERROR
     command = tyro.extras.subcommand_cli_from_dict(
-        {"tasks": Tasks, "rollout": Rollout, "audit": Audit, "warmup": Warmup},
+        {"tasks": Tasks, "rollout": Rollout, "cohort": Cohort, "audit": Audit, "warmup": Warmup},
         prog="myowarp",
         description="Musculoskeletal motor control, simulated in thousands of worlds at once.",
     )

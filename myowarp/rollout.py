@@ -5,10 +5,8 @@ shape (num_worlds, num_actions).
 """
 
 import importlib
-import os
 import runpy
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -19,12 +17,17 @@ import numpy as np
 from rich.console import Console
 
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.files import in_place
+from myowarp.hold import Hold, check_hold
 from myowarp.progress import progress_bar
+from myowarp.scene import Scene
+from myowarp.signals.record import SignalRecorder
+from myowarp.spec import TaskSpec
 from myowarp.view.render import WorldRenderer
 from myowarp.view.video import write_video
 
 Policy = Callable[[np.ndarray], np.ndarray]
-BUILT_IN = ("random", "zero")
+BUILT_IN = ("random", "zero", "hold")
 
 
 @dataclass
@@ -73,7 +76,7 @@ def find_policy(name: str) -> Policy | None:
     """Return a user's policy by name, None for the built-in ones.
 
     Args:
-        name: "random", "zero", "package.module:function" or "file.py:function".
+        name: "random", "zero", "hold" (`myowarp.hold`), "package.module:function" or "file.py:function".
 
     Raises:
         ValueError: No such policy.
@@ -101,7 +104,14 @@ def find_policy(name: str) -> Policy | None:
     return policy
 
 
-def _acting(name: str, policy: Policy | None, shape: tuple[int, ...], seed: int) -> Policy:
+def check_policy(name: str, spec: TaskSpec) -> None:
+    """Raise ValueError if there is no policy of this name, or it cannot act in a task."""
+    find_policy(name)
+    if name == "hold":
+        check_hold(spec)
+
+
+def acting(name: str, policy: Policy | None, scene: Scene, seed: int) -> Policy:
     """Return the function that acts: the user's, with its errors marked as such, or a built-in one."""
     if policy is not None:
 
@@ -112,24 +122,13 @@ def _acting(name: str, policy: Policy | None, shape: tuple[int, ...], seed: int)
                 raise PolicyError(f"policy {name!r} failed") from error
 
         return guarded
+    if name == "hold":
+        return Hold(scene)
+    shape = (scene.num_worlds, scene.num_actions)
     if name == "zero":
         return lambda obs: np.zeros(shape, dtype=np.float32)
     rng = np.random.default_rng(seed)
     return lambda obs: rng.uniform(-1.0, 1.0, shape).astype(np.float32)
-
-
-def check_output(path: Path | None, suffix: str) -> None:
-    """Raise a clear error now if a file could not be written after the work is done.
-
-    Raises:
-        ValueError: Wrong suffix, no such folder, or no permission.
-    """
-    if path is None:
-        return
-    if path.suffix.lower() != suffix:
-        raise ValueError(f"output {str(path)!r} must end in {suffix}")
-    if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise ValueError(f"output {str(path)!r} cannot be written; its folder must exist and be writable")
 
 
 def run(
@@ -140,6 +139,7 @@ def run(
     *,
     record: bool = False,
     filmed: int = 0,
+    recorder: SignalRecorder | None = None,
     console: Console | None = None,
 ) -> tuple[Summary, Recording]:
     """Run a policy.
@@ -151,6 +151,7 @@ def run(
         seed: Seed of the resets and of the random policy.
         record: Whether to keep observation, action, reward and endings of every step.
         filmed: Number of leading worlds whose configurations are kept for pictures.
+        recorder: Recorder of muscle signals.
         console: Where to draw the progress bar.
 
     Returns:
@@ -159,7 +160,7 @@ def run(
     Raises:
         ValueError: No such policy, or it returned actions of a wrong shape or value.
     """
-    act = _acting(policy, find_policy(policy), env.sim.action.shape, seed)
+    act = acting(policy, find_policy(policy), env.sim.scene, seed)
     recording, tally = Recording(), _Tally(env.num_envs)
     obs, _ = env.reset(seed=seed)
     seconds = 0.0
@@ -174,14 +175,21 @@ def run(
                 recording.add(
                     obs=obs, action=actions, reward=reward, terminated=terminated, truncated=truncated
                 )
+            if recorder is not None:
+                recorder.add()
             if filmed:
                 recording.frames.append([env.sim.look(world) for world in range(filmed)])
             obs = next_obs
             tally.add(reward, terminated | truncated, info)
             bar.update(task, advance=1, rate=env.num_envs * step / seconds)
+    return _summary(env, policy, steps, seconds, tally), recording
+
+
+def _summary(env: MyoWarpVectorEnv, policy: str, steps: int, seconds: float, tally: "_Tally") -> Summary:
+    """Return the figures of a rollout whose steps took `seconds`."""
     scene = env.sim.scene
     rate = env.num_envs * steps / seconds
-    summary = Summary(
+    return Summary(
         task=scene.spec.env_id,
         policy=policy,
         device=str(scene.device),
@@ -191,7 +199,6 @@ def run(
         physics_steps_per_s=rate * scene.num_substeps,
         **tally.figures(),
     )
-    return summary, recording
 
 
 class _Tally:
@@ -234,16 +241,8 @@ def save_recording(path: Path, env: MyoWarpVectorEnv, recording: Recording) -> N
     arrays = {name: np.stack(steps) for name, steps in recording.arrays.items()}
     arrays |= {"columns": np.array(columns), "muscles": np.array(env.muscle_names)}
     arrays |= {"control_dt": np.array(env.sim.scene.control_dt)}
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as scratch:
-        try:
-            np.savez_compressed(scratch, **arrays)  # type: ignore[arg-type]
-        except BaseException:
-            Path(scratch.name).unlink()
-            raise
-    mask = os.umask(0)
-    os.umask(mask)
-    Path(scratch.name).chmod(0o666 & ~mask)
-    Path(scratch.name).replace(path)
+    with in_place(path) as scratch, scratch.open("wb") as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
 def film(

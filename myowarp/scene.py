@@ -16,9 +16,10 @@ import warp as wp
 
 from myowarp.cache import cached
 from myowarp.kernels.action import MOTOR, MUSCLE
-from myowarp.kernels.random import RandomKeys
+from myowarp.kernels.random import RandomKeys, new_keys
 from myowarp.models.bodies import BODIES
 from myowarp.models.capacity import Capacity, calibrate
+from myowarp.models.conditions import Condition
 from myowarp.models.muscles import MUSCLES, MuscleModel
 from myowarp.models.slim import slim
 from myowarp.registry import check_choice
@@ -31,6 +32,7 @@ class Scene:
 
     Attributes:
         spec: The task.
+        conditions: The muscle conditions, in the order in which they act.
         num_worlds: Worlds stepped together.
         num_substeps: Physics steps in a control step, after the physics preset.
         oracle: Slim model with MuJoCo's built-in muscles, host; what our kernels must reproduce.
@@ -45,6 +47,7 @@ class Scene:
     """
 
     spec: TaskSpec
+    conditions: tuple[Condition, ...]
     num_worlds: int
     num_substeps: int
     oracle: mujoco.MjModel
@@ -66,35 +69,42 @@ class Scene:
     @cached_property
     def full(self) -> mujoco.MjModel:
         """The unslimmed model with the task's objects, for pictures and comparisons; host."""
-        return full_spec(self.spec).compile()
+        return full_spec(self.spec, self.conditions).compile()
+
+    @property
+    def num_actions(self) -> int:
+        """Actuators that the policy commands, the first ones."""
+        return self.oracle.nu - sum(len(condition.undriven) for condition in self.conditions)
 
     def site_id(self, name: str) -> int:
         """Return the id of a site of the stepped model."""
         return self.oracle.site(name).id
 
 
-def full_spec(spec: TaskSpec) -> mujoco.MjSpec:
-    """Return the editable full model of a task: the body and what the task adds."""
+def full_spec(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjSpec:
+    """Return the editable full model of a task: the body and what task and conditions add."""
     body = BODIES[spec.body].build()
     body.option.timestep = spec.physics_dt
     spec.edit(body)
+    for condition in conditions:
+        condition.edit(body)
     return body
 
 
 @lru_cache(maxsize=1)
-def _slim_spec(spec: TaskSpec) -> mujoco.MjSpec:
+def _slim_spec(spec: TaskSpec, conditions: tuple[Condition, ...]) -> mujoco.MjSpec:
     """Return the slim spec of a task; shared by the two models that are compiled from it."""
-    return slim(full_spec(spec), spec.sites)
+    return slim(full_spec(spec, conditions), spec.sites)
 
 
-def slim_model(spec: TaskSpec) -> mujoco.MjModel:
+def slim_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
     """Return the slim model of a task with MuJoCo's built-in muscles."""
-    return _slim_spec(spec).copy().compile()
+    return _slim_spec(spec, conditions).copy().compile()
 
 
-def stateless_model(spec: TaskSpec) -> mujoco.MjModel:
+def stateless_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
     """Return the slim model with every muscle made a stateless AFFINE actuator (see `MuscleModel`)."""
-    small = _slim_spec(spec).copy()
+    small = _slim_spec(spec, conditions).copy()
     for actuator in small.actuators:
         if actuator.dyntype == mujoco.mjtDyn.mjDYN_MUSCLE:
             actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
@@ -111,23 +121,30 @@ def source_digest(*more: Path) -> str:
     package = Path(__file__).parent
     files = [Path(__file__), package / "models/slim.py", *more]
     files += [*sorted(package.glob("tasks/*.py")), *sorted(package.glob("models/bodies/*.py"))]
+    files += sorted(package.glob("models/conditions/*.py"))
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
-def _cached_model(spec: TaskSpec, make: Callable[[TaskSpec], mujoco.MjModel]) -> mujoco.MjModel:
-    """Return `make(spec)` through the disk cache."""
+def _cached_model(
+    spec: TaskSpec,
+    conditions: tuple[Condition, ...],
+    make: Callable[[TaskSpec, tuple[Condition, ...]], mujoco.MjModel],
+) -> mujoco.MjModel:
+    """Return `make(spec, conditions)` through the disk cache."""
+    edits = tuple(condition for condition in conditions if condition.scene_key)
+    key = (spec.scene_key, *(condition.scene_key for condition in edits))
     return cached(
-        (make.__name__, spec.scene_key, source_digest()),
+        (make.__name__, key, source_digest()),
         ".mjb",
-        make=lambda: make(spec),
+        make=lambda: make(spec, edits),
         save=mujoco.mj_saveModel,
         load=mujoco.MjModel.from_binary_path,
     )
 
 
-def oracle_model(spec: TaskSpec) -> mujoco.MjModel:
+def oracle_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
     """Return `slim_model` through the disk cache."""
-    return _cached_model(spec, slim_model)
+    return _cached_model(spec, conditions, slim_model)
 
 
 def set_physics(spec: TaskSpec, preset: PhysicsPreset, models: Iterable[mujoco.MjModel]) -> int:
@@ -162,6 +179,7 @@ def compile_scene(
     physics: str = "parity",
     muscle: str = "mujoco",
     reset: str = "task",
+    conditions: tuple[Condition, ...] = (),
 ) -> Scene:
     """Build everything that a task needs on a device.
 
@@ -172,6 +190,7 @@ def compile_scene(
         physics: Name in `PHYSICS`.
         muscle: Name in `MUSCLES`.
         reset: What episodes start from, one of `spec.RESETS`.
+        conditions: Muscle conditions, as `resolve` returns them.
 
     Raises:
         ValueError: An argument is out of its range, or the device does not exist.
@@ -182,30 +201,29 @@ def compile_scene(
     muscle_class = MUSCLES[muscle]
     where = resolve_device(device)
 
-    oracle, stepped = oracle_model(spec), _cached_model(spec, stateless_model)
+    oracle, stepped = oracle_model(spec, conditions), _cached_model(spec, conditions, stateless_model)
     num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped))
     start = spec.start(oracle)
     capacity = calibrate(oracle, start)
     with wp.ScopedDevice(where):
-        model = mjw.put_model(
-            stepped, batch_sizes=dict.fromkeys(("actuator_biasprm", *spec.batched), num_worlds)
-        )
+        batched = {"actuator_biasprm", *spec.batched}.union(*(c.batched for c in conditions))
+        model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), num_worlds))
         model.opt.warn_overflow = False
         data = mjw.make_data(stepped, nworld=num_worlds, nconmax=capacity.contacts, njmax=capacity.rows)
         muscles = muscle_class(oracle, num_worlds)
+        if conditions:
+            muscles.individualize()
         model.callback.control = muscles.launch
-        keys = RandomKeys()
-        keys.seed = wp.zeros(num_worlds, dtype=wp.int32)
-        keys.episode = wp.zeros(num_worlds, dtype=wp.int32)
         return Scene(
             spec=spec,
+            conditions=conditions,
             num_worlds=num_worlds,
             num_substeps=num_substeps,
             oracle=oracle,
             model=model,
             data=data,
             muscles=muscles,
-            keys=keys,
+            keys=new_keys(num_worlds),
             qpos_start=wp.array(start, dtype=float),
             reset=reset,
             actuator_kind=wp.array(actuator_kinds(oracle), dtype=int),

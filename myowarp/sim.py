@@ -5,8 +5,9 @@
 """
 
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
+import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
@@ -26,6 +27,9 @@ from myowarp.kernels.episode import (
     open_episode,
 )
 from myowarp.kernels.reset import place_start, reset_worlds
+from myowarp.models.conditions import Condition, resolve
+from myowarp.models.conditions.parameter import Clock
+from myowarp.models.muscles import restore_anatomy
 from myowarp.prune import pruned, verified_idle
 from myowarp.registry import check_choice
 from myowarp.scene import compile_scene
@@ -48,6 +52,7 @@ class Simulation:
     Attributes:
         scene: The compiled task.
         program: The task's kernels.
+        effects: The conditions' kernels, in the order in which they act.
         action: Policy actions in [-1, 1], to be written before `step`, shape (num_worlds, num_actuators).
         transition: What the last step led to.
         final: What finished episodes ended with; only with autoreset "same_step".
@@ -63,6 +68,7 @@ class Simulation:
         physics: str = "parity",
         muscle: str = "mujoco",
         reset: str = "task",
+        conditions: str | Condition | Iterable[str | Condition] = (),
         autoreset: str = "next_step",
         horizon: int | None = None,
         graph: bool = True,
@@ -77,6 +83,7 @@ class Simulation:
             physics: Name in `spec.PHYSICS`.
             muscle: Name in `MUSCLES`.
             reset: What episodes start from, one of `spec.RESETS`.
+            conditions: Muscle conditions, each a name in `CONDITIONS` or a `Condition`.
             autoreset: Gymnasium's mode, a key of `AUTORESET`.
             horizon: Control steps in an episode; None: the task's.
             graph: Whether to capture the step as a graph.
@@ -91,15 +98,18 @@ class Simulation:
             raise ValueError(f"max_episode_steps must be a positive integer, got {horizon!r}")
         self.autoreset = AUTORESET[autoreset]
         with quiet():
-            self.scene = compile_scene(spec, num_worlds, device, physics, muscle, reset)
+            chosen = resolve(conditions, spec)
+            self.scene = compile_scene(spec, num_worlds, device, physics, muscle, reset, chosen)
         with quiet(), wp.ScopedDevice(self.scene.device):
             self.program = spec.bind(self.scene)
+            self._bind_conditions()
             self._allocate(horizon)
             self.starts = self.start_address = None
             if reset == "random":
                 self.starts = wp.array(find_starts(spec, progress), dtype=float)
                 self.start_address = wp.array(start_address(spec, self.scene.oracle), dtype=int)
             self._idle: frozenset[str] = frozenset()
+            self._probes: list[Callable[[], None]] = []
             compile_kernels(self._launch_all, self.scene.device, show=progress)
             self._idle = verified_idle(
                 self.scene.oracle, self.scene.model, self.scene.data, self._launch_physics
@@ -113,21 +123,31 @@ class Simulation:
         """Worlds stepped together."""
         return self.scene.num_worlds
 
+    def _bind_conditions(self) -> None:
+        """Allocate the counters of the episodes, and what the conditions need."""
+        scene = self.scene
+        self.episode = EpisodeState()
+        for count in ("step_count", "life_count", "solved_count"):
+            setattr(self.episode, count, wp.zeros(self.num_worlds, dtype=int))
+        self.episode.pending = wp.zeros(self.num_worlds, dtype=bool)
+        clock = Clock()
+        clock.step_count, clock.life_count = self.episode.step_count, self.episode.life_count
+        clock.control_dt = scene.control_dt
+        self.effects = tuple(condition.bind(scene, clock) for condition in scene.conditions)
+        scene.model.callback.control = self._launch_control
+
     def _allocate(self, horizon: int) -> None:
         """Allocate every array of the step."""
         n, scene, spec = self.num_worlds, self.scene, self.scene.spec
         columns = spec.columns(scene.oracle.nq, len(scene.muscles.names))
+        columns += tuple(column for effect in self.effects for column in effect.columns)
         self.columns = tuple(column for column in columns if column.size)
-        self.terms = spec.reward_terms()
-        self.action = wp.zeros((n, scene.oracle.nu), dtype=float)
+        self.terms = spec.reward_terms() + tuple(term for effect in self.effects for term in effect.terms)
+        self.action = wp.zeros((n, scene.num_actions), dtype=float)
         self.weights = wp.array([term.weight for term in self.terms], dtype=float)
         self.horizon = wp.array([horizon], dtype=int)
         self.transition = self._new_transition()
         self.final = self._new_transition()
-        self.episode = EpisodeState()
-        self.episode.step_count = wp.zeros(n, dtype=int)
-        self.episode.solved_count = wp.zeros(n, dtype=int)
-        self.episode.pending = wp.zeros(n, dtype=bool)
         self.masks = Masks()
         for mask in ("live", "renew", "reset", "fresh"):
             setattr(self.masks, mask, wp.zeros(n, dtype=bool))
@@ -153,20 +173,47 @@ class Simulation:
     def _launch_step(self) -> None:
         """One control step of all worlds."""
         self.launch_action()
+        self.launch_conditions()
         with pruned(self._idle):
             for _ in range(self.scene.num_substeps):
                 self._launch_physics()
         self._refresh()
         wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
         self.launch_scoring()
-        self.program.observe(self.masks.live, self.transition.obs)
+        self._launch_observation(self.masks.live)
+        with pruned(self._idle):
+            for launch in self._probes:
+                launch()
         if self.autoreset == RESET_SAME_STEP:
             wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
         self._launch_reset(self.masks.renew, self.masks.reset, self.masks.fresh, asked=False)
 
     def _launch_physics(self) -> None:
-        """One physics step of all worlds; the muscles run in the engine's control callback."""
+        """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
         mjw.step(self.scene.model, self.scene.data)
+
+    def _launch_control(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Engine callback: the muscles, and what conditions do in a physics step."""
+        self.scene.muscles.launch(model, data)
+        for effect in self.effects:
+            effect.act_in_substep()
+
+    def _launch_observation(self, mask: wp.array) -> None:
+        """Observe the worlds of a mask: the task, then the conditions that show something."""
+        obs = self.transition.obs
+        self.program.observe(mask, obs)
+        column = obs.shape[1]
+        for effect in reversed(self.effects):
+            column -= sum(block.size for block in effect.columns)
+            effect.observe(mask, obs, column)
+
+    def launch_conditions(self) -> None:
+        """Let the conditions change excitations, muscles and body, for one control step."""
+        if self.effects:
+            anatomy = self.scene.muscles.anatomy
+            wp.launch(restore_anatomy, dim=anatomy.strength.shape, outputs=[anatomy])
+        for effect in self.effects:
+            effect.act()
 
     def launch_action(self) -> None:
         """Map actions to controls."""
@@ -187,7 +234,12 @@ class Simulation:
             inputs=[data.qpos, data.qvel, self.scene.muscles.activation],
             outputs=[data.overflow, transition.fault],
         )
-        self.program.score(self.episode.step_count, transition.terms, transition.solved, transition.failed)
+        column = len(self.scene.spec.reward_terms())
+        terms = transition.terms[:, :column]
+        self.program.score(self.episode.step_count, terms, transition.solved, transition.failed)
+        for effect in self.effects:
+            effect.score(transition.terms, column)
+            column += len(effect.terms)
         wp.launch(
             advance_episode,
             dim=self.num_worlds,
@@ -207,6 +259,9 @@ class Simulation:
         )
         reset_worlds(reset, scene.qpos_start, scene.data)
         scene.muscles.reset(reset)
+        for effect in self.effects:
+            effect.sample(renew)
+            effect.reset(reset)
         self.program.sample_start(reset)
         if self.starts is not None:
             wp.launch(
@@ -217,7 +272,7 @@ class Simulation:
             )
         self.program.sample_goal(renew)
         self._refresh()
-        self.program.observe(fresh, self.transition.obs)
+        self._launch_observation(fresh)
 
     def _refresh(self) -> None:
         """Make body and site positions those of the present state; a step leaves them one substep old."""
@@ -238,14 +293,38 @@ class Simulation:
             else:
                 wp.capture_launch(self._step_graph)
 
+    def attach(self, launch: Callable[[], None]) -> None:
+        """Launch more in every step, after observation and before what ended is reset.
+
+        Args:
+            launch: Launches kernels that only look: all that they may write is their own arrays, and what
+                the next physics step computes anew.
+        """
+        self._probes.append(launch)
+        with quiet(), wp.ScopedDevice(self.scene.device):
+            compile_kernels(launch, self.scene.device, show=False)
+            if self._step_graph is not None:
+                self._step_graph = self._capture(self._launch_step)
+
     def look(self, world: int) -> tuple[np.ndarray, np.ndarray | None, dict[str, np.ndarray]]:
         """Return what a picture of one world shows.
 
         Returns:
-            Joint configuration (nq,), activations (num_muscles,) or None without muscles, goal markers.
+            Joint configuration (nq,); for every actuator with a tendon the activation of the muscle that
+            pulls it, NaN if none does, or None without muscles; goal markers.
         """
-        activation = self.scene.muscles.activation.numpy()[world].copy() if self.scene.muscles.names else None
-        return self.scene.data.qpos.numpy()[world].copy(), activation, self.program.goal_markers(world)
+        qpos, goals = self.scene.data.qpos.numpy()[world].copy(), self.program.goal_markers(world)
+        muscles = self.scene.muscles
+        if not muscles.names:
+            return qpos, None, goals
+        path, transmission = (
+            values.numpy()[world % values.shape[0]]
+            for values in (muscles.anatomy.path, muscles.anatomy.transmission)
+        )
+        on_tendon = self.scene.oracle.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
+        activation = np.full(len(on_tendon), np.nan)
+        activation[path] = np.where(transmission > 0.0, muscles.activation.numpy()[world], np.nan)
+        return qpos, activation[on_tendon], goals
 
     def reset(self, mask: np.ndarray | None = None, seeds: np.ndarray | None = None) -> None:
         """Start new episodes; their first observation is in `transition.obs`.

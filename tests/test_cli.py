@@ -235,7 +235,7 @@ BAD_LATER = {
     "negative seed": (["--seed", "-1"], "seed"),
     "no such policy": (
         ["--policy", "best"],
-        "policy 'best' unknown; available: random, zero, package.module:function, file.py:function",
+        "policy 'best' unknown; available: random, zero, hold, package.module:function, file.py:function",
     ),
     "no such file": (["--policy", "none.py:act"], "policy 'none.py:act' not found (FileNotFoundError: "),
     "no such module": (["--policy", "none:act"], "policy 'none:act' not found (ModuleNotFoundError: "),

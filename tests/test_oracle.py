@@ -180,6 +180,9 @@ def test_one_control_step_of_physics(key, record_property):
     if sim.scene.muscles.activation.size:
         sim.scene.muscles.activation.assign(record["replay_act_before"])
     data.ctrl.assign(record["replay_ctrl"])
+    if "replay_weight" in record:
+        sim.program.weight.mass.assign(record["replay_weight"][:, None])
+        sim.program.weight.hang(wp.ones(sim.num_worlds, dtype=bool))
     moved = np.abs(record["replay_qpos_after"] - record["replay_qpos_before"])
     assert np.median(moved.max(axis=1)) > 10 * QPOS_TOLERANCE
     for _ in range(sim.scene.num_substeps):

@@ -41,11 +41,13 @@ class EpisodeState:
 
     Attributes:
         step_count: Steps since reset.
+        life_count: Steps since the world was seeded.
         solved_count: Steps since reset in which the task was solved.
         pending: The last step ended the episode, and the next step has to reset the world.
     """
 
     step_count: wp.array[int]
+    life_count: wp.array[int]
     solved_count: wp.array[int]
     pending: wp.array[bool]
 
@@ -99,9 +101,10 @@ def count_step(
     # Out:
     episode: EpisodeState,
 ):
-    """step_count += 1."""
+    """step_count += 1, life_count += 1."""
     worldid = wp.tid()
     episode.step_count[worldid] += 1
+    episode.life_count[worldid] += 1
 
 
 @wp.kernel(enable_backward=False)
@@ -228,5 +231,7 @@ def open_episode(
         episode.step_count[worldid] = 0
         episode.solved_count[worldid] = 0
         keys.episode[worldid] += 1
+        if keys.episode[worldid] == 1:
+            episode.life_count[worldid] = 0
         if asked:
             episode.pending[worldid] = False

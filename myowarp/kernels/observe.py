@@ -49,3 +49,23 @@ def pack_vec3(obs: wp.array2d[float], worldid: int, column: int, vector: wp.vec3
     for i in range(3):
         obs[worldid, column + i] = vector[i]
     return column + 3
+
+
+@wp.kernel(enable_backward=False)
+def observe_rows(
+    # In:
+    mask: wp.array[bool],
+    values: wp.array2d[float],
+    column: int,
+    # Out:
+    obs: wp.array2d[float],
+):
+    """obs[world, column + i] = values[world, i] in the worlds of the mask."""
+    worldid, i = wp.tid()
+    if mask[worldid]:
+        obs[worldid, column + i] = values[worldid, i]
+
+
+def masked_observe(mask: wp.array, values: wp.array, column: int, obs: wp.array) -> None:
+    """Write `values` (num_worlds, n) into `obs` from `column` on, in the worlds of `mask` (num_worlds,)."""
+    wp.launch(observe_rows, dim=values.shape, inputs=[mask, values, column], outputs=[obs])

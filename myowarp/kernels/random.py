@@ -24,8 +24,30 @@ class RandomKeys:
     episode: wp.array[wp.int32]
 
 
+def new_keys(num_worlds: int) -> RandomKeys:
+    """Return keys on the current Warp device, all 0."""
+    keys = RandomKeys()
+    keys.seed = wp.zeros(num_worlds, dtype=wp.int32)
+    keys.episode = wp.zeros(num_worlds, dtype=wp.int32)
+    return keys
+
+
 @wp.func
 def open_stream(keys: RandomKeys, worldid: int, stream: int) -> wp.uint32:
     """Return the state of an independent stream of this world's present episode."""
     episode_state = wp.rand_init(keys.seed[worldid], keys.episode[worldid])
     return wp.rand_init(wp.int32(episode_state), stream)
+
+
+@wp.func
+def open_step_stream(keys: RandomKeys, worldid: int, stream: int, step: int) -> wp.uint32:
+    """Return the state of an independent stream of one step of this world's present episode."""
+    return wp.rand_init(wp.int32(open_stream(keys, worldid, stream)), step)
+
+
+@wp.func
+def normal_pair(state: wp.uint32) -> wp.vec2:
+    """Return two independent numbers ~ N(0, 1): sqrt(-2 ln u1) (cos 2 pi u2, sin 2 pi u2), u1 in (0, 1]."""
+    radius = wp.sqrt(-2.0 * wp.log(1.0 - wp.randf(state)))
+    angle = 2.0 * wp.pi * wp.randf(state)
+    return wp.vec2(radius * wp.cos(angle), radius * wp.sin(angle))

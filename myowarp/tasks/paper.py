@@ -28,6 +28,13 @@ FAMILIES = {
     "HandPenTwirl": ("myoHandPenTwirlFixed-v1", "myoHandPenTwirlRandom-v1", HAND_CONDITIONS),
     "HandBaoding": ("myoHandBaodingSwap-v0", "myoHandBaodingRandom-v1", HAND_CONDITIONS),
 }
+IN_OUR_NAMES = {
+    "none": (),
+    "sarcopenia": ("sarcopenia",),
+    "fatigue": ("fatigue_ma2009",),
+    "tendon_transfer": ("tendon_transfer",),
+    "exoskeleton": ("exoskeleton",),
+}
 DIFFICULTIES = ("easy", "hard")
 RESETS = {"F": "fixed", "R": "random", "N": "none"}
 SUFFIXES = {
@@ -48,7 +55,7 @@ class PaperTask:
         family: Row of the paper's table.
         difficulty: "easy" or "hard".
         reset: "fixed", "random" or "none" (reset-free).
-        condition: Muscle condition.
+        condition: Muscle condition, in the paper's words.
         task: The registered task that it varies.
     """
 
@@ -58,6 +65,11 @@ class PaperTask:
     reset: str
     condition: str
     task: str
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """Names in `CONDITIONS`."""
+        return IN_OUR_NAMES[self.condition]
 
 
 def grid() -> tuple[PaperTask, ...]:

@@ -7,6 +7,7 @@ families FingerPose, ElbowPose1D6M, HandPose (paper: Caggiano et al. 2022, arXiv
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,6 +19,7 @@ from myowarp.kernels.reward import activation_effort, indicator, squared_distanc
 from myowarp.models.bodies import BODIES
 from myowarp.scene import Scene
 from myowarp.spec import TASKS, Column, RewardTerm, TaskSpec
+from myowarp.tasks.carried_weight import BATCHED, CarriedWeight
 from myowarp.tasks.hand_poses import DIGITS, RELAXED, as_in_myosuite_3, bounds
 from myowarp.tasks.markers import add_tip_targets
 
@@ -34,6 +36,7 @@ class PoseTask(TaskSpec):
         near: Error norm below which the task counts as solved [rad].
         effort_weight: Weight of the mean activation in the reward.
         random_start: Whether episodes start from a random configuration within the joint ranges.
+        weight: Bounds of the uniformly drawn weight in the hand [kg]; () leaves the body's.
     """
 
     target_low: tuple[float, ...] = field(kw_only=True)
@@ -41,6 +44,12 @@ class PoseTask(TaskSpec):
     near: float = field(kw_only=True)
     effort_weight: float = field(default=1.0, kw_only=True)
     random_start: bool = field(default=False, kw_only=True)
+    weight: tuple[float, ...] = field(default=(), kw_only=True)
+
+    @property
+    def batched(self) -> tuple[str, ...]:
+        """What follows from the weight, where one is drawn."""
+        return BATCHED if self.weight else ()
 
     @property
     def uses_kinematics(self) -> bool:
@@ -190,10 +199,13 @@ class PoseProgram:
         self.target = wp.zeros((scene.num_worlds, scene.oracle.nq), dtype=float)
         self.target_low = wp.array(spec.target_low, dtype=float)
         self.target_high = wp.array(spec.target_high, dtype=float)
+        self.weight = CarriedWeight(scene, *spec.weight) if spec.weight else None
 
     def sample_start(self, mask: wp.array) -> None:
-        """Draw configurations where the task's own start is random."""
+        """Draw weights, and configurations where the task's own start is random."""
         scene = self.scene
+        if self.weight is not None:
+            self.weight.sample(mask)
         if self.spec.random_start and scene.reset == "task":
             wp.launch(
                 sample_configuration,
@@ -259,9 +271,9 @@ def _register(
     version: int = 0,
     num_substeps: int = 10,
     horizon: int = 100,
-    random_start: bool = False,
+    **options: Any,
 ) -> None:
-    """Register one id; a fixed target has no `high`."""
+    """Register one id; a fixed target has no `high`; `options` are further attributes of `PoseTask`."""
     spec = PoseTask(
         name,
         version,
@@ -272,12 +284,13 @@ def _register(
         target_low=low,
         target_high=low if high is None else high,
         near=near,
-        random_start=random_start,
+        **options,
     )
     TASKS.add(spec.key, spec)
 
 
 FINGER_NEAR, ELBOW_NEAR, HAND_NEAR = 0.35, 0.175, 0.7  # rad
+EXO_EFFORT_WEIGHT = 5.0  # of the muscles; the motor is free
 
 for _name, _body, _num_substeps, _horizon in (
     ("myoFingerPose", "finger", 10, 100),
@@ -319,6 +332,26 @@ _register(
     near=ELBOW_NEAR,
     random_start=True,
     doc="Turn the elbow from a random angle to a random angle.",
+)
+_register(
+    "myoElbowPose1D6MExoFixed",
+    "elbow_exo",
+    (2.0,),
+    near=ELBOW_NEAR,
+    effort_weight=EXO_EFFORT_WEIGHT,
+    random_start=True,
+    doc="Flex the elbow to 2 rad from a random angle, helped by a motor (action 0), with 0.1 kg in the hand.",
+)
+_register(
+    "myoElbowPose1D6MExoRandom",
+    "elbow_exo",
+    (0.0,),
+    (2.27,),
+    near=ELBOW_NEAR,
+    effort_weight=EXO_EFFORT_WEIGHT,
+    random_start=True,
+    weight=(0.1, 2.0),
+    doc="Turn the elbow from a random to a random angle, helped by a motor (action 0), with 0.1 to 2 kg.",
 )
 
 

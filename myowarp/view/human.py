@@ -109,7 +109,7 @@ class HumanViewer:
         Args:
             qpos: generalised position, shape ``(nq,)`` or ``(num_worlds, nq)``.
             activation: muscle activation [1], shape ``(num_muscles,)`` or ``(num_worlds, num_muscles)``,
-                or None.
+                or None; NaN hides a muscle.
             sites: task targets: name to position in its world [m], shape ``(3,)`` or ``(num_worlds, 3)``.
             time: simulated time [s].
 
@@ -151,6 +151,9 @@ class HumanViewer:
         look.pose(self._model, self._data, qpos[world])
         rgb = look.activation_rgb(None if activation is None else activation[world], len(self._tendons))
         starts, ends, owner = look.tendon_segments(self._model, self._data, self._tendons)
+        if activation is not None:
+            shown = ~np.isnan(activation[world])[owner]
+            starts, ends, owner = starts[shown], ends[shown], owner[shown]
         # A constant number of pieces lets the viewer keep its buffers while muscles wrap and unwrap.
         spare = 2 * self._model.nwrap - len(starts)
         fill = np.zeros((spare, 3)) if not len(ends) else np.tile(ends[-1], (spare, 1))

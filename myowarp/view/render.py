@@ -140,7 +140,7 @@ class WorldRenderer:
 
         Args:
             qpos: generalised position, shape ``(nq,)``.
-            activation: muscle activation [1], shape ``(num_muscles,)``, or None.
+            activation: muscle activation [1], shape ``(num_muscles,)``, or None; NaN hides a muscle.
             sites: task targets: name to position in the world [m], shape ``(3,)``. A site of the model of
                 that name gives the size; ``<tip>_target`` is joined to the site ``<tip>`` by a line.
 
@@ -156,7 +156,8 @@ class WorldRenderer:
         rgb = look.activation_rgb(activation, self.num_muscles)
         look.pose(self._model, self._data, qpos)
         self._model.tendon_rgba[self.tendons, :3] = rgb
-        bulge = 0.5 if activation is None else np.clip(activation, 0.0, 1.0)
+        self._model.tendon_rgba[self.tendons, 3] = 1.0 if activation is None else ~np.isnan(activation)
+        bulge = 0.5 if activation is None else np.clip(np.nan_to_num(activation), 0.0, 1.0)
         self._model.tendon_width[self.tendons] = self._thin * (0.75 + 0.75 * bulge)
         self._renderer.update_scene(self._data, self.camera, self._option)
         scene = self._renderer.scene

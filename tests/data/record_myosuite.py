@@ -16,6 +16,7 @@ import mujoco
 import myosuite  # noqa: F401  (registers the environments)
 import numpy as np
 from myosuite.utils import reach_workspace
+from myosuite.utils.mujoco_geom_utils import refresh_geom_derived_fields
 from recording import (
     STATE,
     clip_rows,
@@ -41,8 +42,9 @@ BASES = """myoFingerPose motorFingerPose myoElbowPose1D6M myoHandPose
     myoFingerReach motorFingerReach myoHandReach"""
 IDS = [f"{base}{kind}-v0" for base in BASES.split() for kind in ("Fixed", "Random")]
 IDS += [f"myoHandPose{pose}Fixed-v0" for pose in range(10)]
+IDS += [f"myoElbowPose1D6MExo{kind}-v0" for kind in ("Fixed", "Random")]
 # The compiled model is stored once per body, in the file of its first id.
-MODEL_IDS = {f"{base}Fixed-v0" for base in BASES.split()[:4]}
+MODEL_IDS = {f"{base}Fixed-v0" for base in [*BASES.split()[:4], "myoElbowPose1D6MExo"]}
 MODEL_FIELDS = """nq nv nu na ntendon qpos0 jnt_range jnt_axis jnt_pos jnt_solref jnt_solimp
     body_mass body_inertia body_ipos body_pos body_quat dof_damping dof_armature actuator_gainprm
     actuator_biasprm actuator_dynprm actuator_gear actuator_ctrlrange actuator_lengthrange
@@ -76,9 +78,27 @@ def thresholds(env):
     return {"near": NEAR_PER_SITE * num_sites, "far": env.far_th * num_sites}
 
 
+def weight_row(env):
+    """Mass and inertia of the weight that resets draw, and what they change; empty for most ids."""
+    if not getattr(env, "weight_bodyname", None):
+        return {}
+    model, body = env.model, env.model.body(env.weight_bodyname)
+    row = {"weight": body.mass[0], "weight_inertia": body.inertia.copy()}
+    return row | {"dof_invweight0": model.dof_invweight0.copy()}
+
+
+def put_weight(env, row):
+    """Give the model the weight of a row, as the environment's reset does."""
+    if "weight" in row:
+        body = env.model.body(env.weight_bodyname).id
+        env.model.body_mass[body] = row["weight"]
+        env.model.geom_size[env.model.body_geomadr[body]][0] = 0.01 + 2.5 * row["weight"] / 100
+        refresh_geom_derived_fields(env.model, env._mj_spec, (body,))
+
+
 def state_row(env):
     """What the observation and the reward are functions of; reach positions are flattened."""
-    row = copies(env.data, STATE) | {"time": env.data.time}
+    row = copies(env.data, STATE) | {"time": env.data.time} | weight_row(env)
     if task_of(env) == "pose":
         return row | {"target": np.array(env.target_jnt_value, dtype=np.float64)}
     target, tip = (env.data.site_xpos[sites] for sites in (env.target_sids, env.tip_sids))
@@ -143,6 +163,8 @@ def meta_of(wrapped, env_id):
         "thresholds": {key: float(value) for key, value in thresholds(env).items()},
         "tip_sites": [env.model.site(i).name for i in env.tip_sids],
     }
+    if weight_row(env):
+        own |= {"weight_range": env.weight_range}
     return fields | common_meta(wrapped, env_id, task_of(env)) | own | names_meta(env.model)
 
 
@@ -179,8 +201,10 @@ def deviations(env, arrays):
             worst[key] = max(worst.get(key, 0.0), gap)
     for prefix in ("step", "clip"):
         action = arrays[f"{prefix}_action"]
-        motor = (np.clip(action.astype(float), -1.0, 1.0) - 1) / 2
-        ctrl = sigmoid_ctrl(action) if env.model.na > 0 else motor
+        clipped = np.clip(action.astype(float), -1.0, 1.0)
+        motor = clipped if env.model.na > 0 else (clipped - 1) / 2  # the exoskeleton, the motor finger
+        muscle = env.model.actuator_dyntype == mujoco.mjtDyn.mjDYN_MUSCLE
+        ctrl = np.where(muscle, sigmoid_ctrl(action), motor)
         worst[f"{prefix}_ctrl"] = largest_gap(arrays[f"{prefix}_ctrl"], ctrl)
     for name in STATE:  # the environment itself continues with a warm solver
         gap = largest_gap(arrays[f"replay_{name}_after"], arrays.pop(f"replay_{name}_env"))
@@ -188,20 +212,26 @@ def deviations(env, arrays):
     return worst
 
 
+def replay_row(env, row):
+    """Replay of a visited state under the model of its episode."""
+    put_weight(env, row)
+    return replay(env, row)[0]
+
+
 def record(env_id, out, index):
     """Record one id into `<out>/<id>.npz`; returns the file size [bytes]."""
     wrapped = gymnasium.make(env_id)
     env, rng = wrapped.unwrapped, np.random.default_rng(index)
-    runs = [
-        run_episode(wrapped, i, kind, 100 * index + i, state_row, terms_of(env), STRIDE)
-        for i, kind in enumerate(ACTION_KINDS)
-    ]
-    facts, resets, steps, physics = zip(*runs, strict=True)
-    visited = [row for rows in physics for row in rows]
+    runs, visited = [], []
+    for i, kind in enumerate(ACTION_KINDS):
+        run = run_episode(wrapped, i, kind, 100 * index + i, state_row, terms_of(env), STRIDE)
+        visited += [row | weight_row(env) for row in run[3]]
+        runs.append(run[:3])
+    facts, resets, steps = zip(*runs, strict=True)
     chosen = np.linspace(0, len(visited) - 1, NUM_REPLAYS).round().astype(int)
     arrays = stack(facts, "episode") | stack(resets, "reset")
     arrays |= stack([row for rows in steps for row in rows], "step")
-    arrays |= target_facts(env) | stack([replay(env, visited[i])[0] for i in chosen], "replay")
+    arrays |= target_facts(env) | stack([replay_row(env, visited[i]) for i in chosen], "replay")
     arrays |= stack(force_states(wrapped, rng), "forced")
     arrays |= clip_rows(wrapped, rng)
     if env_id in MODEL_IDS:

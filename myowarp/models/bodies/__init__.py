@@ -28,4 +28,10 @@ class Body:
 
 BODIES: Registry[Body] = Registry("body")
 
-from myowarp.models.bodies import contact_hand, elbow, finger, hand  # noqa: E402, F401  (they register themselves)
+from myowarp.models.bodies import (  # noqa: E402  (they register themselves)
+    contact_hand,  # noqa: F401
+    elbow,  # noqa: F401
+    elbow_exo,  # noqa: F401
+    finger,  # noqa: F401
+    hand,  # noqa: F401
+)

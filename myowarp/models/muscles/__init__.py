@@ -15,6 +15,32 @@ from mujoco import MjModel, mjtDyn
 from myowarp.registry import Registry
 
 
+@wp.struct
+class Anatomy:
+    """What a condition can change in any muscle model; arrays (1 or num_worlds, num_muscles).
+
+    Attributes:
+        path: Actuator whose tendon the muscle pulls; its control stays its own.
+        strength: Factor on the active force [1].
+        transmission: Factor on the whole force [1]; 0 for a torn tendon.
+    """
+
+    path: wp.array2d[int]
+    strength: wp.array2d[float]
+    transmission: wp.array2d[float]
+
+
+@wp.kernel(enable_backward=False)
+def restore_anatomy(
+    # Out:
+    anatomy: Anatomy,
+):
+    """strength = transmission = 1, from where the conditions of a control step start."""
+    worldid, muscleid = wp.tid()
+    anatomy.strength[worldid, muscleid] = 1.0
+    anatomy.transmission[worldid, muscleid] = 1.0
+
+
 class MuscleModel(abc.ABC):
     """The muscles of a body in all worlds: parameters, activation and force.
 
@@ -27,6 +53,9 @@ class MuscleModel(abc.ABC):
         actuator_id: Actuator of each muscle, shape (num_muscles,), host.
         names: Muscle names, in that order.
         activation: State [1], shape (num_worlds, num_muscles).
+        anatomy: What conditions change in it.
+        workload: Time integral of the normalized active force a f_L f_V [s], shape (num_worlds,
+            num_muscles); whoever uses it sets it back to 0.
     """
 
     def __init__(self, model: MjModel, num_worlds: int) -> None:
@@ -35,6 +64,30 @@ class MuscleModel(abc.ABC):
         self.actuator_id = np.flatnonzero(is_muscle).astype(np.int32)
         self.names = tuple(model.actuator(i).name for i in self.actuator_id)
         self.activation = wp.zeros((num_worlds, len(self.names)), dtype=float)
+        self.workload = wp.zeros_like(self.activation)
+        self.anatomy = Anatomy()
+        self._set_anatomy(1)
+
+    def individualize(self) -> None:
+        """Give every world an anatomy of its own; before anything is captured."""
+        self._set_anatomy(self.activation.shape[0])
+
+    def _set_anatomy(self, rows: int) -> None:
+        """Allocate a healthy anatomy."""
+        shape = (rows, len(self.names))
+        self.anatomy.path = wp.array(np.broadcast_to(self.actuator_id, shape).copy(), dtype=int)
+        self.anatomy.strength = wp.ones(shape, dtype=float)
+        self.anatomy.transmission = wp.ones(shape, dtype=float)
+
+    @abc.abstractmethod
+    def set_length_range(self, muscleid: int, length_range: tuple[float, float], mask: wp.array) -> None:
+        """Fit a muscle to lengths of its path, in some worlds; a launch, after `individualize`.
+
+        Args:
+            muscleid: The muscle.
+            length_range: Least and greatest musculotendon length [m], over which its fibers operate.
+            mask: The worlds, shape (num_worlds,) bool.
+        """
 
     @abc.abstractmethod
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:

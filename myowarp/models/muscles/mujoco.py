@@ -1,6 +1,8 @@
 """MuJoCo's muscle: rigid tendon, no pennation, piecewise quadratic curves.
 
-    F = -(f_L(l) f_V(v) a + f_P(l)) F_max,    l = (length - l_T) / l_0,    v = velocity / (l_0 v_max)
+    F = -(s f_L(l) f_V(v) a + f_P(l)) F_max,    l = (length - l_T) / l_0,    v = velocity / (l_0 v_max)
+
+with the strength s, 1 in a healthy muscle.
 
 Source: MuJoCo documentation, *Modeling, Actuators, Muscles*. The active and the passive part each have
 their own length scale and peak force, as `gainprm` and `biasprm` do. Given the same length and velocity,
@@ -22,7 +24,7 @@ from myowarp.kernels.curves import (
     quadratic_passive_force,
 )
 from myowarp.kernels.reset import masked_fill
-from myowarp.models.muscles import MUSCLES, MuscleModel
+from myowarp.models.muscles import MUSCLES, Anatomy, MuscleModel
 
 
 @wp.struct
@@ -76,31 +78,36 @@ def of_world(values: wp.array2d[float], worldid: int, muscleid: int) -> float:
 
 @wp.func
 def muscle_force(
-    params: MujocoMuscleParams, worldid: int, muscleid: int, length: float, velocity: float, activation: float
-) -> wp.vec2:
-    """Return the force [N], pulling is negative, and its derivative by velocity [N s/m]."""
+    params: MujocoMuscleParams,
+    worldid: int,
+    muscleid: int,
+    length: float,
+    velocity: float,
+    activation: float,
+    strength: float,
+) -> wp.vec3:
+    """Return the force [N], pulling is negative, its derivative by velocity [N s/m], and a f_L f_V [1]."""
     l0 = of_world(params.optimal_fiber_length, worldid, muscleid)
     v0 = l0 * of_world(params.max_contraction_velocity, worldid, muscleid)
     fvmax = of_world(params.eccentric_multiplier, worldid, muscleid)
     norm_velocity = velocity / v0
-    isometric = (
-        activation
-        * of_world(params.max_isometric_force, worldid, muscleid)
-        * quadratic_force_length(
-            (length - of_world(params.tendon_slack_length, worldid, muscleid)) / l0,
-            of_world(params.min_norm_length, worldid, muscleid),
-            of_world(params.max_norm_length, worldid, muscleid),
-        )
+    peak = strength * of_world(params.max_isometric_force, worldid, muscleid)
+    force_length = quadratic_force_length(
+        (length - of_world(params.tendon_slack_length, worldid, muscleid)) / l0,
+        of_world(params.min_norm_length, worldid, muscleid),
+        of_world(params.max_norm_length, worldid, muscleid),
     )
+    force_velocity = quadratic_force_velocity(norm_velocity, fvmax)
+    isometric = activation * peak * force_length
     passive_length = length - of_world(params.passive_slack_length, worldid, muscleid)
     passive = of_world(params.passive_peak_force, worldid, muscleid) * quadratic_passive_force(
         passive_length / of_world(params.passive_optimal_length, worldid, muscleid),
         of_world(params.passive_max_norm_length, worldid, muscleid),
         of_world(params.passive_multiplier, worldid, muscleid),
     )
-    force = isometric * quadratic_force_velocity(norm_velocity, fvmax) + passive
+    force = isometric * force_velocity + passive
     slope = isometric * quadratic_force_velocity_slope(norm_velocity, fvmax) / v0
-    return wp.vec2(-force, -slope)
+    return wp.vec3(-force, -slope, activation * force_length * force_velocity)
 
 
 @wp.kernel(enable_backward=False)
@@ -115,28 +122,33 @@ def mujoco_muscle(
     actuator_velocity_in: wp.array2d[float],
     # In:
     implicit: bool,
+    anatomy: Anatomy,
     # Out:
     activation: wp.array2d[float],
+    workload: wp.array2d[float],
     actuator_biasprm: wp.array2d[vec10],
 ):
     """F from the present activation; then a += dt da/dt, in MuJoCo's order."""
     worldid, muscleid = wp.tid()
-    actuatorid = params.actuator_id[muscleid]
-    velocity = actuator_velocity_in[worldid, actuatorid]
+    row = worldid % anatomy.path.shape[0]
+    actuatorid = anatomy.path[row, muscleid]
+    length, velocity = actuator_length_in[worldid, actuatorid], actuator_velocity_in[worldid, actuatorid]
     a = activation[worldid, muscleid]
-    force = muscle_force(params, worldid, muscleid, actuator_length_in[worldid, actuatorid], velocity, a)
+    force = muscle_force(params, worldid, muscleid, length, velocity, a, anatomy.strength[row, muscleid])
+    transmission = anatomy.transmission[row, muscleid]
 
     # Explicit integrators have no use for the slope, and force - kv v + kv v would only round.
-    kv = wp.where(implicit, force[1], 0.0)
+    kv = wp.where(implicit, transmission * force[1], 0.0)
     bias = vec10()
-    bias[0] = force[0] - kv * velocity
+    bias[0] = transmission * force[0] - kv * velocity
     bias[2] = kv
     actuator_biasprm[worldid, actuatorid] = bias
 
     bounds = params.excitation_range[worldid % params.excitation_range.shape[0], muscleid]
     dt = opt_timestep[worldid % opt_timestep.shape[0]]
+    workload[worldid, muscleid] += dt * force[2]
     activation[worldid, muscleid] = a + dt * activation_rate(
-        wp.clamp(ctrl_in[worldid, actuatorid], bounds[0], bounds[1]),
+        wp.clamp(ctrl_in[worldid, params.actuator_id[muscleid]], bounds[0], bounds[1]),
         a,
         of_world(params.activation_time_constant, worldid, muscleid),
         of_world(params.deactivation_time_constant, worldid, muscleid),
@@ -158,6 +170,36 @@ def length_scale(prm: np.ndarray, lengthrange: np.ndarray) -> tuple[np.ndarray, 
     return optimal, lengthrange[:, 0] - prm[:, 0] * optimal
 
 
+@wp.kernel(enable_backward=False)
+def set_length_scale(
+    # Params:
+    muscleid: int,
+    active_scale: wp.vec2,
+    passive_scale: wp.vec2,
+    # In:
+    mask: wp.array[bool],
+    # Out:
+    params: MujocoMuscleParams,
+):
+    """(l_0, l_T) = scale, of the active and the passive part, in the worlds of the mask."""
+    worldid = wp.tid()
+    if not mask[worldid]:
+        return
+    params.optimal_fiber_length[worldid, muscleid] = active_scale[0]
+    params.tendon_slack_length[worldid, muscleid] = active_scale[1]
+    params.passive_optimal_length[worldid, muscleid] = passive_scale[0]
+    params.passive_slack_length[worldid, muscleid] = passive_scale[1]
+
+
+LENGTHS = (
+    "optimal_fiber_length",
+    "tendon_slack_length",
+    "passive_optimal_length",
+    "passive_slack_length",
+)
+"""Parameters that follow from a range of lengths."""
+
+
 class MujocoMuscle(MuscleModel):
     """MuJoCo's muscle in a kernel of ours; parameters are read from a compiled `mujoco.MjModel`.
 
@@ -171,6 +213,7 @@ class MujocoMuscle(MuscleModel):
         ids = self.actuator_id
         gain, bias = model.actuator_gainprm[ids], model.actuator_biasprm[ids]
         dyn, acc0 = model.actuator_dynprm[ids], model.actuator_acc0[ids]
+        self._curves = gain, bias
         optimal, slack = length_scale(gain, model.actuator_lengthrange[ids])
         passive_optimal, passive_slack = length_scale(bias, model.actuator_lengthrange[ids])
         limited = model.actuator_ctrllimited[ids, None]
@@ -198,6 +241,26 @@ class MujocoMuscle(MuscleModel):
         }.items():
             setattr(self.params, name, wp.array(values[None], dtype=float))
 
+    def individualize(self) -> None:
+        """Give every world an anatomy and length scales of its own."""
+        super().individualize()
+        for name in LENGTHS:
+            values = np.repeat(getattr(self.params, name).numpy(), self.activation.shape[0], axis=0)
+            setattr(self.params, name, wp.array(values, dtype=float))
+
+    def set_length_range(self, muscleid: int, length_range: tuple[float, float], mask: wp.array) -> None:
+        """Launch `set_length_scale`; see `MuscleModel.set_length_range`."""
+        row, lengths = [muscleid], np.array([length_range])
+        active_scale, passive_scale = (
+            wp.vec2(*np.concatenate(length_scale(curve[row], lengths))) for curve in self._curves
+        )
+        wp.launch(
+            set_length_scale,
+            dim=mask.shape[0],
+            inputs=[muscleid, active_scale, passive_scale, mask],
+            outputs=[self.params],
+        )
+
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Engine callback; see `MuscleModel.launch`."""
         wp.launch(
@@ -210,8 +273,9 @@ class MujocoMuscle(MuscleModel):
                 data.actuator_length,
                 data.actuator_velocity,
                 bool(model.opt.integrator != mjw.IntegratorType.EULER),
+                self.anatomy,
             ],
-            outputs=[self.activation, model.actuator_biasprm],
+            outputs=[self.activation, self.workload, model.actuator_biasprm],
         )
 
     def reset(self, mask: wp.array) -> None:

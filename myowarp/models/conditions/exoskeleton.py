@@ -1,0 +1,264 @@
+"""Exoskeleton of the elbow: an ideal torque that follows the muscles, or a motor of its own.
+
+    torque = assistance sum_m r_m F_m
+
+in every physics step, with moment arm r_m and tendon force F_m of the muscles: the share `assistance` of
+their whole torque at the joint, active and passive, signed like it. Source: Caggiano et al. (2022),
+arXiv:2205.13600, where policies of muscles and exoskeleton are trained together and its parts weigh 0.101 kg
+on the upper arm and 0.111 kg on the forearm. The upper arm of this body is fixed to the world, so only the
+latter counts; its shape is MyoSuite 3.0.0's, whose own exoskeleton tasks (`myoElbowPose1D6MExo...`) have
+the motor but no mass.
+
+With `motor` the policy commands the torque itself: one more action, the last, times `max_torque`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import mujoco
+import warp as wp
+from mujoco_warp._src.types import vec10
+
+from myowarp.kernels.reset import masked_fill
+from myowarp.models.conditions import CONDITIONS, Condition, Effect, Stage
+from myowarp.models.conditions.added_mass import BATCHED, AddedMass, HungMass, Part
+from myowarp.models.conditions.parameter import Clock, Curve, Parameter, Value, value_of
+from myowarp.spec import RewardTerm
+
+if TYPE_CHECKING:
+    from myowarp.scene import Scene
+    from myowarp.spec import TaskSpec
+
+NAME = "exoskeleton"  # of the actuator
+BODY, JOINT, LIMB = "elbow", "r_elbow_flex", "r_ulna_radius_hand"
+
+_CYLINDER, _BOX = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
+CUFF = AddedMass(
+    "exo_forearm",
+    LIMB,
+    (0.0, 0.0, 0.0),
+    (
+        Part(_CYLINDER, (0.03, 0.03, 0.0), 0.1, (0.0, -0.12, 0.035), tilt=1.3),
+        Part(_BOX, (0.01, 0.004, 0.06), 0.01, (0.0, -0.05, 0.06), tilt=1.3),
+        Part(_CYLINDER, (0.02, 0.01, 0.0), 0.001, (0.0, 0.0, 0.05)),
+    ),
+)
+"""Cuff, bar and hinge on the forearm; source: myo-sim 0.2.3, `myoelbow_exo`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Exoskeleton(Condition):
+    """A powered elbow brace.
+
+    Attributes:
+        assistance: Torque as a share of the muscles' torque [1], >= 0; not used with a motor.
+        motor: Whether the policy commands the torque instead.
+        forearm_mass: Mass of the part on the forearm [kg], >= 0.
+        max_torque: Torque of the motor at action 1 [N m].
+        effort_weight: Weight of the motor's reward term `exo_effort`, -(torque / max_torque)^2.
+    """
+
+    STAGE = Stage.BODY
+    WRITES = ("the torque of the exoskeleton",)
+    NEUTRAL: ClassVar = {"assistance": 0.0, "forearm_mass": 0.0}
+
+    assistance: Value = 0.5
+    motor: bool = False
+    forearm_mass: Value = 0.111
+    max_torque: float = 8.5
+    effort_weight: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check what is one number for all worlds."""
+        for name, number in (("max_torque", self.max_torque), ("effort_weight", self.effort_weight)):
+            if not (isinstance(number, (int, float)) and 0.0 <= number < math.inf):
+                raise ValueError(f"exoskeleton {name} must be a finite number >= 0, got {number!r}")
+        if self.effort_weight and not self.motor:
+            raise ValueError("exoskeleton effort_weight is for a motor; give motor=True or leave it out")
+
+    @property
+    def scene_key(self) -> tuple[object, ...]:
+        """The actuator: none is like another."""
+        return (NAME, self.motor, self.max_torque if self.motor else None)
+
+    @property
+    def batched(self) -> tuple[str, ...]:
+        """Mass and inertia; the muscles have their bias per world already."""
+        return BATCHED
+
+    @property
+    def undriven(self) -> tuple[str, ...]:
+        """The actuator, where it follows the muscles."""
+        return () if self.motor else (NAME,)
+
+    def check(self, spec: TaskSpec) -> None:
+        """Raise ValueError if the body is not the plain elbow."""
+        if spec.body != BODY:
+            raise ValueError(
+                f"an exoskeleton needs the elbow; body {spec.body!r} of task {spec.key!r} cannot wear it"
+            )
+
+    def edit(self, spec: mujoco.MjSpec) -> None:
+        """Add the cuff, and an actuator that is idle until it is commanded."""
+        CUFF.edit(spec)
+        actuator = spec.add_actuator(name=NAME, target=JOINT)
+        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
+        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.gainprm = [self.max_torque if self.motor else 0.0] + 9 * [0.0]
+        actuator.biasprm = 10 * [0.0]
+        actuator.ctrllimited, actuator.ctrlrange = True, (-1.0, 1.0)
+
+    def bind(self, scene: Scene, clock: Clock) -> ExoskeletonEffect:
+        """Put assistance and mass on the device."""
+        cuff = CUFF.bind(scene, clock, "exoskeleton forearm_mass", self.forearm_mass)
+        if self.motor:
+            return MotorEffect(scene, cuff, self)
+        assistance = Parameter(
+            "exoskeleton assistance", self.assistance, scene.num_worlds, (), neutral=0.0, low=0.0
+        )
+        return AssistEffect(scene, cuff, clock, assistance)
+
+
+class ExoskeletonEffect(Effect):
+    """An exoskeleton in a scene: its mass, and the torque that it shows.
+
+    Attributes:
+        torque: Last torque [N m], flexion is positive, shape (num_worlds,).
+    """
+
+    def __init__(self, scene: Scene, cuff: HungMass) -> None:
+        self.scene, self.cuff = scene, cuff
+        self.exo = scene.oracle.actuator(NAME).id
+        self.torque = wp.zeros(scene.num_worlds, dtype=float)
+        self.info = {"exo_torque": self.torque}
+
+    def sample(self, renew: wp.array) -> None:
+        """Draw masses."""
+        self.cuff.sample(renew)
+
+    def reset(self, mask: wp.array) -> None:
+        """Show no torque."""
+        masked_fill(mask, self.torque.reshape((self.scene.num_worlds, 1)), 0.0)
+
+    def act(self) -> None:
+        """Hang the cuffs on the forearms."""
+        self.cuff.launch()
+
+
+@wp.kernel(enable_backward=False)
+def assist(
+    # Params:
+    exo: int,
+    muscle_actuators: wp.array[int],
+    curve: Curve,
+    # Data in:
+    moment_rownnz_in: wp.array2d[int],
+    moment_rowadr_in: wp.array2d[int],
+    actuator_moment_in: wp.array2d[float],
+    actuator_velocity_in: wp.array2d[float],
+    # In:
+    clock: Clock,
+    # Out:
+    torque: wp.array[float],
+    actuator_biasprm: wp.array2d[vec10],
+):
+    """torque = assistance sum_m moment_m force_m, and its derivative by the joint's velocity.
+
+    The only joint is the elbow, so a muscle has one moment, and the velocity of its path is moment times the
+    joint's: d torque / d velocity = assistance sum_m moment_m^2 kv_m, exactly.
+    """
+    worldid = wp.tid()
+    total, slope = float(0.0), float(0.0)
+    for i in range(muscle_actuators.shape[0]):
+        actuatorid = muscle_actuators[i]
+        if moment_rownnz_in[worldid, actuatorid] == 0:
+            continue
+        moment = actuator_moment_in[worldid, moment_rowadr_in[worldid, actuatorid]]
+        bias = actuator_biasprm[worldid, actuatorid]
+        total += moment * (bias[0] + bias[2] * actuator_velocity_in[worldid, actuatorid])
+        slope += moment * moment * bias[2]
+    assistance = value_of(curve, clock, worldid, 0)
+    own = vec10()
+    own[0] = assistance * (total - slope * actuator_velocity_in[worldid, exo])
+    own[2] = assistance * slope
+    actuator_biasprm[worldid, exo] = own
+    torque[worldid] = assistance * total
+
+
+class AssistEffect(ExoskeletonEffect):
+    """An exoskeleton that follows the muscles."""
+
+    def __init__(self, scene: Scene, cuff: HungMass, clock: Clock, assistance: Parameter) -> None:
+        super().__init__(scene, cuff)
+        self.clock, self.assistance = clock, assistance
+        self.muscle_actuators = wp.array(scene.muscles.actuator_id, dtype=int)
+
+    def sample(self, renew: wp.array) -> None:
+        """Draw masses and assistance."""
+        super().sample(renew)
+        self.assistance.sample(self.scene.keys, renew)
+
+    def act_in_substep(self) -> None:
+        """Launch `assist`."""
+        data, model = self.scene.data, self.scene.model
+        wp.launch(
+            assist,
+            dim=self.scene.num_worlds,
+            inputs=[
+                self.exo,
+                self.muscle_actuators,
+                self.assistance.curve,
+                data.moment_rownnz,
+                data.moment_rowadr,
+                data.actuator_moment,
+                data.actuator_velocity,
+                self.clock,
+            ],
+            outputs=[self.torque, model.actuator_biasprm],
+        )
+
+
+@wp.kernel(enable_backward=False)
+def score_motor(
+    # Params:
+    exo: int,
+    max_torque: float,
+    # Data in:
+    ctrl_in: wp.array2d[float],
+    # In:
+    column: int,
+    # Out:
+    torque: wp.array[float],
+    terms: wp.array2d[float],
+):
+    """torque = max_torque u; exo_effort = -u^2."""
+    worldid = wp.tid()
+    u = ctrl_in[worldid, exo]
+    torque[worldid] = max_torque * u
+    terms[worldid, column] = -u * u
+
+
+class MotorEffect(ExoskeletonEffect):
+    """An exoskeleton that the policy commands; the engine applies the torque."""
+
+    def __init__(self, scene: Scene, cuff: HungMass, exoskeleton: Exoskeleton) -> None:
+        super().__init__(scene, cuff)
+        self.max_torque = float(exoskeleton.max_torque)
+        self.terms = (RewardTerm("exo_effort", float(exoskeleton.effort_weight)),)
+
+    def score(self, terms: wp.array, column: int) -> None:
+        """Launch `score_motor`."""
+        wp.launch(
+            score_motor,
+            dim=self.scene.num_worlds,
+            inputs=[self.exo, self.max_torque, self.scene.data.ctrl, column],
+            outputs=[self.torque, terms],
+        )
+
+
+CONDITIONS.add("exoskeleton", Exoskeleton)

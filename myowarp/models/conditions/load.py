@@ -1,0 +1,106 @@
+"""A load: a weight in the hand, of any mass, that may change within an episode.
+
+A solid sphere that moves with the palm. The elbow holds it where MyoSuite 3.0.0 puts the weight of its
+exoskeleton tasks (`carry_weight`); the hands at myo-sim's site `S_grasp_r`, 5 cm in front of the third
+metacarpal, which its tasks bring to objects. It weighs and is inert, but touches nothing: a hand with an
+object in it carries the load as if strapped on. Source of the masses 0 to 2 kg: Caggiano et al. (2022),
+arXiv:2205.13600, loads in the tests of the exoskeleton.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import mujoco
+import warp as wp
+
+from myowarp.models.conditions import CONDITIONS, Condition, Effect, Stage
+from myowarp.models.conditions.added_mass import BATCHED, AddedMass, HungMass, Part, Triple
+from myowarp.models.conditions.parameter import Clock, Value
+
+if TYPE_CHECKING:
+    from myowarp.scene import Scene
+    from myowarp.spec import TaskSpec
+
+_ELBOW = ("r_ulna_radius_hand", (0.05, -0.35, 0.07))
+_HAND = ("trapezium_r", (-0.011, -0.06, -0.03))
+
+PALMS: dict[str, tuple[str, Triple]] = {
+    "elbow": _ELBOW,
+    "elbow_exo": _ELBOW,
+    "hand": _HAND,
+    "contact_hand": _HAND,
+}
+"""Body: the part of it that carries the load, and the load's center in the frame of that part [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Load(Condition):
+    """A weight in the hand.
+
+    Attributes:
+        mass: Mass [kg], >= 0.
+        radius: Radius of the sphere [m]; its inertia is 2/5 mass radius^2.
+    """
+
+    STAGE = Stage.BODY
+    WRITES = ("the weight in the hand",)
+    NEUTRAL: ClassVar = {"mass": 0.0}
+
+    mass: Value = 1.0
+    radius: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Check the radius."""
+        if not (isinstance(self.radius, (int, float)) and 0.0 < self.radius < math.inf):
+            raise ValueError(f"load radius must be a finite length > 0 m, got {self.radius!r}")
+
+    @property
+    def scene_key(self) -> tuple[object, ...]:
+        """A massless body; the radius is applied with the mass."""
+        return ("load",)
+
+    @property
+    def batched(self) -> tuple[str, ...]:
+        """Mass and inertia."""
+        return BATCHED
+
+    def check(self, spec: TaskSpec) -> None:
+        """Raise ValueError if the body has no palm."""
+        if spec.body not in PALMS:
+            raise ValueError(f"body {spec.body!r} cannot hold a load; bodies that can: {', '.join(PALMS)}")
+
+    def _sphere(self, palm: tuple[str, Triple]) -> AddedMass:
+        """Return the load of a palm."""
+        limb, pos = palm
+        return AddedMass("load", limb, pos, (Part(mujoco.mjtGeom.mjGEOM_SPHERE, (self.radius, 0.0, 0.0)),))
+
+    def edit(self, spec: mujoco.MjSpec) -> None:
+        """Add the sphere to the palm that is there."""
+        palm = next(palm for palm in PALMS.values() if spec.body(palm[0]) is not None)
+        self._sphere(palm).edit(spec)
+
+    def bind(self, scene: Scene, clock: Clock) -> LoadEffect:
+        """Put the masses on the device."""
+        sphere = self._sphere(PALMS[scene.spec.body])
+        return LoadEffect(sphere.bind(scene, clock, "load mass", self.mass))
+
+
+class LoadEffect(Effect):
+    """A load in a scene."""
+
+    def __init__(self, sphere: HungMass) -> None:
+        self.sphere = sphere
+
+    def sample(self, renew: wp.array) -> None:
+        """Draw masses."""
+        self.sphere.sample(renew)
+
+    def act(self) -> None:
+        """Hang the present masses on the palms."""
+        self.sphere.launch()
+
+
+CONDITIONS.add("load", Load)

@@ -1,0 +1,141 @@
+"""Reafferentation: the command for EIP goes to EPL, and EIP gets none.
+
+    u_EPL <- u_EIP,   u_EIP <- 0
+
+What the policy asks of EPL is ignored. No path, force or model changes. Source: MyoSuite 3.0.0, its
+`myoReafHand...` tasks, which mean a tendon transfer by it; the transfer itself is `tendon_transfer`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+import warp as wp
+
+from myowarp.models.conditions import CONDITIONS, Condition, Effect, Stage
+from myowarp.models.conditions.parameter import Clock, Curve, Parameter, Value, muscle_index
+from myowarp.models.conditions.tendon_transfer import (
+    DONOR,
+    LOST,
+    TendonTransfer,
+    affected_parameter,
+    check_hand,
+    is_affected,
+)
+
+if TYPE_CHECKING:
+    from myowarp.scene import Scene
+    from myowarp.spec import TaskSpec
+
+
+@dataclass(frozen=True, eq=False)
+class Reafferentation(Condition):
+    """EPL obeys the command for EIP.
+
+    A world can have this or a `TendonTransfer`, of which this is upstream's stand-in, but not both.
+
+    Attributes:
+        affected: Whether a world has it: from 0.5 on; 0 is healthy.
+    """
+
+    STAGE = Stage.ROUTING
+    WRITES = ("the command of EPL",)
+    NEUTRAL: ClassVar = {"affected": 0.0}
+
+    affected: Value = 1.0
+
+    def check(self, spec: TaskSpec) -> None:
+        """Raise ValueError if the body is no hand."""
+        check_hand("reafferentation", spec)
+
+    def bind(self, scene: Scene, clock: Clock) -> ReafferentationEffect:
+        """Find the muscles.
+
+        Raises:
+            ValueError: It is known now that a world is to have a tendon transfer at the same time.
+        """
+        parameter = affected_parameter("reafferentation", self.affected, scene)
+        for other in scene.conditions:
+            if isinstance(other, TendonTransfer):
+                check_apart(parameter, affected_parameter("tendon_transfer", other.affected, scene))
+        return ReafferentationEffect(scene, clock, parameter)
+
+
+def _ends(parameter: Parameter) -> np.ndarray:
+    """Return the value of each world before and after it changes, shape (2, num_worlds)."""
+    ends = (parameter.curve.start.numpy()[:, 0], parameter.curve.end.numpy()[:, 0])
+    return np.stack([np.broadcast_to(end, parameter.num_worlds) for end in ends])
+
+
+def _affected_time(parameter: Parameter) -> np.ndarray:
+    """Return from when to when each world is affected [s], shape (2, num_worlds)."""
+    start, end = _ends(parameter)
+    turns = (start >= 0.5) != (end >= 0.5)
+    share = np.divide(0.5 - start, end - start, out=np.zeros(len(start)), where=turns)
+    moment = float(parameter.curve.onset) + float(parameter.curve.duration) * share
+    begin = np.where(start >= 0.5, 0.0, np.where(turns, moment, np.inf))
+    return np.stack([begin, np.where(turns & (start >= 0.5), moment, np.inf)])
+
+
+def check_apart(*both: Parameter) -> None:
+    """Raise ValueError if both are to affect a world at a time.
+
+    What is drawn is not known yet, nor when the time of an episode meets that of a life.
+    """
+    spans = {bool(p.curve.lifelong) for p in both if not np.array_equal(*_ends(p))}
+    if any(p.draws for p in both) or len(spans) > 1:
+        return
+    begin, end = np.stack([_affected_time(p) for p in both], axis=1)
+    overlap = np.flatnonzero(begin.max(axis=0) < end.min(axis=0))
+    if overlap.size:
+        raise ValueError(
+            f"world {overlap[0]} cannot have both 'reafferentation' and 'tendon_transfer'; "
+            "set affected of one of them to 0 there, with one entry per world"
+        )
+
+
+@wp.kernel(enable_backward=False)
+def redirect(
+    # Params:
+    donor: int,
+    lost: int,
+    curve: Curve,
+    # In:
+    clock: Clock,
+    # Data out:
+    ctrl_out: wp.array2d[float],
+):
+    """ctrl[lost] = ctrl[donor]; ctrl[donor] = 0, where affected."""
+    worldid = wp.tid()
+    if is_affected(curve, clock, worldid):
+        ctrl_out[worldid, lost] = ctrl_out[worldid, donor]
+        ctrl_out[worldid, donor] = 0.0
+
+
+class ReafferentationEffect(Effect):
+    """Reafferentation in a scene."""
+
+    def __init__(self, scene: Scene, clock: Clock, parameter: Parameter) -> None:
+        self.scene, self.clock, self.parameter = scene, clock, parameter
+        muscles = scene.muscles
+        self.donor, self.lost = (
+            int(muscles.actuator_id[muscle_index(name, muscles.names)]) for name in (DONOR, LOST)
+        )
+
+    def sample(self, renew: wp.array) -> None:
+        """Draw who is affected."""
+        self.parameter.sample(self.scene.keys, renew)
+
+    def act(self) -> None:
+        """Launch `redirect`."""
+        wp.launch(
+            redirect,
+            dim=self.scene.num_worlds,
+            inputs=[self.donor, self.lost, self.parameter.curve, self.clock],
+            outputs=[self.scene.data.ctrl],
+        )
+
+
+CONDITIONS.add("reafferentation", Reafferentation)

@@ -1,0 +1,162 @@
+"""Tendon tear: from some time on, tendons pass on a part of their muscles' force, or nothing.
+
+    F <- c F   from `time` on
+
+Active and passive force alike; a torn muscle still activates. Source: Caggiano et al. (2022),
+arXiv:2205.13600, which removes single muscles of the thumb (FPL, OP, EPB, APL) after training.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, ClassVar
+
+import mujoco
+import warp as wp
+
+from myowarp.models.bodies import BODIES
+from myowarp.models.conditions import CONDITIONS, Condition, Effect, Stage
+from myowarp.models.conditions.parameter import SPANS, Clock, Curve, Parameter, Value, muscle_index, value_of
+from myowarp.registry import check_choice
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from myowarp.scene import Scene
+    from myowarp.spec import TaskSpec
+
+ROUNDING = wp.constant(1.0e-3)
+"""Control steps. A tear at 0.2 s comes with the step that begins at 10 x 0.02 s, whichever is larger in
+float32."""
+
+
+@dataclass(frozen=True, eq=False)
+class TendonTear(Condition):
+    """Torn tendons.
+
+    Attributes:
+        muscles: Name or names of muscles; the side suffix `_r` may be left out.
+        time: When they tear [s], >= 0: the first control step that does not begin before it.
+        transmission: What is left of the force they pass on, 0..1; 1 is healthy.
+        of: Whether `time` counts from the begin of the "episode", or of the "life", which goes on through
+            resets.
+    """
+
+    STAGE = Stage.TRANSMISSION
+    NEUTRAL: ClassVar = {"transmission": 1.0}
+
+    muscles: str | Sequence[str] = ("FPL",)
+    time: Value = 0.0
+    transmission: Value = 0.0
+    of: str = "episode"
+
+    def __post_init__(self) -> None:
+        """Check what does not depend on the body."""
+        check_choice("tendon_tear time of", self.of, SPANS)
+        if not len(self.muscles):
+            raise ValueError("tendon_tear needs at least one muscle, got none")
+
+    def check(self, spec: TaskSpec) -> None:
+        """Raise ValueError if the body lacks a muscle."""
+        self.indices(_muscle_names(spec.body))
+
+    def indices(self, names: Sequence[str]) -> list[int]:
+        """Return which of the muscles called `names` tear.
+
+        Raises:
+            ValueError: A muscle is unknown; the message lists the close names.
+        """
+        muscles = [self.muscles] if isinstance(self.muscles, str) else self.muscles
+        return list(dict.fromkeys(muscle_index(muscle, names) for muscle in muscles))
+
+    def bind(self, scene: Scene, clock: Clock) -> TendonTearEffect:
+        """Put times and transmissions on the device."""
+        indices = self.indices(scene.muscles.names)
+        torn = [scene.muscles.names[i] for i in indices]
+
+        def parameter(field: str, neutral: float, high: float) -> Parameter:
+            name = f"tendon_tear {field} of {', '.join(torn)}"
+            value = getattr(self, field)
+            return Parameter(name, value, scene.num_worlds, torn, neutral=neutral, low=0.0, high=high)
+
+        parameters = parameter("time", 0.0, float("inf")), parameter("transmission", 1.0, 1.0)
+        return TendonTearEffect(scene, clock, indices, *parameters, lifelong=self.of == "life")
+
+
+@lru_cache
+def _muscle_names(body: str) -> tuple[str, ...]:
+    """Return the names of the muscles of a body."""
+    actuators = BODIES[body].build().actuators
+    return tuple(a.name for a in actuators if a.dyntype == mujoco.mjtDyn.mjDYN_MUSCLE)
+
+
+@wp.struct
+class Tear:
+    """Which muscles tear, when and how far.
+
+    Attributes:
+        muscles: Muscles, shape (num_torn,).
+        time: When [s].
+        transmission: Factor on their force from then on [1].
+        lifelong: Whether time counts from the seeded reset rather than from the episode's begin.
+    """
+
+    muscles: wp.array[int]
+    time: Curve
+    transmission: Curve
+    lifelong: bool
+
+
+@wp.kernel(enable_backward=False)
+def tear_tendons(
+    # Params:
+    tear: Tear,
+    # In:
+    clock: Clock,
+    # Out:
+    transmission: wp.array2d[float],
+):
+    """transmission[muscle] *= c from its time on."""
+    worldid, i = wp.tid()
+    steps = wp.where(tear.lifelong, clock.life_count[worldid], clock.step_count[worldid])
+    if float(steps) + ROUNDING >= value_of(tear.time, clock, worldid, i) / clock.control_dt:
+        transmission[worldid, tear.muscles[i]] *= value_of(tear.transmission, clock, worldid, i)
+
+
+class TendonTearEffect(Effect):
+    """A tendon tear in a scene."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        clock: Clock,
+        indices: Sequence[int],
+        time: Parameter,
+        transmission: Parameter,
+        *,
+        lifelong: bool,
+    ) -> None:
+        self.scene, self.clock, self.parameters = scene, clock, (time, transmission)
+        self.tear = Tear()
+        self.tear.muscles = wp.array(indices, dtype=int)
+        self.tear.time, self.tear.transmission = time.curve, transmission.curve
+        self.tear.lifelong = lifelong
+
+    def sample(self, renew: wp.array) -> None:
+        """Draw times and transmissions."""
+        for parameter in self.parameters:
+            parameter.sample(self.scene.keys, renew)
+
+    def act(self) -> None:
+        """Launch `tear_tendons`."""
+        transmission = self.scene.muscles.anatomy.transmission
+        wp.launch(
+            tear_tendons,
+            dim=(self.scene.num_worlds, self.tear.muscles.shape[0]),
+            inputs=[self.tear, self.clock],
+            outputs=[transmission],
+        )
+
+
+CONDITIONS.add("tendon_tear", TendonTear)

@@ -1,0 +1,239 @@
+"""Tendon transfer: the index finger's second extensor, EIP, is rerouted to the thumb in place of a lost EPL.
+
+    affected:   EIP pulls along EIP-P1..P3, EPL-P8..P12 (the dorsal thumb); EPL transmits nothing
+
+The muscle keeps its activation, its strength and its place among actions and observations. Its fibers are
+fitted to the new path as MuJoCo fits every muscle: their operating range spans the lengths that the path
+takes over the ranges of the joints, so optimal fiber length and tendon slack length change with the route.
+
+Source: Caggiano et al. (2022), arXiv:2205.13600; the path is that of the unused hand with a transfer that
+MyoSuite 2.12.2 bundles. MyoSuite's own `myoReaf...` tasks move a command and no tendon: `reafferentation`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import mujoco
+import numpy as np
+import warp as wp
+from mujoco_warp._src.types import vec10
+
+from myowarp.models.conditions import CONDITIONS, Condition, Effect, Stage
+from myowarp.models.conditions.parameter import Clock, Curve, Parameter, Value, muscle_index, value_of
+from myowarp.models.muscles import Anatomy
+
+if TYPE_CHECKING:
+    from myowarp.scene import Scene
+    from myowarp.spec import TaskSpec
+
+DONOR, LOST = "EIP", "EPL"
+HANDS = ("hand", "contact_hand")
+"""Bodies with both muscles."""
+
+ACTUATOR, TENDON = "EIP_transferred_r", "EIP_transferred_tendon_r"
+PATH = (
+    ("EIP-P1_r",),
+    ("EIP-P2_r",),
+    ("EIP-P3_r",),
+    ("EPL-P8_r",),
+    ("EPL-P9_r",),
+    ("MPthumb_wrap", ""),
+    ("EPL-P10_r",),
+    ("EPL-P11_r",),
+    ("IPthumb_wrap", "IPthumb_site_EPL_side_r"),
+    ("EPL-P12_r",),
+)
+"""A site; or a wrapping surface and the site on the side where the tendon passes, "" for either side."""
+
+SCAN = 17
+"""Angles per joint that `path_range` tries; 129 change the hand's range by 0.02 mm of 49 mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class TendonTransfer(Condition):
+    """EIP pulls the thumb instead of the index finger, and EPL is gone.
+
+    Attributes:
+        affected: Whether a world has the transfer: from 0.5 on; 0 is healthy. A `Ramp` is surgery at a time.
+    """
+
+    STAGE = Stage.TRANSMISSION
+    WRITES = ("the path of EIP",)
+    NEUTRAL: ClassVar = {"affected": 0.0}
+
+    affected: Value = 1.0
+
+    @property
+    def scene_key(self) -> tuple[object, ...]:
+        """The added path."""
+        return (ACTUATOR, PATH)
+
+    @property
+    def undriven(self) -> tuple[str, ...]:
+        """The actuator on the new path, which EIP drives."""
+        return (ACTUATOR,)
+
+    def check(self, spec: TaskSpec) -> None:
+        """Raise ValueError if the body is no hand."""
+        check_hand("a tendon transfer", spec)
+
+    def edit(self, spec: mujoco.MjSpec) -> None:
+        """Add the new path, and an actuator on it that is idle until EIP drives it."""
+        tendon = spec.add_tendon(name=TENDON)
+        for element in PATH:
+            if len(element) == 1:
+                tendon.wrap_site(*element)
+            else:
+                tendon.wrap_geom(*element)
+        actuator = spec.add_actuator(name=ACTUATOR, target=TENDON)
+        actuator.trntype = mujoco.mjtTrn.mjTRN_TENDON
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
+        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.gainprm = actuator.biasprm = np.zeros(10)
+
+    def bind(self, scene: Scene, clock: Clock) -> TendonTransferEffect:
+        """Find the muscles and both ranges of lengths."""
+        return TendonTransferEffect(scene, clock, affected_parameter("tendon_transfer", self.affected, scene))
+
+
+def check_hand(what: str, spec: TaskSpec) -> None:
+    """Raise ValueError if the body of a task lacks the muscles that a transfer is about."""
+    if spec.body not in HANDS:
+        raise ValueError(
+            f"{what} needs the muscles {DONOR} and {LOST}; "
+            f"body {spec.body!r} of task {spec.key!r} has neither"
+        )
+
+
+def affected_parameter(name: str, value: Value, scene: Scene) -> Parameter:
+    """Return the parameter `affected` of a condition: one number a world, 0..1."""
+    return Parameter(f"{name} affected", value, scene.num_worlds, (), neutral=0.0, low=0.0, high=1.0)
+
+
+@wp.func
+def is_affected(curve: Curve, clock: Clock, worldid: int) -> bool:
+    """Return whether a world is affected now: from a value of 0.5 on."""
+    return value_of(curve, clock, worldid, 0) >= 0.5
+
+
+def path_range(model: mujoco.MjModel, tendon: int) -> tuple[float, float]:
+    """Return the least and the greatest length [m] of a tendon over the ranges of the joints that move it.
+
+    One joint after the other is set to the best of `SCAN` angles, until none makes it better. This is the
+    range that MuJoCo's `mj_setLengthRange` looks for by pulling; in the hand its simulation diverges.
+    """
+    data = mujoco.MjData(model)
+    first, count = model.ten_J_rowadr[tendon], model.ten_J_rownnz[tendon]
+    joints = np.unique(model.dof_jntid[model.ten_J_colind[first : first + count]])
+    angles = {}
+    for joint in joints[model.jnt_limited[joints] != 0]:
+        low, high = model.jnt_range[joint]
+        angles[model.jnt_qposadr[joint]] = np.linspace(low, high, SCAN)
+
+    def length(qpos: np.ndarray) -> float:
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_tendon(model, data)
+        return float(data.ten_length[tendon])
+
+    def extreme(sign: float) -> float:
+        best, qpos, before = sign * length(model.qpos0), model.qpos0.copy(), -np.inf
+        while best > before:
+            before = best
+            for address, values in angles.items():
+                trial = qpos.copy()
+                for trial[address] in values:
+                    if sign * length(trial) > best:
+                        best, qpos = sign * length(trial), trial.copy()
+        return sign * best
+
+    return extreme(-1.0), extreme(1.0)
+
+
+@wp.struct
+class Route:
+    """Who pulls what.
+
+    Attributes:
+        donor: Muscle that is rerouted.
+        lost: Muscle that is gone.
+        own: Actuator on the donor's own path.
+        transferred: Actuator on its new path.
+        affected: Whether a world has the transfer.
+    """
+
+    donor: int
+    lost: int
+    own: int
+    transferred: int
+    affected: Curve
+
+
+@wp.kernel(enable_backward=False)
+def reroute(
+    # Params:
+    route: Route,
+    # In:
+    clock: Clock,
+    # Out:
+    anatomy: Anatomy,
+    affected: wp.array[bool],
+    healthy: wp.array[bool],
+    actuator_biasprm: wp.array2d[vec10],
+):
+    """path[donor] = transferred or own, the other one idle; transmission[lost] = 0 where affected."""
+    worldid = wp.tid()
+    moved = is_affected(route.affected, clock, worldid)
+    if moved:
+        anatomy.transmission[worldid, route.lost] = 0.0
+    anatomy.path[worldid, route.donor] = wp.where(moved, route.transferred, route.own)
+    # What pulled in the step before has to let go.
+    actuator_biasprm[worldid, wp.where(moved, route.own, route.transferred)] = vec10()
+    affected[worldid] = moved
+    healthy[worldid] = not moved
+
+
+class TendonTransferEffect(Effect):
+    """A tendon transfer in a scene.
+
+    Attributes:
+        length_range: Least and greatest length [m] of the new path.
+        own_length_range: Those of EIP's own path, from the model.
+    """
+
+    def __init__(self, scene: Scene, clock: Clock, parameter: Parameter) -> None:
+        self.scene, self.clock, self.parameter = scene, clock, parameter
+        oracle, muscles = scene.oracle, scene.muscles
+        self.route = Route()
+        self.route.donor = muscle_index(DONOR, muscles.names)
+        self.route.lost = muscle_index(LOST, muscles.names)
+        self.route.own = int(muscles.actuator_id[self.route.donor])
+        self.route.transferred = oracle.actuator(ACTUATOR).id
+        self.route.affected = parameter.curve
+        self.length_range = path_range(oracle, oracle.tendon(TENDON).id)
+        self.own_length_range = tuple(oracle.actuator_lengthrange[self.route.own])
+        self.affected = wp.zeros(scene.num_worlds, dtype=bool)
+        self.healthy = wp.ones(scene.num_worlds, dtype=bool)
+
+    def sample(self, renew: wp.array) -> None:
+        """Draw who is affected."""
+        self.parameter.sample(self.scene.keys, renew)
+
+    def act(self) -> None:
+        """Launch `reroute`, and fit the fibers to the path."""
+        scene, muscles = self.scene, self.scene.muscles
+        wp.launch(
+            reroute,
+            dim=scene.num_worlds,
+            inputs=[self.route, self.clock],
+            outputs=[muscles.anatomy, self.affected, self.healthy, scene.model.actuator_biasprm],
+        )
+        muscles.set_length_range(self.route.donor, self.length_range, self.affected)
+        muscles.set_length_range(self.route.donor, self.own_length_range, self.healthy)
+
+
+CONDITIONS.add("tendon_transfer", TendonTransfer)

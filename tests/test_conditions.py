@@ -1,0 +1,265 @@
+"""What holds for every registered condition, and for parameters, without a condition being named here."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import warp as wp
+
+from myowarp.models.conditions import CONDITIONS, Condition, Effect, Stage, resolve
+from myowarp.models.conditions.parameter import Clock, Curve, Parameter, Ramp, Uniform, value_of
+from myowarp.models.conditions.sarcopenia import Sarcopenia
+from myowarp.sim import Simulation
+from myowarp.spec import TASKS
+
+NAMES = sorted(CONDITIONS)
+HOSTS = ("myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1")  # the elbow's conditions, the hand's
+NUM_STEPS = 8
+HORIZON = 5  # so that resets happen within the test
+
+
+def host_of(name):
+    """Return the first task whose body can have a condition."""
+    for key in HOSTS:
+        try:
+            resolve(name, TASKS[key])
+            Simulation(TASKS[key], 1, device="cpu", conditions=name, graph=False, progress=False)
+        except ValueError:
+            continue
+        return key
+    raise AssertionError(f"no task can have condition {name!r}")
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def hosted(request):
+    """Return a condition's name and a task that can have it."""
+    return request.param, host_of(request.param)
+
+
+def trajectory(key, conditions, worlds, **options):
+    """Return observations, rewards and qpos of a short run of some worlds with resets."""
+    worlds = np.atleast_1d(worlds)
+    settings = {"device": "cpu", "autoreset": "same_step", "horizon": HORIZON, "progress": False} | options
+    sim = Simulation(TASKS[key], len(worlds), conditions=conditions, **settings)
+    sim.reset(seeds=1000 + worlds)
+    rows = []
+    for step in range(NUM_STEPS):
+        draws = [np.random.default_rng((world, step)).uniform(-1, 1, sim.action.shape[1]) for world in worlds]
+        sim.action.assign(np.array(draws, dtype=np.float32))
+        sim.step()
+        parts = (sim.transition.obs, sim.transition.terms, sim.scene.data.qpos, sim.scene.data.qvel)
+        rows.append(np.concatenate([part.numpy() for part in parts], axis=1))
+    assert not sim.transition.fault.numpy().any()
+    return np.stack(rows)
+
+
+def between(name, share):
+    """Return a condition between neutral (0) and its defaults (1), one share a world."""
+    kind = CONDITIONS[name]
+    default = {f.name: f.default for f in dataclasses.fields(kind)}
+    values = {n: low + share * (default[n] - low) for n, low in kind.NEUTRAL.items()}
+    return kind(**{n: np.atleast_1d(v) for n, v in values.items()})
+
+
+def test_a_condition_acts(hosted):
+    """With its defaults the trajectory differs from a healthy one."""
+    name, key = hosted
+    sick, healthy = trajectory(key, name, np.arange(7)), trajectory(key, (), np.arange(7))
+    width = healthy.shape[2]
+    assert sick.shape[2] >= width
+    difference = np.abs(sick[..., -1] - healthy[..., -1]).max()
+    assert difference > 1e-5
+
+
+def test_neutral_changes_nothing(hosted):
+    """Bit for bit."""
+    name, key = hosted
+    neutral = CONDITIONS[name](**CONDITIONS[name].NEUTRAL)
+    healthy = trajectory(key, (), np.arange(7))
+    np.testing.assert_array_equal(trajectory(key, neutral, np.arange(7)), healthy)
+
+
+def test_every_world_has_its_own_patient(hosted):
+    """Worlds with different parameters go as each does alone, bit for bit, resets included."""
+    name, key = hosted
+    n = 24
+    share = np.linspace(0.0, 1.0, n)
+    together = trajectory(key, between(name, share), np.arange(n))
+    assert len(np.unique(together[3].round(7), axis=0)) == n
+    for world in (0, 5, 11, 23):
+        alone = trajectory(key, between(name, share[world]), world)
+        np.testing.assert_array_equal(together[:, world], alone[:, 0], err_msg=str(world))
+
+
+def test_eager_is_the_graph(hosted):
+    name, key = hosted
+    np.testing.assert_array_equal(
+        trajectory(key, name, np.arange(5)), trajectory(key, name, np.arange(5), graph=False)
+    )
+
+
+@pytest.mark.parametrize("moment", [0, 3])
+def test_a_broken_world_comes_back(hosted, moment):
+    """NaN in one world: it is reset and healthy again; the others do not notice."""
+    name, key = hosted
+    sims = [
+        Simulation(TASKS[key], 4, device="cpu", conditions=name, graph=False, progress=False, horizon=100)
+        for _ in range(2)
+    ]
+    for step in range(7):
+        for sim, broken in zip(sims, (False, True), strict=True):
+            if step == 0:
+                sim.reset(seeds=np.arange(4))
+            sim.action.fill_(0.3)
+            if broken and step == moment:
+                sim.scene.data.qvel.numpy()[2] = np.nan
+                sim.scene.muscles.activation.numpy()[2] = np.nan
+            sim.step()
+    whole, hurt = (sim.transition.obs.numpy() for sim in sims)
+    others = np.arange(4) != 2
+    np.testing.assert_array_equal(whole[others], hurt[others])
+    assert np.isfinite(hurt).all()
+    assert not sims[1].transition.fault.numpy().any()
+    for effect in sims[1].effects:
+        for array in effect.info.values():
+            assert np.isfinite(array.numpy()).all()
+
+
+def test_order_of_naming_does_not_matter():
+    """What acts when follows from the stages."""
+    spec = TASKS[HOSTS[1]]
+    chosen = []
+    for name in NAMES:
+        try:
+            resolve([*chosen, name], spec)
+        except ValueError:
+            continue
+        chosen.append(name)
+    assert len(chosen) > 1
+    forward, backward = resolve(chosen, spec), resolve(chosen[::-1], spec)
+    assert [c.name for c in forward] == [c.name for c in backward]
+    stages = [c.STAGE for c in forward]
+    assert stages == sorted(stages)
+
+
+@wp.kernel(enable_backward=False)
+def read_parameter(curve: Curve, clock: Clock, out: wp.array2d[float]):
+    worldid, i = wp.tid()
+    out[worldid, i] = value_of(curve, clock, worldid, i)
+
+
+class TestParameter:
+    """Closed forms; independence of the batch."""
+
+    @staticmethod
+    def values(value, num_worlds=3, names=("a", "b", "c_r"), steps=0, **options):
+        """Return a parameter's values after some control steps of 0.1 s, shape (num_worlds, num_names)."""
+        parameter = Parameter("thing", value, num_worlds, names, neutral=1.0, **options)
+        clock = Clock()
+        clock.step_count = wp.full(num_worlds, steps, dtype=int)
+        clock.life_count = wp.full(num_worlds, 10 * steps, dtype=int)
+        clock.control_dt = 0.1
+        out = wp.full((num_worlds, len(names)), np.nan, dtype=float)
+        wp.launch(read_parameter, dim=out.shape, inputs=[parameter.curve, clock], outputs=[out])
+        return out.numpy()
+
+    def test_shapes(self):
+        np.testing.assert_array_equal(self.values(0.25), np.full((3, 3), np.float32(0.25)))
+        np.testing.assert_array_equal(self.values([1, 2, 3]), np.repeat([[1], [2], [3]], 3, axis=1))
+        table = np.arange(9.0).reshape(3, 3)
+        np.testing.assert_array_equal(self.values(table), table)
+        np.testing.assert_array_equal(self.values({"b": 5, "c": 7}), np.tile([1.0, 5.0, 7.0], (3, 1)))
+
+    @pytest.mark.parametrize("of", ["episode", "life"])
+    def test_ramp(self, of):
+        ramp = Ramp(2.0, [4.0, 6.0, 8.0], onset=0.3, duration=0.4, of=of)
+        for steps in (0, 2, 3, 5, 7, 20):
+            time = 0.1 * steps * (10 if of == "life" else 1)
+            share = np.clip((time - 0.3) / 0.4, 0, 1)
+            expected = 2.0 + (np.array([[4.0], [6.0], [8.0]]) - 2.0) * share
+            got = self.values(ramp, steps=steps)
+            np.testing.assert_allclose(got, np.repeat(expected, 3, axis=1), rtol=1e-6)
+
+    def test_step(self):
+        ramp = Ramp(0.0, 1.0, onset=0.25)
+        assert not self.values(ramp, steps=2).any()
+        assert (self.values(ramp, steps=3) == 1).all()
+
+    @pytest.mark.parametrize("per", ["episode", "life"])
+    def test_uniform_is_drawn_per_episode_or_life(self, per):
+        """Within the bounds, different between worlds; anew in an episode, or only with a new seed."""
+        strength = Sarcopenia(Uniform(0.2, 0.9, per=per))
+        sim = Simulation(TASKS[HOSTS[0]], 64, device="cpu", conditions=strength, graph=False, progress=False)
+
+        def drawn():
+            sim.launch_conditions()
+            return sim.scene.muscles.anatomy.strength.numpy().copy()
+
+        sim.reset(seeds=np.arange(64))
+        first = drawn()
+        assert 0.2 <= first.min() < 0.25 < 0.85 < first.max() <= 0.9
+        assert (first == first[:, :1]).all()
+        sim.reset()
+        assert np.array_equal(drawn(), first) == (per == "life")
+        sim.reset(seeds=1 + np.arange(64))
+        np.testing.assert_array_equal(drawn()[:-1], first[1:])
+
+    def test_each_muscle_may_draw(self):
+        strength = Sarcopenia(Uniform(0.2, 0.9, each=True))
+        sim = Simulation(TASKS[HOSTS[0]], 3, device="cpu", conditions=strength, graph=False, progress=False)
+        sim.reset(seeds=np.arange(3))
+        sim.launch_conditions()
+        assert len(np.unique(sim.scene.muscles.anatomy.strength.numpy())) == 18
+
+    @pytest.mark.parametrize(
+        ("value", "message"),
+        [
+            (-1, r"^thing must be >= 0, got -1$"),
+            (np.nan, r"^thing must be >= 0, got nan$"),
+            ([1, 2], r"^thing must be one number or of shape \(3,\) or \(3, 3\), got shape \(2,\)$"),
+            ("much", r"^thing must be numbers, got 'much'$"),
+            ({"d": 1}, r"^muscle 'd' unknown; available: a, b, c_r$"),
+            ({"cr": 1}, r"^muscle 'cr' unknown; did you mean c_r\?$"),
+            (Uniform(2, 1), r"^thing must be drawn with low <= high, got 2 and 1$"),
+            (Uniform(-2, 1), r"^thing must be >= 0, got -2$"),
+            (Uniform(0, 1, per="day"), r"^thing drawn per 'day' unknown; available: episode, life$"),
+            (Ramp(0, 1, onset=-1), r"^thing onset must be a finite time >= 0 s, got -1$"),
+            (Ramp(0, 1, of="day"), r"^thing ramp of 'day' unknown; available: episode, life$"),
+            (Ramp(0, -3), r"^thing must be >= 0, got -3$"),
+        ],
+    )
+    def test_bad_values(self, value, message):
+        with pytest.raises(ValueError, match=message):
+            self.values(value, low=0.0)
+
+    def test_range_with_two_ends(self):
+        with pytest.raises(ValueError, match=r"^thing must be in 0\.\.1, got 2$"):
+            self.values(2.0, low=0.0, high=1.0)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "message"),
+    [
+        ("sarcopania", r"^condition 'sarcopania' unknown; did you mean sarcopenia\?$"),
+        (3, r"^conditions must be names or Condition objects, got 3; available: .*sarcopenia.*$"),
+    ],
+)
+def test_bad_conditions(conditions, message):
+    with pytest.raises(ValueError, match=message):
+        resolve(conditions, TASKS[HOSTS[0]])
+
+
+def test_two_writers_of_one_quantity_are_refused(monkeypatch):
+    class First(Condition):
+        STAGE, WRITES, name = Stage.ROUTING, ("command",), "first"
+
+        def bind(self, scene, clock):
+            return Effect()
+
+    class Second(First):
+        name = "second"
+
+    with pytest.raises(
+        ValueError, match=r"^conditions 'first' and 'second' both set command; leave one out$"
+    ):
+        resolve((First(), Second()), TASKS[HOSTS[0]])

@@ -1,0 +1,400 @@
+"""The exoskeleton: torque against MuJoCo C's muscles, mass against solid bodies."""
+
+import gymnasium
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import pytest
+import warp as wp
+from reference import exoskeleton as reference
+from reference.load import gravity_torque
+
+from myowarp.models.conditions import resolve
+from myowarp.models.conditions.exoskeleton import CUFF, Exoskeleton
+from myowarp.models.conditions.load import Load
+from myowarp.models.conditions.parameter import Ramp, Uniform
+from myowarp.scene import full_spec
+from myowarp.sim import Simulation
+from myowarp.spec import PHYSICS, TASKS
+
+KEY = "myoElbowPose1D6MRandom-v0"
+NUM_WORLDS = 256
+ASSISTANCE = np.linspace(0.0, 1.5, NUM_WORLDS)  # one a world
+MAX_TORQUE = 8.5  # N m
+BARE = {"forearm_mass": 0.0}  # so that the torque is alone
+
+TORQUE = 1e-5
+"""Of the largest torque of the muscles; the engine's float32 forces and moment arms, measured 4e-6."""
+
+QVEL = 5e-5
+"""Of the largest change of velocity in a physics step; as in test_muscles."""
+
+FIELD = 1e-6  # relative, float32 roundings of host values
+ROUNDING = 1e-6  # of a number of order one, a few float32 operations
+EFFECT = 10.0
+
+
+def worn(conditions=(), num_worlds=NUM_WORLDS, physics="parity"):
+    """Return a simulation of elbows with conditions in place."""
+    options = {"device": "cpu", "graph": False, "progress": False, "physics": physics}
+    sim = Simulation(TASKS[KEY], num_worlds, conditions=conditions, **options)
+    sim.launch_conditions()
+    return sim
+
+
+class States:
+    """Random states of the elbow, exactly representable in float32."""
+
+    def __init__(self, seed=0):
+        rng = np.random.default_rng(seed)
+        self.qpos = np.float32(rng.uniform(0.05, 2.2, (NUM_WORLDS, 1)))
+        self.qvel = np.float32(2.0 * rng.normal(size=(NUM_WORLDS, 1)))
+        self.activation = np.float32(rng.uniform(0.0, 1.0, (NUM_WORLDS, 6)))
+
+    def put(self, sim):
+        """Write the states into a simulation."""
+        sim.scene.data.qpos.assign(self.qpos)
+        sim.scene.data.qvel.assign(self.qvel)
+        sim.scene.muscles.activation.assign(self.activation)
+        return sim.scene.data
+
+
+def in_c(model, states, call, *, scale=None, torque=None):
+    """Return data of MuJoCo C after `call` in every state; forces scaled, or a torque applied, per world."""
+    gain, bias = model.actuator_gainprm.copy(), model.actuator_biasprm.copy()
+    rows = []
+    for world in range(NUM_WORLDS):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = states.qpos[world], states.qvel[world]
+        data.act[:] = states.activation[world]
+        if scale is not None:  # of the peak forces, active and passive
+            model.actuator_gainprm[:, 2] = gain[:, 2] * scale[world]
+            model.actuator_biasprm[:, 2] = bias[:, 2] * scale[world]
+        if torque is not None:
+            data.qfrc_applied[:] = torque[world]
+        call(model, data)
+        rows.append(data)
+    model.actuator_gainprm[:], model.actuator_biasprm[:] = gain, bias
+    return rows
+
+
+def muscle_torque(states):
+    """Return MuJoCo C's torque of the muscles at the elbow [N m], moment arm by moment arm."""
+    model = worn(num_worlds=1).scene.oracle
+    rows = in_c(model, states, mujoco.mj_forward)
+    moment = np.array([_dense(model, data) for data in rows])
+    tension = -np.array([data.actuator_force for data in rows])
+    torque = reference.torque(1.0, -moment, tension)
+    np.testing.assert_allclose(torque, [data.qfrc_actuator[0] for data in rows], rtol=1e-12)
+    return torque
+
+
+def _dense(model, data):
+    """Return the actuators' moments about the only joint."""
+    dense = np.zeros((model.nu, model.nv))
+    mujoco.mju_sparse2dense(
+        dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+    )
+    return dense[:, 0]
+
+
+def test_torque_is_a_share_of_the_muscles():
+    """In 256 states with an assistance each; twice the assistance is twice the torque."""
+    states = States()
+    expected = ASSISTANCE * muscle_torque(states)
+    scale = np.abs(expected).max()
+    assert scale > 10.0  # N m
+    found = []
+    for assistance in (ASSISTANCE, 2.0 * ASSISTANCE):
+        sim = worn(Exoskeleton(assistance, **BARE))
+        data = states.put(sim)
+        data.actuator_force.fill_(np.nan)
+        mjw.forward(sim.scene.model, data)
+        found.append(data.actuator_force.numpy()[:, -1].copy())
+        assert sim.scene.oracle.actuator(sim.scene.oracle.nu - 1).name == "exoskeleton"
+        shown = sim.effects[0].info["exo_torque"].numpy()
+        np.testing.assert_allclose(shown, found[-1], rtol=0, atol=ROUNDING * scale)
+    assert np.abs(found[0] - expected).max() <= TORQUE * scale
+    assert np.abs(found[1] - 2.0 * expected).max() <= 2.0 * TORQUE * scale
+
+
+@pytest.mark.parametrize("physics", PHYSICS)
+def test_elbow_moves_as_with_stronger_muscles(physics):
+    """Muscles that pull (1 + assistance) times as hard: same acceleration, and, with the derivative by
+    velocity that implicit integrators take, same velocity after a step.
+    """
+    states, sim = States(), worn(Exoskeleton(ASSISTANCE, **BARE), physics=physics)
+    oracle = worn(num_worlds=1, physics=physics).scene.oracle
+    expected, alone = (
+        in_c(oracle, states, mujoco.mj_step, scale=scale) for scale in (1.0 + ASSISTANCE, np.ones(NUM_WORLDS))
+    )
+    expected, alone = (np.array([data.qvel for data in rows]) for rows in (expected, alone))
+    data = states.put(sim)
+    mjw.step(sim.scene.model, data)
+    scale = np.abs(expected - states.qvel).max()
+    assert np.abs(data.qvel.numpy() - expected).max() <= QVEL * scale
+    assert np.median(np.abs(alone - expected)) > EFFECT * QVEL * scale
+
+
+def test_acceleration_is_that_of_the_applied_torque():
+    """The same torque as MuJoCo's `qfrc_applied` accelerates the forearm alike."""
+    states, sim = States(1), worn(Exoskeleton(ASSISTANCE, **BARE))
+    torque = ASSISTANCE * muscle_torque(states)
+    rows = in_c(worn(num_worlds=1).scene.oracle, states, mujoco.mj_forward, torque=torque)
+    expected = np.array([data.qacc for data in rows])
+    data = states.put(sim)
+    mjw.forward(sim.scene.model, data)
+    assert np.abs(data.qacc.numpy() - expected).max() <= TORQUE * np.abs(expected).max()
+
+
+def test_implicit_integrator_needs_the_slope():
+    """The torque without its derivative moves the velocity after one step by much more than the tolerance."""
+    states, sim = States(), worn(Exoskeleton(ASSISTANCE, **BARE), physics="fast")
+    launch = sim.scene.model.callback.control
+
+    def without_slope(model, data):
+        launch(model, data)
+        bias = model.actuator_biasprm.numpy()
+        bias[:, -1, 0] += bias[:, -1, 2] * data.actuator_velocity.numpy()[:, -1]
+        bias[:, -1, 2] = 0.0
+
+    found = []
+    for control in (launch, without_slope):
+        sim.scene.model.callback.control = control
+        data = states.put(sim)
+        mjw.step(sim.scene.model, data)
+        found.append(data.qvel.numpy().copy())
+    scale = np.abs(found[0] - states.qvel).max()
+    assert np.abs(found[1] - found[0]).max() > EFFECT * QVEL * scale
+
+
+def test_weak_and_torn_muscles_are_helped_less():
+    """The torque follows what other conditions leave of the muscles."""
+    states = States()
+    weak = states.put(sim := worn((Exoskeleton(0.5, **BARE), "sarcopenia")))
+    mjw.forward(sim.scene.model, weak)
+    force = weak.actuator_force.numpy().astype(np.float64)
+    moment = np.array([_dense(d.model, d) for d in in_c(sim.scene.oracle, states, mujoco.mj_forward)])
+    expected = reference.torque(0.5, -moment[:, :6], -force[:, :6])
+    scale = np.abs(expected).max()
+    assert np.abs(force[:, 6] - expected).max() <= TORQUE * scale
+    assert np.abs(force[:, 6] - 0.5 * muscle_torque(states)).max() > EFFECT * TORQUE * scale
+
+
+def test_forearm_part_is_that_of_the_solids():
+    """Mass, center and inertia of cuff, bar and hinge; each world its own mass."""
+    masses = np.array([0.0, 0.111, 0.5])
+    sim = worn(Exoskeleton(0.0, forearm_mass=masses), 3)
+    body, model = sim.scene.oracle.body(CUFF.name), sim.scene.model
+    for field in (model.body_mass, model.body_inertia):
+        poisoned = field.numpy().copy()
+        poisoned[:, body.id] = np.nan
+        field.assign(wp.array(poisoned, dtype=field.dtype))
+    sim.launch_conditions()
+    mass, center, tensor = reference.forearm_part()
+    assert mass == pytest.approx(Exoskeleton().forearm_mass)
+    np.testing.assert_allclose(body.ipos, center, atol=1e-12)
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, body.iquat)
+    turn = turn.reshape(3, 3)
+    np.testing.assert_allclose(model.body_mass.numpy()[:, body.id], masses, rtol=FIELD)
+    for world, inertia in enumerate(model.body_inertia.numpy()[:, body.id]):
+        expected = tensor * masses[world] / mass
+        np.testing.assert_allclose(turn @ np.diag(inertia) @ turn.T, expected, rtol=1e-5, atol=1e-10)
+
+
+def test_forearm_part_pulls_by_its_weight():
+    """Gravity's torque at rest changes by that of 0.111 kg at the center of mass of the solids."""
+    states = States()
+    states.qvel[:] = 0.0
+    held = []
+    for mass in (0.111, 0.0):
+        sim = worn(Exoskeleton(0.0, forearm_mass=mass))
+        data = states.put(sim)
+        mjw.forward(sim.scene.model, data)
+        held.append(data.qfrc_bias.numpy()[:, 0].astype(np.float64))
+    spec = full_spec(TASKS[KEY])
+    spec.body(CUFF.limb).add_site(name="center", pos=reference.forearm_part()[1])
+    model, expected = spec.compile(), []
+    for data in in_c(model, states, mujoco.mj_forward):
+        center, anchor, axis = data.site("center").xpos, data.xanchor[0], data.xaxis[0]
+        expected.append(-gravity_torque(0.111, center, anchor, axis))
+    assert np.abs(expected).max() > 0.1  # N m
+    np.testing.assert_allclose(held[0] - held[1], expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_moves_like_mujoco_compiled_with_the_part():
+    """One control step from random states; the default mass of the exoskeleton alone moves it visibly."""
+    states, sim = States(), worn(Exoskeleton(0.0))
+    oracle = worn(num_worlds=1).scene.oracle
+    spec = full_spec(TASKS[KEY])
+    mass, center, tensor = reference.forearm_part()
+    body = spec.body(CUFF.limb).add_body(mass=mass, ipos=center, explicitinertial=True)
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor
+    body.fullinertia = (xx, yy, zz, xy, xz, yz)
+    spec.compiler.boundinertia = spec.compiler.boundmass = 0.0
+    model = spec.compile()
+    model.dof_invweight0[:] = oracle.dof_invweight0
+    steps = TASKS[KEY].num_substeps
+    expected, bare = (
+        np.array([data.qpos for data in in_c(m, states, lambda m, d: mujoco.mj_step(m, d, steps))])
+        for m in (model, oracle)
+    )
+    data = states.put(sim)
+    for _ in range(steps):
+        mjw.step(sim.scene.model, data)
+    assert np.abs(data.qpos.numpy() - expected).max() <= 1e-5  # rad
+    assert np.median(np.abs(bare - expected)) > EFFECT * 1e-5
+
+
+class TestMotor:
+    """The policy commands the torque."""
+
+    def test_one_more_action(self):
+        for motor, actions in ((False, 6), (True, 7)):
+            env = gymnasium.make_vec(
+                f"MyoWarp/{KEY}", num_envs=2, device="cpu", conditions=Exoskeleton(motor=motor)
+            )
+            assert env.single_action_space.shape == (actions,)
+            assert env.single_observation_space.shape == (9,)
+            env.reset(seed=0)
+            action = np.full((2, actions), 0.25, dtype=np.float32)
+            info = env.step(action)[-1]
+            assert ("terms/exo_effort" in info) == motor
+            assert info["exo_torque"].shape == (2,)
+            assert np.abs(info["exo_torque"]).min() > 0
+            if motor:
+                np.testing.assert_allclose(info["exo_torque"], 0.25 * MAX_TORQUE, rtol=ROUNDING)
+            env.close()
+
+    def test_torque_moves_the_elbow(self):
+        states, sim = States(), worn(Exoskeleton(motor=True, **BARE))
+        command = np.linspace(-1.5, 1.5, NUM_WORLDS)
+        torque = MAX_TORQUE * np.clip(command, -1.0, 1.0)
+        rows = in_c(worn(num_worlds=1).scene.oracle, states, mujoco.mj_forward, torque=torque)
+        expected = np.array([data.qacc for data in rows])
+        action = np.full((NUM_WORLDS, 7), -1.0, dtype=np.float32)
+        action[:, 6] = command
+        sim.action.assign(action)
+        sim.launch_action()
+        data = states.put(sim)
+        mjw.forward(sim.scene.model, data)
+        assert np.abs(data.qacc.numpy() - expected).max() <= TORQUE * np.abs(expected).max()
+        np.testing.assert_allclose(data.actuator_force.numpy()[:, 6], torque, rtol=ROUNDING)
+
+    @pytest.mark.parametrize("weight", [0.0, 2.0])
+    def test_effort_is_the_squared_torque(self, weight):
+        """Relative to the largest; it counts in the reward with its weight only."""
+        sim = worn(Exoskeleton(motor=True, max_torque=4.0, effort_weight=weight), 5)
+        command = np.array([-1.0, -0.5, 0.0, 0.25, 3.0], dtype=np.float32)
+        action = np.zeros((5, 7), dtype=np.float32)
+        action[:, 6] = command
+        sim.reset(seeds=np.arange(5))
+        sim.action.assign(action)
+        sim.transition.terms.fill_(np.nan)
+        sim.step()
+        terms, names = sim.transition.terms.numpy(), [term.name for term in sim.terms]
+        effort = -np.square(np.clip(command, -1, 1))
+        np.testing.assert_allclose(terms[:, names.index("exo_effort")], effort, rtol=ROUNDING)
+        np.testing.assert_allclose(
+            sim.effects[0].torque.numpy(), 4.0 * np.clip(command, -1, 1), rtol=ROUNDING
+        )
+        weights = [term.weight for term in sim.terms]
+        assert weights[-1] == weight
+        np.testing.assert_allclose(sim.transition.reward.numpy(), terms @ weights, rtol=1e-5)
+
+
+def test_assistance_changes_within_an_episode():
+    """From nothing to all of the muscles' torque, between 0.04 s and 0.1 s."""
+    sim = worn(Exoskeleton(Ramp(0.0, [1.0, 0.0], onset=0.04, duration=0.06), **BARE), 2)
+    sim.reset(seeds=np.arange(2))
+    sim.action.fill_(0.3)
+    for step in range(8):
+        sim.step()
+        force = sim.scene.data.actuator_force.numpy().astype(np.float64)
+        moment = sim.scene.data.actuator_moment.numpy()
+        share = np.clip((0.02 * step - 0.04) / 0.06, 0.0, 1.0)
+        expected = share * np.sum(moment[0, :6] * force[0, :6])
+        assert force[0, 6] == pytest.approx(expected, abs=1e-4)
+        assert force[1, 6] == 0
+    assert abs(force[0, 6]) > 0.1
+
+
+def test_reset_shows_no_torque():
+    sim = worn("exoskeleton", 3)
+    sim.reset(seeds=np.arange(3))
+    sim.action.fill_(0.5)
+    sim.step()
+    torque = sim.effects[0].info["exo_torque"]
+    before = torque.numpy().copy()
+    assert np.abs(before).min() > 0
+    sim.reset(np.array([True, False, True]))
+    np.testing.assert_array_equal(torque.numpy(), [0.0, before[1], 0.0])
+
+
+def test_drawn_parameters():
+    """Assistance and mass are drawn independently of each other and of the load's mass."""
+    sim = worn((Exoskeleton(Uniform(0, 1), forearm_mass=Uniform(0, 1)), Load(Uniform(0, 1))), 64)
+    sim.reset(seeds=np.arange(64))
+    sim.launch_conditions()
+    exo, _ = sim.effects
+    masses = sim.scene.model.body_mass.numpy()
+    ids = [sim.scene.oracle.body(name).id for name in (CUFF.name, "load")]
+    drawn = np.column_stack([exo.assistance.curve.start.numpy(), masses[:, ids]])
+    assert drawn.min() >= 0
+    assert drawn.max() <= 1
+    correlation = np.corrcoef(drawn.T) - np.eye(3)
+    assert np.abs(correlation).max() < 0.4
+    subtree = sim.scene.model.body_subtreemass.numpy()[:, 1]
+    np.testing.assert_allclose(subtree, masses[:, 1:].sum(axis=1), rtol=FIELD)
+
+
+def test_grid_uses_the_defaults():
+    env = gymnasium.make_vec("MyoWarp/paperElbowPoseHardRExo-v0", num_envs=2, device="cpu")
+    (condition,) = env.unwrapped.sim.scene.conditions
+    assert (condition.assistance, condition.motor, condition.forearm_mass) == (0.5, False, 0.111)
+    env.close()
+
+
+@pytest.mark.parametrize("body", sorted({TASKS[key].body for key in TASKS} - {"elbow"}))
+def test_other_bodies_cannot_wear_it(body):
+    spec = next(TASKS[key] for key in TASKS if TASKS[key].body == body)
+    with pytest.raises(ValueError, match=r".") as error:
+        resolve("exoskeleton", spec)
+    assert str(error.value) == (
+        f"an exoskeleton needs the elbow; body {body!r} of task {spec.key!r} cannot wear it"
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"assistance": -0.1}, r"^exoskeleton assistance must be >= 0, got -0\.1$"),
+        ({"forearm_mass": -1}, r"^exoskeleton forearm_mass must be >= 0, got -1$"),
+        (
+            {"assistance": np.ones(3)},
+            r"^exoskeleton assistance must be one number or of shape \(2,\), got shape \(3,\)$",
+        ),
+        (
+            {"motor": True, "max_torque": np.nan},
+            r"^exoskeleton max_torque must be a finite number >= 0, got nan$",
+        ),
+        (
+            {"motor": True, "effort_weight": "high"},
+            r"^exoskeleton effort_weight must be a finite number >= 0, got 'high'$",
+        ),
+        (
+            {"effort_weight": 1.0},
+            r"^exoskeleton effort_weight is for a motor; give motor=True or leave it out$",
+        ),
+    ],
+)
+def test_bad_input(options, message):
+    with pytest.raises(ValueError, match=message):
+        worn(Exoskeleton(**options), 2)
+
+
+def test_two_are_refused():
+    both = "conditions 'exoskeleton' and 'exoskeleton' both set the torque of the exoskeleton; leave one out"
+    with pytest.raises(ValueError, match=f"^{both}$"):
+        resolve(("exoskeleton", Exoskeleton(motor=True)), TASKS[KEY])
