@@ -12,7 +12,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help setup demo test test-slow lint format bench parity clean
+.PHONY: help setup demo test test-slow lint format bench parity soak audit clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -63,6 +63,13 @@ parity: setup ## Install MyoSuite 3.0.0 beside us, record fresh values, compare 
 	@test -x .venv-parity/bin/python || $(PYTHON) -m venv .venv-parity
 	.venv-parity/bin/python -m pip install --quiet --disable-pip-version-check myosuite==3.0.0
 	$(BIN)/python -m benchmarks.parity --recorder .venv-parity/bin/python --output out/parity.json
+
+soak: setup ## Run random actions in all 204 ids of the paper's grid, JSON to out/soak.json (an hour)
+	@mkdir -p out
+	$(BIN)/python -m benchmarks.soak --output out/soak.json
+
+audit: setup ## Audit every task, table, JSON and page to out/audit (an hour)
+	$(BIN)/myowarp audit --output out/audit
 
 clean: ## Remove .venv, caches and outputs
 	rm -rf $(VENV) .venv-parity out build dist .mypy_cache .pytest_cache .ruff_cache

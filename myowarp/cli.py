@@ -15,6 +15,7 @@ from rich.progress import track
 from rich.table import Column, Table
 
 from myowarp.spec import TASKS
+from myowarp.tasks.variants import find_variant
 
 TILE = (320, 240)  # px of one world in a video
 
@@ -118,6 +119,10 @@ class Rollout:
     """Warp device, such as cpu or cuda:0; by default the GPU if there is one."""
     physics: str = "parity"
     """parity (MyoSuite's integrator and step) or fast (implicit, twice the step)."""
+    reset: str | None = None
+    """What episodes start from: task, fixed, random or none; by default what the id says."""
+    conditions: tuple[str, ...] = ()
+    """Muscle conditions, such as sarcopenia fatigue_3ccr, besides those of the id."""
     save: Path | None = None
     """Write observations, actions, rewards and endings of all steps to this .npz."""
     video: Path | None = None
@@ -139,7 +144,8 @@ class Rollout:
         from myowarp.signals.record import check_recording, recording
         from myowarp.view.render import NoGraphicsError
 
-        spec = TASKS[self.task.removeprefix("MyoWarp/")]
+        variant = find_variant(self.task)
+        spec = TASKS[variant.task]
         steps = spec.horizon if self.steps is None else self.steps
         numbers = {"steps": steps, "video-worlds": self.video_worlds, "signals-every": self.signals_every}
         for name, number in numbers.items():
@@ -157,6 +163,8 @@ class Rollout:
             self.num_worlds,
             device=self.device,
             physics=self.physics,
+            reset=self.reset or variant.reset,
+            conditions=(*variant.conditions, *self.conditions),
             autoreset_mode="same_step",
         )
         with (
@@ -253,7 +261,7 @@ class Warmup:
         """Build one small simulation of every scene."""
         from myowarp.sim import Simulation
 
-        keys = [task.removeprefix("MyoWarp/") for task in self.tasks] or list(TASKS)
+        keys = [find_variant(task).task for task in self.tasks] or list(TASKS)
         scenes = {TASKS[key].scene_key: TASKS[key] for key in keys}
         for spec in scenes.values():
             Console(stderr=True).print(f"{spec.family} with {spec.body}")
@@ -279,7 +287,7 @@ class Audit:
     tasks: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
     """Task ids, with or without "MyoWarp/", the paper's too; none means every registered id."""
     paper: bool = False
-    """Audit the paper's grid; ids whose muscle condition does not exist yet are left out."""
+    """Audit the paper's grid of 204 ids."""
     num_worlds: int = 64
     """Worlds simulated together: episodes seen for each policy."""
     steps: int | None = None
@@ -302,7 +310,7 @@ class Audit:
         from myowarp.scene import resolve_device
         from myowarp.spec import PHYSICS
 
-        jobs, left_out = command.find_jobs(self.tasks, self.paper)
+        jobs = command.find_jobs(self.tasks, self.paper)
         for name, number, least in (
             ("num-worlds", self.num_worlds, 1),
             ("steps", 1 if self.steps is None else self.steps, 1),
@@ -314,8 +322,6 @@ class Audit:
         resolve_device(self.device)
         command.check_folder(self.output)
         console = Console(stderr=True, highlight=False, soft_wrap=True)
-        if left_out:
-            console.print(f"Left out {left_out} ids whose muscle condition does not exist yet")
         audits = command.audit_all(
             jobs,
             self.output,

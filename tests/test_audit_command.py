@@ -65,22 +65,20 @@ def test_a_finding_has_a_sentence(figure):
 
 
 def test_jobs_are_every_id_with_versions_together():
-    jobs, left_out = command.find_jobs((), paper=False)
+    jobs = command.find_jobs((), paper=False)
     assert sorted(job.spec.key for job in jobs) == sorted(TASKS)
-    assert left_out == 0
     names = [job.spec.name for job in jobs]
     assert sum(a != b for a, b in itertools.pairwise(names)) == len(set(names)) - 1
     for one, other in itertools.pairwise(jobs):
         assert one.spec.name != other.spec.name or one.spec.version < other.spec.version
 
 
-def test_paper_jobs_are_the_cells_without_condition():
-    """9 families x easy, hard x 3 resets; the other 150 of the 204 need a muscle condition."""
-    jobs, left_out = command.find_jobs((), paper=True)
-    assert (len(jobs), left_out) == (54, 150)
+def test_paper_jobs_are_the_grid():
+    jobs = command.find_jobs((), paper=True)
+    assert len(jobs) == 204
     assert {job.reset for job in jobs} == {"fixed", "random", "none"}
-    (one,), _ = command.find_jobs(("MyoWarp/paperElbowPoseHardN-v0",), paper=False)
-    assert (one.spec.key, one.reset) == (ELBOW, "none")
+    (one,) = command.find_jobs(("MyoWarp/paperElbowPoseHardNSarc-v0",), paper=False)
+    assert (one.spec.key, one.reset, one.conditions) == (ELBOW, "none", ("sarcopenia",))
 
 
 @pytest.fixture
@@ -99,23 +97,11 @@ def run(monkeypatch, capsys):
     return call
 
 
-def test_paper_says_how_many_ids_it_leaves_out(run, monkeypatch, tmp_path):
-    asked = []
-    monkeypatch.setattr(command, "audit_all", lambda jobs, *args, **options: asked.extend(jobs) or [])
-    status, out, err = run("--paper", "--json", "--output", tmp_path)
-    assert (status, json.loads(out), len(asked)) == (0, {"audits": []}, 54)
-    assert "Left out 150 ids whose muscle condition does not exist yet" in err
-
-
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
         (["myoElbowPose"], "task 'myoElbowPose' unknown; did you mean "),
         ([ELBOW, "nonsense"], "task 'nonsense' unknown; available: "),
-        (
-            ["paperElbowPoseEasyFExo-v0"],
-            "MyoWarp/paperElbowPoseEasyFExo-v0 needs condition 'exoskeleton', which does not exist yet",
-        ),
         (["--paper", ELBOW], f"--paper audits the whole grid; leave it or '{ELBOW}' away"),
         (["--num-worlds", 0], "--num-worlds must be at least 1, got 0"),
         (["--steps", 0], "--steps must be at least 1, got 0"),
@@ -188,7 +174,7 @@ def test_interruption_loses_nothing(tmp_path, reach):
         tick(0.5, "half")
         return reach
 
-    jobs, _ = command.find_jobs((REACH, ELBOW), paper=False)
+    jobs = command.find_jobs((REACH, ELBOW), paper=False)
     with pytest.raises(KeyboardInterrupt):
         command.audit_all(jobs, tmp_path, Console(quiet=True), measure=measure)
     (row,) = json.loads((tmp_path / "audit.json").read_text())["audits"]

@@ -15,9 +15,9 @@ from rich.table import Column, Table
 from myowarp.audit.figures import FIGURES, Figure, changes, findings
 from myowarp.audit.measure import Audit, audit
 from myowarp.progress import progress_bar
-from myowarp.registry import Registry
 from myowarp.spec import TASKS, TaskSpec
 from myowarp.tasks.paper import grid
+from myowarp.tasks.variants import find_variant
 
 GUTTER = 2  # characters between columns: a line and a space
 NO_PAGE = "No page: it needs matplotlib; pip install 'myowarp[plot]'"
@@ -31,48 +31,36 @@ class Job:
         id: Gymnasium id.
         spec: The task.
         reset: What its episodes start from.
-        condition: Muscle condition, "none" for registered tasks.
+        conditions: Names of its muscle conditions.
     """
 
     id: str
     spec: TaskSpec
     reset: str = "task"
-    condition: str = "none"
+    conditions: tuple[str, ...] = ()
 
 
-def _paper_jobs() -> list[Job]:
-    """Return the cells of the paper's grid."""
-    return [Job(row.id, TASKS[row.task], row.reset, row.condition) for row in grid()]
-
-
-def find_jobs(names: Iterable[str], paper: bool) -> tuple[list[Job], int]:
-    """Return what to audit, versions of a task side by side, and how many ids had to be left out.
+def find_jobs(names: Iterable[str], paper: bool) -> list[Job]:
+    """Return what to audit, versions of a task side by side.
 
     Args:
-        names: Ids with or without "MyoWarp/", registered or of the paper's grid; none: every registered id.
+        names: Ids with or without "MyoWarp/"; none: every task in `TASKS`.
         paper: Every id of the paper's grid instead.
 
     Raises:
-        ValueError: An id is unknown, needs a muscle condition that does not exist yet, or names came with
-            `paper`.
+        ValueError: An id is unknown, or names came with `paper`.
     """
     names = list(dict.fromkeys(name.removeprefix("MyoWarp/") for name in names))
     if paper and names:
         raise ValueError(f"--paper audits the whole grid; leave it or {names[0]!r} away")
     if paper:
-        jobs = _paper_jobs()
-        ready = [job for job in jobs if job.condition == "none"]
-        return ready, len(jobs) - len(ready)
-    registered = [Job(TASKS[key].env_id, TASKS[key]) for key in TASKS]
-    known: Registry[Job] = Registry("task")
-    for job in [*registered, *_paper_jobs()]:
-        known.add(job.id.removeprefix("MyoWarp/"), job)
-    chosen = [known[name] for name in names] or registered
-    for job in chosen:
-        if job.condition != "none":
-            raise ValueError(f"{job.id} needs condition {job.condition!r}, which does not exist yet")
+        return [Job(row.id, TASKS[row.task], row.reset, row.conditions) for row in grid()]
+    chosen = []
+    for name in names or TASKS:
+        variant = find_variant(name)
+        chosen.append(Job(f"MyoWarp/{name}", TASKS[variant.task], variant.reset, variant.conditions))
     first = {name: i for i, name in reversed(list(enumerate(job.spec.name for job in chosen)))}
-    return sorted(chosen, key=lambda job: (first[job.spec.name], job.spec.version)), 0
+    return sorted(chosen, key=lambda job: (first[job.spec.name], job.spec.version))
 
 
 def audit_all(
@@ -114,7 +102,7 @@ def audit_all(
                 where = f"{job.id.removeprefix('MyoWarp/')}: {stage}"
                 bar.update(task, completed=index + share, stage=where)
 
-            found = measure(job.spec, reset=job.reset, tick=tick, **options)
+            found = measure(job.spec, reset=job.reset, conditions=job.conditions, tick=tick, **options)
             done.append(found if job.id == found.id else found.named(job.id))
             write(folder / "audit.json", as_json(done))
             if page is not None:

@@ -1,6 +1,6 @@
 """One task measured: rollouts, targets and objects put together."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from myowarp.audit.runs import (
     early_failures,
 )
 from myowarp.audit.targets import Targets
+from myowarp.models.conditions import Condition
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS, TaskSpec
 from myowarp.warmup import quiet
@@ -43,6 +44,7 @@ class Audit:
         family: Task family.
         doc: What the task asks for, and why this version exists.
         reset: What its episodes start from.
+        conditions: Names of its muscle conditions.
         physics: Physics preset.
         device: Warp device.
         num_worlds: Worlds simulated together.
@@ -72,6 +74,7 @@ class Audit:
     family: str
     doc: str
     reset: str
+    conditions: tuple[str, ...]
     physics: str
     device: str
     num_worlds: int
@@ -115,6 +118,7 @@ def audit(
     device: str | None = None,
     physics: str = "parity",
     reset: str = "task",
+    conditions: tuple[str, ...] = (),
     *,
     tick: Tick = lambda done, stage: None,
 ) -> Audit:
@@ -129,6 +133,7 @@ def audit(
         device: Warp device; None: the first CUDA device if there is one, else the CPU.
         physics: Name in `spec.PHYSICS`.
         reset: What episodes start from, one of `spec.RESETS`.
+        conditions: Names of muscle conditions in `CONDITIONS`.
         tick: Called on the way.
 
     Raises:
@@ -137,7 +142,7 @@ def audit(
     steps = _steps(spec, steps, seed, reset)
     with quiet():
         tick(0.0, "building")
-        sim = _simulation(spec, num_worlds, device, physics, reset)
+        sim = _simulation(spec, num_worlds, device, physics, reset, conditions)
         gimbal, run = Gimbal(sim), Run(sim, steps, seed, spec.horizon)
         for i, policy in enumerate(POLICIES):
             run.run(policy, gimbal.look, _part(tick, 0.3 * i, 0.3, policy))
@@ -179,6 +184,7 @@ def _identity(sim: Simulation) -> dict[str, Any]:
         "family": spec.family,
         "doc": spec.doc,
         "reset": sim.scene.reset,
+        "conditions": tuple(condition.name for condition in sim.scene.conditions),
         "device": str(sim.scene.device),
         "num_worlds": sim.num_worlds,
         "horizon": spec.horizon,
@@ -198,7 +204,14 @@ def _part(tick: Tick, begin: float, share: float, stage: str) -> Callable[[float
     return lambda done: tick(begin + share * done, stage)
 
 
-def _simulation(spec: TaskSpec, num_worlds: int, device: str | None, physics: str, reset: str) -> Simulation:
+def _simulation(
+    spec: TaskSpec,
+    num_worlds: int,
+    device: str | None,
+    physics: str,
+    reset: str,
+    conditions: Iterable[str | Condition],
+) -> Simulation:
     """Return a simulation that resets a world in the step that ends its episode."""
     return Simulation(
         spec,
@@ -206,6 +219,7 @@ def _simulation(spec: TaskSpec, num_worlds: int, device: str | None, physics: st
         device=device,
         physics=physics,
         reset=reset,
+        conditions=conditions,
         autoreset="same_step",
         progress=False,
     )
@@ -222,7 +236,9 @@ def _early(sim: Simulation, physics: str, seed: int) -> tuple[dict[str, float | 
             shares[reset] = early_failures(sim, seed)
             continue
         try:
-            probe = _simulation(scene.spec, sim.num_worlds, str(scene.device), physics, reset)
+            probe = _simulation(
+                scene.spec, sim.num_worlds, str(scene.device), physics, reset, scene.conditions
+            )
         except ValueError as error:  # too few random starts
             why[reset] = str(error)
             continue

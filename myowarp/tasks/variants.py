@@ -6,6 +6,7 @@ MyoSuite names a condition by a prefix: `myoSarc...` and `myoFati...` exist for 
 
 from dataclasses import dataclass
 
+from myowarp.registry import Registry
 from myowarp.spec import TASKS
 from myowarp.tasks.paper import grid
 
@@ -41,3 +42,15 @@ def variants() -> dict[str, Variant]:
                 found[f"MyoWarp/{prefix}{key.removeprefix('myo')}"] = Variant(key, conditions=(condition,))
     found |= {cell.id: Variant(cell.task, cell.reset, cell.conditions) for cell in grid()}
     return found
+
+
+def find_variant(name: str) -> Variant:
+    """Return what an id stands for; "MyoWarp/" may be left out.
+
+    Raises:
+        ValueError: No such id; the message lists the close ones.
+    """
+    known: Registry[Variant] = Registry("task")
+    for env_id, variant in variants().items():
+        known.add(env_id.removeprefix("MyoWarp/"), variant)
+    return known[name.removeprefix("MyoWarp/")]
