@@ -20,7 +20,7 @@ from myowarp.spec import TASKS
 from myowarp.tasks.paper import PaperTask, grid
 
 STEPS = 10_000  # environment steps of an id
-NUM_WORLDS = 128
+NUM_WORLDS = 48  # so that every episode gets to its end
 
 
 def soak(cell: PaperTask, num_worlds: int) -> dict[str, object]:
@@ -35,10 +35,9 @@ def soak(cell: PaperTask, num_worlds: int) -> dict[str, object]:
         reset=cell.reset,
         conditions=cell.conditions,
         autoreset="same_step",
-        horizon=min(spec.horizon, steps // 3),  # so that every world is reset at least twice
         progress=False,
     )
-    run = Run(sim, steps, seed=0, horizon=steps // 3)
+    run = Run(sim, steps, seed=0, horizon=spec.horizon)
     run.run("random", lambda: None, lambda share: None)
     load = run.load()
     return {
@@ -70,13 +69,13 @@ def main() -> None:
             rows.append(soak(cell, options.num_worlds))
             options.output.write_text(json.dumps(rows, indent=1))
     for row in rows:
-        if row["faults"]:
+        if any(row["faults"].values()):
             print(f"{row['id']}: {row['faults']}")
     margins = [row["row_margin_percent"] for row in rows]
     pools = [row["contact_margin_percent"] for row in rows if row["contact_margin_percent"] is not None]
     print(
         f"{len(rows)} ids, {sum(row['env_steps'] for row in rows):,} environment steps, "
-        f"{sum(bool(row['faults']) for row in rows)} ids with a fault; "
+        f"{sum(any(row['faults'].values()) for row in rows)} ids with a fault; "
         f"free at the fullest: {min(pools):.0f} % of contacts, {min(margins):.0f} % of rows"
     )
 
