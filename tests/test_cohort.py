@@ -9,7 +9,7 @@ import pytest
 from myowarp import cli
 from myowarp.hold import Hold
 from myowarp.models.conditions.exoskeleton import Exoskeleton
-from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCr
+from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
 from myowarp.models.conditions.load import Load
 from myowarp.models.conditions.motor_noise import MotorNoise
 from myowarp.models.conditions.sarcopenia import Sarcopenia
@@ -83,7 +83,7 @@ def test_random_actions_are_a_trials_own():
 
 BEN = (
     Sarcopenia(0.4),
-    Fatigue3CCr(fatigue_rate=0.5),
+    Fatigue3CCR(fatigue_rate=0.5),
     Load(2.0),
     Exoskeleton(0.5, forearm_mass=0.111),
     MotorNoise(0.0, 0.0),
@@ -91,7 +91,7 @@ BEN = (
 )
 CLEO = (
     Sarcopenia(0.7),
-    Fatigue3CCr(fatigue_rate=0.02),
+    Fatigue3CCR(fatigue_rate=0.02),
     Load(5.0),
     Exoskeleton(0.0, forearm_mass=0.0),
     MotorNoise(0.3, 0.0),

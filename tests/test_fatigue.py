@@ -6,7 +6,7 @@ import warp as wp
 from reference import fatigue_3ccr, fatigue_ma2009
 
 import myowarp.tasks  # noqa: F401
-from myowarp.models.conditions.fatigue_3ccr import RATES, Fatigue3CCr, rates_of
+from myowarp.models.conditions.fatigue_3ccr import RATES, Fatigue3CCR, rates_of
 from myowarp.models.conditions.fatigue_ma2009 import FatigueMa2009
 from myowarp.models.conditions.parameter import Ramp, Uniform
 from myowarp.models.conditions.sarcopenia import Sarcopenia
@@ -14,7 +14,7 @@ from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
-MODELS = (Fatigue3CCr, FatigueMa2009)
+MODELS = (Fatigue3CCR, FatigueMa2009)
 
 STEP = 1e-6  # fractions of order one, one step or one episode in float32
 LONG = 1e-6  # M_F against float64 after 1e5 steps
@@ -73,7 +73,7 @@ class TestMotorUnits:
         rates = [np.geomspace(*span, self.N) for span in ((0.005, 45.0), (40.0, 0.001), (1.0, 30.0))]
         rates[2] = np.minimum(rates[2], 1.0 / (DT * rates[1]))
         names = ("fatigue_rate", "recovery_rate", "rest_recovery_factor")
-        sim = simulation(ELBOW, self.N, Fatigue3CCr(**dict(zip(names, rates, strict=True))))
+        sim = simulation(ELBOW, self.N, Fatigue3CCR(**dict(zip(names, rates, strict=True))))
         effect = sim.effects[0]
         effect.state.active_fraction.assign(active)
         effect.state.fatigued_fraction.assign(fatigued)
@@ -137,7 +137,7 @@ class TestMotorUnits:
         """For all, by name with the table for the others, and over time."""
 
         def curve(value):
-            return simulation(ELBOW, 2, Fatigue3CCr(fatigue_rate=value)).effects[0].params.fatigue_rate
+            return simulation(ELBOW, 2, Fatigue3CCR(fatigue_rate=value)).effects[0].params.fatigue_rate
 
         table = np.float32([rates_of(name).fatigue_rate for name in ("TRIlong",) * 3 + ("BRA",) * 3])
         np.testing.assert_array_equal(curve([0.1, 0.2]).start.numpy(), np.float32([[0.1], [0.2]]))
@@ -148,14 +148,14 @@ class TestMotorUnits:
 
     def test_no_more_recovers_than_is_tired(self):
         """R and r are limited on their own; their product may ask for more than all in a step."""
-        sim = simulation(ELBOW, 1, Fatigue3CCr(recovery_rate=30.0, rest_recovery_factor=10.0, initial=0.8))
+        sim = simulation(ELBOW, 1, Fatigue3CCR(recovery_rate=30.0, rest_recovery_factor=10.0, initial=0.8))
         sim.scene.data.ctrl.zero_()
         sim.launch_conditions()
         np.testing.assert_allclose(fatigue_of(sim), 0.0, atol=STEP)
 
     def test_affected_worlds_only(self):
         """0 leaves a world alone bit for bit, 1 hands over M_A, between them both count by their share."""
-        sims = [simulation(ELBOW, 3, c) for c in (Fatigue3CCr(affected=[1.0, 0.0, 0.25]), "fatigue_3ccr", ())]
+        sims = [simulation(ELBOW, 3, c) for c in (Fatigue3CCR(affected=[1.0, 0.0, 0.25]), "fatigue_3ccr", ())]
         for sim in sims:
             advance(sim, 4)
         mixed, tired, healthy = (sim.scene.data.ctrl.numpy() for sim in sims)
@@ -169,7 +169,7 @@ class TestMotorUnits:
 
     def test_random_start(self):
         """M_A = n p, M_R = n (1 - p), M_F = 1 - n; another one in every episode, the same for a seed."""
-        sim = simulation(ELBOW, 2000, Fatigue3CCr(initial_random=True))
+        sim = simulation(ELBOW, 2000, Fatigue3CCR(initial_random=True))
         active, resting, fatigued = (x.astype(np.float64) for x in compartments(sim.effects[0]))
         np.testing.assert_allclose(active + resting + fatigued, 1.0, atol=STEP)
         share = active / (active + resting)
@@ -181,7 +181,7 @@ class TestMotorUnits:
         assert np.abs(both - np.eye(12)).max() < 5 / np.sqrt(2000)
         sim.reset()
         assert not np.array_equal(fatigue_of(sim), fatigued)
-        few = simulation(ELBOW, 5, Fatigue3CCr(initial_random=True))
+        few = simulation(ELBOW, 5, Fatigue3CCR(initial_random=True))
         np.testing.assert_array_equal(fatigue_of(few), fatigued[:5])
 
 
@@ -370,14 +370,14 @@ class TestResets:
     ("build", "message"),
     [
         (
-            lambda: Fatigue3CCr(initial=0.0, initial_random=True),
+            lambda: Fatigue3CCR(initial=0.0, initial_random=True),
             r"^fatigue_3ccr takes initial or initial_random, not both; leave one out$",
         ),
-        (lambda: Fatigue3CCr(affected=1.5), r"^fatigue_3ccr affected must be in 0\.\.1, got 1\.5$"),
-        (lambda: Fatigue3CCr(fatigue_rate=-1), r"^fatigue_3ccr fatigue_rate must be in 0\.\.50, got -1$"),
-        (lambda: Fatigue3CCr(recovery_rate={"BRO": 1}), r"^muscle 'BRO' unknown; did you mean BRA\?$"),
+        (lambda: Fatigue3CCR(affected=1.5), r"^fatigue_3ccr affected must be in 0\.\.1, got 1\.5$"),
+        (lambda: Fatigue3CCR(fatigue_rate=-1), r"^fatigue_3ccr fatigue_rate must be in 0\.\.50, got -1$"),
+        (lambda: Fatigue3CCR(recovery_rate={"BRO": 1}), r"^muscle 'BRO' unknown; did you mean BRA\?$"),
         (
-            lambda: Fatigue3CCr(rest_recovery_factor=-1),
+            lambda: Fatigue3CCR(rest_recovery_factor=-1),
             r"^fatigue_3ccr rest_recovery_factor must be >= 0, got -1$",
         ),
         (lambda: FatigueMa2009(rate=-1), r"^fatigue_ma2009 rate must be >= 0, got -1$"),

@@ -10,7 +10,7 @@ import pytest
 from reference import fatigue_3ccr
 
 import myowarp  # noqa: F401  (registers the ids)
-from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCr
+from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 
@@ -66,7 +66,7 @@ def test_episodes_of_commands(key):
     actions, starts = record["episode_action"], record["episode_start"]
     given = starts == "given"
     initial = np.where(given[:, None], record["reset_fatigued"], 0.0)
-    sim = simulation(key, len(actions), Fatigue3CCr(initial=initial))
+    sim = simulation(key, len(actions), Fatigue3CCR(initial=initial))
     effect = sim.effects[0]
     fresh = starts != "drawn"
     for values, name in zip(compartments(effect), COMPARTMENTS, strict=True):

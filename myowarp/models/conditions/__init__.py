@@ -4,7 +4,7 @@ A condition is described on the host by a `Condition`, whose parameters may diff
 at random and change over time (`Parameter`), and acts on the device as an `Effect`. A new condition is one
 file here and one import at the foot of this one.
 
-    myowarp.MyoWarpVectorEnv("myoHandPoseRandom-v1", 256, conditions=("sarcopenia", TendonTear("FPL_r")))
+    gymnasium.make_vec("MyoWarp/myoHandPoseRandom-v1", 256, conditions=("sarcopenia", TendonTear("FPL")))
 
 What acts when follows from the stages, never from the order in which conditions are named:
 
@@ -160,14 +160,33 @@ def resolve(conditions: str | Condition | Iterable[str | Condition], spec: TaskS
     return tuple(sorted(found, key=lambda condition: (condition.STAGE, condition.name)))
 
 
-from myowarp.models.conditions import (  # noqa: E402  (they register themselves)
-    exoskeleton,  # noqa: F401
-    fatigue_3ccr,  # noqa: F401
-    fatigue_ma2009,  # noqa: F401
-    load,  # noqa: F401
-    motor_noise,  # noqa: F401
-    reafferentation,  # noqa: F401
-    sarcopenia,  # noqa: F401
-    tendon_tear,  # noqa: F401
-    tendon_transfer,  # noqa: F401
-)
+# ruff: noqa: E402  (they need what is above, and register themselves)
+from myowarp.models.conditions.exoskeleton import Exoskeleton
+from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
+from myowarp.models.conditions.fatigue_ma2009 import FatigueMa2009
+from myowarp.models.conditions.load import Load
+from myowarp.models.conditions.motor_noise import MotorNoise
+from myowarp.models.conditions.parameter import Ramp, Uniform
+from myowarp.models.conditions.reafferentation import Reafferentation
+from myowarp.models.conditions.sarcopenia import Sarcopenia
+from myowarp.models.conditions.tendon_tear import TendonTear
+from myowarp.models.conditions.tendon_transfer import TendonTransfer
+
+__all__ = [
+    "CONDITIONS",
+    "Condition",
+    "Effect",
+    "Exoskeleton",
+    "Fatigue3CCR",
+    "FatigueMa2009",
+    "Load",
+    "MotorNoise",
+    "Ramp",
+    "Reafferentation",
+    "Sarcopenia",
+    "Stage",
+    "TendonTear",
+    "TendonTransfer",
+    "Uniform",
+    "resolve",
+]

@@ -93,7 +93,7 @@ def rates_of(muscle: str) -> Rates:
 
 
 @dataclass(frozen=True, eq=False)
-class Fatigue3CCr(Condition):
+class Fatigue3CCR(Condition):
     """Muscles whose motor units tire under load and recover, faster at rest.
 
     `info["fatigue"]` (num_worlds, num_muscles) is the fatigued fraction M_F.
@@ -130,7 +130,7 @@ class Fatigue3CCr(Condition):
         if self.initial_random and self.initial is not None:
             raise ValueError("fatigue_3ccr takes initial or initial_random, not both; leave one out")
 
-    def bind(self, scene: Scene, clock: Clock) -> Fatigue3CCrEffect:
+    def bind(self, scene: Scene, clock: Clock) -> Fatigue3CCREffect:
         """Put all parameters on the device."""
         if not scene.muscles.names:
             raise ValueError(f"fatigue_3ccr is about muscles; the body of task {scene.spec.key!r} has none")
@@ -149,7 +149,7 @@ class Fatigue3CCr(Condition):
             )
             for name, (value, neutral, high) in limits.items()
         }
-        return Fatigue3CCrEffect(self, scene, clock, parameters)
+        return Fatigue3CCREffect(self, scene, clock, parameters)
 
     def _rates(self, name: str, muscles: Sequence[str]) -> Value:
         """Return a rate as given, with the table's for every muscle that is left open."""
@@ -310,7 +310,7 @@ def restart_motor_units(
         state.resting_fraction[worldid, i] = 1.0 - active - fatigued
 
 
-class Fatigue3CCrEffect(Effect):
+class Fatigue3CCREffect(Effect):
     """3CC-r in a scene.
 
     Attributes:
@@ -319,7 +319,7 @@ class Fatigue3CCrEffect(Effect):
     """
 
     def __init__(
-        self, condition: Fatigue3CCr, scene: Scene, clock: Clock, parameters: Mapping[str, Parameter]
+        self, condition: Fatigue3CCR, scene: Scene, clock: Clock, parameters: Mapping[str, Parameter]
     ) -> None:
         self.scene, self.clock, self.parameters = scene, clock, parameters
         self.initial_random = bool(condition.initial_random)
@@ -368,4 +368,4 @@ class Fatigue3CCrEffect(Effect):
             masked_observe(mask, self.state.fatigued_fraction, column, obs)
 
 
-CONDITIONS.add("fatigue_3ccr", Fatigue3CCr)
+CONDITIONS.add("fatigue_3ccr", Fatigue3CCR)
