@@ -139,7 +139,7 @@ class Rollout:
                 raise ValueError(f"--{name} must be at least 1, got {number}")
         if self.seed < 0:
             raise ValueError(f"--seed must be at least 0, got {self.seed}")
-        rollout.find_policy(self.policy)
+        policy = rollout.find_policy(self.policy)
         rollout.check_output(self.save, ".npz")
         rollout.check_output(self.video, ".mp4")
         console = Console(stderr=True)
@@ -152,7 +152,7 @@ class Rollout:
         )
         summary, recording = rollout.run(
             env,
-            self.policy,
+            policy,
             steps,
             self.seed,
             record=self.save is not None,

@@ -23,8 +23,20 @@ from myowarp.progress import progress_bar
 from myowarp.view.render import WorldRenderer
 from myowarp.view.video import write_video
 
-Policy = Callable[[np.ndarray], np.ndarray]
 BUILT_IN = ("random", "zero")
+
+
+@dataclass(frozen=True)
+class Policy:
+    """What acts.
+
+    Attributes:
+        name: How the user called it.
+        act: Function of the observations; None for the built-in policies.
+    """
+
+    name: str
+    act: Callable[[np.ndarray], np.ndarray] | None = None
 
 
 @dataclass
@@ -69,8 +81,8 @@ class PolicyError(Exception):
     """A user's policy raised; the cause says where."""
 
 
-def find_policy(name: str) -> Policy | None:
-    """Return a user's policy by name, None for the built-in ones.
+def find_policy(name: str) -> Policy:
+    """Return a policy by name; code of the user that defines it is run once.
 
     Args:
         name: "random", "zero", "package.module:function" or "file.py:function".
@@ -79,7 +91,7 @@ def find_policy(name: str) -> Policy | None:
         ValueError: No such policy.
     """
     if name in BUILT_IN:
-        return None
+        return Policy(name)
     source, colon, attribute = name.rpartition(":")
     if not colon:
         raise ValueError(
@@ -88,31 +100,30 @@ def find_policy(name: str) -> Policy | None:
         )
     try:
         if source.endswith(".py"):
-            policy = runpy.run_path(source)[attribute]
+            act = runpy.run_path(source)[attribute]
         else:
             sys.path.insert(0, "")
-            policy = getattr(importlib.import_module(source), attribute)
+            act = getattr(importlib.import_module(source), attribute)
     except (ImportError, OSError, KeyError, AttributeError) as error:
         raise ValueError(f"policy {name!r} not found ({type(error).__name__}: {error})") from error
-    if not callable(policy):
-        raise ValueError(
-            f"policy {name!r} must be a function of the observations, got {type(policy).__name__}"
-        )
-    return policy
+    if not callable(act):
+        raise ValueError(f"policy {name!r} must be a function of the observations, got {type(act).__name__}")
+    return Policy(name, act)
 
 
-def _acting(name: str, policy: Policy | None, shape: tuple[int, ...], seed: int) -> Policy:
+def _acting(policy: Policy, shape: tuple[int, ...], seed: int) -> Callable[[np.ndarray], np.ndarray]:
     """Return the function that acts: the user's, with its errors marked as such, or a built-in one."""
-    if policy is not None:
+    act = policy.act
+    if act is not None:
 
         def guarded(obs: np.ndarray) -> np.ndarray:
             try:
-                return policy(obs)
+                return act(obs)
             except (ValueError, OSError, RuntimeError, ImportError) as error:
-                raise PolicyError(f"policy {name!r} failed") from error
+                raise PolicyError(f"policy {policy.name!r} failed") from error
 
         return guarded
-    if name == "zero":
+    if policy.name == "zero":
         return lambda obs: np.zeros(shape, dtype=np.float32)
     rng = np.random.default_rng(seed)
     return lambda obs: rng.uniform(-1.0, 1.0, shape).astype(np.float32)
@@ -134,7 +145,7 @@ def check_output(path: Path | None, suffix: str) -> None:
 
 def run(
     env: MyoWarpVectorEnv,
-    policy: str,
+    policy: Policy,
     steps: int,
     seed: int,
     *,
@@ -146,7 +157,7 @@ def run(
 
     Args:
         env: Environment with NumPy output and autoreset in the same step.
-        policy: Name of the policy, see `find_policy`.
+        policy: What acts, from `find_policy`.
         steps: Control steps.
         seed: Seed of the resets and of the random policy.
         record: Whether to keep observation, action, reward and endings of every step.
@@ -157,9 +168,9 @@ def run(
         Figures and recording.
 
     Raises:
-        ValueError: No such policy, or it returned actions of a wrong shape or value.
+        ValueError: The policy returned actions of a wrong shape or value.
     """
-    act = _acting(policy, find_policy(policy), env.sim.action.shape, seed)
+    act = _acting(policy, env.sim.action.shape, seed)
     recording, tally = Recording(), _Tally(env.num_envs)
     obs, _ = env.reset(seed=seed)
     seconds = 0.0
@@ -183,7 +194,7 @@ def run(
     rate = env.num_envs * steps / seconds
     summary = Summary(
         task=scene.spec.env_id,
-        policy=policy,
+        policy=policy.name,
         device=str(scene.device),
         num_worlds=env.num_envs,
         steps=steps,
