@@ -153,7 +153,7 @@ class Rollout:
                 raise ValueError(f"--{name} must be at least 1, got {number}")
         if self.seed < 0:
             raise ValueError(f"--seed must be at least 0, got {self.seed}")
-        rollout.check_policy(self.policy, spec)
+        policy = rollout.find_policy(self.policy, spec)
         check_output(self.save, ".npz")
         check_output(self.video, ".mp4")
         check_recording(self.signals)
@@ -174,7 +174,7 @@ class Rollout:
         ):
             summary, kept = rollout.run(
                 env,
-                self.policy,
+                policy,
                 steps,
                 self.seed,
                 record=self.save is not None,

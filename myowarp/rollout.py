@@ -26,8 +26,23 @@ from myowarp.spec import TaskSpec
 from myowarp.view.render import WorldRenderer
 from myowarp.view.video import write_video
 
-Policy = Callable[[np.ndarray], np.ndarray]
+Act = Callable[[np.ndarray], np.ndarray]
+"""Observations (num_worlds, obs_size) to actions (num_worlds, num_actions) in [-1, 1]."""
+
 BUILT_IN = ("random", "zero", "hold")
+
+
+@dataclass(frozen=True)
+class Policy:
+    """What acts.
+
+    Attributes:
+        name: How the user called it.
+        act: Function of the observations; None for the built-in policies.
+    """
+
+    name: str
+    act: Act | None = None
 
 
 @dataclass
@@ -72,17 +87,20 @@ class PolicyError(Exception):
     """A user's policy raised; the cause says where."""
 
 
-def find_policy(name: str) -> Policy | None:
-    """Return a user's policy by name, None for the built-in ones.
+def find_policy(name: str, spec: TaskSpec) -> Policy:
+    """Return a policy by name; code of the user that defines it is run once.
 
     Args:
         name: "random", "zero", "hold" (`myowarp.hold`), "package.module:function" or "file.py:function".
+        spec: The task in which it is to act.
 
     Raises:
-        ValueError: No such policy.
+        ValueError: No such policy, or it cannot act in this task.
     """
+    if name == "hold":
+        check_hold(spec)
     if name in BUILT_IN:
-        return None
+        return Policy(name)
     source, colon, attribute = name.rpartition(":")
     if not colon:
         raise ValueError(
@@ -91,41 +109,33 @@ def find_policy(name: str) -> Policy | None:
         )
     try:
         if source.endswith(".py"):
-            policy = runpy.run_path(source)[attribute]
+            act = runpy.run_path(source)[attribute]
         else:
             sys.path.insert(0, "")
-            policy = getattr(importlib.import_module(source), attribute)
+            act = getattr(importlib.import_module(source), attribute)
     except (ImportError, OSError, KeyError, AttributeError) as error:
         raise ValueError(f"policy {name!r} not found ({type(error).__name__}: {error})") from error
-    if not callable(policy):
-        raise ValueError(
-            f"policy {name!r} must be a function of the observations, got {type(policy).__name__}"
-        )
-    return policy
+    if not callable(act):
+        raise ValueError(f"policy {name!r} must be a function of the observations, got {type(act).__name__}")
+    return Policy(name, act)
 
 
-def check_policy(name: str, spec: TaskSpec) -> None:
-    """Raise ValueError if there is no policy of this name, or it cannot act in a task."""
-    find_policy(name)
-    if name == "hold":
-        check_hold(spec)
-
-
-def acting(name: str, policy: Policy | None, scene: Scene, seed: int) -> Policy:
+def acting(policy: Policy, scene: Scene, seed: int) -> Act:
     """Return the function that acts: the user's, with its errors marked as such, or a built-in one."""
-    if policy is not None:
+    act = policy.act
+    if act is not None:
 
         def guarded(obs: np.ndarray) -> np.ndarray:
             try:
-                return policy(obs)
+                return act(obs)
             except (ValueError, OSError, RuntimeError, ImportError) as error:
-                raise PolicyError(f"policy {name!r} failed") from error
+                raise PolicyError(f"policy {policy.name!r} failed") from error
 
         return guarded
-    if name == "hold":
+    if policy.name == "hold":
         return Hold(scene)
     shape = (scene.num_worlds, scene.num_actions)
-    if name == "zero":
+    if policy.name == "zero":
         return lambda obs: np.zeros(shape, dtype=np.float32)
     rng = np.random.default_rng(seed)
     return lambda obs: rng.uniform(-1.0, 1.0, shape).astype(np.float32)
@@ -133,7 +143,7 @@ def acting(name: str, policy: Policy | None, scene: Scene, seed: int) -> Policy:
 
 def run(
     env: MyoWarpVectorEnv,
-    policy: str,
+    policy: Policy,
     steps: int,
     seed: int,
     *,
@@ -146,7 +156,7 @@ def run(
 
     Args:
         env: Environment with NumPy output and autoreset in the same step.
-        policy: Name of the policy, see `find_policy`.
+        policy: What acts, from `find_policy`.
         steps: Control steps.
         seed: Seed of the resets and of the random policy.
         record: Whether to keep observation, action, reward and endings of every step.
@@ -158,9 +168,9 @@ def run(
         Figures and recording.
 
     Raises:
-        ValueError: No such policy, or it returned actions of a wrong shape or value.
+        ValueError: The policy returned actions of a wrong shape or value.
     """
-    act = acting(policy, find_policy(policy), env.sim.scene, seed)
+    act = acting(policy, env.sim.scene, seed)
     recording, tally = Recording(), _Tally(env.num_envs)
     obs, _ = env.reset(seed=seed)
     seconds = 0.0
@@ -185,13 +195,13 @@ def run(
     return _summary(env, policy, steps, seconds, tally), recording
 
 
-def _summary(env: MyoWarpVectorEnv, policy: str, steps: int, seconds: float, tally: "_Tally") -> Summary:
+def _summary(env: MyoWarpVectorEnv, policy: Policy, steps: int, seconds: float, tally: "_Tally") -> Summary:
     """Return the figures of a rollout whose steps took `seconds`."""
     scene = env.sim.scene
     rate = env.num_envs * steps / seconds
     return Summary(
         task=scene.spec.env_id,
-        policy=policy,
+        policy=policy.name,
         device=str(scene.device),
         num_worlds=env.num_envs,
         steps=steps,

@@ -1,8 +1,8 @@
 """Random start configurations of a task: free of penetration, and shown by the engine not to fail at once.
 
-A posture is drawn uniformly within the joint ranges; where geoms can touch, only a random subset of the joints
-goes from the task's own start to there, and part of the way. What lies in the hand goes with the palm. A start
-is kept if
+A posture is drawn uniformly within the joint ranges; where geoms can touch, only a random subset of the
+joints goes there from the task's own start, and part of the way. What lies in the hand goes with the palm. A
+start is kept if
 
 - no two geoms penetrate each other deeper than they do in the task's own start, in MuJoCo C, and
 - the engine, stepping it under zero action, sees neither a failure nor an object that leaves its place,
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 NUM_STARTS = 1024
 BATCH = 256  # starts on trial together
 MAX_DRAWS = 400_000
-NUM_EPISODES = 8  # draws of sizes, places and goals with which a start has to be a good one
+NUM_EPISODES = 16  # draws of sizes, places and goals with which a start has to be a good one
 PENETRATION = 1e-4  # m, beyond that of the task's own start
 FAIL_STEPS = 5  # control steps that a start has to survive
 HOLD_TIME = 0.2  # s that it has to survive where something lies in the hand; a free fall of 0.2 m
@@ -182,17 +182,23 @@ class Search:
         return [values]
 
     def _draw_scenes(self) -> list[tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]]:
-        """Return fields of the model, configuration and allowed depths at the starts of several episodes."""
+        """Return fields of the model, configuration and allowed depths at the starts of several episodes.
+
+        Those that agree are returned once.
+        """
         scene = self.sim.scene
         self.sim.reset(seeds=self.rng.integers(2**32, size=BATCH))
         names = [name for name in (*SIZES, *PLACES) if name in scene.spec.batched]
         drawn = {name: getattr(scene.model, name).numpy().copy() for name in names}
         for name in drawn.keys() & set(SIZES):
             drawn[name][:] = drawn[name].max(axis=0)
+        qpos = scene.data.qpos.numpy()[:NUM_EPISODES].astype(float)
+        content = [field[:NUM_EPISODES].reshape(NUM_EPISODES, -1) for field in drawn.values()]
+        _, distinct = np.unique(np.concatenate([qpos, *content], axis=1), axis=0, return_index=True)
         scenes = []
-        for world, qpos in enumerate(scene.data.qpos.numpy()[:NUM_EPISODES].astype(float)):
+        for world in distinct:
             fields = {name: drawn[name][world].reshape(getattr(self.model, name).shape) for name in names}
-            scenes.append((fields, qpos, self._depth(fields, qpos) + PENETRATION))
+            scenes.append((fields, qpos[world], self._depth(fields, qpos[world]) + PENETRATION))
         return scenes
 
     def _depth(self, fields: dict[str, np.ndarray], qpos: np.ndarray) -> np.ndarray:

@@ -177,14 +177,16 @@ def test_random_rollout_repeats(rollout, tmp_path):
 
 @pytest.mark.parametrize("kind", ["file", "module"])
 def test_policy_of_the_user(rollout, tmp_path, monkeypatch, kind):
+    """It acts as it does outside the command; its file runs once."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     package = tmp_path / "policies_of_test_cli"
     package.mkdir()
-    (package / "reach.py").write_text(POLICY)
+    (package / "reach.py").write_text(f"{POLICY}\nopen('runs', 'a').write('once')\n")
     name = {"file": f"{package.name}/reach.py:act", "module": f"{package.name}.reach:act"}[kind]
     rollout("--policy", name, "--steps", 9, "--seed", 2, "--save", "data.npz")
     assert_recorded("data.npz", direct(user_policy, 9, seed=2)[0])
+    assert (tmp_path / "runs").read_text() == "once"
 
 
 def test_fast_physics_takes_fewer_steps(rollout):

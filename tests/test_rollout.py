@@ -14,9 +14,8 @@ def env():
     return MyoWarpVectorEnv(TASK, 2, device="cpu", autoreset_mode="same_step", max_episode_steps=4)
 
 
-def record(env, monkeypatch, policy, steps=6, **options):
-    monkeypatch.setattr(rollout, "find_policy", lambda *args: policy)
-    return rollout.run(env, "mine", steps, 0, record=True, **options)
+def record(env, act, steps=6, **options):
+    return rollout.run(env, rollout.Policy("mine", act), steps, 0, record=True, **options)
 
 
 def growing(reuse):
@@ -33,15 +32,15 @@ def growing(reuse):
     return act
 
 
-def test_policy_may_reuse_its_array(env, monkeypatch):
-    _, expected = record(env, monkeypatch, growing(reuse=False))
-    _, got = record(env, monkeypatch, growing(reuse=True))
+def test_policy_may_reuse_its_array(env):
+    _, expected = record(env, growing(reuse=False))
+    _, got = record(env, growing(reuse=True))
     for name, steps in expected.arrays.items():
         np.testing.assert_array_equal(np.stack(got.arrays[name]), np.stack(steps), err_msg=name)
     assert len(np.unique(np.stack(expected.arrays["action"]))) == 6
 
 
-def test_policy_may_write_into_its_observations(env, monkeypatch):
+def test_policy_may_write_into_its_observations(env):
     def tidy(obs):
         return np.zeros((2, 6))
 
@@ -49,14 +48,14 @@ def test_policy_may_write_into_its_observations(env, monkeypatch):
         obs[:] = np.nan
         return np.zeros((2, 6))
 
-    _, expected = record(env, monkeypatch, tidy)
-    _, got = record(env, monkeypatch, untidy)
+    _, expected = record(env, tidy)
+    _, got = record(env, untidy)
     np.testing.assert_array_equal(np.stack(got.arrays["obs"]), np.stack(expected.arrays["obs"]))
 
 
-def test_figures_over_several_episodes(env, monkeypatch):
+def test_figures_over_several_episodes(env):
     """Ten steps of episodes of four: two finished ones a world; the third is left out."""
-    summary, recording = record(env, monkeypatch, growing(reuse=False), steps=10)
+    summary, recording = record(env, growing(reuse=False), steps=10)
     reward = np.stack(recording.arrays["reward"]).astype(float)
     returns = np.concatenate([reward[:4].sum(axis=0), reward[4:8].sum(axis=0)])
     assert summary.episodes == 4
@@ -66,8 +65,8 @@ def test_figures_over_several_episodes(env, monkeypatch):
     assert np.flatnonzero(np.stack(recording.arrays["truncated"]).all(axis=1)).tolist() == [3, 7]
 
 
-def test_filmed_worlds_are_the_leading_ones(env, monkeypatch):
-    summary, recording = record(env, monkeypatch, growing(reuse=False), steps=3, filmed=1)
+def test_filmed_worlds_are_the_leading_ones(env):
+    summary, recording = record(env, growing(reuse=False), steps=3, filmed=1)
     assert [len(worlds) for worlds in recording.frames] == [1, 1, 1]
     angles = [worlds[0][0][0] for worlds in recording.frames]
     seen = [obs[0, 0] for obs in recording.arrays["obs"]]
@@ -79,7 +78,7 @@ def test_filmed_worlds_are_the_leading_ones(env, monkeypatch):
 def test_failing_disk_leaves_the_older_file(env, monkeypatch, tmp_path):
     path = tmp_path / "data.npz"
     path.write_bytes(b"older")
-    _, recording = record(env, monkeypatch, growing(reuse=False))
+    _, recording = record(env, growing(reuse=False))
 
     def full(file, **arrays):
         file.write(b"half")

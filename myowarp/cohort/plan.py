@@ -14,7 +14,7 @@ from myowarp.cohort.table import Population, read_population
 from myowarp.kernels.action import MUSCLE
 from myowarp.models.conditions import Condition
 from myowarp.registry import check_choice
-from myowarp.rollout import Policy, check_policy, find_policy
+from myowarp.rollout import Act, Policy, find_policy
 from myowarp.scene import actuator_kinds, oracle_model, resolve_device
 from myowarp.spec import PHYSICS, RESETS, TASKS, TaskSpec
 
@@ -32,8 +32,7 @@ class Plan:
         spec: The task.
         population: The patients.
         conditions: Their conditions, one parameter a world.
-        policy: Name of the policy, or a function.
-        act: The policy's function, None for the built-in ones.
+        policy: What acts.
         steps: Control steps.
         trials: Worlds of each patient.
         seed: Seed of the first trial.
@@ -46,8 +45,7 @@ class Plan:
     spec: TaskSpec
     population: Population
     conditions: tuple[Condition, ...]
-    policy: str
-    act: Policy | None
+    policy: Policy
     steps: int
     trials: int
     seed: int
@@ -65,7 +63,7 @@ class Plan:
 def plan_cohort(
     table: str | Path | pd.DataFrame,
     task: str,
-    policy: str | Policy = "hold",
+    policy: str | Act = "hold",
     steps: int | None = None,
     seed: int = 0,
     *,
@@ -101,14 +99,13 @@ def plan_cohort(
     check_choice("physics", physics, PHYSICS)
     resolve_device(device)
     if isinstance(policy, str):
-        check_policy(policy, spec)
-        act, label = find_policy(policy), policy
+        acts = find_policy(policy, spec)
     else:
-        act, label = policy, getattr(policy, "__name__", type(policy).__name__)
+        acts = Policy(getattr(policy, "__name__", type(policy).__name__), policy)
     model = oracle_model(spec)
     if not model.na:
         raise ValueError(f"a cohort is about muscles; the body of task {spec.key!r} has none")
     muscles = tuple(model.actuator(i).name for i in np.flatnonzero(actuator_kinds(model) == int(MUSCLE)))
     population = read_population(table, muscles)
     conditions = conditions_of(population.entries, spec, trials)
-    return Plan(spec, population, conditions, label, act, steps, trials, seed, every, reset, physics, device)
+    return Plan(spec, population, conditions, acts, steps, trials, seed, every, reset, physics, device)

@@ -18,7 +18,7 @@ from myowarp.interop import checked_action
 from myowarp.kernels.episode import describe_fault
 from myowarp.progress import progress_bar
 from myowarp.registry import check_choice
-from myowarp.rollout import Policy, acting
+from myowarp.rollout import Act, acting
 from myowarp.signals import Signals
 from myowarp.sim import Simulation
 from myowarp.spec import Column
@@ -102,7 +102,7 @@ class CohortResult:
 def run_cohort(
     table: str | Path | pd.DataFrame,
     task: str,
-    policy: str | Policy = "hold",
+    policy: str | Act = "hold",
     steps: int | None = None,
     seed: int = 0,
     *,
@@ -157,10 +157,10 @@ def run_plan(plan: Plan, console: Console | None = None) -> CohortResult:
     return CohortResult(tally.samples(), tally.summary(), tally.settings())
 
 
-def _policy(plan: Plan, sim: Simulation) -> Policy:
+def _policy(plan: Plan, sim: Simulation) -> Act:
     """Return the function that acts; random actions are a trial's, the same for every patient."""
-    if plan.act is not None or plan.policy != "random":
-        return acting(plan.policy, plan.act, sim.scene, plan.seed)
+    if plan.policy.act is not None or plan.policy.name != "random":
+        return acting(plan.policy, sim.scene, plan.seed)
     draws = [np.random.default_rng(plan.seed + trial) for trial in range(plan.trials)]
     patients, num_actions = len(plan.population.patients), sim.scene.num_actions
 
@@ -285,7 +285,7 @@ class _Tally:
         return {
             "myowarp": version("myowarp"),
             "task": plan.spec.env_id,
-            "policy": plan.policy,
+            "policy": plan.policy.name,
             "patients": len(plan.population.patients),
             "trials": plan.trials,
             "seed": plan.seed,
