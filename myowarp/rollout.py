@@ -22,6 +22,7 @@ from myowarp.hold import Hold, check_hold
 from myowarp.progress import progress_bar
 from myowarp.scene import Scene
 from myowarp.signals.record import SignalRecorder
+from myowarp.sim import Look
 from myowarp.spec import TaskSpec
 from myowarp.view.render import WorldRenderer
 from myowarp.view.video import write_video
@@ -51,13 +52,11 @@ class Recording:
 
     Attributes:
         arrays: Name to array of shape (T, N, ...).
-        frames: Joint configuration, activation and goal markers of the filmed worlds, one entry a step.
+        frames: What the filmed worlds look like, one entry a step.
     """
 
     arrays: dict[str, list[np.ndarray]] = field(default_factory=dict)
-    frames: list[list[tuple[np.ndarray, np.ndarray | None, dict[str, np.ndarray]]]] = field(
-        default_factory=list
-    )
+    frames: list[list[Look]] = field(default_factory=list)
 
     def add(self, **values: np.ndarray) -> None:
         """Append one step."""
@@ -279,9 +278,7 @@ def film(
     with WorldRenderer(env.sim.scene.full, *size) as renderer, bar:
         images = (
             renderer.frame_grid(
-                np.stack([qpos for qpos, _, _ in worlds]),
-                None if worlds[0][1] is None else np.array([activation for _, activation, _ in worlds]),
-                {name: np.stack([sites[name] for _, _, sites in worlds]) for name in worlds[0][2]},
+                worlds,
                 columns=-(-len(worlds) // 2) if len(worlds) > 3 else None,
             )
             for worlds in bar.track(recording.frames)

@@ -6,6 +6,7 @@
 
 import secrets
 from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 import mujoco
 import mujoco_warp as mjw
@@ -42,6 +43,27 @@ AUTORESET = {
     "next_step": int(RESET_NEXT_STEP),
     "same_step": int(RESET_SAME_STEP),
 }
+
+
+SHAPE_FIELDS = ("geom_size", "body_pos")  # of the model, which pictures show and tasks draw
+FLOAT32 = 1e-6  # m, rounding of these fields
+
+
+class Look(NamedTuple):
+    """What a picture of a world shows.
+
+    Attributes:
+        qpos: Joint configuration, shape (nq,).
+        activation: For every actuator with a tendon the activation of the muscle that pulls it, NaN if none
+            does; None without muscles.
+        goals: World positions of the goal's markers [m] by the names of their sites.
+        shape: What the world has for itself: (field of the model or data, name of geom or body) to values.
+    """
+
+    qpos: np.ndarray
+    activation: np.ndarray | None
+    goals: dict[str, np.ndarray]
+    shape: dict[tuple[str, str], np.ndarray]
 
 
 class Simulation:
@@ -306,17 +328,12 @@ class Simulation:
             if self._step_graph is not None:
                 self._step_graph = self._capture(self._launch_step)
 
-    def look(self, world: int) -> tuple[np.ndarray, np.ndarray | None, dict[str, np.ndarray]]:
-        """Return what a picture of one world shows.
-
-        Returns:
-            Joint configuration (nq,); for every actuator with a tendon the activation of the muscle that
-            pulls it, NaN if none does, or None without muscles; goal markers.
-        """
+    def look(self, world: int) -> Look:
+        """Return what a picture of one world shows."""
         qpos, goals = self.scene.data.qpos.numpy()[world].copy(), self.program.goal_markers(world)
-        muscles = self.scene.muscles
+        muscles, shape = self.scene.muscles, self._shape(world)
         if not muscles.names:
-            return qpos, None, goals
+            return Look(qpos, None, goals, shape)
         path, transmission = (
             values.numpy()[world % values.shape[0]]
             for values in (muscles.anatomy.path, muscles.anatomy.transmission)
@@ -324,7 +341,22 @@ class Simulation:
         on_tendon = self.scene.oracle.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
         activation = np.full(len(on_tendon), np.nan)
         activation[path] = np.where(transmission > 0.0, muscles.activation.numpy()[world], np.nan)
-        return qpos, activation[on_tendon], goals
+        return Look(qpos, activation[on_tendon], goals, shape)
+
+    def _shape(self, world: int) -> dict[tuple[str, str], np.ndarray]:
+        """Return `Look.shape` of a world."""
+        model, oracle = self.scene.model, self.scene.oracle
+        shape = {}
+        for field in SHAPE_FIELDS:
+            values = getattr(model, field).numpy()
+            own, nominal = values[world % len(values)], getattr(oracle, field)
+            element = getattr(oracle, field.partition("_")[0])
+            for i in np.flatnonzero(np.abs(own - nominal).max(axis=1) > FLOAT32):
+                shape[field, element(int(i)).name] = own[i].copy()
+        for body in np.flatnonzero(oracle.body_mocapid >= 0):
+            quat = self.scene.data.mocap_quat.numpy()[world, oracle.body_mocapid[body]]
+            shape["mocap_quat", oracle.body(int(body)).name] = quat.copy()
+        return shape
 
     def reset(self, mask: np.ndarray | None = None, seeds: np.ndarray | None = None) -> None:
         """Start new episodes; their first observation is in `transition.obs`.

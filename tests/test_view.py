@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from myowarp.scene import full_spec
+from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 from myowarp.view import look
 from myowarp.view.human import HumanViewer
@@ -61,9 +62,42 @@ def test_picture_shows_pose_activation_and_target(model, renderer):
 
 def test_grid_holds_the_tiles(model, renderer):
     poses = np.stack([model.qpos0, middle(model), model.qpos0])
-    grid = renderer.frame_grid(poses, columns=2)
+    grid = renderer.frame_grid([(pose,) for pose in poses], columns=2)
     np.testing.assert_array_equal(grid[: SIZE[1], : SIZE[0]], renderer.frame(poses[0]))
     np.testing.assert_array_equal(grid[: SIZE[1], -SIZE[0] :], renderer.frame(poses[1]))
+
+
+@pytest.mark.parametrize(
+    "key", ["myoHandObjHoldRandom-v1", "myoHandKeyTurnRandom-v1", "myoHandPenTwirlRandom-v1"]
+)
+def test_worlds_are_drawn_with_their_own_objects(key):
+    """Size, place or turn of what a world drew: the geometry of the picture is that of the simulation."""
+    sim = Simulation(TASKS[key], 2, device="cpu", graph=False, progress=False)
+    sim.reset(seeds=np.arange(2))
+    model, oracle = sim.scene.full, sim.scene.oracle
+    drawn = mujoco.MjData(model)
+    for world in range(2):
+        seen = sim.look(world)
+        assert seen.shape
+        look.pose(model, drawn, seen.qpos, seen.shape)
+        for body in set(seen.shape):
+            name = oracle.geom(body[1]).bodyid[0] if body[0] == "geom_size" else oracle.body(body[1]).id
+            theirs = sim.scene.data.xpos.numpy()[world, name], sim.scene.data.xquat.numpy()[world, name]
+            ours = model.body(oracle.body(name).name).id
+            np.testing.assert_allclose(drawn.xpos[ours], theirs[0], atol=1e-6)
+            np.testing.assert_allclose(drawn.xquat[ours], theirs[1], atol=1e-6)
+        if key.startswith("myoHandObjHold"):
+            size = sim.program.object_size.numpy()[world]
+            np.testing.assert_array_equal(model.geom_size[model.geom("object").id], size)
+    try:
+        with WorldRenderer(model, *SIZE) as renderer:
+            own, other = (renderer.frame(*sim.look(world)) for world in range(2))
+            np.testing.assert_array_equal(renderer.frame(*sim.look(0)), own)
+            nominal = renderer.frame(*sim.look(0)[:3])
+    except NoGraphicsError as error:
+        pytest.skip(str(error))
+    assert not np.array_equal(own, other)
+    assert not np.array_equal(own, nominal)
 
 
 def test_unknown_camera_lists_the_known(model):

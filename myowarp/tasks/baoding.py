@@ -38,7 +38,7 @@ DROP = wp.constant(4)  # column of the first term that only the corrected reward
 
 PALM_UP = -1.57  # rad, pronation at the start
 BALLS = {"ball1": (-0.227, -0.511, 1.452), "ball2": (-0.256, -0.552, 1.442)}  # m, world
-COLORS = ((0.8, 0.25, 0.2, 1.0), (0.2, 0.4, 0.8, 1.0))
+COLORS = ((0.8, 0.25, 0.2, 0.6), (0.2, 0.4, 0.8, 0.6))  # let the targets be seen through the balls
 BALL_RADIUS, BALL_MASS = 0.022, 0.043  # m, kg
 BALL_FRICTION = (1.0, 0.005, 0.0001)  # slide, spin, roll
 FRICTION_RANGE = ((0.8, 0.004, 0.00008), (1.2, 0.006, 0.00012))  # nominal -+ (0.2, 0.001, 0.00002)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Any, Literal
 
@@ -103,6 +103,7 @@ class HumanViewer:
         activation: np.ndarray | None = None,
         sites: Mapping[str, np.ndarray] | None = None,
         time: float = 0.0,
+        shapes: Sequence[Mapping[tuple[str, str], np.ndarray]] | None = None,
     ) -> None:
         """Shows one moment of one or several worlds, side by side.
 
@@ -112,6 +113,8 @@ class HumanViewer:
                 or None; NaN hides a muscle.
             sites: task targets: name to position in its world [m], shape ``(3,)`` or ``(num_worlds, 3)``.
             time: simulated time [s].
+            shapes: for each world its own geometry, as in ``WorldRenderer.frame``; places and turns are
+                shown, sizes stay nominal.
 
         Raises:
             ValueError: a shape is wrong or a position is not finite.
@@ -126,7 +129,11 @@ class HumanViewer:
         _check_count(count, activation, sites)
         if count != self._shown:
             self._arrange(count)
-        moments = [self._moment(world, qpos, activation, sites, self._shift[world]) for world in range(count)]
+        shapes = shapes or [{}] * count
+        moments = [
+            self._moment(world, qpos, activation, sites, shapes[world], self._shift[world])
+            for world in range(count)
+        ]
         self.viewer.begin_frame(float(time))
         self._log_geoms(np.stack([moment[0] for moment in moments]), count)
         self._log_muscles(moments)
@@ -145,10 +152,11 @@ class HumanViewer:
         qpos: np.ndarray,
         activation: np.ndarray | None,
         sites: Mapping[str, np.ndarray],
+        shape: Mapping[tuple[str, str], np.ndarray],
         shift: np.ndarray,
     ) -> tuple[np.ndarray, ...]:
         """Returns geom transforms, muscle pieces with colours, and markers of one world, moved aside."""
-        look.pose(self._model, self._data, qpos[world])
+        look.pose(self._model, self._data, qpos[world], shape)
         rgb = look.activation_rgb(None if activation is None else activation[world], len(self._tendons))
         starts, ends, owner = look.tendon_segments(self._model, self._data, self._tendons)
         if activation is not None:

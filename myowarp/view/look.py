@@ -66,8 +66,33 @@ def activation_rgb(activation: np.ndarray | None, num_muscles: int) -> np.ndarra
     return (1.0 - level) * RELAXED_RGB + level * TENSED_RGB
 
 
-def pose(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> None:
+def geometry(model: mujoco.MjModel, data: mujoco.MjData, key: tuple[str, str]) -> np.ndarray:
+    """Returns a view of the row of a field of the model, or of ``mocap_quat``, that a geom or body has.
+
+    Args:
+        model: the model.
+        data: the data.
+        key: name of the field, and of the geom or body.
+    """
+    field, name = key
+    if field == "mocap_quat":
+        return data.mocap_quat[model.body(name).mocapid[0]]
+    return getattr(model, field)[getattr(model, field.partition("_")[0])(name).id]
+
+
+def pose(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    qpos: np.ndarray,
+    shape: Mapping[tuple[str, str], np.ndarray] | None = None,
+) -> None:
     """Sets ``qpos`` and computes the positions that drawing needs, without collision or dynamics.
+
+    Args:
+        model: the model, whose geometry takes the values of ``shape``.
+        data: the data to fill.
+        qpos: generalised position, shape ``(nq,)``.
+        shape: geometry of one world: (field of model or data, name of geom or body) to values.
 
     Raises:
         ValueError: the shape is wrong or a value is not finite.
@@ -79,6 +104,8 @@ def pose(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> None:
         bad = int(np.flatnonzero(~np.isfinite(qpos))[0])
         raise ValueError(f"qpos needs finite values, got {qpos[bad]} at index {bad}; reset that world first")
     data.qpos[:] = qpos
+    for key, values in (shape or {}).items():
+        geometry(model, data, key)[:] = values
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_camlight(model, data)

@@ -45,7 +45,8 @@ class Pictures:
             from myowarp.view.human import HumanViewer
 
             self._viewer = HumanViewer(sim.scene.full)
-        self._viewer.show(*sim.look(0))
+        seen = sim.look(0)
+        self._viewer.show(seen.qpos, seen.activation, seen.goals, shapes=[seen.shape])
 
     def close(self) -> None:
         """Close what is open."""

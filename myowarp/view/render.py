@@ -16,7 +16,8 @@ import importlib
 import os
 import platform
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -115,6 +116,7 @@ class WorldRenderer:
         self.camera = framed if camera is None else camera
         self._model = _prepared(model, self.radius, OVERSAMPLING * width, OVERSAMPLING * height)
         self._data = mujoco.MjData(self._model)
+        self._nominal: dict[tuple[str, str], np.ndarray] = {}  # of what some world had for itself
         self._option = _drawing_options()
         self._tips = look.tip_sites(model)
         self._tip_radii = look.tip_radii(model, self._tips, self.radius)
@@ -135,6 +137,7 @@ class WorldRenderer:
         qpos: np.ndarray,
         activation: np.ndarray | None = None,
         sites: Mapping[str, np.ndarray] | None = None,
+        shape: Mapping[tuple[str, str], np.ndarray] | None = None,
     ) -> np.ndarray:
         """Draws one world.
 
@@ -143,6 +146,7 @@ class WorldRenderer:
             activation: muscle activation [1], shape ``(num_muscles,)``, or None; NaN hides a muscle.
             sites: task targets: name to position in the world [m], shape ``(3,)``. A site of the model of
                 that name gives the size; ``<tip>_target`` is joined to the site ``<tip>`` by a line.
+            shape: geometry of this world alone: (field of model or data, name of geom or body) to values.
 
         Returns:
             Image, uint8, shape ``(height, width, 3)``.
@@ -154,7 +158,9 @@ class WorldRenderer:
         if self._renderer is None:
             raise RuntimeError("frame needs an open WorldRenderer, got a closed one; make a new one")
         rgb = look.activation_rgb(activation, self.num_muscles)
-        look.pose(self._model, self._data, qpos)
+        for key in shape or {}:
+            self._nominal.setdefault(key, look.geometry(self._model, self._data, key).copy())
+        look.pose(self._model, self._data, qpos, self._nominal | dict(shape or {}))
         self._model.tendon_rgba[self.tendons, :3] = rgb
         self._model.tendon_rgba[self.tendons, 3] = 1.0 if activation is None else ~np.isnan(activation)
         bulge = 0.5 if activation is None else np.clip(np.nan_to_num(activation), 0.0, 1.0)
@@ -167,33 +173,22 @@ class WorldRenderer:
         self._add_markers(scene, sites or {})
         return _shrunk(self._renderer.render())
 
-    def frame_grid(
-        self,
-        qpos: np.ndarray,
-        activation: np.ndarray | None = None,
-        sites: Mapping[str, np.ndarray] | None = None,
-        columns: int | None = None,
-    ) -> np.ndarray:
+    def frame_grid(self, looks: Sequence[tuple[Any, ...]], columns: int | None = None) -> np.ndarray:
         """Draws several worlds as tiles of one image, row by row.
 
         Args:
-            qpos: generalised positions, shape ``(num_worlds, nq)``.
-            activation: muscle activation [1], shape ``(num_worlds, num_muscles)``, or None.
-            sites: task targets: name to positions in the world [m], shape ``(num_worlds, 3)``.
+            looks: for each world the arguments of `frame`.
             columns: tiles in a row; by default the grid is as square as it can be.
 
         Returns:
             Image, uint8; each tile has the renderer's width and height. Unused tiles stay blank.
 
         Raises:
-            ValueError: a shape is wrong.
+            ValueError: a shape is wrong, or there is no world.
         """
-        qpos = np.asarray(qpos)
-        if qpos.ndim != 2 or not len(qpos):
-            raise ValueError(
-                f"frame_grid needs qpos of shape (num_worlds, {self._model.nq}), got {qpos.shape}"
-            )
-        count = len(qpos)
+        count = len(looks)
+        if not count:
+            raise ValueError("frame_grid needs the looks of one world at least, got none")
         columns = min(columns or int(np.ceil(count**0.5)), count)
         rows = -(-count // columns)
         step = np.array((self.height, self.width)) + SEPARATOR_PX
@@ -202,11 +197,7 @@ class WorldRenderer:
         )
         for world in range(count):
             top, left = np.array(divmod(world, columns)) * step
-            image[top : top + self.height, left : left + self.width] = self.frame(
-                qpos[world],
-                None if activation is None else activation[world],
-                {name: position[world] for name, position in (sites or {}).items()},
-            )
+            image[top : top + self.height, left : left + self.width] = self.frame(*looks[world])
         return image
 
     def close(self) -> None:
