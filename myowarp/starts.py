@@ -184,21 +184,26 @@ class Search:
     def _draw_scenes(self) -> list[tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]]:
         """Return fields of the model, configuration and allowed depths at the starts of several episodes.
 
-        Those that agree are returned once.
+        The first is the task's own start; those that agree are returned once.
         """
         scene = self.sim.scene
         self.sim.reset(seeds=self.rng.integers(2**32, size=BATCH))
-        names = [name for name in (*SIZES, *PLACES) if name in scene.spec.batched]
-        drawn = {name: getattr(scene.model, name).numpy().copy() for name in names}
-        for name in drawn.keys() & set(SIZES):
-            drawn[name][:] = drawn[name].max(axis=0)
-        qpos = scene.data.qpos.numpy()[:NUM_EPISODES].astype(float)
-        content = [field[:NUM_EPISODES].reshape(NUM_EPISODES, -1) for field in drawn.values()]
-        _, distinct = np.unique(np.concatenate([qpos, *content], axis=1), axis=0, return_index=True)
+        qpos = np.vstack([np.float32(self.start), scene.data.qpos.numpy()[:NUM_EPISODES]]).astype(float)
+        fields = {}
+        for name in (*SIZES, *PLACES):
+            if name in scene.spec.batched:
+                values = getattr(scene.model, name).numpy().reshape(BATCH, -1).copy()
+                if name in SIZES:
+                    values[:] = values.max(axis=0)
+                own = getattr(self.model, name).reshape(1, -1)
+                fields[name] = np.concatenate([np.float32(own), values[:NUM_EPISODES]])
+        rows = np.concatenate([qpos, *fields.values()], axis=1)
         scenes = []
-        for world in distinct:
-            fields = {name: drawn[name][world].reshape(getattr(self.model, name).shape) for name in names}
-            scenes.append((fields, qpos[world], self._depth(fields, qpos[world]) + PENETRATION))
+        for row in np.unique(rows, axis=0, return_index=True)[1]:
+            here = {
+                name: field[row].reshape(getattr(self.model, name).shape) for name, field in fields.items()
+            }
+            scenes.append((here, qpos[row], self._depth(here, qpos[row]) + PENETRATION))
         return scenes
 
     def _depth(self, fields: dict[str, np.ndarray], qpos: np.ndarray) -> np.ndarray:

@@ -102,7 +102,7 @@ def test_every_task_is_registered(key):
     """The modules imported above did this; nothing registers by hand."""
     task, spec = TASKS[key], gym.spec(f"MyoWarp/{key}")
     assert spec.max_episode_steps == task.horizon
-    assert spec.kwargs == {"task": key}
+    assert spec.kwargs == {"task": key, "reset": "task", "conditions": ()}
     assert gym.envs.registration.load_env_creator(spec.entry_point) is MyoWarpEnv
     assert gym.envs.registration.load_env_creator(spec.vector_entry_point) is MyoWarpVectorEnv
 

@@ -35,6 +35,7 @@ DRAWS = {
     "motorFingerPoseRandom-v0": {"target": ((-0.2, -0.4, 0.1, 0.1), (0.2, 1, 1, 1))},
     "myoElbowPose1D6MFixed-v0": {"qpos": (0, 2.26893)},
     "myoElbowPose1D6MRandom-v0": {"target": (0, 2.27), "qpos": (0, 2.26893)},
+    "myoElbowPose1D6MExoRandom-v0": {"target": (0, 2.27), "carried_mass": (0.1, 2.0)},
     "myoHandPoseRandom-v1": {
         "target": (np.min(DIGITS, axis=0), np.max(DIGITS, axis=0)),
         "qpos": tuple(np.transpose(HAND_RANGES)),
@@ -111,6 +112,7 @@ READ = {
     "goal": lambda program: program.goal.numpy(),
     "object_size": lambda program: program.object_size.numpy(),
     "tilt": tilt,
+    "carried_mass": lambda program: program.weight.mass.numpy(),
     "ball_mass": lambda program: of_balls(program, "body_mass"),
     "ball_radius": lambda program: of_balls(program, "geom_size")[:, :, 0],
     "ball_friction": lambda program: of_balls(program, "geom_friction"),

@@ -154,7 +154,7 @@ def test_rollout_records(tmp_path):
     path = tmp_path / "run.npz"
     env = MyoWarpVectorEnv(ELBOW, 2, device="cpu", autoreset_mode="same_step", max_episode_steps=4)
     with recording(env.sim, path) as recorder:
-        rollout.run(env, "random", 6, 0, recorder=recorder)
+        rollout.run(env, rollout.Policy("random"), 6, 0, recorder=recorder)
     with np.load(path) as saved:
         np.testing.assert_allclose(saved["time"][:, 0], 0.02 * np.array([1, 2, 3, 4, 1, 2]))
         assert saved["episode"][:, 1].tolist() == [1, 1, 1, 1, 2, 2]
