@@ -367,3 +367,14 @@ def test_audit_of_a_task_with_an_object():
     assert found.objects.inertia_ratio == pytest.approx(1e-4 / 2.23e-5, rel=0.01)
     assert list(found.objects.why) == ["friction_effective"]
     assert found.faults == dict.fromkeys(found.faults, 0)
+
+
+@pytest.mark.parametrize(("key", "off"), [("myoHandPose4Fixed", 47.8e-3), ("myoHandPose6Fixed", 47.8e-3)])
+def test_thumb_is_where_it_was_published(key, off):
+    """MyoSuite 3.0.0 puts the thumb tip of these signs 47.8 mm off; in the axes' order 0.03 mm."""
+    found = []
+    for version in (0, 1):
+        sim = Simulation(TASKS[f"{key}-v{version}"], 1, device="cpu", graph=False, progress=False)
+        found.append(targets.measure(sim).thumb_off)
+    assert abs(found[0] - off) < 1e-4
+    assert found[1] < 3e-5

@@ -87,6 +87,14 @@ FIGURES = (
         lambda a: _percent(a.targets.exact),
     ),
     Figure(
+        "thumb off, mm",
+        "Largest distance of the thumb tip in a target posture from where it was published.",
+        lambda a: None if a.targets.thumb_off is None else 1e3 * a.targets.thumb_off,
+        digits=1,
+        bad=lambda value: value > 1.0,
+        finding="Target postures are not those published: the thumb tip is {} mm off.",
+    ),
+    Figure(
         "fails early, %",
         f"Starts from which zero actions fail within {EARLY_STEPS} steps, in the worst reset.",
         lambda a: _percent(_early(a)),

@@ -5,18 +5,20 @@ the start. Muscles, gravity and time are not, so a share is an upper bound of wh
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 import warp as wp
 
 from myowarp.audit.objects import host_model, object_bodies, overlaps, place
+from myowarp.models.bodies import BODIES
 from myowarp.models.reachability import reachable
 from myowarp.sim import Simulation
 from myowarp.spec import TaskSpec
 from myowarp.tasks import baoding, pen_twirl
 from myowarp.tasks.baoding import BaodingTask
+from myowarp.tasks.hand_poses import as_in_myosuite_3
 from myowarp.tasks.key_turn import KeyTurnTask
 from myowarp.tasks.object_hold import ObjectHoldTask
 from myowarp.tasks.pen_twirl import PenTwirlTask
@@ -43,6 +45,8 @@ class Targets:
         unit: Unit of `worst`.
         rule: What the shares say.
         why: Why there are none, empty where there are.
+        thumb_off: Largest distance [m] of the thumb tip in a target posture from where the hand has it for
+            which the posture was published; None: the targets are no such postures.
     """
 
     count: int
@@ -52,6 +56,7 @@ class Targets:
     unit: str
     rule: str
     why: str = ""
+    thumb_off: float | None = None
 
 
 def measure(sim: Simulation) -> Targets:
@@ -105,7 +110,31 @@ def _pose(sim: Simulation) -> Targets:
         f"solvable: some posture within the joint ranges is closer than {spec.near:.3g} rad, norm over all "
         "joints; exact: the target is within the ranges"
     )
-    return _judged(_draws(sim, program.target.numpy), judge, "rad", rule)
+    drawn = _draws(sim, program.target.numpy)
+    found = _judged(drawn, judge, "rad", rule)
+    if spec.body != "hand":
+        return found
+    return replace(found, thumb_off=_thumb_off(spec, np.unique(drawn, axis=0)))
+
+
+def _thumb_off(spec: PoseTask, targets: np.ndarray) -> float:
+    """Return `Targets.thumb_off` of hand postures, shape (num_targets, num_joints).
+
+    They were published for the hand of MyoSuite 2, ours that touches. Its thumb has the axes of the hand of
+    the pose tasks; version 0 has MyoSuite 3's values, two of them in each other's place.
+    """
+    models = [BODIES[name].build().compile() for name in (spec.body, "contact_hand")]
+    posed = [mujoco.MjData(model) for model in models]
+    worst = 0.0
+    for target in targets:
+        published = as_in_myosuite_3(tuple(target)) if spec.version == 0 else target
+        place = []
+        for model, data, qpos in zip(models, posed, (target, published), strict=True):
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(model, data)
+            place.append(data.site("THtip_r").xpos.copy())
+        worst = max(worst, float(np.linalg.norm(place[0] - place[1])))
+    return worst
 
 
 def _reach(sim: Simulation) -> Targets:
