@@ -71,12 +71,14 @@ def main() -> None:
     for row in rows:
         if any(row["faults"].values()):
             print(f"{row['id']}: {row['faults']}")
-    margins = [row["row_margin_percent"] for row in rows]
-    pools = [row["contact_margin_percent"] for row in rows if row["contact_margin_percent"] is not None]
+    touching = [
+        row for row in rows if row["contact_margin_percent"] is not None
+    ]  # else rows have an exact bound
+    pools, margins = (min(row[f"{what}_margin_percent"] for row in touching) for what in ("contact", "row"))
     print(
         f"{len(rows)} ids, {sum(row['env_steps'] for row in rows):,} environment steps, "
         f"{sum(any(row['faults'].values()) for row in rows)} ids with a fault; "
-        f"free at the fullest: {min(pools):.0f} % of contacts, {min(margins):.0f} % of rows"
+        f"free at the fullest: {pools:.0f} % of contacts, {margins:.0f} % of rows"
     )
 
 

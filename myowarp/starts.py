@@ -1,6 +1,6 @@
 """Random start configurations of a task: free of penetration, and shown by the engine not to fail at once.
 
-A posture is drawn uniformly within the joint ranges; where geoms can touch, only a random subset of the
+A posture is drawn uniformly within the joint ranges; where geoms touch, only a random subset of the
 joints goes there from the task's own start, and part of the way. What lies in the hand goes with the palm. A
 start is kept if
 
@@ -162,13 +162,13 @@ class Search:
     def _draw(self) -> list[np.ndarray]:
         """Draw a posture; return its start, or nothing if it is not free of penetration.
 
-        Where geoms can touch, the share of the joints that move, and how far each of them goes, are square
+        Where geoms touch, the share of the joints that move, and how far each of them goes, are square
         roots of uniform numbers: 2/3 on average. Closer to 1 postures would differ more, and fewer be good.
         """
         self.draws += 1
         draw, number = self.rng.uniform, len(self.posture)
         step = np.ones(number)
-        if self.sim.scene.capacity.contacts > 0:
+        if self.sim.scene.capacity.peak_contacts > 0:
             step = np.where(draw(size=number) < np.sqrt(draw()), np.sqrt(draw(size=number)), 0.0)
         qpos = self.start.copy()
         qpos[self.posture] += step * (draw(self.low, self.high) - qpos[self.posture])

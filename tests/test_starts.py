@@ -17,7 +17,7 @@ from myowarp.starts import FAIL_STEPS, PENETRATION, posture_joints, start_addres
 SCENES = sorted({TASKS[key].scene_key: key for key in TASKS if "Random" in key or "P2" in key}.values())
 TOUCHING = [key for key in SCENES if TASKS[key].body == "contact_hand"]
 CARRYING = [key for key in SCENES if TASKS[key].carried]
-ELBOW, KEY = "myoElbowPose1D6MRandom-v0", "myoHandKeyTurnRandom-v0"
+ELBOW, KEY = "myoElbowPose1D6MRandom-v0", "myoHandKeyTurnRandom-v1"
 
 NUM_STARTS = 256  # the first rows of the full table: starts are found one after the other
 NUM_WORLDS = 256
