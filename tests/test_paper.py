@@ -15,6 +15,12 @@ HARD = [row for row in GRID if row.difficulty == "hard"]
 SHOWN = [row for row in HARD if row.condition == "none" or row.reset == "fixed"]
 
 
+def marked(row):
+    """Return a cell, slow where its table of random starts takes half a minute (tests/test_starts.py)."""
+    slow = row.reset == "random" and TASKS[row.task].body == "contact_hand"
+    return pytest.param(row, id=row.id, marks=[pytest.mark.slow] if slow else [])
+
+
 def test_the_grid_is_the_papers():
     """6 hand families x 2 x 3 x 4, 2 finger families x 2 x 3 x 3, the elbow 2 x 3 x 4."""
     assert len(GRID) == 204
@@ -30,7 +36,7 @@ def test_the_grid_is_the_papers():
         assert (spec.kwargs["task"], spec.kwargs["reset"]) == (row.task, row.reset)
 
 
-@pytest.mark.parametrize("row", SHOWN, ids=lambda row: row.id)
+@pytest.mark.parametrize("row", map(marked, SHOWN))
 def test_cells_run(row):
     env = gymnasium.make_vec(row.id, num_envs=2, device="cpu", progress=False)
     scene = env.unwrapped.sim.scene
