@@ -14,6 +14,7 @@ from rich.table import Column, Table
 
 from myowarp.audit.figures import FIGURES, Figure, changes, findings
 from myowarp.audit.measure import Audit, audit
+from myowarp.files import in_place
 from myowarp.progress import progress_bar
 from myowarp.spec import TASKS, TaskSpec
 from myowarp.tasks.paper import grid
@@ -104,10 +105,12 @@ def audit_all(
 
             found = measure(job.spec, reset=job.reset, conditions=job.conditions, tick=tick, **options)
             done.append(found if job.id == found.id else found.named(job.id))
-            write(folder / "audit.json", as_json(done))
+            with in_place(folder / "audit.json") as scratch:
+                scratch.write_text(as_json(done))
             if page is not None:
                 page.add(done[-1])
-                write(folder / "index.html", page.html())
+                with in_place(folder / "index.html") as scratch:
+                    scratch.write_text(page.html())
         bar.update(task, completed=len(jobs), stage="done")
     files = "audit.json" if page is None else "audit.json and index.html"
     console.print(f"Saved {files} in {folder}", markup=False)
@@ -126,22 +129,6 @@ def check_folder(folder: Path) -> None:
             pass
     except OSError as error:
         raise ValueError(f"output {str(folder)!r} must be a folder that can be written: {error}") from error
-
-
-def write(path: Path, text: str) -> None:
-    """Write a file in one move: who reads it finds the old or the new one.
-
-    Raises:
-        OSError: It cannot be written.
-    """
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=path.suffix, delete=False) as scratch:
-        try:
-            scratch.write(text)
-        except BaseException:
-            Path(scratch.name).unlink()
-            raise
-    Path(scratch.name).chmod(0o644)
-    Path(scratch.name).replace(path)
 
 
 def upstreams(audits: Iterable[Audit]) -> dict[str, Audit]:
