@@ -19,10 +19,10 @@ from rich.console import Console
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.files import in_place
 from myowarp.hold import Hold, check_hold
+from myowarp.look import Look
 from myowarp.progress import progress_bar
 from myowarp.scene import Scene
 from myowarp.signals.record import SignalRecorder
-from myowarp.sim import Look
 from myowarp.spec import TaskSpec
 from myowarp.view.render import WorldRenderer
 from myowarp.view.video import write_video

@@ -6,13 +6,12 @@
 
 import secrets
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
 
-import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.fusions import FUSIONS, Fusion, applicable_fusions, installed, verified_fusions
 from myowarp.kernels.action import apply_action
 from myowarp.kernels.episode import (
     RESET_DISABLED,
@@ -28,6 +27,7 @@ from myowarp.kernels.episode import (
     open_episode,
 )
 from myowarp.kernels.reset import place_start, reset_worlds
+from myowarp.look import Look, look_at
 from myowarp.models.conditions import Condition, resolve
 from myowarp.models.conditions.parameter import Clock
 from myowarp.models.muscles import restore_anatomy
@@ -43,27 +43,6 @@ AUTORESET = {
     "next_step": int(RESET_NEXT_STEP),
     "same_step": int(RESET_SAME_STEP),
 }
-
-
-SHAPE_FIELDS = ("geom_size", "body_pos")  # of the model, which pictures show and tasks draw
-FLOAT32 = 1e-6  # m, rounding of these fields
-
-
-class Look(NamedTuple):
-    """What a picture of a world shows.
-
-    Attributes:
-        qpos: Joint configuration, shape (nq,).
-        activation: For every actuator with a tendon the activation of the muscle that pulls it, NaN if none
-            does; None without muscles.
-        goals: World positions of the goal's markers [m] by the names of their sites.
-        shape: What the world has for itself: (field of the model or data, name of geom or body) to values.
-    """
-
-    qpos: np.ndarray
-    activation: np.ndarray | None
-    goals: dict[str, np.ndarray]
-    shape: dict[tuple[str, str], np.ndarray]
 
 
 class Simulation:
@@ -94,6 +73,7 @@ class Simulation:
         autoreset: str = "next_step",
         horizon: int | None = None,
         graph: bool = True,
+        fusions: Iterable[str] | None = None,
         progress: bool = True,
     ) -> None:
         """Compile the scene, compile the kernels and capture the step.
@@ -109,6 +89,7 @@ class Simulation:
             autoreset: Gymnasium's mode, a key of `AUTORESET`.
             horizon: Control steps in an episode; None: the task's.
             graph: Whether to capture the step as a graph.
+            fusions: Names in `FUSIONS` to use where they apply; None: all.
             progress: Whether to show progress bars while kernels compile and random starts are found.
 
         Raises:
@@ -132,10 +113,13 @@ class Simulation:
                 self.start_address = wp.array(start_address(spec, self.scene.oracle), dtype=int)
             self._idle: frozenset[str] = frozenset()
             self._probes: list[Callable[[], None]] = []
-            compile_kernels(self._launch_all, self.scene.device, show=progress)
+            self._fusions: tuple[Fusion, ...] = ()
+            candidates = applicable_fusions(self.scene, FUSIONS if fusions is None else fusions)
+            compile_kernels(lambda: self._launch_all(candidates), self.scene.device, show=progress)
             self._idle = verified_idle(
                 self.scene.oracle, self.scene.model, self.scene.data, self._launch_physics
             )
+            self._fusions = verified_fusions(self.scene, candidates, self._launch_physics)
             self._step_graph = self._capture(self._launch_step) if graph else None
             self._reset_graph = self._capture(self._launch_asked_reset) if graph else None
         self.reset()
@@ -187,10 +171,13 @@ class Simulation:
             setattr(transition, flag, wp.zeros(n, dtype=bool))
         return transition
 
-    def _launch_all(self) -> None:
-        """Every launch there is, for the compiler."""
+    def _launch_all(self, candidates: tuple[Fusion, ...]) -> None:
+        """Every launch there is, for the compiler: the stock step, and the one with fusions."""
         self._launch_step()
         self._launch_asked_reset()
+        if candidates:
+            with installed(candidates):
+                self._launch_physics()
 
     def _launch_step(self) -> None:
         """One control step of all worlds."""
@@ -212,7 +199,8 @@ class Simulation:
 
     def _launch_physics(self) -> None:
         """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
-        mjw.step(self.scene.model, self.scene.data)
+        with installed(self._fusions):
+            mjw.step(self.scene.model, self.scene.data)
 
     def _launch_control(self, model: mjw.Model, data: mjw.Data) -> None:
         """Engine callback: the muscles, and what conditions do in a physics step."""
@@ -330,33 +318,7 @@ class Simulation:
 
     def look(self, world: int) -> Look:
         """Return what a picture of one world shows."""
-        qpos, goals = self.scene.data.qpos.numpy()[world].copy(), self.program.goal_markers(world)
-        muscles, shape = self.scene.muscles, self._shape(world)
-        if not muscles.names:
-            return Look(qpos, None, goals, shape)
-        path, transmission = (
-            values.numpy()[world % values.shape[0]]
-            for values in (muscles.anatomy.path, muscles.anatomy.transmission)
-        )
-        on_tendon = self.scene.oracle.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
-        activation = np.full(len(on_tendon), np.nan)
-        activation[path] = np.where(transmission > 0.0, muscles.activation.numpy()[world], np.nan)
-        return Look(qpos, activation[on_tendon], goals, shape)
-
-    def _shape(self, world: int) -> dict[tuple[str, str], np.ndarray]:
-        """Return `Look.shape` of a world."""
-        model, oracle = self.scene.model, self.scene.oracle
-        shape = {}
-        for field in SHAPE_FIELDS:
-            values = getattr(model, field).numpy()
-            own, nominal = values[world % len(values)], getattr(oracle, field)
-            element = getattr(oracle, field.partition("_")[0])
-            for i in np.flatnonzero(np.abs(own - nominal).max(axis=1) > FLOAT32):
-                shape[field, element(int(i)).name] = own[i].copy()
-        for body in np.flatnonzero(oracle.body_mocapid >= 0):
-            quat = self.scene.data.mocap_quat.numpy()[world, oracle.body_mocapid[body]]
-            shape["mocap_quat", oracle.body(int(body)).name] = quat.copy()
-        return shape
+        return look_at(self.scene, self.program.goal_markers(world), world)
 
     def reset(self, mask: np.ndarray | None = None, seeds: np.ndarray | None = None) -> None:
         """Start new episodes; their first observation is in `transition.obs`.

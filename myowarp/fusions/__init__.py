@@ -1,0 +1,138 @@
+"""Parts of the engine's step done by kernels of ours: same results, less work.
+
+A fusion stands in for some of mujoco-warp's launches wherever a model allows it. It depends on the engine's
+internals, so `verified_fusions` trusts none before a physics step with it has given what the stock step
+gives, in states of the task itself; otherwise the stock launches stay. A new fusion is one file here, device
+code in `kernels/`, and one import at the foot of this file.
+"""
+
+import abc
+import contextlib
+import logging
+from collections.abc import Callable, Iterable, Iterator
+
+import mujoco
+import numpy as np
+import warp as wp
+
+from myowarp.registry import Registry
+from myowarp.scene import Scene
+
+logger = logging.getLogger("myowarp")
+
+NUM_STATES = 16  # compared, at least
+CONTROL_STEPS = 8  # between two states, at most
+TRUSTED_SHARE = 0.9  # of the states that must agree: the engine itself loses single contacts
+
+
+class Fusion(abc.ABC):
+    """Kernels of ours in place of a part of the engine's step.
+
+    Attributes:
+        TOLERANCE: Largest difference to the stock step's change of velocity, as a share of the largest change
+            in the state (float32 sums in another order).
+    """
+
+    TOLERANCE = 1e-4
+
+    @classmethod
+    @abc.abstractmethod
+    def obstacle(cls, scene: Scene) -> str | None:
+        """Return why this scene cannot use the fusion, None if it can."""
+
+    @abc.abstractmethod
+    def __init__(self, scene: Scene) -> None:
+        """Allocate all that the kernels need, on the scene's device."""
+
+    @abc.abstractmethod
+    def installed(self) -> contextlib.AbstractContextManager[None]:
+        """Have the engine launch our kernels in place of its own in the block."""
+
+
+FUSIONS: Registry[type[Fusion]] = Registry("fusion")
+
+
+@contextlib.contextmanager
+def installed(fusions: Iterable[Fusion]) -> Iterator[None]:
+    """Install several fusions for a block."""
+    with contextlib.ExitStack() as stack:
+        for fusion in fusions:
+            stack.enter_context(fusion.installed())
+        yield
+
+
+def applicable_fusions(scene: Scene, names: Iterable[str]) -> tuple[Fusion, ...]:
+    """Return the fusions of these names that a scene can use, in the order of the names."""
+    return tuple(FUSIONS[name](scene) for name in names if FUSIONS[name].obstacle(scene) is None)
+
+
+def verified_fusions(
+    scene: Scene, fusions: Iterable[Fusion], launch_step: Callable[[], None]
+) -> tuple[Fusion, ...]:
+    """Return the fusions whose step is the stock one; a line is logged for each that is left out.
+
+    Args:
+        scene: The task; its state is overwritten.
+        fusions: What `applicable_fusions` returned.
+        launch_step: Launches one stock physics step eagerly.
+    """
+    trusted: tuple[Fusion, ...] = ()
+    fusions = tuple(fusions)
+    if not fusions:
+        return trusted
+    batches = list(_states(scene))
+    stock = _velocity_changes(scene, batches, launch_step, ())
+    scale = np.abs(stock).max(axis=1).clip(min=1e-6)
+    for fusion in fusions:
+        changes = _velocity_changes(scene, batches, launch_step, (*trusted, fusion))
+        error = np.abs(changes - stock).max(axis=1) / scale
+        if np.mean(error <= fusion.TOLERANCE) >= TRUSTED_SHARE:
+            trusted += (fusion,)
+            continue
+        logger.warning(
+            "%s is left to mujoco-warp: a step with ours differs by %.1e of the change of velocity (median), "
+            "allowed is %.0e",
+            type(fusion).__name__,
+            np.median(error),
+            fusion.TOLERANCE,
+        )
+    return trusted
+
+
+def _states(scene: Scene) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield qpos, qvel and activation of all worlds, until NUM_STATES states: random motion of MuJoCo C."""
+    host, worlds = scene.oracle, scene.num_worlds
+    data = mujoco.MjData(host)
+    data.qpos[:] = scene.qpos_start.numpy()
+    rng = np.random.default_rng(0)
+    low, high = np.where(host.actuator_ctrllimited[:, None], host.actuator_ctrlrange, (-1.0, 1.0)).T
+    motion = []
+    for _ in range(NUM_STATES):
+        data.ctrl[:] = rng.uniform(low, high)
+        mujoco.mj_step(host, data, scene.num_substeps * int(rng.integers(1, CONTROL_STEPS)))
+        motion.append((data.qpos.copy(), data.qvel.copy()))
+    for first in range(0, NUM_STATES, worlds):
+        chosen = [motion[(first + i) % NUM_STATES] for i in range(worlds)]
+        activation = rng.uniform(size=scene.muscles.activation.shape)
+        yield np.array([q for q, _ in chosen]), np.array([v for _, v in chosen]), activation
+
+
+def _velocity_changes(
+    scene: Scene,
+    batches: Iterable[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    launch_step: Callable[[], None],
+    fusions: Iterable[Fusion],
+) -> np.ndarray:
+    """Return what one physics step adds to the velocities of each state, shape (num_states, nv)."""
+    data, changes = scene.data, []
+    for qpos, qvel, activation in batches:
+        data.qpos.assign(qpos)
+        data.qvel.assign(qvel)
+        data.qacc_warmstart.zero_()
+        scene.muscles.activation.assign(activation)
+        before = data.qvel.numpy().copy()
+        with installed(fusions):
+            launch_step()
+        wp.synchronize_device(scene.device)
+        changes.append(data.qvel.numpy() - before)
+    return np.concatenate(changes)
