@@ -53,6 +53,7 @@ class Simulation:
     Attributes:
         scene: The compiled task.
         program: The task's kernels.
+        fusions: Parts of the physics step that kernels of ours do.
         effects: The conditions' kernels, in the order in which they act.
         action: Policy actions in [-1, 1], to be written before `step`, shape (num_worlds, num_actuators).
         transition: What the last step led to.
@@ -111,23 +112,25 @@ class Simulation:
             if reset == "random":
                 self.starts = wp.array(find_starts(spec, progress), dtype=float)
                 self.start_address = wp.array(start_address(spec, self.scene.oracle), dtype=int)
-            self._idle: frozenset[str] = frozenset()
-            self._probes: list[Callable[[], None]] = []
-            self._fusions: tuple[Fusion, ...] = ()
-            candidates = applicable_fusions(self.scene, FUSIONS if fusions is None else fusions)
-            compile_kernels(lambda: self._launch_all(candidates), self.scene.device, show=progress)
-            self._idle = verified_idle(
-                self.scene.oracle, self.scene.model, self.scene.data, self._launch_physics
-            )
-            self._fusions = verified_fusions(self.scene, candidates, self._launch_physics)
-            self._step_graph = self._capture(self._launch_step) if graph else None
-            self._reset_graph = self._capture(self._launch_asked_reset) if graph else None
+            self._prepare(FUSIONS if fusions is None else fusions, graph, progress)
         self.reset()
 
     @property
     def num_worlds(self) -> int:
         """Worlds stepped together."""
         return self.scene.num_worlds
+
+    def _prepare(self, fusions: Iterable[str], graph: bool, progress: bool) -> None:
+        """Compile all kernels, find out which launches the step needs, and capture it."""
+        self._idle: frozenset[str] = frozenset()
+        self._probes: list[Callable[[], None]] = []
+        self.fusions: tuple[Fusion, ...] = ()
+        candidates = applicable_fusions(self.scene, fusions)
+        compile_kernels(lambda: self._launch_all(candidates), self.scene.device, show=progress)
+        self._idle = verified_idle(self.scene.oracle, self.scene.model, self.scene.data, self._launch_physics)
+        self.fusions = verified_fusions(self.scene, candidates, self._launch_physics)
+        self._step_graph = self._capture(self._launch_step) if graph else None
+        self._reset_graph = self._capture(self._launch_asked_reset) if graph else None
 
     def _bind_conditions(self) -> None:
         """Allocate the counters of the episodes, and what the conditions need."""
@@ -199,7 +202,7 @@ class Simulation:
 
     def _launch_physics(self) -> None:
         """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
-        with installed(self._fusions):
+        with installed(self.fusions):
             mjw.step(self.scene.model, self.scene.data)
 
     def _launch_control(self, model: mjw.Model, data: mjw.Data) -> None:
