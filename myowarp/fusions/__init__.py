@@ -136,3 +136,6 @@ def _velocity_changes(
         wp.synchronize_device(scene.device)
         changes.append(data.qvel.numpy() - before)
     return np.concatenate(changes)
+
+
+from myowarp.fusions import muscle_path  # noqa: E402, F401  (it registers itself)
