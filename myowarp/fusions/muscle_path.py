@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from unittest import mock
 
 import mujoco
+import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 from mujoco_warp._src import smooth
@@ -43,11 +44,15 @@ class MusclePathFusion(Fusion):
     def installed(self) -> Iterator[None]:
         """See `Fusion`."""
         with (
-            mock.patch.object(smooth, "tendon", lambda model, data: self._paths.launch()),
-            mock.patch.object(smooth, "transmission", lambda model, data: None),
+            mock.patch.object(smooth, "tendon", self._launch),
+            mock.patch.object(smooth, "transmission"),
             pruned(frozenset({"_actuator_velocity", "_site_local_to_global"})),
         ):
             yield
+
+    def _launch(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Do what stands for the engine's `tendon`, and for its `transmission` too."""
+        self._paths.launch()
 
 
 FUSIONS.add("muscle_path", MusclePathFusion)

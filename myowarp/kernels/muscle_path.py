@@ -1,32 +1,21 @@
 """Paths of tendons: length, moment arms and velocity of every tendon, and what its actuators make of them.
 
-A path is a chain of straight segments between sites, and of segments that bend round a sphere or a cylinder
-where that is in the way (MuJoCo's documentation, *Computation, Tendon*). All is done in world axes, relative
-to the centre of the geom. On the plane through both ends of a segment (on a cylinder: across its axis) the
-path leaves the circle of radius r at the tangent points
+    length = sum_segments scale |segment|,    ten_J = d length / d q
 
-    q = r / e^2 (r e + turn sqrt(e^2 - r^2) n x e),   e: an end, n: normal of the plane
+A path is a chain of segments between sites, straight or bent round a geom (`kernels.wrap`). A segment whose
+far end moves with dof j, (c_rot, c_lin) = cdof_j given at the centre of mass com of j's tree, adds
 
-A side site says on which side the path passes: MuJoCo 4 compares winding angles of the path over the side
-site with those of the straight one. They differ exactly if the triangle of ends and side site holds the
-centre, which is three signs of cross products, and then the path winds as the side site does. Only a path that
-does bend costs an arc tangent. A side site inside the geom makes the path pass through it (`wrap_inside` of
-mujoco-warp).
+    c_rot . ((x - com) x u) + c_lin . u
 
-Moment arm of dof j: a tendon that pulls along u through the point x does -(c_rot . (x - com) x u + c_lin . u)
-to the dof (c_rot, c_lin) = cdof_j, given at com, the centre of mass of its tree. Dofs that move both ends of
-a segment cancel and are left out beforehand.
+to ten_J_j, with its direction u and any point x on its line; it subtracts that if its near end moves with j.
+Dofs that move both ends cancel, and the program leaves them out. Actuators then have the length, moment and
+velocity gear length, gear ten_J and gear ten_J . qvel. Source: MuJoCo's documentation, *Computation,
+Actuation model*; layout of the arrays: mujoco-warp 4.0.0, `tendon` and `transmission`.
 """
 
 import warp as wp
-from mujoco_warp._src.util_misc import wrap_inside
 
-STRAIGHT = wp.constant(0)
-SPHERE = wp.constant(1)
-CYLINDER = wp.constant(2)
-
-TINY = wp.constant(1e-15)
-"""mjMINVAL: MuJoCo takes shorter vectors as zero."""
+from myowarp.kernels.wrap import STRAIGHT, Bend, bend_round, unit
 
 
 @wp.struct
@@ -174,134 +163,6 @@ class Transmission:
     moment_rowadr: wp.array2d[int]
     moment_colind: wp.array2d[int]
     actuator_moment: wp.array2d[float]
-
-
-@wp.struct
-class Bend:
-    """A segment that bends.
-
-    Attributes:
-        length: Its length [m], < 0 where it stays straight.
-        onto: Direction in which it leaves the near site.
-        off: Direction in which it reaches the far site.
-    """
-
-    length: float
-    onto: wp.vec3
-    off: wp.vec3
-
-
-@wp.func
-def unit(vector: wp.vec3, length: float) -> wp.vec3:
-    """Return vector / length, (1, 0, 0) for a zero vector as MuJoCo does."""
-    if length < TINY:
-        return wp.vec3(1.0, 0.0, 0.0)
-    return vector / length
-
-
-@wp.func
-def sphere_normal(near: wp.vec3, far: wp.vec3) -> wp.vec3:
-    """Return the normal of the plane through two points and the centre; MuJoCo's choice if these are in line."""
-    normal = wp.cross(near, far)
-    length = wp.length(normal)
-    if length < TINY:
-        size = wp.abs(near)
-        other = wp.vec3(0.0, 1.0, 1.0)
-        if size[1] > size[0] and size[1] > size[2]:
-            other = wp.vec3(1.0, 0.0, 1.0)
-        if size[2] > size[0] and size[2] > size[1]:
-            other = wp.vec3(1.0, 1.0, 0.0)
-        normal = wp.cross(near, other)
-        length = wp.length(normal)
-    return unit(normal, length)
-
-
-@wp.func
-def bend_outside(
-    near: wp.vec3, far: wp.vec3, normal: wp.vec3, side: wp.vec3, has_side: bool, radius: float
-) -> Bend:
-    """Bend round a circle: `length` is that of the whole segment in the plane, directions are not unit."""
-    bend = Bend()
-    bend.length = -1.0
-    near2, far2, radius2 = wp.dot(near, near), wp.dot(far, far), radius * radius
-    step = far - near
-    step2 = wp.dot(step, step)
-    if near2 < radius2 or far2 < radius2 or radius < TINY or step2 < TINY:
-        return bend
-    turn = wp.dot(normal, wp.cross(near, step))
-    encloses = bool(False)
-    if has_side:
-        to_side = wp.dot(normal, wp.cross(near, side))
-        from_side = wp.dot(normal, wp.cross(side, far))
-        encloses = (to_side > 0.0 and from_side > 0.0 and turn <= 0.0) or (
-            to_side < 0.0 and from_side < 0.0 and turn >= 0.0
-        )
-        if encloses:
-            turn = to_side
-    if not encloses:
-        along = -wp.dot(step, near)
-        if along <= 0.0 or along >= step2 or turn * turn > radius2 * step2:
-            return bend
-    sign = wp.where(turn < 0.0, -1.0, 1.0)
-    near_tangent, far_tangent = wp.sqrt(near2 - radius2), wp.sqrt(far2 - radius2)
-    touch = radius / near2 * (radius * near + sign * near_tangent * wp.cross(normal, near))
-    leave = radius / far2 * (radius * far - sign * far_tangent * wp.cross(normal, far))
-    arc = wp.atan2(sign * wp.dot(normal, wp.cross(touch, leave)), wp.dot(touch, leave))
-    if arc < 0.0:
-        if not encloses:
-            return bend
-        arc += 2.0 * wp.pi
-    bend.length = near_tangent + radius * arc + far_tangent
-    bend.onto = touch - near
-    bend.off = far - leave
-    return bend
-
-
-@wp.func
-def bend_inside(near: wp.vec3, far: wp.vec3, normal: wp.vec3, radius: float) -> Bend:
-    """Bend over the nearest point of the inside of a circle; what is returned is as in `bend_outside`."""
-    bend = Bend()
-    bend.length = -1.0
-    distance = wp.length(near)
-    first = unit(near, distance)
-    second = wp.cross(normal, first)
-    ends = wp.vec4(distance, 0.0, wp.dot(far, first), wp.dot(far, second))
-    arc, point, _ = wrap_inside(ends, radius)
-    if arc < 0.0:
-        return bend
-    touch = point[0] * first + point[1] * second
-    bend.onto = touch - near
-    bend.off = far - touch
-    bend.length = wp.length(bend.onto) + wp.length(bend.off)
-    return bend
-
-
-@wp.func
-def bend_round(
-    kind: int, near: wp.vec3, far: wp.vec3, axis: wp.vec3, side: wp.vec3, has_side: bool, radius: float
-) -> Bend:
-    """Bend round a geom; points relative to its centre, `axis` is the cylinder's."""
-    flat_near, flat_far, rise = near, far, float(0.0)
-    if kind == CYLINDER:
-        low, high = wp.dot(near, axis), wp.dot(far, axis)
-        flat_near, flat_far, rise = near - low * axis, far - high * axis, high - low
-        normal = axis
-    else:
-        normal = sphere_normal(near, far)
-    if has_side and wp.length_sq(side) < radius * radius:
-        bend = bend_inside(flat_near, flat_far, normal, radius)
-    else:
-        bend = bend_outside(flat_near, flat_far, normal, side, has_side, radius)
-    if bend.length < 0.0:
-        return bend
-    # A cylinder's path rises at one slope from end to end.
-    slope = rise / bend.length
-    bend.onto += slope * wp.length(bend.onto) * axis
-    bend.off += slope * wp.length(bend.off) * axis
-    bend.onto = unit(bend.onto, wp.length(bend.onto))
-    bend.off = unit(bend.off, wp.length(bend.off))
-    bend.length = wp.sqrt(bend.length * bend.length + rise * rise)
-    return bend
 
 
 @wp.func

@@ -1,5 +1,6 @@
 """The tendons of a model as a program for `kernels.muscle_path`, and the arrays that it runs on."""
 
+import math
 from typing import Any
 
 import mujoco
@@ -8,9 +9,6 @@ import numpy as np
 import warp as wp
 
 from myowarp.kernels.muscle_path import (
-    CYLINDER,
-    SPHERE,
-    STRAIGHT,
     Drive,
     Path,
     PathOp,
@@ -19,6 +17,7 @@ from myowarp.kernels.muscle_path import (
     Transmission,
     muscle_path,
 )
+from myowarp.kernels.wrap import CYLINDER, SPHERE, STRAIGHT
 
 _WRAP = mujoco.mjtWrap
 _KINDS = {_WRAP.mjWRAP_SPHERE.value: int(SPHERE), _WRAP.mjWRAP_CYLINDER.value: int(CYLINDER)}
@@ -40,6 +39,19 @@ def path_obstacle(model: mujoco.MjModel) -> str | None:
     if not np.all(np.isin(model.jnt_type[model.actuator_trnid[on_joint, 0]], _SCALAR_JOINTS)):
         return "an actuator on a ball or free joint"
     return None
+
+
+def _struct_array(struct: Any, values: list[tuple[Any, ...]]) -> wp.array:
+    """Return an array of Warp structs, each given by its fields in order."""
+    return wp.array(np.array(values, dtype=struct.numpy_dtype()), dtype=struct)
+
+
+def _arrays_of(data: mjw.Data, struct: Any) -> Any:
+    """Return a Warp struct that holds the arrays of `data` with the names of its fields."""
+    instance = struct()
+    for name in struct.vars:
+        setattr(instance, name, getattr(data, name))
+    return instance
 
 
 class MusclePaths:
@@ -68,7 +80,8 @@ class MusclePaths:
         self._crossings: list[tuple[int, int]] = []
         self._num_worlds, self._threads = data.nworld, 1 if data.qpos.device.is_cpu else host.ntendon
         rows = np.concatenate([[0], np.cumsum(self._moment_sizes())])
-        paths, drives = [], []
+        paths: list[tuple[Any, ...]] = []
+        drives: list[tuple[Any, ...]] = []
         for tendon in range(host.ntendon):
             first_op, first_drive = len(self._ops), len(drives)
             fixed_length = self._compile(tendon)
@@ -83,23 +96,15 @@ class MusclePaths:
 
         self.program = PathProgram()
         with wp.ScopedDevice(data.qpos.device):
-            for name, values, dtype in (
-                ("paths", paths, Path),
-                ("ops", self._ops, PathOp),
-                ("drives", drives, Drive),
-            ):
-                setattr(
-                    self.program, name, wp.array(np.array(values, dtype=dtype.numpy_dtype()), dtype=dtype)
-                )
+            self.program.paths = _struct_array(Path, paths)
+            self.program.ops = _struct_array(PathOp, self._ops)
+            self.program.drives = _struct_array(Drive, drives)
             self.program.crossings = wp.array(np.array(self._crossings).reshape(-1, 2), dtype=wp.vec2i)
             self.program.dofs = wp.array(host.ten_J_colind, dtype=int)
         self.program.first_joint_drive = first_joint_drive
         for name in ("site_pos", "geom_size", "actuator_gear"):
             setattr(self.program, name, getattr(model, name))
-        self.pose, self.transmission = Pose(), Transmission()
-        for struct in (self.pose, self.transmission):
-            for name in struct._cls.vars:
-                setattr(struct, name, getattr(data, name))
+        self.pose, self.transmission = _arrays_of(data, Pose), _arrays_of(data, Transmission)
 
     def _moment_sizes(self) -> np.ndarray:
         """Return the number of dofs that each actuator acts on."""
@@ -122,7 +127,7 @@ class MusclePaths:
             elif kinds[at + 1] == _SITE:
                 near, far = objects[at], objects[at + 1]
                 if self._fixed_sites and host.site_bodyid[near] == host.site_bodyid[far]:
-                    fixed_length += scale * np.linalg.norm(host.site_pos[far] - host.site_pos[near])
+                    fixed_length += scale * math.dist(host.site_pos[far], host.site_pos[near])
                 else:
                     self._add(tendon, int(STRAIGHT), near, far, scale)
                 at += 1
