@@ -136,3 +136,6 @@ def _velocity_changes(
         wp.synchronize_device(scene.device)
         changes.append(data.qvel.numpy() - before)
     return np.concatenate(changes)
+
+
+from myowarp.fusions import contact_solve  # noqa: E402, F401
