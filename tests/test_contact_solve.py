@@ -1,4 +1,4 @@
-"""The fused constraint solver against MuJoCo C, a dense float64 Newton method, and mujoco-warp's own solver."""
+"""The fused constraint solver against MuJoCo C, a dense float64 Newton method, and mujoco-warp's solver."""
 
 from functools import lru_cache
 from types import SimpleNamespace
@@ -24,6 +24,8 @@ REFERENCE = 1e-9  # MuJoCo C against the reference, both float64 and exact
 BALANCE = 2e-5  # forces that must cancel, float32
 ENGINE_MEDIAN, ENGINE_MAX = 4e-7, 2e-5  # two float32 solvers on the same rows
 EFFECT = 10.0
+
+EFC = ("J", "J_rownnz", "J_rowadr", "J_colind", "D", "aref", "frictionloss")
 
 ROWS = """
 <mujoco>
@@ -89,22 +91,32 @@ def states(name):
     return found
 
 
-def on_device(model, found, warmstart):
-    """Return the engine's model and data of states of MuJoCo C, one in each world."""
-    engine = mjw.put_model(model)
-    one = [mjw.put_data(model, data, njmax=NUM_ROWS, nconmax=16) for data in found]
-    data = mjw.put_data(model, found[0], nworld=len(found), njmax=NUM_ROWS, nconmax=16)
-    for name in ("M", "ne", "nf", "nefc", "qfrc_smooth"):
-        getattr(data, name).assign(np.concatenate([getattr(d, name).numpy() for d in one]))
-    for name in ("J", "J_rownnz", "J_rowadr", "J_colind", "D", "aref", "frictionloss"):
-        getattr(data.efc, name).assign(np.concatenate([getattr(d.efc, name).numpy() for d in one]))
+@lru_cache
+def rows_of(name):
+    """Return the engine's arrays of the states of MuJoCo C, one in each world."""
+    one = [mjw.put_data(model_of(name), data, njmax=NUM_ROWS, nconmax=16) for data in states(name)]
+    owners = {"": ("M", "ne", "nf", "nefc", "qfrc_smooth"), "efc": EFC}
+    return {
+        (owner, array): np.concatenate(
+            [getattr(getattr(data, owner) if owner else data, array).numpy() for data in one]
+        )
+        for owner, arrays in owners.items()
+        for array in arrays
+    }
+
+
+def on_device(name, warmstart):
+    """Return the engine's model and data of the states, to be solved from some accelerations."""
+    data = mjw.put_data(model_of(name), states(name)[0], nworld=NUM_WORLDS, njmax=NUM_ROWS, nconmax=16)
+    for (owner, array), values in rows_of(name).items():
+        getattr(getattr(data, owner) if owner else data, array).assign(values)
     data.qacc_warmstart.assign(warmstart)
     for array in (data.qacc, data.qfrc_constraint, data.efc.force, data.efc.Ma):
         array.fill_(np.nan)
     data.efc.state.fill_(-1)
     data.solver_niter.fill_(-1)
     data.overflow.zero_()
-    return engine, data
+    return mjw.put_model(model_of(name)), data
 
 
 def problem(model, data):
@@ -122,9 +134,8 @@ def problem(model, data):
 def solved(name, warmth):
     """Return solved worlds that start from a share of the right acceleration."""
     found = states(name)
-    engine, data = on_device(model_of(name), found, warmth * np.array([d.qacc for d in found]))
-    with wp.ScopedDevice("cpu"):
-        launch_solve(engine, data)
+    engine, data = on_device(name, warmth * np.array([d.qacc for d in found]))
+    launch_solve(engine, data)
     return found, data
 
 
@@ -195,7 +206,7 @@ def test_fewer_iterations_from_the_solution(name):
 
 def test_without_rows():
     model, found = model_of("dense"), states("dense")
-    engine, data = on_device(model, found, np.zeros((NUM_WORLDS, model.nv)))
+    engine, data = on_device("dense", np.zeros((NUM_WORLDS, model.nv)))
     data.nefc.zero_(), data.ne.zero_(), data.nf.zero_()
     launch_solve(engine, data)
     free = np.array([d.qacc_smooth for d in found])
@@ -205,7 +216,7 @@ def test_without_rows():
 
 def test_iteration_limit_is_flagged():
     model, found = model_of("dense"), states("dense")
-    engine, data = on_device(model, found, np.zeros((NUM_WORLDS, model.nv)))
+    engine, data = on_device("dense", np.zeros((NUM_WORLDS, model.nv)))
     engine.opt.iterations = 1
     launch_solve(engine, data)
     unfinished = data.overflow.numpy() == mjw.OverflowType.ITERATIONS
@@ -217,7 +228,7 @@ def test_iteration_limit_is_flagged():
 
 def test_tolerance_of_each_world():
     model, found = model_of("dense"), states("dense")
-    engine, data = on_device(model, found, np.zeros((NUM_WORLDS, model.nv)))
+    engine, data = on_device("dense", np.zeros((NUM_WORLDS, model.nv)))
     tolerance = np.where(np.arange(NUM_WORLDS) % 2, 1e3, 1e-6)
     engine.opt.tolerance = wp.array(tolerance, dtype=float)
     launch_solve(engine, data)
@@ -227,7 +238,7 @@ def test_tolerance_of_each_world():
 
 def test_a_broken_world_is_seen_and_breaks_no_other():
     model, found = model_of("dense"), states("dense")
-    engine, data = on_device(model, found, np.array([d.qacc for d in found]))
+    engine, data = on_device("dense", np.array([d.qacc for d in found]))
     forces = data.qfrc_smooth.numpy()
     forces[4, 2] = np.nan
     data.qfrc_smooth.assign(forces)
@@ -257,7 +268,7 @@ OBSTACLES = {
 @pytest.mark.parametrize("reason", OBSTACLES)
 def test_obstacles(reason):
     model, found = model_of("dense"), states("dense")
-    engine, data = on_device(model, found, np.zeros((NUM_WORLDS, model.nv)))
+    engine, data = on_device("dense", np.zeros((NUM_WORLDS, model.nv)))
     scene = SimpleNamespace(model=engine, data=data, device=SimpleNamespace(is_cpu=True))
     assert ContactSolve.obstacle(scene) is None
     OBSTACLES[reason](scene)
