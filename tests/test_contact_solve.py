@@ -105,18 +105,23 @@ def rows_of(name):
     }
 
 
-def on_device(name, warmstart):
-    """Return the engine's model and data of the states, to be solved from some accelerations."""
+def on_device(name, warmth):
+    """Return the engine's model and data, to be solved from a share of the right acceleration."""
     data = mjw.put_data(model_of(name), states(name)[0], nworld=NUM_WORLDS, njmax=NUM_ROWS, nconmax=16)
     for (owner, array), values in rows_of(name).items():
         getattr(getattr(data, owner) if owner else data, array).assign(values)
-    data.qacc_warmstart.assign(warmstart)
+    data.qacc_warmstart.assign(warmth * qacc_of(name))
     for array in (data.qacc, data.qfrc_constraint, data.efc.force, data.efc.Ma):
         array.fill_(np.nan)
     data.efc.state.fill_(-1)
     data.solver_niter.fill_(-1)
     data.overflow.zero_()
     return mjw.put_model(model_of(name)), data
+
+
+def qacc_of(name):
+    """Return the right accelerations."""
+    return np.array([data.qacc for data in states(name)])
 
 
 def problem(model, data):
@@ -132,11 +137,10 @@ def problem(model, data):
 
 
 def solved(name, warmth):
-    """Return solved worlds that start from a share of the right acceleration."""
-    found = states(name)
-    engine, data = on_device(name, warmth * np.array([d.qacc for d in found]))
+    """Return the solved worlds."""
+    engine, data = on_device(name, warmth)
     launch_solve(engine, data)
-    return found, data
+    return data
 
 
 def relative(ours, theirs):
@@ -178,9 +182,8 @@ def test_every_kind_of_row_pulls(name):
 @pytest.mark.parametrize("warmth", [0.0, 0.7, 1.0])
 @pytest.mark.parametrize("name", MORE)
 def test_acceleration_and_forces(name, warmth):
-    model = model_of(name)
-    found, data = solved(name, warmth)
-    assert relative(data.qacc.numpy(), np.array([d.qacc for d in found])).max() < CLOSE
+    model, found, data = model_of(name), states(name), solved(name, warmth)
+    assert relative(data.qacc.numpy(), qacc_of(name)).max() < CLOSE
     pull = np.array([d.qfrc_constraint for d in found])
     assert relative(data.qfrc_constraint.numpy(), pull).max() < CLOSE
     momentum = np.array([problem(model, d)[0] @ d.qacc for d in found])
@@ -199,36 +202,33 @@ def test_acceleration_and_forces(name, warmth):
 
 @pytest.mark.parametrize("name", MORE)
 def test_fewer_iterations_from_the_solution(name):
-    warm, cold = (solved(name, warmth)[1].solver_niter.numpy() for warmth in (1.0, 0.0))
+    warm, cold = (solved(name, warmth).solver_niter.numpy() for warmth in (1.0, 0.0))
     assert warm.max() == 1
     assert 1.5 < cold.mean() < 10
 
 
 def test_without_rows():
-    model, found = model_of("dense"), states("dense")
-    engine, data = on_device("dense", np.zeros((NUM_WORLDS, model.nv)))
+    engine, data = on_device("dense", 0.0)
     data.nefc.zero_(), data.ne.zero_(), data.nf.zero_()
     launch_solve(engine, data)
-    free = np.array([d.qacc_smooth for d in found])
+    free = np.array([d.qacc_smooth for d in states("dense")])
     assert relative(data.qacc.numpy(), free).max() < CLOSE
     assert not data.qfrc_constraint.numpy().any()
 
 
 def test_iteration_limit_is_flagged():
-    model, found = model_of("dense"), states("dense")
-    engine, data = on_device("dense", np.zeros((NUM_WORLDS, model.nv)))
+    engine, data = on_device("dense", 0.0)
     engine.opt.iterations = 1
     launch_solve(engine, data)
     unfinished = data.overflow.numpy() == mjw.OverflowType.ITERATIONS
-    right = relative(data.qacc.numpy(), np.array([d.qacc for d in found])) < CLOSE
+    right = relative(data.qacc.numpy(), qacc_of("dense")) < CLOSE
     assert unfinished.any()
     assert np.array_equal(unfinished, ~right)
     assert np.all(data.solver_niter.numpy() == 1)
 
 
 def test_tolerance_of_each_world():
-    model, found = model_of("dense"), states("dense")
-    engine, data = on_device("dense", np.zeros((NUM_WORLDS, model.nv)))
+    engine, data = on_device("dense", 0.0)
     tolerance = np.where(np.arange(NUM_WORLDS) % 2, 1e3, 1e-6)
     engine.opt.tolerance = wp.array(tolerance, dtype=float)
     launch_solve(engine, data)
@@ -237,8 +237,7 @@ def test_tolerance_of_each_world():
 
 
 def test_a_broken_world_is_seen_and_breaks_no_other():
-    model, found = model_of("dense"), states("dense")
-    engine, data = on_device("dense", np.array([d.qacc for d in found]))
+    engine, data = on_device("dense", 1.0)
     forces = data.qfrc_smooth.numpy()
     forces[4, 2] = np.nan
     data.qfrc_smooth.assign(forces)
@@ -246,7 +245,7 @@ def test_a_broken_world_is_seen_and_breaks_no_other():
     qacc = data.qacc.numpy()
     assert np.isnan(qacc[4]).any()
     others = np.arange(NUM_WORLDS) != 4
-    assert relative(qacc[others], np.array([d.qacc for d in found])[others]).max() < CLOSE
+    assert relative(qacc[others], qacc_of("dense")[others]).max() < CLOSE
 
 
 OBSTACLES = {
@@ -267,8 +266,7 @@ OBSTACLES = {
 
 @pytest.mark.parametrize("reason", OBSTACLES)
 def test_obstacles(reason):
-    model, found = model_of("dense"), states("dense")
-    engine, data = on_device("dense", np.zeros((NUM_WORLDS, model.nv)))
+    engine, data = on_device("dense", 0.0)
     scene = SimpleNamespace(model=engine, data=data, device=SimpleNamespace(is_cpu=True))
     assert ContactSolve.obstacle(scene) is None
     OBSTACLES[reason](scene)

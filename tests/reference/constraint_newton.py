@@ -1,8 +1,8 @@
 """MuJoCo's constraint forces in dense float64 NumPy, written from its documentation.
 
-Source: MuJoCo documentation, Computation, "Primal problem" and "Constraint model" with pyramidal cones: the
-acceleration minimises 1/2 (x - a)' M (x - a) + sum_i s_i(J_i x - aref_i), M a = smooth. Rows come in the order
-equalities, friction losses, limits and contacts.
+Source: MuJoCo documentation, Computation, "Primal problem" and "Constraint model", pyramidal cones: the
+acceleration minimises 1/2 (x - a)' M (x - a) + sum_i s_i(J_i x - aref_i), M a = smooth. Rows come in the
+order equalities, friction losses, limits and contacts.
 """
 
 import numpy as np
