@@ -141,4 +141,4 @@ def _velocity_changes(
     return np.concatenate(changes)
 
 
-from myowarp.fusions import ellipsoid_contact, muscle_path  # noqa: E402, F401  (they register themselves)
+from myowarp.fusions import contact_solve, ellipsoid_contact, muscle_path  # noqa: E402, F401  (they register)
