@@ -1,7 +1,9 @@
 """Every registered fusion: it applies to every body, gives the stock step, and is refused if it does not."""
 
 import logging
+from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -73,3 +75,26 @@ def test_a_fusion_that_computes_nothing_is_not_trusted(num_worlds, monkeypatch, 
     with caplog.at_level(logging.WARNING, logger="myowarp"):
         assert verified_fusions(sim.scene, fusions, sim._launch_physics) == ()
     assert "MusclePathFusion is left to mujoco-warp" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("inside", "reason"),
+    [
+        (
+            "<sensor><framepos objtype='site' objname='a'/></sensor>",
+            "sensors, which may read sites within a step",
+        ),
+        ("<equality><connect site1='a' site2='b'/></equality>", "an equality between sites"),
+        (
+            "<tendon><spatial armature='1'><site site='a'/><site site='b'/></spatial></tendon>",
+            "armature of a",
+        ),
+        ("", "no tendons"),
+    ],
+)
+def test_obstacles_of_the_muscle_path(inside, reason):
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><site name="a"/><body pos="1 0 0"><freejoint/><geom size="1"/><site name="b"/>
+        </body></worldbody>{inside}</mujoco>"""
+    )
+    assert MusclePathFusion.obstacle(SimpleNamespace(oracle=model)).startswith(reason)
