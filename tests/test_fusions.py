@@ -2,7 +2,9 @@
 
 import contextlib
 import logging
+from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -113,3 +115,26 @@ def test_none_on_request():
     sim = simulation(BODY_TASKS["elbow"], 1, fusions=())
     assert applicable_fusions(sim.scene, FUSIONS)
     assert sim.fusions == ()
+
+
+@pytest.mark.parametrize(
+    ("inside", "reason"),
+    [
+        (
+            "<sensor><framepos objtype='site' objname='a'/></sensor>",
+            "sensors, which may read sites within a step",
+        ),
+        ("<equality><connect site1='a' site2='b'/></equality>", "an equality between sites"),
+        (
+            "<tendon><spatial armature='1'><site site='a'/><site site='b'/></spatial></tendon>",
+            "armature of a",
+        ),
+        ("", "no tendons"),
+    ],
+)
+def test_obstacles_of_the_muscle_path(inside, reason):
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><site name="a"/><body pos="1 0 0"><freejoint/><geom size="1"/><site name="b"/>
+        </body></worldbody>{inside}</mujoco>"""
+    )
+    assert MusclePathFusion.obstacle(SimpleNamespace(oracle=model)).startswith(reason)
