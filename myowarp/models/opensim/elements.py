@@ -103,6 +103,17 @@ class CoordinateActuator:
     control_range: tuple[float, float]
 
 
+@dataclass(frozen=True)
+class PathActuator:
+    """Pulls along a path with optimal_force * control, without muscle dynamics."""
+
+    name: str
+    path: Path
+    optimal_force: float
+    """[N]."""
+    control_range: tuple[float, float]
+
+
 @dataclass(frozen=True, eq=False)
 class BodyActuator:
     """Drives a body with a force at a point, or with a torque, of optimal_force * control."""

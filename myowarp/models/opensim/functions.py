@@ -326,6 +326,34 @@ class GCVSpline:
         return (basis @ self._weights[:n] + powers @ self._weights[n + 1 :]) / self._half_width
 
 
+@dataclass(frozen=True)
+class ToeThenLine:
+    """0 up to x = 1, a parabola over the strain `toe`, then a line of slope `stiffness`.
+
+    Source: Blankevoort, Huiskes 1991, doi:10.1115/1.2894883: force of a ligament over l / l0.
+    """
+
+    stiffness: float
+    toe: float
+
+    @property
+    def knots(self) -> Array:
+        """Where the parabola begins and ends."""
+        return np.array([1.0, 1.0 + self.toe])
+
+    def value(self, x: ArrayLike) -> Array:
+        """Return the force."""
+        strain = np.maximum(np.asarray(x, float) - 1, 0.0)
+        bent = np.minimum(strain, self.toe)
+        parabola = bent**2 / (2 * self.toe) if self.toe > 0 else 0.0 * bent
+        return self.stiffness * (parabola + strain - bent)
+
+    def derivative(self, x: ArrayLike) -> Array:
+        """Return its slope."""
+        strain = np.maximum(np.asarray(x, float) - 1, 0.0)
+        return self.stiffness * np.clip(strain / max(self.toe, 1e-12), 0.0, 1.0)
+
+
 IDENTITY = Linear(1.0)
 
 

@@ -22,6 +22,7 @@ from myowarp.models.opensim.elements import (
     CoordinateSpring,
     Ligament,
     Path,
+    PathActuator,
     Pose,
     Shape,
 )
@@ -218,6 +219,7 @@ class Model:
     ligaments: Mapping[str, Ligament]
     markers: Mapping[str, Marker]
     coordinate_actuators: tuple[CoordinateActuator, ...]
+    path_actuators: tuple[PathActuator, ...]
     body_actuators: tuple[BodyActuator, ...]
     limit_forces: tuple[CoordinateLimitForce, ...]
     coordinate_springs: tuple[CoordinateSpring, ...]
