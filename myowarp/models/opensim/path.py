@@ -3,7 +3,9 @@
 Active points come first: conditional ones only while their coordinate is in range. Then every wrap object
 in turn takes the first straight piece that intersects it, else the one that it lengthens least; with
 several objects that repeats, up to eight times, until the length changes by less than 0.5 mm. What follows
-is what OpenSim reports, not the shortest path. Source of the rules: `GeometryPath.cpp` of opensim-core.
+is what OpenSim reports, not the shortest path: it caches where a wrap point is in ground when it first asks,
+so lengths and directions keep the wrap points of the first round, while arcs are those of the last.
+Source of the rules: `GeometryPath.cpp` of opensim-core, and what 4.6 returns.
 """
 
 from collections.abc import Mapping
@@ -39,12 +41,14 @@ class Solution:
         order: what the path consists of, shape `(n, points + 2 wraps)`: numbers of points, then
             `points + 2 w` and `points + 2 w + 1` where it arrives at and leaves wrap `w`; -1 fills up.
         location: of points and wrap points in ground [m], shape `(n, points + 2 wraps, 3)`.
+        cached: the same as OpenSim remembers them; lengths and directions come from these.
         arc: length over each wrap object [m], 0 where it does not touch, shape `(n, wraps)`.
     """
 
     length: np.ndarray
     order: np.ndarray
     location: np.ndarray
+    cached: np.ndarray
     arc: np.ndarray
 
     def wrapped(self, wrap: int) -> np.ndarray:
@@ -134,6 +138,7 @@ class _Solver:
         width = self.points + 2 * len(self.wraps)
         self.location = np.zeros((count, width, 3))
         self.location[:, : self.points] = points
+        self.cached = np.full_like(self.location, np.nan)
         self.order = np.full((count, width), -1)
         self.order[:, : self.points] = np.where(active, np.arange(self.points), -1)
         self._pack(np.arange(count))
@@ -168,7 +173,7 @@ class _Solver:
         arc = (
             np.where(np.stack([self._has(w) for w in range(wraps)], 1), self.arc, 0.0) if wraps else self.arc
         )
-        return Solution(self._length(), self.order, self.location, arc)
+        return Solution(self._length(), self.order, self.location, self.cached, arc)
 
     def _has(self, wrap: int) -> np.ndarray:
         return (self.order == self.points + 2 * wrap).any(axis=1)
@@ -200,8 +205,8 @@ class _Solver:
         best = _Best(len(rows))
         for piece in range(self.order.shape[1] - 1):
             one, other = order[:, piece], order[:, piece + 1]
-            same = (one >= self.points) & (other >= self.points) & (self._object(one) == self._object(other))
-            tried = np.flatnonzero((piece >= begin) & (piece < end) & ~same & ~best.final)
+            free = ~self._on_one_object(one, other) & ~best.final
+            tried = np.flatnonzero((piece >= begin) & (piece < end) & free)
             if not len(tried):
                 continue
             ends = [self.location[rows[tried], points[tried]] for points in (one, other)]
@@ -213,15 +218,28 @@ class _Solver:
             placed = [
                 origin + np.einsum("nij,nj->ni", rotation, points) for points in (wrap.first, wrap.last)
             ]
+            possible = np.flatnonzero(wrap.status == WRAPPED)
+            for index, points in enumerate((one, other)):
+                known = self._remembered(rows[tried][possible], points[tried][possible])
+                ends[index][possible] = known
             best.offer(tried, piece, wrap, ends, placed)
         self._insert(rows, number, best)
         return rows, status
 
-    def _object(self, points: np.ndarray) -> np.ndarray:
-        """Return the first wrap number that uses the object of each wrap point."""
+    def _remembered(self, rows: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return where points are in ground [m]: where they were when this was first asked."""
+        new = np.isnan(self.cached[rows, points, 0])
+        self.cached[rows[new], points[new]] = self.location[rows[new], points[new]]
+        return self.cached[rows, points]
+
+    def _on_one_object(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Whether pairs of points are wrap points on the same object."""
+        if not self.wraps:
+            return np.zeros(len(one), bool)
         objects = [wrap.object for wrap in self.path.wraps]
         unique = np.array([objects.index(name) for name in objects])
-        return unique[np.maximum(points - self.points, 0) // 2]
+        wraps = [unique[np.maximum(points - self.points, 0) // 2] for points in (one, other)]
+        return (one >= self.points) & (other >= self.points) & (wraps[0] == wraps[1])
 
     def _insert(self, rows: np.ndarray, number: int, best: "_Best") -> None:
         """Put the two points of a wrap into the path."""
@@ -244,8 +262,8 @@ class _Solver:
             one, other = self.order[:, piece], self.order[:, piece + 1]
             rows = np.flatnonzero(other >= 0)
             one, other = one[rows], other[rows]
-            straight = np.linalg.norm(self.location[rows, one] - self.location[rows, other], axis=1)
-            over = (one >= self.points) & (other >= self.points) & (self._object(one) == self._object(other))
+            straight = np.linalg.norm(self._remembered(rows, one) - self._remembered(rows, other), axis=1)
+            over = self._on_one_object(one, other)
             if over.any():
                 arc = self.arc[rows, np.maximum(other - self.points, 0) // 2]
                 arrives = (other - self.points) % 2 == 0

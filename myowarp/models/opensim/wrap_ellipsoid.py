@@ -249,7 +249,12 @@ def _errors(
     r, d = x[:, :3], x[:, 3]
     gradient = 2 * r / a**2
     return np.stack(
-        [dot(normal, r) + offset, np.sum((r / a) ** 2, axis=1) - 1, dot(gradient, r) + d, dot(gradient, p) + d],
+        [
+            dot(normal, r) + offset,
+            np.sum((r / a) ** 2, axis=1) - 1,
+            dot(gradient, r) + d,
+            dot(gradient, p) + d,
+        ],
         axis=1,
     )
 
