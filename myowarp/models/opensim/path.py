@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from myowarp.models.opensim.elements import ConditionalPathPoint, MovingPathPoint, Path, PathWrap
+from myowarp.models.opensim.kinematics import Frames
 from myowarp.models.opensim.model import Model, WrapObject
 from myowarp.models.opensim.wrap_cylinder import INSIDE, MANDATORY, NONE, WRAPPED, Wrap, wrap_cylinder
 from myowarp.models.opensim.wrap_ellipsoid import wrap_ellipsoid
@@ -23,15 +24,6 @@ SWEEPS = 8
 """Rounds over several wrap objects."""
 SETTLED = 0.0005
 """[m] of change in length after which no further round follows."""
-STEP = 1e-5
-"""[rad] or [m] of the central differences of lengths."""
-CONSISTENT = 1e-4
-"""[m] by which OpenSim's moment arm may differ from -dL/dq in a sample that is worth fitting."""
-
-Frames = Mapping[str, tuple[np.ndarray, np.ndarray]]
-"""Of each body: rotations `(n, 3, 3)` and origins [m] `(n, 3)` in ground."""
-
-
 @dataclass(frozen=True, eq=False)
 class Solution:
     """A path in n poses.
