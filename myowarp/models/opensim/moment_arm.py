@@ -7,11 +7,11 @@ derivative of the length. Both agree only where the path that OpenSim reports ha
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from myowarp.models.opensim.elements import MovingPathPoint, Path
+from myowarp.models.opensim.elements import ConditionalPathPoint, MovingPathPoint, Path
 from myowarp.models.opensim.kinematics import Frames, complete, forward
 from myowarp.models.opensim.model import GROUND, Model
 from myowarp.models.opensim.path import Solution, locations, solve
@@ -99,14 +99,42 @@ def _chain(model: Model, body: str) -> list[str]:
 
 def own_reference(model: Model, path: Path, poses: Poses, along: list[str]) -> Reference:
     """Return length and moment arms of a path by our own path code."""
-    solution = solve(model, path, poses.frames, poses.coordinates)
-    arms, slopes = {}, {}
-    for name in along:
-        beside = poses.beside[name]
-        lengths = [solve(model, path, frames, values).length for values, frames in beside]
-        slopes[name] = -(lengths[1] - lengths[0]) / (2 * STEP)
-        arms[name] = _moment_arm(model, path, poses, solution, beside)
-    return Reference(solution.length, arms, slopes)
+    count = len(next(iter(poses.coordinates.values())))
+    solution = solve(model, path, *stacked(model, path, poses, along))
+    lengths = solution.length.reshape(-1, count)
+    slopes = {
+        name: -(lengths[2 + 2 * number] - lengths[1 + 2 * number]) / (2 * STEP)
+        for number, name in enumerate(along)
+    }
+    here = Solution(*(getattr(solution, field.name)[:count] for field in fields(Solution)))
+    arms = {name: _moment_arm(model, path, poses, here, poses.beside[name]) for name in along}
+    return Reference(lengths[0], arms, slopes)
+
+
+def stacked(
+    model: Model, path: Path, poses: Poses, along: list[str]
+) -> tuple[Frames, Mapping[str, np.ndarray]]:
+    """Return frames and coordinates of n poses, then of those below and above along each coordinate.
+
+    Only bodies of the path and coordinates of its points are in it; n poses follow n poses.
+    """
+    sets = [(poses.coordinates, poses.frames)]
+    sets += [side for name in along for side in poses.beside[name]]
+    bodies = {point.body for point in path.points} | {model.wraps[wrap.object].body for wrap in path.wraps}
+    frames = {
+        body: (
+            np.concatenate([frames[body][0] for _, frames in sets]),
+            np.concatenate([frames[body][1] for _, frames in sets]),
+        )
+        for body in bodies
+    }
+    names = set()
+    for point in path.points:
+        if isinstance(point, MovingPathPoint):
+            names |= set(point.coordinates) - {None}
+        elif isinstance(point, ConditionalPathPoint):
+            names.add(point.coordinate)
+    return frames, {name: np.concatenate([values[name] for values, _ in sets]) for name in names}
 
 
 def _moment_arm(model: Model, path: Path, poses: Poses, solution: Solution, beside: tuple) -> np.ndarray:

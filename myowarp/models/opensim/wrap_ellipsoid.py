@@ -195,27 +195,25 @@ def _nearest_on_ellipse(a: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def _newton(a: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return nearest points of an ellipsoid or ellipse by Eberly's polynomial in t."""
-    squares = a**2
-    weights = squares * points**2
+    squares = (a**2)[:, None]
+    weights = squares * points.T**2
     outside = np.sum((points / a) ** 2, axis=1) >= 1.0
     t = np.where(outside, a.max() * np.linalg.norm(points, axis=1), 0.0)
     busy = np.arange(len(points))
     with np.errstate(divide="ignore", invalid="ignore"):
         for _ in range(NEWTON_STEPS):
-            shifted = t[busy, None] + squares
-            everything = np.prod(shifted, axis=1)
-            ratio = weights[busy] / shifted**2
-            # f = prod^2 (1 - sum w/s^2), as OpenSim scales it: its stop is on this value.
-            f = everything**2 * (1 - ratio.sum(axis=1))
-            slope = 2 * everything**2 * (
-                (1 / shifted).sum(axis=1) * (1 - ratio.sum(axis=1)) + (ratio / shifted).sum(axis=1)
-            )  # fmt: skip
-            open_ = np.abs(f) >= NEWTON_ERROR
-            busy = busy[open_]
+            shifted = t[busy] + squares
+            ratio = weights / (shifted * shifted)
+            # OpenSim multiplies with this square, and its stop is on the value so scaled.
+            scale = np.multiply.reduce(shifted) ** 2
+            value = 1 - ratio.sum(axis=0)
+            slope = 2 * ((1 / shifted).sum(axis=0) * value + (ratio / shifted).sum(axis=0))
+            open_ = np.abs(scale * value) >= NEWTON_ERROR
+            t[busy] -= np.where(open_, value / slope, 0.0)
+            busy, weights = busy[open_], weights[:, open_]
             if not len(busy):
                 break
-            t[busy] -= f[open_] / slope[open_]
-        return squares * points / (t[:, None] + squares)
+        return squares.T * points / (t[:, None] + squares.T)
 
 
 def _tangent_point(
