@@ -29,10 +29,7 @@ class Element:
 
     source: Path
     tag: str
-    name: str
-    """Its attribute `name`, or ""."""
-    version: str
-    """Its attribute `Version`, or ""."""
+    attributes: Mapping[str, str]
     line: int
     """From 1."""
     text: str = ""
@@ -40,6 +37,11 @@ class Element:
     parent: "Element | None" = None
     fallback: "Element | None" = None
     """The entry of its class in the document's `<defaults>`."""
+
+    @property
+    def name(self) -> str:
+        """Its attribute `name`, or ""."""
+        return self.attributes.get("name", "").strip()
 
     def error(self, message: str) -> ValueError:
         """Return an error that says where: file, line, element."""
@@ -181,7 +183,7 @@ def _tree(path: Path, text: str) -> Element:
     """Return the root of the tree."""
     parser = expat.ParserCreate("utf-8")
     parser.buffer_text, parser.buffer_size = True, 2**20
-    top = Element(path, "", "", "", 0)
+    top = Element(path, "", {}, 0)
     stack, count = [top], 0
 
     def refuse(message: str) -> ValueError:
@@ -194,10 +196,7 @@ def _tree(path: Path, text: str) -> Element:
             raise refuse(f"<{tag[:60]}> is nested more than {MAX_DEPTH} deep")
         if count > MAX_ELEMENTS:
             raise refuse(f"<{tag[:60]}> is one of more than {MAX_ELEMENTS} elements")
-        name = attributes.get("name", "").strip()
-        element = Element(
-            path, tag, name, attributes.get("Version", ""), parser.CurrentLineNumber, parent=stack[-1]
-        )
+        element = Element(path, tag, attributes, parser.CurrentLineNumber, parent=stack[-1])
         stack[-1].children.append(element)
         stack.append(element)
 

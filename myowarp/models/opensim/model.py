@@ -141,8 +141,8 @@ class WrapObject:
     frame: Pose
     """Cylinder and torus: the axis is z."""
     size: tuple[float, ...]
-    """[m]: cylinder (radius, length), sphere (radius,), ellipsoid (three half axes), torus (inner, outer
-    radius): the tube has radius (outer - inner) / 2 and its centre line (outer + inner) / 2."""
+    """[m]: cylinder (radius, length), sphere (radius,), ellipsoid (three half axes), torus (radius of
+    the tube, radius of its centre line)."""
     quadrant: str
     """all, x, y, z (or +x, ...), -x, -y, -z: the half that a path may use."""
     active: bool

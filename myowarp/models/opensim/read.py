@@ -93,9 +93,10 @@ def _checked(root: Element) -> tuple[Element, int]:
     """Return the document and its version, with every element tied to its class's defaults."""
     if root.tag != "OpenSimDocument":
         raise root.error("is no OpenSim model; its root must be <OpenSimDocument>")
-    if not root.version.isdigit() or not VERSIONS[0] <= int(root.version) <= VERSIONS[1]:
+    version = root.attributes.get("Version", "")
+    if not (version.isascii() and version.isdigit() and VERSIONS[0] <= int(version[:9]) <= VERSIONS[1]):
         raise root.error(
-            f"has version {root.version!r}; documents {VERSIONS[0]} to {VERSIONS[1]} are read, "
+            f"has version {version[:60]!r}; documents {VERSIONS[0]} to {VERSIONS[1]} are read, "
             "older ones after saving them with OpenSim"
         )
     classes: dict[str, Element] = {}
@@ -106,7 +107,7 @@ def _checked(root: Element) -> tuple[Element, int]:
             place.children.remove(block)
     for element in root.walk() if classes else ():
         element.fallback = classes.get(element.tag)
-    return root, int(root.version)
+    return root, int(version)
 
 
 def _components(model: Element) -> list[tuple[str, Element]]:
