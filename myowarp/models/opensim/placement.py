@@ -22,6 +22,11 @@ from myowarp.models.opensim.wrap_mujoco import Surface
 
 TINY = 0.001
 """[m] radius of a sphere that stands for a conditional point."""
+RADII = (TINY, 0.01, 0.03)
+"""[m] of spheres that touch a conditional point and from which a fit starts."""
+TILTS = np.deg2rad([0, -20, 20, -40, 40, -60, 60, -75, 75])
+"""[rad] between the side of such a sphere and the mean direction to it: a tilted side lets go of a path that
+bends sharply, as OpenSim lets go of a point beyond its range."""
 RARE = 0.002
 """Share of poses below which a wrap or a conditional point is left out."""
 MAX_CONDITIONAL = 5
@@ -97,7 +102,7 @@ def _surfaces(observed: Observed, first: int, last: int) -> list[Over]:
 
 
 def _of_conditional(observed: Observed, first: int, number: int, last: int) -> list[Over]:
-    """Return a tiny sphere at a conditional point, its side away from the line that skips the point."""
+    """Return spheres that touch a conditional point, their side away from the line that skips it."""
     point = observed.path.points[number]
     active = observed.active[:, number]
     start, end, here = (observed.points[active, n] for n in (first, last, number))
@@ -105,11 +110,22 @@ def _of_conditional(observed: Observed, first: int, number: int, last: int) -> l
     t = np.clip(dot(here - start, along) / np.maximum(dot(along, along), 1e-12), 0.0, 1.0)
     away = here - (start + t[:, None] * along)
     rotation = observed.frames[point.body][0][active]
-    mean = np.einsum("nji,nj->i", rotation, unit(away))
-    if not np.linalg.norm(mean) > 0:
-        return []
-    surface = Surface("sphere", point.location, np.eye(3), TINY, unit(mean))
-    return [Over(f"P{number + 1}", point.body, surface)]
+    side, normal = (
+        unit(np.einsum("nji,nj->i", rotation, unit(vectors))) for vectors in (away, np.cross(along, away))
+    )
+    across = np.cross(normal, side)
+    spheres = [
+        Surface(
+            "sphere",
+            point.location - (radius - TINY) * side,
+            np.eye(3),
+            radius,
+            unit(np.cos(tilt) * side + np.sin(tilt) * across),
+        )
+        for radius in RADII
+        for tilt in TILTS
+    ]
+    return [Over(f"P{number + 1}", point.body, sphere) for sphere in spheres]
 
 
 def _of_object(observed: Observed, number: int, wrap: WrapObject, here: np.ndarray) -> list[Over]:

@@ -30,8 +30,10 @@ LENGTH_WEIGHT = 2.0
 """Of a length against a moment arm."""
 GOOD = 1e-5
 """[m] RMS error below which nothing is fitted."""
-CANDIDATES = 5
+CANDIDATES = 6
 """Rows of elements whose surfaces are fitted."""
+SAME = 1e-9
+"""Relative difference of errors below which two rows make the same path."""
 ROWS = 3000
 """Combinations of gap fillings that are compared one by one."""
 EVALUATIONS = 40
@@ -201,7 +203,13 @@ def _choices(vectors: list[np.ndarray], target: np.ndarray) -> list[tuple[int, .
         found.append((float(total @ total), tuple(int(index) for index in choice)))
         if len(found) >= 2 * ROWS:
             break
-    return [choice for _, choice in sorted(found)]
+    found.sort()
+    # Choices that make no difference to the path, such as the tilt of a side, count once.
+    return [
+        choice
+        for number, (error, choice) in enumerate(found)
+        if number == 0 or error > found[number - 1][0] * (1 + SAME)
+    ]
 
 
 def fit_surfaces(muscle: _Muscle, tendon: TendonPath, method: Method) -> TendonPath:
