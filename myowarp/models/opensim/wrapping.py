@@ -11,7 +11,7 @@ doi:10.1109/TNSRE.2022.3213618), which is here for comparison.
 import itertools
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -22,9 +22,10 @@ from myowarp.models.opensim.moment_arm import STEP, Poses, Reference, crossed, o
 from myowarp.models.opensim.path import activity, locations, solve
 from myowarp.models.opensim.placement import TINY, Elements, Observed, fillings, gaps
 from myowarp.models.opensim.tendon import TendonPath, Via, lengths
+from myowarp.models.opensim.wrap_cylinder import unit
 from myowarp.models.opensim.wrap_mujoco import Surface
 
-POSES = 200
+POSES = 300
 """Random poses that a muscle is fitted in."""
 LENGTH_WEIGHT = 2.0
 """Of a length against a moment arm."""
@@ -42,6 +43,8 @@ CENTRE_SCALE, RADIUS_SCALE, TURN_SCALE = 0.005, 0.2, 0.2
 """[m], 1, [rad]: what counts as a step of the same size."""
 HOLD = 1e-6
 """[m] of residual for a parameter one such step away from its start: decides what the data leave open."""
+SIDE_STEPS = np.deg2rad([40.0, 20.0, 10.0, 5.0, 2.5, 1.0])
+"""[rad] of the search for the directions of sides."""
 ANNEALING_ROUNDS = 100
 """Of SciPy's dual annealing."""
 
@@ -145,6 +148,10 @@ def fit_muscle(
                 best, residual = fitted, error
             if _worst(muscle, residual) < GOOD:
                 break
+        if any(over.surface.side is not None for over in best.surfaces):
+            fitted = fit_surfaces(muscle, _turn_sides(muscle, best), method)
+            error = muscle.residual(fitted)
+            best, residual = (fitted, error) if error @ error < residual @ residual else (best, residual)
     arms, length = muscle.target.errors(residual)
     masked = 1 - muscle.target.mask.mean(axis=1)
     along = muscle.along
@@ -262,6 +269,30 @@ def fit_surfaces(muscle: _Muscle, tendon: TendonPath, method: Method) -> TendonP
         gtol=1e-12,
     )
     return at(found.x)
+
+
+def _turn_sides(muscle: _Muscle, tendon: TendonPath) -> TendonPath:
+    """Return a tendon path whose sides let go of bent paths in the poses where the reference does.
+
+    The error is a step function of a side's direction, so this is a pattern search, coarse to fine.
+    """
+    residual = muscle.residual(tendon)
+    best = float(residual @ residual)
+    for step in SIDE_STEPS:
+        for number, over in enumerate(tendon.surfaces):
+            if over.surface.side is None or over.surface.inside:
+                continue
+            first = unit(np.cross(over.surface.side, np.eye(3)[np.argmin(np.abs(over.surface.side))]))
+            for axis in (first, np.cross(over.surface.side, first)):
+                for turn in (-step, step):
+                    surfaces = [other.surface for other in tendon.surfaces]
+                    side = _exponential(turn * axis) @ over.surface.side
+                    surfaces[number] = replace(over.surface, side=side)
+                    tried = tendon.with_surfaces(surfaces)
+                    residual = muscle.residual(tried)
+                    if residual @ residual < best:
+                        tendon, best = tried, float(residual @ residual)
+    return tendon
 
 
 def _scales(surface: Surface) -> np.ndarray:
