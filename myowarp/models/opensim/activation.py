@@ -30,7 +30,10 @@ def activation_dynamics(muscle: HillMuscle) -> tuple[tuple[float, float, float] 
         rule = "the activation's rate under full or no excitation is matched at activation 0.5"
         note = Note(muscle.name, rule, f"factor {half_way / 0.5:.1f} in the rate, at activation 0")
         return (up, down, 0.0), (note,)
-    return (v["activation_time_constant"], v["deactivation_time_constant"], 0.0), ()
+    nested = (
+        "MuscleFirstOrderActivationDynamicModel." if muscle.kind == "Millard2012AccelerationMuscle" else ""
+    )
+    return (v[f"{nested}activation_time_constant"], v[f"{nested}deactivation_time_constant"], 0.0), ()
 
 
 def _blended_rates(muscle: HillMuscle) -> tuple[tuple[float, float, float], tuple[Note, ...]]:

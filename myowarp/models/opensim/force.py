@@ -26,7 +26,7 @@ import numpy as np
 from scipy import optimize
 
 from myowarp.models.opensim.activation import activation_dynamics
-from myowarp.models.opensim.hill import HillMuscle
+from myowarp.models.opensim.hill import HillMuscle, known
 from myowarp.models.opensim.model import Note
 
 Array = np.ndarray
@@ -263,13 +263,12 @@ def fit_force(muscle: HillMuscle, lengths: Array, method: Method = "least_square
     """Return the parameters of MuJoCo's muscle closest to a Hill muscle.
 
     Args:
-        muscle: The muscle.
+        muscle: The muscle, of any class (see `known`).
         lengths: Lengths of muscle and tendon in random poses [m], shape (num_samples,).
         method: How the force map is fitted.
 
     Raises:
         ValueError: If no length is finite.
-        NotImplementedError: For a class of muscles without equations.
     """
     lengths = np.asarray(lengths, float)
     used = lengths[np.isfinite(lengths)]
@@ -278,6 +277,7 @@ def fit_force(muscle: HillMuscle, lengths: Array, method: Method = "least_square
     share = np.linspace(0.0, 1.0, 2 * NUM_LENGTHS + 1)
     fitted, between = np.quantile(used, share[1::2]), np.quantile(used, share[::2])
 
+    muscle, replaced = known(muscle)
     start = analytic_start(muscle)
     p = SEARCHES[method](start, _map(muscle, fitted))
     speed, eccentric, velocity_rms = _fit_velocity(muscle, p, fitted[:: NUM_LENGTHS // 16])
@@ -303,7 +303,7 @@ def fit_force(muscle: HillMuscle, lengths: Array, method: Method = "least_square
         velocity_rms=velocity_rms,
         num_samples=used.size,
         num_masked=lengths.size - used.size,
-        notes=(*notes, *_stretched(muscle, check, error)),
+        notes=(*replaced, *notes, *_stretched(muscle, check, error)),
     )
 
 

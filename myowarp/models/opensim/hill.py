@@ -24,8 +24,9 @@ from numpy.typing import ArrayLike
 
 from myowarp.models.opensim.bezier import MIN_DAMPING, millard_curves
 from myowarp.models.opensim.functions import Function
-from myowarp.models.opensim.model import Muscle
+from myowarp.models.opensim.model import Muscle, Note
 from myowarp.models.opensim.muscle_curves import DeGrooteCurves, MuscleCurves, SplineCurves, ThelenCurves
+from myowarp.models.opensim.muscle_defaults import DEFAULTS, MAX_PENNATION
 from myowarp.models.opensim.muscle_splines import SPLINES
 
 Array = np.ndarray
@@ -33,6 +34,7 @@ Array = np.ndarray
 CLASSES = (
     "Thelen2003Muscle",
     "Millard2012EquilibriumMuscle",
+    "Millard2012AccelerationMuscle",
     "DeGrooteFregly2016Muscle",
     "Schutte1993Muscle_Deprecated",
     "Delp1990Muscle_Deprecated",
@@ -88,7 +90,7 @@ class HillMuscle:
         match self.kind:
             case "Thelen2003Muscle":
                 return ThelenCurves(*(v[name] for name in THELEN))
-            case "Millard2012EquilibriumMuscle":
+            case "Millard2012EquilibriumMuscle" | "Millard2012AccelerationMuscle":
                 return millard_curves(v)
             case "DeGrooteFregly2016Muscle":
                 active, passive, tendon = (v[name] for name in DE_GROOTE)
@@ -121,11 +123,11 @@ class HillMuscle:
     @property
     def shortest_fiber(self) -> float:
         """Length along the tendon that the fiber cannot go below [m]."""
-        if self.kind not in CLASSES[:2]:
+        if self.kind not in CLASSES[:3]:
             return 0.0
-        length = abs(self.fiber_width) / math.sin(self.values["maximum_pennation_angle"])
-        if self.kind == "Millard2012EquilibriumMuscle":
-            start = self.values["ActiveForceLengthCurve.min_norm_active_fiber_length"]
+        angle = self.values.get("maximum_pennation_angle", MAX_PENNATION)
+        length = abs(self.fiber_width) / math.sin(angle)
+        if start := self.values.get("ActiveForceLengthCurve.min_norm_active_fiber_length"):
             length = max(length, start * self.values["optimal_fiber_length"])
         return math.sqrt(length**2 - self.fiber_width**2)
 
@@ -205,6 +207,21 @@ class HillMuscle:
             inside = (slope > 0.0) & (step > low) & (step < high)
             z = np.where(done, z, np.where(inside, step, 0.5 * (low + high)))
         return z
+
+
+def known(muscle: HillMuscle) -> tuple[HillMuscle, tuple[Note, ...]]:
+    """Return a muscle that has equations here, and what was put in the place of its own."""
+    if muscle.kind == "Millard2012AccelerationMuscle":
+        rule = "the mass of its fiber and its compressive elements are left out"
+        return muscle, (
+            Note(muscle.name, rule, "3e-5 of the maximum isometric force at rest, with defaults"),
+        )
+    if muscle.kind in CLASSES:
+        return muscle, ()
+    kind = "Thelen2003Muscle"
+    rule = f"its class {muscle.kind} has no equations here; it is taken as a {kind} of its own parameters"
+    values = {**DEFAULTS[kind], **muscle.values}
+    return HillMuscle(muscle.name, kind, values), (Note(muscle.name, rule),)
 
 
 COMMON = (
