@@ -262,7 +262,6 @@ def tie(build: Build) -> CoordinateMap:
         dependents += _tied(build, name, [demand for demand in build.demands if demand.coordinate == name])
     for dependent in dependents:
         equality = build.spec.add_equality(name=dependent.joint, type=mujoco.mjtEq.mjEQ_JOINT)
-        equality.objtype = mujoco.mjtObj.mjOBJ_JOINT
         equality.name1, equality.name2 = dependent.joint, dependent.of
         equality.data[:5] = dependent.polynomial
         equality.solref, equality.solimp = TIGHT
@@ -309,7 +308,8 @@ def add_phantom(build: Build, name: str) -> str:
     body = build.bodies[GROUND].add_body(name=build.free_name("body", name))
     joint = build.free_name("joint", name)
     body.add_joint(name=joint, type=HINGE, axis=(1.0, 0.0, 0.0))
-    body.explicitinertial, body.mass, body.inertia = True, MIN_MASS, (PHANTOM_INERTIA,) * 3
+    body.explicitinertial, body.mass, body.ipos = True, MIN_MASS, np.zeros(3)
+    body.inertia = (PHANTOM_INERTIA,) * 3
     return joint
 
 

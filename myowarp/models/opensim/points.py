@@ -84,7 +84,8 @@ def _add_point(build: Build, name: str, point: MovingPathPoint) -> str:
             name=joint, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)[axis], armature=POINT_ARMATURE
         )
     if moves:
-        body.explicitinertial, body.mass, body.inertia = True, MIN_MASS, (MIN_INERTIA,) * 3
+        body.explicitinertial, body.mass, body.ipos = True, MIN_MASS, np.zeros(3)
+        body.inertia = (MIN_INERTIA,) * 3
         body.gravcomp = 1.0
         build.notes.append(
             Note(
