@@ -42,7 +42,7 @@ CLASSES = (
 )
 """OpenSim's muscle classes with equations here."""
 
-FORCE_TOLERANCE = 1e-12
+FORCE_TOLERANCE = 1e-11
 """Residual at which the equilibrium counts as found [max_isometric_force]; OpenSim stops at 1e-8."""
 
 MAX_STEPS = 100
@@ -178,7 +178,8 @@ class HillMuscle:
             Array of the broadcast shape of the arguments.
         """
         numbers = (np.asarray(x, float) for x in (activation, length, velocity))
-        activation, length, velocity = np.broadcast_arrays(*numbers)
+        arrays = np.broadcast_arrays(*numbers)
+        activation, length, velocity = (array.ravel() for array in arrays)
         slack, shortest = self.values["tendon_slack_length"], self.shortest_fiber
         longest = length - slack
         z = np.maximum(longest, shortest)
@@ -187,26 +188,37 @@ class HillMuscle:
         else:
             z = self._solve(activation, length, velocity, np.full(length.shape, shortest), z)
             force, _ = self.curves.tendon_force((length - z) / slack)
-        return np.where(longest > shortest, np.maximum(force, 0.0), 0.0)
+        force = np.where(longest > shortest, np.maximum(force, 0.0), 0.0)
+        return force.reshape(arrays[0].shape)
 
     def _solve(self, a: Array, length: Array, velocity: Array, low: Array, high: Array) -> Array:
         """Return the fiber length along the tendon between `low` and `high` at equilibrium [m]."""
         slack = self.values["tendon_slack_length"]
-        # A muscle that is stretched far keeps a stiff fiber in a tendon: begin next to the slack end.
-        z = np.maximum(low, high - 0.02 * slack)
+
+        def residual(z: Array, where: Array) -> tuple[Array, Array]:
+            pull, pull_slope = self.fiber_force(z, a[where], velocity[where])
+            tension, stiffness = self.curves.tendon_force((length[where] - z) / slack)
+            return pull - tension, pull_slope + stiffness / slack
+
+        every = np.arange(len(length))
+        long, short = residual(high, every)[0] <= 0.0, residual(low, every)[0] >= 0.0
+        result = np.where(short, low, high)
+        index = np.flatnonzero(~(long | short))
+        low, high = low[index], high[index]
+        # Most muscles stretch their tendon little: begin next to the slack end.
+        z = np.maximum(0.5 * (low + high), high - 0.02 * slack)
         for _ in range(MAX_STEPS):
-            pull, pull_slope = self.fiber_force(z, a, velocity)
-            tension, stiffness = self.curves.tendon_force((length - z) / slack)
-            residual = pull - tension
-            low, high = np.where(residual < 0.0, z, low), np.where(residual < 0.0, high, z)
-            slope = pull_slope + stiffness / slack
-            done = (np.abs(residual) < FORCE_TOLERANCE) | (high - low < TINY)
-            if done.all():
+            if not index.size:
                 break
-            step = z - residual / np.where(slope > 0.0, slope, 1.0)
+            value, slope = residual(z, index)
+            low, high = np.where(value < 0.0, z, low), np.where(value < 0.0, high, z)
+            step = z - value / np.where(slope > 0.0, slope, 1.0)
             inside = (slope > 0.0) & (step > low) & (step < high)
-            z = np.where(done, z, np.where(inside, step, 0.5 * (low + high)))
-        return z
+            result[index] = z
+            rest = (np.abs(value) > FORCE_TOLERANCE) & (high - low > TINY)
+            z = np.where(inside, step, 0.5 * (low + high))[rest]
+            index, low, high = index[rest], low[rest], high[rest]
+        return result
 
 
 def known(muscle: HillMuscle) -> tuple[HillMuscle, tuple[Note, ...]]:
