@@ -78,10 +78,11 @@ def crossed(model: Model, path: Path) -> list[str]:
     chains = [_chain(model, point.body) for point in path.points]
     chains += [_chain(model, model.wraps[wrap.object].body) for wrap in path.wraps]
     joints = set().union(*chains) - set(chains[0]).intersection(*chains)
-    names = {move.coordinate for joint in joints for move in model.joints[joint].moves}
+    moved = {move.coordinate for joint in joints for move in model.joints[joint].moves}
     for point in path.points:
         if isinstance(point, MovingPathPoint):
-            names |= set(point.coordinates)
+            moved |= set(point.coordinates)
+    names = {name for name in moved if name is not None}
     while driven := names & set(model.couplers):
         names = names - driven | {model.couplers[name].independent for name in driven}
     return [name for name in model.coordinates if name in names and not model.coordinates[name].locked]
@@ -128,10 +129,10 @@ def stacked(
         )
         for body in bodies
     }
-    names = set()
+    names: set[str] = set()
     for point in path.points:
         if isinstance(point, MovingPathPoint):
-            names |= set(point.coordinates) - {None}
+            names |= {name for name in point.coordinates if name is not None}
         elif isinstance(point, ConditionalPathPoint):
             names.add(point.coordinate)
     return frames, {name: np.concatenate([values[name] for values, _ in sets]) for name in names}

@@ -24,6 +24,8 @@ SWEEPS = 8
 """Rounds over several wrap objects."""
 SETTLED = 0.0005
 """[m] of change in length after which no further round follows."""
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """A path in n poses.
@@ -205,7 +207,7 @@ class _Solver:
             rotation, origin = (values[rows[tried]] for values in self.frames[number])
             local = [np.einsum("nji,nj->ni", rotation, points - origin) for points in ends]
             method = self.path.wraps[number].method
-            wrap = wrap_lines(self.wraps[number], method, *local, len(self.wraps) > 1)
+            wrap = wrap_lines(self.wraps[number], method, local[0], local[1], len(self.wraps) > 1)
             status[tried] = wrap.status
             placed = [
                 origin + np.einsum("nij,nj->ni", rotation, points) for points in (wrap.first, wrap.last)

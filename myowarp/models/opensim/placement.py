@@ -1,14 +1,11 @@
-"""Which surfaces stand between which points of a tendon path, as far as that is a matter of counting.
+"""Which surfaces may stand between two sites of a tendon, from where the reference path goes in many poses.
 
-From the reference path in many poses: which points are always part of it, which object it wraps over and
-after which point. Between two points that it always passes there is a gap. What may stand in a gap is
-enumerated: nothing, a conditional point as a site or as a tiny sphere that the path may leave to one side,
-an object as it is or as a similar sphere or cylinder, with each class of winding that the data show.
+Between two sites there is nothing or one surface: a conditional point as a small sphere that the path may
+leave to one side, or an object as it is, or as a similar sphere or cylinder, with each class of winding
+that its quadrant or the data show.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -16,7 +13,7 @@ from myowarp.models.opensim.elements import ConditionalPathPoint, Path
 from myowarp.models.opensim.kinematics import Frames
 from myowarp.models.opensim.model import Model, WrapObject
 from myowarp.models.opensim.path import Solution, quadrant
-from myowarp.models.opensim.tendon import Over, Via
+from myowarp.models.opensim.tendon import Over
 from myowarp.models.opensim.wrap_cylinder import dot, unit
 from myowarp.models.opensim.wrap_mujoco import Surface
 
@@ -29,10 +26,6 @@ TILTS = np.deg2rad([0, -20, 20, -40, 40, -60, 60, -75, 75])
 bends sharply, as OpenSim lets go of a point beyond its range."""
 RARE = 0.002
 """Share of poses below which a wrap or a conditional point is left out."""
-MAX_CONDITIONAL = 5
-"""Conditional points in one gap of which all subsets are tried."""
-
-Elements = tuple[Via | Over, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,42 +49,29 @@ class Observed:
     solution: Solution
 
 
-def gaps(observed: Observed) -> list[tuple[int, int]]:
-    """Return pairs of neighbouring points that are always part of the path."""
-    always = [
+def always(observed: Observed) -> list[int]:
+    """Return the points that the path always passes; its ends count as such."""
+    points = observed.path.points
+    return [
         number
-        for number, point in enumerate(observed.path.points)
-        if not isinstance(point, ConditionalPathPoint) or observed.active[:, number].mean() > 1 - RARE
+        for number, point in enumerate(points)
+        if not isinstance(point, ConditionalPathPoint)
+        or observed.active[:, number].mean() > 1 - RARE
+        or number in (0, len(points) - 1)
     ]
-    return list(zip(always[:-1], always[1:], strict=True))
 
 
-def fillings(observed: Observed, gap: tuple[int, int]) -> list[Elements]:
-    """Return what may stand between two points, the points left out."""
-    first, last = gap
-    inner = [n for n in range(first + 1, last) if observed.active[:, n].mean() > RARE][:MAX_CONDITIONAL]
+def sometimes(observed: Observed) -> list[int]:
+    """Return the conditional points that the path passes in some poses only."""
+    rest = set(range(len(observed.path.points))) - set(always(observed))
+    return [number for number in sorted(rest) if observed.active[:, number].mean() > RARE]
+
+
+def surfaces(observed: Observed, first: int, last: int) -> list[Over]:
+    """Return the surfaces that may stand between two neighbouring sites, given as numbers of points."""
     found = []
-    for count in range(len(inner) + 1):
-        for sites in combinations(inner, count):
-            ends = [first, *sites, last]
-            found += list(_rows(observed, list(zip(ends[:-1], ends[1:], strict=True))))
-    return found
-
-
-def _rows(observed: Observed, pieces: list[tuple[int, int]]) -> Iterator[Elements]:
-    """Return all rows of elements over pieces that meet in sites, with at most one surface in each."""
-    (first, last), rest = pieces[0], pieces[1:]
-    tails = [(Via(last), *tail) for tail in _rows(observed, rest)] if rest else [()]
-    for surface in (None, *_surfaces(observed, first, last)):
-        for tail in tails:
-            yield tail if surface is None else (surface, *tail)
-
-
-def _surfaces(observed: Observed, first: int, last: int) -> list[Over]:
-    """Return the surfaces that may stand between two points."""
-    found = []
-    for number in range(first + 1, last):
-        if observed.active[:, number].mean() > RARE:
+    for number in sometimes(observed):
+        if first < number < last:
             found += _of_conditional(observed, first, number, last)
     for number, wrap in enumerate(observed.path.wraps):
         here = observed.solution.before(number)
@@ -104,6 +84,7 @@ def _surfaces(observed: Observed, first: int, last: int) -> list[Over]:
 def _of_conditional(observed: Observed, first: int, number: int, last: int) -> list[Over]:
     """Return spheres that touch a conditional point, their side away from the line that skips it."""
     point = observed.path.points[number]
+    assert isinstance(point, ConditionalPathPoint)
     active = observed.active[:, number]
     start, end, here = (observed.points[active, n] for n in (first, last, number))
     along = end - start
@@ -141,8 +122,8 @@ def _of_object(observed: Observed, number: int, wrap: WrapObject, here: np.ndarr
             continue
         outward = touched - surface.centre
         if surface.kind == "cylinder":
-            axis = surface.rotation[:, 2]
-            outward = outward - (outward @ axis)[:, None] * axis
+            upright = surface.rotation[:, 2]
+            outward = outward - (outward @ upright)[:, None] * upright
         sides = [None, unit(unit(outward).mean(axis=0))]
         axis, sign = quadrant(wrap.quadrant)
         if sign and wrap.kind != "torus":

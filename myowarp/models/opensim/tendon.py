@@ -151,7 +151,9 @@ def add_tendon(
                 _add_site(_body(spec, point.body), name, point.location)
             added.wrap_site(name)
         else:
-            _add_surface(spec, added, element, f"{tendon.muscle}-{element.name}")
+            name = f"{tendon.muscle}-{element.name}"
+            again = sum(geom.name.split("#")[0] == name for geom in spec.geoms)
+            _add_surface(spec, added, element, f"{name}#{again + 1}" if again else name)
     return added
 
 

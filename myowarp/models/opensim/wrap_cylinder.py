@@ -140,7 +140,7 @@ def _smallest_angle(candidates: list) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _on_quadrant(candidates: list, axis: int, sign: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the tangent points that keep the path on the quadrant's side, and whether that is the far one."""
+    """Return the tangent points on the quadrant's side of the path, and whether that is the far side."""
     (left_1, right_1), (left_2, right_2) = candidates
     wider = angle_between(left_1[:, :2], right_2[:, :2]) > angle_between(right_1[:, :2], left_2[:, :2])
     a1, b1 = on_side(left_1[:, axis], sign), on_side(right_1[:, axis], sign)

@@ -179,7 +179,9 @@ def _through(
     average = (error > 0) | (cosine > 1 - MIN)
     for _ in range(INSIDE_STEPS):
         z = np.sin(phi)
-        slopes = a / np.sqrt(np.maximum(1 - (a * z) ** 2, MIN)) + b / np.sqrt(np.maximum(1 - (b * z) ** 2, MIN))
+        slopes = a / np.sqrt(np.maximum(1 - (a * z) ** 2, MIN)) + b / np.sqrt(
+            np.maximum(1 - (b * z) ** 2, MIN)
+        )
         slope = np.cos(phi) * slopes - 2
         moving = ~average & (np.abs(error) > INSIDE_ERROR)
         phi = np.where(moving, phi - error / slope, phi)

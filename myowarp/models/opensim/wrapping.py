@@ -9,374 +9,225 @@ doi:10.1109/TNSRE.2022.3213618), which is here for comparison.
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 
-from myowarp.models.opensim.kinematics import Frames, independent, random_poses
+from myowarp.models.opensim.elements import Path
+from myowarp.models.opensim.kinematics import independent, random_poses
 from myowarp.models.opensim.model import Model
-from myowarp.models.opensim.moment_arm import STEP, Poses, Reference, crossed, own_reference, poses_of, stacked
-from myowarp.models.opensim.path import activity, locations, solve
-from myowarp.models.opensim.placement import TINY, Elements, Observed, fillings, gaps
-from myowarp.models.opensim.tendon import TendonPath, Via, lengths
-from myowarp.models.opensim.wrap_cylinder import unit
-from myowarp.models.opensim.wrap_mujoco import Surface
+from myowarp.models.opensim.moment_arm import Poses, Reference, poses_of
+from myowarp.models.opensim.placement import always, sometimes, surfaces
+from myowarp.models.opensim.surface_fit import Method, PathProblem, fit_surfaces, turn_sides
+from myowarp.models.opensim.tendon import Over, TendonPath, Via, lengths
 
 POSES = 300
 """Random poses that a muscle is fitted in."""
-LENGTH_WEIGHT = 2.0
-"""Of a length against a moment arm."""
-GOOD = 1e-5
-"""[m] RMS error below which nothing is fitted."""
+GOOD = 5e-5
+"""[m] RMS error below which nothing is fitted: it is smaller than what OpenSim's senses may differ by."""
 CANDIDATES = 6
 """Rows of elements whose surfaces are fitted."""
 SAME = 1e-9
 """Relative difference of errors below which two rows make the same path."""
-ROWS = 3000
-"""Combinations of gap fillings that are compared one by one."""
-EVALUATIONS = 40
-"""Of one fit."""
-CENTRE_SCALE, RADIUS_SCALE, TURN_SCALE = 0.005, 0.2, 0.2
-"""[m], 1, [rad]: what counts as a step of the same size."""
-HOLD = 1e-6
-"""[m] of residual for a parameter one such step away from its start: decides what the data leave open."""
-SIDE_STEPS = np.deg2rad([40.0, 20.0, 10.0, 5.0, 2.5, 1.0])
-"""[rad] of the search for the directions of sides."""
-ANNEALING_ROUNDS = 100
-"""Of SciPy's dual annealing."""
-
-Method = Literal["least_squares", "annealing"]
+ROWS = 1000
+"""Combinations of what may stand between sites that are compared one by one."""
+ALL_SUBSETS = 4
+"""Conditional points of which any may become sites; of more they do one by one, as long as that helps."""
 
 
 @dataclass(frozen=True, eq=False)
-class MuscleFit:
+class PathFit:
     """The converted path of one muscle.
 
     Attributes:
         tendon: the path.
-        coordinates: on which its length depends.
-        moment_arm_error: by coordinate, root mean square over consistent samples [m].
+        moment_arm_error: by coordinate that it depends on, root mean square over consistent samples [m].
         inconsistent: by coordinate, share of the samples that were left out.
-        length_error: root mean square [m].
+        length_error: root mean square over poses without such samples [m].
     """
 
     tendon: TendonPath
-    coordinates: tuple[str, ...]
-    moment_arm_error: dict[str, float]
-    inconsistent: dict[str, float]
+    moment_arm_error: Mapping[str, float]
+    inconsistent: Mapping[str, float]
     length_error: float
 
 
-class _Target:
-    """Residuals of a muscle: what a tendon's lengths in stacked poses differ from the reference."""
-
-    def __init__(self, reference: Reference, along: list[str]) -> None:
-        self.count, self.along = len(reference.length), along
-        self.mask = np.array([reference.consistent(name) for name in along]).reshape(-1, self.count)
-        whole = self.mask.all(axis=0)
-        share = np.sqrt(np.maximum(self.mask.sum(axis=1, keepdims=True), 1))
-        self.weights = self.mask / share
-        self.length_weights = LENGTH_WEIGHT * whole / np.sqrt(max(whole.sum(), 1))
-        arms = np.array([reference.moment_arm[name] for name in along]).reshape(-1, self.count)
-        self.value = np.concatenate(
-            [(self.weights * arms).ravel(), self.length_weights * reference.length]
-        )
-
-    def project(self, values: np.ndarray) -> np.ndarray:
-        """Return weighted moment arms and lengths of lengths or their gradients, shape `(rows, ...)`."""
-        blocks = values.reshape(-1, self.count, *values.shape[1:])
-        extra = (...,) + (None,) * (values.ndim - 1)
-        arms = -(blocks[2::2] - blocks[1::2]) / (2 * STEP) * self.weights[extra]
-        return np.concatenate([arms.reshape(-1, *values.shape[1:]), blocks[0] * self.length_weights[extra]])
-
-    def errors(self, residual: np.ndarray) -> tuple[np.ndarray, float]:
-        """Return root mean squares of moment arms by coordinate, and of the length [m]."""
-        squares = (residual**2).reshape(-1, self.count).sum(axis=1)
-        return np.sqrt(squares[:-1]), float(np.sqrt(squares[-1]) / LENGTH_WEIGHT)
-
-
-class _Muscle:
-    """What does not change while a muscle's path is being chosen and fitted."""
-
-    def __init__(self, model: Model, name: str, poses: Poses, reference: Reference | None) -> None:
-        path = model.muscles[name].path
-        self.name, self.along = name, crossed(model, path)
-        self.reference = reference or own_reference(model, path, poses, self.along)
-        self.target = _Target(self.reference, self.along)
-        self.frames, coordinates = stacked(model, path, poses, self.along)
-        self.points = locations(path, self.frames, coordinates)
-        count = self.target.count
-        points = self.points[:count]
-        active = activity(path, poses.coordinates, count)
-        solution = solve(model, path, poses.frames, poses.coordinates)
-        self.observed = Observed(model, path, poses.frames, points, active, solution)
-
-    def residual(self, tendon: TendonPath) -> np.ndarray:
-        """Return the weighted errors of a tendon path [m]."""
-        length = lengths(tendon, self.points, self.frames).length
-        return self.target.project(length) - self.target.value
-
-
-def fit_muscle(
+def fit_path(
     model: Model,
     name: str,
+    path: Path,
     poses: Poses,
     reference: Reference | None = None,
     method: Method = "least_squares",
-) -> MuscleFit:
-    """Return the path of one muscle for MuJoCo.
+) -> PathFit:
+    """Return a path for MuJoCo.
 
     Args:
         model: the model.
-        name: of the muscle.
+        name: of the tendon.
+        path: of a muscle, or of anything else that pulls.
         poses: random poses with neighbours along all free coordinates.
         reference: what OpenSim says in these poses; None: what our own path code says.
         method: of the fit.
     """
-    muscle = _Muscle(model, name, poses, reference)
-    candidates = _rows(muscle)
+    problem = PathProblem(model, name, path, poses, reference)
+    candidates = _rows(problem)
     best = candidates[0]
-    residual = muscle.residual(best)
-    if _worst(muscle, residual) > GOOD:
+    residual = problem.residual(best)
+    if _worst(problem, residual) > GOOD:
         for candidate in [row for row in candidates if row.surfaces]:
-            fitted = fit_surfaces(muscle, candidate, method)
-            error = muscle.residual(fitted)
+            fitted = fit_surfaces(problem, candidate, method)
+            error = problem.residual(fitted)
             if error @ error < residual @ residual:
                 best, residual = fitted, error
-            if _worst(muscle, residual) < GOOD:
+            if _worst(problem, residual) < GOOD:
                 break
         if any(over.surface.side is not None for over in best.surfaces):
-            fitted = fit_surfaces(muscle, _turn_sides(muscle, best), method)
-            error = muscle.residual(fitted)
+            fitted = fit_surfaces(problem, turn_sides(problem, best), method)
+            error = problem.residual(fitted)
             best, residual = (fitted, error) if error @ error < residual @ residual else (best, residual)
-    arms, length = muscle.target.errors(residual)
-    masked = 1 - muscle.target.mask.mean(axis=1)
-    along = muscle.along
-    return MuscleFit(
+    arms, length = problem.target.errors(residual)
+    masked = 1 - problem.target.mask.mean(axis=1)
+    return PathFit(
         best,
-        tuple(along),
-        dict(zip(along, arms.tolist(), strict=True)),
-        dict(zip(along, masked.tolist(), strict=True)),
+        dict(zip(problem.along, arms.tolist(), strict=True)),
+        dict(zip(problem.along, masked.tolist(), strict=True)),
         length,
     )
 
 
-def _worst(muscle: _Muscle, residual: np.ndarray) -> float:
-    arms, length = muscle.target.errors(residual)
+def _worst(problem: PathProblem, residual: np.ndarray) -> float:
+    arms, length = problem.target.errors(residual)
     return max([*arms.tolist(), length])
 
 
-def _rows(muscle: _Muscle) -> list[TendonPath]:
+def _rows(problem: PathProblem) -> list[TendonPath]:
     """Return the rows of elements that fit best before their surfaces are fitted, best first."""
-    spans = gaps(muscle.observed)
-    options: list[list[Elements]] = []
-    vectors: list[np.ndarray] = []
-    for first, last in spans:
-        found = fillings(muscle.observed, (first, last))
-        values = []
-        for filling in found:
-            piece = TendonPath(muscle.name, (Via(first), *filling, Via(last)))
-            values.append(muscle.target.project(lengths(piece, muscle.points, muscle.frames).length))
-        options.append(found)
-        vectors.append(np.array(values))
-    choices = _choices(vectors, muscle.target.value)
-    rows = []
-    for choice in choices[:CANDIDATES]:
-        elements: Elements = (Via(spans[0][0]),)
-        for (_, last), found, index in zip(spans, options, choice, strict=True):
-            elements = (*elements, *found[index], Via(last))
-        rows.append(TendonPath(muscle.name, elements))
-    return rows
+    conditional = sometimes(problem.observed)
+    rows = _Rows(problem)
+    if len(conditional) <= ALL_SUBSETS:
+        for count in range(len(conditional) + 1):
+            for sites in itertools.combinations(conditional, count):
+                rows.add(sites)
+    else:
+        sites, error = (), rows.add(())
+        while len(sites) < len(conditional):
+            tried = {(*sites, new): rows.add((*sites, new)) for new in conditional if new not in sites}
+            if min(tried.values()) >= error:
+                break
+            sites, error = min(tried.items(), key=lambda item: item[1])
+    return rows.best()
 
 
-def _choices(vectors: list[np.ndarray], target: np.ndarray) -> list[tuple[int, ...]]:
-    """Return choices of one vector per gap by the distance of their sum from the target, nearest first."""
-    current = [0] * len(vectors)
-    order = [np.arange(len(values)) for values in vectors]
-    for _ in range(3):
-        for gap, values in enumerate(vectors):
-            rest = sum(other[index] for other, index in zip(vectors, current, strict=True)) - values[current[gap]]
-            order[gap] = np.argsort(((rest + values - target) ** 2).sum(axis=1), kind="stable")
-            current[gap] = int(order[gap][0])
-    several = [gap for gap in range(len(vectors)) if len(vectors[gap]) > 1]
-    keep = max(int(ROWS ** (1 / max(len(several), 1))), 2)
-    kept = [values[:keep] for values in order]
-    found = []
-    for choice in itertools.product(*kept):
-        total = sum(values[index] for values, index in zip(vectors, choice, strict=True)) - target
-        found.append((float(total @ total), tuple(int(index) for index in choice)))
-        if len(found) >= 2 * ROWS:
-            break
-    found.sort()
+class _Rows:
+    """Rows of elements and their errors, for choices of conditional points that become sites."""
+
+    def __init__(self, problem: PathProblem) -> None:
+        self.problem = problem
+        self.found: list[tuple[float, TendonPath]] = []
+        self.spans: dict[tuple[int, int], tuple[list[tuple[Over, ...]], np.ndarray]] = {}
+
+    def add(self, sites: tuple[int, ...]) -> float:
+        """Add the best rows in which conditional points are sites, and return the least squared error."""
+        passed = sorted((*always(self.problem.observed), *sites))
+        parts = [self._span(first, last) for first, last in itertools.pairwise(passed)]
+        choices = _choices([vectors for _, vectors in parts], self.problem.target.value)[:CANDIDATES]
+        for error, choice in choices:
+            elements: tuple[Via | Over, ...] = (Via(passed[0]),)
+            for (fillings, _), index, last in zip(parts, choice, passed[1:], strict=True):
+                elements = (*elements, *fillings[index], Via(last))
+            self.found.append((error, TendonPath(self.problem.name, elements)))
+        return choices[0][0]
+
+    def best(self) -> list[TendonPath]:
+        """Return the best rows that make different paths, best first."""
+        self.found.sort(key=lambda item: item[0])
+        return [row for _, row in _different(self.found)][:CANDIDATES]
+
+    def _span(self, first: int, last: int) -> tuple[list[tuple[Over, ...]], np.ndarray]:
+        """Return what may stand between two sites, and what each contributes to moment arms and length."""
+        if (first, last) not in self.spans:
+            problem = self.problem
+            fillings: list[tuple[Over, ...]] = [()]
+            fillings += [(over,) for over in surfaces(problem.observed, first, last)]
+            vectors = []
+            for filling in fillings:
+                piece = TendonPath(problem.name, (Via(first), *filling, Via(last)))
+                vectors.append(problem.target.project(lengths(piece, problem.points, problem.frames).length))
+            self.spans[first, last] = fillings, np.array(vectors)
+        return self.spans[first, last]
+
+
+def _different(found: list) -> list:
+    """Return what differs in its error from what stands before it, in a sorted list of (error, ...)."""
     # Choices that make no difference to the path, such as the tilt of a side, count once.
     return [
-        choice
-        for number, (error, choice) in enumerate(found)
-        if number == 0 or error > found[number - 1][0] * (1 + SAME)
+        item
+        for number, item in enumerate(found)
+        if number == 0 or item[0] > found[number - 1][0] * (1 + SAME)
     ]
 
 
-def fit_surfaces(muscle: _Muscle, tendon: TendonPath, method: Method) -> TendonPath:
-    """Return a tendon path with centre, radius and orientation of its surfaces fitted."""
-    from scipy.optimize import dual_annealing, least_squares
-
-    starts = [over.surface for over in tendon.surfaces]
-    sizes = [4 if surface.kind == "sphere" else 7 for surface in starts]
-    ends = np.cumsum(sizes)
-    scale = np.concatenate([_scales(surface) for surface in starts])
-    low, high = (np.concatenate(side) for side in zip(*(_bounds(surface) for surface in starts), strict=True))
-
-    def at(x: np.ndarray) -> TendonPath:
-        parts = np.split(x * scale, ends[:-1])
-        return tendon.with_surfaces([_moved(s, part) for s, part in zip(starts, parts, strict=True)])
-
-    def residual(x: np.ndarray) -> np.ndarray:
-        return np.concatenate([muscle.residual(at(x)), HOLD * x])
-
-    def jacobian(x: np.ndarray) -> np.ndarray:
-        found = lengths(at(x), muscle.points, muscle.frames).gradients
-        blocks = []
-        for gradient, part in zip(found, np.split(x * scale, ends[:-1]), strict=True):
-            if len(part) == 4:
-                gradient = gradient[:, :4]
-            else:
-                gradient = np.concatenate([gradient[:, :4], gradient[:, 4:] @ _turning(part[4:])], axis=1)
-            blocks.append(muscle.target.project(gradient))
-        return np.concatenate([np.concatenate(blocks, axis=1) * scale, HOLD * np.eye(len(x))])
-
-    if method == "annealing":
-        bounds = list(zip(low / scale, high / scale, strict=True))
-        found = dual_annealing(
-            lambda x: float(np.sum(residual(x) ** 2)),
-            bounds,
-            maxiter=ANNEALING_ROUNDS,
-            seed=0,
-            no_local_search=True,
-            x0=np.zeros(len(scale)),
-        )
-        return at(found.x)
-    found = least_squares(
-        residual,
-        np.zeros(len(scale)),
-        jacobian,
-        bounds=(low / scale, high / scale),
-        max_nfev=EVALUATIONS,
-        xtol=1e-6,
-        ftol=1e-6,
-        gtol=1e-12,
-    )
-    return at(found.x)
-
-
-def _turn_sides(muscle: _Muscle, tendon: TendonPath) -> TendonPath:
-    """Return a tendon path whose sides let go of bent paths in the poses where the reference does.
-
-    The error is a step function of a side's direction, so this is a pattern search, coarse to fine.
-    """
-    residual = muscle.residual(tendon)
-    best = float(residual @ residual)
-    for step in SIDE_STEPS:
-        for number, over in enumerate(tendon.surfaces):
-            if over.surface.side is None or over.surface.inside:
-                continue
-            first = unit(np.cross(over.surface.side, np.eye(3)[np.argmin(np.abs(over.surface.side))]))
-            for axis in (first, np.cross(over.surface.side, first)):
-                for turn in (-step, step):
-                    surfaces = [other.surface for other in tendon.surfaces]
-                    side = _exponential(turn * axis) @ over.surface.side
-                    surfaces[number] = replace(over.surface, side=side)
-                    tried = tendon.with_surfaces(surfaces)
-                    residual = muscle.residual(tried)
-                    if residual @ residual < best:
-                        tendon, best = tried, float(residual @ residual)
-    return tendon
-
-
-def _scales(surface: Surface) -> np.ndarray:
-    turn = [] if surface.kind == "sphere" else [TURN_SCALE] * 3
-    return np.array([CENTRE_SCALE] * 3 + [RADIUS_SCALE] + turn)
-
-
-def _bounds(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far the parameters of a surface may go."""
-    reach = surface.radius + 0.01
-    growth = (np.log(0.2), np.log(3.0)) if surface.radius > TINY else (np.log(0.2), np.log(30.0))
-    turn = [] if surface.kind == "sphere" else [0.7] * 3
-    low = [-reach] * 3 + [growth[0]] + [-angle for angle in turn]
-    return np.array(low), np.array([reach] * 3 + [growth[1], *turn])
-
-
-def _moved(surface: Surface, x: np.ndarray) -> Surface:
-    """Return a surface with other centre, radius and orientation."""
-    rotation = surface.rotation if len(x) == 4 else _exponential(x[4:]) @ surface.rotation
-    return Surface(
-        surface.kind,
-        surface.centre + x[:3],
-        rotation,
-        float(surface.radius * np.exp(x[3])),
-        surface.side,
-        surface.inside,
-    )
-
-
-def _skew(x: np.ndarray) -> np.ndarray:
-    return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
-
-
-def _exponential(turn: np.ndarray) -> np.ndarray:
-    """Return the rotation of a rotation vector [rad]."""
-    angle = float(np.linalg.norm(turn))
-    if angle == 0.0:
-        return np.eye(3)
-    cross = _skew(turn / angle)
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-
-
-def _turning(turn: np.ndarray) -> np.ndarray:
-    """Return the derivative of a small turn with respect to a rotation vector, shape `(3, 3)`."""
-    angle = float(np.linalg.norm(turn))
-    if angle < 1e-8:
-        return np.eye(3)
-    axis = turn / angle
-    ratio = np.sin(angle) / angle
-    return (
-        ratio * np.eye(3)
-        + (1 - ratio) * np.outer(axis, axis)
-        + (1 - np.cos(angle)) / angle * _skew(axis)
-    )
+def _choices(vectors: list[np.ndarray], target: np.ndarray) -> list[tuple[float, tuple[int, ...]]]:
+    """Return squared distances of sums of one vector per span from the target, and the choices, sorted."""
+    current = [0] * len(vectors)
+    order = [np.arange(len(values)) for values in vectors]
+    for _ in range(3):
+        for span, values in enumerate(vectors):
+            chosen = zip(vectors, current, strict=True)
+            rest = sum(other[index] for other, index in chosen) - values[current[span]]
+            errors = ((rest + values - target) ** 2).sum(axis=1)
+            ranked = np.argsort(errors, kind="stable")
+            order[span] = np.array([index for _, index in _different([(errors[i], i) for i in ranked])])
+            current[span] = int(order[span][0])
+    several = sum(len(values) > 1 for values in order)
+    keep = max(int(ROWS ** (1 / max(several, 1))), 2)
+    found = []
+    for choice in itertools.islice(itertools.product(*(values[:keep] for values in order)), ROWS):
+        total = sum(values[index] for values, index in zip(vectors, choice, strict=True)) - target
+        found.append((float(total @ total), tuple(int(index) for index in choice)))
+    return _different(sorted(found))
 
 
 def fit_paths(
-    model: Model, count: int = POSES, seed: int = 0, workers: int = 1, method: Method = "least_squares"
-) -> Iterator[MuscleFit]:
-    """Yield the path of every muscle, in the model's order, as each is ready.
+    model: Model,
+    paths: Mapping[str, Path] | None = None,
+    count: int = POSES,
+    seed: int = 0,
+    workers: int = 1,
+    method: Method = "least_squares",
+) -> Iterator[PathFit]:
+    """Yield the fits of paths in their order, each as soon as it is ready.
 
     Args:
         model: the model.
+        paths: by name of the tendon; None: those of all muscles.
         count: of random poses.
         seed: of the random poses.
         workers: processes; 1 works in this one.
-        method: of the fit.
+        method: of the fits.
     """
+    if paths is None:
+        paths = {name: muscle.path for name, muscle in model.muscles.items()}
     poses = poses_of(model, random_poses(model, count, seed), independent(model))
     if workers == 1:
-        for name in model.muscles:
-            yield fit_muscle(model, name, poses, None, method)
+        for name, path in paths.items():
+            yield fit_path(model, name, path, poses, None, method)
         return
-    with ProcessPoolExecutor(workers, initializer=_set, initargs=(model, poses, method)) as pool:
-        yield from pool.map(_fit, model.muscles)
+    with ProcessPoolExecutor(workers, initializer=_share, initargs=(model, poses, method)) as pool:
+        yield from pool.map(_fit, paths, paths.values())
 
 
 _SHARED: dict[str, tuple[Model, Poses, Method]] = {}
+"""Of a worker process: what all its fits have in common."""
 
 
-def _set(model: Model, poses: Poses, method: Method) -> None:
+def _share(model: Model, poses: Poses, method: Method) -> None:
     _SHARED["now"] = (model, poses, method)
 
 
-def _fit(name: str) -> MuscleFit:
+def _fit(name: str, path: Path) -> PathFit:
     model, poses, method = _SHARED["now"]
-    return fit_muscle(model, name, poses, None, method)
+    return fit_path(model, name, path, poses, None, method)
