@@ -97,9 +97,12 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     for name, text in (("credits", model.credits), ("publications", model.publications)):
         if text:
             build.spec.add_text(name=name, data=text)
-    compiled = build.spec.compile()
+    try:
+        compiled = build.spec.compile()
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{model.source}: MuJoCo does not accept the converted model: {reason}") from error
     build.spec.add_key(name=KEYFRAME, qpos=coordinates.qpos(compiled, {})[0])
-    build.spec.compile()
     bodies = {name: body.name for name, body in build.bodies.items()}
     return Converted(model, build.spec, bodies, coordinates, moving, meshes, (*model.notes, *build.notes))
 

@@ -20,6 +20,8 @@ import numpy as np
 MAX_BYTES = 64 * 2**20  # the largest model in circulation has about 10 MB
 MAX_DEPTH = 64  # models need about 15
 MAX_ELEMENTS = 2_000_000
+MAX_NUMBER = 1e15  # of any unit: beyond it arithmetic overflows sooner or later
+LONG_WORD = re.compile(r"\S{80,}")
 BARE_AMPERSAND = re.compile(r"&(?!(?:amp|lt|gt|quot|apos|#\d{1,7}|#x[0-9A-Fa-f]{1,6});)")
 
 
@@ -46,7 +48,8 @@ class Element:
     def error(self, message: str) -> ValueError:
         """Return an error that says where: file, line, element."""
         name = f" name={self.name!r}" if self.name else ""
-        return ValueError(f"{self.source}:{self.line}: <{self.tag}{name}> {message}")
+        text = LONG_WORD.sub(lambda word: word[0][:60] + "...", f"<{self.tag}{name}> {message}")
+        return ValueError(f"{self.source}:{self.line}: {text}")
 
     def unsupported(self, message: str) -> NotImplementedError:
         """Return an error that says where: file, line, element."""
@@ -115,8 +118,8 @@ class Element:
             values = np.array([float(word) for word in words])
         except ValueError:
             raise self.error(f"must be numbers, got {self.text.strip()[:60]!r}") from None
-        if finite and not np.isfinite(values).all():
-            raise self.error(f"must be finite, got {self.text.strip()[:60]!r}")
+        if finite and not (np.abs(values) < MAX_NUMBER).all():
+            raise self.error(f"must be finite, below {MAX_NUMBER:g} in size, got {self.text.strip()[:60]!r}")
         return values
 
     def number(self, *tags: str, default: float | None = None, finite: bool = True) -> float:
