@@ -84,7 +84,7 @@ class Frames:
         Raises:
             ValueError: There is no such frame, or it is its own parent.
         """
-        pose, start = IDENTITY, owner
+        pose, start, first = IDENTITY, owner, target
         for _ in range(MAX_CHAIN):
             frame = self._find(target, owner)
             if frame is None:
@@ -95,9 +95,7 @@ class Frames:
             owner, target = frame, socket(frame, "parent")
             if not target:
                 raise frame.error("has no <socket_parent>")
-        raise start.error(
-            f"is attached to {start_of(start)!r}, which is its own parent or on over {MAX_CHAIN} frames"
-        )
+        raise start.error(f"is attached to {first!r}, which is its own parent or on over {MAX_CHAIN} frames")
 
     def _find(self, target: str, owner: Element) -> Element | None:
         """Return the frame at a path, absolute or as seen from `owner`; None: ground."""
@@ -136,8 +134,3 @@ class Frames:
         if owner is None:
             raise element.error("stands in no body or frame")
         return self.resolve(_component_path(owner), owner)
-
-
-def start_of(element: Element) -> str:
-    """Return the name of an element for a message."""
-    return element.name or element.tag
