@@ -49,8 +49,8 @@ def read_model(path: Path) -> Model:
     notes = [Note("/", "the file is not UTF-8 as it says; read as Latin-1")] if latin else []
     document, version = _checked(root)
     model = document.need("Model")
-    frames = Frames.of(model)
     components = _components(model)
+    frames = Frames.of(model, [element for _, element in components if element.tag == "Body"])
     _refuse_duplicates(components)
     joints, coordinates = _joints(components, frames, notes)
     bodies = {element.name: _body(element) for _, element in components if _is_body(element)}

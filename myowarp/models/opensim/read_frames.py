@@ -1,6 +1,7 @@
 """Frames of an .osim file: sockets and chains of offset frames -> a pose in a body."""
 
 import posixpath
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,12 +69,13 @@ class Frames:
     by_name: dict[str, list[Element]]
 
     @staticmethod
-    def of(model: Element) -> "Frames":
-        """Collect the frames of a `<Model>`."""
+    def of(model: Element, bodies: Iterable[Element]) -> "Frames":
+        """Collect the frames of a `<Model>`, and of its bodies only those that are components."""
+        components = {id(body) for body in bodies}
         by_path: dict[str, Element] = {}
         by_name: dict[str, list[Element]] = {}
         for element in model.walk():
-            if element.tag in FRAMES:
+            if element.tag in FRAMES and (element.tag != "Body" or id(element) in components):
                 by_path.setdefault(_component_path(element), element)
                 by_name.setdefault(element.name or GROUND, []).append(element)
         return Frames(by_path, by_name)
