@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from scipy import optimize
 
 from myowarp.models.opensim.elements import Path
 from myowarp.models.opensim.model import Model
@@ -87,8 +88,6 @@ class PathProblem:
 
 def fit_surfaces(problem: PathProblem, tendon: TendonPath, method: Method) -> TendonPath:
     """Return a tendon path with centre, radius and orientation of its surfaces fitted."""
-    from scipy.optimize import dual_annealing, least_squares
-
     starts = [over.surface for over in tendon.surfaces]
     sizes = [4 if surface.kind == "sphere" else 7 for surface in starts]
     ends = np.cumsum(sizes)
@@ -115,7 +114,7 @@ def fit_surfaces(problem: PathProblem, tendon: TendonPath, method: Method) -> Te
 
     if method == "annealing":
         bounds = list(zip(low / scale, high / scale, strict=True))
-        found = dual_annealing(
+        found = optimize.dual_annealing(
             lambda x: float(np.sum(residual(x) ** 2)),
             bounds,
             maxiter=ANNEALING_ROUNDS,
@@ -124,7 +123,7 @@ def fit_surfaces(problem: PathProblem, tendon: TendonPath, method: Method) -> Te
             x0=np.zeros(len(scale)),
         )
         return at(found.x)
-    found = least_squares(
+    found = optimize.least_squares(
         residual,
         np.zeros(len(scale)),
         jacobian,

@@ -20,8 +20,8 @@ from myowarp.models.opensim.wrap_cylinder import (
 
 TUBE_LENGTH = 10000.0
 """[m] of the cylinder that stands for a torus where the line passes it."""
-ITERATIONS = 50
-"""Newton steps for the place where a line passes the ring nearest."""
+EVALUATIONS, SEARCH_ERROR, FIRST_REACH = 500, 1e-4, 0.2
+"""Of the search for the place where a line passes the ring nearest: limit, tolerance, first scaled step."""
 
 
 def wrap_sphere(start: np.ndarray, end: np.ndarray, radius: float, axis: int, sign: int) -> Wrap:
@@ -151,16 +151,76 @@ def wrap_torus(
 def _nearest_to_ring(start: np.ndarray, end: np.ndarray, ring: float) -> np.ndarray:
     """Return the points of lines that OpenSim takes for nearest to a ring, found from their start.
 
-    Its derivative of the squared distance has the ring's term twice.
+    Its derivative of the squared distance has the ring's term twice, and the root that MINPACK's `lmdif`
+    finds depends on how that limits its steps; so this is `lmdif` for one variable (Moré 1978,
+    doi:10.1007/BFb0067700).
     """
     along = unit(end - start)
     flat, base = along[:, :2], start[:, :2]
     c3, c4, c5 = dot(base, flat), dot(flat, flat), dot(base, base)
-    u = np.zeros(len(start))
     height = dot(start, along)
-    for _ in range(ITERATIONS):
+
+    def residual(u: np.ndarray) -> np.ndarray:
         radius = np.sqrt(np.maximum(u * u * c4 + 2 * c3 * u + c5, 1e-300))
-        residual = height + u - 2 * ring * (c4 * u + c3) / radius
-        slope = 1 - 2 * ring * (c4 / radius - (c4 * u + c3) ** 2 / radius**3)
-        u = u - residual / np.where(np.abs(slope) > 1e-12, slope, 1.0)
+        return 2 * (height + u) - 4 * ring * (c4 * u + c3) / radius
+
+    def slope(u: np.ndarray) -> np.ndarray:
+        radius = np.sqrt(np.maximum(u * u * c4 + 2 * c3 * u + c5, 1e-300))
+        return 2 - 4 * ring * (c4 / radius - (c4 * u + c3) ** 2 / radius**3)
+
+    u = np.zeros(len(start))
+    f, j = residual(u), slope(u)
+    scale = np.where(j == 0, 1.0, np.abs(j))
+    reach, damping = np.full(len(u), FIRST_REACH), np.zeros(len(u))
+    busy, first = f != 0, np.ones(len(u), bool)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for _ in range(EVALUATIONS):
+            if not busy.any():
+                break
+            scale = np.maximum(scale, np.abs(j))
+            step, damping = _limited(f, j, scale, reach, damping)
+            size = scale * np.abs(step)
+            reach = np.where(first, np.minimum(reach, size), reach)
+            new = residual(u + step)
+            actual = np.where(0.1 * np.abs(new) < np.abs(f), 1 - (new / f) ** 2, -1.0)
+            linear, held = (j * step / f) ** 2, damping * (size / f) ** 2
+            predicted, ratio = linear + 2 * held, actual / (linear + 2 * held)
+            shrink = np.where(actual >= 0, 0.5, 0.5 * (linear + held) / (linear + held - 0.5 * actual))
+            shrink = np.where((0.1 * np.abs(new) >= np.abs(f)) | (shrink < 0.1), 0.1, shrink)
+            poor = ratio <= 0.25
+            fair = ~poor & ((damping == 0) | (ratio >= 0.75))
+            reach = np.where(poor, shrink * np.minimum(reach, 10 * size), np.where(fair, 2 * size, reach))
+            damping = np.where(poor, damping / shrink, np.where(fair, 0.5 * damping, damping))
+            taken = busy & (ratio >= 1e-4)
+            u, f, first = np.where(taken, u + step, u), np.where(taken, new, f), first & ~taken
+            j = slope(u)
+            settled = (np.abs(actual) <= SEARCH_ERROR) & (predicted <= SEARCH_ERROR) & (ratio <= 2)
+            settled |= (reach <= SEARCH_ERROR * scale * np.abs(u)) | (f == 0) | ~np.isfinite(ratio)
+            busy &= ~settled
     return start + u[:, None] * along
+
+
+def _limited(
+    f: np.ndarray, j: np.ndarray, scale: np.ndarray, reach: np.ndarray, damping: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return steps no longer than the reach, to a tenth, and the damping that makes them so."""
+    newton = scale * np.abs(f / j)
+    long = newton - reach > 0.1 * reach
+    low = (newton - reach) / reach * (j / scale) ** 2
+    steepest = np.abs(j * f) / scale
+    high = steepest / reach
+    par = np.clip(damping, low, high)
+    par = np.where(par == 0, steepest / newton, par)
+    open_ = long.copy()
+    for _ in range(10):
+        size = scale * np.abs(j * f) / (j * j + par * scale**2)
+        excess = size - reach
+        open_ &= np.abs(excess) > 0.1 * reach
+        if not open_.any():
+            break
+        change = excess / reach * (j * j + par * scale**2) / scale**2
+        low = np.where(open_ & (excess > 0), np.maximum(low, par), low)
+        high = np.where(open_ & (excess < 0), np.minimum(high, par), high)
+        par = np.where(open_, np.maximum(low, par + change), par)
+    par = np.where(long, par, 0.0)
+    return -j * f / (j * j + par * scale**2), par
