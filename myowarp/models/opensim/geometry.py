@@ -22,14 +22,17 @@ from myowarp.models.opensim.model import GROUND, Joint, Model, Move, Note
 
 Array = np.ndarray
 
+HINGE, SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+
 MIN_MASS = 1e-3  # kg, of a moving body that has none
 MIN_INERTIA = 1e-6  # kg m^2
 PHANTOM_INERTIA = 1e-3  # kg m^2, of a phantom whose angle runs over about 2 rad
+TIED_ARMATURE = {HINGE: 1e-3, SLIDE: 0.1}
+"""kg m^2 and kg, of a joint that follows another one: keeps the equality stiff where its body is light, as a
+patella is, and adds about 1e-3 kg m^2 at most to the joint that it follows."""
 ANGLE_LEVER = 0.05  # m: an angle that follows a spline is fitted as the travel of a point this far out
 TIGHT = ((0.004, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0))
 """solref and solimp of equalities: the stiffest that a step of 2 ms allows."""
-
-HINGE, SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 
 
 @dataclass(frozen=True)
@@ -168,6 +171,8 @@ def _add_body(build: Build, joint: Joint, moving: dict[str, float]) -> None:
         local = back @ at
         added = body.add_joint(name=name, type=SLIDE if move.kind == "slide" else HINGE)
         added.axis, added.pos = sign * local.rotation @ move.axis, local.position
+        if any(demand.joint == name for demand in build.demands):
+            added.armature = TIED_ARMATURE[added.type]
         _limit(build, added, move, scale)
     _add_inertia(build, joint.child, body, floor=bool(placed) and moving[joint.child] <= 0)
 

@@ -17,6 +17,8 @@ from myowarp.models.opensim.geometry import Build, quaternion
 from myowarp.models.opensim.kinematics import about
 from myowarp.models.opensim.model import Note
 
+MAX_PATH = 200  # characters of a file's name
+
 MESH_GROUP, CONTACT_GROUP = 1, 0
 
 FOLDERS = ("", "Geometry", "../Geometry")
@@ -86,11 +88,11 @@ def _add_geom(build: Build, shape: Shape, mesh: str | None) -> None:
 
 def _add_mesh(build: Build, shape: Shape, places: Sequence[Path], files: dict[str, bytes]) -> str | None:
     """Add a mesh asset and return its name; None, with a note, if there is no usable file."""
-    file = Path((shape.file or "").replace("\\", "/"))
+    file = Path((shape.file or "").replace("\\", "/")[-MAX_PATH:])
     found = next(
         (place / name for place in places for name in (file, file.name) if (place / name).is_file()), None
     )
-    where = f"{shape.body}/{shape.file}"
+    where = f"{shape.body}/{file}"
     if found is None:
         build.notes.append(Note(where, "the mesh file was not found; left out", "0: for looking at only"))
         return None

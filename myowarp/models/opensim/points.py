@@ -2,19 +2,23 @@
 
 from collections.abc import Hashable
 
-import mujoco
 import numpy as np
 
 from myowarp.models.opensim.elements import MovingPathPoint, Path
-from myowarp.models.opensim.geometry import MIN_INERTIA, MIN_MASS, Build, Demand, quaternion, reduced
+from myowarp.models.opensim.geometry import (
+    MIN_INERTIA,
+    MIN_MASS,
+    SLIDE,
+    TIED_ARMATURE,
+    Build,
+    Demand,
+    quaternion,
+    reduced,
+)
 from myowarp.models.opensim.model import Note
 
 MARKER_GROUP = 5
 MARKER_SIZE = 0.005  # m, as drawn
-
-POINT_ARMATURE = 0.1
-"""kg: keeps the equality of a moving point stiff under a muscle's force; it moves some cm per rad, so that
-this adds about 1e-4 kg m^2 to the joint that it follows."""
 
 
 def add_markers(build: Build) -> None:
@@ -80,9 +84,7 @@ def _add_point(build: Build, name: str, point: MovingPathPoint) -> str:
         quat=quaternion(point.frame.rotation),
     )
     for axis, joint in moves:
-        body.add_joint(
-            name=joint, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)[axis], armature=POINT_ARMATURE
-        )
+        body.add_joint(name=joint, type=SLIDE, axis=np.eye(3)[axis], armature=TIED_ARMATURE[SLIDE])
     if moves:
         body.explicitinertial, body.mass, body.ipos = True, MIN_MASS, np.zeros(3)
         body.inertia = (MIN_INERTIA,) * 3
@@ -91,7 +93,7 @@ def _add_point(build: Build, name: str, point: MovingPathPoint) -> str:
             Note(
                 f"/forceset/{name}",
                 "a moving point became a light body on slides",
-                f"{MIN_MASS:g} kg, and {POINT_ARMATURE:g} kg along each slide",
+                f"{MIN_MASS:g} kg, and {TIED_ARMATURE[SLIDE]:g} kg along each slide",
             )
         )
     return body.name
