@@ -19,9 +19,9 @@ from myowarp.models.opensim.functions import Function
 
 Array = np.ndarray
 
-SAMPLES = 241
+SAMPLES = 121
 SLOPE_WEIGHT = 0.1  # rad: an error of 1 mm/rad counts as 0.1 mm
-STARTS = 4
+STARTS = 3
 MAX_CHAIN = 2  # phantoms in series
 VALUE_TOLERANCE = 1e-4  # m
 SLOPE_TOLERANCE = 1e-3  # m/rad, root mean square
