@@ -220,6 +220,33 @@ def test_equilibrium_balances_fiber_and_tendon():
     assert found[0] < 0.8 * found[1] < found[1] < 0.9 * found[2]
 
 
+def test_slope_of_the_fiber_force():
+    muscle, h = KINDS["variant0"], 1e-7
+    z, activation, velocity = np.linspace(0.06, 0.14, 9), np.full(9, 0.7), np.linspace(-0.5, 0.5, 9)
+    ahead, behind = (muscle.fiber_force(z + step, activation, velocity)[0] for step in (h, -h))
+    found = muscle.fiber_force(z, activation, velocity)[1]
+    assert found == pytest.approx((ahead - behind) / (2 * h), abs=1e-5)
+    assert np.ptp(found) > 1.0
+
+
+def test_bounds():
+    """OpenSim's rules: no damping below 0.001, then slanted ends of f_V (half of 0.25 and 0.15)."""
+    damped, undamped = KINDS["variant2"], KINDS["variant3"]
+    ends = np.array([-1.0, 1.0])
+    assert damped.curves.force_velocity(ends, ends)[1] == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert undamped.curves.force_velocity(ends, ends)[1] == pytest.approx([0.125, 0.075], abs=1e-12)
+    little = HillMuscle("m", damped.kind, {**damped.values, "fiber_damping": 5e-4})
+    assert little.damping == 0.0
+    schutte = KINDS["Schutte1993Muscle_Deprecated"]
+    fast = HillMuscle("m", schutte.kind, {**schutte.values, "time_scale": 0.05}, schutte.functions)
+    assert fast.velocity_scale == pytest.approx(0.1 / 0.05)
+    thelen = KINDS["variant0"]
+    rigid = HillMuscle("m", thelen.kind, {**thelen.values, "ignore_tendon_compliance": 1.0})
+    slack = thelen.values["tendon_slack_length"]
+    assert rigid.tendon_force(1.0, [0.9 * slack, slack + 0.1]) == pytest.approx([0.0, 0.9], abs=0.15)
+    assert rigid.tendon_force(1.0, 0.9 * slack) == 0.0
+
+
 @pytest.mark.parametrize(
     ("kind", "relaxed", "half_active"),
     [
