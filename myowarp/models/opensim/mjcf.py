@@ -133,58 +133,27 @@ def _unless(value: Any, default: Any) -> Any:
 def _body_content(element: ElementTree.Element, body: mujoco.MjsBody) -> None:
     """Write joints, geoms, sites and bodies of a body."""
     for joint in body.joints:
-        limited = joint.limited == mujoco.mjtLimited.mjLIMITED_TRUE
-        _add(
-            element,
-            "joint",
-            name=joint.name,
-            type=JOINTS[joint.type],
-            pos=joint.pos,
-            axis=joint.axis,
-            limited=limited,
-            range=joint.range if limited else None,
-            armature=_unless(joint.armature, 0.0),
-            damping=_unless(joint.damping[0], 0.0),
-        )
+        _joint(element, joint)
     for geom in body.geoms:
-        mesh = geom.type == mujoco.mjtGeom.mjGEOM_MESH
-        _add(
-            element,
-            "geom",
-            name=geom.name,
-            type=GEOMS[geom.type],
-            pos=geom.pos,
-            quat=_unless(geom.quat, IDENTITY),
-            size=None if mesh else geom.size,
-            mesh=geom.meshname if mesh else None,
-            mass=0.0,
-            contype=int(geom.contype),
-            conaffinity=int(geom.conaffinity),
-            group=int(geom.group),
-            rgba=geom.rgba,
-        )
+        _geom(element, geom)
     for site in body.sites:
+        quat = _unless(site.quat, IDENTITY)
+        group = int(site.group)
         _add(
             element,
             "site",
             name=site.name,
             pos=site.pos,
-            quat=_unless(site.quat, IDENTITY),
+            quat=quat,
             size=site.size,
-            group=int(site.group),
+            group=group,
             rgba=site.rgba,
         )
     for light in body.lights:
         _add(element, "light", name=light.name, pos=light.pos, dir=light.dir)
     for child in body.bodies:
-        inner = _add(
-            element,
-            "body",
-            name=child.name,
-            pos=child.pos,
-            quat=_unless(child.quat, IDENTITY),
-            gravcomp=_unless(child.gravcomp, 0.0),
-        )
+        quat, gravcomp = _unless(child.quat, IDENTITY), _unless(child.gravcomp, 0.0)
+        inner = _add(element, "body", name=child.name, pos=child.pos, quat=quat, gravcomp=gravcomp)
         if child.explicitinertial:
             _add(
                 inner,
@@ -195,6 +164,43 @@ def _body_content(element: ElementTree.Element, body: mujoco.MjsBody) -> None:
                 diaginertia=child.inertia,
             )
         _body_content(inner, child)
+
+
+def _joint(element: ElementTree.Element, joint: mujoco.MjsJoint) -> None:
+    """Write a joint."""
+    limited = joint.limited == mujoco.mjtLimited.mjLIMITED_TRUE
+    _add(
+        element,
+        "joint",
+        name=joint.name,
+        type=JOINTS[joint.type],
+        pos=joint.pos,
+        axis=joint.axis,
+        limited=limited,
+        range=joint.range if limited else None,
+        armature=_unless(joint.armature, 0.0),
+        damping=_unless(joint.damping[0], 0.0),
+    )
+
+
+def _geom(element: ElementTree.Element, geom: mujoco.MjsGeom) -> None:
+    """Write a geom."""
+    mesh = geom.type == mujoco.mjtGeom.mjGEOM_MESH
+    _add(
+        element,
+        "geom",
+        name=geom.name,
+        type=GEOMS[geom.type],
+        pos=geom.pos,
+        quat=_unless(geom.quat, IDENTITY),
+        size=None if mesh else geom.size,
+        mesh=geom.meshname if mesh else None,
+        mass=0.0,
+        contype=int(geom.contype),
+        conaffinity=int(geom.conaffinity),
+        group=int(geom.group),
+        rgba=geom.rgba,
+    )
 
 
 def _equalities(root: ElementTree.Element, equalities: Iterable[mujoco.MjsEquality]) -> None:
