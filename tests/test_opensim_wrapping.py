@@ -12,7 +12,7 @@ from myowarp.models.opensim.kinematics import independent, random_poses
 from myowarp.models.opensim.moment_arm import crossed, own_reference, poses_of
 from myowarp.models.opensim.read import read_model
 from myowarp.models.opensim.surface_fit import PathProblem, fit_surfaces, turn_sides
-from myowarp.models.opensim.tendon import Over, TendonPath, Via
+from myowarp.models.opensim.tendon import Over, TendonPath, Via, lengths
 from myowarp.models.opensim.wrap_mujoco import Surface, over_surface
 from myowarp.models.opensim.wrapping import fit_path, fit_paths
 
@@ -155,6 +155,28 @@ def test_a_side_is_turned_to_where_the_point_is_let_go():
     assert np.linalg.norm(problem.residual(turn_sides(problem, start))) < 0.7 * before
 
 
+def test_side_sites_are_added():
+    """A conditional point on the way over the hip, whose frames are exact: the path may leave one side."""
+    model = read_model(OSIM / "leg6dof9musc.osim")
+    poses = poses_of(model, random_poses(model, 40, 0), independent(model))
+    path = model.muscles["psoas_r"].path
+    fit = fit_path(model, "psoas_r", path, poses)
+    assert any(over.surface.side is not None for over in fit.tendon.surfaces)
+    converted = convert(model, stages=Stages(tendons={"psoas_r": fit.tendon}))
+    compiled = converted.spec.compile()
+    data, found = mujoco.MjData(compiled), []
+    for position in converted.coordinates.qpos(compiled, {k: poses.coordinates[k] for k in poses.beside}):
+        data.qpos[:] = position
+        mujoco.mj_fwdPosition(compiled, data)
+        found.append(data.tendon("psoas_r").length[0])
+    problem = PathProblem(model, "psoas_r", path, poses, None)
+    own = lengths(fit.tendon, problem.points[:40], poses.frames).length
+    assert np.abs(own - found).max() < MODEL_TOLERANCE
+    straight = TendonPath("psoas_r", tuple(e for e in fit.tendon.elements if isinstance(e, Via)))
+    without = lengths(straight, problem.points[:40], poses.frames).length
+    assert np.abs(own - without).max() > 1e-3
+
+
 @pytest.mark.parametrize(
     "name", ["arm26", *(pytest.param(name, marks=pytest.mark.slow) for name in list(GATES)[1:])]
 )
@@ -168,11 +190,11 @@ def test_compiled_tendons(name):
     values = random_poses(model, 100, 1)
     poses = poses_of(model, values, independent(model))
     positions, rates = converted.coordinates.rates(compiled, {name: values[name] for name in free})
-    lengths, arms = np.zeros((100, compiled.ntendon)), np.zeros((100, compiled.ntendon, len(free)))
+    found, arms = np.zeros((100, compiled.ntendon)), np.zeros((100, compiled.ntendon, len(free)))
     for row, position in enumerate(positions):
         data.qpos[:] = position
         mujoco.mj_fwdPosition(compiled, data)
-        lengths[row] = data.ten_length
+        found[row] = data.ten_length
         jacobian = np.zeros((compiled.ntendon, compiled.nv))
         for tendon in range(compiled.ntendon):
             first = compiled.ten_J_rowadr[tendon]
@@ -192,7 +214,7 @@ def test_compiled_tendons(name):
             problem = PathProblem(model, muscle, path, poses, None)
             own = problem.residual(fit.tendon)[-100:] + problem.target.value[-100:]
             weights = problem.target.length_weights
-            assert np.abs(own - weights * lengths[:, column]).max() < MODEL_TOLERANCE
+            assert np.abs(own - weights * found[:, column]).max() < MODEL_TOLERANCE
     assert np.mean(errors) < GATES[name]
 
 

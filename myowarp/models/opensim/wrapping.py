@@ -9,6 +9,7 @@ doi:10.1109/TNSRE.2022.3213618), which is here for comparison.
 """
 
 import itertools
+import multiprocessing
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -216,7 +217,10 @@ def fit_paths(
         for name, path in paths.items():
             yield fit_path(model, name, path, poses, None, method)
         return
-    with ProcessPoolExecutor(workers, initializer=_share, initargs=(model, poses, method)) as pool:
+    # Forked workers share the poses and need not import Warp again, which takes longer than the fits.
+    fork = "fork" if "fork" in multiprocessing.get_all_start_methods() else None
+    context = multiprocessing.get_context(fork)
+    with ProcessPoolExecutor(workers, context, _share, (model, poses, method)) as pool:
         yield from pool.map(_fit, paths, paths.values())
 
 
