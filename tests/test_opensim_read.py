@@ -209,6 +209,13 @@ def test_cyclic_frames(tmp_path):
         read_model(changed(tmp_path, JOINTS, *CYCLIC))
 
 
+def test_couplers_in_a_circle(tmp_path):
+    old = "<independent_coordinate_names>bend<"
+    path = changed(tmp_path, JOINTS, old, "<independent_coordinate_names>patella_2<")
+    with pytest.raises(ValueError, match=r"<CoordinateCouplerConstraint name='patella_.*depend on itself"):
+        read_model(path)
+
+
 def test_loops_of_joints(tmp_path):
     weld = '<WeldJoint name="shut"><socket_parent_frame>/ground</socket_parent_frame>'
     weld += "<socket_child_frame>/bodyset/loose</socket_child_frame></WeldJoint>"

@@ -20,7 +20,7 @@ from myowarp.models.opensim.read_paths import Scope, read_wraps
 VERSIONS = (30000, 40699)
 """First and last version of a document that is read; the later ones of 4.6 add nothing."""
 
-MAX_BODIES = 2000
+MAX_BODIES = 400  # published models have up to about 100; a chain of bodies is walked recursively
 
 SETS = (
     ("BodySet", "bodyset"),

@@ -33,6 +33,8 @@ READERS: dict[str, tuple[str, Callable[[Element, Scope], Any]]] = {
 }
 """OpenSim's class: field of `Model`, and who reads it. Bodies and joints are read before."""
 
+MAX_CHAIN = 30  # couplers in series; composed functions are evaluated recursively
+
 MAPPINGS = ("couplers", "muscles", "ligaments", "markers")
 """Fields that are looked up by name; the others are tuples."""
 
@@ -76,9 +78,12 @@ def _refuse_cycles(couplers: Mapping[str, Coupler], components: list[tuple[str, 
         while name in couplers and name not in seen:
             seen.add(name)
             name = couplers[name].independent
-        if name in seen:
+        if name in seen or len(seen) > MAX_CHAIN:
             element = next(element for _, element in components if element.name == coupler.name)
-            raise element.error(f"makes coordinate {name!r} depend on itself")
+            reason = (
+                "depend on itself" if name in seen else f"depend on another through over {MAX_CHAIN} couplers"
+            )
+            raise element.error(f"makes coordinate {name!r} {reason}")
 
 
 def read_shapes(model: Element, frames: Frames, notes: list[Note]) -> tuple[Shape, ...]:
