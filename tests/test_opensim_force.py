@@ -238,3 +238,5 @@ def test_activation_dynamics():
         assert ratio.max() < bound
         assert ratio.min() > 1.0 / bound
         assert len(notes) == 1
+        if muscle is schutte:
+            assert ratio[:, activation.size // 2] == pytest.approx(1.0, abs=1e-9), "at activation 0.5"
