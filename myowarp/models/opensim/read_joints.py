@@ -92,7 +92,10 @@ def read_joint(
     else:
         raise element.unsupported(f"is no supported joint; these are: {', '.join((*SIMPLE, 'CustomJoint'))}")
     joint = Joint(element.name, element.tag, parent, child, parent_frame, child_frame, tuple(moves))
-    return (reverse(joint) if element.flag("reverse", default=False) else joint), coordinates, names
+    if element.flag("reverse", default=False):
+        # Before 4.0: the moves lead from the child to the parent; `in_order` turns the joint round again.
+        joint = replace(reverse(joint), moves=joint.moves)
+    return joint, coordinates, names
 
 
 def _custom_moves(element: Element, names: list[str]) -> list[Move]:
