@@ -116,9 +116,7 @@ class Simulation:
             self._fusions: tuple[Fusion, ...] = ()
             candidates = applicable_fusions(self.scene, FUSIONS if fusions is None else fusions)
             compile_kernels(lambda: self._launch_all(candidates), self.scene.device, show=progress)
-            self._idle = verified_idle(
-                self.scene.oracle, self.scene.model, self.scene.data, self._launch_physics
-            )
+            self._idle = verified_idle(self.scene, self._launch_physics)
             self._fusions = verified_fusions(self.scene, candidates, self._launch_physics)
             self._step_graph = self._capture(self._launch_step) if graph else None
             self._reset_graph = self._capture(self._launch_asked_reset) if graph else None

@@ -1,6 +1,7 @@
 """What holds for every registered condition, and for parameters, without a condition being named here."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -152,13 +153,14 @@ class TestParameter:
     """Closed forms; independence of the batch."""
 
     @staticmethod
-    def values(value, num_worlds=3, names=("a", "b", "c_r"), steps=0, **options):
-        """Return a parameter's values after some control steps of 0.1 s, shape (num_worlds, num_names)."""
-        parameter = Parameter("thing", value, num_worlds, names, neutral=1.0, **options)
+    def values(value, num_worlds=3, names=("a", "b", "c_r"), steps=0, dt=0.1, **options):
+        """Return a parameter's values after some control steps of dt [s], shape (num_worlds, num_names)."""
+        scene = SimpleNamespace(num_worlds=num_worlds, control_dt=dt)
+        parameter = Parameter("thing", value, scene, names, neutral=1.0, **options)
         clock = Clock()
         clock.step_count = wp.full(num_worlds, steps, dtype=int)
         clock.life_count = wp.full(num_worlds, 10 * steps, dtype=int)
-        clock.control_dt = 0.1
+        clock.control_dt = dt
         out = wp.full((num_worlds, len(names)), np.nan, dtype=float)
         wp.launch(read_parameter, dim=out.shape, inputs=[parameter.curve, clock], outputs=[out])
         return out.numpy()
@@ -184,6 +186,25 @@ class TestParameter:
         ramp = Ramp(0.0, 1.0, onset=0.25)
         assert not self.values(ramp, steps=2).any()
         assert (self.values(ramp, steps=3) == 1).all()
+
+    def test_step_is_on_time(self):
+        """A change at n dt comes with step n, also where n dt is below it in float32."""
+        dt, n = 0.02, np.arange(1, 200)
+        late = n[np.float32(dt) * np.float32(n) < np.float32(dt * n)]
+        assert len(late) > 20
+        for step in (*late.tolist(), 180_000):
+            ramp = Ramp(0.0, 1.0, onset=step * dt)
+            assert (self.values(ramp, dt=dt, steps=step) == 1).all()
+            assert (self.values(ramp, dt=dt, steps=step - 1) == 0).all()
+
+    def test_ends_are_exact(self):
+        """Start before, end after, to the last bit; 0.3 + (1 - 0.3) is no 1 in float32."""
+        ends = [(0.3, 1.0), (0.1, 0.7), (5.0, 1e-3)]
+        assert any(np.float32(a) + (np.float32(b) - np.float32(a)) != np.float32(b) for a, b in ends)
+        for start, end in ends:
+            ramp = Ramp(start, end, onset=0.3, duration=0.4)
+            assert (self.values(ramp, steps=3) == np.float32(start)).all()
+            assert (self.values(ramp, steps=7) == np.float32(end)).all()
 
     @pytest.mark.parametrize("per", ["episode", "life"])
     def test_uniform_is_drawn_per_episode_or_life(self, per):

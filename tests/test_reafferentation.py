@@ -4,6 +4,7 @@ import json
 import os
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -132,9 +133,9 @@ def misses(sim, record):
 )
 def test_both_in_one_world(reafferentation, transfer, world):
     """Refused where it is known beforehand, at any time."""
-    num_worlds = 2
+    scene = SimpleNamespace(num_worlds=2, control_dt=0.02)
     parameters = [
-        Parameter(f"{name} affected", value, num_worlds, (), neutral=0.0)
+        Parameter(f"{name} affected", value, scene, (), neutral=0.0)
         for name, value in (("reafferentation", reafferentation), ("tendon_transfer", transfer))
     ]
     if world is None:
