@@ -63,6 +63,7 @@ class FatigueMa2009(Condition):
         """Put rates and initial fatigue on the device."""
         if not scene.muscles.names:
             raise ValueError(f"fatigue_ma2009 is about muscles; the body of task {scene.spec.key!r} has none")
+        scene.muscles.record_workload()
         names = scene.muscles.names
         rate = Parameter("fatigue_ma2009 rate", self.rate, scene, names, neutral=0.0, low=0.0)
         initial = Parameter(
