@@ -3,10 +3,10 @@
     python -m benchmarks.soak --output out/soak.json
     python -m benchmarks.soak --pairs --output out/soak_pairs.json
 
-With --pairs the runs are the hard task of each family with every two muscle conditions that its body can have
-together; what is refused is listed with its reason. Every run is 10,000 environment steps or more, split evenly
-over the worlds. The file is written after each run, and runs that it already holds are skipped, so that one
-that was interrupted goes on.
+With --pairs the runs are the hard task of each family with every two muscle conditions that its body can
+have together; what is refused is listed with its reason. Every run is 10,000 environment steps or more,
+split evenly over the worlds. The file is written after each run, and runs that it already holds are skipped,
+so that one that was interrupted goes on.
 """
 
 import argparse
@@ -66,7 +66,7 @@ def suited(name: str, spec: TaskSpec) -> str | Condition:
 
 
 def soak(run: Soaked, num_worlds: int) -> dict[str, object]:
-    """Return what happened: faults by their meaning, and what is left of contacts and rows; or the refusal."""
+    """Return what happened: faults by their meaning, what is left of contacts and rows; or the refusal."""
     spec = TASKS[run.task]
     steps = -(-STEPS // num_worlds)
     begin = time.perf_counter()
@@ -103,9 +103,10 @@ def summary(rows: list[dict]) -> str:
     # Without contacts the rows have an exact bound.
     touching = [row for row in ran if row["contact_margin_percent"] is not None]
     pools, margins = (min(row[f"{what}_margin_percent"] for row in touching) for what in ("contact", "row"))
+    faulty = sum(any(row["faults"].values()) for row in ran)
     return (
         f"{len(ran)} runs, {sum(row['env_steps'] for row in ran):,} environment steps, "
-        f"{sum(any(row['faults'].values()) for row in ran)} runs with a fault, {len(rows) - len(ran)} refused; "
+        f"{faulty} runs with a fault, {len(rows) - len(ran)} refused; "
         f"free at the fullest: {pools:.0f} % of contacts, {margins:.0f} % of rows"
     )
 

@@ -1,6 +1,8 @@
 """What holds for every registered condition, and for parameters, without a condition being named here."""
 
 import dataclasses
+from functools import lru_cache
+from itertools import combinations
 from types import SimpleNamespace
 
 import numpy as np
@@ -90,6 +92,60 @@ def test_every_world_has_its_own_patient(hosted):
     for world in (0, 5, 11, 23):
         alone = trajectory(key, between(name, share[world]), world)
         np.testing.assert_array_equal(together[:, world], alone[:, 0], err_msg=str(world))
+
+
+def composed(key, names):
+    """Return as many of the conditions of these names as a body can have together, from the first on."""
+    chosen = []
+    for name in names:
+        try:
+            Simulation(TASKS[key], 1, device="cpu", conditions=(*chosen, name), graph=False, progress=False)
+        except ValueError:
+            continue
+        chosen.append(name)
+    return chosen
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", HOSTS)
+@pytest.mark.parametrize("names", [NAMES, NAMES[::-1]], ids=["forward", "backward"])
+def test_256_patients_are_256_simulations(key, names):
+    """Worlds with 256 sets of parameters of several conditions go as each does alone, bit for bit."""
+    n, chosen = 256, composed(key, names)
+    assert len(chosen) > 3
+    shares = np.random.default_rng(0).uniform(0.0, 1.0, (n, len(chosen)))
+
+    def patients(share):
+        return [between(*pair) for pair in zip(chosen, share, strict=True)]
+
+    together = trajectory(key, patients(shares.T), np.arange(n), graph=False)
+    assert len(np.unique(together[3].round(7), axis=0)) == n
+    for world in range(n):
+        alone = trajectory(key, patients(shares[world]), world, graph=False)
+        np.testing.assert_array_equal(together[:, world], alone[:, 0], err_msg=str(world))
+
+
+@lru_cache
+def last_joint(key, *names):
+    """Return how the last joint moves in four worlds with conditions."""
+    return trajectory(key, names, np.arange(4), graph=False)[..., -1]
+
+
+@pytest.mark.parametrize(
+    "key", [HOSTS[0], pytest.param(HOSTS[1], marks=pytest.mark.slow)], ids=["elbow", "hand"]
+)
+def test_any_two_act_together(key):
+    """All pairs that a body can have: no fault, and neither hides the other."""
+    pairs = 0
+    for pair in combinations(NAMES, 2):
+        try:
+            both = last_joint(key, *pair)
+        except ValueError:
+            continue
+        for alone in pair:
+            assert not np.array_equal(both, last_joint(key, alone)), pair
+        pairs += 1
+    assert pairs > 10
 
 
 def test_eager_is_the_graph(hosted):
