@@ -6,13 +6,14 @@ is made again, never trusted. `MYOWARP_CACHE_DIR` moves the folder.
 
 import hashlib
 import os
-import tempfile
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
 
 import platformdirs
+
+from myowarp.files import in_place
 
 T = TypeVar("T")
 
@@ -52,14 +53,10 @@ def cached(
         except (ValueError, EOFError, OSError):
             pass  # damaged or unreadable: made again below
     entry = make()
-    scratch = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, scratch = tempfile.mkstemp(suffix=suffix, dir=path.parent)
-        os.close(handle)
-        save(entry, scratch)
-        Path(scratch).replace(path)
+        with in_place(path) as scratch:
+            save(entry, str(scratch))
     except OSError:
-        if scratch is not None:
-            Path(scratch).unlink(missing_ok=True)
+        pass  # without a cache the next start takes as long as this one
     return entry

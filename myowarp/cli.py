@@ -306,6 +306,7 @@ class Audit:
     def __call__(self) -> None:
         """Check everything, then audit and report."""
         from myowarp.audit import command
+        from myowarp.files import check_folder
         from myowarp.registry import check_choice
         from myowarp.scene import resolve_device
         from myowarp.spec import PHYSICS
@@ -320,7 +321,8 @@ class Audit:
                 raise ValueError(f"--{name} must be at least {least}, got {number}")
         check_choice("physics", self.physics, PHYSICS)
         resolve_device(self.device)
-        command.check_folder(self.output)
+        check_folder(self.output)
+        self.output.mkdir(parents=True, exist_ok=True)
         console = Console(stderr=True, highlight=False, soft_wrap=True)
         audits = command.audit_all(
             jobs,

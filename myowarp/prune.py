@@ -24,6 +24,7 @@ def _zero(*names: str) -> Callable[[mujoco.MjModel], bool]:
     return lambda model: not any(np.any(getattr(model, name)) for name in names)
 
 
+_MUSCLE = mujoco.mjtDyn.mjDYN_MUSCLE.value
 _NO_TENDON_ARMATURE = _zero("tendon_armature", "actuator_armature")
 _NO_TENDON_DAMPING = _zero("tendon_damping", "tendon_dampingpoly", "actuator_damping", "actuator_dampingpoly")
 _NO_TENDON_SPRING = _zero("tendon_stiffness", "tendon_stiffnesspoly")
@@ -41,6 +42,7 @@ IDLE_WHEN: dict[str, Callable[[mujoco.MjModel], bool]] = {
     "_gravity_force": _zero("body_gravcomp"),
     "_tendon_actuator_force": lambda m: _NO_FORCE_LIMIT(m) and m.nsensor == 0,
     "_tendon_actuator_force_clamp": _NO_FORCE_LIMIT,
+    "_next_activation": lambda m: m.na == np.count_nonzero(m.actuator_dyntype == _MUSCLE),  # ours have none
     "_spatial_tendon_wrap": lambda m: True,  # exports the path for drawing; we draw with MuJoCo C
     "_apply_ft": lambda m: True,  # external forces on bodies; the simulation applies none
 }

@@ -36,6 +36,7 @@ from myowarp.registry import check_choice
 from myowarp.scene import compile_scene
 from myowarp.spec import TaskSpec
 from myowarp.starts import random_starts, start_address
+from myowarp.verdict import Verdict, cached_verdict
 from myowarp.warmup import compile_kernels, quiet
 
 AUTORESET = {
@@ -53,6 +54,7 @@ class Simulation:
     Attributes:
         scene: The compiled task.
         program: The task's kernels.
+        fusions: Parts of the physics step that kernels of ours do.
         effects: The conditions' kernels, in the order in which they act.
         action: Policy actions in [-1, 1], to be written before `step`, shape (num_worlds, num_actuators).
         transition: What the last step led to.
@@ -111,21 +113,40 @@ class Simulation:
             if reset == "random":
                 self.starts = wp.array(find_starts(spec, progress), dtype=float)
                 self.start_address = wp.array(start_address(spec, self.scene.oracle), dtype=int)
-            self._idle: frozenset[str] = frozenset()
-            self._probes: list[Callable[[], None]] = []
-            self._fusions: tuple[Fusion, ...] = ()
-            candidates = applicable_fusions(self.scene, FUSIONS if fusions is None else fusions)
-            compile_kernels(lambda: self._launch_all(candidates), self.scene.device, show=progress)
-            self._idle = verified_idle(self.scene, self._launch_physics)
-            self._fusions = verified_fusions(self.scene, candidates, self._launch_physics)
-            self._step_graph = self._capture(self._launch_step) if graph else None
-            self._reset_graph = self._capture(self._launch_asked_reset) if graph else None
+            self._prepare(FUSIONS if fusions is None else fusions, graph, progress)
         self.reset()
 
     @property
     def num_worlds(self) -> int:
         """Worlds stepped together."""
         return self.scene.num_worlds
+
+    def _prepare(self, fusions: Iterable[str], graph: bool, progress: bool) -> None:
+        """Compile all kernels, find out which launches the step needs, and capture it."""
+        self._idle: frozenset[str] = frozenset()
+        self._probes: list[Callable[[], None]] = []
+        self.fusions: tuple[Fusion, ...] = ()
+        candidates = applicable_fusions(self.scene, fusions)
+        verdict = cached_verdict(self.scene, candidates, lambda: self._verify(candidates, progress))
+        self._idle = verdict.idle
+        self.fusions = tuple(c for c in candidates if type(c).__name__ in verdict.fusions)
+        compile_kernels(self._launch_all, self.scene.device, show=progress)
+        self._step_graph = self._capture(self._launch_step) if graph else None
+        self._reset_graph = self._capture(self._launch_asked_reset) if graph else None
+
+    def _verify(self, candidates: tuple[Fusion, ...], progress: bool) -> Verdict:
+        """Compile the stock step and the one with fusions, and compare them."""
+
+        def launch_both() -> None:
+            self._launch_all()
+            with installed(candidates):
+                self._launch_physics()
+
+        scene = self.scene
+        compile_kernels(launch_both, scene.device, show=progress)
+        self._idle = verified_idle(scene, self._launch_physics)
+        trusted = verified_fusions(scene, candidates, self._launch_physics)
+        return Verdict(self._idle, frozenset(type(fusion).__name__ for fusion in trusted))
 
     def _bind_conditions(self) -> None:
         """Allocate the counters of the episodes, and what the conditions need."""
@@ -169,13 +190,10 @@ class Simulation:
             setattr(transition, flag, wp.zeros(n, dtype=bool))
         return transition
 
-    def _launch_all(self, candidates: tuple[Fusion, ...]) -> None:
-        """Every launch there is, for the compiler: the stock step, and the one with fusions."""
+    def _launch_all(self) -> None:
+        """Every launch there is, for the compiler."""
         self._launch_step()
         self._launch_asked_reset()
-        if candidates:
-            with installed(candidates):
-                self._launch_physics()
 
     def _launch_step(self) -> None:
         """One control step of all worlds."""
@@ -197,7 +215,7 @@ class Simulation:
 
     def _launch_physics(self) -> None:
         """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
-        with installed(self._fusions):
+        with installed(self.fusions):
             mjw.step(self.scene.model, self.scene.data)
 
     def _launch_control(self, model: mjw.Model, data: mjw.Data) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 from configurations import configurations
 
 import myowarp.tasks.variants  # noqa: F401  (registers the tasks)
+from myowarp.fusions import installed
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 
@@ -90,13 +91,15 @@ def compare_with_c(sim, models):
     """
     states, data, muscles = States(sim), sim.scene.data, sim.scene.muscles
     states.load(sim)
-    mjw.forward(sim.scene.model, data)
+    with installed(sim.fusions):
+        mjw.forward(sim.scene.model, data)
     path = muscles.anatomy.path.numpy()
     forces = np.take_along_axis(data.actuator_force.numpy(), path, axis=1)
     accelerations = data.qacc.numpy().copy()
     states.load(sim)
     for _ in range(sim.scene.num_substeps):
-        mjw.step(sim.scene.model, data)
+        with installed(sim.fusions):
+            mjw.step(sim.scene.model, data)
     errors = {"force": [], "qacc": [], "qpos": [], "activation": []}
     for world, model in enumerate(models):
         first, last = states.in_c(model, world), states.in_c(model, world, sim.scene.num_substeps)

@@ -108,7 +108,7 @@ def run(monkeypatch, capsys):
         (["--seed", -1], "--seed must be at least 0, got -1"),
         (["--physics", "slow"], "physics 'slow' unknown; available: parity, fast"),
         (["--device", "cuda:77"], "device 'cuda:77' is not available; available: "),
-        (["--output", "{file}/deeper"], "output '{file}/deeper' must be a folder that can be written: "),
+        (["--output", "{file}/deeper"], "output '{file}/deeper' cannot be written; it must be a folder, "),
     ],
 )
 def test_bad_input_is_refused_before_anything_runs(run, monkeypatch, tmp_path, arguments, sentence):

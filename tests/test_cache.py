@@ -1,5 +1,6 @@
 """The disk cache: what a key distinguishes, and what happens to damaged files and bad folders."""
 
+import tempfile
 from pathlib import Path
 
 import mujoco
@@ -124,7 +125,7 @@ def test_folder_that_cannot_be_written(make, folder, monkeypatch):
         raise PermissionError("read-only")
 
     monkeypatch.setattr(Path, "unlink", refuse)
-    monkeypatch.setattr(cache.tempfile, "mkstemp", refuse)
+    monkeypatch.setattr(tempfile, "mkstemp", refuse)
     assert make("key")[0] == 1.0
 
 

@@ -27,6 +27,7 @@ FORBIDDEN = {
     "kernels": {"spec", "models", "scene", "tasks", "sim", "warmup", "audit", "bridge_gym"},
     "models": {"scene", "tasks", "sim", "warmup", "audit", "bridge_gym"},
     "scene": {"tasks", "sim", "warmup", "audit", "bridge_gym"},
+    "fusions": {"tasks", "sim", "audit", "bridge_gym"},
     "tasks": {"sim", "warmup", "audit", "bridge_gym"},
     "warmup": {"spec", "kernels", "models", "scene", "tasks", "sim", "audit", "bridge_gym"},
     "starts": {"tasks", "sim", "audit", "bridge_gym"},

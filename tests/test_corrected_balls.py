@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from configurations import configurations
 
+from myowarp.fusions import installed
 from myowarp.scene import full_spec
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
@@ -189,7 +190,8 @@ def test_contacts_of_the_engine_are_those_of_mujoco():
     """Friction, impedance and dimension of every contact of a ball that both see."""
     sim = freshly_reset()
     qpos, data, oracle = touching(sim), sim.scene.data, sim.scene.oracle
-    mjw.forward(sim.scene.model, data)
+    with installed(sim.fusions):
+        mjw.forward(sim.scene.model, data)
     count = data.nacon.numpy()[0]
     fields = {field: getattr(data.contact, field).numpy()[:count] for field in CONTACT_FIELDS}
     pairs, worlds = data.contact.geom.numpy()[:count], data.contact.worldid.numpy()[:count]
@@ -243,7 +245,8 @@ def test_control_step_of_light_balls(record_property):
         touched += np.isin(state.contact.geom, [model.geom(ball).id for ball in BALLS]).any()
         after.append(state.qpos.copy())
     for _ in range(sim.scene.num_substeps):
-        mjw.step(sim.scene.model, data)
+        with installed(sim.fusions):
+            mjw.step(sim.scene.model, data)
     error = np.abs(data.qpos.numpy() - np.array(after)).max(axis=1)
     record_property("qpos median", np.median(error))
     record_property("qpos worst", error.max())

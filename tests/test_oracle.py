@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from myowarp.fusions import installed
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 
@@ -186,7 +187,8 @@ def test_one_control_step_of_physics(key, record_property):
     moved = np.abs(record["replay_qpos_after"] - record["replay_qpos_before"])
     assert np.median(moved.max(axis=1)) > 10 * QPOS_TOLERANCE
     for _ in range(sim.scene.num_substeps):
-        mjw.step(sim.scene.model, data)
+        with installed(sim.fusions):
+            mjw.step(sim.scene.model, data)
     error = np.abs(data.qpos.numpy() - record["replay_qpos_after"])
     record_property("qpos median", np.median(error.max(axis=1)))
     record_property("qpos worst", error.max())

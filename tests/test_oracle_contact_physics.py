@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from contact_oracle import KEYS, NUM_WORLDS, oracle_data, padded, recorded, simulation, write_episodes
 
+from myowarp.fusions import installed
 from myowarp.spec import TASKS
 
 ACTIVATION_TOLERANCE = 1e-6
@@ -22,9 +23,8 @@ other normal, sends a body of 1e-4 kg m^2 another way at once; measured 5e-4 in 
 ROLLOUT_TOLERANCE = 1e-4  # rad, m; engine, median over rollouts with random excitations
 ROLLOUT_TOLERANCES = {"key": 2e-7, "hold": 5e-5, "pen": 1e-5, "baoding": 1e-6}
 """rad, m; engine, worst relaxed rollout."""
-MISSED_STATES = 0.02
-"""Part of the states in which the engine may miss a contact: ellipsoids 2e-5 m inside the margin, or one
-geom wholly inside another."""
+ROUNDED = 2  # states in which float32 may count otherwise; measured 0 of 1,600
+MOST = 0.85  # of the states have no pair of geoms within rounding of its margin
 
 
 @pytest.mark.parametrize("key", KEYS)
@@ -43,14 +43,15 @@ def test_contacts_are_those_of_upstream(key):
     n = write_episodes(key, "contact")
     data = sim.scene.data
     data.overflow.zero_()
-    mjw.forward(sim.scene.model, data)
+    with installed(sim.fusions):
+        mjw.forward(sim.scene.model, data)
     assert not data.overflow.numpy().any()
     worlds = data.contact.worldid.numpy()[: data.nacon.numpy()[0]]
     engine = np.stack([np.bincount(worlds, minlength=NUM_WORLDS), data.nefc.numpy()], axis=1)[:n]
     sure = record["contact_ncon_low"] == record["contact_ncon_high"]
-    different = np.abs(engine - expected)[sure]
-    assert (different > 0).any(axis=1).mean() <= MISSED_STATES
-    assert different[:, 0].max() <= 1
+    assert sure.mean() > MOST
+    np.testing.assert_array_equal(engine[sure], expected[sure])
+    assert (engine != expected).any(axis=1).sum() <= ROUNDED
 
 
 @pytest.mark.parametrize("key", KEYS)
@@ -80,7 +81,8 @@ def test_one_control_step_of_physics(key, record_property):
     data = sim.scene.data
     data.ctrl.assign(padded(record["replay_ctrl"]))
     for _ in range(num_substeps):
-        mjw.step(sim.scene.model, data)
+        with installed(sim.fusions):
+            mjw.step(sim.scene.model, data)
     error = np.abs(data.qpos.numpy()[:n] - after).max(axis=1)
     record_property("qpos median", np.median(error))
     record_property("qpos worst", error.max())
@@ -110,7 +112,8 @@ def test_rollouts(key, relaxed):
         assert np.abs(np.array(oracle) - record["rollout_qpos_after"]).max() < 100 * MODEL_TOLERANCE
     for step in range(ctrl.shape[1]):
         sim.scene.data.ctrl.assign(padded(ctrl[:, step]))
-        mjw.step(sim.scene.model, sim.scene.data)
+        with installed(sim.fusions):
+            mjw.step(sim.scene.model, sim.scene.data)
     error = np.abs(sim.scene.data.qpos.numpy()[:n] - np.array(oracle)).max(axis=1)
     worst = ROLLOUT_TOLERANCES[meta["task"]]
     assert error.max() < (worst if relaxed else CONTACT_TOLERANCE)

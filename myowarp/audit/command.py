@@ -4,7 +4,6 @@ import dataclasses
 import importlib.util
 import json
 import math
-import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,20 +114,6 @@ def audit_all(
     files = "audit.json" if page is None else "audit.json and index.html"
     console.print(f"Saved {files} in {folder}", markup=False)
     return done
-
-
-def check_folder(folder: Path) -> None:
-    """Make the folder of the output, with those above it, and make sure that it can be written.
-
-    Raises:
-        ValueError: It cannot.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise ValueError(f"output {str(folder)!r} must be a folder that can be written: {error}") from error
 
 
 def upstreams(audits: Iterable[Audit]) -> dict[str, Audit]:

@@ -1,0 +1,319 @@
+// Body of the native function `solve_world` (contact_solve.py, which explains the method); WIDTH and the
+// overflow bits are defined before it. Degrees of freedom are padded to WIDTH, rows to whole vectors.
+
+#pragma clang diagnostic ignored "-Wvla-cxx-extension"
+typedef float lanes __attribute__((ext_vector_type(8)));
+typedef float loose_lanes __attribute__((ext_vector_type(8), aligned(4)));
+typedef float loose_half __attribute__((ext_vector_type(4), aligned(4)));
+typedef double wide __attribute__((ext_vector_type(8)));
+typedef bool bits __attribute__((ext_vector_type(8)));
+constexpr int BLOCKS = WIDTH / 8;
+const lanes lane_number = {0, 1, 2, 3, 4, 5, 6, 7};
+constexpr float INF = 3.4e38f, TINY = 1e-15f;
+enum { SATISFIED, QUADRATIC, LINEARNEG, LINEARPOS };  // mjtConstraintState
+
+auto sum = [](auto v) {
+    auto half = v.lo + v.hi;
+    auto quarter = half.lo + half.hi;
+    return quarter.x + quarter.y;
+};
+auto widen = [](lanes v) { return __builtin_convertvector(v, wide); };
+auto dot = [&](const lanes* a, const lanes* b) {
+    lanes total = 0.0f;
+    for (int k = 0; k < BLOCKS; ++k)
+        total += a[k] * b[k];
+    return sum(total);
+};
+auto add = [](lanes* to, float factor, const lanes* from, int blocks = BLOCKS) {
+    for (int k = 0; k < blocks; ++k)
+        to[k] += factor * from[k];
+};
+// The columns below `end` in which a row is not zero, as bits.
+auto nonzeros = [](const lanes* row, int end) {
+    unsigned long long columns = 0;
+    for (int k = 0; k < BLOCKS; ++k)
+        columns |= (unsigned long long)__builtin_bit_cast(unsigned char, __builtin_convertvector(row[k] != 0.0f, bits)) << 8 * k;
+    return columns & ((1ull << end) - 1);
+};
+auto take_first = [](unsigned long long& columns) {
+    const int first = __builtin_ctzll(columns);
+    columns &= columns - 1;
+    return first;
+};
+auto blocks_up_to = [](int column) { return column / 8 + 1; };
+
+const int n = qfrc_smooth.shape[0];
+const int ne = counts.ne[world], nf = counts.nf[world];
+const int num_rows = wp::min(counts.nefc[world], rows.aref.shape[1]);
+const int row_blocks = (num_rows + 7) / 8;
+
+// Inertia, symmetric, and what a row needs. J is gathered: it comes dense or sparse, here rows are dense.
+lanes mass[WIDTH][BLOCKS], J[num_rows + 1][BLOCKS];
+lanes x[BLOCKS], Mx[BLOCKS], smooth[BLOCKS], pull[BLOCKS], gradient[BLOCKS], search[BLOCKS], Ms[BLOCKS];
+lanes D[row_blocks + 1], low[row_blocks + 1], high[row_blocks + 1], loss[row_blocks + 1];
+lanes residual[row_blocks + 1], change[row_blocks + 1], force[row_blocks + 1];
+int state[num_rows + 1];
+
+for (int i = 0; i < WIDTH; ++i)
+    for (int k = 0; k < BLOCKS; ++k)
+        mass[i][k] = 0.0f;
+float trace = 0.0f;
+for (int i = 0; i < n; ++i) {
+    const int begin = inertia.rowadr[i], end = begin + inertia.rownnz[i];
+    for (int k = begin; k < end; ++k) {
+        const int j = inertia.colind[k];
+        ((float*)mass[i])[j] = ((float*)mass[j])[i] = M[k];
+    }
+    trace += M[end - 1];
+}
+const float scale = 1.0f / wp::max(TINY, trace);
+
+for (int k = 0; k < BLOCKS; ++k)
+    x[k] = Mx[k] = smooth[k] = 0.0f;
+for (int i = 0; i < n; ++i) {
+    ((float*)x)[i] = qacc_warmstart[i];
+    ((float*)smooth)[i] = qfrc_smooth[i];
+}
+for (int j = 0; j < n; ++j)
+    add(Mx, ((float*)x)[j], mass[j]);
+
+// Every row pulls with -D residual between `low` and `high` and with a constant force outside: an equality
+// has no bounds, friction loss is bounded on both sides, a limit or contact never pulls above zero.
+for (int b = 0; b < row_blocks; ++b) {
+    D[b] = loss[b] = residual[b] = change[b] = 0.0f;
+    low[b] = -INF;
+    high[b] = INF;
+}
+for (int i = 0; i < num_rows; ++i) {
+    float* row = (float*)J[i];
+    for (int k = 0; k < BLOCKS; ++k)
+        J[i][k] = 0.0f;
+    if (rows.J_rownnz.shape[1] > 0) {
+        const int begin = wp::index(rows.J_rowadr, world, i), end = begin + wp::index(rows.J_rownnz, world, i);
+        for (int k = begin; k < end; ++k)
+            row[wp::index(rows.J_colind, world, 0, k)] = wp::index(rows.J, world, 0, k);
+    } else {
+        const float* from = &wp::index(rows.J, world, i, 0);
+        for (int k = 0; k < n / 8; ++k)
+            J[i][k] = *(const loose_lanes*)(from + 8 * k);
+        if (n % 8) {
+            J[i][BLOCKS - 1].lo = *(const loose_half*)(from + n / 8 * 8);
+            if (n % 8 > 4)
+                J[i][BLOCKS - 1].hi = *(const loose_half*)(from + n / 8 * 8 + 4);
+            J[i][BLOCKS - 1] = lane_number < (float)(n % 8) ? J[i][BLOCKS - 1] : (lanes)0.0f;
+        }
+    }
+    ((float*)D)[i] = wp::index(rows.D, world, i);
+    ((float*)residual)[i] = dot(J[i], x) - wp::index(rows.aref, world, i);
+    if (i >= ne + nf) {
+        ((float*)high)[i] = 0.0f;
+    } else if (i >= ne) {
+        const float limit = wp::index(rows.frictionloss, world, i);
+        ((float*)loss)[i] = limit;
+        ((float*)high)[i] = limit / ((float*)D)[i];
+        ((float*)low)[i] = -limit / ((float*)D)[i];
+    }
+    state[i] = SATISFIED;
+}
+
+// H = M + sum of D J'J over the quadratic rows, lower triangle. Vector writes leave junk right of the
+// diagonal, which nothing reads: `factorize` clears it before a row of L is used.
+lanes H[WIDTH][BLOCKS], L[WIDTH][BLOCKS];
+lanes inverse_pivot[BLOCKS] = {};
+auto copy = [](lanes (*to)[BLOCKS], lanes (*from)[BLOCKS]) {
+    for (int i = 0; i < WIDTH; ++i)
+        for (int k = 0; k < BLOCKS; ++k)
+            to[i][k] = from[i][k];
+};
+auto add_row_to_H = [&](int i, float weight) {
+    const float* row = (const float*)J[i];
+    for (auto columns = nonzeros(J[i], n); columns;) {
+        const int c = take_first(columns);
+        add(H[c], weight * row[c], J[i], blocks_up_to(c));
+    }
+};
+// H = L' P L with unit lower L and pivots P, last row first: zeros of the kinematic tree stay zero.
+auto factorize = [&]() __attribute__((noinline)) {
+    copy(L, H);
+    for (int k = n - 1; k >= 0; --k) {
+        float* row = (float*)L[k];
+        const float inverse = 1.0f / wp::max(TINY, row[k]);
+        L[k][k / 8] = lane_number < (float)(k % 8) ? L[k][k / 8] : (lanes)0.0f;
+        for (auto columns = nonzeros(L[k], k); columns;) {
+            const int c = take_first(columns);
+            add(L[c], -inverse * row[c], L[k], blocks_up_to(c));
+        }
+        for (int b = 0; b < blocks_up_to(k); ++b)
+            L[k][b] *= inverse;
+        ((float*)inverse_pivot)[k] = inverse;
+    }
+};
+// search = -(L' P L)^-1 gradient; returns the Newton decrement, gradient' H^-1 gradient.
+auto solve = [&]() __attribute__((noinline)) {
+    float* s = (float*)search;
+    for (int k = 0; k < BLOCKS; ++k)
+        search[k] = -gradient[k];
+    for (int k = n - 1; k >= 0; --k)
+        add(search, -s[k], L[k], blocks_up_to(k));
+    for (int k = 0; k < BLOCKS; ++k)
+        search[k] *= inverse_pivot[k];
+    for (int k = 0; k < n; ++k) {
+        lanes total = 0.0f;
+        for (int b = 0; b < blocks_up_to(k); ++b)
+            total += L[k][b] * search[b];
+        search[k / 8] -= lane_number == (float)(k % 8) ? (lanes)sum(total) : (lanes)0.0f;
+    }
+    return -dot(gradient, search);
+};
+
+// Forces and states of all rows at the present residual; H follows the rows whose state flips.
+auto update_states = [&]() __attribute__((noinline)) {
+    bool flipped = false;
+    for (int b = 0; b < row_blocks; ++b) {
+        lanes r = residual[b];
+        force[b] = r <= low[b] ? loss[b] : (r >= high[b] ? -loss[b] : -D[b] * r);
+    }
+    for (int i = 0; i < num_rows; ++i) {
+        const float r = ((float*)residual)[i];
+        const int above = i < ne + nf ? LINEARPOS : SATISFIED;
+        const int now = r <= ((float*)low)[i] ? LINEARNEG : r >= ((float*)high)[i] ? above : QUADRATIC;
+        if (now == state[i])
+            continue;
+        flipped = true;
+        if (now == QUADRATIC)
+            add_row_to_H(i, ((float*)D)[i]);
+        else if (state[i] == QUADRATIC)
+            add_row_to_H(i, -((float*)D)[i]);
+        state[i] = now;
+    }
+    return flipped;
+};
+// pull = J' force, gradient = M x - smooth - pull; returns the gradient's norm.
+auto update_gradient = [&]() __attribute__((noinline)) {
+    for (int k = 0; k < BLOCKS; ++k)
+        pull[k] = 0.0f;
+    for (int i = 0; i < num_rows; ++i)
+        if (((float*)force)[i] != 0.0f)
+            add(pull, ((float*)force)[i], J[i]);
+    for (int k = 0; k < BLOCKS; ++k)
+        gradient[k] = Mx[k] - smooth[k] - pull[k];
+    return wp::sqrt(dot(gradient, gradient));
+};
+
+// The cost along x + step search: its slope and curvature, and how much it falls from step 0.
+double smooth_slope, smooth_curvature;
+auto probe = [&](double step, double& slope, double& curvature) __attribute__((noinline)) {
+    wide slopes = 0.0, curvatures = 0.0;
+    for (int b = 0; b < row_blocks; ++b) {
+        const wide v = widen(change[b]), d = widen(D[b]), most = widen(loss[b]);
+        const wide r = widen(residual[b]) + step * v;
+        const auto below = r <= widen(low[b]), above = r >= widen(high[b]);
+        slopes -= v * (below ? most : (above ? -most : -d * r));
+        curvatures += (below | above) ? (wide)0.0 : v * v * d;
+    }
+    slope = smooth_slope + step * smooth_curvature + sum(slopes);
+    curvature = smooth_curvature + sum(curvatures);
+};
+auto row_cost = [&](int b, double step) {
+    const wide d = widen(D[b]), most = widen(loss[b]), lowest = widen(low[b]), highest = widen(high[b]);
+    const wide r = widen(residual[b]) + step * widen(change[b]);
+    return r <= lowest ? most * (0.5 * lowest - r) : (r >= highest ? most * (r - 0.5 * highest) : 0.5 * d * r * r);
+};
+auto improvement = [&](double step) __attribute__((noinline)) {
+    wide falls = 0.0;
+    for (int b = 0; b < row_blocks; ++b)
+        falls += row_cost(b, 0.0) - row_cost(b, step);
+    return sum(falls) - step * (smooth_slope + 0.5 * step * smooth_curvature);
+};
+// Root of the slope, which rises and is piecewise linear: Newton's method, halving where it leaves the
+// bracket. NaN passes through, so that a broken world is seen to be broken.
+auto find_step = [&]() __attribute__((noinline)) {
+    double slope, curvature, low_step = 0.0, high_step = INF;
+    probe(0.0, slope, curvature);
+    if (slope >= 0.0)
+        return 0.0;
+    const double enough = 1e-9 * -slope;
+    double step = -slope / curvature;
+    for (int i = 0; i < options.ls_iterations; ++i) {
+        probe(step, slope, curvature);
+        if (!(slope > enough || slope < -enough))
+            return step;
+        (slope < 0.0 ? low_step : high_step) = step;
+        const double next = step - slope / curvature;
+        step = next > low_step && next < high_step ? next : 0.5 * (low_step + high_step);
+    }
+    result.overflow[world] |= LINE_SEARCH_OVERFLOW;
+    return step;
+};
+
+const float tolerance = options.tolerance[world % options.tolerance.shape[0]];
+auto below_tolerance = [&](float value) { return !(scale * value >= tolerance); };  // NaN: nothing to gain
+
+copy(H, mass);
+update_states();
+float norm = update_gradient();
+factorize();
+float decrement = solve();
+int iterations = 0;
+while (true) {
+    for (int k = 0; k < BLOCKS; ++k)
+        Ms[k] = 0.0f;
+    for (int j = 0; j < n; ++j)
+        add(Ms, ((float*)search)[j], mass[j]);
+    for (int i = 0; i < num_rows; ++i)
+        ((float*)change)[i] = dot(J[i], search);
+    wide slopes = 0.0, curvatures = 0.0;
+    for (int k = 0; k < BLOCKS; ++k) {
+        slopes += widen(search[k]) * (widen(Mx[k]) - widen(smooth[k]));
+        curvatures += widen(search[k]) * widen(Ms[k]);
+    }
+    smooth_slope = sum(slopes);
+    smooth_curvature = sum(curvatures);
+
+    const double step = find_step();
+    const float gain = improvement(step);
+    add(x, step, search);
+    add(Mx, step, Ms);
+    for (int b = 0; b < row_blocks; ++b)
+        residual[b] += (float)step * change[b];
+    ++iterations;
+
+    bool done = step == 0.0 || (gain > 0.0f && below_tolerance(gain));
+    const bool flipped = update_states();
+    if (flipped) {
+        norm = update_gradient();
+        done = done || below_tolerance(norm);
+        if (!done) {
+            factorize();
+            decrement = solve();
+        }
+    } else {  // the cost was quadratic all along the step, so the gradient only shrank
+        const float remaining = step < 1.0 ? 1.0 - step : step - 1.0;
+        norm *= remaining;
+        decrement *= remaining * remaining;
+        done = done || below_tolerance(norm);
+    }
+    done = done || below_tolerance(0.5f * decrement);
+    if (done || iterations == options.iterations) {
+        if (!done)
+            result.overflow[world] |= ITERATIONS_OVERFLOW;
+        if (!flipped)
+            update_gradient();
+        break;
+    }
+    if (!flipped) {
+        norm = update_gradient();
+        decrement = solve();
+    }
+}
+
+for (int i = 0; i < n; ++i) {
+    qacc[i] = ((float*)x)[i];
+    qfrc_constraint[i] = ((float*)pull)[i];
+    wp::index(result.Ma, world, i) = ((float*)Mx)[i];
+}
+for (int i = 0; i < num_rows; ++i) {
+    wp::index(result.force, world, i) = ((float*)force)[i];
+    wp::index(result.state, world, i) = state[i];
+}
+result.niter[world] = iterations;

@@ -1,0 +1,62 @@
+"""What the engine's step can be relieved of in a scene, found out once per machine.
+
+To verify pruning and fusions the stock step has to be compiled and run beside ours, which is most of the time
+of a first start. The verdict is kept on disk, under a key that names everything it depends on.
+"""
+
+import hashlib
+import json
+import platform
+from collections.abc import Callable, Iterable
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from myowarp.cache import cached
+from myowarp.fusions import Fusion
+from myowarp.prune import idle_kernels
+from myowarp.scene import Scene
+
+SOURCES = ("*.py", "fusions/*.py", "kernels/*.py", "models/muscles/*.py")  # that verification depends on
+
+
+class Verdict(NamedTuple):
+    """What was verified.
+
+    Attributes:
+        idle: Kernels of the engine to leave out.
+        fusions: Classes of the fusions to use.
+    """
+
+    idle: frozenset[str]
+    fusions: frozenset[str]
+
+
+def cached_verdict(scene: Scene, candidates: Iterable[Fusion], verify: Callable[[], Verdict]) -> Verdict:
+    """Return what `verify` found for this scene and these candidates, now or in an earlier process."""
+    content = np.zeros(mujoco.mj_sizeModel(scene.oracle), dtype=np.uint8)
+    mujoco.mj_saveModel(scene.oracle, None, content)
+    package = Path(__file__).parent
+    files = sorted(file for pattern in SOURCES for file in package.glob(pattern))
+    digest = hashlib.sha256(content.tobytes() + b"".join(file.read_bytes() for file in files)).hexdigest()
+    names = sorted(type(fusion).__name__ for fusion in candidates)
+    where = (scene.device.alias, scene.device.name, scene.device.arch, platform.machine())
+    key = ("verdict", digest, names, where, version("mujoco-warp"), version("warp-lang"))
+
+    def load(path: str) -> Verdict:
+        entry = json.loads(Path(path).read_text())
+        known = {"idle": idle_kernels(scene.oracle), "fusions": frozenset(names)}
+        if not isinstance(entry, dict) or any(not isinstance(entry.get(part), list) for part in known):
+            raise ValueError(f"{path} holds no verdict")
+        parts = {part: frozenset(map(str, entry[part])) for part in known}
+        if not all(parts[part] <= known[part] for part in known):
+            raise ValueError(f"{path} names kernels that are not there")
+        return Verdict(**parts)
+
+    def save(verdict: Verdict, path: str) -> None:
+        Path(path).write_text(json.dumps({part: sorted(names) for part, names in verdict._asdict().items()}))
+
+    return cached(key, ".json", make=verify, save=save, load=load)

@@ -1,0 +1,311 @@
+"""The fused constraint solver against MuJoCo C, a dense float64 Newton method, and mujoco-warp's solver."""
+
+from functools import lru_cache
+from types import SimpleNamespace
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import pytest
+import warp as wp
+from mujoco_warp._src import solver
+from mujoco_warp._src.types import DisableBit, EnableBit, IntegratorType
+from reference.constraint_newton import acceleration, imbalance, row_forces
+
+from myowarp.fusions.contact_solve import MAX_DOFS, MAX_ROWS, ContactSolve, launch_solve
+from myowarp.sim import Simulation
+from myowarp.spec import TASKS
+
+NUM_WORLDS = 13
+NUM_ROWS = 64
+
+CLOSE = 2e-4  # of a world's largest; float32 rows of D up to 1e5
+REFERENCE = 1e-9  # MuJoCo C against the reference, both float64 and exact
+BALANCE = 2e-5  # forces that must cancel, float32
+ENGINE_MEDIAN, ENGINE_MAX = 4e-7, 2e-5  # two float32 solvers on the same rows
+EFFECT = 10.0
+
+EFC = ("J", "J_rownnz", "J_rowadr", "J_colind", "D", "aref", "frictionloss")
+
+ROWS = """
+<mujoco>
+  <option jacobian="{jacobian}" cone="pyramidal"><flag island="disable"/></option>
+  <worldbody>
+    <geom type="plane" size="2 2 .1"/>
+    <body pos="0 0 .35">
+      <joint name="shoulder" axis="0 1 0" range="-30 30" limited="true" frictionloss=".03"/>
+      <geom type="capsule" fromto="0 0 0 .15 0 0" size=".02"/>
+      <body pos=".15 0 0">
+        <joint name="elbow" axis="0 1 0" frictionloss="2" damping=".01"/>
+        <geom type="capsule" fromto="0 0 0 .15 0 0" size=".02"/>
+        <body pos=".15 0 0">
+          <joint name="wrist" axis="0 0 1"/>
+          <geom type="capsule" fromto="0 0 0 .05 0 0" size=".015" condim="6"/>
+        </body>
+      </body>
+    </body>
+    <body pos="0 .2 .3">
+      <joint name="twin" axis="1 0 0"/>
+      <geom type="capsule" fromto="0 0 0 0 .1 0" size=".02" contype="0" conaffinity="0"/>
+    </body>
+    <body pos=".25 0 .05"><freejoint/><geom type="sphere" size=".05" condim="4"/></body>
+    {more}
+  </worldbody>
+  <tendon><fixed name="pull" range="-.5 .5" limited="true">
+    <joint joint="elbow" coef="1"/><joint joint="wrist" coef="-1"/>
+  </fixed></tendon>
+  <equality><joint joint1="twin" joint2="shoulder" polycoef="0 .5 0 0 0"/></equality>
+</mujoco>
+"""
+BALL = '<body pos="{x} 1 .04"><freejoint/><geom type="sphere" size=".05" condim="{condim}"/></body>'
+MORE = {
+    "dense": ("dense", BALL.format(x=0, condim=1)),
+    "sparse": ("sparse", BALL.format(x=0, condim=1)),
+    "wide": ("auto", "".join(BALL.format(x=x, condim=3) for x in range(5))),
+}
+"""Name: layout of J, and bodies; the last model has more columns than the engine stores densely."""
+
+
+@lru_cache
+def model_of(name):
+    """Return a model with rows of every kind that the solver knows."""
+    jacobian, more = MORE[name]
+    model = mujoco.MjModel.from_xml_string(ROWS.format(jacobian=jacobian, more=more))
+    model.opt.tolerance, model.opt.iterations = 0.0, 200
+    return model
+
+
+@lru_cache
+def states(name):
+    """Return MuJoCo C's data of random states, solved to the end."""
+    model, rng = model_of(name), np.random.default_rng(3)
+    found = []
+    for _ in range(NUM_WORLDS):
+        data = mujoco.MjData(model)
+        data.qpos[:4] = rng.uniform(-1.5, 1.5, 4)
+        data.qpos[6] -= rng.uniform(0.0, 0.02)
+        data.qvel[:] = rng.standard_normal(model.nv)
+        data.qfrc_applied[:4] = rng.uniform(-1, 1, 4)
+        mujoco.mj_forward(model, data)
+        found.append(data)
+    return found
+
+
+@lru_cache
+def rows_of(name):
+    """Return the engine's arrays of the states of MuJoCo C, one in each world."""
+    one = [mjw.put_data(model_of(name), data, njmax=NUM_ROWS, nconmax=16) for data in states(name)]
+    owners = {"": ("M", "ne", "nf", "nefc", "qfrc_smooth"), "efc": EFC}
+    return {
+        (owner, array): np.concatenate(
+            [getattr(getattr(data, owner) if owner else data, array).numpy() for data in one]
+        )
+        for owner, arrays in owners.items()
+        for array in arrays
+    }
+
+
+def on_device(name, warmth):
+    """Return the engine's model and data, to be solved from a share of the right acceleration."""
+    data = mjw.put_data(model_of(name), states(name)[0], nworld=NUM_WORLDS, njmax=NUM_ROWS, nconmax=16)
+    for (owner, array), values in rows_of(name).items():
+        getattr(getattr(data, owner) if owner else data, array).assign(values)
+    data.qacc_warmstart.assign(warmth * qacc_of(name))
+    for array in (data.qacc, data.qfrc_constraint, data.efc.force, data.efc.Ma):
+        array.fill_(np.nan)
+    data.efc.state.fill_(-1)
+    data.solver_niter.fill_(-1)
+    data.overflow.zero_()
+    return mjw.put_model(model_of(name)), data
+
+
+def qacc_of(name):
+    """Return the right accelerations."""
+    return np.array([data.qacc for data in states(name)])
+
+
+def problem(model, data):
+    """Return what the reference takes, float64."""
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    J = data.efc_J
+    if mujoco.mj_isSparse(model):
+        J = np.zeros((data.nefc, model.nv))
+        mujoco.mju_sparse2dense(J, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+    J = J.reshape(-1, model.nv)
+    return M, data.qfrc_smooth, J, data.efc_D, data.efc_aref, data.efc_frictionloss, data.ne, data.nf
+
+
+def solved(name, warmth):
+    """Return the solved worlds."""
+    engine, data = on_device(name, warmth)
+    launch_solve(engine, data)
+    return data
+
+
+def relative(ours, theirs):
+    """Return the error of every world as a share of its largest entry."""
+    return np.abs(ours - theirs).max(axis=1) / np.abs(theirs).max(axis=1)
+
+
+@pytest.mark.parametrize("name", MORE)
+def test_reference_is_mujoco_c(name):
+    model = model_of(name)
+    for data in states(name):
+        assert np.allclose(acceleration(*problem(model, data)), data.qacc, rtol=REFERENCE, atol=REFERENCE)
+
+
+@pytest.mark.parametrize("name", MORE)
+def test_every_kind_of_row_pulls(name):
+    """Without rows of a kind, or with rows that never change their state, the tests below would be blind."""
+    found = states(name)
+    kinds = np.concatenate([data.efc_type for data in found])
+    state = np.concatenate([data.efc_state for data in found])
+    kind, of = mujoco.mjtConstraint, mujoco.mjtConstraintState
+    wanted = {
+        kind.mjCNSTR_EQUALITY: {of.mjCNSTRSTATE_QUADRATIC},
+        kind.mjCNSTR_FRICTION_DOF: {
+            of.mjCNSTRSTATE_QUADRATIC,
+            of.mjCNSTRSTATE_LINEARNEG,
+            of.mjCNSTRSTATE_LINEARPOS,
+        },
+        kind.mjCNSTR_LIMIT_JOINT: {of.mjCNSTRSTATE_QUADRATIC},
+        kind.mjCNSTR_LIMIT_TENDON: {of.mjCNSTRSTATE_QUADRATIC},
+        kind.mjCNSTR_CONTACT_PYRAMIDAL: {of.mjCNSTRSTATE_QUADRATIC, of.mjCNSTRSTATE_SATISFIED},
+    }
+    for row, expected in wanted.items():
+        assert {int(s) for s in expected} <= set(state[kinds == row])
+    constrained, free = (np.array([getattr(d, f) for d in found]) for f in ("qacc", "qacc_smooth"))
+    assert relative(free, constrained).min() > EFFECT * CLOSE
+
+
+@pytest.mark.parametrize("warmth", [0.0, 0.7, 1.0])
+@pytest.mark.parametrize("name", MORE)
+def test_acceleration_and_forces(name, warmth):
+    model, found, data = model_of(name), states(name), solved(name, warmth)
+    assert relative(data.qacc.numpy(), qacc_of(name)).max() < CLOSE
+    pull = np.array([d.qfrc_constraint for d in found])
+    assert relative(data.qfrc_constraint.numpy(), pull).max() < CLOSE
+    momentum = np.array([problem(model, d)[0] @ d.qacc for d in found])
+    assert relative(data.efc.Ma.numpy()[:, : model.nv], momentum).max() < CLOSE
+    assert not data.overflow.numpy().any()
+    for i, host in enumerate(found):
+        rows = problem(model, host)
+        _, _, J, D, aref, loss, ne, nf = rows
+        force = row_forces(J @ host.qacc - aref, D, loss, ne, nf)
+        ours = data.efc.force.numpy()[i, : host.nefc]
+        assert np.abs(ours - force).max() < CLOSE * np.abs(force).max()
+        assert np.array_equal(data.efc.state.numpy()[i, : host.nefc], host.efc_state)
+        assert imbalance(data.qacc.numpy()[i].astype(float), *rows) < BALANCE
+        assert data.solver_niter.numpy()[i] >= 1
+
+
+@pytest.mark.parametrize("name", MORE)
+def test_fewer_iterations_from_the_solution(name):
+    warm, cold = (solved(name, warmth).solver_niter.numpy() for warmth in (1.0, 0.0))
+    assert warm.max() == 1
+    assert 1.5 < cold.mean() < 10
+
+
+def test_without_rows():
+    engine, data = on_device("dense", 0.0)
+    data.nefc.zero_(), data.ne.zero_(), data.nf.zero_()
+    launch_solve(engine, data)
+    free = np.array([d.qacc_smooth for d in states("dense")])
+    assert relative(data.qacc.numpy(), free).max() < CLOSE
+    assert not data.qfrc_constraint.numpy().any()
+
+
+def test_iteration_limit_is_flagged():
+    engine, data = on_device("dense", 0.0)
+    engine.opt.iterations = 1
+    launch_solve(engine, data)
+    unfinished = data.overflow.numpy() == mjw.OverflowType.ITERATIONS
+    right = relative(data.qacc.numpy(), qacc_of("dense")) < CLOSE
+    assert unfinished.any()
+    assert np.array_equal(unfinished, ~right)
+    assert np.all(data.solver_niter.numpy() == 1)
+
+
+def test_tolerance_of_each_world():
+    engine, data = on_device("dense", 0.0)
+    tolerance = np.where(np.arange(NUM_WORLDS) % 2, 1e3, 1e-6)
+    engine.opt.tolerance = wp.array(tolerance, dtype=float)
+    launch_solve(engine, data)
+    assert np.all(data.solver_niter.numpy()[1::2] == 1)
+    assert np.all(data.solver_niter.numpy()[::2] > 1)
+
+
+def test_a_broken_world_is_seen_and_breaks_no_other():
+    engine, data = on_device("dense", 1.0)
+    forces = data.qfrc_smooth.numpy()
+    forces[4, 2] = np.nan
+    data.qfrc_smooth.assign(forces)
+    launch_solve(engine, data)
+    qacc = data.qacc.numpy()
+    assert np.isnan(qacc[4]).any()
+    others = np.arange(NUM_WORLDS) != 4
+    assert relative(qacc[others], qacc_of("dense")[others]).max() < CLOSE
+
+
+OBSTACLES = {
+    "the device is not the CPU": lambda s: setattr(s, "device", SimpleNamespace(is_cpu=False)),
+    "the solver is not Newton's": lambda s: setattr(s.model.opt, "solver", mjw.SolverType.CG),
+    "the friction cone is not pyramidal": lambda s: setattr(s.model.opt, "cone", mjw.ConeType.ELLIPTIC),
+    "the integrator is the discrete one": lambda s: setattr(
+        s.model.opt, "integrator", IntegratorType.DISCRETE
+    ),
+    "noslip iterations are on": lambda s: setattr(s.model.opt, "noslip_iterations", 1),
+    "sleeping is on": lambda s: setattr(s.model.opt, "enableflags", int(EnableBit.SLEEP)),
+    "warm starts are off": lambda s: setattr(s.model.opt, "disableflags", int(DisableBit.WARMSTART)),
+    "the solver makes no iterations": lambda s: setattr(s.model.opt, "iterations", 0),
+    f"degrees of freedom are not 1 to {MAX_DOFS}": lambda s: setattr(s.model, "nv", MAX_DOFS + 1),
+    f"constraint rows are not 1 to {MAX_ROWS}": lambda s: setattr(s.data, "njmax", MAX_ROWS + 1),
+}
+
+
+@pytest.mark.parametrize("reason", OBSTACLES)
+def test_obstacles(reason):
+    engine, data = on_device("dense", 0.0)
+    scene = SimpleNamespace(model=engine, data=data, device=SimpleNamespace(is_cpu=True))
+    assert ContactSolve.obstacle(scene) is None
+    OBSTACLES[reason](scene)
+    assert ContactSolve.obstacle(scene) == reason
+
+
+FAMILIES = (
+    "myoElbowPose1D6MRandom-v0",
+    "myoFingerPoseRandom-v0",
+    "myoHandPoseRandom-v0",
+    "myoHandKeyTurnRandom-v0",
+    "myoHandObjHoldRandom-v0",
+    "myoHandPenTwirlRandom-v0",
+    "myoChallengeBaodingP1-v1",
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", FAMILIES)
+def test_engine_agrees_in_random_motion(key):
+    """Same rows, same answer, same number of iterations: also where this body meets objects and limits."""
+    sim = Simulation(TASKS[key], 50, device="cpu", autoreset="disabled", progress=False, fusions=())
+    sim.reset(seeds=np.arange(sim.num_worlds))
+    model, data, rng = sim.scene.model, sim.scene.data, np.random.default_rng(0)
+    errors, iterations = [], []
+    for step in range(60):
+        sim.action.assign(rng.uniform(-1, 1, sim.action.shape).astype(np.float32))
+        sim.step()
+        if step % 15 < 14:
+            continue
+        results = []
+        mjw.forward(model, data)
+        for solve in (solver.solve, launch_solve):
+            data.qacc.fill_(np.nan)
+            solve(model, data)
+            results.append((data.qacc.numpy().copy(), data.solver_niter.numpy().copy()))
+        errors.append(relative(results[1][0], results[0][0]))
+        iterations.append([niter for _, niter in results])
+    assert np.median(errors) < ENGINE_MEDIAN
+    assert np.max(errors) < ENGINE_MAX
+    theirs, ours = np.concatenate(iterations, axis=1)
+    assert np.mean(ours != theirs) < 0.02, "rounding decides the last iteration, seldom"

@@ -1,0 +1,131 @@
+"""Contacts of ellipsoids: against the definition by brute force in float64, and beside MuJoCo C."""
+
+from types import SimpleNamespace
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import pytest
+
+from myowarp.fusions import FUSIONS
+
+NUM_STATES = 64
+MARGIN = 0.002  # m, of the pair
+DIST_TOLERANCE = 3e-8  # m; bodies of a few cm in float32
+NORMAL_TOLERANCE = 1e-5  # measured 3e-7
+ZOOM_END = 1e-10  # rad, last radius of the random search
+SIZES = {
+    "sphere": ("0.01", "0.02 0.01 0.03"),
+    "capsule": ("0.008 0.02", "0.012 0.008 0.02"),
+    "ellipsoid": ("0.01 0.006 0.015", "0.012 0.008 0.02"),
+}
+DEEP = 0.3  # part of the distance over which centers are spread otherwise
+
+
+def support(kind, size, n):
+    """Return h(n) [m] of a body with the world's axes, n of shape (..., 3)."""
+    if kind == "ellipsoid":
+        return np.linalg.norm(n * size, axis=-1)
+    return size[0] + (size[1] * np.abs(n[..., 2]) if kind == "capsule" else 0.0)
+
+
+def search(kind, size1, size2, center, rotation):
+    """Return max and argmax of f(n) over the sphere: a grid, then a random search that closes in."""
+
+    def f(n):
+        return n @ center - support(kind, size1, n) - support("ellipsoid", size2, n @ rotation)
+
+    count = np.arange(8000) + 0.5
+    polar, azimuth = np.arccos(1 - 2 * count / 8000), np.pi * (1 + 5**0.5) * count
+    grid = np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], 1)
+    ring = np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], 1)  # where a capsule's f has its ridge
+    grid = np.concatenate([grid, ring])
+    best = grid[f(grid).argmax()]
+    rng, radius = np.random.default_rng(0), 0.05
+    while radius > ZOOM_END:
+        near = best + radius * rng.standard_normal((200, 3))
+        near[:100, 2] = best[2]
+        near /= np.linalg.norm(near, axis=1)[:, None]
+        values = f(near)
+        if values.max() > f(best):
+            best = near[values.argmax()]
+        else:
+            radius *= 0.5
+    return f(best), best
+
+
+def states(kind, spread):
+    """Return a model of two bodies, and configurations of the second, near and in the first."""
+    size1, size2 = SIZES[kind]
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco><worldbody>
+      <geom type="{kind}" size="{size1}" margin="{MARGIN / 2}"/>
+      <body><freejoint/><geom type="ellipsoid" size="{size2}" margin="{MARGIN / 2}"/></body>
+    </worldbody></mujoco>""")
+    rng = np.random.default_rng(1)
+    reach = model.geom_size.max(axis=1).sum()
+    center = rng.uniform(-spread, spread, (NUM_STATES, 3)) * reach
+    quat = rng.standard_normal((NUM_STATES, 4))
+    return model, np.hstack([center, quat / np.linalg.norm(quat, axis=1)[:, None]])
+
+
+def engine_contacts(model, qpos):
+    """Return distance, normal and position of our contacts, NaN in worlds without one."""
+    device = mjw.put_model(model)
+    data = mjw.make_data(model, nworld=len(qpos), nconmax=2)
+    data.qpos.assign(qpos)
+    mjw.kinematics(device, data)
+    fusion = FUSIONS["ellipsoid_contact"](SimpleNamespace(model=device, data=data, oracle=model))
+    with fusion.installed():
+        mjw.collision(device, data)
+    found = np.full((len(qpos), 7), np.nan)
+    count = data.nacon.numpy()[0]
+    worlds = data.contact.worldid.numpy()[:count]
+    assert len(set(worlds)) == count
+    contact = data.contact
+    found[worlds, 0] = contact.dist.numpy()[:count]
+    found[worlds, 1:4] = contact.frame.numpy()[:count, 0]
+    found[worlds, 4:] = contact.pos.numpy()[:count]
+    return found
+
+
+@pytest.mark.parametrize("spread", [1.0, DEEP])
+@pytest.mark.parametrize("kind", SIZES)
+def test_contact_is_the_largest_separation(kind, spread):
+    """Distance and normal are maximum and argmax of f; the point lies halfway between the surfaces."""
+    model, qpos = states(kind, spread)
+    found = engine_contacts(model, qpos)
+    size1, size2 = model.geom_size
+    touching = 0
+    for x, (dist, *rest) in zip(qpos, found, strict=True):
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, x[3:])
+        rotation = rotation.reshape(3, 3)
+        expected, normal = search(kind, size1, size2, x[:3], rotation)
+        assert np.isnan(dist) == (expected >= MARGIN)
+        if np.isnan(dist):
+            continue
+        touching += 1
+        assert dist == pytest.approx(expected, abs=DIST_TOLERANCE)
+        np.testing.assert_allclose(rest[:3], normal, atol=NORMAL_TOLERANCE)
+        local = rotation.T @ normal
+        witness = x[:3] - rotation @ (size2**2 * local / np.linalg.norm(size2 * local))
+        np.testing.assert_allclose(rest[3:], witness - expected / 2 * normal, atol=NORMAL_TOLERANCE)
+    assert touching >= 10
+
+
+@pytest.mark.parametrize("kind", SIZES)
+def test_contacts_are_those_of_mujoco(kind):
+    """MuJoCo C's polytope gives the same contacts; deep ones it finds too shallow, never too deep."""
+    model, qpos = states(kind, 1.0)
+    found, data = engine_contacts(model, qpos), mujoco.MjData(model)
+    compared = 0
+    for x, (dist, *rest) in zip(qpos, found, strict=True):
+        data.qpos[:] = x
+        mujoco.mj_fwdPosition(model, data)
+        assert data.ncon == (not np.isnan(dist))
+        if data.ncon and abs(dist) < MARGIN:
+            compared += 1
+            contact = data.contact[0]
+            assert contact.dist == pytest.approx(dist, abs=2e-6)  # its tolerance is 1e-6 m
+            np.testing.assert_allclose(contact.pos, rest[3:], atol=1e-4)
+    assert compared >= 5

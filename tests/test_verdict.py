@@ -1,0 +1,65 @@
+"""What verification found is kept, and found again where the entry is damaged or foreign."""
+
+import json
+
+import pytest
+
+from myowarp.prune import idle_kernels
+from myowarp.scene import compile_scene
+from myowarp.spec import TASKS
+from myowarp.verdict import Verdict, cached_verdict
+
+KEY = "myoElbowPose1D6MRandom-v0"
+
+
+@pytest.fixture
+def counted(tmp_path, monkeypatch):
+    """Return a scene, a verdict about it, and a function that counts how often it was asked for."""
+    monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path))
+    scene = compile_scene(TASKS[KEY], 1, "cpu")
+    verdict = Verdict(idle_kernels(scene.oracle), frozenset())
+    assert verdict.idle
+    calls = []
+
+    def verify():
+        calls.append(1)
+        return verdict
+
+    return scene, verdict, verify, calls
+
+
+def test_verified_once(counted):
+    scene, verdict, verify, calls = counted
+    assert cached_verdict(scene, (), verify) == verdict
+    assert cached_verdict(scene, (), verify) == verdict
+    assert len(calls) == 1
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        "",
+        "5",
+        "[[], []]",
+        '{"idle": []}',
+        '{"idle": 3, "fusions": []}',
+        json.dumps({"idle": ["_no_such_kernel"], "fusions": []}),
+        json.dumps({"idle": [], "fusions": ["NoSuchFusion"]}),
+    ],
+)
+def test_a_damaged_entry_is_verified_again(counted, tmp_path, entry):
+    scene, verdict, verify, calls = counted
+    cached_verdict(scene, (), verify)
+    (path,) = tmp_path.glob("*.json")
+    path.write_text(entry)
+    assert cached_verdict(scene, (), verify) == verdict
+    assert len(calls) == 2
+    assert json.loads(path.read_text())["idle"] == sorted(verdict.idle)
+
+
+def test_another_model_is_another_verdict(counted):
+    scene, _, verify, calls = counted
+    cached_verdict(scene, (), verify)
+    scene.oracle.opt.timestep *= 2
+    cached_verdict(scene, (), verify)
+    assert len(calls) == 2
