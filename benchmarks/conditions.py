@@ -2,11 +2,11 @@
 
     python -m benchmarks.conditions --output out/conditions.json
 
-Every registered condition, with its defaults, on each body that can have it. Steps with and without take turns,
-so that a busy machine slows both; the median of their ratio over rounds counts, between its quartiles, and the
-ratio of the fastest of each. The row `none` compares the healthy step with itself: differences of its size mean
-nothing. Time is that of the stepping thread, where others on the same cores weigh less; on a GPU choose the wall
-clock.
+Every registered condition, with its defaults, on each body that can have it. Steps with and without take
+turns, so that a busy machine slows both; the median of their ratio over rounds counts, between its quartiles,
+and the ratio of the fastest of each. The row `none` compares the healthy step with itself: differences of its
+size mean nothing. Time is that of the stepping thread, where others on the same cores weigh less; on a GPU
+choose the wall clock.
 """
 
 import json
