@@ -13,9 +13,10 @@ from typing import Any
 from unittest import mock
 
 import mujoco
-import mujoco_warp as mjw
 import numpy as np
 import warp as wp
+
+from myowarp.scene import Scene
 
 
 def _zero(*names: str) -> Callable[[mujoco.MjModel], bool]:
@@ -75,17 +76,14 @@ def pruned(names: frozenset[str]) -> Iterator[None]:
         yield
 
 
-def verified_idle(
-    host: mujoco.MjModel, model: mjw.Model, data: mjw.Data, launch_step: Callable[[], None]
-) -> frozenset[str]:
+def verified_idle(scene: Scene, launch_step: Callable[[], None]) -> frozenset[str]:
     """Return the kernels to leave out, none if leaving them out changes the state by a single bit.
 
     Args:
-        host: The stepped model.
-        model: The same on the device.
-        data: State of the worlds, overwritten.
-        launch_step: Launches physics steps eagerly, from `data.qpos` and `data.qvel` alone.
+        scene: The task; its state is overwritten.
+        launch_step: Launches one stock physics step eagerly.
     """
+    host, data = scene.oracle, scene.data
     names = idle_kernels(host)
     rng = np.random.default_rng(0)
     low, high = np.where(host.jnt_limited[:, None], host.jnt_range, (-1.0, 1.0)).T
@@ -93,11 +91,13 @@ def verified_idle(
     scalar = np.isin(host.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value))
     qpos[:, host.jnt_qposadr[scalar]] = rng.uniform(low, high, (data.nworld, host.njnt))[:, scalar]
     qvel = rng.standard_normal((data.nworld, host.nv))
+    activation = rng.uniform(size=scene.muscles.activation.shape)
     ends = []
     for skipped in (names, frozenset[str]()):
         data.qpos.assign(qpos)
         data.qvel.assign(qvel)
         data.qacc_warmstart.zero_()
+        scene.muscles.activation.assign(activation)
         with pruned(skipped):
             launch_step()
         ends.append(np.concatenate([data.qpos.numpy(), data.qvel.numpy()], axis=1).copy())

@@ -144,7 +144,7 @@ class Simulation:
 
         scene = self.scene
         compile_kernels(launch_both, scene.device, show=progress)
-        self._idle = verified_idle(scene.oracle, scene.model, scene.data, self._launch_physics)
+        self._idle = verified_idle(scene, self._launch_physics)
         trusted = verified_fusions(scene, candidates, self._launch_physics)
         return Verdict(self._idle, frozenset(type(fusion).__name__ for fusion in trusted))
 

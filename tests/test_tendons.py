@@ -291,6 +291,15 @@ class TestTear:
             np.testing.assert_array_equal(values[:, FPL], expected)
             assert (np.delete(values, FPL, axis=1) == 1.0).all()
 
+    def test_time_late_in_a_life(self):
+        """After an hour, too: float32 counts steps, but its quotients of seconds are off by some."""
+        steps = np.array([32_770, 180_004, 799_999])
+        sim = simulation(HAND, 6, TendonTear("FPL", time=np.tile(steps * CONTROL_DT, 2), of="life"))
+        sim.episode.life_count.assign(np.concatenate([steps, steps - 1]).astype(np.int32))
+        sim.launch_conditions()
+        transmission = sim.scene.muscles.anatomy.transmission.numpy()
+        np.testing.assert_array_equal(transmission[:, FPL], [0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+
     def test_time_runs_with_the_episode_or_the_life(self):
         """Counters are those of the simulation: an episode heals, a life does not."""
         force = {}

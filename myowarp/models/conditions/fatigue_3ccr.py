@@ -144,9 +144,7 @@ class Fatigue3CCR(Condition):
             "initial": (0.0 if self.initial is None else self.initial, 0.0, 1.0),
         }
         parameters = {
-            name: Parameter(
-                f"fatigue_3ccr {name}", value, scene.num_worlds, names, neutral=neutral, low=0.0, high=high
-            )
+            name: Parameter(f"fatigue_3ccr {name}", value, scene, names, neutral=neutral, low=0.0, high=high)
             for name, (value, neutral, high) in limits.items()
         }
         return Fatigue3CCREffect(self, scene, clock, parameters)

@@ -1,9 +1,9 @@
 """Parameters of conditions: one number, one per world, drawn at random, or changing over time.
 
-    value(t) = start + (end - start) clip((t - onset) / duration, 0, 1)
+    value(t) = (1 - s) start + s end,    s = clip((t - onset) / duration, 0, 1)
 
-with t the time of the episode or of the whole life of the world, which begins with a seeded reset. A
-constant parameter has end = start, and is then start exactly.
+with t the time of the episode or of the whole life of the world, which begins with a seeded reset. Before and
+after the change the value is exactly start and end.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import difflib
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,9 @@ import warp as wp
 
 from myowarp.kernels.random import RandomKeys, open_stream
 from myowarp.registry import check_choice
+
+if TYPE_CHECKING:
+    from myowarp.scene import Scene
 
 SPANS = ("episode", "life")
 
@@ -88,8 +92,9 @@ class Curve:
     Attributes:
         start: Value before the onset, shape (1 or num_worlds, 1 or num_muscles).
         end: Value after the change, of the same shape.
-        onset: When the change begins [s].
-        duration: How long it takes [s].
+        onset: When the change begins [control steps]; in seconds, the step at 10 x 0.02 s could come before
+            0.2 s in float32.
+        duration: How long it takes [control steps].
         lifelong: Whether time counts from the seeded reset rather than from the episode's begin.
     """
 
@@ -105,14 +110,11 @@ def value_of(curve: Curve, clock: Clock, worldid: int, i: int) -> float:
     """Return the value of entry i in a world now."""
     row, column = worldid % curve.start.shape[0], i % curve.start.shape[1]
     steps = wp.where(curve.lifelong, clock.life_count[worldid], clock.step_count[worldid])
-    elapsed = float(steps) * clock.control_dt - curve.onset
-    share = float(0.0)
+    elapsed = float(steps) - curve.onset
+    share = wp.where(elapsed >= 0.0, 1.0, 0.0)
     if curve.duration > 0.0:
         share = wp.clamp(elapsed / curve.duration, 0.0, 1.0)
-    elif elapsed >= 0.0:
-        share = 1.0
-    start = curve.start[row, column]
-    return start + (curve.end[row, column] - start) * share
+    return (1.0 - share) * curve.start[row, column] + share * curve.end[row, column]
 
 
 @wp.kernel(enable_backward=False)
@@ -150,7 +152,7 @@ class Parameter:
         self,
         name: str,
         value: Value,
-        num_worlds: int,
+        scene: Scene,
         names: Sequence[str],
         *,
         neutral: float,
@@ -162,7 +164,7 @@ class Parameter:
         Args:
             name: Name for messages and for the random stream, such as "sarcopenia strength".
             value: The value.
-            num_worlds: Worlds.
+            scene: Where it lives: number of worlds, control step.
             names: Names of the muscles that the parameter's columns stand for; () for one number a world.
             neutral: Value of muscles that a mapping does not name.
             low: Least value allowed.
@@ -171,14 +173,14 @@ class Parameter:
         Raises:
             ValueError: The value has a wrong shape, is out of its range, or names an unknown muscle.
         """
-        self.name, self.num_worlds, self.names = name, num_worlds, tuple(names)
+        self.name, self.num_worlds, self.names = name, scene.num_worlds, tuple(names)
         self.neutral, self.bounds = neutral, (low, high)
         self.draws: list[tuple[Uniform, wp.array, int]] = []
         self.curve = Curve()
         if isinstance(value, Ramp):
             check_choice(f"{name} ramp of", value.of, SPANS)
-            self.curve.onset = self._finite("onset", value.onset)
-            self.curve.duration = self._finite("duration", value.duration)
+            self.curve.onset = self._finite("onset", value.onset) / scene.control_dt
+            self.curve.duration = self._finite("duration", value.duration) / scene.control_dt
             self.curve.lifelong = value.of == "life"
             self.curve.start, self.curve.end = self._matched(value.start, value.end)
         else:

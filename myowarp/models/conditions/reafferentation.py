@@ -70,7 +70,7 @@ def _ends(parameter: Parameter) -> np.ndarray:
 
 
 def _affected_time(parameter: Parameter) -> np.ndarray:
-    """Return from when to when each world is affected [s], shape (2, num_worlds)."""
+    """Return from when to when each world is affected [control steps], shape (2, num_worlds)."""
     start, end = _ends(parameter)
     turns = (start >= 0.5) != (end >= 0.5)
     share = np.divide(0.5 - start, end - start, out=np.zeros(len(start)), where=turns)

@@ -55,7 +55,7 @@ class MuscleModel(abc.ABC):
         activation: State [1], shape (num_worlds, num_muscles).
         anatomy: What conditions change in it.
         workload: Time integral of the normalized active force a f_L f_V [s], shape (num_worlds,
-            num_muscles); whoever uses it sets it back to 0.
+            num_muscles), empty until `record_workload`; whoever uses it sets it back to 0.
     """
 
     def __init__(self, model: MjModel, num_worlds: int) -> None:
@@ -64,13 +64,17 @@ class MuscleModel(abc.ABC):
         self.actuator_id = np.flatnonzero(is_muscle).astype(np.int32)
         self.names = tuple(model.actuator(i).name for i in self.actuator_id)
         self.activation = wp.zeros((num_worlds, len(self.names)), dtype=float)
-        self.workload = wp.zeros_like(self.activation)
+        self.workload = wp.zeros((0, 0), dtype=float)
         self.anatomy = Anatomy()
         self._set_anatomy(1)
 
     def individualize(self) -> None:
         """Give every world an anatomy of its own; before anything is captured."""
         self._set_anatomy(self.activation.shape[0])
+
+    def record_workload(self) -> None:
+        """Integrate the workload from now on; before anything is captured."""
+        self.workload = wp.zeros_like(self.activation)
 
     def _set_anatomy(self, rows: int) -> None:
         """Allocate a healthy anatomy."""

@@ -146,7 +146,8 @@ def mujoco_muscle(
 
     bounds = params.excitation_range[worldid % params.excitation_range.shape[0], muscleid]
     dt = opt_timestep[worldid % opt_timestep.shape[0]]
-    workload[worldid, muscleid] += dt * force[2]
+    if workload.shape[0] > 0:
+        workload[worldid, muscleid] += dt * force[2]
     activation[worldid, muscleid] = a + dt * activation_rate(
         wp.clamp(ctrl_in[worldid, params.actuator_id[muscleid]], bounds[0], bounds[1]),
         a,
