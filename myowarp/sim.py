@@ -4,6 +4,8 @@
 `graph=False` the same launches run one by one, with the same numbers.
 """
 
+from __future__ import annotations
+
 import secrets
 from collections.abc import Callable, Iterable
 
@@ -36,7 +38,8 @@ from myowarp.registry import check_choice
 from myowarp.scene import compile_scene
 from myowarp.spec import TaskSpec
 from myowarp.starts import random_starts, start_address
-from myowarp.warmup import compile_kernels, quiet
+from myowarp.warmup import compile_kernels, quiet, renew_code
+from myowarp.worlds import Worlds
 
 AUTORESET = {
     "disabled": int(RESET_DISABLED),
@@ -63,7 +66,7 @@ class Simulation:
     def __init__(
         self,
         spec: TaskSpec,
-        num_worlds: int,
+        num_worlds: int | Worlds,
         *,
         device: str | None = None,
         physics: str = "parity",
@@ -75,12 +78,13 @@ class Simulation:
         graph: bool = True,
         fusions: Iterable[str] | None = None,
         progress: bool = True,
+        like: Simulation | None = None,
     ) -> None:
         """Compile the scene, compile the kernels and capture the step.
 
         Args:
             spec: The task.
-            num_worlds: Worlds to step together.
+            num_worlds: Number of worlds to step together, or those of a part of them.
             device: Warp device; None: the first CUDA device if there is one, else the CPU.
             physics: Name in `spec.PHYSICS`.
             muscle: Name in `MUSCLES`.
@@ -91,6 +95,7 @@ class Simulation:
             graph: Whether to capture the step as a graph.
             fusions: Names in `FUSIONS` to use where they apply; None: all.
             progress: Whether to show progress bars while kernels compile and random starts are found.
+            like: Another part, made with the same arguments, whose kernels and starts can be taken over.
 
         Raises:
             ValueError: An argument is out of its range.
@@ -108,18 +113,21 @@ class Simulation:
             self._bind_conditions()
             self._allocate(horizon)
             self.starts = self.start_address = None
-            if reset == "random":
+            if like is not None:
+                self.starts, self.start_address = like.starts, like.start_address
+            elif reset == "random":
                 self.starts = wp.array(find_starts(spec, progress), dtype=float)
                 self.start_address = wp.array(start_address(spec, self.scene.oracle), dtype=int)
             self._idle: frozenset[str] = frozenset()
             self._probes: list[Callable[[], None]] = []
             self._fusions: tuple[Fusion, ...] = ()
-            candidates = applicable_fusions(self.scene, FUSIONS if fusions is None else fusions)
-            compile_kernels(lambda: self._launch_all(candidates), self.scene.device, show=progress)
-            self._idle = verified_idle(
-                self.scene.oracle, self.scene.model, self.scene.data, self._launch_physics
-            )
-            self._fusions = verified_fusions(self.scene, candidates, self._launch_physics)
+            if like is None:
+                self._choose_kernels(FUSIONS if fusions is None else fusions, progress)
+            else:
+                self._modules, self._idle = like._modules, like._idle
+                self._fusions = tuple(type(fusion)(self.scene) for fusion in like._fusions)
+            if graph and self.scene.device.is_cpu:
+                renew_code(self._modules)
             self._step_graph = self._capture(self._launch_step) if graph else None
             self._reset_graph = self._capture(self._launch_asked_reset) if graph else None
         self.reset()
@@ -129,6 +137,13 @@ class Simulation:
         """Worlds stepped together."""
         return self.scene.num_worlds
 
+    def _choose_kernels(self, fusions: Iterable[str], progress: bool) -> None:
+        """Compile the kernels, and find out which of them to leave out and to replace."""
+        scene, candidates = self.scene, applicable_fusions(self.scene, fusions)
+        self._modules = compile_kernels(lambda: self._launch_all(candidates), scene.device, show=progress)
+        self._idle = verified_idle(scene.oracle, scene.model, scene.data, self._launch_physics)
+        self._fusions = verified_fusions(scene, candidates, self._launch_physics)
+
     def _bind_conditions(self) -> None:
         """Allocate the counters of the episodes, and what the conditions need."""
         scene = self.scene
@@ -136,6 +151,7 @@ class Simulation:
         for count in ("step_count", "life_count", "solved_count"):
             setattr(self.episode, count, wp.zeros(self.num_worlds, dtype=int))
         self.episode.pending = wp.zeros(self.num_worlds, dtype=bool)
+        scene.worlds.share("episode", self.episode)
         clock = Clock()
         clock.step_count, clock.life_count = self.episode.step_count, self.episode.life_count
         clock.control_dt = scene.control_dt
@@ -152,14 +168,16 @@ class Simulation:
         self.action = wp.zeros((n, scene.num_actions), dtype=float)
         self.weights = wp.array([term.weight for term in self.terms], dtype=float)
         self.horizon = wp.array([horizon], dtype=int)
-        self.transition = self._new_transition()
-        self.final = self._new_transition()
+        scene.worlds.share("sim", self, ("action",))
+        self.transition = self._new_transition("transition")
+        self.final = self._new_transition("final")
         self.masks = Masks()
         for mask in ("live", "renew", "reset", "fresh"):
             setattr(self.masks, mask, wp.zeros(n, dtype=bool))
+        scene.worlds.share("masks", self.masks)
         self._asked = wp.zeros(n, dtype=bool)
 
-    def _new_transition(self) -> Transition:
+    def _new_transition(self, name: str) -> Transition:
         """Allocate one set of step results."""
         n = self.num_worlds
         transition = Transition()
@@ -169,6 +187,7 @@ class Simulation:
         transition.fault = wp.zeros(n, dtype=int)
         for flag in ("solved", "failed", "success", "terminated", "truncated"):
             setattr(transition, flag, wp.zeros(n, dtype=bool))
+        self.scene.worlds.share(name, transition)
         return transition
 
     def _launch_all(self, candidates: tuple[Fusion, ...]) -> None:
@@ -297,11 +316,7 @@ class Simulation:
 
     def step(self) -> None:
         """Advance all worlds by one control step under `action`; results are in `transition`."""
-        with wp.ScopedDevice(self.scene.device):
-            if self._step_graph is None:
-                self._launch_step()
-            else:
-                wp.capture_launch(self._step_graph)
+        self._run(self._step_graph, self._launch_step)
 
     def attach(self, launch: Callable[[], None]) -> None:
         """Launch more in every step, after observation and before what ended is reset.
@@ -312,8 +327,10 @@ class Simulation:
         """
         self._probes.append(launch)
         with quiet(), wp.ScopedDevice(self.scene.device):
-            compile_kernels(launch, self.scene.device, show=False)
+            self._modules += compile_kernels(launch, self.scene.device, show=False)
             if self._step_graph is not None:
+                if self.scene.device.is_cpu:
+                    renew_code(self._modules)
                 self._step_graph = self._capture(self._launch_step)
 
     def look(self, world: int) -> Look:
@@ -339,11 +356,15 @@ class Simulation:
             keys.seed.assign(np.where(mask, folded, keys.seed.numpy()))
             keys.episode.assign(np.where(mask, 0, keys.episode.numpy()).astype(np.int32))
         self._asked.assign(mask)
+        self._run(self._reset_graph, self._launch_asked_reset)
+
+    def _run(self, graph: wp.Graph | None, launches: Callable[[], None]) -> None:
+        """Replay a graph, or launch what it would hold."""
+        if graph is not None:
+            wp.capture_launch(graph)
+            return
         with wp.ScopedDevice(self.scene.device):
-            if self._reset_graph is None:
-                self._launch_asked_reset()
-            else:
-                wp.capture_launch(self._reset_graph)
+            launches()
 
 
 def find_starts(spec: TaskSpec, progress: bool = True) -> np.ndarray:

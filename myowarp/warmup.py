@@ -6,7 +6,7 @@ silence for a hand. Here the launches are first only listed, then their modules 
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 from unittest import mock
 
@@ -56,7 +56,9 @@ def quiet() -> Iterator[None]:
         wp.config.log_level = level
 
 
-def compile_kernels(launches: Callable[[], None], device: wp.Device, show: bool = True) -> int:
+def compile_kernels(
+    launches: Callable[[], None], device: wp.Device, show: bool = True
+) -> tuple[wp.Module, ...]:
     """Compile and load the modules of every kernel that `launches` launches.
 
     Args:
@@ -65,7 +67,7 @@ def compile_kernels(launches: Callable[[], None], device: wp.Device, show: bool 
         show: Whether to draw a progress bar once this takes longer than a moment.
 
     Returns:
-        Number of modules loaded.
+        The modules.
     """
     found: dict[str, Any] = {}
     with _recorded(found):
@@ -77,4 +79,15 @@ def compile_kernels(launches: Callable[[], None], device: wp.Device, show: bool 
             chunk = modules[start : start + workers]
             wp.force_load(device=device, modules=chunk, max_workers=workers)
             advance(len(chunk))
-    return len(modules)
+    return tuple(modules)
+
+
+def renew_code(modules: Iterable[wp.Module]) -> None:
+    """Have Warp load the machine code of modules once more when they are next launched on the CPU.
+
+    Tile kernels keep the address of their scratch memory in a static variable of their module (Warp's
+    `tile.h`), so that two threads must never run the same code. Graphs captured from here on have code of
+    their own; those captured before keep theirs.
+    """
+    for module in modules:
+        module.execs = {key: loaded for key, loaded in module.execs.items() if not loaded.device.is_cpu}

@@ -11,6 +11,7 @@ from myowarp.models.conditions.parameter import Clock, Curve, Parameter, Ramp, U
 from myowarp.models.conditions.sarcopenia import Sarcopenia
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
+from myowarp.worlds import Worlds
 
 NAMES = sorted(CONDITIONS)
 HOSTS = ("myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1")  # the elbow's conditions, the hand's
@@ -154,7 +155,7 @@ class TestParameter:
     @staticmethod
     def values(value, num_worlds=3, names=("a", "b", "c_r"), steps=0, **options):
         """Return a parameter's values after some control steps of 0.1 s, shape (num_worlds, num_names)."""
-        parameter = Parameter("thing", value, num_worlds, names, neutral=1.0, **options)
+        parameter = Parameter("thing", value, Worlds.all(num_worlds), names, neutral=1.0, **options)
         clock = Clock()
         clock.step_count = wp.full(num_worlds, steps, dtype=int)
         clock.life_count = wp.full(num_worlds, 10 * steps, dtype=int)

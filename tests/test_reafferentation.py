@@ -15,6 +15,7 @@ from myowarp.models.conditions.reafferentation import Reafferentation, check_apa
 from myowarp.models.conditions.tendon_transfer import TendonTransfer
 from myowarp.spec import TASKS
 from myowarp.tasks.variants import variants
+from myowarp.worlds import Worlds
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parent / "data/myosuite"))
 CTRL = 1e-6  # excitations of order one in float32
@@ -134,7 +135,7 @@ def test_both_in_one_world(reafferentation, transfer, world):
     """Refused where it is known beforehand, at any time."""
     num_worlds = 2
     parameters = [
-        Parameter(f"{name} affected", value, num_worlds, (), neutral=0.0)
+        Parameter(f"{name} affected", value, Worlds.all(num_worlds), (), neutral=0.0)
         for name, value in (("reafferentation", reafferentation), ("tendon_transfer", transfer))
     ]
     if world is None:

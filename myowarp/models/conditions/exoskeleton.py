@@ -119,7 +119,7 @@ class Exoskeleton(Condition):
         if self.motor:
             return MotorEffect(scene, cuff, self)
         assistance = Parameter(
-            "exoskeleton assistance", self.assistance, scene.num_worlds, (), neutral=0.0, low=0.0
+            "exoskeleton assistance", self.assistance, scene.worlds, (), neutral=0.0, low=0.0
         )
         return AssistEffect(scene, cuff, clock, assistance)
 

@@ -145,7 +145,7 @@ class Fatigue3CCR(Condition):
         }
         parameters = {
             name: Parameter(
-                f"fatigue_3ccr {name}", value, scene.num_worlds, names, neutral=neutral, low=0.0, high=high
+                f"fatigue_3ccr {name}", value, scene.worlds, names, neutral=neutral, low=0.0, high=high
             )
             for name, (value, neutral, high) in limits.items()
         }

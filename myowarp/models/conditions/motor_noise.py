@@ -45,7 +45,7 @@ class MotorNoise(Condition):
 
         def parameter(field: str) -> Parameter:
             value, names = getattr(self, field), scene.muscles.names
-            return Parameter(f"motor_noise {field}", value, scene.num_worlds, names, neutral=0.0, low=0.0)
+            return Parameter(f"motor_noise {field}", value, scene.worlds, names, neutral=0.0, low=0.0)
 
         return MotorNoiseEffect(scene, clock, parameter("signal"), parameter("constant"))
 

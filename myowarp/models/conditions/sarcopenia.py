@@ -36,7 +36,7 @@ class Sarcopenia(Condition):
         """Put the strengths on the device."""
         names = scene.muscles.names
         strength = Parameter(
-            "sarcopenia strength", self.strength, scene.num_worlds, names, neutral=1.0, low=0.0
+            "sarcopenia strength", self.strength, scene.worlds, names, neutral=1.0, low=0.0
         )
         return SarcopeniaEffect(scene, clock, strength)
 

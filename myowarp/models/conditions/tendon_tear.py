@@ -78,7 +78,7 @@ class TendonTear(Condition):
         def parameter(field: str, neutral: float, high: float) -> Parameter:
             name = f"tendon_tear {field} of {', '.join(torn)}"
             value = getattr(self, field)
-            return Parameter(name, value, scene.num_worlds, torn, neutral=neutral, low=0.0, high=high)
+            return Parameter(name, value, scene.worlds, torn, neutral=neutral, low=0.0, high=high)
 
         parameters = parameter("time", 0.0, float("inf")), parameter("transmission", 1.0, 1.0)
         return TendonTearEffect(scene, clock, indices, *parameters, lifelong=self.of == "life")
