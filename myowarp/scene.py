@@ -27,7 +27,9 @@ from myowarp.registry import check_choice
 from myowarp.spec import PHYSICS, RESETS, PhysicsPreset, TaskSpec
 from myowarp.worlds import Worlds
 
-WORLD_FIELDS = tuple(f.name for f in dataclasses.fields(mjw.Data) if getattr(f.type, "shape", "*")[0] == "nworld")
+WORLD_FIELDS = tuple(
+    f.name for f in dataclasses.fields(mjw.Data) if getattr(f.type, "shape", "*")[0] == "nworld"
+)
 """Arrays of `mjw.Data` with a row for each world; contacts and constraints are in others."""
 
 

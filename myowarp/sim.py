@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Iterable
+from types import SimpleNamespace
 
 import mujoco_warp as mjw
 import numpy as np
@@ -61,6 +62,8 @@ class Simulation:
         transition: What the last step led to.
         final: What finished episodes ended with; only with autoreset "same_step".
         episode: Counters of the present episodes.
+        shown: What conditions show of their state, by name, (num_worlds, ...).
+        info: The same after the step, resets included; slices of arrays over all worlds in a part of them.
     """
 
     def __init__(
@@ -118,6 +121,7 @@ class Simulation:
             elif reset == "random":
                 self.starts = wp.array(find_starts(spec, progress), dtype=float)
                 self.start_address = wp.array(start_address(spec, self.scene.oracle), dtype=int)
+            self._modules: tuple[wp.Module, ...] = ()
             self._idle: frozenset[str] = frozenset()
             self._probes: list[Callable[[], None]] = []
             self._fusions: tuple[Fusion, ...] = ()
@@ -136,6 +140,11 @@ class Simulation:
     def num_worlds(self) -> int:
         """Worlds stepped together."""
         return self.scene.num_worlds
+
+    @property
+    def parts(self) -> tuple[Simulation, ...]:
+        """The simulations that step the worlds: this one (compare `myowarp.shards.Shards`)."""
+        return (self,)
 
     def _choose_kernels(self, fusions: Iterable[str], progress: bool) -> None:
         """Compile the kernels, and find out which of them to leave out and to replace."""
@@ -175,6 +184,10 @@ class Simulation:
         for mask in ("live", "renew", "reset", "fresh"):
             setattr(self.masks, mask, wp.zeros(n, dtype=bool))
         scene.worlds.share("masks", self.masks)
+        self.shown = {name: array for effect in self.effects for name, array in effect.info.items()}
+        info = SimpleNamespace(**self.shown)
+        scene.worlds.share("info", info, self.shown)
+        self.info = vars(info)
         self._asked = wp.zeros(n, dtype=bool)
 
     def _new_transition(self, name: str) -> Transition:
@@ -302,6 +315,9 @@ class Simulation:
         self.program.sample_goal(renew)
         self._refresh()
         self._launch_observation(fresh)
+        for name, array in self.shown.items():
+            if self.info[name] is not array:
+                wp.copy(self.info[name], array)
 
     def _refresh(self) -> None:
         """Make body and site positions those of the present state; a step leaves them one substep old."""
@@ -332,6 +348,9 @@ class Simulation:
                 if self.scene.device.is_cpu:
                     renew_code(self._modules)
                 self._step_graph = self._capture(self._launch_step)
+
+    def close(self) -> None:
+        """Do nothing: there are no threads to end (compare `myowarp.shards.Shards`)."""
 
     def look(self, world: int) -> Look:
         """Return what a picture of one world shows."""

@@ -7,6 +7,7 @@ of arrays over all worlds.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
@@ -40,7 +41,7 @@ class Worlds:
         ends = [self.number * i // parts for i in range(parts + 1)]
         return [
             Worlds(self.first + begin, end - begin, self.total, self.shared)
-            for begin, end in zip(ends, ends[1:], strict=False)
+            for begin, end in itertools.pairwise(ends)
         ]
 
     @property

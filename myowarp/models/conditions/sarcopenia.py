@@ -35,9 +35,7 @@ class Sarcopenia(Condition):
     def bind(self, scene: Scene, clock: Clock) -> SarcopeniaEffect:
         """Put the strengths on the device."""
         names = scene.muscles.names
-        strength = Parameter(
-            "sarcopenia strength", self.strength, scene.worlds, names, neutral=1.0, low=0.0
-        )
+        strength = Parameter("sarcopenia strength", self.strength, scene.worlds, names, neutral=1.0, low=0.0)
         return SarcopeniaEffect(scene, clock, strength)
 
 
