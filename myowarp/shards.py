@@ -25,6 +25,7 @@ from myowarp.progress import patient_bar
 from myowarp.scene import Scene, checked_num_worlds, resolve_device
 from myowarp.sim import Simulation
 from myowarp.spec import TaskSpec
+from myowarp.warmup import quiet
 from myowarp.worlds import Worlds
 
 LEAST_WORLDS = 4  # in a shard, by default: fewer are not worth the time that a shard takes to build
@@ -47,7 +48,9 @@ def simulate(
     Raises:
         ValueError: An argument is out of its range.
     """
-    num_worlds, where = checked_num_worlds(num_worlds), resolve_device(device)
+    num_worlds = checked_num_worlds(num_worlds)
+    with quiet():
+        where = resolve_device(device)
     if shards is None:
         shards = max(1, min(num_cores(), num_worlds // LEAST_WORLDS)) if where.is_cpu else 1
     if isinstance(shards, bool) or not isinstance(shards, (int, np.integer)) or not 1 <= shards <= num_worlds:

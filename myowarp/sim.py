@@ -24,6 +24,7 @@ from myowarp.kernels.episode import (
     Masks,
     Transition,
     advance_episode,
+    count_down,
     count_step,
     detect_faults,
     keep_final,
@@ -189,6 +190,7 @@ class Simulation:
         scene.worlds.share("info", info, self.shown)
         self.info = vars(info)
         self._asked = wp.zeros(n, dtype=bool)
+        self._countdown = wp.zeros(1, dtype=int)
 
     def _new_transition(self, name: str) -> Transition:
         """Allocate one set of step results."""
@@ -216,8 +218,7 @@ class Simulation:
         self.launch_action()
         self.launch_conditions()
         with pruned(self._idle):
-            for _ in range(self.scene.num_substeps):
-                self._launch_physics()
+            self._launch_substeps()
         self._refresh()
         wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
         self.launch_scoring()
@@ -228,6 +229,24 @@ class Simulation:
         if self.autoreset == RESET_SAME_STEP:
             wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
         self._launch_reset(self.masks.renew, self.masks.reset, self.masks.fresh, asked=False)
+
+    def _launch_substeps(self) -> None:
+        """All physics steps of a control step.
+
+        On the CPU a loop, so that the graph holds one of them, its scratch arrays included; a loop on CUDA
+        must not allocate (`mjw.step` does).
+        """
+        if not self.scene.device.is_cpu:
+            for _ in range(self.scene.num_substeps):
+                self._launch_physics()
+            return
+
+        def substep() -> None:
+            self._launch_physics()
+            wp.launch(count_down, dim=1, outputs=[self._countdown])
+
+        self._countdown.fill_(self.scene.num_substeps)
+        wp.capture_while(self._countdown, substep)
 
     def _launch_physics(self) -> None:
         """One physics step of all worlds; muscles and conditions run in the engine's control callback."""

@@ -18,15 +18,11 @@ PATIENCE = 0.5  # s without a word
 
 
 @contextlib.contextmanager
-def _recorded(modules: dict[str, Any]) -> Iterator[None]:
-    """Note the modules of all launches in the block instead of launching."""
-
-    def note(kernel: Any, *args: Any, **kwargs: Any) -> None:
-        block_dim = kwargs.get("block_dim", 256)
-        modules[f"{kernel.module.name} {kernel.module.get_module_hash()} {block_dim}"] = kernel.module
+def _recorded(modules: dict[wp.Module, None]) -> Iterator[None]:
+    """Note the modules of all launches in the block, as keys, instead of launching."""
 
     def launch(*args: Any, **kwargs: Any) -> None:
-        note(*args, **kwargs) if args else note(**kwargs)
+        modules[(args[0] if args else kwargs["kernel"]).module] = None
 
     def call_while(condition: Any, while_body: Callable[..., None], **kwargs: Any) -> None:
         while_body(**kwargs)
@@ -69,17 +65,17 @@ def compile_kernels(
     Returns:
         The modules.
     """
-    found: dict[str, Any] = {}
+    found: dict[wp.Module, None] = {}
     with _recorded(found):
         launches()
-    modules = list(dict.fromkeys(found.values()))
+    modules = tuple(found)
     workers = os.cpu_count() or 1
     with patient_bar("Compiling kernels", "modules", len(modules), patience=PATIENCE, show=show) as advance:
         for start in range(0, len(modules), workers):
             chunk = modules[start : start + workers]
             wp.force_load(device=device, modules=chunk, max_workers=workers)
             advance(len(chunk))
-    return tuple(modules)
+    return modules
 
 
 def renew_code(modules: Iterable[wp.Module]) -> None:

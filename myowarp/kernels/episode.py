@@ -108,6 +108,16 @@ def count_step(
 
 
 @wp.kernel(enable_backward=False)
+def count_down(
+    # Out:
+    countdown: wp.array[int],
+):
+    """countdown -= 1."""
+    i = wp.tid()
+    countdown[i] -= 1
+
+
+@wp.kernel(enable_backward=False)
 def detect_faults(
     # Data in:
     qpos_in: wp.array2d[float],
