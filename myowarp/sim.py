@@ -241,12 +241,14 @@ class Simulation:
                 self._launch_physics()
             return
 
+        countdown = self._countdown
+
         def substep() -> None:
             self._launch_physics()
-            wp.launch(count_down, dim=1, outputs=[self._countdown])
+            wp.launch(count_down, dim=1, outputs=[countdown])
 
-        self._countdown.fill_(self.scene.num_substeps)
-        wp.capture_while(self._countdown, substep)
+        countdown.fill_(self.scene.num_substeps)
+        wp.capture_while(countdown, substep)
 
     def _launch_physics(self) -> None:
         """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
