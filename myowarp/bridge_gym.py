@@ -107,21 +107,23 @@ class MyoWarpVectorEnv(VectorEnv):
         """
         check_choice("render_mode", render_mode, (None, *RENDER_MODES))
         mode = _autoreset_mode(autoreset_mode)
-        check_output(output)
-        self.output, self.copy = output, (output == "numpy" if copy is None else copy)
+        self.output, self.copy = check_output(output), (output == "numpy" if copy is None else copy)
         self.render_mode, self._pictures = render_mode, Pictures(render_size, camera)
+        body: dict[str, Any] = {
+            "physics": physics,
+            "muscle": muscle,
+            "reset": reset,
+            "conditions": conditions,
+        }
         self.sim = simulate(
             TASKS[task],
             num_envs,
             shards=shards,
             device=device,
-            physics=physics,
-            muscle=muscle,
-            reset=reset,
-            conditions=conditions,
             autoreset=AUTORESET_NAMES[mode],
             horizon=max_episode_steps,
             progress=progress,
+            **body,
         )
         self._set_up(mode)
 
@@ -134,8 +136,7 @@ class MyoWarpVectorEnv(VectorEnv):
             "autoreset_mode": mode,
         }
         self._autoreset = mode
-        self._was_reset = False
-        self._warned = False
+        self._was_reset = self._warned = False
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._resetting = np.zeros(self.num_envs, dtype=bool)
         num_obs, num_actions = self.sim.transition.obs.shape[1], self.sim.action.shape[1]
