@@ -109,12 +109,7 @@ class MyoWarpVectorEnv(VectorEnv):
         mode = _autoreset_mode(autoreset_mode)
         self.output, self.copy = check_output(output), (output == "numpy" if copy is None else copy)
         self.render_mode, self._pictures = render_mode, Pictures(render_size, camera)
-        body: dict[str, Any] = {
-            "physics": physics,
-            "muscle": muscle,
-            "reset": reset,
-            "conditions": conditions,
-        }
+        options = {"physics": physics, "muscle": muscle, "reset": reset, "conditions": conditions}
         self.sim = simulate(
             TASKS[task],
             num_envs,
@@ -123,7 +118,7 @@ class MyoWarpVectorEnv(VectorEnv):
             autoreset=AUTORESET_NAMES[mode],
             horizon=max_episode_steps,
             progress=progress,
-            **body,
+            **options,
         )
         self._set_up(mode)
 

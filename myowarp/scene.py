@@ -222,16 +222,11 @@ def compile_scene(
         model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), worlds.number))
         model.opt.warn_overflow = False
         data = mjw.make_data(stepped, nworld=worlds.number, nconmax=capacity.contacts, njmax=capacity.rows)
-        muscles, keys = muscle_class(oracle, worlds.number), new_keys(worlds.number)
+        muscles = muscle_class(oracle, worlds.number)
         if conditions:
             muscles.individualize()
-            worlds.share("anatomy", muscles.anatomy)
-        worlds.share("model", model, batched)
-        worlds.share("data", data, WORLD_FIELDS)
-        worlds.share("muscles", muscles, ("activation", "workload"))
-        worlds.share("keys", keys)
         model.callback.control = muscles.launch
-        return Scene(
+        scene = Scene(
             spec=spec,
             conditions=conditions,
             worlds=worlds,
@@ -240,13 +235,26 @@ def compile_scene(
             model=model,
             data=data,
             muscles=muscles,
-            keys=keys,
+            keys=new_keys(worlds.number),
             qpos_start=wp.array(start, dtype=float),
             reset=reset,
             actuator_kind=wp.array(actuator_kinds(oracle), dtype=int),
             capacity=capacity,
             device=where,
         )
+        _share_state(scene, batched)
+    return scene
+
+
+def _share_state(scene: Scene, batched: Iterable[str]) -> None:
+    """Make the state of the worlds, and what of the model is `batched`, visible from outside a part."""
+    worlds, muscles = scene.worlds, scene.muscles
+    worlds.share("model", scene.model, batched)
+    worlds.share("data", scene.data, WORLD_FIELDS)
+    worlds.share("muscles", muscles, ("activation", "workload"))
+    worlds.share("keys", scene.keys)
+    if scene.conditions:
+        worlds.share("anatomy", muscles.anatomy)
 
 
 def resolve_device(device: str | None) -> wp.Device:
