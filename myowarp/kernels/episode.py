@@ -79,6 +79,18 @@ class Transition:
     fault: wp.array[int]
 
 
+def new_transition(num_worlds: int, obs_size: int, num_terms: int) -> Transition:
+    """Return step results of `num_worlds` worlds, all zero, on the current Warp device."""
+    transition = Transition()
+    transition.obs = wp.zeros((num_worlds, obs_size), dtype=float)
+    transition.terms = wp.zeros((num_worlds, num_terms), dtype=float)
+    transition.reward = wp.zeros(num_worlds, dtype=float)
+    transition.fault = wp.zeros(num_worlds, dtype=int)
+    for flag in ("solved", "failed", "success", "terminated", "truncated"):
+        setattr(transition, flag, wp.zeros(num_worlds, dtype=bool))
+    return transition
+
+
 @wp.struct
 class Masks:
     """Which worlds the later kernels of a step act on; all arrays (num_worlds,).
@@ -105,6 +117,16 @@ def count_step(
     worldid = wp.tid()
     episode.step_count[worldid] += 1
     episode.life_count[worldid] += 1
+
+
+@wp.kernel(enable_backward=False)
+def count_down(
+    # Out:
+    countdown: wp.array[int],
+):
+    """countdown -= 1."""
+    i = wp.tid()
+    countdown[i] -= 1
 
 
 @wp.kernel(enable_backward=False)
