@@ -107,7 +107,6 @@ class Simulation:
             ValueError: An argument is out of its range.
         """
         check_choice("autoreset", autoreset, AUTORESET)
-        horizon = checked_horizon(spec.horizon if horizon is None else horizon)
         self.autoreset = AUTORESET[autoreset]
         with quiet():
             chosen = resolve(conditions, spec)
@@ -115,9 +114,9 @@ class Simulation:
         with quiet(), wp.ScopedDevice(self.scene.device):
             self.program = spec.bind(self.scene)
             self._bind_conditions()
-            self._allocate(horizon)
+            self._allocate(checked_horizon(spec.horizon if horizon is None else horizon))
             self.starts = self.start_address = None
-            if like is not None:
+            if like:
                 self.starts, self.start_address = like.starts, like.start_address
             elif reset == "random":
                 self.starts = wp.array(find_starts(spec, progress), dtype=float)
@@ -142,8 +141,8 @@ class Simulation:
         self._probes: list[Callable[[], None]] = []
         if like is None:
             launches = self._launch_all, self._launch_physics
-            self._idle, self.fusions = choose_kernels(self.scene, fusions, *launches, show)
-            self._modules = compile_kernels(self._launch_all, self.scene.device, show=show)
+            self._idle, self.fusions = choose_kernels(self.scene, fusions, *launches, progress)
+            self._modules = compile_kernels(self._launch_all, self.scene.device, show=progress)
         else:
             self._modules, self._idle = like._modules, like._idle
             self.fusions = tuple(type(fusion)(self.scene) for fusion in like.fusions)
@@ -190,7 +189,7 @@ class Simulation:
         scene.worlds.share("info", info, self.shown)
         self.info = vars(info)
         self._asked = wp.zeros(n, dtype=bool)
-        self._countdown = wp.zeros(1, dtype=int)
+        self.countdown = wp.zeros(1, dtype=int)
 
     def _launch_all(self) -> None:
         """Every launch there is, for the compiler."""
@@ -224,14 +223,13 @@ class Simulation:
             for _ in range(self.scene.num_substeps):
                 self._launch_physics()
             return
-        countdown = self._countdown
-        countdown.fill_(self.scene.num_substeps)
+        self.countdown.fill_(self.scene.num_substeps)
 
         def substep() -> None:
             self._launch_physics()
-            wp.launch(count_down, dim=1, outputs=[countdown])
+            wp.launch(count_down, dim=1, outputs=[self.countdown])
 
-        wp.capture_while(countdown, substep)
+        wp.capture_while(self.countdown, substep)
 
     def _launch_physics(self) -> None:
         """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
@@ -354,7 +352,7 @@ class Simulation:
                 self._step_graph = self._capture(self._launch_step)
 
     def close(self) -> None:
-        """Do nothing: there are no threads to end (compare `myowarp.shards.Shards`)."""
+        """End the threads, of which there are none (compare `myowarp.shards.Shards`)."""
 
     def look(self, world: int) -> Look:
         """Return what a picture of one world shows."""
