@@ -20,16 +20,16 @@ from myowarp.kernels.episode import (
     RESET_DISABLED,
     RESET_NEXT_STEP,
     RESET_SAME_STEP,
-    EpisodeState,
-    Masks,
-    Transition,
     advance_episode,
-    count_down,
     count_step,
     detect_faults,
     keep_final,
+    new_episode_state,
+    new_masks,
+    new_transition,
     open_episode,
 )
+from myowarp.kernels.repeat import repeat
 from myowarp.kernels.reset import place_start, reset_worlds
 from myowarp.look import Look, look_at
 from myowarp.models.conditions import Condition, resolve
@@ -66,6 +66,10 @@ class Simulation:
         shown: What conditions show of their state, by name, (num_worlds, ...).
         info: The same after the step, resets included; slices of arrays over all worlds in a part of them.
     """
+
+    _modules: tuple[wp.Module, ...]
+    _idle: frozenset[str]
+    _fusions: tuple[Fusion, ...]
 
     def __init__(
         self,
@@ -116,23 +120,11 @@ class Simulation:
             self.program = spec.bind(self.scene)
             self._bind_conditions()
             self._allocate(horizon)
-            self.starts = self.start_address = None
-            if like is not None:
-                self.starts, self.start_address = like.starts, like.start_address
-            elif reset == "random":
-                self.starts = wp.array(find_starts(spec, progress), dtype=float)
-                self.start_address = wp.array(start_address(spec, self.scene.oracle), dtype=int)
-            self._modules: tuple[wp.Module, ...] = ()
-            self._idle: frozenset[str] = frozenset()
-            self._probes: list[Callable[[], None]] = []
-            self._fusions: tuple[Fusion, ...] = ()
             if like is None:
+                self._choose_starts(progress)
                 self._choose_kernels(FUSIONS if fusions is None else fusions, progress)
             else:
-                self._modules, self._idle = like._modules, like._idle
-                self._fusions = tuple(type(fusion)(self.scene) for fusion in like._fusions)
-            if graph and self.scene.device.is_cpu:
-                renew_code(self._modules)
+                self._take_over(like)
             self._step_graph = self._capture(self._launch_step) if graph else None
             self._reset_graph = self._capture(self._launch_asked_reset) if graph else None
         self.reset()
@@ -147,6 +139,14 @@ class Simulation:
         """The simulations that step the worlds: this one (compare `myowarp.shards.Shards`)."""
         return (self,)
 
+    def _choose_starts(self, progress: bool) -> None:
+        """Have a table of random starts, if the episodes are to begin there."""
+        spec, scene = self.scene.spec, self.scene
+        self.starts = self.start_address = None
+        if scene.reset == "random":
+            self.starts = wp.array(find_starts(spec, progress), dtype=float)
+            self.start_address = wp.array(start_address(spec, scene.oracle), dtype=int)
+
     def _choose_kernels(self, fusions: Iterable[str], progress: bool) -> None:
         """Compile the kernels, and find out which of them to leave out and to replace."""
         scene, candidates = self.scene, applicable_fusions(self.scene, fusions)
@@ -154,13 +154,16 @@ class Simulation:
         self._idle = verified_idle(scene.oracle, scene.model, scene.data, self._launch_physics)
         self._fusions = verified_fusions(scene, candidates, self._launch_physics)
 
+    def _take_over(self, like: Simulation) -> None:
+        """Have the starts and kernels of another part."""
+        self.starts, self.start_address = like.starts, like.start_address
+        self._modules, self._idle = like._modules, like._idle
+        self._fusions = tuple(type(fusion)(self.scene) for fusion in like._fusions)
+
     def _bind_conditions(self) -> None:
         """Allocate the counters of the episodes, and what the conditions need."""
         scene = self.scene
-        self.episode = EpisodeState()
-        for count in ("step_count", "life_count", "solved_count"):
-            setattr(self.episode, count, wp.zeros(self.num_worlds, dtype=int))
-        self.episode.pending = wp.zeros(self.num_worlds, dtype=bool)
+        self.episode = new_episode_state(self.num_worlds)
         scene.worlds.share("episode", self.episode)
         clock = Clock()
         clock.step_count, clock.life_count = self.episode.step_count, self.episode.life_count
@@ -179,11 +182,10 @@ class Simulation:
         self.weights = wp.array([term.weight for term in self.terms], dtype=float)
         self.horizon = wp.array([horizon], dtype=int)
         scene.worlds.share("sim", self, ("action",))
-        self.transition = self._new_transition("transition")
-        self.final = self._new_transition("final")
-        self.masks = Masks()
-        for mask in ("live", "renew", "reset", "fresh"):
-            setattr(self.masks, mask, wp.zeros(n, dtype=bool))
+        sizes = n, sum(column.size for column in self.columns), len(self.terms)
+        self.transition, self.final, self.masks = new_transition(*sizes), new_transition(*sizes), new_masks(n)
+        scene.worlds.share("transition", self.transition)
+        scene.worlds.share("final", self.final)
         scene.worlds.share("masks", self.masks)
         self.shown = {name: array for effect in self.effects for name, array in effect.info.items()}
         info = SimpleNamespace(**self.shown)
@@ -191,19 +193,8 @@ class Simulation:
         self.info = vars(info)
         self._asked = wp.zeros(n, dtype=bool)
         self._countdown = wp.zeros(1, dtype=int)
-
-    def _new_transition(self, name: str) -> Transition:
-        """Allocate one set of step results."""
-        n = self.num_worlds
-        transition = Transition()
-        transition.obs = wp.zeros((n, sum(column.size for column in self.columns)), dtype=float)
-        transition.terms = wp.zeros((n, len(self.terms)), dtype=float)
-        transition.reward = wp.zeros(n, dtype=float)
-        transition.fault = wp.zeros(n, dtype=int)
-        for flag in ("solved", "failed", "success", "terminated", "truncated"):
-            setattr(transition, flag, wp.zeros(n, dtype=bool))
-        self.scene.worlds.share(name, transition)
-        return transition
+        self._probes: list[Callable[[], None]] = []
+        self._fusions, self._idle = (), frozenset()
 
     def _launch_all(self, candidates: tuple[Fusion, ...]) -> None:
         """Every launch there is, for the compiler: the stock step, and the one with fusions."""
@@ -218,7 +209,7 @@ class Simulation:
         self.launch_action()
         self.launch_conditions()
         with pruned(self._idle):
-            self._launch_substeps()
+            repeat(self._launch_physics, self.scene.num_substeps, self._countdown)
         self._refresh()
         wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
         self.launch_scoring()
@@ -229,26 +220,6 @@ class Simulation:
         if self.autoreset == RESET_SAME_STEP:
             wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
         self._launch_reset(self.masks.renew, self.masks.reset, self.masks.fresh, asked=False)
-
-    def _launch_substeps(self) -> None:
-        """All physics steps of a control step.
-
-        On the CPU a loop, so that the graph holds one of them, its scratch arrays included; a loop on CUDA
-        must not allocate (`mjw.step` does).
-        """
-        if not self.scene.device.is_cpu:
-            for _ in range(self.scene.num_substeps):
-                self._launch_physics()
-            return
-
-        countdown = self._countdown
-
-        def substep() -> None:
-            self._launch_physics()
-            wp.launch(count_down, dim=1, outputs=[countdown])
-
-        countdown.fill_(self.scene.num_substeps)
-        wp.capture_while(countdown, substep)
 
     def _launch_physics(self) -> None:
         """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
@@ -346,7 +317,8 @@ class Simulation:
             mjw.kinematics(self.scene.model, self.scene.data)
 
     def _capture(self, launches: Callable[[], None]) -> wp.Graph:
-        """Record launches as a graph."""
+        """Record launches as a graph, which no other graph shares its code with."""
+        renew_code(self._modules)
         with wp.ScopedCapture(device=self.scene.device, force_module_load=False) as capture:
             launches()
         return capture.graph
@@ -366,8 +338,6 @@ class Simulation:
         with quiet(), wp.ScopedDevice(self.scene.device):
             self._modules += compile_kernels(launch, self.scene.device, show=False)
             if self._step_graph is not None:
-                if self.scene.device.is_cpu:
-                    renew_code(self._modules)
                 self._step_graph = self._capture(self._launch_step)
 
     def close(self) -> None:
