@@ -35,7 +35,7 @@ from myowarp.look import Look, look_at
 from myowarp.models.conditions import Condition, resolve
 from myowarp.models.conditions.parameter import Clock
 from myowarp.models.muscles import restore_anatomy
-from myowarp.prune import pruned, verified_idle
+from myowarp.prune import batch_independent, pruned, verified_idle
 from myowarp.registry import check_choice
 from myowarp.scene import compile_scene
 from myowarp.spec import TaskSpec
@@ -223,7 +223,7 @@ class Simulation:
 
     def _launch_physics(self) -> None:
         """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
-        with installed(self._fusions):
+        with installed(self._fusions), batch_independent(self.scene.device):
             mjw.step(self.scene.model, self.scene.data)
 
     def _launch_control(self, model: mjw.Model, data: mjw.Data) -> None:
