@@ -20,24 +20,24 @@ from myowarp.kernels.episode import (
     RESET_DISABLED,
     RESET_NEXT_STEP,
     RESET_SAME_STEP,
-    EpisodeState,
-    Masks,
     advance_episode,
-    count_down,
     count_step,
     detect_faults,
     keep_final,
+    new_episode_state,
+    new_masks,
     new_transition,
     open_episode,
 )
+from myowarp.kernels.repeat import repeat
 from myowarp.kernels.reset import place_start, reset_worlds
 from myowarp.look import Look, look_at
 from myowarp.models.conditions import Condition, resolve
 from myowarp.models.conditions.parameter import Clock
 from myowarp.models.muscles import restore_anatomy
-from myowarp.prune import pruned
+from myowarp.prune import batch_independent, pruned
 from myowarp.registry import check_choice
-from myowarp.scene import checked_horizon, compile_scene
+from myowarp.scene import compile_scene
 from myowarp.spec import TaskSpec
 from myowarp.starts import random_starts, start_address
 from myowarp.verdict import choose_kernels
@@ -68,6 +68,10 @@ class Simulation:
         shown: What conditions show of their state, by name, (num_worlds, ...).
         info: The same after the step, resets included; slices of arrays over all worlds in a part of them.
     """
+
+    _modules: tuple[wp.Module, ...]
+    _idle: frozenset[str]
+    _fusions: tuple[Fusion, ...]
 
     def __init__(
         self,
@@ -107,6 +111,9 @@ class Simulation:
             ValueError: An argument is out of its range.
         """
         check_choice("autoreset", autoreset, AUTORESET)
+        horizon = spec.horizon if horizon is None else horizon
+        if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 1:
+            raise ValueError(f"max_episode_steps must be a positive integer, got {horizon!r}")
         self.autoreset = AUTORESET[autoreset]
         with quiet():
             chosen = resolve(conditions, spec)
@@ -114,14 +121,14 @@ class Simulation:
         with quiet(), wp.ScopedDevice(self.scene.device):
             self.program = spec.bind(self.scene)
             self._bind_conditions()
-            self._allocate(checked_horizon(spec.horizon if horizon is None else horizon))
-            self.starts = self.start_address = None
-            if like:
-                self.starts, self.start_address = like.starts, like.start_address
-            elif reset == "random":
-                self.starts = wp.array(find_starts(spec, progress), dtype=float)
-                self.start_address = wp.array(start_address(spec, self.scene.oracle), dtype=int)
-            self._prepare(FUSIONS if fusions is None else fusions, like, graph, progress)
+            self._allocate(horizon)
+            if like is None:
+                self._choose_starts(progress)
+                self._choose_kernels(FUSIONS if fusions is None else fusions, progress)
+            else:
+                self._take_over(like)
+            self._step_graph = self._capture(self._launch_step) if graph else None
+            self._reset_graph = self._capture(self._launch_asked_reset) if graph else None
         self.reset()
 
     @property
@@ -134,30 +141,30 @@ class Simulation:
         """The simulations that step the worlds: this one (compare `myowarp.shards.Shards`)."""
         return (self,)
 
-    def _prepare(self, fusions: Iterable[str], like: Simulation | None, graph: bool, progress: bool) -> None:
-        """Find out which kernels the step needs, compile them, and capture it."""
-        self._modules: tuple[wp.Module, ...] = ()
-        self._idle, self.fusions = frozenset[str](), tuple[Fusion, ...]()
-        self._probes: list[Callable[[], None]] = []
-        if like is None:
-            launches = self._launch_all, self._launch_physics
-            self._idle, self.fusions = choose_kernels(self.scene, fusions, *launches, progress)
-            self._modules = compile_kernels(self._launch_all, self.scene.device, show=progress)
-        else:
-            self._modules, self._idle = like._modules, like._idle
-            self.fusions = tuple(type(fusion)(self.scene) for fusion in like.fusions)
-        if graph and self.scene.device.is_cpu:
-            renew_code(self._modules)
-        self._step_graph = self._capture(self._launch_step) if graph else None
-        self._reset_graph = self._capture(self._launch_asked_reset) if graph else None
+    def _choose_starts(self, progress: bool) -> None:
+        """Have a table of random starts, if the episodes are to begin there."""
+        spec, scene = self.scene.spec, self.scene
+        self.starts = self.start_address = None
+        if scene.reset == "random":
+            self.starts = wp.array(find_starts(spec, progress), dtype=float)
+            self.start_address = wp.array(start_address(spec, scene.oracle), dtype=int)
+
+    def _choose_kernels(self, fusions: Iterable[str], progress: bool) -> None:
+        """Find out which kernels to leave out and to replace, and compile the others."""
+        launches = self._launch_all, self._launch_physics
+        self._idle, self.fusions = choose_kernels(self.scene, fusions, *launches, progress)
+        self._modules = compile_kernels(self._launch_all, self.scene.device, show=progress)
+
+    def _take_over(self, like: Simulation) -> None:
+        """Have the starts and kernels of another part."""
+        self.starts, self.start_address = like.starts, like.start_address
+        self._modules, self._idle = like._modules, like._idle
+        self.fusions = tuple(type(fusion)(self.scene) for fusion in like.fusions)
 
     def _bind_conditions(self) -> None:
         """Allocate the counters of the episodes, and what the conditions need."""
         scene = self.scene
-        self.episode = EpisodeState()
-        for count in ("step_count", "life_count", "solved_count"):
-            setattr(self.episode, count, wp.zeros(self.num_worlds, dtype=int))
-        self.episode.pending = wp.zeros(self.num_worlds, dtype=bool)
+        self.episode = new_episode_state(self.num_worlds)
         scene.worlds.share("episode", self.episode)
         clock = Clock()
         clock.step_count, clock.life_count = self.episode.step_count, self.episode.life_count
@@ -177,19 +184,18 @@ class Simulation:
         self.horizon = wp.array([horizon], dtype=int)
         scene.worlds.share("sim", self, ("action",))
         sizes = n, sum(column.size for column in self.columns), len(self.terms)
-        self.transition, self.final = new_transition(*sizes), new_transition(*sizes)
+        self.transition, self.final, self.masks = new_transition(*sizes), new_transition(*sizes), new_masks(n)
         scene.worlds.share("transition", self.transition)
         scene.worlds.share("final", self.final)
-        self.masks = Masks()
-        for mask in ("live", "renew", "reset", "fresh"):
-            setattr(self.masks, mask, wp.zeros(n, dtype=bool))
         scene.worlds.share("masks", self.masks)
         self.shown = {name: array for effect in self.effects for name, array in effect.info.items()}
         info = SimpleNamespace(**self.shown)
         scene.worlds.share("info", info, self.shown)
         self.info = vars(info)
         self._asked = wp.zeros(n, dtype=bool)
-        self.countdown = wp.zeros(1, dtype=int)
+        self._countdown = wp.zeros(1, dtype=int)
+        self._probes: list[Callable[[], None]] = []
+        self._idle, self.fusions = frozenset[str](), tuple[Fusion, ...]()
 
     def _launch_all(self) -> None:
         """Every launch there is, for the compiler."""
@@ -201,7 +207,7 @@ class Simulation:
         self.launch_action()
         self.launch_conditions()
         with pruned(self._idle):
-            self._launch_substeps()
+            repeat(self._launch_physics, self.scene.num_substeps, self._countdown)
         self._refresh()
         wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
         self.launch_scoring()
@@ -213,27 +219,9 @@ class Simulation:
             wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
         self._launch_reset(self.masks.renew, self.masks.reset, self.masks.fresh, asked=False)
 
-    def _launch_substeps(self) -> None:
-        """All physics steps of a control step.
-
-        On the CPU a loop, so that the graph holds one of them, its scratch arrays included; a loop on CUDA
-        must not allocate (`mjw.step` does).
-        """
-        if not self.scene.device.is_cpu:
-            for _ in range(self.scene.num_substeps):
-                self._launch_physics()
-            return
-        self.countdown.fill_(self.scene.num_substeps)
-
-        def substep() -> None:
-            self._launch_physics()
-            wp.launch(count_down, dim=1, outputs=[self.countdown])
-
-        wp.capture_while(self.countdown, substep)
-
     def _launch_physics(self) -> None:
         """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
-        with installed(self.fusions):
+        with installed(self.fusions), batch_independent(self.scene.device):
             mjw.step(self.scene.model, self.scene.data)
 
     def _launch_control(self, model: mjw.Model, data: mjw.Data) -> None:
@@ -327,7 +315,8 @@ class Simulation:
             mjw.kinematics(self.scene.model, self.scene.data)
 
     def _capture(self, launches: Callable[[], None]) -> wp.Graph:
-        """Record launches as a graph."""
+        """Record launches as a graph, which no other graph shares its code with."""
+        renew_code(self._modules)
         with wp.ScopedCapture(device=self.scene.device, force_module_load=False) as capture:
             launches()
         return capture.graph
@@ -347,12 +336,10 @@ class Simulation:
         with quiet(), wp.ScopedDevice(self.scene.device):
             self._modules += compile_kernels(launch, self.scene.device, show=False)
             if self._step_graph is not None:
-                if self.scene.device.is_cpu:
-                    renew_code(self._modules)
                 self._step_graph = self._capture(self._launch_step)
 
     def close(self) -> None:
-        """End the threads, of which there are none (compare `myowarp.shards.Shards`)."""
+        """Do nothing: there are no threads to end (compare `myowarp.shards.Shards`)."""
 
     def look(self, world: int) -> Look:
         """Return what a picture of one world shows."""

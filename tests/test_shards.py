@@ -127,7 +127,7 @@ def test_no_code_in_common():
     """Two threads in the same tile kernel overwrite each other's scratch memory."""
     split = build(num_shards=3)
     Signals(split)  # captures every step anew, one after the other
-    codes = [part._step_graph.module_execs | part._reset_graph.module_execs for part in split.parts]
+    codes = [graph.module_execs for part in split.parts for graph in (part._step_graph, part._reset_graph)]
     assert all(codes)
     assert len(set().union(*codes)) == sum(len(code) for code in codes)
 
