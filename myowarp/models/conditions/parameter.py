@@ -227,9 +227,7 @@ class Parameter:
         """Return numbers as (1 or num_worlds, 1 or num_muscles)."""
         worlds = self.num_worlds if worlds is None else worlds
         try:
-            numbers = np.asarray(
-                float(value) if value is None else value, dtype=np.float64
-            )  # NumPy: None is nan
+            numbers = np.asarray("none" if value is None else value, dtype=np.float64)  # NumPy makes it nan
         except (TypeError, ValueError):
             raise ValueError(f"{self.name} must be numbers, got {value!r}") from None
         columns = len(self.names)
