@@ -54,9 +54,10 @@ format: setup ## Format the code and apply safe lint fixes
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: setup ## Run the benchmarks, JSON to out/bench.json
+bench: setup ## Measure speed and what conditions cost, JSON to out/bench.json and out/conditions.json
 	@mkdir -p out
 	$(BIN)/python -m benchmarks --output out/bench.json
+	$(BIN)/python -m benchmarks.conditions --output out/conditions.json
 
 parity: setup ## Install MyoSuite 3.0.0 beside us, record fresh values, compare every id
 	@mkdir -p out
@@ -64,9 +65,10 @@ parity: setup ## Install MyoSuite 3.0.0 beside us, record fresh values, compare 
 	.venv-parity/bin/python -m pip install --quiet --disable-pip-version-check myosuite==3.0.0
 	$(BIN)/python -m benchmarks.parity --recorder .venv-parity/bin/python --output out/parity.json
 
-soak: setup ## Run random actions in all 204 ids of the paper's grid, JSON to out/soak.json (an hour)
+soak: setup ## Run random actions in all 204 ids of the paper's grid and pairs of conditions (two hours)
 	@mkdir -p out
 	$(BIN)/python -m benchmarks.soak --output out/soak.json
+	$(BIN)/python -m benchmarks.soak --pairs --output out/soak_pairs.json
 
 audit: setup ## Audit every task, table, JSON and page to out/audit (an hour)
 	$(BIN)/myowarp audit --output out/audit

@@ -37,7 +37,7 @@ from myowarp.models.conditions.parameter import Clock
 from myowarp.models.muscles import restore_anatomy
 from myowarp.prune import batch_independent, pruned
 from myowarp.registry import check_choice
-from myowarp.scene import compile_scene
+from myowarp.scene import checked_horizon, compile_scene
 from myowarp.spec import TaskSpec
 from myowarp.starts import random_starts, start_address
 from myowarp.verdict import choose_kernels
@@ -111,9 +111,7 @@ class Simulation:
             ValueError: An argument is out of its range.
         """
         check_choice("autoreset", autoreset, AUTORESET)
-        horizon = spec.horizon if horizon is None else horizon
-        if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 1:
-            raise ValueError(f"max_episode_steps must be a positive integer, got {horizon!r}")
+        horizon = checked_horizon(spec.horizon if horizon is None else horizon)
         self.autoreset = AUTORESET[autoreset]
         with quiet():
             chosen = resolve(conditions, spec)

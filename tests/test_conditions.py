@@ -293,7 +293,10 @@ class TestParameter:
         ("value", "message"),
         [
             (-1, r"^thing must be >= 0, got -1$"),
-            (np.nan, r"^thing must be >= 0, got nan$"),
+            (np.nan, r"^thing must be finite and >= 0, got nan$"),
+            (np.inf, r"^thing must be finite and >= 0, got inf$"),
+            (None, r"^thing must be numbers, got None$"),
+            ({"a": [1, 2, 3]}, r"^thing of muscle 'a' must be one number, got \[1, 2, 3\]$"),
             ([1, 2], r"^thing must be one number or of shape \(3,\) or \(3, 3\), got shape \(2,\)$"),
             ("much", r"^thing must be numbers, got 'much'$"),
             ({"d": 1}, r"^muscle 'd' unknown; available: a, b, c_r$"),
@@ -313,6 +316,13 @@ class TestParameter:
     def test_range_with_two_ends(self):
         with pytest.raises(ValueError, match=r"^thing must be in 0\.\.1, got 2$"):
             self.values(2.0, low=0.0, high=1.0)
+
+
+@pytest.mark.parametrize("name", ["sarcopenia", "motor_noise", "fatigue_3ccr", "fatigue_ma2009"])
+def test_motors_have_no_muscles(name):
+    key = "motorFingerPoseFixed-v0"
+    with pytest.raises(ValueError, match=f"^{name} is about muscles; the body of task '{key}' has none$"):
+        Simulation(TASKS[key], 2, device="cpu", conditions=name, graph=False, progress=False)
 
 
 @pytest.mark.parametrize(

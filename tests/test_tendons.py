@@ -375,6 +375,8 @@ def test_bad_input(key, conditions, message):
     ("arguments", "message"),
     [
         ({"muscles": ()}, "tendon_tear needs at least one muscle, got none"),
+        ({"muscles": 3}, "tendon_tear muscles must be a name or several in a list, got 3"),
+        ({"muscles": None}, "tendon_tear muscles must be a name or several in a list, got None"),
         ({"of": "day"}, "tendon_tear time of 'day' unknown; available: episode, life"),
     ],
 )

@@ -132,9 +132,7 @@ class Fatigue3CCR(Condition):
 
     def bind(self, scene: Scene, clock: Clock) -> Fatigue3CCREffect:
         """Put all parameters on the device."""
-        if not scene.muscles.names:
-            raise ValueError(f"fatigue_3ccr is about muscles; the body of task {scene.spec.key!r} has none")
-        names = scene.muscles.names
+        names = self.muscle_names(scene)
         limits = {
             # parameter: (value, neutral, greatest); no more than all of a compartment flows in a step
             "affected": (self.affected, 0.0, 1.0),

@@ -229,7 +229,7 @@ class Parameter:
         """Return numbers as (1 or num_worlds, 1 or num_muscles)."""
         worlds = self.worlds.total if worlds is None else worlds
         try:
-            numbers = np.asarray(value, dtype=np.float64)
+            numbers = np.asarray("none" if value is None else value, dtype=np.float64)  # NumPy makes it nan
         except (TypeError, ValueError):
             raise ValueError(f"{self.name} must be numbers, got {value!r}") from None
         columns = len(self.names)
@@ -246,7 +246,10 @@ class Parameter:
         """Return numbers by muscle name as (1, num_muscles)."""
         numbers = np.full((1, len(self.names)), self.neutral)
         for muscle, number in value.items():
-            numbers[0, muscle_index(muscle, self.names)] = self._numbers(number)[0, 0]
+            index = muscle_index(muscle, self.names)
+            if np.ndim(number):
+                raise ValueError(f"{self.name} of muscle {muscle!r} must be one number, got {number!r}")
+            numbers[0, index] = self._numbers(number)[0, 0]
         return numbers
 
     def _check_range(self, numbers: np.ndarray) -> None:
@@ -254,7 +257,9 @@ class Parameter:
         low, high = self.bounds
         wrong = numbers[~((numbers >= low) & (numbers <= high) & np.isfinite(numbers))]
         if wrong.size:
-            span = f"in {low:g}..{high:g}" if high < np.inf else f">= {low:g}" if low > -np.inf else "finite"
+            span = f"in {low:g}..{high:g}" if high < np.inf else "finite"
+            if high == np.inf and low > -np.inf:
+                span = f">= {low:g}" if np.isfinite(wrong[0]) else f"finite and >= {low:g}"
             raise ValueError(f"{self.name} must be {span}, got {wrong[0]:g}")
 
     def sample(self, keys: RandomKeys, mask: wp.array) -> None:

@@ -34,7 +34,7 @@ class Sarcopenia(Condition):
 
     def bind(self, scene: Scene, clock: Clock) -> SarcopeniaEffect:
         """Put the strengths on the device."""
-        names = scene.muscles.names
+        names = self.muscle_names(scene)
         strength = Parameter("sarcopenia strength", self.strength, scene, names, neutral=1.0, low=0.0)
         return SarcopeniaEffect(scene, clock, strength)
 

@@ -8,6 +8,7 @@ arXiv:2205.13600, which removes single muscles of the thumb (FPL, OP, EPB, APL) 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar
@@ -21,8 +22,6 @@ from myowarp.models.conditions.parameter import SPANS, Clock, Curve, Parameter, 
 from myowarp.registry import check_choice
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from myowarp.scene import Scene
     from myowarp.spec import TaskSpec
 
@@ -54,7 +53,9 @@ class TendonTear(Condition):
     def __post_init__(self) -> None:
         """Check what does not depend on the body."""
         check_choice("tendon_tear time of", self.of, SPANS)
-        if not len(self.muscles):
+        if not isinstance(self.muscles, Sequence):
+            raise ValueError(f"tendon_tear muscles must be a name or several in a list, got {self.muscles!r}")
+        if not self.muscles:
             raise ValueError("tendon_tear needs at least one muscle, got none")
 
     def check(self, spec: TaskSpec) -> None:
