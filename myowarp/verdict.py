@@ -20,7 +20,7 @@ from myowarp.fusions import Fusion
 from myowarp.prune import idle_kernels
 from myowarp.scene import Scene
 
-SOURCES = ("*.py", "fusions/*.py", "kernels/*.py", "models/muscles/*.py")  # that verification depends on
+SOURCES = ("*.py", "fusions/*.py", "kernels/*.py", "kernels/*.cpp", "models/muscles/*.py")  # that decide it
 
 
 class Verdict(NamedTuple):
