@@ -138,4 +138,4 @@ def _velocity_changes(
     return np.concatenate(changes)
 
 
-from myowarp.fusions import contact_solve, ellipsoid_contact  # noqa: E402, F401  (they register themselves)
+from myowarp.fusions import contact_rows, contact_solve, ellipsoid_contact  # noqa: E402, F401  (they register themselves)
