@@ -21,7 +21,7 @@ from myowarp.prune import idle_kernels, verified_idle
 from myowarp.scene import Scene
 from myowarp.warmup import compile_kernels
 
-SOURCES = ("*.py", "fusions/*.py", "kernels/*.py", "models/muscles/*.py")  # that verification depends on
+SOURCES = ("*.py", "fusions/*.py", "kernels/*.py", "kernels/*.cpp", "models/muscles/*.py")  # that decide it
 
 
 class Verdict(NamedTuple):
