@@ -88,7 +88,7 @@ class Options:
     """JSON file to write."""
     families: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["-f"])] = tuple(FAMILIES)
     """Families to measure."""
-    episodes: int = 6
+    episodes: int = 12
     """Episodes of each family."""
     limit: float = 0.02
     """Largest error of the joints that a recommended scheme may have [rad]."""

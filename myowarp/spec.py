@@ -204,7 +204,7 @@ COARSE_STEPS = {
     "keyturn": CoarseStep(0.004, 0.35),
     "objecthold": CoarseStep(0.005, 0.5),
     "pentwirl": CoarseStep(0.005, 0.5),
-    "baoding": CoarseStep(0.025 / 3, 0.5),
+    "baoding": CoarseStep(0.005, 0.35),
 }
 """By task family, else by body: what keeps the root mean square error of the joints below 0.02 rad, against
 steps of 0.1 ms over 0.2 s of policy-like excitations (benchmarks/accuracy.py)."""
