@@ -91,7 +91,7 @@ class Options:
     episodes: int = 12
     """Episodes of each family."""
     limit: float = 0.02
-    """Largest error of the joints that a recommended scheme may have [rad]."""
+    """Largest error of the joints that is accepted [rad]."""
     threads: int = 2
     """Threads of MuJoCo C."""
 
@@ -259,7 +259,7 @@ def in_engine(study: Study) -> list[dict[str, Any]]:
     return rows
 
 
-def recommend(rows: list[dict[str, Any]], limit: float) -> dict[str, Any]:
+def fewest_steps(rows: list[dict[str, Any]], limit: float) -> dict[str, Any]:
     """Return the scheme with the fewest steps whose joints stay within the limit; then the most accurate.
 
     The discrete integrator costs two of the others' steps and is not considered.
@@ -280,7 +280,7 @@ def main() -> None:
             rows = in_c(study, options)
             families[family] = {
                 "task": study.key,
-                "recommended": recommend(rows, options.limit),
+                "fewest_steps_within_limit": fewest_steps(rows, options.limit),
                 "myowarp": in_engine(study),
                 "mujoco_c": rows,
             }
@@ -297,7 +297,9 @@ def main() -> None:
         "family", "preset or scheme", "step [ms]", "joints [rad]", "object [mm]", "object tilt [rad]"
     )
     for family, result in families.items():
-        best = result["recommended"] | {"preset": f"best in C: {result['recommended']['scheme']}"}
+        best = result["fewest_steps_within_limit"] | {
+            "preset": f"fewest steps in C: {result['recommended']['scheme']}"
+        }
         for row in (*result["myowarp"], best):
             figures = (
                 row.get(name, "") for name in ("step_ms", "joints_rad", "object_mm", "object_tilt_rad")
