@@ -297,9 +297,8 @@ def main() -> None:
         "family", "preset or scheme", "step [ms]", "joints [rad]", "object [mm]", "object tilt [rad]"
     )
     for family, result in families.items():
-        best = result["fewest_steps_within_limit"] | {
-            "preset": f"fewest steps in C: {result['recommended']['scheme']}"
-        }
+        best = result["fewest_steps_within_limit"]
+        best = best | {"preset": f"fewest steps in C: {best['scheme']}"}
         for row in (*result["myowarp"], best):
             figures = (
                 row.get(name, "") for name in ("step_ms", "joints_rad", "object_mm", "object_tilt_rad")
