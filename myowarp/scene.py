@@ -5,6 +5,7 @@ After `compile_scene` every shape is fixed; the step loop only launches kernels 
 
 import dataclasses
 import hashlib
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -31,6 +32,8 @@ WORLD_FIELDS = tuple(
     f.name for f in dataclasses.fields(mjw.Data) if getattr(f.type, "shape", "*")[0] == "nworld"
 )
 """Arrays of `mjw.Data` with a row for each world; contacts and constraints are in others."""
+
+ROUNDING = 1e-6  # of a physics step; control steps are no exact multiples in binary
 
 
 @dataclass
@@ -161,11 +164,23 @@ def oracle_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujo
 
 def set_physics(spec: TaskSpec, preset: PhysicsPreset, models: Iterable[mujoco.MjModel]) -> int:
     """Set integrator and step of models to a preset's; returns the physics steps in a control step."""
-    num_substeps = -(-spec.num_substeps // preset.stride)
+    num_substeps = spec.num_substeps
+    if preset.coarse:
+        num_substeps = math.ceil(spec.control_dt / spec.coarse_step.dt - ROUNDING)
     for model in models:
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{preset.integrator}")
         model.opt.timestep = spec.control_dt / num_substeps
     return num_substeps
+
+
+def new_muscles(
+    muscle: type[MuscleModel], model: mujoco.MjModel, num_worlds: int, spec: TaskSpec, preset: PhysicsPreset
+) -> MuscleModel:
+    """Return the muscles of a model, on the current Warp device, set to a preset."""
+    muscles = muscle(model, num_worlds)
+    muscles.midstep = preset.midstep
+    muscles.implicitness = spec.coarse_step.implicitness if preset.coarse else 0.0
+    return muscles
 
 
 def checked_num_worlds(num_worlds: int) -> int:
@@ -224,8 +239,9 @@ def compile_scene(
     muscle_class = MUSCLES[muscle]
     where = resolve_device(device)
 
+    preset = PHYSICS[physics]
     oracle, stepped = oracle_model(spec, conditions), _cached_model(spec, conditions, stateless_model)
-    num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped))
+    num_substeps = set_physics(spec, preset, (oracle, stepped))
     start = spec.start(oracle)
     capacity = calibrate(oracle, start)
     with wp.ScopedDevice(where):
@@ -233,7 +249,7 @@ def compile_scene(
         model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), worlds.number))
         model.opt.warn_overflow = False
         data = mjw.make_data(stepped, nworld=worlds.number, nconmax=capacity.contacts, njmax=capacity.rows)
-        muscles = muscle_class(oracle, worlds.number)
+        muscles = new_muscles(muscle_class, oracle, worlds.number, spec, preset)
         if conditions:
             muscles.individualize()
         model.callback.control = muscles.launch
