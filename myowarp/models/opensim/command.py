@@ -97,6 +97,7 @@ def run(
     from myowarp.models.opensim.hill import HillMuscle
     from myowarp.models.opensim.mjcf import mjcf
     from myowarp.models.opensim.muscle_table import muscle_table
+    from myowarp.models.opensim.page import page
     from myowarp.models.opensim.read import read_model
     from myowarp.models.opensim.report import check, report_of
 
@@ -125,6 +126,7 @@ def run(
         "coordinates.json": json.dumps(converted.coordinates.as_json(), indent=1).encode(),
         "muscles.csv": muscle_table(map(HillMuscle.of, model.muscles.values())).encode(),
         "model.xml": text.encode(),
+        "report.html": page(report, converted, compiled, fits, samples).encode(),
         "report.json": json.dumps(report, indent=1).encode(),
     }
     write(output, files)
