@@ -32,7 +32,7 @@ class Line:
     style: str
 
 
-def chart(title: str, x_label: str, y_label: str, lines: Sequence[Line]) -> str:
+def chart(title: str, x_label: str, lines: Sequence[Line]) -> str:
     """Return lines over common axes; numbers that are not finite are gaps."""
     x = np.concatenate([line.x for line in lines])
     y = np.concatenate([line.y for line in lines])
@@ -42,7 +42,7 @@ def chart(title: str, x_label: str, y_label: str, lines: Sequence[Line]) -> str:
     ends = (float(x.min()), float(x.max()) if x.max() > x.min() else float(x.min()) + 1.0)
     box = _Box(ends, (low - room if low < 0 else low, high + room))
     parts = [_polyline(box, line) for line in lines]
-    return _frame(title, x_label, y_label, box, "".join(parts))
+    return _frame(title, x_label, "", box, "".join(parts))
 
 
 def colored_map(

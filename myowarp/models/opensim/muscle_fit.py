@@ -26,11 +26,13 @@ from myowarp.models.opensim.kinematics import independent, random_poses, samplin
 from myowarp.models.opensim.model import Model
 from myowarp.models.opensim.moment_arm import Poses, Reference, crossed, own_reference, poses_of
 from myowarp.models.opensim.surface_fit import Method as PathMethod
-from myowarp.models.opensim.wrapping import POSES, PathFit, fit_path
+from myowarp.models.opensim.wrapping import PathFit, fit_path
 
 Array = np.ndarray
 
 FIT_SEED, CHECK_SEED = 0, 1
+POSES = 300
+"""Random poses that a muscle is fitted in."""
 CHECK_POSES = 200
 """Random poses of the check; no fit has seen them."""
 SWEEP = 41

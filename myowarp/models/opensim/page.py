@@ -121,27 +121,31 @@ FIGURES = {
 
 
 def _pictures(model: mujoco.MjModel) -> str:
-    """Draw joints, the lines between them and tendons, from three sides."""
+    """Draw what moves, as lines between joints and mass centres, and tendons, from three sides."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
-    lines = [
-        np.array([data.xpos[model.body_parentid[body]], data.xpos[body]]) for body in range(1, model.nbody)
-    ]
-    used = model.body_parentid[1:] > 0
-    bones = [("bone", line) for line, joined in zip(lines, used, strict=True) if joined]
+    lines = []
+    moving = [body for body in range(1, model.nbody) if model.body_weldid[body] > 0]
+    for body in moving:
+        parent = model.body_parentid[body]
+        if model.body_weldid[parent] > 0:
+            lines.append(("bone", np.array([data.xpos[parent], data.xpos[body]])))
+        if body not in model.body_parentid:
+            lines.append(("bone", np.array([data.xpos[body], data.xipos[body]])))
     wraps = data.wrap_xpos.reshape(-1, 3)
     for first, count in zip(data.ten_wrapadr, data.ten_wrapnum, strict=True):
-        bones.append(("tendon", wraps[first : first + count]))
+        if count:
+            lines.append(("tendon", wraps[first : first + count]))
+    if not lines:
+        return "<p>Nothing moves.</p>"
+    # Joints that carry no body, such as those of couplers, stand alone.
+    joined = [body for body in moving if body in model.body_parentid or model.body_parentid[body] in moving]
+    dots = data.xpos[np.array(joined, int)]
     pictures = []
     for title, axis, sign in VIEWS:
-        seen = [
-            (style, np.stack([sign * line[:, axis], line[:, 2]], axis=1))
-            for style, line in bones
-            if len(line)
-        ]
-        dots = np.stack([sign * data.xpos[1:, axis], data.xpos[1:, 2]], axis=1)
-        pictures.append(outline(title, seen, dots))
+        turn = np.array([np.eye(3)[axis] * sign, [0.0, 0.0, 1.0]]).T
+        pictures.append(outline(title, [(style, line @ turn) for style, line in lines], dots @ turn))
     return f'<div class="wide">{"".join(pictures)}</div>'
 
 
@@ -223,7 +227,7 @@ def _curve(converted: Converted, name: str, samples: "Samples", reference: Any, 
     # Where a path jumps, its slope is a spike that would squeeze all else.
     reach = 1.5 * max(float(np.abs(np.concatenate([lines[0].y, lines[2].y])).max()), 0.1)
     lines[1] = Line(x, np.where(np.abs(lines[1].y) > reach, np.nan, lines[1].y), "slope")
-    return chart(name, "°" if rotational else "m", "mm", lines)
+    return chart(f"{name} [mm]", "°" if rotational else "m", lines)
 
 
 def _maps(fit: "MuscleFit") -> str:
@@ -234,7 +238,7 @@ def _maps(fit: "MuscleFit") -> str:
     own = engine_force(fit, fit.expected.grid)
     lines = [Line(x, column, "reference") for column in reference.T]
     lines += [Line(x, column, "own") for column in own.T]
-    parts = [chart("force", "length [mm]", "1", lines)]
+    parts = [chart("force", "length [mm]", lines)]
     top = max(float(reference.max()), float(own.max()), 1e-6)
     worst = max(float(np.abs(own - reference).max()), LEAST_DIFFERENCE)
     ends = float(x[0]), max(float(x[-1]), float(x[0]) + 1e-6)
