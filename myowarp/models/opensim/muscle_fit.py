@@ -180,15 +180,21 @@ def _begin(*shared: object) -> None:
 
 
 def _work(name: str) -> MuscleFit:
-    """Return a muscle's fit, from the cache if it is there."""
+    """Return a muscle's fit, from the cache if it is there.
+
+    Raises:
+        ValueError: Its parameters leave it no force, or no length, that is a number.
+    """
     model, key, samples, methods = _SHARED["now"]
-    return cached(
-        ("opensim_muscle", name, *key),
-        ".muscle",
-        lambda: fit_muscle(model, name, samples, methods),
-        _save,
-        _load,
-    )
+
+    def make() -> MuscleFit:
+        return fit_muscle(model, name, samples, methods)
+
+    try:
+        return cached(("opensim_muscle", name, *key), ".muscle", make, _save, _load)
+    except (ValueError, ArithmeticError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{model.source}: muscle '{name}' cannot be fitted: {reason}") from error
 
 
 def _save(fit: MuscleFit, path: str) -> None:
