@@ -47,6 +47,8 @@ class Convert:
     """More folders with .vtp, .stl or .obj files; the model's own and Geometry beside it are searched."""
     method: Literal["least_squares", "paper"] = "least_squares"
     """Of the fits; paper: simulated annealing and differential evolution, slow, for comparison."""
+    reference: Literal["own", "opensim"] = "own"
+    """Of the check's lengths and moment arms: our own path code, or OpenSim, which has to be installed."""
     workers: int = 0
     """Processes that fit muscles; 0: one per core."""
     strict: bool = False
@@ -56,7 +58,7 @@ class Convert:
 
     def __call__(self) -> None:
         """Convert, check, write."""
-        report = run(self.model, self.output, self.meshes, self.method, self.workers)
+        report = run(self.model, self.output, self.meshes, self.method, self.workers, self.reference)
         if self.json:
             print(json.dumps(report, indent=1))
         else:
@@ -85,6 +87,7 @@ def run(
     mesh_folders: tuple[Path, ...] = (),
     method: str = "least_squares",
     workers: int = 0,
+    reference: str = "own",
 ) -> dict[str, Any]:
     """Convert a file and write the result; the report is written last, the model before it.
 
@@ -110,6 +113,10 @@ def run(
     digest = hashlib.sha256(source.read_bytes()).hexdigest()
     model = read_model(source)
     fits, samples = _fits(model, digest, method, workers)
+    if samples is not None and reference == "opensim":
+        from myowarp.models.opensim.muscle_fit import against_opensim
+
+        fits = against_opensim(source, model, samples, fits)
     stages = Stages({fit.name: fit.path.tendon for fit in fits}, {fit.name: fit.force for fit in fits})
     converted = convert(model, Options(mesh_folders), stages)
     if model.muscles and not fits:
@@ -119,7 +126,7 @@ def run(
     text = mjcf(converted.spec, comment=f"{model.name}. {model.credits}")
     compiled = mujoco.MjModel.from_xml_string(text, {**converted.meshes})
     checked = check(converted, compiled, fits, samples)
-    report = report_of(converted, compiled, checked, digest)
+    report = report_of(converted, compiled, checked, digest, reference)
     report["seconds"] = round(time.perf_counter() - begin, 3)
     files = {
         **{f"meshes/{name}": content for name, content in converted.meshes.items()},

@@ -25,6 +25,7 @@ from myowarp.models.opensim.hill import HillMuscle, known
 from myowarp.models.opensim.kinematics import independent, random_poses, sampling_range
 from myowarp.models.opensim.model import Model
 from myowarp.models.opensim.moment_arm import Poses, Reference, crossed, own_reference, poses_of
+from myowarp.models.opensim.opensim_reference import opensim_references
 from myowarp.models.opensim.surface_fit import Method as PathMethod
 from myowarp.models.opensim.wrapping import PathFit, fit_path
 
@@ -135,6 +136,23 @@ def fit_muscle(model: Model, name: str, samples: Samples, methods: Methods = Met
     return MuscleFit(
         name, muscle.max_isometric_force, path, fitted, Expected(random, sweeps, forces, grid, map_)
     )
+
+
+def against_opensim(source: Path, model: Model, samples: Samples, fits: list[MuscleFit]) -> list[MuscleFit]:
+    """Return the same fits with OpenSim's own lengths and moment arms in the random poses of the check.
+
+    Raises:
+        ValueError: OpenSim is not installed, or does not read the file.
+    """
+    along = {fit.name: list(fit.expected.random.moment_arm) for fit in fits}
+    found = opensim_references(source, model, samples.check, along)
+    renewed = []
+    for fit in fits:
+        hill, _ = known(HillMuscle.of(model.muscles[fit.name]))
+        forces = hill.tendon_force(ACTIVATIONS, found[fit.name].length[:, None])
+        expected = dataclasses.replace(fit.expected, random=found[fit.name], forces=forces)
+        renewed.append(dataclasses.replace(fit, expected=expected))
+    return renewed
 
 
 def fit_muscles(

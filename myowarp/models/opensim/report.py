@@ -34,6 +34,7 @@ class Gate:
         return self.value <= self.bound
 
 
+REFERENCES = {"own": "own path code, tested against OpenSim 4.6", "opensim": "OpenSim"}
 EXACT_FRAMES, FITTED_FRAMES = 1e-6, 0.35
 """[mm]: of models without functions that are fitted, and with."""
 MOMENT_ARM = 0.7
@@ -94,7 +95,9 @@ def _summary(errors: Sequence[object], names: Sequence[str]) -> dict[str, dict[s
     return found
 
 
-def report_of(converted: Converted, model: mujoco.MjModel, result: Check, digest: str) -> dict[str, Any]:
+def report_of(
+    converted: Converted, model: mujoco.MjModel, result: Check, digest: str, reference: str
+) -> dict[str, Any]:
     """Return the content of `report.json`; lengths in m, forces in shares of max_isometric_force."""
     source = converted.model
     arms, muscles = result.moment_arms, result.muscles
@@ -116,7 +119,7 @@ def report_of(converted: Converted, model: mujoco.MjModel, result: Check, digest
         "gates": [{**dataclasses.asdict(gate), "passed": gate.passed} for gate in result.gates],
         "kinematics": dataclasses.asdict(result.kinematics),
         "moment_arms": {
-            "reference": "own path code, tested against OpenSim 4.6",
+            "reference": REFERENCES[reference],
             "poses": result.poses,
             "consistent_within": CONSISTENT,
             "summary": _summary(arms, ("rms", "rms_slope", "rms_all", "rms_slope_all", "inconsistent")),
