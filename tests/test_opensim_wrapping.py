@@ -10,11 +10,12 @@ import pytest
 from myowarp.models.opensim.convert import Stages, convert
 from myowarp.models.opensim.kinematics import independent, random_poses
 from myowarp.models.opensim.moment_arm import crossed, own_reference, poses_of
+from myowarp.models.opensim.muscle_check import motion
 from myowarp.models.opensim.read import read_model
 from myowarp.models.opensim.surface_fit import PathProblem, fit_surfaces, turn_sides
 from myowarp.models.opensim.tendon import Over, TendonPath, Via, lengths
 from myowarp.models.opensim.wrap_mujoco import Surface, over_surface
-from myowarp.models.opensim.wrapping import fit_path, fit_paths
+from myowarp.models.opensim.wrapping import fit_path
 
 OSIM = Path(__file__).parent / "data" / "osim"
 
@@ -183,46 +184,25 @@ def test_side_sites_are_added():
 def test_compiled_tendons(name):
     """Length and moment arms of the compiled model, in poses that the fit has not seen."""
     model = read_model(OSIM / f"{name}.osim")
-    fits = {fit.tendon.muscle: fit for fit in fit_paths(model, count=150)}
-    converted = convert(model, stages=Stages(tendons={name: fit.tendon for name, fit in fits.items()}))
+    poses = poses_of(model, random_poses(model, 150, 0), independent(model))
+    fits = {key: fit_path(model, key, muscle.path, poses) for key, muscle in model.muscles.items()}
+    converted = convert(model, stages=Stages(tendons={key: fit.tendon for key, fit in fits.items()}))
     compiled = converted.spec.compile()
-    data, free = mujoco.MjData(compiled), converted.coordinates.free()
-    values = random_poses(model, 100, 1)
-    poses = poses_of(model, values, independent(model))
-    positions, rates = converted.coordinates.rates(compiled, {name: values[name] for name in free})
-    found, arms = np.zeros((100, compiled.ntendon)), np.zeros((100, compiled.ntendon, len(free)))
-    for row, position in enumerate(positions):
-        data.qpos[:] = position
-        mujoco.mj_fwdPosition(compiled, data)
-        found[row] = data.ten_length
-        jacobian = np.zeros((compiled.ntendon, compiled.nv))
-        for tendon in range(compiled.ntendon):
-            first = compiled.ten_J_rowadr[tendon]
-            entries = slice(first, first + compiled.ten_J_rownnz[tendon])
-            jacobian[tendon, compiled.ten_J_colind[entries]] = data.ten_J.ravel()[entries]
-        arms[row] = -jacobian @ rates[row]
+    free = converted.coordinates.free()
+    poses = poses_of(model, random_poses(model, 100, 1), independent(model))
+    found = motion(converted, compiled, poses)
     errors = []
     for muscle, fit in fits.items():
         path, column = model.muscles[muscle].path, compiled.tendon(muscle).id
         reference = own_reference(model, path, poses, crossed(model, path))
         for coordinate, arm in reference.moment_arm.items():
             kept = reference.consistent(coordinate)
-            error = arms[:, column, free.index(coordinate)] - arm
+            error = found.moment_arm[:, column, free.index(coordinate)] - arm
             errors.append(np.sqrt(np.mean(error[kept] ** 2)))
             assert np.abs(arm).max() > 10 * GATES[name]
         if name == "arm26":
             problem = PathProblem(model, muscle, path, poses, None)
             own = problem.residual(fit.tendon)[-100:] + problem.target.value[-100:]
             weights = problem.target.length_weights
-            assert np.abs(own - weights * found[:, column]).max() < MODEL_TOLERANCE
+            assert np.abs(own - weights * found.length[:, column]).max() < MODEL_TOLERANCE
     assert np.mean(errors) < GATES[name]
-
-
-def test_two_processes_give_what_one_gives():
-    model = read_model(OSIM / "leg6dof9musc.osim")
-    paths = {name: model.muscles[name].path for name in ("med_gas_r", "soleus_r")}
-    one, two = (list(fit_paths(model, paths, count=40, workers=workers)) for workers in (1, 2))
-    assert [fit.tendon.muscle for fit in two] == list(paths)
-    for a, b in zip(one, two, strict=True):
-        assert a.moment_arm_error == b.moment_arm_error
-        assert a.length_error == b.length_error

@@ -44,6 +44,12 @@ NUM_LENGTHS = 64
 PRIOR = 0.005
 """Pull to the start per optimal fiber length [max_isometric_force]: moves a map by far less than 0.1 %."""
 
+LEAST = 1e-9
+"""Passive force [max_isometric_force] of a muscle that has none: MuJoCo asks for a positive one."""
+
+UNUSED_SCALE = 200.0
+"""MuJoCo's default of `scale`, which counts only for a negative force but has to be positive [N]."""
+
 HIGH_FORCE = 3.0
 """Passive force from which a length is reported as beyond what muscles do [max_isometric_force]."""
 
@@ -251,8 +257,8 @@ def _engine_parameters(
 
     def row(offset: float, lmax: float) -> tuple[float, ...]:
         ends = [(length - slack - offset) / unit for length in length_range]
-        lmin, fpmax = 1.0 - rise / unit, p[6] / p[3]
-        numbers = (*ends, force, 0.0, lmin, lmax, speed / unit, fpmax, eccentric, 0.0)
+        lmin, fpmax = 1.0 - rise / unit, max(p[6] / p[3], LEAST)
+        numbers = (*ends, force, UNUSED_SCALE, lmin, lmax, speed / unit, fpmax, eccentric, 0.0)
         return tuple(float(number) for number in numbers)
 
     gain = row(peak - unit, 1.0 + fall / unit)

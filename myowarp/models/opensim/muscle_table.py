@@ -8,6 +8,7 @@ file holds as a function is a JSON list of its class and its fields in order (fu
 
 import csv
 import dataclasses
+import io
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -35,16 +36,23 @@ UNITS = {
 
 def write_muscles(path: Path, muscles: Iterable[HillMuscle]) -> None:
     """Write the parameters of muscles, whole or not at all."""
+    with in_place(path) as scratch:
+        scratch.write_text(muscle_table(muscles), encoding="utf-8", newline="")
+
+
+def muscle_table(muscles: Iterable[HillMuscle]) -> str:
+    """Return the parameters of muscles as the content of a CSV file."""
     rows = list(muscles)
     values = dict.fromkeys(name for muscle in rows for name in muscle.values)
     curves = dict.fromkeys(name for muscle in rows for name in muscle.functions)
-    with in_place(path) as scratch, scratch.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(["name", "class", *(f"{name} [{_unit(name)}]" for name in values), *curves])
-        for muscle in rows:
-            numbers = [repr(float(muscle.values[name])) if name in muscle.values else "" for name in values]
-            splines = [_encode(muscle.functions[name]) if name in muscle.functions else "" for name in curves]
-            table.writerow([muscle.name, muscle.kind, *numbers, *splines])
+    text = io.StringIO(newline="")
+    table = csv.writer(text)
+    table.writerow(["name", "class", *(f"{name} [{_unit(name)}]" for name in values), *curves])
+    for muscle in rows:
+        numbers = [repr(float(muscle.values[name])) if name in muscle.values else "" for name in values]
+        splines = [_encode(muscle.functions[name]) if name in muscle.functions else "" for name in curves]
+        table.writerow([muscle.name, muscle.kind, *numbers, *splines])
+    return text.getvalue()
 
 
 def read_muscles(path: Path) -> list[HillMuscle]:

@@ -26,6 +26,15 @@ COMMON = {
 RENAMED = {"pennation_angle": "pennation_angle_at_optimal"}
 """Names before 3.0."""
 
+ABOVE = {
+    **dict.fromkeys(("FmaxTendonStrain", "FmaxMuscleStrain", "KshapeActive", "KshapePassive", "Af"), 0.0),
+    "Flen": 1.0,
+    **dict.fromkeys(("activation_time_constant", "deactivation_time_constant", "time_scale"), 0.0),
+    **dict.fromkeys(("active_force_width_scale", "passive_fiber_strain_at_one_norm_force"), 0.0),
+    "tendon_strain_at_one_norm_force": 0.0,
+}
+"""What further parameters must be greater than, in the classes that have them."""
+
 STRUCTURE = ("GeometryPath", "path", "components", "appliesForce", "isDisabled", "connectors")
 
 
@@ -98,6 +107,9 @@ def read_muscle(element: Element, scope: Scope) -> Muscle:
     ):
         if not low <= values[name] <= high:
             raise element.error(f"must have {name} from {low:g} to {high:g}, got {values[name]:g}")
+    for name, low in ABOVE.items():
+        if values.get(name, math.inf) <= low:
+            raise element.error(f"must have {name} above {low:g}, got {values[name]:g}")
     limits = control_range(element, values["min_control"], values["max_control"])
     return Muscle(
         name=element.name,

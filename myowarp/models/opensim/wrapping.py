@@ -9,23 +9,18 @@ doi:10.1109/TNSRE.2022.3213618), which is here for comparison.
 """
 
 import itertools
-import multiprocessing
-from collections.abc import Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from myowarp.models.opensim.elements import Path
-from myowarp.models.opensim.kinematics import independent, random_poses
 from myowarp.models.opensim.model import Model
-from myowarp.models.opensim.moment_arm import Poses, Reference, poses_of
+from myowarp.models.opensim.moment_arm import Poses, Reference
 from myowarp.models.opensim.placement import always, sometimes, surfaces
 from myowarp.models.opensim.surface_fit import Method, PathProblem, fit_surfaces, turn_sides
 from myowarp.models.opensim.tendon import Over, TendonPath, Via, lengths
 
-POSES = 300
-"""Random poses that a muscle is fitted in."""
 GOOD = 5e-5
 """[m] RMS error below which nothing is fitted: it is smaller than what OpenSim's senses may differ by."""
 CANDIDATES = 6
@@ -190,48 +185,3 @@ def _choices(vectors: list[np.ndarray], target: np.ndarray) -> list[tuple[float,
         total = sum(values[index] for values, index in zip(vectors, choice, strict=True)) - target
         found.append((float(total @ total), tuple(int(index) for index in choice)))
     return _different(sorted(found))
-
-
-def fit_paths(
-    model: Model,
-    paths: Mapping[str, Path] | None = None,
-    count: int = POSES,
-    seed: int = 0,
-    workers: int = 1,
-    method: Method = "least_squares",
-) -> Iterator[PathFit]:
-    """Yield the fits of paths in their order, each as soon as it is ready.
-
-    Args:
-        model: the model.
-        paths: by name of the tendon; None: those of all muscles.
-        count: of random poses.
-        seed: of the random poses.
-        workers: processes; 1 works in this one.
-        method: of the fits.
-    """
-    if paths is None:
-        paths = {name: muscle.path for name, muscle in model.muscles.items()}
-    poses = poses_of(model, random_poses(model, count, seed), independent(model))
-    if workers == 1:
-        for name, path in paths.items():
-            yield fit_path(model, name, path, poses, None, method)
-        return
-    # Forked workers share the poses and need not import Warp again, which takes longer than the fits.
-    fork = "fork" if "fork" in multiprocessing.get_all_start_methods() else None
-    context = multiprocessing.get_context(fork)
-    with ProcessPoolExecutor(workers, context, _share, (model, poses, method)) as pool:
-        yield from pool.map(_fit, paths, paths.values())
-
-
-_SHARED: dict[str, tuple[Model, Poses, Method]] = {}
-"""Of a worker process: what all its fits have in common."""
-
-
-def _share(model: Model, poses: Poses, method: Method) -> None:
-    _SHARED["now"] = (model, poses, method)
-
-
-def _fit(name: str, path: Path) -> PathFit:
-    model, poses, method = _SHARED["now"]
-    return fit_path(model, name, path, poses, None, method)
