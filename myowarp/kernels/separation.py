@@ -48,6 +48,23 @@ class Bodies:
 
 
 @wp.struct
+class Reach:
+    """An ellipsoid where it reaches farthest along n.
+
+    Attributes:
+        s: Support point [m].
+        uu: u' (d2h/dn2) u [m] for the first of two tangents u, v.
+        uv: u' (d2h/dn2) v.
+        vv: v' (d2h/dn2) v.
+    """
+
+    s: wp.vec3
+    uu: float
+    uv: float
+    vv: float
+
+
+@wp.struct
 class Touch:
     """Two bodies at their closest, or at their least overlap.
 
@@ -88,10 +105,19 @@ def separation(bodies: Bodies, n: wp.vec3) -> float:
 
 
 @wp.func
-def bending(e: wp.mat33, n: wp.vec3, u: wp.vec3, v: wp.vec3) -> float:
-    """u' (d2h/dn2) v = (u' E v - (u . s)(v . s)) / h [m], the inverse of a curvature."""
-    s = support_point(e, n)
-    return (wp.dot(u, e @ v) - wp.dot(u, s) * wp.dot(v, s)) / wp.max(support(e, n), 1e-12)
+def reach(e: wp.mat33, n: wp.vec3, u: wp.vec3, v: wp.vec3) -> Reach:
+    """s = E n / h;  u' (d2h/dn2) v = (u' E v - (u . s)(v . s)) / h [m], the inverse of a curvature."""
+    found = Reach()
+    if e[0, 0] == 0.0:
+        return found
+    inverse = 1.0 / wp.max(support(e, n), 1e-12)
+    found.s = inverse * (e @ n)
+    eu, ev = e @ u, e @ v
+    us, vs = wp.dot(u, found.s), wp.dot(v, found.s)
+    found.uu = inverse * (wp.dot(u, eu) - us * us)
+    found.uv = inverse * (wp.dot(v, eu) - us * vs)
+    found.vv = inverse * (wp.dot(v, ev) - vs * vs)
+    return found
 
 
 @wp.func
@@ -116,17 +142,17 @@ def newton_step(bodies: Bodies, n: wp.vec3, level: float) -> wp.vec3:
 
     grad f = p - s_1 - s_2;  -Hess f = d2h_1 + d2h_2 + f I on the tangent plane, lifted to be positive.
     """
-    e1, e2 = bodies.e1, bodies.e2
     on_circle = wp.length_sq(bodies.axis) > 0.0
     u = wp.where(on_circle, wp.cross(bodies.axis, n), any_across(n))
-    gradient = bodies.p - support_point(e1, n) - support_point(e2, n)
-    least = LEAST_CURVATURE * (wp.abs(level) + support(e2, n))
-    huu, gu = bending(e1, n, u, u) + bending(e2, n, u, u) + level, wp.dot(u, gradient)
+    v = wp.cross(n, u)
+    first, second = reach(bodies.e1, n, u, v), reach(bodies.e2, n, u, v)
+    gradient = bodies.p - first.s - second.s
+    least = LEAST_CURVATURE * (wp.abs(level) + wp.dot(n, second.s))
+    huu, gu = first.uu + second.uu + level, wp.dot(u, gradient)
     if on_circle:
         return u * (gu / wp.max(huu, least))
-    v = wp.cross(n, u)
-    hvv, gv = bending(e1, n, v, v) + bending(e2, n, v, v) + level, wp.dot(v, gradient)
-    huv = bending(e1, n, u, v) + bending(e2, n, u, v)
+    hvv, gv = first.vv + second.vv + level, wp.dot(v, gradient)
+    huv = first.uv + second.uv
     half = 0.5 * (huu - hvv)
     lowest = 0.5 * (huu + hvv) - wp.sqrt(half * half + huv * huv)
     lift = wp.max(least - lowest, 0.0)
@@ -137,9 +163,8 @@ def newton_step(bodies: Bodies, n: wp.vec3, level: float) -> wp.vec3:
 @wp.func
 def climb(bodies: Bodies, start: wp.vec3) -> wp.vec3:
     """Return the n at which f has a maximum, uphill from `start`, or one on the way with f > cutoff."""
-    n = start
+    n, level = start, separation(bodies, start)
     for _ in range(MAX_STEPS):
-        level = separation(bodies, n)
         if level > bodies.cutoff:
             return n
         step = newton_step(bodies, n, level)
@@ -148,12 +173,14 @@ def climb(bodies: Bodies, start: wp.vec3) -> wp.vec3:
         uphill = wp.normalize(n + step)
         if angle < CONVERGED:
             return uphill
+        value = separation(bodies, uphill)
         for _half in range(MAX_HALVINGS):
-            if separation(bodies, uphill) >= level:
+            if value >= level:
                 break
             step *= 0.5
             uphill = wp.normalize(n + step)
-        n = uphill
+            value = separation(bodies, uphill)
+        n, level = uphill, value
     return n
 
 
@@ -211,11 +238,11 @@ def capsule_normal(bodies: Bodies, axis: wp.vec3, half: float) -> wp.vec3:
 def capsule_touch(bodies: Bodies, c1: wp.vec3, axis: wp.vec3, radius: float, half: float) -> Touch:
     """Contact of a sphere (half = 0) or a capsule, at c1 along `axis`, and an ellipsoid."""
     bodies.cutoff += radius
-    n = wp.vec3(0.0)
-    if half > 0.0:
-        n = capsule_normal(bodies, axis, half)
-    else:
+    n = wp.normalize(bodies.p)
+    if half == 0.0:
         n = separating_normal(bodies)
+    elif separation(bodies, n) - half * wp.abs(wp.dot(axis, n)) <= bodies.cutoff:
+        n = capsule_normal(bodies, axis, half)
     far = bodies.p - support_point(bodies.e2, n)
     lean = wp.dot(axis, n)
     t = wp.where(wp.abs(lean) > SIDE, wp.sign(lean) * half, wp.clamp(wp.dot(axis, far), -half, half))
