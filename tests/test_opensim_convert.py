@@ -153,3 +153,17 @@ def test_without_scipy_the_geometry_is_converted(tmp_path, monkeypatch):
         HillMuscle.of(next(iter(read_model(OSIM / "Tug_of_War.osim").muscles.values())))
         == (read_muscles(tmp_path / "muscles.csv")[0])
     )
+
+
+@pytest.mark.slow
+def test_opensim_agrees(tmp_path, monkeypatch):
+    """The check with OpenSim itself as its reference says what the one with our own path code says."""
+    pytest.importorskip("opensim")
+    monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path / "cache"))
+    own, other = (
+        command.run(OSIM / "arm26.osim", tmp_path / name, workers=1, reference=name)
+        for name in ("own", "opensim")
+    )
+    for one, two in zip(own["moment_arms"]["pairs"], other["moment_arms"]["pairs"], strict=True):
+        assert two["peak"] > 10 * MOMENT_ARM
+        assert abs(one["rms"] - two["rms"]) < 0.1 * MOMENT_ARM
