@@ -31,6 +31,7 @@ from myowarp.fusions import FUSIONS, applicable_fusions, installed
 from myowarp.prune import idle_kernels, pruned
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
+from myowarp.warmup import quiet
 
 STOCK, ALL, MUJOCO_C = "stock", "all", "MuJoCo C"
 STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl")
@@ -95,7 +96,7 @@ class Physics:
                 for _ in range(self.scene.num_substeps):
                     mjw.step(self.scene.model, self.scene.data)
 
-        with wp.ScopedDevice(self.scene.device):
+        with quiet(), wp.ScopedDevice(self.scene.device):
             launch()
             with wp.ScopedCapture(force_module_load=False) as capture:
                 launch()

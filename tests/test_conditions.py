@@ -14,6 +14,7 @@ from myowarp.models.conditions.parameter import Clock, Curve, Parameter, Ramp, U
 from myowarp.models.conditions.sarcopenia import Sarcopenia
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
+from myowarp.worlds import Worlds
 
 NAMES = sorted(CONDITIONS)
 HOSTS = ("myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1")  # the elbow's conditions, the hand's
@@ -211,7 +212,7 @@ class TestParameter:
     @staticmethod
     def values(value, num_worlds=3, names=("a", "b", "c_r"), steps=0, dt=0.1, **options):
         """Return a parameter's values after some control steps of dt [s], shape (num_worlds, num_names)."""
-        scene = SimpleNamespace(num_worlds=num_worlds, control_dt=dt)
+        scene = SimpleNamespace(worlds=Worlds.all(num_worlds), control_dt=dt)
         parameter = Parameter("thing", value, scene, names, neutral=1.0, **options)
         clock = Clock()
         clock.step_count = wp.full(num_worlds, steps, dtype=int)

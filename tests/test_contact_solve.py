@@ -1,6 +1,5 @@
 """The fused constraint solver against MuJoCo C, a dense float64 Newton method, and mujoco-warp's solver."""
 
-from functools import lru_cache
 from types import SimpleNamespace
 
 import mujoco
@@ -8,6 +7,7 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 import warp as wp
+from constrained import MORE, NUM_CONTACTS, NUM_ROWS, NUM_WORLDS, model_of, rows_of, states
 from mujoco_warp._src import solver
 from mujoco_warp._src.types import DisableBit, EnableBit, IntegratorType
 from reference.constraint_newton import acceleration, imbalance, row_forces
@@ -16,98 +16,18 @@ from myowarp.fusions.contact_solve import MAX_DOFS, MAX_ROWS, ContactSolve, laun
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 
-NUM_WORLDS = 13
-NUM_ROWS = 64
-
 CLOSE = 2e-4  # of a world's largest; float32 rows of D up to 1e5
 REFERENCE = 1e-9  # MuJoCo C against the reference, both float64 and exact
 BALANCE = 2e-5  # forces that must cancel, float32
 ENGINE_MEDIAN, ENGINE_MAX = 4e-7, 2e-5  # two float32 solvers on the same rows
 EFFECT = 10.0
 
-EFC = ("J", "J_rownnz", "J_rowadr", "J_colind", "D", "aref", "frictionloss")
-
-ROWS = """
-<mujoco>
-  <option jacobian="{jacobian}" cone="pyramidal"><flag island="disable"/></option>
-  <worldbody>
-    <geom type="plane" size="2 2 .1"/>
-    <body pos="0 0 .35">
-      <joint name="shoulder" axis="0 1 0" range="-30 30" limited="true" frictionloss=".03"/>
-      <geom type="capsule" fromto="0 0 0 .15 0 0" size=".02"/>
-      <body pos=".15 0 0">
-        <joint name="elbow" axis="0 1 0" frictionloss="2" damping=".01"/>
-        <geom type="capsule" fromto="0 0 0 .15 0 0" size=".02"/>
-        <body pos=".15 0 0">
-          <joint name="wrist" axis="0 0 1"/>
-          <geom type="capsule" fromto="0 0 0 .05 0 0" size=".015" condim="6"/>
-        </body>
-      </body>
-    </body>
-    <body pos="0 .2 .3">
-      <joint name="twin" axis="1 0 0"/>
-      <geom type="capsule" fromto="0 0 0 0 .1 0" size=".02" contype="0" conaffinity="0"/>
-    </body>
-    <body pos=".25 0 .05"><freejoint/><geom type="sphere" size=".05" condim="4"/></body>
-    {more}
-  </worldbody>
-  <tendon><fixed name="pull" range="-.5 .5" limited="true">
-    <joint joint="elbow" coef="1"/><joint joint="wrist" coef="-1"/>
-  </fixed></tendon>
-  <equality><joint joint1="twin" joint2="shoulder" polycoef="0 .5 0 0 0"/></equality>
-</mujoco>
-"""
-BALL = '<body pos="{x} 1 .04"><freejoint/><geom type="sphere" size=".05" condim="{condim}"/></body>'
-MORE = {
-    "dense": ("dense", BALL.format(x=0, condim=1)),
-    "sparse": ("sparse", BALL.format(x=0, condim=1)),
-    "wide": ("auto", "".join(BALL.format(x=x, condim=3) for x in range(5))),
-}
-"""Name: layout of J, and bodies; the last model has more columns than the engine stores densely."""
-
-
-@lru_cache
-def model_of(name):
-    """Return a model with rows of every kind that the solver knows."""
-    jacobian, more = MORE[name]
-    model = mujoco.MjModel.from_xml_string(ROWS.format(jacobian=jacobian, more=more))
-    model.opt.tolerance, model.opt.iterations = 0.0, 200
-    return model
-
-
-@lru_cache
-def states(name):
-    """Return MuJoCo C's data of random states, solved to the end."""
-    model, rng = model_of(name), np.random.default_rng(3)
-    found = []
-    for _ in range(NUM_WORLDS):
-        data = mujoco.MjData(model)
-        data.qpos[:4] = rng.uniform(-1.5, 1.5, 4)
-        data.qpos[6] -= rng.uniform(0.0, 0.02)
-        data.qvel[:] = rng.standard_normal(model.nv)
-        data.qfrc_applied[:4] = rng.uniform(-1, 1, 4)
-        mujoco.mj_forward(model, data)
-        found.append(data)
-    return found
-
-
-@lru_cache
-def rows_of(name):
-    """Return the engine's arrays of the states of MuJoCo C, one in each world."""
-    one = [mjw.put_data(model_of(name), data, njmax=NUM_ROWS, nconmax=16) for data in states(name)]
-    owners = {"": ("M", "ne", "nf", "nefc", "qfrc_smooth"), "efc": EFC}
-    return {
-        (owner, array): np.concatenate(
-            [getattr(getattr(data, owner) if owner else data, array).numpy() for data in one]
-        )
-        for owner, arrays in owners.items()
-        for array in arrays
-    }
-
 
 def on_device(name, warmth):
     """Return the engine's model and data, to be solved from a share of the right acceleration."""
-    data = mjw.put_data(model_of(name), states(name)[0], nworld=NUM_WORLDS, njmax=NUM_ROWS, nconmax=16)
+    data = mjw.put_data(
+        model_of(name), states(name)[0], nworld=NUM_WORLDS, njmax=NUM_ROWS, nconmax=NUM_CONTACTS
+    )
     for (owner, array), values in rows_of(name).items():
         getattr(getattr(data, owner) if owner else data, array).assign(values)
     data.qacc_warmstart.assign(warmth * qacc_of(name))

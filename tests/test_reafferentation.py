@@ -13,6 +13,7 @@ from myowarp.models.conditions.reafferentation import Reafferentation, check_apa
 from myowarp.models.conditions.tendon_transfer import TendonTransfer
 from myowarp.spec import TASKS
 from myowarp.tasks.variants import variants
+from myowarp.worlds import Worlds
 
 CTRL = 1e-6  # excitations of order one in float32
 EFFECT = 10.0
@@ -67,7 +68,7 @@ class TestReafferentation:
 )
 def test_both_in_one_world(reafferentation, transfer, world):
     """Refused where it is known beforehand, at any time."""
-    scene = SimpleNamespace(num_worlds=2, control_dt=0.02)
+    scene = SimpleNamespace(worlds=Worlds.all(2), control_dt=0.02)
     parameters = [
         Parameter(f"{name} affected", value, scene, (), neutral=0.0)
         for name, value in (("reafferentation", reafferentation), ("tendon_transfer", transfer))

@@ -94,6 +94,8 @@ class TestTransfer:
     def test_is_the_operated_hand(self, key, physics):
         """Force, acceleration and a control step of random states; healthy worlds beside affected ones."""
         sim, effect = transferred(key, physics)
+        if PHYSICS[physics].midstep:  # what C does instead
+            sim.scene.muscles.midstep, sim.scene.muscles.implicitness = False, 1.0
         spec = full_spec(TASKS[key])
         healthy, sick = spec.copy().compile(), tendon_transfer.operated(spec, effect.length_range)
         set_physics(TASKS[key], PHYSICS[physics], (healthy, sick))

@@ -141,4 +141,9 @@ def _velocity_changes(
     return np.concatenate(changes)
 
 
-from myowarp.fusions import contact_solve, ellipsoid_contact, muscle_path  # noqa: E402, F401  (they register)
+from myowarp.fusions import (  # noqa: E402  (they register themselves)
+    contact_rows,  # noqa: F401
+    contact_solve,  # noqa: F401
+    ellipsoid_contact,  # noqa: F401
+    muscle_path,  # noqa: F401
+)

@@ -12,6 +12,7 @@ const lanes lane_number = {0, 1, 2, 3, 4, 5, 6, 7};
 constexpr float INF = 3.4e38f, TINY = 1e-15f;
 enum { SATISFIED, QUADRATIC, LINEARNEG, LINEARPOS };  // mjtConstraintState
 
+auto at = [](lanes* vector, int i) -> float& { return ((float*)vector)[i]; };
 auto sum = [](auto v) {
     auto half = v.lo + v.hi;
     auto quarter = half.lo + half.hi;
@@ -31,8 +32,10 @@ auto add = [](lanes* to, float factor, const lanes* from, int blocks = BLOCKS) {
 // The columns below `end` in which a row is not zero, as bits.
 auto nonzeros = [](const lanes* row, int end) {
     unsigned long long columns = 0;
-    for (int k = 0; k < BLOCKS; ++k)
-        columns |= (unsigned long long)__builtin_bit_cast(unsigned char, __builtin_convertvector(row[k] != 0.0f, bits)) << 8 * k;
+    for (int k = 0; k < BLOCKS; ++k) {
+        const auto found = __builtin_convertvector(row[k] != 0.0f, bits);
+        columns |= (unsigned long long)__builtin_bit_cast(unsigned char, found) << 8 * k;
+    }
     return columns & ((1ull << end) - 1);
 };
 auto take_first = [](unsigned long long& columns) {
@@ -62,7 +65,7 @@ for (int i = 0; i < n; ++i) {
     const int begin = inertia.rowadr[i], end = begin + inertia.rownnz[i];
     for (int k = begin; k < end; ++k) {
         const int j = inertia.colind[k];
-        ((float*)mass[i])[j] = ((float*)mass[j])[i] = M[k];
+        at(mass[i], j) = at(mass[j], i) = M[k];
     }
     trace += M[end - 1];
 }
@@ -71,11 +74,11 @@ const float scale = 1.0f / wp::max(TINY, trace);
 for (int k = 0; k < BLOCKS; ++k)
     x[k] = Mx[k] = smooth[k] = 0.0f;
 for (int i = 0; i < n; ++i) {
-    ((float*)x)[i] = qacc_warmstart[i];
-    ((float*)smooth)[i] = qfrc_smooth[i];
+    at(x, i) = qacc_warmstart[i];
+    at(smooth, i) = qfrc_smooth[i];
 }
 for (int j = 0; j < n; ++j)
-    add(Mx, ((float*)x)[j], mass[j]);
+    add(Mx, at(x, j), mass[j]);
 
 // Every row pulls with -D residual between `low` and `high` and with a constant force outside: an equality
 // has no bounds, friction loss is bounded on both sides, a limit or contact never pulls above zero.
@@ -85,13 +88,13 @@ for (int b = 0; b < row_blocks; ++b) {
     high[b] = INF;
 }
 for (int i = 0; i < num_rows; ++i) {
-    float* row = (float*)J[i];
     for (int k = 0; k < BLOCKS; ++k)
         J[i][k] = 0.0f;
     if (rows.J_rownnz.shape[1] > 0) {
-        const int begin = wp::index(rows.J_rowadr, world, i), end = begin + wp::index(rows.J_rownnz, world, i);
+        const int begin = wp::index(rows.J_rowadr, world, i);
+        const int end = begin + wp::index(rows.J_rownnz, world, i);
         for (int k = begin; k < end; ++k)
-            row[wp::index(rows.J_colind, world, 0, k)] = wp::index(rows.J, world, 0, k);
+            at(J[i], wp::index(rows.J_colind, world, 0, k)) = wp::index(rows.J, world, 0, k);
     } else {
         const float* from = &wp::index(rows.J, world, i, 0);
         for (int k = 0; k < n / 8; ++k)
@@ -103,15 +106,15 @@ for (int i = 0; i < num_rows; ++i) {
             J[i][BLOCKS - 1] = lane_number < (float)(n % 8) ? J[i][BLOCKS - 1] : (lanes)0.0f;
         }
     }
-    ((float*)D)[i] = wp::index(rows.D, world, i);
-    ((float*)residual)[i] = dot(J[i], x) - wp::index(rows.aref, world, i);
+    at(D, i) = wp::index(rows.D, world, i);
+    at(residual, i) = dot(J[i], x) - wp::index(rows.aref, world, i);
     if (i >= ne + nf) {
-        ((float*)high)[i] = 0.0f;
+        at(high, i) = 0.0f;
     } else if (i >= ne) {
         const float limit = wp::index(rows.frictionloss, world, i);
-        ((float*)loss)[i] = limit;
-        ((float*)high)[i] = limit / ((float*)D)[i];
-        ((float*)low)[i] = -limit / ((float*)D)[i];
+        at(loss, i) = limit;
+        at(high, i) = limit / at(D, i);
+        at(low, i) = -limit / at(D, i);
     }
     state[i] = SATISFIED;
 }
@@ -126,35 +129,32 @@ auto copy = [](lanes (*to)[BLOCKS], lanes (*from)[BLOCKS]) {
             to[i][k] = from[i][k];
 };
 auto add_row_to_H = [&](int i, float weight) {
-    const float* row = (const float*)J[i];
     for (auto columns = nonzeros(J[i], n); columns;) {
         const int c = take_first(columns);
-        add(H[c], weight * row[c], J[i], blocks_up_to(c));
+        add(H[c], weight * at(J[i], c), J[i], blocks_up_to(c));
     }
 };
 // H = L' P L with unit lower L and pivots P, last row first: zeros of the kinematic tree stay zero.
 auto factorize = [&]() __attribute__((noinline)) {
     copy(L, H);
     for (int k = n - 1; k >= 0; --k) {
-        float* row = (float*)L[k];
-        const float inverse = 1.0f / wp::max(TINY, row[k]);
+        const float inverse = 1.0f / wp::max(TINY, at(L[k], k));
         L[k][k / 8] = lane_number < (float)(k % 8) ? L[k][k / 8] : (lanes)0.0f;
         for (auto columns = nonzeros(L[k], k); columns;) {
             const int c = take_first(columns);
-            add(L[c], -inverse * row[c], L[k], blocks_up_to(c));
+            add(L[c], -inverse * at(L[k], c), L[k], blocks_up_to(c));
         }
         for (int b = 0; b < blocks_up_to(k); ++b)
             L[k][b] *= inverse;
-        ((float*)inverse_pivot)[k] = inverse;
+        at(inverse_pivot, k) = inverse;
     }
 };
 // search = -(L' P L)^-1 gradient; returns the Newton decrement, gradient' H^-1 gradient.
 auto solve = [&]() __attribute__((noinline)) {
-    float* s = (float*)search;
     for (int k = 0; k < BLOCKS; ++k)
         search[k] = -gradient[k];
     for (int k = n - 1; k >= 0; --k)
-        add(search, -s[k], L[k], blocks_up_to(k));
+        add(search, -at(search, k), L[k], blocks_up_to(k));
     for (int k = 0; k < BLOCKS; ++k)
         search[k] *= inverse_pivot[k];
     for (int k = 0; k < n; ++k) {
@@ -174,16 +174,16 @@ auto update_states = [&]() __attribute__((noinline)) {
         force[b] = r <= low[b] ? loss[b] : (r >= high[b] ? -loss[b] : -D[b] * r);
     }
     for (int i = 0; i < num_rows; ++i) {
-        const float r = ((float*)residual)[i];
+        const float r = at(residual, i);
         const int above = i < ne + nf ? LINEARPOS : SATISFIED;
-        const int now = r <= ((float*)low)[i] ? LINEARNEG : r >= ((float*)high)[i] ? above : QUADRATIC;
+        const int now = r <= at(low, i) ? LINEARNEG : r >= at(high, i) ? above : QUADRATIC;
         if (now == state[i])
             continue;
         flipped = true;
         if (now == QUADRATIC)
-            add_row_to_H(i, ((float*)D)[i]);
+            add_row_to_H(i, at(D, i));
         else if (state[i] == QUADRATIC)
-            add_row_to_H(i, -((float*)D)[i]);
+            add_row_to_H(i, -at(D, i));
         state[i] = now;
     }
     return flipped;
@@ -193,8 +193,8 @@ auto update_gradient = [&]() __attribute__((noinline)) {
     for (int k = 0; k < BLOCKS; ++k)
         pull[k] = 0.0f;
     for (int i = 0; i < num_rows; ++i)
-        if (((float*)force)[i] != 0.0f)
-            add(pull, ((float*)force)[i], J[i]);
+        if (at(force, i) != 0.0f)
+            add(pull, at(force, i), J[i]);
     for (int k = 0; k < BLOCKS; ++k)
         gradient[k] = Mx[k] - smooth[k] - pull[k];
     return wp::sqrt(dot(gradient, gradient));
@@ -217,7 +217,8 @@ auto probe = [&](double step, double& slope, double& curvature) __attribute__((n
 auto row_cost = [&](int b, double step) {
     const wide d = widen(D[b]), most = widen(loss[b]), lowest = widen(low[b]), highest = widen(high[b]);
     const wide r = widen(residual[b]) + step * widen(change[b]);
-    return r <= lowest ? most * (0.5 * lowest - r) : (r >= highest ? most * (r - 0.5 * highest) : 0.5 * d * r * r);
+    const wide above = most * (r - 0.5 * highest), below = most * (0.5 * lowest - r);
+    return r <= lowest ? below : (r >= highest ? above : 0.5 * d * r * r);
 };
 auto improvement = [&](double step) __attribute__((noinline)) {
     wide falls = 0.0;
@@ -259,9 +260,9 @@ while (true) {
     for (int k = 0; k < BLOCKS; ++k)
         Ms[k] = 0.0f;
     for (int j = 0; j < n; ++j)
-        add(Ms, ((float*)search)[j], mass[j]);
+        add(Ms, at(search, j), mass[j]);
     for (int i = 0; i < num_rows; ++i)
-        ((float*)change)[i] = dot(J[i], search);
+        at(change, i) = dot(J[i], search);
     wide slopes = 0.0, curvatures = 0.0;
     for (int k = 0; k < BLOCKS; ++k) {
         slopes += widen(search[k]) * (widen(Mx[k]) - widen(smooth[k]));
@@ -308,12 +309,12 @@ while (true) {
 }
 
 for (int i = 0; i < n; ++i) {
-    qacc[i] = ((float*)x)[i];
-    qfrc_constraint[i] = ((float*)pull)[i];
-    wp::index(result.Ma, world, i) = ((float*)Mx)[i];
+    qacc[i] = at(x, i);
+    qfrc_constraint[i] = at(pull, i);
+    wp::index(result.Ma, world, i) = at(Mx, i);
 }
 for (int i = 0; i < num_rows; ++i) {
-    wp::index(result.force, world, i) = ((float*)force)[i];
+    wp::index(result.force, world, i) = at(force, i);
     wp::index(result.state, world, i) = state[i];
 }
 result.niter[world] = iterations;

@@ -164,7 +164,7 @@ class Parameter:
         Args:
             name: Name for messages and for the random stream, such as "sarcopenia strength".
             value: The value.
-            scene: Where it lives: number of worlds, control step.
+            scene: Where it lives; a value with one entry per world is one for all parts of its worlds.
             names: Names of the muscles that the parameter's columns stand for; () for one number a world.
             neutral: Value of muscles that a mapping does not name.
             low: Least value allowed.
@@ -173,7 +173,7 @@ class Parameter:
         Raises:
             ValueError: The value has a wrong shape, is out of its range, or names an unknown muscle.
         """
-        self.name, self.num_worlds, self.names = name, scene.num_worlds, tuple(names)
+        self.name, self.worlds, self.names = name, scene.worlds, tuple(names)
         self.neutral, self.bounds = neutral, (low, high)
         self.draws: list[tuple[Uniform, wp.array, int]] = []
         self.curve = Curve()
@@ -208,6 +208,8 @@ class Parameter:
             return self._drawn(value, end)
         numbers = self._by_name(value) if isinstance(value, Mapping) and self.names else self._numbers(value)
         self._check_range(numbers)
+        if len(numbers) > 1:
+            numbers = numbers[self.worlds.own]
         return wp.array(numbers, dtype=float)
 
     def _drawn(self, value: Uniform, end: int) -> wp.array:
@@ -218,14 +220,14 @@ class Parameter:
         if value.low > value.high:
             raise ValueError(f"{self.name} must be drawn with low <= high, got {value.low} and {value.high}")
         columns = max(len(self.names), 1) if value.each else 1
-        array = wp.zeros((self.num_worlds, columns), dtype=float)
+        array = wp.zeros((self.worlds.number, columns), dtype=float)
         stream = zlib.crc32(f"{self.name} {end}".encode()) & 0x7FFFFFFF
         self.draws.append((value, array, stream))
         return array
 
     def _numbers(self, value: object, worlds: int | None = None) -> np.ndarray:
         """Return numbers as (1 or num_worlds, 1 or num_muscles)."""
-        worlds = self.num_worlds if worlds is None else worlds
+        worlds = self.worlds.total if worlds is None else worlds
         try:
             numbers = np.asarray("none" if value is None else value, dtype=np.float64)  # NumPy makes it nan
         except (TypeError, ValueError):
@@ -266,7 +268,7 @@ class Parameter:
             low, high, lifelong = float(uniform.low), float(uniform.high), uniform.per == "life"
             wp.launch(
                 draw_uniform,
-                dim=self.num_worlds,
+                dim=self.worlds.number,
                 inputs=[low, high, lifelong, stream, keys, mask],
                 outputs=[values],
             )

@@ -46,17 +46,23 @@ class MuscleModel(abc.ABC):
 
     In the stepped model the muscles are stateless actuators, force = b0 + b1 length + b2 velocity
     (MuJoCo's AFFINE bias with gain 0). `launch`, called by the engine in every physics step between
-    velocity and force stage, writes b0 = F - kv velocity and b2 = kv, with kv = dF/dvelocity: exactly the
-    force F, and exactly its derivative for integrators that are implicit in velocity.
+    velocity and force stage, writes b0 = F - kv velocity and b2 = kv: exactly the force F, and for
+    integrators that are implicit in velocity kv = implicitness dF/dvelocity.
 
     Attributes:
         actuator_id: Actuator of each muscle, shape (num_muscles,), host.
         names: Muscle names, in that order.
         activation: State [1], shape (num_worlds, num_muscles).
+        midstep: Whether forces come from the activation in the middle of a physics step, exactly integrated,
+            rather than from the one at its start.
+        implicitness: Share of dF/dvelocity in kv, 0 for explicit integrators.
         anatomy: What conditions change in it.
         workload: Time integral of the normalized active force a f_L f_V [s], shape (num_worlds,
             num_muscles), empty until `record_workload`; whoever uses it sets it back to 0.
     """
+
+    midstep = False
+    implicitness = 0.0
 
     def __init__(self, model: MjModel, num_worlds: int) -> None:
         """Allocate the state for the muscles found in `model`, on the current Warp device."""

@@ -1,0 +1,39 @@
+"""A converted arm as a reach task: bring the marker at its wrist to points drawn anew each episode.
+
+First: myowarp convert arm26.osim -o out/arm26
+"""
+
+import hashlib
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.models.bodies import BODIES, Body
+from myowarp.spec import TASKS
+from myowarp.tasks.reach import ReachTask
+
+TIP = "r_radius_styloid"
+path = sys.argv[1] if len(sys.argv) > 1 else "out/arm26/model.xml"
+model = mujoco.MjModel.from_xml_path(path)
+data = mujoco.MjData(model)
+data.qpos = model.jnt_range.mean(axis=1)
+mujoco.mj_kinematics(model, data)
+center, reach = data.site(TIP).xpos, np.array([0.1, 0.0, 0.1])
+
+# Compiled scenes are kept by name: another conversion is another body.
+body = "arm26_" + hashlib.sha256(Path(path).read_bytes()).hexdigest()[:8]
+BODIES.add(body, Body(lambda: mujoco.MjSpec.from_file(path), tips=(TIP,)))
+task = ReachTask(
+    *("arm26Reach", 0, body, 10, 100, "Bring the wrist to a point."),
+    **{"center": tuple(center), "low": tuple(-reach), "high": tuple(reach), "far_per_tip": 1.0},
+)
+TASKS.add(task.key, task)
+
+env = MyoWarpVectorEnv(task.key, 64, device="cpu")
+observations, _ = env.reset(seed=0)
+for _ in range(task.horizon):
+    observations, reward, *_ = env.step(env.action_space.sample())
+print(f"{env.num_envs} arms, observations {observations.shape}, mean reward {reward.mean():.3f}")

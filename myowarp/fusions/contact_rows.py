@@ -1,0 +1,83 @@
+"""Constraint rows of contacts as one kernel, see `kernels/contact_rows.py`."""
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+from unittest import mock
+
+import mujoco_warp as mjw
+import warp as wp
+from mujoco_warp._src import constraint
+from mujoco_warp._src.types import DeterminismType, DisableBit, IntegratorType
+
+from myowarp.fusions import FUSIONS, Fusion
+from myowarp.kernels.contact_rows import (
+    ContactRows,
+    Contacts,
+    KinematicTree,
+    RowOptions,
+    write_contact_rows,
+)
+from myowarp.prune import pruned
+from myowarp.scene import Scene
+
+REPLACED = frozenset({"_efc_contact_jac_dense", "_efc_contact_jac_sparse", "_efc_contact_update"})
+
+
+@FUSIONS.register("contact_rows")
+class ContactRowsFusion(Fusion):
+    """All rows of a contact in one thread; the engine has given them their places."""
+
+    @classmethod
+    def obstacle(cls, scene: Scene) -> str | None:
+        """Return why the rows cannot be written so, None if they can."""
+        model, opt = scene.model, scene.model.opt
+        obstacles = {
+            "the device is not the CPU": not scene.device.is_cpu,
+            "there are no contacts": scene.data.naconmax == 0,
+            "contacts are off": bool(opt.disableflags & (DisableBit.CONTACT | DisableBit.CONSTRAINT)),
+            "the friction cone is not pyramidal": opt.cone != mjw.ConeType.PYRAMIDAL,
+            "the integrator is the discrete one": opt.integrator == IntegratorType.DISCRETE,
+            "rows are sorted": bool(opt.deterministic & DeterminismType.CONSTRAINT),
+            "there are flexes, adhesion or moving surfaces": bool(
+                model.nflex or model.flg_adhesion or model.flg_surfacevel
+            ),
+        }
+        return next((reason for reason, holds in obstacles.items() if holds), None)
+
+    def __init__(self, scene: Scene) -> None:
+        """Nothing to allocate."""
+
+    @contextlib.contextmanager
+    def installed(self) -> Iterator[None]:
+        """Have `mujoco_warp.step` launch our kernel in place of those that it replaces."""
+        stock = constraint.make_constraint
+
+        def make_constraint(model: mjw.Model, data: mjw.Data) -> None:
+            with pruned(REPLACED):
+                stock(model, data)
+            launch_rows(model, data)
+
+        with mock.patch.object(constraint, "make_constraint", make_constraint):
+            yield
+
+
+def launch_rows(model: mjw.Model, data: mjw.Data) -> None:
+    """Write the rows of all contacts."""
+    tree, options = filled(KinematicTree, model), filled(RowOptions, model.opt)
+    contacts, rows = filled(Contacts, data.contact, data), filled(ContactRows, data.efc)
+    wp.launch(
+        write_contact_rows,
+        dim=data.naconmax,
+        inputs=[tree, options, data.qvel, data.subtree_com, data.cdof, contacts],
+        outputs=[rows],
+    )
+
+
+def filled(kind: Any, *sources: Any) -> Any:
+    """Return a struct of a kind, filled with what has the same names in some objects."""
+    struct = kind()
+    for name in kind.vars:
+        owner = next(source for source in sources if hasattr(source, name))
+        setattr(struct, name, getattr(owner, name))
+    return struct

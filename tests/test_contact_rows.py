@@ -1,0 +1,144 @@
+"""Constraint rows of contacts against those of MuJoCo C, from the same contacts."""
+
+from types import SimpleNamespace
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import pytest
+import warp as wp
+from constrained import MORE, NUM_CONTACTS, NUM_ROWS, model_of, states
+from mujoco_warp._src import constraint
+from mujoco_warp._src.types import DeterminismType, DisableBit, IntegratorType
+
+from myowarp.fusions.contact_rows import ContactRowsFusion, launch_rows
+
+WORLDS = 2
+CLOSE = 2e-5  # of the largest in a state, float32
+CONTACTS = (
+    int(mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS),
+    int(mujoco.mjtConstraint.mjCNSTR_CONTACT_PYRAMIDAL),
+)
+WRITTEN = ("D", "aref", "pos", "margin", "vel", "frictionloss", "type", "id")
+
+
+def on_device(name, host):
+    """Return the engine's model and data, two worlds in one state."""
+    data = mjw.put_data(model_of(name), host, nworld=WORLDS, njmax=NUM_ROWS, nconmax=NUM_CONTACTS)
+    return mjw.put_model(model_of(name)), data
+
+
+def dense(data, nv):
+    """Return J of all worlds with all columns, shape (WORLDS, NUM_ROWS, nv)."""
+    J = data.efc.J.numpy()
+    if not data.efc.J_rownnz.shape[1]:
+        return J[:, :NUM_ROWS, :nv].copy()
+    full = np.zeros((WORLDS, NUM_ROWS, nv))
+    number, address, column = (
+        getattr(data.efc, f"J_{part}").numpy() for part in ("rownnz", "rowadr", "colind")
+    )
+    for world, row in np.ndindex(WORLDS, NUM_ROWS):
+        places = address[world, row] + np.arange(number[world, row])
+        full[world, row, column[world, 0, places]] = J[world, 0, places]
+    return full
+
+
+@pytest.mark.parametrize("name", MORE)
+def test_rows_are_those_of_mujoco_c(name):
+    nv, dims = model_of(name).nv, set()
+    for host in states(name)[::2]:
+        model, data = on_device(name, host)
+        rows = np.flatnonzero(np.isin(host.efc_type, CONTACTS))
+        dims |= set(host.contact.dim)
+        expected = {part: getattr(data.efc, part).numpy()[:, rows].copy() for part in WRITTEN}
+        expected["J"] = dense(data, nv)[:, rows]
+        expected["vel"] = expected["J"] @ host.qvel
+        expected["id"] = host.efc_id[rows] + host.ncon * np.arange(WORLDS)[:, None]
+        for part in WRITTEN:
+            array = getattr(data.efc, part)
+            values = array.numpy()
+            values[:, rows] = -7
+            array.assign(values)
+        places = data.efc.J.numpy()
+        if data.efc.J_rownnz.shape[1]:
+            first = data.efc.J_rowadr.numpy()[0, rows[0]]
+            places[:, 0, first : data.efc.J_rownnz.numpy()[0].sum()] = np.nan
+        else:
+            places[:, rows] = np.nan
+        data.efc.J.assign(places)
+        launch_rows(model, data)
+        assert np.isfinite(dense(data, nv)).all()
+        for part, theirs in expected.items():
+            ours = dense(data, nv) if part == "J" else getattr(data.efc, part).numpy()
+            error = np.abs(ours[:, rows] - theirs).max()
+            assert error <= CLOSE * max(np.abs(theirs).max(), 1e-3), part
+    assert dims >= ({3, 4, 6} if name == "wide" else {1, 3, 4, 6})
+
+
+@pytest.mark.parametrize("name", MORE)
+def test_only_rows_of_contacts_are_written(name):
+    host = states(name)[0]
+    model, data = on_device(name, host)
+    before = {part: getattr(data.efc, part).numpy().copy() for part in WRITTEN}
+    full = dense(data, model.nv)
+    others = np.flatnonzero(~np.isin(host.efc_type, CONTACTS))
+    beyond = np.arange(host.nefc, NUM_ROWS)
+    launch_rows(model, data)
+    for part, theirs in before.items():
+        for rows in (others, beyond):
+            assert np.array_equal(getattr(data.efc, part).numpy()[:, rows], theirs[:, rows])
+    assert np.array_equal(dense(data, model.nv)[:, others], full[:, others])
+
+
+def test_rows_beyond_the_capacity_are_dropped():
+    host = states("dense")[0]
+    model, data = on_device("dense", host)
+    last = np.flatnonzero(np.isin(host.efc_type, CONTACTS))[-1]
+    place = data.contact.efc_address.numpy()
+    contact = np.flatnonzero((place == last).any(axis=1))
+    place[contact, 0] = NUM_ROWS - 1
+    data.contact.efc_address.assign(place)
+    before = {part: getattr(data.efc, part).numpy().copy() for part in WRITTEN}
+    launch_rows(model, data)
+    written = data.efc.D.numpy() != before["D"]
+    assert written[:, NUM_ROWS - 1].all()
+    assert data.efc.type.numpy()[0, NUM_ROWS - 1] in CONTACTS
+
+
+OBSTACLES = {
+    "the device is not the CPU": lambda s: setattr(s, "device", SimpleNamespace(is_cpu=False)),
+    "there are no contacts": lambda s: setattr(s.data, "naconmax", 0),
+    "contacts are off": lambda s: setattr(s.model.opt, "disableflags", int(DisableBit.CONTACT)),
+    "the friction cone is not pyramidal": lambda s: setattr(s.model.opt, "cone", mjw.ConeType.ELLIPTIC),
+    "the integrator is the discrete one": lambda s: setattr(
+        s.model.opt, "integrator", IntegratorType.DISCRETE
+    ),
+    "rows are sorted": lambda s: setattr(s.model.opt, "deterministic", DeterminismType.CONSTRAINT),
+    "there are flexes, adhesion or moving surfaces": lambda s: setattr(s.model, "flg_adhesion", True),
+}
+
+
+@pytest.mark.parametrize("reason", OBSTACLES)
+def test_obstacles(reason):
+    model, data = on_device("dense", states("dense")[0])
+    scene = SimpleNamespace(model=model, data=data, device=SimpleNamespace(is_cpu=True))
+    assert ContactRowsFusion.obstacle(scene) is None
+    OBSTACLES[reason](scene)
+    assert ContactRowsFusion.obstacle(scene) == reason
+
+
+def test_the_engine_leaves_the_rows_to_us(monkeypatch):
+    """Installed, the engine's kernels for these rows are not launched, and ours is, once."""
+    model, data = on_device("dense", states("dense")[0])
+    fusion = ContactRowsFusion(SimpleNamespace(model=model, data=data))
+    launched = []
+    for function in ("launch", "launch_tiled"):
+        monkeypatch.setattr(wp, function, lambda kernel, *args, **kwargs: launched.append(kernel.key))
+    constraint.make_constraint(model, data)
+    stock = {key.split("__locals__")[0] for key in launched}
+    launched.clear()
+    with fusion.installed():
+        constraint.make_constraint(model, data)
+    ours = [key.split("__locals__")[0] for key in launched]
+    assert stock - set(ours) == {"_efc_contact_jac_dense", "_efc_contact_update"}
+    assert ours.count("write_contact_rows") == 1

@@ -1,0 +1,155 @@
+"""`myowarp convert` from file to folder: fits, checks on unseen poses, report, and interrupted runs."""
+
+import json
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("scipy")
+
+from myowarp.models.opensim import command, muscle_fit
+from myowarp.models.opensim.chart import Line, chart, colors, png
+from myowarp.models.opensim.hill import HillMuscle
+from myowarp.models.opensim.muscle_table import read_muscles
+from myowarp.models.opensim.read import read_model
+
+OSIM = Path(__file__).parent / "data" / "osim"
+
+MOMENT_ARM = 0.3e-3
+"""m. Mean over pairs of the RMS error, consistent samples of unseen poses; the project's gate for arm26."""
+FORCE_MAP = 0.02
+"""Of max_isometric_force. Mean over muscles of the RMS error; the project's gate for arm26."""
+FRAMES = 1e-9
+"""m. Frames without splines are exact but for rounding."""
+ENGINE = 1e-6
+"""Of max_isometric_force. The report's forces against a step of MuJoCo C; text has all digits."""
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """Return the folder of a converted arm26, its report, and the cache that it filled."""
+    folder, cache = tmp_path_factory.mktemp("arm"), tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MYOWARP_CACHE_DIR", str(cache))
+        report = command.run(OSIM / "arm26.osim", folder, workers=1)
+    return folder, report, cache
+
+
+def test_arm_is_within_its_gates(arm):
+    _, report, _ = arm
+    arms, forces = report["moment_arms"]["summary"], report["muscles"]["summary"]
+    assert report["kinematics"]["position"] < FRAMES
+    assert arms["rms"]["mean"] < MOMENT_ARM
+    assert forces["force"]["mean"] < FORCE_MAP
+    assert all(gate["passed"] for gate in report["gates"])
+    pairs = {(pair["muscle"], pair["coordinate"]): pair for pair in report["moment_arms"]["pairs"]}
+    assert len(pairs) == 9
+    assert min(pair["peak"] for pair in pairs.values()) > 10 * MOMENT_ARM
+    # OpenSim's own moment arms contradict its lengths where it lets go of the triceps.
+    assert pairs["TRIlong", "r_shoulder_elev"]["inconsistent"] > 0.2
+
+
+def test_report_says_what_the_files_do(arm):
+    """Forces of the written model in MuJoCo C are those of muscles.csv within the stated error."""
+    folder, report, _ = arm
+    model = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
+    assert not any("not fitted" in note["rule"] for note in report["notes"])
+    errors = {muscle["muscle"]: muscle for muscle in report["muscles"]["each"]}
+    data, random = mujoco.MjData(model), np.random.default_rng(5)
+    muscles = read_muscles(folder / "muscles.csv")
+    assert [muscle.name for muscle in muscles] == list(read_model(OSIM / "arm26.osim").muscles)
+    for _ in range(20):
+        data.qpos = random.uniform(*model.jnt_range.T)
+        data.qvel = 0.0
+        data.act = random.uniform(size=model.na)
+        mujoco.mj_forward(model, data)
+        for index, muscle in enumerate(muscles):
+            length = data.actuator_length[index]
+            expected = muscle.tendon_force(data.act[index], length)
+            found = -data.actuator_force[index] / muscle.values["max_isometric_force"]
+            assert abs(found - expected) < 1.5 * errors[muscle.name]["force_max"] + ENGINE
+
+
+def test_page_needs_nothing_else(arm):
+    folder, report, _ = arm
+    text = (folder / "report.html").read_text()
+    assert not re.search(r"(src|href)=\"(?!#|data:)", text)
+    assert "nan" not in text.lower().replace("nanmean", "")
+    for muscle in report["muscles"]["each"]:
+        assert f'<h3 id="{muscle["muscle"]}">' in text
+    # Two coordinates for three muscles, one for the others; a chart and three maps of forces each.
+    assert text.count('class="own" points') == 1 + 9 + 6 * 5
+    assert text.count("data:image/png") == 6 * 3
+
+
+def test_interrupted_conversion_continues(arm, tmp_path, monkeypatch):
+    """What an earlier run finished is read, a damaged result is made again, all others are not."""
+    folder, report, cache = arm
+    monkeypatch.setenv("MYOWARP_CACHE_DIR", str(cache))
+    entries = sorted(cache.glob("*.muscle"))
+    assert len(entries) == 6
+    damaged = bytearray(entries[0].read_bytes())
+    damaged[-1] ^= 1
+    entries[0].write_bytes(damaged)
+    made = []
+    fit_muscle = muscle_fit.fit_muscle
+    monkeypatch.setattr(
+        muscle_fit,
+        "fit_muscle",
+        lambda model, name, *rest: made.append(name) or fit_muscle(model, name, *rest),
+    )
+    again = command.run(OSIM / "arm26.osim", tmp_path / "again", workers=1)
+    assert len(made) == 1
+    assert (tmp_path / "again" / "model.xml").read_text() == (folder / "model.xml").read_text()
+    assert {**again, "seconds": 0} == {**report, "seconds": 0}
+
+
+def test_two_processes_give_what_one_gives(arm, tmp_path, monkeypatch):
+    model = read_model(OSIM / "Tug_of_War.osim")
+    samples = muscle_fit.sampled(model)
+    results = []
+    for workers in (1, 2):
+        monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path / str(workers)))
+        fits = muscle_fit.fit_muscles(model, samples, "", muscle_fit.Methods(), workers)
+        results.append({fit.name: (fit.force, fit.path.length_error) for fit in fits})
+    assert set(results[0]) == set(model.muscles)
+    assert results[0] == results[1]
+
+
+def test_strict_fails_on_a_missed_gate(tmp_path, monkeypatch, capsys):
+    """Muscles that are stretched to 40 times their force are beyond what MuJoCo's muscle can do."""
+    monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path / "cache"))
+    convert = command.Convert(OSIM / "Tug_of_War.osim", tmp_path / "out", workers=1, strict=True)
+    with pytest.raises(
+        ValueError, match=r"Tug_of_War.osim: 2 gates of --strict missed: force maps, mean RMS"
+    ):
+        convert()
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["counts"]["muscles"] == 2
+
+
+def test_charts():
+    line = Line(np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 1.0, np.nan, 0.5]), "own")
+    text = chart("<force>", "mm", [line])
+    assert text.count("<polyline") == 2
+    assert "&lt;force&gt;" in text
+    assert colors(np.array([0.0, 1.0]), signed=False).tolist() == [[255, 255, 255], [179, 0, 0]]
+    picture = png(np.zeros((2, 3, 3), np.uint8))
+    assert picture[:8] == b"\x89PNG\r\n\x1a\n"
+    assert picture[16:24] == bytes([0, 0, 0, 3, 0, 0, 0, 2])
+
+
+def test_without_scipy_the_geometry_is_converted(tmp_path, monkeypatch):
+    find = command.importlib.util.find_spec
+    monkeypatch.setattr(
+        command.importlib.util, "find_spec", lambda name: None if name == "scipy" else find(name)
+    )
+    report = command.run(OSIM / "Tug_of_War.osim", tmp_path)
+    assert any(note["rule"] == command.NO_FITS for note in report["notes"])
+    assert report["moment_arms"]["pairs"] == []
+    assert (
+        HillMuscle.of(next(iter(read_model(OSIM / "Tug_of_War.osim").muscles.values())))
+        == (read_muscles(tmp_path / "muscles.csv")[0])
+    )
