@@ -1,18 +1,20 @@
 # Commands for people and CI. Everything runs in .venv; nothing outside the repository is changed.
 #   make PYTHON=python3.12 test      another interpreter (after `make clean` if .venv exists)
 #   make test PYTEST="-k fatigue"    more arguments for pytest
+#   make rivals RIVALS=--quick       three families and two rounds instead of all
 
 SHELL := bash
 .DEFAULT_GOAL := help
 
 PYTHON ?= python3
 PYTEST ?=
+RIVALS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help setup demo test test-slow lint format bench parity soak audit clean
+.PHONY: help setup demo test test-slow lint format bench rivals accuracy parity soak audit clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -54,23 +56,39 @@ format: setup ## Format the code and apply safe lint fixes
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: setup ## Run the benchmarks, JSON to out/bench.json
+bench: setup ## Measure speed and what conditions cost, JSON to out/bench.json and out/conditions.json
 	@mkdir -p out
 	$(BIN)/python -m benchmarks --output out/bench.json
+	$(BIN)/python -m benchmarks.conditions --output out/conditions.json
 
-parity: setup ## Install MyoSuite 3.0.0 beside us, record fresh values, compare every id
+rivals: setup .venv-parity/.installed .venv-envpool/.installed ## Measure speed beside MyoSuite, EnvPool and MuJoCo C (12 minutes, idle cores)
+	$(BIN)/python -m benchmarks.rivals --output out/rivals.json $(RIVALS)
+
+accuracy: setup ## Measure the error of the physics presets against 0.1 ms steps, JSON to out/accuracy.json
 	@mkdir -p out
-	@test -x .venv-parity/bin/python || $(PYTHON) -m venv .venv-parity
-	.venv-parity/bin/python -m pip install --quiet --disable-pip-version-check myosuite==3.0.0
+	$(BIN)/python -m benchmarks.accuracy --output out/accuracy.json
+
+# Rivals live in environments of their own: their pins differ from ours.
+.venv-parity/.installed: RIVAL := myosuite==3.0.0
+.venv-envpool/.installed: RIVAL := envpool==1.2.5
+.venv-parity/.installed .venv-envpool/.installed:
+	@test -x $(@D)/bin/python || $(PYTHON) -m venv $(@D)
+	@echo "Installing $(RIVAL) (a gigabyte the first time)"
+	@$(@D)/bin/python -m pip install --quiet --disable-pip-version-check $(RIVAL)
+	@touch $@
+
+parity: setup .venv-parity/.installed ## Install MyoSuite 3.0.0 beside us, record fresh values, compare every id
+	@mkdir -p out
 	$(BIN)/python -m benchmarks.parity --recorder .venv-parity/bin/python --output out/parity.json
 
-soak: setup ## Run random actions in all 204 ids of the paper's grid, JSON to out/soak.json (an hour)
+soak: setup ## Run random actions in all 204 ids of the paper's grid and pairs of conditions (two hours)
 	@mkdir -p out
 	$(BIN)/python -m benchmarks.soak --output out/soak.json
+	$(BIN)/python -m benchmarks.soak --pairs --output out/soak_pairs.json
 
 audit: setup ## Audit every task, table, JSON and page to out/audit (an hour)
 	$(BIN)/myowarp audit --output out/audit
 
 clean: ## Remove .venv, caches and outputs
-	rm -rf $(VENV) .venv-parity out build dist .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) .venv-parity .venv-envpool out build dist .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -4,7 +4,8 @@
 
 The recorders of tests/data run in MyoSuite's own environment; then the oracle tests run on what they wrote.
 The table gives the worst differences per id: observation and reward in states written in, joint
-configuration after one control step from the same state. Rollouts over several contacts are left out: whether
+configuration after one control step from the same state; of ids with a muscle condition everything after one
+control step, and the compartments of its motor units. Rollouts over several contacts are left out: whether
 a touch is found in float32 can decide the whole of one, so a bound on the worst of new ones would not hold.
 """
 
@@ -23,9 +24,17 @@ from rich.console import Console
 from rich.table import Table
 
 ROOT = Path(__file__).parents[1]
-RECORDERS = ("record_myosuite.py", "record_contact.py")
-TESTS = ("test_oracle.py", "test_oracle_contact.py", "test_oracle_contact_physics.py")
-COLUMNS = ("observation", "reward", "qpos median", "qpos worst")
+RECORDERS = ("record_myosuite.py", "record_contact.py", "record_fatigue.py", "record_conditions.py")
+TESTS = (
+    "test_oracle.py",
+    "test_oracle_contact.py",
+    "test_oracle_contact_physics.py",
+    "test_oracle_fatigue.py",
+    "test_oracle_conditions.py",
+)
+QUANTITIES = ("observation", "reward", "qpos")
+COLUMNS = (*QUANTITIES[:2], *(f"{name} {kind}" for name in QUANTITIES for kind in ("median", "worst")))
+COLUMNS += ("compartments",)
 MAX_SHIFT = 10_000  # of the recorders' seeds
 
 
@@ -52,7 +61,7 @@ def compare(folder: Path) -> tuple[dict[str, dict[str, float]], int]:
     """Run the oracle tests on recorded values.
 
     Returns:
-        For each id the worst of every column, and the number of failed tests.
+        For each id the worst of every column, and the number of failed tests and of ids without any.
     """
     report = folder / "report.xml"
     tests = [str(ROOT / "tests" / name) for name in TESTS]
@@ -72,7 +81,8 @@ def compare(folder: Path) -> tuple[dict[str, dict[str, float]], int]:
         for entry in case.iter("property"):
             row, name = worst.setdefault(key, {}), entry.get("name", "")
             row[name] = max(row.get(name, 0.0), float(entry.get("value", "nan")))
-    return worst, failed
+    unseen = {path.stem for path in folder.glob("*.npz")} - set(worst)
+    return worst, failed + len(unseen)
 
 
 def main() -> None:

@@ -1,49 +1,94 @@
 """Random actions in every cell of the paper's grid: does anything break, and how full are the arrays?
 
     python -m benchmarks.soak --output out/soak.json
+    python -m benchmarks.soak --pairs --output out/soak_pairs.json
 
-Every id runs 10,000 environment steps or more, split evenly over the worlds. The file is written after each
-id, and ids that it already holds are skipped, so that a run that was interrupted goes on.
+With --pairs the runs are the hard task of each family with every two muscle conditions that its body can
+have together; what is refused is listed with its reason. Every run is 10,000 environment steps or more,
+split evenly over the worlds. The file is written after each run, and runs that it already holds are skipped,
+so that one that was interrupted goes on.
 """
 
 import argparse
 import json
 import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 from rich.console import Console
 
 from myowarp.audit.runs import Run
+from myowarp.models.conditions import CONDITIONS, Condition, TendonTear, resolve
 from myowarp.progress import progress_bar
+from myowarp.scene import oracle_model
 from myowarp.sim import Simulation
-from myowarp.spec import TASKS
-from myowarp.tasks.paper import PaperTask, grid
+from myowarp.spec import TASKS, TaskSpec
+from myowarp.tasks.paper import FAMILIES, grid
 
-STEPS = 10_000  # environment steps of an id
+STEPS = 10_000  # environment steps of a run
 NUM_WORLDS = 48  # so that every episode gets to its end
 
 
-def soak(cell: PaperTask, num_worlds: int) -> dict[str, object]:
-    """Return what happened in one id: faults by their meaning, and what is left of contacts and rows."""
-    spec = TASKS[cell.task]
+@dataclass(frozen=True)
+class Soaked:
+    """A run: its name in the file, and what the simulation is made of."""
+
+    id: str
+    task: str
+    conditions: tuple[str | Condition, ...]
+    reset: str = "task"
+
+
+def cells() -> Iterator[Soaked]:
+    """Return the paper's grid."""
+    for cell in grid():
+        yield Soaked(cell.id, cell.task, cell.conditions, cell.reset)
+
+
+def pairs() -> Iterator[Soaked]:
+    """Return every two conditions on the hard task of every family."""
+    for _, task, _ in FAMILIES.values():
+        for names in combinations(CONDITIONS, 2):
+            conditions = tuple(suited(name, TASKS[task]) for name in names)
+            yield Soaked(f"{TASKS[task].env_id} {' + '.join(names)}", task, conditions)
+
+
+def suited(name: str, spec: TaskSpec) -> str | Condition:
+    """Return a condition for a body; where the default tendon is not there to tear, the first one tears."""
+    try:
+        resolve(name, spec)
+    except ValueError:
+        if CONDITIONS[name] is TendonTear:
+            return TendonTear(oracle_model(spec).actuator(0).name)
+    return name
+
+
+def soak(run: Soaked, num_worlds: int) -> dict[str, object]:
+    """Return what happened: faults by their meaning, what is left of contacts and rows; or the refusal."""
+    spec = TASKS[run.task]
     steps = -(-STEPS // num_worlds)
     begin = time.perf_counter()
-    sim = Simulation(
-        spec,
-        num_worlds,
-        device="cpu",
-        reset=cell.reset,
-        conditions=cell.conditions,
-        autoreset="same_step",
-        progress=False,
-    )
-    run = Run(sim, steps, seed=0, horizon=spec.horizon)
-    run.run("random", lambda: None, lambda share: None)
-    load = run.load()
+    try:
+        sim = Simulation(
+            spec,
+            num_worlds,
+            device="cpu",
+            reset=run.reset,
+            conditions=run.conditions,
+            autoreset="same_step",
+            progress=False,
+        )
+    except ValueError as refusal:
+        return {"id": run.id, "refused": str(refusal)}
+    counted = Run(sim, steps, seed=0, horizon=spec.horizon)
+    counted.run("random", lambda: None, lambda share: None)
+    load = counted.load()
     return {
-        "id": cell.id,
+        "id": run.id,
         "env_steps": steps * num_worlds,
-        "faults": run.faults(),
+        "faults": counted.faults(),
         "contacts": load.contacts,
         "contact_margin_percent": load.pool_margin,
         "rows": load.rows,
@@ -52,34 +97,41 @@ def soak(cell: PaperTask, num_worlds: int) -> dict[str, object]:
     }
 
 
+def summary(rows: list[dict]) -> str:
+    """Return one line about all runs."""
+    ran = [row for row in rows if "refused" not in row]
+    # Without contacts the rows have an exact bound.
+    touching = [row for row in ran if row["contact_margin_percent"] is not None]
+    pools, margins = (min(row[f"{what}_margin_percent"] for row in touching) for what in ("contact", "row"))
+    faulty = sum(any(row["faults"].values()) for row in ran)
+    return (
+        f"{len(ran)} runs, {sum(row['env_steps'] for row in ran):,} environment steps, "
+        f"{faulty} runs with a fault, {len(rows) - len(ran)} refused; "
+        f"free at the fullest: {pools:.0f} % of contacts, {margins:.0f} % of rows"
+    )
+
+
 def main() -> None:
-    """Run the grid, print what is worst, write the JSON."""
+    """Run, print what is worst, write the JSON."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.add_argument("--pairs", action="store_true", help="pairs of muscle conditions, not the grid")
     parser.add_argument("--output", type=Path, default=Path("out/soak.json"), help="file to write")
     parser.add_argument("--num-worlds", type=int, default=NUM_WORLDS, help="worlds stepped together")
     options = parser.parse_args()
     options.output.parent.mkdir(parents=True, exist_ok=True)
     rows = json.loads(options.output.read_text()) if options.output.exists() else []
     done = {row["id"] for row in rows}
-    cells = [cell for cell in grid() if cell.id not in done]
-    with progress_bar("Soaking", "ids", Console(stderr=True)) as bar:
-        for cell in bar.track(cells):
-            rows.append(soak(cell, options.num_worlds))
+    runs = [run for run in (pairs() if options.pairs else cells()) if run.id not in done]
+    with progress_bar("Soaking", "runs", Console(stderr=True)) as bar:
+        for run in bar.track(runs):
+            rows.append(soak(run, options.num_worlds))
             options.output.write_text(json.dumps(rows, indent=1))
     for row in rows:
-        if any(row["faults"].values()):
+        if any(row.get("faults", {}).values()):
             print(f"{row['id']}: {row['faults']}")
-    touching = [
-        row for row in rows if row["contact_margin_percent"] is not None
-    ]  # else rows have an exact bound
-    pools, margins = (min(row[f"{what}_margin_percent"] for row in touching) for what in ("contact", "row"))
-    print(
-        f"{len(rows)} ids, {sum(row['env_steps'] for row in rows):,} environment steps, "
-        f"{sum(any(row['faults'].values()) for row in rows)} ids with a fault; "
-        f"free at the fullest: {pools:.0f} % of contacts, {margins:.0f} % of rows"
-    )
+    print(summary(rows))
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from myowarp.interop import check_output, checked_action, to_output
 from myowarp.kernels.episode import describe_fault
 from myowarp.models.conditions import Condition
 from myowarp.registry import check_choice
+from myowarp.shards import Shards, simulate
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 from myowarp.tasks.variants import variants
@@ -67,6 +68,7 @@ class MyoWarpVectorEnv(VectorEnv):
         *,
         max_episode_steps: int | None = None,
         device: str | None = None,
+        shards: int | None = None,
         physics: str = "parity",
         muscle: str = "mujoco",
         reset: str = "task",
@@ -86,6 +88,7 @@ class MyoWarpVectorEnv(VectorEnv):
             num_envs: Worlds stepped together.
             max_episode_steps: Steps after which an episode is truncated; None: the task's horizon.
             device: Warp device, such as "cpu" or "cuda:0"; None: the first CUDA device, else the CPU.
+            shards: Threads that share the worlds on the CPU; None: all cores. It changes no result.
             physics: "parity" (MyoSuite's integrator and step) or "fast" (`myowarp.spec.PHYSICS`).
             muscle: Muscle model, a name in `myowarp.models.muscles.MUSCLES`.
             reset: What episodes start from: "task", "fixed", "random" or "none" (`myowarp.spec.RESETS`).
@@ -104,20 +107,18 @@ class MyoWarpVectorEnv(VectorEnv):
         """
         check_choice("render_mode", render_mode, (None, *RENDER_MODES))
         mode = _autoreset_mode(autoreset_mode)
-        check_output(output)
-        self.output, self.copy = output, (output == "numpy" if copy is None else copy)
+        self.output, self.copy = check_output(output), (output == "numpy" if copy is None else copy)
         self.render_mode, self._pictures = render_mode, Pictures(render_size, camera)
-        self.sim = Simulation(
+        options = {"physics": physics, "muscle": muscle, "reset": reset, "conditions": conditions}
+        self.sim = simulate(
             TASKS[task],
             num_envs,
+            shards=shards,
             device=device,
-            physics=physics,
-            muscle=muscle,
-            reset=reset,
-            conditions=conditions,
             autoreset=AUTORESET_NAMES[mode],
             horizon=max_episode_steps,
             progress=progress,
+            **options,
         )
         self._set_up(mode)
 
@@ -130,8 +131,7 @@ class MyoWarpVectorEnv(VectorEnv):
             "autoreset_mode": mode,
         }
         self._autoreset = mode
-        self._was_reset = False
-        self._warned = False
+        self._was_reset = self._warned = False
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._resetting = np.zeros(self.num_envs, dtype=bool)
         num_obs, num_actions = self.sim.transition.obs.shape[1], self.sim.action.shape[1]
@@ -221,8 +221,9 @@ class MyoWarpVectorEnv(VectorEnv):
         return tuple(self._pictures.frame(self.sim, world) for world in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Close windows and drawing contexts."""
+        """Close windows and drawing contexts, and end all threads."""
         self._pictures.close()
+        self.sim.close()
 
     def _show(self) -> None:
         """Update the window of human mode."""
@@ -278,8 +279,7 @@ class MyoWarpVectorEnv(VectorEnv):
     def _info(self) -> dict[str, Any]:
         """Return the info dictionary of the last step, masks included where arrays are on the host."""
         info = self._entries(self.sim.transition)
-        for effect in self.sim.effects:
-            info |= {name: self._give(array) for name, array in effect.info.items()}
+        info |= {name: self._give(array) for name, array in self.sim.info.items()}
         same_step = self._autoreset == AutoresetMode.SAME_STEP
         if self.output != "numpy" and not self.sim.scene.device.is_cpu:
             # No masks and no look at what ended: that would wait for the device.
@@ -327,7 +327,7 @@ class MyoWarpEnv(gym.Env):
             TypeError: An option is unknown.
             ValueError: An option is out of its range, or makes sense for many worlds only.
         """
-        for option in ("num_envs", "autoreset_mode", "output", "copy", "max_episode_steps"):
+        for option in ("num_envs", "shards", "autoreset_mode", "output", "copy", "max_episode_steps"):
             if option in options:
                 raise ValueError(f"option {option!r} is for make_vec; a single environment has none")
         self._vector = MyoWarpVectorEnv(
@@ -339,7 +339,7 @@ class MyoWarpEnv(gym.Env):
         self.action_space = self._vector.single_action_space
 
     @property
-    def sim(self) -> Simulation:
+    def sim(self) -> Simulation | Shards:
         """The simulation of this one world."""
         return self._vector.sim
 

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Column, Table
 
+from myowarp.models.opensim.command import Convert
 from myowarp.spec import TASKS
 from myowarp.tasks.variants import find_variant
 
@@ -365,7 +366,14 @@ def main() -> None:
     """Entry point of the command; errors are one sentence and exit status 2."""
     wp.config.log_level = wp.LOG_ERROR
     command = tyro.extras.subcommand_cli_from_dict(
-        {"tasks": Tasks, "rollout": Rollout, "cohort": Cohort, "audit": Audit, "warmup": Warmup},
+        {
+            "tasks": Tasks,
+            "rollout": Rollout,
+            "cohort": Cohort,
+            "audit": Audit,
+            "convert": Convert,
+            "warmup": Warmup,
+        },
         prog="myowarp",
         description="Musculoskeletal motor control, simulated in thousands of worlds at once.",
     )

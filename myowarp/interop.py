@@ -68,8 +68,8 @@ def _check(dtype: str, floating: bool, got: tuple[int, ...], required: tuple[int
         raise ValueError(f"actions must be floating point of shape {required}, got {dtype} of shape {got}")
 
 
-def check_output(output: str) -> None:
-    """Raise if an output cannot be had.
+def check_output(output: str) -> str:
+    """Return an output that can be had.
 
     Raises:
         ValueError: It is none of `OUTPUTS`.
@@ -80,3 +80,4 @@ def check_output(output: str) -> None:
         raise ImportError(
             f'output="{output}" needs {output}, which is not installed; run `pip install "myowarp[{output}]"`'
         )
+    return output

@@ -3,7 +3,9 @@
 After `compile_scene` every shape is fixed; the step loop only launches kernels over these arrays.
 """
 
+import dataclasses
 import hashlib
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -24,6 +26,14 @@ from myowarp.models.muscles import MUSCLES, MuscleModel
 from myowarp.models.slim import slim
 from myowarp.registry import check_choice
 from myowarp.spec import PHYSICS, RESETS, PhysicsPreset, TaskSpec
+from myowarp.worlds import Worlds
+
+WORLD_FIELDS = tuple(
+    f.name for f in dataclasses.fields(mjw.Data) if getattr(f.type, "shape", "*")[0] == "nworld"
+)
+"""Arrays of `mjw.Data` with a row for each world; contacts and constraints are in others."""
+
+ROUNDING = 1e-6  # of a physics step; control steps are no exact multiples in binary
 
 
 @dataclass
@@ -33,7 +43,7 @@ class Scene:
     Attributes:
         spec: The task.
         conditions: The muscle conditions, in the order in which they act.
-        num_worlds: Worlds stepped together.
+        worlds: Worlds stepped together.
         num_substeps: Physics steps in a control step, after the physics preset.
         oracle: Slim model with MuJoCo's built-in muscles, host; what our kernels must reproduce.
         model: Stepped model, stateless actuators.
@@ -48,7 +58,7 @@ class Scene:
 
     spec: TaskSpec
     conditions: tuple[Condition, ...]
-    num_worlds: int
+    worlds: Worlds
     num_substeps: int
     oracle: mujoco.MjModel
     model: mjw.Model
@@ -60,6 +70,11 @@ class Scene:
     actuator_kind: wp.array
     capacity: Capacity
     device: wp.Device = field(repr=False)
+
+    @property
+    def num_worlds(self) -> int:
+        """Worlds stepped together."""
+        return self.worlds.number
 
     @property
     def control_dt(self) -> float:
@@ -149,11 +164,23 @@ def oracle_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujo
 
 def set_physics(spec: TaskSpec, preset: PhysicsPreset, models: Iterable[mujoco.MjModel]) -> int:
     """Set integrator and step of models to a preset's; returns the physics steps in a control step."""
-    num_substeps = -(-spec.num_substeps // preset.stride)
+    num_substeps = spec.num_substeps
+    if preset.coarse:
+        num_substeps = math.ceil(spec.control_dt / spec.coarse_step.dt - ROUNDING)
     for model in models:
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{preset.integrator}")
         model.opt.timestep = spec.control_dt / num_substeps
     return num_substeps
+
+
+def new_muscles(
+    muscle: type[MuscleModel], model: mujoco.MjModel, num_worlds: int, spec: TaskSpec, preset: PhysicsPreset
+) -> MuscleModel:
+    """Return the muscles of a model, on the current Warp device, set to a preset."""
+    muscles = muscle(model, num_worlds)
+    muscles.midstep = preset.midstep
+    muscles.implicitness = spec.coarse_step.implicitness if preset.coarse else 0.0
+    return muscles
 
 
 def checked_num_worlds(num_worlds: int) -> int:
@@ -167,6 +194,17 @@ def checked_num_worlds(num_worlds: int) -> int:
     return int(num_worlds)
 
 
+def checked_horizon(horizon: int) -> int:
+    """Return the number of control steps in an episode as it was given.
+
+    Raises:
+        ValueError: It is no positive integer.
+    """
+    if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 1:
+        raise ValueError(f"max_episode_steps must be a positive integer, got {horizon!r}")
+    return int(horizon)
+
+
 def actuator_kinds(model: mujoco.MjModel) -> np.ndarray:
     """Return MUSCLE or MOTOR for each actuator, shape (nu,)."""
     return np.where(model.actuator_dyntype == mujoco.mjtDyn.mjDYN_MUSCLE, int(MUSCLE), int(MOTOR))
@@ -174,7 +212,7 @@ def actuator_kinds(model: mujoco.MjModel) -> np.ndarray:
 
 def compile_scene(
     spec: TaskSpec,
-    num_worlds: int,
+    num_worlds: int | Worlds,
     device: str | None = None,
     physics: str = "parity",
     muscle: str = "mujoco",
@@ -185,7 +223,7 @@ def compile_scene(
 
     Args:
         spec: The task.
-        num_worlds: Worlds to step together, >= 1.
+        num_worlds: Number of worlds to step together, >= 1, or those of a part of them.
         device: Warp device such as "cpu" or "cuda:0"; None: the first CUDA device if there is one.
         physics: Name in `PHYSICS`.
         muscle: Name in `MUSCLES`.
@@ -195,41 +233,55 @@ def compile_scene(
     Raises:
         ValueError: An argument is out of its range, or the device does not exist.
     """
-    num_worlds = checked_num_worlds(num_worlds)
+    worlds = num_worlds if isinstance(num_worlds, Worlds) else Worlds.all(checked_num_worlds(num_worlds))
     check_choice("physics", physics, PHYSICS)
     check_choice("reset", reset, RESETS)
     muscle_class = MUSCLES[muscle]
     where = resolve_device(device)
 
+    preset = PHYSICS[physics]
     oracle, stepped = oracle_model(spec, conditions), _cached_model(spec, conditions, stateless_model)
-    num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped))
+    num_substeps = set_physics(spec, preset, (oracle, stepped))
     start = spec.start(oracle)
     capacity = calibrate(oracle, start)
     with wp.ScopedDevice(where):
         batched = {"actuator_biasprm", *spec.batched}.union(*(c.batched for c in conditions))
-        model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), num_worlds))
+        model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), worlds.number))
         model.opt.warn_overflow = False
-        data = mjw.make_data(stepped, nworld=num_worlds, nconmax=capacity.contacts, njmax=capacity.rows)
-        muscles = muscle_class(oracle, num_worlds)
+        data = mjw.make_data(stepped, nworld=worlds.number, nconmax=capacity.contacts, njmax=capacity.rows)
+        muscles = new_muscles(muscle_class, oracle, worlds.number, spec, preset)
         if conditions:
             muscles.individualize()
         model.callback.control = muscles.launch
-        return Scene(
+        scene = Scene(
             spec=spec,
             conditions=conditions,
-            num_worlds=num_worlds,
+            worlds=worlds,
             num_substeps=num_substeps,
             oracle=oracle,
             model=model,
             data=data,
             muscles=muscles,
-            keys=new_keys(num_worlds),
+            keys=new_keys(worlds.number),
             qpos_start=wp.array(start, dtype=float),
             reset=reset,
             actuator_kind=wp.array(actuator_kinds(oracle), dtype=int),
             capacity=capacity,
             device=where,
         )
+        _share_state(scene, batched)
+    return scene
+
+
+def _share_state(scene: Scene, batched: Iterable[str]) -> None:
+    """Make the state of the worlds, and what of the model is `batched`, visible from outside a part."""
+    worlds, muscles = scene.worlds, scene.muscles
+    worlds.share("model", scene.model, batched)
+    worlds.share("data", scene.data, WORLD_FIELDS)
+    worlds.share("muscles", muscles, ("activation",))
+    worlds.share("keys", scene.keys)
+    if scene.conditions:
+        worlds.share("anatomy", muscles.anatomy)
 
 
 def resolve_device(device: str | None) -> wp.Device:

@@ -4,40 +4,45 @@
 `graph=False` the same launches run one by one, with the same numbers.
 """
 
+from __future__ import annotations
+
 import secrets
 from collections.abc import Callable, Iterable
+from types import SimpleNamespace
 
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.fusions import FUSIONS, Fusion, applicable_fusions, installed, verified_fusions
+from myowarp.fusions import FUSIONS, Fusion, installed
 from myowarp.kernels.action import apply_action
 from myowarp.kernels.episode import (
     RESET_DISABLED,
     RESET_NEXT_STEP,
     RESET_SAME_STEP,
-    EpisodeState,
-    Masks,
-    Transition,
     advance_episode,
     count_step,
     detect_faults,
     keep_final,
+    new_episode_state,
+    new_masks,
+    new_transition,
     open_episode,
 )
+from myowarp.kernels.repeat import repeat
 from myowarp.kernels.reset import place_start, reset_worlds
 from myowarp.look import Look, look_at
 from myowarp.models.conditions import Condition, resolve
 from myowarp.models.conditions.parameter import Clock
 from myowarp.models.muscles import restore_anatomy
-from myowarp.prune import pruned, verified_idle
+from myowarp.prune import batch_independent, pruned
 from myowarp.registry import check_choice
-from myowarp.scene import compile_scene
+from myowarp.scene import checked_horizon, compile_scene
 from myowarp.spec import TaskSpec
 from myowarp.starts import random_starts, start_address
-from myowarp.verdict import Verdict, cached_verdict
-from myowarp.warmup import compile_kernels, quiet
+from myowarp.verdict import choose_kernels
+from myowarp.warmup import compile_kernels, quiet, renew_code
+from myowarp.worlds import Worlds
 
 AUTORESET = {
     "disabled": int(RESET_DISABLED),
@@ -60,12 +65,18 @@ class Simulation:
         transition: What the last step led to.
         final: What finished episodes ended with; only with autoreset "same_step".
         episode: Counters of the present episodes.
+        shown: What conditions show of their state, by name, (num_worlds, ...).
+        info: The same after the step, resets included; slices of arrays over all worlds in a part of them.
     """
+
+    _modules: tuple[wp.Module, ...]
+    _idle: frozenset[str]
+    _fusions: tuple[Fusion, ...]
 
     def __init__(
         self,
         spec: TaskSpec,
-        num_worlds: int,
+        num_worlds: int | Worlds,
         *,
         device: str | None = None,
         physics: str = "parity",
@@ -77,12 +88,13 @@ class Simulation:
         graph: bool = True,
         fusions: Iterable[str] | None = None,
         progress: bool = True,
+        like: Simulation | None = None,
     ) -> None:
         """Compile the scene, compile the kernels and capture the step.
 
         Args:
             spec: The task.
-            num_worlds: Worlds to step together.
+            num_worlds: Number of worlds to step together, or those of a part of them.
             device: Warp device; None: the first CUDA device if there is one, else the CPU.
             physics: Name in `spec.PHYSICS`.
             muscle: Name in `MUSCLES`.
@@ -93,14 +105,13 @@ class Simulation:
             graph: Whether to capture the step as a graph.
             fusions: Names in `FUSIONS` to use where they apply; None: all.
             progress: Whether to show progress bars while kernels compile and random starts are found.
+            like: Another part, made with the same arguments, whose kernels and starts can be taken over.
 
         Raises:
             ValueError: An argument is out of its range.
         """
         check_choice("autoreset", autoreset, AUTORESET)
-        horizon = spec.horizon if horizon is None else horizon
-        if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 1:
-            raise ValueError(f"max_episode_steps must be a positive integer, got {horizon!r}")
+        horizon = checked_horizon(spec.horizon if horizon is None else horizon)
         self.autoreset = AUTORESET[autoreset]
         with quiet():
             chosen = resolve(conditions, spec)
@@ -109,11 +120,13 @@ class Simulation:
             self.program = spec.bind(self.scene)
             self._bind_conditions()
             self._allocate(horizon)
-            self.starts = self.start_address = None
-            if reset == "random":
-                self.starts = wp.array(find_starts(spec, progress), dtype=float)
-                self.start_address = wp.array(start_address(spec, self.scene.oracle), dtype=int)
-            self._prepare(FUSIONS if fusions is None else fusions, graph, progress)
+            if like is None:
+                self._choose_starts(progress)
+                self._choose_kernels(FUSIONS if fusions is None else fusions, progress)
+            else:
+                self._take_over(like)
+            self._step_graph = self._capture(self._launch_step) if graph else None
+            self._reset_graph = self._capture(self._launch_asked_reset) if graph else None
         self.reset()
 
     @property
@@ -121,40 +134,36 @@ class Simulation:
         """Worlds stepped together."""
         return self.scene.num_worlds
 
-    def _prepare(self, fusions: Iterable[str], graph: bool, progress: bool) -> None:
-        """Compile all kernels, find out which launches the step needs, and capture it."""
-        self._idle: frozenset[str] = frozenset()
-        self._probes: list[Callable[[], None]] = []
-        self.fusions: tuple[Fusion, ...] = ()
-        candidates = applicable_fusions(self.scene, fusions)
-        verdict = cached_verdict(self.scene, candidates, lambda: self._verify(candidates, progress))
-        self._idle = verdict.idle
-        self.fusions = tuple(c for c in candidates if type(c).__name__ in verdict.fusions)
-        compile_kernels(self._launch_all, self.scene.device, show=progress)
-        self._step_graph = self._capture(self._launch_step) if graph else None
-        self._reset_graph = self._capture(self._launch_asked_reset) if graph else None
+    @property
+    def parts(self) -> tuple[Simulation, ...]:
+        """The simulations that step the worlds: this one (compare `myowarp.shards.Shards`)."""
+        return (self,)
 
-    def _verify(self, candidates: tuple[Fusion, ...], progress: bool) -> Verdict:
-        """Compile the stock step and the one with fusions, and compare them."""
+    def _choose_starts(self, progress: bool) -> None:
+        """Have a table of random starts, if the episodes are to begin there."""
+        spec, scene = self.scene.spec, self.scene
+        self.starts = self.start_address = None
+        if scene.reset == "random":
+            self.starts = wp.array(find_starts(spec, progress), dtype=float)
+            self.start_address = wp.array(start_address(spec, scene.oracle), dtype=int)
 
-        def launch_both() -> None:
-            self._launch_all()
-            with installed(candidates):
-                self._launch_physics()
+    def _choose_kernels(self, fusions: Iterable[str], progress: bool) -> None:
+        """Find out which kernels to leave out and to replace, and compile the others."""
+        launches = self._launch_all, self._launch_physics
+        self._idle, self.fusions = choose_kernels(self.scene, fusions, *launches, progress)
+        self._modules = compile_kernels(self._launch_all, self.scene.device, show=progress)
 
-        scene = self.scene
-        compile_kernels(launch_both, scene.device, show=progress)
-        self._idle = verified_idle(scene.oracle, scene.model, scene.data, self._launch_physics)
-        trusted = verified_fusions(scene, candidates, self._launch_physics)
-        return Verdict(self._idle, frozenset(type(fusion).__name__ for fusion in trusted))
+    def _take_over(self, like: Simulation) -> None:
+        """Have the starts and kernels of another part."""
+        self.starts, self.start_address = like.starts, like.start_address
+        self._modules, self._idle = like._modules, like._idle
+        self.fusions = tuple(type(fusion)(self.scene) for fusion in like.fusions)
 
     def _bind_conditions(self) -> None:
         """Allocate the counters of the episodes, and what the conditions need."""
         scene = self.scene
-        self.episode = EpisodeState()
-        for count in ("step_count", "life_count", "solved_count"):
-            setattr(self.episode, count, wp.zeros(self.num_worlds, dtype=int))
-        self.episode.pending = wp.zeros(self.num_worlds, dtype=bool)
+        self.episode = new_episode_state(self.num_worlds)
+        scene.worlds.share("episode", self.episode)
         clock = Clock()
         clock.step_count, clock.life_count = self.episode.step_count, self.episode.life_count
         clock.control_dt = scene.control_dt
@@ -171,24 +180,20 @@ class Simulation:
         self.action = wp.zeros((n, scene.num_actions), dtype=float)
         self.weights = wp.array([term.weight for term in self.terms], dtype=float)
         self.horizon = wp.array([horizon], dtype=int)
-        self.transition = self._new_transition()
-        self.final = self._new_transition()
-        self.masks = Masks()
-        for mask in ("live", "renew", "reset", "fresh"):
-            setattr(self.masks, mask, wp.zeros(n, dtype=bool))
+        scene.worlds.share("sim", self, ("action",))
+        sizes = n, sum(column.size for column in self.columns), len(self.terms)
+        self.transition, self.final, self.masks = new_transition(*sizes), new_transition(*sizes), new_masks(n)
+        scene.worlds.share("transition", self.transition)
+        scene.worlds.share("final", self.final)
+        scene.worlds.share("masks", self.masks)
+        self.shown = {name: array for effect in self.effects for name, array in effect.info.items()}
+        info = SimpleNamespace(**self.shown)
+        scene.worlds.share("info", info, self.shown)
+        self.info = vars(info)
         self._asked = wp.zeros(n, dtype=bool)
-
-    def _new_transition(self) -> Transition:
-        """Allocate one set of step results."""
-        n = self.num_worlds
-        transition = Transition()
-        transition.obs = wp.zeros((n, sum(column.size for column in self.columns)), dtype=float)
-        transition.terms = wp.zeros((n, len(self.terms)), dtype=float)
-        transition.reward = wp.zeros(n, dtype=float)
-        transition.fault = wp.zeros(n, dtype=int)
-        for flag in ("solved", "failed", "success", "terminated", "truncated"):
-            setattr(transition, flag, wp.zeros(n, dtype=bool))
-        return transition
+        self._countdown = wp.zeros(1, dtype=int)
+        self._probes: list[Callable[[], None]] = []
+        self._idle, self.fusions = frozenset[str](), tuple[Fusion, ...]()
 
     def _launch_all(self) -> None:
         """Every launch there is, for the compiler."""
@@ -200,8 +205,7 @@ class Simulation:
         self.launch_action()
         self.launch_conditions()
         with pruned(self._idle):
-            for _ in range(self.scene.num_substeps):
-                self._launch_physics()
+            repeat(self._launch_physics, self.scene.num_substeps, self._countdown)
         self._refresh()
         wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
         self.launch_scoring()
@@ -215,7 +219,7 @@ class Simulation:
 
     def _launch_physics(self) -> None:
         """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
-        with installed(self.fusions):
+        with installed(self.fusions), batch_independent(self.scene.device):
             mjw.step(self.scene.model, self.scene.data)
 
     def _launch_control(self, model: mjw.Model, data: mjw.Data) -> None:
@@ -299,6 +303,9 @@ class Simulation:
         self.program.sample_goal(renew)
         self._refresh()
         self._launch_observation(fresh)
+        for name, array in self.shown.items():
+            if self.info[name] is not array:
+                wp.copy(self.info[name], array)
 
     def _refresh(self) -> None:
         """Make body and site positions those of the present state; a step leaves them one substep old."""
@@ -306,18 +313,15 @@ class Simulation:
             mjw.kinematics(self.scene.model, self.scene.data)
 
     def _capture(self, launches: Callable[[], None]) -> wp.Graph:
-        """Record launches as a graph."""
+        """Record launches as a graph, which no other graph shares its code with."""
+        renew_code(self._modules)
         with wp.ScopedCapture(device=self.scene.device, force_module_load=False) as capture:
             launches()
         return capture.graph
 
     def step(self) -> None:
         """Advance all worlds by one control step under `action`; results are in `transition`."""
-        with wp.ScopedDevice(self.scene.device):
-            if self._step_graph is None:
-                self._launch_step()
-            else:
-                wp.capture_launch(self._step_graph)
+        self._run(self._step_graph, self._launch_step)
 
     def attach(self, launch: Callable[[], None]) -> None:
         """Launch more in every step, after observation and before what ended is reset.
@@ -328,9 +332,12 @@ class Simulation:
         """
         self._probes.append(launch)
         with quiet(), wp.ScopedDevice(self.scene.device):
-            compile_kernels(launch, self.scene.device, show=False)
+            self._modules += compile_kernels(launch, self.scene.device, show=False)
             if self._step_graph is not None:
                 self._step_graph = self._capture(self._launch_step)
+
+    def close(self) -> None:
+        """Do nothing: there are no threads to end (compare `myowarp.shards.Shards`)."""
 
     def look(self, world: int) -> Look:
         """Return what a picture of one world shows."""
@@ -355,11 +362,15 @@ class Simulation:
             keys.seed.assign(np.where(mask, folded, keys.seed.numpy()))
             keys.episode.assign(np.where(mask, 0, keys.episode.numpy()).astype(np.int32))
         self._asked.assign(mask)
+        self._run(self._reset_graph, self._launch_asked_reset)
+
+    def _run(self, graph: wp.Graph | None, launches: Callable[[], None]) -> None:
+        """Replay a graph, or launch what it would hold."""
+        if graph is not None:
+            wp.capture_launch(graph)
+            return
         with wp.ScopedDevice(self.scene.device):
-            if self._reset_graph is None:
-                self._launch_asked_reset()
-            else:
-                wp.capture_launch(self._reset_graph)
+            launches()
 
 
 def find_starts(spec: TaskSpec, progress: bool = True) -> np.ndarray:

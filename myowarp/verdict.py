@@ -16,9 +16,10 @@ import mujoco
 import numpy as np
 
 from myowarp.cache import cached
-from myowarp.fusions import Fusion
-from myowarp.prune import idle_kernels
+from myowarp.fusions import Fusion, applicable_fusions, installed, verified_fusions
+from myowarp.prune import idle_kernels, verified_idle
 from myowarp.scene import Scene
+from myowarp.warmup import compile_kernels
 
 SOURCES = ("*.py", "fusions/*.py", "kernels/*.py", "kernels/*.cpp", "models/muscles/*.py")  # that decide it
 
@@ -60,3 +61,36 @@ def cached_verdict(scene: Scene, candidates: Iterable[Fusion], verify: Callable[
         Path(path).write_text(json.dumps({part: sorted(names) for part, names in verdict._asdict().items()}))
 
     return cached(key, ".json", make=verify, save=save, load=load)
+
+
+def choose_kernels(
+    scene: Scene,
+    names: Iterable[str],
+    launch_all: Callable[[], None],
+    launch_physics: Callable[[], None],
+    progress: bool,
+) -> tuple[frozenset[str], tuple[Fusion, ...]]:
+    """Return which kernels of the engine to leave out, and which fusions to use.
+
+    Args:
+        scene: The task; its state is overwritten.
+        names: Fusions to use where they apply, names in `FUSIONS`.
+        launch_all: Launches everything, the physics stock.
+        launch_physics: Launches a stock physics step.
+        progress: Whether to show progress bars.
+    """
+    candidates = applicable_fusions(scene, names)
+
+    def launch_both() -> None:
+        launch_all()
+        with installed(candidates):
+            launch_physics()
+
+    def verify() -> Verdict:
+        compile_kernels(launch_both, scene.device, show=progress)
+        trusted = verified_fusions(scene, candidates, launch_physics)
+        idle = verified_idle(scene, launch_physics)
+        return Verdict(idle, frozenset(type(fusion).__name__ for fusion in trusted))
+
+    verdict = cached_verdict(scene, candidates, verify)
+    return verdict.idle, tuple(fusion for fusion in candidates if type(fusion).__name__ in verdict.fusions)

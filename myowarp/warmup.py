@@ -6,7 +6,7 @@ silence for a hand. Here the launches are first only listed, then their modules 
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 from unittest import mock
 
@@ -18,15 +18,11 @@ PATIENCE = 0.5  # s without a word
 
 
 @contextlib.contextmanager
-def _recorded(modules: dict[str, Any]) -> Iterator[None]:
-    """Note the modules of all launches in the block instead of launching."""
-
-    def note(kernel: Any, *args: Any, **kwargs: Any) -> None:
-        block_dim = kwargs.get("block_dim", 256)
-        modules[f"{kernel.module.name} {kernel.module.get_module_hash()} {block_dim}"] = kernel.module
+def _recorded(modules: dict[wp.Module, None]) -> Iterator[None]:
+    """Note the modules of all launches in the block, as keys, instead of launching."""
 
     def launch(*args: Any, **kwargs: Any) -> None:
-        note(*args, **kwargs) if args else note(**kwargs)
+        modules[(args[0] if args else kwargs["kernel"]).module] = None
 
     def call_while(condition: Any, while_body: Callable[..., None], **kwargs: Any) -> None:
         while_body(**kwargs)
@@ -56,7 +52,9 @@ def quiet() -> Iterator[None]:
         wp.config.log_level = level
 
 
-def compile_kernels(launches: Callable[[], None], device: wp.Device, show: bool = True) -> int:
+def compile_kernels(
+    launches: Callable[[], None], device: wp.Device, show: bool = True
+) -> tuple[wp.Module, ...]:
     """Compile and load the modules of every kernel that `launches` launches.
 
     Args:
@@ -65,16 +63,27 @@ def compile_kernels(launches: Callable[[], None], device: wp.Device, show: bool 
         show: Whether to draw a progress bar once this takes longer than a moment.
 
     Returns:
-        Number of modules loaded.
+        The modules.
     """
-    found: dict[str, Any] = {}
+    found: dict[wp.Module, None] = {}
     with _recorded(found):
         launches()
-    modules = list(dict.fromkeys(found.values()))
+    modules = tuple(found)
     workers = os.cpu_count() or 1
     with patient_bar("Compiling kernels", "modules", len(modules), patience=PATIENCE, show=show) as advance:
         for start in range(0, len(modules), workers):
             chunk = modules[start : start + workers]
             wp.force_load(device=device, modules=chunk, max_workers=workers)
             advance(len(chunk))
-    return len(modules)
+    return modules
+
+
+def renew_code(modules: Iterable[wp.Module]) -> None:
+    """Have Warp load the machine code of modules once more when they are next launched on the CPU.
+
+    Tile kernels keep the address of their scratch memory in a static variable of their module (Warp's
+    `tile.h`), so that two threads must never run the same code. Graphs captured from here on have code of
+    their own; those captured before keep theirs.
+    """
+    for module in modules:
+        module.execs = {key: loaded for key, loaded in module.execs.items() if not loaded.device.is_cpu}

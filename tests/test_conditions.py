@@ -1,6 +1,9 @@
 """What holds for every registered condition, and for parameters, without a condition being named here."""
 
 import dataclasses
+from functools import lru_cache
+from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ from myowarp.models.conditions.parameter import Clock, Curve, Parameter, Ramp, U
 from myowarp.models.conditions.sarcopenia import Sarcopenia
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
+from myowarp.worlds import Worlds
 
 NAMES = sorted(CONDITIONS)
 HOSTS = ("myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1")  # the elbow's conditions, the hand's
@@ -91,6 +95,60 @@ def test_every_world_has_its_own_patient(hosted):
         np.testing.assert_array_equal(together[:, world], alone[:, 0], err_msg=str(world))
 
 
+def composed(key, names):
+    """Return as many of the conditions of these names as a body can have together, from the first on."""
+    chosen = []
+    for name in names:
+        try:
+            Simulation(TASKS[key], 1, device="cpu", conditions=(*chosen, name), graph=False, progress=False)
+        except ValueError:
+            continue
+        chosen.append(name)
+    return chosen
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", HOSTS)
+@pytest.mark.parametrize("names", [NAMES, NAMES[::-1]], ids=["forward", "backward"])
+def test_256_patients_are_256_simulations(key, names):
+    """Worlds with 256 sets of parameters of several conditions go as each does alone, bit for bit."""
+    n, chosen = 256, composed(key, names)
+    assert len(chosen) > 3
+    shares = np.random.default_rng(0).uniform(0.0, 1.0, (n, len(chosen)))
+
+    def patients(share):
+        return [between(*pair) for pair in zip(chosen, share, strict=True)]
+
+    together = trajectory(key, patients(shares.T), np.arange(n), graph=False)
+    assert len(np.unique(together[3].round(7), axis=0)) == n
+    for world in range(n):
+        alone = trajectory(key, patients(shares[world]), world, graph=False)
+        np.testing.assert_array_equal(together[:, world], alone[:, 0], err_msg=str(world))
+
+
+@lru_cache
+def last_joint(key, *names):
+    """Return how the last joint moves in four worlds with conditions."""
+    return trajectory(key, names, np.arange(4), graph=False)[..., -1]
+
+
+@pytest.mark.parametrize(
+    "key", [HOSTS[0], pytest.param(HOSTS[1], marks=pytest.mark.slow)], ids=["elbow", "hand"]
+)
+def test_any_two_act_together(key):
+    """All pairs that a body can have: no fault, and neither hides the other."""
+    pairs = 0
+    for pair in combinations(NAMES, 2):
+        try:
+            both = last_joint(key, *pair)
+        except ValueError:
+            continue
+        for alone in pair:
+            assert not np.array_equal(both, last_joint(key, alone)), pair
+        pairs += 1
+    assert pairs > 10
+
+
 def test_eager_is_the_graph(hosted):
     name, key = hosted
     np.testing.assert_array_equal(
@@ -152,13 +210,14 @@ class TestParameter:
     """Closed forms; independence of the batch."""
 
     @staticmethod
-    def values(value, num_worlds=3, names=("a", "b", "c_r"), steps=0, **options):
-        """Return a parameter's values after some control steps of 0.1 s, shape (num_worlds, num_names)."""
-        parameter = Parameter("thing", value, num_worlds, names, neutral=1.0, **options)
+    def values(value, num_worlds=3, names=("a", "b", "c_r"), steps=0, dt=0.1, **options):
+        """Return a parameter's values after some control steps of dt [s], shape (num_worlds, num_names)."""
+        scene = SimpleNamespace(worlds=Worlds.all(num_worlds), control_dt=dt)
+        parameter = Parameter("thing", value, scene, names, neutral=1.0, **options)
         clock = Clock()
         clock.step_count = wp.full(num_worlds, steps, dtype=int)
         clock.life_count = wp.full(num_worlds, 10 * steps, dtype=int)
-        clock.control_dt = 0.1
+        clock.control_dt = dt
         out = wp.full((num_worlds, len(names)), np.nan, dtype=float)
         wp.launch(read_parameter, dim=out.shape, inputs=[parameter.curve, clock], outputs=[out])
         return out.numpy()
@@ -184,6 +243,25 @@ class TestParameter:
         ramp = Ramp(0.0, 1.0, onset=0.25)
         assert not self.values(ramp, steps=2).any()
         assert (self.values(ramp, steps=3) == 1).all()
+
+    def test_step_is_on_time(self):
+        """A change at n dt comes with step n, also where n dt is below it in float32."""
+        dt, n = 0.02, np.arange(1, 200)
+        late = n[np.float32(dt) * np.float32(n) < np.float32(dt * n)]
+        assert len(late) > 20
+        for step in (*late.tolist(), 180_000):
+            ramp = Ramp(0.0, 1.0, onset=step * dt)
+            assert (self.values(ramp, dt=dt, steps=step) == 1).all()
+            assert (self.values(ramp, dt=dt, steps=step - 1) == 0).all()
+
+    def test_ends_are_exact(self):
+        """Start before, end after, to the last bit; 0.3 + (1 - 0.3) is no 1 in float32."""
+        ends = [(0.3, 1.0), (0.1, 0.7), (5.0, 1e-3)]
+        assert any(np.float32(a) + (np.float32(b) - np.float32(a)) != np.float32(b) for a, b in ends)
+        for start, end in ends:
+            ramp = Ramp(start, end, onset=0.3, duration=0.4)
+            assert (self.values(ramp, steps=3) == np.float32(start)).all()
+            assert (self.values(ramp, steps=7) == np.float32(end)).all()
 
     @pytest.mark.parametrize("per", ["episode", "life"])
     def test_uniform_is_drawn_per_episode_or_life(self, per):
@@ -215,7 +293,10 @@ class TestParameter:
         ("value", "message"),
         [
             (-1, r"^thing must be >= 0, got -1$"),
-            (np.nan, r"^thing must be >= 0, got nan$"),
+            (np.nan, r"^thing must be finite and >= 0, got nan$"),
+            (np.inf, r"^thing must be finite and >= 0, got inf$"),
+            (None, r"^thing must be numbers, got None$"),
+            ({"a": [1, 2, 3]}, r"^thing of muscle 'a' must be one number, got \[1, 2, 3\]$"),
             ([1, 2], r"^thing must be one number or of shape \(3,\) or \(3, 3\), got shape \(2,\)$"),
             ("much", r"^thing must be numbers, got 'much'$"),
             ({"d": 1}, r"^muscle 'd' unknown; available: a, b, c_r$"),
@@ -235,6 +316,13 @@ class TestParameter:
     def test_range_with_two_ends(self):
         with pytest.raises(ValueError, match=r"^thing must be in 0\.\.1, got 2$"):
             self.values(2.0, low=0.0, high=1.0)
+
+
+@pytest.mark.parametrize("name", ["sarcopenia", "motor_noise", "fatigue_3ccr", "fatigue_ma2009"])
+def test_motors_have_no_muscles(name):
+    key = "motorFingerPoseFixed-v0"
+    with pytest.raises(ValueError, match=f"^{name} is about muscles; the body of task '{key}' has none$"):
+        Simulation(TASKS[key], 2, device="cpu", conditions=name, graph=False, progress=False)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 
 from myowarp.models.bodies import BODIES
+from myowarp.prune import idle_kernels
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 
@@ -170,3 +171,10 @@ def test_masked_reset_touches_only_its_worlds(key):
     assert not sim.scene.data.qvel.numpy()[mask].any()
     assert not sim.episode.step_count.numpy()[mask].any()
     assert np.abs(before[1][mask]).max() > 0
+
+
+@pytest.mark.parametrize("key", SCENES)
+def test_idle_kernels_are_left_out(key):
+    """Verification lets all pass that a model has idle; a state that it forgets to set would let none."""
+    sim = Simulation(TASKS[key], 2, device="cpu", graph=False, progress=False)
+    assert sim._idle == idle_kernels(sim.scene.oracle)

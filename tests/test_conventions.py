@@ -22,6 +22,7 @@ ALIASES: dict[str, set[str]] = {}
 FORBIDDEN = {
     "registry": {"spec", "kernels", "models", "scene", "tasks", "sim", "warmup", "audit", "bridge_gym"},
     "cache": {"spec", "kernels", "models", "scene", "tasks", "sim", "warmup", "audit", "bridge_gym"},
+    "worlds": {"spec", "kernels", "models", "scene", "tasks", "sim", "warmup", "audit", "bridge_gym"},
     "progress": {"spec", "kernels", "models", "scene", "tasks", "sim", "warmup", "audit", "bridge_gym"},
     "spec": {"kernels", "models", "tasks", "sim", "audit", "bridge_gym"},
     "kernels": {"spec", "models", "scene", "tasks", "sim", "warmup", "audit", "bridge_gym"},
@@ -31,7 +32,8 @@ FORBIDDEN = {
     "tasks": {"sim", "warmup", "audit", "bridge_gym"},
     "warmup": {"spec", "kernels", "models", "scene", "tasks", "sim", "audit", "bridge_gym"},
     "starts": {"tasks", "sim", "audit", "bridge_gym"},
-    "sim": {"tasks", "audit", "bridge_gym"},
+    "sim": {"shards", "tasks", "audit", "bridge_gym"},
+    "shards": {"tasks", "audit", "bridge_gym"},
     "audit": {"bridge_gym", "rollout", "view", "cli"},
 }
 """What a module or package of ours must not import: everything that stands on its shoulders."""

@@ -138,6 +138,40 @@ def test_activation_rate_equals_reference(constants):
     assert got.min() < -10.0
 
 
+STEPS = (0.0, 0.001, 0.005, 0.01)  # s; half of and all of a physics step
+HARD = [constants[:2] for constants in TIME_CONSTANTS if constants[2] == 0.0]
+
+
+@pytest.mark.parametrize("constants", [*HARD, (0.015, 0.05)])
+def test_activation_after_equals_reference(constants):
+    tau_act, tau_deact = np.float32(constants).astype(np.float64)
+    level = np.float32(np.linspace(0.0, 1.0, 41)).astype(np.float64)
+    time, ctrl, act = np.meshgrid(np.float32(STEPS).astype(np.float64), level, level)
+    expected = reference.activation_after(time, ctrl, act, tau_act, tau_deact)
+    got = on_device(activation.activation_after, time, ctrl, act, tau_act, tau_deact)
+    assert np.abs(got - expected).max() <= FLOAT32
+    assert np.abs(expected - act)[time > 0.0].max() > 10.0 * FLOAT32
+
+
+def test_reference_solves_the_activation_equation():
+    """The closed form against the differential equation, in 4,000 classical Runge-Kutta steps."""
+    ctrl, act = np.meshgrid(np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 21))
+    tau_act, tau_deact, duration, count = 0.01, 0.04, 0.01, 4000
+    dt, value = duration / count, act.copy()
+
+    def rate(a):
+        return reference.activation_rate(ctrl, a, tau_act, tau_deact)
+
+    for _ in range(count):
+        k1 = rate(value)
+        k2 = rate(value + 0.5 * dt * k1)
+        k3 = rate(value + 0.5 * dt * k2)
+        value = value + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rate(value + dt * k3))
+    expected = reference.activation_after(duration, ctrl, act, tau_act, tau_deact)
+    assert np.abs(expected - value).max() <= 1e-11  # rounding of 4,000 additions
+    assert np.abs(expected - act).max() > 0.5
+
+
 def test_activation_landmarks():
     tau_act, tau_deact = 0.01, 0.04
     rate = on_device(

@@ -391,10 +391,3 @@ class TestResets:
 def test_bad_input(build, message):
     with pytest.raises(ValueError, match=message):
         simulation(ELBOW, 2, build())
-
-
-@pytest.mark.parametrize("name", ["fatigue_3ccr", "fatigue_ma2009"])
-def test_motors_do_not_tire(name):
-    key = "motorFingerPoseFixed-v0"
-    with pytest.raises(ValueError, match=f"^{name} is about muscles; the body of task '{key}' has none$"):
-        simulation(key, 2, name)

@@ -13,7 +13,7 @@ from myowarp.models.conditions.parameter import Uniform
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 
-ELBOW, HAND, MOTORS = "myoElbowPose1D6MRandom-v0", "myoHandReachFixed-v0", "motorFingerPoseFixed-v0"
+ELBOW, HAND, MOTOR = "myoElbowPose1D6MRandom-v0", "myoHandReachFixed-v0", "myoElbowPose1D6MExoFixed-v0"
 SIGNAL, CONSTANT = 0.103, 0.185  # MyoSuite's preset
 NUM_MUSCLES = 6
 
@@ -109,9 +109,11 @@ class TestFormula:
         assert (np.abs(observed[0] - observed[1])[1:].max(axis=1) > EFFECT * EXCITATION).all()
 
     def test_motors_are_exact(self):
-        """A body with motors alone."""
-        sim = simulation(MOTORS, 3, "motor_noise")
-        np.testing.assert_array_equal(noisy(sim, -0.25), np.float32(-0.25))
+        """That of the exoskeleton, whose command may be negative, beside muscles."""
+        sim = simulation(MOTOR, 3, "motor_noise")
+        excitations, is_muscle = noisy(sim, -0.25), np.arange(7) > 0
+        np.testing.assert_array_equal(excitations[:, ~is_muscle], np.float32(-0.25))
+        assert (excitations[:, is_muscle] >= 0.0).all()
 
     def test_drawn(self):
         """Standard deviations that every episode draws."""

@@ -13,7 +13,7 @@ from reference import mujoco_muscle as reference
 import myowarp.tasks  # noqa: F401
 from myowarp.models.muscles import MUSCLES
 from myowarp.models.muscles.mujoco import MujocoMuscle, MujocoMuscleParams
-from myowarp.scene import compile_scene, slim_model
+from myowarp.scene import compile_scene, slim_model, stateless_model
 from myowarp.spec import PHYSICS, TASKS
 
 NUM_WORLDS = 250  # no multiple of 32
@@ -36,6 +36,8 @@ QVEL = 5e-5
 matrix, measured 1.2e-5."""
 
 EFFECT = 10.0
+
+V_STEP = 1e-6  # m/s, of central differences
 
 
 def _tasks_with_muscles():
@@ -95,6 +97,48 @@ def step_in_c(model, states):
     return np.array(force), np.array(activation), np.array(qvel)
 
 
+def activation_in_step(model, states, fraction):
+    """Return the reference's activation after a fraction of a physics step, shape (num_states, na)."""
+    ids = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_MUSCLE
+    bounds = np.where(model.actuator_ctrllimited[ids, None], model.actuator_ctrlrange[ids], (0.0, 1.0))
+    return reference.activation_after(
+        fraction * model.opt.timestep,
+        np.clip(states.ctrl[:, ids].astype(np.float64), *bounds.T),
+        states.activation,
+        *model.actuator_dynprm[ids, :2].T,
+    )
+
+
+def step_midstep_in_c(body, oracle, states, implicitness):
+    """Return what `step_in_c` does with muscles of the reference: midstep activation, a share of dF/dv."""
+    model = stateless_model(BODY_TASKS[body])
+    for option in ("integrator", "timestep", "disableflags"):
+        setattr(model.opt, option, getattr(oracle.opt, option))
+    ids = np.flatnonzero(oracle.actuator_dyntype == mujoco.mjtDyn.mjDYN_MUSCLE)
+    gainprm, biasprm = oracle.actuator_gainprm[ids], oracle.actuator_biasprm[ids]
+    lengthrange, acc0 = oracle.actuator_lengthrange[ids], oracle.actuator_acc0[ids]
+    middle, end = (activation_in_step(oracle, states, fraction) for fraction in (0.5, 1.0))
+    data = mujoco.MjData(model)
+    force, qvel = [], []
+    for i, activation in enumerate(middle):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = states.qpos[i], states.qvel[i], states.ctrl[i]
+        mujoco.mj_step1(model, data)
+        length, velocity = data.actuator_length[ids], data.actuator_velocity[ids]
+
+        def active(v, length=length, activation=activation):
+            return activation * reference.gain(length, v, lengthrange, acc0, gainprm)
+
+        pull = active(velocity) + reference.bias(length, lengthrange, acc0, biasprm)
+        slope = (active(velocity + V_STEP) - active(velocity - V_STEP)) / (2.0 * V_STEP)
+        model.actuator_biasprm[ids, 0] = pull - implicitness * slope * velocity
+        model.actuator_biasprm[ids, 2] = implicitness * slope
+        mujoco.mj_step2(model, data)
+        force.append(data.actuator_force.copy())
+        qvel.append(data.qvel.copy())
+    return np.array(force), end, np.array(qvel)
+
+
 def peaks(model):
     """Return the peak force of every muscle [N]."""
     ids = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_MUSCLE
@@ -111,6 +155,13 @@ def force_from_path(scene, activation, gainprm, biasprm):
     return active + reference.bias(length, lengthrange, acc0, biasprm)
 
 
+def expected_step(body, scene, states):
+    """Return force, activation and qvel of one step in MuJoCo C under the scene's preset."""
+    if scene.muscles.midstep:
+        return step_midstep_in_c(body, scene.oracle, states, scene.muscles.implicitness)
+    return step_in_c(scene.oracle, states)
+
+
 @lru_cache(maxsize=2)
 def stepped(body, physics):
     """Return scene, states, and what one step in MuJoCo C gives; the scene is stepped once."""
@@ -118,7 +169,7 @@ def stepped(body, physics):
     states = States(scene.oracle, NUM_WORLDS)
     load(scene, states)
     mjw.step(scene.model, scene.data)
-    return scene, states, step_in_c(scene.oracle, states)
+    return scene, states, expected_step(body, scene, states)
 
 
 @pytest.mark.parametrize("physics", PHYSICS)
@@ -143,9 +194,9 @@ def test_one_step_equals_mujoco(body, physics):
 def test_kernel_equals_reference(body, physics):
     scene, states, _ = stepped(body, physics)
     model, ids = scene.oracle, scene.muscles.actuator_id
-    expected = force_from_path(
-        scene, states.activation, model.actuator_gainprm[ids], model.actuator_biasprm[ids]
-    )
+    midstep = scene.muscles.midstep
+    activation = activation_in_step(model, states, 0.5) if midstep else states.activation
+    expected = force_from_path(scene, activation, model.actuator_gainprm[ids], model.actuator_biasprm[ids])
     error = np.abs(scene.data.actuator_force.numpy()[:, ids] - expected) / peaks(model)
     assert error.max() <= KERNEL_FORCE
 
@@ -168,7 +219,7 @@ def test_implicit_integrator_needs_the_force_slope(body):
     """The same force without kv moves the velocity after one step by much more than the tolerance."""
     scene = muscle_scene(body, 33, "fast", "mujoco")
     states = States(scene.oracle, 33)
-    _, _, qvel = step_in_c(scene.oracle, states)
+    _, _, qvel = expected_step(body, scene, states)
 
     def without_slope(model, data):
         scene.muscles.launch(model, data)

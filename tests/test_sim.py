@@ -61,7 +61,7 @@ def test_success_needs_more_than_five_solved_steps():
 
 @pytest.mark.parametrize("key", ["myoHandPoseFixed-v0", "motorFingerPoseFixed-v0"])
 def test_presets_cover_the_same_time(key):
-    """`fast` takes half the substeps, implicitly, and arrives nearly where `parity` does."""
+    """`fast` takes fewer substeps, implicitly, and arrives nearly where `parity` does."""
     states = {}
     for physics in PHYSICS:
         sim = Simulation(TASKS[key], 4, device="cpu", graph=False, progress=False, physics=physics)
@@ -72,6 +72,6 @@ def test_presets_cover_the_same_time(key):
         assert elapsed == pytest.approx(TASKS[key].control_dt, rel=1e-6)
         np.testing.assert_allclose(sim.scene.data.time.numpy(), TASKS[key].control_dt, rtol=1e-5)
         states[physics] = sim.scene.data.qpos.numpy().copy(), sim.scene.num_substeps
-    assert states["fast"][1] == -(-states["parity"][1] // 2)
+    assert states["fast"][1] < 0.7 * states["parity"][1]
     difference = np.abs(states["fast"][0] - states["parity"][0]).max()
     assert FAST_ERROR[0] < difference < FAST_ERROR[1]

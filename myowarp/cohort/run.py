@@ -19,6 +19,7 @@ from myowarp.kernels.episode import describe_fault
 from myowarp.progress import progress_bar
 from myowarp.registry import check_choice
 from myowarp.rollout import Act, acting
+from myowarp.shards import Shards, simulate
 from myowarp.signals import Signals
 from myowarp.sim import Simulation
 from myowarp.spec import Column
@@ -134,7 +135,7 @@ def run_cohort(
 
 def run_plan(plan: Plan, console: Console | None = None) -> CohortResult:
     """Run a checked cohort; see `run_cohort`."""
-    sim = Simulation(
+    sim = simulate(
         plan.spec,
         len(plan.seeds),
         device=plan.device,
@@ -157,7 +158,7 @@ def run_plan(plan: Plan, console: Console | None = None) -> CohortResult:
     return CohortResult(tally.samples(), tally.summary(), tally.settings())
 
 
-def _policy(plan: Plan, sim: Simulation) -> Act:
+def _policy(plan: Plan, sim: Simulation | Shards) -> Act:
     """Return the function that acts; random actions are a trial's, the same for every patient."""
     if plan.policy.act is not None or plan.policy.name != "random":
         return acting(plan.policy, sim.scene, plan.seed)
@@ -174,7 +175,7 @@ def _policy(plan: Plan, sim: Simulation) -> Act:
 class _Tally:
     """Gathers results step by step, each patient's up to the end of the episode."""
 
-    def __init__(self, plan: Plan, sim: Simulation) -> None:
+    def __init__(self, plan: Plan, sim: Simulation | Shards) -> None:
         self._plan, self._sim, self._signals = plan, sim, Signals(sim)
         self._blocks, self._unit = tracking_blocks(sim.columns)
         n = sim.num_worlds

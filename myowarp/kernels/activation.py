@@ -7,6 +7,8 @@ time constants.
 
 import warp as wp
 
+NEWTON_STEPS = wp.constant(3)  # leave 1e-7 of activation after 10 ms with a time constant of 10 ms
+
 
 @wp.func
 def activation_rate(
@@ -32,3 +34,30 @@ def activation_rate(
         step = x * x * x * (x * (6.0 * x - 15.0) + 10.0)
         time_constant = decay + (rise - decay) * step
     return difference / wp.max(time_constant, 1.0e-15)
+
+
+@wp.func
+def activation_after(
+    time: float,
+    excitation: float,
+    activation: float,
+    activation_time_constant: float,
+    deactivation_time_constant: float,
+) -> float:
+    """Return a(t) where the excitation is constant: `activation_rate` solved, with the hard switch.
+
+    The switch never turns, since a approaches u from one side. With c = 0.5 + 1.5 u and w = |u - a|, rising:
+    c ln(w / w_0) - 1.5 (w - w_0) = -t / tau_act, concave in ln(w / w_0), solved by Newton;
+    falling: w / (c + 1.5 w) = w_0 / (c + 1.5 w_0) exp(-c t / tau_deact).
+    """
+    c = 0.5 + 1.5 * excitation
+    gap = excitation - activation
+    if gap > 0.0:
+        duration = time / activation_time_constant
+        x = -duration / (c - 1.5 * gap)
+        for _ in range(NEWTON_STEPS):
+            part = 1.5 * gap * wp.exp(x)
+            x -= (c * x - part + 1.5 * gap + duration) / (c - part)
+        return excitation - gap * wp.exp(x)
+    part = -gap / (c - 1.5 * gap) * wp.exp(-c * time / deactivation_time_constant)
+    return excitation + c * part / (1.0 - 1.5 * part)

@@ -96,6 +96,35 @@ class Masks:
     fresh: wp.array[bool]
 
 
+def new_episode_state(num_worlds: int) -> EpisodeState:
+    """Return counters on the current Warp device, all 0."""
+    episode = EpisodeState()
+    for count in ("step_count", "life_count", "solved_count"):
+        setattr(episode, count, wp.zeros(num_worlds, dtype=int))
+    episode.pending = wp.zeros(num_worlds, dtype=bool)
+    return episode
+
+
+def new_transition(num_worlds: int, obs_size: int, num_terms: int) -> Transition:
+    """Return step results on the current Warp device, all 0."""
+    transition = Transition()
+    transition.obs = wp.zeros((num_worlds, obs_size), dtype=float)
+    transition.terms = wp.zeros((num_worlds, num_terms), dtype=float)
+    transition.reward = wp.zeros(num_worlds, dtype=float)
+    transition.fault = wp.zeros(num_worlds, dtype=int)
+    for flag in ("solved", "failed", "success", "terminated", "truncated"):
+        setattr(transition, flag, wp.zeros(num_worlds, dtype=bool))
+    return transition
+
+
+def new_masks(num_worlds: int) -> Masks:
+    """Return masks on the current Warp device, all False."""
+    masks = Masks()
+    for mask in ("live", "renew", "reset", "fresh"):
+        setattr(masks, mask, wp.zeros(num_worlds, dtype=bool))
+    return masks
+
+
 @wp.kernel(enable_backward=False)
 def count_step(
     # Out:

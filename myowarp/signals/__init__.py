@@ -28,6 +28,7 @@ from myowarp.models.muscles import Anatomy
 from myowarp.signals.groups import group_of
 
 if TYPE_CHECKING:
+    from myowarp.shards import Shards
     from myowarp.sim import Simulation
 
 UNITS = {
@@ -114,7 +115,7 @@ class Signals:
         episode: Number of the episode since the world was seeded, from 1 on, shape (num_worlds,).
     """
 
-    def __init__(self, sim: Simulation) -> None:
+    def __init__(self, sim: Simulation | Shards) -> None:
         """Allocate the arrays and add their kernels to the step.
 
         Raises:
@@ -129,30 +130,20 @@ class Signals:
         joints = [j for j in range(oracle.njnt) if oracle.jnt_type[j] in POINT_JOINTS]
         self.joint_names = tuple(oracle.joint(j).name for j in joints)
         self._joint_qpos, self._joint_dof = oracle.jnt_qposadr[joints], oracle.jnt_dofadr[joints]
-        shown = {name: array for effect in sim.effects for name, array in effect.info.items()}
         with wp.ScopedDevice(scene.device):
             self.muscles = MuscleSignals()
             for name in UNITS:
                 setattr(self.muscles, name, wp.zeros_like(scene.muscles.activation))
             self.actuator_id = wp.array(scene.muscles.actuator_id, dtype=int)
-            # With a time step of 0 the muscles compute their force and stay as they are.
-            self._still = dataclasses.replace(
-                scene.model, opt=dataclasses.replace(scene.model.opt, timestep=wp.zeros(1, dtype=float))
-            )
-            kept = {
-                "qpos": scene.data.qpos,
-                "qvel": scene.data.qvel,
-                "valid": sim.masks.live,
-                "step_count": sim.episode.step_count,
-                "episode": scene.keys.episode,
-            }
-            self._sources = kept | shown
-            copies = {name: wp.zeros_like(array) for name, array in self._sources.items()}
-        self.info = {name: copies[name] for name in shown}
+            copies = {name: wp.zeros_like(array) for name, array in _sources(sim, sim.info).items()}
+        self.info = {name: copies[name] for name in sim.info}
         self.qpos, self.qvel, self.valid = copies["qpos"], copies["qvel"], copies["valid"]
         self.step_count, self.episode = copies["step_count"], copies["episode"]
-        self._copies = copies
-        sim.attach(self.launch)
+        for part in sim.parts:
+            own, muscles = part.scene.worlds.own, MuscleSignals()
+            for name in UNITS:
+                setattr(muscles, name, getattr(self.muscles, name)[own])
+            self._attach(part, muscles, {name: array[own] for name, array in copies.items()})
 
     @property
     def joint_angles(self) -> np.ndarray:
@@ -164,28 +155,47 @@ class Signals:
         """Their rates [rad/s, m/s], shape (num_worlds, num_joints); host."""
         return self.qvel.numpy()[:, self._joint_dof]
 
-    def launch(self) -> None:
-        """Bring path and force of the muscles to the present state, and copy the rest."""
-        scene, model, data = self.sim.scene, self.sim.scene.model, self.sim.scene.data
-        mjw.kinematics(model, data)
-        mjw.com_pos(model, data)
-        mjw.tendon(model, data)
-        mjw.transmission(model, data)
-        mjw.fwd_velocity(model, data)
-        scene.muscles.launch(self._still, data)
-        wp.launch(
-            read_muscles,
-            dim=self.muscles.force.shape,
-            inputs=[
-                model.actuator_biasprm,
-                self.actuator_id,
-                data.ctrl,
-                data.actuator_length,
-                data.actuator_velocity,
-                scene.muscles.activation,
-                scene.muscles.anatomy,
-            ],
-            outputs=[self.muscles],
-        )
-        for name, source in self._sources.items():
-            wp.copy(self._copies[name], source)
+    def _attach(self, part: Simulation, muscles: MuscleSignals, copies: dict[str, wp.array]) -> None:
+        """Add to a part's step: bring path and force of the muscles to the present state, copy the rest."""
+        scene, model, data = part.scene, part.scene.model, part.scene.data
+        # With a time step of 0 the muscles compute their force and stay as they are.
+        no_time = wp.zeros(1, dtype=float, device=scene.device)
+        still = dataclasses.replace(model, opt=dataclasses.replace(model.opt, timestep=no_time))
+        sources = _sources(part, part.shown)
+
+        def launch() -> None:
+            mjw.kinematics(model, data)
+            mjw.com_pos(model, data)
+            mjw.tendon(model, data)
+            mjw.transmission(model, data)
+            mjw.fwd_velocity(model, data)
+            scene.muscles.launch(still, data)
+            wp.launch(
+                read_muscles,
+                dim=muscles.force.shape,
+                inputs=[
+                    model.actuator_biasprm,
+                    self.actuator_id,
+                    data.ctrl,
+                    data.actuator_length,
+                    data.actuator_velocity,
+                    scene.muscles.activation,
+                    scene.muscles.anatomy,
+                ],
+                outputs=[muscles],
+            )
+            for name, source in sources.items():
+                wp.copy(copies[name], source)
+
+        part.attach(launch)
+
+
+def _sources(sim: Simulation | Shards, shown: dict[str, wp.array]) -> dict[str, wp.array]:
+    """Return the arrays that are copied as they are, with those that the conditions show."""
+    return {
+        "qpos": sim.scene.data.qpos,
+        "qvel": sim.scene.data.qvel,
+        "valid": sim.masks.live,
+        "step_count": sim.episode.step_count,
+        "episode": sim.scene.keys.episode,
+    } | shown

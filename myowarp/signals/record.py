@@ -34,6 +34,7 @@ from myowarp.signals import JOINT_UNITS, UNITS, Signals
 from myowarp.signals.formats import Write, open_npz, open_parquet
 
 if TYPE_CHECKING:
+    from myowarp.shards import Shards
     from myowarp.sim import Simulation
 
 FORMATS = {".parquet": open_parquet, ".npz": open_npz}
@@ -57,7 +58,7 @@ def check_recording(path: Path | None) -> None:
 
 @contextlib.contextmanager
 def recording(
-    sim: Simulation, path: Path, every: int = 1, signals: Signals | None = None
+    sim: Simulation | Shards, path: Path, every: int = 1, signals: Signals | None = None
 ) -> Iterator[SignalRecorder]:
     """Record a simulation in the block; the file is complete after it, and deleted if the block fails.
 

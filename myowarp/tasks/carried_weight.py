@@ -65,7 +65,7 @@ class CarriedWeight:
         """Allocate; masses are drawn between `low` and `high` [kg]."""
         model = scene.oracle
         self.scene = scene
-        self.draw = Parameter("carried weight", Uniform(low, high), scene.num_worlds, (), neutral=low)
+        self.draw = Parameter("carried weight", Uniform(low, high), scene, (), neutral=low)
         self.mass = self.draw.curve.start
         self.body = weighed_body(model, WEIGHT)
         weight = model.body(WEIGHT)

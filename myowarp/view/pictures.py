@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from myowarp.shards import Shards
     from myowarp.sim import Simulation
     from myowarp.view.human import HumanViewer
     from myowarp.view.render import WorldRenderer
@@ -31,7 +32,7 @@ class Pictures:
         self._renderer: WorldRenderer | None = None
         self._viewer: HumanViewer | None = None
 
-    def frame(self, sim: Simulation, world: int) -> np.ndarray:
+    def frame(self, sim: Simulation | Shards, world: int) -> np.ndarray:
         """Return a picture of one world, (height, width, 3) uint8."""
         if self._renderer is None:
             from myowarp.view.render import WorldRenderer
@@ -39,7 +40,7 @@ class Pictures:
             self._renderer = WorldRenderer(sim.scene.full, *self._size, camera=self._camera)
         return self._renderer.frame(*sim.look(world))
 
-    def show(self, sim: Simulation) -> None:
+    def show(self, sim: Simulation | Shards) -> None:
         """Show world 0 in the live viewer."""
         if self._viewer is None:
             from myowarp.view.human import HumanViewer

@@ -64,6 +64,25 @@ def activation_rate(ctrl, act, tau_act, tau_deact, smoothing_width=0.0):
     return difference / (falling + weight * (rising - falling))
 
 
+def activation_after(time, ctrl, act, tau_act, tau_deact):
+    """Activation after a time [s] of constant excitation: `activation_rate` solved, hard switch.
+
+    With w = u - a and c = 0.5 + 1.5 u separation of variables gives, where u > a, c ln(w / w_0) -
+    1.5 (w - w_0) = -t / tau_act, here solved by Newton for ln(w / w_0); otherwise, with y = -w,
+    y / (c + 1.5 y) = y_0 / (c + 1.5 y_0) exp(-c t / tau_deact).
+    """
+    excitation, act = np.clip(ctrl, 0.0, 1.0), np.asarray(act, dtype=np.float64)
+    c = 0.5 + 1.5 * excitation
+    rise, fall = np.maximum(excitation - act, 0.0), np.maximum(act - excitation, 0.0)
+    x = np.zeros(np.broadcast(time, rise).shape)
+    for _ in range(30):
+        x -= (c * x - 1.5 * rise * np.expm1(x) + time / tau_act) / (c - 1.5 * rise * np.exp(x))
+    part = fall / (c + 1.5 * fall) * np.exp(-c * time / tau_deact)
+    return np.where(
+        excitation > act, excitation - rise * np.exp(x), excitation + c * part / (1.0 - 1.5 * part)
+    )
+
+
 def peak_force(acc0, prm):
     """Peak force [N]: the third parameter, or scale / acc0 where it is negative."""
     return np.where(prm[..., 2] < 0.0, prm[..., 3] / acc0, prm[..., 2])

@@ -85,6 +85,16 @@ class Condition(abc.ABC):
     def edit(self, spec: mujoco.MjSpec) -> None:  # noqa: B027 (most conditions leave the model alone)
         """Add what it needs to the task's full `MjSpec`, in place."""
 
+    def muscle_names(self, scene: Scene) -> tuple[str, ...]:
+        """Return the names of the muscles that it acts on.
+
+        Raises:
+            ValueError: The body has none.
+        """
+        if not scene.muscles.names:
+            raise ValueError(f"{self.name} is about muscles; the body of task {scene.spec.key!r} has none")
+        return scene.muscles.names
+
     @abc.abstractmethod
     def bind(self, scene: Scene, clock: Clock) -> Effect:
         """Resolve names and allocate its arrays in a compiled scene.

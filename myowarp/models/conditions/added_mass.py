@@ -93,7 +93,7 @@ class AddedMass:
         """
         alone = self._build().compile()
         unit_inertia = wp.vec3(*(alone.body_inertia[1] / alone.body_mass[1]))
-        parameter = Parameter(label, mass, scene.num_worlds, (), neutral=0.0, low=0.0)
+        parameter = Parameter(label, mass, scene, (), neutral=0.0, low=0.0)
         return HungMass(scene, clock, weighed_body(scene.oracle, self.name), unit_inertia, parameter)
 
 

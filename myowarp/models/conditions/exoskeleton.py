@@ -118,9 +118,7 @@ class Exoskeleton(Condition):
         cuff = CUFF.bind(scene, clock, "exoskeleton forearm_mass", self.forearm_mass)
         if self.motor:
             return MotorEffect(scene, cuff, self)
-        assistance = Parameter(
-            "exoskeleton assistance", self.assistance, scene.num_worlds, (), neutral=0.0, low=0.0
-        )
+        assistance = Parameter("exoskeleton assistance", self.assistance, scene, (), neutral=0.0, low=0.0)
         return AssistEffect(scene, cuff, clock, assistance)
 
 

@@ -132,9 +132,7 @@ class Fatigue3CCR(Condition):
 
     def bind(self, scene: Scene, clock: Clock) -> Fatigue3CCREffect:
         """Put all parameters on the device."""
-        if not scene.muscles.names:
-            raise ValueError(f"fatigue_3ccr is about muscles; the body of task {scene.spec.key!r} has none")
-        names = scene.muscles.names
+        names = self.muscle_names(scene)
         limits = {
             # parameter: (value, neutral, greatest); no more than all of a compartment flows in a step
             "affected": (self.affected, 0.0, 1.0),
@@ -144,9 +142,7 @@ class Fatigue3CCR(Condition):
             "initial": (0.0 if self.initial is None else self.initial, 0.0, 1.0),
         }
         parameters = {
-            name: Parameter(
-                f"fatigue_3ccr {name}", value, scene.num_worlds, names, neutral=neutral, low=0.0, high=high
-            )
+            name: Parameter(f"fatigue_3ccr {name}", value, scene, names, neutral=neutral, low=0.0, high=high)
             for name, (value, neutral, high) in limits.items()
         }
         return Fatigue3CCREffect(self, scene, clock, parameters)

@@ -61,12 +61,11 @@ class FatigueMa2009(Condition):
 
     def bind(self, scene: Scene, clock: Clock) -> FatigueMa2009Effect:
         """Put rates and initial fatigue on the device."""
-        if not scene.muscles.names:
-            raise ValueError(f"fatigue_ma2009 is about muscles; the body of task {scene.spec.key!r} has none")
-        names, n = scene.muscles.names, scene.num_worlds
-        rate = Parameter("fatigue_ma2009 rate", self.rate, n, names, neutral=0.0, low=0.0)
+        names = self.muscle_names(scene)
+        scene.muscles.record_workload()
+        rate = Parameter("fatigue_ma2009 rate", self.rate, scene, names, neutral=0.0, low=0.0)
         initial = Parameter(
-            "fatigue_ma2009 initial", self.initial, n, names, neutral=0.0, low=0.0, high=LARGEST_START
+            "fatigue_ma2009 initial", self.initial, scene, names, neutral=0.0, low=0.0, high=LARGEST_START
         )
         return FatigueMa2009Effect(self, scene, clock, rate, initial)
 

@@ -44,8 +44,8 @@ class MotorNoise(Condition):
         """Put the standard deviations on the device."""
 
         def parameter(field: str) -> Parameter:
-            value, names = getattr(self, field), scene.muscles.names
-            return Parameter(f"motor_noise {field}", value, scene.num_worlds, names, neutral=0.0, low=0.0)
+            value, names = getattr(self, field), self.muscle_names(scene)
+            return Parameter(f"motor_noise {field}", value, scene, names, neutral=0.0, low=0.0)
 
         return MotorNoiseEffect(scene, clock, parameter("signal"), parameter("constant"))
 

@@ -1,9 +1,9 @@
 """Parameters of conditions: one number, one per world, drawn at random, or changing over time.
 
-    value(t) = start + (end - start) clip((t - onset) / duration, 0, 1)
+    value(t) = (1 - s) start + s end,    s = clip((t - onset) / duration, 0, 1)
 
-with t the time of the episode or of the whole life of the world, which begins with a seeded reset. A
-constant parameter has end = start, and is then start exactly.
+with t the time of the episode or of the whole life of the world, which begins with a seeded reset. Before and
+after the change the value is exactly start and end.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import difflib
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,9 @@ import warp as wp
 
 from myowarp.kernels.random import RandomKeys, open_stream
 from myowarp.registry import check_choice
+
+if TYPE_CHECKING:
+    from myowarp.scene import Scene
 
 SPANS = ("episode", "life")
 
@@ -88,8 +92,9 @@ class Curve:
     Attributes:
         start: Value before the onset, shape (1 or num_worlds, 1 or num_muscles).
         end: Value after the change, of the same shape.
-        onset: When the change begins [s].
-        duration: How long it takes [s].
+        onset: When the change begins [control steps]; in seconds, the step at 10 x 0.02 s could come before
+            0.2 s in float32.
+        duration: How long it takes [control steps].
         lifelong: Whether time counts from the seeded reset rather than from the episode's begin.
     """
 
@@ -105,14 +110,11 @@ def value_of(curve: Curve, clock: Clock, worldid: int, i: int) -> float:
     """Return the value of entry i in a world now."""
     row, column = worldid % curve.start.shape[0], i % curve.start.shape[1]
     steps = wp.where(curve.lifelong, clock.life_count[worldid], clock.step_count[worldid])
-    elapsed = float(steps) * clock.control_dt - curve.onset
-    share = float(0.0)
+    elapsed = float(steps) - curve.onset
+    share = wp.where(elapsed >= 0.0, 1.0, 0.0)
     if curve.duration > 0.0:
         share = wp.clamp(elapsed / curve.duration, 0.0, 1.0)
-    elif elapsed >= 0.0:
-        share = 1.0
-    start = curve.start[row, column]
-    return start + (curve.end[row, column] - start) * share
+    return (1.0 - share) * curve.start[row, column] + share * curve.end[row, column]
 
 
 @wp.kernel(enable_backward=False)
@@ -150,7 +152,7 @@ class Parameter:
         self,
         name: str,
         value: Value,
-        num_worlds: int,
+        scene: Scene,
         names: Sequence[str],
         *,
         neutral: float,
@@ -162,7 +164,7 @@ class Parameter:
         Args:
             name: Name for messages and for the random stream, such as "sarcopenia strength".
             value: The value.
-            num_worlds: Worlds.
+            scene: Where it lives; a value with one entry per world is one for all parts of its worlds.
             names: Names of the muscles that the parameter's columns stand for; () for one number a world.
             neutral: Value of muscles that a mapping does not name.
             low: Least value allowed.
@@ -171,14 +173,14 @@ class Parameter:
         Raises:
             ValueError: The value has a wrong shape, is out of its range, or names an unknown muscle.
         """
-        self.name, self.num_worlds, self.names = name, num_worlds, tuple(names)
+        self.name, self.worlds, self.names = name, scene.worlds, tuple(names)
         self.neutral, self.bounds = neutral, (low, high)
         self.draws: list[tuple[Uniform, wp.array, int]] = []
         self.curve = Curve()
         if isinstance(value, Ramp):
             check_choice(f"{name} ramp of", value.of, SPANS)
-            self.curve.onset = self._finite("onset", value.onset)
-            self.curve.duration = self._finite("duration", value.duration)
+            self.curve.onset = self._finite("onset", value.onset) / scene.control_dt
+            self.curve.duration = self._finite("duration", value.duration) / scene.control_dt
             self.curve.lifelong = value.of == "life"
             self.curve.start, self.curve.end = self._matched(value.start, value.end)
         else:
@@ -206,6 +208,8 @@ class Parameter:
             return self._drawn(value, end)
         numbers = self._by_name(value) if isinstance(value, Mapping) and self.names else self._numbers(value)
         self._check_range(numbers)
+        if len(numbers) > 1:
+            numbers = numbers[self.worlds.own]
         return wp.array(numbers, dtype=float)
 
     def _drawn(self, value: Uniform, end: int) -> wp.array:
@@ -216,16 +220,16 @@ class Parameter:
         if value.low > value.high:
             raise ValueError(f"{self.name} must be drawn with low <= high, got {value.low} and {value.high}")
         columns = max(len(self.names), 1) if value.each else 1
-        array = wp.zeros((self.num_worlds, columns), dtype=float)
+        array = wp.zeros((self.worlds.number, columns), dtype=float)
         stream = zlib.crc32(f"{self.name} {end}".encode()) & 0x7FFFFFFF
         self.draws.append((value, array, stream))
         return array
 
     def _numbers(self, value: object, worlds: int | None = None) -> np.ndarray:
         """Return numbers as (1 or num_worlds, 1 or num_muscles)."""
-        worlds = self.num_worlds if worlds is None else worlds
+        worlds = self.worlds.total if worlds is None else worlds
         try:
-            numbers = np.asarray(value, dtype=np.float64)
+            numbers = np.asarray("none" if value is None else value, dtype=np.float64)  # NumPy makes it nan
         except (TypeError, ValueError):
             raise ValueError(f"{self.name} must be numbers, got {value!r}") from None
         columns = len(self.names)
@@ -242,7 +246,10 @@ class Parameter:
         """Return numbers by muscle name as (1, num_muscles)."""
         numbers = np.full((1, len(self.names)), self.neutral)
         for muscle, number in value.items():
-            numbers[0, muscle_index(muscle, self.names)] = self._numbers(number)[0, 0]
+            index = muscle_index(muscle, self.names)
+            if np.ndim(number):
+                raise ValueError(f"{self.name} of muscle {muscle!r} must be one number, got {number!r}")
+            numbers[0, index] = self._numbers(number)[0, 0]
         return numbers
 
     def _check_range(self, numbers: np.ndarray) -> None:
@@ -250,7 +257,9 @@ class Parameter:
         low, high = self.bounds
         wrong = numbers[~((numbers >= low) & (numbers <= high) & np.isfinite(numbers))]
         if wrong.size:
-            span = f"in {low:g}..{high:g}" if high < np.inf else f">= {low:g}" if low > -np.inf else "finite"
+            span = f"in {low:g}..{high:g}" if high < np.inf else "finite"
+            if high == np.inf and low > -np.inf:
+                span = f">= {low:g}" if np.isfinite(wrong[0]) else f"finite and >= {low:g}"
             raise ValueError(f"{self.name} must be {span}, got {wrong[0]:g}")
 
     def sample(self, keys: RandomKeys, mask: wp.array) -> None:
@@ -259,7 +268,7 @@ class Parameter:
             low, high, lifelong = float(uniform.low), float(uniform.high), uniform.per == "life"
             wp.launch(
                 draw_uniform,
-                dim=self.num_worlds,
+                dim=self.worlds.number,
                 inputs=[low, high, lifelong, stream, keys, mask],
                 outputs=[values],
             )

@@ -66,11 +66,11 @@ class Reafferentation(Condition):
 def _ends(parameter: Parameter) -> np.ndarray:
     """Return the value of each world before and after it changes, shape (2, num_worlds)."""
     ends = (parameter.curve.start.numpy()[:, 0], parameter.curve.end.numpy()[:, 0])
-    return np.stack([np.broadcast_to(end, parameter.num_worlds) for end in ends])
+    return np.stack([np.broadcast_to(end, parameter.worlds.number) for end in ends])
 
 
 def _affected_time(parameter: Parameter) -> np.ndarray:
-    """Return from when to when each world is affected [s], shape (2, num_worlds)."""
+    """Return from when to when each world is affected [control steps], shape (2, num_worlds)."""
     start, end = _ends(parameter)
     turns = (start >= 0.5) != (end >= 0.5)
     share = np.divide(0.5 - start, end - start, out=np.zeros(len(start)), where=turns)
@@ -90,8 +90,9 @@ def check_apart(*both: Parameter) -> None:
     begin, end = np.stack([_affected_time(p) for p in both], axis=1)
     overlap = np.flatnonzero(begin.max(axis=0) < end.min(axis=0))
     if overlap.size:
+        world = both[0].worlds.first + overlap[0]
         raise ValueError(
-            f"world {overlap[0]} cannot have both 'reafferentation' and 'tendon_transfer'; "
+            f"world {world} cannot have both 'reafferentation' and 'tendon_transfer'; "
             "set affected of one of them to 0 there, with one entry per world"
         )
 

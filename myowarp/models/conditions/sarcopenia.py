@@ -34,10 +34,8 @@ class Sarcopenia(Condition):
 
     def bind(self, scene: Scene, clock: Clock) -> SarcopeniaEffect:
         """Put the strengths on the device."""
-        names = scene.muscles.names
-        strength = Parameter(
-            "sarcopenia strength", self.strength, scene.num_worlds, names, neutral=1.0, low=0.0
-        )
+        names = self.muscle_names(scene)
+        strength = Parameter("sarcopenia strength", self.strength, scene, names, neutral=1.0, low=0.0)
         return SarcopeniaEffect(scene, clock, strength)
 
 

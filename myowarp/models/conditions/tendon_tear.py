@@ -8,6 +8,7 @@ arXiv:2205.13600, which removes single muscles of the thumb (FPL, OP, EPB, APL) 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar
@@ -21,14 +22,12 @@ from myowarp.models.conditions.parameter import SPANS, Clock, Curve, Parameter, 
 from myowarp.registry import check_choice
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from myowarp.scene import Scene
     from myowarp.spec import TaskSpec
 
-ROUNDING = wp.constant(1.0e-3)
-"""Control steps. A tear at 0.2 s comes with the step that begins at 10 x 0.02 s, whichever is larger in
-float32."""
+ROUNDING = wp.constant(1.0 + 4.0e-7)
+"""A tear at 0.2 s comes with the step that begins at 10 x 0.02 s, whichever is larger in float32, where their
+ratio is off by 2e-7."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +53,9 @@ class TendonTear(Condition):
     def __post_init__(self) -> None:
         """Check what does not depend on the body."""
         check_choice("tendon_tear time of", self.of, SPANS)
-        if not len(self.muscles):
+        if not isinstance(self.muscles, Sequence):
+            raise ValueError(f"tendon_tear muscles must be a name or several in a list, got {self.muscles!r}")
+        if not self.muscles:
             raise ValueError("tendon_tear needs at least one muscle, got none")
 
     def check(self, spec: TaskSpec) -> None:
@@ -78,7 +79,7 @@ class TendonTear(Condition):
         def parameter(field: str, neutral: float, high: float) -> Parameter:
             name = f"tendon_tear {field} of {', '.join(torn)}"
             value = getattr(self, field)
-            return Parameter(name, value, scene.num_worlds, torn, neutral=neutral, low=0.0, high=high)
+            return Parameter(name, value, scene, torn, neutral=neutral, low=0.0, high=high)
 
         parameters = parameter("time", 0.0, float("inf")), parameter("transmission", 1.0, 1.0)
         return TendonTearEffect(scene, clock, indices, *parameters, lifelong=self.of == "life")
@@ -120,7 +121,7 @@ def tear_tendons(
     """transmission[muscle] *= c from its time on."""
     worldid, i = wp.tid()
     steps = wp.where(tear.lifelong, clock.life_count[worldid], clock.step_count[worldid])
-    if float(steps) + ROUNDING >= value_of(tear.time, clock, worldid, i) / clock.control_dt:
+    if float(steps) * ROUNDING >= value_of(tear.time, clock, worldid, i) / clock.control_dt:
         transmission[worldid, tear.muscles[i]] *= value_of(tear.transmission, clock, worldid, i)
 
 

@@ -110,7 +110,7 @@ def check_hand(what: str, spec: TaskSpec) -> None:
 
 def affected_parameter(name: str, value: Value, scene: Scene) -> Parameter:
     """Return the parameter `affected` of a condition: one number a world, 0..1."""
-    return Parameter(f"{name} affected", value, scene.num_worlds, (), neutral=0.0, low=0.0, high=1.0)
+    return Parameter(f"{name} affected", value, scene, (), neutral=0.0, low=0.0, high=1.0)
 
 
 @wp.func

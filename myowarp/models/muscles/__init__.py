@@ -46,17 +46,23 @@ class MuscleModel(abc.ABC):
 
     In the stepped model the muscles are stateless actuators, force = b0 + b1 length + b2 velocity
     (MuJoCo's AFFINE bias with gain 0). `launch`, called by the engine in every physics step between
-    velocity and force stage, writes b0 = F - kv velocity and b2 = kv, with kv = dF/dvelocity: exactly the
-    force F, and exactly its derivative for integrators that are implicit in velocity.
+    velocity and force stage, writes b0 = F - kv velocity and b2 = kv: exactly the force F, and for
+    integrators that are implicit in velocity kv = implicitness dF/dvelocity.
 
     Attributes:
         actuator_id: Actuator of each muscle, shape (num_muscles,), host.
         names: Muscle names, in that order.
         activation: State [1], shape (num_worlds, num_muscles).
+        midstep: Whether forces come from the activation in the middle of a physics step, exactly integrated,
+            rather than from the one at its start.
+        implicitness: Share of dF/dvelocity in kv, 0 for explicit integrators.
         anatomy: What conditions change in it.
         workload: Time integral of the normalized active force a f_L f_V [s], shape (num_worlds,
-            num_muscles); whoever uses it sets it back to 0.
+            num_muscles), empty until `record_workload`; whoever uses it sets it back to 0.
     """
+
+    midstep = False
+    implicitness = 0.0
 
     def __init__(self, model: MjModel, num_worlds: int) -> None:
         """Allocate the state for the muscles found in `model`, on the current Warp device."""
@@ -64,13 +70,17 @@ class MuscleModel(abc.ABC):
         self.actuator_id = np.flatnonzero(is_muscle).astype(np.int32)
         self.names = tuple(model.actuator(i).name for i in self.actuator_id)
         self.activation = wp.zeros((num_worlds, len(self.names)), dtype=float)
-        self.workload = wp.zeros_like(self.activation)
+        self.workload = wp.zeros((0, 0), dtype=float)
         self.anatomy = Anatomy()
         self._set_anatomy(1)
 
     def individualize(self) -> None:
         """Give every world an anatomy of its own; before anything is captured."""
         self._set_anatomy(self.activation.shape[0])
+
+    def record_workload(self) -> None:
+        """Integrate the workload from now on; before anything is captured."""
+        self.workload = wp.zeros_like(self.activation)
 
     def _set_anatomy(self, rows: int) -> None:
         """Allocate a healthy anatomy."""

@@ -16,7 +16,7 @@ import numpy as np
 import warp as wp
 from mujoco_warp._src.types import vec10
 
-from myowarp.kernels.activation import activation_rate
+from myowarp.kernels.activation import activation_after, activation_rate
 from myowarp.kernels.curves import (
     quadratic_force_length,
     quadratic_force_velocity,
@@ -121,39 +121,44 @@ def mujoco_muscle(
     actuator_length_in: wp.array2d[float],
     actuator_velocity_in: wp.array2d[float],
     # In:
-    implicit: bool,
+    implicitness: float,
+    midstep: bool,
     anatomy: Anatomy,
     # Out:
     activation: wp.array2d[float],
     workload: wp.array2d[float],
     actuator_biasprm: wp.array2d[vec10],
 ):
-    """F from the present activation; then a += dt da/dt, in MuJoCo's order."""
+    """F from the present activation; then a += dt da/dt, in MuJoCo's order. Midstep: F from a(t + dt/2)."""
     worldid, muscleid = wp.tid()
     row = worldid % anatomy.path.shape[0]
     actuatorid = anatomy.path[row, muscleid]
     length, velocity = actuator_length_in[worldid, actuatorid], actuator_velocity_in[worldid, actuatorid]
+    bounds = params.excitation_range[worldid % params.excitation_range.shape[0], muscleid]
+    excitation = wp.clamp(ctrl_in[worldid, params.actuator_id[muscleid]], bounds[0], bounds[1])
+    rise = of_world(params.activation_time_constant, worldid, muscleid)
+    fall = of_world(params.deactivation_time_constant, worldid, muscleid)
+    width = of_world(params.smoothing_width, worldid, muscleid)
+    dt = opt_timestep[worldid % opt_timestep.shape[0]]
     a = activation[worldid, muscleid]
+    if midstep and width == 0.0:  # a smooth switch has no closed form
+        activation[worldid, muscleid] = activation_after(dt, excitation, a, rise, fall)
+        a = activation_after(0.5 * dt, excitation, a, rise, fall)
+    else:
+        activation[worldid, muscleid] = a + dt * activation_rate(excitation, a, rise, fall, width)
+
     force = muscle_force(params, worldid, muscleid, length, velocity, a, anatomy.strength[row, muscleid])
     transmission = anatomy.transmission[row, muscleid]
 
     # Explicit integrators have no use for the slope, and force - kv v + kv v would only round.
-    kv = wp.where(implicit, transmission * force[1], 0.0)
+    kv = wp.where(implicitness > 0.0, implicitness * transmission * force[1], 0.0)
     bias = vec10()
     bias[0] = transmission * force[0] - kv * velocity
     bias[2] = kv
     actuator_biasprm[worldid, actuatorid] = bias
 
-    bounds = params.excitation_range[worldid % params.excitation_range.shape[0], muscleid]
-    dt = opt_timestep[worldid % opt_timestep.shape[0]]
-    workload[worldid, muscleid] += dt * force[2]
-    activation[worldid, muscleid] = a + dt * activation_rate(
-        wp.clamp(ctrl_in[worldid, params.actuator_id[muscleid]], bounds[0], bounds[1]),
-        a,
-        of_world(params.activation_time_constant, worldid, muscleid),
-        of_world(params.deactivation_time_constant, worldid, muscleid),
-        of_world(params.smoothing_width, worldid, muscleid),
-    )
+    if workload.shape[0] > 0:
+        workload[worldid, muscleid] += dt * force[2]
 
 
 def peak_force(prm: np.ndarray, acc0: np.ndarray) -> np.ndarray:
@@ -272,7 +277,8 @@ class MujocoMuscle(MuscleModel):
                 data.ctrl,
                 data.actuator_length,
                 data.actuator_velocity,
-                bool(model.opt.integrator != mjw.IntegratorType.EULER),
+                self.implicitness,
+                self.midstep,
                 self.anatomy,
             ],
             outputs=[self.activation, self.workload, model.actuator_biasprm],

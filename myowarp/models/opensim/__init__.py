@@ -1,0 +1,1 @@
+"""OpenSim models: reading, forward kinematics, and conversion to MuJoCo."""

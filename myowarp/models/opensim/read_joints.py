@@ -1,0 +1,238 @@
+"""Joints and coordinates of an .osim file -> chains of moves."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from myowarp.models.opensim.document import Element
+from myowarp.models.opensim.elements import Pose
+from myowarp.models.opensim.functions import IDENTITY, Constant, Multiplier, affine
+from myowarp.models.opensim.model import GROUND, Coordinate, Joint, Move, Note
+from myowarp.models.opensim.read_frames import Frames, pose_of
+from myowarp.models.opensim.read_functions import function_in
+
+X, Y, Z = np.eye(3)
+
+ROTATIONS, TRANSLATIONS = (
+    ("rotation1", "rotation2", "rotation3"),
+    ("translation1", "translation2", "translation3"),
+)
+
+
+def _hinge(axis: np.ndarray, coordinate: str) -> Move:
+    return Move("hinge", axis, IDENTITY, coordinate)
+
+
+def _slide(axis: np.ndarray, coordinate: str) -> Move:
+    return Move("slide", axis, IDENTITY, coordinate)
+
+
+SIMPLE: dict[str, tuple[int, Callable[[list[str]], list[Move]]]] = {
+    "WeldJoint": (0, lambda _: []),
+    "PinJoint": (1, lambda q: [_hinge(Z, q[0])]),
+    "SliderJoint": (1, lambda q: [_slide(X, q[0])]),
+    "UniversalJoint": (2, lambda q: [_hinge(X, q[0]), _hinge(Y, q[1])]),
+    "BallJoint": (3, lambda q: [_hinge(X, q[0]), _hinge(Y, q[1]), _hinge(Z, q[2])]),
+    "GimbalJoint": (3, lambda q: [_hinge(X, q[0]), _hinge(Y, q[1]), _hinge(Z, q[2])]),
+    "PlanarJoint": (3, lambda q: [_slide(X, q[1]), _slide(Y, q[2]), _hinge(Z, q[0])]),
+    "FreeJoint": (
+        6,
+        lambda q: [
+            *(_slide(axis, name) for axis, name in zip((X, Y, Z), q[3:], strict=True)),
+            *(_hinge(axis, name) for axis, name in zip((X, Y, Z), q[:3], strict=True)),
+        ],
+    ),
+}
+"""OpenSim's class: number of coordinates, and their moves. Rotations come first among coordinates."""
+
+JOINTS = (*SIMPLE, "CustomJoint", "EllipsoidJoint", "ScapulothoracicJoint", "ConstantCurvatureJoint")
+
+
+@dataclass(frozen=True)
+class Joints:
+    """Joints of a model, parents first, with their coordinates and what was approximated."""
+
+    joints: dict[str, Joint]
+    coordinates: dict[str, Coordinate]
+    notes: list[Note]
+
+
+def read_joint(
+    element: Element, frames: Frames, child_body: str | None
+) -> tuple[Joint, list[Element], list[str]]:
+    """Return a joint, the elements of its coordinates, and the names of these.
+
+    Args:
+        element: The joint.
+        frames: All frames of the model.
+        child_body: Body that contains the joint, in documents before 4.0; None: the joint says so.
+
+    Raises:
+        ValueError: Frames or axes missing or wrong.
+        NotImplementedError: A joint class or function that is not supported.
+    """
+    if child_body is None:
+        parent, parent_frame = frames.attached(element, "parent_frame", "parent_body")
+        child, child_frame = frames.attached(element, "child_frame")
+    else:
+        parent, base = frames.attached(element, "parent_frame", "parent_body")
+        parent_frame = base @ pose_of(element, ("location_in_parent",), ("orientation_in_parent",))
+        child, child_frame = child_body, pose_of(element, ("location",), ("orientation",))
+    coordinates = element.objects("coordinates", "CoordinateSet")
+    names = [item.name or f"{element.name}_coord_{index}" for index, item in enumerate(coordinates)]
+    if element.tag in SIMPLE:
+        count, chain = SIMPLE[element.tag]
+        if len(names) > count:
+            raise element.error(f"must have {count} coordinates, got {len(names)}")
+        names += [f"{element.name}_coord_{index}" for index in range(len(names), count)]
+        moves = chain(names)
+    elif element.tag == "CustomJoint":
+        moves = _custom_moves(element, names)
+    else:
+        raise element.unsupported(f"is no supported joint; these are: {', '.join((*SIMPLE, 'CustomJoint'))}")
+    joint = Joint(element.name, element.tag, parent, child, parent_frame, child_frame, tuple(moves))
+    if element.flag("reverse", default=False):
+        # Before 4.0: the moves lead from the child to the parent; `in_order` turns the joint round again.
+        joint = replace(reverse(joint), moves=joint.moves)
+    return joint, coordinates, names
+
+
+def _custom_moves(element: Element, names: list[str]) -> list[Move]:
+    """Return slides, then hinges, of a `CustomJoint`."""
+    transform = element.find("SpatialTransform")
+    axes = (
+        {}
+        if transform is None
+        else {axis.name: axis for axis in transform.children if axis.tag == "TransformAxis"}
+    )
+    if unknown := set(axes) - {*ROTATIONS, *TRANSLATIONS}:
+        raise element.error(
+            f"has an axis {sorted(unknown)[0]!r}; axes are {', '.join((*ROTATIONS, *TRANSLATIONS))}"
+        )
+    for group in (ROTATIONS, TRANSLATIONS):
+        given = np.array([_axis(axes[name]) for name in group if name in axes])
+        # OpenSim refuses such joints too: its mobilizer inverts the matrix of axes.
+        if len(given) and np.linalg.matrix_rank(given, tol=1e-6) < len(given):
+            raise element.error(f"has {group[0][:-1]} axes that are not independent")
+    moves = []
+    for name in (*TRANSLATIONS, *ROTATIONS):
+        if name in axes and (move := _custom_move(axes[name], name in ROTATIONS, names)) is not None:
+            moves.append(move)
+    return moves
+
+
+def _axis(element: Element) -> np.ndarray:
+    """Return the unit vector of a `TransformAxis`."""
+    axis = element.numbers("axis", default=(1.0, 0.0, 0.0), count=3)
+    length = np.linalg.norm(axis)
+    if length < 1e-9:
+        raise element.error("must have an axis other than 0 0 0")
+    return axis / length
+
+
+def _custom_move(element: Element, rotates: bool, names: list[str]) -> Move | None:
+    """Return the motion along one axis, None if there is none."""
+    arguments = element.string("coordinates").split()
+    if len(arguments) > 1:
+        raise element.unsupported(f"depends on {len(arguments)} coordinates; one is supported")
+    coordinate = arguments[0] if arguments else None
+    if coordinate is not None and coordinate not in names:
+        raise element.error(f"depends on coordinate {coordinate!r}; its joint has: {', '.join(names)}")
+    function = function_in(element, "function")
+    if function is None:
+        function = IDENTITY if coordinate is not None else Constant(0.0)
+    line = affine(function)
+    if line is not None and line[0] == 0:
+        if line[1] == 0:
+            return None
+        coordinate, function = None, Constant(line[1])
+    if coordinate is None:
+        function = Constant(float(function.value(0.0)))
+    return Move("hinge" if rotates else "slide", _axis(element), function, coordinate)
+
+
+def reverse(joint: Joint) -> Joint:
+    """Return the same joint with parent and child exchanged."""
+    moves = tuple(
+        Move(move.kind, move.axis, Multiplier(move.function, -1.0), move.coordinate)
+        for move in reversed(joint.moves)
+    )
+    return replace(
+        joint,
+        parent=joint.child,
+        child=joint.parent,
+        parent_frame=joint.child_frame,
+        child_frame=joint.parent_frame,
+        moves=moves,
+    )
+
+
+def read_coordinate(element: Element | None, name: str, joint: Joint) -> tuple[Coordinate, list[Note]]:
+    """Return a coordinate, and what was approximated; `element` None: all defaults."""
+    moves = [move for move in joint.moves if move.coordinate == name]
+    hinges = [move for move in moves if move.kind == "hinge"]
+    straight = [move for move in moves if affine(move.function) is not None]
+    rotational = (straight[0] if straight else moves[0]).kind == "hinge" if moves else True
+    if hinges and not straight:
+        rotational = True
+    if element is None:
+        return Coordinate(name, joint.name, rotational, 0.0, 0.0, (-10.0, 10.0), False, False), []
+    low, high = element.numbers("range", default=(-10.0, 10.0), count=2)
+    clamped, locked = element.flag("clamped", default=False), element.flag("locked", default=False)
+    if low > high:
+        raise element.error(f"must have an ascending range, got {low:g} {high:g}")
+    default, notes = element.number("default_value", default=0.0), []
+    prescribed = function_in(element, "prescribed_function")
+    if prescribed is not None and element.flag("prescribed", default=False):
+        default, locked = float(prescribed.value(0.0)), True
+        notes.append(
+            Note(
+                f"/jointset/{joint.name}/{name}",
+                "prescribed by a function of time: locked at its value at 0 s",
+            )
+        )
+    speed = element.number("default_speed_value", default=0.0)
+    coordinate = Coordinate(
+        name, joint.name, rotational, default, speed, (float(low), float(high)), clamped, locked
+    )
+    return coordinate, notes
+
+
+def in_order(joints: dict[str, tuple[Joint, Element]], bodies: list[str]) -> tuple[list[Joint], list[Note]]:
+    """Return the joints with parents first, turned round where the child is the one that leads to ground.
+
+    A body without a joint gets a free one, as in OpenSim.
+
+    Raises:
+        NotImplementedError: A joint closes a loop.
+    """
+    ordered: list[Joint] = []
+    notes: list[Note] = []
+    waiting = {name: joint for name, (joint, _) in joints.items()}
+    placed = {GROUND}
+    while waiting or not placed >= set(bodies):
+        ready = [joint for joint in waiting.values() if joint.parent in placed or joint.child in placed]
+        forward = next((joint for joint in ready if joint.parent in placed), None)
+        if not ready:
+            children = {joint.child for joint in waiting.values()}
+            left = [body for body in bodies if body not in placed]
+            base = next((body for body in left if body not in children), left[0])
+            notes.append(
+                Note(f"/bodyset/{base}", "not connected to ground: a free joint was added, as OpenSim does")
+            )
+            names = [f"free_{base}_coord_{index}" for index in range(6)]
+            origin = Pose(np.zeros(3), np.eye(3))
+            free = SIMPLE["FreeJoint"][1](names)
+            ordered.append(Joint(f"free_{base}", "FreeJoint", GROUND, base, origin, origin, tuple(free)))
+            placed.add(base)
+            continue
+        joint = forward or reverse(ready[0])
+        del waiting[joint.name]
+        if joint.child in placed:
+            raise joints[joint.name][1].unsupported(
+                f"closes a loop at body {joint.child!r}; only trees are supported"
+            )
+        ordered.append(joint)
+        placed.add(joint.child)
+    return ordered, notes

@@ -1,0 +1,244 @@
+"""Cvt1: frames, inertias and springs of the converted model, its text, its sidecar, and the command."""
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from myowarp.models.opensim.command import run, write
+from myowarp.models.opensim.convert import Options, convert
+from myowarp.models.opensim.fit import fit_all
+from myowarp.models.opensim.functions import SimmSpline
+from myowarp.models.opensim.mjcf import mjcf
+from myowarp.models.opensim.read import read_model
+from myowarp.models.opensim.validate import kinematics_error
+
+DATA = Path(__file__).parent / "data"
+EXACT = 1e-12
+"""m and 1: models without splines, in float64."""
+QUARTIC = 1.5e-4
+"""m: splines as quartics of phantoms; the project's gate for forward kinematics."""
+POINT = 2.5e-4
+"""m: moving points, three axes of up to 0.1 mm each on a body of the tolerance above."""
+BOUNDS = {
+    "arm26": EXACT,
+    "Tug_of_War": EXACT,
+    "joints": QUARTIC,
+    "leg6dof9musc": QUARTIC,
+    "gait10dof18musc": QUARTIC,
+}
+
+
+@pytest.fixture(scope="module")
+def conversions():
+    """Return a function that converts a model once."""
+    done = {}
+
+    def of(name):
+        if name not in done:
+            converted = convert(read_model(DATA / "osim" / f"{name}.osim"))
+            done[name] = converted, converted.spec.compile()
+        return done[name]
+
+    return of
+
+
+@pytest.mark.parametrize("name", BOUNDS)
+def test_frames_equal_opensim(name, conversions):
+    """Bodies, markers and moving points, in the poses and with the numbers recorded from OpenSim 4.6."""
+    converted, model = conversions(name)
+    recorded = np.load(DATA / "opensim" / f"frames_{name}.npz")
+    given = dict(zip(recorded["coordinates"], recorded["values"].T, strict=True))
+    qpos = converted.coordinates.qpos(model, {key: given[key] for key in converted.coordinates.free()})
+    data, bound = mujoco.MjData(model), BOUNDS[name]
+    for index in range(len(qpos)):
+        data.qpos = qpos[index]
+        mujoco.mj_kinematics(model, data)
+        turn = data.body("ground").xmat.reshape(3, 3).T
+        for number, body in enumerate(recorded["bodies"]):
+            origin = turn @ data.body(converted.bodies[body]).xpos
+            np.testing.assert_allclose(origin, recorded["origin"][index, number], atol=bound, err_msg=body)
+        for number, marker in enumerate(recorded["markers"]):
+            place = turn @ data.site(marker).xpos
+            np.testing.assert_allclose(place, recorded["marker"][index, number], atol=bound, err_msg=marker)
+        for number, key in enumerate(recorded["points"]):
+            muscle, point = key.split("/")
+            place = turn @ data.body(converted.moving[muscle][int(point)]).xpos
+            np.testing.assert_allclose(place, recorded["point"][index, number], atol=POINT, err_msg=key)
+
+
+def test_validation_sees_a_moved_body(conversions):
+    converted, _ = conversions("arm26")
+    good = kinematics_error(converted, converted.spec.compile(), 20)
+    assert max(good.position, good.rotation, good.marker) < EXACT
+    spec = converted.spec.copy()
+    spec.body("r_humerus").pos += [0, 0, 1e-3]
+    bad = kinematics_error(converted, spec.compile(), 20)
+    assert bad.position == pytest.approx(1e-3)
+    assert bad.marker == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize("name", ["leg6dof9musc", "joints"])
+def test_text_reads_back_the_same(name, conversions):
+    """Every number of the compiled model, to the last bit."""
+    converted, model = conversions(name)
+    back = mujoco.MjModel.from_xml_string(mjcf(converted.spec, comment="a -- b-"))
+    for field in dir(model):
+        value = getattr(model, field)
+        if isinstance(value, np.ndarray):
+            np.testing.assert_array_equal(getattr(back, field), value, err_msg=field)
+
+
+def test_up_is_z_and_inertias_are_kept(conversions):
+    converted, model = conversions("arm26")
+    np.testing.assert_allclose(model.opt.gravity, [0, 0, -9.8066])
+    for name, body in converted.model.bodies.items():
+        if body.mass == 0:
+            continue
+        there = model.body(name)
+        axes = np.zeros(9)
+        mujoco.mju_quat2Mat(axes, there.iquat)
+        axes = axes.reshape(3, 3)
+        xx, yy, zz, xy, xz, yz = body.inertia
+        expected = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        np.testing.assert_allclose(axes @ np.diag(there.inertia) @ axes.T, expected, atol=1e-12)
+        np.testing.assert_allclose(there.ipos, body.mass_center, atol=1e-15)
+        assert there.mass[0] == body.mass
+
+
+def test_masses_that_mujoco_refuses_are_repaired(tmp_path):
+    text = (DATA / "osim" / "joints.osim").read_text()
+    blocks = text.split("<Body name=")
+    for index, block in enumerate(blocks):
+        if block.startswith(('"turned"', '"loose"')):
+            blocks[index] = block.replace("<mass>1.0</mass>", "<mass>0</mass>")
+        if block.startswith('"ball"'):
+            blocks[index] = block.replace("<inertia>0.01 0.02 0.025", "<inertia>0.01 0.01 0.05")
+    path = tmp_path / "light.osim"
+    path.write_text("<Body name=".join(blocks))
+    converted = convert(read_model(path))
+    model = converted.spec.compile()
+    notes = {note.path: note for note in converted.notes}
+    assert notes["/bodyset/turned"].error_bound == "0.001 kg, 1e-06 kg m^2"
+    assert "break A + B >= C" in notes["/bodyset/ball"].rule
+    a, b, c = sorted(model.body("ball").inertia)
+    assert a + b == pytest.approx(c)
+    # A body behind a locked joint moves with one that has mass: nothing to repair.
+    assert "/bodyset/loose" not in notes
+    assert model.body("loose").mass[0] == 0
+
+
+def test_coordinates_and_joints(conversions):
+    converted, model = conversions("joints")
+    entries = {entry.name: entry for entry in converted.coordinates.coordinates}
+    assert (entries["bend"].kind, entries["patella"].kind, entries["stuck"].kind) == (
+        "free",
+        "coupled",
+        "locked",
+    )
+    assert (entries["twist"].joint, entries["twist"].scale) == ("twist", 0.5)
+    assert entries["stuck"].joint is None
+    np.testing.assert_allclose(model.joint("pin_q").range, [-1, 1])
+    assert model.jnt_limited[model.joint("pin_q").id]
+    assert not model.jnt_limited[model.joint("slide").id]
+    key = model.key("default")
+    assert key.qpos[model.joint("pin_q").qposadr[0]] == 0.2
+    assert key.qpos[model.joint("twist").qposadr[0]] == 0.1
+    # Slopes of joint positions are those of differences.
+    values = {"bend": np.array([-0.9, 0.3]), "twist": np.array([0.1, 0.2])}
+    _, slope = converted.coordinates.rates(model, values)
+    step = 1e-6
+    ends = [converted.coordinates.qpos(model, {**values, "bend": values["bend"] + h}) for h in (step, -step)]
+    column = converted.coordinates.free().index("bend")
+    np.testing.assert_allclose(slope[:, :, column], (ends[0] - ends[1]) / (2 * step), atol=1e-6)
+    assert np.abs(slope[:, :, column]).sum(axis=1).min() > 1
+    json.dumps(converted.coordinates.as_json())
+
+
+def test_fit_claims_what_it_does():
+    """The errors that a fit states hold on other samples; phantoms do better than one quartic."""
+    spline = SimmSpline((-2.1, -1.5, -1.0, -0.5, 0.0, 0.17), (-0.032, -0.018, -0.005, 0.004, 0.0, -0.003))
+    fit = fit_all([spline], [1.0], -2.1, 0.17)
+    (end,) = fit.functions
+    q = np.linspace(-2.1, 0.17, 1009)
+    values = []
+    for phantom in fit.phantoms:
+        values.append(np.polyval(phantom.coefficients[::-1], q if phantom.of is None else values[phantom.of]))
+    error = np.abs(
+        np.polyval(end.coefficients[::-1], q if end.of is None else values[end.of]) - spline.value(q)
+    ).max()
+    assert error < 1.05 * end.error
+    alone = np.abs(np.polyval(np.polyfit(q, spline.value(q), 4), q) - spline.value(q)).max()
+    assert error < alone / 3
+
+
+def test_springs_at_a_limit(conversions):
+    """Torques that OpenSim 4.6 gives for the same file: 5 N m at 0 degrees, -20 N m at 120 degrees."""
+    converted, model = conversions("old")
+    data = mujoco.MjData(model)
+    dof = model.joint("elbow_flexion").dofadr[0]
+    for degrees, torque in ((0, 5.0), (60, 0.0), (120, -20.0)):
+        data.qpos[:] = converted.coordinates.qpos(model, {"elbow_flexion": np.radians([degrees])})[0]
+        mujoco.mj_forward(model, data)
+        assert data.qfrc_spring[dof] == pytest.approx(torque, abs=1e-9)
+    note = next(note for note in converted.notes if note.path == "/forceset/elbow_stop")
+    assert "without the damping" in note.rule
+
+
+VTP = """<?xml version="1.0"?><VTKFile type="PolyData"><PolyData><Piece NumberOfPoints="4" NumberOfPolys="4">
+<Points><DataArray type="Float32" NumberOfComponents="3" format="{format}">
+0 0 0 .1 0 0 0 .1 0 0 0 .1</DataArray></Points>
+<Polys><DataArray Name="connectivity" format="ascii">0 2 1 0 1 3 0 3 2 1 2 3</DataArray>
+<DataArray Name="offsets" format="ascii">3 6 9 12</DataArray></Polys></Piece></PolyData></VTKFile>"""
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary", None])
+def test_meshes(form, tmp_path):
+    """An ASCII .vtp becomes a geom without mass; another form or none is left out with a note."""
+    if form:
+        (tmp_path / "humerus.vtp").write_text(VTP.format(format=form))
+    converted = convert(read_model(DATA / "osim" / "old.osim"), Options((tmp_path,)))
+    model = converted.spec.compile()
+    assert model.nmesh == (form == "ascii")
+    assert model.body("upper").mass[0] == 2
+    notes = [note.rule for note in converted.notes if note.path == "upper/humerus.vtp"]
+    if form == "ascii":
+        assert notes == []
+        assert model.mesh_vertnum[0] == 4
+        assert list(converted.meshes) == ["humerus.obj"]
+    else:
+        assert ("not found" if form is None else "must be in ASCII") in notes[0]
+
+
+def test_command_writes_a_model_that_loads(tmp_path):
+    report = run(DATA / "osim" / "arm26.osim", tmp_path / "arm")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "arm" / "model.xml"))
+    assert (model.njnt, model.nu, model.nkey) == (2, 6, 1)
+    assert "CCBY 3.0" in (tmp_path / "arm" / "model.xml").read_text()
+    assert json.loads((tmp_path / "arm" / "report.json").read_text()) == report
+    assert report["kinematics"]["position"] < EXACT
+    assert {
+        entry["name"]
+        for entry in json.loads((tmp_path / "arm" / "coordinates.json").read_text())["coordinates"]
+    } == {
+        "r_shoulder_elev",
+        "r_elbow_flex",
+    }
+    mujoco.mj_step(model, mujoco.MjData(model))
+
+
+def test_failure_leaves_nothing_that_looks_complete(tmp_path):
+    bad = tmp_path / "bad.osim"
+    bad.write_text((DATA / "osim" / "old.osim").read_text().replace("PinJoint", "EllipsoidJoint"))
+    with pytest.raises(NotImplementedError, match=r"bad.osim:\d+: <EllipsoidJoint name='elbow'>"):
+        run(bad, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(ValueError, match=r"none.osim' is no file; give the path of an .osim file"):
+        run(tmp_path / "none.osim", tmp_path / "out")
+    # An older result is no longer complete as soon as a new one is being written, and stays so if that fails.
+    write(tmp_path / "out", {"model.xml": b"old", "report.json": b"old"})
+    with pytest.raises(TypeError):
+        write(tmp_path / "out", {"coordinates.json": b"new", "model.xml": None})
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["coordinates.json"]
