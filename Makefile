@@ -42,7 +42,7 @@ demo: setup ## Simulate 256 hands and write out/demo.mp4
 	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --num-worlds 256 --video out/demo.mp4
 
 test: lint ## Check format, lint and types, then run the fast tests (what CI runs)
-	$(BIN)/python -m pytest -m "not slow" $(PYTEST)
+	$(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile $(PYTEST)
 
 test-slow: setup ## Run the tests marked slow
 	$(BIN)/python -m pytest -m slow $(PYTEST)

@@ -57,11 +57,11 @@ def record(python: Path, folder: Path, shift: int) -> None:
         subprocess.run(command, check=True, cwd=folder)
 
 
-def compare(folder: Path) -> tuple[dict[str, dict[str, float]], int]:
+def compare(folder: Path) -> tuple[dict[str, dict[str, float]], list[str]]:
     """Run the oracle tests on recorded values.
 
     Returns:
-        For each id the worst of every column, and the number of failed tests and of ids without any.
+        For each id the worst of every column; the names of tests that failed, and of ids without any.
     """
     report = folder / "report.xml"
     tests = [str(ROOT / "tests" / name) for name in TESTS]
@@ -69,9 +69,10 @@ def compare(folder: Path) -> tuple[dict[str, dict[str, float]], int]:
     command += ["-k", "not rollouts", *tests]
     subprocess.run(command, cwd=ROOT, env=os.environ | {"MYOWARP_ORACLE": str(folder)}, check=False)
     worst: dict[str, dict[str, float]] = {}
-    failed = 0
+    failed = []
     for case in ElementTree.parse(report).getroot().iter("testcase"):
-        failed += any(case.find(kind) is not None for kind in ("failure", "error"))
+        if any(case.find(kind) is not None for kind in ("failure", "error")):
+            failed.append(case.get("name", ""))
         key = case.get("name", "").partition("[")[2].rstrip("]")
         key = (
             max(key.split("-v")[0].split("-"), key=len) + "-v" + key.split("-v")[-1][0]
@@ -82,7 +83,7 @@ def compare(folder: Path) -> tuple[dict[str, dict[str, float]], int]:
             row, name = worst.setdefault(key, {}), entry.get("name", "")
             row[name] = max(row.get(name, 0.0), float(entry.get("value", "nan")))
     unseen = {path.stem for path in folder.glob("*.npz")} - set(worst)
-    return worst, failed + len(unseen)
+    return worst, failed + sorted(unseen)
 
 
 def main() -> None:

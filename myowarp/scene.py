@@ -239,9 +239,8 @@ def compile_scene(
     muscle_class = MUSCLES[muscle]
     where = resolve_device(device)
 
-    preset = PHYSICS[physics]
     oracle, stepped = oracle_model(spec, conditions), _cached_model(spec, conditions, stateless_model)
-    num_substeps = set_physics(spec, preset, (oracle, stepped))
+    num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped))
     start = spec.start(oracle)
     capacity = calibrate(oracle, start)
     with wp.ScopedDevice(where):
@@ -249,7 +248,7 @@ def compile_scene(
         model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), worlds.number))
         model.opt.warn_overflow = False
         data = mjw.make_data(stepped, nworld=worlds.number, nconmax=capacity.contacts, njmax=capacity.rows)
-        muscles = new_muscles(muscle_class, oracle, worlds.number, spec, preset)
+        muscles = new_muscles(muscle_class, oracle, worlds.number, spec, PHYSICS[physics])
         if conditions:
             muscles.individualize()
         model.callback.control = muscles.launch

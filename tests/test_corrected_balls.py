@@ -248,8 +248,8 @@ def test_control_step_of_light_balls(record_property):
         with installed(sim.fusions):
             mjw.step(sim.scene.model, data)
     error = np.abs(data.qpos.numpy() - np.array(after)).max(axis=1)
-    record_property("qpos median", np.median(error))
-    record_property("qpos worst", error.max())
+    record_property("qpos median", float(np.median(error)))
+    record_property("qpos worst", float(error.max()))
     assert touched > NUM_WORLDS / 4
     assert np.median(error) < STATE_TOLERANCE
     assert error.max() < CONTACT_TOLERANCE

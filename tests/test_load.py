@@ -150,7 +150,7 @@ def test_gravity_torque_is_that_of_statics(record_property):
     expected = -reference.gravity_torque(MASSES, center, anchor, axis)
     assert np.abs(expected).max() > 10.0  # N m
     error = np.abs(held[0] - held[1] - expected).max() / np.abs(expected).max()
-    record_property("torque", error)
+    record_property("torque", float(error))
     assert error <= TORQUE
     # The reference itself, spelt out: weight, distance from the axis, angle; times how level the axis is.
     lever = center - anchor - np.sum((center - anchor) * axis, axis=1)[:, None] * axis
@@ -195,8 +195,8 @@ def test_moves_like_mujoco_compiled_with_it(body, record_property):
         for masses in (MASSES, np.zeros(NUM_WORLDS))
     )
     scale = np.abs(expected[0]).max()
-    record_property("acceleration", np.abs(acceleration - expected[0]).max() / scale)
-    record_property("qpos", np.abs(qpos - expected[1]).max())
+    record_property("acceleration", float(np.abs(acceleration - expected[0]).max() / scale))
+    record_property("qpos", float(np.abs(qpos - expected[1]).max()))
     assert np.abs(acceleration - expected[0]).max() <= ACCELERATION * scale
     assert np.abs(qpos - expected[1]).max() <= QPOS
     half = NUM_WORLDS // 2  # heavier than 3 kg
@@ -286,7 +286,7 @@ def test_palm_is_the_site_of_the_model():
         ({"mass": -1.0}, r"^load mass must be >= 0, got -1$"),
         ({"mass": [1.0, 2.0]}, r"^load mass must be one number or of shape \(33,\), got shape \(2,\)$"),
         ({"mass": {"BRA": 1.0}}, r"^load mass must be numbers, got \{'BRA': 1\.0\}$"),
-        ({"mass": np.nan}, r"^load mass must be >= 0, got nan$"),
+        ({"mass": np.nan}, r"^load mass must be finite and >= 0, got nan$"),
     ],
 )
 def test_bad_mass(options, message):

@@ -74,7 +74,7 @@ def test_observation_reward_and_ending(key, prefix, record_property):
     sim = written(key, record, prefix, steps)
     transition = sim.transition
     worst = np.abs(transition.obs.numpy() - record[f"{prefix}_obs"]).max()
-    record_property("observation", worst)
+    record_property("observation", float(worst))
     assert worst < VALUE_TOLERANCE
     clear = away_from_edges(sim, record, prefix)
     assert clear.mean() > 0.9
@@ -85,7 +85,7 @@ def test_observation_reward_and_ending(key, prefix, record_property):
         assert error[clear].max() < VALUE_TOLERANCE, name
     reward = record[f"{prefix}_reward"]
     error = np.abs(transition.reward.numpy() - reward)[clear]
-    record_property("reward", error.max())
+    record_property("reward", float(error.max()))
     assert (error < VALUE_TOLERANCE * (1 + np.abs(reward[clear]))).all()
     np.testing.assert_array_equal(transition.solved.numpy()[clear], record[f"{prefix}_solved"][clear])
     np.testing.assert_array_equal(transition.terminated.numpy()[clear], record[f"{prefix}_done"][clear])
@@ -190,8 +190,8 @@ def test_one_control_step_of_physics(key, record_property):
         with installed(sim.fusions):
             mjw.step(sim.scene.model, data)
     error = np.abs(data.qpos.numpy() - record["replay_qpos_after"])
-    record_property("qpos median", np.median(error.max(axis=1)))
-    record_property("qpos worst", error.max())
+    record_property("qpos median", float(np.median(error.max(axis=1))))
+    record_property("qpos worst", float(error.max()))
     assert np.median(error.max(axis=1)) < QPOS_TOLERANCE
     if sim.scene.muscles.activation.size:
         activation = sim.scene.muscles.activation.numpy()

@@ -53,13 +53,13 @@ def test_control_step(name, record_property):
     np.testing.assert_allclose(sim.scene.muscles.activation.numpy(), record["step_act"], atol=CTRL)
     for part in COMPARTMENTS if "step_fatigued" in record else ():
         error = np.abs(getattr(sim.effects[0].state, f"{part}_fraction").numpy() - record[f"step_{part}"])
-        record_property("compartments", error.max())
+        record_property("compartments", float(error.max()))
         assert error.max() < CTRL
     qpos = np.abs(sim.scene.data.qpos.numpy() - record["step_qpos"]).max(axis=1)
     observation, reward = misses(sim, record)
     for column, values in (("observation", observation), ("reward", reward), ("qpos", qpos)):
-        record_property(f"{column} median", np.median(values))
-        record_property(f"{column} worst", values.max())
+        record_property(f"{column} median", float(np.median(values)))
+        record_property(f"{column} worst", float(values.max()))
     assert np.median(qpos) < QPOS
     assert np.median(observation) < VALUE
     assert np.median(reward) < VALUE

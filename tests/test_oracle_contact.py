@@ -61,7 +61,7 @@ def test_observation_reward_and_ending(key, prefix, record_property):
     record, meta = recorded(key)
     sim, n = written(key, prefix, counter(record, prefix))
     results = {k: getattr(sim.transition, k).numpy()[:n] for k in ("obs", "terms", "reward", "fault")}
-    record_property("observation", np.abs(results["obs"] - record[f"{prefix}_obs"]).max())
+    record_property("observation", float(np.abs(results["obs"] - record[f"{prefix}_obs"]).max()))
     assert_close(results["obs"], record[f"{prefix}_obs"])
     clear = away_from_edges(record, prefix, meta["task"])
     assert clear.mean() > 0.9
@@ -70,7 +70,7 @@ def test_observation_reward_and_ending(key, prefix, record_property):
         assert_close(results["terms"][clear, column], record[field][clear], term.name)
     weights = sum(term.weight for term in sim.terms)
     error = np.abs(results["reward"] - record[f"{prefix}_reward"])[clear]
-    record_property("reward", error.max())
+    record_property("reward", float(error.max()))
     assert error.max() < weights * VALUE_TOLERANCE
     for ours, theirs in (("solved", "solved"), ("terminated", "done")):
         flag = getattr(sim.transition, ours).numpy()[:n]

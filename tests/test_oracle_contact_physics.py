@@ -84,8 +84,8 @@ def test_one_control_step_of_physics(key, record_property):
         with installed(sim.fusions):
             mjw.step(sim.scene.model, data)
     error = np.abs(data.qpos.numpy()[:n] - after).max(axis=1)
-    record_property("qpos median", np.median(error))
-    record_property("qpos worst", error.max())
+    record_property("qpos median", float(np.median(error)))
+    record_property("qpos worst", float(error.max()))
     assert np.median(error) < QPOS_TOLERANCE
     assert error.max() < CONTACT_TOLERANCE
     moved = np.abs(after - record["replay_qpos_before"]).max(axis=1)

@@ -2,6 +2,7 @@
 
 import imageio_ffmpeg
 import mujoco
+import mujoco_warp as mjw
 import numpy as np
 import pytest
 
@@ -74,6 +75,7 @@ def test_worlds_are_drawn_with_their_own_objects(key):
     """Size, place or turn of what a world drew: the geometry of the picture is that of the simulation."""
     sim = Simulation(TASKS[key], 2, device="cpu", graph=False, progress=False)
     sim.reset(seeds=np.arange(2))
+    mjw.kinematics(sim.scene.model, sim.scene.data)
     model, oracle = sim.scene.full, sim.scene.oracle
     drawn = mujoco.MjData(model)
     for world in range(2):
