@@ -24,7 +24,7 @@ import tyro
 import warp as wp
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
+from rich.table import Column, Table
 
 from benchmarks.__main__ import PACKAGES, processor
 from myowarp.fusions import FUSIONS, applicable_fusions, installed
@@ -157,7 +157,7 @@ def main() -> None:
     }
     options.output.write_text(json.dumps(report, indent=1) + "\n")
     columns = list(dict.fromkeys([STOCK, *FUSIONS, ALL, MUJOCO_C]))
-    table = Table("task [us]", *columns, "all / C")
+    table = Table(Column("task [us]", no_wrap=True), *columns, "all / C")
     for row in rows:
         cells = [row["microseconds"].get(name) for name in columns]
         ratio = row["microseconds"][ALL] / row["microseconds"][MUJOCO_C]

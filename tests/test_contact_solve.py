@@ -147,6 +147,19 @@ def test_iteration_limit_is_flagged():
     assert np.all(data.solver_niter.numpy() == 1)
 
 
+@pytest.mark.parametrize("name", MORE)
+def test_a_step_ends_where_the_cost_is_least(name):
+    """The first step from zero ends at x, along x: there the slope, x' gradient, is zero."""
+    engine, data = on_device(name, 0.0)
+    engine.opt.iterations = 1
+    launch_solve(engine, data)
+    for x, host in zip(data.qacc.numpy().astype(float), states(name), strict=True):
+        M, smooth, J, D, aref, loss, ne, nf = problem(model_of(name), host)
+        pull = J.T @ row_forces(J @ x - aref, D, loss, ne, nf)
+        slopes = x @ M @ x, x @ smooth, x @ pull
+        assert abs(slopes[0] - slopes[1] - slopes[2]) < BALANCE * np.abs(slopes).max()
+
+
 def test_tolerance_of_each_world():
     engine, data = on_device("dense", 0.0)
     tolerance = np.where(np.arange(NUM_WORLDS) % 2, 1e3, 1e-6)
