@@ -71,7 +71,6 @@ class Simulation:
 
     _modules: tuple[wp.Module, ...]
     _idle: frozenset[str]
-    _fusions: tuple[Fusion, ...]
 
     def __init__(
         self,

@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Iterator
-from typing import Any
 from unittest import mock
 
 import mujoco_warp as mjw
@@ -11,13 +10,8 @@ from mujoco_warp._src import constraint
 from mujoco_warp._src.types import DeterminismType, DisableBit, IntegratorType
 
 from myowarp.fusions import FUSIONS, Fusion
-from myowarp.kernels.contact_rows import (
-    ContactRows,
-    Contacts,
-    KinematicTree,
-    RowOptions,
-    write_contact_rows,
-)
+from myowarp.kernels.contact_rows import KinematicTree, RowOptions, write_contact_rows
+from myowarp.kernels.engine_arrays import ConstraintRows, ContactPool, filled
 from myowarp.prune import pruned
 from myowarp.scene import Scene
 
@@ -65,19 +59,10 @@ class ContactRowsFusion(Fusion):
 def launch_rows(model: mjw.Model, data: mjw.Data) -> None:
     """Write the rows of all contacts."""
     tree, options = filled(KinematicTree, model), filled(RowOptions, model.opt)
-    contacts, rows = filled(Contacts, data.contact, data), filled(ContactRows, data.efc)
+    contacts, rows = filled(ContactPool, data.contact, data), filled(ConstraintRows, data.efc)
     wp.launch(
         write_contact_rows,
         dim=data.naconmax,
         inputs=[tree, options, data.qvel, data.subtree_com, data.cdof, contacts],
         outputs=[rows],
     )
-
-
-def filled(kind: Any, *sources: Any) -> Any:
-    """Return a struct of a kind, filled with what has the same names in some objects."""
-    struct = kind()
-    for name in kind.vars:
-        owner = next(source for source in sources if hasattr(source, name))
-        setattr(struct, name, getattr(owner, name))
-    return struct

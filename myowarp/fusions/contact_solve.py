@@ -12,13 +12,13 @@ from mujoco_warp._src.types import DisableBit, EnableBit, IntegratorType
 from myowarp.fusions import FUSIONS, Fusion
 from myowarp.kernels.contact_solve import (
     VECTOR,
-    ConstraintRows,
     Inertia,
     RowCounts,
     SolverOptions,
     SolverResult,
     solver_kernel,
 )
+from myowarp.kernels.engine_arrays import ConstraintRows, filled
 from myowarp.scene import Scene
 
 MAX_DOFS = 40
@@ -62,14 +62,9 @@ class ContactSolve(Fusion):
 
 def launch_solve(model: mjw.Model, data: mjw.Data) -> None:
     """Solve the constraints of all worlds, as `mujoco_warp._src.solver.solve` does."""
-    inertia, options = Inertia(), SolverOptions()
+    inertia, options = Inertia(), filled(SolverOptions, model.opt)
     inertia.rownnz, inertia.rowadr, inertia.colind = model.M_rownnz, model.M_rowadr, model.M_colind
-    options.tolerance, options.iterations = model.opt.tolerance, model.opt.iterations
-    options.ls_iterations = model.opt.ls_iterations
-    counts, rows, result = RowCounts(), ConstraintRows(), SolverResult()
-    counts.ne, counts.nf, counts.nefc = data.ne, data.nf, data.nefc
-    for name in ("J_rownnz", "J_rowadr", "J_colind", "J", "D", "aref", "frictionloss"):
-        setattr(rows, name, getattr(data.efc, name))
+    counts, rows, result = filled(RowCounts, data), filled(ConstraintRows, data.efc), SolverResult()
     result.niter, result.overflow = data.solver_niter, data.overflow
     result.force, result.state, result.Ma = data.efc.force, data.efc.state, data.efc.Ma
     solve_constraints = solver_kernel(-(-model.nv // VECTOR) * VECTOR)

@@ -14,12 +14,8 @@ from mujoco_warp._src.collision_core import CollisionContext
 from mujoco_warp._src.types import GeomType
 
 from myowarp.fusions import FUSIONS, Fusion
-from myowarp.kernels.ellipsoid_contact import (
-    CollisionPairs,
-    ContactMaterial,
-    ContactPool,
-    ellipsoid_contacts,
-)
+from myowarp.kernels.ellipsoid_contact import CollisionPairs, ContactMaterial, ellipsoid_contacts
+from myowarp.kernels.engine_arrays import ContactPool, filled
 from myowarp.models.slim import colliding_pairs
 from myowarp.scene import Scene
 
@@ -50,15 +46,8 @@ class EllipsoidContact(Fusion):
     def __init__(self, scene: Scene) -> None:
         """Collect the engine's arrays."""
         model, data = scene.model, scene.data
-        self.pairs, self.material, self.contact = CollisionPairs(), ContactMaterial(), ContactPool()
-        for name in ("geom_type", "geom_size", "geom_margin", "geom_gap", "pair_margin", "pair_gap"):
-            setattr(self.pairs, name, getattr(model, name))
-        for name in ("geom_xpos", "geom_xmat", "ncollision"):
-            setattr(self.pairs, name, getattr(data, name))
-        for name in ContactMaterial.__annotations__:
-            setattr(self.material, name, getattr(model, name))
-        for name in ContactPool.__annotations__:
-            setattr(self.contact, name, getattr(data if name == "nacon" else data.contact, name))
+        self.pairs, self.material = filled(CollisionPairs, model, data), filled(ContactMaterial, model)
+        self.contact = filled(ContactPool, data.contact, data)
 
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:

@@ -16,6 +16,7 @@ from myowarp.prune import pruned
 from myowarp.scene import Scene
 
 
+@FUSIONS.register("muscle_path")
 class MusclePathFusion(Fusion):
     """`kernels.muscle_path` in place of tendons, transmissions, actuator velocities and positions of sites.
 
@@ -53,6 +54,3 @@ class MusclePathFusion(Fusion):
     def _launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Do what stands for the engine's `tendon`, and for its `transmission` too."""
         self._paths.launch()
-
-
-FUSIONS.add("muscle_path", MusclePathFusion)

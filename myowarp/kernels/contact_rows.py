@@ -10,6 +10,8 @@ import warp as wp
 from mujoco_warp._src.constraint import _contact_kbimp, _efc_D
 from mujoco_warp._src.types import ConstraintType, vec5
 
+from myowarp.kernels.engine_arrays import ConstraintRows, ContactPool
+
 
 @wp.struct
 class KinematicTree:
@@ -31,42 +33,6 @@ class RowOptions:
     timestep: wp.array[float]
     disableflags: int
     impratio_invsqrt: wp.array[float]
-
-
-@wp.struct
-class Contacts:
-    """The pool of contacts of all worlds, `Data.contact`."""
-
-    nacon: wp.array[int]
-    dist: wp.array[float]
-    pos: wp.array[wp.vec3]
-    frame: wp.array[wp.mat33]
-    includemargin: wp.array[float]
-    friction: wp.array[vec5]
-    solref: wp.array[wp.vec2]
-    solimp: wp.array[vec5]
-    dim: wp.array[int]
-    geom: wp.array[wp.vec2i]
-    efc_address: wp.array2d[int]
-    worldid: wp.array[int]
-
-
-@wp.struct
-class ContactRows:
-    """Rows of `Data.efc`; J is dense where `J_rownnz` has no columns."""
-
-    J_rownnz: wp.array2d[int]
-    J_rowadr: wp.array2d[int]
-    J_colind: wp.array3d[int]
-    J: wp.array3d[float]
-    type: wp.array2d[int]
-    id: wp.array2d[int]
-    pos: wp.array2d[float]
-    margin: wp.array2d[float]
-    D: wp.array2d[float]
-    vel: wp.array2d[float]
-    aref: wp.array2d[float]
-    frictionloss: wp.array2d[float]
 
 
 @wp.func_native("for (int i = 0; i < row.shape[0]; ++i) row.data[i] = 0.0f;")
@@ -101,14 +67,14 @@ def along_frame(frame: wp.mat33, linear: wp.vec3, angular: wp.vec3) -> wp.spatia
 @wp.func
 def write_jacobian(
     tree: KinematicTree,
-    contacts: Contacts,
+    contacts: ContactPool,
     qvel: wp.array[float],
     subtree_com: wp.array[wp.vec3],
     cdof: wp.array[wp.spatial_vector],
     conid: int,
     first: int,
     num_rows: int,
-    rows: ContactRows,
+    rows: ConstraintRows,
 ) -> wp.spatial_vector:
     """Write the rows of J; returns the velocity of body 2 against body 1 along the contact's frame."""
     worldid = contacts.worldid[conid]
@@ -147,7 +113,7 @@ def write_jacobian(
 
 @wp.func
 def row_stiffness(
-    tree: KinematicTree, options: RowOptions, contacts: Contacts, conid: int, impedance: float
+    tree: KinematicTree, options: RowOptions, contacts: ContactPool, conid: int, impedance: float
 ) -> float:
     """Return D of the rows of a contact."""
     worldid, geoms, friction = contacts.worldid[conid], contacts.geom[conid], contacts.friction[conid][0]
@@ -170,9 +136,9 @@ def write_contact_rows(
     subtree_com_in: wp.array2d[wp.vec3],
     cdof_in: wp.array2d[wp.spatial_vector],
     # In:
-    contacts: Contacts,
+    contacts: ContactPool,
     # Out:
-    rows: ContactRows,
+    rows: ConstraintRows,
 ):
     """J = normal' (J_2 - J_1) ± friction_k direction_k' (J_2 - J_1), aref = -k imp dist - b J qvel."""
     conid = wp.tid()

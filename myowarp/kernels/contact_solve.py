@@ -15,6 +15,8 @@ from typing import Any
 import warp as wp
 from mujoco_warp import OverflowType
 
+from myowarp.kernels.engine_arrays import ConstraintRows
+
 VECTOR = 8  # floats that one instruction adds
 SOURCE = Path(__file__).with_suffix(".cpp").read_text()
 
@@ -35,19 +37,6 @@ class SolverOptions:
     tolerance: wp.array[float]
     iterations: int
     ls_iterations: int
-
-
-@wp.struct
-class ConstraintRows:
-    """Constraint rows of all worlds, `Data.efc`; `J_rownnz` has no columns where J is dense."""
-
-    J_rownnz: wp.array2d[int]
-    J_rowadr: wp.array2d[int]
-    J_colind: wp.array3d[int]
-    J: wp.array3d[float]
-    D: wp.array2d[float]
-    aref: wp.array2d[float]
-    frictionloss: wp.array2d[float]
 
 
 @wp.struct

@@ -5,6 +5,7 @@ from mujoco_warp._src.collision_core import contact_margin_gap, contact_material
 from mujoco_warp._src.math import make_frame
 from mujoco_warp._src.types import GeomType, vec5
 
+from myowarp.kernels.engine_arrays import ContactPool
 from myowarp.kernels.separation import Bodies, Touch, capsule_touch, ellipsoid_matrix, ellipsoid_touch
 
 SPHERE = wp.constant(int(GeomType.SPHERE))
@@ -45,28 +46,6 @@ class ContactMaterial:
     pair_solimp: wp.array2d[vec5]
     pair_adhesion: wp.array2d[float]
     pair_friction: wp.array2d[vec5]
-
-
-@wp.struct
-class ContactPool:
-    """The contacts of all worlds; fields are those of the engine's `Contact`, and their number."""
-
-    dist: wp.array[float]
-    pos: wp.array[wp.vec3]
-    frame: wp.array[wp.mat33]
-    includemargin: wp.array[float]
-    friction: wp.array[vec5]
-    solref: wp.array[wp.vec2]
-    solreffriction: wp.array[wp.vec2]
-    solimp: wp.array[vec5]
-    dim: wp.array[int]
-    geom: wp.array[wp.vec2i]
-    efc_address: wp.array2d[int]
-    worldid: wp.array[int]
-    type: wp.array[int]
-    geomcollisionid: wp.array[int]
-    adhesion: wp.array[float]
-    nacon: wp.array[int]
 
 
 @wp.struct

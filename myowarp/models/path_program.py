@@ -8,6 +8,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.kernels.engine_arrays import filled
 from myowarp.kernels.muscle_path import (
     Drive,
     Path,
@@ -44,14 +45,6 @@ def path_obstacle(model: mujoco.MjModel) -> str | None:
 def _struct_array(struct: Any, values: list[tuple[Any, ...]]) -> wp.array:
     """Return an array of Warp structs, each given by its fields in order."""
     return wp.array(np.array(values, dtype=struct.numpy_dtype()), dtype=struct)
-
-
-def _arrays_of(data: mjw.Data, struct: Any) -> Any:
-    """Return a Warp struct that holds the arrays of `data` with the names of its fields."""
-    instance = struct()
-    for name in struct.vars:
-        setattr(instance, name, getattr(data, name))
-    return instance
 
 
 class MusclePaths:
@@ -104,7 +97,7 @@ class MusclePaths:
         self.program.first_joint_drive = first_joint_drive
         for name in ("site_pos", "geom_size", "actuator_gear"):
             setattr(self.program, name, getattr(model, name))
-        self.pose, self.transmission = _arrays_of(data, Pose), _arrays_of(data, Transmission)
+        self.pose, self.transmission = filled(Pose, data), filled(Transmission, data)
 
     def _moment_sizes(self) -> np.ndarray:
         """Return the number of dofs that each actuator acts on."""
