@@ -7,7 +7,8 @@ is made again, never trusted. `MYOWARP_CACHE_DIR` moves the folder.
 import hashlib
 import os
 from collections.abc import Callable, Iterable
-from importlib.metadata import version
+from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import TypeVar
 
@@ -18,6 +19,12 @@ import platformdirs
 from myowarp.files import in_place
 
 T = TypeVar("T")
+
+
+@cache
+def version(package: str) -> str:
+    """Return the version of an installed package."""
+    return metadata.version(package)
 
 
 def cache_dir() -> Path:

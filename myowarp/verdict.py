@@ -7,11 +7,10 @@ of a first start. The verdict is kept on disk, under a key that names everything
 import json
 import platform
 from collections.abc import Callable, Iterable
-from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-from myowarp.cache import cached, files_digest, model_digest
+from myowarp.cache import cached, files_digest, model_digest, version
 from myowarp.fusions import Fusion, applicable_fusions, installed, verified_fusions
 from myowarp.prune import idle_kernels, verified_idle
 from myowarp.scene import Scene

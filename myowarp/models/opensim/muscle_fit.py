@@ -13,12 +13,11 @@ import signal
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
-from myowarp.cache import cached, files_digest
+from myowarp.cache import cached, files_digest, version
 from myowarp.models.opensim.force import ACTIVATIONS, ForceFit, fit_force
 from myowarp.models.opensim.force import Method as ForceMethod
 from myowarp.models.opensim.hill import HillMuscle, known
