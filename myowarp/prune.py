@@ -14,7 +14,7 @@ from unittest import mock
 import mujoco
 import numpy as np
 import warp as wp
-from mujoco_warp._src import solver
+from mujoco_warp._src import collision_convex, solver
 
 from myowarp.launches import exchanged
 from myowarp.scene import Scene
@@ -60,16 +60,19 @@ def pruned(names: frozenset[str]) -> contextlib.AbstractContextManager[None]:
 
 
 @contextlib.contextmanager
-def batch_independent(device: wp.Device) -> Iterator[None]:
-    """Have the engine sum in one order, whatever the number of worlds, in the block; on the CPU.
+def one_thread(device: wp.Device) -> Iterator[None]:
+    """Have the engine split no work over threads in the block; on the CPU, which runs them in turn.
 
-    Below 4 worlds mujoco-warp splits the sum J' D J of a sparse model over several threads, which the CPU
-    device runs one after the other: nothing is won, and the rounding is another one.
+    Below 4 worlds mujoco-warp sums J' D J of a sparse model in several parts, and the rounding is another
+    one; it looks for convex contacts in as many threads as there is room for, most of which find nothing.
     """
     if not device.is_cpu:
         yield
         return
-    with mock.patch.object(solver, "_jtdaj_groups_per_world", return_value=1):
+    with (
+        mock.patch.object(solver, "_jtdaj_groups_per_world", return_value=1),
+        mock.patch.object(collision_convex, "_ccd_grid_size", return_value=1),
+    ):
         yield
 
 

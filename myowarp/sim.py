@@ -36,7 +36,7 @@ from myowarp.look import Look, look_at
 from myowarp.models.conditions import Condition, resolve
 from myowarp.models.conditions.parameter import Clock
 from myowarp.models.muscles import restore_anatomy
-from myowarp.prune import batch_independent, pruned
+from myowarp.prune import one_thread, pruned
 from myowarp.registry import check_choice
 from myowarp.scene import checked_horizon, compile_scene
 from myowarp.spec import TaskSpec
@@ -219,7 +219,7 @@ class Simulation:
 
     def _launch_physics(self) -> None:
         """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
-        with installed(self.fusions), batch_independent(self.scene.device), engine_kernels_alone():
+        with installed(self.fusions), one_thread(self.scene.device), engine_kernels_alone():
             mjw.step(self.scene.model, self.scene.data)
 
     def _launch_control(self, model: mjw.Model, data: mjw.Data) -> None:

@@ -74,7 +74,7 @@ def engine_contacts(model, qpos):
     data = mjw.make_data(model, nworld=len(qpos), nconmax=2)
     data.qpos.assign(qpos)
     mjw.kinematics(device, data)
-    fusion = FUSIONS["ellipsoid_contact"](SimpleNamespace(model=device, data=data, oracle=model))
+    fusion = FUSIONS["contact_search"](SimpleNamespace(model=device, data=data, oracle=model))
     with fusion.installed():
         mjw.collision(device, data)
     found = np.full((len(qpos), 7), np.nan)
