@@ -6,6 +6,7 @@ silence for a hand. Here the launches are first only listed, then their modules 
 
 import contextlib
 import os
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 from unittest import mock
@@ -15,14 +16,21 @@ import warp as wp
 from myowarp.progress import patient_bar
 
 PATIENCE = 0.5  # s without a word
+BLOCK_DIM = 256  # threads of a block on CUDA where a launch names none; Warp's
 
 
 @contextlib.contextmanager
-def _recorded(modules: dict[wp.Module, None]) -> Iterator[None]:
-    """Note the modules of all launches in the block, as keys, instead of launching."""
+def recorded() -> Iterator[list[tuple[wp.Module, int]]]:
+    """Note all launches in the block instead of launching; what a loop repeats counts once.
+
+    Yields:
+        Module and threads of a block of each launch, in their order.
+    """
+    found: list[tuple[wp.Module, int]] = []
 
     def launch(*args: Any, **kwargs: Any) -> None:
-        modules[(args[0] if args else kwargs["kernel"]).module] = None
+        kernel = args[0] if args else kwargs["kernel"]
+        found.append((kernel.module, kwargs.get("block_dim") or BLOCK_DIM))
 
     def call_while(condition: Any, while_body: Callable[..., None], **kwargs: Any) -> None:
         while_body(**kwargs)
@@ -38,7 +46,7 @@ def _recorded(modules: dict[wp.Module, None]) -> Iterator[None]:
         mock.patch.object(wp, "capture_while", call_while),
         mock.patch.object(wp, "capture_if", call_if),
     ):
-        yield
+        yield found
 
 
 @contextlib.contextmanager
@@ -65,17 +73,20 @@ def compile_kernels(
     Returns:
         The modules.
     """
-    found: dict[wp.Module, None] = {}
-    with _recorded(found):
+    with recorded() as found:
         launches()
-    modules = tuple(found)
-    workers = os.cpu_count() or 1
-    with patient_bar("Compiling kernels", "modules", len(modules), patience=PATIENCE, show=show) as advance:
-        for start in range(0, len(modules), workers):
-            chunk = modules[start : start + workers]
-            wp.force_load(device=device, modules=chunk, max_workers=workers)
-            advance(len(chunk))
-    return modules
+    # CUDA's machine code is made for one number of threads, the CPU's serves all.
+    wanted: dict[int, list[wp.Module]] = defaultdict(list)
+    for module, block_dim in dict.fromkeys((m, 1 if device.is_cpu else dim) for m, dim in found):
+        wanted[block_dim].append(module)
+    total, workers = sum(map(len, wanted.values())), os.cpu_count() or 1
+    with patient_bar("Compiling kernels", "modules", total, patience=PATIENCE, show=show) as advance:
+        for block_dim, modules in wanted.items():
+            for start in range(0, len(modules), workers):
+                chunk = modules[start : start + workers]
+                wp.force_load(device=device, modules=chunk, block_dim=block_dim, max_workers=workers)
+                advance(len(chunk))
+    return tuple(dict.fromkeys(module for module, _ in found))
 
 
 def renew_code(modules: Iterable[wp.Module]) -> None:
