@@ -111,8 +111,9 @@ class MyoWarpVectorEnv(VectorEnv):
         mode = _autoreset_mode(autoreset_mode)
         self.output, self.copy = check_output(output), (output == "numpy" if copy is None else copy)
         self.render_mode, self._pictures = render_mode, Pictures(render_size, camera)
-        options = {"physics": physics, "muscle": muscle, "reset": reset, "conditions": conditions}
-        options |= {"deterministic": deterministic, "progress": progress, "autoreset": AUTORESET_NAMES[mode]}
+        options: dict[str, Any] = {"physics": physics, "muscle": muscle, "reset": reset}
+        options |= {"conditions": conditions, "autoreset": AUTORESET_NAMES[mode]}
+        options |= {"deterministic": deterministic, "progress": progress}
         self.sim = simulate(
             TASKS[task], num_envs, shards=shards, device=device, horizon=max_episode_steps, **options
         )

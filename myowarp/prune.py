@@ -119,7 +119,8 @@ def verified_idle(scene: Scene, launch_step: Callable[[], None]) -> frozenset[st
         with pruned(skipped):
             launch_step()
         ends.append(np.concatenate([data.qpos.numpy(), data.qvel.numpy()], axis=1).copy())
-    return names if is_same_step(start, *ends, exact=scene.device.is_cpu) else frozenset()
+    ours, stock = ends
+    return names if is_same_step(start, ours, stock, exact=scene.device.is_cpu) else frozenset()
 
 
 def is_same_step(start: np.ndarray, first: np.ndarray, second: np.ndarray, exact: bool) -> bool:
