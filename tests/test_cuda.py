@@ -1,4 +1,4 @@
-"""CUDA: that all device code compiles for it, which needs no GPU, and, on a machine with one, that it runs alike."""
+"""CUDA: all device code compiles for it, which needs no GPU, and on a machine with one it runs alike."""
 
 import importlib
 import pkgutil
@@ -56,7 +56,7 @@ def test_every_kernel_compiles(tmp_path):
 
 
 @needs_compiler
-def test_native_solver_does_not(tmp_path, capfd):
+def test_native_solver_does_not_compile(tmp_path, capfd):
     """It is C++ for one thread of a CPU, so that the fusion has to refuse every other device."""
     with pytest.raises(Exception, match="CUDA kernel build failed"):
         compile_for_cuda(solver_kernel(8).module, tmp_path)
