@@ -84,21 +84,16 @@ class Engine:
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.turn = scene, 0
-        worlds, rng, low, high = (
-            scene.num_worlds,
-            np.random.default_rng(0),
-            *scene.oracle.actuator_ctrlrange.T,
-        )
-        capacity, device = scene.capacity, scene.device
-        excitations = 1.0 / (
-            1.0 + np.exp(-5.0 * (rng.uniform(-1, 1, (CONTROLS, worlds, scene.oracle.nu)) - 0.5))
-        )
+        worlds, capacity, device = scene.num_worlds, scene.capacity, scene.device
+        low, high = scene.oracle.actuator_ctrlrange.T
+        actions = np.random.default_rng(0).uniform(-1, 1, (CONTROLS, worlds, scene.oracle.nu))
+        controls = np.clip(1.0 / (1.0 + np.exp(-5.0 * (actions - 0.5))), low, high)
         with quiet(), wp.ScopedDevice(device):
             self.model = mjw.put_model(scene.oracle)
             self.model.opt.warn_overflow = False
             sizes = {"nconmax": capacity.contacts, "njmax": capacity.rows}
             self.data = mjw.make_data(scene.oracle, nworld=worlds, **sizes)
-            self.controls = [wp.array(part, dtype=float) for part in np.clip(excitations, low, high)]
+            self.controls = [wp.array(part, dtype=float) for part in controls]
             self.countdown = wp.zeros(1, dtype=int)
             compile_kernels(self.launch, device, show=False)
             with wp.ScopedCapture(force_module_load=False) as capture:
