@@ -4,7 +4,7 @@ mujoco-warp launches kernels for tendon armature, springs, friction, gravity com
 the model holds. On the CPU device these are a quarter of a hand's step. Each entry of `IDLE_WHEN` names a
 kernel and the condition on the model under which it writes nothing that is read. Because the names are the
 engine's own, `verified_idle` trusts none of them before a pruned step has given the same state as a stock
-step: bit for bit on the CPU, to rounding on CUDA, where no two steps of the engine agree in all bits.
+step: bit for bit on the CPU, to rounding on CUDA, where the engine's sums have no fixed order.
 """
 
 import contextlib
