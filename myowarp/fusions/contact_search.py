@@ -8,16 +8,15 @@ import mujoco_warp as mjw
 import warp as wp
 from mujoco_warp._src import collision_driver
 from mujoco_warp._src.collision_core import CollisionContext
-from mujoco_warp._src.types import BroadphaseFilter, BroadphaseType, EnableBit, GeomType
+from mujoco_warp._src.types import BroadphaseType, EnableBit, GeomType
 
 from myowarp.fusions import FUSIONS, Fusion
-from myowarp.kernels.contact_search import OURS, Candidates, ContactMaterial, Shapes, search_kernel
+from myowarp.kernels.contact_search import OURS, Candidates, ContactMaterial, Shapes, find_contacts
 from myowarp.kernels.engine_arrays import ContactPool, filled
 from myowarp.models.slim import colliding_pairs
 from myowarp.scene import Scene
 
 Kind = tuple[GeomType, GeomType]
-BATCHED = ("geom_aabb", "geom_rbound", "geom_margin", "geom_gap", "pair_margin", "pair_gap")
 
 
 @FUSIONS.register("contact_search")
@@ -33,7 +32,6 @@ class ContactSearch(Fusion):
         obstacles = {
             "no sphere, capsule or ellipsoid can touch another": _kinds(scene).isdisjoint(OURS),
             "the engine does not compare all pairs": opt.broadphase != BroadphaseType.NXN,
-            "bounding spheres are not compared": not opt.broadphase_filter & BroadphaseFilter.SPHERE,
             "sleeping is on": bool(opt.enableflags & EnableBit.SLEEP),
             "meshes differ between worlds": scene.model.geom_dataid.shape[0] > 1,
         }
@@ -77,11 +75,10 @@ def launch_search(
     model: mjw.Model, data: mjw.Data, context: CollisionContext, awake_prev: wp.array | None = None
 ) -> None:
     """Search all worlds, in the place of `mujoco_warp._src.collision_driver.nxn_broadphase`."""
-    sizes = [getattr(model, name).shape[0] for name in BATCHED]
     # Arguments are copied for every thread: on the CPU that would be most of the time.
     num_threads = 1 if data.nacon.device.is_cpu else model.nxn_geom_pair_filtered.shape[0]
     wp.launch(
-        search_kernel(model.opt.broadphase_filter, *sizes),
+        find_contacts,
         dim=(data.nworld, num_threads),
         inputs=[filled(Shapes, model, data), filled(ContactMaterial, model), data.naconmax, num_threads],
         outputs=[filled(ContactPool, data.contact, data), filled(Candidates, context, data)],

@@ -34,7 +34,6 @@ class InertiaSolve(Fusion):
 
     def __init__(self, scene: Scene) -> None:
         """Allocate the factor."""
-        self._inertia = filled(InertiaRows, scene.model)
         self._factor = wp.zeros_like(scene.data.M)
 
     @contextlib.contextmanager
@@ -54,7 +53,8 @@ class InertiaSolve(Fusion):
             if L is data.qLD or M.shape != self._factor.shape:
                 stock(model, data, M, L, D, x, y)
                 return
-            wp.launch(solve_inertia, dim=data.nworld, inputs=[self._inertia, M, y], outputs=[self._factor, x])
+            inertia, factor = filled(InertiaRows, model), self._factor
+            wp.launch(solve_inertia, dim=data.nworld, inputs=[inertia, M, y], outputs=[factor, x])
 
         with mock.patch.object(smooth, "factor_solve_i", factor_solve):
             yield

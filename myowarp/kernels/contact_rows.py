@@ -180,7 +180,8 @@ def write_contact_rows(
     rows: ConstraintRows,
 ):
     """J = normal' (J_2 - J_1) ± friction_k direction_k' (J_2 - J_1), aref = -k imp dist - b J qvel."""
-    for conid in range(wp.tid(), wp.min(contacts.nacon[0], contacts.dist.shape[0]), num_threads):
+    thread = wp.tid()
+    for conid in range(thread, wp.min(contacts.nacon[0], contacts.dist.shape[0]), num_threads):
         first = contacts.efc_address[conid, 0]
         if first >= 0:
             worldid = contacts.worldid[conid]

@@ -5,12 +5,9 @@ family of shapes. Here a pair is done with in one go: spheres and capsules in cl
 Newton's method (`kernels.separation`); pairs of other shapes go on the engine's list.
 """
 
-from functools import cache
-from typing import Any
-
 import warp as wp
-from mujoco_warp._src.collision_core import contact_margin_gap, contact_material_params, write_contact
-from mujoco_warp._src.collision_driver import _add_geom_pair, _broadphase_filter, _sphere_filter
+from mujoco_warp._src.collision_core import contact_material_params, write_contact
+from mujoco_warp._src.collision_driver import _add_geom_pair, _obb_filter, _plane_filter, _sphere_filter
 from mujoco_warp._src.collision_primitive_core import capsule_capsule, sphere_capsule, sphere_sphere
 from mujoco_warp._src.math import make_frame
 from mujoco_warp._src.types import GeomType, vec5
@@ -92,10 +89,13 @@ class Pair:
 
 @wp.struct
 class Geom:
-    """A geom's shape and pose in the world [m]."""
+    """A geom's shape and pose in the world [m], its box in its own frame; a plane has no bounding sphere."""
 
     type: int
     size: wp.vec3
+    bound: float
+    box_center: wp.vec3
+    box_size: wp.vec3
     pos: wp.vec3
     rotation: wp.mat33
 
@@ -168,6 +168,38 @@ def write_touch(
 
 
 @wp.func
+def geom_at(
+    kind: int,
+    size: wp.vec3,
+    bound: float,
+    box_center: wp.vec3,
+    box_size: wp.vec3,
+    pos: wp.vec3,
+    rotation: wp.mat33,
+) -> Geom:
+    """Return a geom."""
+    geom = Geom()
+    geom.type = kind
+    geom.size = size
+    geom.bound = bound
+    geom.box_center = box_center
+    geom.box_size = box_size
+    geom.pos = pos
+    geom.rotation = rotation
+    return geom
+
+
+@wp.func
+def touch_at(dist: float, pos: wp.vec3, normal: wp.vec3) -> Touch:
+    """Return a touch."""
+    touch = Touch()
+    touch.dist = dist
+    touch.pos = pos
+    touch.normal = normal
+    return touch
+
+
+@wp.func
 def long_axis(rotation: wp.mat33) -> wp.vec3:
     """Return the z axis of a frame."""
     return wp.vec3(rotation[0, 2], rotation[1, 2], rotation[2, 2])
@@ -184,13 +216,13 @@ def round_touches(one: Geom, two: Geom) -> Touches:
         dist, pos, normal = sphere_sphere(one.pos, radius1, two.pos, radius2)
         if two.type == CAPSULE:
             dist, pos, normal = sphere_capsule(one.pos, radius1, two.pos, axis2, radius2, two.size[1])
-        touches.first = Touch(dist, normal, pos)
+        touches.first = touch_at(dist, pos, normal)
     else:
         dists, points, normals = capsule_capsule(
             one.pos, axis1, radius1, one.size[1], two.pos, axis2, radius2, two.size[1]
         )
-        touches.first = Touch(dists[0], normals[0], points[0])
-        touches.second = Touch(dists[1], normals[1], points[1])
+        touches.first = touch_at(dists[0], points[0], normals[0])
+        touches.second = touch_at(dists[1], points[1], normals[1])
     return touches
 
 
@@ -211,105 +243,95 @@ def touch_with_ellipsoid(one: Geom, two: Geom, cutoff: float) -> Touch:
     return capsule_touch(bodies, one.pos, long_axis(one.rotation), one.size[0], half)
 
 
-@cache
-def search_kernel(*settings: int) -> Any:
-    """Return the kernel `find_contacts` for the settings of the engine's filter.
+@wp.func
+def add_candidate(pair: Pair, type1: int, type2: int, naconmax: int, candidates: Candidates):
+    """Put a pair on the engine's list."""
+    _add_geom_pair(
+        naconmax,
+        pair.geoms[0],
+        pair.geoms[1],
+        type1,
+        type2,
+        pair.worldid,
+        pair.pairid,
+        candidates.ncollision,
+        candidates.collision_pair,
+        candidates.collision_pairid,
+        candidates.collision_worldid,
+    )
 
-    Functions take structs by value, and those of arrays are kilobytes: what is called for every pair takes
-    numbers.
-    """
-    boxes_meet = _broadphase_filter(*settings)
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def find_contacts(
-        # Model:
-        shapes: Shapes,
-        material: ContactMaterial,
-        # Data in:
-        naconmax_in: int,
-        # In:
-        num_threads: int,
-        # Data out:
-        contact_out: ContactPool,
-        # Out:
-        candidates: Candidates,
-    ):
-        """dist(geom_1, geom_2) < margin + gap."""
-        worldid, thread = wp.tid()
-        sizes = shapes.geom_size[worldid % shapes.geom_size.shape[0]]
-        bounds = shapes.geom_rbound[worldid % shapes.geom_rbound.shape[0]]
-        margins = shapes.geom_margin[worldid % shapes.geom_margin.shape[0]]
-        gaps = shapes.geom_gap[worldid % shapes.geom_gap.shape[0]]
-        xpos, xmat = shapes.geom_xpos[worldid], shapes.geom_xmat[worldid]
-        pair = Pair()
-        pair.worldid = worldid
-        for i in range(thread, shapes.nxn_geom_pair_filtered.shape[0], num_threads):
-            geoms = shapes.nxn_geom_pair_filtered[i]
-            pair.pairid = shapes.nxn_pairid_filtered[i]
-            # An explicit pair has margins of its own, a collision sensor wants every distance.
-            plain = pair.pairid[0] < 0 and pair.pairid[1] < 0
-            bound1, bound2 = bounds[geoms[0]], bounds[geoms[1]]
-            if plain and bound1 > 0.0 and bound2 > 0.0:  # planes have no sphere
-                margin1, margin2 = margins[geoms[0]] + gaps[geoms[0]], margins[geoms[1]] + gaps[geoms[1]]
-                if not _sphere_filter(bound1, bound2, margin1, margin2, xpos[geoms[0]], xpos[geoms[1]]):
-                    continue
-            pair.geoms = geoms
-            if shapes.geom_type[geoms[0]] > shapes.geom_type[geoms[1]]:
-                pair.geoms = wp.vec2i(geoms[1], geoms[0])
-            a, b = pair.geoms[0], pair.geoms[1]
-            one = Geom(shapes.geom_type[a], sizes[a], xpos[a], xmat[a])
-            two = Geom(shapes.geom_type[b], sizes[b], xpos[b], xmat[b])
-            margin, gap = contact_margin_gap(
-                shapes.geom_margin,
-                shapes.geom_gap,
-                shapes.pair_margin,
-                shapes.pair_gap,
-                pair.geoms,
-                pair.pairid[0],
-                worldid,
-            )
-            pair.margin = margin
-            pair.gap = gap
-            cutoff = wp.where(pair.pairid[1] < 0, margin + gap, FAR)
-            touches = Touches()
-            touches.second.dist = FAR
-            if one.type >= SPHERE and two.type <= CAPSULE:
-                touches = round_touches(one, two)
-            else:
-                if pair.pairid[1] < 0 and not boxes_meet(
-                    shapes.geom_aabb,
-                    shapes.geom_rbound,
-                    shapes.geom_margin,
-                    shapes.geom_gap,
-                    shapes.pair_margin,
-                    shapes.pair_gap,
-                    shapes.geom_xpos,
-                    shapes.geom_xmat,
-                    geoms[0],
-                    geoms[1],
-                    pair.pairid[0],
-                    worldid,
-                ):
-                    continue
-                if one.type < SPHERE or two.type > ELLIPSOID:
-                    _add_geom_pair(
-                        naconmax_in,
-                        a,
-                        b,
-                        one.type,
-                        two.type,
-                        worldid,
-                        pair.pairid,
-                        candidates.ncollision,
-                        candidates.collision_pair,
-                        candidates.collision_pairid,
-                        candidates.collision_worldid,
-                    )
-                    continue
-                touches.first = touch_with_ellipsoid(one, two, cutoff)
+@wp.func
+def boxes_meet(one: Geom, two: Geom, cutoff: float) -> bool:
+    """Return whether two geoms may be less than `cutoff` apart."""
+    pos1, pos2, rotation1, rotation2 = one.pos, two.pos, one.rotation, two.rotation
+    if one.bound == 0.0 or two.bound == 0.0:
+        return _plane_filter(one.bound, two.bound, cutoff, 0.0, pos1, pos2, rotation1, rotation2)
+    center1, center2, size1, size2 = one.box_center, two.box_center, one.box_size, two.box_size
+    return _obb_filter(center1, center2, size1, size2, cutoff, 0.0, pos1, pos2, rotation1, rotation2)
+
+
+@wp.func
+def closest(one: Geom, two: Geom, cutoff: float) -> Touches:
+    """Where two spheres, capsules or ellipsoids are closest; a bound will do beyond the cutoff."""
+    if two.type <= CAPSULE:
+        return round_touches(one, two)
+    touches = Touches()
+    touches.first.dist = FAR
+    touches.second.dist = FAR
+    if boxes_meet(one, two, cutoff):
+        touches.first = touch_with_ellipsoid(one, two, cutoff)
+    return touches
+
+
+@wp.kernel(enable_backward=False)
+def find_contacts(
+    # Model:
+    shapes: Shapes,
+    material: ContactMaterial,
+    # Data in:
+    naconmax_in: int,
+    # In:
+    num_threads: int,
+    # Data out:
+    contact_out: ContactPool,
+    # Out:
+    candidates: Candidates,
+):
+    """dist(geom_1, geom_2) < margin + gap. Functions take structs by value: for every pair, only numbers."""
+    worldid, thread = wp.tid()
+    bound = shapes.geom_rbound[worldid % shapes.geom_rbound.shape[0]]
+    size = shapes.geom_size[worldid % shapes.geom_size.shape[0]]
+    box = shapes.geom_aabb[worldid % shapes.geom_aabb.shape[0]]
+    margins = shapes.geom_margin[worldid % shapes.geom_margin.shape[0]]
+    gaps = shapes.geom_gap[worldid % shapes.geom_gap.shape[0]]
+    kind, xpos, xmat = shapes.geom_type, shapes.geom_xpos[worldid], shapes.geom_xmat[worldid]
+    pair = Pair()
+    pair.worldid = worldid
+    for i in range(thread, shapes.nxn_geom_pair_filtered.shape[0], num_threads):
+        a, b = shapes.nxn_geom_pair_filtered[i][0], shapes.nxn_geom_pair_filtered[i][1]
+        pair.pairid = shapes.nxn_pairid_filtered[i]
+        pair.margin = margins[a] + margins[b]
+        pair.gap = gaps[a] + gaps[b]
+        if pair.pairid[0] >= 0:
+            pair.margin = shapes.pair_margin[worldid % shapes.pair_margin.shape[0], pair.pairid[0]]
+            pair.gap = shapes.pair_gap[worldid % shapes.pair_gap.shape[0], pair.pairid[0]]
+        # A collision sensor wants the distance however large it is.
+        cutoff = wp.where(pair.pairid[1] < 0, pair.margin + pair.gap, FAR)
+        if bound[a] > 0.0 and bound[b] > 0.0:
+            if not _sphere_filter(bound[a], bound[b], cutoff, 0.0, xpos[a], xpos[b]):
+                continue
+        pair.geoms = wp.vec2i(a, b)
+        if kind[a] > kind[b]:
+            pair.geoms = wp.vec2i(b, a)
+        a, b = pair.geoms[0], pair.geoms[1]
+        one = geom_at(kind[a], size[a], bound[a], box[a, 0], box[a, 1], xpos[a], xmat[a])
+        two = geom_at(kind[b], size[b], bound[b], box[b, 0], box[b, 1], xpos[b], xmat[b])
+        if one.type >= SPHERE and two.type <= ELLIPSOID:
+            touches = closest(one, two, cutoff)
             if touches.first.dist < cutoff:
                 write_touch(touches.first, pair, material, 0, naconmax_in, contact_out)
             if touches.second.dist < cutoff:
                 write_touch(touches.second, pair, material, 1, naconmax_in, contact_out)
-
-    return find_contacts
+        elif boxes_meet(one, two, cutoff):
+            add_candidate(pair, one.type, two.type, naconmax_in, candidates)
