@@ -6,11 +6,14 @@ is made again, never trusted. `MYOWARP_CACHE_DIR` moves the folder.
 
 import hashlib
 import os
-from collections.abc import Callable
-from importlib.metadata import version
+from collections.abc import Callable, Iterable
+from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import TypeVar
 
+import mujoco
+import numpy as np
 import platformdirs
 
 from myowarp.files import in_place
@@ -18,10 +21,28 @@ from myowarp.files import in_place
 T = TypeVar("T")
 
 
+@cache
+def version(package: str) -> str:
+    """Return the version of an installed package."""
+    return metadata.version(package)
+
+
 def cache_dir() -> Path:
     """Return the folder of the cache; it may not exist yet."""
     default = platformdirs.user_cache_dir("myowarp")
     return Path(os.environ.get("MYOWARP_CACHE_DIR", default))
+
+
+def files_digest(files: Iterable[Path]) -> str:
+    """Return a digest of what files hold, in their order."""
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
+def model_digest(model: mujoco.MjModel) -> str:
+    """Return a digest of everything a compiled model holds."""
+    content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return hashlib.sha256(content.tobytes()).hexdigest()
 
 
 def cached(

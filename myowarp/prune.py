@@ -9,7 +9,6 @@ step, bit for bit.
 
 import contextlib
 from collections.abc import Callable, Iterator
-from typing import Any
 from unittest import mock
 
 import mujoco
@@ -17,6 +16,7 @@ import numpy as np
 import warp as wp
 from mujoco_warp._src import solver
 
+from myowarp.launches import exchanged
 from myowarp.scene import Scene
 
 
@@ -54,27 +54,9 @@ def idle_kernels(model: mujoco.MjModel) -> frozenset[str]:
     return frozenset(name for name, idle in IDLE_WHEN.items() if idle(model))
 
 
-@contextlib.contextmanager
-def pruned(names: frozenset[str]) -> Iterator[None]:
+def pruned(names: frozenset[str]) -> contextlib.AbstractContextManager[None]:
     """Skip launches of the kernels with these names in the block."""
-
-    def filtered(launch: Callable[..., Any]) -> Callable[..., Any]:
-        def launch_unless_idle(*args: Any, **kwargs: Any) -> Any:
-            kernel = args[0] if args else kwargs["kernel"]
-            if kernel.key.split("__locals__")[0] in names:
-                return None
-            return launch(*args, **kwargs)
-
-        return launch_unless_idle
-
-    if not names:
-        yield
-        return
-    with (
-        mock.patch.object(wp, "launch", filtered(wp.launch)),
-        mock.patch.object(wp, "launch_tiled", filtered(wp.launch_tiled)),
-    ):
-        yield
+    return exchanged(lambda kernel: None if kernel.key.split("__locals__")[0] in names else kernel)
 
 
 @contextlib.contextmanager

@@ -4,7 +4,6 @@ After `compile_scene` every shape is fixed; the step loop only launches kernels 
 """
 
 import dataclasses
-import hashlib
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.cache import cached
+from myowarp.cache import cached, files_digest
 from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import RandomKeys, new_keys
 from myowarp.models.bodies import BODIES
@@ -137,7 +136,7 @@ def source_digest(*more: Path) -> str:
     files = [Path(__file__), package / "models/slim.py", *more]
     files += [*sorted(package.glob("tasks/*.py")), *sorted(package.glob("models/bodies/*.py"))]
     files += sorted(package.glob("models/conditions/*.py"))
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+    return files_digest(files)
 
 
 def _cached_model(

@@ -31,6 +31,7 @@ from myowarp.kernels.episode import (
 )
 from myowarp.kernels.repeat import repeat
 from myowarp.kernels.reset import place_start, reset_worlds
+from myowarp.launches import engine_kernels_alone
 from myowarp.look import Look, look_at
 from myowarp.models.conditions import Condition, resolve
 from myowarp.models.conditions.parameter import Clock
@@ -218,7 +219,7 @@ class Simulation:
 
     def _launch_physics(self) -> None:
         """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
-        with installed(self.fusions), batch_independent(self.scene.device):
+        with installed(self.fusions), batch_independent(self.scene.device), engine_kernels_alone():
             mjw.step(self.scene.model, self.scene.data)
 
     def _launch_control(self, model: mjw.Model, data: mjw.Data) -> None:
@@ -309,7 +310,8 @@ class Simulation:
     def _refresh(self) -> None:
         """Make body and site positions those of the present state; a step leaves them one substep old."""
         if self.scene.spec.uses_kinematics:
-            mjw.kinematics(self.scene.model, self.scene.data)
+            with engine_kernels_alone():
+                mjw.kinematics(self.scene.model, self.scene.data)
 
     def _capture(self, launches: Callable[[], None]) -> wp.Graph:
         """Record launches as a graph, which no other graph shares its code with."""

@@ -4,18 +4,13 @@ To verify pruning and fusions the stock step has to be compiled and run beside o
 of a first start. The verdict is kept on disk, under a key that names everything it depends on.
 """
 
-import hashlib
 import json
 import platform
 from collections.abc import Callable, Iterable
-from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-import mujoco
-import numpy as np
-
-from myowarp.cache import cached
+from myowarp.cache import cached, files_digest, model_digest, version
 from myowarp.fusions import Fusion, applicable_fusions, installed, verified_fusions
 from myowarp.prune import idle_kernels, verified_idle
 from myowarp.scene import Scene
@@ -38,14 +33,12 @@ class Verdict(NamedTuple):
 
 def cached_verdict(scene: Scene, candidates: Iterable[Fusion], verify: Callable[[], Verdict]) -> Verdict:
     """Return what `verify` found for this scene and these candidates, now or in an earlier process."""
-    content = np.zeros(mujoco.mj_sizeModel(scene.oracle), dtype=np.uint8)
-    mujoco.mj_saveModel(scene.oracle, None, content)
     package = Path(__file__).parent
     files = sorted(file for pattern in SOURCES for file in package.glob(pattern))
-    digest = hashlib.sha256(content.tobytes() + b"".join(file.read_bytes() for file in files)).hexdigest()
+    digests = (model_digest(scene.oracle), files_digest(files))
     names = sorted(type(fusion).__name__ for fusion in candidates)
     where = (scene.device.alias, scene.device.name, scene.device.arch, platform.machine())
-    key = ("verdict", digest, names, where, version("mujoco-warp"), version("warp-lang"))
+    key = ("verdict", *digests, names, where, version("mujoco-warp"), version("warp-lang"))
 
     def load(path: str) -> Verdict:
         entry = json.loads(Path(path).read_text())

@@ -7,6 +7,7 @@ silence for a hand. Here the launches are first only listed, then their modules 
 import contextlib
 import os
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from typing import Any
 from unittest import mock
 
@@ -70,11 +71,14 @@ def compile_kernels(
         launches()
     modules = tuple(found)
     workers = os.cpu_count() or 1
-    with patient_bar("Compiling kernels", "modules", len(modules), patience=PATIENCE, show=show) as advance:
-        for start in range(0, len(modules), workers):
-            chunk = modules[start : start + workers]
-            wp.force_load(device=device, modules=chunk, max_workers=workers)
-            advance(len(chunk))
+    with (
+        patient_bar("Compiling kernels", "modules", len(modules), patience=PATIENCE, show=show) as advance,
+        ThreadPoolExecutor(workers) as pool,
+    ):
+        loads = [pool.submit(wp.force_load, device, [module]) for module in modules]
+        for load in as_completed(loads):
+            load.result()
+            advance(1)
     return modules
 
 

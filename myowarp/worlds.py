@@ -61,12 +61,12 @@ class Worlds:
             return
         for key in holder._cls.vars if fields is None else fields:
             array = getattr(holder, key)
-            if not array.size:
-                continue
             whole = self.shared.get(f"{name}.{key}")
             if whole is None:
                 whole = wp.zeros((self.total, *array.shape[1:]), dtype=array.dtype, device=array.device)
                 self.shared[f"{name}.{key}"] = whole
+            if not array.size:
+                continue
             slot = whole[self.own]
             wp.copy(slot, array)
             setattr(holder, key, slot)

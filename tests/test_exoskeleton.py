@@ -6,6 +6,7 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 import warp as wp
+from elbows import KEY, NUM_WORLDS, States, in_c, worn
 from reference import exoskeleton as reference
 from reference.load import gravity_torque
 
@@ -14,11 +15,8 @@ from myowarp.models.conditions.exoskeleton import CUFF, Exoskeleton
 from myowarp.models.conditions.load import Load
 from myowarp.models.conditions.parameter import Ramp, Uniform
 from myowarp.scene import full_spec
-from myowarp.sim import Simulation
 from myowarp.spec import PHYSICS, TASKS
 
-KEY = "myoElbowPose1D6MRandom-v0"
-NUM_WORLDS = 256
 ASSISTANCE = np.linspace(0.0, 1.5, NUM_WORLDS)  # one a world
 MAX_TORQUE = 8.5  # N m
 BARE = {"forearm_mass": 0.0}  # so that the torque is alone
@@ -32,50 +30,6 @@ QVEL = 5e-5
 FIELD = 1e-6  # relative, float32 roundings of host values
 ROUNDING = 1e-6  # of a number of order one, a few float32 operations
 EFFECT = 10.0
-
-
-def worn(conditions=(), num_worlds=NUM_WORLDS, physics="parity"):
-    """Return a simulation of elbows with conditions in place."""
-    options = {"device": "cpu", "graph": False, "progress": False, "physics": physics}
-    sim = Simulation(TASKS[KEY], num_worlds, conditions=conditions, **options)
-    sim.launch_conditions()
-    return sim
-
-
-class States:
-    """Random states of the elbow, exactly representable in float32."""
-
-    def __init__(self, seed=0):
-        rng = np.random.default_rng(seed)
-        self.qpos = np.float32(rng.uniform(0.05, 2.2, (NUM_WORLDS, 1)))
-        self.qvel = np.float32(2.0 * rng.normal(size=(NUM_WORLDS, 1)))
-        self.activation = np.float32(rng.uniform(0.0, 1.0, (NUM_WORLDS, 6)))
-
-    def put(self, sim):
-        """Write the states into a simulation."""
-        sim.scene.data.qpos.assign(self.qpos)
-        sim.scene.data.qvel.assign(self.qvel)
-        sim.scene.muscles.activation.assign(self.activation)
-        return sim.scene.data
-
-
-def in_c(model, states, call, *, scale=None, torque=None):
-    """Return data of MuJoCo C after `call` in every state; forces scaled, or a torque applied, per world."""
-    gain, bias = model.actuator_gainprm.copy(), model.actuator_biasprm.copy()
-    rows = []
-    for world in range(NUM_WORLDS):
-        data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:] = states.qpos[world], states.qvel[world]
-        data.act[:] = states.activation[world]
-        if scale is not None:  # of the peak forces, active and passive
-            model.actuator_gainprm[:, 2] = gain[:, 2] * scale[world]
-            model.actuator_biasprm[:, 2] = bias[:, 2] * scale[world]
-        if torque is not None:
-            data.qfrc_applied[:] = torque[world]
-        call(model, data)
-        rows.append(data)
-    model.actuator_gainprm[:], model.actuator_biasprm[:] = gain, bias
-    return rows
 
 
 def muscle_torque(states):
@@ -247,63 +201,6 @@ def test_moves_like_mujoco_compiled_with_the_part():
         mjw.step(sim.scene.model, data)
     assert np.abs(data.qpos.numpy() - expected).max() <= 1e-5  # rad
     assert np.median(np.abs(bare - expected)) > EFFECT * 1e-5
-
-
-class TestMotor:
-    """The policy commands the torque."""
-
-    def test_one_more_action(self):
-        for motor, actions in ((False, 6), (True, 7)):
-            env = gymnasium.make_vec(
-                f"MyoWarp/{KEY}", num_envs=2, device="cpu", conditions=Exoskeleton(motor=motor)
-            )
-            assert env.single_action_space.shape == (actions,)
-            assert env.single_observation_space.shape == (9,)
-            env.reset(seed=0)
-            action = np.full((2, actions), 0.25, dtype=np.float32)
-            info = env.step(action)[-1]
-            assert ("terms/exo_effort" in info) == motor
-            assert info["exo_torque"].shape == (2,)
-            assert np.abs(info["exo_torque"]).min() > 0
-            if motor:
-                np.testing.assert_allclose(info["exo_torque"], 0.25 * MAX_TORQUE, rtol=ROUNDING)
-            env.close()
-
-    def test_torque_moves_the_elbow(self):
-        states, sim = States(), worn(Exoskeleton(motor=True, **BARE))
-        command = np.linspace(-1.5, 1.5, NUM_WORLDS)
-        torque = MAX_TORQUE * np.clip(command, -1.0, 1.0)
-        rows = in_c(worn(num_worlds=1).scene.oracle, states, mujoco.mj_forward, torque=torque)
-        expected = np.array([data.qacc for data in rows])
-        action = np.full((NUM_WORLDS, 7), -1.0, dtype=np.float32)
-        action[:, 6] = command
-        sim.action.assign(action)
-        sim.launch_action()
-        data = states.put(sim)
-        mjw.forward(sim.scene.model, data)
-        assert np.abs(data.qacc.numpy() - expected).max() <= TORQUE * np.abs(expected).max()
-        np.testing.assert_allclose(data.actuator_force.numpy()[:, 6], torque, rtol=ROUNDING)
-
-    @pytest.mark.parametrize("weight", [0.0, 2.0])
-    def test_effort_is_the_squared_torque(self, weight):
-        """Relative to the largest; it counts in the reward with its weight only."""
-        sim = worn(Exoskeleton(motor=True, max_torque=4.0, effort_weight=weight), 5)
-        command = np.array([-1.0, -0.5, 0.0, 0.25, 3.0], dtype=np.float32)
-        action = np.zeros((5, 7), dtype=np.float32)
-        action[:, 6] = command
-        sim.reset(seeds=np.arange(5))
-        sim.action.assign(action)
-        sim.transition.terms.fill_(np.nan)
-        sim.step()
-        terms, names = sim.transition.terms.numpy(), [term.name for term in sim.terms]
-        effort = -np.square(np.clip(command, -1, 1))
-        np.testing.assert_allclose(terms[:, names.index("exo_effort")], effort, rtol=ROUNDING)
-        np.testing.assert_allclose(
-            sim.effects[0].torque.numpy(), 4.0 * np.clip(command, -1, 1), rtol=ROUNDING
-        )
-        weights = [term.weight for term in sim.terms]
-        assert weights[-1] == weight
-        np.testing.assert_allclose(sim.transition.reward.numpy(), terms @ weights, rtol=1e-5)
 
 
 def test_assistance_changes_within_an_episode():

@@ -1,12 +1,11 @@
 """MuJoCo's muscle fitted to OpenSim's: forces in MuJoCo C against recorded OpenSim forces, and the gates."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from opensim_muscles import load
 from reference import mujoco_muscle as reference
 
 from myowarp.models.opensim.activation import activation_dynamics
@@ -17,8 +16,6 @@ pytest.importorskip("scipy")
 
 from myowarp.models.opensim import force
 
-DATA = Path(__file__).parent / "data" / "opensim"
-
 GATES = {"arm26": 0.02, "leg6dof9musc": 0.025, "gait10dof18musc": 0.025}
 """Mean error of the force map over the muscles [max_isometric_force]; the converter's promise."""
 
@@ -27,15 +24,6 @@ CURVE_TOLERANCE = 1e-12
 
 FORCE_TOLERANCE = 1e-9
 """MuJoCo's parameters go through ranges of length and back [max_isometric_force]."""
-
-
-def load(model):
-    """Return the recorded arrays and the muscles of a model."""
-    with np.load(DATA / f"muscles_{model}.npz") as file:
-        data = dict(file)
-    meta = json.loads(str(data.pop("meta")))
-    rows = zip(meta["names"], meta["classes"], meta["parameters"], strict=True)
-    return data, [HillMuscle(*row) for row in rows]
 
 
 def engine_force(fit, length, velocity=0.0, activation=1.0):

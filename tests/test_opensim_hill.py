@@ -1,11 +1,10 @@
 """Hill muscles against OpenSim 4.6 (recorded), against the papers' equations, and against landmarks."""
 
-import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
+from opensim_muscles import DATA, load
 from reference import hill as reference
 
 from myowarp.models.opensim.hill import HillMuscle, known
@@ -14,7 +13,6 @@ from myowarp.models.opensim.muscle_defaults import DEFAULTS
 from myowarp.models.opensim.muscle_splines import PASSIVE, SPLINES
 from myowarp.models.opensim.muscle_table import read_muscles, write_muscles
 
-DATA = Path(__file__).parent / "data" / "opensim"
 MODELS = [path.stem.removeprefix("muscles_") for path in sorted(DATA.glob("muscles_*.npz"))]
 MODELS.remove("moving")
 
@@ -54,15 +52,6 @@ COMMON_DEFAULTS = {
     "ignore_tendon_compliance": 0.0,
     "ignore_activation_dynamics": 0.0,
 }
-
-
-def load(model):
-    """Return the recorded arrays and the muscles of a model."""
-    with np.load(DATA / f"muscles_{model}.npz") as file:
-        data = dict(file)
-    meta = json.loads(str(data.pop("meta")))
-    rows = zip(meta["names"], meta["classes"], meta["parameters"], strict=True)
-    return data, [HillMuscle(*row) for row in rows]
 
 
 def agree(found, data, muscles):

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
 
+from myowarp.cache import version
 from myowarp.cohort.plan import Plan, plan_cohort
 from myowarp.files import in_place
 from myowarp.interop import checked_action

@@ -4,7 +4,6 @@ Arrays in mujoco-warp have fixed sizes; what does not fit is dropped, with wrong
 measured with MuJoCo C, with a margin, and never guessed.
 """
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from myowarp.cache import cached
+from myowarp.cache import cached, files_digest, model_digest
 from myowarp.models import slim
 
 MARGIN = 1.5  # over the largest numbers seen
@@ -47,12 +46,9 @@ def calibrate(model: mujoco.MjModel, start: np.ndarray) -> Capacity:
         model: The model.
         start: Configuration from which motion starts, shape (nq,).
     """
-    content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
-    mujoco.mj_saveModel(model, None, content)
-    code = b"".join(Path(file).read_bytes() for file in (__file__, slim.__file__))
-    digest = hashlib.sha256(code + content.tobytes() + start.tobytes()).hexdigest()
+    code = files_digest(Path(file) for file in (__file__, slim.__file__))
     return cached(
-        ("capacity", digest),
+        ("capacity", code, model_digest(model), start.tolist()),
         ".npy",
         make=lambda: _measure(model, start),
         save=lambda capacity, path: np.save(path, astuple(capacity)),

@@ -1,7 +1,6 @@
 """The command `myowarp convert`: an .osim file -> a folder with a MuJoCo model, its sidecars and a report."""
 
 import dataclasses
-import hashlib
 import importlib.util
 import json
 import os
@@ -14,6 +13,7 @@ import mujoco
 import tyro
 from rich.console import Console
 
+from myowarp.cache import files_digest
 from myowarp.files import check_folder, in_place
 from myowarp.models.opensim.model import Model, Note
 from myowarp.progress import patient_bar
@@ -110,7 +110,7 @@ def run(
         raise ValueError(f"workers must be at least 0, got {workers}")
     check_folder(output)
     begin = time.perf_counter()
-    digest = hashlib.sha256(source.read_bytes()).hexdigest()
+    digest = files_digest([source])
     model = read_model(source)
     fits, samples = _fits(model, digest, method, workers)
     if samples is not None and reference == "opensim":

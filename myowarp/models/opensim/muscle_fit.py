@@ -13,12 +13,11 @@ import signal
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
-from myowarp.cache import cached
+from myowarp.cache import cached, files_digest, version
 from myowarp.models.opensim.force import ACTIVATIONS, ForceFit, fit_force
 from myowarp.models.opensim.force import Method as ForceMethod
 from myowarp.models.opensim.hill import HillMuscle, known
@@ -231,5 +230,4 @@ def _load(path: str) -> MuscleFit:
 def _code_digest() -> str:
     """Return a digest of the code and packages that a fit depends on."""
     files = sorted(Path(__file__).parent.glob("*.py"))
-    code = hashlib.sha256(b"".join(file.read_bytes() for file in files))
-    return f"{code.hexdigest()} {version('numpy')} {version('scipy')}"
+    return f"{files_digest(files)} {version('numpy')} {version('scipy')}"
