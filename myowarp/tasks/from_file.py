@@ -5,13 +5,13 @@ follow, and a root that nothing holds falls. Episodes start from the first keyfr
 `parity` is the file's own time step and integrator.
 """
 
-import hashlib
 import re
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
+from myowarp.cache import model_digest
 from myowarp.models.bodies import BODIES, Body
 from myowarp.models.couplings import POINT_JOINTS, couplings
 from myowarp.spec import TASKS
@@ -62,10 +62,8 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
         reason = " ".join(str(error).split())
         raise ValueError(f"model {str(path)!r} must be an MJCF file; MuJoCo says: {reason}") from error
     _check(model, path)
-    content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
-    mujoco.mj_saveModel(model, None, content)
-    digest = hashlib.sha256(repr(tips).encode() + content.tobytes()).hexdigest()
-    name = f"{re.sub(r'[^A-Za-z0-9]+', '_', spec.modelname).strip('_')}_{digest[:8]}"
+    title = re.sub(r"[^A-Za-z0-9]+", "_", spec.modelname).strip("_")
+    name = "_".join((title, model_digest(model)[:8], *tips))
     if name not in BODIES:
         BODIES.add(name, Body(spec.copy, tips))
     return name
