@@ -10,10 +10,12 @@ from rich.table import Table
 COLORS = {"OpenSim": "#b3362b", "MuJoCo C": "#6b6b6b", "MyoWarp": "#1f5fa8"}
 STYLES = {"accuracy 1e-3": ":", "1 core": "--"}
 LABEL_GAP = 1.5  # between labels, as a ratio of rates
+LEAST_SHARE = 0.85  # of its cores that a contestant must have had
 CAPTION = (
     "Same model, same constant excitation, every muscle replicated with its share of the force. OpenSim's "
     "tendons are elastic, the converted ones rigid. MuJoCo C and MyoWarp take steps of 2 ms; OpenSim chooses "
-    "its own, for an accuracy of 1e-5 unless said. Bars: least and greatest of the rounds."
+    "its own, for an accuracy of 1e-5 unless said. Bars: least and greatest of the rounds. Hollow: other "
+    "processes took part of the cores."
 )
 
 
@@ -83,6 +85,9 @@ def _line(axis: Any, name: str, rows: list[dict[str, Any]], height: float) -> No
     ]
     style = {"color": COLORS[family], "ls": STYLES.get(detail, "-"), "marker": "o", "ms": 4}
     axis.errorbar(muscles, medians, yerr=whiskers, elinewidth=1, **style)
+    for number, rate, row in zip(muscles, medians, rows, strict=True):
+        if row["cpu_over_wall"]["median"] < LEAST_SHARE * row["threads"]:
+            axis.plot(number, rate, "o", ms=4, mfc="w", mec=COLORS[family], zorder=5)
     ratio = rows[-1]["over_opensim"]["median"]
     worlds = f", {rows[-1]['worlds']} worlds" if rows[-1]["worlds"] > 1 else ""
     text = f"{name}{worlds}" + ("" if ratio == 1.0 else f": {ratio:.3g} x")

@@ -109,7 +109,8 @@ class Rollout:
     task: Annotated[str | None, tyro.conf.Positional] = None
     """Task id, with or without "MyoWarp/"; `myowarp tasks` lists them."""
     model: Path | None = None
-    """Instead of a task: an MJCF file, such as `myowarp convert` writes, and random poses of its joints."""
+    """Instead of a task: an MJCF file, such as `myowarp convert` writes; random poses of its joints. Physics
+    parity is then the file's own integrator and step."""
     num_worlds: int = 64
     """Worlds simulated together."""
     steps: int | None = None

@@ -19,6 +19,7 @@ from myowarp.models.slim import slim
 from myowarp.sim import Simulation
 from myowarp.starts import posture_joints
 from myowarp.tasks.from_file import pose_task
+from myowarp.view.look import frame_camera
 
 OSIM = Path(__file__).parent / "data" / "osim"
 
@@ -164,6 +165,20 @@ def test_what_acts_survives_slimming(plain):
         assert model.actuator("cable").ctrlrange.tolist() == [-1.0, 1.0]
     assert np.abs(ends[0] - models[0].key_qpos[0])[7:].max() > 0.1
     np.testing.assert_allclose(*ends, atol=EXACT)
+
+
+def test_camera_finds_bodies_without_geoms():
+    """Muscle paths in the default pose are framed, also where the root can slide far away."""
+    spec = convert(read_model(OSIM / "leg6dof9musc.osim")).spec
+    root = spec.joint("pelvis_tx")
+    root.limited, root.range = mujoco.mjtLimited.mjLIMITED_TRUE, (-50.0, 50.0)
+    model = spec.compile()
+    camera, radius = frame_camera(model, 4 / 3)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_kinematics(model, data)
+    assert np.linalg.norm(camera.lookat - data.body("femur_r").xpos) < 1.0
+    assert 0.3 < radius < 1.5
 
 
 def test_another_content_is_another_body(plain, tmp_path):
