@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -17,6 +18,7 @@ from myowarp.models.opensim.mjcf import mjcf
 from myowarp.models.opensim.read import read_model
 from myowarp.models.slim import slim
 from myowarp.sim import Simulation
+from myowarp.spec import TASKS
 from myowarp.starts import posture_joints
 from myowarp.tasks.from_file import pose_task
 from myowarp.view.look import frame_camera
@@ -41,7 +43,7 @@ PLAIN = """
         <body name="lower" pos="0 0 -.3">
           <joint name="elbow" axis="0 1 0" damping=".1"/>
           <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02"/>
-          <site name="d" pos=".02 0 -.05"/><site name="seen"/>
+          <site name="d" pos=".02 0 -.05"/><site name="e"/><site name="seen"/>
           <body name="wheel" pos=".1 0 0"><joint name="wheel" axis="1 0 0"/><geom size=".03"/></body>
           <body name="cap" pos="-.1 0 0"><joint name="cap" range="-90 90"/><geom size=".03"/></body>
         </body>
@@ -56,7 +58,7 @@ PLAIN = """
   <actuator>
     <muscle name="muscle" tendon="muscle" lengthrange=".05 .2" force="50" timeconst=".01 .04"/>
     <motor name="cable" tendon="cable" gear="-5"/>
-    <motor name="push" site="d" gear="0 0 1 0 0 0"/>
+    <motor name="push" site="e" gear="0 0 1 0 0 0"/>
   </actuator>
   <sensor><framepos objtype="site" objname="seen"/></sensor>
   <keyframe><key qpos="0 0 2 1 0 0 0 .1 .2 0 .11"/></keyframe>
@@ -149,6 +151,23 @@ def test_targets_are_of_joints_that_actuators_move(plain):
     assert (task.physics_dt, task.num_substeps, task.integrator) == (0.005, 4, "EULER")
     assert pose_task(plain) == task
     assert [model.joint(j).name for j in posture_joints(model)] == ["shoulder"]
+
+
+def test_only_joints_with_a_target_count():
+    """Two joints of four, in another order: their errors are observed, scored, and end the episode."""
+    far = 0.5  # rad; the other joints start 0.75 rad off
+    options = {"joints": (3, 0), "target_low": (0.4, -0.1), "target_high": (0.4, -0.1), "far": far}
+    task = replace(TASKS["myoFingerPoseFixed-v0"], start_pose=(0.0, 0.75, 0.75, 0.2), **options)
+    sim = Simulation(task, 2, device="cpu", graph=False, progress=False, autoreset="disabled")
+    names = [column.name for column in sim.columns for _ in range(column.size)]
+    error = [i for i, name in enumerate(names) if name == "pose_err"]
+    np.testing.assert_allclose(sim.transition.obs.numpy()[:, error], [(0.2, -0.1)] * 2, atol=1e-6)
+    assert not sim.transition.terminated.numpy().any()
+    sim.scene.data.qpos.assign(np.array([(0.0, 0.0, 0.0, 0.2), (0.45, 0.0, 0.0, 0.2)]))
+    sim.launch_scoring()
+    distance = np.hypot(0.2, (0.1, 0.55))
+    np.testing.assert_allclose(sim.transition.terms.numpy()[:, 0], -distance, atol=1e-6)
+    assert sim.transition.terminated.numpy().tolist() == [False, True]
 
 
 def test_what_acts_survives_slimming(plain):

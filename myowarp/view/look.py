@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 import mujoco
 import numpy as np
 
-from myowarp.models.couplings import POINT_JOINTS, follow
+from myowarp.models.couplings import POINT_JOINTS
 
 RELAXED_RGB = np.array((0.45, 0.55, 0.68))
 """Blue-grey of a muscle at activation 0."""
@@ -227,20 +227,19 @@ TRAVEL = 1.0
 
 
 def motion_samples(model: mujoco.MjModel) -> Iterator[np.ndarray]:
-    """Yields the reference pose, and with what follows them the limited joints at both ends of their range.
+    """Yields the reference pose and each limited joint at both ends of its range.
 
     The reference is the keyframe `default`, as converted models have it, else the model's zero.
     """
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "default")
     rest = model.qpos0 if key < 0 else model.key_qpos[key]
     yield rest.copy()
-    hinge, slide = (model.jnt_type == kind.value for kind in POINT_JOINTS)
+    hinge, slide = (model.jnt_type == kind for kind in POINT_JOINTS)
     near = hinge | (slide & (np.ptp(model.jnt_range, axis=1) < TRAVEL))
     for joint in np.flatnonzero(near & (model.jnt_limited != 0)):
         for end in model.jnt_range[joint]:
             qpos = rest.copy()
             qpos[model.jnt_qposadr[joint]] = end
-            follow(model, qpos)
             yield qpos
 
 
