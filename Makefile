@@ -2,6 +2,7 @@
 #   make PYTHON=python3.12 test      another interpreter (after `make clean` if .venv exists)
 #   make test PYTEST="-k fatigue"    more arguments for pytest
 #   make rivals RIVALS=--quick       three families and two rounds instead of all
+#   make opensim OPENSIM=--quick     one model and two rounds instead of all
 
 SHELL := bash
 .DEFAULT_GOAL := help
@@ -15,7 +16,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help setup demo test test-slow lint format bench rivals opensim accuracy parity soak audit clean
+.PHONY: help setup demo test test-slow lint format bench gpu rivals opensim accuracy parity soak audit clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -61,6 +62,9 @@ bench: setup ## Measure speed and what conditions cost, JSON to out/bench.json a
 	@mkdir -p out
 	$(BIN)/python -m benchmarks --output out/bench.json
 	$(BIN)/python -m benchmarks.conditions --output out/conditions.json
+
+gpu: setup ## Measure on a GPU, JSON to out/gpu.json (8 minutes)
+	benchmarks/gpu.sh
 
 rivals: setup .venv-parity/.installed .venv-envpool/.installed ## Measure speed beside MyoSuite, EnvPool and MuJoCo C (12 minutes, idle cores)
 	$(BIN)/python -m benchmarks.rivals --output out/rivals.json $(RIVALS)

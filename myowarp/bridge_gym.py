@@ -79,6 +79,7 @@ class MyoWarpVectorEnv(VectorEnv):
         render_mode: str | None = None,
         render_size: tuple[int, int] = (640, 480),
         camera: str | None = None,
+        deterministic: bool = False,
         progress: bool = True,
     ) -> None:
         """Compile the task and its kernels; half a minute the first time, seconds later.
@@ -99,6 +100,7 @@ class MyoWarpVectorEnv(VectorEnv):
             render_mode: "rgb_array" or "human"; None: no pictures.
             render_size: Width and height of a picture [px].
             camera: Name of a camera of the model; None frames the limb.
+            deterministic: Whether a run gives the same bits every time on CUDA, which is slower.
             progress: Whether to show a progress bar while kernels compile.
 
         Raises:
@@ -109,16 +111,11 @@ class MyoWarpVectorEnv(VectorEnv):
         mode = _autoreset_mode(autoreset_mode)
         self.output, self.copy = check_output(output), (output == "numpy" if copy is None else copy)
         self.render_mode, self._pictures = render_mode, Pictures(render_size, camera)
-        options = {"physics": physics, "muscle": muscle, "reset": reset, "conditions": conditions}
+        options: dict[str, Any] = {"physics": physics, "muscle": muscle, "reset": reset}
+        options |= {"conditions": conditions, "autoreset": AUTORESET_NAMES[mode]}
+        options |= {"deterministic": deterministic, "progress": progress}
         self.sim = simulate(
-            TASKS[task],
-            num_envs,
-            shards=shards,
-            device=device,
-            autoreset=AUTORESET_NAMES[mode],
-            horizon=max_episode_steps,
-            progress=progress,
-            **options,
+            TASKS[task], num_envs, shards=shards, device=device, horizon=max_episode_steps, **options
         )
         self._set_up(mode)
 

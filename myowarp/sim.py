@@ -36,7 +36,7 @@ from myowarp.look import Look, look_at
 from myowarp.models.conditions import Condition, resolve
 from myowarp.models.conditions.parameter import Clock
 from myowarp.models.muscles import restore_anatomy
-from myowarp.prune import batch_independent, pruned
+from myowarp.prune import one_thread, pruned
 from myowarp.registry import check_choice
 from myowarp.scene import checked_horizon, compile_scene
 from myowarp.spec import TaskSpec
@@ -86,6 +86,7 @@ class Simulation:
         autoreset: str = "next_step",
         horizon: int | None = None,
         graph: bool = True,
+        deterministic: bool = False,
         fusions: Iterable[str] | None = None,
         progress: bool = True,
         like: Simulation | None = None,
@@ -103,6 +104,7 @@ class Simulation:
             autoreset: Gymnasium's mode, a key of `AUTORESET`.
             horizon: Control steps in an episode; None: the task's.
             graph: Whether to capture the step as a graph.
+            deterministic: Whether a run gives the same bits every time on CUDA, which is slower.
             fusions: Names in `FUSIONS` to use where they apply; None: all.
             progress: Whether to show progress bars while kernels compile and random starts are found.
             like: Another part, made with the same arguments, whose kernels and starts can be taken over.
@@ -116,6 +118,8 @@ class Simulation:
         with quiet():
             chosen = resolve(conditions, spec)
             self.scene = compile_scene(spec, num_worlds, device, physics, muscle, reset, chosen)
+            # Sums on the CPU have one order anyway.
+            self.scene.model.opt.deterministic = bool(deterministic) and not self.scene.device.is_cpu
         with quiet(), wp.ScopedDevice(self.scene.device):
             self.program = spec.bind(self.scene)
             self._bind_conditions()
@@ -219,7 +223,7 @@ class Simulation:
 
     def _launch_physics(self) -> None:
         """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
-        with installed(self.fusions), batch_independent(self.scene.device), engine_kernels_alone():
+        with installed(self.fusions), one_thread(self.scene.device), engine_kernels_alone():
             mjw.step(self.scene.model, self.scene.data)
 
     def _launch_control(self, model: mjw.Model, data: mjw.Data) -> None:

@@ -16,14 +16,21 @@ import warp as wp
 from myowarp.progress import patient_bar
 
 PATIENCE = 0.5  # s without a word
+BLOCK_DIM = 256  # threads of a block on CUDA where a launch names none; Warp's
 
 
 @contextlib.contextmanager
-def _recorded(modules: dict[wp.Module, None]) -> Iterator[None]:
-    """Note the modules of all launches in the block, as keys, instead of launching."""
+def recorded() -> Iterator[list[tuple[wp.Module, int]]]:
+    """Note all launches in the block instead of launching; what a loop repeats counts once.
+
+    Yields:
+        Module and threads of a block of each launch, in their order.
+    """
+    found: list[tuple[wp.Module, int]] = []
 
     def launch(*args: Any, **kwargs: Any) -> None:
-        modules[(args[0] if args else kwargs["kernel"]).module] = None
+        kernel = args[0] if args else kwargs["kernel"]
+        found.append((kernel.module, kwargs.get("block_dim") or BLOCK_DIM))
 
     def call_while(condition: Any, while_body: Callable[..., None], **kwargs: Any) -> None:
         while_body(**kwargs)
@@ -39,7 +46,7 @@ def _recorded(modules: dict[wp.Module, None]) -> Iterator[None]:
         mock.patch.object(wp, "capture_while", call_while),
         mock.patch.object(wp, "capture_if", call_if),
     ):
-        yield
+        yield found
 
 
 @contextlib.contextmanager
@@ -66,20 +73,20 @@ def compile_kernels(
     Returns:
         The modules.
     """
-    found: dict[wp.Module, None] = {}
-    with _recorded(found):
+    with recorded() as found:
         launches()
-    modules = tuple(found)
-    workers = os.cpu_count() or 1
+    # CUDA's machine code is made for one number of threads, the CPU's serves all.
+    wanted = dict.fromkeys((module, 1 if device.is_cpu else block_dim) for module, block_dim in found)
     with (
-        patient_bar("Compiling kernels", "modules", len(modules), patience=PATIENCE, show=show) as advance,
-        ThreadPoolExecutor(workers) as pool,
+        patient_bar("Compiling kernels", "modules", len(wanted), patience=PATIENCE, show=show) as advance,
+        ThreadPoolExecutor(os.cpu_count()) as pool,
     ):
-        loads = [pool.submit(wp.force_load, device, [module]) for module in modules]
-        for load in as_completed(loads):
+        for load in as_completed(
+            pool.submit(wp.force_load, device, [module], block_dim) for module, block_dim in wanted
+        ):
             load.result()
             advance(1)
-    return modules
+    return tuple(dict.fromkeys(module for module, _ in wanted))
 
 
 def renew_code(modules: Iterable[wp.Module]) -> None:

@@ -142,8 +142,10 @@ def _velocity_changes(
 
 
 from myowarp.fusions import (  # noqa: E402  (they register themselves)
+    affine_actuators,  # noqa: F401
     contact_rows,  # noqa: F401
+    contact_search,  # noqa: F401
     contact_solve,  # noqa: F401
-    ellipsoid_contact,  # noqa: F401
+    inertia_solve,  # noqa: F401
     muscle_path,  # noqa: F401
 )

@@ -12,13 +12,12 @@ from mujoco_warp._src.types import DisableBit, EnableBit, IntegratorType
 from myowarp.fusions import FUSIONS, Fusion
 from myowarp.kernels.contact_solve import (
     VECTOR,
-    Inertia,
     RowCounts,
     SolverOptions,
     SolverResult,
     solver_kernel,
 )
-from myowarp.kernels.engine_arrays import ConstraintRows, filled
+from myowarp.kernels.engine_arrays import ConstraintRows, InertiaRows, filled
 from myowarp.scene import Scene
 
 MAX_DOFS = 40
@@ -62,8 +61,7 @@ class ContactSolve(Fusion):
 
 def launch_solve(model: mjw.Model, data: mjw.Data) -> None:
     """Solve the constraints of all worlds, as `mujoco_warp._src.solver.solve` does."""
-    inertia, options = Inertia(), filled(SolverOptions, model.opt)
-    inertia.rownnz, inertia.rowadr, inertia.colind = model.M_rownnz, model.M_rowadr, model.M_colind
+    inertia, options = filled(InertiaRows, model), filled(SolverOptions, model.opt)
     counts, rows, result = filled(RowCounts, data), filled(ConstraintRows, data.efc), SolverResult()
     result.niter, result.overflow = data.solver_niter, data.overflow
     result.force, result.state, result.Ma = data.efc.force, data.efc.state, data.efc.Ma

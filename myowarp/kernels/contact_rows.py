@@ -125,41 +125,22 @@ def row_stiffness(
     return _efc_D(weight, impedance)
 
 
-@wp.kernel(enable_backward=False)
-def write_contact_rows(
-    # Model:
+@wp.func
+def write_rows(
     tree: KinematicTree,
-    # Params:
     options: RowOptions,
-    # Data in:
-    qvel_in: wp.array2d[float],
-    subtree_com_in: wp.array2d[wp.vec3],
-    cdof_in: wp.array2d[wp.spatial_vector],
-    # In:
     contacts: ContactPool,
-    # Out:
+    qvel: wp.array[float],
+    subtree_com: wp.array[wp.vec3],
+    cdof: wp.array[wp.spatial_vector],
+    conid: int,
+    first: int,
     rows: ConstraintRows,
 ):
-    """J = normal' (J_2 - J_1) ± friction_k direction_k' (J_2 - J_1), aref = -k imp dist - b J qvel."""
-    conid = wp.tid()
-    if conid >= contacts.nacon[0]:
-        return
-    first = contacts.efc_address[conid, 0]
-    if first < 0:
-        return
+    """Write the rows of a contact from row `first` on."""
     worldid, condim, margin = contacts.worldid[conid], contacts.dim[conid], contacts.includemargin[conid]
     num_rows = wp.min(wp.max(1, 2 * (condim - 1)), rows.aref.shape[1] - first)
-    velocity = write_jacobian(
-        tree,
-        contacts,
-        qvel_in[worldid],
-        subtree_com_in[worldid],
-        cdof_in[worldid],
-        conid,
-        first,
-        num_rows,
-        rows,
-    )
+    velocity = write_jacobian(tree, contacts, qvel, subtree_com, cdof, conid, first, num_rows, rows)
     kind = int(ConstraintType.CONTACT_PYRAMIDAL)
     if condim == 1:
         kind = int(ConstraintType.CONTACT_FRICTIONLESS)
@@ -180,3 +161,29 @@ def write_contact_rows(
         rows.vel[worldid, row] = speed
         rows.aref[worldid, row] = -spring[0] * spring[2] * distance - spring[1] * speed
         rows.frictionloss[worldid, row] = 0.0
+
+
+@wp.kernel(enable_backward=False)
+def write_contact_rows(
+    # Model:
+    tree: KinematicTree,
+    # Params:
+    options: RowOptions,
+    # Data in:
+    qvel_in: wp.array2d[float],
+    subtree_com_in: wp.array2d[wp.vec3],
+    cdof_in: wp.array2d[wp.spatial_vector],
+    # In:
+    num_threads: int,
+    contacts: ContactPool,
+    # Out:
+    rows: ConstraintRows,
+):
+    """J = normal' (J_2 - J_1) ± friction_k direction_k' (J_2 - J_1), aref = -k imp dist - b J qvel."""
+    thread = wp.tid()
+    for conid in range(thread, wp.min(contacts.nacon[0], contacts.dist.shape[0]), num_threads):
+        first = contacts.efc_address[conid, 0]
+        if first >= 0:
+            worldid = contacts.worldid[conid]
+            qvel, com, cdof = qvel_in[worldid], subtree_com_in[worldid], cdof_in[worldid]
+            write_rows(tree, options, contacts, qvel, com, cdof, conid, first, rows)

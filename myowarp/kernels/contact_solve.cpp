@@ -62,9 +62,9 @@ for (int i = 0; i < WIDTH; ++i)
         mass[i][k] = 0.0f;
 float trace = 0.0f;
 for (int i = 0; i < n; ++i) {
-    const int begin = inertia.rowadr[i], end = begin + inertia.rownnz[i];
+    const int begin = inertia.M_rowadr[i], end = begin + inertia.M_rownnz[i];
     for (int k = begin; k < end; ++k) {
-        const int j = inertia.colind[k];
+        const int j = inertia.M_colind[k];
         at(mass[i], j) = at(mass[j], i) = M[k];
     }
     trace += M[end - 1];

@@ -15,19 +15,10 @@ from typing import Any
 import warp as wp
 from mujoco_warp import OverflowType
 
-from myowarp.kernels.engine_arrays import ConstraintRows
+from myowarp.kernels.engine_arrays import ConstraintRows, InertiaRows
 
 VECTOR = 8  # floats that one instruction adds
 SOURCE = Path(__file__).with_suffix(".cpp").read_text()
-
-
-@wp.struct
-class Inertia:
-    """Where the entries of M's lower triangle are; rows end with the diagonal."""
-
-    rownnz: wp.array[int]
-    rowadr: wp.array[int]
-    colind: wp.array[int]
 
 
 @wp.struct
@@ -73,7 +64,7 @@ def native_solve(width: int) -> Any:
     )
     def solve_world(
         world: int,
-        inertia: Inertia,
+        inertia: InertiaRows,
         options: SolverOptions,
         M: wp.array[float],
         qfrc_smooth: wp.array[float],
@@ -96,7 +87,7 @@ def solver_kernel(width: int) -> Any:
     @wp.kernel(module="unique", enable_backward=False)
     def solve_constraints(
         # Params:
-        inertia: Inertia,
+        inertia: InertiaRows,
         options: SolverOptions,
         # Data in:
         M_in: wp.array2d[float],

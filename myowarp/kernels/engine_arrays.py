@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import mujoco_warp as mjw
 import warp as wp
 from mujoco_warp._src.types import vec5
 
@@ -46,6 +47,15 @@ class ConstraintRows:
     frictionloss: wp.array2d[float]
 
 
+@wp.struct
+class InertiaRows:
+    """Where the entries of M's lower triangle are: a row holds the dofs above its own, and ends with it."""
+
+    M_rownnz: wp.array[int]
+    M_rowadr: wp.array[int]
+    M_colind: wp.array[int]
+
+
 def filled(kind: Any, *sources: Any) -> Any:
     """Return a struct of a kind; each field is the attribute of that name of the first object that has it."""
     struct = kind()
@@ -53,3 +63,12 @@ def filled(kind: Any, *sources: Any) -> Any:
         owner = next(source for source in sources if hasattr(source, name))
         setattr(struct, name, getattr(owner, name))
     return struct
+
+
+def pool_threads(data: mjw.Data) -> int:
+    """Return in how many threads to walk through the pool of contacts.
+
+    One for each place on a GPU; a single one on the CPU, which runs them in turn and would spend its time on
+    places that are empty.
+    """
+    return 1 if data.nacon.device.is_cpu else data.naconmax

@@ -20,7 +20,6 @@ MAX_STEPS = wp.constant(40)
 MAX_HALVINGS = wp.constant(6)
 LONGEST_STEP = wp.constant(0.5)  # rad
 CONVERGED = wp.constant(1e-4)  # rad; the next error is its square
-SIDE = wp.constant(1e-6)  # |a . n| of a contact at a capsule's side, by rounding
 LEAST_CURVATURE = wp.constant(1e-3)  # of the bodies' size; the Hessian is lifted to it
 
 
@@ -208,10 +207,11 @@ def separating_normal(bodies: Bodies) -> wp.vec3:
 
 
 @wp.func
-def capsule_normal(bodies: Bodies, axis: wp.vec3, half: float) -> wp.vec3:
-    """Return argmax of f(n) - half |a . n|, the first body being a segment.
+def capsule_normal(bodies: Bodies, axis: wp.vec3, half: float) -> tuple[wp.vec3, float]:
+    """Return argmax of f(n) - half |a . n|, the first body being a segment, and what touches.
 
-    That has a ridge at the segment's side, a . n = 0; off the ridge the segment is its end on n's side.
+    That has a ridge at the segment's side, a . n = 0; off the ridge the segment is its end on n's side. Side
+    is 0, an end is 1 or -1: rounding alone takes n off the ridge.
     """
     end = bodies
     end.axis = wp.vec3(0.0)
@@ -222,33 +222,35 @@ def capsule_normal(bodies: Bodies, axis: wp.vec3, half: float) -> wp.vec3:
     if level >= 0.0:
         if level < bodies.cutoff and wp.abs(t) > half:
             end.p = bodies.p - wp.sign(t) * half * axis
-            n = climb(end, n)
-        return n
+            return climb(end, n), wp.sign(t)
+        return n, 0.0
+    side = float(0.0)
     for k in range(6):
         tip = wp.where(k < 3, half, -half) * axis
         end.p = bodies.p - tip
         other = climb(end, ellipsoid_axis(end, k % 3, tip))
         value = separation(end, other) + wp.dot(other, tip) - half * wp.abs(wp.dot(axis, other))
         if value > level:
-            n, level = other, value
-    return n
+            n, level, side = other, value, wp.where(k < 3, 1.0, -1.0)
+    return n, side
 
 
 @wp.func
 def capsule_touch(bodies: Bodies, c1: wp.vec3, axis: wp.vec3, radius: float, half: float) -> Touch:
     """Contact of a sphere (half = 0) or a capsule, at c1 along `axis`, and an ellipsoid."""
     bodies.cutoff += radius
-    n = wp.normalize(bodies.p)
+    n, end = wp.normalize(bodies.p), float(0.0)
     if half == 0.0:
         n = separating_normal(bodies)
     elif separation(bodies, n) - half * wp.abs(wp.dot(axis, n)) <= bodies.cutoff:
-        n = capsule_normal(bodies, axis, half)
+        n, end = capsule_normal(bodies, axis, half)
+    else:
+        end = wp.sign(wp.dot(axis, n))
     far = bodies.p - support_point(bodies.e2, n)
-    lean = wp.dot(axis, n)
-    t = wp.where(wp.abs(lean) > SIDE, wp.sign(lean) * half, wp.clamp(wp.dot(axis, far), -half, half))
+    t = wp.where(end == 0.0, wp.clamp(wp.dot(axis, far), -half, half), end * half)
     touch = Touch()
     touch.normal = n
-    touch.dist = separation(bodies, n) - half * wp.abs(lean) - radius
+    touch.dist = separation(bodies, n) - end * half * wp.dot(axis, n) - radius
     touch.pos = c1 + 0.5 * (t * axis + radius * n + far)
     return touch
 

@@ -74,7 +74,7 @@ def engine_contacts(model, qpos):
     data = mjw.make_data(model, nworld=len(qpos), nconmax=2)
     data.qpos.assign(qpos)
     mjw.kinematics(device, data)
-    fusion = FUSIONS["ellipsoid_contact"](SimpleNamespace(model=device, data=data, oracle=model))
+    fusion = FUSIONS["contact_search"](SimpleNamespace(model=device, data=data, oracle=model))
     with fusion.installed():
         mjw.collision(device, data)
     found = np.full((len(qpos), 7), np.nan)
@@ -129,3 +129,32 @@ def test_contacts_are_those_of_mujoco(kind):
             assert contact.dist == pytest.approx(dist, abs=2e-6)  # its tolerance is 1e-6 m
             np.testing.assert_allclose(contact.pos, rest[3:], atol=1e-4)
     assert compared >= 5
+
+
+def test_side_of_a_long_capsule():
+    """Rounding leaves the normal a little off the side's; the contact stays there, as in MuJoCo C."""
+    radius, size, rng = 0.02, np.array([0.02, 0.024, 0.027]), np.random.default_rng(2)
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco><worldbody>
+      <body><freejoint/><geom type="capsule" size="{radius} 0.12" margin="{MARGIN}"/></body>
+      <body><freejoint/><geom type="ellipsoid" size="0.02 0.024 0.027"/></body>
+    </worldbody></mujoco>""")
+    count = 8 * NUM_STATES
+    turns = rng.standard_normal((2, count, 4))
+    turns /= np.linalg.norm(turns, axis=2)[..., None]
+    frames = np.zeros((2, count, 9))
+    for frame, quat in zip(frames.reshape(-1, 9), turns.reshape(-1, 4), strict=True):
+        mujoco.mju_quat2Mat(frame, quat)
+    frames = frames.reshape(2, count, 3, 3)
+    axis = frames[0, :, :, 2]
+    out = np.cross(rng.standard_normal((count, 3)), axis)
+    out /= np.linalg.norm(out, axis=1)[:, None]
+    reach = radius + np.linalg.norm(np.einsum("nij,ni->nj", frames[1], out) * size, axis=1)
+    gap, along = rng.uniform(-0.002, 0.0, count), rng.uniform(-0.1, 0.1, count)
+    center = along[:, None] * axis + (reach + gap)[:, None] * out
+    qpos = np.hstack([np.zeros((count, 3)), turns[0], center, turns[1]])
+    data = mujoco.MjData(model)
+    for x, (dist, *rest) in zip(qpos, engine_contacts(model, qpos), strict=True):
+        data.qpos[:] = x
+        mujoco.mj_fwdPosition(model, data)
+        assert data.contact.dist[0] == pytest.approx(dist, abs=5e-6)
+        np.testing.assert_allclose(data.contact.pos[0], rest[3:], atol=2e-3)

@@ -1,0 +1,85 @@
+"""Contacts of spheres, capsules and ellipsoids, see `kernels/contact_search.py`."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from unittest import mock
+
+import mujoco_warp as mjw
+import warp as wp
+from mujoco_warp._src import collision_driver
+from mujoco_warp._src.collision_core import CollisionContext
+from mujoco_warp._src.types import BroadphaseType, EnableBit, GeomType
+
+from myowarp.fusions import FUSIONS, Fusion
+from myowarp.kernels.contact_search import OURS, Candidates, ContactMaterial, Shapes, find_contacts
+from myowarp.kernels.engine_arrays import ContactPool, filled
+from myowarp.models.slim import colliding_pairs
+from myowarp.scene import Scene
+
+Kind = tuple[GeomType, GeomType]
+
+
+@FUSIONS.register("contact_search")
+class ContactSearch(Fusion):
+    """One launch for most contacts; pairs of other shapes stay with the engine."""
+
+    TOLERANCE = 1e-2  # the engine's own normals of deep contacts are off by as much
+
+    @classmethod
+    def obstacle(cls, scene: Scene) -> str | None:
+        """Return why the search cannot be used, None if it can."""
+        opt = scene.model.opt
+        obstacles = {
+            "no sphere, capsule or ellipsoid can touch another": _kinds(scene).isdisjoint(OURS),
+            "the engine does not compare all pairs": opt.broadphase != BroadphaseType.NXN,
+            "sleeping is on": bool(opt.enableflags & EnableBit.SLEEP),
+            "meshes differ between worlds": scene.model.geom_dataid.shape[0] > 1,
+        }
+        return next((reason for reason, holds in obstacles.items() if holds), None)
+
+    def __init__(self, scene: Scene) -> None:
+        """Note what is left to the engine."""
+        self._left = _kinds(scene) - set(OURS)
+
+    @contextlib.contextmanager
+    def installed(self) -> Iterator[None]:
+        """Have the engine begin with our search, and go on with the kinds of pairs that are left."""
+
+        def for_what_is_left(engine: Callable[..., None]) -> Callable[..., None]:
+            def narrowphase(
+                model: mjw.Model, data: mjw.Data, context: CollisionContext, kinds: list[Kind]
+            ) -> None:
+                left = [kind for kind in kinds if kind in self._left]
+                if left:
+                    engine(model, data, context, left)
+
+            return narrowphase
+
+        convex, primitive = collision_driver.convex_narrowphase, collision_driver.primitive_narrowphase
+        with (
+            mock.patch.object(collision_driver, "nxn_broadphase", launch_search),
+            mock.patch.object(collision_driver, "convex_narrowphase", for_what_is_left(convex)),
+            mock.patch.object(collision_driver, "primitive_narrowphase", for_what_is_left(primitive)),
+        ):
+            yield
+
+
+def _kinds(scene: Scene) -> set[Kind]:
+    """Return the kinds of pairs that can touch."""
+    types = scene.oracle.geom_type
+    pairs = (sorted((types[first], types[second])) for first, second in colliding_pairs(scene.oracle))
+    return {(GeomType(first), GeomType(second)) for first, second in pairs}
+
+
+def launch_search(
+    model: mjw.Model, data: mjw.Data, context: CollisionContext, awake_prev: wp.array | None = None
+) -> None:
+    """Search all worlds, in the place of `mujoco_warp._src.collision_driver.nxn_broadphase`."""
+    # Arguments are copied for every thread: on the CPU that would be most of the time.
+    num_threads = 1 if data.nacon.device.is_cpu else model.nxn_geom_pair_filtered.shape[0]
+    wp.launch(
+        find_contacts,
+        dim=(data.nworld, num_threads),
+        inputs=[filled(Shapes, model, data), filled(ContactMaterial, model), data.naconmax, num_threads],
+        outputs=[filled(ContactPool, data.contact, data), filled(Candidates, context, data)],
+    )

@@ -1,0 +1,120 @@
+"""CUDA: all device code compiles for it, which needs no GPU, and on a machine with one it runs alike."""
+
+import importlib
+import pkgutil
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import warp as wp
+
+import myowarp
+from benchmarks.gpu_cases import Environment, random_actions, trajectory
+from myowarp.kernels import repeat
+from myowarp.kernels.contact_solve import solver_kernel
+from myowarp.prune import is_same_step
+from myowarp.sim import Simulation
+from myowarp.spec import TASKS
+from myowarp.warmup import recorded
+
+ARCHITECTURE = 90  # compute capability 9.0, without a meaning of its own
+THREADS = 2  # cores that CI has
+ELBOW, HAND = "myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v0"
+AFTER_STEPS = 1e-3  # rad after five control steps: float32 sums in another order, grown by the dynamics
+EXPECTED = 0.01  # rad at least that the hand moves meanwhile
+
+needs_compiler = pytest.mark.skipif(
+    ARCHITECTURE not in wp.get_cuda_supported_archs(), reason="this build of Warp has no CUDA compiler"
+)
+needs_gpu = pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
+
+
+def kernel_modules():
+    """Return the Warp modules of all of the package's kernels by name, but for the CPU's own solver."""
+    found = {}
+    for entry in pkgutil.walk_packages(myowarp.__path__, "myowarp."):
+        if ".opensim." in entry.name or ".view" in entry.name:
+            continue  # host code behind extras
+        module = importlib.import_module(entry.name)
+        kernels = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
+        found |= {kernel.module.name: kernel.module for kernel in kernels}
+    return found
+
+
+def compile_for_cuda(module, folder):
+    wp.compile_aot_module(module, arch=ARCHITECTURE, module_dir=folder, use_ptx=True)
+
+
+@needs_compiler
+def test_every_kernel_compiles(tmp_path):
+    modules = kernel_modules()
+    assert len(modules) >= 25
+    with ThreadPoolExecutor(THREADS) as pool:
+        folders = [tmp_path / name for name in modules]
+        list(pool.map(compile_for_cuda, modules.values(), folders))
+    assert all(list(folder.glob("*.ptx")) for folder in folders)
+
+
+@needs_compiler
+def test_native_solver_does_not_compile(tmp_path, capfd):
+    """It is C++ for one thread of a CPU, so that the fusion has to refuse every other device."""
+    with pytest.raises(Exception, match="CUDA kernel build failed"):
+        compile_for_cuda(solver_kernel(8).module, tmp_path)
+    assert "error" in "".join(capfd.readouterr())
+
+
+def test_launches_are_recorded_with_their_blocks():
+    """CUDA code is made for a number of threads: that of the launch, Warp's 256 where it names none."""
+    countdown = wp.zeros(1, dtype=int, device="cpu")
+    with recorded() as found:
+        wp.launch(repeat.count_down, dim=1, outputs=[countdown])
+        wp.launch_tiled(repeat.count_down, dim=1, outputs=[countdown], block_dim=32)
+    module = repeat.count_down.module
+    assert found == [(module, 256), (module, 32)]
+    assert countdown.numpy()[0] == 0
+
+
+def test_same_step_to_rounding():
+    """Rounding passes where sums have no order; a kernel left out does not; on the CPU no bit may differ."""
+    rng = np.random.default_rng(0)
+    start, stock = rng.normal(size=(2, 9, 5))
+    rounded, other = stock * (1.0 + 1e-7), stock + 1e-2
+    assert is_same_step(start, stock.copy(), stock, exact=True)
+    assert not is_same_step(start, rounded, stock, exact=True)
+    assert is_same_step(start, rounded, stock, exact=False)
+    assert not is_same_step(start, other, stock, exact=False)
+
+
+@needs_gpu
+def test_worlds_are_those_of_the_cpu():
+    runs = []
+    for device in ("cpu", "cuda:0"):
+        sim = Simulation(TASKS[HAND], 8, device=device, progress=False)
+        runs.append(trajectory(sim, random_actions(sim, 5))["qpos"])
+    assert np.ptp(runs[0], axis=0).max() > EXPECTED
+    np.testing.assert_allclose(runs[1], runs[0], rtol=0, atol=AFTER_STEPS)
+
+
+@needs_gpu
+def test_same_bits_if_asked_for():
+    sim = Simulation(TASKS[HAND], 64, device="cuda:0", deterministic=True, progress=False)
+    actions = random_actions(sim, 5)
+    first, second = trajectory(sim, actions), trajectory(sim, actions)
+    np.testing.assert_array_equal(first["qpos"], second["qpos"])
+
+
+@needs_gpu
+def test_steps_allocate_and_read_back_nothing():
+    pytest.importorskip("torch")
+    env = Environment(HAND, "parity", 64, wp.get_device("cuda:0"))
+    env.step()
+    used = env.footprint(steps=5)
+    assert (used["pool_growth_bytes"], used["memory_growth_bytes"], used["host_reads"]) == (0, 0, 0)
+
+
+@needs_gpu
+def test_torch_sees_the_arrays_themselves():
+    pytest.importorskip("torch")
+    env = Environment(ELBOW, "parity", 4, wp.get_device("cuda:0"))
+    obs = env.env.step(env.draw())[0]
+    assert obs.data_ptr() == env.sim.transition.obs.ptr
