@@ -2,6 +2,7 @@
 #   make PYTHON=python3.12 test      another interpreter (after `make clean` if .venv exists)
 #   make test PYTEST="-k fatigue"    more arguments for pytest
 #   make rivals RIVALS=--quick       three families and two rounds instead of all
+#   make opensim OPENSIM=--quick     one model and two rounds instead of all
 
 SHELL := bash
 .DEFAULT_GOAL := help
@@ -9,12 +10,13 @@ SHELL := bash
 PYTHON ?= python3
 PYTEST ?=
 RIVALS ?=
+OPENSIM ?=
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help setup demo test test-slow lint format bench gpu rivals accuracy parity soak audit clean
+.PHONY: help setup demo test test-slow lint format bench gpu rivals opensim accuracy parity soak audit clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -67,6 +69,9 @@ gpu: setup ## Measure on a GPU, JSON to out/gpu.json (8 minutes)
 rivals: setup .venv-parity/.installed .venv-envpool/.installed ## Measure speed beside MyoSuite, EnvPool and MuJoCo C (12 minutes, idle cores)
 	$(BIN)/python -m benchmarks.rivals --output out/rivals.json $(RIVALS)
 
+opensim: setup .venv-opensim/.installed ## Measure speed beside OpenSim with 1 to 64 times the muscles (12 minutes; OPENSIM="ARM.osim GAIT.osim")
+	$(BIN)/python -m benchmarks.opensim_speed --output out/opensim_speed.json $(OPENSIM)
+
 accuracy: setup ## Measure the error of the physics presets against 0.1 ms steps, JSON to out/accuracy.json
 	@mkdir -p out
 	$(BIN)/python -m benchmarks.accuracy --output out/accuracy.json
@@ -74,7 +79,8 @@ accuracy: setup ## Measure the error of the physics presets against 0.1 ms steps
 # Rivals live in environments of their own: their pins differ from ours.
 .venv-parity/.installed: RIVAL := myosuite==3.0.0
 .venv-envpool/.installed: RIVAL := envpool==1.2.5
-.venv-parity/.installed .venv-envpool/.installed:
+.venv-opensim/.installed: RIVAL := opensim==4.6
+.venv-parity/.installed .venv-envpool/.installed .venv-opensim/.installed:
 	@test -x $(@D)/bin/python || $(PYTHON) -m venv $(@D)
 	@echo "Installing $(RIVAL) (a gigabyte the first time)"
 	@$(@D)/bin/python -m pip install --quiet --disable-pip-version-check $(RIVAL)
@@ -93,5 +99,5 @@ audit: setup ## Audit every task, table, JSON and page to out/audit (an hour)
 	$(BIN)/myowarp audit --output out/audit
 
 clean: ## Remove .venv, caches and outputs
-	rm -rf $(VENV) .venv-parity .venv-envpool out build dist .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) .venv-parity .venv-envpool .venv-opensim out build dist .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -148,7 +148,14 @@ def _busy_seconds() -> float:
     return (user + nice + system + irq + softirq) / os.sysconf("SC_CLK_TCK")
 
 
-def start(name: str, python: Path, log: Any, caches: Path | None = None, **options: Any) -> Worker:
+def start(
+    name: str,
+    python: Path,
+    log: Any,
+    caches: Path | None = None,
+    script: str = "contestant.py",
+    **options: Any,
+) -> Worker:
     """Start a contestant.
 
     Args:
@@ -156,6 +163,7 @@ def start(name: str, python: Path, log: Any, caches: Path | None = None, **optio
         python: The interpreter to run it in.
         log: File for what it prints.
         caches: Folder for compiled kernels and models; None: where they always are.
+        script: File of this folder to run.
         options: Of the contestant.
     """
     environment = dict(os.environ, PYTHONPATH=str(ROOT))
@@ -164,7 +172,7 @@ def start(name: str, python: Path, log: Any, caches: Path | None = None, **optio
         environment |= folders | {"XDG_CACHE_HOME": str(caches)}
     begin = time.perf_counter()
     process = subprocess.Popen(
-        [python, ROOT / "benchmarks/contestant.py", json.dumps(options)],
+        [python, ROOT / "benchmarks" / script, json.dumps(options)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=log,

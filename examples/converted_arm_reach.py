@@ -3,7 +3,6 @@
 First: myowarp convert arm26.osim -o out/arm26
 """
 
-import hashlib
 import sys
 from pathlib import Path
 
@@ -11,8 +10,8 @@ import mujoco
 import numpy as np
 
 from myowarp.bridge_gym import MyoWarpVectorEnv
-from myowarp.models.bodies import BODIES, Body
 from myowarp.spec import TASKS
+from myowarp.tasks.from_file import read_body
 from myowarp.tasks.reach import ReachTask
 
 TIP = "r_radius_styloid"
@@ -23,11 +22,8 @@ data.qpos = model.jnt_range.mean(axis=1)
 mujoco.mj_kinematics(model, data)
 center, reach = data.site(TIP).xpos, np.array([0.1, 0.0, 0.1])
 
-# Compiled scenes are kept by name: another conversion is another body.
-body = "arm26_" + hashlib.sha256(Path(path).read_bytes()).hexdigest()[:8]
-BODIES.add(body, Body(lambda: mujoco.MjSpec.from_file(path), tips=(TIP,)))
 task = ReachTask(
-    *("arm26Reach", 0, body, 10, 100, "Bring the wrist to a point."),
+    *("arm26Reach", 0, read_body(Path(path), tips=(TIP,)), 10, 100, "Bring the wrist to a point."),
     **{"center": tuple(center), "low": tuple(-reach), "high": tuple(reach), "far_per_tip": 1.0},
 )
 TASKS.add(task.key, task)

@@ -106,8 +106,11 @@ class Rollout:
     Example: myowarp rollout MyoWarp/myoHandReachRandom-v0 --num-worlds 256 --video hand.mp4
     """
 
-    task: Annotated[str, tyro.conf.Positional]
+    task: Annotated[str | None, tyro.conf.Positional] = None
     """Task id, with or without "MyoWarp/"; `myowarp tasks` lists them."""
+    model: Path | None = None
+    """Instead of a task: an MJCF file, such as `myowarp convert` writes; random poses of its joints. Physics
+    parity is then the file's own integrator and step."""
     num_worlds: int = 64
     """Worlds simulated together."""
     steps: int | None = None
@@ -143,9 +146,10 @@ class Rollout:
         from myowarp.bridge_gym import MyoWarpVectorEnv
         from myowarp.files import check_output
         from myowarp.signals.record import check_recording, recording
+        from myowarp.tasks.from_file import find_task
         from myowarp.view.render import NoGraphicsError
 
-        variant = find_variant(self.task)
+        variant = find_task(self.task, self.model)
         spec = TASKS[variant.task]
         steps = spec.horizon if self.steps is None else self.steps
         numbers = {"steps": steps, "video-worlds": self.video_worlds, "signals-every": self.signals_every}

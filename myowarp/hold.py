@@ -14,19 +14,22 @@ with "hold", 2.8 rad at rest).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import mujoco
 import numpy as np
 
 from myowarp.kernels.action import CENTER, STEEPNESS
+from myowarp.models.couplings import POINT_JOINTS, follow
 
 if TYPE_CHECKING:
     from myowarp.scene import Scene
     from myowarp.spec import TaskSpec
+    from myowarp.tasks.pose import PoseTask
 
 GAIN = 2.0  # excitation per rad
 LEAD = 0.05  # s; with 0.1 s and a healthy elbow the delay of the muscles makes it tremble
+LEAST_ARM = 1e-9  # m; a muscle with less moves no joint
 LEAST_EXCITATION = (
     1e-6  # and one less than the greatest: finite under the logarithm, beyond the action's bounds
 )
@@ -44,7 +47,9 @@ def check_hold(spec: TaskSpec) -> None:
 def moment_arms(model: mujoco.MjModel) -> np.ndarray:
     """Return the moment arms [m] of all actuators in the middle of the joint ranges, shape (nu, nv)."""
     data = mujoco.MjData(model)
-    data.qpos[:] = model.jnt_range.mean(axis=1)
+    joints = np.isin(model.jnt_type, POINT_JOINTS)
+    data.qpos[model.jnt_qposadr[joints]] = model.jnt_range[joints].mean(axis=1)
+    follow(model, data.qpos)
     mujoco.mj_fwdPosition(model, data)
     moment = np.zeros((model.nu, model.nv))
     mujoco.mju_sparse2dense(
@@ -57,7 +62,7 @@ class Hold:
     """The controller of all worlds of a pose task.
 
     Attributes:
-        directions: Moment arms over the muscle's largest, shape (num_joints, num_muscles).
+        directions: Moment arms over the muscle's largest, shape (num_targets, num_muscles).
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -69,15 +74,17 @@ class Hold:
         check_hold(scene.spec)
         if not scene.muscles.names:
             raise ValueError(f"policy 'hold' drives muscles; the body of task {scene.spec.key!r} has none")
-        arms = moment_arms(scene.oracle)[scene.muscles.actuator_id]
-        self.directions = (arms / np.abs(arms).max(axis=1, keepdims=True)).T
+        model = scene.oracle
+        dofs = model.jnt_dofadr[cast("PoseTask", scene.spec).target_joints(model)]
+        arms = moment_arms(model)[np.ix_(scene.muscles.actuator_id, dofs)]
+        self.directions = (arms / np.maximum(np.abs(arms).max(axis=1, keepdims=True), LEAST_ARM)).T
+        self._velocities, self._errors = model.nq + dofs, model.nq + model.nv + np.arange(len(dofs))
         self._actuator_id, self._control_dt = scene.muscles.actuator_id, scene.control_dt
         self._num_actions = scene.num_actions
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Return actions (num_worlds, num_actions) for observations of a pose task; motors do nothing."""
-        n = len(self.directions)
-        velocity, error = obs[:, n : 2 * n] / self._control_dt, obs[:, 2 * n : 3 * n]
+        velocity, error = obs[:, self._velocities] / self._control_dt, obs[:, self._errors]
         drive = GAIN * (error - LEAD * velocity) @ self.directions
         excitation = np.clip(drive, LEAST_EXCITATION, 1.0 - LEAST_EXCITATION)
         action = np.zeros((len(obs), self._num_actions), dtype=np.float32)

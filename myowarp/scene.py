@@ -167,7 +167,7 @@ def set_physics(spec: TaskSpec, preset: PhysicsPreset, models: Iterable[mujoco.M
     if preset.coarse:
         num_substeps = math.ceil(spec.control_dt / spec.coarse_step.dt - ROUNDING)
     for model in models:
-        model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{preset.integrator}")
+        model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{preset.integrator or spec.integrator}")
         model.opt.timestep = spec.control_dt / num_substeps
     return num_substeps
 
@@ -178,7 +178,8 @@ def new_muscles(
     """Return the muscles of a model, on the current Warp device, set to a preset."""
     muscles = muscle(model, num_worlds)
     muscles.midstep = preset.midstep
-    muscles.implicitness = spec.coarse_step.implicitness if preset.coarse else 0.0
+    explicit = (preset.integrator or spec.integrator) == "EULER"
+    muscles.implicitness = spec.coarse_step.implicitness if preset.coarse else float(not explicit)
     return muscles
 
 

@@ -43,13 +43,13 @@ class PhysicsPreset:
     """How a control step is cut into physics steps.
 
     Attributes:
-        integrator: Name of a `mujoco.mjtIntegrator` member without its prefix.
+        integrator: Name of a `mujoco.mjtIntegrator` member without its prefix; None: the task's.
         midstep: Whether a muscle pulls with its activation in the middle of the physics step, exactly
             integrated, rather than with that at its start (MuJoCo's order).
         coarse: Whether physics steps are the task's `coarse_step`, rather than upstream's.
     """
 
-    integrator: str
+    integrator: str | None
     midstep: bool
     coarse: bool
 
@@ -106,6 +106,7 @@ class TaskSpec(abc.ABC):
         body: Name in `BODIES`.
         num_substeps: Physics steps in a control step, upstream's `frame_skip`.
         physics_dt: Upstream's physics time step [s].
+        integrator: Upstream's integrator, as in `PhysicsPreset`.
         horizon: Control steps in an episode.
         doc: One sentence: what the task asks for, and why this version exists.
     """
@@ -117,6 +118,7 @@ class TaskSpec(abc.ABC):
     horizon: int
     doc: str
     physics_dt: float = field(default=0.002, kw_only=True)
+    integrator: str = field(default="EULER", kw_only=True)
 
     @property
     def key(self) -> str:
@@ -190,7 +192,7 @@ class TaskSpec(abc.ABC):
 
 
 PHYSICS = {
-    "parity": PhysicsPreset("EULER", midstep=False, coarse=False),
+    "parity": PhysicsPreset(None, midstep=False, coarse=False),
     "fast": PhysicsPreset("IMPLICITFAST", midstep=True, coarse=True),
 }
 """`parity`: MyoSuite's integrator and step. `fast`: implicit in velocity, activation exactly integrated, few

@@ -25,6 +25,7 @@ import warp as wp
 from myowarp.cache import cached
 from myowarp.models import palm
 from myowarp.models.bodies import BODIES
+from myowarp.models.couplings import POINT_JOINTS, couplings, follow
 from myowarp.progress import patient_bar
 from myowarp.scene import source_digest
 from myowarp.spec import TaskSpec
@@ -47,14 +48,17 @@ PLACES = ("body_pos",)
 
 
 def start_address(spec: TaskSpec, model: mujoco.MjModel) -> np.ndarray:
-    """Return the addresses in qpos that a random start sets: posture, and what lies in the hand."""
+    """Return the addresses in qpos that a random start sets: posture, what follows it or lies in the hand."""
     carried = [palm.joint_address(model, model.body(name).id) for name in spec.carried]
-    return np.concatenate([posture_joints(model), *carried]).astype(np.int32)
+    posture = [*posture_joints(model), *(coupling.joint for coupling in couplings(model))]
+    return np.concatenate([model.jnt_qposadr[posture], *carried]).astype(np.int32)
 
 
 def posture_joints(model: mujoco.MjModel) -> np.ndarray:
-    """Return the addresses in qpos of the body's own joints: those with a range."""
-    return model.jnt_qposadr[np.flatnonzero(model.jnt_limited)].astype(np.int32)
+    """Return the ids of the body's own joints: hinges and slides with a range that follow no other joint."""
+    free = np.isin(model.jnt_type, POINT_JOINTS) & (model.jnt_range[:, 0] < model.jnt_range[:, 1])
+    free[[coupling.joint for coupling in couplings(model)]] = False
+    return np.flatnonzero(free)
 
 
 def random_starts(spec: TaskSpec, simulate: Callable[[int], Simulation], progress: bool) -> np.ndarray:
@@ -112,8 +116,9 @@ class Search:
         self.model = copy.copy(sim.scene.oracle)
         self.data = mujoco.MjData(self.model)
         self.start = spec.start(self.model)
-        self.posture, self.address = posture_joints(self.model), start_address(spec, self.model)
-        self.low, self.high = self.model.jnt_range[np.flatnonzero(self.model.jnt_limited)].T
+        joints = posture_joints(self.model)
+        self.posture, self.address = self.model.jnt_qposadr[joints], start_address(spec, self.model)
+        self.low, self.high = self.model.jnt_range[joints].T
         self.palm = palm.Palm(sim.scene.oracle, self.start, BODIES[spec.body].palm, spec.carried)
         hold_steps = int(np.ceil(HOLD_TIME / spec.control_dt)) if spec.carried else 0
         self.num_steps = max(FAIL_STEPS, hold_steps)
@@ -172,6 +177,7 @@ class Search:
             step = np.where(draw(size=number) < np.sqrt(draw()), np.sqrt(draw(size=number)), 0.0)
         qpos = self.start.copy()
         qpos[self.posture] += step * (draw(self.low, self.high) - qpos[self.posture])
+        follow(self.model, qpos)
         self.palm.place(qpos)
         values = qpos[self.address]
         for fields, drawn_qpos, allowed in self.scenes:

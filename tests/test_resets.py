@@ -23,7 +23,7 @@ def simulation(key, reset, **options):
 def test_fixed(key):
     """Every world starts in the task's start posture."""
     sim = simulation(key, "fixed")
-    address = posture_joints(sim.scene.oracle)
+    address = sim.scene.oracle.jnt_qposadr[posture_joints(sim.scene.oracle)]
     start = TASKS[key].start(sim.scene.oracle)[address]
     np.testing.assert_allclose(
         sim.scene.data.qpos.numpy()[:, address], np.tile(start, (NUM_WORLDS, 1)), atol=FLOAT32

@@ -155,7 +155,7 @@ def test_starts_are_rows_of_the_table(key):
     others = np.setdiff1d(np.arange(model.nq), address)
     np.testing.assert_array_equal(qpos[:, others], fixed.scene.data.qpos.numpy()[:, others])
     posture = table[:, : len(posture_joints(model))]
-    low, high = model.jnt_range[np.flatnonzero(model.jnt_limited)].T
+    low, high = model.jnt_range[posture_joints(model)].T
     assert (posture >= low - FLOAT32).all()
     assert (posture <= high + FLOAT32).all()
     spread = posture.std(axis=0) / ((high - low) / np.sqrt(12))

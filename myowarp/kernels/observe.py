@@ -36,10 +36,11 @@ def pack_difference(
     column: int,
     target: wp.array2d[float],
     values: wp.array2d[float],
+    address: wp.array[int],
 ) -> int:
-    """Write `target[worldid] - values[worldid]`."""
+    """Write `target[worldid] - values[worldid, address]`."""
     for i in range(target.shape[1]):
-        obs[worldid, column + i] = target[worldid, i] - values[worldid, i]
+        obs[worldid, column + i] = target[worldid, i] - values[worldid, address[i]]
     return column + target.shape[1]
 
 

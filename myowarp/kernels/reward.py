@@ -19,10 +19,12 @@ def activation_effort(activation: wp.array2d[float], worldid: int) -> float:
 
 
 @wp.func
-def squared_distance(target: wp.array2d[float], values: wp.array2d[float], worldid: int) -> float:
-    """Sum of squared differences of two rows."""
+def squared_distance(
+    target: wp.array2d[float], values: wp.array2d[float], address: wp.array[int], worldid: int
+) -> float:
+    """Sum of squared differences of `target[worldid]` and `values[worldid, address]`."""
     total = float(0.0)
     for i in range(target.shape[1]):
-        difference = target[worldid, i] - values[worldid, i]
+        difference = target[worldid, i] - values[worldid, address[i]]
         total += difference * difference
     return total

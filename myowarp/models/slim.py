@@ -1,7 +1,7 @@
 """The smallest model that moves exactly like the full one.
 
-Meshes, cameras, lights, path sites that no tendon uses, and geoms that can touch nothing go; bodies that
-cannot move are fused into their parents. What remains is the same mechanism: forces and accelerations
+Meshes, cameras, lights, sensors, sites that no force acts on, and geoms that can touch nothing go; bodies
+that cannot move are fused into their parents. What remains is the same mechanism: forces and accelerations
 agree with the full model to rounding (tests/test_slim.py), in a third of the memory.
 """
 
@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 _WRAPS_WITH_SIDE_SITE = (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER)
+_DRIVES_OF_SITES = (mujoco.mjtTrn.mjTRN_SITE, mujoco.mjtTrn.mjTRN_SLIDERCRANK)
 
 
 def slim(full: mujoco.MjSpec, keep_sites: Iterable[str]) -> mujoco.MjSpec:
@@ -18,7 +19,7 @@ def slim(full: mujoco.MjSpec, keep_sites: Iterable[str]) -> mujoco.MjSpec:
 
     Args:
         full: The full model; left as it is.
-        keep_sites: Names of sites to keep besides those on tendon paths.
+        keep_sites: Names of sites to keep besides those that forces act on.
 
     Returns:
         A new spec, to be compiled by the caller. If no two of its geoms can collide, contacts are
@@ -34,11 +35,11 @@ def slim(full: mujoco.MjSpec, keep_sites: Iterable[str]) -> mujoco.MjSpec:
     names = {model.site(i).name for i in range(model.nsite)}
     if missing := sorted(set(keep_sites) - names):
         raise ValueError(f"site {missing[0]!r} unknown in this body; check the names of the task sites")
-    kept = set(keep_sites) | {model.site(i).name for i in _path_sites(model)}
+    kept = set(keep_sites) | {model.site(i).name for i in _loaded_sites(model)}
     for site in list(spec.sites):
         if site.name not in kept:
             spec.delete(site)
-    for element in [*spec.cameras, *spec.lights, *spec.keys]:
+    for element in [*spec.cameras, *spec.lights, *spec.keys, *spec.sensors]:
         spec.delete(element)
     colliding = colliding_geoms(model)
     for geom in spec.geoms:
@@ -63,11 +64,15 @@ def _pair_names(model: mujoco.MjModel) -> set[frozenset[str]]:
     return {frozenset(model.geom(i).name for i in pair) for pair in colliding_pairs(model)}
 
 
-def _path_sites(model: mujoco.MjModel) -> set[int]:
-    """Return the ids of the sites on tendon paths, side sites of wraps included."""
+def _loaded_sites(model: mujoco.MjModel) -> set[int]:
+    """Return the ids of the sites of tendon paths, side sites of wraps included, actuators and equalities."""
     used = set(model.wrap_objid[model.wrap_type == mujoco.mjtWrap.mjWRAP_SITE].tolist())
     wraps = np.isin(model.wrap_type, _WRAPS_WITH_SIDE_SITE) & (model.wrap_prm >= 0)
-    return used | set(model.wrap_prm[wraps].astype(int).tolist())
+    used |= set(model.wrap_prm[wraps].astype(int).tolist())
+    used |= set(model.actuator_trnid[np.isin(model.actuator_trntype, _DRIVES_OF_SITES)].flatten().tolist())
+    tied = model.eq_objtype == mujoco.mjtObj.mjOBJ_SITE
+    used |= {*model.eq_obj1id[tied].tolist(), *model.eq_obj2id[tied].tolist()}
+    return used - {-1}
 
 
 def colliding_pairs(model: mujoco.MjModel) -> set[tuple[int, int]]:

@@ -18,12 +18,12 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
-import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 from mujoco_warp._src.types import vec10
 
+from myowarp.models.couplings import POINT_JOINTS
 from myowarp.models.muscles import Anatomy
 from myowarp.signals.groups import group_of
 
@@ -43,8 +43,6 @@ UNITS = {
 
 JOINT_UNITS = {"angle": "rad, slides m", "angular_velocity": "rad/s, slides m/s"}
 """Signals of every joint that is a hinge or a slide."""
-
-POINT_JOINTS = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
 
 
 @wp.struct

@@ -2,8 +2,8 @@
 
     reward = -d + 4 (1[d < near] + 1[d < 1.5 near]) - 50 1[d > far] - w |act| / n
 
-with d the norm of the joint errors [rad] and far = 2 pi, where the episode fails. Source: MyoSuite 3.0.0,
-families FingerPose, ElbowPose1D6M, HandPose (paper: Caggiano et al. 2022, arXiv:2205.13600).
+with d the norm of the joint errors [rad] and, in MyoSuite, far = 2 pi, where the episode fails. Source:
+MyoSuite 3.0.0, families FingerPose, ElbowPose1D6M, HandPose (paper: Caggiano et al. 2022, arXiv:2205.13600).
 """
 
 from dataclasses import dataclass, field
@@ -23,28 +23,34 @@ from myowarp.tasks.carried_weight import BATCHED, CarriedWeight
 from myowarp.tasks.hand_poses import DIGITS, RELAXED, as_in_myosuite_3, bounds
 from myowarp.tasks.markers import add_tip_targets
 
-FAR = wp.constant(2.0 * np.pi)  # rad, norm over all joints
-
 
 @dataclass(frozen=True)
 class PoseTask(TaskSpec):
     """Reach a joint configuration.
 
     Attributes:
-        target_low: Lower bound of the uniformly drawn target [rad], one entry a joint.
+        target_low: Lower bound of the uniformly drawn target [rad], one entry a joint with a target.
         target_high: Upper bound.
         near: Error norm below which the task counts as solved [rad].
+        far: Error norm beyond which it fails [rad].
         effort_weight: Weight of the mean activation in the reward.
         random_start: Whether episodes start from a random configuration within the joint ranges.
         weight: Bounds of the uniformly drawn weight in the hand [kg]; () leaves the body's.
+        joints: Ids of the hinges and slides that have a target; () means all joints.
+        start_pose: Start configuration, shape (nq,); () means the model's zero.
+        num_quaternions: Ball and free joints, which have one coordinate more than velocities.
     """
 
     target_low: tuple[float, ...] = field(kw_only=True)
     target_high: tuple[float, ...] = field(kw_only=True)
     near: float = field(kw_only=True)
+    far: float = field(default=2.0 * np.pi, kw_only=True)
     effort_weight: float = field(default=1.0, kw_only=True)
     random_start: bool = field(default=False, kw_only=True)
     weight: tuple[float, ...] = field(default=(), kw_only=True)
+    joints: tuple[int, ...] = field(default=(), kw_only=True)
+    start_pose: tuple[float, ...] = field(default=(), kw_only=True)
+    num_quaternions: int = field(default=0, kw_only=True)
 
     @property
     def batched(self) -> tuple[str, ...]:
@@ -61,6 +67,14 @@ class PoseTask(TaskSpec):
         """None: joint angles say everything."""
         return ()
 
+    def start(self, model: mujoco.MjModel) -> np.ndarray:
+        """Return `start_pose`."""
+        return np.array(self.start_pose) if self.start_pose else super().start(model)
+
+    def target_joints(self, model: mujoco.MjModel) -> np.ndarray:
+        """Return the ids of the joints that have a target, in its order."""
+        return np.array(self.joints or range(model.njnt))
+
     def edit(self, spec: mujoco.MjSpec) -> None:
         """Add the markers that show where the tips of the target pose are."""
         add_tip_targets(spec, BODIES[self.body].tips)
@@ -69,8 +83,8 @@ class PoseTask(TaskSpec):
         """Angles, angular velocities times the control step, errors, activations."""
         return (
             Column("qpos", num_joints, "rad"),
-            Column("qvel", num_joints, "rad per control step"),
-            Column("pose_err", num_joints, "rad"),
+            Column("qvel", num_joints - self.num_quaternions, "rad per control step"),
+            Column("pose_err", len(self.target_low), "rad"),
             Column("act", num_muscles, "1"),
         )
 
@@ -137,18 +151,19 @@ def observe_pose(
     # In:
     activation: wp.array2d[float],
     target: wp.array2d[float],
+    address: wp.array[int],
     control_dt: float,
     mask: wp.array[bool],
     # Out:
     obs: wp.array2d[float],
 ):
-    """obs = [qpos, qvel dt, target - qpos, activation]."""
+    """obs = [qpos, qvel dt, target - qpos[address], activation]."""
     worldid = wp.tid()
     if not mask[worldid]:
         return
     column = pack(obs, worldid, 0, qpos_in, 1.0)
     column = pack(obs, worldid, column, qvel_in, control_dt)
-    column = pack_difference(obs, worldid, column, target, qpos_in)
+    column = pack_difference(obs, worldid, column, target, qpos_in, address)
     pack(obs, worldid, column, activation, 1.0)
 
 
@@ -159,29 +174,32 @@ def score_pose(
     # In:
     activation: wp.array2d[float],
     target: wp.array2d[float],
+    address: wp.array[int],
     near: float,
+    far: float,
     # Out:
     terms: wp.array2d[float],
     solved: wp.array[bool],
     failed: wp.array[bool],
 ):
-    """Terms pose, bonus, penalty, act_reg, sparse from d = |target - qpos|."""
+    """Terms pose, bonus, penalty, act_reg, sparse from d = |target - qpos[address]|."""
     worldid = wp.tid()
-    d = wp.sqrt(squared_distance(target, qpos_in, worldid))
+    d = wp.sqrt(squared_distance(target, qpos_in, address, worldid))
     terms[worldid, 0] = -d
     terms[worldid, 1] = indicator(d < near) + indicator(d < 1.5 * near)
-    terms[worldid, 2] = -indicator(d > FAR)
+    terms[worldid, 2] = -indicator(d > far)
     terms[worldid, 3] = -activation_effort(activation, worldid)
     terms[worldid, 4] = -d
     solved[worldid] = d < near
-    failed[worldid] = d > FAR
+    failed[worldid] = d > far
 
 
 class PoseProgram:
     """A pose task bound to a scene.
 
     Attributes:
-        target: Target angles [rad], shape (num_worlds, num_joints).
+        target: Target angles [rad], shape (num_worlds, num_targets).
+        address: Where in qpos the joints with a target are, shape (num_targets,).
     """
 
     def __init__(self, spec: PoseTask, scene: Scene) -> None:
@@ -190,13 +208,15 @@ class PoseProgram:
         Raises:
             ValueError: The targets do not have one entry a joint.
         """
-        if not len(spec.target_low) == len(spec.target_high) == scene.oracle.nq:
+        address = scene.oracle.jnt_qposadr[spec.target_joints(scene.oracle)]
+        if not len(spec.target_low) == len(spec.target_high) == len(address):
             raise ValueError(
-                f"task {spec.key!r} needs one target angle for each of the {scene.oracle.nq} joints, "
+                f"task {spec.key!r} needs one target angle for each of the {len(address)} joints, "
                 f"got {len(spec.target_low)} and {len(spec.target_high)}"
             )
         self.spec, self.scene = spec, scene
-        self.target = wp.zeros((scene.num_worlds, scene.oracle.nq), dtype=float)
+        self.target = wp.zeros((scene.num_worlds, len(address)), dtype=float)
+        self.address = wp.array(address, dtype=int)
         self.target_low = wp.array(spec.target_low, dtype=float)
         self.target_high = wp.array(spec.target_high, dtype=float)
         self.weight = CarriedWeight(scene, *spec.weight) if spec.weight else None
@@ -234,6 +254,7 @@ class PoseProgram:
                 scene.data.qvel,
                 scene.muscles.activation,
                 self.target,
+                self.address,
                 scene.control_dt,
                 mask,
             ],
@@ -246,7 +267,14 @@ class PoseProgram:
         wp.launch(
             score_pose,
             dim=scene.num_worlds,
-            inputs=[scene.data.qpos, scene.muscles.activation, self.target, self.spec.near],
+            inputs=[
+                scene.data.qpos,
+                scene.muscles.activation,
+                self.target,
+                self.address,
+                self.spec.near,
+                self.spec.far,
+            ],
             outputs=[terms, solved, failed],
         )
 
@@ -254,7 +282,8 @@ class PoseProgram:
         """Where the tips are in the target pose, by forward kinematics."""
         scene = self.scene
         data = mujoco.MjData(scene.full)
-        data.qpos[:] = self.target.numpy()[world]
+        data.qpos[:] = scene.qpos_start.numpy()
+        data.qpos[self.address.numpy()] = self.target.numpy()[world]
         mujoco.mj_kinematics(scene.full, data)
         tips = BODIES[self.spec.body].tips
         return {f"{tip}_target": data.site(tip).xpos.copy() for tip in tips}
@@ -266,7 +295,6 @@ def _register(
     low: tuple[float, ...],
     high: tuple[float, ...] | None = None,
     *,
-    near: float,
     doc: str,
     version: int = 0,
     num_substeps: int = 10,
@@ -274,18 +302,8 @@ def _register(
     **options: Any,
 ) -> None:
     """Register one id; a fixed target has no `high`; `options` are further attributes of `PoseTask`."""
-    spec = PoseTask(
-        name,
-        version,
-        body,
-        num_substeps,
-        horizon,
-        doc,
-        target_low=low,
-        target_high=low if high is None else high,
-        near=near,
-        **options,
-    )
+    options |= {"target_low": low, "target_high": low if high is None else high}
+    spec = PoseTask(name, version, body, num_substeps, horizon, doc, **options)
     TASKS.add(spec.key, spec)
 
 
@@ -316,43 +334,21 @@ for _name, _body, _num_substeps, _horizon in (
         horizon=_horizon,
     )
 
-_register(
-    "myoElbowPose1D6MFixed",
-    "elbow",
-    (2.0,),
-    near=ELBOW_NEAR,
-    random_start=True,
-    doc="Flex the elbow to 2 rad from a random angle.",
-)
-_register(
-    "myoElbowPose1D6MRandom",
-    "elbow",
-    (0.0,),
-    (2.27,),
-    near=ELBOW_NEAR,
-    random_start=True,
-    doc="Turn the elbow from a random angle to a random angle.",
-)
-_register(
-    "myoElbowPose1D6MExoFixed",
-    "elbow_exo",
-    (2.0,),
-    near=ELBOW_NEAR,
-    effort_weight=EXO_EFFORT_WEIGHT,
-    random_start=True,
-    doc="Flex the elbow to 2 rad from a random angle, helped by a motor (action 0), with 0.1 kg in the hand.",
-)
-_register(
-    "myoElbowPose1D6MExoRandom",
-    "elbow_exo",
-    (0.0,),
-    (2.27,),
-    near=ELBOW_NEAR,
-    effort_weight=EXO_EFFORT_WEIGHT,
-    random_start=True,
-    weight=(0.1, 2.0),
-    doc="Turn the elbow from a random to a random angle, helped by a motor (action 0), with 0.1 to 2 kg.",
-)
+_exo = {"body": "elbow_exo", "effort_weight": EXO_EFFORT_WEIGHT}
+for _name, _low, _high, _options, _doc in (
+    ("Fixed", 2.0, 2.0, {}, "Flex the elbow to 2 rad from a random angle."),
+    ("Random", 0.0, 2.27, {}, "Turn the elbow from a random angle to a random angle."),
+    (
+        *("ExoFixed", 2.0, 2.0, _exo),
+        "Flex the elbow to 2 rad from a random angle, helped by a motor (action 0), with 0.1 kg in the hand.",
+    ),
+    (
+        *("ExoRandom", 0.0, 2.27, _exo | {"weight": (0.1, 2.0)}),
+        "Turn the elbow from a random to a random angle, helped by a motor (action 0), with 0.1 to 2 kg.",
+    ),
+):
+    _settings: dict[str, Any] = {"body": "elbow", "near": ELBOW_NEAR, "random_start": True, **_options}
+    _register(f"myoElbowPose1D6M{_name}", low=(_low,), high=(_high,), doc=_doc, **_settings)
 
 
 def _register_hand(

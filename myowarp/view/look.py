@@ -12,6 +12,8 @@ from collections.abc import Iterator, Mapping
 import mujoco
 import numpy as np
 
+from myowarp.models.couplings import POINT_JOINTS
+
 RELAXED_RGB = np.array((0.45, 0.55, 0.68))
 """Blue-grey of a muscle at activation 0."""
 TENSED_RGB = np.array((0.86, 0.10, 0.12))
@@ -220,13 +222,23 @@ PULLEY = -2
 """``mjData.wrap_obj`` of a pulley, where a path branches: -2 pulley, -1 site, else geom id."""
 
 
+TRAVEL = 1.0
+"""m: range of a slide from which on it carries the whole body away; no picture holds that."""
+
+
 def motion_samples(model: mujoco.MjModel) -> Iterator[np.ndarray]:
-    """Yields the reference pose and each limited joint at both ends of its range."""
-    yield model.qpos0.copy()
-    single = np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value))
-    for joint in np.flatnonzero(single & (model.jnt_limited != 0)):
+    """Yields the reference pose and each limited joint at both ends of its range.
+
+    The reference is the keyframe `default`, as converted models have it, else the model's zero.
+    """
+    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "default")
+    rest = model.qpos0 if key < 0 else model.key_qpos[key]
+    yield rest.copy()
+    hinge, slide = (model.jnt_type == kind for kind in POINT_JOINTS)
+    near = hinge | (slide & (np.ptp(model.jnt_range, axis=1) < TRAVEL))
+    for joint in np.flatnonzero(near & (model.jnt_limited != 0)):
         for end in model.jnt_range[joint]:
-            qpos = model.qpos0.copy()
+            qpos = rest.copy()
             qpos[model.jnt_qposadr[joint]] = end
             yield qpos
 
@@ -250,7 +262,8 @@ def limb_points(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarr
     tendons, clouds = muscle_tendons(model), []
     for qpos in motion_samples(model):
         pose(model, data, qpos)
-        paths = tendon_segments(model, data, tendons)[:2] if (acting == moving).all() else ()
+        whole = (acting == moving).all() or not len(limb)
+        paths = tendon_segments(model, data, tendons)[:2] if whole else ()
         clouds.append(np.concatenate((geom_box(model, data, limb), *paths)))
     if not len(clouds[0]):
         raise ValueError(

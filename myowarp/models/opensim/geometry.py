@@ -191,15 +191,16 @@ def _carriers(model: Model, joint: Joint) -> dict[int, str]:
 
 
 def _limit(build: Build, added: mujoco.MjsJoint, move: Move, scale: float) -> None:
-    """Limit a joint that shows a clamped, free coordinate."""
+    """Give a joint that shows a free coordinate its range, and limit it there where the file does."""
     name = move.coordinate
     if name is None or build.carriers.get(name, ("", 0.0))[0] != added.name or name in build.model.couplers:
         return
     coordinate = build.model.coordinates[name]
-    if coordinate.clamped:
-        low, high = coordinate.range
-        if low < high:
-            added.limited, added.range = mujoco.mjtLimited.mjLIMITED_TRUE, (scale * low, scale * high)
+    low, high = coordinate.range
+    if low < high:
+        limits = mujoco.mjtLimited
+        added.range = scale * low, scale * high
+        added.limited = limits.mjLIMITED_TRUE if coordinate.clamped else limits.mjLIMITED_FALSE
 
 
 def _moving_masses(model: Model) -> dict[str, float]:

@@ -177,7 +177,7 @@ def _joint(element: ElementTree.Element, joint: mujoco.MjsJoint) -> None:
         pos=joint.pos,
         axis=joint.axis,
         limited=limited,
-        range=joint.range if limited else None,
+        range=_unless(joint.range, (0.0, 0.0)),
         armature=_unless(joint.armature, 0.0),
         damping=_unless(joint.damping[0], 0.0),
     )
