@@ -12,6 +12,7 @@ import os
 import platform
 import statistics
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -51,25 +52,32 @@ class Options:
     """Rough duration of one measurement."""
 
 
-class Batch:
-    """One simulation, timed over whole environment steps with fresh random actions."""
+class Timed:
+    """A simulation, timed over whole environment steps with fresh random actions."""
 
-    def __init__(self, key: str, num_worlds: int, options: Options) -> None:
-        self.sim = Simulation(TASKS[key], num_worlds, device=options.device, physics=options.physics)
-        self.num_substeps = self.sim.scene.num_substeps
-        self.rng = np.random.default_rng(0)
-        self.steps = max(2, round(options.seconds / self.run(2)))
+    def __init__(self, sim: Simulation, clock: Callable[[], float] = time.perf_counter) -> None:
+        self.sim, self.clock, self.rng = sim, clock, np.random.default_rng(0)
+        self.run(2)
 
     def run(self, steps: int) -> float:
-        """Return wall seconds for one environment step of all worlds."""
+        """Return seconds for one environment step of all worlds."""
         shape = self.sim.action.shape
         actions = self.rng.uniform(-1, 1, (steps, *shape)).astype(np.float32)
-        begin = time.perf_counter()
+        begin = self.clock()
         for action in actions:
             self.sim.action.assign(action)
             self.sim.step()
             self.sim.transition.reward.numpy()  # wait for the device
-        return (time.perf_counter() - begin) / steps
+        return (self.clock() - begin) / steps
+
+
+class Batch(Timed):
+    """A simulation whose speed is measured."""
+
+    def __init__(self, key: str, num_worlds: int, options: Options) -> None:
+        super().__init__(Simulation(TASKS[key], num_worlds, device=options.device, physics=options.physics))
+        self.num_substeps = self.sim.scene.num_substeps
+        self.steps = max(2, round(options.seconds / self.run(2)))
 
     def measure(self) -> float:
         """Return environment steps per second, all worlds together."""

@@ -22,7 +22,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.__main__ import PACKAGES, processor
+from benchmarks.__main__ import PACKAGES, Timed, processor
 from benchmarks.soak import suited
 from myowarp.models.conditions import CONDITIONS, Condition
 from myowarp.progress import progress_bar
@@ -52,43 +52,29 @@ class Options:
     """Rough duration of one measurement."""
 
 
-class Contestant:
-    """A simulation with or without a condition, timed over whole environment steps with random actions."""
-
-    def __init__(self, key: str, conditions: tuple[str | Condition, ...], options: Options) -> None:
-        self.sim = Simulation(
-            TASKS[key], options.num_worlds, device=options.device, conditions=conditions, progress=False
-        )
-        self.rng, self.clock = np.random.default_rng(0), CLOCKS[options.clock]
-        self.run(2)
-
-    def run(self, steps: int) -> float:
-        """Return seconds for one environment step of all worlds."""
-        shape = self.sim.action.shape
-        actions = self.rng.uniform(-1, 1, (steps, *shape)).astype(np.float32)
-        begin = self.clock()
-        for action in actions:
-            self.sim.action.assign(action)
-            self.sim.step()
-        self.sim.transition.reward.numpy()  # wait for the device
-        return (self.clock() - begin) / steps
+def contestant(key: str, conditions: tuple[str | Condition, ...], options: Options) -> Timed:
+    """Return a simulation with or without a condition."""
+    sim = Simulation(
+        TASKS[key], options.num_worlds, device=options.device, conditions=conditions, progress=False
+    )
+    return Timed(sim, CLOCKS[options.clock])
 
 
 def measure_task(key: str, options: Options, console: Console) -> list[dict[str, object]]:
     """Return one row a condition that the body can have."""
-    healthy = Contestant(key, (), options)
-    contestants = {"none": Contestant(key, (), options)}
+    healthy = contestant(key, (), options)
+    contestants = {"none": contestant(key, (), options)}
     for name in CONDITIONS:
         try:
-            contestants[name] = Contestant(key, (suited(name, TASKS[key]),), options)
+            contestants[name] = contestant(key, (suited(name, TASKS[key]),), options)
         except ValueError as refusal:
             console.print(f"{name}: {refusal}")
     steps = max(1, round(options.seconds / healthy.run(4)))
     times = {name: np.empty((options.rounds, 2)) for name in contestants}
     with progress_bar(key, "rounds", console) as bar:
         for i in bar.track(range(options.rounds)):
-            for name, contestant in contestants.items():
-                pair = (healthy, contestant) if i % 2 == 0 else (contestant, healthy)
+            for name, other in contestants.items():
+                pair = (healthy, other) if i % 2 == 0 else (other, healthy)
                 found = [one.run(steps) for one in pair]
                 times[name][i] = found if i % 2 == 0 else found[::-1]
     rows = []

@@ -29,7 +29,7 @@ from rich.progress import Progress
 from benchmarks.__main__ import processor
 from benchmarks.opensim_report import draw, print_tables
 from benchmarks.replicas import EXCITATION
-from benchmarks.rivals import IDLE_CORES, ROOT, Worker, start
+from benchmarks.rivals import IDLE_CORES, ROOT, Worker, start, take_turns
 
 OPENSIM = "OpenSim"
 DIFFERENCES = {
@@ -114,13 +114,8 @@ def line_up(source: Path, converted: Path, options: Options, log: Any, **setting
 
 
 def measure(workers: list[Worker], options: Options, tell: Any) -> dict[str, Any]:
-    """Return figures of all contestants; odd rounds run backwards."""
-    for turn in range(options.rounds):
-        for worker in workers if turn % 2 == 0 else reversed(workers):
-            tell(f"round {turn + 1}, {worker.name}")
-            worker.measure(options.seconds)
-    for worker in workers:
-        worker.close()
+    """Return figures of all contestants."""
+    take_turns(workers, options.rounds, options.seconds, tell)
     rival = [sample["rate"] for sample in workers[0].samples]
     rows = {}
     for worker in workers:

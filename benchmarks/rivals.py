@@ -209,15 +209,20 @@ def line_up(task: str, options: Options, log: Any, tell: Any) -> list[Worker]:
     return workers
 
 
-def measure_family(task: str, options: Options, log: Any, tell: Any) -> dict[str, Any]:
-    """Return the samples of all contestants of a family; odd rounds run backwards."""
-    workers = line_up(task, options, log, tell)
-    for turn in range(options.rounds):
+def take_turns(workers: list[Worker], rounds: int, seconds: float, tell: Any) -> None:
+    """Measure all contestants in rounds, odd ones backwards, and end them."""
+    for turn in range(rounds):
         for worker in workers if turn % 2 == 0 else reversed(workers):
             tell(f"round {turn + 1}, {worker.name}")
-            worker.measure(options.seconds)
+            worker.measure(seconds)
     for worker in workers:
         worker.close()
+
+
+def measure_family(task: str, options: Options, log: Any, tell: Any) -> dict[str, Any]:
+    """Return the samples of all contestants of a family."""
+    workers = line_up(task, options, log, tell)
+    take_turns(workers, options.rounds, options.seconds, tell)
     return {
         worker.name: {"start": worker.start, "facts": worker.facts, "samples": worker.samples}
         for worker in workers

@@ -17,6 +17,7 @@ import warp as wp
 from mujoco_warp._src import collision_convex, solver
 
 from myowarp.launches import exchanged
+from myowarp.models.couplings import POINT_JOINTS
 from myowarp.scene import Scene
 
 
@@ -90,7 +91,7 @@ def verified_idle(scene: Scene, launch_step: Callable[[], None]) -> frozenset[st
     rng = np.random.default_rng(0)
     low, high = np.where(host.jnt_limited[:, None], host.jnt_range, (-1.0, 1.0)).T
     qpos = np.tile(host.qpos0, (data.nworld, 1))
-    scalar = np.isin(host.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value))
+    scalar = np.isin(host.jnt_type, POINT_JOINTS)
     qpos[:, host.jnt_qposadr[scalar]] = rng.uniform(low, high, (data.nworld, host.njnt))[:, scalar]
     qvel = rng.standard_normal((data.nworld, host.nv))
     activation = rng.uniform(size=scene.muscles.activation.shape)

@@ -4,11 +4,11 @@ import itertools
 import json
 import re
 from dataclasses import replace
+from functools import partial
 
 import pytest
 from rich.console import Console
 
-from myowarp import cli
 from myowarp.audit import audit, command, runs
 from myowarp.audit.figures import FIGURES, changes, findings
 from myowarp.audit.page import COLORS, Page, draw
@@ -82,19 +82,9 @@ def test_paper_jobs_are_the_grid():
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    """Run the command in this process; return exit status, output and error stream."""
-
-    def call(*arguments):
-        monkeypatch.setattr("sys.argv", ["myowarp", "audit", *map(str, arguments)])
-        status = 0
-        try:
-            cli.main()
-        except SystemExit as exit_:
-            status = exit_.code
-        return status, *capsys.readouterr()
-
-    return call
+def run(run):
+    """Run `myowarp audit`; see `run` in conftest."""
+    return partial(run, "audit")
 
 
 @pytest.mark.parametrize(

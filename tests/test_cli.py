@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp import cli
 from myowarp.spec import TASKS
 from myowarp.view.render import NoGraphicsError, WorldRenderer
 
@@ -27,22 +26,6 @@ gains = np.linspace(-1.0, 1.0, 6)
 def act(obs):
     return np.tanh(obs[:, 2:3] * gains)
 """
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run the command in this process; return exit status, output and error stream."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["myowarp", *map(str, arguments)])
-        status = 0
-        try:
-            cli.main()
-        except SystemExit as exit_:
-            status = exit_.code
-        return status, *capsys.readouterr()
-
-    return call
 
 
 @pytest.fixture

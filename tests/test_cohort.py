@@ -1,12 +1,11 @@
 """Cohorts: each patient as if alone, results recomputed by hand, files read back, the command."""
 
 import dataclasses
-import sys
+from functools import partial
 
 import numpy as np
 import pytest
 
-from myowarp import cli
 from myowarp.hold import Hold
 from myowarp.models.conditions.exoskeleton import Exoskeleton
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
@@ -266,16 +265,9 @@ def test_a_task_without_an_error():
 
 
 @pytest.fixture
-def command(monkeypatch, capsys):
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["myowarp", "cohort", *map(str, arguments)])
-        try:
-            cli.main()
-        except SystemExit as exit_:
-            return exit_.code, *capsys.readouterr()
-        return 0, *capsys.readouterr()
-
-    return call
+def command(run):
+    """Run `myowarp cohort`; see `run` in conftest."""
+    return partial(run, "cohort")
 
 
 def test_command(command, five, tmp_path):

@@ -1,15 +1,14 @@
 """Models from files: `myowarp rollout --model`, what its task asks for, and how bad files are refused."""
 
 import json
-import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from myowarp import cli
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.models.bodies import BODIES
 from myowarp.models.couplings import couplings, follow
@@ -75,19 +74,9 @@ def arm(tmp_path_factory):
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    """Run `myowarp rollout`; return exit status, output and error stream."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["myowarp", "rollout", *map(str, arguments)])
-        status = 0
-        try:
-            cli.main()
-        except SystemExit as exit_:
-            status = exit_.code
-        return status, *capsys.readouterr()
-
-    return call
+def run(run):
+    """Run `myowarp rollout`; see `run` in conftest."""
+    return partial(run, "rollout")
 
 
 @pytest.fixture

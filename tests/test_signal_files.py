@@ -1,12 +1,11 @@
 """Recordings of signals: what pandas and NumPy read back, long ones, failed ones."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
 
-from myowarp import cli, rollout
+from myowarp import rollout
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.signals import JOINT_UNITS, UNITS, record
 from myowarp.signals.record import recording, sample_of
@@ -162,12 +161,11 @@ def test_rollout_records(tmp_path):
         assert saved["force"].max() > 1
 
 
-def test_command(tmp_path, monkeypatch, capsys):
+def test_command(tmp_path, run):
     path = tmp_path / "run.npz"
     arguments = ("--signals", path, "--signals-every", 2, "--num-worlds", 3, "--steps", 6, "--device", "cpu")
-    monkeypatch.setattr(sys, "argv", ["myowarp", "rollout", ELBOW, "--policy", "hold", *map(str, arguments)])
-    cli.main()
-    err = capsys.readouterr().err
+    status, _, err = run("rollout", ELBOW, "--policy", "hold", *arguments)
+    assert status == 0
     assert f"Saved {path}" in err.replace("\n", "")
     assert "6/6" in err
     with np.load(path) as saved:

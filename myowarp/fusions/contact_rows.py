@@ -11,7 +11,7 @@ from mujoco_warp._src.types import DeterminismType, DisableBit, IntegratorType
 
 from myowarp.fusions import FUSIONS, Fusion
 from myowarp.kernels.contact_rows import KinematicTree, RowOptions, write_contact_rows
-from myowarp.kernels.engine_arrays import ConstraintRows, ContactPool, filled, pool_threads
+from myowarp.kernels.engine_arrays import ConstraintRows, ContactPool, filled, num_threads
 from myowarp.prune import pruned
 from myowarp.scene import Scene
 
@@ -60,10 +60,10 @@ def launch_rows(model: mjw.Model, data: mjw.Data) -> None:
     """Write the rows of all contacts."""
     tree, options = filled(KinematicTree, model), filled(RowOptions, model.opt)
     contacts, rows = filled(ContactPool, data.contact, data), filled(ConstraintRows, data.efc)
-    num_threads = pool_threads(data)
+    threads = num_threads(data.nacon.device, data.naconmax)
     wp.launch(
         write_contact_rows,
-        dim=num_threads,
-        inputs=[tree, options, data.qvel, data.subtree_com, data.cdof, num_threads, contacts],
+        dim=threads,
+        inputs=[tree, options, data.qvel, data.subtree_com, data.cdof, threads, contacts],
         outputs=[rows],
     )

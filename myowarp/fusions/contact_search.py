@@ -12,7 +12,7 @@ from mujoco_warp._src.types import BroadphaseType, EnableBit, GeomType
 
 from myowarp.fusions import FUSIONS, Fusion
 from myowarp.kernels.contact_search import OURS, Candidates, ContactMaterial, Shapes, find_contacts
-from myowarp.kernels.engine_arrays import ContactPool, filled
+from myowarp.kernels.engine_arrays import ContactPool, filled, num_threads
 from myowarp.models.slim import colliding_pairs
 from myowarp.scene import Scene
 
@@ -75,11 +75,10 @@ def launch_search(
     model: mjw.Model, data: mjw.Data, context: CollisionContext, awake_prev: wp.array | None = None
 ) -> None:
     """Search all worlds, in the place of `mujoco_warp._src.collision_driver.nxn_broadphase`."""
-    # Arguments are copied for every thread: on the CPU that would be most of the time.
-    num_threads = 1 if data.nacon.device.is_cpu else model.nxn_geom_pair_filtered.shape[0]
+    threads = num_threads(data.nacon.device, model.nxn_geom_pair_filtered.shape[0])
     wp.launch(
         find_contacts,
-        dim=(data.nworld, num_threads),
-        inputs=[filled(Shapes, model, data), filled(ContactMaterial, model), data.naconmax, num_threads],
+        dim=(data.nworld, threads),
+        inputs=[filled(Shapes, model, data), filled(ContactMaterial, model), data.naconmax, threads],
         outputs=[filled(ContactPool, data.contact, data), filled(Candidates, context, data)],
     )

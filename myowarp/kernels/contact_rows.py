@@ -125,44 +125,6 @@ def row_stiffness(
     return _efc_D(weight, impedance)
 
 
-@wp.func
-def write_rows(
-    tree: KinematicTree,
-    options: RowOptions,
-    contacts: ContactPool,
-    qvel: wp.array[float],
-    subtree_com: wp.array[wp.vec3],
-    cdof: wp.array[wp.spatial_vector],
-    conid: int,
-    first: int,
-    rows: ConstraintRows,
-):
-    """Write the rows of a contact from row `first` on."""
-    worldid, condim, margin = contacts.worldid[conid], contacts.dim[conid], contacts.includemargin[conid]
-    num_rows = wp.min(wp.max(1, 2 * (condim - 1)), rows.aref.shape[1] - first)
-    velocity = write_jacobian(tree, contacts, qvel, subtree_com, cdof, conid, first, num_rows, rows)
-    kind = int(ConstraintType.CONTACT_PYRAMIDAL)
-    if condim == 1:
-        kind = int(ConstraintType.CONTACT_FRICTIONLESS)
-    distance = contacts.dist[conid] - margin
-    timestep = options.timestep[worldid % options.timestep.shape[0]]
-    spring = _contact_kbimp(
-        options.disableflags, timestep, contacts.solref[conid], contacts.solimp[conid], distance, False
-    )
-    stiffness = row_stiffness(tree, options, contacts, conid, spring[2])
-    for i in range(num_rows):
-        row = first + i
-        speed = row_value(velocity, contacts.friction[conid], i, condim)
-        rows.type[worldid, row] = kind
-        rows.id[worldid, row] = conid
-        rows.pos[worldid, row] = contacts.dist[conid]
-        rows.margin[worldid, row] = margin
-        rows.D[worldid, row] = stiffness
-        rows.vel[worldid, row] = speed
-        rows.aref[worldid, row] = -spring[0] * spring[2] * distance - spring[1] * speed
-        rows.frictionloss[worldid, row] = 0.0
-
-
 @wp.kernel(enable_backward=False)
 def write_contact_rows(
     # Model:
@@ -174,16 +136,46 @@ def write_contact_rows(
     subtree_com_in: wp.array2d[wp.vec3],
     cdof_in: wp.array2d[wp.spatial_vector],
     # In:
-    num_threads: int,
+    threads: int,
     contacts: ContactPool,
     # Out:
     rows: ConstraintRows,
 ):
     """J = normal' (J_2 - J_1) ± friction_k direction_k' (J_2 - J_1), aref = -k imp dist - b J qvel."""
     thread = wp.tid()
-    for conid in range(thread, wp.min(contacts.nacon[0], contacts.dist.shape[0]), num_threads):
+    for conid in range(thread, wp.min(contacts.nacon[0], contacts.dist.shape[0]), threads):
         first = contacts.efc_address[conid, 0]
-        if first >= 0:
-            worldid = contacts.worldid[conid]
-            qvel, com, cdof = qvel_in[worldid], subtree_com_in[worldid], cdof_in[worldid]
-            write_rows(tree, options, contacts, qvel, com, cdof, conid, first, rows)
+        if first < 0:
+            continue
+        worldid, condim, margin = contacts.worldid[conid], contacts.dim[conid], contacts.includemargin[conid]
+        num_rows = wp.min(wp.max(1, 2 * (condim - 1)), rows.aref.shape[1] - first)
+        velocity = write_jacobian(
+            tree,
+            contacts,
+            qvel_in[worldid],
+            subtree_com_in[worldid],
+            cdof_in[worldid],
+            conid,
+            first,
+            num_rows,
+            rows,
+        )
+        kind = int(ConstraintType.CONTACT_PYRAMIDAL)
+        if condim == 1:
+            kind = int(ConstraintType.CONTACT_FRICTIONLESS)
+        distance = contacts.dist[conid] - margin
+        timestep = options.timestep[worldid % options.timestep.shape[0]]
+        spring = _contact_kbimp(
+            options.disableflags, timestep, contacts.solref[conid], contacts.solimp[conid], distance, False
+        )
+        stiffness = row_stiffness(tree, options, contacts, conid, spring[2])
+        for row in range(first, first + num_rows):
+            speed = row_value(velocity, contacts.friction[conid], row - first, condim)
+            rows.type[worldid, row] = kind
+            rows.id[worldid, row] = conid
+            rows.pos[worldid, row] = contacts.dist[conid]
+            rows.margin[worldid, row] = margin
+            rows.D[worldid, row] = stiffness
+            rows.vel[worldid, row] = speed
+            rows.aref[worldid, row] = -spring[0] * spring[2] * distance - spring[1] * speed
+            rows.frictionloss[worldid, row] = 0.0

@@ -292,7 +292,7 @@ def find_contacts(
     # Data in:
     naconmax_in: int,
     # In:
-    num_threads: int,
+    threads: int,
     # Data out:
     contact_out: ContactPool,
     # Out:
@@ -308,7 +308,7 @@ def find_contacts(
     kind, xpos, xmat = shapes.geom_type, shapes.geom_xpos[worldid], shapes.geom_xmat[worldid]
     pair = Pair()
     pair.worldid = worldid
-    for i in range(thread, shapes.nxn_geom_pair_filtered.shape[0], num_threads):
+    for i in range(thread, shapes.nxn_geom_pair_filtered.shape[0], threads):
         a, b = shapes.nxn_geom_pair_filtered[i][0], shapes.nxn_geom_pair_filtered[i][1]
         pair.pairid = shapes.nxn_pairid_filtered[i]
         pair.margin = margins[a] + margins[b]

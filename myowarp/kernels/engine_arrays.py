@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import mujoco_warp as mjw
 import warp as wp
 from mujoco_warp._src.types import vec5
 
@@ -65,10 +64,10 @@ def filled(kind: Any, *sources: Any) -> Any:
     return struct
 
 
-def pool_threads(data: mjw.Data) -> int:
-    """Return in how many threads to walk through the pool of contacts.
+def num_threads(device: wp.Device, number: int) -> int:
+    """Return in how many threads to walk through a number of things.
 
-    One for each place on a GPU; a single one on the CPU, which runs them in turn and would spend its time on
-    places that are empty.
+    One for each on a GPU; a single one on the CPU, which runs them in turn and copies a launch's arguments
+    for every one.
     """
-    return 1 if data.nacon.device.is_cpu else data.naconmax
+    return 1 if device.is_cpu else number

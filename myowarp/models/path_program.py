@@ -8,7 +8,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.kernels.engine_arrays import filled
+from myowarp.kernels.engine_arrays import filled, num_threads
 from myowarp.kernels.muscle_path import (
     Drive,
     Path,
@@ -19,11 +19,11 @@ from myowarp.kernels.muscle_path import (
     muscle_path,
 )
 from myowarp.kernels.wrap import CYLINDER, SPHERE, STRAIGHT
+from myowarp.models.couplings import POINT_JOINTS
 
 _WRAP = mujoco.mjtWrap
 _KINDS = {_WRAP.mjWRAP_SPHERE.value: int(SPHERE), _WRAP.mjWRAP_CYLINDER.value: int(CYLINDER)}
 _SITE, _PULLEY = _WRAP.mjWRAP_SITE.value, _WRAP.mjWRAP_PULLEY.value
-_SCALAR_JOINTS = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
 _TENDON = mujoco.mjtTrn.mjTRN_TENDON.value
 _JOINT = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
 
@@ -37,7 +37,7 @@ def path_obstacle(model: mujoco.MjModel) -> str | None:
     on_joint = np.isin(model.actuator_trntype, _JOINT)
     if not np.all(on_joint | (model.actuator_trntype == _TENDON)):
         return "an actuator that is neither on a tendon nor on a joint"
-    if not np.all(np.isin(model.jnt_type[model.actuator_trnid[on_joint, 0]], _SCALAR_JOINTS)):
+    if not np.all(np.isin(model.jnt_type[model.actuator_trnid[on_joint, 0]], POINT_JOINTS)):
         return "an actuator on a ball or free joint"
     return None
 
@@ -71,7 +71,7 @@ class MusclePaths:
         self._host, self._fixed_sites = host, model.site_pos.shape[0] == 1
         self._ops: list[tuple[Any, ...]] = []
         self._crossings: list[tuple[int, int]] = []
-        self._num_worlds, self._threads = data.nworld, 1 if data.qpos.device.is_cpu else host.ntendon
+        self._num_worlds, self._threads = data.nworld, num_threads(data.qpos.device, host.ntendon)
         rows = np.concatenate([[0], np.cumsum(self._moment_sizes())])
         paths: list[tuple[Any, ...]] = []
         drives: list[tuple[Any, ...]] = []

@@ -1,0 +1,23 @@
+"""What tests of the command share."""
+
+import sys
+
+import pytest
+
+from myowarp import cli
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command in this process; return exit status, output and error stream."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["myowarp", *map(str, arguments)])
+        status = 0
+        try:
+            cli.main()
+        except SystemExit as exit_:
+            status = exit_.code
+        return status, *capsys.readouterr()
+
+    return call
