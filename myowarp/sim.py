@@ -314,7 +314,7 @@ class Simulation:
     def _refresh(self) -> None:
         """Make body and site positions those of the present state; a step leaves them one substep old."""
         if self.scene.spec.uses_kinematics:
-            with engine_kernels_alone():
+            with installed(self.fusions), engine_kernels_alone():
                 mjw.kinematics(self.scene.model, self.scene.data)
 
     def _capture(self, launches: Callable[[], None]) -> wp.Graph:

@@ -148,4 +148,5 @@ from myowarp.fusions import (  # noqa: E402  (they register themselves)
     contact_solve,  # noqa: F401
     inertia_solve,  # noqa: F401
     muscle_path,  # noqa: F401
+    rigid_body,  # noqa: F401
 )

@@ -1,0 +1,213 @@
+"""Kinematics, inertia, bias and passive forces in one launch, against MuJoCo C in float64."""
+
+from types import SimpleNamespace
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import pytest
+import warp as wp
+
+from myowarp.fusions import FUSIONS
+from myowarp.sim import Simulation
+from myowarp.spec import TASKS
+
+NUM_WORLDS = 8
+ROUNDING = 5e-6  # of the largest entry of a field; float32
+POSES = ("xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat")
+MOTIONS = ("subtree_com", "cinert", "crb", "cdof", "cdof_dot", "cvel", "M")
+FORCES = ("qfrc_bias", "qfrc_spring", "qfrc_damper", "qfrc_passive")
+TREES = """
+<mujoco>
+  <option {option}/>
+  <worldbody>
+    <geom pos="1 2 3" size=".1"/>
+    <body mocap="true" pos=".1 .2 .3" quat="1 2 0 0"><geom size=".1" contype="0" conaffinity="0"/>
+      <body pos="0 0 .3"><geom size=".1 .2" type="capsule" euler="10 20 30"/></body>
+    </body>
+    <body pos="0 1 0" euler="20 30 40">
+      <freejoint/><geom size=".1 .2 .3" type="ellipsoid" pos=".1 0 .1" euler="0 40 50"/>
+      <body pos=".2 .1 0"><joint type="ball" pos=".05 0 0" damping=".3"/><geom size=".05 .2" type="capsule"/>
+        <body pos="0 .1 .2" euler="50 0 10">
+          <joint axis="1 1 0" pos="0 .02 0" springref="20" stiffness="2 3 4" damping=".2 .1 .3"
+                 armature=".1"/>
+          <joint axis="0 1 1" type="slide" stiffness="5" damping=".4" ref=".1"/>
+          <joint axis="0 0 1" pos=".03 0 0" ref="15"/>
+          <geom size=".04 .1" type="capsule" pos=".1 0 0" euler="0 30 0"/>
+          <site name="tip" pos=".1 .1 .1" euler="5 6 7"/>
+        </body>
+        <body pos="0 -.1 .2"><joint axis="0 1 0"/><geom size=".04 .1" type="capsule" euler="0 30 0"/></body>
+      </body>
+    </body>
+    <body pos="0 -1 0"><joint axis="0 1 0" limited="true" range="-1 1"/><geom size=".1" pos=".2 0 0"/>
+      <site name="other"/>
+    </body>
+  </worldbody>
+  <tendon><spatial {tendon}><site site="tip"/><site site="other"/></spatial></tendon>
+</mujoco>
+"""
+MODELS = {
+    "gravity": {"option": 'gravity="1 2 -9"', "tendon": ""},
+    "other forces": {"option": 'wind="1 2 3" density="5"', "tendon": 'stiffness="3" damping=".5"'},
+}
+
+
+def stepping(model, num_worlds):
+    """Return what a fusion needs of a scene."""
+    engine = mjw.put_model(model)
+    data = mjw.make_data(model, nworld=num_worlds, nconmax=16, njmax=40)
+    spec = SimpleNamespace(sites=("tip",))
+    return SimpleNamespace(
+        oracle=model,
+        model=engine,
+        data=data,
+        spec=spec,
+        device=wp.get_device("cpu"),
+        site_id=lambda name: model.site(name).id,
+    )
+
+
+def random_states(model, seed=0):
+    """Return MuJoCo C's data of random states, with moved mocap bodies."""
+    rng, found = np.random.default_rng(seed), []
+    for _ in range(NUM_WORLDS):
+        data = mujoco.MjData(model)
+        data.qpos[:] += rng.normal(size=model.nq)
+        data.qvel[:] = rng.normal(size=model.nv)
+        data.mocap_pos[:] += rng.normal(size=data.mocap_pos.shape)
+        data.mocap_quat[:] += rng.normal(size=data.mocap_quat.shape)
+        found.append(data)
+    return found
+
+
+def given(scene, states):
+    """Have the states in the scene's worlds."""
+    for name in ("qpos", "qvel", "mocap_pos", "mocap_quat"):
+        getattr(scene.data, name).assign(np.array([getattr(data, name) for data in states]))
+
+
+def filled_with_nan(data, names):
+    for name in names:
+        getattr(data, name).fill_(np.nan)
+
+
+def error(field, expected):
+    """Return the largest difference, as a share of the largest entry."""
+    expected = np.array(expected, dtype=float)
+    assert np.abs(expected).max() > 0.1
+    return np.abs(field.numpy().reshape(expected.shape) - expected).max() / np.abs(expected).max()
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_field_is_that_of_mujoco(name):
+    model = mujoco.MjModel.from_xml_string(TREES.format(**MODELS[name]))
+    states = random_states(model)
+    with wp.ScopedDevice("cpu"):
+        scene = stepping(model, NUM_WORLDS)
+        assert FUSIONS["rigid_body"].obstacle(scene) is None
+        given(scene, states)
+        filled_with_nan(scene.data, (*MOTIONS[:1], *MOTIONS[3:], "qfrc_bias", "qfrc_passive", "site_xpos"))
+        with FUSIONS["rigid_body"](scene).installed():
+            mjw.fwd_position(scene.model, scene.data)
+            mjw.fwd_velocity(scene.model, scene.data)
+    for data in states:
+        # MuJoCo normalises in place what the engine leaves as it is.
+        mujoco.mj_normalizeQuat(model, data.qpos)
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+    for field in (*POSES, "site_xpos", "site_xmat", *MOTIONS, *FORCES):
+        expected = [getattr(data, field) for data in states]
+        assert error(getattr(scene.data, field), expected) <= ROUNDING, field
+
+
+def test_worlds_have_their_own_bodies():
+    """Masses, springs and gravity of world 3 are its own, and show in that world alone."""
+    model = mujoco.MjModel.from_xml_string(TREES.format(**MODELS["gravity"]))
+    changed = {
+        "body_mass": 2.0,
+        "body_pos": 1.5,
+        "jnt_stiffness": 3.0,
+        "dof_damping": 2.0,
+        "dof_armature": 5.0,
+    }
+    states = random_states(model, seed=1)
+    with wp.ScopedDevice("cpu"):
+        scene = stepping(model, NUM_WORLDS)
+        given(scene, states)
+        for name, factor in changed.items():
+            values = np.repeat(getattr(scene.model, name).numpy(), NUM_WORLDS, axis=0)
+            values[3] *= factor
+            setattr(scene.model, name, wp.array(values, dtype=getattr(scene.model, name).dtype))
+        subtree = np.repeat(scene.model.body_subtreemass.numpy(), NUM_WORLDS, axis=0)
+        subtree[3] *= changed["body_mass"]
+        scene.model.body_subtreemass = wp.array(subtree, dtype=float)
+        gravity = np.tile(model.opt.gravity, (NUM_WORLDS, 1))
+        gravity[3] *= -1.0
+        scene.model.opt.gravity = wp.array(gravity, dtype=wp.vec3)
+        with FUSIONS["rigid_body"](scene).installed():
+            mjw.fwd_position(scene.model, scene.data)
+            mjw.fwd_velocity(scene.model, scene.data)
+    other = mujoco.MjModel.from_xml_string(TREES.format(**MODELS["gravity"]))
+    for name, factor in changed.items():
+        getattr(other, name)[:] *= factor
+    other.body_subtreemass[:] *= changed["body_mass"]
+    other.opt.gravity[:] *= -1.0
+    for world, data in enumerate(states):
+        mujoco.mj_normalizeQuat(model, data.qpos)
+        mujoco.mj_fwdPosition(other if world == 3 else model, data)
+        mujoco.mj_fwdVelocity(other if world == 3 else model, data)
+    for field in ("xpos", "M", "qfrc_bias", "qfrc_passive"):
+        assert error(getattr(scene.data, field), [getattr(data, field) for data in states]) <= ROUNDING, field
+
+
+def test_poses_alone():
+    """Outside a step only poses are computed, and of the sites only those that the task reads."""
+    model = mujoco.MjModel.from_xml_string(TREES.format(**MODELS["gravity"]))
+    states = random_states(model, seed=2)
+    with wp.ScopedDevice("cpu"):
+        scene = stepping(model, NUM_WORLDS)
+        given(scene, states)
+        filled_with_nan(scene.data, ("site_xpos", "M"))
+        with FUSIONS["rigid_body"](scene).installed():
+            mjw.kinematics(scene.model, scene.data)
+    for data in states:
+        mujoco.mj_normalizeQuat(model, data.qpos)
+        mujoco.mj_kinematics(model, data)
+    for field in POSES:
+        assert error(getattr(scene.data, field), [getattr(data, field) for data in states]) <= ROUNDING, field
+    tip, other = model.site("tip").id, model.site("other").id
+    sites = scene.data.site_xpos.numpy()
+    np.testing.assert_allclose(sites[:, tip], [data.site_xpos[tip] for data in states], atol=1e-5)
+    assert np.isnan(sites[:, other]).all()
+    assert np.isnan(scene.data.M.numpy()).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda model: model.jnt_stiffness.__setitem__(1, 1.0), "a ball or free joint has a spring"),
+        (lambda model: None, None),
+    ],
+)
+def test_obstacles(change, reason):
+    model = mujoco.MjModel.from_xml_string(TREES.format(**MODELS["gravity"]))
+    change(model)
+    with wp.ScopedDevice("cpu"):
+        assert FUSIONS["rigid_body"].obstacle(stepping(model, 1)) == reason
+
+
+def test_observations_are_those_of_the_engine():
+    """The tips of a reach task after resets and steps, with the fusion alone and without any."""
+    seen = []
+    for fusions in ((), ("rigid_body",)):
+        sim = Simulation(
+            TASKS["myoHandReachRandom-v0"], 3, device="cpu", graph=False, progress=False, fusions=fusions
+        )
+        assert len(sim.fusions) == len(fusions)
+        sim.reset(seeds=np.arange(3))
+        sim.action.fill_(0.5)
+        for _ in range(2):
+            sim.step()
+        seen.append(sim.transition.obs.numpy().copy())
+    assert np.abs(seen[0]).max() > 0.1
+    np.testing.assert_allclose(seen[1], seen[0], atol=2e-5, rtol=0)
