@@ -14,13 +14,12 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import warp as wp
 from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from myowarp.interop import check_output, checked_action, to_output
+from myowarp.interop import Output, checked_action
 from myowarp.kernels.episode import describe_fault
 from myowarp.models.conditions import Condition
 from myowarp.registry import check_choice
@@ -109,7 +108,8 @@ class MyoWarpVectorEnv(VectorEnv):
         """
         check_choice("render_mode", render_mode, (None, *RENDER_MODES))
         mode = _autoreset_mode(autoreset_mode)
-        self.output, self.copy = check_output(output), (output == "numpy" if copy is None else copy)
+        self.copy = output == "numpy" if copy is None else copy
+        self.output, self._give, self._host = output, Output(output, self.copy), Output("numpy", copy=False)
         self.render_mode, self._pictures = render_mode, Pictures(render_size, camera)
         options: dict[str, Any] = {"physics": physics, "muscle": muscle, "reset": reset}
         options |= {"conditions": conditions, "autoreset": AUTORESET_NAMES[mode]}
@@ -257,10 +257,6 @@ class MyoWarpVectorEnv(VectorEnv):
         seeded = np.array([s is not None for s in seeds])
         return np.array([s or 0 for s in seeds], dtype=object), seeded
 
-    def _give(self, array: wp.array) -> Any:
-        """Return an array of the simulation in the library asked for."""
-        return to_output(array, self.output, self.copy)
-
     def _entries(self, transition: Any) -> dict[str, Any]:
         """Return the info arrays of a transition."""
         terms = self._give(transition.terms)
@@ -285,11 +281,11 @@ class MyoWarpVectorEnv(VectorEnv):
                 info["final_info"] = self._entries(self.sim.final)
             return info
         transition = self.sim.transition
-        ended = transition.terminated.numpy() | transition.truncated.numpy()
+        ended = self._host(transition.terminated) | self._host(transition.truncated)
         stepped = ~ended if same_step else ~self._resetting
         self._resetting = ended & (self._autoreset == AutoresetMode.NEXT_STEP)
         self._ended = ended & (self._autoreset == AutoresetMode.DISABLED)
-        self._warn_of_faults(transition.fault.numpy())
+        self._warn_of_faults(self._host(transition.fault))
         info |= {f"_{key}": stepped.copy() for key in tuple(info)}
         if same_step and ended.any():
             final = self._entries(self.sim.final)

@@ -11,22 +11,54 @@ from myowarp.registry import check_choice
 OUTPUTS = ("numpy", "torch", "warp")
 
 
-def to_output(array: wp.array, output: str, copy: bool) -> Any:
-    """Return an array as one of `OUTPUTS`.
+class Output:
+    """Gives arrays of the simulation as those of another library.
 
-    Args:
-        array: Array of the simulation.
-        output: Library.
-        copy: Whether to copy; otherwise the result is a view wherever the device allows one, which for
-            NumPy means the CPU.
+    The simulation never replaces its arrays, so what the CPU device can share is wrapped once.
     """
-    if output == "warp":
-        return wp.clone(array) if copy else array
-    if output == "torch":
-        tensor = wp.to_torch(array)
-        return tensor.clone() if copy else tensor
-    host = array.numpy()
-    return host.copy() if copy else host
+
+    def __init__(self, library: str, copy: bool) -> None:
+        """Choose the library.
+
+        Args:
+            library: One of `OUTPUTS`.
+            copy: Whether to copy; otherwise the result is a view wherever the device allows one, which for
+                NumPy means the CPU.
+
+        Raises:
+            ValueError: It is none of `OUTPUTS`.
+            ImportError: The library is not installed.
+        """
+        check_choice("output", library, OUTPUTS)
+        if importlib.util.find_spec(library) is None:
+            raise ImportError(
+                f'output="{library}" needs {library}, which is not installed; '
+                f'run `pip install "myowarp[{library}]"`'
+            )
+        self._library = library
+        self._copy = copy
+        self._views: dict[int, tuple[wp.array, Any]] = {}
+
+    def __call__(self, array: wp.array) -> Any:
+        """Return an array in the library's kind."""
+        if self._library == "warp":
+            return wp.clone(array) if self._copy else array
+        view = self.view(array)
+        if not self._copy:
+            return view
+        return view.clone() if self._library == "torch" else view.copy()
+
+    def view(self, array: wp.array) -> Any:
+        """Return a view as a tensor or NumPy array; of an array on a GPU, NumPy gets a copy."""
+        if id(array) in self._views:
+            return self._views[id(array)][1]
+        if self._library == "torch":
+            view = wp.to_torch(array)
+        else:
+            view = array.numpy()
+        if array.device.is_cpu:
+            self._views[id(array)] = array, view  # the array too, so that no other gets its id
+        return view
 
 
 def checked_action(actions: Any, shape: tuple[int, ...]) -> Any:
@@ -66,18 +98,3 @@ def _check(dtype: str, floating: bool, got: tuple[int, ...], required: tuple[int
     """Raise ValueError for a wrong dtype or shape."""
     if not floating or got != required:
         raise ValueError(f"actions must be floating point of shape {required}, got {dtype} of shape {got}")
-
-
-def check_output(output: str) -> str:
-    """Return an output that can be had.
-
-    Raises:
-        ValueError: It is none of `OUTPUTS`.
-        ImportError: Its library is not installed.
-    """
-    check_choice("output", output, OUTPUTS)
-    if importlib.util.find_spec(output) is None:
-        raise ImportError(
-            f'output="{output}" needs {output}, which is not installed; run `pip install "myowarp[{output}]"`'
-        )
-    return output

@@ -10,6 +10,7 @@ import copy
 import dataclasses
 import operator
 import os
+import sys
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
@@ -155,18 +156,26 @@ class Shards:
             self._pool = None
 
     def _together(self, act: Callable[[Simulation], None]) -> None:
-        """Let every part act, in threads of their own, and wait for all."""
+        """Let every part act, the first in this thread and the others in threads of their own."""
         if self._failure is not None:
             raise RuntimeError(self._failure)
         if self._pool is None or self._process != os.getpid():  # threads do not live on in a forked process
-            self._pool = ThreadPoolExecutor(len(self.parts), thread_name_prefix="myowarp")
+            self._pool = ThreadPoolExecutor(len(self.parts) - 1, thread_name_prefix="myowarp")
             self._process = os.getpid()
         wait(self._running)  # they still run where Ctrl-C broke off the waiting below
-        self._running = [self._pool.submit(act, part) for part in self.parts]
-        wait(self._running)
-        for part, future in zip(self.parts, self._running, strict=True):
-            error = future.exception()
-            if error is not None:
+        first, *others = self.parts
+        self._running = [self._pool.submit(act, part) for part in others]
+        try:
+            act(first)
+        finally:
+            error = sys.exception()
+            wait(self._running)
+            self._check([error, *(future.exception() for future in self._running)])
+
+    def _check(self, errors: list[BaseException | None]) -> None:
+        """Raise RuntimeError if a part has failed; what else was raised, such as Ctrl-C, goes its way."""
+        for part, error in zip(self.parts, errors, strict=True):
+            if isinstance(error, Exception):
                 own = part.scene.worlds.own
                 self._failure = (
                     f"worlds {own.start} to {own.stop - 1} stopped ({type(error).__name__}: {error})"

@@ -295,14 +295,15 @@ def own_threads():
     return [thread for thread in threading.enumerate() if thread.name.startswith("myowarp")]
 
 
-def test_death_of_a_part(alone, monkeypatch):
+@pytest.mark.parametrize(("part", "worlds"), [(0, "0 to 1"), (1, "2 to 3")])
+def test_death_of_a_part(alone, monkeypatch, part, worlds):
     """It is reported at once, with its worlds; no thread is left, and no later step pretends."""
     split = build(num_shards=3)
     split.step()
     assert own_threads()
-    monkeypatch.setattr(split.parts[1], "step", lambda: 1 / 0)
+    monkeypatch.setattr(split.parts[part], "step", lambda: 1 / 0)
     begin = time.monotonic()
-    message = "worlds 2 to 3 stopped (ZeroDivisionError: division by zero)"
+    message = f"worlds {worlds} stopped (ZeroDivisionError: division by zero)"
     with pytest.raises(RuntimeError, match=f"^{re.escape(message)}$") as caught:
         split.step()
     assert time.monotonic() - begin < DEADLINE
@@ -312,6 +313,20 @@ def test_death_of_a_part(alone, monkeypatch):
     for act in (split.step, split.reset):
         with pytest.raises(RuntimeError, match=f"^{re.escape(message)}$"):
             act()
+
+
+def test_interruption(alone, monkeypatch):
+    """Ctrl-C in the part that the caller steps is no failure of it: the next step goes on."""
+    split = build(num_shards=2)
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(split.parts[0], "step", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            split.step()
+    split.step()
 
 
 def test_threads_end(alone):

@@ -11,10 +11,20 @@ from mujoco_warp._src import passive, smooth
 from mujoco_warp._src.types import DisableBit, EnableBit, IntegratorType, JointType
 
 from myowarp.fusions import FUSIONS, Fusion
-from myowarp.kernels.engine_arrays import filled
+from myowarp.kernels.engine_arrays import filled, num_threads
 from myowarp.kernels.rigid_body import BodyMotion, Pose, RigidBodies, Switches, move_bodies
 from myowarp.prune import pruned
 from myowarp.scene import Scene
+
+OTHER_POSES = frozenset(
+    {
+        "_kinematics_branch",
+        "_compute_body_matrices",
+        "_compute_body_inertial_frames",
+        "_geom_local_to_global",
+    }
+)
+"""What the engine's `kinematics` launches besides the poses of sites."""
 
 
 @FUSIONS.register("rigid_body")
@@ -50,6 +60,7 @@ class RigidBodyFusion(Fusion):
         springs = (model.tendon_stiffness, model.tendon_stiffnesspoly)
         dampers = (model.tendon_damping, model.tendon_dampingpoly)
         others = model.has_fluid or model.flg_adhesion or model.callback.passive is not None
+        self._stock_kinematics = smooth.kinematics
         forces = (*springs, *dampers, model.body_gravcomp)
         self._joints_alone = not (others or any(array.numpy().any() for array in forces))
 
@@ -80,24 +91,21 @@ class RigidBodyFusion(Fusion):
     def _launch_bodies(self, model: mjw.Model, data: mjw.Data) -> None:
         """Compute all that follows from positions and velocities."""
         self._launch(model, data, dynamics=True)
-        wp.launch(
-            smooth._site_local_to_global,
-            dim=(data.nworld, model.nsite),
-            inputs=[model.site_bodyid, model.site_pos, model.site_quat, data.xpos, data.xquat],
-            outputs=[data.site_xpos, data.site_xmat],
-        )
+        with pruned(OTHER_POSES):
+            self._stock_kinematics(model, data)
 
     def _launch(self, model: mjw.Model, data: mjw.Data, dynamics: bool) -> None:
         """Launch our kernel, which walks through the worlds by itself."""
         bodies, switches = filled(RigidBodies, model, model.opt), Switches()
-        disabled = model.opt.disableflags
+        disabled, sites = model.opt.disableflags, self._sites
+        threads = num_threads(data.qpos.device, data.nworld)
         switches.dynamics = dynamics
         switches.has_gravity = not disabled & DisableBit.GRAVITY
         switches.has_springs = not disabled & DisableBit.SPRING
         switches.has_dampers = not disabled & DisableBit.DAMPER
         wp.launch(
             move_bodies,
-            dim=1,
-            inputs=[bodies, switches, data.qpos, data.qvel, self._sites],
+            dim=threads,
+            inputs=[bodies, switches, data.qpos, data.qvel, threads, sites],
             outputs=[filled(Pose, data), filled(BodyMotion, data)],
         )

@@ -106,6 +106,8 @@ class BodyMotion:
 
 @wp.func_native(SOURCE)
 def move_worlds(
+    thread: int,
+    threads: int,
     bodies: RigidBodies,
     switches: Switches,
     sites: wp.array[int],
@@ -114,7 +116,7 @@ def move_worlds(
     pose: Pose,
     motion: BodyMotion,
 ):
-    """Set pose and motion of all worlds."""
+    """Set pose and motion of every `threads`-th world."""
     ...
 
 
@@ -128,10 +130,12 @@ def move_bodies(
     qpos_in: wp.array2d[float],
     qvel_in: wp.array2d[float],
     # In:
+    threads: int,
     sites: wp.array[int],
     # Data out:
     pose_out: Pose,
     motion_out: BodyMotion,
 ):
     """x = x(qpos), M = sum_b J_b' I_b J_b, c = sum_b J_b' (I_b a_b + v_b x I_b v_b) with qacc = 0."""
-    move_worlds(bodies, switches, sites, qpos_in, qvel_in, pose_out, motion_out)
+    thread = wp.tid()
+    move_worlds(thread, threads, bodies, switches, sites, qpos_in, qvel_in, pose_out, motion_out)
