@@ -55,6 +55,12 @@ class InertiaRows:
     M_colind: wp.array[int]
 
 
+@wp.func
+def own_row(number: int, worldid: int) -> int:
+    """Return a world's row of an array with a row for each world, or with one that serves all."""
+    return wp.where(number > 1, worldid, 0)
+
+
 def filled(kind: Any, *sources: Any) -> Any:
     """Return a struct of a kind; each field is the attribute of that name of the first object that has it."""
     struct = kind()

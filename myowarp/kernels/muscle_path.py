@@ -15,6 +15,7 @@ Actuation model*; layout of the arrays: mujoco-warp 4.0.0, `tendon` and `transmi
 
 import warp as wp
 
+from myowarp.kernels.engine_arrays import own_row
 from myowarp.kernels.wrap import STRAIGHT, Bend, bend_round, unit
 
 
@@ -192,7 +193,8 @@ def add_moments(
 def follow(program: PathProgram, pose: Pose, worldid: int, path: Path, moments: wp.array[float]) -> float:
     """Add the moment arms of a path to its row of `ten_J`, and return its length."""
     length = path.fixed_length
-    sites = program.site_pos[worldid % program.site_pos.shape[0]]
+    sites = program.site_pos[own_row(program.site_pos.shape[0], worldid)]
+    sizes = program.geom_size[own_row(program.geom_size.shape[0], worldid)]
     subtree_com, cdof = pose.subtree_com[worldid], pose.cdof[worldid]
     for i in range(path.first_op, path.last_op):
         op = program.ops[i]
@@ -204,7 +206,7 @@ def follow(program: PathProgram, pose: Pose, worldid: int, path: Path, moments: 
             centre = pose.geom_xpos[worldid, op.geom]
             turned = pose.geom_xmat[worldid, op.geom]
             axis = wp.vec3(turned[0, 2], turned[1, 2], turned[2, 2])
-            radius = program.geom_size[worldid % program.geom_size.shape[0], op.geom][0]
+            radius = sizes[op.geom][0]
             side = wp.vec3()
             if op.side_site >= 0:
                 side = pose.xmat[worldid, op.side_body] * sites[op.side_site]
@@ -236,7 +238,7 @@ def muscle_path(
     """Length = sum of segments, ten_J = its gradient; an actuator's length, moment, velocity = gear (...)."""
     worldid, thread = wp.tid()
     moments, qvel = transmission.ten_J[worldid], pose.qvel[worldid]
-    gears = program.actuator_gear[worldid % program.actuator_gear.shape[0]]
+    gears = program.actuator_gear[own_row(program.actuator_gear.shape[0], worldid)]
     for pathid in range(thread, program.paths.shape[0], threads):
         path = program.paths[pathid]
         for entry in range(path.row, path.row + path.num_dofs):

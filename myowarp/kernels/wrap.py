@@ -12,7 +12,8 @@ bends only where the straight segment would cut the circle, the short way round.
 side the path passes: MuJoCo 4 compares the winding angle of the path over the side site with that of the
 straight segment. They differ exactly if the triangle of ends and side site holds the centre, which is three
 signs of cross products, and the path then winds as the side site does. So only a path that bends costs
-an arc tangent. A side site inside the geom makes the path pass through it: `wrap_inside` of mujoco-warp.
+an arc tangent. A side site inside the geom makes the path pass through it and touch it where it is shortest.
+Where ends all but lie on the surface, finding that point is left to mujoco-warp.
 """
 
 import warp as wp
@@ -22,6 +23,8 @@ STRAIGHT = wp.constant(0)
 SPHERE = wp.constant(1)
 CYLINDER = wp.constant(2)
 
+NEWTON_STEPS = wp.constant(8)
+STILL = wp.constant(3e-4)  # rad, after which a step of Newton's leaves what float32 cannot see
 TINY = wp.constant(1e-15)
 """mjMINVAL: MuJoCo takes shorter vectors as zero."""
 
@@ -101,17 +104,51 @@ def bend_outside(
 
 
 @wp.func
+def lean(end: wp.vec2, point: wp.vec2, along: wp.vec2) -> wp.vec2:
+    """Return -d|end - point| / dangle and its derivative, for a point of the unit circle that moves along."""
+    inverse = 1.0 / wp.length(end - point)
+    slope = inverse * wp.dot(along, end)
+    return wp.vec2(slope, inverse * (slope * slope - wp.dot(point, end)))
+
+
+@wp.func
+def touch_inside(near: wp.vec2, far: wp.vec2, start: wp.vec2) -> wp.vec2:
+    """Return the point of the unit circle over which two ends are closest, by Newton's method.
+
+    The way over a point is convex in its angle as long as both ends see it, as they do from the point
+    nearest to the segment between them, the start.
+    """
+    point = wp.normalize(start)
+    for _ in range(NEWTON_STEPS):
+        along = wp.vec2(-point[1], point[0])
+        total = lean(near, point, along) + lean(far, point, along)
+        turn = total[0] / wp.max(-total[1], TINY)
+        half = 0.5 * wp.clamp(turn, -1.0, 1.0)  # of the tangent: a rotation without a root
+        point = ((1.0 - half * half) * point + 2.0 * half * along) / (1.0 + half * half)
+        if wp.abs(turn) < STILL:
+            return point
+    _arc, found, _same = wrap_inside(wp.vec4(near[0], near[1], far[0], far[1]), 1.0)
+    return found
+
+
+@wp.func
 def bend_inside(near: wp.vec3, far: wp.vec3, normal: wp.vec3, radius: float) -> Bend:
-    """Bend over the inside of a circle, in its plane."""
+    """Bend over the inside of a circle, in its plane; straight where the segment cuts the circle."""
     bend = Bend()
     bend.length = -1.0
     distance = wp.length(near)
-    first = unit(near, distance)
-    second = wp.cross(normal, first)
-    ends = wp.vec4(distance, 0.0, wp.dot(far, first), wp.dot(far, second))
-    arc, point, _ = wrap_inside(ends, radius)
-    if arc < 0.0:
+    if radius < TINY or distance <= radius or wp.length_sq(far) <= radius * radius:
         return bend
+    first = near / distance
+    second = wp.cross(normal, first)
+    near_end = wp.vec2(distance / radius, 0.0)
+    far_end = wp.vec2(wp.dot(far, first), wp.dot(far, second)) / radius
+    step = far_end - near_end
+    share = wp.clamp(-wp.dot(near_end, step) / wp.max(wp.length_sq(step), TINY), 0.0, 1.0)
+    nearest = near_end + share * step
+    if wp.length_sq(nearest) <= 1.0:
+        return bend
+    point = radius * touch_inside(near_end, far_end, nearest)
     touch = point[0] * first + point[1] * second
     onto, off = touch - near, far - touch
     onto_length, off_length = wp.length(onto), wp.length(off)
