@@ -60,6 +60,16 @@ class JointState:
 
 
 @wp.func
+def batched(world: int, size: int) -> int:
+    """Return world % size; a division takes longer than all else in a row."""
+    if world < size:
+        return world
+    if size == 1:
+        return 0
+    return world % size
+
+
+@wp.func
 def write_row(
     options: RowOptions,
     world: int,
@@ -79,7 +89,7 @@ def write_row(
     _efc_row(
         options.disableflags,
         world,
-        options.timestep[world % options.timestep.shape[0]],
+        options.timestep[batched(world, options.timestep.shape[0])],
         row,
         distance,
         distance,
@@ -120,9 +130,9 @@ def write_equality(
     if row < 0:
         return
     qpos, qvel = state.qpos[world], state.qvel[world]
-    qpos0 = joints.qpos0[world % joints.qpos0.shape[0]]
-    invweights = joints.dof_invweight0[world % joints.dof_invweight0.shape[0]]
-    c = joints.eq_data[world % joints.eq_data.shape[0], eqid]
+    qpos0 = joints.qpos0[batched(world, joints.qpos0.shape[0])]
+    invweights = joints.dof_invweight0[batched(world, joints.dof_invweight0.shape[0])]
+    c = joints.eq_data[batched(world, joints.eq_data.shape[0]), eqid]
     place1, dof1 = joints.jnt_qposadr[joint1], joints.jnt_dofadr[joint1]
     target, speed, invweight = c[0], float(qvel[dof1]), float(invweights[dof1])
     write_entry(world, row, 0, dof1, 1.0, rows)
@@ -145,8 +155,8 @@ def write_equality(
         speed,
         0.0,
         invweight,
-        joints.eq_solref[world % joints.eq_solref.shape[0], eqid],
-        joints.eq_solimp[world % joints.eq_solimp.shape[0], eqid],
+        joints.eq_solref[batched(world, joints.eq_solref.shape[0]), eqid],
+        joints.eq_solimp[batched(world, joints.eq_solimp.shape[0]), eqid],
         rows,
     )
 
@@ -176,9 +186,9 @@ def write_friction(
             0.0,
             state.qvel[world, dof],
             frictionloss,
-            joints.dof_invweight0[world % joints.dof_invweight0.shape[0], dof],
-            joints.dof_solref[world % joints.dof_solref.shape[0], dof],
-            joints.dof_solimp[world % joints.dof_solimp.shape[0], dof],
+            joints.dof_invweight0[batched(world, joints.dof_invweight0.shape[0]), dof],
+            joints.dof_solref[batched(world, joints.dof_solref.shape[0]), dof],
+            joints.dof_solimp[batched(world, joints.dof_solimp.shape[0]), dof],
             rows,
         )
     return row
@@ -213,9 +223,9 @@ def write_joint_limit(
         margin,
         sign * state.qvel[world, dof],
         0.0,
-        joints.dof_invweight0[world % joints.dof_invweight0.shape[0], dof],
-        joints.jnt_solref[world % joints.jnt_solref.shape[0], joint],
-        joints.jnt_solimp[world % joints.jnt_solimp.shape[0], joint],
+        joints.dof_invweight0[batched(world, joints.dof_invweight0.shape[0]), dof],
+        joints.jnt_solref[batched(world, joints.jnt_solref.shape[0]), joint],
+        joints.jnt_solimp[batched(world, joints.jnt_solimp.shape[0]), joint],
         rows,
     )
 
@@ -253,9 +263,9 @@ def write_tendon_limit(
         margin,
         speed,
         0.0,
-        joints.tendon_invweight0[world % joints.tendon_invweight0.shape[0], tendon],
-        joints.tendon_solref_lim[world % joints.tendon_solref_lim.shape[0], tendon],
-        joints.tendon_solimp_lim[world % joints.tendon_solimp_lim.shape[0], tendon],
+        joints.tendon_invweight0[batched(world, joints.tendon_invweight0.shape[0]), tendon],
+        joints.tendon_solref_lim[batched(world, joints.tendon_solref_lim.shape[0]), tendon],
+        joints.tendon_solimp_lim[batched(world, joints.tendon_solimp_lim.shape[0]), tendon],
         rows,
     )
 
@@ -271,8 +281,8 @@ def write_limits(
 ):
     """Rows of all joints and tendons at an end of their range."""
     qpos = state.qpos[world]
-    ranges = joints.jnt_range[world % joints.jnt_range.shape[0]]
-    margins = joints.jnt_margin[world % joints.jnt_margin.shape[0]]
+    ranges = joints.jnt_range[batched(world, joints.jnt_range.shape[0])]
+    margins = joints.jnt_margin[batched(world, joints.jnt_margin.shape[0])]
     for i in range(joints.jnt_limited_slide_hinge_adr.shape[0]):
         joint = joints.jnt_limited_slide_hinge_adr[i]
         value, ends, margin = qpos[joints.jnt_qposadr[joint]], ranges[joint], margins[joint]
@@ -282,8 +292,8 @@ def write_limits(
             sign = wp.where(above < below, 1.0, -1.0)
             write_joint_limit(joints, options, state, world, joint, distance, margin, sign, places, rows)
     lengths = state.ten_length[world]
-    spans = joints.tendon_range[world % joints.tendon_range.shape[0]]
-    gaps = joints.tendon_margin[world % joints.tendon_margin.shape[0]]
+    spans = joints.tendon_range[batched(world, joints.tendon_range.shape[0])]
+    gaps = joints.tendon_margin[batched(world, joints.tendon_margin.shape[0])]
     for i in range(joints.tendon_limited_adr.shape[0]):
         tendon = joints.tendon_limited_adr[i]
         length, span, gap = lengths[tendon], spans[tendon], gaps[tendon]
@@ -320,7 +330,7 @@ def write_joint_rows(
             eqid = joints.eq_jnt_adr[i]
             if state.eq_active[worldid, eqid]:
                 write_equality(joints, options, state, worldid, eqid, places, rows)
-        losses = joints.dof_frictionloss[worldid % joints.dof_frictionloss.shape[0]]
+        losses = joints.dof_frictionloss[batched(worldid, joints.dof_frictionloss.shape[0])]
         for dof in range(losses.shape[0]):
             row = int(-1)
             if losses[dof] > 0.0:
