@@ -1,4 +1,4 @@
-"""Constraint rows of joints and tendons, and the places of all rows, against MuJoCo C and the engine's launches."""
+"""Constraint rows of joints and tendons, and the places of all rows, against MuJoCo C and the engine."""
 
 from functools import lru_cache
 from types import SimpleNamespace
@@ -18,10 +18,10 @@ from myowarp.fusions.joint_rows import JointRowsFusion
 
 WORLDS = 13
 CLOSE = 2e-5  # of the largest of its kind, float32 against float64
-ROUNDING = 1e-6  # of the largest; the same operations, compiled in other surroundings
-EFFECT = 10.0
-CAPACITY = {"rows": (90, None), "few rows": (11, None), "few entries": (90, 30), "both": (14, 24)}
-"""Name: njmax, njmax_nnz; the states have 8 to 60 rows."""
+ROUNDING = 2e-6  # the same operations, compiled in other surroundings
+EFFECT = 1e-3
+CAPACITY = {"rows": (90, None), "few rows": (11, None), "few entries": (90, 30), "both": (9, 14)}
+"""Name: njmax, njmax_nnz; what the states need is more than the small ones."""
 POISON = -7
 COUNTS = ("ne", "nf", "nl", "nefc", "overflow", "dof_frictionadr")
 WRITTEN = ("type", "id", "pos", "margin", "D", "vel", "aref", "frictionloss")
@@ -44,13 +44,13 @@ PER_WORLD = {
     "tendon_invweight0": 4,
     "tendon_solref_lim": WORLDS,
     "tendon_solimp_lim": 3,
-    "opt.timestep": 5,
+    "timestep": 5,
 }
 """Parameter: number of values; a world has that of its number modulo this."""
 EDITS = {
     '<joint name="wrist" axis="0 0 1"/>': '<joint name="wrist" axis="0 0 1" range="-20 20" limited="true" '
     'margin=".3" solreflimit="-300 -5" solimplimit=".8 .95 .4 .3 3"/>',
-    '<fixed name="pull"': '<fixed name="pull" margin=".1" solimplimit=".5 .9 .2 .5 1"',
+    '<fixed name="pull"': '<fixed name="pull" margin=".2" solimplimit=".5 .9 .2 .5 1"',
     "</equality>": '<joint joint1="elbow" polycoef=".2"/><joint joint1="twin" joint2="wrist" active="false"/>'
     '<joint joint1="twin" joint2="elbow" polycoef=".1 .7 -.3 .2 .1"/></equality>',
 }
@@ -84,7 +84,7 @@ def states(name):
 def on_device(name, capacity="rows", per_world=()):
     """Return a scene of the states, one in each world, up to the constraint rows; these are poisoned."""
     host, (njmax, njmax_nnz) = model_of(name), CAPACITY[capacity]
-    model = mjw.put_model(host, batch_sizes={part: PER_WORLD[part] for part in per_world})
+    model = mjw.put_model(host)
     model.opt.warn_overflow = False
     data = mjw.make_data(host, nworld=WORLDS, njmax=njmax, njmax_nnz=njmax_nnz, nconmax=16)
     data.qpos.assign([state.qpos for state in states(name)])
@@ -92,11 +92,11 @@ def on_device(name, capacity="rows", per_world=()):
     mjw.fwd_position(model, data)
     rng = np.random.default_rng(5)
     for part in per_world:
-        owner = model.opt if part.startswith("opt.") else model
-        array = getattr(owner, part.removeprefix("opt."))
-        values = array.numpy()
-        assert len(values) == PER_WORLD[part]
-        array.assign(values * rng.uniform(0.8, 1.0, (len(values),) + (1,) * (values.ndim - 1)))
+        owner = model.opt if part == "timestep" else model
+        array, number = getattr(owner, part), PER_WORLD[part]
+        shares = rng.uniform(0.8, 1.0, number)
+        values = [share * array.numpy()[0] + 0.1 * (1.0 - share) for share in shares]
+        setattr(owner, part, wp.array(np.array(values), dtype=array.dtype))
     for array in arrays(data).values():
         array.fill_(POISON)
     data.overflow.zero_()
@@ -165,7 +165,7 @@ def assert_same(ours, stock):
     """Check that two `rows_made` are the same, left-over entries included."""
     for part, theirs in stock.items():
         if theirs.dtype.kind == "f" and theirs.size:
-            assert np.abs(ours[part] - theirs).max() <= ROUNDING * np.abs(theirs).max(), part
+            np.testing.assert_allclose(ours[part], theirs, rtol=ROUNDING, atol=ROUNDING, err_msg=part)
         else:
             assert np.array_equal(ours[part], theirs), part
 
@@ -178,7 +178,7 @@ def test_rows_and_places_are_those_of_the_engine(name, capacity):
     scene = on_device(name, capacity)
     assert_same(rows_made(scene, [JointRowsFusion(scene)]), stock)
     njmax, njmax_nnz = CAPACITY[capacity]
-    assert (stock["nefc"] > njmax).any() == ("row" in capacity and njmax < 90 or capacity == "both")
+    assert (stock["nefc"] > njmax).any() == (njmax < 90)
     dropped = (stock["overflow"] & OverflowType.NJMAX_NNZ).any()
     assert dropped == (njmax_nnz is not None and scene.model.is_sparse)
 
@@ -187,10 +187,7 @@ def test_rows_and_places_are_those_of_the_engine(name, capacity):
 def test_worlds_have_parameters_of_their_own(part):
     scene = on_device("dense", per_world=[part])
     stock, shared = rows_made(on_device("dense", per_world=[part])), rows_made(on_device("dense"))
-    assert any(
-        np.abs(stock[field] - shared[field]).max() > EFFECT * ROUNDING * np.abs(shared[field]).max()
-        for field in WRITTEN
-    )
+    assert any(not np.allclose(stock[field], shared[field], rtol=EFFECT, atol=0) for field in ("D", "aref"))
     assert_same(rows_made(scene, [JointRowsFusion(scene)]), stock)
 
 

@@ -1,9 +1,9 @@
 """Constraint rows of joints and tendons, and the places of all rows: one thread, on the CPU device.
 
 Equalities of joints, friction losses, limits of hinges, slides and tendons, contacts, in this order, as
-mujoco-warp's `make_constraint` lays them out; what stands in a row is its `_efc_row`. There every possible
-row is a thread of its own that copies some thirty arrays before it finds that it has nothing to do. The rows
-of contacts only get their places here.
+mujoco-warp's `make_constraint` lays them out; all of a row but J is the work of its `_efc_row`. There every
+possible row is a thread of its own, which copies some thirty arrays before it finds that it has nothing to
+do. The rows of contacts only get their places here.
 """
 
 import warp as wp
@@ -43,9 +43,9 @@ class JointConstraints:
     tendon_solref_lim: wp.array2d[wp.vec2]
     tendon_solimp_lim: wp.array2d[vec5]
     tendon_invweight0: wp.array2d[float]
-    ten_J_rownnz: wp.array[int]
-    ten_J_rowadr: wp.array[int]
-    ten_J_colind: wp.array[int]
+    ten_J_rownnz: wp.array[int]  # noqa: N815
+    ten_J_rowadr: wp.array[int]  # noqa: N815
+    ten_J_colind: wp.array[int]  # noqa: N815
 
 
 @wp.struct
@@ -55,13 +55,13 @@ class JointState:
     qpos: wp.array2d[float]
     qvel: wp.array2d[float]
     eq_active: wp.array2d[bool]
-    ten_J: wp.array2d[float]
+    ten_J: wp.array2d[float]  # noqa: N815
     ten_length: wp.array2d[float]
 
 
 @wp.func
 def batched(world: int, size: int) -> int:
-    """Return world % size; a division takes longer than all else in a row."""
+    """Return world % size, by a division only where it has to be; a limit is tested in less time than that."""
     if world < size:
         return world
     if size == 1:
@@ -319,7 +319,8 @@ def write_joint_rows(
     rows: ConstraintRows,
 ):
     """aref = -k imp distance - b J qvel; row i of J is that of an equality, a friction or a limit."""
-    for worldid in range(wp.tid(), places.nefc.shape[0]):
+    first = wp.tid()
+    for worldid in range(first, places.nefc.shape[0]):
         places.ne[worldid] = 0
         places.nf[worldid] = 0
         places.nl[worldid] = 0

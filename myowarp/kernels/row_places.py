@@ -9,7 +9,11 @@ from myowarp.kernels.engine_arrays import ConstraintRows, ContactPool
 
 @wp.struct
 class RowPlaces:
-    """How many rows there are and how many fit, where some are; fields are those of `Data` and `Data.efc`."""
+    """How many rows fit, how many there are, and where some are; fields of `Data` and `Data.efc`.
+
+    Attributes:
+        efc_nnz: Entries given out in the sparse J of each world, those that did not fit included.
+    """
 
     njmax: int
     njmax_nnz: int
@@ -75,22 +79,25 @@ def add_row(
 def place_contact(
     tree: KinematicTree, contacts: ContactPool, conid: int, places: RowPlaces, rows: ConstraintRows
 ):
-    """Give the rows of a contact their places."""
+    """Give the rows of a contact their places, -1 where they do not fit."""
     world, condim, geoms = contacts.worldid[conid], contacts.dim[conid], contacts.geom[conid]
     number = wp.max(1, 2 * (condim - 1))
     rownnz = int(0)
-    dof1 = last_dof(tree, tree.geom_bodyid[geoms[0]])
-    dof2 = last_dof(tree, tree.geom_bodyid[geoms[1]])
-    while dof1 != dof2:
-        if dof1 > dof2:
-            dof1 = tree.dof_parentid[dof1]
-        else:
-            dof2 = tree.dof_parentid[dof2]
-        rownnz += 1
+    if rows.J_rownnz.shape[1] > 0:
+        dof1 = last_dof(tree, tree.geom_bodyid[geoms[0]])
+        dof2 = last_dof(tree, tree.geom_bodyid[geoms[1]])
+        while dof1 != dof2:  # what moves both bodies moves neither against the other
+            if dof1 > dof2:
+                dof1 = tree.dof_parentid[dof1]
+            else:
+                dof2 = tree.dof_parentid[dof2]
+            rownnz += 1
     first = add_rows(world, number, rownnz, True, places, rows)
     for i in range(number):
         row = first + i
-        contacts.efc_address[conid, i] = wp.where(first >= 0 and row < places.njmax, row, -1)
         if first >= 0 and row < places.njmax:
+            contacts.efc_address[conid, i] = row
             rows.id[world, row] = conid
-            places.Jqvel[world, row] = 0.0
+            places.Jqvel[world, row] = 0.0  # the engine adds to it
+        else:
+            contacts.efc_address[conid, i] = -1
