@@ -10,7 +10,14 @@ import pytest
 import warp as wp
 from constrained import MORE, ROWS
 from mujoco_warp._src import constraint
-from mujoco_warp._src.types import DeterminismType, DisableBit, EnableBit, IntegratorType, OverflowType
+from mujoco_warp._src.types import (
+    ContactType,
+    DeterminismType,
+    DisableBit,
+    EnableBit,
+    IntegratorType,
+    OverflowType,
+)
 
 from myowarp.fusions import installed
 from myowarp.fusions.contact_rows import ContactRowsFusion
@@ -25,7 +32,7 @@ CAPACITY = {"rows": (90, None), "few rows": (11, None), "few entries": (90, 30),
 POISON = -7
 COUNTS = ("ne", "nf", "nl", "nefc", "overflow", "dof_frictionadr")
 WRITTEN = ("type", "id", "pos", "margin", "D", "vel", "aref", "frictionloss")
-PLACES = ("J_rownnz", "J_rowadr", "J_colind", "jtdaj_adr", "jtdaj_nrow", "jtdaj_nblock")
+PLACES = ("J_rownnz", "J_rowadr", "J_colind", "jtdaj_adr", "jtdaj_nrow", "jtdaj_nblock", "Jqvel")
 PER_WORLD = {
     "dof_frictionloss": WORLDS,
     "dof_solref": 4,
@@ -82,7 +89,10 @@ def states(name):
 
 
 def on_device(name, capacity="rows", per_world=()):
-    """Return a scene of the states, one in each world, up to the constraint rows; these are poisoned."""
+    """Return a scene of the states, one in each world, up to the constraint rows; these are poisoned.
+
+    Two of the contacts get no rows: one is for a sensor, one out of reach.
+    """
     host, (njmax, njmax_nnz) = model_of(name), CAPACITY[capacity]
     model = mjw.put_model(host)
     model.opt.warn_overflow = False
@@ -97,6 +107,9 @@ def on_device(name, capacity="rows", per_world=()):
         shares = rng.uniform(0.8, 1.0, number)
         values = [share * array.numpy()[0] + 0.1 * (1.0 - share) for share in shares]
         setattr(owner, part, wp.array(np.array(values), dtype=array.dtype))
+    contact = data.contact
+    contact.type.assign(np.where(np.arange(data.naconmax) == 1, ContactType.SENSOR, contact.type.numpy()))
+    contact.dist.assign(np.where(np.arange(data.naconmax) == 2, 1.0, contact.dist.numpy()))
     for array in arrays(data).values():
         array.fill_(POISON)
     data.overflow.zero_()

@@ -61,7 +61,7 @@ class JointState:
 
 @wp.func
 def batched(world: int, size: int) -> int:
-    """Return world % size, by a division only where it has to be; a limit is tested in less time than that."""
+    """Return world % size, by a division only where it has to be: a limit is tested in less time."""
     if world < size:
         return world
     if size == 1:
