@@ -85,7 +85,7 @@ class JointRowsFusion(Fusion):
         places = filled(RowPlaces, data, data.efc, self)
         wp.launch(
             write_joint_rows,
-            dim=1,
+            dim=1,  # the rows of contacts come after the other rows of their world
             inputs=[tree, joints, options, state, contacts],
             outputs=[places, rows],
         )
