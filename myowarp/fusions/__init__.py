@@ -147,6 +147,7 @@ from myowarp.fusions import (  # noqa: E402  (they register themselves)
     contact_search,  # noqa: F401
     contact_solve,  # noqa: F401
     inertia_solve,  # noqa: F401
+    joint_rows,  # noqa: F401
     muscle_path,  # noqa: F401
     rigid_body,  # noqa: F401
 )

@@ -20,7 +20,7 @@ REPLACED = frozenset({"_efc_contact_jac_dense", "_efc_contact_jac_sparse", "_efc
 
 @FUSIONS.register("contact_rows")
 class ContactRowsFusion(Fusion):
-    """All rows of a contact in one thread; the engine has given them their places."""
+    """All rows of a contact in one thread; they have their places already."""
 
     @classmethod
     def obstacle(cls, scene: Scene) -> str | None:

@@ -42,6 +42,17 @@ def clear(row: wp.array[float]):
 
 
 @wp.func
+def write_entry(world: int, row: int, number: int, dof: int, value: float, rows: ConstraintRows):
+    """Write an entry of J, the `number`-th of its row where J is sparse."""
+    if rows.J_rownnz.shape[1] == 0:
+        rows.J[world, row, dof] = value
+    else:
+        place = rows.J_rowadr[world, row] + number
+        rows.J_colind[world, 0, place] = dof
+        rows.J[world, 0, place] = value
+
+
+@wp.func
 def last_dof(tree: KinematicTree, body: int) -> int:
     """Return the last degree of freedom that moves a body, -1 if none does."""
     moved = tree.body_weldid[body]
@@ -80,8 +91,7 @@ def write_jacobian(
     worldid = contacts.worldid[conid]
     frame, point, geoms = contacts.frame[conid], contacts.pos[conid], contacts.geom[conid]
     body1, body2 = tree.geom_bodyid[geoms[0]], tree.geom_bodyid[geoms[1]]
-    dense = rows.J_rownnz.shape[1] == 0
-    if dense:
+    if rows.J_rownnz.shape[1] == 0:
         for i in range(num_rows):
             clear(rows.J[worldid, first + i])
     arm1 = point - subtree_com[tree.body_rootid[body1]]
@@ -101,12 +111,7 @@ def write_jacobian(
         velocity += qvel[dof] * motion
         for i in range(num_rows):
             value = row_value(motion, contacts.friction[conid], i, contacts.dim[conid])
-            if dense:
-                rows.J[worldid, first + i, dof] = value
-            else:
-                place = rows.J_rowadr[worldid, first + i] + column
-                rows.J_colind[worldid, 0, place] = dof
-                rows.J[worldid, 0, place] = value
+            write_entry(worldid, first + i, column, dof, value, rows)
         column += 1
     return velocity
 
