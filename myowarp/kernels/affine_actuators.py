@@ -7,6 +7,8 @@ thread for each actuator that first finds out which of a dozen kinds it is.
 import warp as wp
 from mujoco_warp._src.types import vec10
 
+from myowarp.kernels.engine_arrays import batched
+
 
 @wp.struct
 class AffineActuators:
@@ -47,10 +49,10 @@ def actuate(
 ):
     """force = g ctrl + b0 + b1 length + b2 velocity, within its range; qfrc = moment' force."""
     worldid = wp.tid()
-    ctrlrange = actuators.actuator_ctrlrange[worldid % actuators.actuator_ctrlrange.shape[0]]
-    gains = actuators.actuator_gainprm[worldid % actuators.actuator_gainprm.shape[0]]
-    biases = actuators.actuator_biasprm[worldid % actuators.actuator_biasprm.shape[0]]
-    forcerange = actuators.actuator_forcerange[worldid % actuators.actuator_forcerange.shape[0]]
+    ctrlrange = actuators.actuator_ctrlrange[batched(worldid, actuators.actuator_ctrlrange.shape[0])]
+    gains = actuators.actuator_gainprm[batched(worldid, actuators.actuator_gainprm.shape[0])]
+    biases = actuators.actuator_biasprm[batched(worldid, actuators.actuator_biasprm.shape[0])]
+    forcerange = actuators.actuator_forcerange[batched(worldid, actuators.actuator_forcerange.shape[0])]
     qfrc = qfrc_actuator_out[worldid]
     for dof in range(qfrc.shape[0]):
         qfrc[dof] = 0.0

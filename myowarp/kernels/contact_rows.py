@@ -10,7 +10,7 @@ import warp as wp
 from mujoco_warp._src.constraint import _contact_kbimp, _efc_D
 from mujoco_warp._src.types import ConstraintType, vec5
 
-from myowarp.kernels.engine_arrays import ConstraintRows, ContactPool
+from myowarp.kernels.engine_arrays import ConstraintRows, ContactPool, batched
 
 
 @wp.struct
@@ -122,10 +122,10 @@ def row_stiffness(
 ) -> float:
     """Return D of the rows of a contact."""
     worldid, geoms, friction = contacts.worldid[conid], contacts.geom[conid], contacts.friction[conid][0]
-    weights = tree.body_invweight0[worldid % tree.body_invweight0.shape[0]]
+    weights = tree.body_invweight0[batched(worldid, tree.body_invweight0.shape[0])]
     weight = weights[tree.geom_bodyid[geoms[0]]][0] + weights[tree.geom_bodyid[geoms[1]]][0]
     if contacts.dim[conid] > 1:
-        ratio = friction * options.impratio_invsqrt[worldid % options.impratio_invsqrt.shape[0]]
+        ratio = friction * options.impratio_invsqrt[batched(worldid, options.impratio_invsqrt.shape[0])]
         weight = (weight + friction * friction * weight) * 2.0 * ratio * ratio
     return _efc_D(weight, impedance)
 
@@ -169,7 +169,7 @@ def write_contact_rows(
         if condim == 1:
             kind = int(ConstraintType.CONTACT_FRICTIONLESS)
         distance = contacts.dist[conid] - margin
-        timestep = options.timestep[worldid % options.timestep.shape[0]]
+        timestep = options.timestep[batched(worldid, options.timestep.shape[0])]
         spring = _contact_kbimp(
             options.disableflags, timestep, contacts.solref[conid], contacts.solimp[conid], distance, False
         )

@@ -12,7 +12,7 @@ from mujoco_warp._src.collision_primitive_core import capsule_capsule, sphere_ca
 from mujoco_warp._src.math import make_frame
 from mujoco_warp._src.types import GeomType, vec5
 
-from myowarp.kernels.engine_arrays import ContactPool
+from myowarp.kernels.engine_arrays import ContactPool, batched
 from myowarp.kernels.separation import Bodies, Touch, capsule_touch, ellipsoid_matrix, ellipsoid_touch
 
 SPHERE = wp.constant(int(GeomType.SPHERE))
@@ -300,11 +300,11 @@ def find_contacts(
 ):
     """dist(geom_1, geom_2) < margin + gap. Functions take structs by value: for every pair, only numbers."""
     worldid, thread = wp.tid()
-    bound = shapes.geom_rbound[worldid % shapes.geom_rbound.shape[0]]
-    size = shapes.geom_size[worldid % shapes.geom_size.shape[0]]
-    box = shapes.geom_aabb[worldid % shapes.geom_aabb.shape[0]]
-    margins = shapes.geom_margin[worldid % shapes.geom_margin.shape[0]]
-    gaps = shapes.geom_gap[worldid % shapes.geom_gap.shape[0]]
+    bound = shapes.geom_rbound[batched(worldid, shapes.geom_rbound.shape[0])]
+    size = shapes.geom_size[batched(worldid, shapes.geom_size.shape[0])]
+    box = shapes.geom_aabb[batched(worldid, shapes.geom_aabb.shape[0])]
+    margins = shapes.geom_margin[batched(worldid, shapes.geom_margin.shape[0])]
+    gaps = shapes.geom_gap[batched(worldid, shapes.geom_gap.shape[0])]
     kind, xpos, xmat = shapes.geom_type, shapes.geom_xpos[worldid], shapes.geom_xmat[worldid]
     pair = Pair()
     pair.worldid = worldid
@@ -314,8 +314,8 @@ def find_contacts(
         pair.margin = margins[a] + margins[b]
         pair.gap = gaps[a] + gaps[b]
         if pair.pairid[0] >= 0:
-            pair.margin = shapes.pair_margin[worldid % shapes.pair_margin.shape[0], pair.pairid[0]]
-            pair.gap = shapes.pair_gap[worldid % shapes.pair_gap.shape[0], pair.pairid[0]]
+            pair.margin = shapes.pair_margin[batched(worldid, shapes.pair_margin.shape[0]), pair.pairid[0]]
+            pair.gap = shapes.pair_gap[batched(worldid, shapes.pair_gap.shape[0]), pair.pairid[0]]
         # A collision sensor wants the distance however large it is.
         cutoff = wp.where(pair.pairid[1] < 0, pair.margin + pair.gap, FAR)
         if bound[a] > 0.0 and bound[b] > 0.0:

@@ -56,9 +56,13 @@ class InertiaRows:
 
 
 @wp.func
-def own_row(number: int, worldid: int) -> int:
-    """Return a world's row of an array with a row for each world, or with one that serves all."""
-    return wp.where(number > 1, worldid, 0)
+def batched(world: int, size: int) -> int:
+    """Return a world's row of an array with `size` of them, world % size; a division takes long."""
+    if world < size:
+        return world
+    if size == 1:
+        return 0
+    return world % size
 
 
 def filled(kind: Any, *sources: Any) -> Any:

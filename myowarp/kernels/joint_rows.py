@@ -11,7 +11,7 @@ from mujoco_warp._src.constraint import _efc_row
 from mujoco_warp._src.types import ConstraintType, ContactType, vec5, vec12
 
 from myowarp.kernels.contact_rows import KinematicTree, RowOptions, write_entry
-from myowarp.kernels.engine_arrays import ConstraintRows, ContactPool
+from myowarp.kernels.engine_arrays import ConstraintRows, ContactPool, batched
 from myowarp.kernels.row_places import RowPlaces, add_row, place_contact
 
 
@@ -57,16 +57,6 @@ class JointState:
     eq_active: wp.array2d[bool]
     ten_J: wp.array2d[float]  # noqa: N815
     ten_length: wp.array2d[float]
-
-
-@wp.func
-def batched(world: int, size: int) -> int:
-    """Return world % size, by a division only where it has to be: a limit is tested in less time."""
-    if world < size:
-        return world
-    if size == 1:
-        return 0
-    return world % size
 
 
 @wp.func

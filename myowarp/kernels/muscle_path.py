@@ -15,7 +15,7 @@ Actuation model*; layout of the arrays: mujoco-warp 4.0.0, `tendon` and `transmi
 
 import warp as wp
 
-from myowarp.kernels.engine_arrays import own_row
+from myowarp.kernels.engine_arrays import batched
 from myowarp.kernels.wrap import STRAIGHT, Bend, bend_round, unit
 
 
@@ -193,8 +193,8 @@ def add_moments(
 def follow(program: PathProgram, pose: Pose, worldid: int, path: Path, moments: wp.array[float]) -> float:
     """Add the moment arms of a path to its row of `ten_J`, and return its length."""
     length = path.fixed_length
-    sites = program.site_pos[own_row(program.site_pos.shape[0], worldid)]
-    sizes = program.geom_size[own_row(program.geom_size.shape[0], worldid)]
+    sites = program.site_pos[batched(worldid, program.site_pos.shape[0])]
+    sizes = program.geom_size[batched(worldid, program.geom_size.shape[0])]
     subtree_com, cdof = pose.subtree_com[worldid], pose.cdof[worldid]
     for i in range(path.first_op, path.last_op):
         op = program.ops[i]
@@ -238,7 +238,7 @@ def muscle_path(
     """Length = sum of segments, ten_J = its gradient; an actuator's length, moment, velocity = gear (...)."""
     worldid, thread = wp.tid()
     moments, qvel = transmission.ten_J[worldid], pose.qvel[worldid]
-    gears = program.actuator_gear[own_row(program.actuator_gear.shape[0], worldid)]
+    gears = program.actuator_gear[batched(worldid, program.actuator_gear.shape[0])]
     for pathid in range(thread, program.paths.shape[0], threads):
         path = program.paths[pathid]
         for entry in range(path.row, path.row + path.num_dofs):

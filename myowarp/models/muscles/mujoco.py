@@ -23,7 +23,7 @@ from myowarp.kernels.curves import (
     quadratic_force_velocity_slope,
     quadratic_passive_force,
 )
-from myowarp.kernels.engine_arrays import own_row
+from myowarp.kernels.engine_arrays import batched
 from myowarp.kernels.reset import masked_fill
 from myowarp.models.muscles import MUSCLES, Anatomy, MuscleModel
 
@@ -74,7 +74,7 @@ class MujocoMuscleParams:
 @wp.func
 def of_world(values: wp.array2d[float], worldid: int, muscleid: int) -> float:
     """Return a muscle's parameter in a world; arrays with one row serve all worlds."""
-    return values[own_row(values.shape[0], worldid), muscleid]
+    return values[batched(worldid, values.shape[0]), muscleid]
 
 
 @wp.func
@@ -132,15 +132,15 @@ def mujoco_muscle(
 ):
     """F from the present activation; then a += dt da/dt, in MuJoCo's order. Midstep: F from a(t + dt/2)."""
     worldid, muscleid = wp.tid()
-    row = own_row(anatomy.path.shape[0], worldid)
+    row = batched(worldid, anatomy.path.shape[0])
     actuatorid = anatomy.path[row, muscleid]
     length, velocity = actuator_length_in[worldid, actuatorid], actuator_velocity_in[worldid, actuatorid]
-    bounds = params.excitation_range[own_row(params.excitation_range.shape[0], worldid), muscleid]
+    bounds = params.excitation_range[batched(worldid, params.excitation_range.shape[0]), muscleid]
     excitation = wp.clamp(ctrl_in[worldid, params.actuator_id[muscleid]], bounds[0], bounds[1])
     rise = of_world(params.activation_time_constant, worldid, muscleid)
     fall = of_world(params.deactivation_time_constant, worldid, muscleid)
     width = of_world(params.smoothing_width, worldid, muscleid)
-    dt = opt_timestep[own_row(opt_timestep.shape[0], worldid)]
+    dt = opt_timestep[batched(worldid, opt_timestep.shape[0])]
     a = activation[worldid, muscleid]
     if midstep and width == 0.0:  # a smooth switch has no closed form
         activation[worldid, muscleid] = activation_after(dt, excitation, a, rise, fall)
