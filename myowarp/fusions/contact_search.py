@@ -50,7 +50,11 @@ class ContactSearch(Fusion):
                 model: mjw.Model, data: mjw.Data, context: CollisionContext, kinds: list[Kind]
             ) -> None:
                 left = [kind for kind in kinds if kind in self._left]
-                if left:
+                if not left:
+                    return
+                if data.nacon.device.is_cpu:  # which takes its time to find that threads have nothing to do
+                    wp.capture_if(data.ncollision, lambda: engine(model, data, context, left))
+                else:
                     engine(model, data, context, left)
 
             return narrowphase

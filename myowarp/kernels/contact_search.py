@@ -18,6 +18,7 @@ from myowarp.kernels.separation import Bodies, Touch, capsule_touch, ellipsoid_m
 SPHERE = wp.constant(int(GeomType.SPHERE))
 CAPSULE = wp.constant(int(GeomType.CAPSULE))
 ELLIPSOID = wp.constant(int(GeomType.ELLIPSOID))
+CYLINDER = wp.constant(int(GeomType.CYLINDER))
 FAR = wp.constant(1e10)  # m
 
 OURS = tuple(
@@ -284,6 +285,23 @@ def closest(one: Geom, two: Geom, cutoff: float) -> Touches:
     return touches
 
 
+@wp.func
+def may_touch(one: Geom, two: Geom, cutoff: float) -> bool:
+    """Return whether two geoms of other shapes may be less than `cutoff` apart."""
+    if not boxes_meet(one, two, cutoff):
+        return False
+    if one.type < SPHERE or two.type != CYLINDER:
+        return True
+    two.type = CAPSULE  # a capsule of the same size holds the cylinder
+    if one.type == ELLIPSOID:
+        touch = touch_with_ellipsoid(two, one, cutoff)
+        return touch.dist < cutoff
+    if one.type == CYLINDER:
+        one.type = CAPSULE
+    touches = round_touches(one, two)
+    return wp.min(touches.first.dist, touches.second.dist) < cutoff
+
+
 @wp.kernel(enable_backward=False)
 def find_contacts(
     # Model:
@@ -333,5 +351,5 @@ def find_contacts(
                 write_touch(touches.first, pair, material, 0, naconmax_in, contact_out)
             if touches.second.dist < cutoff:
                 write_touch(touches.second, pair, material, 1, naconmax_in, contact_out)
-        elif boxes_meet(one, two, cutoff):
+        elif may_touch(one, two, cutoff):
             add_candidate(pair, one.type, two.type, naconmax_in, candidates)
