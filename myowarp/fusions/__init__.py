@@ -146,6 +146,6 @@ from myowarp.fusions import (  # noqa: E402  (they register themselves)
     contact_rows,  # noqa: F401
     contact_search,  # noqa: F401
     contact_solve,  # noqa: F401
-    inertia_solve,  # noqa: F401
+    integrate,  # noqa: F401
     muscle_path,  # noqa: F401
 )
