@@ -3,8 +3,8 @@
 (M - h dF/dv) qacc = Ma, with F the damping of joints and, for MuJoCo's integrator `implicitfast`, the
 actuators (MuJoCo documentation, Computation, "Numerical integration"). A dof's row of M holds nothing but the
 dofs that carry it, and elimination from the tips on fills in nothing more (Featherstone, Rigid Body Dynamics
-Algorithms, 2008, section 6.5): for a hand a tenth of the operations of a dense Cholesky factorisation. What an
-actuator couples across branches of the tree has no place in M and stays explicit, as in the engine.
+Algorithms, 2008, section 6.5): for a hand a tenth of the operations of a dense Cholesky factorisation. What
+an actuator couples across branches of the tree has no place in M and stays explicit, as in the engine.
 """
 
 from pathlib import Path
