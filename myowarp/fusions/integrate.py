@@ -12,10 +12,17 @@ from mujoco_warp._src.types import BiasType, DisableBit, EnableBit, GainType, In
 
 from myowarp.fusions import FUSIONS, Fusion
 from myowarp.kernels.engine_arrays import InertiaRows, filled
-from myowarp.kernels.integrate import JointAddresses, Stages, StepState, Usage, VelocityForces, integrate
+from myowarp.kernels.integrate import (
+    MAX_DOFS,
+    MAX_ENTRIES,
+    JointAddresses,
+    Stages,
+    StepState,
+    Usage,
+    VelocityForces,
+    integrate,
+)
 from myowarp.scene import Scene
-
-MAX_ENTRIES = 16384  # of the inertia matrix; 64 KB of stack
 
 
 @FUSIONS.register("integrate")
@@ -33,7 +40,7 @@ class Integrate(Fusion):
             "the integrator is neither Euler nor implicitfast": not (
                 implicit or opt.integrator == IntegratorType.EULER
             ),
-            "nothing moves": model.nv == 0,
+            f"degrees of freedom are not 1 to {MAX_DOFS}": not 0 < model.nv <= MAX_DOFS,
             f"the inertia matrix has more than {MAX_ENTRIES} entries": scene.data.M.shape[1] > MAX_ENTRIES,
             "a row of the inertia matrix does not begin with the rows above it": not _rows_begin_alike(model),
             "forces are integrated explicitly": bool(opt.disableflags & explicit),

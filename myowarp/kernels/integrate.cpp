@@ -1,7 +1,7 @@
-// Body of the native function `solve_motion` (integrate.py, which explains the method). Rows of M hold the dofs
-// above their own and end with it, so that the beginning of a row is the row of the dof where it stops.
+// Body of the native function `solve_motion` (integrate.py, which explains the method); AFFINE and the sizes
+// are defined before it. Rows of M hold the dofs above their own and end with it, so that the beginning of a row
+// is the row of the dof where it stops.
 
-#pragma clang diagnostic ignored "-Wvla-cxx-extension"
 auto row = [&](const auto& array) {
     return decltype(array.data)((char*)array.data + world % array.shape[0] * array.strides[0]);
 };
@@ -9,7 +9,9 @@ const int n = Ma.shape[0], num_entries = M.shape[0];
 const int *begins = inertia.M_rowadr.data, *sizes = inertia.M_rownnz.data, *columns = inertia.M_colind.data;
 
 // The derivative of forces by velocity, in the pattern of M; then M minus h times it; then its factor.
-float H[num_entries], x[n], inverse_pivot[n];
+// H[-1] takes what has no place in M, whose number is -1.
+float storage[MAX_ENTRIES + 1], x[MAX_DOFS], inverse_pivot[MAX_DOFS];
+float* H = storage + 1;
 for (int k = 0; k < num_entries; ++k)
     H[k] = 0.0f;
 
@@ -30,8 +32,7 @@ if (implicit_actuators) {
             const float pull = moments[i] * slope;
             const int* entries = forces.M_elemid.data + dofs[i] * n;
             for (int j = first[a]; j <= i; ++j)
-                if (const int entry = entries[dofs[j]]; entry >= 0)
-                    H[entry] += pull * moments[j];
+                H[entries[dofs[j]]] += pull * moments[j];
         }
     }
 }

@@ -8,7 +8,6 @@ an actuator couples across branches of the tree has no place in M and stays expl
 """
 
 from pathlib import Path
-from typing import Any
 
 import warp as wp
 from mujoco_warp import BiasType, JointType, OverflowType
@@ -17,7 +16,10 @@ from mujoco_warp._src.types import vec10
 
 from myowarp.kernels.engine_arrays import InertiaRows
 
-SOURCE = Path(__file__).with_suffix(".cpp").read_text()
+MAX_DOFS, MAX_ENTRIES = 512, 8192  # 36 KB of stack
+SOURCE = f"""
+constexpr int AFFINE = {int(BiasType.AFFINE)}, MAX_DOFS = {MAX_DOFS}, MAX_ENTRIES = {MAX_ENTRIES};
+{Path(__file__).with_suffix(".cpp").read_text()}"""
 
 NEFC_OVERFLOW = wp.constant(int(OverflowType.NEFC))
 BROADPHASE_OVERFLOW = wp.constant(int(OverflowType.BROADPHASE))
@@ -93,26 +95,19 @@ class StepState:
     overflow: wp.array[int]
 
 
-def _native_solve() -> Any:
-    """Return the native function; it is defined with the engine's number for affine biases."""
-
-    @wp.func_native(f"constexpr int AFFINE = {int(BiasType.AFFINE)};\n{SOURCE}")
-    def solve_motion(
-        world: int,
-        timestep: float,
-        implicit_actuators: bool,
-        inertia: InertiaRows,
-        forces: VelocityForces,
-        M: wp.array[float],
-        Ma: wp.array[float],
-        qvel: wp.array[float],
-        acceleration: wp.array[float],
-    ): ...
-
-    return solve_motion
-
-
-solve_motion = _native_solve()
+@wp.func_native(SOURCE)
+def solve_motion(
+    world: int,
+    timestep: float,
+    implicit_actuators: bool,
+    inertia: InertiaRows,
+    forces: VelocityForces,
+    M: wp.array[float],
+    Ma: wp.array[float],
+    qvel: wp.array[float],
+    acceleration: wp.array[float],
+):
+    """acceleration = (M - h dF/dv)^-1 Ma, in one world."""
 
 
 @wp.func
