@@ -41,7 +41,9 @@ MACHINE = """
       <body pos="0 0.3 0.1"><joint type="ball" damping="0.05 0.03 0.02"/>
         <geom type="ellipsoid" size="0.1 0.2 0.3" pos="0 0 0.2" mass="2"/><site name="high" pos="0.1 0 0.1"/>
       </body>
-      <body pos="0 -0.3 0.1"><joint name="finger" axis="1 1 0"/><geom size="0.1" pos="0 0.1 0.1" mass="1"/></body>
+      <body pos="0 -0.3 0.1"><joint name="finger" axis="1 1 0"/>
+        <geom size="0.1" pos="0 0.1 0.1" mass="1"/>
+      </body>
     </body>
   </body>
   {more}
@@ -57,10 +59,11 @@ MACHINE = """
   <general tendon="long" gainprm="7" biastype="affine" biasprm="0.3 -2 -15" {filter}/>
   <general joint="hinge" biastype="none" biasprm="0 0 -5"/>
 </actuator></mujoco>"""
-BRICK = """<body pos="1 0 0"><freejoint/><geom type="box" size="0.1 0.2 0.3" pos="0.1 0.1 0" density="500"/></body>
+BRICKS = """
+<body pos="1 0 0"><freejoint/><geom type="box" size="0.1 0.2 0.3" pos="0.1 0.1 0"/></body>
 <body pos="2 0 0"><joint type="free" damping="0.1 0.2 0.3"/><geom type="box" size="0.3 0.1 0.05"/></body>"""
 FILTER = 'dyntype="filter" dynprm="0.05" actearly="true"'
-MACHINES = {"joints": ("", ""), "with free bodies": (BRICK, ""), "with states": (BRICK, FILTER)}
+MACHINES = {"joints": ("", ""), "with free bodies": (BRICKS, ""), "with states": (BRICKS, FILTER)}
 INTEGRATORS = ("Euler", "implicitfast")
 
 
