@@ -155,9 +155,11 @@ def test_a_step_is_that_of_mujoco_c(name, integrator):
     assert np.all(np.abs(theirs["qpos"] - states["qpos"]).max(axis=1) > EFFECT * PLACE)
 
 
-@pytest.mark.parametrize("name", TREES)
-def test_solution_is_that_of_the_dense_system(name):
-    """The matrix is M, with h times the damping on its diagonal."""
+@pytest.mark.parametrize(
+    ("name", "implicit_actuators"), [("tree", False), ("tree", True), ("two trees", False)]
+)
+def test_solution_is_that_of_the_dense_system(name, implicit_actuators):
+    """The matrix is M, with h times the damping on its diagonal; there are no actuators."""
     host = mujoco.MjModel.from_xml_string(TREES[name])
     rng = np.random.default_rng(0)
     with wp.ScopedDevice("cpu"):
@@ -169,7 +171,7 @@ def test_solution_is_that_of_the_dense_system(name):
         model.dof_damping = wp.array(damping, dtype=float)
         data.efc.Ma.assign(rng.normal(size=(NUM_WORLDS, host.nv)))
         x = wp.full((NUM_WORLDS, host.nv), np.nan, dtype=float)
-        launch_stages(model, data, x, implicit_actuators=False, advance=False)
+        launch_stages(model, data, x, implicit_actuators, advance=False)
     expected, oracle, M = [], mujoco.MjData(host), np.zeros((host.nv, host.nv))
     for world in range(NUM_WORLDS):
         oracle.M[:] = data.M.numpy()[world]

@@ -1,4 +1,4 @@
-"""The end of a physics step in one launch instead of five to nine, see `kernels/integrate.py`."""
+"""The end of a physics step in one launch instead of six to nine, see `kernels/integrate.py`."""
 
 import contextlib
 from collections.abc import Iterator
