@@ -11,6 +11,7 @@ import pytest
 from myowarp.fusions import FUSIONS, Fusion, applicable_fusions, verified_fusions
 from myowarp.fusions.muscle_path import MusclePathFusion
 from myowarp.models.path_program import MusclePaths
+from myowarp.prune import pruned
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 
@@ -46,6 +47,15 @@ class Brake(Fusion):
     def installed(self):
         self.data.qvel.fill_(1.0)
         yield
+
+
+class Standstill(Brake):
+    """A fusion that is wrong: positions stay where they are."""
+
+    @contextlib.contextmanager
+    def installed(self):
+        with pruned(frozenset({"_next_position"})):
+            yield
 
 
 @pytest.mark.parametrize("body", BODY_TASKS)
@@ -92,11 +102,12 @@ def test_steps_are_those_of_the_engine(key):
     np.testing.assert_allclose(ends[1], ends[0], atol=AFTER_STEPS, rtol=0)
 
 
-def test_a_wrong_fusion_is_left_out(caplog):
+@pytest.mark.parametrize("wrong", [Brake, Standstill])
+def test_a_wrong_fusion_is_left_out(wrong, caplog):
     sim = simulation("myoElbowPose1D6MRandom-v0", fusions=())
     with caplog.at_level(logging.WARNING, logger="myowarp"):
-        assert verified_fusions(sim.scene, (Brake(sim.scene),), sim._launch_physics) == ()
-    assert "Brake is left to mujoco-warp" in caplog.text
+        assert verified_fusions(sim.scene, (wrong(sim.scene),), sim._launch_physics) == ()
+    assert f"{wrong.__name__} is left to mujoco-warp" in caplog.text
 
 
 @pytest.mark.parametrize("num_worlds", [1, 32])

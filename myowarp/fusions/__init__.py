@@ -23,14 +23,15 @@ logger = logging.getLogger("myowarp")
 NUM_STATES = 16  # compared, at least
 CONTROL_STEPS = 8  # between two states, at most
 TRUSTED_SHARE = 0.9  # of the states that must agree: the engine itself loses single contacts
+LEAST_CHANGE = 1e-6, 1e-2  # of velocities and positions, that errors are a share of; positions are rounded
 
 
 class Fusion(abc.ABC):
     """Kernels of ours in place of a part of the engine's step.
 
     Attributes:
-        TOLERANCE: Largest difference that it makes to a step's change of velocity, as a share of the largest
-            change in the state (float32 sums in another order).
+        TOLERANCE: Largest difference that it makes to a step's change of velocity or of position, as a share
+            of the largest such change in the state (float32 sums in another order).
     """
 
     TOLERANCE = 1e-4
@@ -81,16 +82,15 @@ def verified_fusions(
     if not fusions:
         return trusted
     batches = list(_states(scene))
-    before = _velocity_changes(scene, batches, launch_step, ())
-    scale = np.abs(before).max(axis=1).clip(min=1e-6)
+    before = _changes(scene, batches, launch_step, ())
     for fusion in fusions:
-        changes = _velocity_changes(scene, batches, launch_step, (*trusted, fusion))
-        error = np.abs(changes - before).max(axis=1) / scale
+        changes = _changes(scene, batches, launch_step, (*trusted, fusion))
+        error = _error(changes, before)
         if np.mean(error <= fusion.TOLERANCE) >= TRUSTED_SHARE:
             trusted, before = (*trusted, fusion), changes
             continue
         logger.warning(
-            "%s is left to mujoco-warp: a step with ours differs by %.1e of the change of velocity (median), "
+            "%s is left to mujoco-warp: a step with ours differs by %.1e of what a step changes (median), "
             "allowed is %.0e",
             type(fusion).__name__,
             np.median(error),
@@ -117,13 +117,13 @@ def _states(scene: Scene) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]
         yield np.array([q for q, _ in chosen]), np.array([v for _, v in chosen]), activation
 
 
-def _velocity_changes(
+def _changes(
     scene: Scene,
     batches: Iterable[tuple[np.ndarray, np.ndarray, np.ndarray]],
     launch_step: Callable[[], None],
     fusions: Iterable[Fusion],
-) -> np.ndarray:
-    """Return what one physics step adds to the velocities of each state, shape (num_states, nv)."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what a physics step adds to velocities, (num_states, nv), and to positions, (num_states, nq)."""
     data, changes = scene.data, []
     for qpos, qvel, activation in batches:
         # What this leaves behind is that of other states: a fusion that leaves something out is seen.
@@ -133,12 +133,22 @@ def _velocity_changes(
         data.qvel.assign(qvel)
         data.qacc_warmstart.zero_()
         scene.muscles.activation.assign(activation)
-        before = data.qvel.numpy().copy()
+        before = data.qvel.numpy().copy(), data.qpos.numpy().copy()
         with installed(fusions):
             launch_step()
         wp.synchronize_device(scene.device)
-        changes.append(data.qvel.numpy() - before)
-    return np.concatenate(changes)
+        changes.append((data.qvel.numpy() - before[0], data.qpos.numpy() - before[1]))
+    velocities, positions = zip(*changes, strict=True)
+    return np.concatenate(velocities), np.concatenate(positions)
+
+
+def _error(ours: tuple[np.ndarray, np.ndarray], stock: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Return by how much changes differ, as a share of the largest in each state, for the worse of both."""
+    shares = [
+        np.abs(mine - theirs).max(axis=1) / np.abs(theirs).max(axis=1).clip(min=least)
+        for mine, theirs, least in zip(ours, stock, LEAST_CHANGE, strict=True)
+    ]
+    return np.maximum(*shares)
 
 
 from myowarp.fusions import (  # noqa: E402  (they register themselves)
@@ -146,7 +156,7 @@ from myowarp.fusions import (  # noqa: E402  (they register themselves)
     contact_rows,  # noqa: F401
     contact_search,  # noqa: F401
     contact_solve,  # noqa: F401
-    inertia_solve,  # noqa: F401
+    integrate,  # noqa: F401
     joint_rows,  # noqa: F401
     muscle_path,  # noqa: F401
     rigid_body,  # noqa: F401
