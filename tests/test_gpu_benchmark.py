@@ -7,9 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import warp as wp
 
 from benchmarks import gpu
-from benchmarks.gpu_cases import Options, agreement, differences, random_actions, rates, repeats, trajectory
+from benchmarks.gpu_cases import (
+    Environment,
+    Options,
+    agreement,
+    differences,
+    random_actions,
+    rates,
+    repeats,
+    trajectory,
+)
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 
@@ -28,7 +38,15 @@ def test_rates():
     assert isinstance(row["memory_bytes"], int)  # below 0 where the process gave back what others had used
     assert row["launches"]["engine"] > row["launches"]["environment"] > TASKS[ELBOW].num_substeps
     assert row["start_seconds"]["until_first_step"] > row["start_seconds"]["capture"] > 0
-    assert row["footprint"]["host_reads"] > 0  # on the CPU the environment looks at what ended
+    assert row["footprint"]["host_reads"] == 0  # views of arrays on the CPU are made once
+
+
+def test_host_reads_are_counted():
+    env = Environment(ELBOW, "parity", 4, wp.get_device("cpu"))
+    stock = env.step
+    env.step = lambda: (stock(), env.sim.transition.obs.numpy())
+    stock()
+    assert env.footprint(steps=5)["host_reads"] == 5
 
 
 def test_memory_that_does_not_suffice_is_a_row(monkeypatch):
