@@ -6,20 +6,32 @@ function of ours first.
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 from unittest import mock
 
 import warp as wp
 
 
+def is_empty(*args: Any, **kwargs: Any) -> bool:
+    """Whether a launch with these arguments has no threads, as the engine's for what a model lacks.
+
+    Warp makes nothing of such a launch, so that its kernel need not be compiled.
+    """
+    dim = kwargs["dim"] if "dim" in kwargs else args[1]
+    return 0 in (dim if isinstance(dim, Iterable) else (dim,))
+
+
 @contextlib.contextmanager
 def exchanged(change: Callable[[wp.Kernel], wp.Kernel | None]) -> Iterator[None]:
-    """Launch `change(kernel)` in place of each kernel in the block, nothing where that is None."""
+    """Launch `change(kernel)` in place of each kernel in the block, nothing where that is None.
+
+    Launches without threads are left out.
+    """
 
     def changing(launch: Callable[..., Any]) -> Callable[..., Any]:
         def launch_changed(kernel: wp.Kernel, *args: Any, **kwargs: Any) -> Any:
-            chosen = change(kernel)
+            chosen = None if is_empty(kernel, *args, **kwargs) else change(kernel)
             return None if chosen is None else launch(chosen, *args, **kwargs)
 
         return launch_changed

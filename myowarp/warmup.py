@@ -13,6 +13,7 @@ from unittest import mock
 
 import warp as wp
 
+from myowarp.launches import is_empty
 from myowarp.progress import patient_bar
 
 PATIENCE = 0.5  # s without a word
@@ -21,7 +22,7 @@ BLOCK_DIM = 256  # threads of a block on CUDA where a launch names none; Warp's
 
 @contextlib.contextmanager
 def recorded() -> Iterator[list[tuple[wp.Module, int]]]:
-    """Note all launches in the block instead of launching; what a loop repeats counts once.
+    """Note all launches that have threads instead of launching; what a loop repeats counts once.
 
     Yields:
         Module and threads of a block of each launch, in their order.
@@ -30,6 +31,8 @@ def recorded() -> Iterator[list[tuple[wp.Module, int]]]:
 
     def launch(*args: Any, **kwargs: Any) -> None:
         kernel = args[0] if args else kwargs["kernel"]
+        if is_empty(*args, **kwargs):
+            return
         found.append((kernel.module, kwargs.get("block_dim") or BLOCK_DIM))
 
     def call_while(condition: Any, while_body: Callable[..., None], **kwargs: Any) -> None:

@@ -8,6 +8,7 @@ import warp as wp
 from myowarp.launches import engine_kernels_alone, exchanged
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
+from myowarp.warmup import recorded
 
 KEYS = ("myoElbowPose1D6MFixed-v0", "myoHandObjHoldFixed-v0")
 NUM_WORLDS = 3
@@ -54,6 +55,21 @@ def test_nothing_is_launched_for_none():
     assert array.numpy()[0] == 0.0
     wp.launch(fill_one, dim=1, outputs=[array], device="cpu")
     assert array.numpy()[0] == 1.0
+
+
+@pytest.mark.parametrize("dim", [0, (2, 0)])
+def test_launches_without_threads_are_left_out(dim):
+    """Neither launched nor compiled; Warp itself makes nothing of them."""
+    array, seen = wp.zeros(1, dtype=float, device="cpu"), []
+    for size in (dim, 1):
+        with exchanged(seen.append):
+            wp.launch(fill_one, dim=size, outputs=[array], device="cpu")
+            wp.launch(fill_one, size, outputs=[array], device="cpu")
+    assert seen == 2 * [fill_one]
+    with recorded() as found:
+        wp.launch(fill_one, dim=dim, outputs=[array], device="cpu")
+        wp.launch(fill_one, dim=1, outputs=[array], device="cpu")
+    assert [module for module, _ in found] == [fill_one.module]
 
 
 @wp.kernel(enable_backward=False)
