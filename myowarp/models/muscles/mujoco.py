@@ -23,7 +23,7 @@ from myowarp.kernels.curves import (
     quadratic_force_velocity_slope,
     quadratic_passive_force,
 )
-from myowarp.kernels.engine_arrays import batched
+from myowarp.kernels.engine_arrays import batched, num_threads
 from myowarp.kernels.reset import masked_fill
 from myowarp.models.muscles import MUSCLES, Anatomy, MuscleModel
 
@@ -124,6 +124,7 @@ def mujoco_muscle(
     # In:
     implicitness: float,
     midstep: bool,
+    threads: int,
     anatomy: Anatomy,
     # Out:
     activation: wp.array2d[float],
@@ -131,35 +132,37 @@ def mujoco_muscle(
     actuator_biasprm: wp.array2d[vec10],
 ):
     """F from the present activation; then a += dt da/dt, in MuJoCo's order. Midstep: F from a(t + dt/2)."""
-    worldid, muscleid = wp.tid()
+    worldid, thread = wp.tid()
     row = batched(worldid, anatomy.path.shape[0])
-    actuatorid = anatomy.path[row, muscleid]
-    length, velocity = actuator_length_in[worldid, actuatorid], actuator_velocity_in[worldid, actuatorid]
-    bounds = params.excitation_range[batched(worldid, params.excitation_range.shape[0]), muscleid]
-    excitation = wp.clamp(ctrl_in[worldid, params.actuator_id[muscleid]], bounds[0], bounds[1])
-    rise = of_world(params.activation_time_constant, worldid, muscleid)
-    fall = of_world(params.deactivation_time_constant, worldid, muscleid)
-    width = of_world(params.smoothing_width, worldid, muscleid)
+    bounds = params.excitation_range[batched(worldid, params.excitation_range.shape[0])]
     dt = opt_timestep[batched(worldid, opt_timestep.shape[0])]
-    a = activation[worldid, muscleid]
-    if midstep and width == 0.0:  # a smooth switch has no closed form
-        activation[worldid, muscleid] = activation_after(dt, excitation, a, rise, fall)
-        a = activation_after(0.5 * dt, excitation, a, rise, fall)
-    else:
-        activation[worldid, muscleid] = a + dt * activation_rate(excitation, a, rise, fall, width)
+    for muscleid in range(thread, activation.shape[1], threads):
+        actuatorid = anatomy.path[row, muscleid]
+        length, velocity = actuator_length_in[worldid, actuatorid], actuator_velocity_in[worldid, actuatorid]
+        excitation = ctrl_in[worldid, params.actuator_id[muscleid]]
+        excitation = wp.clamp(excitation, bounds[muscleid][0], bounds[muscleid][1])
+        rise = of_world(params.activation_time_constant, worldid, muscleid)
+        fall = of_world(params.deactivation_time_constant, worldid, muscleid)
+        width = of_world(params.smoothing_width, worldid, muscleid)
+        a = activation[worldid, muscleid]
+        if midstep and width == 0.0:  # a smooth switch has no closed form
+            activation[worldid, muscleid] = activation_after(dt, excitation, a, rise, fall)
+            a = activation_after(0.5 * dt, excitation, a, rise, fall)
+        else:
+            activation[worldid, muscleid] = a + dt * activation_rate(excitation, a, rise, fall, width)
 
-    force = muscle_force(params, worldid, muscleid, length, velocity, a, anatomy.strength[row, muscleid])
-    transmission = anatomy.transmission[row, muscleid]
+        force = muscle_force(params, worldid, muscleid, length, velocity, a, anatomy.strength[row, muscleid])
+        transmission = anatomy.transmission[row, muscleid]
 
-    # Explicit integrators have no use for the slope, and force - kv v + kv v would only round.
-    kv = wp.where(implicitness > 0.0, implicitness * transmission * force[1], 0.0)
-    bias = vec10()
-    bias[0] = transmission * force[0] - kv * velocity
-    bias[2] = kv
-    actuator_biasprm[worldid, actuatorid] = bias
+        # Explicit integrators have no use for the slope, and force - kv v + kv v would only round.
+        kv = wp.where(implicitness > 0.0, implicitness * transmission * force[1], 0.0)
+        bias = vec10()
+        bias[0] = transmission * force[0] - kv * velocity
+        bias[2] = kv
+        actuator_biasprm[worldid, actuatorid] = bias
 
-    if workload.shape[0] > 0:
-        workload[worldid, muscleid] += dt * force[2]
+        if workload.shape[0] > 0:
+            workload[worldid, muscleid] += dt * force[2]
 
 
 def peak_force(prm: np.ndarray, acc0: np.ndarray) -> np.ndarray:
@@ -269,9 +272,11 @@ class MujocoMuscle(MuscleModel):
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Engine callback; see `MuscleModel.launch`."""
+        num_worlds, num_muscles = self.activation.shape
+        threads = num_threads(self.activation.device, num_muscles)
         wp.launch(
             mujoco_muscle,
-            dim=self.activation.shape,
+            dim=(num_worlds, threads),
             inputs=[
                 model.opt.timestep,
                 self.params,
@@ -280,6 +285,7 @@ class MujocoMuscle(MuscleModel):
                 data.actuator_velocity,
                 self.implicitness,
                 self.midstep,
+                threads,
                 self.anatomy,
             ],
             outputs=[self.activation, self.workload, model.actuator_biasprm],
