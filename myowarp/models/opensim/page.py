@@ -11,7 +11,8 @@ from myowarp.models.opensim.chart import Line, chart, colored_map, colors, outli
 from myowarp.models.opensim.convert import Converted
 
 if TYPE_CHECKING:
-    from myowarp.models.opensim.muscle_fit import MuscleFit, Samples
+    from myowarp.models.opensim.fitted import Fits, MuscleFit
+    from myowarp.models.opensim.muscle_fit import Samples
 
 MAIN = 3
 """Coordinates of a muscle whose moment arms are drawn, greatest first."""
@@ -51,7 +52,7 @@ def page(
     report: Mapping[str, Any],
     converted: Converted,
     model: mujoco.MjModel,
-    fits: "Sequence[MuscleFit]",
+    fits: "Fits",
     samples: "Samples | None",
 ) -> str:
     """Return the page of a conversion; `report` is the content of report.json."""
@@ -65,7 +66,7 @@ def page(
         f"<h2>Default pose</h2>{_pictures(model)}",
     ]
     if samples is not None:
-        parts += [_heat(report), _muscles(converted, model, fits, samples, report)]
+        parts += [_heat(report), _muscles(converted, model, fits.muscles, samples, report)]
     parts.append(_notes(report["notes"]))
     for name in ("credits", "publications"):
         if report[name]:
@@ -152,6 +153,7 @@ def _pictures(model: mujoco.MjModel) -> str:
 def _heat(report: Mapping[str, Any]) -> str:
     """Return the table muscle x coordinate of moment arm errors."""
     pairs = {(pair["muscle"], pair["coordinate"]): pair for pair in report["moment_arms"]["pairs"]}
+    drawn = {muscle["muscle"] for muscle in report["muscles"]["each"]}
     muscles, coordinates = (list(dict.fromkeys(key[i] for key in pairs)) for i in (0, 1))
     rows = []
     for muscle in muscles:
@@ -168,7 +170,10 @@ def _heat(report: Mapping[str, Any]) -> str:
             tip += f"greatest moment arm {1e3 * pair['peak']:.3g} mm"
             style = f"background:rgb({red},{green},{blue})"
             cells.append(f'<td style="{style}" title="{escape(tip)}">{1e3 * error:.2f}</td>')
-        rows.append(f'<tr><td><a href="#{escape(muscle)}">{escape(muscle)}</a></td>{"".join(cells)}</tr>')
+        shown = escape(muscle)
+        if muscle in drawn:
+            shown = f'<a href="#{shown}">{shown}</a>'
+        rows.append(f"<tr><td>{shown}</td>{''.join(cells)}</tr>")
     heads = "".join(f'<th class="across">{escape(name)}</th>' for name in coordinates)
     return (
         "<h2>Moment arm errors [mm]</h2>"
