@@ -189,7 +189,7 @@ def _joints(
             element.parent is not None and element.parent.tag == "Joint" and element.parent.parent is not None
         )
         owner = element.parent.parent.name if inside and element.parent and element.parent.parent else None
-        joint, listed, names = read_joint(element, frames, owner)
+        joint, listed, names = read_joint(element, frames, owner, notes)
         read[joint.name] = joint, element
         for index, name in enumerate(names):
             item = listed[index] if index < len(listed) else None

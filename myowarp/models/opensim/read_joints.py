@@ -68,7 +68,7 @@ class Joints:
 
 
 def read_joint(
-    element: Element, frames: Frames, child_body: str | None
+    element: Element, frames: Frames, child_body: str | None, notes: list[Note]
 ) -> tuple[Joint, list[Element], list[str]]:
     """Return a joint, the elements of its coordinates, and the names of these.
 
@@ -76,6 +76,7 @@ def read_joint(
         element: The joint.
         frames: All frames of the model.
         child_body: Body that contains the joint, in documents before 4.0; None: the joint says so.
+        notes: What is approximated is added.
 
     Raises:
         ValueError: Frames or axes missing or wrong.
@@ -98,7 +99,7 @@ def read_joint(
     if element.tag in SIMPLE:
         moves = SIMPLE[element.tag][1](names)
     elif element.tag in ELLIPSOIDS:
-        moves = _ellipsoid_moves(element, names)
+        moves = _ellipsoid_moves(element, names, notes)
     elif element.tag == "CustomJoint":
         moves = _custom_moves(element, names)
     else:
@@ -111,7 +112,7 @@ def read_joint(
     return joint, coordinates, names
 
 
-def _ellipsoid_moves(element: Element, names: list[str]) -> list[Move]:
+def _ellipsoid_moves(element: Element, names: list[str], notes: list[Note]) -> list[Move]:
     """Return the moves of a body whose z axis stays normal to the sphere that an ellipsoid is scaled from.
 
     With u and w the axes of the first two coordinates q, p, and c, d, e the radii along z, u x z and w x z,
@@ -140,6 +141,9 @@ def _ellipsoid_moves(element: Element, names: list[str]) -> list[Move]:
             *(turn(first, q, -1.0), turn(second, p, 1.0), outward(-half / 2), turn(second, p, -2.0)),
             *(outward(-half / 2), turn(second, p, 1.0), turn(first, q, 2.0)),
         ]
+    elif half:
+        rule = f"radii {along:g} and {across:g} became their mean"
+        notes.append(Note(f"/jointset/{element.name}", rule, f"{abs(half):.2g} m"))
     moves += [turn(second, p, -1.0), outward((mean - other) / 2), turn(second, p, 2.0)]
     moves += [outward((mean + other) / 2), _hinge(Z, about)]
     if element.tag == "ScapulothoracicJoint":
