@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+from pathlib import Path
 from types import SimpleNamespace
 
 import mujoco
@@ -10,11 +11,16 @@ import pytest
 
 from myowarp.fusions import FUSIONS, Fusion, applicable_fusions, verified_fusions
 from myowarp.fusions.muscle_path import MusclePathFusion
+from myowarp.models.opensim.convert import convert
+from myowarp.models.opensim.mjcf import mjcf
+from myowarp.models.opensim.read import read_model
 from myowarp.models.path_program import MusclePaths
 from myowarp.prune import pruned
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
+from myowarp.tasks.from_file import pose_task
 
+OSIM = Path(__file__).parent / "data" / "osim"
 BODY_TASKS = {TASKS[key].body: key for key in reversed(list(TASKS))}
 CONDITIONED = (
     ("myoElbowPose1D6MRandom-v0", "exoskeleton"),
@@ -120,6 +126,22 @@ def test_a_fusion_that_computes_nothing_is_left_out(num_worlds, monkeypatch, cap
     with caplog.at_level(logging.WARNING, logger="myowarp"):
         assert verified_fusions(sim.scene, fusions, sim._launch_physics) == ()
     assert "MusclePathFusion is left to mujoco-warp" in caplog.text
+
+
+@pytest.mark.slow
+def test_stiff_equalities_are_no_reason(tmp_path, monkeypatch, caplog):
+    """A converted model follows splines by equalities that turn roundings into more than the tolerance."""
+    path = tmp_path / "model.xml"
+    path.write_text(mjcf(convert(read_model(OSIM / "gait10dof18musc.osim")).spec))
+    sim = Simulation(pose_task(path), 4, device="cpu", graph=False, progress=False, fusions=())
+    fusions = applicable_fusions(sim.scene, FUSIONS)
+    assert len(fusions) > 2
+    with caplog.at_level(logging.WARNING, logger="myowarp"):
+        assert verified_fusions(sim.scene, fusions, sim._launch_physics) == fusions
+        assert not caplog.records
+        assert verified_fusions(sim.scene, (Brake(sim.scene),), sim._launch_physics) == ()
+    monkeypatch.setattr("myowarp.fusions.ROUNDINGS", 0)
+    assert verified_fusions(sim.scene, fusions, sim._launch_physics) != fusions
 
 
 def test_none_on_request():

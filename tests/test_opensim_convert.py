@@ -24,6 +24,8 @@ FORCE_MAP = 0.02
 """Of max_isometric_force. Mean over muscles of the RMS error; the project's gate for arm26."""
 FRAMES = 1e-9
 """m. Frames without splines are exact but for rounding."""
+PATH = 1e-4
+"""m. Lengths of a path over a cylinder, which MuJoCo has too; OpenSim's are finite at its ends."""
 ENGINE = 1e-6
 """Of max_isometric_force. The report's forces against a step of MuJoCo C; text has all digits."""
 
@@ -128,6 +130,60 @@ def test_strict_fails_on_a_missed_gate(tmp_path, monkeypatch, capsys):
     ):
         convert()
     assert json.loads((tmp_path / "out" / "report.json").read_text())["counts"]["muscles"] == 2
+
+
+def recast(text, name, kind, properties):
+    """Return a model's text in which a muscle is something else that pulls along the same path."""
+    begin = text.index(f'<Thelen2003Muscle name="{name}">')
+    end = text.index("</Thelen2003Muscle>", begin)
+    muscle = text[begin:end].replace("Thelen2003Muscle", kind, 1)
+    return f"{text[:begin]}{muscle}{properties}</{kind}>{text[end + len('</Thelen2003Muscle>') :]}"
+
+
+@pytest.mark.parametrize(
+    ("kind", "properties"),
+    [
+        ("PathActuator", "<optimal_force>100</optimal_force>"),
+        ("PathSpring", "<resting_length>0.1</resting_length><stiffness>500</stiffness>"),
+    ],
+)
+def test_all_that_pulls_wraps(kind, properties, tmp_path, monkeypatch):
+    """Lengths of a path over a cylinder are those that OpenSim has for the muscle on the same path."""
+    monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(muscle_fit, "POSES", 80)
+    text = recast((OSIM / "arm26.osim").read_text(), "BRA", kind, properties)
+    for name in ("BIClong", "BICshort", "TRIlong", "TRIlat", "TRImed"):
+        text = recast(text, name, "Unheard", "")
+    source = tmp_path / "arm.osim"
+    source.write_text(text)
+    report = command.run(source, tmp_path / "out", workers=1)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "model.xml"))
+    recorded = np.load(OSIM.parent / "opensim" / "paths_arm26.npz")
+    expected = recorded["length"][:, recorded["muscles"].tolist().index("BRA")]
+    data, errors, straight = mujoco.MjData(model), [], []
+    for values, length in zip(recorded["values"], expected, strict=True):
+        data.qpos = values
+        mujoco.mj_fwdPosition(model, data)
+        sites = data.site_xpos[[model.site(f"BRA-P{number}").id for number in (1, 2)]]
+        errors.append(abs(data.tendon("BRA").length[0] - length))
+        straight.append(abs(np.linalg.norm(sites[1] - sites[0]) - length))
+    assert max(errors) < PATH
+    assert max(straight) > 10 * PATH
+    assert {pair["muscle"] for pair in report["moment_arms"]["pairs"]} == {"BRA"}
+    notes = {note["rule"]: note["error_bound"] for note in report["notes"] if note["path"] == "/forceset/BRA"}
+    bound = notes["a path of sites and surfaces: TRI is a cylinder"]
+    assert float(re.match(r"length (\S+) mm at most", bound)[1]) < 1e3 * PATH
+
+
+@pytest.mark.slow
+def test_methods_of_the_paper(tmp_path, monkeypatch):
+    """Annealing and differential evolution end in a whole result, with paths as good as the gate."""
+    monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path / "cache"))
+    report = command.run(OSIM / "arm26.osim", tmp_path / "out", method="paper")
+    assert report["moment_arms"]["summary"]["rms"]["mean"] < MOMENT_ARM
+    # The least squares reach a third of it.
+    assert FORCE_MAP < report["muscles"]["summary"]["force"]["mean"] < 5 * FORCE_MAP
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["gates"] == report["gates"]
 
 
 def test_charts():

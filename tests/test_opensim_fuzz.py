@@ -17,7 +17,7 @@ from myowarp.models.opensim import command, muscle_fit
 
 OSIM = Path(__file__).parent / "data" / "osim"
 SMALL = ("Tug_of_War", "joints", "old", "arm26")
-ALL = (*SMALL, "leg6dof9musc", "gait10dof18musc")
+ALL = (*SMALL, "ellipsoids", "leg6dof9musc", "gait10dof18musc")
 LIMIT = 60
 """s of processor time of one case; the slowest takes about a tenth."""
 NUMBERS = ("nan", "inf", "-inf", "0", "-1", "1e300", "-1e300", "1e-300", "", "x", "1 2", "0x10", "1e999")

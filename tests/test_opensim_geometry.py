@@ -25,6 +25,7 @@ POINT = 2.5e-4
 BOUNDS = {
     "arm26": EXACT,
     "Tug_of_War": EXACT,
+    "ellipsoids": EXACT,
     "joints": QUARTIC,
     "leg6dof9musc": QUARTIC,
     "gait10dof18musc": QUARTIC,
@@ -231,8 +232,8 @@ def test_command_writes_a_model_that_loads(tmp_path):
 
 def test_failure_leaves_nothing_that_looks_complete(tmp_path):
     bad = tmp_path / "bad.osim"
-    bad.write_text((DATA / "osim" / "old.osim").read_text().replace("PinJoint", "EllipsoidJoint"))
-    with pytest.raises(NotImplementedError, match=r"bad.osim:\d+: <EllipsoidJoint name='elbow'>"):
+    bad.write_text((DATA / "osim" / "old.osim").read_text().replace("PinJoint", "ConstantCurvatureJoint"))
+    with pytest.raises(NotImplementedError, match=r"bad.osim:\d+: <ConstantCurvatureJoint name='elbow'>"):
         run(bad, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     with pytest.raises(ValueError, match=r"none.osim' is no file; give the path of an .osim file"):

@@ -24,6 +24,10 @@ NUM_STATES = 16  # compared, at least
 CONTROL_STEPS = 8  # between two states, at most
 TRUSTED_SHARE = 0.9  # of the states that must agree: the engine itself loses single contacts
 LEAST_CHANGE = 1e-6, 1e-2  # of velocities and positions, that errors are a share of; positions are rounded
+ROUNDINGS = 16
+"""A fusion may differ by as much as that many roundings of the state move the stock step. Stiff equalities,
+as in models converted from OpenSim, turn one rounding into up to 3e-4 of the change of velocity; fusions
+were seen to differ by up to 10 times the median of that."""
 
 
 class Fusion(abc.ABC):
@@ -31,7 +35,8 @@ class Fusion(abc.ABC):
 
     Attributes:
         TOLERANCE: Largest difference that it makes to a step's change of velocity or of position, as a share
-            of the largest such change in the state (float32 sums in another order).
+            of the largest such change in the state (float32 sums in another order), beyond `ROUNDINGS` of
+            the state.
     """
 
     TOLERANCE = 1e-4
@@ -83,10 +88,12 @@ def verified_fusions(
         return trusted
     batches = list(_states(scene))
     before = _changes(scene, batches, launch_step, ())
+    # The median: single states where a rounding makes or breaks a contact must not count.
+    rounding = float(np.median(_error(_changes(scene, map(_rounded, batches), launch_step, ()), before)))
     for fusion in fusions:
         changes = _changes(scene, batches, launch_step, (*trusted, fusion))
-        error = _error(changes, before)
-        if np.mean(error <= fusion.TOLERANCE) >= TRUSTED_SHARE:
+        error, allowed = _error(changes, before), fusion.TOLERANCE + ROUNDINGS * rounding
+        if np.mean(error <= allowed) >= TRUSTED_SHARE:
             trusted, before = (*trusted, fusion), changes
             continue
         logger.warning(
@@ -94,7 +101,7 @@ def verified_fusions(
             "allowed is %.0e",
             type(fusion).__name__,
             np.median(error),
-            fusion.TOLERANCE,
+            allowed,
         )
     return trusted
 
@@ -115,6 +122,18 @@ def _states(scene: Scene) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]
         chosen = [motion[(first + i) % NUM_STATES] for i in range(worlds)]
         activation = rng.uniform(size=scene.muscles.activation.shape)
         yield np.array([q for q, _ in chosen]), np.array([v for _, v in chosen]), activation
+
+
+def _rounded(batch: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return states whose positions and velocities are the next float32 numbers, up or down at random."""
+    qpos, qvel, activation = batch
+    random = np.random.default_rng(0)
+
+    def beside(values: np.ndarray) -> np.ndarray:
+        way = np.where(random.integers(2, size=values.shape), np.float32(np.inf), np.float32(-np.inf))
+        return np.nextafter(values.astype(np.float32), way)
+
+    return beside(qpos), beside(qvel), activation
 
 
 def _changes(

@@ -34,8 +34,6 @@ class RigidBodyFusion(Fusion):
     Sites are left to the engine within a step, where a muscle path fusion may know that nobody reads them.
     """
 
-    TOLERANCE = 5e-3  # rounding, in the spin of a thin pen
-
     @classmethod
     def obstacle(cls, scene: Scene) -> str | None:
         """Return why it cannot be used, None if it can."""

@@ -4,6 +4,7 @@ Arrays in mujoco-warp have fixed sizes; what does not fit is dropped, with wrong
 measured with MuJoCo C, with a margin, and never guessed.
 """
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass
 from pathlib import Path
@@ -64,7 +65,8 @@ def _measure(model: mujoco.MjModel, start: np.ndarray) -> Capacity:
     rows += 6 * model.neq
     if not len(pairs):
         return Capacity(contacts=0, rows=max(rows, 1), peak_contacts=0)
-    counts = np.array([(data.ncon, _candidates(model, data, pairs)) for data in _motion(model, start)])
+    with _unwarned():
+        counts = np.array([(data.ncon, _candidates(model, data, pairs)) for data in _motion(model, start)])
     peak, mean_candidates = counts[:, 0].max(), counts[:, 1].mean()
     contacts = max(1, int(np.ceil(MARGIN * peak)))
     condim = max(int(model.geom_condim.max()), int(model.pair_dim.max(initial=1)))
@@ -72,6 +74,20 @@ def _measure(model: mujoco.MjModel, start: np.ndarray) -> Capacity:
     # The pool is shared by all worlds and holds candidates that pass a finer filter, less than half.
     pool = max(contacts, int(np.ceil(mean_candidates)))
     return Capacity(contacts=pool, rows=rows, peak_contacts=int(peak))
+
+
+@contextlib.contextmanager
+def _unwarned() -> Iterator[None]:
+    """Have MuJoCo C start again without a word where the random motion of a block gets unstable.
+
+    It would write a file into the user's folder.
+    """
+    handler = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(handler)
 
 
 def _candidates(model: mujoco.MjModel, data: mujoco.MjData, pairs: np.ndarray) -> int:

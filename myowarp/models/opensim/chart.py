@@ -96,7 +96,10 @@ def png(pixels: Array) -> bytes:
 
 
 def outline(title: str, strokes: Sequence[tuple[str, Array]], dots: Array, size: int = 380) -> str:
-    """Return polylines (style, points (n, 2)) and dots (n, 2) in one scale, the second axis up."""
+    """Return polylines (style, points (n, 2)) and dots (n, 2) in one scale, the second axis up.
+
+    A style is a class, or `class:color`; the class `bone` has an edge.
+    """
     points = np.concatenate([dots, *(stroke for _, stroke in strokes)]) if len(strokes) else dots
     low, high = points.min(axis=0), points.max(axis=0)
     scale = (size - 30) / max(float((high - low).max()), 1e-6)
@@ -106,7 +109,13 @@ def outline(title: str, strokes: Sequence[tuple[str, Array]], dots: Array, size:
         x = shift + scale * (place - low)
         return np.stack([x[..., 0], size - x[..., 1]], axis=-1)
 
-    parts = [f'<polyline class="{style}" points="{_points(at(stroke))}"/>' for style, stroke in strokes]
+    parts = []
+    for style, stroke in strokes:
+        kind, _, color = style.partition(":")
+        places = _points(at(stroke))
+        parts += [f'<polyline class="edge" points="{places}"/>'] if kind == "bone" else []
+        painted = f' stroke="{color}"' if color else ""
+        parts.append(f'<polyline class="{kind}"{painted} points="{places}"/>')
     parts += [f'<circle class="joint" r="2.2" cx="{x:.1f}" cy="{y:.1f}"/>' for x, y in at(dots)]
     return (
         f'<svg viewBox="0 0 {size} {size}" width="{size}" height="{size}"><text x="8" y="14" '

@@ -15,13 +15,14 @@ from rich.console import Console
 
 from myowarp.cache import files_digest
 from myowarp.files import check_folder, in_place
-from myowarp.models.opensim.model import Model, Note
+from myowarp.models.opensim.model import Model, Note, pulling
 from myowarp.progress import patient_bar
 
 if TYPE_CHECKING:
-    from myowarp.models.opensim.muscle_fit import MuscleFit, Samples
+    from myowarp.models.opensim.fitted import Fits
+    from myowarp.models.opensim.muscle_fit import Samples
 
-NO_FITS = "muscles' paths and forces are not fitted: it needs SciPy; pip install 'myowarp[convert]'"
+NO_FITS = "paths and muscles' forces are not fitted: it needs SciPy; pip install 'myowarp[convert]'"
 PATIENCE = 1.0
 """[s] after which a progress bar is drawn."""
 COMPLETE = ("report.json", "report.html", "model.xml")
@@ -117,9 +118,10 @@ def run(
         from myowarp.models.opensim.muscle_fit import against_opensim
 
         fits = against_opensim(source, model, samples, fits)
-    stages = Stages({fit.name: fit.path.tendon for fit in fits}, {fit.name: fit.force for fit in fits})
+    tendons = {name: path.tendon for name, path in fits.paths().items()}
+    stages = Stages(tendons, {fit.name: fit.force for fit in fits.muscles})
     converted = convert(model, Options(mesh_folders), stages)
-    if model.muscles and not fits:
+    if pulling(model) and samples is None:
         note = Note("/forceset", NO_FITS)
         converted = dataclasses.replace(converted, notes=(*converted.notes, note))
     converted.spec.meshdir = "meshes" if converted.meshes else ""
@@ -140,19 +142,24 @@ def run(
     return report
 
 
-def _fits(model: Model, digest: str, method: str, workers: int) -> tuple[list["MuscleFit"], "Samples | None"]:
-    """Return the fits of all muscles in the model's order, and the poses; nothing without SciPy."""
-    if importlib.util.find_spec("scipy") is None or not model.muscles:
-        return [], None
+def _fits(model: Model, digest: str, method: str, workers: int) -> tuple["Fits", "Samples | None"]:
+    """Return the fits of all paths in the model's order, and the poses; nothing without SciPy."""
+    from myowarp.models.opensim.fitted import Fits, MuscleFit
+
+    if importlib.util.find_spec("scipy") is None or not pulling(model):
+        return Fits(), None
     from myowarp.models.opensim.muscle_fit import PAPER, Methods, fit_muscles, sampled
 
     methods = PAPER if method == "paper" else Methods()
-    samples, done = sampled(model), {}
-    with patient_bar("Fitting", "muscles", len(model.muscles), patience=PATIENCE) as advance:
+    samples, order = sampled(model), list(pulling(model))
+    found = []
+    with patient_bar("Fitting", "paths", len(order), patience=PATIENCE) as advance:
         for fit in fit_muscles(model, samples, digest, methods, workers or os.cpu_count() or 1):
-            done[fit.name] = fit
+            found.append(fit)
             advance(1)
-    return [done[name] for name in model.muscles], samples
+    found.sort(key=lambda fit: order.index(fit.name))
+    muscles = [fit for fit in found if isinstance(fit, MuscleFit)]
+    return Fits(muscles, [fit for fit in found if not isinstance(fit, MuscleFit)]), samples
 
 
 def write(output: Path, files: dict[str, bytes]) -> None:

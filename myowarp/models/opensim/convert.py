@@ -1,8 +1,8 @@
 """An OpenSim model -> a MuJoCo model with its sidecars: the order of the stages.
 
-Geometry (Cvt1) is done here from `geometry`, `points`, `passive` and `meshes`. The muscles' paths (Cvt2)
-and forces (Cvt3) come in from outside: `convert` takes a tendon path and a force fit for each muscle and
-has plain ones for those that are missing.
+Geometry (Cvt1) is done here from `geometry`, `points`, `passive` and `meshes`. Paths (Cvt2) and
+forces of muscles (Cvt3) come in from outside: `convert` takes tendon paths and force fits and has plain
+ones for those that are missing.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from myowarp.models.opensim.geometry import Build, begin, tie
 from myowarp.models.opensim.mapping import CoordinateMap
 from myowarp.models.opensim.meshes import add_shapes
 from myowarp.models.opensim.model import Model, Muscle, Note
-from myowarp.models.opensim.passive import add_forces, straight_tendon
+from myowarp.models.opensim.passive import add_forces, path_tendon
 from myowarp.models.opensim.points import add_markers, add_moving_points
-from myowarp.models.opensim.tendon import TendonPath, add_tendon
+from myowarp.models.opensim.tendon import TendonPath
 
 if TYPE_CHECKING:
     from myowarp.models.opensim.force import ForceFit
@@ -72,7 +72,8 @@ class Stages:
     """Results of the later stages, by muscle.
 
     Attributes:
-        tendons: Paths; a muscle without one goes straight through its fixed points, with a note.
+        tendons: Paths, also of ligaments and path actuators; what has none goes straight through its
+            fixed points, with a note.
         forces: MuJoCo's parameters; a muscle without them gets plain ones, with a note.
     """
 
@@ -92,7 +93,7 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     coordinates = tie(build)
     for muscle in model.muscles.values():
         _add_muscle(build, muscle, moving[muscle.name], stages)
-    add_forces(build, moving)
+    add_forces(build, moving, stages.tendons)
     meshes = add_shapes(build, options.mesh_folders)
     for name, text in (("credits", model.credits), ("publications", model.publications)):
         if text:
@@ -109,11 +110,7 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
 
 def _add_muscle(build: Build, muscle: Muscle, moving: Mapping[int, str], stages: Stages) -> None:
     """Add the tendon and the actuator of a muscle."""
-    path = stages.tendons.get(muscle.name)
-    if path is None:
-        tendon = straight_tendon(build, muscle.name, muscle.path, dict(moving))
-    else:
-        tendon = add_tendon(build.spec, path, muscle.path, moving)
+    tendon = path_tendon(build, muscle.name, muscle.path, moving, stages.tendons)
     tendon.rgba = (0.8, 0.1, 0.1, 1.0)
     if not muscle.applies_force:
         build.notes.append(

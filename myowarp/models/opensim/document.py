@@ -31,7 +31,7 @@ class Element:
 
     source: Path
     tag: str
-    attributes: Mapping[str, str]
+    attributes: dict[str, str]
     line: int
     """From 1."""
     text: str = ""
@@ -199,7 +199,7 @@ def _tree(path: Path, text: str) -> Element:
             raise refuse(f"<{tag[:60]}> is nested more than {MAX_DEPTH} deep")
         if count > MAX_ELEMENTS:
             raise refuse(f"<{tag[:60]}> is one of more than {MAX_ELEMENTS} elements")
-        element = Element(path, tag, attributes, parser.CurrentLineNumber, parent=stack[-1])
+        element = Element(path, tag, dict(attributes), parser.CurrentLineNumber, parent=stack[-1])
         stack[-1].children.append(element)
         stack.append(element)
 

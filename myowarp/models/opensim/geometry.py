@@ -26,6 +26,7 @@ HINGE, SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 
 MIN_MASS = 1e-3  # kg, of a moving body that has none
 MIN_INERTIA = 1e-6  # kg m^2
+MAX_JOINTS = 6  # of one body, in MuJoCo
 PHANTOM_INERTIA = 1e-3  # kg m^2, of a phantom whose angle runs over about 2 rad
 TIED_ARMATURE = {HINGE: 1e-3, SLIDE: 0.1}
 """kg m^2 and kg, of a joint that follows another one: keeps the equality stiff where its body is light, as a
@@ -161,19 +162,29 @@ def _add_body(build: Build, joint: Joint, moving: dict[str, float]) -> None:
                 build.demands.append(Demand(name, function, free, lever))
         placed.append((move, fixed, name, sign, scale))
     total = fixed @ joint.child_frame.inverse()
-    pose = joint.parent_frame @ total
-    body = build.bodies[joint.parent].add_body(
-        name=build.free_name("body", joint.child), pos=pose.position, quat=quaternion(pose.rotation)
-    )
-    build.bodies[joint.child] = body
     back = total.inverse()
-    for move, at, name, sign, scale in placed:
-        local = back @ at
-        added = body.add_joint(name=name, type=SLIDE if move.kind == "slide" else HINGE)
-        added.axis, added.pos = sign * local.rotation @ move.axis, local.position
-        if any(demand.joint == name for demand in build.demands):
-            added.armature = TIED_ARMATURE[added.type]
-        _limit(build, added, move, scale)
+    body, pose = build.bodies[joint.parent], joint.parent_frame @ total
+    for first in range(0, max(len(placed), 1), MAX_JOINTS):
+        last = first + MAX_JOINTS >= len(placed)
+        name = joint.child if last else f"{joint.child}-moved"
+        body = body.add_body(
+            name=build.free_name("body", name), pos=pose.position, quat=quaternion(pose.rotation)
+        )
+        pose = Pose(np.zeros(3), np.eye(3))
+        for move, at, name, sign, scale in placed[first : first + MAX_JOINTS]:
+            local = back @ at
+            added = body.add_joint(name=name, type=SLIDE if move.kind == "slide" else HINGE)
+            added.axis, added.pos = sign * local.rotation @ move.axis, local.position
+            if any(demand.joint == name for demand in build.demands):
+                added.armature = TIED_ARMATURE[added.type]
+            _limit(build, added, move, scale)
+        if not last:
+            body.explicitinertial, body.mass, body.ipos = True, MIN_MASS, np.zeros(3)
+            body.inertia = (MIN_INERTIA,) * 3
+            rule = "moves by more joints than a body may have; some are on a light body before it"
+            bound = f"{MIN_MASS:g} kg, {MIN_INERTIA:g} kg m^2"
+            build.notes.append(Note(f"/bodyset/{joint.child}", rule, bound))
+    build.bodies[joint.child] = body
     _add_inertia(build, joint.child, body, floor=bool(placed) and moving[joint.child] <= 0)
 
 

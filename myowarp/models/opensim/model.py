@@ -227,3 +227,11 @@ class Model:
     shapes: tuple[Shape, ...]
     notes: tuple[Note, ...] = field(default=())
     """What was skipped or approximated while reading."""
+
+
+def pulling(model: Model) -> dict[str, Path]:
+    """Return the paths of all muscles, ligaments and path actuators, by name."""
+    paths = {name: muscle.path for name, muscle in model.muscles.items()}
+    paths.update((name, ligament.path) for name, ligament in model.ligaments.items())
+    paths.update((actuator.name, actuator.path) for actuator in model.path_actuators)
+    return paths

@@ -11,16 +11,16 @@ import mujoco
 import numpy as np
 
 from myowarp.models.opensim.convert import Converted
+from myowarp.models.opensim.fitted import Fits, MuscleFit
 from myowarp.models.opensim.force import ACTIVATIONS
 from myowarp.models.opensim.moment_arm import PRESENT, Poses, Reference
-from myowarp.models.opensim.muscle_fit import MuscleFit
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
 class MomentArmError:
-    """A muscle and a coordinate; root mean squares over the poses of the check [m].
+    """A muscle or another path and a coordinate; root mean squares over the poses of the check [m].
 
     Attributes:
         muscle: Name.
@@ -101,14 +101,14 @@ def motion(converted: Converted, model: mujoco.MjModel, poses: Poses) -> Motion:
 
 
 def moment_arm_errors(
-    converted: Converted, model: mujoco.MjModel, fits: Sequence[MuscleFit], found: Motion
+    converted: Converted, model: mujoco.MjModel, fits: Fits, found: Motion
 ) -> list[MomentArmError]:
-    """Return the errors of all pairs of muscle and coordinate whose moment arm is not always zero."""
+    """Return the errors of all pairs of path and coordinate whose moment arm is not always zero."""
     free, errors = converted.coordinates.free(), []
-    for fit in fits:
-        reference, tendon = fit.expected.random, model.tendon(fit.name).id
+    for name, reference in fits.references().items():
+        tendon = model.tendon(name).id
         for coordinate in reference.moment_arm:
-            one = _pair(fit.name, coordinate, reference, found.moment_arm[:, tendon, free.index(coordinate)])
+            one = _pair(name, coordinate, reference, found.moment_arm[:, tendon, free.index(coordinate)])
             if one.peak > PRESENT:
                 errors.append(one)
     return errors

@@ -1,8 +1,9 @@
 """Cvt2 and Cvt3 of all muscles over the cores, with what OpenSim says about each in poses of the check.
 
 A muscle is one piece of work: its path is fitted, its forces are fitted over the lengths that its path
-takes, and the reference is evaluated where the converted model will be checked. Finished muscles are kept
-on disk, so that an interrupted conversion continues, and an edited model repeats what was edited.
+takes, and the reference is evaluated where the converted model will be checked. So is a ligament or path
+actuator, whose path only is fitted. Finished pieces are kept on disk, so that an interrupted conversion
+continues, and an edited model repeats what was edited.
 """
 
 import dataclasses
@@ -13,20 +14,21 @@ import signal
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import numpy as np
 
 from myowarp.cache import cached, files_digest, version
-from myowarp.models.opensim.force import ACTIVATIONS, ForceFit, fit_force
+from myowarp.models.opensim.fitted import Expected, Fits, MuscleFit, PathOnly
+from myowarp.models.opensim.force import ACTIVATIONS, fit_force
 from myowarp.models.opensim.force import Method as ForceMethod
 from myowarp.models.opensim.hill import HillMuscle, known
 from myowarp.models.opensim.kinematics import independent, random_poses, sampling_range
-from myowarp.models.opensim.model import Model
-from myowarp.models.opensim.moment_arm import Poses, Reference, crossed, own_reference, poses_of
+from myowarp.models.opensim.model import Model, pulling
+from myowarp.models.opensim.moment_arm import Poses, crossed, own_reference, poses_of
 from myowarp.models.opensim.opensim_reference import opensim_references
 from myowarp.models.opensim.surface_fit import Method as PathMethod
-from myowarp.models.opensim.wrapping import PathFit, fit_path
+from myowarp.models.opensim.wrapping import fit_path
 
 Array = np.ndarray
 
@@ -51,37 +53,6 @@ class Methods:
 
 PAPER = Methods("annealing", "differential_evolution")
 """As published; for comparison."""
-
-
-@dataclass(frozen=True, eq=False)
-class Expected:
-    """What OpenSim says about a muscle.
-
-    Attributes:
-        random: In the random poses of the check.
-        sweeps: By coordinate that it depends on, over the range of this coordinate.
-        forces: At the lengths of the random poses [max_isometric_force], shape (poses, activations).
-        grid: Lengths of the force map [m], shape (GRID,).
-        map: Forces there [max_isometric_force], shape (GRID, activations).
-    """
-
-    random: Reference
-    sweeps: Mapping[str, Reference]
-    forces: Array
-    grid: Array
-    map: Array
-
-
-@dataclass(frozen=True, eq=False)
-class MuscleFit:
-    """A converted muscle, and what it should be."""
-
-    name: str
-    max_isometric_force: float
-    """[N]."""
-    path: PathFit
-    force: ForceFit
-    expected: Expected
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,27 +108,34 @@ def fit_muscle(model: Model, name: str, samples: Samples, methods: Methods = Met
     )
 
 
-def against_opensim(source: Path, model: Model, samples: Samples, fits: list[MuscleFit]) -> list[MuscleFit]:
+def fit_passive(model: Model, name: str, samples: Samples, methods: Methods = Methods()) -> PathOnly:
+    """Fit the path of a ligament or path actuator."""
+    path = pulling(model)[name]
+    fitted = fit_path(model, name, path, samples.fit, None, methods.path)
+    return PathOnly(name, fitted, own_reference(model, path, samples.check, crossed(model, path)))
+
+
+def against_opensim(source: FilePath, model: Model, samples: Samples, fits: Fits) -> Fits:
     """Return the same fits with OpenSim's own lengths and moment arms in the random poses of the check.
 
     Raises:
         ValueError: OpenSim is not installed, or does not read the file.
     """
-    along = {fit.name: list(fit.expected.random.moment_arm) for fit in fits}
+    along = {name: list(reference.moment_arm) for name, reference in fits.references().items()}
     found = opensim_references(source, model, samples.check, along)
-    renewed = []
-    for fit in fits:
+    muscles = []
+    for fit in fits.muscles:
         hill, _ = known(HillMuscle.of(model.muscles[fit.name]))
         forces = hill.tendon_force(ACTIVATIONS, found[fit.name].length[:, None])
         expected = dataclasses.replace(fit.expected, random=found[fit.name], forces=forces)
-        renewed.append(dataclasses.replace(fit, expected=expected))
-    return renewed
+        muscles.append(dataclasses.replace(fit, expected=expected))
+    return Fits(muscles, [dataclasses.replace(fit, expected=found[fit.name]) for fit in fits.others])
 
 
 def fit_muscles(
     model: Model, samples: Samples, digest: str, methods: Methods, workers: int
-) -> Iterator[MuscleFit]:
-    """Yield the fits of all muscles, each as soon as it is ready, in any order.
+) -> Iterator[MuscleFit | PathOnly]:
+    """Yield the fits of all muscles, ligaments and path actuators, each as soon as it is ready, in any order.
 
     Args:
         model: The model.
@@ -167,16 +145,17 @@ def fit_muscles(
         workers: Processes; 1 works in this one.
     """
     shared = (model, (digest, dataclasses.astuple(methods), _code_digest()), samples, methods)
-    if workers == 1 or len(model.muscles) < 2:
+    names = list(pulling(model))
+    if workers == 1 or len(names) < 2:
         _share(*shared)
-        yield from map(_work, model.muscles)
+        yield from map(_work, names)
         return
     # Forked workers share the poses and need not import Warp again, which takes longer than the fits.
     fork = "fork" if "fork" in multiprocessing.get_all_start_methods() else None
     context = multiprocessing.get_context(fork)
-    with ProcessPoolExecutor(min(workers, len(model.muscles)), context, _begin, shared) as pool:
+    with ProcessPoolExecutor(min(workers, len(names)), context, _begin, shared) as pool:
         try:
-            for future in as_completed([pool.submit(_work, name) for name in model.muscles]):
+            for future in as_completed([pool.submit(_work, name) for name in names]):
                 yield future.result()
         finally:
             pool.shutdown(cancel_futures=True)
@@ -196,32 +175,34 @@ def _begin(*shared: object) -> None:
     _share(*shared)  # type: ignore[arg-type]
 
 
-def _work(name: str) -> MuscleFit:
-    """Return a muscle's fit, from the cache if it is there.
+def _work(name: str) -> MuscleFit | PathOnly:
+    """Return the fit of a muscle or another path, from the cache if it is there.
 
     Raises:
         ValueError: Its parameters leave it no force, or no length, that is a number.
     """
     model, key, samples, methods = _SHARED["now"]
 
-    def make() -> MuscleFit:
-        return fit_muscle(model, name, samples, methods)
+    def make() -> MuscleFit | PathOnly:
+        if name in model.muscles:
+            return fit_muscle(model, name, samples, methods)
+        return fit_passive(model, name, samples, methods)
 
     try:
         return cached(("opensim_muscle", name, *key), ".muscle", make, _save, _load)
     except (ValueError, ArithmeticError) as error:
         reason = " ".join(str(error).split())
-        raise ValueError(f"{model.source}: muscle '{name}' cannot be fitted: {reason}") from error
+        raise ValueError(f"{model.source}: '{name}' cannot be fitted: {reason}") from error
 
 
-def _save(fit: MuscleFit, path: str) -> None:
+def _save(fit: MuscleFit | PathOnly, path: str) -> None:
     content = pickle.dumps(fit)
-    Path(path).write_bytes(hashlib.sha256(content).digest() + content)
+    FilePath(path).write_bytes(hashlib.sha256(content).digest() + content)
 
 
-def _load(path: str) -> MuscleFit:
+def _load(path: str) -> MuscleFit | PathOnly:
     """Read a fit back; a damaged file never reaches pickle."""
-    data = Path(path).read_bytes()
+    data = FilePath(path).read_bytes()
     if hashlib.sha256(data[32:]).digest() != data[:32]:
         raise ValueError(f"{path} is damaged")
     return pickle.loads(data[32:])
@@ -229,5 +210,5 @@ def _load(path: str) -> MuscleFit:
 
 def _code_digest() -> str:
     """Return a digest of the code and packages that a fit depends on."""
-    files = sorted(Path(__file__).parent.glob("*.py"))
+    files = sorted(FilePath(__file__).parent.glob("*.py"))
     return f"{files_digest(files)} {version('numpy')} {version('scipy')}"

@@ -14,17 +14,20 @@ from myowarp.models.opensim.moment_arm import STEP, Poses, Reference
 
 Array = np.ndarray
 
+PULLING = ("PathActuator", "Ligament", "Blankevoort1991Ligament", "PathSpring")
+"""OpenSim's classes with a path; a muscle is a path actuator."""
+
 
 def opensim_references(
     source: Path, model: Model, poses: Poses, along: Mapping[str, Sequence[str]]
 ) -> dict[str, Reference]:
-    """Return what OpenSim says about muscles.
+    """Return what OpenSim says about muscles, ligaments and path actuators.
 
     Args:
         source: The .osim file.
         model: The same as read by us.
         poses: With neighbours along all coordinates in `along`.
-        along: By muscle, the coordinates that it depends on.
+        along: By name, the coordinates that it depends on.
 
     Raises:
         ValueError: OpenSim is not installed, or does not read the file.
@@ -40,7 +43,11 @@ def opensim_references(
     except RuntimeError as error:
         raise ValueError(f"{source}: OpenSim does not load it: {' '.join(str(error).split())}") from error
     coordinates = {name: loaded.getCoordinateSet().get(name) for name in model.coordinates}
-    muscles = {name: loaded.getMuscles().get(name) for name in along}
+    classes = [getattr(opensim, name) for name in PULLING]
+    forces = [loaded.getForceSet().get(name) for name in along]
+    pulling = {
+        force.getName(): next(filter(None, (c.safeDownCast(force) for c in classes))) for force in forces
+    }
     for coordinate in coordinates.values():
         coordinate.setLocked(state, False)
 
@@ -55,13 +62,14 @@ def opensim_references(
     slopes = {name: {coordinate: np.zeros(count) for coordinate in along[name]} for name in along}
     for index in range(count):
         place(poses.coordinates, index)
-        for name, muscle in muscles.items():
-            lengths[name][index] = muscle.getLength(state)
+        for name, item in pulling.items():
+            lengths[name][index] = item.getLength(state)
             for coordinate in along[name]:
-                arms[name][coordinate][index] = muscle.computeMomentArm(state, coordinates[coordinate])
+                arm = item.getPath().computeMomentArm(state, coordinates[coordinate])
+                arms[name][coordinate][index] = arm
         for coordinate, sides in poses.beside.items():
             for (values, _), sign in zip(sides, (1.0, -1.0), strict=True):
                 place(values, index)
                 for name in (name for name in along if coordinate in along[name]):
-                    slopes[name][coordinate][index] += sign * muscles[name].getLength(state) / (2 * STEP)
+                    slopes[name][coordinate][index] += sign * pulling[name].getLength(state) / (2 * STEP)
     return {name: Reference(lengths[name], arms[name], slopes[name]) for name in along}

@@ -11,10 +11,13 @@ from myowarp.models.opensim.chart import Line, chart, colored_map, colors, outli
 from myowarp.models.opensim.convert import Converted
 
 if TYPE_CHECKING:
-    from myowarp.models.opensim.muscle_fit import MuscleFit, Samples
+    from myowarp.models.opensim.fitted import Fits, MuscleFit
+    from myowarp.models.opensim.muscle_fit import Samples
 
 MAIN = 3
 """Coordinates of a muscle whose moment arms are drawn, greatest first."""
+LIGHT = 2e-3
+"""[kg]: what a body of a phantom or a moving point weighs at most."""
 WORST = 1e-3
 """[m] of moment arm error with the strongest color."""
 LEAST_DIFFERENCE = 0.05
@@ -38,8 +41,10 @@ svg polyline { fill: none; stroke-linejoin: round }
 svg .x { text-anchor: middle } svg .y { text-anchor: end } svg .axis { fill: none; stroke: #9aa0a8 }
 svg .axis text { fill: #4a4f57; stroke: none } .reference { stroke: #f0b27a; stroke-width: 5 }
 .slope { stroke: #4a4f57; stroke-width: 1; stroke-dasharray: 2 2 } .own { stroke: #1f5fa8; stroke-width: 1.5 }
-.bone { stroke: #b9bec6; stroke-width: 3 } .tendon { stroke: #b3261e; stroke-width: 1; opacity: .7 }
-.joint { fill: #4a4f57 } pre { white-space: pre-wrap; font: inherit } a { color: inherit }
+.edge { stroke: #9aa0a8; stroke-width: 11; stroke-linecap: round }
+.bone { stroke: #eceef1; stroke-width: 9; stroke-linecap: round }
+.tendon { stroke-width: 1.6; stroke-linecap: round } .joint { fill: #4a4f57 }
+pre { white-space: pre-wrap; font: inherit } a { color: inherit }
 """
 MARKS = {True: ("good", "within"), False: ("bad", "beyond")}
 KEYS = (("reference", "OpenSim"), ("slope", "OpenSim, minus slope of the length"), ("own", "converted"))
@@ -51,7 +56,7 @@ def page(
     report: Mapping[str, Any],
     converted: Converted,
     model: mujoco.MjModel,
-    fits: "Sequence[MuscleFit]",
+    fits: "Fits",
     samples: "Samples | None",
 ) -> str:
     """Return the page of a conversion; `report` is the content of report.json."""
@@ -65,7 +70,7 @@ def page(
         f"<h2>Default pose</h2>{_pictures(model)}",
     ]
     if samples is not None:
-        parts += [_heat(report), _muscles(converted, model, fits, samples, report)]
+        parts += [_heat(report), _muscles(converted, model, fits.muscles, samples, report)]
     parts.append(_notes(report["notes"]))
     for name in ("credits", "publications"):
         if report[name]:
@@ -121,37 +126,47 @@ FIGURES = {
 
 
 def _pictures(model: mujoco.MjModel) -> str:
-    """Draw what moves, as lines between joints and mass centres, and tendons, from three sides."""
+    """Draw bodies as capsules from joint to joint, and tendons in their colors, from three sides."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
-    lines = []
-    moving = [body for body in range(1, model.nbody) if model.body_weldid[body] > 0]
-    for body in moving:
-        parent = model.body_parentid[body]
-        if model.body_weldid[parent] > 0:
-            lines.append(("bone", np.array([data.xpos[parent], data.xpos[body]])))
-        if body not in model.body_parentid:
-            lines.append(("bone", np.array([data.xpos[body], data.xipos[body]])))
+    strokes: list[tuple[str, np.ndarray]] = []
+    still = model.body_weldid == 0
+    # Bodies of phantoms and moving points carry next to nothing; they stand for no bone.
+    bones = [body for body in range(1, model.nbody) if not still[body] and model.body_mass[body] > LIGHT]
+    for body in bones:
+        children = [child for child in bones if model.body_parentid[child] == body]
+        # A body at the end of a chain is taken to reach as far beyond its mass centre as this is away.
+        ends = [data.xpos[child] for child in children] or [2 * data.xipos[body] - data.xpos[body]]
+        strokes += [("bone", np.array([data.xpos[body], end])) for end in ends]
     wraps = data.wrap_xpos.reshape(-1, 3)
-    for first, count in zip(data.ten_wrapadr, data.ten_wrapnum, strict=True):
-        if count:
-            lines.append(("tendon", wraps[first : first + count]))
-    if not lines:
+    for tendon, (first, count) in enumerate(zip(data.ten_wrapadr, data.ten_wrapnum, strict=True)):
+        red, green, blue = (255 * model.tendon_rgba[tendon, :3]).astype(int)
+        strokes += [
+            (f"tendon:rgb({red},{green},{blue})", piece) for piece in _pieces(wraps[first : first + count])
+        ]
+    if not strokes:
         return "<p>Nothing moves.</p>"
-    # Joints that carry no body, such as those of couplers, stand alone.
-    joined = [body for body in moving if body in model.body_parentid or model.body_parentid[body] in moving]
-    dots = data.xpos[np.array(joined, int)]
+    dots = data.xpos[np.array(bones, int)]
     pictures = []
     for title, axis, sign in VIEWS:
-        turn = np.array([np.eye(3)[axis] * sign, [0.0, 0.0, 1.0]]).T
-        pictures.append(outline(title, [(style, line @ turn) for style, line in lines], dots @ turn))
+        right, up = np.eye(3)[axis] * sign, np.array([0.0, 0.0, 1.0])
+        away = np.cross(up, right)
+        nearest = sorted(strokes, key=lambda stroke: -float(np.mean(stroke[1] @ away)))
+        turn = np.array([right, up]).T
+        pictures.append(outline(title, [(style, line @ turn) for style, line in nearest], dots @ turn))
     return f'<div class="wide">{"".join(pictures)}</div>'
+
+
+def _pieces(points: np.ndarray) -> list[np.ndarray]:
+    """Return the straight pieces of a tendon, so that what is nearer can cover what is farther."""
+    return [points[index : index + 2] for index in range(len(points) - 1)]
 
 
 def _heat(report: Mapping[str, Any]) -> str:
     """Return the table muscle x coordinate of moment arm errors."""
     pairs = {(pair["muscle"], pair["coordinate"]): pair for pair in report["moment_arms"]["pairs"]}
+    drawn = {muscle["muscle"] for muscle in report["muscles"]["each"]}
     muscles, coordinates = (list(dict.fromkeys(key[i] for key in pairs)) for i in (0, 1))
     rows = []
     for muscle in muscles:
@@ -168,7 +183,10 @@ def _heat(report: Mapping[str, Any]) -> str:
             tip += f"greatest moment arm {1e3 * pair['peak']:.3g} mm"
             style = f"background:rgb({red},{green},{blue})"
             cells.append(f'<td style="{style}" title="{escape(tip)}">{1e3 * error:.2f}</td>')
-        rows.append(f'<tr><td><a href="#{escape(muscle)}">{escape(muscle)}</a></td>{"".join(cells)}</tr>')
+        shown = escape(muscle)
+        if muscle in drawn:
+            shown = f'<a href="#{shown}">{shown}</a>'
+        rows.append(f"<tr><td>{shown}</td>{''.join(cells)}</tr>")
     heads = "".join(f'<th class="across">{escape(name)}</th>' for name in coordinates)
     return (
         "<h2>Moment arm errors [mm]</h2>"

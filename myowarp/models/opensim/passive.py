@@ -4,6 +4,7 @@ What MuJoCo cannot say, or says differently, is noted.
 """
 
 import math
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
@@ -23,13 +24,15 @@ SAME = 1e-9
 """m and 1: frames that differ by less coincide."""
 
 
-def add_forces(build: Build, moving: dict[str, dict[int, str]]) -> None:
+def add_forces(
+    build: Build, moving: Mapping[str, Mapping[int, str]], tendons: Mapping[str, TendonPath]
+) -> None:
     """Add what acts on coordinates, bodies and paths, muscles left out; after `tie`."""
     _add_coordinate_actuators(build)
     for item in build.model.body_actuators:
         _add_body_actuator(build, item)
     for actuator in build.model.path_actuators:
-        straight_tendon(build, actuator.name, actuator.path, moving[actuator.name])
+        path_tendon(build, actuator.name, actuator.path, moving[actuator.name], tendons)
         _motor(
             build,
             actuator.name,
@@ -39,7 +42,7 @@ def add_forces(build: Build, moving: dict[str, dict[int, str]]) -> None:
             actuator.control_range,
         )
     for ligament in build.model.ligaments.values():
-        _add_ligament(build, ligament, moving[ligament.name])
+        _add_ligament(build, ligament, moving[ligament.name], tendons)
     _add_limits(build)
     for spring in build.model.coordinate_springs:
         fixed_tendon(
@@ -100,8 +103,12 @@ def _add_body_actuator(build: Build, item: BodyActuator) -> None:
         )
 
 
-def straight_tendon(build: Build, name: str, path: Path, moving: dict[int, str]) -> mujoco.MjsTendon:
-    """Add a tendon through the fixed and moving points of a path, and note what that leaves out."""
+def path_tendon(
+    build: Build, name: str, path: Path, moving: Mapping[int, str], tendons: Mapping[str, TendonPath]
+) -> mujoco.MjsTendon:
+    """Add a tendon: as fitted, else through the fixed and moving points, noting what that leaves out."""
+    if name in tendons:
+        return add_tendon(build.spec, tendons[name], path, moving)
     last = len(path.points) - 1
     kept = [
         number
@@ -119,9 +126,11 @@ def straight_tendon(build: Build, name: str, path: Path, moving: dict[int, str])
     return add_tendon(build.spec, TendonPath(name, tuple(Via(number) for number in kept)), path, moving)
 
 
-def _add_ligament(build: Build, ligament: Ligament, moving: dict[int, str]) -> None:
+def _add_ligament(
+    build: Build, ligament: Ligament, moving: Mapping[int, str], tendons: Mapping[str, TendonPath]
+) -> None:
     """Add a spring along a path: the parabola through 0 that is nearest to the ligament's force."""
-    tendon = straight_tendon(build, ligament.name, ligament.path, moving)
+    tendon = path_tendon(build, ligament.name, ligament.path, moving, tendons)
     length = STRAIN * ligament.resting_length
     force = np.asarray(ligament.force.value(1 + STRAIN))
     basis = np.stack([length, length**2], axis=1)

@@ -15,7 +15,7 @@ from myowarp.models.opensim.geometry import (
     quaternion,
     reduced,
 )
-from myowarp.models.opensim.model import Note
+from myowarp.models.opensim.model import Note, pulling
 
 MARKER_GROUP = 5
 MARKER_SIZE = 0.005  # m, as drawn
@@ -40,17 +40,7 @@ def add_moving_points(build: Build) -> dict[str, dict[int, str]]:
         Of each muscle or other path: number of the point, and name of the body at it.
     """
     shared: dict[Hashable, str] = {}
-    return {name: _of_path(build, name, path, shared) for name, path in paths(build).items()}
-
-
-def paths(build: Build) -> dict[str, Path]:
-    """Return all paths of the model by the name of what pulls along them."""
-    model = build.model
-    return {
-        **{name: muscle.path for name, muscle in model.muscles.items()},
-        **{name: ligament.path for name, ligament in model.ligaments.items()},
-        **{actuator.name: actuator.path for actuator in model.path_actuators},
-    }
+    return {name: _of_path(build, name, path, shared) for name, path in pulling(build.model).items()}
 
 
 def _of_path(build: Build, owner: str, path: Path, shared: dict[Hashable, str]) -> dict[int, str]:

@@ -5,13 +5,15 @@ counterpart here is skipped with a `Note`. Documents before 4.0 keep joints insi
 and know no offset frames; both forms end in the same `Model`.
 """
 
+from collections import Counter
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
 from myowarp.models.opensim.document import Element, parse
-from myowarp.models.opensim.model import GROUND, Body, Coordinate, Joint, Model, Note
+from myowarp.models.opensim.elements import Pose
+from myowarp.models.opensim.model import GROUND, Body, Constraint, Coordinate, Joint, Model, Note
 from myowarp.models.opensim.read_components import READERS, read_components, read_shapes
 from myowarp.models.opensim.read_frames import Frames
 from myowarp.models.opensim.read_joints import JOINTS, in_order, read_coordinate, read_joint
@@ -42,7 +44,7 @@ def read_model(path: Path) -> Model:
 
     Raises:
         ValueError: The file is no OpenSim model or says something impossible, with file and line.
-        NotImplementedError: It needs something that has no counterpart here, such as a joint closing a loop.
+        NotImplementedError: It needs something that has no counterpart here, such as an unknown joint class.
         OSError: The file cannot be read.
     """
     root, latin = parse(path)
@@ -52,11 +54,15 @@ def read_model(path: Path) -> Model:
     components = _components(model)
     frames = Frames.of(model, [element for _, element in components if element.tag == "Body"])
     _refuse_duplicates(components)
-    joints, coordinates = _joints(components, frames, notes)
+    joints, coordinates, copies = _joints(components, frames, notes)
     bodies = {element.name: _body(element) for _, element in components if _is_body(element)}
+    bodies.update((copy, Body(copy, 0.0, np.zeros(3), np.zeros(6))) for copy in copies)
     wraps, more = read_wraps(model, frames)
     notes += more
     found = read_components(components, Scope(frames, coordinates, wraps, notes))
+    here = Pose(np.zeros(3), np.eye(3))
+    closed = [Constraint(copy, "weld", (body, copy), (here, here)) for copy, body in copies.items()]
+    found["constraints"] = (*found["constraints"], *closed)
     shapes = read_shapes(model, frames, notes)
     length_units, force_units = (
         model.string("length_units", default="meters"),
@@ -115,10 +121,19 @@ def _components(model: Element) -> list[tuple[str, Element]]:
     listed = []
     for tag, name in SETS:
         for element in model.objects(tag):
-            listed.append((f"/{name}/{element.name}", element))
+            listed.append((name, element))
             if tag == "BodySet" and (inside := element.own("Joint")) is not None:
-                listed += [(f"/jointset/{joint.name}", joint) for joint in inside.children]
-    return listed
+                listed += [("jointset", joint) for joint in inside.children]
+    # As OpenSim does: the class's name, and a number from the second one on.
+    names, unnamed = {element.name for _, element in listed}, Counter[str]()
+    for _, element in listed:
+        if not element.name and element.tag in (*JOINTS, *READERS):
+            base = element.tag.lower()
+            while not element.name or element.name in names:
+                number, unnamed[base] = unnamed[base], unnamed[base] + 1
+                element.attributes["name"] = f"{base}_{number - 1}" if number else base
+            names.add(element.name)
+    return [(f"/{name}/{element.name}", element) for name, element in listed]
 
 
 def _is_body(element: Element) -> bool:
@@ -158,8 +173,8 @@ def _body(element: Element) -> Body:
 
 def _joints(
     components: list[tuple[str, Element]], frames: Frames, notes: list[Note]
-) -> tuple[dict[str, Joint], dict[str, Coordinate]]:
-    """Return joints, parents first, and coordinates in the order of the file."""
+) -> tuple[dict[str, Joint], dict[str, Coordinate], dict[str, str]]:
+    """Return joints, parents first, coordinates in the order of the file, and copies of bodies."""
     read: dict[str, tuple[Joint, Element]] = {}
     elements: dict[str, tuple[Element | None, str]] = {}
     bodies = [element.name for _, element in components if _is_body(element)]
@@ -174,7 +189,7 @@ def _joints(
             element.parent is not None and element.parent.tag == "Joint" and element.parent.parent is not None
         )
         owner = element.parent.parent.name if inside and element.parent and element.parent.parent else None
-        joint, listed, names = read_joint(element, frames, owner)
+        joint, listed, names = read_joint(element, frames, owner, notes)
         read[joint.name] = joint, element
         for index, name in enumerate(names):
             item = listed[index] if index < len(listed) else None
@@ -183,7 +198,7 @@ def _joints(
                     f"has the coordinate {name!r} of another joint; names must differ"
                 )
             elements[name] = item, joint.name
-    ordered, more = in_order(read, bodies)
+    ordered, copies, more = in_order(read, bodies)
     notes += more
     by_name = {joint.name: joint for joint in ordered}
     for joint in ordered:
@@ -194,4 +209,4 @@ def _joints(
     for name, (item, owner) in elements.items():
         coordinates[name], more = read_coordinate(item, name, by_name[owner])
         notes += more
-    return by_name, coordinates
+    return by_name, coordinates, copies

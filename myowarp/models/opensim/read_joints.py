@@ -46,7 +46,16 @@ SIMPLE: dict[str, tuple[int, Callable[[list[str]], list[Move]]]] = {
 }
 """OpenSim's class: number of coordinates, and their moves. Rotations come first among coordinates."""
 
-JOINTS = (*SIMPLE, "CustomJoint", "EllipsoidJoint", "ScapulothoracicJoint", "ConstantCurvatureJoint")
+ELLIPSOIDS = {
+    "EllipsoidJoint": (3, X, Y, "radii_x_y_z"),
+    "ScapulothoracicJoint": (4, Y, -X, "thoracic_ellipsoid_radii_x_y_z"),
+}
+"""OpenSim's class: number of coordinates, axes of the first two, and the property that holds the radii."""
+
+JOINTS = (*SIMPLE, "CustomJoint", *ELLIPSOIDS, "ConstantCurvatureJoint")
+
+SAME_RADIUS = 1e-5
+"""[m]: radii of an ellipsoid that differ by less are the same; their mean is taken."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +68,7 @@ class Joints:
 
 
 def read_joint(
-    element: Element, frames: Frames, child_body: str | None
+    element: Element, frames: Frames, child_body: str | None, notes: list[Note]
 ) -> tuple[Joint, list[Element], list[str]]:
     """Return a joint, the elements of its coordinates, and the names of these.
 
@@ -67,6 +76,7 @@ def read_joint(
         element: The joint.
         frames: All frames of the model.
         child_body: Body that contains the joint, in documents before 4.0; None: the joint says so.
+        notes: What is approximated is added.
 
     Raises:
         ValueError: Frames or axes missing or wrong.
@@ -81,21 +91,70 @@ def read_joint(
         child, child_frame = child_body, pose_of(element, ("location",), ("orientation",))
     coordinates = element.objects("coordinates", "CoordinateSet")
     names = [item.name or f"{element.name}_coord_{index}" for index, item in enumerate(coordinates)]
-    if element.tag in SIMPLE:
-        count, chain = SIMPLE[element.tag]
+    if element.tag in (*SIMPLE, *ELLIPSOIDS):
+        count = (SIMPLE.get(element.tag) or ELLIPSOIDS[element.tag])[0]
         if len(names) > count:
             raise element.error(f"must have {count} coordinates, got {len(names)}")
         names += [f"{element.name}_coord_{index}" for index in range(len(names), count)]
-        moves = chain(names)
+    if element.tag in SIMPLE:
+        moves = SIMPLE[element.tag][1](names)
+    elif element.tag in ELLIPSOIDS:
+        moves = _ellipsoid_moves(element, names, notes)
     elif element.tag == "CustomJoint":
         moves = _custom_moves(element, names)
     else:
-        raise element.unsupported(f"is no supported joint; these are: {', '.join((*SIMPLE, 'CustomJoint'))}")
+        supported = ", ".join((*SIMPLE, *ELLIPSOIDS, "CustomJoint"))
+        raise element.unsupported(f"is no supported joint; these are: {supported}")
     joint = Joint(element.name, element.tag, parent, child, parent_frame, child_frame, tuple(moves))
     if element.flag("reverse", default=False):
         # Before 4.0: the moves lead from the child to the parent; `in_order` turns the joint round again.
         joint = replace(reverse(joint), moves=joint.moves)
     return joint, coordinates, names
+
+
+def _ellipsoid_moves(element: Element, names: list[str], notes: list[Note]) -> list[Move]:
+    """Return the moves of a body whose z axis stays normal to the sphere that an ellipsoid is scaled from.
+
+    With u and w the axes of the first two coordinates q, p, and c, d, e the radii along z, u x z and w x z,
+    the point is cos p (c cos q z + d sin q u x z) + e sin p w x z. Vectors of constant length turned by q and
+    -q, by p and -p, add up to that exactly: the joint needs no function that MuJoCo could only approximate.
+    """
+    _, first, second, radii = ELLIPSOIDS[element.tag]
+    sizes = element.numbers(radii, count=3)
+    if (sizes <= 0).any():
+        raise element.error(f"must have {radii} above 0")
+    along, across, other = (
+        float(sizes @ np.abs(axis)) for axis in (Z, np.cross(first, Z), np.cross(second, Z))
+    )
+    mean, half = (along + across) / 2, (across - along) / 2
+    q, p, about = names[:3]
+
+    def turn(axis: np.ndarray, coordinate: str, times: float) -> Move:
+        return Move("hinge", axis, IDENTITY if times == 1 else Multiplier(IDENTITY, times), coordinate)
+
+    def outward(distance: float) -> Move:
+        return Move("slide", Z, Constant(distance), None)
+
+    moves = [turn(first, q, 1.0)]
+    if 2 * abs(half) > SAME_RADIUS:
+        moves = [
+            *(turn(first, q, -1.0), turn(second, p, 1.0), outward(-half / 2), turn(second, p, -2.0)),
+            *(outward(-half / 2), turn(second, p, 1.0), turn(first, q, 2.0)),
+        ]
+    elif half:
+        rule = f"radii {along:g} and {across:g} became their mean"
+        notes.append(Note(f"/jointset/{element.name}", rule, f"{abs(half):.2g} m"))
+    moves += [turn(second, p, -1.0), outward((mean - other) / 2), turn(second, p, 2.0)]
+    moves += [outward((mean + other) / 2), _hinge(Z, about)]
+    if element.tag == "ScapulothoracicJoint":
+        x, y = element.numbers("scapula_winging_axis_origin", default=(0.0, 0.0), count=2)
+        angle = element.number("scapula_winging_axis_direction", default=0.0)
+        axis = np.array([-np.sin(angle), np.cos(angle), 0.0])
+        steps = [
+            Move("slide", way, Constant(float(far)), None) for way, far in ((X, x), (Y, y), (X, -x), (Y, -y))
+        ]
+        moves += [*steps[:2], _hinge(axis, names[3]), *steps[2:]]
+    return moves
 
 
 def _custom_moves(element: Element, names: list[str]) -> list[Move]:
@@ -199,16 +258,17 @@ def read_coordinate(element: Element | None, name: str, joint: Joint) -> tuple[C
     return coordinate, notes
 
 
-def in_order(joints: dict[str, tuple[Joint, Element]], bodies: list[str]) -> tuple[list[Joint], list[Note]]:
+def in_order(
+    joints: dict[str, tuple[Joint, Element]], bodies: list[str]
+) -> tuple[list[Joint], dict[str, str], list[Note]]:
     """Return the joints with parents first, turned round where the child is the one that leads to ground.
 
-    A body without a joint gets a free one, as in OpenSim.
-
-    Raises:
-        NotImplementedError: A joint closes a loop.
+    A body without a joint gets a free one, as in OpenSim. A joint that closes a loop moves a copy of its
+    body, which is to be welded to the body; the second result says which body each copy is of.
     """
     ordered: list[Joint] = []
     notes: list[Note] = []
+    copies: dict[str, str] = {}
     waiting = {name: joint for name, (joint, _) in joints.items()}
     placed = {GROUND}
     while waiting or not placed >= set(bodies):
@@ -230,9 +290,9 @@ def in_order(joints: dict[str, tuple[Joint, Element]], bodies: list[str]) -> tup
         joint = forward or reverse(ready[0])
         del waiting[joint.name]
         if joint.child in placed:
-            raise joints[joint.name][1].unsupported(
-                f"closes a loop at body {joint.child!r}; only trees are supported"
-            )
+            copy = f"{joint.child}-closed-by-{joint.name}"
+            copies[copy] = joint.child
+            joint = replace(joint, child=copy)
         ordered.append(joint)
         placed.add(joint.child)
-    return ordered, notes
+    return ordered, copies, notes

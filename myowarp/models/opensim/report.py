@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
 from myowarp.models.opensim.convert import Converted
+from myowarp.models.opensim.model import Note
 from myowarp.models.opensim.moment_arm import CONSISTENT
 from myowarp.models.opensim.validate import KinematicsError, kinematics_error
 
 if TYPE_CHECKING:
+    from myowarp.models.opensim.fitted import Fits
     from myowarp.models.opensim.muscle_check import MomentArmError, MuscleError
-    from myowarp.models.opensim.muscle_fit import MuscleFit, Samples
+    from myowarp.models.opensim.muscle_fit import Samples
 
 
 @dataclass(frozen=True)
@@ -53,11 +55,11 @@ class Check:
     gates: list[Gate]
     poses: int = 0
     """Of moment arms and forces."""
+    notes: list[Note] = field(default_factory=list)
+    """What the fits approximate, with these errors."""
 
 
-def check(
-    converted: Converted, model: mujoco.MjModel, fits: Sequence[MuscleFit], samples: Samples | None
-) -> Check:
+def check(converted: Converted, model: mujoco.MjModel, fits: Fits, samples: Samples | None) -> Check:
     """Compare the compiled model with the reference; without fits, frames only."""
     kinematics = kinematics_error(converted, model)
     fitted = any(item.error > 0 for item in converted.coordinates.dependents)
@@ -66,16 +68,19 @@ def check(
     if samples is None:
         return Check(kinematics, [], [], gates)
     # Fits need SciPy, which may be missing.
+    from myowarp.models.opensim.approximations import approximations
     from myowarp.models.opensim.muscle_check import moment_arm_errors, motion, muscle_errors
 
     found = motion(converted, model, samples.check)
     arms = moment_arm_errors(converted, model, fits, found)
-    muscles = muscle_errors(model, fits, found)
+    muscles = muscle_errors(model, fits.muscles, found)
+    notes = approximations(converted.model, model, fits, found, arms, muscles)
     if arms:
         gates.append(Gate("moment arms, mean RMS", _mean(arms, "rms") * 1e3, MOMENT_ARM, "mm"))
-    gates.append(Gate("force maps, mean RMS", _mean(muscles, "force") * 100, FORCE_MAP, "%"))
-    gates.append(Gate("full activation, mean RMS", _mean(muscles, "force_full") * 100, FULL_FORCE, "%"))
-    return Check(kinematics, arms, muscles, gates, len(found.length))
+    if muscles:
+        gates.append(Gate("force maps, mean RMS", _mean(muscles, "force") * 100, FORCE_MAP, "%"))
+        gates.append(Gate("full activation, mean RMS", _mean(muscles, "force_full") * 100, FULL_FORCE, "%"))
+    return Check(kinematics, arms, muscles, gates, len(found.length), notes)
 
 
 def _mean(errors: Sequence[object], name: str) -> float:
@@ -130,5 +135,5 @@ def report_of(
             "summary": _summary(muscles, ("length", "force", "force_full", "force_in_pose", "force_max")),
             "each": [dataclasses.asdict(muscle) for muscle in muscles],
         },
-        "notes": [dataclasses.asdict(note) for note in converted.notes],
+        "notes": [dataclasses.asdict(note) for note in (*converted.notes, *result.notes)],
     }
