@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.fusions import FUSIONS, Fusion, installed
+from myowarp.fusions.rigid_body import RigidBodyFusion
 from myowarp.kernels.action import apply_action
 from myowarp.kernels.episode import (
     RESET_DISABLED,
@@ -194,7 +195,7 @@ class Simulation:
         info = SimpleNamespace(**self.shown)
         scene.worlds.share("info", info, self.shown)
         self.info = vars(info)
-        self._asked = wp.zeros(n, dtype=bool)
+        self._asked, self._every = wp.zeros(n, dtype=bool), wp.ones(n, dtype=bool)
         self._countdown = wp.zeros(1, dtype=int)
         self._probes: list[Callable[[], None]] = []
         self._idle, self.fusions = frozenset[str](), tuple[Fusion, ...]()
@@ -210,7 +211,7 @@ class Simulation:
         self.launch_conditions()
         with pruned(self._idle):
             repeat(self._launch_physics, self.scene.num_substeps, self._countdown)
-        self._refresh()
+        self._refresh(self._every)
         wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
         self.launch_scoring()
         self._launch_observation(self.masks.live)
@@ -305,17 +306,23 @@ class Simulation:
                 outputs=[scene.data.qpos],
             )
         self.program.sample_goal(renew)
-        self._refresh()
+        self._refresh(reset)
         self._launch_observation(fresh)
         for name, array in self.shown.items():
             if self.info[name] is not array:
                 wp.copy(self.info[name], array)
 
-    def _refresh(self) -> None:
-        """Make body and site positions those of the present state; a step leaves them one substep old."""
-        if self.scene.spec.uses_kinematics:
-            with installed(self.fusions), engine_kernels_alone():
-                mjw.kinematics(self.scene.model, self.scene.data)
+    def _refresh(self, mask: wp.array) -> None:
+        """Make poses those of the present state in the worlds of a mask; a step leaves them a substep old."""
+        if not self.scene.spec.uses_kinematics:
+            return
+        model, data = self.scene.model, self.scene.data
+        for fusion in self.fusions:
+            if isinstance(fusion, RigidBodyFusion):
+                fusion.launch_poses(model, data, mask)
+                return
+        with engine_kernels_alone():
+            mjw.kinematics(model, data)
 
     def _capture(self, launches: Callable[[], None]) -> wp.Graph:
         """Record launches as a graph, which no other graph shares its code with."""

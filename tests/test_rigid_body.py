@@ -161,15 +161,20 @@ def test_worlds_have_their_own_bodies():
 
 
 def test_poses_alone():
-    """Outside a step only poses are computed, and of the sites only those that the task reads."""
+    """Outside a step: only poses, of the worlds of a mask, and of the sites that the task reads."""
     model = mujoco.MjModel.from_xml_string(TREES.format(**MODELS["gravity"]))
     states = random_states(model, seed=2)
     with wp.ScopedDevice("cpu"):
         scene = stepping(model, NUM_WORLDS)
         given(scene, states)
         filled_with_nan(scene.data, ("site_xpos", "M"))
-        with FUSIONS["rigid_body"](scene).installed():
-            mjw.kinematics(scene.model, scene.data)
+        mask = np.arange(NUM_WORLDS) != 2
+        fusion = FUSIONS["rigid_body"](scene)
+        before = scene.data.xpos.numpy()[2].copy()
+        fusion.launch_poses(scene.model, scene.data, wp.array(mask, dtype=bool))
+        np.testing.assert_array_equal(scene.data.xpos.numpy()[2], before)
+        assert np.isnan(scene.data.site_xpos.numpy()[2]).all()
+        fusion.launch_poses(scene.model, scene.data, wp.array(~mask, dtype=bool))
     for data in states:
         mujoco.mj_normalizeQuat(model, data.qpos)
         mujoco.mj_kinematics(model, data)

@@ -57,6 +57,7 @@ class RigidBodyFusion(Fusion):
         """Note which sites the task reads, and whether joints are all that passive forces come from."""
         model, sites = scene.model, [scene.site_id(name) for name in scene.spec.sites]
         self._sites = wp.array(sites, dtype=int, device=scene.device)
+        self._every = wp.ones(scene.data.nworld, dtype=bool, device=scene.device)
         springs = (model.tendon_stiffness, model.tendon_stiffnesspoly)
         dampers = (model.tendon_damping, model.tendon_dampingpoly)
         others = model.has_fluid or model.flg_adhesion or model.callback.passive is not None
@@ -74,7 +75,6 @@ class RigidBodyFusion(Fusion):
                 stock_passive(model, data)
 
         with (
-            mock.patch.object(mjw, "kinematics", self._launch_poses),
             mock.patch.object(smooth, "kinematics", self._launch_bodies),
             mock.patch.object(smooth, "com_pos"),
             mock.patch.object(smooth, "crb"),
@@ -84,17 +84,23 @@ class RigidBodyFusion(Fusion):
         ):
             yield
 
-    def _launch_poses(self, model: mjw.Model, data: mjw.Data) -> None:
-        """Compute where bodies, geoms and the task's sites are, in place of `mujoco_warp.kinematics`."""
-        self._launch(model, data, dynamics=False)
+    def launch_poses(self, model: mjw.Model, data: mjw.Data, mask: wp.array) -> None:
+        """Compute where bodies, geoms and the task's sites are; for `mujoco_warp.kinematics` outside a step.
+
+        Args:
+            model: The engine's model.
+            data: The engine's data.
+            mask: Worlds whose positions have changed, shape (num_worlds,) bool.
+        """
+        self._launch(model, data, mask, dynamics=False)
 
     def _launch_bodies(self, model: mjw.Model, data: mjw.Data) -> None:
         """Compute all that follows from positions and velocities."""
-        self._launch(model, data, dynamics=True)
+        self._launch(model, data, self._every, dynamics=True)
         with pruned(OTHER_POSES):
             self._stock_kinematics(model, data)
 
-    def _launch(self, model: mjw.Model, data: mjw.Data, dynamics: bool) -> None:
+    def _launch(self, model: mjw.Model, data: mjw.Data, mask: wp.array, dynamics: bool) -> None:
         """Launch our kernel, which walks through the worlds by itself."""
         bodies, switches = filled(RigidBodies, model, model.opt), Switches()
         disabled, sites = model.opt.disableflags, self._sites
@@ -106,6 +112,6 @@ class RigidBodyFusion(Fusion):
         wp.launch(
             move_bodies,
             dim=threads,
-            inputs=[bodies, switches, data.qpos, data.qvel, threads, sites],
+            inputs=[bodies, switches, data.qpos, data.qvel, threads, sites, mask],
             outputs=[filled(Pose, data), filled(BodyMotion, data)],
         )

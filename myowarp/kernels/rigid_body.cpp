@@ -58,6 +58,8 @@ const int* first_dof = bodies.jnt_dofadr.data;
 auto dofs_of = [](int kind) { return kind == FREE ? 6 : kind == BALL ? 3 : 1; };
 
 for (int world = thread; world < qpos.shape[0]; world += threads) {
+    if (!mask.data[world])
+        continue;
     // A world's row of an array of the model, which has one for all worlds or one for each, and of the state.
     auto model = [&](auto& rows) { return &wp::index(rows, rows.shape[0] > 1 ? world % rows.shape[0] : 0, 0); };
     auto state = [&](auto& array) { return &wp::index(array, world, 0); };

@@ -111,12 +111,13 @@ def move_worlds(
     bodies: RigidBodies,
     switches: Switches,
     sites: wp.array[int],
+    mask: wp.array[bool],
     qpos: wp.array2d[float],
     qvel: wp.array2d[float],
     pose: Pose,
     motion: BodyMotion,
 ):
-    """Set pose and motion of every `threads`-th world."""
+    """Set pose and motion of every `threads`-th world, if it is in the mask."""
     ...
 
 
@@ -132,10 +133,11 @@ def move_bodies(
     # In:
     threads: int,
     sites: wp.array[int],
+    mask: wp.array[bool],
     # Data out:
     pose_out: Pose,
     motion_out: BodyMotion,
 ):
     """x = x(qpos), M = sum_b J_b' I_b J_b, c = sum_b J_b' (I_b a_b + v_b x I_b v_b) with qacc = 0."""
     thread = wp.tid()
-    move_worlds(thread, threads, bodies, switches, sites, qpos_in, qvel_in, pose_out, motion_out)
+    move_worlds(thread, threads, bodies, switches, sites, mask, qpos_in, qvel_in, pose_out, motion_out)
