@@ -74,7 +74,7 @@ class MujocoMuscleParams:
 @wp.func
 def of_world(values: wp.array2d[float], worldid: int, muscleid: int) -> float:
     """Return a muscle's parameter in a world; arrays with one row serve all worlds."""
-    return values[batched(worldid, values.shape[0]), muscleid]
+    return values[wp.where(values.shape[0] > 1, worldid, 0), muscleid]
 
 
 @wp.func
