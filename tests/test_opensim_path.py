@@ -9,7 +9,7 @@ from myowarp.models.opensim.kinematics import complete, forward
 from myowarp.models.opensim.moment_arm import PRESENT, crossed, own_reference, poses_of
 from myowarp.models.opensim.path import quadrant, solve
 from myowarp.models.opensim.read import read_model
-from myowarp.models.opensim.wrap_cylinder import wrap_cylinder
+from myowarp.models.opensim.wrap_cylinder import MANDATORY, wrap_cylinder
 from myowarp.models.opensim.wrap_ellipsoid import wrap_ellipsoid
 from myowarp.models.opensim.wrap_sphere import wrap_sphere, wrap_torus
 
@@ -140,3 +140,30 @@ def test_lengths_live():
             length = solve(model, model.muscles[muscle].path, frames, values).length
             error = np.abs(length - np.array(arrays["length"])[:, column]).max()
             assert error < LENGTH_TOLERANCE, (seed, muscle)
+
+
+LEVEL_END = (
+    # second end [m]; first and last point on the cylinder [m], arc [m], of OpenSim 4.6
+    (
+        (-0.1038540183, -0.1168474991, 0.0),
+        ((-0.014593668, 0.010536834, 0.00971485), (-0.014741328, 0.010329242, 0.006540673), 0.003184384),
+    ),
+    (
+        (-0.0869728553, -0.129405243, 0.0),
+        ((-0.014593668, 0.010536834, 0.007486617), (-0.015998631, 0.008248867, 0.005473719), 0.003357659),
+    ),
+)
+
+
+@pytest.mark.parametrize(("end", "expected"), LEVEL_END)
+def test_second_end_in_the_middle_of_a_cylinder(end, expected):
+    """Without a height of its second end OpenSim slides only one of the tangent points along the axis."""
+    start = np.array([[0.05, 0.1, 0.02]])
+    wrap = wrap_cylinder(start, np.array([end]), radius=0.018, length=0.1, axis=0, sign=0, adjust=True)
+    first, last, arc = expected
+    assert wrap.status == [MANDATORY]
+    np.testing.assert_allclose(wrap.first[0], first, atol=1e-8)
+    np.testing.assert_allclose(wrap.last[0], last, atol=1e-8)
+    np.testing.assert_allclose(wrap.length, arc, atol=1e-8)
+    raised = wrap_cylinder(start, np.array([end]) + [0, 0, 1e-6], 0.018, 0.1, axis=0, sign=0, adjust=True)
+    assert abs(raised.length[0] - arc) > 1e-4

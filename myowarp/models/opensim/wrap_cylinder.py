@@ -16,6 +16,8 @@ INSIDE, NONE, WRAPPED, MANDATORY = -1, 0, 1, 2
 
 LINE_EPSILON = 1e-5
 """[m] below which OpenSim calls a line parallel to a plane."""
+LEVEL = 1e-15
+"""[m] of height below which OpenSim takes a vector as zero."""
 TANGENCY = np.deg2rad(0.1)
 """[rad] between line and spiral that OpenSim accepts."""
 ADJUSTMENTS = 100
@@ -168,12 +170,16 @@ def _slide(
     gaps = [dot(middle - apex, middle - apex) for apex in apexes]
     apex = np.where(((gaps[0] < gaps[1]) != far)[:, None], *apexes)
     normal = unit(np.cross(unit(start - apex), unit(end - apex)))
+    # OpenSim measures along the axis in the direction of the second end's height. Without a height there is
+    # none: the first point then stays, and the last one slides however far.
+    level = np.abs(end[:, 2]) < LEVEL
     moved = []
-    for point, own, other in ((first, start, end), (last, end, start)):
+    for point, own, other, free in ((first, start, end, False), (last, end, start, True)):
         meets = np.abs(20.0 * normal[:, 2]) >= LINE_EPSILON
         shift = dot(normal, start - point) / np.where(meets, normal[:, 2], 1.0)
         height = point[:, 2] + shift
         closer = np.abs(height - other[:, 2]) < np.abs(own[:, 2] - other[:, 2])
+        closer = np.where(level, free & (own[:, 2] != other[:, 2]), closer)
         point = point.copy()
         point[:, 2] = np.where(meets & (np.abs(shift) <= 10.0) & closer, height, point[:, 2])
         moved.append(point)
