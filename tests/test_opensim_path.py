@@ -165,5 +165,5 @@ def test_second_end_in_the_middle_of_a_cylinder(end, expected):
     np.testing.assert_allclose(wrap.first[0], first, atol=1e-8)
     np.testing.assert_allclose(wrap.last[0], last, atol=1e-8)
     np.testing.assert_allclose(wrap.length, arc, atol=1e-8)
-    raised = wrap_cylinder(start, np.array([end]) + [0, 0, 1e-6], 0.018, 0.1, axis=0, sign=0, adjust=True)
+    raised = wrap_cylinder(start, np.array([(*end[:2], 1e-6)]), 0.018, 0.1, axis=0, sign=0, adjust=True)
     assert abs(raised.length[0] - arc) > 1e-4
