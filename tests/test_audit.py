@@ -359,8 +359,10 @@ def test_audit_of_a_task_with_an_object():
     assert set(found.constant_columns) == {f"obj_des_rot[{i}]" for i in range(3)}
     load, capacity = found.load, simulation(spec, 2).scene.capacity
     assert (load.pool, load.rows_allocated) == (2 * capacity.contacts, capacity.rows)
-    assert 0 < load.contacts <= load.candidates <= load.pool
-    assert load.pool_margin == pytest.approx(100.0 * (load.pool - load.candidates) / load.pool)
+    used = max(load.contacts, load.candidates)  # our search leaves few candidates to the engine
+    assert load.candidates > 0
+    assert 0 < load.contacts <= used <= load.pool
+    assert load.pool_margin == pytest.approx(100.0 * (load.pool - used) / load.pool)
     assert load.rows_margin == pytest.approx(100.0 * (capacity.rows - load.rows) / capacity.rows)
     assert found.objects.names == ("Object",)
     assert found.objects.gimbal > 1.0
