@@ -12,6 +12,7 @@ from mujoco_warp._src import constraint
 from mujoco_warp._src.types import DeterminismType, DisableBit, IntegratorType
 
 from myowarp.fusions.contact_rows import ContactRowsFusion, launch_rows
+from myowarp.launches import is_empty
 
 WORLDS = 2
 CLOSE = 2e-5  # of the largest in a state, float32
