@@ -65,6 +65,7 @@ def test_forces_are_those_of_mujoco_c():
         ('dyntype="filter" dynprm="0.1"', "", "actuators have states"),
         ("", '<muscle tendon="t" timeconst="0.01 0.04" lengthrange="0.1 1"/>', "actuators have states"),
         ('gaintype="affine"', "", "a gain is not a constant"),
+        ("", '<general joint="one" biasprm="0 1 2"/>', "a bias that is off has parameters"),
         ("", '<motor site="a"/>', "an actuator drives neither tendon nor hinge nor slide"),
     ],
 )

@@ -25,6 +25,7 @@ class AffineActuatorsFusion(Fusion):
         """Return why it cannot be used, None if it can."""
         model, callbacks = scene.model, scene.model.callback
         gains, biases = model.actuator_gaintype.numpy(), model.actuator_biastype.numpy()
+        off = model.actuator_biasprm.numpy()[:, biases == BiasType.NONE]
         limited = (model.tendon_actfrclimited, model.jnt_actfrclimited)
         obstacles = {
             "the device is not the CPU": not scene.device.is_cpu,
@@ -32,6 +33,7 @@ class AffineActuatorsFusion(Fusion):
             "actuators have states": model.na > 0,
             "a gain is not a constant": (gains != GainType.FIXED).any(),
             "a bias is not affine": not np.isin(biases, (BiasType.NONE, BiasType.AFFINE)).all(),
+            "a bias that is off has parameters": off.any(),
             "an actuator drives neither tendon nor hinge nor slide": not _drives_scalars(model),
             "controls are delayed": model.nhistory > 0,
             "forces are limited at tendons or joints": any(array.numpy().any() for array in limited),
