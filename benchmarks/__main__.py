@@ -29,6 +29,14 @@ from myowarp.scene import full_spec
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
 
+CONTACT_TASKS = (
+    "myoHandKeyTurnRandom-v0",
+    "myoHandObjHoldRandom-v0",
+    "myoHandPenTwirlRandom-v0",
+    "myoChallengeBaodingP1-v1",
+)
+"""One of each family with contacts."""
+
 PACKAGES = ("mujoco", "mujoco-warp", "warp-lang", "numpy")
 
 

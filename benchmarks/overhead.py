@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from benchmarks.__main__ import PACKAGES, processor
+from benchmarks.__main__ import CONTACT_TASKS, PACKAGES, processor
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.kernels.repeat import repeat
 from myowarp.prune import pruned
@@ -42,10 +42,7 @@ class Options:
     tasks: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["-t"])] = (
         "myoHandPoseRandom-v0",
         "myoHandReachRandom-v0",
-        "myoHandKeyTurnRandom-v0",
-        "myoHandObjHoldRandom-v0",
-        "myoHandPenTwirlRandom-v0",
-        "myoChallengeBaodingP1-v1",
+        *CONTACT_TASKS,
     )
     """Task names with version."""
     num_worlds: int = 256

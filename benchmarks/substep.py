@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Column, Table
 
-from benchmarks.__main__ import PACKAGES, processor
+from benchmarks.__main__ import CONTACT_TASKS, PACKAGES, processor
 from myowarp.fusions import FUSIONS, applicable_fusions, installed
 from myowarp.prune import idle_kernels, pruned
 from myowarp.sim import Simulation
@@ -47,10 +47,7 @@ class Options:
         "myoElbowPose1D6MRandom-v0",
         "myoFingerPoseRandom-v0",
         "myoHandPoseRandom-v0",
-        "myoHandKeyTurnRandom-v0",
-        "myoHandObjHoldRandom-v0",
-        "myoHandPenTwirlRandom-v0",
-        "myoChallengeBaodingP1-v1",
+        *CONTACT_TASKS,
     )
     """Task names with version."""
     num_worlds: int = 128

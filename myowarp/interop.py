@@ -43,12 +43,12 @@ class Output:
         """Return an array in the library's kind."""
         if self._library == "warp":
             return wp.clone(array) if self._copy else array
-        view = self.view(array)
+        view = self._view(array)
         if not self._copy:
             return view
         return view.clone() if self._library == "torch" else view.copy()
 
-    def view(self, array: wp.array) -> Any:
+    def _view(self, array: wp.array) -> Any:
         """Return a view as a tensor or NumPy array; of an array on a GPU, NumPy gets a copy."""
         if id(array) in self._views:
             return self._views[id(array)][1]

@@ -195,7 +195,7 @@ class Simulation:
         info = SimpleNamespace(**self.shown)
         scene.worlds.share("info", info, self.shown)
         self.info = vars(info)
-        self._asked, self._every = wp.zeros(n, dtype=bool), wp.ones(n, dtype=bool)
+        self._asked = wp.zeros(n, dtype=bool)
         self._countdown = wp.zeros(1, dtype=int)
         self._probes: list[Callable[[], None]] = []
         self._idle, self.fusions = frozenset[str](), tuple[Fusion, ...]()
@@ -211,7 +211,7 @@ class Simulation:
         self.launch_conditions()
         with pruned(self._idle):
             repeat(self._launch_physics, self.scene.num_substeps, self._countdown)
-        self._refresh(self._every)
+        self._refresh()
         wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
         self.launch_scoring()
         self._launch_observation(self.masks.live)
@@ -312,8 +312,8 @@ class Simulation:
             if self.info[name] is not array:
                 wp.copy(self.info[name], array)
 
-    def _refresh(self, mask: wp.array) -> None:
-        """Make poses those of the present state in the worlds of a mask; a step leaves them a substep old."""
+    def _refresh(self, mask: wp.array | None = None) -> None:
+        """Make poses those of the present state, in all worlds or a mask: a step leaves them old."""
         if not self.scene.spec.uses_kinematics:
             return
         model, data = self.scene.model, self.scene.data

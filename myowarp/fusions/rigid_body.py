@@ -84,15 +84,15 @@ class RigidBodyFusion(Fusion):
         ):
             yield
 
-    def launch_poses(self, model: mjw.Model, data: mjw.Data, mask: wp.array) -> None:
+    def launch_poses(self, model: mjw.Model, data: mjw.Data, mask: wp.array | None = None) -> None:
         """Compute where bodies, geoms and the task's sites are; for `mujoco_warp.kinematics` outside a step.
 
         Args:
             model: The engine's model.
             data: The engine's data.
-            mask: Worlds whose positions have changed, shape (num_worlds,) bool.
+            mask: Worlds whose positions have changed, shape (num_worlds,) bool; None: all.
         """
-        self._launch(model, data, mask, dynamics=False)
+        self._launch(model, data, self._every if mask is None else mask, dynamics=False)
 
     def _launch_bodies(self, model: mjw.Model, data: mjw.Data) -> None:
         """Compute all that follows from positions and velocities."""

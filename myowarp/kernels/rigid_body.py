@@ -1,4 +1,4 @@
-"""Rigid bodies: all that follows from positions and velocities alone, one thread a world, on the CPU device.
+"""Rigid bodies: all that follows from positions and velocities alone, in one thread, on the CPU device.
 
 Poses along the tree, composite inertias, the joint-space inertia M, the bias force c of
 `M qacc + c = forces` and the passive forces of joints (Featherstone, Rigid Body Dynamics Algorithms, 2008,
