@@ -9,7 +9,7 @@ the world of `make(...).reset(seed=s + i)`, as in Gymnasium's own vector environ
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -19,7 +19,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from myowarp.interop import Output, checked_action
+from myowarp.interop import ActionInput, Output
 from myowarp.kernels.episode import describe_fault
 from myowarp.models.conditions import Condition
 from myowarp.registry import check_choice
@@ -30,6 +30,9 @@ from myowarp.tasks.variants import variants
 from myowarp.view.pictures import Pictures
 
 RENDER_MODES = ("human", "rgb_array")
+RESULTS = ("obs", "reward", "terminated", "truncated")
+ENTRIES = ("success", "solved", "fault", "terms")
+"""Fields of a transition that `step` returns, and those that show in its `info`."""
 NO_HORIZON = 2**31 - 1  # steps; a single environment leaves truncation to Gymnasium's TimeLimit
 AUTORESET_NAMES = {
     AutoresetMode.DISABLED: "disabled",
@@ -52,7 +55,7 @@ class MyoWarpVectorEnv(VectorEnv):
       last healthy observation, and is reset by itself,
     - with autoreset in the same step `final_obs` and `final_info` of the worlds that ended.
 
-    `_<key>` masks the worlds to which an entry belongs, as in Gymnasium.
+    `_<key>` masks the worlds to which an entry belongs, as in Gymnasium; several entries may share one mask.
 
     What is returned may be memory of the simulation: with `copy=False` every array is a view that the next
     `step` or `reset` overwrites.
@@ -109,7 +112,7 @@ class MyoWarpVectorEnv(VectorEnv):
         check_choice("render_mode", render_mode, (None, *RENDER_MODES))
         mode = _autoreset_mode(autoreset_mode)
         self.copy = output == "numpy" if copy is None else copy
-        self.output, self._give, self._host = output, Output(output, self.copy), Output("numpy", copy=False)
+        self.output, given = output, Output(output, self.copy)
         self.render_mode, self._pictures = render_mode, Pictures(render_size, camera)
         options: dict[str, Any] = {"physics": physics, "muscle": muscle, "reset": reset}
         options |= {"conditions": conditions, "autoreset": AUTORESET_NAMES[mode]}
@@ -118,6 +121,7 @@ class MyoWarpVectorEnv(VectorEnv):
             TASKS[task], num_envs, shards=shards, device=device, horizon=max_episode_steps, **options
         )
         self._set_up(mode)
+        self._wrap(given)
 
     def _set_up(self, mode: AutoresetMode) -> None:
         """Fill in what Gymnasium wants to know, and where the worlds stand."""
@@ -136,6 +140,18 @@ class MyoWarpVectorEnv(VectorEnv):
         self.single_action_space = Box(-1.0, 1.0, (num_actions,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    def _wrap(self, output: Output) -> None:
+        """Choose the arrays that `reset` and `step` return, and those that they look at."""
+        sim = self.sim
+        transition = {name: getattr(sim.transition, name) for name in RESULTS + ENTRIES}
+        self._act = ActionInput(sim.action)
+        self._obs = output.of({"obs": sim.transition.obs})
+        self._given = output.of(transition | sim.info)
+        self._given_final = output.of({name: getattr(sim.final, name) for name in ("obs", *ENTRIES)})
+        seen = {name: transition[name] for name in ("terminated", "truncated", "fault")}
+        self._seen = Output("numpy", copy=False).of(seen)
+        self._terms = tuple(f"terms/{term.name}" for term in sim.terms)
 
     @property
     def muscle_names(self) -> tuple[str, ...]:
@@ -169,7 +185,7 @@ class MyoWarpVectorEnv(VectorEnv):
         self._ended[mask] = False
         self._resetting[mask] = False
         self._show()
-        return self._give(self.sim.transition.obs), {}
+        return self._obs()["obs"], {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Advance every world by one control step.
@@ -190,18 +206,13 @@ class MyoWarpVectorEnv(VectorEnv):
             raise ResetNeeded(
                 f"worlds {worlds} have ended; reset them with reset(options={{'reset_mask': mask}}) first"
             )
-        self.sim.action.assign(checked_action(actions, self.sim.action.shape))
+        self._act(actions)
         self.sim.step()
-        transition = self.sim.transition
-        info = self._info()
+        info = self._entries(self._given)
+        obs, reward, terminated, truncated = (info.pop(name) for name in RESULTS)
+        self._complete(info)
         self._show()
-        return (
-            self._give(transition.obs),
-            self._give(transition.reward),
-            self._give(transition.terminated),
-            self._give(transition.truncated),
-            info,
-        )
+        return obs, reward, terminated, truncated, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Return a picture of every world, each (height, width, 3) uint8; None in human mode.
@@ -257,42 +268,33 @@ class MyoWarpVectorEnv(VectorEnv):
         seeded = np.array([s is not None for s in seeds])
         return np.array([s or 0 for s in seeds], dtype=object), seeded
 
-    def _entries(self, transition: Any) -> dict[str, Any]:
-        """Return the info arrays of a transition."""
-        terms = self._give(transition.terms)
-        entries = {
-            "success": self._give(transition.success),
-            "solved": self._give(transition.solved),
-            "fault": self._give(transition.fault),
-        }
-        for k, term in enumerate(self.sim.terms):
-            entries[f"terms/{term.name}"] = terms[:, k]
-        return entries
+    def _entries(self, given: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """Return arrays by name, the reward terms one by one."""
+        entries = given()
+        terms = entries.pop("terms")
+        return entries | {name: terms[:, k] for k, name in enumerate(self._terms)}
 
-    def _info(self) -> dict[str, Any]:
-        """Return the info dictionary of the last step, masks included where arrays are on the host."""
-        info = self._entries(self.sim.transition)
-        info |= {name: self._give(array) for name, array in self.sim.info.items()}
+    def _complete(self, info: dict[str, Any]) -> None:
+        """Add to the info dictionary of a step how episodes ended, and masks where arrays are on the host."""
         same_step = self._autoreset == AutoresetMode.SAME_STEP
         if self.output != "numpy" and not self.sim.scene.device.is_cpu:
             # No masks and no look at what ended: that would wait for the device.
             if same_step:
-                info["final_obs"] = self._give(self.sim.final.obs)
-                info["final_info"] = self._entries(self.sim.final)
-            return info
-        transition = self.sim.transition
-        ended = self._host(transition.terminated) | self._host(transition.truncated)
+                info["final_info"] = self._entries(self._given_final)
+                info["final_obs"] = info["final_info"].pop("obs")
+            return
+        seen = self._seen()
+        ended = seen["terminated"] | seen["truncated"]
         stepped = ~ended if same_step else ~self._resetting
         self._resetting = ended & (self._autoreset == AutoresetMode.NEXT_STEP)
         self._ended = ended & (self._autoreset == AutoresetMode.DISABLED)
-        self._warn_of_faults(self._host(transition.fault))
-        info |= {f"_{key}": stepped.copy() for key in tuple(info)}
+        self._warn_of_faults(seen["fault"])
+        info |= dict.fromkeys([f"_{key}" for key in info], stepped)
         if same_step and ended.any():
-            final = self._entries(self.sim.final)
-            info["final_obs"] = self._give(self.sim.final.obs)
-            info["final_info"] = final | {f"_{key}": ended.copy() for key in final}
-            info |= {"_final_obs": ended.copy(), "_final_info": ended.copy()}
-        return info
+            final = self._entries(self._given_final)
+            info |= {"final_obs": final.pop("obs"), "_final_obs": ended}
+            info["final_info"] = final | dict.fromkeys([f"_{key}" for key in final], ended)
+            info["_final_info"] = ended
 
     def _warn_of_faults(self, fault: np.ndarray) -> None:
         """Say once that worlds had to be reset."""

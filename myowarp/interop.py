@@ -1,6 +1,7 @@
 """Arrays of the simulation for users of NumPy, torch or Warp, and their actions back."""
 
 import importlib.util
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,7 @@ OUTPUTS = ("numpy", "torch", "warp")
 
 
 class Output:
-    """Gives arrays of the simulation as those of another library.
-
-    The simulation never replaces its arrays, so what the CPU device can share is wrapped once.
-    """
+    """Gives arrays of the simulation as those of another library."""
 
     def __init__(self, library: str, copy: bool) -> None:
         """Choose the library.
@@ -37,64 +35,72 @@ class Output:
             )
         self._library = library
         self._copy = copy
-        self._views: dict[int, tuple[wp.array, Any]] = {}
 
-    def __call__(self, array: wp.array) -> Any:
-        """Return an array in the library's kind."""
-        if self._library == "warp":
-            return wp.clone(array) if self._copy else array
-        view = self._view(array)
-        if not self._copy:
-            return view
-        return view.clone() if self._library == "torch" else view.copy()
+    def of(self, arrays: Mapping[str, wp.array]) -> Callable[[], dict[str, Any]]:
+        """Return a function that returns these arrays, by name, in the library's kind.
 
-    def _view(self, array: wp.array) -> Any:
-        """Return a view as a tensor or NumPy array; of an array on a GPU, NumPy gets a copy."""
-        if id(array) in self._views:
-            return self._views[id(array)][1]
-        if self._library == "torch":
-            view = wp.to_torch(array)
+        The simulation never replaces its arrays, so that what can be shared is wrapped once, here: a dozen
+        wrappings take as long as a step of a few elbows.
+        """
+        library, copy = self._library, self._copy
+        if library == "warp":
+            return lambda: {name: wp.clone(array) if copy else array for name, array in arrays.items()}
+        if library == "torch":
+            tensors = {name: wp.to_torch(array) for name, array in arrays.items()}
+            return lambda: {name: tensor.clone() if copy else tensor for name, tensor in tensors.items()}
+        if not all(array.device.is_cpu for array in arrays.values()):
+            return lambda: {name: array.numpy() for name, array in arrays.items()}
+        views = {name: array.numpy() for name, array in arrays.items()}
+        return lambda: {name: view.copy() if copy else view for name, view in views.items()}
+
+
+class ActionInput:
+    """Takes the actions of users of NumPy, torch or Warp."""
+
+    def __init__(self, action: wp.array) -> None:
+        """Choose the array of float32 to write them to."""
+        self._action = action
+        self._host = action.numpy() if action.device.is_cpu else None
+
+    def __call__(self, actions: Any) -> None:
+        """Write actions, clipped to [-1, 1].
+
+        Args:
+            actions: NumPy array, torch tensor or Warp array of floating point numbers.
+
+        Raises:
+            ValueError: Wrong shape or dtype; or on the host an entry that is not finite. Entries on another
+                device are not looked at, which would wait for it. Nothing is written.
+        """
+        if isinstance(actions, wp.array):
+            if actions.shape != self._action.shape or actions.dtype != wp.float32:
+                raise ValueError(
+                    f"actions must be float32 of shape {self._action.shape}, "
+                    f"got {actions.dtype.__name__} of shape {actions.shape}"
+                )
+            self._action.assign(actions)
+            return
+        if hasattr(actions, "detach"):
+            tensor = actions.detach()
+            self._check(tensor.dtype, tensor.is_floating_point(), tuple(tensor.shape))
+            if tensor.device.type != "cpu":
+                self._action.assign(wp.from_torch(tensor.float().contiguous()))
+                return
+            actions = tensor.float().numpy()
+        host = np.asarray(actions)
+        self._check(host.dtype, host.dtype.kind == "f", host.shape)
+        finite = np.isfinite(host)
+        if not finite.all():
+            worlds = np.flatnonzero(~finite.all(axis=1)).tolist()
+            raise ValueError(f"actions must be finite, got NaN or infinity for worlds {worlds}")
+        if self._host is None:
+            self._action.assign(np.clip(host, -1.0, 1.0))
         else:
-            view = array.numpy()
-        if array.device.is_cpu:
-            self._views[id(array)] = array, view  # the array too, so that no other gets its id
-        return view
+            host.clip(-1.0, 1.0, out=self._host, casting="same_kind")
 
-
-def checked_action(actions: Any, shape: tuple[int, ...]) -> Any:
-    """Return actions as something that `wp.array.assign` takes.
-
-    Args:
-        actions: NumPy array, torch tensor or Warp array of floating point numbers.
-        shape: Shape required.
-
-    Raises:
-        ValueError: Wrong shape or dtype; or on the host an entry that is not finite. Entries on another
-            device are not looked at, which would wait for it.
-    """
-    if isinstance(actions, wp.array):
-        if actions.shape != shape or actions.dtype != wp.float32:
+    def _check(self, dtype: Any, floating: bool, shape: tuple[int, ...]) -> None:
+        """Raise ValueError for a wrong dtype or shape."""
+        if not floating or shape != self._action.shape:
             raise ValueError(
-                f"actions must be float32 of shape {shape}, "
-                f"got {actions.dtype.__name__} of shape {actions.shape}"
+                f"actions must be floating point of shape {self._action.shape}, got {dtype} of shape {shape}"
             )
-        return actions
-    if hasattr(actions, "detach"):
-        tensor = actions.detach()
-        _check(str(tensor.dtype), tensor.is_floating_point(), tuple(tensor.shape), shape)
-        tensor = tensor.float().contiguous()
-        if tensor.device.type != "cpu":
-            return wp.from_torch(tensor)
-        actions = tensor.numpy()
-    host = np.asarray(actions)
-    _check(str(host.dtype), np.issubdtype(host.dtype, np.floating), host.shape, shape)
-    if not np.isfinite(host).all():
-        worlds = np.flatnonzero(~np.isfinite(host).all(axis=1)).tolist()
-        raise ValueError(f"actions must be finite, got NaN or infinity for worlds {worlds}")
-    return np.ascontiguousarray(np.clip(host, -1.0, 1.0), dtype=np.float32)
-
-
-def _check(dtype: str, floating: bool, got: tuple[int, ...], required: tuple[int, ...]) -> None:
-    """Raise ValueError for a wrong dtype or shape."""
-    if not floating or got != required:
-        raise ValueError(f"actions must be floating point of shape {required}, got {dtype} of shape {got}")

@@ -11,9 +11,12 @@ import dataclasses
 import operator
 import os
 import sys
+import threading
+import weakref
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from typing import Any
+from functools import partial
+from queue import SimpleQueue
+from typing import Any, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -28,6 +31,8 @@ from myowarp.sim import Simulation
 from myowarp.spec import TaskSpec
 from myowarp.warmup import quiet
 from myowarp.worlds import Worlds
+
+Task: TypeAlias = Callable[[], None]
 
 LEAST_WORLDS = 4  # in a shard, by default: fewer are not worth the time that a shard takes to build
 PATIENCE = 2.0  # s without a word
@@ -113,9 +118,8 @@ class Shards:
         self.episode = worlds.join("episode", EpisodeState())
         self.masks = worlds.join("masks", Masks())
         self.info = {name: worlds.shared[f"info.{name}"] for name in parts[0].info}
-        self._pool: ThreadPoolExecutor | None = None
+        self._threads: list[_Thread] = []
         self._process = os.getpid()
-        self._running: list[Future[None]] = []
         self._failure: str | None = None
 
     @property
@@ -151,26 +155,26 @@ class Shards:
 
     def close(self) -> None:
         """End the threads; the next step would start new ones."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
+        for thread in self._threads:
+            thread.end()
+        self._threads = []
 
     def _together(self, act: Callable[[Simulation], None]) -> None:
         """Let every part act, the first in this thread and the others in threads of their own."""
         if self._failure is not None:
             raise RuntimeError(self._failure)
-        if self._pool is None or self._process != os.getpid():  # threads do not live on in a forked process
-            self._pool = ThreadPoolExecutor(len(self.parts) - 1, thread_name_prefix="myowarp")
-            self._process = os.getpid()
-        wait(self._running)  # they still run where Ctrl-C broke off the waiting below
         first, *others = self.parts
-        self._running = [self._pool.submit(act, part) for part in others]
+        if not self._threads or self._process != os.getpid():  # threads do not live on in a forked process
+            self._threads, self._process = [_Thread() for _ in others], os.getpid()
+        # They may still be at work where Ctrl-C broke off the waiting below.
+        self._check([None, *(thread.error() for thread in self._threads)])
+        for thread, part in zip(self._threads, others, strict=True):
+            thread.begin(partial(act, part))
         try:
             act(first)
         finally:
             error = sys.exception()
-            wait(self._running)
-            self._check([error, *(future.exception() for future in self._running)])
+            self._check([error, *(thread.error() for thread in self._threads)])
 
     def _check(self, errors: list[BaseException | None]) -> None:
         """Raise RuntimeError if a part has failed; what else was raised, such as Ctrl-C, goes its way."""
@@ -182,6 +186,51 @@ class Shards:
                 )
                 self.close()
                 raise RuntimeError(self._failure) from error
+
+
+class _Thread:
+    """A thread for one part; it ends with this object.
+
+    Queues, not futures: waking a thread and waiting for it is half of what a step of 64 elbows costs beside
+    its kernels.
+    """
+
+    def __init__(self) -> None:
+        asked, self._errors = SimpleQueue[Task | None](), SimpleQueue[BaseException | None]()
+        thread = threading.Thread(target=_work, args=(asked, self._errors), name="myowarp", daemon=True)
+        self._asked, self._running = asked, False
+        self.end = weakref.finalize(self, _end, thread, asked)
+        thread.start()
+
+    def begin(self, task: Task) -> None:
+        """Let it work."""
+        self._asked.put(task)
+        self._running = True
+
+    def error(self) -> BaseException | None:
+        """Wait until it has done its task, if it has one, and return what was raised."""
+        error = self._errors.get() if self._running else None
+        self._running = False
+        return error
+
+
+def _work(asked: SimpleQueue[Task | None], errors: SimpleQueue[BaseException | None]) -> None:
+    """Do tasks until there is None; in between nothing is held that would keep a simulation alive."""
+    while (task := asked.get()) is not None:
+        try:
+            task()
+        except BaseException as error:  # noqa: BLE001 (the caller waits for an answer whatever happens)
+            errors.put(error)
+        else:
+            errors.put(None)
+        del task
+
+
+def _end(thread: threading.Thread, asked: SimpleQueue[Task | None]) -> None:
+    """Let a thread end; wherever the garbage is collected, even in itself."""
+    asked.put(None)
+    if thread is not threading.current_thread():
+        thread.join()
 
 
 def _joined(scene: Scene, worlds: Worlds) -> Scene:

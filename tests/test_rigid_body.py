@@ -161,13 +161,13 @@ def test_worlds_have_their_own_bodies():
 
 
 def test_poses_alone():
-    """Outside a step: only poses, of the worlds of a mask, and of the sites that the task reads."""
+    """Outside a step: only bodies, in the worlds of a mask, and the sites that the task reads."""
     model = mujoco.MjModel.from_xml_string(TREES.format(**MODELS["gravity"]))
     states = random_states(model, seed=2)
     with wp.ScopedDevice("cpu"):
         scene = stepping(model, NUM_WORLDS)
         given(scene, states)
-        filled_with_nan(scene.data, ("site_xpos", "M"))
+        filled_with_nan(scene.data, ("site_xpos", "geom_xpos", "M"))
         mask = np.arange(NUM_WORLDS) != 2
         fusion = FUSIONS["rigid_body"](scene)
         before = scene.data.xpos.numpy()[2].copy()
@@ -178,13 +178,14 @@ def test_poses_alone():
     for data in states:
         mujoco.mj_normalizeQuat(model, data.qpos)
         mujoco.mj_kinematics(model, data)
-    for field in POSES:
+    for field in ("xpos", "xquat", "xmat"):
         assert error(getattr(scene.data, field), [getattr(data, field) for data in states]) <= ROUNDING, field
     tip, other = model.site("tip").id, model.site("other").id
     sites = scene.data.site_xpos.numpy()
     np.testing.assert_allclose(sites[:, tip], [data.site_xpos[tip] for data in states], atol=1e-5)
     assert np.isnan(sites[:, other]).all()
     assert np.isnan(scene.data.M.numpy()).all()
+    assert np.isnan(scene.data.geom_xpos.numpy()).all()
 
 
 @pytest.mark.parametrize(

@@ -329,6 +329,32 @@ def test_interruption(alone, monkeypatch):
     split.step()
 
 
+def test_interrupted_waiting(alone, monkeypatch):
+    """Ctrl-C while another part is waited for: the next step waits for it, and says if it failed."""
+    split = build(num_shards=2)
+    split.step()
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    def step_interrupted():
+        with monkeypatch.context() as patch:
+            patch.setattr(split._threads[0], "_errors", SimpleNamespace(get=interrupted))
+            with pytest.raises(KeyboardInterrupt):
+                split.step()
+
+    before = split.scene.data.time.numpy().copy()
+    step_interrupted()
+    split.step()
+    control_dt = split.scene.control_dt
+    np.testing.assert_allclose(split.scene.data.time.numpy() - before, 2.0 * control_dt, rtol=1e-5)
+    with monkeypatch.context() as patch:
+        patch.setattr(split.parts[1], "step", lambda: 1 / 0)
+        step_interrupted()
+    with pytest.raises(RuntimeError, match="division by zero"):
+        split.step()
+
+
 def test_threads_end(alone):
     """With `close`, and with the last reference."""
     env = make(2)

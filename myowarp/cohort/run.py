@@ -14,7 +14,7 @@ from rich.console import Console
 from myowarp.cache import version
 from myowarp.cohort.plan import Plan, plan_cohort
 from myowarp.files import in_place
-from myowarp.interop import checked_action
+from myowarp.interop import ActionInput
 from myowarp.kernels.episode import describe_fault
 from myowarp.progress import progress_bar
 from myowarp.registry import check_choice
@@ -146,13 +146,12 @@ def run_plan(plan: Plan, console: Console | None = None) -> CohortResult:
         horizon=plan.steps,
     )
     tally = _Tally(plan, sim)
-    act = _policy(plan, sim)
+    act, take = _policy(plan, sim), ActionInput(sim.action)
     sim.reset(seeds=plan.seeds)
     unit = f"steps of {len(plan.population.patients):,} patients"
     with progress_bar("Simulating", unit, console) as bar:
         for step in bar.track(range(1, plan.steps + 1)):
-            actions = np.array(act(sim.transition.obs.numpy().copy()))
-            sim.action.assign(checked_action(actions, sim.action.shape))
+            take(np.array(act(sim.transition.obs.numpy().copy())))
             sim.step()
             tally.add(step)
     return CohortResult(tally.samples(), tally.summary(), tally.settings())

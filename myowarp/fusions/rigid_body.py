@@ -85,7 +85,7 @@ class RigidBodyFusion(Fusion):
             yield
 
     def launch_poses(self, model: mjw.Model, data: mjw.Data, mask: wp.array | None = None) -> None:
-        """Compute where bodies, geoms and the task's sites are; for `mujoco_warp.kinematics` outside a step.
+        """Compute where bodies and the task's sites are: what tasks read of `mujoco_warp.kinematics`.
 
         Args:
             model: The engine's model.

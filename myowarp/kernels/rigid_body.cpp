@@ -119,6 +119,17 @@ for (int world = thread; world < qpos.shape[0]; world += threads) {
         x[i] = position[b] + wp::mul(frame[b], offset[i]);
         R[i] = matrix(multiply(orientation[b], turn[i]));
     };
+    if (!switches.dynamics) {
+        wp::vec3* site_position = state(pose.site_xpos);
+        wp::mat33* site_frame = state(pose.site_xmat);
+        const wp::vec3* site_offset = model(bodies.site_pos);
+        const Quat* site_turn = (const Quat*)model(bodies.site_quat);
+        for (int k = 0; k < sites.shape[0]; ++k) {
+            const int s = sites.data[k];
+            place(bodies.site_bodyid.data[s], s, site_offset, site_turn, site_position, site_frame);
+        }
+        continue;
+    }
     wp::vec3* center = state(pose.xipos);
     wp::mat33* principal = state(pose.ximat);
     const wp::vec3* center_offset = model(bodies.body_ipos);
@@ -133,17 +144,6 @@ for (int world = thread; world < qpos.shape[0]; world += threads) {
         const int b = bodies.geom_bodyid.data[g];
         if (bodies.body_weldid.data[b] != 0 || bodies.body_mocapid.data[root[b]] != -1)  // others never move
             place(b, g, geom_offset, geom_turn, geom_position, geom_frame);
-    }
-    if (!switches.dynamics) {
-        wp::vec3* site_position = state(pose.site_xpos);
-        wp::mat33* site_frame = state(pose.site_xmat);
-        const wp::vec3* site_offset = model(bodies.site_pos);
-        const Quat* site_turn = (const Quat*)model(bodies.site_quat);
-        for (int k = 0; k < sites.shape[0]; ++k) {
-            const int s = sites.data[k];
-            place(bodies.site_bodyid.data[s], s, site_offset, site_turn, site_position, site_frame);
-        }
-        continue;
     }
 
     // Centres of mass of subtrees, and inertias about those of whole trees.

@@ -58,7 +58,7 @@ class RigidBodies:
 
 @wp.struct
 class Switches:
-    """What acts; without `dynamics`, only poses are computed, and those of some sites too."""
+    """What acts; without `dynamics`, only poses of bodies and of some sites are computed."""
 
     dynamics: bool
     has_gravity: bool

@@ -10,19 +10,16 @@ forces agree with MuJoCo C to 1e-5 of the peak; the engine's lengths, in float32
 muscles of the hand (tests/test_muscles.py).
 """
 
+from pathlib import Path
+
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 from mujoco_warp._src.types import vec10
 
-from myowarp.kernels.activation import activation_after, activation_rate
-from myowarp.kernels.curves import (
-    quadratic_force_length,
-    quadratic_force_velocity,
-    quadratic_force_velocity_slope,
-    quadratic_passive_force,
-)
+from myowarp.kernels.activation import ACTIVATION
+from myowarp.kernels.curves import CURVES
 from myowarp.kernels.engine_arrays import batched, num_threads
 from myowarp.kernels.reset import masked_fill
 from myowarp.models.muscles import MUSCLES, Anatomy, MuscleModel
@@ -71,44 +68,28 @@ class MujocoMuscleParams:
     passive_multiplier: wp.array2d[float]
 
 
-@wp.func
-def of_world(values: wp.array2d[float], worldid: int, muscleid: int) -> float:
-    """Return a muscle's parameter in a world; arrays with one row serve all worlds."""
-    return values[wp.where(values.shape[0] > 1, worldid, 0), muscleid]
+SOURCE = Path(__file__).with_suffix(".cpp").read_text()
 
 
-@wp.func
-def muscle_force(
+@wp.func_native(CURVES + ACTIVATION + SOURCE)
+def contract(
+    world: int,
+    thread: int,
+    threads: int,
     params: MujocoMuscleParams,
-    worldid: int,
-    muscleid: int,
-    length: float,
-    velocity: float,
-    activation: float,
-    strength: float,
-) -> wp.vec3:
-    """Return the force [N], pulling is negative, its derivative by velocity [N s/m], and a f_L f_V [1]."""
-    l0 = of_world(params.optimal_fiber_length, worldid, muscleid)
-    v0 = l0 * of_world(params.max_contraction_velocity, worldid, muscleid)
-    fvmax = of_world(params.eccentric_multiplier, worldid, muscleid)
-    norm_velocity = velocity / v0
-    peak = strength * of_world(params.max_isometric_force, worldid, muscleid)
-    force_length = quadratic_force_length(
-        (length - of_world(params.tendon_slack_length, worldid, muscleid)) / l0,
-        of_world(params.min_norm_length, worldid, muscleid),
-        of_world(params.max_norm_length, worldid, muscleid),
-    )
-    force_velocity = quadratic_force_velocity(norm_velocity, fvmax)
-    isometric = activation * peak * force_length
-    passive_length = length - of_world(params.passive_slack_length, worldid, muscleid)
-    passive = of_world(params.passive_peak_force, worldid, muscleid) * quadratic_passive_force(
-        passive_length / of_world(params.passive_optimal_length, worldid, muscleid),
-        of_world(params.passive_max_norm_length, worldid, muscleid),
-        of_world(params.passive_multiplier, worldid, muscleid),
-    )
-    force = isometric * force_velocity + passive
-    slope = isometric * quadratic_force_velocity_slope(norm_velocity, fvmax) / v0
-    return wp.vec3(-force, -slope, activation * force_length * force_velocity)
+    anatomy: Anatomy,
+    dt: float,
+    midstep: bool,
+    implicitness: float,
+    ctrl: wp.array2d[float],
+    actuator_length: wp.array2d[float],
+    actuator_velocity: wp.array2d[float],
+    activation: wp.array2d[float],
+    workload: wp.array2d[float],
+    actuator_biasprm: wp.array2d[vec10],
+):
+    """Let a world's muscles act, every `threads`-th of them or of their groups; see `mujoco_muscle`."""
+    ...
 
 
 @wp.kernel(enable_backward=False)
@@ -131,38 +112,28 @@ def mujoco_muscle(
     workload: wp.array2d[float],
     actuator_biasprm: wp.array2d[vec10],
 ):
-    """F from the present activation; then a += dt da/dt, in MuJoCo's order. Midstep: F from a(t + dt/2)."""
+    """F from the present activation; then a += dt da/dt, in MuJoCo's order. Midstep: F from a(t + dt/2).
+
+    The workload is the integral of a f_L f_V [s]; F is written as b0 + b2 velocity (`MuscleModel`).
+    """
     worldid, thread = wp.tid()
-    row = batched(worldid, anatomy.path.shape[0])
-    bounds = params.excitation_range[batched(worldid, params.excitation_range.shape[0])]
     dt = opt_timestep[batched(worldid, opt_timestep.shape[0])]
-    for muscleid in range(thread, activation.shape[1], threads):
-        actuatorid = anatomy.path[row, muscleid]
-        length, velocity = actuator_length_in[worldid, actuatorid], actuator_velocity_in[worldid, actuatorid]
-        excitation = ctrl_in[worldid, params.actuator_id[muscleid]]
-        excitation = wp.clamp(excitation, bounds[muscleid][0], bounds[muscleid][1])
-        rise = of_world(params.activation_time_constant, worldid, muscleid)
-        fall = of_world(params.deactivation_time_constant, worldid, muscleid)
-        width = of_world(params.smoothing_width, worldid, muscleid)
-        a = activation[worldid, muscleid]
-        if midstep and width == 0.0:  # a smooth switch has no closed form
-            activation[worldid, muscleid] = activation_after(dt, excitation, a, rise, fall)
-            a = activation_after(0.5 * dt, excitation, a, rise, fall)
-        else:
-            activation[worldid, muscleid] = a + dt * activation_rate(excitation, a, rise, fall, width)
-
-        force = muscle_force(params, worldid, muscleid, length, velocity, a, anatomy.strength[row, muscleid])
-        transmission = anatomy.transmission[row, muscleid]
-
-        # Explicit integrators have no use for the slope, and force - kv v + kv v would only round.
-        kv = wp.where(implicitness > 0.0, implicitness * transmission * force[1], 0.0)
-        bias = vec10()
-        bias[0] = transmission * force[0] - kv * velocity
-        bias[2] = kv
-        actuator_biasprm[worldid, actuatorid] = bias
-
-        if workload.shape[0] > 0:
-            workload[worldid, muscleid] += dt * force[2]
+    contract(
+        worldid,
+        thread,
+        threads,
+        params,
+        anatomy,
+        dt,
+        midstep,
+        implicitness,
+        ctrl_in,
+        actuator_length_in,
+        actuator_velocity_in,
+        activation,
+        workload,
+        actuator_biasprm,
+    )
 
 
 def peak_force(prm: np.ndarray, acc0: np.ndarray) -> np.ndarray:
