@@ -201,7 +201,7 @@ class MyoWarpVectorEnv(VectorEnv):
         """
         if not self._was_reset:
             raise ResetNeeded("step needs an environment that was reset; call reset() first")
-        if self._ended.any():
+        if self._autoreset == AutoresetMode.DISABLED and self._ended.any():
             worlds = np.flatnonzero(self._ended).tolist()
             raise ResetNeeded(
                 f"worlds {worlds} have ended; reset them with reset(options={{'reset_mask': mask}}) first"
@@ -288,9 +288,11 @@ class MyoWarpVectorEnv(VectorEnv):
         stepped = ~ended if same_step else ~self._resetting
         self._resetting = ended & (self._autoreset == AutoresetMode.NEXT_STEP)
         self._ended = ended & (self._autoreset == AutoresetMode.DISABLED)
-        self._warn_of_faults(seen["fault"])
         info |= dict.fromkeys([f"_{key}" for key in info], stepped)
-        if same_step and ended.any():
+        if not ended.any():
+            return
+        self._warn_of_faults(seen["fault"])
+        if same_step:
             final = self._entries(self._given_final)
             info |= {"final_obs": final.pop("obs"), "_final_obs": ended}
             info["final_info"] = final | dict.fromkeys([f"_{key}" for key in final], ended)
