@@ -153,6 +153,15 @@ def test_activation_after_equals_reference(constants):
     assert np.abs(expected - act)[time > 0.0].max() > 10.0 * FLOAT32
 
 
+@pytest.mark.parametrize("constant", [0.0, 1e-9, 1e-5])
+def test_activation_after_vanishing_time_constants(constant):
+    """The excitation, at once; MuJoCo accepts a time constant of 0."""
+    level = np.linspace(0.0, 1.0, 21)
+    ctrl, act = np.meshgrid(level, level)
+    got = on_device(activation.activation_after, 0.005, ctrl, act, constant, constant)
+    assert np.abs(got - np.float32(ctrl)).max() <= FLOAT32
+
+
 def test_reference_solves_the_activation_equation():
     """The closed form against the differential equation, in 4,000 classical Runge-Kutta steps."""
     ctrl, act = np.meshgrid(np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 21))

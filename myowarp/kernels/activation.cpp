@@ -39,7 +39,7 @@ auto part_left = [&](float duration, float c, float start) {
 
 auto activation_after = [&](float time, float excitation, float activation, float tau_act, float tau_deact) {
     const float c = 0.5f + 1.5f * excitation, gap = excitation - activation;
-    const float left = part_left(time / tau_act, c, 1.5f * wp::max(gap, 0.0f));
-    const float w = -gap / (c - 1.5f * gap) * decay(-c * time / tau_deact);
+    const float left = part_left(time / wp::max(tau_act, 1e-15f), c, 1.5f * wp::max(gap, 0.0f));
+    const float w = -gap / (c - 1.5f * gap) * decay(-c * time / wp::max(tau_deact, 1e-15f));
     return excitation + (gap > 0.0f ? -left * (1.0f / 1.5f) : c * w / (1.0f - 1.5f * w));
 };
