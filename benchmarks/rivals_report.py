@@ -82,19 +82,6 @@ def _summarize_family(rows: dict[str, Any], task: str, family: str, sizes: Seque
         measured = ratios[f"{physics} {judged}"][better if rival == "MyoSuite" else rival]
         goals[name] = {"goal": goal, "measured": measured, "reached": measured["median"] >= goal}
     summary = {"task": task, "contestants": contestants, "better_of_myosuite": better, "ratios": ratios}
-    if len(sizes) > 1:
-        small, large = min(sizes), max(sizes)
-        summary["memory_per_world_mb"] = {
-            physics: round(
-                (
-                    contestants[f"{physics} {large}"]["peak_memory_mb"]
-                    - contestants[f"{physics} {small}"]["peak_memory_mb"]
-                )
-                / (large - small),
-                3,
-            )
-            for physics in ("parity", "fast")
-        }
     return summary | {"judged_worlds": judged, "goals": goals}
 
 
