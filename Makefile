@@ -58,12 +58,12 @@ format: setup ## Format the code and apply safe lint fixes
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: setup ## Measure speed, conditions, what is around the physics and memory, JSON to out/
+bench: setup ## Measure speed, conditions, what is around the physics, what a world costs, JSON to out/
 	@mkdir -p out
 	$(BIN)/python -m benchmarks --output out/bench.json
 	$(BIN)/python -m benchmarks.conditions --output out/conditions.json
 	$(BIN)/python -m benchmarks.overhead --output out/overhead.json
-	$(BIN)/python -m benchmarks.memory --output out/memory.json
+	$(BIN)/python -m benchmarks.worlds --output out/worlds.json
 
 gpu: setup ## Measure on a GPU, JSON to out/gpu.json (8 minutes)
 	benchmarks/gpu.sh

@@ -81,14 +81,8 @@ def _summarize_family(rows: dict[str, Any], task: str, family: str, sizes: Seque
         physics, _, rival = name.partition("/")
         measured = ratios[f"{physics} {judged}"][better if rival == "MyoSuite" else rival]
         goals[name] = {"goal": goal, "measured": measured, "reached": measured["median"] >= goal}
-    # Time of a world at each size over that at the largest: 1 where it is flat.
-    cost = {
-        f"{physics} {size}": _ratios(rows[f"{physics} {max(sizes)}"], rows[f"{physics} {size}"])
-        for physics in ("parity", "fast")
-        for size in sizes
-    }
     summary = {"task": task, "contestants": contestants, "better_of_myosuite": better, "ratios": ratios}
-    return summary | {"cost_of_a_world": cost, "judged_worlds": judged, "goals": goals}
+    return summary | {"judged_worlds": judged, "goals": goals}
 
 
 def print_tables(report: dict[str, Any], console: Console) -> None:
