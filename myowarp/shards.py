@@ -214,15 +214,25 @@ class _Thread:
         return error
 
 
+class _HandOver:
+    """Hands over what a block raises, None if nothing, to the thread that waits for it."""
+
+    def __init__(self, errors: SimpleQueue[BaseException | None]) -> None:
+        self._errors = errors
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool:
+        self._errors.put(error)
+        return True
+
+
 def _work(asked: SimpleQueue[Task | None], errors: SimpleQueue[BaseException | None]) -> None:
     """Do tasks until there is None; in between nothing is held that would keep a simulation alive."""
     while (task := asked.get()) is not None:
-        try:
+        with _HandOver(errors):
             task()
-        except BaseException as error:  # noqa: BLE001 (the caller waits for an answer whatever happens)
-            errors.put(error)
-        else:
-            errors.put(None)
         del task
 
 
