@@ -286,8 +286,10 @@ class MyoWarpVectorEnv(VectorEnv):
         seen = self._seen()
         ended = seen["terminated"] | seen["truncated"]
         stepped = ~ended if same_step else ~self._resetting
-        self._resetting = ended & (self._autoreset == AutoresetMode.NEXT_STEP)
-        self._ended = ended & (self._autoreset == AutoresetMode.DISABLED)
+        if self._autoreset == AutoresetMode.NEXT_STEP:
+            self._resetting = ended
+        elif self._autoreset == AutoresetMode.DISABLED:
+            self._ended = ended
         info |= dict.fromkeys([f"_{key}" for key in info], stepped)
         if not ended.any():
             return

@@ -18,8 +18,9 @@ auto activation_rate = [](float excitation, float activation, float tau_act, flo
     const float scale = 0.5f + 1.5f * wp::min(wp::max(activation, 0.0f), 1.0f);
     const float rise = tau_act * scale, fall = tau_deact / scale, difference = excitation - activation;
     const float x = wp::min(wp::max(difference / wp::max(width, 1e-15f) + 0.5f, 0.0f), 1.0f);
-    const float smooth = x * x * x * (x * (6.0f * x - 15.0f) + 10.0f), hard = difference > 0.0f ? 1.0f : 0.0f;
-    const float time_constant = fall + (rise - fall) * (width < 1e-15f ? hard : smooth);
+    const float hard = difference > 0.0f ? rise : fall;
+    const float smooth = fall + (rise - fall) * (x * x * x * (x * (6.0f * x - 15.0f) + 10.0f));
+    const float time_constant = width < 1e-15f ? hard : smooth;
     return difference / wp::max(time_constant, 1e-15f);
 };
 
