@@ -3,18 +3,10 @@
 Importing the package registers every task with Gymnasium under `MyoWarp/<name>-v<version>`.
 """
 
-import gc
+from myowarp.quick_import import quick_import
 
-# Warp parses the kernels of its modules on import: half a million objects that stay. Without looking
-# through them again and again for garbage, now and later, start and exit take two seconds less.
-_collects = gc.isenabled()
-gc.disable()
+with quick_import():
+    import myowarp.tasks  # noqa: F401  (registers the tasks)
+    from myowarp.bridge_gym import register_all
 
-import myowarp.tasks  # noqa: E402, F401  (registers the tasks)
-from myowarp.bridge_gym import register_all  # noqa: E402
-
-register_all()
-
-gc.freeze()
-if _collects:
-    gc.enable()
+    register_all()

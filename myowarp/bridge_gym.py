@@ -14,13 +14,14 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import warp as wp
 from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from myowarp.interop import ActionInput, Output
-from myowarp.kernels.episode import describe_fault
+from myowarp.kernels.episode import Transition, describe_fault
 from myowarp.models.conditions import Condition
 from myowarp.registry import check_choice
 from myowarp.shards import Shards, simulate
@@ -32,7 +33,8 @@ from myowarp.view.pictures import Pictures
 RENDER_MODES = ("human", "rgb_array")
 RESULTS = ("obs", "reward", "terminated", "truncated")
 ENTRIES = ("success", "solved", "fault", "terms")
-"""Fields of a transition that `step` returns, and those that show in its `info`."""
+SEEN = ("terminated", "truncated", "fault")
+"""Fields of a transition that `step` returns, those that show in its `info`, and those it looks at."""
 NO_HORIZON = 2**31 - 1  # steps; a single environment leaves truncation to Gymnasium's TimeLimit
 AUTORESET_NAMES = {
     AutoresetMode.DISABLED: "disabled",
@@ -144,13 +146,16 @@ class MyoWarpVectorEnv(VectorEnv):
     def _wrap(self, output: Output) -> None:
         """Choose the arrays that `reset` and `step` return, and those that they look at."""
         sim = self.sim
-        transition = {name: getattr(sim.transition, name) for name in RESULTS + ENTRIES}
+
+        def arrays(transition: Transition, *names: str) -> dict[str, wp.array]:
+            return {name: getattr(transition, name) for name in names}
+
         self._act = ActionInput(sim.action)
-        self._obs = output.of({"obs": sim.transition.obs})
-        self._given = output.of(transition | sim.info)
-        self._given_final = output.of({name: getattr(sim.final, name) for name in ("obs", *ENTRIES)})
-        seen = {name: transition[name] for name in ("terminated", "truncated", "fault")}
-        self._seen = Output("numpy", copy=False).of(seen)
+        self._obs = output.of(arrays(sim.transition, "obs"))
+        self._results = output.of(arrays(sim.transition, *RESULTS))
+        self._given = output.of(arrays(sim.transition, *ENTRIES) | sim.info)
+        self._given_final = output.of(arrays(sim.final, "obs", *ENTRIES))
+        self._seen = Output("numpy", copy=False).of(arrays(sim.transition, *SEEN))
         self._terms = tuple(f"terms/{term.name}" for term in sim.terms)
 
     @property
@@ -182,8 +187,7 @@ class MyoWarpVectorEnv(VectorEnv):
             if not seeded.all():
                 self.sim.reset(mask & ~seeded)
         self._was_reset = self._was_reset or bool(mask.all())
-        self._ended[mask] = False
-        self._resetting[mask] = False
+        self._ended[mask] = self._resetting[mask] = False
         self._show()
         return self._obs()["obs"], {}
 
@@ -209,9 +213,9 @@ class MyoWarpVectorEnv(VectorEnv):
         self._act(actions)
         self.sim.step()
         info = self._entries(self._given)
-        obs, reward, terminated, truncated = (info.pop(name) for name in RESULTS)
         self._complete(info)
         self._show()
+        obs, reward, terminated, truncated = self._results().values()
         return obs, reward, terminated, truncated, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
@@ -283,17 +287,17 @@ class MyoWarpVectorEnv(VectorEnv):
                 info["final_info"] = self._entries(self._given_final)
                 info["final_obs"] = info["final_info"].pop("obs")
             return
-        seen = self._seen()
-        ended = seen["terminated"] | seen["truncated"]
+        terminated, truncated, fault = self._seen().values()
+        ended = terminated | truncated
         stepped = ~ended if same_step else ~self._resetting
         if self._autoreset == AutoresetMode.NEXT_STEP:
             self._resetting = ended
         elif self._autoreset == AutoresetMode.DISABLED:
             self._ended = ended
         info |= dict.fromkeys([f"_{key}" for key in info], stepped)
-        if not ended.any():
+        if not ended.nonzero()[0].size:  # a quarter of the time of `any`
             return
-        self._warn_of_faults(seen["fault"])
+        self._warn_of_faults(fault)
         if same_step:
             final = self._entries(self._given_final)
             info |= {"final_obs": final.pop("obs"), "_final_obs": ended}

@@ -33,6 +33,7 @@ from myowarp.warmup import quiet
 from myowarp.worlds import Worlds
 
 Task: TypeAlias = Callable[[], None]
+STEP = operator.methodcaller("step")
 
 LEAST_WORLDS = 4  # in a shard, by default: fewer are not worth the time that a shard takes to build
 PATIENCE = 2.0  # s without a word
@@ -133,7 +134,7 @@ class Shards:
         Raises:
             RuntimeError: A part has failed; its worlds are named, and no thread is left.
         """
-        self._together(operator.methodcaller("step"))
+        self._together(STEP)
 
     def reset(self, mask: np.ndarray | None = None, seeds: np.ndarray | None = None) -> None:
         """Start new episodes; see `Simulation.reset`.
@@ -166,18 +167,22 @@ class Shards:
         first, *others = self.parts
         if not self._threads or self._process != os.getpid():  # threads do not live on in a forked process
             self._threads, self._process = [_Thread() for _ in others], os.getpid()
-        # They may still be at work where Ctrl-C broke off the waiting below.
-        self._check([None, *(thread.error() for thread in self._threads)])
+        self._wait(None)  # they may still be at work where Ctrl-C broke off the waiting below
         for thread, part in zip(self._threads, others, strict=True):
             thread.begin(partial(act, part))
         try:
             act(first)
         finally:
-            error = sys.exception()
-            self._check([error, *(thread.error() for thread in self._threads)])
+            self._wait(sys.exception())
 
-    def _check(self, errors: list[BaseException | None]) -> None:
-        """Raise RuntimeError if a part has failed; what else was raised, such as Ctrl-C, goes its way."""
+    def _wait(self, first_error: BaseException | None) -> None:
+        """Wait for the threads, and raise RuntimeError if a part has failed.
+
+        What else was raised, such as Ctrl-C, goes its way.
+        """
+        errors = [first_error, *[thread.error() for thread in self._threads]]
+        if all(error is None for error in errors):
+            return
         for part, error in zip(self.parts, errors, strict=True):
             if isinstance(error, Exception):
                 own = part.scene.worlds.own

@@ -348,9 +348,16 @@ def test_interrupted_waiting(alone, monkeypatch):
     split.step()
     control_dt = split.scene.control_dt
     np.testing.assert_allclose(split.scene.data.time.numpy() - before, 2.0 * control_dt, rtol=1e-5)
+    tried = threading.Event()
+
+    def fail():
+        tried.set()
+        return 1 / 0
+
     with monkeypatch.context() as patch:
-        patch.setattr(split.parts[1], "step", lambda: 1 / 0)
+        patch.setattr(split.parts[1], "step", fail)
         step_interrupted()
+        assert tried.wait(10.0)
     with pytest.raises(RuntimeError, match="division by zero"):
         split.step()
 

@@ -18,23 +18,8 @@ from myowarp.kernels.row_places import RowPlaces
 from myowarp.prune import pruned
 from myowarp.scene import Scene
 
-REPLACED = frozenset(
-    {
-        "_zero_constraint_counts",
-        "_equality_connect",
-        "_equality_weld",
-        "_equality_joint",
-        "_equality_tendon",
-        "_friction_dof",
-        "_friction_tendon",
-        "_limit_ball",
-        "_limit_slide_hinge",
-        "_limit_tendon",
-        "_efc_contact_init",
-        "_efc_nnz_overflow",
-    }
-)
-ROWS_OFF = DisableBit.CONSTRAINT | DisableBit.EQUALITY | DisableBit.FRICTIONLOSS | DisableBit.LIMIT
+REPLACED = frozenset({"_zero_constraint_counts", "_efc_contact_init", "_efc_nnz_overflow"})
+ROWS = DisableBit.EQUALITY | DisableBit.FRICTIONLOSS | DisableBit.LIMIT
 
 
 @FUSIONS.register("joint_rows")
@@ -48,7 +33,7 @@ class JointRowsFusion(Fusion):
         others = (model.eq_connect_adr, model.eq_wld_adr, model.eq_ten_adr)
         obstacles = {
             "the device is not the CPU": not scene.device.is_cpu,
-            "rows of a kind are off": bool(opt.disableflags & ROWS_OFF),
+            "rows of a kind are off": bool(opt.disableflags & (ROWS | DisableBit.CONSTRAINT)),
             "the friction cone is not pyramidal": opt.cone != mjw.ConeType.PYRAMIDAL,
             "the integrator is the discrete one": opt.integrator == IntegratorType.DISCRETE,
             "sleeping is on": bool(opt.enableflags & EnableBit.SLEEP),
@@ -71,7 +56,9 @@ class JointRowsFusion(Fusion):
 
         def make_constraint(model: mjw.Model, data: mjw.Data) -> None:
             self.launch(model, data)
-            with pruned(REPLACED):
+            # Switched off rather than pruned: their kernels would be made, all but launched.
+            off = mock.patch.object(model.opt, "disableflags", model.opt.disableflags | ROWS)
+            with off, pruned(REPLACED):
                 stock(model, data)
 
         with mock.patch.object(constraint, "make_constraint", make_constraint):

@@ -22,26 +22,39 @@ const float* length_of = &wp::index(actuator_length, world, 0);
 const float* velocity_of = &wp::index(actuator_velocity, world, 0);
 float* a = &wp::index(activation, world, 0);
 auto* bias = row(actuator_biasprm);
+float* work = workload.shape[0] > 0 ? &wp::index(workload, world, 0) : nullptr;
 
 for (int first = thread * LANES; first < num_muscles; first += threads * LANES) {
     auto muscle = [&](int k) { return wp::min(first + k, num_muscles - 1); };  // the last one fills up
-    auto load = [&](auto& rows) {
-        const float* from = row(rows);
+    const bool whole = first + LANES <= num_muscles;
+    auto load = [&](const float* from) {
         Lanes to;
-        for (int k = 0; k < LANES; ++k)
-            to[k] = from[muscle(k)];
+        if (whole) {  // in one move
+            for (int k = 0; k < LANES; ++k)
+                to[k] = from[first + k];
+        } else {
+            for (int k = 0; k < LANES; ++k)
+                to[k] = from[muscle(k)];
+        }
         return to;
     };
-    const Lanes tau_act = load(params.activation_time_constant), tau_deact = load(params.deactivation_time_constant);
-    const Lanes width = load(params.smoothing_width);
-    const Lanes peak = load(params.max_isometric_force), strength = load(anatomy.strength);
-    const Lanes l0 = load(params.optimal_fiber_length), slack = load(params.tendon_slack_length);
-    const Lanes lmin = load(params.min_norm_length), lmax = load(params.max_norm_length);
-    const Lanes vmax = load(params.max_contraction_velocity), fvmax = load(params.eccentric_multiplier);
-    const Lanes passive_peak = load(params.passive_peak_force), passive_l0 = load(params.passive_optimal_length);
-    const Lanes passive_slack = load(params.passive_slack_length);
-    const Lanes passive_lmax = load(params.passive_max_norm_length), fpmax = load(params.passive_multiplier);
-    const Lanes transmission = load(anatomy.transmission);
+    const Lanes tau_act = load(row(params.activation_time_constant));
+    const Lanes tau_deact = load(row(params.deactivation_time_constant));
+    const Lanes width = load(row(params.smoothing_width));
+    const Lanes peak = load(row(params.max_isometric_force));
+    const Lanes strength = load(row(anatomy.strength));
+    const Lanes l0 = load(row(params.optimal_fiber_length));
+    const Lanes slack = load(row(params.tendon_slack_length));
+    const Lanes lmin = load(row(params.min_norm_length));
+    const Lanes lmax = load(row(params.max_norm_length));
+    const Lanes vmax = load(row(params.max_contraction_velocity));
+    const Lanes fvmax = load(row(params.eccentric_multiplier));
+    const Lanes passive_peak = load(row(params.passive_peak_force));
+    const Lanes passive_l0 = load(row(params.passive_optimal_length));
+    const Lanes passive_slack = load(row(params.passive_slack_length));
+    const Lanes passive_lmax = load(row(params.passive_max_norm_length));
+    const Lanes fpmax = load(row(params.passive_multiplier));
+    const Lanes transmission = load(row(anatomy.transmission));
     Lanes excitation, before, length, velocity;
     for (int k = 0; k < LANES; ++k) {
         const int m = muscle(k);
@@ -90,7 +103,7 @@ for (int first = thread * LANES; first < num_muscles; first += threads * LANES) 
         affine = {};
         affine[0] = force[k];
         affine[2] = damping[k];
-        if (workload.shape[0] > 0)
-            wp::index(workload, world, m) += dt * power[k];
+        if (work)
+            work[m] += dt * power[k];
     }
 }

@@ -1,0 +1,48 @@
+"""Importing the package leaves out what only costs time, and nothing else."""
+
+import json
+import subprocess
+import sys
+
+SCRIPT = """
+import gc, json, sys
+import warp._src.context as context
+from warp._src.context import Module, user_modules
+
+if sys.argv[1] == "off":
+    gc.disable()
+scan = Module._find_references
+import myowarp
+
+def references(package):
+    return sum(len(module.references) for name, module in user_modules.items() if name.startswith(package))
+
+print(json.dumps({
+    "enabled": gc.isenabled(),
+    "frozen": gc.get_freeze_count(),
+    "restored": Module._find_references is scan,
+    "engine": references("mujoco_warp."),
+    "ours": references("myowarp."),
+}))
+"""
+
+
+def imported(mode="on"):
+    done = subprocess.run([sys.executable, "-c", SCRIPT, mode], capture_output=True, text=True, check=True)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_engine_is_not_searched():
+    """Our own modules are: a kernel of ours that is defined anew renews those that call it."""
+    found = imported()
+    assert found["engine"] == 0
+    assert found["ours"] > 10
+    assert found["restored"]
+
+
+def test_garbage_is_collected_as_before():
+    """But for what the import left, which is a lot."""
+    on, off = imported(), imported("off")
+    assert on["enabled"]
+    assert not off["enabled"]
+    assert on["frozen"] > 100_000
