@@ -12,6 +12,8 @@ MOTOR = wp.constant(1)
 STEEPNESS = wp.constant(5.0)  # of the sigmoid; MyoSuite 3.0.0
 CENTER = wp.constant(0.5)  # action at which the excitation is 0.5; MyoSuite 3.0.0
 
+LARGEST = wp.constant(3.4028235e38)  # finite float32
+
 FAULT_ACTION = wp.constant(8)
 
 
@@ -39,7 +41,7 @@ def apply_action(
     mark = int(0)
     for i in range(action.shape[1]):
         a = action[worldid, i]
-        if not wp.isfinite(a):
+        if not (wp.abs(a) <= LARGEST):
             mark = FAULT_ACTION
             a = float(0.0)
         a = wp.clamp(a, -1.0, 1.0)

@@ -158,7 +158,7 @@ def detect_faults(
         if not (wp.abs(qvel_in[worldid, i]) <= STATE_LIMIT):
             bits |= FAULT_NONFINITE
     for i in range(activation.shape[1]):
-        if not wp.isfinite(activation[worldid, i]):
+        if not (wp.abs(activation[worldid, i]) <= STATE_LIMIT):
             bits |= FAULT_NONFINITE
     if (overflow_out[worldid] & ROW_BITS) != 0:
         bits |= FAULT_ROWS

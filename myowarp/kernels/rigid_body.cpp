@@ -11,6 +11,7 @@ auto multiply = [](const Quat& a, const Quat& b) -> Quat {
     return {a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z, a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
             a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x, a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w};
 };
+auto is_unit = [](const Quat& q) { return q.w == 1.0f && q.x == 0.0f && q.y == 0.0f && q.z == 0.0f; };
 auto normalized = [](const Quat& q) -> Quat {
     const float square = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z;
     const float scale = square > 0.0f ? 1.0f / sqrtf(square) : 0.0f;
@@ -94,11 +95,12 @@ for (int world = thread; world < qpos.shape[0]; world += threads) {
             q = multiply(orientation[p], ((Quat*)state(pose.mocap_quat))[mocap]);
         } else {
             x = position[p] + wp::mul(frame[p], body_position[b]);
-            q = multiply(orientation[p], body_orientation[b]);
+            q = is_unit(body_orientation[b]) ? orientation[p] : multiply(orientation[p], body_orientation[b]);
         }
         for (int j = begin; j < end; ++j) {
             const int at = bodies.jnt_qposadr.data[j];
-            anchor[j] = x + rotate(q, joint_position[j]);
+            const bool central = joint_position[j] == wp::vec3();  // as most are; so are most bodies not turned
+            anchor[j] = central ? x : x + rotate(q, joint_position[j]);
             axis[j] = rotate(q, joint_axis[j]);
             if (joint_kind[j] == SLIDE) {
                 x += (angle[at] - angle0[at]) * axis[j];
@@ -108,7 +110,8 @@ for (int world = thread; world < qpos.shape[0]; world += threads) {
                                   ? about(joint_axis[j], angle[at] - angle0[at])
                                   : normalized({angle[at], angle[at + 1], angle[at + 2], angle[at + 3]});
             q = multiply(q, turn);
-            x = anchor[j] - rotate(q, joint_position[j]);
+            if (!central)
+                x = anchor[j] - rotate(q, joint_position[j]);
         }
         position[b] = x;
         orientation[b] = normalized(q);
