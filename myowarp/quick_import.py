@@ -10,10 +10,10 @@ from unittest import mock
 def quick_import() -> Iterator[None]:
     """Leave out half of what it takes to import Warp, mujoco-warp and our kernels in the block.
 
-    Warp parses every function of theirs, a thousand. The half a million objects of this stay: not looking
-    through them for garbage, now and later, takes two seconds off start and exit. And Warp looks in each
-    function for those that it calls, so that a module imported anew renews others; these never are: not looking
-    takes off another half second.
+    Warp parses all their functions, a thousand. The half a million objects of this stay: not looking through
+    them for garbage, now and later, takes two seconds off start and exit. And Warp looks in each function for
+    those that it calls, so that a module imported anew renews others; these never are: not looking takes off
+    another half second.
     """
     collects = gc.isenabled()
     gc.disable()

@@ -1,6 +1,7 @@
-"""Contacts of spheres, capsules and ellipsoids, see `kernels/contact_search.py`."""
+"""Contacts in few launches, see `kernels/contact_search.py` and `kernels/primitive_contacts.py`."""
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator
 from unittest import mock
 
@@ -13,15 +14,17 @@ from mujoco_warp._src.types import BroadphaseType, EnableBit, GeomType
 from myowarp.fusions import FUSIONS, Fusion
 from myowarp.kernels.contact_search import OURS, Candidates, ContactMaterial, Shapes, find_contacts
 from myowarp.kernels.engine_arrays import ContactPool, filled, num_threads
+from myowarp.kernels.primitive_contacts import CLOSED_FORMS, touch_kernel
 from myowarp.models.slim import colliding_pairs
 from myowarp.scene import Scene
 
 Kind = tuple[GeomType, GeomType]
+Narrowphase = Callable[[mjw.Model, mjw.Data, CollisionContext, list[Kind]], None]
 
 
 @FUSIONS.register("contact_search")
 class ContactSearch(Fusion):
-    """One launch for most contacts; pairs of other shapes stay with the engine."""
+    """One launch for most contacts, and one for each kind with a closed form; others stay with the engine."""
 
     TOLERANCE = 1e-2  # the engine's own normals of deep contacts are off by as much
 
@@ -45,7 +48,7 @@ class ContactSearch(Fusion):
     def installed(self) -> Iterator[None]:
         """Have the engine begin with our search, and go on with the kinds of pairs that are left."""
 
-        def for_what_is_left(engine: Callable[..., None]) -> Callable[..., None]:
+        def for_what_is_left(engine: Narrowphase) -> Narrowphase:
             def narrowphase(
                 model: mjw.Model, data: mjw.Data, context: CollisionContext, kinds: list[Kind]
             ) -> None:
@@ -59,7 +62,8 @@ class ContactSearch(Fusion):
 
             return narrowphase
 
-        convex, primitive = collision_driver.convex_narrowphase, collision_driver.primitive_narrowphase
+        convex = collision_driver.convex_narrowphase
+        primitive = functools.partial(launch_primitives, collision_driver.primitive_narrowphase)
         with (
             mock.patch.object(collision_driver, "nxn_broadphase", launch_search),
             mock.patch.object(collision_driver, "convex_narrowphase", for_what_is_left(convex)),
@@ -86,3 +90,20 @@ def launch_search(
         inputs=[filled(Shapes, model, data), filled(ContactMaterial, model), data.naconmax, threads],
         outputs=[filled(ContactPool, data.contact, data), filled(Candidates, context, data)],
     )
+
+
+def launch_primitives(
+    engine: Narrowphase, model: mjw.Model, data: mjw.Data, context: CollisionContext, kinds: list[Kind]
+) -> None:
+    """Find the contacts of these kinds of pairs on the engine's list, others with the engine."""
+    shapes, material = filled(Shapes, model, data), filled(ContactMaterial, model)
+    threads = num_threads(data.nacon.device, data.naconmax)
+    for kind in (kind for kind in kinds if kind in CLOSED_FORMS):
+        wp.launch(
+            touch_kernel(kind),
+            dim=threads,
+            inputs=[shapes, material, data.naconmax, threads, filled(Candidates, context, data)],
+            outputs=[filled(ContactPool, data.contact, data)],
+        )
+    if others := [kind for kind in kinds if kind not in CLOSED_FORMS]:
+        engine(model, data, context, others)
