@@ -99,8 +99,9 @@ def launch_primitives(
     shapes, material = filled(Shapes, model, data), filled(ContactMaterial, model)
     threads = num_threads(data.nacon.device, data.naconmax)
     for kind in (kind for kind in kinds if kind in CLOSED_FORMS):
+        touch_pairs = touch_kernel(kind)
         wp.launch(
-            touch_kernel(kind),
+            touch_pairs,
             dim=threads,
             inputs=[shapes, material, data.naconmax, threads, filled(Candidates, context, data)],
             outputs=[filled(ContactPool, data.contact, data)],

@@ -110,11 +110,9 @@ class Touches:
 
 
 @wp.func
-def write_touch(
-    touch: Touch, pair: Pair, material: ContactMaterial, id: int, naconmax: int, contact: ContactPool
-):
-    """Append a contact to the pool, with the material of its geoms."""
-    condim, friction, solref, solreffriction, solimp, adhesion = contact_material_params(
+def material_of(material: ContactMaterial, pair: Pair):
+    """Return condim, friction, solref, solreffriction, solimp and adhesion of a contact."""
+    return contact_material_params(
         material.geom_condim,
         material.geom_priority,
         material.geom_solmix,
@@ -132,6 +130,14 @@ def write_touch(
         pair.pairid[0],
         pair.worldid,
     )
+
+
+@wp.func
+def write_touch(
+    touch: Touch, pair: Pair, material: ContactMaterial, id: int, naconmax: int, contact: ContactPool
+):
+    """Append a contact to the pool, with the material of its geoms."""
+    condim, friction, solref, solreffriction, solimp, adhesion = material_of(material, pair)
     write_contact(
         naconmax,
         id,

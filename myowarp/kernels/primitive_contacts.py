@@ -8,11 +8,11 @@ a box takes a second.
 import functools
 
 import warp as wp
-from mujoco_warp._src.collision_core import Geom, contact_margin_gap, contact_material_params
+from mujoco_warp._src.collision_core import Geom, contact_margin_gap
 from mujoco_warp._src.collision_primitive import _PRIMITIVE_COLLISIONS
 from mujoco_warp._src.types import GeomType
 
-from myowarp.kernels.contact_search import Candidates, ContactMaterial, Shapes
+from myowarp.kernels.contact_search import Candidates, ContactMaterial, Pair, Shapes, material_of
 from myowarp.kernels.engine_arrays import ContactPool, batched
 
 CLOSED_FORMS = {kind: touch for kind, touch in _PRIMITIVE_COLLISIONS.items() if GeomType.MESH not in kind}
@@ -29,6 +29,27 @@ def solid(shapes: Shapes, worldid: int, geomid: int) -> Geom:
     geom.size = shapes.geom_size[batched(worldid, shapes.geom_size.shape[0]), geomid]
     geom.index = -1
     return geom
+
+
+@wp.func
+def listed_pair(shapes: Shapes, candidates: Candidates, i: int) -> Pair:
+    """Return an entry of the engine's list."""
+    pair = Pair()
+    pair.geoms = candidates.collision_pair[i]
+    pair.pairid = candidates.collision_pairid[i]
+    pair.worldid = candidates.collision_worldid[i]
+    margin, gap = contact_margin_gap(
+        shapes.geom_margin,
+        shapes.geom_gap,
+        shapes.pair_margin,
+        shapes.pair_gap,
+        pair.geoms,
+        pair.pairid[0],
+        pair.worldid,
+    )
+    pair.margin = margin
+    pair.gap = gap
+    return pair
 
 
 @functools.cache
@@ -52,52 +73,25 @@ def touch_kernel(kind: tuple[GeomType, GeomType]) -> wp.Kernel:
         """Contacts of every `threads`-th pair on the engine's list, if it is of this kind."""
         thread = wp.tid()
         for i in range(thread, wp.min(candidates.ncollision[0], naconmax_in), threads):
-            geoms, pairid = candidates.collision_pair[i], candidates.collision_pairid[i]
-            if shapes.geom_type[geoms[0]] != type1 or shapes.geom_type[geoms[1]] != type2:
+            pair = listed_pair(shapes, candidates, i)
+            if shapes.geom_type[pair.geoms[0]] != type1 or shapes.geom_type[pair.geoms[1]] != type2:
                 continue
-            worldid = candidates.collision_worldid[i]
-            margin, gap = contact_margin_gap(
-                shapes.geom_margin,
-                shapes.geom_gap,
-                shapes.pair_margin,
-                shapes.pair_gap,
-                geoms,
-                pairid[0],
-                worldid,
-            )
-            condim, friction, solref, solreffriction, solimp, adhesion = contact_material_params(
-                material.geom_condim,
-                material.geom_priority,
-                material.geom_solmix,
-                material.geom_solref,
-                material.geom_solimp,
-                material.geom_friction,
-                material.geom_adhesion,
-                material.pair_dim,
-                material.pair_solref,
-                material.pair_solreffriction,
-                material.pair_solimp,
-                material.pair_adhesion,
-                material.pair_friction,
-                geoms,
-                pairid[0],
-                worldid,
-            )
+            condim, friction, solref, solreffriction, solimp, adhesion = material_of(material, pair)
             touch(
                 naconmax_in,
-                solid(shapes, worldid, geoms[0]),
-                solid(shapes, worldid, geoms[1]),
-                worldid,
-                margin,
-                gap,
+                solid(shapes, pair.worldid, pair.geoms[0]),
+                solid(shapes, pair.worldid, pair.geoms[1]),
+                pair.worldid,
+                pair.margin,
+                pair.gap,
                 condim,
                 friction,
                 solref,
                 solreffriction,
                 solimp,
                 adhesion,
-                geoms,
-                pairid,
+                pair.geoms,
+                pair.pairid,
                 contact_out.dist,
                 contact_out.pos,
                 contact_out.frame,
