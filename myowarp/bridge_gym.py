@@ -31,10 +31,10 @@ from myowarp.tasks.variants import variants
 from myowarp.view.pictures import Pictures
 
 RENDER_MODES = ("human", "rgb_array")
+# Fields of a transition that `step` returns, that show in its `info`, and that it looks at.
 RESULTS = ("obs", "reward", "terminated", "truncated")
 ENTRIES = ("success", "solved", "fault", "terms")
 SEEN = ("terminated", "truncated", "fault")
-"""Fields of a transition that `step` returns, those that show in its `info`, and those it looks at."""
 NO_HORIZON = 2**31 - 1  # steps; a single environment leaves truncation to Gymnasium's TimeLimit
 AUTORESET_NAMES = {
     AutoresetMode.DISABLED: "disabled",

@@ -10,7 +10,6 @@ import copy
 import dataclasses
 import operator
 import os
-import sys
 import threading
 import weakref
 from collections.abc import Callable
@@ -167,18 +166,21 @@ class Shards:
         first, *others = self.parts
         if not self._threads or self._process != os.getpid():  # threads do not live on in a forked process
             self._threads, self._process = [_Thread() for _ in others], os.getpid()
-        self._wait(None)  # they may still be at work where Ctrl-C broke off the waiting below
+        self._wait()  # they may still be at work where Ctrl-C broke off the waiting below
         for thread, part in zip(self._threads, others, strict=True):
             thread.begin(partial(act, part))
         try:
             act(first)
-        finally:
-            self._wait(sys.exception())
+        except BaseException as error:
+            self._wait(error)
+            raise
+        self._wait()
 
-    def _wait(self, first_error: BaseException | None) -> None:
-        """Wait for the threads, and raise RuntimeError if a part has failed.
+    def _wait(self, first_error: BaseException | None = None) -> None:
+        """Wait for the threads, and raise RuntimeError if a part has failed; Ctrl-C is no failure.
 
-        What else was raised, such as Ctrl-C, goes its way.
+        Args:
+            first_error: What the first part has raised.
         """
         errors = [first_error, *[thread.error() for thread in self._threads]]
         if all(error is None for error in errors):
@@ -204,19 +206,22 @@ class _Thread:
         asked, self._errors = SimpleQueue[Task | None](), SimpleQueue[BaseException | None]()
         thread = threading.Thread(target=_work, args=(asked, self._errors), name="myowarp", daemon=True)
         self._asked, self._running = asked, False
+        self._error: BaseException | None = None
         self.end = weakref.finalize(self, _end, thread, asked)
         thread.start()
 
     def begin(self, task: Task) -> None:
-        """Let it work."""
+        """Let it work; what the last task has raised is forgotten."""
+        self._error = None
         self._asked.put(task)
         self._running = True
 
     def error(self) -> BaseException | None:
         """Wait until it has done its task, if it has one, and return what was raised."""
-        error = self._errors.get() if self._running else None
-        self._running = False
-        return error
+        if self._running:
+            self._error = self._errors.get()
+            self._running = False
+        return self._error
 
 
 class _HandOver:

@@ -12,6 +12,7 @@ import myowarp
 from benchmarks.gpu_cases import Environment, random_actions, trajectory
 from myowarp.kernels import repeat
 from myowarp.kernels.contact_solve import solver_kernel
+from myowarp.kernels.primitive_contacts import CLOSED_FORMS, touch_kernel
 from myowarp.prune import is_same_step
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
@@ -38,7 +39,8 @@ def kernel_modules():
         module = importlib.import_module(entry.name)
         kernels = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
         found |= {kernel.module.name: kernel.module for kernel in kernels}
-    return found
+    modules = (touch_kernel(kind).module for kind in CLOSED_FORMS)
+    return found | {module.name: module for module in modules}
 
 
 def compile_for_cuda(module, folder):

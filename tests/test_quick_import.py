@@ -36,7 +36,7 @@ def test_references_are_not_searched():
 
 
 def test_garbage_is_collected_as_before():
-    """But for what the import left, which is a lot."""
+    """But for what there is after the import, which is a lot."""
     on, off = imported(), imported("off")
     assert on["enabled"]
     assert not off["enabled"]

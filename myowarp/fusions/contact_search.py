@@ -95,10 +95,13 @@ def launch_search(
 def launch_primitives(
     engine: Narrowphase, model: mjw.Model, data: mjw.Data, context: CollisionContext, kinds: list[Kind]
 ) -> None:
-    """Find the contacts of these kinds of pairs on the engine's list, others with the engine."""
+    """Find the contacts of these kinds of pairs on the engine's list; those with meshes are left to it."""
     shapes, material = filled(Shapes, model, data), filled(ContactMaterial, model)
     threads = num_threads(data.nacon.device, data.naconmax)
-    for kind in (kind for kind in kinds if kind in CLOSED_FORMS):
+    for kind in kinds:
+        if kind not in CLOSED_FORMS:
+            engine(model, data, context, [kind])
+            continue
         touch_pairs = touch_kernel(kind)
         wp.launch(
             touch_pairs,
@@ -106,5 +109,3 @@ def launch_primitives(
             inputs=[shapes, material, data.naconmax, threads, filled(Candidates, context, data)],
             outputs=[filled(ContactPool, data.contact, data)],
         )
-    if others := [kind for kind in kinds if kind not in CLOSED_FORMS]:
-        engine(model, data, context, others)

@@ -12,16 +12,20 @@ from mujoco_warp._src.collision_core import Geom, contact_margin_gap
 from mujoco_warp._src.collision_primitive import _PRIMITIVE_COLLISIONS
 from mujoco_warp._src.types import GeomType
 
-from myowarp.kernels.contact_search import Candidates, ContactMaterial, Pair, Shapes, material_of
+from myowarp.kernels.contact_search import OURS, Candidates, ContactMaterial, Pair, Shapes, material_of
 from myowarp.kernels.engine_arrays import ContactPool, batched
 
-CLOSED_FORMS = {kind: touch for kind, touch in _PRIMITIVE_COLLISIONS.items() if GeomType.MESH not in kind}
-"""The engine's function for each kind of pairs."""
+CLOSED_FORMS = {
+    kind: touch
+    for kind, touch in _PRIMITIVE_COLLISIONS.items()
+    if kind not in OURS and GeomType.MESH not in kind  # whose contact with a plane is a search, too
+}
+"""The engine's function for each kind of pairs that `contact_search` leaves on its list."""
 
 
 @wp.func
 def solid(shapes: Shapes, worldid: int, geomid: int) -> Geom:
-    """Return a geom as the engine's functions want it."""
+    """Return a geom as the engine's functions want it; what describes meshes stays empty."""
     geom = Geom()
     geom.pos = shapes.geom_xpos[worldid, geomid]
     geom.rot = shapes.geom_xmat[worldid, geomid]
@@ -55,6 +59,7 @@ def listed_pair(shapes: Shapes, candidates: Candidates, i: int) -> Pair:
 @functools.cache
 def touch_kernel(kind: tuple[GeomType, GeomType]) -> wp.Kernel:
     """Return the kernel for a kind of pairs."""
+    # One by one: Warp tells kernels apart by the numbers and functions they name, not by what tuples hold.
     type1, type2, touch = int(kind[0]), int(kind[1]), CLOSED_FORMS[kind]
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -73,14 +78,15 @@ def touch_kernel(kind: tuple[GeomType, GeomType]) -> wp.Kernel:
         """Contacts of every `threads`-th pair on the engine's list, if it is of this kind."""
         thread = wp.tid()
         for i in range(thread, wp.min(candidates.ncollision[0], naconmax_in), threads):
-            pair = listed_pair(shapes, candidates, i)
-            if shapes.geom_type[pair.geoms[0]] != type1 or shapes.geom_type[pair.geoms[1]] != type2:
+            geoms = candidates.collision_pair[i]
+            if shapes.geom_type[geoms[0]] != type1 or shapes.geom_type[geoms[1]] != type2:
                 continue
+            pair = listed_pair(shapes, candidates, i)
             condim, friction, solref, solreffriction, solimp, adhesion = material_of(material, pair)
             touch(
                 naconmax_in,
-                solid(shapes, pair.worldid, pair.geoms[0]),
-                solid(shapes, pair.worldid, pair.geoms[1]),
+                solid(shapes, pair.worldid, geoms[0]),
+                solid(shapes, pair.worldid, geoms[1]),
                 pair.worldid,
                 pair.margin,
                 pair.gap,
@@ -90,7 +96,7 @@ def touch_kernel(kind: tuple[GeomType, GeomType]) -> wp.Kernel:
                 solreffriction,
                 solimp,
                 adhesion,
-                pair.geoms,
+                geoms,
                 pair.pairid,
                 contact_out.dist,
                 contact_out.pos,

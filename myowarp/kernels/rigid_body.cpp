@@ -99,7 +99,7 @@ for (int world = thread; world < qpos.shape[0]; world += threads) {
         }
         for (int j = begin; j < end; ++j) {
             const int at = bodies.jnt_qposadr.data[j];
-            const bool central = joint_position[j] == wp::vec3();  // as most are; so are most bodies not turned
+            const bool central = joint_position[j] == wp::vec3();  // as most are
             anchor[j] = central ? x : x + rotate(q, joint_position[j]);
             axis[j] = rotate(q, joint_axis[j]);
             if (joint_kind[j] == SLIDE) {
