@@ -136,6 +136,18 @@ def count_step(
     episode.life_count[worldid] += 1
 
 
+@wp.func_native("""
+const float* row = &wp::index(values, worldid, 0);
+bool found = false;
+for (int i = 0; i < values.shape[1]; ++i)
+    found |= !(wp::abs(row[i]) <= limit);
+return found;
+""")
+def beyond(values: wp.array2d[float], worldid: int, limit: float) -> bool:
+    """Return whether an entry of a world exceeds a limit, or is NaN; native, which becomes SIMD."""
+    ...
+
+
 @wp.kernel(enable_backward=False)
 def detect_faults(
     # Data in:
@@ -148,21 +160,15 @@ def detect_faults(
     # Out:
     fault: wp.array[int],
 ):
-    """Add fault bits for states that are not finite and for capacities that overflowed.
-
-    A comparison with NaN is false, and takes less time than asking whether a number is finite.
-    """
+    """Add fault bits for states that are not finite and for capacities that overflowed."""
     worldid = wp.tid()
     bits = fault[worldid]
-    for i in range(qpos_in.shape[1]):
-        if not (wp.abs(qpos_in[worldid, i]) <= STATE_LIMIT):
-            bits |= FAULT_NONFINITE
-    for i in range(qvel_in.shape[1]):
-        if not (wp.abs(qvel_in[worldid, i]) <= STATE_LIMIT):
-            bits |= FAULT_NONFINITE
-    for i in range(activation.shape[1]):
-        if not (wp.abs(activation[worldid, i]) <= STATE_LIMIT):
-            bits |= FAULT_NONFINITE
+    if (
+        beyond(qpos_in, worldid, STATE_LIMIT)
+        or beyond(qvel_in, worldid, STATE_LIMIT)
+        or beyond(activation, worldid, STATE_LIMIT)
+    ):
+        bits |= FAULT_NONFINITE
     if (overflow_out[worldid] & ROW_BITS) != 0:
         bits |= FAULT_ROWS
     if (overflow_out[worldid] & CONTACT_BITS) != 0:

@@ -7,7 +7,13 @@ its table of columns.
 import warp as wp
 
 
-@wp.func
+@wp.func_native("""
+const float* __restrict__ from = &wp::index(values, worldid, first);
+float* __restrict__ to = &wp::index(obs, worldid, column);
+for (int i = 0; i < count; ++i)
+    to[i] = scale * from[i];
+return column + count;
+""")
 def pack_range(
     obs: wp.array2d[float],
     worldid: int,
@@ -17,10 +23,8 @@ def pack_range(
     count: int,
     scale: float,
 ) -> int:
-    """Write `scale * values[worldid, first : first + count]`."""
-    for i in range(count):
-        obs[worldid, column + i] = scale * values[worldid, first + i]
-    return column + count
+    """Write `scale * values[worldid, first : first + count]`; native, which becomes SIMD."""
+    ...
 
 
 @wp.func

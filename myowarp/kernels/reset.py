@@ -15,14 +15,15 @@ def fill_rows(
     values: wp.array2d[float],
 ):
     """values[world, :] = value in the worlds of the mask."""
-    worldid, i = wp.tid()
+    worldid = wp.tid()
     if mask[worldid]:
-        values[worldid, i] = value
+        for i in range(values.shape[1]):
+            values[worldid, i] = value
 
 
 def masked_fill(mask: wp.array, values: wp.array, value: float) -> None:
     """Set the rows of `values` (num_worlds, n) that `mask` (num_worlds,) selects to `value`."""
-    wp.launch(fill_rows, dim=values.shape, inputs=[mask, value], outputs=[values])
+    wp.launch(fill_rows, dim=values.shape[0], inputs=[mask, value], outputs=[values])
 
 
 @wp.kernel(enable_backward=False)
