@@ -295,7 +295,7 @@ class MyoWarpVectorEnv(VectorEnv):
         elif self._autoreset == AutoresetMode.DISABLED:
             self._ended = ended
         info |= dict.fromkeys([f"_{key}" for key in info], stepped)
-        if not ended.nonzero()[0].size:  # a third of the time of `any`
+        if not ended.any():
             return
         self._warn_of_faults(fault)
         if same_step:

@@ -95,8 +95,6 @@ class ActionInput:
             raise ValueError(f"actions must be finite, got NaN or infinity for worlds {worlds}")
         if self._host is None:
             self._action.assign(np.clip(host, -1.0, 1.0))
-        elif host.dtype == self._host.dtype:  # half the time of `clip`
-            np.maximum(np.minimum(host, 1.0, out=self._host), -1.0, out=self._host)
         else:
             host.clip(-1.0, 1.0, out=self._host, casting="same_kind")
 

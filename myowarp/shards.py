@@ -32,7 +32,6 @@ from myowarp.warmup import quiet
 from myowarp.worlds import Worlds
 
 Task: TypeAlias = Callable[[], None]
-STEP = operator.methodcaller("step")
 
 LEAST_WORLDS = 4  # in a shard, by default: fewer are not worth the time that a shard takes to build
 PATIENCE = 2.0  # s without a word
@@ -133,7 +132,7 @@ class Shards:
         Raises:
             RuntimeError: A part has failed; its worlds are named, and no thread is left.
         """
-        self._together(STEP)
+        self._together(operator.methodcaller("step"))
 
     def reset(self, mask: np.ndarray | None = None, seeds: np.ndarray | None = None) -> None:
         """Start new episodes; see `Simulation.reset`.

@@ -1,4 +1,7 @@
-"""Contacts of ellipsoids: against the definition by brute force in float64, and beside MuJoCo C."""
+"""Contacts: ellipsoids against their definition by brute force in float64, closed forms against the engine.
+
+Both beside MuJoCo C.
+"""
 
 import contextlib
 from types import SimpleNamespace
@@ -70,15 +73,24 @@ def states(kind, spread):
     return model, np.hstack([center, quat / np.linalg.norm(quat, axis=1)[:, None]])
 
 
-def engine_contacts(model, qpos):
-    """Return distance, normal and position of our contacts, NaN in worlds without one."""
-    device = mjw.put_model(model)
-    data = mjw.make_data(model, nworld=len(qpos), nconmax=2)
+def collided(model, qpos, room, ours=True, growth=0.0):
+    """Return the engine's data with its contacts or ours; bodies grow from world to world."""
+    device = mjw.put_model(model, batch_sizes={"geom_size": len(qpos), "geom_margin": len(qpos)})
+    for field in (device.geom_size, device.geom_margin):
+        scale = 1.0 + growth * np.arange(len(qpos)) / len(qpos)
+        field.assign(field.numpy() * scale.reshape(-1, *[1] * (field.numpy().ndim - 1)))
+    data = mjw.make_data(model, nworld=len(qpos), nconmax=room)
     data.qpos.assign(qpos)
     mjw.kinematics(device, data)
     fusion = FUSIONS["contact_search"](SimpleNamespace(model=device, data=data, oracle=model))
-    with fusion.installed():
+    with fusion.installed() if ours else contextlib.nullcontext():
         mjw.collision(device, data)
+    return data
+
+
+def engine_contacts(model, qpos):
+    """Return distance, normal and position of our contacts, NaN in worlds without one."""
+    data = collided(model, qpos, room=2)
     found = np.full((len(qpos), 7), np.nan)
     count = data.nacon.numpy()[0]
     worlds = data.contact.worldid.numpy()[:count]
@@ -196,17 +208,8 @@ def solids(kind, pair=""):
 
 
 def contacts_of_first(model, qpos, ours, growth=0.0):
-    """Return all contacts of the first geom, sorted; bodies grow from world to world."""
-    device = mjw.put_model(model, batch_sizes={"geom_size": len(qpos), "geom_margin": len(qpos)})
-    for field in (device.geom_size, device.geom_margin):
-        scale = 1.0 + growth * np.arange(len(qpos)) / len(qpos)
-        field.assign(field.numpy() * scale.reshape(-1, *[1] * (field.numpy().ndim - 1)))
-    data = mjw.make_data(model, nworld=len(qpos), nconmax=12)
-    data.qpos.assign(qpos)
-    mjw.kinematics(device, data)
-    fusion = FUSIONS["contact_search"](SimpleNamespace(model=device, data=data, oracle=model))
-    with fusion.installed() if ours else contextlib.nullcontext():
-        mjw.collision(device, data)
+    """Return all contacts of the first geom, sorted."""
+    data = collided(model, qpos, 12, ours, growth)
     count = min(data.nacon.numpy()[0], data.naconmax)
     rows = np.hstack([getattr(data.contact, name).numpy()[:count].reshape(count, -1) for name in FIELDS])
     rows = rows[rows[:, 0] == 0]

@@ -97,6 +97,7 @@ def launch_primitives(
 ) -> None:
     """Find the contacts of these kinds of pairs on the engine's list; those with meshes are left to it."""
     shapes, material = filled(Shapes, model, data), filled(ContactMaterial, model)
+    candidates, contact = filled(Candidates, context, data), filled(ContactPool, data.contact, data)
     threads = num_threads(data.nacon.device, data.naconmax)
     for kind in kinds:
         if kind not in CLOSED_FORMS:
@@ -106,6 +107,6 @@ def launch_primitives(
         wp.launch(
             touch_pairs,
             dim=threads,
-            inputs=[shapes, material, data.naconmax, threads, filled(Candidates, context, data)],
-            outputs=[filled(ContactPool, data.contact, data)],
+            inputs=[shapes, material, data.naconmax, threads, candidates],
+            outputs=[contact],
         )

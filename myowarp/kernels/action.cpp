@@ -2,8 +2,7 @@
 // becomes SIMD.
 
 constexpr float LARGEST = 3.4028235e38f;  // finite number
-const int row = actuator_ctrlrange.shape[0] > 1 ? worldid % actuator_ctrlrange.shape[0] : 0;
-const auto* range = &wp::index(actuator_ctrlrange, row, 0);
+const auto* range = &wp::index(actuator_ctrlrange, worldid % actuator_ctrlrange.shape[0], 0);
 const int* kind = actuator_kind.data;
 const float* from = &wp::index(action, worldid, 0);
 float* to = &wp::index(ctrl, worldid, 0);

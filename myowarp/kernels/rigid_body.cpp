@@ -11,7 +11,7 @@ auto multiply = [](const Quat& a, const Quat& b) -> Quat {
     return {a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z, a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
             a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x, a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w};
 };
-auto is_unit = [](const Quat& q) { return q.w == 1.0f && q.x == 0.0f && q.y == 0.0f && q.z == 0.0f; };
+auto is_identity = [](const Quat& q) { return q.w == 1.0f && q.x == 0.0f && q.y == 0.0f && q.z == 0.0f; };
 auto normalized = [](const Quat& q) -> Quat {
     const float square = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z;
     const float scale = square > 0.0f ? 1.0f / sqrtf(square) : 0.0f;
@@ -95,7 +95,7 @@ for (int world = thread; world < qpos.shape[0]; world += threads) {
             q = multiply(orientation[p], ((Quat*)state(pose.mocap_quat))[mocap]);
         } else {
             x = position[p] + wp::mul(frame[p], body_position[b]);
-            q = is_unit(body_orientation[b]) ? orientation[p] : multiply(orientation[p], body_orientation[b]);
+            q = is_identity(body_orientation[b]) ? orientation[p] : multiply(orientation[p], body_orientation[b]);
         }
         for (int j = begin; j < end; ++j) {
             const int at = bodies.jnt_qposadr.data[j];
