@@ -25,6 +25,7 @@ from rich.table import Table
 
 from benchmarks.__main__ import CONTACT_TASKS, PACKAGES, processor
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.graph import Graph
 from myowarp.kernels.repeat import repeat
 from myowarp.prune import pruned
 from myowarp.spec import PHYSICS
@@ -67,23 +68,27 @@ class Pair:
     def _actions(self) -> np.ndarray:
         return self.rng.uniform(-1, 1, self.sim.action.shape).astype(np.float32)
 
-    def _capture_physics(self) -> wp.Graph:
+    def _capture_physics(self) -> Graph:
         """Record the physics steps of a control step, without muscles."""
         sim, model = self.sim, self.sim.scene.model
         callback, model.callback.control = model.callback.control, None
         countdown = wp.zeros(1, dtype=int, device=sim.scene.device)
-        capture = wp.ScopedCapture(device=sim.scene.device, force_module_load=False)
-        with quiet(), capture, pruned(sim._idle):
-            repeat(sim._launch_physics, sim.scene.num_substeps, countdown)
+
+        def launch() -> None:
+            with pruned(sim._idle):
+                repeat(sim._launch_physics, sim.scene.num_substeps, countdown)
+
+        with quiet():
+            graph = Graph(launch, sim.scene.device)
         model.callback.control = callback
-        return capture.graph
+        return graph
 
     def shares(self, rounds: int) -> list[float]:
         """Return for each round which part of an environment step is not physics."""
         data, found = self.sim.scene.data, []
         for _ in range(rounds):
             state = [getattr(data, name).numpy().copy() for name in STATE]
-            physics = timed(lambda: wp.capture_launch(self.graph))
+            physics = timed(self.graph.launch)
             for name, values in zip(STATE, state, strict=True):
                 getattr(data, name).assign(values)
             actions = self._actions()

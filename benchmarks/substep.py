@@ -28,6 +28,7 @@ from rich.table import Column, Table
 
 from benchmarks.__main__ import CONTACT_TASKS, PACKAGES, processor
 from myowarp.fusions import FUSIONS, applicable_fusions, installed
+from myowarp.graph import Graph
 from myowarp.prune import idle_kernels, pruned
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
@@ -84,7 +85,7 @@ class Physics:
         measured = {name: lambda graph=graph: self.run(graph) for name, graph in graphs.items()}
         return measured | {MUJOCO_C: self.run_mujoco_c}
 
-    def graph(self, names: list[str]) -> wp.Graph:
+    def graph(self, names: list[str]) -> Graph:
         """Return a captured control step of physics with some fusions."""
         fusions = applicable_fusions(self.scene, names)
 
@@ -95,17 +96,15 @@ class Physics:
 
         with quiet(), wp.ScopedDevice(self.scene.device):
             launch()
-            with wp.ScopedCapture(force_module_load=False) as capture:
-                launch()
-        return capture.graph
+            return Graph(launch, self.scene.device)
 
-    def run(self, graph: wp.Graph) -> float:
+    def run(self, graph: Graph) -> float:
         """Time a graph."""
         for name, values in self.state.items():
             self.arrays[name].assign(values)
         begin = time.thread_time()
         for _ in range(self.steps):
-            wp.capture_launch(graph)
+            graph.launch()
         return 1e6 * (time.thread_time() - begin) / (self.num_steps * self.scene.num_worlds)
 
     def run_mujoco_c(self) -> float:

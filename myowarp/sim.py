@@ -16,6 +16,7 @@ import warp as wp
 
 from myowarp.fusions import FUSIONS, Fusion, installed
 from myowarp.fusions.rigid_body import RigidBodyFusion
+from myowarp.graph import WORDS, Graph, replay_command
 from myowarp.kernels.action import apply_action
 from myowarp.kernels.episode import (
     RESET_DISABLED,
@@ -204,6 +205,8 @@ class Simulation:
         """Every launch there is, for the compiler."""
         self._launch_step()
         self._launch_asked_reset()
+        if self.scene.device.is_cpu:
+            replay_command(wp.zeros((1, WORDS), dtype=wp.uint64), self.scene.device)
 
     def _launch_step(self) -> None:
         """One control step of all worlds."""
@@ -324,12 +327,10 @@ class Simulation:
         with engine_kernels_alone():
             mjw.kinematics(model, data)
 
-    def _capture(self, launches: Callable[[], None]) -> wp.Graph:
+    def _capture(self, launches: Callable[[], None]) -> Graph:
         """Record launches as a graph, which no other graph shares its code with."""
         renew_code(self._modules)
-        with wp.ScopedCapture(device=self.scene.device, force_module_load=False) as capture:
-            launches()
-        return capture.graph
+        return Graph(launches, self.scene.device)
 
     def step(self) -> None:
         """Advance all worlds by one control step under `action`; results are in `transition`."""
@@ -376,10 +377,10 @@ class Simulation:
         self._asked.assign(mask)
         self._run(self._reset_graph, self._launch_asked_reset)
 
-    def _run(self, graph: wp.Graph | None, launches: Callable[[], None]) -> None:
+    def _run(self, graph: Graph | None, launches: Callable[[], None]) -> None:
         """Replay a graph, or launch what it would hold."""
         if graph is not None:
-            wp.capture_launch(graph)
+            graph.launch()
             return
         with wp.ScopedDevice(self.scene.device):
             launches()
