@@ -67,7 +67,7 @@ class Options:
     """JSON file to write; the plot goes beside it."""
     families: tuple[str, ...] = tuple(FAMILIES)
     """Families to measure."""
-    sizes: tuple[int, ...] = (64, 256, 1024)
+    sizes: tuple[int, ...] = (1, 64, 256, 1024)
     """Numbers of worlds of MyoWarp."""
     rounds: int = 5
     """Rounds; the median counts."""

@@ -69,7 +69,7 @@ def _summarize_family(rows: dict[str, Any], task: str, family: str, sizes: Seque
     ratios = {
         f"{physics} {size}": {
             rival: _ratios(rows[f"{physics} {size}"], rows[rival])
-            for rival in ("EnvPool", better, "MuJoCo C")
+            for rival in ("EnvPool", "MyoSuite", "MyoSuite async", "MuJoCo C")
         }
         for physics in ("parity", "fast")
         for size in sizes

@@ -9,16 +9,17 @@ through the notes.
 import contextlib
 import ctypes
 from collections.abc import Callable, Iterator
+from itertools import chain
 from typing import Any, TypeAlias
 from unittest import mock
 
 import numpy as np
 import warp as wp
 from warp._src import context
+from warp._src.apic.types import APIC_OP_WHILE
 
 from myowarp.kernels.replay import Operation, replay
 
-Launches: TypeAlias = Callable[..., None]
 Rows: TypeAlias = list[tuple[int, ...]]
 
 WORDS = 4  # in a row of a program
@@ -54,12 +55,14 @@ class Graph:
 class _Notes:
     """What Warp records on the CPU, an entry for each of its operations.
 
-    Warp's functions for this are private to it. Where it records something else than they, as a later Warp
-    may, the number of operations is another one, and it is left to Warp.
+    It is noted where Warp hands it to its native code, which is private to it. What is handed over in another
+    way, as in a later Warp may be more, makes the numbers of operations differ, and is left to Warp.
     """
 
     def __init__(self) -> None:
         self._operations: list[Rows] = []
+        self._outside: list[tuple[list[Rows], int]] = []
+        self._branches: list[Rows] = []
         self._kept: list[object] = []
         self._agree = True
 
@@ -72,13 +75,14 @@ class _Notes:
             (core, "wp_memcpy_h2h", self._copy),
             (device, "memset", self._set),
             (device, "memtile", self._tile),
+            (core, "wp_apic_begin_branch", self._begin_branch),
+            (core, "wp_apic_end_branch", self._end_branch),
+            (core, "wp_apic_record_conditional", self._conditional),
         )
         with contextlib.ExitStack() as patches:
             for holder, name, note in noted:
-                both = _beside(note, getattr(holder, name))
+                both = _both(note, getattr(holder, name))
                 patches.enter_context(mock.patch.object(holder, name, both))
-            for name, around in (("capture_if", self._if), ("capture_while", self._while)):
-                patches.enter_context(mock.patch.object(wp, name, around(getattr(wp, name))))
             yield
 
     def complete(self, state: ctypes.c_void_p) -> bool:
@@ -87,7 +91,7 @@ class _Notes:
 
     def program(self) -> np.ndarray:
         """Return the rows that `replay` runs, shape (n, 4) uint64."""
-        rows = [*_joined(self._operations), (Operation.FINISH,)]
+        rows = [*chain.from_iterable(self._operations), (Operation.FINISH,)]
         words = [[*row, *[0] * (WORDS - len(row))] for row in rows]
         return np.array(words, dtype=np.int64).view(np.uint64)
 
@@ -96,12 +100,10 @@ class _Notes:
         self._kept.append(keep)
 
     def _launch(self, code: Any, bounds: Any, arguments: Any, adjoint: Any, info: Any) -> None:
-        if adjoint is not None:
-            self._agree = False
-            return
         held = [bounds._obj, arguments and arguments._obj]  # what `ctypes.byref` points to
         where = [ctypes.addressof(x) if x is not None else 0 for x in held]
         self._note((Operation.LAUNCH, code.value, *where), keep=held)
+        self._agree &= adjoint is None
 
     def _copy(self, target: int, source: int, size: int) -> None:
         if size:
@@ -116,52 +118,26 @@ class _Notes:
             tiles = np.frombuffer(times * ctypes.string_at(value, size), dtype=np.uint8)
             self._note((Operation.COPY, target, tiles.ctypes.data, tiles.nbytes), keep=tiles)
 
-    def _body(self, launches: Launches | None, rows: Rows) -> Launches | None:
-        """Return a branch that adds its rows to a list when Warp records it."""
-        if launches is None:
-            return None
+    def _begin_branch(self, state: ctypes.c_void_p) -> None:
+        self._outside.append((self._operations, _num_recorded(state)))
+        self._operations = []
 
-        def noted(**kwargs: Any) -> None:
-            outside, self._operations = self._operations, []
-            state = context.runtime._apic_capture.apic_state
-            before = _num_recorded(state)
-            launches(**kwargs)
-            self._agree &= len(self._operations) == _num_recorded(state) - before
-            rows.extend(_joined(self._operations))
-            self._operations = outside
+    def _end_branch(self, state: ctypes.c_void_p, start: Any) -> None:
+        outside, before = self._outside.pop()
+        self._agree &= len(self._operations) == _num_recorded(state) - before
+        self._branches.append(list(chain.from_iterable(self._operations)))
+        self._operations = outside
 
-        return noted
-
-    def _if(self, record: Launches) -> Launches:
-        """Return `wp.capture_if` with notes."""
-
-        def capture_if(
-            condition: wp.array, on_true: Any = None, on_false: Any = None, stream: Any = None, **kwargs: Any
-        ) -> None:
-            yes, no = Rows(), Rows()
-            record(condition, self._body(on_true, yes), self._body(on_false, no), stream, **kwargs)
-            skip = Operation.JUMP_IF_ZERO, condition.ptr, len(yes) + 2
-            self._note(skip, *yes, (Operation.JUMP, len(no) + 1), *no, keep=condition)
-
-        return capture_if
-
-    def _while(self, record: Launches) -> Launches:
-        """Return `wp.capture_while` with notes."""
-
-        def capture_while(condition: wp.array, while_body: Any, stream: Any = None, **kwargs: Any) -> None:
-            rows = Rows()
-            record(condition, self._body(while_body, rows), stream, **kwargs)
-            skip = Operation.JUMP_IF_ZERO, condition.ptr, len(rows) + 2
-            self._note(skip, *rows, (Operation.JUMP, -len(rows) - 1), keep=condition)
-
-        return capture_while
+    def _conditional(self, state: Any, kind: int, region: int, offset: int, first: Any, second: Any) -> None:
+        """Note a loop over the first branch, or the first if an integer is not 0, and the second if it is."""
+        no = self._branches.pop() if second else []
+        yes = self._branches.pop() if first else []
+        over = -len(yes) - 1 if kind == APIC_OP_WHILE else len(no) + 1
+        skip = Operation.JUMP_IF_ZERO, _address(region) + offset, len(yes) + 2
+        self._note(skip, *yes, (Operation.JUMP, over), *no)
 
 
-def _joined(operations: list[Rows]) -> Rows:
-    return [row for rows in operations for row in rows]
-
-
-def _beside(note: Callable[..., None], record: Callable[..., Any]) -> Callable[..., Any]:
+def _both(note: Callable[..., None], record: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function that does both with its arguments."""
 
     def both(*args: Any) -> Any:
@@ -174,6 +150,12 @@ def _beside(note: Callable[..., None], record: Callable[..., Any]) -> Callable[.
 def _num_recorded(state: ctypes.c_void_p) -> int:
     """Return how many operations Warp has recorded, in the branch that is open."""
     return int(context.runtime.core.wp_apic_get_operation_count(state))
+
+
+def _address(region: int) -> int:
+    """Return where memory that Warp knows by a number begins."""
+    known = context.runtime._apic_capture._regions.values()
+    return int(next(base for number, base, *_ in known if number == region))
 
 
 def replay_command(program: wp.array, device: wp.Device) -> wp.Launch:

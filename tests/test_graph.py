@@ -109,7 +109,8 @@ def test_loops_and_branches(times, branch):
     def body():
         wp.capture_if(which, lambda: inner_loop(counts[0], 1), lambda: inner_loop(counts[1], 10))
         wp.capture_if(which, lambda: count_up(counts[2], 100))
-        wp.capture_if(which, on_false=lambda: count_up(counts[3], 1000))
+        wp.capture_if(which, on_false=lambda: count_up(counts[3], 400))
+        wp.capture_if(which, lambda: None, lambda: count_up(counts[3], 600))
         count_up(outer, -1)
 
     def launches():
