@@ -22,8 +22,6 @@ from myowarp.kernels.replay import Operation, replay
 
 Rows: TypeAlias = list[tuple[int, ...]]
 
-WORDS = 4  # in a row of a program
-
 
 class Graph:
     """Recorded launches."""
@@ -36,13 +34,14 @@ class Graph:
             device: Where they run.
         """
         notes = _Notes()
-        beside = notes.taken(device) if device.is_cpu else contextlib.nullcontext()
-        with beside, wp.ScopedCapture(device=device, force_module_load=False) as capture:
+        notebook = notes.taken(device) if device.is_cpu else contextlib.nullcontext()
+        with wp.ScopedCapture(device=device, force_module_load=False) as capture, notebook:
             launches()
-        self._recorded, self._notes = capture.graph, notes  # keep alive what the addresses point to
+        self._recorded = capture.graph
         self._replay: Callable[[], None] | None = None
         if device.is_cpu and notes.complete(self._recorded.apic_state):
             self._replay = _replayed(notes.program(), device)
+            self._kept = notes.kept  # what the program has addresses of, beside what the record keeps
 
     def launch(self) -> None:
         """Launch all that was recorded."""
@@ -55,16 +54,20 @@ class Graph:
 class _Notes:
     """What Warp records on the CPU, an entry for each of its operations.
 
-    It is noted where Warp hands it to its native code, which is private to it. What is handed over in another
-    way, as in a later Warp may be more, makes the numbers of operations differ, and is left to Warp.
+    It is noted where Warp hands it to its native code, by functions that are private to it: another minor
+    version has to be tried out. A graph that has operations of other kinds has fewer notes than operations,
+    and is left to Warp.
+
+    Attributes:
+        kept: Arguments and values whose addresses were noted.
     """
 
     def __init__(self) -> None:
+        self.kept: list[object] = []
         self._operations: list[Rows] = []
         self._outside: list[tuple[list[Rows], int]] = []
         self._branches: list[Rows] = []
-        self._kept: list[object] = []
-        self._agree = True
+        self._has_all = not wp.config.enable_cpu_blocks  # whose errors Warp asks for after each launch
 
     @contextlib.contextmanager
     def taken(self, device: wp.Device) -> Iterator[None]:
@@ -81,42 +84,38 @@ class _Notes:
         )
         with contextlib.ExitStack() as patches:
             for holder, name, note in noted:
-                both = _both(note, getattr(holder, name))
-                patches.enter_context(mock.patch.object(holder, name, both))
+                noting = _noting(note, getattr(holder, name))
+                patches.enter_context(mock.patch.object(holder, name, noting))
             yield
 
     def complete(self, state: ctypes.c_void_p) -> bool:
         """Whether there is a note for each operation that Warp has recorded."""
-        return self._agree and len(self._operations) == _num_recorded(state)
+        return self._has_all and len(self._operations) == _num_recorded(state)
 
     def program(self) -> np.ndarray:
         """Return the rows that `replay` runs, shape (n, 4) uint64."""
         rows = [*chain.from_iterable(self._operations), (Operation.FINISH,)]
-        words = [[*row, *[0] * (WORDS - len(row))] for row in rows]
-        return np.array(words, dtype=np.int64).view(np.uint64)
+        return np.array([[*row, 0, 0, 0][:4] for row in rows], dtype=np.int64).view(np.uint64)
 
     def _note(self, *rows: tuple[int, ...], keep: object = None) -> None:
         self._operations.append(list(rows))
-        self._kept.append(keep)
+        self.kept.append(keep)
 
     def _launch(self, code: Any, bounds: Any, arguments: Any, adjoint: Any, info: Any) -> None:
-        held = [bounds._obj, arguments and arguments._obj]  # what `ctypes.byref` points to
-        where = [ctypes.addressof(x) if x is not None else 0 for x in held]
-        self._note((Operation.LAUNCH, code.value, *where), keep=held)
-        self._agree &= adjoint is None
+        passed = [bounds._obj, arguments and arguments._obj]  # what `ctypes.byref` points to
+        addresses = [ctypes.addressof(x) if x is not None else 0 for x in passed]
+        self._note((Operation.LAUNCH, code.value, *addresses), keep=passed)
+        self._has_all &= adjoint is None
 
     def _copy(self, target: int, source: int, size: int) -> None:
-        if size:
-            self._note((Operation.COPY, target, source, size))
+        self._note((Operation.COPY, target, source, size))
 
     def _set(self, target: int, value: int, size: int) -> None:
-        if size:
-            self._note((Operation.SET, target, value, size))
+        self._note((Operation.SET, target, value, size))
 
     def _tile(self, target: int, value: Any, size: int, times: int) -> None:
-        if size and times:
-            tiles = np.frombuffer(times * ctypes.string_at(value, size), dtype=np.uint8)
-            self._note((Operation.COPY, target, tiles.ctypes.data, tiles.nbytes), keep=tiles)
+        tiles = np.frombuffer(times * ctypes.string_at(value, size), dtype=np.uint8)
+        self._note((Operation.COPY, target, tiles.ctypes.data, tiles.nbytes), keep=tiles)
 
     def _begin_branch(self, state: ctypes.c_void_p) -> None:
         self._outside.append((self._operations, _num_recorded(state)))
@@ -124,7 +123,7 @@ class _Notes:
 
     def _end_branch(self, state: ctypes.c_void_p, start: Any) -> None:
         outside, before = self._outside.pop()
-        self._agree &= len(self._operations) == _num_recorded(state) - before
+        self._has_all &= len(self._operations) == _num_recorded(state) - before
         self._branches.append(list(chain.from_iterable(self._operations)))
         self._operations = outside
 
@@ -132,23 +131,25 @@ class _Notes:
         """Note a loop over the first branch, or the first if an integer is not 0, and the second if it is."""
         no = self._branches.pop() if second else []
         yes = self._branches.pop() if first else []
-        over = -len(yes) - 1 if kind == APIC_OP_WHILE else len(no) + 1
+        again = kind == APIC_OP_WHILE and yes  # Warp ends a loop that does nothing
         skip = Operation.JUMP_IF_ZERO, _address(region) + offset, len(yes) + 2
-        self._note(skip, *yes, (Operation.JUMP, over), *no)
+        self._note(skip, *yes, (Operation.JUMP, -len(yes) - 1 if again else len(no) + 1), *no)
 
 
-def _both(note: Callable[..., None], record: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that does both with its arguments."""
+def _noting(note: Callable[..., None], native: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of Warp's that also takes a note when it records: in this thread, and not paused."""
+    recording = context.runtime.core.wp_apic_get_recording_state
 
-    def both(*args: Any) -> Any:
-        note(*args)
-        return record(*args)
+    def noting(*args: Any) -> Any:
+        if recording():
+            note(*args)
+        return native(*args)
 
-    return both
+    return noting
 
 
 def _num_recorded(state: ctypes.c_void_p) -> int:
-    """Return how many operations Warp has recorded, in the branch that is open."""
+    """Return how many operations Warp has recorded, those of the branches that are open included."""
     return int(context.runtime.core.wp_apic_get_operation_count(state))
 
 
@@ -158,15 +159,17 @@ def _address(region: int) -> int:
     return int(next(base for number, base, *_ in known if number == region))
 
 
-def replay_command(program: wp.array, device: wp.Device) -> wp.Launch:
-    """Return the launch of a program, shape (n, 4) uint64."""
-    return wp.launch(replay, dim=1, inputs=[program], device=device, record_cmd=True)
+def replay_nothing(device: wp.Device) -> None:
+    """Show the compiler what replays on the CPU."""
+    if device.is_cpu:
+        _replayed(np.array([[Operation.FINISH, 0, 0, 0]], dtype=np.uint64), device)
 
 
 def _replayed(rows: np.ndarray, device: wp.Device) -> Callable[[], None]:
     """Return a function that runs a program; Python's other threads go on meanwhile."""
     program = wp.array(rows, dtype=wp.uint64, device=device)
-    command, arguments = replay_command(program, device), program.__ctype__()
+    command = wp.launch(replay, dim=1, inputs=[program], device=device, record_cmd=True)
+    arguments = program.__ctype__()
 
     def launch() -> None:
         command.hooks.forward(ctypes.byref(command.bounds), ctypes.byref(arguments))

@@ -16,7 +16,7 @@ import warp as wp
 
 from myowarp.fusions import FUSIONS, Fusion, installed
 from myowarp.fusions.rigid_body import RigidBodyFusion
-from myowarp.graph import WORDS, Graph, replay_command
+from myowarp.graph import Graph, replay_nothing
 from myowarp.kernels.action import apply_action
 from myowarp.kernels.episode import (
     RESET_DISABLED,
@@ -205,8 +205,7 @@ class Simulation:
         """Every launch there is, for the compiler."""
         self._launch_step()
         self._launch_asked_reset()
-        if self.scene.device.is_cpu:
-            replay_command(wp.zeros((1, WORDS), dtype=wp.uint64), self.scene.device)
+        replay_nothing(self.scene.device)
 
     def _launch_step(self) -> None:
         """One control step of all worlds."""

@@ -1,10 +1,12 @@
 """Recorded launches: replayed they do what NumPy does, and what Warp's own replay does."""
 
 import gc
+import threading
 
 import numpy as np
 import pytest
 import warp as wp
+from warp._src import context
 
 from myowarp.graph import Graph
 
@@ -16,6 +18,12 @@ SIZE = 5
 def scale_and_add(x: wp.array[float], factor: float, offset: wp.vec2, y: wp.array[float]):
     i = wp.tid()
     y[i] = factor * x[i] + offset[0] - offset[1] + y[i]
+
+
+@wp.kernel
+def scale(x: wp.array[float], factor: float, offset: wp.vec2, y: wp.array[float]):
+    i = wp.tid()
+    y[i] = factor * x[i] + offset[0]
 
 
 @wp.kernel(enable_backward=False)
@@ -43,6 +51,18 @@ def graph(launches):
     made = Graph(launches, CPU)
     assert made._replay is not None
     return made
+
+
+def replays(recorded):
+    """Return our replay and Warp's of the same record."""
+    return recorded.launch, lambda: wp.capture_launch(recorded._recorded)
+
+
+def private(core=context.runtime.core):
+    """Return the functions of Warp that notes are taken in."""
+    branches = ("wp_apic_begin_branch", "wp_apic_end_branch", "wp_apic_record_conditional")
+    names = ("wp_cpu_launch_kernel", "wp_memcpy_h2h", *branches)
+    return [getattr(core, name) for name in names] + [CPU.memset, CPU.memtile]
 
 
 def test_launches_follow_what_the_arrays_hold():
@@ -95,7 +115,8 @@ def test_fills_and_copies(dtype):
 @pytest.mark.parametrize("branch", [0, 1, 2])
 def test_loops_and_branches(times, branch):
     """A loop in which both branches, of several launches, hold a loop of their own."""
-    outer, inner, which = array([0], int), array([0], int), array([branch], int)
+    inner, which = array([0], int), array([branch], int)
+    outer = array([9, 0], int)[1:]
     counts = [array([0], int) for _ in range(4)]
 
     def inner_loop(count, amount):
@@ -118,11 +139,27 @@ def test_loops_and_branches(times, branch):
         count_up(which, 1)
 
     recorded = graph(launches)
-    outer.fill_(times)
-    recorded.launch()
-    taken = [3, 0, 100, 0] if branch else [0, 30, 0, 1000]
-    assert [int(count.numpy()[0]) for count in counts] == [times * value for value in taken]
-    assert which.numpy()[0] == branch + 1
+    taken = np.array([3, 0, 100, 0] if branch else [0, 30, 0, 1000])
+    for replay in replays(recorded):
+        outer.fill_(times)
+        which.fill_(branch)
+        for count in counts:
+            count.zero_()
+        replay()
+        assert [int(count.numpy()[0]) for count in counts] == list(times * taken)
+        assert which.numpy()[0] == branch + 1
+
+
+def test_a_loop_that_does_nothing_ends():
+    endless, count = array([1], int), array([0], int)
+
+    def launches():
+        wp.capture_while(endless, lambda: None)
+        count_up(count, 1)
+
+    for replay in replays(graph(launches)):
+        replay()
+    assert count.numpy()[0] == 2
 
 
 @pytest.mark.parametrize("nested", [False, True])
@@ -140,6 +177,36 @@ def test_what_has_no_note_is_left_to_warp(nested):
     recorded.launch()
     np.testing.assert_array_equal(sums.numpy(), np.cumsum(np.arange(SIZE)))
     assert once.numpy()[0] == 0
+
+
+def test_only_what_is_recorded_is_noted():
+    """Not what another thread does: it would stand in for a sum, of which there are no notes."""
+    x, sums, other = array(np.arange(SIZE), int), wp.zeros(SIZE, dtype=int, device=CPU), array([5], int)
+
+    def launches():
+        wp.utils.array_scan(x, sums, inclusive=True)
+        thread = threading.Thread(target=lambda: CPU.memset(other.ptr, 0, 4))
+        thread.start()
+        thread.join()
+
+    wp.load_module(device=CPU)
+    recorded = Graph(launches, CPU)
+    assert other.numpy()[0] == 0
+    recorded.launch()
+    np.testing.assert_array_equal(sums.numpy(), np.cumsum(np.arange(SIZE)))
+
+
+def test_adjoints_are_left_to_warp():
+    x, y = (wp.array(np.ones(SIZE), dtype=float, device=CPU, requires_grad=True) for _ in range(2))
+    arguments = {"inputs": [x, 3.0, wp.vec2()], "outputs": [y]}
+    adjoints = {"adj_inputs": [x.grad, 0.0, wp.vec2()], "adj_outputs": [y.grad]}
+    backward = arguments | adjoints | {"adjoint": True, "device": CPU}
+    wp.load_module(device=CPU)
+    recorded = Graph(lambda: wp.launch(scale, dim=SIZE, **backward), CPU)
+    assert recorded._replay is None
+    y.grad.fill_(1.0)
+    recorded.launch()
+    np.testing.assert_array_equal(x.grad.numpy(), np.full(SIZE, 3.0))
 
 
 def test_a_graph_keeps_what_it_needs():
@@ -167,7 +234,7 @@ def test_a_graph_keeps_what_it_needs():
 
 def test_a_failure_leaves_warp_as_it_was():
     count = array([0], int)
-    before = CPU.memset, CPU.memtile, wp.capture_while, wp.capture_if
+    before = private()
 
     def launches():
         count_up(count, 1)
@@ -175,7 +242,7 @@ def test_a_failure_leaves_warp_as_it_was():
 
     with pytest.raises(OSError, match="no"):
         graph(launches)
-    assert (CPU.memset, CPU.memtile, wp.capture_while, wp.capture_if) == before
+    assert private() == before
     count_up(count, 1)
     assert count.numpy()[0] == 1
     graph(lambda: count_up(count, 1)).launch()
