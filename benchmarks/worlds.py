@@ -2,7 +2,8 @@
 
     python -m benchmarks.worlds --output out/worlds.json
 
-Time is wall time of the vector environment on all cores. Batches of every size take turns and run the same
+Time is wall time of the vector environment on all cores and, beside it, CPU time of one simulation on one
+core, which has neither Gymnasium nor threads around it. Batches of every size take turns and run the same
 number of steps from a reset on, since what lies in a hand touches more of it later: batches that run for the
 same time would be compared in different states. Memory is Warp's own count of all arrays, engine included;
 machine code, models and Python are there once, whatever the number of worlds.
@@ -11,6 +12,7 @@ machine code, models and Python are there once, whatever the number of worlds.
 import gc
 import json
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -26,7 +28,8 @@ from benchmarks.__main__ import PACKAGES, processor
 from benchmarks.rivals import FAMILIES
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.progress import progress_bar
-from myowarp.spec import PHYSICS
+from myowarp.sim import Simulation
+from myowarp.spec import PHYSICS, TASKS
 
 
 @dataclass
@@ -46,25 +49,43 @@ class Options:
 
 
 class Batch:
-    """An environment, and what it allocated."""
+    """So many worlds: an environment, what it allocated, and a simulation without one."""
 
     def __init__(self, task: str, physics: str, num_worlds: int) -> None:
         before = allocated()
         self.env = MyoWarpVectorEnv(task, num_worlds, device="cpu", physics=physics)
         self.bytes = allocated() - before
+        self.sim = Simulation(TASKS[task], num_worlds, device="cpu", physics=physics)
         self.actions = np.random.default_rng(0)
 
-    def seconds(self, steps: int, episodes: int) -> float:
-        """Return the wall time of a control step, of episodes that begin in states of their own."""
-        elapsed = 0.0
+    def seconds(self, steps: int, episodes: int) -> tuple[float, float]:
+        """Return what a step takes on all cores and on one, in episodes that begin in states of their own."""
+        num_worlds = self.env.num_envs
+
+        host = self.sim.action.numpy()  # a view
+
+        def step_alone(actions: np.ndarray) -> None:
+            host[:] = actions
+            self.sim.step()
+
+        elapsed = [0.0, 0.0]
         for episode in range(episodes):
-            self.env.reset(seed=episode * self.env.num_envs)
-            for _ in range(steps):
-                actions = self.actions.uniform(-1, 1, self.env.action_space.shape).astype(np.float32)
-                begin = time.perf_counter()
-                self.env.step(actions)
-                elapsed += time.perf_counter() - begin
-        return elapsed / (steps * episodes)
+            first = episode * num_worlds
+            self.env.reset(seed=first)
+            elapsed[0] += self._elapsed(self.env.step, time.perf_counter, steps)
+            self.sim.reset(seeds=first + np.arange(num_worlds))
+            elapsed[1] += self._elapsed(step_alone, time.thread_time, steps)
+        return elapsed[0] / (steps * episodes), elapsed[1] / (steps * episodes)
+
+    def _elapsed(self, step: Callable[[np.ndarray], object], clock: Callable[[], float], steps: int) -> float:
+        """Return the time of so many steps with random actions."""
+        elapsed = 0.0
+        for _ in range(steps):
+            actions = self.actions.uniform(-1, 1, self.env.action_space.shape).astype(np.float32)
+            begin = clock()
+            step(actions)
+            elapsed += clock() - begin
+        return elapsed
 
 
 def allocated() -> int:
@@ -82,18 +103,21 @@ def measure(task: str, physics: str, options: Options) -> dict[str, object]:
         batch.seconds(1, 1)
     times = np.array(
         [
-            [batch.seconds(options.steps, episodes[size]) / size for size, batch in batches.items()]
+            [np.divide(batch.seconds(options.steps, episodes[size]), size) for size, batch in batches.items()]
             for _ in range(options.rounds)
         ]
     )
     for batch in batches.values():
         batch.env.close()
-    ratios = np.median(times / times[:, -1:], axis=0)
-    return {
-        "bytes_per_world": round((batches[many].bytes - batches[few].bytes) / (many - few)),
-        "us_per_world": dict(zip(options.sizes, (1e6 * np.median(times, axis=0)).round(2), strict=True)),
-        "over_largest": dict(zip(options.sizes, ratios.round(3), strict=True)),
+    row: dict[str, object] = {
+        "bytes_per_world": round((batches[many].bytes - batches[few].bytes) / (many - few))
     }
+    for k, prefix in enumerate(("", "core_")):
+        ratios = np.median(times[:, :, k] / times[:, -1:, k], axis=0).round(3)
+        medians = (1e6 * np.median(times[:, :, k], axis=0)).round(2)
+        row[f"{prefix}us_per_world"] = dict(zip(options.sizes, medians, strict=True))
+        row[f"{prefix}over_largest"] = dict(zip(options.sizes, ratios, strict=True))
+    return row
 
 
 def main() -> None:
@@ -113,11 +137,14 @@ def main() -> None:
         "rows": rows,
     }
     options.output.write_text(json.dumps(report, indent=1) + "\n")
-    table = Table("family", "physics", "kB a world", *(f"us, {size}" for size in options.sizes), "ratio")
+    columns = [f"{name}, {size}" for name in ("us", "core us") for size in (*options.sizes, "ratio")]
+    table = Table("family", "physics", "kB a world", *columns)
     for row in rows:
-        figures = (f"{value:.1f}" for value in row["us_per_world"].values())
-        ratio = f"{next(iter(row['over_largest'].values())):.2f}"
-        table.add_row(row["family"], row["physics"], f"{row['bytes_per_world'] / 1e3:.1f}", *figures, ratio)
+        figures = [f"{row['bytes_per_world'] / 1e3:.1f}"]
+        for prefix in ("", "core_"):
+            figures += [f"{value:.1f}" for value in row[f"{prefix}us_per_world"].values()]
+            figures.append(f"{next(iter(row[f'{prefix}over_largest'].values())):.2f}")
+        table.add_row(row["family"], row["physics"], *figures)
     Console().print(table)
 
 
