@@ -14,16 +14,10 @@ CPU = wp.get_device("cpu")
 SIZE = 5
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel
 def scale_and_add(x: wp.array[float], factor: float, offset: wp.vec2, y: wp.array[float]):
     i = wp.tid()
     y[i] = factor * x[i] + offset[0] - offset[1] + y[i]
-
-
-@wp.kernel
-def scale(x: wp.array[float], factor: float, offset: wp.vec2, y: wp.array[float]):
-    i = wp.tid()
-    y[i] = factor * x[i] + offset[0]
 
 
 @wp.kernel(enable_backward=False)
@@ -45,11 +39,11 @@ def count_up(count, amount):
     wp.launch(add, dim=1, inputs=[amount], outputs=[count], device=CPU)
 
 
-def graph(launches):
-    """Record launches; Warp's own replay must not have been needed."""
+def graph(launches, left_to_warp=False):
+    """Record launches; Warp's own replay is needed only where that is said."""
     wp.load_module(device=CPU)
     made = Graph(launches, CPU)
-    assert made._replay is not None
+    assert (made._replay is None) == left_to_warp
     return made
 
 
@@ -58,11 +52,11 @@ def replays(recorded):
     return recorded.launch, lambda: wp.capture_launch(recorded._recorded)
 
 
-def private(core=context.runtime.core):
+def private():
     """Return the functions of Warp that notes are taken in."""
-    branches = ("wp_apic_begin_branch", "wp_apic_end_branch", "wp_apic_record_conditional")
-    names = ("wp_cpu_launch_kernel", "wp_memcpy_h2h", *branches)
-    return [getattr(core, name) for name in names] + [CPU.memset, CPU.memtile]
+    core = context.runtime.core
+    branches = core.wp_apic_begin_branch, core.wp_apic_end_branch, core.wp_apic_record_conditional
+    return [core.wp_cpu_launch_kernel, core.wp_memcpy_h2h, *branches, CPU.memset, CPU.memtile]
 
 
 def test_launches_follow_what_the_arrays_hold():
@@ -171,9 +165,8 @@ def test_what_has_no_note_is_left_to_warp(nested):
         wp.utils.array_scan(x, sums, inclusive=True)
         count_up(once, -1)
 
-    wp.load_module(device=CPU)
-    recorded = Graph((lambda: wp.capture_while(once, add_up)) if nested else add_up, CPU)
-    assert recorded._replay is None
+    launches = (lambda: wp.capture_while(once, add_up)) if nested else add_up
+    recorded = graph(launches, left_to_warp=True)
     recorded.launch()
     np.testing.assert_array_equal(sums.numpy(), np.cumsum(np.arange(SIZE)))
     assert once.numpy()[0] == 0
@@ -189,8 +182,7 @@ def test_only_what_is_recorded_is_noted():
         thread.start()
         thread.join()
 
-    wp.load_module(device=CPU)
-    recorded = Graph(launches, CPU)
+    recorded = graph(launches, left_to_warp=True)
     assert other.numpy()[0] == 0
     recorded.launch()
     np.testing.assert_array_equal(sums.numpy(), np.cumsum(np.arange(SIZE)))
@@ -201,9 +193,7 @@ def test_adjoints_are_left_to_warp():
     arguments = {"inputs": [x, 3.0, wp.vec2()], "outputs": [y]}
     adjoints = {"adj_inputs": [x.grad, 0.0, wp.vec2()], "adj_outputs": [y.grad]}
     backward = arguments | adjoints | {"adjoint": True, "device": CPU}
-    wp.load_module(device=CPU)
-    recorded = Graph(lambda: wp.launch(scale, dim=SIZE, **backward), CPU)
-    assert recorded._replay is None
+    recorded = graph(lambda: wp.launch(scale_and_add, dim=SIZE, **backward), left_to_warp=True)
     y.grad.fill_(1.0)
     recorded.launch()
     np.testing.assert_array_equal(x.grad.numpy(), np.full(SIZE, 3.0))
