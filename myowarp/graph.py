@@ -24,7 +24,11 @@ Rows: TypeAlias = list[tuple[int, ...]]
 
 
 class Graph:
-    """Recorded launches."""
+    """Recorded launches.
+
+    Attributes:
+        replay: What launches them on the CPU; None where Warp does.
+    """
 
     def __init__(self, launches: Callable[[], None], device: wp.Device) -> None:
         """Record what `launches` launches, without launching it.
@@ -38,17 +42,52 @@ class Graph:
         with wp.ScopedCapture(device=device, force_module_load=False) as capture, notebook:
             launches()
         self._recorded = capture.graph
-        self._replay: Callable[[], None] | None = None
+        self.replay: Replay | None = None
         if device.is_cpu and notes.complete(self._recorded.apic_state):
-            self._replay = _replayed(notes.program(), device)
-            self._kept = notes.kept  # what the program has addresses of, beside what the record keeps
+            # The notes keep what the program has addresses of, beside what the record keeps.
+            self.replay = Replay(notes.program(), keep=(notes.kept, self._recorded))
 
     def launch(self) -> None:
         """Launch all that was recorded."""
-        if self._replay is None:
+        if self.replay is None:
             wp.capture_launch(self._recorded)
         else:
-            self._replay()
+            self.replay()
+
+
+class Replay:
+    """A program of `kernels.replay`, ready to run; Python's other threads go on meanwhile.
+
+    Attributes:
+        rows: The program, shape (n, 4) uint64, in the memory that is run.
+        row: What runs it as a part of another program.
+    """
+
+    def __init__(self, rows: Rows, keep: object = None) -> None:
+        """Load the code that runs it.
+
+        Args:
+            rows: Operations and what they are done with, of up to 4 words.
+            keep: What the rows have addresses of.
+        """
+        words = np.array([[*row, 0, 0, 0][:4] for row in rows], dtype=np.int64).view(np.uint64)
+        program = wp.array(words, dtype=wp.uint64, device="cpu")
+        self._command = wp.launch(replay, dim=1, inputs=[program], device="cpu", record_cmd=True)
+        self._arguments, self._kept = program.__ctype__(), (program, keep)
+        self._passed = ctypes.byref(self._command.bounds), ctypes.byref(self._arguments)
+        self._code = self._command.hooks.forward
+        passed = (ctypes.addressof(x) for x in (self._command.bounds, self._arguments))
+        self.row = Operation.LAUNCH, code_address(self._code), *passed
+        self.rows = program.numpy()
+
+    def __call__(self) -> None:
+        """Run it."""
+        self._code(*self._passed)
+
+
+def code_address(function: Any) -> int:
+    """Return where the code of a function of C begins."""
+    return ctypes.cast(function, ctypes.c_void_p).value or 0
 
 
 class _Notes:
@@ -92,10 +131,9 @@ class _Notes:
         """Whether there is a note for each operation that Warp has recorded."""
         return self._has_all and len(self._operations) == _num_recorded(state)
 
-    def program(self) -> np.ndarray:
-        """Return the rows that `replay` runs, shape (n, 4) uint64."""
-        rows = [*chain.from_iterable(self._operations), (Operation.FINISH,)]
-        return np.array([[*row, 0, 0, 0][:4] for row in rows], dtype=np.int64).view(np.uint64)
+    def program(self) -> Rows:
+        """Return what `replay` runs."""
+        return [*chain.from_iterable(self._operations), (Operation.FINISH,)]
 
     def _note(self, *rows: tuple[int, ...], keep: object = None) -> None:
         self._operations.append(list(rows))
@@ -162,16 +200,5 @@ def _address(region: int) -> int:
 def replay_nothing(device: wp.Device) -> None:
     """Show the compiler what replays on the CPU."""
     if device.is_cpu:
-        _replayed(np.array([[Operation.FINISH, 0, 0, 0]], dtype=np.uint64), device)
-
-
-def _replayed(rows: np.ndarray, device: wp.Device) -> Callable[[], None]:
-    """Return a function that runs a program; Python's other threads go on meanwhile."""
-    program = wp.array(rows, dtype=wp.uint64, device=device)
-    command = wp.launch(replay, dim=1, inputs=[program], device=device, record_cmd=True)
-    arguments = program.__ctype__()
-
-    def launch() -> None:
-        command.hooks.forward(ctypes.byref(command.bounds), ctypes.byref(arguments))
-
-    return launch
+        program = wp.array([[Operation.FINISH, 0, 0, 0]], dtype=wp.uint64, device=device)
+        wp.launch(replay, dim=1, inputs=[program], device=device)

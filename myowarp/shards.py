@@ -8,18 +8,14 @@ one `Simulation` of all worlds, bit for bit. On CUDA there is nothing to split.
 
 import copy
 import dataclasses
-import operator
 import os
-import threading
-import weakref
-from collections.abc import Callable
-from functools import partial
-from queue import SimpleQueue
-from typing import Any, TypeAlias
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import warp as wp
 
+from myowarp.graph import Graph
 from myowarp.kernels.episode import EpisodeState, Masks, Transition
 from myowarp.kernels.random import RandomKeys
 from myowarp.look import Look
@@ -28,10 +24,9 @@ from myowarp.progress import patient_bar
 from myowarp.scene import Scene, checked_num_worlds, resolve_device
 from myowarp.sim import Simulation
 from myowarp.spec import TaskSpec
+from myowarp.team import Team
 from myowarp.warmup import quiet
 from myowarp.worlds import Worlds
-
-Task: TypeAlias = Callable[[], None]
 
 LEAST_WORLDS = 4  # in a shard, by default: fewer are not worth the time that a shard takes to build
 PATIENCE = 2.0  # s without a word
@@ -117,7 +112,7 @@ class Shards:
         self.episode = worlds.join("episode", EpisodeState())
         self.masks = worlds.join("masks", Masks())
         self.info = {name: worlds.shared[f"info.{name}"] for name in parts[0].info}
-        self._threads: list[_Thread] = []
+        self._team: Team | None = None
         self._process = os.getpid()
         self._failure: str | None = None
 
@@ -130,22 +125,24 @@ class Shards:
         """Advance all worlds by one control step under `action`; results are in `transition`.
 
         Raises:
-            RuntimeError: A part has failed; its worlds are named, and no thread is left.
+            Exception: What a part raises, with a note of its worlds; no thread is left.
+            RuntimeError: A part has failed before.
         """
-        self._together(operator.methodcaller("step"))
+        self._together([part.step_graph for part in self.parts], Simulation.step)
 
     def reset(self, mask: np.ndarray | None = None, seeds: np.ndarray | None = None) -> None:
         """Start new episodes; see `Simulation.reset`.
 
         Raises:
-            RuntimeError: As in `step`.
+            Exception: As in `step`.
         """
 
-        def reset(part: Simulation) -> None:
+        def ask(part: Simulation) -> None:
             own = part.scene.worlds.own
-            part.reset(None if mask is None else mask[own], None if seeds is None else seeds[own])
+            part.ask_for_reset(None if mask is None else mask[own], None if seeds is None else seeds[own])
 
-        self._together(reset)
+        self._one_by_one(ask)
+        self._together([part.reset_graph for part in self.parts], Simulation.reset_asked)
 
     def look(self, world: int) -> Look:
         """Return what a picture of one world shows."""
@@ -154,102 +151,36 @@ class Shards:
 
     def close(self) -> None:
         """End the threads; the next step would start new ones."""
-        for thread in self._threads:
-            thread.end()
-        self._threads = []
+        if self._team is not None:
+            self._team.end()
+        self._team = None
 
-    def _together(self, act: Callable[[Simulation], None]) -> None:
-        """Let every part act, the first in this thread and the others in threads of their own."""
+    def _together(self, graphs: Sequence[Graph | None], act: Callable[[Simulation], None]) -> None:
+        """Replay a graph of each part, all at the same time; where one has none, let them act one by one."""
+        replays = tuple(graph.replay for graph in graphs if graph is not None and graph.replay is not None)
+        if len(replays) < len(self.parts) or self._failure is not None:
+            self._one_by_one(act)
+            return
+        if self._team is None or self._process != os.getpid():  # threads do not live on in a forked process
+            with quiet():
+                self._team, self._process = Team(len(self.parts)), os.getpid()
+        self._team.run(replays)
+
+    def _one_by_one(self, act: Callable[[Simulation], None]) -> None:
+        """Let the parts act; when one fails, they are no longer at the same step."""
         if self._failure is not None:
             raise RuntimeError(self._failure)
-        first, *others = self.parts
-        if not self._threads or self._process != os.getpid():  # threads do not live on in a forked process
-            self._threads, self._process = [_Thread() for _ in others], os.getpid()
-        self._wait()  # they may still be at work where Ctrl-C broke off the waiting below
-        for thread, part in zip(self._threads, others, strict=True):
-            thread.begin(partial(act, part))
-        try:
-            act(first)
-        except BaseException as error:
-            self._wait(error)
-            raise
-        self._wait()
-
-    def _wait(self, first_error: BaseException | None = None) -> None:
-        """Wait for the threads, and raise RuntimeError if a part has failed; Ctrl-C is no failure.
-
-        Args:
-            first_error: What the first part has raised.
-        """
-        errors = [first_error, *[thread.error() for thread in self._threads]]
-        if all(error is None for error in errors):
-            return
-        for part, error in zip(self.parts, errors, strict=True):
-            if isinstance(error, Exception):
-                own = part.scene.worlds.own
+        for part in self.parts:
+            try:
+                act(part)
+            except Exception as error:
+                own, reason = part.scene.worlds.own, f"{type(error).__name__}: {error}"
                 self._failure = (
-                    f"worlds {own.start} to {own.stop - 1} stopped ({type(error).__name__}: {error})"
+                    f"worlds {own.start} to {own.stop - 1} stopped ({reason}); make a new simulation"
                 )
+                error.add_note(self._failure)
                 self.close()
-                raise RuntimeError(self._failure) from error
-
-
-class _Thread:
-    """A thread for one part; it ends with this object.
-
-    Queues, not futures: waking a thread and waiting for it is half of what a step of 64 elbows costs beside
-    its kernels.
-    """
-
-    def __init__(self) -> None:
-        asked, self._errors = SimpleQueue[Task | None](), SimpleQueue[BaseException | None]()
-        thread = threading.Thread(target=_work, args=(asked, self._errors), name="myowarp", daemon=True)
-        self._asked, self._running = asked, False
-        self._error: BaseException | None = None
-        self.end = weakref.finalize(self, _end, thread, asked)
-        thread.start()
-
-    def begin(self, task: Task) -> None:
-        """Let it work; what the last task has raised is forgotten."""
-        self._error = None
-        self._asked.put(task)
-        self._running = True
-
-    def error(self) -> BaseException | None:
-        """Wait until it has done its task, if it has one, and return what was raised."""
-        if self._running:
-            self._error = self._errors.get()
-            self._running = False
-        return self._error
-
-
-class _HandOver:
-    """Hands over what a block raises, None if nothing, to the thread that waits for it."""
-
-    def __init__(self, errors: SimpleQueue[BaseException | None]) -> None:
-        self._errors = errors
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool:
-        self._errors.put(error)
-        return True
-
-
-def _work(asked: SimpleQueue[Task | None], errors: SimpleQueue[BaseException | None]) -> None:
-    """Do tasks until there is None; in between nothing is held that would keep a simulation alive."""
-    while (task := asked.get()) is not None:
-        with _HandOver(errors):
-            task()
-        del task
-
-
-def _end(thread: threading.Thread, asked: SimpleQueue[Task | None]) -> None:
-    """Let a thread end; wherever the garbage is collected, even in itself."""
-    asked.put(None)
-    if thread is not threading.current_thread():
-        thread.join()
+                raise
 
 
 def _joined(scene: Scene, worlds: Worlds) -> Scene:

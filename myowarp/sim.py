@@ -19,9 +19,7 @@ from myowarp.fusions.rigid_body import RigidBodyFusion
 from myowarp.graph import Graph, replay_nothing
 from myowarp.kernels.action import apply_action
 from myowarp.kernels.episode import (
-    RESET_DISABLED,
-    RESET_NEXT_STEP,
-    RESET_SAME_STEP,
+    AUTORESET,
     advance_episode,
     count_step,
     detect_faults,
@@ -31,6 +29,7 @@ from myowarp.kernels.episode import (
     new_transition,
     open_episode,
 )
+from myowarp.kernels.random import seed_worlds
 from myowarp.kernels.repeat import repeat
 from myowarp.kernels.reset import place_start, reset_worlds
 from myowarp.launches import engine_kernels_alone
@@ -46,12 +45,6 @@ from myowarp.starts import random_starts, start_address
 from myowarp.verdict import choose_kernels
 from myowarp.warmup import compile_kernels, quiet, renew_code
 from myowarp.worlds import Worlds
-
-AUTORESET = {
-    "disabled": int(RESET_DISABLED),
-    "next_step": int(RESET_NEXT_STEP),
-    "same_step": int(RESET_SAME_STEP),
-}
 
 
 class Simulation:
@@ -70,6 +63,8 @@ class Simulation:
         episode: Counters of the present episodes.
         shown: What conditions show of their state, by name, (num_worlds, ...).
         info: The same after the step, resets included; slices of arrays over all worlds in a part of them.
+        step_graph: What `step` replays; None without a graph.
+        reset_graph: What `reset_asked` replays.
     """
 
     _modules: tuple[wp.Module, ...]
@@ -131,8 +126,8 @@ class Simulation:
                 self._choose_kernels(FUSIONS if fusions is None else fusions, progress)
             else:
                 self._take_over(like)
-            self._step_graph = self._capture(self._launch_step) if graph else None
-            self._reset_graph = self._capture(self._launch_asked_reset) if graph else None
+            self.step_graph = self._capture(self._launch_step) if graph else None
+            self.reset_graph = self._capture(self._launch_asked_reset) if graph else None
         self.reset()
 
     @property
@@ -220,7 +215,7 @@ class Simulation:
         with pruned(self._idle):
             for launch in self._probes:
                 launch()
-        if self.autoreset == RESET_SAME_STEP:
+        if self.autoreset == AUTORESET["same_step"]:
             wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
         self._launch_reset(self.masks.renew, self.masks.reset, self.masks.fresh, asked=False)
 
@@ -333,7 +328,7 @@ class Simulation:
 
     def step(self) -> None:
         """Advance all worlds by one control step under `action`; results are in `transition`."""
-        self._run(self._step_graph, self._launch_step)
+        self._run(self.step_graph, self._launch_step)
 
     def attach(self, launch: Callable[[], None]) -> None:
         """Launch more in every step, after observation and before what ended is reset.
@@ -345,8 +340,8 @@ class Simulation:
         self._probes.append(launch)
         with quiet(), wp.ScopedDevice(self.scene.device):
             self._modules += compile_kernels(launch, self.scene.device, show=False)
-            if self._step_graph is not None:
-                self._step_graph = self._capture(self._launch_step)
+            if self.step_graph is not None:
+                self.step_graph = self._capture(self._launch_step)
 
     def close(self) -> None:
         """Do nothing: there are no threads to end (compare `myowarp.shards.Shards`)."""
@@ -363,18 +358,22 @@ class Simulation:
             seeds: New seeds of these worlds, shape (num_worlds,), any integers; None: the random streams
                 go on, after the first call with fresh entropy.
         """
+        self.ask_for_reset(mask, seeds)
+        self.reset_asked()
+
+    def ask_for_reset(self, mask: np.ndarray | None, seeds: np.ndarray | None) -> None:
+        """Choose what `reset_asked` resets, with the arguments of `reset`."""
         mask = np.ones(self.num_worlds, dtype=bool) if mask is None else mask
-        keys = self.scene.keys
         if seeds is None and not hasattr(self, "_seeded"):
             seeds = secrets.randbits(32) + np.arange(self.num_worlds)
         if seeds is not None:
             self._seeded = True
-            folded = np.array([int(seed) % 2**64 for seed in seeds], dtype=np.uint64)
-            folded = (folded ^ (folded >> np.uint64(32))).astype(np.uint32).view(np.int32)
-            keys.seed.assign(np.where(mask, folded, keys.seed.numpy()))
-            keys.episode.assign(np.where(mask, 0, keys.episode.numpy()).astype(np.int32))
+            seed_worlds(self.scene.keys, mask, seeds)
         self._asked.assign(mask)
-        self._run(self._reset_graph, self._launch_asked_reset)
+
+    def reset_asked(self) -> None:
+        """Reset the worlds that `ask_for_reset` has chosen."""
+        self._run(self.reset_graph, self._launch_asked_reset)
 
     def _run(self, graph: Graph | None, launches: Callable[[], None]) -> None:
         """Replay a graph, or launch what it would hold."""

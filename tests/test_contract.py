@@ -29,8 +29,8 @@ def trajectory(key, num_worlds, *, disturb=None, **options):
     """Return observations, rewards, endings and faults of a short run with resets."""
     settings = {"device": "cpu", "autoreset": "same_step", "horizon": HORIZON, "progress": False} | options
     sim = Simulation(TASKS[key], num_worlds, **settings)
-    graphs = [graph for graph in (sim._step_graph, sim._reset_graph) if graph is not None]
-    assert all(graph._replay for graph in graphs), "left to Warp"
+    graphs = [graph for graph in (sim.step_graph, sim.reset_graph) if graph is not None]
+    assert all(graph.replay for graph in graphs), "left to Warp"
     sim.reset(seeds=100 + np.arange(num_worlds))
     rows = {name: [] for name in ("obs", "reward", "terminated", "truncated", "fault")}
     for step, action in enumerate(actions(num_worlds, sim.action.shape[1])):

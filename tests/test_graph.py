@@ -43,7 +43,7 @@ def graph(launches, left_to_warp=False):
     """Record launches; Warp's own replay is needed only where that is said."""
     wp.load_module(device=CPU)
     made = Graph(launches, CPU)
-    assert (made._replay is None) == left_to_warp
+    assert (made.replay is None) == left_to_warp
     return made
 
 

@@ -33,6 +33,11 @@ CONTACT_BITS = wp.constant(int(OverflowType.BROADPHASE | OverflowType.NARROWPHAS
 RESET_DISABLED = wp.constant(0)  # Gymnasium's autoreset modes
 RESET_NEXT_STEP = wp.constant(1)
 RESET_SAME_STEP = wp.constant(2)
+AUTORESET = {
+    "disabled": int(RESET_DISABLED),
+    "next_step": int(RESET_NEXT_STEP),
+    "same_step": int(RESET_SAME_STEP),
+}
 
 
 @wp.struct

@@ -4,6 +4,9 @@ No generator state is stored: a world draws the same numbers for any number of w
 any device, in eager mode and in a replayed graph.
 """
 
+from collections.abc import Iterable
+
+import numpy as np
 import warp as wp
 
 GOAL = wp.constant(0)
@@ -30,6 +33,20 @@ def new_keys(num_worlds: int) -> RandomKeys:
     keys.seed = wp.zeros(num_worlds, dtype=wp.int32)
     keys.episode = wp.zeros(num_worlds, dtype=wp.int32)
     return keys
+
+
+def seed_worlds(keys: RandomKeys, mask: np.ndarray, seeds: Iterable[int]) -> None:
+    """Begin the random numbers of worlds anew; on the host.
+
+    Args:
+        keys: The keys of all worlds.
+        mask: Which worlds, shape (num_worlds,) bool.
+        seeds: Any integers, shape (num_worlds,); their lowest 64 bits count.
+    """
+    folded = np.array([int(seed) % 2**64 for seed in seeds], dtype=np.uint64)
+    folded = (folded ^ (folded >> np.uint64(32))).astype(np.uint32).view(np.int32)
+    keys.seed.assign(np.where(mask, folded, keys.seed.numpy()))
+    keys.episode.assign(np.where(mask, 0, keys.episode.numpy()).astype(np.int32))
 
 
 @wp.func

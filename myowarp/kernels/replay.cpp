@@ -1,6 +1,7 @@
 // Body of the native function `run` (replay.py, which says what the operations are). A row has four words.
 
 typedef void (*Entry)(void*, void*);  // a kernel of Warp's on the CPU: bounds, arguments
+typedef void (*Function)(uint64_t, uint64_t);
 for (const uint64_t* op = &program.data[4 * row]; op[0] != FINISH;) {
     int64_t next = 1;
     switch (op[0]) {
@@ -12,6 +13,9 @@ for (const uint64_t* op = &program.data[4 * row]; op[0] != FINISH;) {
         break;
     case COPY:
         memcpy((void*)op[1], (const void*)op[2], op[3]);
+        break;
+    case CALL:
+        ((Function)op[1])(op[2], op[3]);
         break;
     case JUMP:
         next = (int64_t)op[1];

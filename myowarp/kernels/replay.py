@@ -13,6 +13,7 @@ class Operation(IntEnum):
     LAUNCH = auto()  # a kernel: addresses of its code, its bounds and its arguments
     SET = auto()  # bytes: address, value, number
     COPY = auto()  # bytes: address of the target, address of the source, number
+    CALL = auto()  # a function of C: its address, two arguments
     JUMP = auto()  # as many rows further, or back where negative
     JUMP_IF_ZERO = auto()  # an integer is 0: its address, as many rows further
 

@@ -1,0 +1,123 @@
+"""Programs in threads of their own: at the same time, beside Python, again and again, and to an end."""
+
+import gc
+import threading
+
+import numpy as np
+import pytest
+import warp as wp
+
+from myowarp.graph import Graph
+from myowarp.team import Team
+
+CPU = wp.get_device("cpu")
+LOOKS = 30_000_000  # after which waiting for another is given up: seconds
+
+
+@wp.kernel(enable_backward=False)
+def look(other: wp.array[int], left: wp.array[int], met: wp.array[int]):
+    left[0] -= 1
+    if other[0] != 0:
+        met[0] += 1
+        left[0] = 0
+
+
+@wp.kernel(enable_backward=False)
+def add(amount: int, count: wp.array[int]):
+    count[0] += amount
+
+
+def array(value):
+    return wp.full(1, value, dtype=int, device=CPU)
+
+
+def program(launches):
+    wp.load_module(device=CPU)
+    return Graph(launches, CPU).replay
+
+
+def meeting(mine, other, met):
+    """Say that one is there, and wait for the other."""
+    left = array(0)
+
+    def launches():
+        left.fill_(LOOKS)
+        mine.fill_(1)
+        wp.capture_while(
+            left, lambda: wp.launch(look, dim=1, inputs=[other], outputs=[left, met], device=CPU)
+        )
+
+    return program(launches)
+
+
+def counting(count, amount):
+    return program(lambda: wp.launch(add, dim=1, inputs=[amount], outputs=[count], device=CPU))
+
+
+def test_at_the_same_time():
+    """Two programs that wait for each other, which one after the other would not meet."""
+    here, met = [array(0) for _ in range(2)], [array(0) for _ in range(2)]
+    programs = [meeting(here[i], here[1 - i], met[i]) for i in range(2)]
+    team = Team(2)
+    for run in range(3):
+        for flag in here:
+            flag.zero_()
+        team.run(programs)
+        assert [int(m.numpy()[0]) for m in met] == [run + 1, run + 1]
+    team.end()
+
+
+@pytest.mark.parametrize("member", [0, 1])
+def test_python_goes_on(member):
+    """A program waits for what a thread of Python does."""
+    here, told, met = array(0), array(0), array(0)
+    programs = [counting(array(0), 1), counting(array(0), 1)]
+    programs[member] = meeting(here, told, met)
+
+    def tell():
+        while here.numpy()[0] == 0:
+            pass
+        told.fill_(1)
+
+    thread = threading.Thread(target=tell, daemon=True)
+    thread.start()
+    Team(2).run(programs)
+    assert met.numpy()[0] == 1
+    thread.join()
+
+
+@pytest.mark.parametrize("size", [1, 2, 5])
+def test_each_its_own_again_and_again(size):
+    """Programs in turn with others; a run returns only when all have finished."""
+    team, counts = Team(size), [array(0) for _ in range(size)]
+    ones = [counting(count, 1) for count in counts]
+    hundreds = [counting(count, 100 * (i + 1)) for i, count in enumerate(counts)]
+    expected = np.zeros(size, dtype=int)
+    for run in range(300):
+        team.run(ones if run % 3 else hundreds)
+        expected += 1 if run % 3 else 100 * np.arange(1, size + 1)
+        np.testing.assert_array_equal([int(count.numpy()[0]) for count in counts], expected)
+
+
+@pytest.mark.parametrize("number", [1, 3])
+def test_one_program_for_each(number):
+    """What is refused leaves no trace in what runs next."""
+    team, count, other = Team(2), array(0), array(0)
+    programs = [counting(count, 1), counting(array(0), 1)]
+    refused = [counting(other, 1)] * number
+    team.run(programs)
+    with pytest.raises(ValueError, match="zip"):
+        team.run(refused)
+    team.run(programs)
+    assert count.numpy()[0] == 2
+    assert other.numpy()[0] == 0
+
+
+def test_threads_end_with_the_team():
+    before = threading.active_count()
+    team = Team(4)
+    assert threading.active_count() == before + 3
+    team.run([counting(array(0), 1) for _ in range(4)])
+    del team
+    gc.collect()
+    assert threading.active_count() == before
