@@ -20,7 +20,8 @@ from warp._src.apic.types import APIC_OP_WHILE
 
 from myowarp.kernels.replay import Operation, replay
 
-Rows: TypeAlias = list[tuple[int, ...]]
+Row: TypeAlias = tuple[int, ...]
+Rows: TypeAlias = list[Row]
 
 
 class Graph:
@@ -77,7 +78,7 @@ class Replay:
         self._passed = ctypes.byref(self._command.bounds), ctypes.byref(self._arguments)
         self._code = self._command.hooks.forward
         passed = (ctypes.addressof(x) for x in (self._command.bounds, self._arguments))
-        self.row = Operation.LAUNCH, code_address(self._code), *passed
+        self.row: Row = Operation.LAUNCH, code_address(self._code), *passed
         self.rows = program.numpy()
 
     def __call__(self) -> None:
@@ -135,7 +136,7 @@ class _Notes:
         """Return what `replay` runs."""
         return [*chain.from_iterable(self._operations), (Operation.FINISH,)]
 
-    def _note(self, *rows: tuple[int, ...], keep: object = None) -> None:
+    def _note(self, *rows: Row, keep: object = None) -> None:
         self._operations.append(list(rows))
         self.kept.append(keep)
 

@@ -10,12 +10,13 @@ import copy
 import dataclasses
 import os
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from myowarp.graph import Graph
+from myowarp.graph import Graph, Replay
 from myowarp.kernels.episode import EpisodeState, Masks, Transition
 from myowarp.kernels.random import RandomKeys
 from myowarp.look import Look
@@ -29,6 +30,7 @@ from myowarp.warmup import quiet
 from myowarp.worlds import Worlds
 
 LEAST_WORLDS = 4  # in a shard, by default: fewer are not worth the time that a shard takes to build
+NUM_GRAPHS = 2  # of a part: step and reset
 PATIENCE = 2.0  # s without a word
 
 
@@ -112,7 +114,7 @@ class Shards:
         self.episode = worlds.join("episode", EpisodeState())
         self.masks = worlds.join("masks", Masks())
         self.info = {name: worlds.shared[f"info.{name}"] for name in parts[0].info}
-        self._team: Team | None = None
+        self._programs: Callable[[tuple[Replay, ...]], Replay] | None = None
         self._process = os.getpid()
         self._failure: str | None = None
 
@@ -125,8 +127,7 @@ class Shards:
         """Advance all worlds by one control step under `action`; results are in `transition`.
 
         Raises:
-            Exception: What a part raises, with a note of its worlds; no thread is left.
-            RuntimeError: A part has failed before.
+            RuntimeError: Without graphs, a part has failed in an earlier step.
         """
         self._together([part.step_graph for part in self.parts], Simulation.step)
 
@@ -134,14 +135,11 @@ class Shards:
         """Start new episodes; see `Simulation.reset`.
 
         Raises:
-            Exception: As in `step`.
+            RuntimeError: As in `step`.
         """
-
-        def ask(part: Simulation) -> None:
+        for part in self.parts:
             own = part.scene.worlds.own
             part.ask_for_reset(None if mask is None else mask[own], None if seeds is None else seeds[own])
-
-        self._one_by_one(ask)
         self._together([part.reset_graph for part in self.parts], Simulation.reset_asked)
 
     def look(self, world: int) -> Look:
@@ -150,10 +148,8 @@ class Shards:
         return part.look(world - part.scene.worlds.first)
 
     def close(self) -> None:
-        """End the threads; the next step would start new ones."""
-        if self._team is not None:
-            self._team.end()
-        self._team = None
+        """Let the threads end, once no step is under way; the next would start new ones."""
+        self._programs = None
 
     def _together(self, graphs: Sequence[Graph | None], act: Callable[[Simulation], None]) -> None:
         """Replay a graph of each part, all at the same time; where one has none, let them act one by one."""
@@ -161,19 +157,20 @@ class Shards:
         if len(replays) < len(self.parts) or self._failure is not None:
             self._one_by_one(act)
             return
-        if self._team is None or self._process != os.getpid():  # threads do not live on in a forked process
-            with quiet():
-                self._team, self._process = Team(len(self.parts)), os.getpid()
-        self._team.run(replays)
+        programs = self._programs
+        if programs is None or self._process != os.getpid():  # threads do not live on in a forked process
+            programs = lru_cache(maxsize=NUM_GRAPHS)(Team(len(self.parts)).together)
+            self._programs, self._process = programs, os.getpid()
+        programs(replays)()
 
     def _one_by_one(self, act: Callable[[Simulation], None]) -> None:
-        """Let the parts act; when one fails, they are no longer at the same step."""
+        """Let the parts act; if one does not get to the end, they are no longer at the same step."""
         if self._failure is not None:
             raise RuntimeError(self._failure)
         for part in self.parts:
             try:
                 act(part)
-            except Exception as error:
+            except BaseException as error:
                 own, reason = part.scene.worlds.own, f"{type(error).__name__}: {error}"
                 self._failure = (
                     f"worlds {own.start} to {own.stop - 1} stopped ({reason}); make a new simulation"

@@ -96,8 +96,8 @@ def renew_code(modules: Iterable[wp.Module]) -> None:
     """Have Warp load the machine code of modules once more when they are next launched on the CPU.
 
     Tile kernels keep the address of their scratch memory in a static variable of their module (Warp's
-    `tile.h`), so that two threads must never run the same code. Graphs captured from here on have code of
-    their own; those captured before keep theirs.
+    `tile.h`), so that two threads must never run the same code of such a kernel. Graphs captured from here on
+    have code of their own; those captured before keep theirs.
     """
     for module in modules:
         module.execs = {key: loaded for key, loaded in module.execs.items() if not loaded.device.is_cpu}

@@ -46,28 +46,42 @@ def own_threads():
 
 
 @pytest.mark.parametrize(("part", "worlds"), [(0, "0 to 1"), (1, "2 to 3")])
-@pytest.mark.parametrize("graph", [True, False])
-def test_death_of_a_part(alone, monkeypatch, part, worlds, graph):
+@pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt])
+def test_death_of_a_part(alone, monkeypatch, part, worlds, error):
     """It is reported at once, with its worlds; no thread is left, and no later step pretends.
 
-    A replayed step runs no Python that could fail.
+    Only launches that are not replayed can fail: what is replayed runs no Python.
     """
-    split = build(3, graph=graph)
+    split = build(3)
     split.step()
-    assert bool(own_threads()) == graph
-    dying, act = ("ask_for_reset", split.reset) if graph else ("launch_action", split.step)
-    monkeypatch.setattr(split.parts[part], dying, lambda *_: 1 / 0)
+    assert own_threads()
+
+    def die():
+        raise error("now")
+
+    monkeypatch.setattr(split.parts[part], "step_graph", None)
+    monkeypatch.setattr(split.parts[part], "launch_action", die)
     begin = time.monotonic()
-    with pytest.raises(ZeroDivisionError) as caught:
-        act()
+    with pytest.raises(error) as caught:
+        split.step()
     assert time.monotonic() - begin < DEADLINE
-    assert not own_threads()
-    message = f"worlds {worlds} stopped (ZeroDivisionError: division by zero); make a new simulation"
+    assert wait_for_none()
+    message = f"worlds {worlds} stopped ({error.__name__}: now); make a new simulation"
     assert caught.value.__notes__ == [message]
     monkeypatch.undo()
     for act in (split.step, split.reset):
         with pytest.raises(RuntimeError, match=f"^{re.escape(message)}$"):
             act()
+
+
+def test_bad_seeds_harm_nothing(alone):
+    split = build(3)
+    split.step()
+    with pytest.raises(ValueError, match="invalid literal"):
+        split.reset(seeds=NUM_WORLDS * ["a"])
+    split.reset(seeds=np.arange(NUM_WORLDS))
+    split.step()
+    assert np.all(steps_made(split) == 1)
 
 
 def steps_made(split):
@@ -96,6 +110,28 @@ def test_interruption(alone):
     assert np.all(steps_made(split) == made + 1)
 
 
+def test_signals_that_step_and_close(alone):
+    """Whatever a signal's handler does comes before a step or after it."""
+    split = build(3)
+    handled = []
+
+    def handle(*_):
+        handled.append(len(handled))
+        split.step()
+        if handled[-1] % 3 == 0:
+            split.close()
+
+    before = signal.signal(signal.SIGALRM, handle)
+    signal.setitimer(signal.ITIMER_REAL, 0.001, 0.0017)
+    for _ in range(1000):
+        split.step()
+        split.reset()
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    signal.signal(signal.SIGALRM, before)
+    assert len(handled) > 10
+    assert np.ptp(steps_made(split)) == 0
+
+
 def test_step_while_an_exception_is_handled(alone):
     """What the caller is handling is no failure of a part."""
     split = build(2)
@@ -107,21 +143,25 @@ def test_step_while_an_exception_is_handled(alone):
     split.step()
 
 
-def test_steps_from_two_threads(alone):
-    """One waits for the other: every step is made, by every part, and once."""
+@pytest.mark.parametrize("closing", [False, True])
+def test_steps_from_two_threads(alone, closing):
+    """One waits for the other: each step is made, by every part and once; also while threads are ended."""
     split = build(3)
     split.reset()
 
     def work():
-        for _ in range(100):
+        for _ in range(200):
             split.step()
 
-    threads = [threading.Thread(target=work, daemon=True) for _ in range(2)]
+    threads = [threading.Thread(target=work, daemon=True) for _ in range(1 if closing else 2)]
     for thread in threads:
         thread.start()
+    while closing and threads[0].is_alive():
+        split.close()
+        time.sleep(0.001)
     for thread in threads:
         thread.join(60.0)
-    assert np.all(steps_made(split) == 200)
+    assert np.all(steps_made(split) == 200 * len(threads))
 
 
 def test_threads_end(alone):
@@ -130,8 +170,13 @@ def test_threads_end(alone):
     env.reset(seed=0)
     assert own_threads()
     env.close()
-    assert not own_threads()
+    assert wait_for_none()
     split = build(2)
+    split.step()
+    assert own_threads()
+    split.close()
+    split.close()
+    assert wait_for_none()
     split.step()
     assert own_threads()
     del split
@@ -139,15 +184,28 @@ def test_threads_end(alone):
 
 
 SCRIPT = f"""
-import gymnasium, myowarp, os
-env = gymnasium.make_vec("MyoWarp/{ELBOW}", 4, device="cpu", shards=2, progress=False)
+import gymnasium, myowarp, os, threading, time
+env, busy = (
+    gymnasium.make_vec("MyoWarp/{ELBOW}", 4, device="cpu", shards=2, progress=False) for _ in range(2)
+)
 env.reset(seed=0)
 env.step(env.action_space.sample())
+
+def work():
+    while True:
+        busy.reset()
+        busy.step(busy.action_space.sample())
+
+threading.Thread(target=work, daemon=True).start()
+time.sleep(0.1)
 pid = os.fork()
 env.step(env.action_space.sample())
 if pid:
     assert os.waitpid(pid, 0)[1] == 0
     print("stepped")
+else:
+    busy.close()
+    busy.reset()
 """
 
 

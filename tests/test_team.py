@@ -57,14 +57,12 @@ def counting(count, amount):
 def test_at_the_same_time():
     """Two programs that wait for each other, which one after the other would not meet."""
     here, met = [array(0) for _ in range(2)], [array(0) for _ in range(2)]
-    programs = [meeting(here[i], here[1 - i], met[i]) for i in range(2)]
-    team = Team(2)
+    together = Team(2).together([meeting(here[i], here[1 - i], met[i]) for i in range(2)])
     for run in range(3):
         for flag in here:
             flag.zero_()
-        team.run(programs)
+        together()
         assert [int(m.numpy()[0]) for m in met] == [run + 1, run + 1]
-    team.end()
 
 
 @pytest.mark.parametrize("member", [0, 1])
@@ -81,7 +79,7 @@ def test_python_goes_on(member):
 
     thread = threading.Thread(target=tell, daemon=True)
     thread.start()
-    Team(2).run(programs)
+    Team(2).together(programs)()
     assert met.numpy()[0] == 1
     thread.join()
 
@@ -90,34 +88,46 @@ def test_python_goes_on(member):
 def test_each_its_own_again_and_again(size):
     """Programs in turn with others; a run returns only when all have finished."""
     team, counts = Team(size), [array(0) for _ in range(size)]
-    ones = [counting(count, 1) for count in counts]
-    hundreds = [counting(count, 100 * (i + 1)) for i, count in enumerate(counts)]
+    ones = team.together([counting(count, 1) for count in counts])
+    hundreds = team.together([counting(count, 100 * (i + 1)) for i, count in enumerate(counts)])
     expected = np.zeros(size, dtype=int)
     for run in range(300):
-        team.run(ones if run % 3 else hundreds)
-        expected += 1 if run % 3 else 100 * np.arange(1, size + 1)
+        together, amounts = (ones, 1) if run % 3 else (hundreds, 100 * np.arange(1, size + 1))
+        together()
+        expected += amounts
         np.testing.assert_array_equal([int(count.numpy()[0]) for count in counts], expected)
+
+
+def test_a_program_keeps_what_it_needs():
+    """The team, and the programs that it is made of."""
+    counts = [array(0) for _ in range(3)]
+    together = Team(3).together([counting(count, 1) for count in counts])
+    gc.collect()
+    others = [counting(array(0), 1) for _ in range(100)]  # in the memory that would be free
+    for _ in range(3):
+        together()
+    assert [int(count.numpy()[0]) for count in counts] == [3, 3, 3]
+    assert len(others) == 100
 
 
 @pytest.mark.parametrize("number", [1, 3])
 def test_one_program_for_each(number):
-    """What is refused leaves no trace in what runs next."""
-    team, count, other = Team(2), array(0), array(0)
-    programs = [counting(count, 1), counting(array(0), 1)]
-    refused = [counting(other, 1)] * number
-    team.run(programs)
     with pytest.raises(ValueError, match="zip"):
-        team.run(refused)
-    team.run(programs)
-    assert count.numpy()[0] == 2
-    assert other.numpy()[0] == 0
+        Team(2).together([counting(array(0), 1)] * number)
 
 
-def test_threads_end_with_the_team():
-    before = threading.active_count()
-    team = Team(4)
-    assert threading.active_count() == before + 3
-    team.run([counting(array(0), 1) for _ in range(4)])
-    del team
+def test_threads_end():
+    """With the team and the last of its programs, not before."""
     gc.collect()
-    assert threading.active_count() == before
+    before = set(threading.enumerate())
+    team = Team(4)
+    own = set(threading.enumerate()) - before
+    assert len(own) == 3
+    together = team.together([counting(array(0), 1) for _ in range(4)])
+    del team
+    together()
+    assert all(thread.is_alive() for thread in own)
+    del together
+    for thread in own:
+        thread.join(10.0)
+    assert not any(thread.is_alive() for thread in own)
