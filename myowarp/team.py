@@ -49,7 +49,7 @@ class Team:
             give = Operation.COPY, other.task.ctypes.data, task.ctypes.data, task.nbytes
             rows += [give, other.asked.release]
         rows += [first.row, *(other.done.acquire for other in self._others), self._turn.release, FINISH]
-        return Replay(rows, keep=(self, programs, tasks))
+        return Replay(rows, keep=(self, tuple(programs), tasks))
 
 
 class _Member:
