@@ -36,7 +36,7 @@ def test_the_grid_is_the_papers():
         assert (spec.kwargs["task"], spec.kwargs["reset"]) == (row.task, row.reset)
 
 
-@pytest.mark.parametrize("row", map(marked, SHOWN))
+@pytest.mark.parametrize("row", [marked(row) for row in SHOWN])
 def test_cells_run(row):
     env = gymnasium.make_vec(row.id, num_envs=2, device="cpu", progress=False)
     scene = env.unwrapped.sim.scene
