@@ -23,6 +23,8 @@ from myowarp.kernels.replay import Operation, replay
 Row: TypeAlias = tuple[int, ...]
 Rows: TypeAlias = list[Row]
 
+FINISH: Row = (Operation.FINISH,)
+
 
 class Graph:
     """Recorded launches.
@@ -134,7 +136,7 @@ class _Notes:
 
     def program(self) -> Rows:
         """Return what `replay` runs."""
-        return [*chain.from_iterable(self._operations), (Operation.FINISH,)]
+        return [*chain.from_iterable(self._operations), FINISH]
 
     def _note(self, *rows: Row, keep: object = None) -> None:
         self._operations.append(list(rows))

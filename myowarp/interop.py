@@ -47,16 +47,11 @@ class Output:
             return lambda: {name: wp.clone(array) if copy else array for name, array in arrays.items()}
         if library == "torch":
             tensors = {name: wp.to_torch(array) for name, array in arrays.items()}
-            return _copied({name: tensor.clone for name, tensor in tensors.items()}) if copy else tensors.copy
+            return lambda: {name: tensor.clone() if copy else tensor for name, tensor in tensors.items()}
         if not all(array.device.is_cpu for array in arrays.values()):
-            return _copied({name: array.numpy for name, array in arrays.items()})
+            return lambda: {name: array.numpy() for name, array in arrays.items()}
         views = {name: array.numpy() for name, array in arrays.items()}
-        return _copied({name: view.copy for name, view in views.items()}) if copy else views.copy
-
-
-def _copied(copies: Mapping[str, Callable[[], Any]]) -> Callable[[], dict[str, Any]]:
-    """Return a function that makes all of these copies."""
-    return lambda: {name: copied() for name, copied in copies.items()}
+        return lambda: {name: view.copy() if copy else view for name, view in views.items()}
 
 
 class ActionInput:

@@ -153,8 +153,10 @@ class Shards:
 
     def _together(self, graphs: Sequence[Graph | None], act: Callable[[Simulation], None]) -> None:
         """Replay a graph of each part, all at the same time; where one has none, let them act one by one."""
+        if self._failure is not None:
+            raise RuntimeError(self._failure)
         replays = tuple(graph.replay for graph in graphs if graph is not None and graph.replay is not None)
-        if len(replays) < len(self.parts) or self._failure is not None:
+        if len(replays) < len(self.parts):
             self._one_by_one(act)
             return
         programs = self._programs
@@ -165,8 +167,6 @@ class Shards:
 
     def _one_by_one(self, act: Callable[[Simulation], None]) -> None:
         """Let the parts act; if one does not get to the end, they are no longer at the same step."""
-        if self._failure is not None:
-            raise RuntimeError(self._failure)
         for part in self.parts:
             try:
                 act(part)

@@ -335,7 +335,7 @@ class Simulation:
 
         Args:
             launch: Launches kernels that only look: all that they may write is their own arrays, and what
-                the next physics step computes anew. With sums and sorts of Warp's, shards step by turns.
+                the next physics step computes anew. With sums and sorts of Warp's, shards step one by one.
         """
         self._probes.append(launch)
         with quiet(), wp.ScopedDevice(self.scene.device):

@@ -13,15 +13,13 @@ from ctypes import PYFUNCTYPE, c_int, c_void_p, pythonapi
 
 import numpy as np
 
-from myowarp.graph import Replay, Row, Rows, code_address
+from myowarp.graph import FINISH, Replay, Row, Rows, code_address
 from myowarp.kernels.replay import Operation
 
 ALLOCATE = PYFUNCTYPE(c_void_p)(("PyThread_allocate_lock", pythonapi))
 ACQUIRE = PYFUNCTYPE(c_int, c_void_p, c_int)(("PyThread_acquire_lock", pythonapi))
 RELEASE = PYFUNCTYPE(None, c_void_p)(("PyThread_release_lock", pythonapi))
 FREE = PYFUNCTYPE(None, c_void_p)(("PyThread_free_lock", pythonapi))
-
-FINISH: Row = (Operation.FINISH,)
 
 
 class Team:

@@ -23,8 +23,8 @@ DEADLINE = 1.0  # s, until a failure is known
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
 
-def build(num_shards, **options):
-    options = {"device": "cpu", "horizon": 10**6, "progress": False} | options
+def build(num_shards):
+    options = {"device": "cpu", "horizon": 10**6, "progress": False}
     return simulate(TASKS[ELBOW], NUM_WORLDS, shards=num_shards, **options)
 
 
@@ -101,7 +101,7 @@ def test_interruption(alone):
             split.step()
             returned.append(1)
 
-    # Not where a shell has started the tests in the background.
+    # A shell lets what it starts in the background ignore Ctrl-C.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
