@@ -116,12 +116,10 @@ class MyoWarpVectorEnv(VectorEnv):
         self.copy = output == "numpy" if copy is None else copy
         self.output, given = output, Output(output, self.copy)
         self.render_mode, self._pictures = render_mode, Pictures(render_size, camera)
-        options: dict[str, Any] = {"physics": physics, "muscle": muscle, "reset": reset}
-        options |= {"conditions": conditions, "autoreset": AUTORESET_NAMES[mode]}
-        options |= {"deterministic": deterministic, "progress": progress}
-        self.sim = simulate(
-            TASKS[task], num_envs, shards=shards, device=device, horizon=max_episode_steps, **options
-        )
+        options: dict[str, Any] = {"physics": physics, "muscle": muscle, "reset": reset, "shards": shards}
+        options |= {"device": device, "conditions": conditions, "horizon": max_episode_steps}
+        options |= {"autoreset": AUTORESET_NAMES[mode], "deterministic": deterministic, "progress": progress}
+        self.sim = simulate(TASKS[task], num_envs, **options)
         self._set_up(mode)
         self._wrap(given)
 
@@ -157,6 +155,7 @@ class MyoWarpVectorEnv(VectorEnv):
         self._given_final = output.of(arrays(sim.final, "obs", *ENTRIES))
         self._seen = Output("numpy", copy=False).of(arrays(sim.transition, *SEEN))
         self._terms = tuple(f"terms/{term.name}" for term in sim.terms)
+        self._masks = tuple(f"_{key}" for key in self._entries(self._given))
 
     @property
     def muscle_names(self) -> tuple[str, ...]:
@@ -294,8 +293,8 @@ class MyoWarpVectorEnv(VectorEnv):
             self._resetting = ended
         elif self._autoreset == AutoresetMode.DISABLED:
             self._ended = ended
-        info |= dict.fromkeys([f"_{key}" for key in info], stepped)
-        if not ended.any():
+        info |= dict.fromkeys(self._masks, stepped)
+        if not np.count_nonzero(ended):
             return
         self._warn_of_faults(fault)
         if same_step:

@@ -63,7 +63,7 @@ class ActionInput:
         self._host = action.numpy() if action.device.is_cpu else None
 
     def __call__(self, actions: Any) -> None:
-        """Write actions, clipped to [-1, 1].
+        """Write actions, which `kernels.action` clips to [-1, 1].
 
         Args:
             actions: NumPy array, torch tensor or Warp array of floating point numbers.
@@ -90,13 +90,15 @@ class ActionInput:
         host = np.asarray(actions)
         self._check(host.dtype, host.dtype.kind == "f", host.shape)
         finite = np.isfinite(host)
-        if not finite.all():
+        if np.count_nonzero(finite) < finite.size:
             worlds = np.flatnonzero(~finite.all(axis=1)).tolist()
             raise ValueError(f"actions must be finite, got NaN or infinity for worlds {worlds}")
+        if host.dtype != np.float32:
+            host = host.clip(-1.0, 1.0).astype(np.float32)  # which may not hold what is larger
         if self._host is None:
-            self._action.assign(np.clip(host, -1.0, 1.0))
+            self._action.assign(host)
         else:
-            host.clip(-1.0, 1.0, out=self._host, casting="same_kind")
+            np.copyto(self._host, host)
 
     def _check(self, dtype: Any, floating: bool, shape: tuple[int, ...]) -> None:
         """Raise ValueError for a wrong dtype or shape."""

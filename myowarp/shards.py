@@ -25,7 +25,7 @@ from myowarp.progress import patient_bar
 from myowarp.scene import Scene, checked_num_worlds, resolve_device
 from myowarp.sim import Simulation
 from myowarp.spec import TaskSpec
-from myowarp.team import Team
+from myowarp.team import Team, num_cores
 from myowarp.warmup import quiet
 from myowarp.worlds import Worlds
 
@@ -64,13 +64,6 @@ def simulate(
     if shards == 1:
         return Simulation(spec, num_worlds, device=device, **options)
     return Shards(spec, num_worlds, int(shards), device=device, **options)
-
-
-def num_cores() -> int:
-    """Return how many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class Shards:

@@ -2,6 +2,7 @@
 
 typedef void (*Entry)(void*, void*);  // a kernel of Warp's on the CPU: bounds, arguments
 typedef void (*Function)(uint64_t, uint64_t);
+typedef int32_t (*Question)(uint64_t, uint64_t);
 for (const uint64_t* op = &program.data[4 * row]; op[0] != FINISH;) {
     int64_t next = 1;
     switch (op[0]) {
@@ -16,6 +17,14 @@ for (const uint64_t* op = &program.data[4 * row]; op[0] != FINISH;) {
         break;
     case CALL:
         ((Function)op[1])(op[2], op[3]);
+        break;
+    case TRY:
+        for (int left = TRIES; left > 0 && next == 1; --left) {
+            if (((Question)op[1])(op[2], 0))
+                next = 2;
+            else
+                ((Function)op[3])(0, 0);
+        }
         break;
     case JUMP:
         next = (int64_t)op[1];

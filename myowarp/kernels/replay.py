@@ -14,11 +14,14 @@ class Operation(IntEnum):
     SET = auto()  # bytes: address, value, number
     COPY = auto()  # bytes: address of the target, address of the source, number
     CALL = auto()  # a function of C: its address, two arguments
+    TRY = auto()  # to get a yes, which skips a row: a function's address, argument, what is called after a no
     JUMP = auto()  # as many rows further, or back where negative
     JUMP_IF_ZERO = auto()  # an integer is 0: its address, as many rows further
 
 
+TRIES = 1000  # at most, half a microsecond each with `sched_yield` between
 SOURCE = (
+    f"constexpr int TRIES = {TRIES};\n"
     f"enum {{ {', '.join(f'{operation.name} = {operation.value}' for operation in Operation)} }};\n"
     + Path(__file__).with_suffix(".cpp").read_text()
 )
