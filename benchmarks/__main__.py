@@ -9,7 +9,6 @@ median over rounds counts. Tasks that share a scene cost the same, so each scene
 
 import json
 import os
-import platform
 import statistics
 import time
 from collections.abc import Callable
@@ -25,6 +24,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from benchmarks.machine import processor
 from myowarp.scene import full_spec
 from myowarp.sim import Simulation
 from myowarp.spec import TASKS
@@ -147,18 +147,6 @@ def measure_scene(key: str, options: Options, progress: Progress) -> list[dict[s
             }
         )
     return rows
-
-
-def processor() -> str:
-    """Return the processor's name."""
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        names = [
-            line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line
-        ]
-        if names:
-            return names[0]
-    return platform.processor() or platform.machine()
 
 
 def main() -> None:

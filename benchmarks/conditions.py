@@ -22,7 +22,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.__main__ import PACKAGES, Timed, processor
+from benchmarks.__main__ import PACKAGES, Timed
+from benchmarks.machine import processor
 from benchmarks.soak import suited
 from myowarp.models.conditions import CONDITIONS, Condition
 from myowarp.progress import progress_bar

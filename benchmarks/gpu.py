@@ -23,8 +23,9 @@ import warp as wp
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.__main__ import PACKAGES, processor
+from benchmarks.__main__ import PACKAGES
 from benchmarks.gpu_cases import HAND, Options, agreement, first_line, rates, repeats
+from benchmarks.machine import processor
 from myowarp.files import in_place
 from myowarp.progress import progress_bar
 from myowarp.scene import resolve_device

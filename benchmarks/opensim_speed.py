@@ -26,7 +26,7 @@ import warp as wp
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.__main__ import processor
+from benchmarks.machine import processor
 from benchmarks.opensim_report import draw, print_tables
 from benchmarks.replicas import EXCITATION
 from benchmarks.rivals import IDLE_CORES, ROOT, Worker, start, take_turns

@@ -23,7 +23,8 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from benchmarks.__main__ import CONTACT_TASKS, PACKAGES, processor
+from benchmarks.__main__ import CONTACT_TASKS, PACKAGES
+from benchmarks.machine import processor
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.graph import Graph
 from myowarp.kernels.repeat import repeat

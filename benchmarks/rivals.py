@@ -5,7 +5,7 @@
 For each of the nine families: MyoSuite 3.0.0 alone and in Gymnasium's AsyncVectorEnv, EnvPool 1.2.5, MuJoCo C
 without any environment, and MyoWarp with both presets. Every contestant is a process of its own
 (`contestant.py`) that is up all the time; only one steps at a time, in rounds, so that a disturbance of the
-machine meets all of them alike. What other processes used meanwhile is read from /proc/stat. Linux only.
+machine meets all of them alike, and again where others used the cores meanwhile. Linux only.
 """
 
 import json
@@ -25,7 +25,7 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.__main__ import processor
+from benchmarks.machine import IDLE_CORES, disturbances, least_disturbed, processor
 from benchmarks.rivals_report import draw, print_tables, summarize
 
 ROOT = Path(__file__).parents[1]
@@ -52,7 +52,6 @@ DIFFERENCES = {
     "would end early.",
     "MyoWarp": "make_vec as a user calls it; parity has MyoSuite 3.0.0's integrator and step, in float32.",
 }
-IDLE_CORES = 0.1  # cores that others may keep busy before a measurement counts as disturbed
 
 
 @dataclass
@@ -127,25 +126,21 @@ class Worker:
 
     def measure(self, seconds: float) -> None:
         """Let it step; takes down what it did and how many cores others kept busy."""
-        busy, begin = _busy_seconds(), time.perf_counter()
+        sample, others = least_disturbed(lambda: self._measured(seconds))
+        self.samples.append(sample | {"others": others})
+
+    def _measured(self, seconds: float) -> tuple[dict[str, float], float]:
+        """Let it step; returns what it did, and its processor time [s]."""
+        begin = time.perf_counter()
         self.process.stdin.write(f"{seconds}\n")
         sample = self.read()
         wall = time.perf_counter() - begin
-        own = sample["cpu"] * wall / sample["wall"]  # the untimed warm-up included
-        sample["others"] = max(0.0, (_busy_seconds() - busy - own) / wall)
-        self.samples.append(sample)
+        return sample, sample["cpu"] * wall / sample["wall"]  # the untimed warm-up included
 
     def close(self) -> None:
         """End the process."""
         self.process.stdin.close()
         self.process.wait(timeout=60)
-
-
-def _busy_seconds() -> float:
-    """Return the processor time that all processes of the machine have used so far [s]."""
-    fields = [int(word) for word in Path("/proc/stat").read_text().splitlines()[0].split()[1:]]
-    user, nice, system, _, _, irq, softirq = fields[:7]
-    return (user + nice + system + irq + softirq) / os.sysconf("SC_CLK_TCK")
 
 
 def start(
@@ -282,12 +277,7 @@ def main() -> None:
         "seconds_per_measurement": options.seconds,
         "minutes": round((time.perf_counter() - begin) / 60, 2),
         "load_before": round(load, 2),
-        "cores_busy_with_others": {
-            "median": round(statistics.median(others), 3),
-            "worst": round(max(others), 3),
-            "disturbed_measurements": sum(other > IDLE_CORES for other in others),
-            "measurements": len(others),
-        },
+        "cores_busy_with_others": disturbances(others),
         "differences": DIFFERENCES,
         "families": summarize(samples, FAMILIES, options.sizes),
         "start_seconds_of_myowarp": starts,
@@ -297,8 +287,8 @@ def main() -> None:
     print_tables(report, Console(width=None if sys.stdout.isatty() else 160))
     if (disturbed := report["cores_busy_with_others"]["disturbed_measurements"]) > 0:
         Console(stderr=True).print(
-            f"[yellow]The machine was not idle: in {disturbed} of {len(others)} measurements other processes "
-            f"kept more than {IDLE_CORES} cores busy; do not quote these figures.[/yellow]"
+            f"[yellow]The machine was not idle: in {disturbed} of {len(others)} measurements others kept "
+            f"more than {IDLE_CORES} cores busy; do not quote these figures.[/yellow]"
         )
 
 

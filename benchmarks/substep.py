@@ -26,7 +26,8 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Column, Table
 
-from benchmarks.__main__ import CONTACT_TASKS, PACKAGES, processor
+from benchmarks.__main__ import CONTACT_TASKS, PACKAGES
+from benchmarks.machine import processor
 from myowarp.fusions import FUSIONS, applicable_fusions, installed
 from myowarp.graph import Graph
 from myowarp.prune import idle_kernels, pruned

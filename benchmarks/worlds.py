@@ -5,8 +5,10 @@
 Time is wall time of the vector environment on all cores and, beside it, CPU time of one simulation on one
 core, which has neither Gymnasium nor threads around it. Batches of every size take turns and run the same
 number of steps from a reset on, since what lies in a hand touches more of it later: batches that run for the
-same time would be compared in different states. Memory is Warp's own count of all arrays, engine included;
-machine code, models and Python are there once, whatever the number of worlds.
+same time would be compared in different states. Where others use the cores meanwhile it is measured again,
+since a step ends with its slower core, and one that is taken away costs few worlds more than many. Memory is
+Warp's own count of all arrays, engine included; machine code, models and Python are there once, whatever the
+number of worlds.
 """
 
 import gc
@@ -14,6 +16,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -24,7 +27,8 @@ import warp as wp
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.__main__ import PACKAGES, processor
+from benchmarks.__main__ import PACKAGES
+from benchmarks.machine import disturbances, least_disturbed, processor
 from benchmarks.rivals import FAMILIES
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.progress import progress_bar
@@ -44,7 +48,7 @@ class Options:
     """Numbers of worlds, growing."""
     steps: int = 10
     """Control steps with random actions after each reset."""
-    rounds: int = 11
+    rounds: int = 7
     """Rounds; the median counts."""
 
 
@@ -58,8 +62,12 @@ class Batch:
         self.sim = Simulation(TASKS[task], num_worlds, device="cpu", physics=physics)
         self.actions = np.random.default_rng(0)
 
-    def seconds(self, steps: int, episodes: int) -> tuple[float, float]:
-        """Return what a step takes on all cores and on one, in episodes that begin in states of their own."""
+    def seconds(self, steps: int, episodes: int) -> tuple[tuple[float, float], float]:
+        """Return what a step takes on all cores and on one, in episodes that begin in states of their own.
+
+        Beside them stands the processor time of it all.
+        """
+        used = time.process_time()
         num_worlds, host = self.env.num_envs, self.sim.action.numpy()  # a view
 
         def step_alone(actions: np.ndarray) -> None:
@@ -73,7 +81,8 @@ class Batch:
             elapsed[0] += self._elapsed(self.env.step, time.perf_counter, steps)
             self.sim.reset(seeds=first + np.arange(num_worlds))
             elapsed[1] += self._elapsed(step_alone, time.thread_time, steps)
-        return elapsed[0] / (steps * episodes), elapsed[1] / (steps * episodes)
+        num_steps = steps * episodes
+        return (elapsed[0] / num_steps, elapsed[1] / num_steps), time.process_time() - used
 
     def _elapsed(self, step: Callable[[np.ndarray], object], clock: Callable[[], float], steps: int) -> float:
         """Return the time of so many steps with random actions."""
@@ -99,16 +108,17 @@ def measure(task: str, physics: str, options: Options) -> dict[str, object]:
     episodes = {size: max(1, many // 2 // size) for size in options.sizes}
     for batch in batches.values():
         batch.seconds(1, 1)
-    times = np.array(
-        [
-            [np.divide(batch.seconds(options.steps, episodes[size]), size) for size, batch in batches.items()]
-            for _ in range(options.rounds)
-        ]
-    )
+    times = np.empty((options.rounds, len(batches), 2))
+    others = np.empty((options.rounds, len(batches)))
+    for turn in range(options.rounds):
+        for k, (size, batch) in enumerate(batches.items()):
+            seconds, others[turn, k] = least_disturbed(partial(batch.seconds, options.steps, episodes[size]))
+            times[turn, k] = np.divide(seconds, size)
     for batch in batches.values():
         batch.env.close()
     row: dict[str, object] = {
-        "bytes_per_world": round((batches[many].bytes - batches[few].bytes) / (many - few))
+        "bytes_per_world": round((batches[many].bytes - batches[few].bytes) / (many - few)),
+        "cores_busy_with_others": disturbances(others.ravel().tolist()),
     }
     for k, prefix in enumerate(("", "core_")):
         ratios = np.median(times[:, :, k] / times[:, -1:, k], axis=0).round(3)

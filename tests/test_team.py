@@ -2,12 +2,15 @@
 
 import gc
 import threading
+from ctypes import CFUNCTYPE, c_int, c_uint64
 
 import numpy as np
 import pytest
 import warp as wp
 
-from myowarp.graph import Graph
+from myowarp import team as module
+from myowarp.graph import FINISH, Graph, Replay, code_address
+from myowarp.kernels.replay import TRIES, Operation
 from myowarp.team import Team
 
 CPU = wp.get_device("cpu")
@@ -84,9 +87,11 @@ def test_python_goes_on(member):
     thread.join()
 
 
+@pytest.mark.parametrize("cores", [1, 64])
 @pytest.mark.parametrize("size", [1, 2, 5])
-def test_each_its_own_again_and_again(size):
-    """Programs in turn with others; a run returns only when all have finished."""
+def test_each_its_own_again_and_again(monkeypatch, cores, size):
+    """Programs in turn with others; a run returns only when all have finished, whether threads look or sleep."""
+    monkeypatch.setattr(module, "num_cores", lambda: cores)
     team, counts = Team(size), [array(0) for _ in range(size)]
     ones = team.together([counting(count, 1) for count in counts])
     hundreds = team.together([counting(count, 100 * (i + 1)) for i, count in enumerate(counts)])
@@ -96,6 +101,33 @@ def test_each_its_own_again_and_again(size):
         together()
         expected += amounts
         np.testing.assert_array_equal([int(count.numpy()[0]) for count in counts], expected)
+
+
+@pytest.mark.parametrize("yes", [1, 3, TRIES, None])
+def test_look_before_sleeping(yes):
+    """A question is put until a yes, which skips a row, or a thousand times, with a call after each no."""
+    asked, noted = [], []
+
+    @CFUNCTYPE(c_int, c_uint64, c_uint64)
+    def question(argument, constant):
+        asked.append((argument, constant))
+        return len(asked) == yes
+
+    @CFUNCTYPE(c_int, c_uint64, c_uint64)
+    def note(argument, _):
+        noted.append(argument)
+        return 1
+
+    Replay(
+        [
+            (Operation.TRY, code_address(question), 7, code_address(note)),
+            (Operation.CALL, code_address(note), 1),
+            (Operation.CALL, code_address(note), 2),
+            FINISH,
+        ]
+    )()
+    assert asked == [(7, 0)] * (yes or TRIES)
+    assert noted == ([0] * (yes - 1) + [2] if yes else [0] * TRIES + [1, 2])
 
 
 def test_a_program_keeps_what_it_needs():

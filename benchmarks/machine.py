@@ -1,0 +1,65 @@
+"""The machine that is measured on, and who else uses its cores."""
+
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TypeVar
+
+IDLE_CORES = 0.1  # cores that others may keep busy before a measurement counts as disturbed
+REPEATS = 2  # of a disturbed measurement
+
+T = TypeVar("T")
+
+
+def processor() -> str:
+    """Return the processor's name."""
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [
+            line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line
+        ]
+        if names:
+            return names[0]
+    return platform.processor() or platform.machine()
+
+
+def least_disturbed(measure: Callable[[], tuple[T, float]]) -> tuple[T, float]:
+    """Measure, and again up to twice where others disturb it; Linux only.
+
+    Others are other processes, and on a virtual machine whoever its host gives the cores to meanwhile.
+
+    Args:
+        measure: Returns what it measured and the processor time that this took [s].
+
+    Returns:
+        What was measured when others kept the fewest cores busy, and how many that were.
+    """
+    tries: list[tuple[T, float]] = []
+    while len(tries) <= REPEATS and all(others > IDLE_CORES for _, others in tries):
+        begin, (busy, stolen) = time.perf_counter(), _used_seconds()
+        measured, own = measure()
+        wall, (busy_after, stolen_after) = time.perf_counter() - begin, _used_seconds()
+        others = max(0.0, busy_after - busy - own) + stolen_after - stolen
+        tries.append((measured, others / wall))
+    return min(tries, key=lambda one: one[1])
+
+
+def disturbances(others: Iterable[float]) -> dict[str, float]:
+    """Return for a report how many cores others kept busy in all measurements."""
+    cores = list(others)
+    return {
+        "median": round(statistics.median(cores), 3),
+        "worst": round(max(cores), 3),
+        "disturbed_measurements": sum(busy > IDLE_CORES for busy in cores),
+        "measurements": len(cores),
+    }
+
+
+def _used_seconds() -> tuple[float, float]:
+    """Return the processor time that all processes here have used so far, and that the host has kept [s]."""
+    words = Path("/proc/stat").read_text().splitlines()[0].split()[1:]
+    user, nice, system, _, _, irq, softirq, stolen, *_ = (int(w) / os.sysconf("SC_CLK_TCK") for w in words)
+    return user + nice + system + irq + softirq, stolen
