@@ -90,7 +90,7 @@ def test_python_goes_on(member):
 @pytest.mark.parametrize("cores", [1, 64])
 @pytest.mark.parametrize("size", [1, 2, 5])
 def test_each_its_own_again_and_again(monkeypatch, cores, size):
-    """Programs in turn with others; a run returns only when all have finished, whether threads look or sleep."""
+    """Programs in turn with others; a run returns only when all have finished, threads look or sleep."""
     monkeypatch.setattr(module, "num_cores", lambda: cores)
     team, counts = Team(size), [array(0) for _ in range(size)]
     ones = team.together([counting(count, 1) for count in counts])
