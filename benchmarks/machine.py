@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 IDLE_CORES = 0.1  # cores that others may keep busy before a measurement counts as disturbed
-REPEATS = 2  # of a disturbed measurement
+REPEATS = 4  # of a disturbed measurement
 
 T = TypeVar("T")
 
@@ -27,7 +27,7 @@ def processor() -> str:
 
 
 def least_disturbed(measure: Callable[[], tuple[T, float]]) -> tuple[T, float]:
-    """Measure, and again up to twice where others disturb it; Linux only.
+    """Measure, and again up to four times where others disturb it; Linux only.
 
     Others are other processes, and on a virtual machine whoever its host gives the cores to meanwhile.
 

@@ -35,6 +35,8 @@ from myowarp.progress import progress_bar
 from myowarp.sim import Simulation
 from myowarp.spec import PHYSICS, TASKS
 
+SHORTEST = 0.5  # s, a measurement: who uses the cores is known in steps of 0.01 s
+
 
 @dataclass
 class Options:
@@ -62,37 +64,46 @@ class Batch:
         self.sim = Simulation(TASKS[task], num_worlds, device="cpu", physics=physics)
         self.actions = np.random.default_rng(0)
 
-    def seconds(self, steps: int, episodes: int) -> tuple[tuple[float, float], float]:
-        """Return what a step takes on all cores and on one, in episodes that begin in states of their own.
-
-        Beside them stands the processor time of it all.
-        """
+    def wall_seconds(self, steps: int, episodes: int) -> tuple[float, float]:
+        """Return what a step of the environment takes, and the processor time of measuring it."""
         used = time.process_time()
-        num_worlds, host = self.env.num_envs, self.sim.action.numpy()  # a view
+        elapsed = self._elapsed(
+            lambda seed: self.env.reset(seed=seed), self.env.step, time.perf_counter, steps, episodes
+        )
+        return elapsed, time.process_time() - used
 
-        def step_alone(actions: np.ndarray) -> None:
+    def core_seconds(self, steps: int, episodes: int) -> float:
+        """Return the CPU time of a step of the simulation on one core."""
+        host = self.sim.action.numpy()  # a view
+
+        def reset(seed: int) -> None:
+            self.sim.reset(seeds=seed + np.arange(self.env.num_envs))
+
+        def step(actions: np.ndarray) -> None:
             host[:] = actions
             self.sim.step()
 
-        elapsed = [0.0, 0.0]
-        for episode in range(episodes):
-            first = episode * num_worlds
-            self.env.reset(seed=first)
-            elapsed[0] += self._elapsed(self.env.step, time.perf_counter, steps)
-            self.sim.reset(seeds=first + np.arange(num_worlds))
-            elapsed[1] += self._elapsed(step_alone, time.thread_time, steps)
-        num_steps = steps * episodes
-        return (elapsed[0] / num_steps, elapsed[1] / num_steps), time.process_time() - used
+        return self._elapsed(reset, step, time.thread_time, steps, episodes)
 
-    def _elapsed(self, step: Callable[[np.ndarray], object], clock: Callable[[], float], steps: int) -> float:
-        """Return the time of so many steps with random actions."""
-        elapsed = 0.0
-        for _ in range(steps):
-            actions = self.actions.uniform(-1, 1, self.env.action_space.shape).astype(np.float32)
-            begin = clock()
-            step(actions)
-            elapsed += clock() - begin
-        return elapsed
+    def _elapsed(
+        self,
+        reset: Callable[[int], object],
+        step: Callable[[np.ndarray], object],
+        clock: Callable[[], float],
+        steps: int,
+        episodes: int,
+    ) -> float:
+        """Return the time of a step with random actions, in episodes that begin in states of their own."""
+        elapsed, episode = 0.0, 0
+        while episode < episodes or elapsed < SHORTEST:
+            reset(episode % episodes * self.env.num_envs)
+            episode += 1
+            for _ in range(steps):
+                actions = self.actions.uniform(-1, 1, self.env.action_space.shape).astype(np.float32)
+                begin = clock()
+                step(actions)
+                elapsed += clock() - begin
+        return elapsed / (steps * episode)
 
 
 def allocated() -> int:
@@ -107,13 +118,15 @@ def measure(task: str, physics: str, options: Options) -> dict[str, object]:
     few, *_, many = options.sizes
     episodes = {size: max(1, many // 2 // size) for size in options.sizes}
     for batch in batches.values():
-        batch.seconds(1, 1)
+        batch.wall_seconds(1, 1)
+        batch.core_seconds(1, 1)
     times = np.empty((options.rounds, len(batches), 2))
     others = np.empty((options.rounds, len(batches)))
     for turn in range(options.rounds):
         for k, (size, batch) in enumerate(batches.items()):
-            seconds, others[turn, k] = least_disturbed(partial(batch.seconds, options.steps, episodes[size]))
-            times[turn, k] = np.divide(seconds, size)
+            length = options.steps, episodes[size]
+            wall, others[turn, k] = least_disturbed(partial(batch.wall_seconds, *length))
+            times[turn, k] = wall / size, batch.core_seconds(*length) / size
     for batch in batches.values():
         batch.env.close()
     row: dict[str, object] = {
