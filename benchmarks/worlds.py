@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -112,7 +112,7 @@ def allocated() -> int:
     return int(wp._src.context.runtime.core.wp_alloc_tracker_get_current_bytes())
 
 
-def measure(task: str, physics: str, options: Options) -> dict[str, object]:
+def measure(task: str, physics: str, options: Options) -> dict[str, Any]:
     """Return time and memory of a world at each size."""
     batches = {size: Batch(task, physics, size) for size in options.sizes}
     few, *_, many = options.sizes
@@ -129,7 +129,7 @@ def measure(task: str, physics: str, options: Options) -> dict[str, object]:
             times[turn, k] = wall / size, batch.core_seconds(*length) / size
     for batch in batches.values():
         batch.env.close()
-    row: dict[str, object] = {
+    row: dict[str, Any] = {
         "bytes_per_world": round((batches[many].bytes - batches[few].bytes) / (many - few)),
         "cores_busy_with_others": disturbances(others.ravel().tolist()),
     }
@@ -145,19 +145,19 @@ def main() -> None:
     """Measure, print a table, write the JSON."""
     options = tyro.cli(Options, prog="python -m benchmarks.worlds")
     options.output.parent.mkdir(parents=True, exist_ok=True)
-    rows = []
-    cases = [(family, physics) for family in options.families for physics in PHYSICS]
-    with wp.ScopedMemoryTracker(print=False), progress_bar("Stepping", "cases") as bar:
-        for family, physics in bar.track(cases):
-            names = {"family": family, "task": FAMILIES[family], "physics": physics}
-            rows.append(names | measure(FAMILIES[family], physics, options))
+    rows: list[dict[str, Any]] = []
     report = {
         "processor": processor(),
         "rounds": options.rounds,
         "versions": {name: version(name) for name in PACKAGES},
         "rows": rows,
     }
-    options.output.write_text(json.dumps(report, indent=1) + "\n")
+    cases = [(family, physics) for family in options.families for physics in PHYSICS]
+    with wp.ScopedMemoryTracker(print=False), progress_bar("Stepping", "cases") as bar:
+        for family, physics in bar.track(cases):
+            names = {"family": family, "task": FAMILIES[family], "physics": physics}
+            rows.append(names | measure(FAMILIES[family], physics, options))
+            options.output.write_text(json.dumps(report, indent=1) + "\n")  # an early end loses none
     columns = [f"{name}, {size}" for name in ("us", "core us") for size in (*options.sizes, "ratio")]
     table = Table("family", "physics", "kB a world", *columns)
     for row in rows:
