@@ -27,9 +27,10 @@ def processor() -> str:
 
 
 def least_disturbed(measure: Callable[[], tuple[T, float]]) -> tuple[T, float]:
-    """Measure, and again up to four times where others disturb it; Linux only.
+    """Measure, and again up to four times where others disturb it.
 
-    Others are other processes, and on a virtual machine whoever its host gives the cores to meanwhile.
+    Others are other processes, and on a virtual machine whoever its host gives the cores to meanwhile. They
+    are seen on Linux only.
 
     Args:
         measure: Returns what it measured and the processor time that this took [s].
@@ -60,6 +61,8 @@ def disturbances(others: Iterable[float]) -> dict[str, float]:
 
 def _used_seconds() -> tuple[float, float]:
     """Return the processor time that all processes here have used so far, and that the host has kept [s]."""
-    words = Path("/proc/stat").read_text().splitlines()[0].split()[1:]
+    if not (stat := Path("/proc/stat")).exists():
+        return 0.0, 0.0
+    words = stat.read_text().splitlines()[0].split()[1:]
     user, nice, system, _, _, irq, softirq, stolen, *_ = (int(w) / os.sysconf("SC_CLK_TCK") for w in words)
     return user + nice + system + irq + softirq, stolen

@@ -26,10 +26,10 @@ import warp as wp
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.machine import processor
+from benchmarks.machine import IDLE_CORES, processor
 from benchmarks.opensim_report import draw, print_tables
 from benchmarks.replicas import EXCITATION
-from benchmarks.rivals import IDLE_CORES, ROOT, Worker, start, take_turns
+from benchmarks.rivals import ROOT, Worker, start, take_turns
 
 OPENSIM = "OpenSim"
 DIFFERENCES = {

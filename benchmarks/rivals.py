@@ -5,7 +5,8 @@
 For each of the nine families: MyoSuite 3.0.0 alone and in Gymnasium's AsyncVectorEnv, EnvPool 1.2.5, MuJoCo C
 without any environment, and MyoWarp with both presets. Every contestant is a process of its own
 (`contestant.py`) that is up all the time; only one steps at a time, in rounds, so that a disturbance of the
-machine meets all of them alike, and again where others used the cores meanwhile. Linux only.
+machine meets all of them alike. What others use meanwhile is read from /proc/stat; a disturbed measurement is
+made again. Linux only.
 """
 
 import json
