@@ -28,9 +28,7 @@ def print_tables(report: dict[str, Any], console: Console) -> None:
         for column in ("muscles", *contestants):
             table.add_column(column, justify="right")
         for row in rows.values():
-            cells = (
-                f"{one['rate']['median']:.3g} ({one['over_opensim']['median']:.3g})" for one in row.values()
-            )
+            cells = (f"{one['rate']['median']:g} ({one['over_opensim']['median']:g})" for one in row.values())
             table.add_row(str(row[contestants[0]]["muscles"]), *cells)
         console.print(table)
 
@@ -57,7 +55,15 @@ def draw(report: dict[str, Any], path: Path) -> None:
         axis.minorticks_off()
         axis.set_xlim(muscles[0] / 1.3, muscles[-1] * (muscles[-1] / muscles[0]) ** 0.62)
         axis.axhline(1.0, color="0.7", lw=0.8, zorder=0)
-        axis.annotate("real time", (muscles[0], 1.0), (0, 3), textcoords="offset points", color="0.45")
+        axis.annotate(
+            "real time",
+            (axis.get_xlim()[1], 1.0),
+            (0, -4),
+            textcoords="offset points",
+            ha="right",
+            va="top",
+            color="0.45",
+        )
         axis.spines[["top", "right"]].set_visible(False)
     axes[0][0].set_ylabel("simulated seconds per second, all worlds")
     figure.text(0.01, 0.01, textwrap.fill(CAPTION, 105 * len(models)), fontsize=8, color="0.3")
@@ -90,7 +96,7 @@ def _line(axis: Any, name: str, rows: list[dict[str, Any]], height: float) -> No
             axis.plot(number, rate, "o", ms=4, mfc="w", mec=COLORS[family], zorder=5)
     ratio = rows[-1]["over_opensim"]["median"]
     worlds = f", {rows[-1]['worlds']} worlds" if rows[-1]["worlds"] > 1 else ""
-    text = f"{name}{worlds}" + ("" if ratio == 1.0 else f": {ratio:.3g} x")
+    text = f"{name}{worlds}" + ("" if ratio == 1.0 else f": {ratio:g} x")
     axis.annotate(
         text,
         (muscles[-1], height),

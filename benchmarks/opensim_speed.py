@@ -26,7 +26,7 @@ import warp as wp
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.machine import IDLE_CORES, processor
+from benchmarks.machine import disturbances, processor
 from benchmarks.opensim_report import draw, print_tables
 from benchmarks.replicas import EXCITATION
 from benchmarks.rivals import ROOT, Worker, start, take_turns
@@ -126,7 +126,7 @@ def measure(workers: list[Worker], options: Options, tell: Any) -> dict[str, Any
             "over_opensim": spread(ratios),
             "cpu_over_wall": spread([sample["cpu"] / sample["wall"] for sample in worker.samples]),
             "peak_memory_mb": round(max(sample["memory"] for sample in worker.samples)),
-            "cores_busy_with_others": round(max(sample["others"] for sample in worker.samples), 3),
+            "cores_busy_with_others": [round(sample["others"], 3) for sample in worker.samples],
             "pose": worker.samples[-1]["pose"],
         }
     return rows
@@ -180,7 +180,7 @@ def measure_model(source: Path, duration: float, options: Options, log: Any, bar
         rows[str(copies)] = found = measure(workers, options, tell)
         first = first or {name: row["pose"] for name, row in found.items()}
         poses(found, first, coordinates)
-        rates = (f"{name} {row['rate']['median']:.3g}" for name, row in found.items())
+        rates = (f"{name} {row['rate']['median']:g}" for name, row in found.items())
         bar(f"{source.stem}, {copies} x: {' | '.join(rates)}", 1)
     return {"duration": duration, "copies": rows}
 
@@ -202,7 +202,7 @@ def main() -> None:
         for source, duration in zip(options.models, options.durations, strict=True):
             models[source.stem] = measure_model(source, duration, options, log, bar)
     rows = [row for model in models.values() for found in model["copies"].values() for row in found.values()]
-    others = [row["cores_busy_with_others"] for row in rows]
+    others = [cores for row in rows for cores in row["cores_busy_with_others"]]
     report: dict[str, Any] = {
         "processor": processor(),
         "cores": len(os.sched_getaffinity(0)),
@@ -214,11 +214,7 @@ def main() -> None:
         "excitation": EXCITATION,
         "minutes": round((time.perf_counter() - begin) / 60, 2),
         "load_before": round(load, 2),
-        "cores_busy_with_others": {
-            "worst": max(others),
-            "disturbed_rows": sum(other > IDLE_CORES for other in others),
-            "rows": len(others),
-        },
+        "cores_busy_with_others": disturbances(others),
         "differences": DIFFERENCES,
         "models": models,
     }
