@@ -58,12 +58,13 @@ format: setup ## Format the code and apply safe lint fixes
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: setup ## Measure speed, conditions, what is around the physics, what a world costs, JSON to out/
+bench: setup ## Measure speed, conditions, overhead, what a world costs, policies beside it, JSON to out/
 	@mkdir -p out
 	$(BIN)/python -m benchmarks --output out/bench.json
 	$(BIN)/python -m benchmarks.conditions --output out/conditions.json
 	$(BIN)/python -m benchmarks.overhead --output out/overhead.json
 	$(BIN)/python -m benchmarks.worlds --output out/worlds.json
+	$(BIN)/python -m benchmarks.policies --output out/policies.json
 
 gpu: setup ## Measure on a GPU, JSON to out/gpu.json (8 minutes)
 	benchmarks/gpu.sh
