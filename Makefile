@@ -69,10 +69,10 @@ bench: setup ## Measure speed, conditions, overhead, what a world costs, policie
 gpu: setup ## Measure on a GPU, JSON to out/gpu.json (8 minutes)
 	benchmarks/gpu.sh
 
-rivals: setup .venv-parity/.installed .venv-envpool/.installed ## Measure speed beside MyoSuite, EnvPool and MuJoCo C (12 minutes, idle cores)
+rivals: setup .venv-parity/.installed .venv-envpool/.installed ## Measure speed beside MyoSuite, EnvPool and MuJoCo C (8 to 20 minutes, idle cores)
 	$(BIN)/python -m benchmarks.rivals --output out/rivals.json $(RIVALS)
 
-opensim: setup .venv-opensim/.installed ## Measure speed beside OpenSim with 1 to 64 times the muscles (12 minutes; OPENSIM="ARM.osim GAIT.osim")
+opensim: setup .venv-opensim/.installed ## Measure speed beside OpenSim with 1 to 64 times the muscles (5 to 12 minutes; OPENSIM="ARM.osim GAIT.osim")
 	$(BIN)/python -m benchmarks.opensim_speed --output out/opensim_speed.json $(OPENSIM)
 
 accuracy: setup ## Measure the error of the physics presets against 0.1 ms steps, JSON to out/accuracy.json
@@ -93,12 +93,12 @@ parity: setup .venv-parity/.installed ## Install MyoSuite 3.0.0 beside us, recor
 	@mkdir -p out
 	$(BIN)/python -m benchmarks.parity --recorder .venv-parity/bin/python --output out/parity.json
 
-soak: setup ## Run random actions in all 204 ids of the paper's grid and pairs of conditions (two hours)
+soak: setup ## Run random actions in all 204 ids of the paper's grid and pairs of conditions (15 minutes to two hours)
 	@mkdir -p out
 	$(BIN)/python -m benchmarks.soak --output out/soak.json
 	$(BIN)/python -m benchmarks.soak --pairs --output out/soak_pairs.json
 
-audit: setup ## Audit every task, table, JSON and page to out/audit (an hour)
+audit: setup ## Audit every task, table, JSON and page to out/audit (10 minutes to an hour)
 	$(BIN)/myowarp audit --output out/audit
 
 clean: ## Remove .venv, caches and outputs
