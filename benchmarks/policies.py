@@ -2,10 +2,10 @@
 
     python -m benchmarks.policies --output out/policies.json
 
-The threads of NumPy's OpenBLAS and of torch's OpenMP go on looking for work after a product, up to 25 ms, on
-cores that the next step could use. Environment variables stop that; they are read when the library loads, so
-that every measurement is a process of its own. The policy has two hidden layers of 256. Torch is measured
-where it is installed.
+The threads of NumPy's OpenBLAS and of torch's OpenMP go on looking for work after a product, on cores that
+the next step could use. Environment variables stop that; they are read when the library loads, so that every
+measurement is a process of its own. The policy has two hidden layers of 256. Torch is measured where it is
+installed.
 """
 
 import importlib.util
@@ -119,12 +119,14 @@ def in_own_process(options: Options, quieted: dict[str, str], *only: str) -> dic
     command = [sys.executable, "-m", "benchmarks.policies", "--seconds", str(options.seconds)]
     command += ["--num-worlds", str(options.num_worlds), "--only", *only]
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("OMP_", "OPENBLAS_", "MKL_"))}
-    done = subprocess.run(command, env=environment | quieted, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, env=environment | quieted, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"measuring {', '.join(only)} failed: {done.stderr.strip().splitlines()[-1]}")
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def compare(library: str, task: str, physics: str, options: Options) -> dict[str, Any]:
-    """Return medians with the library as it comes and quieted, which take turns."""
+def compare(library: str, task: str, physics: str, options: Options) -> tuple[dict[str, Any], list[float]]:
+    """Return medians as the library comes and quieted, which take turns, and how many cores others used."""
     ways = {"as_it_comes": {}, "quieted": QUIETED[library]}
     samples: dict[str, list[dict[str, float]]] = {way: [] for way in ways}
     for _ in range(options.rounds):
@@ -135,8 +137,7 @@ def compare(library: str, task: str, physics: str, options: Options) -> dict[str
         medians = {key: statistics.median(one[key] for one in found) for key in ("policy_us", "step_us")}
         row[way] = {key: round(value, 1) for key, value in medians.items()}
     row["step_ratio"] = round(row["as_it_comes"]["step_us"] / row["quieted"]["step_us"], 2)
-    row["others"] = [one["others"] for found in samples.values() for one in found]
-    return row
+    return row, [one["others"] for found in samples.values() for one in found]
 
 
 def main() -> None:
@@ -149,17 +150,19 @@ def main() -> None:
     libraries = [name for name in POLICIES if importlib.util.find_spec(name)]
     cases = [(name, family, how) for name in libraries for family in options.families for how in PHYSICS]
     rows: list[dict[str, Any]] = []
+    others: list[float] = []
     with progress_bar("Stepping", "cases") as bar:
         for library, family, physics in bar.track(cases):
-            row = compare(library, FAMILIES[family], physics, options)
+            row, busy = compare(library, FAMILIES[family], physics, options)
             rows.append({"library": library, "family": family, "physics": physics} | row)
+            others += busy
     report = {
         "processor": processor(),
         "cores": num_cores(),
         "num_worlds": options.num_worlds,
         "rounds": options.rounds,
         "versions": {name: version(name) for name in (*PACKAGES, *libraries)},
-        "cores_busy_with_others": disturbances(others for row in rows for others in row.pop("others")),
+        "cores_busy_with_others": disturbances(others),
         "rows": rows,
     }
     options.output.write_text(json.dumps(report, indent=1) + "\n")
