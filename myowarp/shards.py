@@ -72,7 +72,7 @@ class Shards:
     Attributes:
         parts: The simulations; kernels of others run over their scenes (`Simulation.attach`).
         scene: Names, sizes and settings, and the state of all worlds. What does not belong to a single
-            world, such as contacts, is with the parts, and None here.
+            world, such as contacts, or only to the engine is with the parts, and None here.
         action: As in `Simulation`, over all worlds; so are `transition`, `final`, `episode` and `masks`.
         columns: Blocks of the observation.
         terms: Reward terms.

@@ -14,6 +14,7 @@ from myowarp.kernels.episode import Transition
 from myowarp.models.conditions import Fatigue3CCR, Load, MotorNoise, Ramp, Sarcopenia, Uniform
 from myowarp.models.conditions.parameter import Parameter
 from myowarp.models.conditions.reafferentation import check_apart
+from myowarp.scene import SHARED_FIELDS
 from myowarp.shards import Shards, simulate
 from myowarp.signals import Signals
 from myowarp.sim import Simulation
@@ -24,7 +25,6 @@ ELBOW = "myoElbowPose1D6MRandom-v0"
 FAMILIES = sorted({(TASKS[key].family, TASKS[key].body): key for key in TASKS if "Random" in key}.values())
 NUM_WORLDS = 7
 HORIZON = 6
-STATE = ("qpos", "qvel", "ctrl", "time")
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
@@ -53,7 +53,7 @@ def everything(sim):
     seen = {f"transition.{name}": getattr(sim.transition, name) for name in Transition.vars}
     seen |= {f"final.{name}": getattr(sim.final, name) for name in Transition.vars}
     seen |= {f"info.{name}": array for name, array in sim.info.items()}
-    seen |= {name: getattr(sim.scene.data, name) for name in STATE}
+    seen |= {name: getattr(sim.scene.data, name) for name in SHARED_FIELDS}
     seen |= {"episode": sim.scene.keys.episode, "activation": sim.scene.muscles.activation}
     seen |= {"step_count": sim.episode.step_count, "live": sim.masks.live}
     return {name: array.numpy().copy() for name, array in seen.items()}
