@@ -57,7 +57,8 @@ class Scene:
         num_substeps: Physics steps in a control step, after the physics preset.
         oracle: Slim model with MuJoCo's built-in muscles, host; what our kernels must reproduce.
         model: Stepped model, stateless actuators.
-        data: State of all worlds.
+        data: State and results of all worlds. Of sites, where fusions act, only those of `spec.sites` have
+            their pose in it; `mujoco_warp.kinematics(model, data)` brings up the others.
         muscles: The muscles of all worlds.
         keys: What random numbers are drawn from.
         qpos_start: Start configuration of an episode, shape (nq,).
