@@ -2,13 +2,14 @@
 
     python -m benchmarks.worlds --output out/worlds.json
 
-Time is wall time of the vector environment on all cores and, beside it, CPU time of one simulation on one
-core, which has neither Gymnasium nor threads around it. Batches of every size take turns and run the same
-number of steps from a reset on, since what lies in a hand touches more of it later: batches that run for the
-same time would be compared in different states. Where others use the cores meanwhile it is measured again,
-since a step ends with its slower core, and one that is taken away costs few worlds more than many. Memory is
-Warp's own count of all arrays, engine included; machine code, models and Python are there once, whatever the
-number of worlds.
+Time is wall time of the vector environment on all cores and, beside it, that of its simulation without
+Gymnasium around it, and CPU time of a simulation on one core. What the first takes more than the second is
+Python; what the second takes more than its share of the third is that cores meet, and that each launches all
+kernels for a part of the worlds only. Batches of every size take turns and run the same number of steps from
+a reset on, since what lies in a hand touches more of it later: batches that run for the same time would be
+compared in different states. Where others use the cores meanwhile it is measured again, since a step ends
+with its slower core, and one that is taken away costs few worlds more than many. Memory is Warp's own count
+of all arrays, engine included; machine code, models and Python are there once, whatever the number of worlds.
 """
 
 import gc
@@ -32,9 +33,11 @@ from benchmarks.machine import disturbances, least_disturbed, processor
 from benchmarks.rivals import FAMILIES
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.progress import progress_bar
+from myowarp.shards import Shards
 from myowarp.sim import Simulation
 from myowarp.spec import PHYSICS, TASKS
 
+PARTS = {"environment": "", "simulation": "sim_", "one core": "core_"}  # prefixes of their figures
 SHORTEST = 0.5  # s, a measurement: who uses the cores is known in steps of 0.01 s
 
 
@@ -67,27 +70,22 @@ class Batch:
     def wall_seconds(self, steps: int, episodes: int) -> tuple[float, float]:
         """Return what a step of the environment takes, and the processor time of measuring it."""
         used = time.process_time()
-        elapsed = self._elapsed(
-            lambda seed: self.env.reset(seed=seed), self.env.step, time.perf_counter, steps, episodes
-        )
+        elapsed = self._elapsed(self.env.sim, self.env.step, time.perf_counter, steps, episodes)
+        return elapsed, time.process_time() - used
+
+    def sim_seconds(self, steps: int, episodes: int) -> tuple[float, float]:
+        """Return the same of a step of the environment's simulation alone."""
+        used = time.process_time()
+        elapsed = self._elapsed(self.env.sim, stepped(self.env.sim), time.perf_counter, steps, episodes)
         return elapsed, time.process_time() - used
 
     def core_seconds(self, steps: int, episodes: int) -> float:
-        """Return the CPU time of a step of the simulation on one core."""
-        host = self.sim.action.numpy()  # a view
-
-        def reset(seed: int) -> None:
-            self.sim.reset(seeds=seed + np.arange(self.env.num_envs))
-
-        def step(actions: np.ndarray) -> None:
-            host[:] = actions
-            self.sim.step()
-
-        return self._elapsed(reset, step, time.thread_time, steps, episodes)
+        """Return the CPU time of a step of a simulation on one core."""
+        return self._elapsed(self.sim, stepped(self.sim), time.thread_time, steps, episodes)
 
     def _elapsed(
         self,
-        reset: Callable[[int], object],
+        sim: Simulation | Shards,
         step: Callable[[np.ndarray], object],
         clock: Callable[[], float],
         steps: int,
@@ -96,7 +94,7 @@ class Batch:
         """Return the time of a step with random actions, in episodes that begin in states of their own."""
         elapsed, episode = 0.0, 0
         while episode < episodes or elapsed < SHORTEST:
-            reset(episode % episodes * self.env.num_envs)
+            sim.reset(seeds=episode % episodes * sim.num_worlds + np.arange(sim.num_worlds))
             episode += 1
             for _ in range(steps):
                 actions = self.actions.uniform(-1, 1, self.env.action_space.shape).astype(np.float32)
@@ -104,6 +102,17 @@ class Batch:
                 step(actions)
                 elapsed += clock() - begin
         return elapsed / (steps * episode)
+
+
+def stepped(sim: Simulation | Shards) -> Callable[[np.ndarray], None]:
+    """Return what steps a simulation under actions on the host, as little as there can be around it."""
+    host = sim.action.numpy()  # a view
+
+    def step(actions: np.ndarray) -> None:
+        host[:] = actions
+        sim.step()
+
+    return step
 
 
 def allocated() -> int:
@@ -118,22 +127,25 @@ def measure(task: str, physics: str, options: Options) -> dict[str, Any]:
     few, *_, many = options.sizes
     episodes = {size: max(1, many // 2 // size) for size in options.sizes}
     for batch in batches.values():
+        batch.env.reset(seed=0)
         batch.wall_seconds(1, 1)
+        batch.sim_seconds(1, 1)
         batch.core_seconds(1, 1)
-    times = np.empty((options.rounds, len(batches), 2))
-    others = np.empty((options.rounds, len(batches)))
+    times = np.empty((options.rounds, len(batches), 3))
+    others = np.empty((options.rounds, len(batches), 2))
     for turn in range(options.rounds):
         for k, (size, batch) in enumerate(batches.items()):
             length = options.steps, episodes[size]
-            wall, others[turn, k] = least_disturbed(partial(batch.wall_seconds, *length))
-            times[turn, k] = wall / size, batch.core_seconds(*length) / size
+            wall, others[turn, k, 0] = least_disturbed(partial(batch.wall_seconds, *length))
+            alone, others[turn, k, 1] = least_disturbed(partial(batch.sim_seconds, *length))
+            times[turn, k] = np.array([wall, alone, batch.core_seconds(*length)]) / size
     for batch in batches.values():
         batch.env.close()
     row: dict[str, Any] = {
         "bytes_per_world": round((batches[many].bytes - batches[few].bytes) / (many - few)),
         "cores_busy_with_others": disturbances(others.ravel().tolist()),
     }
-    for k, prefix in enumerate(("", "core_")):
+    for k, prefix in enumerate(PARTS.values()):
         ratios = np.median(times[:, :, k] / times[:, -1:, k], axis=0).round(3)
         medians = (1e6 * np.median(times[:, :, k], axis=0)).round(2)
         row[f"{prefix}us_per_world"] = dict(zip(options.sizes, medians, strict=True))
@@ -158,14 +170,15 @@ def main() -> None:
             names = {"family": family, "task": FAMILIES[family], "physics": physics}
             rows.append(names | measure(FAMILIES[family], physics, options))
             options.output.write_text(json.dumps(report, indent=1) + "\n")  # an early end loses none
-    columns = [f"{name}, {size}" for name in ("us", "core us") for size in (*options.sizes, "ratio")]
-    table = Table("family", "physics", "kB a world", *columns)
+    sizes = [f"us, {size}" for size in options.sizes]
+    table = Table("family", "physics", "kB a world", "of a step", *sizes, "few / many")
     for row in rows:
-        figures = [f"{row['bytes_per_world'] / 1e3:.1f}"]
-        for prefix in ("", "core_"):
-            figures += [f"{value:.1f}" for value in row[f"{prefix}us_per_world"].values()]
-            figures.append(f"{next(iter(row[f'{prefix}over_largest'].values())):.2f}")
-        table.add_row(row["family"], row["physics"], *figures)
+        names = row["family"], row["physics"], f"{row['bytes_per_world'] / 1e3:.1f}"
+        for what, prefix in PARTS.items():
+            figures = [f"{value:.1f}" for value in row[f"{prefix}us_per_world"].values()]
+            ratio = next(iter(row[f"{prefix}over_largest"].values()))
+            table.add_row(*names, what, *figures, f"{ratio:.2f}")
+            names = "", "", ""
     Console().print(table)
 
 
