@@ -48,6 +48,16 @@ def least_disturbed(measure: Callable[[], tuple[T, float]]) -> tuple[T, float]:
     return min(tries, key=lambda one: one[1])
 
 
+def timed_here(measure: Callable[[], T]) -> Callable[[], tuple[T, float]]:
+    """Return for `least_disturbed` what measures in this process."""
+
+    def timed() -> tuple[T, float]:
+        used = time.process_time()
+        return measure(), time.process_time() - used
+
+    return timed
+
+
 def disturbances(others: Iterable[float]) -> dict[str, float]:
     """Return for a report how many cores others kept busy in all measurements."""
     cores = list(others)

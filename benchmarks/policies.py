@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.__main__ import PACKAGES
-from benchmarks.machine import disturbances, least_disturbed, processor
+from benchmarks.machine import disturbances, least_disturbed, processor, timed_here
 from benchmarks.rivals import FAMILIES
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.progress import progress_bar
@@ -94,9 +94,9 @@ def measure(library: str, task: str, physics: str, options: Options) -> dict[str
     policy = POLICIES[library](env.single_observation_space.shape[0], env.single_action_space.shape[0])
     obs = env.reset(seed=0)[0]
 
-    def run(least_steps: int, seconds: float) -> tuple[tuple[float, float], float]:
+    def run(least_steps: int, seconds: float) -> tuple[float, float]:
         nonlocal obs
-        used, end = time.process_time(), time.perf_counter() + seconds
+        end = time.perf_counter() + seconds
         deciding = stepping = 0.0
         steps = 0
         while steps < least_steps or time.perf_counter() < end:
@@ -106,10 +106,10 @@ def measure(library: str, task: str, physics: str, options: Options) -> dict[str
             obs = env.step(actions)[0]
             deciding, stepping = deciding + decided - begin, stepping + time.perf_counter() - decided
             steps += 1
-        return (1e6 * deciding / steps, 1e6 * stepping / steps), time.process_time() - used
+        return 1e6 * deciding / steps, 1e6 * stepping / steps
 
     run(WARMUP, 0.0)
-    (policy_us, step_us), others = least_disturbed(lambda: run(1, options.seconds))
+    (policy_us, step_us), others = least_disturbed(timed_here(lambda: run(1, options.seconds)))
     env.close()
     return {"policy_us": policy_us, "step_us": step_us, "others": others}
 
@@ -121,7 +121,8 @@ def in_own_process(options: Options, quieted: dict[str, str], *only: str) -> dic
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("OMP_", "OPENBLAS_", "MKL_"))}
     done = subprocess.run(command, env=environment | quieted, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise RuntimeError(f"measuring {', '.join(only)} failed: {done.stderr.strip().splitlines()[-1]}")
+        *_, reason = f"exit code {done.returncode}", *done.stderr.strip().splitlines()
+        raise RuntimeError(f"measuring {', '.join(only)} failed: {reason}")
     return json.loads(done.stdout.splitlines()[-1])
 
 

@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.__main__ import PACKAGES
-from benchmarks.machine import disturbances, least_disturbed, processor
+from benchmarks.machine import disturbances, least_disturbed, processor, timed_here
 from benchmarks.rivals import FAMILIES
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.progress import progress_bar
@@ -67,17 +67,13 @@ class Batch:
         self.sim = Simulation(TASKS[task], num_worlds, device="cpu", physics=physics)
         self.actions = np.random.default_rng(0)
 
-    def wall_seconds(self, steps: int, episodes: int) -> tuple[float, float]:
-        """Return what a step of the environment takes, and the processor time of measuring it."""
-        used = time.process_time()
-        elapsed = self._elapsed(self.env.sim, self.env.step, time.perf_counter, steps, episodes)
-        return elapsed, time.process_time() - used
+    def wall_seconds(self, steps: int, episodes: int) -> float:
+        """Return what a step of the environment takes."""
+        return self._elapsed(self.env.sim, self.env.step, time.perf_counter, steps, episodes)
 
-    def sim_seconds(self, steps: int, episodes: int) -> tuple[float, float]:
-        """Return the same of a step of the environment's simulation alone."""
-        used = time.process_time()
-        elapsed = self._elapsed(self.env.sim, stepped(self.env.sim), time.perf_counter, steps, episodes)
-        return elapsed, time.process_time() - used
+    def sim_seconds(self, steps: int, episodes: int) -> float:
+        """Return what a step of the environment's simulation alone takes."""
+        return self._elapsed(self.env.sim, stepped(self.env.sim), time.perf_counter, steps, episodes)
 
     def core_seconds(self, steps: int, episodes: int) -> float:
         """Return the CPU time of a step of a simulation on one core."""
@@ -131,13 +127,13 @@ def measure(task: str, physics: str, options: Options) -> dict[str, Any]:
         batch.wall_seconds(1, 1)
         batch.sim_seconds(1, 1)
         batch.core_seconds(1, 1)
-    times = np.empty((options.rounds, len(batches), 3))
+    times = np.empty((options.rounds, len(batches), len(PARTS)))
     others = np.empty((options.rounds, len(batches), 2))
     for turn in range(options.rounds):
         for k, (size, batch) in enumerate(batches.items()):
             length = options.steps, episodes[size]
-            wall, others[turn, k, 0] = least_disturbed(partial(batch.wall_seconds, *length))
-            alone, others[turn, k, 1] = least_disturbed(partial(batch.sim_seconds, *length))
+            wall, others[turn, k, 0] = least_disturbed(timed_here(partial(batch.wall_seconds, *length)))
+            alone, others[turn, k, 1] = least_disturbed(timed_here(partial(batch.sim_seconds, *length)))
             times[turn, k] = np.array([wall, alone, batch.core_seconds(*length)]) / size
     for batch in batches.values():
         batch.env.close()
