@@ -23,8 +23,8 @@ from rich.console import Console
 from rich.table import Table
 
 from myowarp.progress import progress_bar
-from myowarp.sim import Simulation
-from myowarp.spec import PHYSICS, TASKS
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import PHYSICS, TASKS
 from tests.reference.mujoco_muscle import activation_after, gain
 
 FAMILIES = {

@@ -23,11 +23,12 @@ import tyro
 import warp as wp
 
 from myowarp.bridge_gym import MyoWarpVectorEnv
-from myowarp.kernels.repeat import repeat
-from myowarp.scene import Scene, resolve_device
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
-from myowarp.warmup import compile_kernels, quiet, recorded
+from myowarp.engine.compile import compile_kernels, quiet, recorded
+from myowarp.engine.repeat import repeat
+from myowarp.sim.build import resolve_device
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.scene import Scene
+from myowarp.spec.task import TASKS
 
 CONTROLS = 8  # sets of random controls of the engine, used in turn
 WARMUP = 5  # control steps
@@ -185,7 +186,7 @@ class Environment:
                 launches()
 
         counts = {}
-        with quiet(), wp.ScopedDevice(self.device), mock.patch("myowarp.sim.repeat", unrolled):
+        with quiet(), wp.ScopedDevice(self.device), mock.patch("myowarp.sim.simulation.repeat", unrolled):
             with recorded() as found:
                 self.sim._launch_step()
             counts["environment"] = len(found)

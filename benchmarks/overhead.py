@@ -26,11 +26,11 @@ from rich.table import Table
 from benchmarks.__main__ import CONTACT_TASKS, PACKAGES
 from benchmarks.machine import processor
 from myowarp.bridge_gym import MyoWarpVectorEnv
-from myowarp.graph import Graph
-from myowarp.kernels.repeat import repeat
-from myowarp.prune import pruned
-from myowarp.spec import PHYSICS
-from myowarp.warmup import quiet
+from myowarp.engine.compile import quiet
+from myowarp.engine.graph import Graph
+from myowarp.engine.idle import pruned
+from myowarp.engine.repeat import repeat
+from myowarp.spec.task import PHYSICS
 
 STATE = ("qpos", "qvel", "qacc_warmstart", "time")
 

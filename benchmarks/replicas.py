@@ -152,7 +152,7 @@ class MyoWarp:
     def __init__(self, model: str, copies: int, worlds: int, device: str, shards: int, **_: Any) -> None:
         import numpy as np
 
-        from myowarp.shards import simulate
+        from myowarp.sim.shards import simulate
         from myowarp.tasks.from_file import pose_task
 
         with tempfile.TemporaryDirectory() as folder:

@@ -28,12 +28,12 @@ from rich.table import Column, Table
 
 from benchmarks.__main__ import CONTACT_TASKS, PACKAGES
 from benchmarks.machine import processor
-from myowarp.fusions import FUSIONS, applicable_fusions, installed
-from myowarp.graph import Graph
-from myowarp.prune import idle_kernels, pruned
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
-from myowarp.warmup import quiet
+from myowarp.engine.compile import quiet
+from myowarp.engine.graph import Graph
+from myowarp.engine.idle import idle_kernels, pruned
+from myowarp.engine.stages import FUSIONS, applicable_fusions, installed
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import TASKS
 
 STOCK, ALL, MUJOCO_C = "stock", "all", "MuJoCo C"
 STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl")

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from myowarp.bridge_gym import MyoWarpVectorEnv
-from myowarp.spec import TASKS
+from myowarp.spec.task import TASKS
 from myowarp.tasks.from_file import read_body
 from myowarp.tasks.reach import ReachTask
 

@@ -20,13 +20,13 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from myowarp.interop import ActionInput, Output
 from myowarp.kernels.episode import Transition, describe_fault
-from myowarp.models.conditions import Condition
-from myowarp.registry import check_choice
-from myowarp.shards import Shards, simulate
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
+from myowarp.sim.interop import ActionInput, Output
+from myowarp.sim.shards import Shards, simulate
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.condition import Condition
+from myowarp.spec.registry import check_choice
+from myowarp.spec.task import TASKS
 from myowarp.tasks.variants import variants
 from myowarp.view.pictures import Pictures
 
@@ -94,9 +94,9 @@ class MyoWarpVectorEnv(VectorEnv):
             max_episode_steps: Steps after which an episode is truncated; None: the task's horizon.
             device: Warp device, such as "cpu" or "cuda:0"; None: the first CUDA device, else the CPU.
             shards: Threads that share the worlds on the CPU; None: all cores. It changes no result.
-            physics: "parity" (MyoSuite's integrator and step) or "fast" (`myowarp.spec.PHYSICS`).
+            physics: "parity" (MyoSuite's integrator and step) or "fast" (`myowarp.spec.task.PHYSICS`).
             muscle: Muscle model, a name in `myowarp.models.muscles.MUSCLES`.
-            reset: What episodes start from: "task", "fixed", "random" or "none" (`myowarp.spec.RESETS`).
+            reset: What episodes start from: "task", "fixed", "random" or "none" (`myowarp.spec.task.RESETS`).
             conditions: Muscle conditions: names in `CONDITIONS`, or `Condition` objects with parameters.
             autoreset_mode: When a finished world starts its next episode.
             output: Arrays of this library: "numpy", "torch" or "warp".

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from myowarp import cli
+from myowarp.apps import cli
 
 
 @pytest.fixture

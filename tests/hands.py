@@ -6,9 +6,9 @@ import numpy as np
 from configurations import configurations
 
 import myowarp.tasks.variants  # noqa: F401  (registers the tasks)
-from myowarp.fusions import installed
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
+from myowarp.engine.stages import installed
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import TASKS
 
 HAND, CONTACT_HAND, ELBOW = "myoHandReachFixed-v0", "myoHandKeyTurnFixed-v0", "myoElbowPose1D6MFixed-v0"
 HANDS = (HAND, CONTACT_HAND)

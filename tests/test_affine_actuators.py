@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from myowarp.fusions import FUSIONS, installed
+from myowarp.engine.stages import FUSIONS, installed
 
 NUM_WORLDS = 32
 ROUNDING = 1e-6  # of the largest force

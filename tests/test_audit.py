@@ -7,11 +7,11 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 
-from myowarp.audit import audit, objects, runs, targets
-from myowarp.audit.figures import findings
+from myowarp.apps.audit import audit, objects, runs, targets
+from myowarp.apps.audit.figures import findings
 from myowarp.bridge_gym import MyoWarpVectorEnv
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import TASKS
 
 ELBOW, REACH = "myoElbowPose1D6MRandom-v0", "myoHandReachFixed-v0"
 WORLDS = 3
@@ -33,7 +33,7 @@ def simulation(spec, num_worlds=WORLDS, **options):
 def few_probes():
     """Random starts take long to find, so no audit here looks for them unless it says so."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("myowarp.audit.measure.PROBED_RESETS", ("task",))
+        patch.setattr("myowarp.apps.audit.measure.PROBED_RESETS", ("task",))
         yield
 
 
@@ -173,8 +173,8 @@ def test_a_reset_without_starts_says_why(monkeypatch):
     def none_found(*args):
         raise ValueError("too few random starts")
 
-    monkeypatch.setattr("myowarp.sim.random_starts", none_found)
-    monkeypatch.setattr("myowarp.audit.measure.PROBED_RESETS", ("task", "fixed", "random"))
+    monkeypatch.setattr("myowarp.sim.simulation.random_starts", none_found)
+    monkeypatch.setattr("myowarp.apps.audit.measure.PROBED_RESETS", ("task", "fixed", "random"))
     found = audit(TASKS[ELBOW], 1, device="cpu")
     assert found.early_failure == {"task": 0.0, "fixed": 0.0, "random": None}
     assert found.early_failure_why == {"random": "too few random starts"}

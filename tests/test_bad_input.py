@@ -11,6 +11,7 @@ from gymnasium.error import NameNotFound, ResetNeeded
 
 from myowarp.bridge_gym import MyoWarpEnv, MyoWarpVectorEnv
 from myowarp.kernels.episode import FAULTS
+from myowarp.view.snapshot import snapshot
 
 TASK = "myoElbowPose1D6MRandom-v0"
 ID = f"MyoWarp/{TASK}"
@@ -33,7 +34,7 @@ def state(env):
     sim = env.unwrapped.sim
     keys, episode = sim.scene.keys, sim.episode
     arrays = (keys.seed, keys.episode, episode.step_count, episode.solved_count, sim.transition.obs)
-    looks = [sim.look(world)[:2] for world in range(sim.num_worlds)]
+    looks = [snapshot(sim, world)[:2] for world in range(sim.num_worlds)]
     return [array.numpy().copy() for array in arrays] + [part for look in looks for part in look]
 
 

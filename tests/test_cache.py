@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp import cache
-from myowarp.cache import cache_dir, cached
+from myowarp import disk as cache
+from myowarp.disk import cache_dir, cached
 
 MODEL = "<mujoco><worldbody><body><joint/><geom size='{size}'/></body></worldbody></mujoco>"
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from configurations import configurations
 
-import myowarp.models.capacity as capacity_module
+import myowarp.sim.capacity as capacity_module
 import myowarp.tasks  # noqa: F401
-from myowarp.models.capacity import MARGIN, calibrate
-from myowarp.scene import compile_scene
-from myowarp.spec import PHYSICS, TASKS
+from myowarp.sim.build import compile_scene
+from myowarp.sim.capacity import MARGIN, calibrate
+from myowarp.spec.task import PHYSICS, TASKS
 
 NUM_POSES = 200
 NUM_STEPS = 300

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.spec import TASKS
+from myowarp.spec.task import TASKS
 from myowarp.view.render import NoGraphicsError, WorldRenderer
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
@@ -283,7 +283,9 @@ def test_wrong_usage(run, no_simulation, arguments):
 
 def test_warmup_builds_each_scene_once(run, monkeypatch):
     built = []
-    monkeypatch.setattr("myowarp.sim.Simulation", lambda *args, **options: built.append((*args, options)))
+    monkeypatch.setattr(
+        "myowarp.sim.simulation.Simulation", lambda *args, **options: built.append((*args, options))
+    )
     assert run("warmup", "--device", "cpu", "--physics", "fast")[0] == 0
     assert sorted(spec.scene_key for spec, *_ in built) == sorted(TASKS[key].scene_key for key in SCENES)
     assert all(options == {"device": "cpu", "physics": "fast"} for *_, options in built)
@@ -340,7 +342,7 @@ def test_rollout_without_graphics(rollout, monkeypatch, tmp_path):
 
 
 def shell(*arguments, cwd, **environment):
-    command = [sys.executable, "-m", "myowarp.cli", *arguments]
+    command = [sys.executable, "-m", "myowarp.apps.cli", *arguments]
     return subprocess.run(
         command, cwd=cwd, env=os.environ | environment, capture_output=True, text=True, check=False
     )

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.models.conditions import CONDITIONS
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.condition import CONDITIONS
+from myowarp.spec.task import TASKS
 
 pd = pytest.importorskip("pandas")
 pytest.importorskip("pyarrow")
 
-from myowarp.cohort import COLUMNS, plan, run, run_cohort  # noqa: E402
-from myowarp.cohort.columns import conditions_of  # noqa: E402
-from myowarp.cohort.table import read_population  # noqa: E402
+from myowarp.apps.cohort import COLUMNS, plan, run, run_cohort  # noqa: E402
+from myowarp.apps.cohort.columns import conditions_of  # noqa: E402
+from myowarp.apps.cohort.table import read_population  # noqa: E402
 
 ELBOW, HAND, REACH = "myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1", "myoHandReachFixed-v0"
 ELBOW_MUSCLES = ("TRIlong", "TRIlat", "TRImed", "BIClong", "BICshort", "BRA")

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import warp as wp
 
-from myowarp.models.conditions import CONDITIONS, Condition, Effect, Stage, resolve
-from myowarp.models.conditions.parameter import Clock, Curve, Parameter, Ramp, Uniform, value_of
 from myowarp.models.conditions.sarcopenia import Sarcopenia
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
-from myowarp.worlds import Worlds
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage, resolve
+from myowarp.spec.parameter import Clock, Curve, Parameter, Ramp, Uniform, value_of
+from myowarp.spec.task import TASKS
+from myowarp.spec.worlds import Worlds
 
 NAMES = sorted(CONDITIONS)
 HOSTS = ("myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1")  # the elbow's conditions, the hand's

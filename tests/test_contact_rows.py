@@ -11,8 +11,8 @@ from constrained import MORE, NUM_CONTACTS, NUM_ROWS, model_of, states
 from mujoco_warp._src import constraint
 from mujoco_warp._src.types import DeterminismType, DisableBit, IntegratorType
 
-from myowarp.fusions.contact_rows import ContactRowsFusion, launch_rows
-from myowarp.launches import is_empty
+from myowarp.engine.patch import is_empty
+from myowarp.engine.stages.contact_rows import ContactRowsFusion, launch_rows
 
 WORLDS = 2
 CLOSE = 2e-5  # of the largest in a state, float32

@@ -11,8 +11,8 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 
-from myowarp.fusions import FUSIONS
-from myowarp.kernels.primitive_contacts import CLOSED_FORMS
+from myowarp.engine.stages import FUSIONS
+from myowarp.engine.stages.primitive_contacts import CLOSED_FORMS
 
 NUM_STATES = 64
 MARGIN = 0.002  # m, of the pair

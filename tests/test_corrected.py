@@ -13,8 +13,8 @@ import pytest
 import warp as wp
 from configurations import configurations
 
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import TASKS
 from myowarp.tasks.baoding_orbits import OrbitRanges
 
 NUM_WORLDS = 200

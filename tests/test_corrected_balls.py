@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from configurations import configurations
 
-from myowarp.fusions import installed
-from myowarp.scene import full_spec
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
+from myowarp.engine.stages import installed
+from myowarp.sim.build import full_spec
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import TASKS
 
 KEY = "myoHandBaodingRandom-v1"
 NUM_WORLDS = 40

@@ -10,12 +10,12 @@ from elbows import KEY, NUM_WORLDS, States, in_c, worn
 from reference import exoskeleton as reference
 from reference.load import gravity_torque
 
-from myowarp.models.conditions import resolve
 from myowarp.models.conditions.exoskeleton import CUFF, Exoskeleton
 from myowarp.models.conditions.load import Load
-from myowarp.models.conditions.parameter import Ramp, Uniform
-from myowarp.scene import full_spec
-from myowarp.spec import PHYSICS, TASKS
+from myowarp.sim.build import full_spec
+from myowarp.spec.condition import resolve
+from myowarp.spec.parameter import Ramp, Uniform
+from myowarp.spec.task import PHYSICS, TASKS
 
 ASSISTANCE = np.linspace(0.0, 1.5, NUM_WORLDS)  # one a world
 MAX_TORQUE = 8.5  # N m
@@ -250,7 +250,7 @@ def test_drawn_parameters():
 
 def test_grid_uses_the_defaults():
     env = gymnasium.make_vec("MyoWarp/paperElbowPoseHardRExo-v0", num_envs=2, device="cpu")
-    (condition,) = env.unwrapped.sim.scene.conditions
+    (condition,) = env.unwrapped.sim.conditions
     assert (condition.assistance, condition.motor, condition.forearm_mass) == (0.5, False, 0.111)
     env.close()
 

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from myowarp.kernels.action import CENTER, STEEPNESS
-from myowarp.models.bodies import BODIES
 from myowarp.models.couplings import couplings, follow
-from myowarp.models.opensim.convert import convert
-from myowarp.models.opensim.mjcf import mjcf
-from myowarp.models.opensim.read import read_model
 from myowarp.models.slim import slim
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
-from myowarp.starts import posture_joints
+from myowarp.opensim.build.convert import convert
+from myowarp.opensim.build.mjcf import mjcf
+from myowarp.opensim.read.model import read_model
+from myowarp.sim.simulation import Simulation
+from myowarp.sim.starts import posture_joints
+from myowarp.spec.body import BODIES
+from myowarp.spec.task import TASKS
 from myowarp.tasks.from_file import pose_task
-from myowarp.view.look import frame_camera
+from myowarp.view.style import frame_camera
 
 OSIM = Path(__file__).parent / "data" / "osim"
 

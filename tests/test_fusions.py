@@ -9,15 +9,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.fusions import FUSIONS, Fusion, applicable_fusions, verified_fusions
-from myowarp.fusions.muscle_path import MusclePathFusion
-from myowarp.models.opensim.convert import convert
-from myowarp.models.opensim.mjcf import mjcf
-from myowarp.models.opensim.read import read_model
-from myowarp.models.path_program import MusclePaths
-from myowarp.prune import pruned
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
+from myowarp.engine.idle import pruned
+from myowarp.engine.stages import FUSIONS, Fusion, applicable_fusions, verified_fusions
+from myowarp.engine.stages.muscle_path import MusclePathFusion
+from myowarp.engine.stages.path_program import MusclePaths
+from myowarp.opensim.build.convert import convert
+from myowarp.opensim.build.mjcf import mjcf
+from myowarp.opensim.read.model import read_model
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import TASKS
 from myowarp.tasks.from_file import pose_task
 
 OSIM = Path(__file__).parent / "data" / "osim"
@@ -140,7 +140,7 @@ def test_stiff_equalities_are_no_reason(tmp_path, monkeypatch, caplog):
         assert verified_fusions(sim.scene, fusions, sim._launch_physics) == fusions
         assert not caplog.records
         assert verified_fusions(sim.scene, (Brake(sim.scene),), sim._launch_physics) == ()
-    monkeypatch.setattr("myowarp.fusions.ROUNDINGS", 0)
+    monkeypatch.setattr("myowarp.engine.stages.ROUNDINGS", 0)
     assert verified_fusions(sim.scene, fusions, sim._launch_physics) != fusions
 
 

@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 from warp._src import context
 
-from myowarp.graph import Graph
+from myowarp.engine.graph import Graph
 
 CPU = wp.get_device("cpu")
 SIZE = 5

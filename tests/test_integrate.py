@@ -12,11 +12,11 @@ from configurations import configurations
 from mujoco_warp._src import forward
 from mujoco_warp._src.types import DisableBit, EnableBit, IntegratorType
 
-from myowarp.fusions import installed
-from myowarp.fusions.integrate import Integrate, launch_stages
-from myowarp.kernels.integrate import MAX_DOFS, MAX_ENTRIES
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
+from myowarp.engine.stages import installed
+from myowarp.engine.stages.integrate import Integrate, launch_stages
+from myowarp.engine.stages.integrate_kernel import MAX_DOFS, MAX_ENTRIES
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import TASKS
 
 NUM_WORLDS = 17
 ROUNDING = 2e-6  # of the largest acceleration; condition numbers below 200

@@ -19,9 +19,9 @@ from mujoco_warp._src.types import (
     OverflowType,
 )
 
-from myowarp.fusions import installed
-from myowarp.fusions.contact_rows import ContactRowsFusion
-from myowarp.fusions.joint_rows import JointRowsFusion
+from myowarp.engine.stages import installed
+from myowarp.engine.stages.contact_rows import ContactRowsFusion
+from myowarp.engine.stages.joint_rows import JointRowsFusion
 
 WORLDS = 13
 CLOSE = 2e-5  # of the largest of its kind, float32 against float64

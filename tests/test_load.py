@@ -11,14 +11,14 @@ import warp as wp
 from configurations import configurations
 from reference import load as reference
 
-from myowarp.models.bodies import BODIES
-from myowarp.models.conditions import resolve
 from myowarp.models.conditions.load import PALMS, Load
-from myowarp.models.conditions.parameter import Ramp, Uniform
 from myowarp.models.slim import slim
-from myowarp.scene import full_spec, oracle_model
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
+from myowarp.sim.build import full_spec, oracle_model
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.body import BODIES
+from myowarp.spec.condition import resolve
+from myowarp.spec.parameter import Ramp, Uniform
+from myowarp.spec.task import TASKS
 
 NUM_WORLDS = 33
 MASSES = np.linspace(0.0, 6.0, NUM_WORLDS)  # kg, one a world

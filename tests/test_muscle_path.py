@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from myowarp.models.bodies import BODIES
-from myowarp.models.path_program import MusclePaths, path_obstacle
+from myowarp.engine.stages.path_program import MusclePaths, path_obstacle
+from myowarp.spec.body import BODIES
 
 LENGTH = 1e-6
 """m; positions in float32 are good to 1e-7 m at 1 m from the origin, and a path adds up ten of them."""

@@ -10,11 +10,12 @@ import pytest
 
 pytest.importorskip("scipy")
 
-from myowarp.models.opensim import command, muscle_fit
-from myowarp.models.opensim.chart import Line, chart, colors, png
-from myowarp.models.opensim.hill import HillMuscle
-from myowarp.models.opensim.muscle_table import read_muscles
-from myowarp.models.opensim.read import read_model
+from myowarp.opensim import command
+from myowarp.opensim import fit as muscle_fit
+from myowarp.opensim.muscle.hill import HillMuscle
+from myowarp.opensim.muscle.table import read_muscles
+from myowarp.opensim.read.model import read_model
+from myowarp.opensim.report.charts import Line, chart, colors, png
 
 OSIM = Path(__file__).parent / "data" / "osim"
 

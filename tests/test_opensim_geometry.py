@@ -7,13 +7,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.models.opensim.command import run, write
-from myowarp.models.opensim.convert import Options, convert
-from myowarp.models.opensim.fit import fit_all
-from myowarp.models.opensim.functions import SimmSpline
-from myowarp.models.opensim.mjcf import mjcf
-from myowarp.models.opensim.read import read_model
-from myowarp.models.opensim.validate import kinematics_error
+from myowarp.opensim.build.convert import Options, convert
+from myowarp.opensim.build.mjcf import mjcf
+from myowarp.opensim.build.quartics import fit_all
+from myowarp.opensim.check.frames import kinematics_error
+from myowarp.opensim.command import run, write
+from myowarp.opensim.functions import SimmSpline
+from myowarp.opensim.read.model import read_model
 
 DATA = Path(__file__).parent / "data"
 EXACT = 1e-12

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.models.opensim.functions import (
+from myowarp.opensim.functions import (
     GCVSpline,
     Multiplier,
     PiecewiseLinear,
@@ -18,7 +18,7 @@ from myowarp.models.opensim.functions import (
     ToeThenLine,
     affine,
 )
-from myowarp.models.opensim.kinematics import (
+from myowarp.opensim.kinematics import (
     complete,
     forward,
     independent,
@@ -26,8 +26,8 @@ from myowarp.models.opensim.kinematics import (
     sampling_range,
     station,
 )
-from myowarp.models.opensim.path import locations
-from myowarp.models.opensim.read import read_model
+from myowarp.opensim.read.model import read_model
+from myowarp.opensim.wrap.path import locations
 
 DATA = Path(__file__).parent / "data"
 MODELS = sorted(path.stem for path in (DATA / "osim").glob("*.osim"))

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.models.opensim.kinematics import complete, forward
-from myowarp.models.opensim.moment_arm import PRESENT, crossed, own_reference, poses_of
-from myowarp.models.opensim.path import quadrant, solve
-from myowarp.models.opensim.read import read_model
-from myowarp.models.opensim.wrap_cylinder import MANDATORY, wrap_cylinder
-from myowarp.models.opensim.wrap_ellipsoid import wrap_ellipsoid
-from myowarp.models.opensim.wrap_sphere import wrap_sphere, wrap_torus
+from myowarp.opensim.kinematics import complete, forward
+from myowarp.opensim.read.model import read_model
+from myowarp.opensim.wrap.cylinder import MANDATORY, wrap_cylinder
+from myowarp.opensim.wrap.ellipsoid import wrap_ellipsoid
+from myowarp.opensim.wrap.moment_arm import PRESENT, crossed, own_reference, poses_of
+from myowarp.opensim.wrap.path import quadrant, solve
+from myowarp.opensim.wrap.sphere import wrap_sphere, wrap_torus
 
 DATA = Path(__file__).parent / "data"
 MODELS = ("arm26", "gait10dof18musc", "leg6dof9musc")

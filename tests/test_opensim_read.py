@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.models.opensim.document import MAX_DEPTH, parse
-from myowarp.models.opensim.elements import ConditionalPathPoint, MovingPathPoint, PathPoint
-from myowarp.models.opensim.functions import Constant, Linear, SimmSpline
-from myowarp.models.opensim.read import read_model
+from myowarp.opensim.elements import ConditionalPathPoint, MovingPathPoint, PathPoint
+from myowarp.opensim.functions import Constant, Linear, SimmSpline
+from myowarp.opensim.read.document import MAX_DEPTH, parse
+from myowarp.opensim.read.model import read_model
 
 MODELS = Path(__file__).parent / "data" / "osim"
 ARM, OLD, JOINTS = (MODELS / f"{name}.osim" for name in ("arm26", "old", "joints"))

@@ -7,15 +7,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.models.opensim.convert import Stages, convert
-from myowarp.models.opensim.kinematics import independent, random_poses
-from myowarp.models.opensim.moment_arm import crossed, own_reference, poses_of
-from myowarp.models.opensim.muscle_check import motion
-from myowarp.models.opensim.read import read_model
-from myowarp.models.opensim.surface_fit import PathProblem, fit_surfaces, turn_sides
-from myowarp.models.opensim.tendon import Over, TendonPath, Via, lengths
-from myowarp.models.opensim.wrap_mujoco import Surface, over_surface
-from myowarp.models.opensim.wrapping import fit_path
+from myowarp.opensim.build.convert import Stages, convert
+from myowarp.opensim.check.muscles import motion
+from myowarp.opensim.kinematics import independent, random_poses
+from myowarp.opensim.read.model import read_model
+from myowarp.opensim.tendon.choice import fit_path
+from myowarp.opensim.tendon.fit import PathProblem, fit_surfaces, turn_sides
+from myowarp.opensim.tendon.path import Over, TendonPath, Via, lengths
+from myowarp.opensim.tendon.surface import Surface, over_surface
+from myowarp.opensim.wrap.moment_arm import crossed, own_reference, poses_of
 
 OSIM = Path(__file__).parent / "data" / "osim"
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-from myowarp.fusions import installed
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
+from myowarp.engine.stages import installed
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import TASKS
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parent / "data/myosuite"))
 UPSTREAM = sorted(

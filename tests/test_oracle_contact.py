@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from contact_oracle import ALIASES, KEYS, NUM_WORLDS, object_ids, padded, recorded, simulation, written
 
-from myowarp.spec import TASKS
+from myowarp.spec.task import TASKS
 
 NUM_HAND = 23
 

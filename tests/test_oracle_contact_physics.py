@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from contact_oracle import KEYS, NUM_WORLDS, oracle_data, padded, recorded, simulation, write_episodes
 
-from myowarp.fusions import installed
-from myowarp.spec import TASKS
+from myowarp.engine.stages import installed
+from myowarp.spec.task import TASKS
 
 ACTIVATION_TOLERANCE = 1e-6
 MODEL_ROUNDING = 1e-9  # of a field's largest value; masses and poses go through long products
@@ -147,7 +147,7 @@ def colliding_by_body(collides, bodies):
 @pytest.mark.parametrize("key", [key for key in KEYS if "model_qpos0" in recorded(key)[0]])
 def test_model_is_that_of_upstream(key):
     """Every field of joints, muscles, moving bodies and colliding geoms, to rounding."""
-    (record, meta), full = recorded(key), simulation(key).scene.full
+    (record, meta), full = recorded(key), simulation(key).full_model
 
     def compare(field, ours, theirs):
         expected = np.asarray(theirs, dtype=float)

@@ -11,8 +11,8 @@ from reference import fatigue_3ccr
 
 import myowarp  # noqa: F401  (registers the ids)
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import TASKS
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parent / "data/myosuite"))
 RECORDED = {

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import myowarp  # noqa: F401
-from myowarp.spec import RESETS, TASKS
+from myowarp.spec.task import RESETS, TASKS
 from myowarp.tasks.paper import grid
 
 GRID = grid()
@@ -39,9 +39,9 @@ def test_the_grid_is_the_papers():
 @pytest.mark.parametrize("row", [marked(row) for row in SHOWN])
 def test_cells_run(row):
     env = gymnasium.make_vec(row.id, num_envs=2, device="cpu", progress=False)
-    scene = env.unwrapped.sim.scene
-    assert scene.reset == row.reset
-    assert tuple(condition.name for condition in scene.conditions) == row.conditions
+    sim = env.unwrapped.sim
+    assert sim.scene.reset == row.reset
+    assert tuple(condition.name for condition in sim.conditions) == row.conditions
     assert bool(row.conditions) == (row.condition != "none")
     obs, _ = env.reset(seed=0)
     assert obs.std() > 0

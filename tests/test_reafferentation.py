@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from hands import EIP, ELBOW, EPL, HAND, act, simulation, state
 
-from myowarp.models.conditions import resolve
-from myowarp.models.conditions.parameter import Parameter, Ramp, Uniform
 from myowarp.models.conditions.reafferentation import Reafferentation, check_apart
 from myowarp.models.conditions.tendon_transfer import TendonTransfer
-from myowarp.spec import TASKS
+from myowarp.spec.condition import resolve
+from myowarp.spec.parameter import Parameter, Ramp, Uniform
+from myowarp.spec.task import TASKS
+from myowarp.spec.worlds import Worlds
 from myowarp.tasks.variants import variants
-from myowarp.worlds import Worlds
 
 CTRL = 1e-6  # excitations of order one in float32
 EFFECT = 10.0

@@ -3,10 +3,10 @@
 import pytest
 
 import myowarp.tasks  # noqa: F401
-from myowarp.models.bodies import BODIES
-from myowarp.models.muscles import MUSCLES
-from myowarp.registry import Registry
-from myowarp.spec import TASKS
+from myowarp.spec.body import BODIES
+from myowarp.spec.muscle import MUSCLES
+from myowarp.spec.registry import Registry
+from myowarp.spec.task import TASKS
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks.replicas import MujocoC, replicate
-from myowarp.models.opensim.convert import convert
-from myowarp.models.opensim.mjcf import mjcf
-from myowarp.models.opensim.read import read_model
+from myowarp.opensim.build.convert import convert
+from myowarp.opensim.build.mjcf import mjcf
+from myowarp.opensim.read.model import read_model
 
 OSIM = Path(__file__).parent / "data" / "osim"
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
-from myowarp.starts import posture_joints
+from myowarp.sim.simulation import Simulation
+from myowarp.sim.starts import posture_joints
+from myowarp.spec.task import TASKS
 
 SCENES = sorted({TASKS[key].scene_key: key for key in TASKS if "Random" in key or "P2" in key}.values())
 NUM_WORLDS = 24

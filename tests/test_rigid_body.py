@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-from myowarp.fusions import FUSIONS
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
+from myowarp.engine.stages import FUSIONS
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import TASKS
 
 NUM_WORLDS = 8
 ROUNDING = 5e-6  # of the largest entry of a field; float32

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from myowarp import rollout
+from myowarp.apps import rollout
 from myowarp.bridge_gym import MyoWarpVectorEnv
 
 TASK = "myoElbowPose1D6MRandom-v0"

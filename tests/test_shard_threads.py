@@ -13,8 +13,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from myowarp.shards import simulate
-from myowarp.spec import TASKS
+from myowarp.sim.shards import simulate
+from myowarp.spec.task import TASKS
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 NUM_WORLDS = 7

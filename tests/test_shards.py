@@ -9,17 +9,18 @@ import pytest
 import warp as wp
 from gymnasium.error import ResetNeeded
 
-from myowarp import shards as module
 from myowarp.kernels.episode import Transition
 from myowarp.models.conditions import Fatigue3CCR, Load, MotorNoise, Ramp, Sarcopenia, Uniform
-from myowarp.models.conditions.parameter import Parameter
 from myowarp.models.conditions.reafferentation import check_apart
-from myowarp.scene import SHARED_FIELDS
-from myowarp.shards import Shards, simulate
-from myowarp.signals import Signals
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
-from myowarp.worlds import Worlds
+from myowarp.sim import shards as module
+from myowarp.sim.build import SHARED_FIELDS
+from myowarp.sim.shards import Shards, simulate
+from myowarp.sim.signals import Signals
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.parameter import Parameter
+from myowarp.spec.task import TASKS
+from myowarp.spec.worlds import Worlds
+from myowarp.view.snapshot import snapshot
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 FAMILIES = sorted({(TASKS[key].family, TASKS[key].body): key for key in TASKS if "Random" in key}.values())
@@ -154,7 +155,7 @@ def test_look():
     for num_shards in (1, 2):
         sim = build(key, num_shards, 3)
         sim.reset(seeds=np.arange(3))
-        looks.append([sim.look(world) for world in range(3)])
+        looks.append([snapshot(sim, world) for world in range(3)])
     for expected, got in zip(*looks, strict=True):
         np.testing.assert_array_equal(got.qpos, expected.qpos)
         for name in ("goals", "shape"):

@@ -5,12 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from myowarp import rollout
+from myowarp.apps import recording as record
+from myowarp.apps import rollout
+from myowarp.apps.recording import recording, sample_of
 from myowarp.bridge_gym import MyoWarpVectorEnv
-from myowarp.signals import JOINT_UNITS, UNITS, record
-from myowarp.signals.record import recording, sample_of
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
+from myowarp.sim.signals import JOINT_UNITS, UNITS
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import TASKS
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 

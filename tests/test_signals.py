@@ -9,11 +9,11 @@ from reference import mujoco_muscle as reference
 from myowarp.models.conditions.sarcopenia import Sarcopenia
 from myowarp.models.conditions.tendon_tear import TendonTear
 from myowarp.models.conditions.tendon_transfer import ACTUATOR, TendonTransfer
-from myowarp.scene import oracle_model
-from myowarp.signals import UNITS, Signals
-from myowarp.signals.groups import GROUPS, group_of
-from myowarp.sim import Simulation
-from myowarp.spec import PHYSICS, TASKS
+from myowarp.sim.build import oracle_model
+from myowarp.sim.muscle_groups import GROUPS, group_of
+from myowarp.sim.signals import UNITS, Signals
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import PHYSICS, TASKS
 
 ELBOW, HAND, OBJECT = "myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1", "myoHandObjHoldRandom-v0"
 NUM_WORLDS = 9

@@ -9,8 +9,8 @@ from configurations import configurations
 
 import myowarp.tasks  # noqa: F401
 from myowarp.models.slim import colliding_geoms, colliding_pairs, slim
-from myowarp.scene import full_spec, slim_model, stateless_model
-from myowarp.spec import TASKS
+from myowarp.sim.build import full_spec, slim_model, stateless_model
+from myowarp.spec.task import TASKS
 
 NUM_STATES = 200
 NUM_STEPS = 10

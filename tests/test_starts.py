@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp import starts
-from myowarp.models.bodies import BODIES
-from myowarp.models.palm import Palm, coordinates, joint_address
-from myowarp.scene import oracle_model
-from myowarp.sim import Simulation, find_starts
-from myowarp.spec import TASKS
-from myowarp.starts import FAIL_STEPS, PENETRATION, posture_joints, start_address
+from myowarp.sim import starts
+from myowarp.sim.build import oracle_model
+from myowarp.sim.palm import Palm, coordinates, joint_address
+from myowarp.sim.simulation import Simulation, find_starts
+from myowarp.sim.starts import FAIL_STEPS, PENETRATION, posture_joints, start_address
+from myowarp.spec.body import BODIES
+from myowarp.spec.task import TASKS
 
 SCENES = sorted({TASKS[key].scene_key: key for key in TASKS if "Random" in key or "P2" in key}.values())
 TOUCHING = [key for key in SCENES if TASKS[key].body == "contact_hand"]
@@ -257,4 +257,4 @@ def test_an_edit_of_the_code_renews_the_table(monkeypatch):
     original = starts.Path.read_bytes
     monkeypatch.setattr(starts.Path, "read_bytes", lambda path: read.append(path.name) or original(path))
     find_starts(TASKS[ELBOW], progress=False)
-    assert {"baoding_balls.py", "pose.py", "contact_hand.py", "slim.py", "scene.py", "starts.py"} <= set(read)
+    assert {"baoding_balls.py", "pose.py", "contact_hand.py", "slim.py", "build.py", "starts.py"} <= set(read)

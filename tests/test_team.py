@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import warp as wp
 
-from myowarp import team as module
-from myowarp.graph import FINISH, Graph, Replay, code_address
-from myowarp.kernels.replay import TRIES, Operation
-from myowarp.team import Team
+from myowarp.engine import threads as module
+from myowarp.engine.graph import FINISH, Graph, Replay, code_address
+from myowarp.engine.replay import TRIES, Operation
+from myowarp.engine.threads import Team
 
 CPU = wp.get_device("cpu")
 LOOKS = 30_000_000  # after which waiting for another is given up: seconds

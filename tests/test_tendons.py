@@ -25,12 +25,13 @@ from hands import (
 )
 from reference import tendon_tear, tendon_transfer
 
-from myowarp.models.conditions import resolve
-from myowarp.models.conditions.parameter import Ramp, Uniform
 from myowarp.models.conditions.tendon_tear import TendonTear
 from myowarp.models.conditions.tendon_transfer import TENDON, TendonTransfer, path_range
-from myowarp.scene import full_spec, set_physics
-from myowarp.spec import PHYSICS, TASKS
+from myowarp.sim.build import full_spec, set_physics
+from myowarp.spec.condition import resolve
+from myowarp.spec.parameter import Ramp, Uniform
+from myowarp.spec.task import PHYSICS, TASKS
+from myowarp.view.snapshot import snapshot
 
 MOVED = 39  # the actuator that a transfer adds
 
@@ -110,7 +111,7 @@ class TestTransfer:
         paths = []
         spec = full_spec(TASKS[HAND])
         for model, name in (
-            (transferred(HAND)[0].scene.full, TENDON),
+            (transferred(HAND)[0].full_model, TENDON),
             (tendon_transfer.operated(spec, (0.19, 0.24)), "operated"),
         ):
             tendon = model.tendon(name).id
@@ -170,7 +171,7 @@ class TestTransfer:
     def test_slim_is_full(self):
         """The new path survives slimming, and the engine's idle kernels are left out as before."""
         sim = transferred(HAND)[0]
-        slim, full = sim.scene.oracle, sim.scene.full
+        slim, full = sim.scene.oracle, sim.full_model
         datas = [mujoco.MjData(model) for model in (slim, full)]
         for qpos in configurations(slim, slim.qpos0, 20, 1):
             lengths = []
@@ -222,7 +223,7 @@ class TestTransfer:
         sim.launch_conditions()
         activation = np.float32(np.linspace(0.1, 0.9, 39))
         sim.scene.muscles.activation.assign(np.tile(activation, (NUM_WORLDS, 1)))
-        affected, healthy = (sim.look(world)[1] for world in (0, 1))
+        affected, healthy = (snapshot(sim, world)[1] for world in (0, 1))
         np.testing.assert_array_equal(healthy, [*activation, np.nan])
         assert affected[MOVED] == activation[EIP]
         assert np.flatnonzero(np.isnan(affected)).tolist() == [EIP, EPL]

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from myowarp.prune import idle_kernels
-from myowarp.scene import compile_scene
-from myowarp.spec import TASKS
-from myowarp.verdict import Verdict, cached_verdict
+from myowarp.engine.idle import idle_kernels
+from myowarp.engine.verify import Verdict, cached_verdict
+from myowarp.sim.build import compile_scene
+from myowarp.spec.task import TASKS
 
 KEY = "myoElbowPose1D6MRandom-v0"
 

@@ -6,12 +6,13 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 
-from myowarp.scene import full_spec
-from myowarp.sim import Simulation
-from myowarp.spec import TASKS
-from myowarp.view import look
+from myowarp.sim.build import full_spec
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import TASKS
+from myowarp.view import style as look
 from myowarp.view.human import HumanViewer
 from myowarp.view.render import NoGraphicsError, WorldRenderer
+from myowarp.view.snapshot import snapshot
 from myowarp.view.video import write_video
 
 SIZE = (160, 120)
@@ -76,10 +77,10 @@ def test_worlds_are_drawn_with_their_own_objects(key):
     sim = Simulation(TASKS[key], 2, device="cpu", graph=False, progress=False)
     sim.reset(seeds=np.arange(2))
     mjw.kinematics(sim.scene.model, sim.scene.data)
-    model, oracle = sim.scene.full, sim.scene.oracle
+    model, oracle = sim.full_model, sim.scene.oracle
     drawn = mujoco.MjData(model)
     for world in range(2):
-        seen = sim.look(world)
+        seen = snapshot(sim, world)
         assert seen.shape
         look.pose(model, drawn, seen.qpos, seen.shape)
         for body in set(seen.shape):
@@ -93,9 +94,9 @@ def test_worlds_are_drawn_with_their_own_objects(key):
             np.testing.assert_array_equal(model.geom_size[model.geom("object").id], size)
     try:
         with WorldRenderer(model, *SIZE) as renderer:
-            own, other = (renderer.frame(*sim.look(world)) for world in range(2))
-            np.testing.assert_array_equal(renderer.frame(*sim.look(0)), own)
-            nominal = renderer.frame(*sim.look(0)[:3])
+            own, other = (renderer.frame(*snapshot(sim, world)) for world in range(2))
+            np.testing.assert_array_equal(renderer.frame(*snapshot(sim, 0)), own)
+            nominal = renderer.frame(*snapshot(sim, 0)[:3])
     except NoGraphicsError as error:
         pytest.skip(str(error))
     assert not np.array_equal(own, other)

@@ -24,8 +24,8 @@ import warp as wp
 from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.reward import activation_effort, indicator
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, SOFT, add_object
-from myowarp.scene import Scene
-from myowarp.spec import TASKS, Column, RewardTerm, TaskSpec
+from myowarp.spec.scene import Scene
+from myowarp.spec.task import TASKS, Column, RewardTerm, TaskSpec
 from myowarp.tasks.baoding_balls import BATCHED, BATCHED_INERTIA, BallDraw, BallRanges
 from myowarp.tasks.baoding_orbits import OrbitDraw, OrbitRanges, Orbits, orbit_point, orbit_turns
 from myowarp.tasks.markers import add_tip_targets

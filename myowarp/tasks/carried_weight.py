@@ -15,10 +15,10 @@ import warp as wp
 
 from myowarp.kernels.body_mass import MASS_FIELDS, WeighedBody, set_body_mass, weighed_body
 from myowarp.models.bodies.elbow_exo import WEIGHT
-from myowarp.models.conditions.parameter import Parameter, Uniform
+from myowarp.spec.parameter import Parameter, Uniform
 
 if TYPE_CHECKING:
-    from myowarp.scene import Scene
+    from myowarp.spec.scene import Scene
 
 BATCHED = (*MASS_FIELDS, "body_inertia", "dof_invweight0")
 """Names of the model's fields that `weigh_ball` writes per world."""

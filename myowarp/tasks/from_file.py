@@ -11,10 +11,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from myowarp.cache import model_digest
-from myowarp.models.bodies import BODIES, Body
+from myowarp.disk import model_digest
 from myowarp.models.couplings import POINT_JOINTS, couplings
-from myowarp.spec import TASKS
+from myowarp.spec.body import BODIES, Body
+from myowarp.spec.task import TASKS
 from myowarp.tasks.pose import ELBOW_NEAR, PoseTask
 from myowarp.tasks.variants import Variant, find_variant
 

@@ -23,8 +23,8 @@ from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
 from myowarp.kernels.reward import activation_effort, indicator
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
-from myowarp.scene import Scene
-from myowarp.spec import TASKS, Column, RewardTerm, TaskSpec
+from myowarp.spec.scene import Scene
+from myowarp.spec.task import TASKS, Column, RewardTerm, TaskSpec
 
 KEY = wp.constant(23)  # joint of the key, after the hand's
 GRIP = wp.constant(0.03)  # m, wanted distance of a tip from the key head

@@ -18,8 +18,8 @@ from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
 from myowarp.kernels.reward import activation_effort, indicator
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
-from myowarp.scene import Scene
-from myowarp.spec import TASKS, Column, RewardTerm, TaskSpec
+from myowarp.spec.scene import Scene
+from myowarp.spec.task import TASKS, Column, RewardTerm, TaskSpec
 from myowarp.tasks.markers import add_tip_targets
 
 OBJECT = wp.constant(23)  # first of the object's seven coordinates, after the hand's

@@ -7,6 +7,7 @@ MyoSuite 3.0.0, families FingerPose, ElbowPose1D6M, HandPose (paper: Caggiano et
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -16,9 +17,10 @@ import warp as wp
 from myowarp.kernels.observe import pack, pack_difference
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
 from myowarp.kernels.reward import activation_effort, indicator, squared_distance
-from myowarp.models.bodies import BODIES
-from myowarp.scene import Scene
-from myowarp.spec import TASKS, Column, RewardTerm, TaskSpec
+from myowarp.sim.build import full_model
+from myowarp.spec.body import BODIES
+from myowarp.spec.scene import Scene
+from myowarp.spec.task import TASKS, Column, RewardTerm, TaskSpec
 from myowarp.tasks.carried_weight import BATCHED, CarriedWeight
 from myowarp.tasks.hand_poses import DIGITS, RELAXED, as_in_myosuite_3, bounds
 from myowarp.tasks.markers import add_tip_targets
@@ -278,13 +280,17 @@ class PoseProgram:
             outputs=[terms, solved, failed],
         )
 
+    @cached_property
+    def _full(self) -> mujoco.MjModel:
+        """The body with all its sites, which the slim model lacks."""
+        return full_model(self.spec)
+
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
         """Where the tips are in the target pose, by forward kinematics."""
-        scene = self.scene
-        data = mujoco.MjData(scene.full)
-        data.qpos[:] = scene.qpos_start.numpy()
+        data = mujoco.MjData(self._full)
+        data.qpos[:] = self.scene.qpos_start.numpy()
         data.qpos[self.address.numpy()] = self.target.numpy()[world]
-        mujoco.mj_kinematics(scene.full, data)
+        mujoco.mj_kinematics(self._full, data)
         tips = BODIES[self.spec.body].tips
         return {f"{tip}_target": data.site(tip).xpos.copy() for tip in tips}
 

@@ -19,9 +19,9 @@ import warp as wp
 from myowarp.kernels.observe import pack, pack_vec3
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
 from myowarp.kernels.reward import activation_effort, indicator
-from myowarp.models.bodies import BODIES
-from myowarp.scene import Scene
-from myowarp.spec import TASKS, Column, RewardTerm, TaskSpec
+from myowarp.spec.body import BODIES
+from myowarp.spec.scene import Scene
+from myowarp.spec.task import TASKS, Column, RewardTerm, TaskSpec
 from myowarp.tasks import reach_targets
 from myowarp.tasks.markers import add_tip_targets
 
@@ -38,14 +38,15 @@ class ReachTask(TaskSpec):
         low: Lower bound of the uniform offset from `center` [m].
         high: Upper bound.
         far_per_tip: Failure radius divided by the number of tips [m].
-        table: Returns targets within the reach of the tips, a row each, to draw from instead of the box.
+        table: Returns targets within the reach of the tips, a row each, to draw from instead of the box;
+            called like `reach_targets.sampled`.
     """
 
     center: tuple[float, ...] = field(kw_only=True)
     low: tuple[float, ...] = field(kw_only=True)
     high: tuple[float, ...] = field(kw_only=True)
     far_per_tip: float = field(kw_only=True)
-    table: Callable[[ReachTask], np.ndarray] | None = field(default=None, kw_only=True)
+    table: Callable[..., np.ndarray] | None = field(default=None, kw_only=True)
 
     @property
     def tips(self) -> tuple[str, ...]:
@@ -203,7 +204,7 @@ class ReachProgram:
         low, high = np.asarray(spec.low), np.asarray(spec.high)
         table = np.asarray(spec.center)[None]
         if spec.table is not None:
-            table = spec.table(spec)
+            table = spec.table(spec, spec.tips, spec.center, spec.low, spec.high)
             low = high = np.zeros(table.shape[1])
         self.target = wp.zeros((scene.num_worlds, table.shape[1]), dtype=float)
         self.table = wp.array(table, dtype=float)
@@ -316,7 +317,7 @@ def _register_hand(
     random: bool,
     far_per_tip: float,
     doc: str,
-    table: Callable[[ReachTask], np.ndarray] | None = None,
+    table: Callable[..., np.ndarray] | None = None,
 ) -> None:
     """Register one hand reach id."""
     still = (0.0,) * len(HAND_CENTER)

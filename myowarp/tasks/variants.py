@@ -6,8 +6,8 @@ MyoSuite names a condition by a prefix: `myoSarc...` and `myoFati...` exist for 
 
 from dataclasses import dataclass
 
-from myowarp.registry import Registry
-from myowarp.spec import TASKS
+from myowarp.spec.registry import Registry
+from myowarp.spec.task import TASKS
 from myowarp.tasks.paper import grid
 
 PREFIXES = {

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
-from myowarp.view import look
+from myowarp.view import style as look
 from myowarp.view.render import NoGraphicsError
 
 Backend = Literal["gl", "viser", "null"]

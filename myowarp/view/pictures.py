@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from myowarp.view.snapshot import snapshot
+
 if TYPE_CHECKING:
-    from myowarp.shards import Shards
-    from myowarp.sim import Simulation
+    from myowarp.sim.shards import Shards
+    from myowarp.sim.simulation import Simulation
     from myowarp.view.human import HumanViewer
     from myowarp.view.render import WorldRenderer
 
@@ -37,16 +39,16 @@ class Pictures:
         if self._renderer is None:
             from myowarp.view.render import WorldRenderer
 
-            self._renderer = WorldRenderer(sim.scene.full, *self._size, camera=self._camera)
-        return self._renderer.frame(*sim.look(world))
+            self._renderer = WorldRenderer(sim.full_model, *self._size, camera=self._camera)
+        return self._renderer.frame(*snapshot(sim, world))
 
     def show(self, sim: Simulation | Shards) -> None:
         """Show world 0 in the live viewer."""
         if self._viewer is None:
             from myowarp.view.human import HumanViewer
 
-            self._viewer = HumanViewer(sim.scene.full)
-        seen = sim.look(0)
+            self._viewer = HumanViewer(sim.full_model)
+        seen = snapshot(sim, 0)
         self._viewer.show(seen.qpos, seen.activation, seen.goals, shapes=[seen.shape])
 
     def close(self) -> None:

@@ -22,7 +22,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from myowarp.view import look
+from myowarp.view import style as look
 
 SEPARATOR_PX = 2
 """Width of the line between the tiles of a grid."""

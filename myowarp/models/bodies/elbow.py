@@ -6,7 +6,7 @@ Source: myo-sim 0.2.3, legacy elbow model, unchanged.
 import mujoco
 from myo_sim import MODELS_DIR
 
-from myowarp.models.bodies import BODIES, Body
+from myowarp.spec.body import BODIES, Body
 
 
 def elbow() -> mujoco.MjSpec:

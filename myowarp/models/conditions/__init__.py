@@ -1,186 +1,19 @@
-"""Muscle conditions: what makes one patient's body differ from another's, and today's from yesterday's.
+"""Muscle conditions; a new one is one file here and one import below.
 
-A condition is described on the host by a `Condition`, whose parameters may differ between worlds, be drawn
-at random and change over time (`Parameter`), and acts on the device as an `Effect`. A new condition is one
-file here and one import at the foot of this one.
-
-    gymnasium.make_vec("MyoWarp/myoHandPoseRandom-v1", 256, conditions=("sarcopenia", TendonTear("FPL")))
-
-What acts when follows from the stages, never from the order in which conditions are named:
-
-    action -> excitation -> [NOISE -> FATIGUE -> ROUTING] -> muscles x [STRENGTH, TRANSMISSION] -> physics
+gymnasium.make_vec("MyoWarp/myoHandPoseRandom-v1", 256, conditions=("sarcopenia", TendonTear("FPL")))
 """
 
-from __future__ import annotations
-
-import abc
-import enum
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, ClassVar
-
-from myowarp.registry import Registry
-from myowarp.spec import Column, RewardTerm
-
-if TYPE_CHECKING:
-    import mujoco
-    import warp as wp
-
-    from myowarp.models.conditions.parameter import Clock
-    from myowarp.scene import Scene
-    from myowarp.spec import TaskSpec
-
-
-class Stage(enum.IntEnum):
-    """Where in a control step a condition acts, in this order.
-
-    The first three change excitations once per control step; `STRENGTH` scales the active force of the
-    muscles, `TRANSMISSION` what their tendons pass on, `BODY` masses and what else moves the joints.
-    """
-
-    NOISE = 0
-    FATIGUE = 1
-    ROUTING = 2
-    STRENGTH = 3
-    TRANSMISSION = 4
-    BODY = 5
-
-
-class Condition(abc.ABC):
-    """A condition on the host: parameters, checked; subclasses are dataclasses, frozen, compared by identity.
-
-    Attributes:
-        STAGE: Where it acts.
-        WRITES: Names of the quantities that it sets. No two conditions of an environment may set the same.
-            What only multiplies (strength, transmission) is not listed: factors compose.
-        NEUTRAL: Parameters with which it changes nothing, bit for bit.
-    """
-
-    STAGE: ClassVar[Stage]
-    WRITES: ClassVar[tuple[str, ...]] = ()
-    NEUTRAL: ClassVar[dict[str, float]]
-
-    @property
-    def name(self) -> str:
-        """Name in `CONDITIONS`."""
-        return next(name for name in CONDITIONS if CONDITIONS[name] is type(self))
-
-    @property
-    def scene_key(self) -> tuple[object, ...]:
-        """What `edit` makes of a model, hashable; empty where it leaves the model alone."""
-        return ()
-
-    @property
-    def batched(self) -> tuple[str, ...]:
-        """Names of the model's fields that it sets per world."""
-        return ()
-
-    @property
-    def undriven(self) -> tuple[str, ...]:
-        """Names of actuators that it adds, at the end, and that the policy does not command."""
-        return ()
-
-    def check(self, spec: TaskSpec) -> None:  # noqa: B027 (most conditions suit every body)
-        """Raise ValueError, in one sentence, if the body of a task cannot have this condition."""
-
-    def edit(self, spec: mujoco.MjSpec) -> None:  # noqa: B027 (most conditions leave the model alone)
-        """Add what it needs to the task's full `MjSpec`, in place."""
-
-    def muscle_names(self, scene: Scene) -> tuple[str, ...]:
-        """Return the names of the muscles that it acts on.
-
-        Raises:
-            ValueError: The body has none.
-        """
-        if not scene.muscles.names:
-            raise ValueError(f"{self.name} is about muscles; the body of task {scene.spec.key!r} has none")
-        return scene.muscles.names
-
-    @abc.abstractmethod
-    def bind(self, scene: Scene, clock: Clock) -> Effect:
-        """Resolve names and allocate its arrays in a compiled scene.
-
-        Raises:
-            ValueError: A parameter does not fit the muscles or the number of worlds.
-        """
-
-
-class Effect:
-    """A condition bound to the arrays of a scene. Every method only launches kernels; most do nothing.
-
-    Attributes:
-        columns: Blocks that it appends to the observation.
-        terms: Reward terms that it appends.
-        info: Arrays (num_worlds, ...) of the condition's state by name, shown in the environment's `info`.
-    """
-
-    columns: tuple[Column, ...] = ()
-    terms: tuple[RewardTerm, ...] = ()
-    info: dict[str, wp.array] = {}  # noqa: RUF012 (replaced, never changed)
-
-    def sample(self, renew: wp.array) -> None:
-        """Draw parameters in the worlds of `renew` (num_worlds,) bool, which open an episode."""
-
-    def reset(self, mask: wp.array) -> None:
-        """Put its state to rest in the worlds of `mask` (num_worlds,) bool, whose states are reset."""
-
-    def act(self) -> None:
-        """Act on excitations, strength, transmission or body, once per control step, before physics."""
-
-    def act_in_substep(self) -> None:
-        """Act in every physics step, right after the muscles."""
-
-    def observe(self, mask: wp.array, obs: wp.array, column: int) -> None:
-        """Write its columns of `obs`, from `column` on, in the worlds of `mask`."""
-
-    def score(self, terms: wp.array, column: int) -> None:
-        """Write its reward terms, from `column` on."""
-
-
-CONDITIONS: Registry[type[Condition]] = Registry("condition")
-
-
-def resolve(conditions: str | Condition | Iterable[str | Condition], spec: TaskSpec) -> tuple[Condition, ...]:
-    """Return conditions, in the order in which they act.
-
-    Args:
-        conditions: One or several, each a name in `CONDITIONS` or a `Condition`.
-        spec: The task whose body is to have them.
-
-    Raises:
-        ValueError: A name is unknown, the body cannot have a condition, or two set the same quantity.
-    """
-    if isinstance(conditions, (str, Condition)) or not isinstance(conditions, Iterable):
-        conditions = (conditions,)
-    found = []
-    for entry in conditions:
-        if not isinstance(entry, (str, Condition)):
-            known = ", ".join(CONDITIONS)
-            raise ValueError(
-                f"conditions must be names or Condition objects, got {entry!r}; available: {known}"
-            )
-        found.append(CONDITIONS[entry]() if isinstance(entry, str) else entry)
-    writer: dict[str, str] = {}
-    for condition in found:
-        condition.check(spec)
-        for quantity in condition.WRITES:
-            if quantity in writer:
-                both = f"{writer[quantity]!r} and {condition.name!r}"
-                raise ValueError(f"conditions {both} both set {quantity}; leave one out")
-            writer[quantity] = condition.name
-    return tuple(sorted(found, key=lambda condition: (condition.STAGE, condition.name)))
-
-
-# ruff: noqa: E402  (they need what is above, and register themselves)
 from myowarp.models.conditions.exoskeleton import Exoskeleton
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
 from myowarp.models.conditions.fatigue_ma2009 import FatigueMa2009
 from myowarp.models.conditions.load import Load
 from myowarp.models.conditions.motor_noise import MotorNoise
-from myowarp.models.conditions.parameter import Ramp, Uniform
 from myowarp.models.conditions.reafferentation import Reafferentation
 from myowarp.models.conditions.sarcopenia import Sarcopenia
 from myowarp.models.conditions.tendon_tear import TendonTear
 from myowarp.models.conditions.tendon_transfer import TendonTransfer
+from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage, resolve
+from myowarp.spec.parameter import Ramp, Uniform
 
 __all__ = [
     "CONDITIONS",

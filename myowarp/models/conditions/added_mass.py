@@ -17,10 +17,10 @@ import mujoco
 import warp as wp
 
 from myowarp.kernels.body_mass import MASS_FIELDS, WeighedBody, set_body_mass, weighed_body
-from myowarp.models.conditions.parameter import Clock, Curve, Parameter, Value, value_of
+from myowarp.spec.parameter import Clock, Curve, Parameter, Value, value_of
 
 if TYPE_CHECKING:
-    from myowarp.scene import Scene
+    from myowarp.spec.scene import Scene
 
 BATCHED = (*MASS_FIELDS, "body_inertia")
 """Names of the model's fields that an added mass sets per world."""

@@ -23,14 +23,14 @@ import warp as wp
 from mujoco_warp._src.types import vec10
 
 from myowarp.kernels.reset import masked_fill
-from myowarp.models.conditions import CONDITIONS, Condition, Effect, Stage
 from myowarp.models.conditions.added_mass import BATCHED, AddedMass, HungMass, Part
-from myowarp.models.conditions.parameter import Clock, Curve, Parameter, Value, value_of
-from myowarp.spec import RewardTerm
+from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.spec.parameter import Clock, Curve, Parameter, Value, value_of
+from myowarp.spec.task import RewardTerm
 
 if TYPE_CHECKING:
-    from myowarp.scene import Scene
-    from myowarp.spec import TaskSpec
+    from myowarp.spec.scene import Scene
+    from myowarp.spec.task import TaskSpec
 
 NAME = "exoskeleton"  # of the actuator
 BODY, JOINT, LIMB = "elbow", "r_elbow_flex", "r_ulna_radius_hand"

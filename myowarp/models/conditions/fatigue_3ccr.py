@@ -30,8 +30,8 @@ import warp as wp
 from myowarp.kernels.accumulate import add_compensated
 from myowarp.kernels.observe import masked_observe
 from myowarp.kernels.random import RandomKeys, open_stream
-from myowarp.models.conditions import CONDITIONS, Condition, Effect, Stage
-from myowarp.models.conditions.parameter import (
+from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.spec.parameter import (
     Clock,
     Curve,
     Fixed,
@@ -42,10 +42,10 @@ from myowarp.models.conditions.parameter import (
     muscle_index,
     value_of,
 )
-from myowarp.spec import Column
+from myowarp.spec.task import Column
 
 if TYPE_CHECKING:
-    from myowarp.scene import Scene
+    from myowarp.spec.scene import Scene
 
 REST_LOAD = wp.constant(0.01)  # a muscle rests up to this target load [1]; MyoSuite 3.0.0
 STREAM = wp.constant(zlib.crc32(b"fatigue_3ccr initial_random") & 0x7FFFFFFF)

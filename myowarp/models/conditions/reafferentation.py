@@ -8,26 +8,27 @@ What the policy asks of EPL is ignored. No path, force or model changes. Source:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import warp as wp
 
-from myowarp.models.conditions import CONDITIONS, Condition, Effect, Stage
-from myowarp.models.conditions.parameter import Clock, Curve, Parameter, Value, muscle_index
 from myowarp.models.conditions.tendon_transfer import (
     DONOR,
     LOST,
-    TendonTransfer,
+    TendonTransferEffect,
     affected_parameter,
     check_hand,
     is_affected,
 )
+from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.spec.parameter import Clock, Curve, Parameter, Value, muscle_index
 
 if TYPE_CHECKING:
-    from myowarp.scene import Scene
-    from myowarp.spec import TaskSpec
+    from myowarp.spec.scene import Scene
+    from myowarp.spec.task import TaskSpec
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +52,10 @@ class Reafferentation(Condition):
         check_hand("reafferentation", spec)
 
     def bind(self, scene: Scene, clock: Clock) -> ReafferentationEffect:
-        """Find the muscles.
-
-        Raises:
-            ValueError: It is known now that a world is to have a tendon transfer at the same time.
-        """
-        parameter = affected_parameter("reafferentation", self.affected, scene)
-        for other in scene.conditions:
-            if isinstance(other, TendonTransfer):
-                check_apart(parameter, affected_parameter("tendon_transfer", other.affected, scene))
-        return ReafferentationEffect(scene, clock, parameter)
+        """Find the muscles."""
+        return ReafferentationEffect(
+            scene, clock, affected_parameter("reafferentation", self.affected, scene)
+        )
 
 
 def _ends(parameter: Parameter) -> np.ndarray:
@@ -124,6 +119,12 @@ class ReafferentationEffect(Effect):
         self.donor, self.lost = (
             int(muscles.actuator_id[muscle_index(name, muscles.names)]) for name in (DONOR, LOST)
         )
+
+    def check_beside(self, effects: Sequence[Effect]) -> None:
+        """Raise ValueError if it is known now that a world is to have a tendon transfer at the same time."""
+        for other in effects:
+            if isinstance(other, TendonTransferEffect):
+                check_apart(self.parameter, other.parameter)
 
     def sample(self, renew: wp.array) -> None:
         """Draw who is affected."""

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 import warp as wp
 
-from myowarp.models.conditions import CONDITIONS, Condition, Effect, Stage
-from myowarp.models.conditions.parameter import Clock, Curve, Parameter, Value, value_of
+from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.spec.parameter import Clock, Curve, Parameter, Value, value_of
 
 if TYPE_CHECKING:
-    from myowarp.scene import Scene
+    from myowarp.spec.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,13 +20,13 @@ import numpy as np
 import warp as wp
 from mujoco_warp._src.types import vec10
 
-from myowarp.models.conditions import CONDITIONS, Condition, Effect, Stage
-from myowarp.models.conditions.parameter import Clock, Curve, Parameter, Value, muscle_index, value_of
-from myowarp.models.muscles import Anatomy
+from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.spec.muscle import Anatomy
+from myowarp.spec.parameter import Clock, Curve, Parameter, Value, muscle_index, value_of
 
 if TYPE_CHECKING:
-    from myowarp.scene import Scene
-    from myowarp.spec import TaskSpec
+    from myowarp.spec.scene import Scene
+    from myowarp.spec.task import TaskSpec
 
 DONOR, LOST = "EIP", "EPL"
 HANDS = ("hand", "contact_hand")

@@ -19,10 +19,10 @@ import warp as wp
 from mujoco_warp._src.types import vec10
 
 from myowarp.kernels.activation import ACTIVATION
+from myowarp.kernels.batching import batched, num_threads
 from myowarp.kernels.curves import CURVES
-from myowarp.kernels.engine_arrays import batched, num_threads
 from myowarp.kernels.reset import masked_fill
-from myowarp.models.muscles import MUSCLES, Anatomy, MuscleModel
+from myowarp.spec.muscle import MUSCLES, Anatomy, MuscleModel
 
 
 @wp.struct

@@ -1,0 +1,1 @@
+"""What people run: command line, rollouts, policies, recordings, audits, cohorts."""

@@ -1,0 +1,103 @@
+"""Compile all kernels of a step before it runs: in parallel, with progress.
+
+Warp compiles a module when one of its kernels is first launched, one after the other: half a minute of
+silence for a hand. Here the launches are first only listed, then their modules are compiled on all cores.
+"""
+
+import contextlib
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from typing import Any
+from unittest import mock
+
+import warp as wp
+
+from myowarp.engine.patch import is_empty
+from myowarp.progress import patient_bar
+
+PATIENCE = 0.5  # s without a word
+BLOCK_DIM = 256  # threads of a block on CUDA where a launch names none; Warp's
+
+
+@contextlib.contextmanager
+def recorded() -> Iterator[list[tuple[wp.Module, int]]]:
+    """Note all launches that have threads instead of launching; what a loop repeats counts once.
+
+    Yields:
+        Module and threads of a block of each launch, in their order.
+    """
+    found: list[tuple[wp.Module, int]] = []
+
+    def launch(*args: Any, **kwargs: Any) -> None:
+        kernel = args[0] if args else kwargs["kernel"]
+        if is_empty(*args, **kwargs):
+            return
+        found.append((kernel.module, kwargs.get("block_dim") or BLOCK_DIM))
+
+    def call_while(condition: Any, while_body: Callable[..., None], **kwargs: Any) -> None:
+        while_body(**kwargs)
+
+    def call_if(condition: Any, on_true: Any = None, on_false: Any = None, **kwargs: Any) -> None:
+        for branch in (on_true, on_false):
+            if callable(branch):
+                branch(**kwargs)
+
+    with (
+        mock.patch.object(wp, "launch", launch),
+        mock.patch.object(wp, "launch_tiled", launch),
+        mock.patch.object(wp, "capture_while", call_while),
+        mock.patch.object(wp, "capture_if", call_if),
+    ):
+        yield found
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Keep Warp's log of loaded modules off the terminal."""
+    level = wp.config.log_level
+    wp.config.log_level = max(level, wp.LOG_ERROR)
+    try:
+        yield
+    finally:
+        wp.config.log_level = level
+
+
+def compile_kernels(
+    launches: Callable[[], None], device: wp.Device, show: bool = True
+) -> tuple[wp.Module, ...]:
+    """Compile and load the modules of every kernel that `launches` launches.
+
+    Args:
+        launches: Launches kernels; it is called once, with launching switched off.
+        device: Where they will run.
+        show: Whether to draw a progress bar once this takes longer than a moment.
+
+    Returns:
+        The modules.
+    """
+    with recorded() as found:
+        launches()
+    # CUDA's machine code is made for one number of threads, the CPU's serves all.
+    wanted = dict.fromkeys((module, 1 if device.is_cpu else block_dim) for module, block_dim in found)
+    with (
+        patient_bar("Compiling kernels", "modules", len(wanted), patience=PATIENCE, show=show) as advance,
+        ThreadPoolExecutor(os.cpu_count()) as pool,
+    ):
+        for load in as_completed(
+            pool.submit(wp.force_load, device, [module], block_dim) for module, block_dim in wanted
+        ):
+            load.result()
+            advance(1)
+    return tuple(dict.fromkeys(module for module, _ in wanted))
+
+
+def renew_code(modules: Iterable[wp.Module]) -> None:
+    """Have Warp load the machine code of modules once more when they are next launched on the CPU.
+
+    Tile kernels keep the address of their scratch memory in a static variable of their module (Warp's
+    `tile.h`), so that two threads must never run the same code of such a kernel. Graphs captured from here on
+    have code of their own; those captured before keep theirs.
+    """
+    for module in modules:
+        module.execs = {key: loaded for key, loaded in module.execs.items() if not loaded.device.is_cpu}

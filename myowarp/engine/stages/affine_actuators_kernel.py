@@ -1,0 +1,71 @@
+"""Forces of actuators that are affine in their control, length and velocity: one thread a world.
+
+So are motors, and muscles once `myowarp.models.muscles` has put their force into the bias. The engine has a
+thread for each actuator that first finds out which of a dozen kinds it is.
+"""
+
+import warp as wp
+from mujoco_warp._src.types import vec10
+
+from myowarp.kernels.batching import batched
+
+
+@wp.struct
+class AffineActuators:
+    """What forces depend on; fields are those of the engine's `Model`."""
+
+    actuator_ctrllimited: wp.array[bool]
+    actuator_ctrlrange: wp.array2d[wp.vec2]
+    actuator_gainprm: wp.array2d[vec10]
+    actuator_biasprm: wp.array2d[vec10]
+    actuator_forcelimited: wp.array[bool]
+    actuator_forcerange: wp.array2d[wp.vec2]
+
+
+@wp.struct
+class ActuatorMoments:
+    """Lengths, velocities and moment arms; fields are those of the engine's `Data`."""
+
+    actuator_length: wp.array2d[float]
+    actuator_velocity: wp.array2d[float]
+    moment_rownnz: wp.array2d[int]
+    moment_rowadr: wp.array2d[int]
+    moment_colind: wp.array2d[int]
+    actuator_moment: wp.array2d[float]
+
+
+@wp.kernel(enable_backward=False)
+def actuate(
+    # Model:
+    actuators: AffineActuators,
+    # Data in:
+    ctrl_in: wp.array2d[float],
+    # In:
+    clamp_controls: bool,
+    moments: ActuatorMoments,
+    # Data out:
+    actuator_force_out: wp.array2d[float],
+    qfrc_actuator_out: wp.array2d[float],
+):
+    """force = g ctrl + b0 + b1 length + b2 velocity, within its range; qfrc = moment' force."""
+    worldid = wp.tid()
+    ctrlrange = actuators.actuator_ctrlrange[batched(worldid, actuators.actuator_ctrlrange.shape[0])]
+    gains = actuators.actuator_gainprm[batched(worldid, actuators.actuator_gainprm.shape[0])]
+    biases = actuators.actuator_biasprm[batched(worldid, actuators.actuator_biasprm.shape[0])]
+    forcerange = actuators.actuator_forcerange[batched(worldid, actuators.actuator_forcerange.shape[0])]
+    qfrc = qfrc_actuator_out[worldid]
+    for dof in range(qfrc.shape[0]):
+        qfrc[dof] = 0.0
+    for i in range(biases.shape[0]):
+        ctrl = ctrl_in[worldid, i]
+        if clamp_controls and actuators.actuator_ctrllimited[i]:
+            ctrl = wp.clamp(ctrl, ctrlrange[i][0], ctrlrange[i][1])
+        length, velocity = moments.actuator_length[worldid, i], moments.actuator_velocity[worldid, i]
+        force = gains[i][0] * ctrl + biases[i][0] + biases[i][1] * length + biases[i][2] * velocity
+        if actuators.actuator_forcelimited[i]:
+            force = wp.clamp(force, forcerange[i][0], forcerange[i][1])
+        actuator_force_out[worldid, i] = force
+        first = moments.moment_rowadr[worldid, i]
+        for entry in range(first, first + moments.moment_rownnz[worldid, i]):
+            dof = moments.moment_colind[worldid, entry]
+            qfrc[dof] = qfrc[dof] + moments.actuator_moment[worldid, entry] * force

@@ -1,0 +1,362 @@
+"""Search for contacts: bounding spheres, then the distance itself wherever it has a short way to be found.
+
+The engine lists the pairs of geoms whose spheres and boxes meet, and goes through the list once for every
+family of shapes. Here a pair is done with in one go: spheres and capsules in closed form, ellipsoids by
+Newton's method (`kernels.separation`); pairs of other shapes go on the engine's list.
+"""
+
+import warp as wp
+from mujoco_warp._src.collision_core import contact_material_params, write_contact
+from mujoco_warp._src.collision_driver import _add_geom_pair, _obb_filter, _plane_filter, _sphere_filter
+from mujoco_warp._src.collision_primitive_core import capsule_capsule, sphere_capsule, sphere_sphere
+from mujoco_warp._src.math import make_frame
+from mujoco_warp._src.types import GeomType, vec5
+
+from myowarp.engine.stages.arrays import ContactPool
+from myowarp.engine.stages.separation import Bodies, Touch, capsule_touch, ellipsoid_matrix, ellipsoid_touch
+from myowarp.kernels.batching import batched
+
+SPHERE = wp.constant(int(GeomType.SPHERE))
+CAPSULE = wp.constant(int(GeomType.CAPSULE))
+ELLIPSOID = wp.constant(int(GeomType.ELLIPSOID))
+CYLINDER = wp.constant(int(GeomType.CYLINDER))
+FAR = wp.constant(1e10)  # m
+
+OURS = tuple(
+    (GeomType(first), GeomType(second))
+    for first in (SPHERE, CAPSULE, ELLIPSOID)
+    for second in (SPHERE, CAPSULE, ELLIPSOID)
+    if first <= second
+)
+"""Kinds of pairs that are done with here; the engine sorts a pair by type."""
+
+
+@wp.struct
+class Shapes:
+    """All geoms, and the pairs of them that are not excluded; fields are the engine's."""
+
+    geom_type: wp.array[int]
+    geom_size: wp.array2d[wp.vec3]
+    geom_aabb: wp.array3d[wp.vec3]
+    geom_rbound: wp.array2d[float]
+    geom_margin: wp.array2d[float]
+    geom_gap: wp.array2d[float]
+    pair_margin: wp.array2d[float]
+    pair_gap: wp.array2d[float]
+    nxn_geom_pair_filtered: wp.array[wp.vec2i]
+    nxn_pairid_filtered: wp.array[wp.vec2i]
+    geom_xpos: wp.array2d[wp.vec3]
+    geom_xmat: wp.array2d[wp.mat33]
+
+
+@wp.struct
+class ContactMaterial:
+    """What a contact takes from its geoms or from its explicit pair; fields are the engine's."""
+
+    geom_condim: wp.array[int]
+    geom_priority: wp.array[int]
+    geom_solmix: wp.array2d[float]
+    geom_solref: wp.array2d[wp.vec2]
+    geom_solimp: wp.array2d[vec5]
+    geom_friction: wp.array2d[wp.vec3]
+    geom_adhesion: wp.array2d[float]
+    pair_dim: wp.array[int]
+    pair_solref: wp.array2d[wp.vec2]
+    pair_solreffriction: wp.array2d[wp.vec2]
+    pair_solimp: wp.array2d[vec5]
+    pair_adhesion: wp.array2d[float]
+    pair_friction: wp.array2d[vec5]
+
+
+@wp.struct
+class Candidates:
+    """Pairs left to the engine; fields are its own."""
+
+    ncollision: wp.array[int]
+    collision_pair: wp.array[wp.vec2i]
+    collision_pairid: wp.array[wp.vec2i]
+    collision_worldid: wp.array[int]
+
+
+@wp.struct
+class Pair:
+    """Two geoms, sorted by type, and the distances at which they touch [m]."""
+
+    geoms: wp.vec2i
+    pairid: wp.vec2i
+    worldid: int
+    margin: float
+    gap: float
+
+
+@wp.struct
+class Geom:
+    """A geom's shape and pose in the world [m], its box in its own frame; a plane has no bounding sphere."""
+
+    type: int
+    size: wp.vec3
+    bound: float
+    box_center: wp.vec3
+    box_size: wp.vec3
+    pos: wp.vec3
+    rotation: wp.mat33
+
+
+@wp.struct
+class Touches:
+    """Where two geoms are closest; parallel capsules are so twice."""
+
+    first: Touch
+    second: Touch
+
+
+@wp.func
+def material_of(material: ContactMaterial, pair: Pair):
+    """Return condim, friction, solref, solreffriction, solimp and adhesion of a contact."""
+    return contact_material_params(
+        material.geom_condim,
+        material.geom_priority,
+        material.geom_solmix,
+        material.geom_solref,
+        material.geom_solimp,
+        material.geom_friction,
+        material.geom_adhesion,
+        material.pair_dim,
+        material.pair_solref,
+        material.pair_solreffriction,
+        material.pair_solimp,
+        material.pair_adhesion,
+        material.pair_friction,
+        pair.geoms,
+        pair.pairid[0],
+        pair.worldid,
+    )
+
+
+@wp.func
+def write_touch(
+    touch: Touch, pair: Pair, material: ContactMaterial, id: int, naconmax: int, contact: ContactPool
+):
+    """Append a contact to the pool, with the material of its geoms."""
+    condim, friction, solref, solreffriction, solimp, adhesion = material_of(material, pair)
+    write_contact(
+        naconmax,
+        id,
+        touch.dist,
+        touch.pos,
+        make_frame(touch.normal),
+        pair.margin,
+        pair.gap,
+        condim,
+        friction,
+        solref,
+        solreffriction,
+        solimp,
+        adhesion,
+        pair.geoms,
+        pair.pairid,
+        pair.worldid,
+        contact.dist,
+        contact.pos,
+        contact.frame,
+        contact.includemargin,
+        contact.friction,
+        contact.solref,
+        contact.solreffriction,
+        contact.solimp,
+        contact.dim,
+        contact.geom,
+        contact.efc_address,
+        contact.worldid,
+        contact.type,
+        contact.geomcollisionid,
+        contact.adhesion,
+        contact.nacon,
+    )
+
+
+@wp.func
+def geom_at(
+    kind: int,
+    size: wp.vec3,
+    bound: float,
+    box_center: wp.vec3,
+    box_size: wp.vec3,
+    pos: wp.vec3,
+    rotation: wp.mat33,
+) -> Geom:
+    """Return a geom."""
+    geom = Geom()
+    geom.type = kind
+    geom.size = size
+    geom.bound = bound
+    geom.box_center = box_center
+    geom.box_size = box_size
+    geom.pos = pos
+    geom.rotation = rotation
+    return geom
+
+
+@wp.func
+def touch_at(dist: float, pos: wp.vec3, normal: wp.vec3) -> Touch:
+    """Return a touch."""
+    touch = Touch()
+    touch.dist = dist
+    touch.pos = pos
+    touch.normal = normal
+    return touch
+
+
+@wp.func
+def long_axis(rotation: wp.mat33) -> wp.vec3:
+    """Return the z axis of a frame."""
+    return wp.vec3(rotation[0, 2], rotation[1, 2], rotation[2, 2])
+
+
+@wp.func
+def round_touches(one: Geom, two: Geom) -> Touches:
+    """Closest points of two spheres or capsules."""
+    touches = Touches()
+    touches.second.dist = FAR
+    axis1, axis2 = long_axis(one.rotation), long_axis(two.rotation)
+    radius1, radius2 = one.size[0], two.size[0]
+    if one.type == SPHERE:
+        dist, pos, normal = sphere_sphere(one.pos, radius1, two.pos, radius2)
+        if two.type == CAPSULE:
+            dist, pos, normal = sphere_capsule(one.pos, radius1, two.pos, axis2, radius2, two.size[1])
+        touches.first = touch_at(dist, pos, normal)
+    else:
+        dists, points, normals = capsule_capsule(
+            one.pos, axis1, radius1, one.size[1], two.pos, axis2, radius2, two.size[1]
+        )
+        touches.first = touch_at(dists[0], points[0], normals[0])
+        touches.second = touch_at(dists[1], points[1], normals[1])
+    return touches
+
+
+@wp.func
+def touch_with_ellipsoid(one: Geom, two: Geom, cutoff: float) -> Touch:
+    """n = argmax f(n), dist = f(n): where a sphere, capsule or ellipsoid and an ellipsoid are closest."""
+    bodies = Bodies()
+    bodies.p = two.pos - one.pos
+    bodies.e2 = ellipsoid_matrix(two.size, two.rotation)
+    bodies.rotation1 = two.rotation
+    bodies.rotation2 = two.rotation
+    bodies.cutoff = cutoff
+    if one.type == ELLIPSOID:
+        bodies.e1 = ellipsoid_matrix(one.size, one.rotation)
+        bodies.rotation1 = one.rotation
+        return ellipsoid_touch(bodies, one.pos)
+    half = wp.where(one.type == CAPSULE, one.size[1], 0.0)
+    return capsule_touch(bodies, one.pos, long_axis(one.rotation), one.size[0], half)
+
+
+@wp.func
+def add_candidate(pair: Pair, type1: int, type2: int, naconmax: int, candidates: Candidates):
+    """Put a pair on the engine's list."""
+    _add_geom_pair(
+        naconmax,
+        pair.geoms[0],
+        pair.geoms[1],
+        type1,
+        type2,
+        pair.worldid,
+        pair.pairid,
+        candidates.ncollision,
+        candidates.collision_pair,
+        candidates.collision_pairid,
+        candidates.collision_worldid,
+    )
+
+
+@wp.func
+def boxes_meet(one: Geom, two: Geom, cutoff: float) -> bool:
+    """Return whether two geoms may be less than `cutoff` apart."""
+    pos1, pos2, rotation1, rotation2 = one.pos, two.pos, one.rotation, two.rotation
+    if one.bound == 0.0 or two.bound == 0.0:
+        return _plane_filter(one.bound, two.bound, cutoff, 0.0, pos1, pos2, rotation1, rotation2)
+    center1, center2, size1, size2 = one.box_center, two.box_center, one.box_size, two.box_size
+    return _obb_filter(center1, center2, size1, size2, cutoff, 0.0, pos1, pos2, rotation1, rotation2)
+
+
+@wp.func
+def closest(one: Geom, two: Geom, cutoff: float) -> Touches:
+    """Where two spheres, capsules or ellipsoids are closest; a bound will do beyond the cutoff."""
+    if two.type <= CAPSULE:
+        return round_touches(one, two)
+    touches = Touches()
+    touches.first.dist = FAR
+    touches.second.dist = FAR
+    if boxes_meet(one, two, cutoff):
+        touches.first = touch_with_ellipsoid(one, two, cutoff)
+    return touches
+
+
+@wp.func
+def may_touch(one: Geom, two: Geom, cutoff: float) -> bool:
+    """Return whether two geoms of other shapes may be less than `cutoff` apart."""
+    if not boxes_meet(one, two, cutoff):
+        return False
+    if one.type < SPHERE or two.type != CYLINDER:
+        return True
+    two.type = CAPSULE  # a capsule of the same size holds the cylinder
+    if one.type == ELLIPSOID:
+        touch = touch_with_ellipsoid(two, one, cutoff)
+        return touch.dist < cutoff
+    if one.type == CYLINDER:
+        one.type = CAPSULE
+    touches = round_touches(one, two)
+    return wp.min(touches.first.dist, touches.second.dist) < cutoff
+
+
+@wp.kernel(enable_backward=False)
+def find_contacts(
+    # Model:
+    shapes: Shapes,
+    material: ContactMaterial,
+    # Data in:
+    naconmax_in: int,
+    # In:
+    threads: int,
+    # Data out:
+    contact_out: ContactPool,
+    # Out:
+    candidates: Candidates,
+):
+    """dist(geom_1, geom_2) < margin + gap. Functions take structs by value: for every pair, only numbers."""
+    worldid, thread = wp.tid()
+    bound = shapes.geom_rbound[batched(worldid, shapes.geom_rbound.shape[0])]
+    size = shapes.geom_size[batched(worldid, shapes.geom_size.shape[0])]
+    box = shapes.geom_aabb[batched(worldid, shapes.geom_aabb.shape[0])]
+    margins = shapes.geom_margin[batched(worldid, shapes.geom_margin.shape[0])]
+    gaps = shapes.geom_gap[batched(worldid, shapes.geom_gap.shape[0])]
+    kind, xpos, xmat = shapes.geom_type, shapes.geom_xpos[worldid], shapes.geom_xmat[worldid]
+    pair = Pair()
+    pair.worldid = worldid
+    for i in range(thread, shapes.nxn_geom_pair_filtered.shape[0], threads):
+        a, b = shapes.nxn_geom_pair_filtered[i][0], shapes.nxn_geom_pair_filtered[i][1]
+        pair.pairid = shapes.nxn_pairid_filtered[i]
+        pair.margin = margins[a] + margins[b]
+        pair.gap = gaps[a] + gaps[b]
+        if pair.pairid[0] >= 0:
+            pair.margin = shapes.pair_margin[batched(worldid, shapes.pair_margin.shape[0]), pair.pairid[0]]
+            pair.gap = shapes.pair_gap[batched(worldid, shapes.pair_gap.shape[0]), pair.pairid[0]]
+        # A collision sensor wants the distance however large it is.
+        cutoff = wp.where(pair.pairid[1] < 0, pair.margin + pair.gap, FAR)
+        if bound[a] > 0.0 and bound[b] > 0.0:
+            if not _sphere_filter(bound[a], bound[b], cutoff, 0.0, xpos[a], xpos[b]):
+                continue
+        pair.geoms = wp.vec2i(a, b)
+        if kind[a] > kind[b]:
+            pair.geoms = wp.vec2i(b, a)
+        a, b = pair.geoms[0], pair.geoms[1]
+        one = geom_at(kind[a], size[a], bound[a], box[a, 0], box[a, 1], xpos[a], xmat[a])
+        two = geom_at(kind[b], size[b], bound[b], box[b, 0], box[b, 1], xpos[b], xmat[b])
+        if one.type >= SPHERE and two.type <= ELLIPSOID:
+            touches = closest(one, two, cutoff)
+            if touches.first.dist < cutoff:
+                write_touch(touches.first, pair, material, 0, naconmax_in, contact_out)
+            if touches.second.dist < cutoff:
+                write_touch(touches.second, pair, material, 1, naconmax_in, contact_out)
+        elif may_touch(one, two, cutoff):
+            add_candidate(pair, one.type, two.type, naconmax_in, candidates)

@@ -1,0 +1,121 @@
+"""Constraint forces: one thread a world runs the whole Newton solve, on the CPU device.
+
+Acceleration `x` minimises `1/2 (x - a)' M (x - a) + sum_i s_i(J_i x - aref_i)`, with `a` the acceleration
+without constraints and `s_i` quadratic where row i pulls and linear or zero where it does not (MuJoCo
+documentation, Computation, "Primal problem"). The steps and stopping tests are mujoco-warp's; its dozen
+launches an iteration become plain loops over small dense arrays on the stack (`contact_solve.cpp`). The
+Hessian changes only by the rows whose state flipped, and is factorised again only then. The line search is
+exact, in double precision.
+"""
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+from mujoco_warp import OverflowType
+
+from myowarp.engine.stages.arrays import ConstraintRows, InertiaRows
+
+VECTOR = 8  # floats that one instruction adds
+SOURCE = Path(__file__).with_name("contact_solve.cpp").read_text()
+
+
+@wp.struct
+class SolverOptions:
+    """When to stop."""
+
+    tolerance: wp.array[float]
+    iterations: int
+    ls_iterations: int
+
+
+@wp.struct
+class RowCounts:
+    """Rows of each world: equalities, friction losses, all."""
+
+    ne: wp.array[int]
+    nf: wp.array[int]
+    nefc: wp.array[int]
+
+
+@wp.struct
+class SolverResult:
+    """What the solve leaves in `Data`."""
+
+    niter: wp.array[int]
+    overflow: wp.array[int]
+    force: wp.array2d[float]
+    state: wp.array2d[int]
+    Ma: wp.array2d[float]
+
+
+@cache
+def native_solve(width: int) -> Any:
+    """Return the native function for at most `width` degrees of freedom, a multiple of VECTOR."""
+    constants = {
+        "WIDTH": width,
+        "ITERATIONS_OVERFLOW": int(OverflowType.ITERATIONS),
+        "LINE_SEARCH_OVERFLOW": int(OverflowType.LS_ITERATIONS),
+    }
+
+    @wp.func_native(
+        "".join(f"constexpr int {name} = {value};\n" for name, value in constants.items()) + SOURCE
+    )
+    def solve_world(
+        world: int,
+        inertia: InertiaRows,
+        options: SolverOptions,
+        M: wp.array[float],
+        qfrc_smooth: wp.array[float],
+        qacc_warmstart: wp.array[float],
+        counts: RowCounts,
+        rows: ConstraintRows,
+        qacc: wp.array[float],
+        qfrc_constraint: wp.array[float],
+        result: SolverResult,
+    ): ...
+
+    return solve_world
+
+
+@cache
+def solver_kernel(width: int) -> Any:
+    """Return the kernel `solve_constraints` for at most `width` degrees of freedom, a multiple of VECTOR."""
+    solve_world = native_solve(width)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def solve_constraints(
+        # Params:
+        inertia: InertiaRows,
+        options: SolverOptions,
+        # Data in:
+        M_in: wp.array2d[float],
+        qfrc_smooth_in: wp.array2d[float],
+        qacc_warmstart_in: wp.array2d[float],
+        # In:
+        counts: RowCounts,
+        rows: ConstraintRows,
+        # Data out:
+        qacc_out: wp.array2d[float],
+        qfrc_constraint_out: wp.array2d[float],
+        # Out:
+        result: SolverResult,
+    ):
+        """M qacc = qfrc_smooth + J' force, force = -s'(J qacc - aref)."""
+        worldid = wp.tid()
+        solve_world(
+            worldid,
+            inertia,
+            options,
+            M_in[worldid],
+            qfrc_smooth_in[worldid],
+            qacc_warmstart_in[worldid],
+            counts,
+            rows,
+            qacc_out[worldid],
+            qfrc_constraint_out[worldid],
+            result,
+        )
+
+    return solve_constraints

@@ -1,0 +1,192 @@
+"""The end of a physics step in one thread a world: implicit velocities, positions, time, on the CPU device.
+
+(M - h dF/dv) qacc = Ma, with F the damping of joints and, for MuJoCo's integrator `implicitfast`, the
+actuators (MuJoCo documentation, Computation, "Numerical integration"). A dof's row of M holds nothing but the
+dofs that carry it, and elimination from the tips on fills in nothing more (Featherstone, Rigid Body Dynamics
+Algorithms, 2008, section 6.5): for a hand a tenth of the operations of a dense Cholesky factorisation. What
+an actuator couples across branches of the tree has no place in M and stays explicit, as in the engine.
+"""
+
+from pathlib import Path
+
+import warp as wp
+from mujoco_warp import BiasType, JointType, OverflowType
+from mujoco_warp._src.math import quat_integrate
+from mujoco_warp._src.types import vec10
+
+from myowarp.engine.stages.arrays import InertiaRows
+from myowarp.kernels.batching import batched
+
+MAX_DOFS, MAX_ENTRIES = 512, 8192  # 36 KB of stack
+SOURCE = f"""
+constexpr int AFFINE = {int(BiasType.AFFINE)}, MAX_DOFS = {MAX_DOFS}, MAX_ENTRIES = {MAX_ENTRIES};
+{Path(__file__).with_name("integrate.cpp").read_text()}"""
+
+NEFC_OVERFLOW = wp.constant(int(OverflowType.NEFC))
+BROADPHASE_OVERFLOW = wp.constant(int(OverflowType.BROADPHASE))
+NARROWPHASE_OVERFLOW = wp.constant(int(OverflowType.NARROWPHASE))
+FREE, BALL = wp.constant(int(JointType.FREE)), wp.constant(int(JointType.BALL))
+
+
+@wp.struct
+class Stages:
+    """What a launch does; the two stages are apart where the engine has to do something between them.
+
+    Attributes:
+        timestep: [s], shape (1,) or (num_worlds,).
+        implicit_actuators: Whether actuators are integrated implicitly too.
+        solve: Whether to write the accelerations.
+        advance: Whether to move the state with them.
+    """
+
+    timestep: wp.array[float]
+    implicit_actuators: bool
+    solve: bool
+    advance: bool
+
+
+@wp.struct
+class VelocityForces:
+    """Forces that depend on velocity; fields are those of the engine's `Model` and `Data`."""
+
+    dof_damping: wp.array2d[float]
+    dof_dampingpoly: wp.array2d[wp.vec2]
+    actuator_biastype: wp.array[int]
+    actuator_biasprm: wp.array2d[vec10]
+    actuator_forcelimited: wp.array[bool]
+    actuator_forcerange: wp.array2d[wp.vec2]
+    M_elemid: wp.array2d[int]
+    body_dofadr: wp.array[int]
+    body_freeadr: wp.array[int]
+    actuator_force: wp.array2d[float]
+    moment_rownnz: wp.array2d[int]
+    moment_rowadr: wp.array2d[int]
+    moment_colind: wp.array2d[int]
+    actuator_moment: wp.array2d[float]
+
+
+@wp.struct
+class JointAddresses:
+    """Where the state of joints is; fields are those of the engine's `Model`."""
+
+    jnt_type: wp.array[int]
+    jnt_qposadr: wp.array[int]
+    jnt_dofadr: wp.array[int]
+
+
+@wp.struct
+class Usage:
+    """How much of the engine's arrays is used, and how much there is; fields are those of `Data`."""
+
+    nefc: wp.array[int]
+    ncollision: wp.array[int]
+    nacon: wp.array[int]
+    njmax: int
+    naconmax: int
+
+
+@wp.struct
+class StepState:
+    """What a step leaves; fields are those of the engine's `Data`."""
+
+    qpos: wp.array2d[float]
+    qvel: wp.array2d[float]
+    qacc_warmstart: wp.array2d[float]
+    time: wp.array[float]
+    overflow: wp.array[int]
+
+
+@wp.func_native(SOURCE)
+def solve_motion(
+    world: int,
+    timestep: float,
+    implicit_actuators: bool,
+    inertia: InertiaRows,
+    forces: VelocityForces,
+    M: wp.array[float],
+    Ma: wp.array[float],
+    qvel: wp.array[float],
+    acceleration: wp.array[float],
+):
+    """acceleration = (M - h dF/dv)^-1 Ma, in one world."""
+
+
+@wp.func
+def turn(qpos: wp.array[float], first: int, qvel: wp.array[float], dof: int, timestep: float):
+    """quat = quat exp(h qvel / 2), for the quaternion in `qpos` from `first` on."""
+    quat = wp.quat(qpos[first], qpos[first + 1], qpos[first + 2], qpos[first + 3])
+    quat = quat_integrate(quat, wp.vec3(qvel[dof], qvel[dof + 1], qvel[dof + 2]), timestep)
+    for i in range(4):
+        qpos[first + i] = quat[i]
+
+
+@wp.func
+def move(joints: JointAddresses, qpos: wp.array[float], qvel: wp.array[float], timestep: float):
+    """qpos = qpos + h qvel, on the joints' manifolds."""
+    for joint in range(joints.jnt_type.shape[0]):
+        kind, first, dof = joints.jnt_type[joint], joints.jnt_qposadr[joint], joints.jnt_dofadr[joint]
+        if kind == BALL:
+            turn(qpos, first, qvel, dof, timestep)
+        elif kind == FREE:
+            for i in range(3):
+                qpos[first + i] = qpos[first + i] + timestep * qvel[dof + i]
+            turn(qpos, first + 3, qvel, dof + 3, timestep)
+        else:
+            qpos[first] = qpos[first] + timestep * qvel[dof]
+
+
+@wp.func
+def overflow_bits(usage: Usage, worldid: int) -> int:
+    """Return which of the engine's arrays were too small."""
+    bits = int(0)
+    if usage.nefc[worldid] > usage.njmax:
+        bits |= NEFC_OVERFLOW
+    if usage.ncollision[0] > usage.naconmax:
+        bits |= BROADPHASE_OVERFLOW
+    if usage.nacon[0] > usage.naconmax:
+        bits |= NARROWPHASE_OVERFLOW
+    return bits
+
+
+@wp.kernel(enable_backward=False)
+def integrate(
+    # Model:
+    inertia: InertiaRows,
+    joints: JointAddresses,
+    # Params:
+    stages: Stages,
+    # Data in:
+    M_in: wp.array2d[float],
+    Ma_in: wp.array2d[float],
+    qacc_in: wp.array2d[float],
+    # In:
+    forces: VelocityForces,
+    usage: Usage,
+    # Out:
+    acceleration: wp.array2d[float],
+    state: StepState,
+):
+    """acceleration = (M - h dF/dv)^-1 Ma; qvel += h acceleration; qpos += h qvel; time += h."""
+    worldid = wp.tid()
+    timestep = stages.timestep[batched(worldid, stages.timestep.shape[0])]
+    qvel, change = state.qvel[worldid], acceleration[worldid]
+    if stages.solve:
+        solve_motion(
+            worldid,
+            timestep,
+            stages.implicit_actuators,
+            inertia,
+            forces,
+            M_in[worldid],
+            Ma_in[worldid],
+            qvel,
+            change,
+        )
+    if stages.advance:
+        qacc, warmstart = qacc_in[worldid], state.qacc_warmstart[worldid]
+        for dof in range(qvel.shape[0]):
+            qvel[dof] = qvel[dof] + timestep * change[dof]
+            warmstart[dof] = qacc[dof]
+        move(joints, state.qpos[worldid], qvel, timestep)
+        state.time[worldid] = state.time[worldid] + timestep
+        state.overflow[worldid] = state.overflow[worldid] | overflow_bits(usage, worldid)

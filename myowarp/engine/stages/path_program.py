@@ -1,0 +1,174 @@
+"""The tendons of a model as a program for `kernels.muscle_path`, and the arrays that it runs on."""
+
+import math
+from typing import Any
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+from myowarp.engine.stages.arrays import filled
+from myowarp.engine.stages.muscle_path_kernel import (
+    Drive,
+    Path,
+    PathOp,
+    PathProgram,
+    Pose,
+    Transmission,
+    muscle_path,
+)
+from myowarp.engine.stages.wrap import CYLINDER, SPHERE, STRAIGHT
+from myowarp.kernels.batching import num_threads
+from myowarp.models.couplings import POINT_JOINTS
+
+_WRAP = mujoco.mjtWrap
+_KINDS = {_WRAP.mjWRAP_SPHERE.value: int(SPHERE), _WRAP.mjWRAP_CYLINDER.value: int(CYLINDER)}
+_SITE, _PULLEY = _WRAP.mjWRAP_SITE.value, _WRAP.mjWRAP_PULLEY.value
+_TENDON = mujoco.mjtTrn.mjTRN_TENDON.value
+_JOINT = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
+
+
+def path_obstacle(model: mujoco.MjModel) -> str | None:
+    """Return what in a model a path program cannot express, None if it can all."""
+    if not model.ntendon:
+        return "no tendons"
+    if np.any(model.wrap_type == _WRAP.mjWRAP_JOINT):
+        return "a tendon that is a sum of joint angles"
+    on_joint = np.isin(model.actuator_trntype, _JOINT)
+    if not np.all(on_joint | (model.actuator_trntype == _TENDON)):
+        return "an actuator that is neither on a tendon nor on a joint"
+    if not np.all(np.isin(model.jnt_type[model.actuator_trnid[on_joint, 0]], POINT_JOINTS)):
+        return "an actuator on a ball or free joint"
+    return None
+
+
+def _struct_array(struct: Any, values: list[tuple[Any, ...]]) -> wp.array:
+    """Return an array of Warp structs, each given by its fields in order."""
+    return wp.array(np.array(values, dtype=struct.numpy_dtype()), dtype=struct)
+
+
+class MusclePaths:
+    """The tendons and actuators of all worlds, followed in one launch.
+
+    `launch` takes the place of mujoco-warp's `tendon`, `transmission` and actuator velocities. Positions of
+    sites, sizes of geoms and gears are read from the model in every launch, so they may differ from world to
+    world; the length of what stays within one body is computed here if the sites are those of all worlds.
+
+    Attributes:
+        program: The tendons.
+        pose: What the kernel reads of `mujoco_warp.Data`.
+        transmission: What it writes.
+    """
+
+    def __init__(self, host: mujoco.MjModel, model: mjw.Model, data: mjw.Data) -> None:
+        """Compile the tendons of `host`, from which `model` was made; all arrays stay those of `data`.
+
+        Raises:
+            NotImplementedError: The model holds what `path_obstacle` names.
+        """
+        if obstacle := path_obstacle(host):
+            raise NotImplementedError(f"the muscle path kernel cannot do {obstacle}; use mujoco-warp's own")
+        self._host, self._fixed_sites = host, model.site_pos.shape[0] == 1
+        self._ops: list[tuple[Any, ...]] = []
+        self._crossings: list[tuple[int, int]] = []
+        self._num_worlds, self._threads = data.nworld, num_threads(data.qpos.device, host.ntendon)
+        rows = np.concatenate([[0], np.cumsum(self._moment_sizes())])
+        paths: list[tuple[Any, ...]] = []
+        drives: list[tuple[Any, ...]] = []
+        for tendon in range(host.ntendon):
+            first_op, first_drive = len(self._ops), len(drives)
+            fixed_length = self._compile(tendon)
+            pulled = (host.actuator_trntype == _TENDON) & (host.actuator_trnid[:, 0] == tendon)
+            drives += [(actuator, rows[actuator], -1, -1) for actuator in np.flatnonzero(pulled)]
+            row, num_dofs = host.ten_J_rowadr[tendon], host.ten_J_rownnz[tendon]
+            paths.append((fixed_length, first_op, len(self._ops), row, num_dofs, first_drive, len(drives)))
+        first_joint_drive = len(drives)
+        for actuator in np.flatnonzero(np.isin(host.actuator_trntype, _JOINT)):
+            joint = host.actuator_trnid[actuator, 0]
+            drives.append((actuator, rows[actuator], host.jnt_qposadr[joint], host.jnt_dofadr[joint]))
+
+        self.program = PathProgram()
+        with wp.ScopedDevice(data.qpos.device):
+            self.program.paths = _struct_array(Path, paths)
+            self.program.ops = _struct_array(PathOp, self._ops)
+            self.program.drives = _struct_array(Drive, drives)
+            self.program.crossings = wp.array(np.array(self._crossings).reshape(-1, 2), dtype=wp.vec2i)
+            self.program.dofs = wp.array(host.ten_J_colind, dtype=int)
+        self.program.first_joint_drive = first_joint_drive
+        for name in ("site_pos", "geom_size", "actuator_gear"):
+            setattr(self.program, name, getattr(model, name))
+        self.pose, self.transmission = filled(Pose, data), filled(Transmission, data)
+
+    def _moment_sizes(self) -> np.ndarray:
+        """Return the number of dofs that each actuator acts on."""
+        host = self._host
+        on_tendon = host.actuator_trntype == _TENDON
+        return np.where(on_tendon, host.ten_J_rownnz[np.where(on_tendon, host.actuator_trnid[:, 0], 0)], 1)
+
+    def _compile(self, tendon: int) -> float:
+        """Append the segments of a tendon; returns the length of those that are fixed [m]."""
+        host, scale, fixed_length = self._host, 1.0, 0.0
+        at = host.tendon_adr[tendon]
+        last = at + host.tendon_num[tendon] - 1
+        kinds, objects = host.wrap_type, host.wrap_objid
+        while at < last:
+            if kinds[at] == _PULLEY:
+                scale = 1.0 / host.wrap_prm[at]
+                at += 1
+            elif kinds[at + 1] == _PULLEY:
+                at += 1
+            elif kinds[at + 1] == _SITE:
+                near, far = objects[at], objects[at + 1]
+                if self._fixed_sites and host.site_bodyid[near] == host.site_bodyid[far]:
+                    fixed_length += scale * math.dist(host.site_pos[far], host.site_pos[near])
+                else:
+                    self._add(tendon, int(STRAIGHT), near, far, scale)
+                at += 1
+            else:
+                kind, side = _KINDS[int(kinds[at + 1])], round(host.wrap_prm[at + 1])
+                self._add(tendon, kind, objects[at], objects[at + 2], scale, objects[at + 1], side)
+                at += 2
+        return fixed_length
+
+    def _add(
+        self, tendon: int, kind: int, near: int, far: int, scale: float, geom: int = 0, side: int = -1
+    ) -> None:
+        """Append a segment between two sites."""
+        host = self._host
+        near_body, far_body = host.site_bodyid[near], host.site_bodyid[far]
+        middle_body = near_body if kind == int(STRAIGHT) else host.geom_bodyid[geom]
+        side_body = host.site_bodyid[side] if side >= 0 else 0
+        ends = ((near_body, far_body), (near_body, middle_body), (middle_body, far_body))
+        links = [self._link(tendon, *bodies) for bodies in ends]
+        self._ops.append((kind, near, near_body, far, far_body, geom, side, side_body, scale, *links))
+
+    def _link(self, tendon: int, near_body: int, far_body: int) -> tuple[int, ...]:
+        """Append the dofs that move one of two bodies against the other; returns the fields of a `Link`."""
+        host, spans = self._host, [len(self._crossings)]
+        first = host.ten_J_rowadr[tendon]
+        dofs = host.ten_J_colind[first : first + host.ten_J_rownnz[tendon]].tolist()
+        near, far = self._chain(near_body), self._chain(far_body)
+        for moving in (near - far, far - near):
+            self._crossings += [(dof, first + dofs.index(dof)) for dof in sorted(moving)]
+            spans.append(len(self._crossings))
+        return host.body_rootid[near_body], host.body_rootid[far_body], *spans
+
+    def _chain(self, body: int) -> set[int]:
+        """Return the dofs that move a body."""
+        host, dofs = self._host, set[int]()
+        while body:
+            first = host.body_dofadr[body]
+            dofs.update(range(first, first + host.body_dofnum[body]))
+            body = host.body_parentid[body]
+        return dofs
+
+    def launch(self) -> None:
+        """Launch `muscle_path`; body poses, `geom_xpos` and `cdof` have to be those of `qpos`."""
+        program, pose, transmission, threads = self.program, self.pose, self.transmission, self._threads
+        wp.launch(
+            muscle_path,
+            dim=(self._num_worlds, threads),
+            inputs=[program, threads, pose],
+            outputs=[transmission],
+        )

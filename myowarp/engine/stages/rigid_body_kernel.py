@@ -1,0 +1,143 @@
+"""Rigid bodies: all that follows from positions and velocities alone, in one thread, on the CPU device.
+
+Poses along the tree, composite inertias, the joint-space inertia M, the bias force c of
+`M qacc + c = forces` and the passive forces of joints (Featherstone, Rigid Body Dynamics Algorithms, 2008,
+chapters 4 to 6; motions are about the centre of mass of their tree, MuJoCo documentation, Computation). The
+engine makes twenty launches of this, most of which do little more than read what the last one wrote.
+"""
+
+from pathlib import Path
+
+import warp as wp
+from mujoco_warp._src.types import vec10
+
+SOURCE = Path(__file__).with_name("rigid_body.cpp").read_text()
+
+
+@wp.struct
+class RigidBodies:
+    """Bodies, joints, and what is fixed to them; fields are those of the engine's `Model` and `Option`."""
+
+    gravity: wp.array[wp.vec3]
+    body_parentid: wp.array[int]
+    body_rootid: wp.array[int]
+    body_weldid: wp.array[int]
+    body_mocapid: wp.array[int]
+    body_jntnum: wp.array[int]
+    body_jntadr: wp.array[int]
+    body_pos: wp.array2d[wp.vec3]
+    body_quat: wp.array2d[wp.quat]
+    body_ipos: wp.array2d[wp.vec3]
+    body_iquat: wp.array2d[wp.quat]
+    body_mass: wp.array2d[float]
+    body_subtreemass: wp.array2d[float]
+    body_inertia: wp.array2d[wp.vec3]
+    jnt_type: wp.array[int]
+    jnt_qposadr: wp.array[int]
+    jnt_dofadr: wp.array[int]
+    jnt_pos: wp.array2d[wp.vec3]
+    jnt_axis: wp.array2d[wp.vec3]
+    jnt_stiffness: wp.array2d[float]
+    jnt_stiffnesspoly: wp.array2d[wp.vec2]
+    dof_bodyid: wp.array[int]
+    dof_parentid: wp.array[int]
+    dof_armature: wp.array2d[float]
+    dof_damping: wp.array2d[float]
+    dof_dampingpoly: wp.array2d[wp.vec2]
+    qpos0: wp.array2d[float]
+    qpos_spring: wp.array2d[float]
+    M_rownnz: wp.array[int]
+    M_rowadr: wp.array[int]
+    geom_bodyid: wp.array[int]
+    geom_pos: wp.array2d[wp.vec3]
+    geom_quat: wp.array2d[wp.quat]
+    site_bodyid: wp.array[int]
+    site_pos: wp.array2d[wp.vec3]
+    site_quat: wp.array2d[wp.quat]
+
+
+@wp.struct
+class Switches:
+    """What acts; without `dynamics`, only poses of bodies and of some sites are computed."""
+
+    dynamics: bool
+    has_gravity: bool
+    has_springs: bool
+    has_dampers: bool
+
+
+@wp.struct
+class Pose:
+    """Where everything is; fields are those of the engine's `Data`."""
+
+    mocap_pos: wp.array2d[wp.vec3]
+    mocap_quat: wp.array2d[wp.quat]
+    xpos: wp.array2d[wp.vec3]
+    xquat: wp.array2d[wp.quat]
+    xmat: wp.array2d[wp.mat33]
+    xipos: wp.array2d[wp.vec3]
+    ximat: wp.array2d[wp.mat33]
+    xanchor: wp.array2d[wp.vec3]
+    xaxis: wp.array2d[wp.vec3]
+    geom_xpos: wp.array2d[wp.vec3]
+    geom_xmat: wp.array2d[wp.mat33]
+    site_xpos: wp.array2d[wp.vec3]
+    site_xmat: wp.array2d[wp.mat33]
+
+
+@wp.struct
+class BodyMotion:
+    """Inertias, velocities and forces; fields are those of the engine's `Data`."""
+
+    subtree_com: wp.array2d[wp.vec3]
+    cinert: wp.array2d[vec10]
+    crb: wp.array2d[vec10]
+    cdof: wp.array2d[wp.spatial_vector]
+    cdof_dot: wp.array2d[wp.spatial_vector]
+    cvel: wp.array2d[wp.spatial_vector]
+    cacc: wp.array2d[wp.spatial_vector]
+    cfrc_int: wp.array2d[wp.spatial_vector]
+    M: wp.array2d[float]
+    qfrc_bias: wp.array2d[float]
+    qfrc_spring: wp.array2d[float]
+    qfrc_damper: wp.array2d[float]
+    qfrc_passive: wp.array2d[float]
+
+
+@wp.func_native(SOURCE)
+def move_worlds(
+    thread: int,
+    threads: int,
+    bodies: RigidBodies,
+    switches: Switches,
+    sites: wp.array[int],
+    mask: wp.array[bool],
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    pose: Pose,
+    motion: BodyMotion,
+):
+    """Set pose and motion of every `threads`-th world, if it is in the mask."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def move_bodies(
+    # Model:
+    bodies: RigidBodies,
+    # Params:
+    switches: Switches,
+    # Data in:
+    qpos_in: wp.array2d[float],
+    qvel_in: wp.array2d[float],
+    # In:
+    threads: int,
+    sites: wp.array[int],
+    mask: wp.array[bool],
+    # Data out:
+    pose_out: Pose,
+    motion_out: BodyMotion,
+):
+    """x = x(qpos), M = sum_b J_b' I_b J_b, c = sum_b J_b' (I_b a_b + v_b x I_b v_b) with qacc = 0."""
+    thread = wp.tid()
+    move_worlds(thread, threads, bodies, switches, sites, mask, qpos_in, qvel_in, pose_out, motion_out)

@@ -1,0 +1,22 @@
+"""How kernels walk through worlds: rows of batched arrays, and in how many threads."""
+
+import warp as wp
+
+
+@wp.func
+def batched(world: int, size: int) -> int:
+    """Return a world's row of an array with `size` of them, world % size; a division takes long."""
+    if world < size:
+        return world
+    if size == 1:
+        return 0
+    return world % size
+
+
+def num_threads(device: wp.Device, number: int) -> int:
+    """Return in how many threads to walk through a number of things.
+
+    One for each on a GPU; a single one on the CPU, which runs them in turn and copies a launch's arguments
+    for every one.
+    """
+    return 1 if device.is_cpu else number

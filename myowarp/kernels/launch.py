@@ -1,0 +1,44 @@
+"""Launch a kernel by the names of its parameters."""
+
+import inspect
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+
+@cache
+def _parameters(kernel: wp.Kernel) -> tuple[str, ...]:
+    return tuple(inspect.signature(kernel.func).parameters)
+
+
+def launch(kernel: wp.Kernel, dim: int | tuple[int, ...], *owners: object, **given: Any) -> None:
+    """Launch a kernel whose arguments are found by name.
+
+    A parameter `x`, `x_in` or `x_out` is what is given as `x`, else the attribute `x` of the first owner that
+    has it. `wp.launch` takes arguments by position and checks only dtype and rank, so that swapped arrays of
+    one kind would go unseen.
+
+    Args:
+        kernel: The kernel.
+        dim: Its threads.
+        *owners: Objects whose attributes are arguments.
+        **given: Arguments by the parameter's name, without `_in` or `_out`.
+
+    Raises:
+        TypeError: An argument is missing, or given and not wanted.
+    """
+    names = [name.removesuffix("_in").removesuffix("_out") for name in _parameters(kernel)]
+    if surplus := given.keys() - set(names):
+        raise TypeError(f"kernel {kernel.key} takes {', '.join(names)}, got {', '.join(sorted(surplus))} too")
+    wp.launch(kernel, dim=dim, inputs=[_argument(kernel, name, owners, given) for name in names])
+
+
+def _argument(kernel: wp.Kernel, name: str, owners: tuple[object, ...], given: dict[str, Any]) -> Any:
+    if name in given:
+        return given[name]
+    for owner in owners:
+        if hasattr(owner, name):
+            return getattr(owner, name)
+    kinds = ", ".join(type(owner).__name__ for owner in owners)
+    raise TypeError(f"kernel {kernel.key} needs {name!r}; it is not given, and no attribute of {kinds}")

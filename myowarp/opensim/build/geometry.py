@@ -1,0 +1,348 @@
+"""Bodies and joints: a `Model` -> MuJoCo's MjSpec, exact in every frame.
+
+A joint's moves become slides and hinges of the child body in the same order; constant moves and offsets
+fold into the body's pose. The body `ground` keeps OpenSim's axes and is turned so that up is z.
+A coordinate is identified with the first move that is linear in it; what follows a coordinate by a spline
+or coupler becomes a joint of its own, tied by an equality to a quartic (see `fit`). Masses of zero get a
+floor where MuJoCo needs one. Every deviation is noted.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from myowarp.opensim.elements import Pose
+from myowarp.opensim.build.quartics import Quartic, fit_all
+from myowarp.opensim.functions import IDENTITY, Composed, Constant, Function, Multiplier, affine
+from myowarp.opensim.kinematics import about, sampling_range
+from myowarp.opensim.mapping import CoordinateMap, Dependent, MappedCoordinate
+from myowarp.opensim.model import GROUND, Joint, Model, Move, Note
+
+Array = np.ndarray
+
+HINGE, SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+
+MIN_MASS = 1e-3  # kg, of a moving body that has none
+MIN_INERTIA = 1e-6  # kg m^2
+MAX_JOINTS = 6  # of one body, in MuJoCo
+PHANTOM_INERTIA = 1e-3  # kg m^2, of a phantom whose angle runs over about 2 rad
+TIED_ARMATURE = {HINGE: 1e-3, SLIDE: 0.1}
+"""kg m^2 and kg, of a joint that follows another one: keeps the equality stiff where its body is light, as a
+patella is, and adds about 1e-3 kg m^2 at most to the joint that it follows."""
+ANGLE_LEVER = 0.05  # m: an angle that follows a spline is fitted as the travel of a point this far out
+TIGHT = ((0.004, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0))
+"""solref and solimp of equalities: the stiffest that a step of 2 ms allows."""
+
+
+@dataclass(frozen=True)
+class Demand:
+    """A joint that has to have the value function(coordinate), coordinate being free."""
+
+    joint: str
+    function: Function
+    coordinate: str
+    lever: float
+    """What one unit of the joint counts for [m]."""
+
+
+@dataclass
+class Build:
+    """What grows while a model is converted."""
+
+    model: Model
+    spec: mujoco.MjSpec
+    bodies: dict[str, mujoco.MjsBody]
+    """By name in the OpenSim model."""
+    carriers: dict[str, tuple[str, float]] = field(default_factory=dict)
+    """Coordinate: joint that shows it, and scale."""
+    demands: list[Demand] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
+    names: set[tuple[str, str]] = field(default_factory=set)
+
+    def free_name(self, kind: str, name: str) -> str:
+        """Return a name that no other element of this kind has, and reserve it."""
+        unique, number = name or kind, 2
+        while (kind, unique) in self.names:
+            unique, number = f"{name}_{number}", number + 1
+        self.names.add((kind, unique))
+        return unique
+
+
+def begin(model: Model) -> Build:
+    """Return a spec with the bodies and joints of a model, not yet with what its coordinates demand."""
+    spec = mujoco.MjSpec()
+    spec.modelname = model.name
+    spec.compiler.degree = False
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+    spec.option.timestep = 0.002
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    turn = upright(model.gravity)
+    spec.option.gravity = turn @ model.gravity
+    ground = spec.worldbody.add_body(name=GROUND, quat=quaternion(turn))
+    build = Build(model, spec, {GROUND: ground}, names={("body", "world"), ("body", GROUND)})
+    moving = _moving_masses(model)
+    for joint in model.joints.values():
+        _add_body(build, joint, moving)
+    return build
+
+
+def upright(gravity: Array) -> Array:
+    """Return the rotation (3, 3) that turns the axis nearest to up, y where there is no gravity, to z."""
+    up = np.array([0.0, 1.0, 0.0])
+    if np.abs(gravity).max() > 0:
+        axis = int(np.argmax(np.abs(gravity)))
+        up = -np.sign(gravity[axis]) * np.eye(3)[axis]
+    across = np.cross(up, [0.0, 0.0, 1.0])
+    if not across.any():
+        return np.eye(3) if up[2] > 0 else np.diag([1.0, -1.0, -1.0])
+    return about(across, np.array([np.pi / 2]))[0].round()
+
+
+def quaternion(rotation: Array) -> Array:
+    """Return the quaternion (w, x, y, z) of a rotation matrix."""
+    result = np.zeros(4)
+    mujoco.mju_mat2Quat(result, rotation.ravel())
+    return result / np.linalg.norm(result)
+
+
+def reduced(model: Model, function: Function, coordinate: str | None) -> tuple[Function, str | None]:
+    """Return the same motion as a function of a free coordinate, or as a constant and None."""
+    while coordinate is not None:
+        if coordinate in model.couplers:
+            coupler = model.couplers[coordinate]
+            inner = coupler.function
+            function = inner if affine(function) == (1.0, 0.0) else Composed(function, inner)
+            coordinate = coupler.independent
+        elif model.coordinates[coordinate].locked:
+            return Constant(float(function.value(model.coordinates[coordinate].default))), None
+        else:
+            break
+    line = affine(function)
+    if coordinate is None or (line is not None and line[0] == 0):
+        return Constant(float(function.value(0.0))), None
+    return function, coordinate
+
+
+def _elementary(move: Move, value: float) -> Pose:
+    """Return a move by a value [m] or [rad] as a pose."""
+    if move.kind == "slide":
+        return Pose(value * move.axis, np.eye(3))
+    return Pose(np.zeros(3), about(move.axis, np.array([value]))[0])
+
+
+def _add_body(build: Build, joint: Joint, moving: dict[str, float]) -> None:
+    """Add the child of a joint with its MuJoCo joints."""
+    model = build.model
+    fixed = Pose(np.zeros(3), np.eye(3))
+    placed: list[tuple[Move, Pose, str, float, float]] = []
+    carried = _carriers(model, joint)
+    for index, move in enumerate(joint.moves):
+        function, free = reduced(model, move.function, move.coordinate)
+        if free is None:
+            fixed = fixed @ _elementary(move, float(function.value(0.0)))
+            continue
+        line = affine(move.function)
+        sign, scale = 1.0, 1.0
+        if line is not None:
+            fixed = fixed @ _elementary(move, line[1])
+            sign, scale = (1.0 if line[0] > 0 else -1.0), abs(line[0])
+        if carried.get(index) is not None and move.coordinate is not None:
+            name = build.free_name("joint", move.coordinate)
+            build.carriers[move.coordinate] = (name, scale)
+            function = Multiplier(IDENTITY, scale)
+        else:
+            name = build.free_name("joint", f"{joint.name}_{move.kind}{index + 1}")
+            function = move.function if line is None else Multiplier(IDENTITY, scale)
+        lever = 1.0 if move.kind == "slide" else ANGLE_LEVER
+        if carried.get(index) is None or move.coordinate in model.couplers:
+            function, free = reduced(model, function, move.coordinate)
+            if free is not None:
+                build.demands.append(Demand(name, function, free, lever))
+        placed.append((move, fixed, name, sign, scale))
+    total = fixed @ joint.child_frame.inverse()
+    back = total.inverse()
+    body, pose = build.bodies[joint.parent], joint.parent_frame @ total
+    for first in range(0, max(len(placed), 1), MAX_JOINTS):
+        last = first + MAX_JOINTS >= len(placed)
+        name = joint.child if last else f"{joint.child}-moved"
+        body = body.add_body(
+            name=build.free_name("body", name), pos=pose.position, quat=quaternion(pose.rotation)
+        )
+        pose = Pose(np.zeros(3), np.eye(3))
+        for move, at, name, sign, scale in placed[first : first + MAX_JOINTS]:
+            local = back @ at
+            added = body.add_joint(name=name, type=SLIDE if move.kind == "slide" else HINGE)
+            added.axis, added.pos = sign * local.rotation @ move.axis, local.position
+            if any(demand.joint == name for demand in build.demands):
+                added.armature = TIED_ARMATURE[added.type]
+            _limit(build, added, move, scale)
+        if not last:
+            body.explicitinertial, body.mass, body.ipos = True, MIN_MASS, np.zeros(3)
+            body.inertia = (MIN_INERTIA,) * 3
+            rule = "moves by more joints than a body may have; some are on a light body before it"
+            bound = f"{MIN_MASS:g} kg, {MIN_INERTIA:g} kg m^2"
+            build.notes.append(Note(f"/bodyset/{joint.child}", rule, bound))
+    build.bodies[joint.child] = body
+    _add_inertia(build, joint.child, body, floor=bool(placed) and moving[joint.child] <= 0)
+
+
+def _carriers(model: Model, joint: Joint) -> dict[int, str]:
+    """Return which moves show a coordinate: the first with slope 1 or -1, else the first that is linear."""
+    found: dict[str, tuple[bool, int]] = {}
+    for index, move in enumerate(joint.moves):
+        line = affine(move.function)
+        if move.coordinate is None or line is None or line[0] == 0:
+            continue
+        unit = abs(line[0]) == 1
+        if move.coordinate not in found or (unit and not found[move.coordinate][0]):
+            found[move.coordinate] = unit, index
+    return {index: name for name, (_, index) in found.items()}
+
+
+def _limit(build: Build, added: mujoco.MjsJoint, move: Move, scale: float) -> None:
+    """Give a joint that shows a free coordinate its range, and limit it there where the file does."""
+    name = move.coordinate
+    if name is None or build.carriers.get(name, ("", 0.0))[0] != added.name or name in build.model.couplers:
+        return
+    coordinate = build.model.coordinates[name]
+    low, high = coordinate.range
+    if low < high:
+        limits = mujoco.mjtLimited
+        added.range = scale * low, scale * high
+        added.limited = limits.mjLIMITED_TRUE if coordinate.clamped else limits.mjLIMITED_FALSE
+
+
+def _moving_masses(model: Model) -> dict[str, float]:
+    """Return for every body its mass and that of all bodies that do not move relative to it [kg]."""
+    total = {name: body.mass for name, body in model.bodies.items()}
+    for joint in reversed(tuple(model.joints.values())):
+        still = all(reduced(model, move.function, move.coordinate)[1] is None for move in joint.moves)
+        if still and joint.parent != GROUND:
+            total[joint.parent] += total[joint.child]
+    return total
+
+
+def _add_inertia(build: Build, name: str, body: mujoco.MjsBody, floor: bool) -> None:
+    """Give a body its mass and inertia, repaired where MuJoCo would refuse them."""
+    source = build.model.bodies[name]
+    mass = source.mass
+    xx, yy, zz, xy, xz, yz = source.inertia
+    values, axes = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    if floor:
+        mass, values = MIN_MASS, np.maximum(values, MIN_INERTIA)
+        build.notes.append(
+            Note(
+                f"/bodyset/{name}",
+                "moves without mass; given a small one",
+                f"{MIN_MASS:g} kg, {MIN_INERTIA:g} kg m^2",
+            )
+        )
+    elif mass > 0 and values[0] < 1e-12:
+        lift = np.maximum(values, MIN_INERTIA * min(1.0, mass))
+        bound = f"{float((lift - values).max()):.3g} kg m^2"
+        build.notes.append(
+            Note(f"/bodyset/{name}", "its inertia is not positive; least moments were raised", bound)
+        )
+        values = lift
+    lack = values[2] - values[0] - values[1]
+    if mass > 0 and lack > 1e-9 * values[2]:
+        values = values + np.array([lack, lack, 0.0]) / 2
+        build.notes.append(
+            Note(
+                f"/bodyset/{name}",
+                "its moments of inertia break A + B >= C; the lesser ones were raised",
+                f"{lack / 2:.3g} kg m^2",
+            )
+        )
+    if mass > 0:
+        if np.linalg.det(axes) < 0:
+            axes = axes * [1.0, 1.0, -1.0]
+        body.explicitinertial, body.mass, body.ipos = True, mass, source.mass_center
+        body.inertia, body.iquat = values, quaternion(axes)
+
+
+def tie(build: Build) -> CoordinateMap:
+    """Add phantoms and equalities for all demands, and return how coordinates and joints belong together."""
+    model, dependents = build.model, []
+    for name in dict.fromkeys(demand.coordinate for demand in build.demands):
+        if name not in build.carriers:
+            build.carriers[name] = (add_phantom(build, name), 1.0)
+            build.notes.append(
+                Note(
+                    f"/jointset/{model.coordinates[name].joint}/{name}",
+                    "no axis is linear in it; a phantom joint shows it",
+                    "0",
+                )
+            )
+        dependents += _tied(build, name, [demand for demand in build.demands if demand.coordinate == name])
+    for dependent in dependents:
+        equality = build.spec.add_equality(name=dependent.joint, type=mujoco.mjtEq.mjEQ_JOINT)
+        equality.name1, equality.name2 = dependent.joint, dependent.of
+        equality.data[:5] = dependent.polynomial
+        equality.solref, equality.solimp = TIGHT
+    return CoordinateMap(tuple(_mapped(build, name) for name in model.coordinates), tuple(dependents))
+
+
+def _tied(build: Build, name: str, demands: Sequence[Demand]) -> list[Dependent]:
+    """Return the joints that follow one coordinate, phantoms first."""
+    carrier, scale = build.carriers[name]
+    lines = {demand.joint: affine(demand.function) for demand in demands}
+    exact = [
+        Dependent(joint, carrier, (line[1], line[0] / scale, 0.0, 0.0, 0.0), 0.0, 0.0)
+        for joint, line in lines.items()
+        if line is not None
+    ]
+    bent = [demand for demand in demands if lines[demand.joint] is None]
+    if not bent:
+        return exact
+    low, high = sampling_range(build.model, name)
+    fit = fit_all([d.function for d in bent], [d.lever for d in bent], low, high)
+    phantoms = [add_phantom(build, f"{name}_phantom{index + 1}") for index in range(len(fit.phantoms))]
+
+    def follow(joint: str, quartic: Quartic) -> Dependent:
+        of, coefficients = quartic.of, np.array(quartic.coefficients)
+        if of is None:
+            coefficients = coefficients / scale ** np.arange(5)
+        a, b, c, d, e = coefficients.tolist()
+        parent = carrier if of is None else phantoms[of]
+        return Dependent(joint, parent, (a, b, c, d, e), quartic.error, quartic.slope_error)
+
+    chain = [follow(joint, quartic) for joint, quartic in zip(phantoms, fit.phantoms, strict=True)]
+    ends = [follow(demand.joint, quartic) for demand, quartic in zip(bent, fit.functions, strict=True)]
+    for demand, end in zip(bent, ends, strict=True):
+        unit = "m" if demand.lever == 1 else "rad"
+        slope = f"slope {end.slope_error:.2g} {unit} per unit of {name} root mean square"
+        build.notes.append(
+            Note(f"/joint/{demand.joint}", f"follows {name} by a quartic", f"{end.error:.2g} {unit}; {slope}")
+        )
+    return exact + chain + ends
+
+
+def add_phantom(build: Build, name: str) -> str:
+    """Add a body on ground that only carries a hinge, and return the hinge's name."""
+    body = build.bodies[GROUND].add_body(name=build.free_name("body", name))
+    joint = build.free_name("joint", name)
+    body.add_joint(name=joint, type=HINGE, axis=(1.0, 0.0, 0.0))
+    body.explicitinertial, body.mass, body.ipos = True, MIN_MASS, np.zeros(3)
+    body.inertia = (PHANTOM_INERTIA,) * 3
+    return joint
+
+
+def _mapped(build: Build, name: str) -> MappedCoordinate:
+    """Return the entry of a coordinate in the map."""
+    coordinate = build.model.coordinates[name]
+    coupled = name in build.model.couplers
+    kind = "coupled" if coupled else "locked" if coordinate.locked else "free"
+    joint, scale = build.carriers.get(name, (None, 1.0))
+    return MappedCoordinate(
+        name,
+        joint,
+        scale,
+        kind,
+        coordinate.rotational,
+        coordinate.default,
+        sampling_range(build.model, name),
+        coordinate.clamped,
+    )

@@ -1,0 +1,172 @@
+"""The command `myowarp convert`: an .osim file -> a folder with a MuJoCo model, its sidecars and a report."""
+
+import dataclasses
+import importlib.util
+import json
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import mujoco
+import tyro
+from rich.console import Console
+
+from myowarp.disk import check_folder, files_digest, in_place
+from myowarp.opensim.model import Model, Note, pulling
+from myowarp.progress import patient_bar
+
+if TYPE_CHECKING:
+    from myowarp.opensim.fit import Samples
+    from myowarp.opensim.fitted import Fits
+
+NO_FITS = "paths and muscles' forces are not fitted: it needs SciPy; pip install 'myowarp[convert]'"
+PATIENCE = 1.0
+"""[s] after which a progress bar is drawn."""
+COMPLETE = ("report.json", "report.html", "model.xml")
+"""Files that show that a folder holds a whole result: the first to go and the last to come."""
+
+
+@dataclass
+class Convert:
+    """Convert an OpenSim model to MuJoCo: bodies, joints, muscles, with a report of what is not exact.
+
+    Writes model.xml, coordinates.json (how coordinates and joints belong together), muscles.csv (the Hill
+    parameters of the file), report.json and report.html, and meshes where they are found. Works without
+    OpenSim. Run again, an interrupted conversion continues.
+
+    Example: myowarp convert arm26.osim -o out/arm26
+    """
+
+    model: Annotated[Path, tyro.conf.Positional]
+    """The model, .osim, documents 30000 to 40600."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/model")
+    """Folder for the result."""
+    meshes: tuple[Path, ...] = ()
+    """More folders with .vtp, .stl or .obj files; the model's own and Geometry beside it are searched."""
+    method: Literal["least_squares", "paper"] = "least_squares"
+    """Of the fits; paper: simulated annealing and differential evolution, slow, for comparison."""
+    reference: Literal["own", "opensim"] = "own"
+    """Of the check's lengths and moment arms: our own path code, or OpenSim, which has to be installed."""
+    workers: int = 0
+    """Processes that fit muscles; 0: one per core."""
+    strict: bool = False
+    """Fail if a stated gate is missed; the result is written all the same."""
+    json: bool = False
+    """Print the report as JSON instead of a summary."""
+
+    def __call__(self) -> None:
+        """Convert, check, write."""
+        report = run(self.model, self.output, self.meshes, self.method, self.workers, self.reference)
+        if self.json:
+            print(json.dumps(report, indent=1))
+        else:
+            _summarize(report, self.output)
+        missed = [gate for gate in report["gates"] if not gate["passed"]]
+        if self.strict and missed:
+            said = "; ".join(
+                f"{g['name']} {g['value']:.3g} {g['unit']} (at most {g['bound']:g})" for g in missed
+            )
+            raise ValueError(f"{self.model}: {len(missed)} gates of --strict missed: {said}")
+
+
+def _summarize(report: dict[str, Any], output: Path) -> None:
+    console = Console(highlight=False, soft_wrap=True)
+    counts = report["counts"]
+    console.print(f"{output}/model.xml: {counts['joints']} joints, {counts['muscles']} muscles")
+    for gate in report["gates"]:
+        mark = "within" if gate["passed"] else "beyond"
+        console.print(f"{gate['name']}: {gate['value']:.2g} {gate['unit']}, {mark} {gate['bound']:g}")
+    console.print(f"{len(report['notes'])} notes on what is not exact, in {output}/report.html")
+
+
+def run(
+    source: Path,
+    output: Path,
+    mesh_folders: tuple[Path, ...] = (),
+    method: str = "least_squares",
+    workers: int = 0,
+    reference: str = "own",
+) -> dict[str, Any]:
+    """Convert a file and write the result; the report is written last, the model before it.
+
+    Raises:
+        ValueError: The file is no usable model, or the folder cannot be written.
+        NotImplementedError: The model contains something that is not supported.
+        OSError: A file cannot be read or written.
+    """
+    from myowarp.opensim.build.convert import Options, Stages, convert
+    from myowarp.opensim.build.mjcf import mjcf
+    from myowarp.opensim.muscle.hill import HillMuscle
+    from myowarp.opensim.muscle.table import muscle_table
+    from myowarp.opensim.read.model import read_model
+    from myowarp.opensim.report.data import check, report_of
+    from myowarp.opensim.report.page import page
+
+    if not source.is_file():
+        raise ValueError(f"model {str(source)!r} is no file; give the path of an .osim file")
+    if workers < 0:
+        raise ValueError(f"workers must be at least 0, got {workers}")
+    check_folder(output)
+    begin = time.perf_counter()
+    digest = files_digest([source])
+    model = read_model(source)
+    fits, samples = _fits(model, digest, method, workers)
+    if samples is not None and reference == "opensim":
+        from myowarp.opensim.fit import against_opensim
+
+        fits = against_opensim(source, model, samples, fits)
+    tendons = {name: path.tendon for name, path in fits.paths().items()}
+    stages = Stages(tendons, {fit.name: fit.force for fit in fits.muscles})
+    converted = convert(model, Options(mesh_folders), stages)
+    if pulling(model) and samples is None:
+        note = Note("/forceset", NO_FITS)
+        converted = dataclasses.replace(converted, notes=(*converted.notes, note))
+    converted.spec.meshdir = "meshes" if converted.meshes else ""
+    text = mjcf(converted.spec, comment=f"{model.name}. {model.credits}")
+    compiled = mujoco.MjModel.from_xml_string(text, {**converted.meshes})
+    checked = check(converted, compiled, fits, samples)
+    report = report_of(converted, compiled, checked, digest, reference)
+    report["seconds"] = round(time.perf_counter() - begin, 3)
+    files = {
+        **{f"meshes/{name}": content for name, content in converted.meshes.items()},
+        "coordinates.json": json.dumps(converted.coordinates.as_json(), indent=1).encode(),
+        "muscles.csv": muscle_table(map(HillMuscle.of, model.muscles.values())).encode(),
+        "model.xml": text.encode(),
+        "report.html": page(report, converted, compiled, fits, samples).encode(),
+        "report.json": json.dumps(report, indent=1).encode(),
+    }
+    write(output, files)
+    return report
+
+
+def _fits(model: Model, digest: str, method: str, workers: int) -> tuple["Fits", "Samples | None"]:
+    """Return the fits of all paths in the model's order, and the poses; nothing without SciPy."""
+    from myowarp.opensim.fitted import Fits, MuscleFit
+
+    if importlib.util.find_spec("scipy") is None or not pulling(model):
+        return Fits(), None
+    from myowarp.opensim.fit import PAPER, Methods, fit_muscles, sampled
+
+    methods = PAPER if method == "paper" else Methods()
+    samples, order = sampled(model), list(pulling(model))
+    found = []
+    with patient_bar("Fitting", "paths", len(order), patience=PATIENCE) as advance:
+        for fit in fit_muscles(model, samples, digest, methods, workers or os.cpu_count() or 1):
+            found.append(fit)
+            advance(1)
+    found.sort(key=lambda fit: order.index(fit.name))
+    muscles = [fit for fit in found if isinstance(fit, MuscleFit)]
+    return Fits(muscles, [fit for fit in found if not isinstance(fit, MuscleFit)]), samples
+
+
+def write(output: Path, files: dict[str, bytes]) -> None:
+    """Write files into a folder, each whole; what marks an earlier result as complete goes first."""
+    for name in COMPLETE:
+        (output / name).unlink(missing_ok=True)
+    for name, content in files.items():
+        path = output / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with in_place(path) as scratch:
+            scratch.write_bytes(content)

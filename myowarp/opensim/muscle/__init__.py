@@ -1,0 +1,1 @@
+"""Muscle laws of OpenSim, and MuJoCo's muscle fitted to them."""

@@ -1,0 +1,1 @@
+"""An OpenSim document, read."""

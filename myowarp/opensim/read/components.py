@@ -1,0 +1,108 @@
+"""Everything of an .osim file that stands on bodies and coordinates: forces, constraints, markers, shapes."""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from myowarp.opensim.elements import Shape
+from myowarp.opensim.model import Coupler, Note
+from myowarp.opensim.read import forces as read_forces
+from myowarp.opensim.read import muscles as read_muscles
+from myowarp.opensim.read.document import Element
+from myowarp.opensim.read.frames import FRAMES, Frames
+from myowarp.opensim.read.joints import JOINTS
+from myowarp.opensim.read.muscle_defaults import DEFAULTS
+from myowarp.opensim.read.paths import Scope
+
+READERS: dict[str, tuple[str, Callable[[Element, Scope], Any]]] = {
+    **{tag: ("muscles", read_muscles.read_muscle) for tag in DEFAULTS},
+    "Ligament": ("ligaments", read_muscles.read_ligament),
+    "Blankevoort1991Ligament": ("ligaments", read_muscles.read_ligament),
+    "PathSpring": ("ligaments", read_muscles.read_ligament),
+    "PathActuator": ("path_actuators", read_muscles.read_path_actuator),
+    "CoordinateActuator": ("coordinate_actuators", read_forces.read_coordinate_actuator),
+    "ActivationCoordinateActuator": ("coordinate_actuators", read_forces.read_coordinate_actuator),
+    "TorqueActuator": ("body_actuators", read_forces.read_body_actuator),
+    "PointActuator": ("body_actuators", read_forces.read_body_actuator),
+    "CoordinateLimitForce": ("limit_forces", read_forces.read_limit_force),
+    "SpringGeneralizedForce": ("coordinate_springs", read_forces.read_coordinate_spring),
+    "BushingForce": ("bushings", read_forces.read_bushing),
+    "CoordinateCouplerConstraint": ("couplers", read_forces.read_coupler),
+    "WeldConstraint": ("constraints", read_forces.read_constraint),
+    "PointConstraint": ("constraints", read_forces.read_constraint),
+    "Marker": ("markers", read_forces.read_marker),
+}
+"""OpenSim's class: field of `Model`, and who reads it. Bodies and joints are read before."""
+
+MAX_CHAIN = 30  # couplers in series; composed functions are evaluated recursively
+
+MAPPINGS = ("couplers", "muscles", "ligaments", "markers")
+"""Fields that are looked up by name; the others are tuples."""
+
+INERT = (*FRAMES, "Station", "IMU", "FrameGeometry", "ModelVisualPreferences")
+"""Components that others refer to, or that only record or show."""
+
+
+def read_components(components: list[tuple[str, Element]], scope: Scope) -> dict[str, Any]:
+    """Return the fields of `Model` that `READERS` fills; what nobody reads gets a note."""
+    found: dict[str, dict[str, Any]] = {field: {} for field, _ in READERS.values()}
+    for path, element in components:
+        if element.tag in READERS:
+            field, read = READERS[element.tag]
+            if field != "muscles" and not read_muscles.is_on(element):
+                scope.notes.append(Note(path, "switched off in the file; left out", "0"))
+                continue
+            item = read(element, scope)
+            key = item.dependent if isinstance(item, Coupler) else item.name
+            if key in found[field]:
+                # Names of markers need not differ, and two couplers may want one coordinate.
+                if field == "couplers":
+                    raise element.error(f"drives coordinate {key!r}, as {found[field][key].name!r} does")
+                scope.notes.append(Note(path, f"a second {element.tag} of that name; left out"))
+                continue
+            found[field][key] = item
+            if element.tag == "ActivationCoordinateActuator":
+                scope.notes.append(Note(path, "its activation dynamics are left out; it acts at once"))
+        elif element.tag not in (*INERT, *JOINTS, *read_forces.SHAPES):
+            scope.notes.append(Note(path, f"{element.tag} has no counterpart; left out"))
+    _refuse_cycles(found["couplers"], components)
+    return {
+        field: MappingProxyType(items) if field in MAPPINGS else tuple(items.values())
+        for field, items in found.items()
+    }
+
+
+def _refuse_cycles(couplers: Mapping[str, Coupler], components: list[tuple[str, Element]]) -> None:
+    """Raise if a coordinate depends on itself."""
+    for coupler in couplers.values():
+        seen, name = {coupler.dependent}, coupler.independent
+        while name in couplers and name not in seen:
+            seen.add(name)
+            name = couplers[name].independent
+        if name in seen or len(seen) > MAX_CHAIN:
+            element = next(element for _, element in components if element.name == coupler.name)
+            reason = (
+                "depend on itself" if name in seen else f"depend on another through over {MAX_CHAIN} couplers"
+            )
+            raise element.error(f"makes coordinate {name!r} {reason}")
+
+
+def read_shapes(model: Element, frames: Frames, notes: list[Note]) -> tuple[Shape, ...]:
+    """Return what there is to look at and to collide with."""
+    shapes = []
+    for element in model.walk():
+        if element.tag not in read_forces.SHAPES:
+            continue
+        shape = read_forces.read_shape(element, frames)
+        if shape.kind == "mesh" and not shape.file:
+            notes.append(Note(f"/{element.tag}/{element.name}", "a mesh without a file; left out", "0"))
+            continue
+        shapes.append(shape)
+        if shape.contact:
+            notes.append(
+                Note(
+                    f"/contactgeometryset/{element.name}",
+                    "a geom with MuJoCo's own contact model and parameters",
+                )
+            )
+    return tuple(shapes)

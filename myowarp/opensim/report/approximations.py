@@ -1,0 +1,61 @@
+"""What fitted paths and forces approximate, as notes with the errors found in the poses of the check."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from myowarp.opensim.check.muscles import MomentArmError, Motion, MuscleError
+from myowarp.opensim.elements import ConditionalPathPoint, Path
+from myowarp.opensim.fitted import Fits
+from myowarp.opensim.model import Model, Note, pulling
+from myowarp.opensim.tendon.path import TendonPath, Via
+
+
+def approximations(
+    model: Model,
+    compiled: mujoco.MjModel,
+    fits: Fits,
+    found: Motion,
+    arms: Sequence[MomentArmError],
+    muscles: Sequence[MuscleError],
+) -> list[Note]:
+    """Return a note for every path that is not a row of fixed points, and for every muscle's force.
+
+    Args:
+        model: What was converted.
+        compiled: The result.
+        fits: Its paths and forces.
+        found: Its lengths in the poses of the check.
+        arms: Errors of moment arms there.
+        muscles: Errors of forces there.
+    """
+    notes, references, paths = [], fits.references(), pulling(model)
+    for name, fit in fits.paths().items():
+        rule = _rule(fit.tendon, paths[name])
+        if not rule:
+            continue
+        off = np.abs(found.length[:, compiled.tendon(name).id] - references[name].length)
+        worst = max((pair.rms_all for pair in arms if pair.muscle == name), default=0.0)
+        bound = f"length {1e3 * off.max():.2g} mm at most, moment arms {1e3 * worst:.2g} mm root mean square"
+        notes.append(Note(f"/forceset/{name}", rule, bound))
+    for muscle in muscles:
+        bound = f"{100 * muscle.force_max:.2g} % of max_isometric_force at most, at rest"
+        rule = f"{model.muscles[muscle.muscle].type} became MuJoCo's muscle, its tendon rigid"
+        notes.append(Note(f"/forceset/{muscle.muscle}", rule, bound))
+    return notes
+
+
+def _rule(tendon: TendonPath, path: Path) -> str:
+    """Return what stands for wraps and conditional points, "" for a path that has none."""
+    surfaces = tendon.surfaces
+    shown = {over.name for over in surfaces}
+    said = [f"{over.name} is a {over.surface.kind}" for over in surfaces]
+    passed = {element.point for element in tendon.elements if isinstance(element, Via)}
+    for number, point in enumerate(path.points):
+        name = f"P{number + 1}"
+        if isinstance(point, ConditionalPathPoint) and name not in shown:
+            said.append(f"{name} is {'always' if number in passed else 'never'} passed")
+    wraps = dict.fromkeys(wrap.object.replace("/", "-") for wrap in path.wraps)
+    said += [f"{name} is left out" for name in wraps if name not in shown]
+    return "a path of sites and surfaces: " + ", ".join(said) if said else ""

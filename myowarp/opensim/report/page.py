@@ -1,0 +1,283 @@
+"""The report of a conversion as one page that needs nothing else: `report.html`."""
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from myowarp.opensim.build.convert import Converted
+from myowarp.opensim.report.charts import Line, chart, colored_map, colors, outline
+
+if TYPE_CHECKING:
+    from myowarp.opensim.fit import Samples
+    from myowarp.opensim.fitted import Fits, MuscleFit
+
+MAIN = 3
+"""Coordinates of a muscle whose moment arms are drawn, greatest first."""
+LIGHT = 2e-3
+"""[kg]: what a body of a phantom or a moving point weighs at most."""
+WORST = 1e-3
+"""[m] of moment arm error with the strongest color."""
+LEAST_DIFFERENCE = 0.05
+"""[max_isometric_force] of difference with the strongest color, at least."""
+VIEWS = (("from the right", 0, 1.0), ("from the left", 0, -1.0), ("from the front", 1, 1.0))
+"""Title, axis of the world that points across, and its sign; z is up."""
+STYLE = """
+body { font: 14px/1.45 system-ui, sans-serif; color: #1d2129; max-width: 1180px; margin: 2rem auto;
+ padding: 0 1rem }
+h1 { font-size: 1.5rem; margin-bottom: .2rem } h2 { font-size: 1.15rem; margin: 2.2rem 0 .4rem }
+h3 { font-size: 1rem; margin: 1.4rem 0 0 } p { max-width: 60rem; margin: .2rem 0 .5rem }
+table { border-collapse: collapse; font-size: 12px; font-variant-numeric: tabular-nums }
+th, td { padding: .15rem .5rem; text-align: right; border-bottom: 1px solid #e8eaed } th { font-weight: 600 }
+th:first-child, td:first-child, td.text { text-align: left } .wide { overflow-x: auto }
+th.across { writing-mode: vertical-rl; transform: rotate(180deg); text-align: left; padding: .4rem .15rem }
+.good { color: #1b7f3b } .bad { color: #b3261e; font-weight: 600 } .note { color: #5f6670 }
+.legend span { margin-right: 1.4rem }
+svg { vertical-align: top; font: 9.5px system-ui, sans-serif; fill: #4a4f57 }
+svg .title { font-size: 11px; font-weight: 600; fill: #1d2129 }
+svg polyline { fill: none; stroke-linejoin: round }
+svg .x { text-anchor: middle } svg .y { text-anchor: end } svg .axis { fill: none; stroke: #9aa0a8 }
+svg .axis text { fill: #4a4f57; stroke: none } .reference { stroke: #f0b27a; stroke-width: 5 }
+.slope { stroke: #4a4f57; stroke-width: 1; stroke-dasharray: 2 2 } .own { stroke: #1f5fa8; stroke-width: 1.5 }
+.edge { stroke: #9aa0a8; stroke-width: 11; stroke-linecap: round }
+.bone { stroke: #eceef1; stroke-width: 9; stroke-linecap: round }
+.tendon { stroke-width: 1.6; stroke-linecap: round } .joint { fill: #4a4f57 }
+pre { white-space: pre-wrap; font: inherit } a { color: inherit }
+"""
+MARKS = {True: ("good", "within"), False: ("bad", "beyond")}
+KEYS = (("reference", "OpenSim"), ("slope", "OpenSim, minus slope of the length"), ("own", "converted"))
+"""Classes of lines, and what they are."""
+SAMPLE = '<svg width="30" height="10"><polyline class="{}" points="0,5 30,5"/></svg>'
+
+
+def page(
+    report: Mapping[str, Any],
+    converted: Converted,
+    model: mujoco.MjModel,
+    fits: "Fits",
+    samples: "Samples | None",
+) -> str:
+    """Return the page of a conversion; `report` is the content of report.json."""
+    title = escape(f"{report['name']}: OpenSim to MuJoCo")
+    parts = [
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>',
+        f"<h1>{title}</h1>",
+        f'<p class="note">{escape(report["source"])}, document {report["document"]}, sha256 '
+        f"{report['sha256'][:16]}; {escape(_counts(report['counts']))}.</p>",
+        _gates(report),
+        f"<h2>Default pose</h2>{_pictures(model)}",
+    ]
+    if samples is not None:
+        parts += [_heat(report), _muscles(converted, model, fits.muscles, samples, report)]
+    parts.append(_notes(report["notes"]))
+    for name in ("credits", "publications"):
+        if report[name]:
+            parts.append(f"<h2>{name.capitalize()}</h2><pre>{escape(report[name])}</pre>")
+    return "".join([*parts, "</html>\n"])
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{number} {name}" for name, number in counts.items())
+
+
+def _gates(report: Mapping[str, Any]) -> str:
+    """Return the table of figures with their gates, and of the figures without."""
+    rows = []
+    for gate in report["gates"]:
+        unit, (style, word) = escape(gate["unit"]), MARKS[gate["passed"]]
+        rows.append(
+            f"<tr><td>{escape(gate['name'])}</td><td>{gate['value']:.3g} {unit}</td>"
+            f'<td>{gate["bound"]:g} {unit}</td><td class="{style}">{word}</td></tr>'
+        )
+    table = f"<table><tr><th>figure</th><th>value</th><th>gate</th><th></th></tr>{''.join(rows)}</table>"
+    rows = []
+    for group, scale, unit in (("moment_arms", 1e3, "mm"), ("muscles", 100, "%")):
+        for name, values in report[group]["summary"].items():
+            factor, shown = (
+                (1e3, "mm") if name == "length" else (100, "%") if name == "inconsistent" else (scale, unit)
+            )
+            cells = "".join(f"<td>{factor * values[key]:.3g}</td>" for key in ("mean", "median", "max"))
+            rows.append(f"<tr><td>{escape(FIGURES[name])} [{shown}]</td>{cells}</tr>")
+    if rows:
+        head = "<tr><th>muscles, or muscles and coordinates</th><th>mean</th><th>median</th><th>max</th></tr>"
+        poses = report["muscles"]["poses"]
+        table += (
+            f"<h2>Muscles in {poses} random poses</h2><p>Poses that no fit has seen, every coordinate over "
+            f"its full range. Inconsistent: the two senses of OpenSim's moment arm differ by more than "
+            f"0.1 mm. Forces in % of the maximum isometric force.</p><table>{head}{''.join(rows)}</table>"
+        )
+    return f"<h2>Checks</h2>{table}"
+
+
+FIGURES = {
+    "rms": "moment arm, consistent samples",
+    "rms_slope": "moment arm as slope, consistent samples",
+    "rms_all": "moment arm, all samples",
+    "rms_slope_all": "moment arm as slope, all samples",
+    "inconsistent": "inconsistent samples",
+    "length": "length",
+    "force": "force over length and activation",
+    "force_full": "force, full activation",
+    "force_in_pose": "force, with the converted path's length",
+    "force_max": "force, greatest difference",
+}
+
+
+def _pictures(model: mujoco.MjModel) -> str:
+    """Draw bodies as capsules from joint to joint, and tendons in their colors, from three sides."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    strokes: list[tuple[str, np.ndarray]] = []
+    still = model.body_weldid == 0
+    # Bodies of phantoms and moving points carry next to nothing; they stand for no bone.
+    bones = [body for body in range(1, model.nbody) if not still[body] and model.body_mass[body] > LIGHT]
+    for body in bones:
+        children = [child for child in bones if model.body_parentid[child] == body]
+        # A body at the end of a chain is taken to reach as far beyond its mass centre as this is away.
+        ends = [data.xpos[child] for child in children] or [2 * data.xipos[body] - data.xpos[body]]
+        strokes += [("bone", np.array([data.xpos[body], end])) for end in ends]
+    wraps = data.wrap_xpos.reshape(-1, 3)
+    for tendon, (first, count) in enumerate(zip(data.ten_wrapadr, data.ten_wrapnum, strict=True)):
+        red, green, blue = (255 * model.tendon_rgba[tendon, :3]).astype(int)
+        strokes += [
+            (f"tendon:rgb({red},{green},{blue})", piece) for piece in _pieces(wraps[first : first + count])
+        ]
+    if not strokes:
+        return "<p>Nothing moves.</p>"
+    dots = data.xpos[np.array(bones, int)]
+    pictures = []
+    for title, axis, sign in VIEWS:
+        right, up = np.eye(3)[axis] * sign, np.array([0.0, 0.0, 1.0])
+        away = np.cross(up, right)
+        nearest = sorted(strokes, key=lambda stroke: -float(np.mean(stroke[1] @ away)))
+        turn = np.array([right, up]).T
+        pictures.append(outline(title, [(style, line @ turn) for style, line in nearest], dots @ turn))
+    return f'<div class="wide">{"".join(pictures)}</div>'
+
+
+def _pieces(points: np.ndarray) -> list[np.ndarray]:
+    """Return the straight pieces of a tendon, so that what is nearer can cover what is farther."""
+    return [points[index : index + 2] for index in range(len(points) - 1)]
+
+
+def _heat(report: Mapping[str, Any]) -> str:
+    """Return the table muscle x coordinate of moment arm errors."""
+    pairs = {(pair["muscle"], pair["coordinate"]): pair for pair in report["moment_arms"]["pairs"]}
+    drawn = {muscle["muscle"] for muscle in report["muscles"]["each"]}
+    muscles, coordinates = (list(dict.fromkeys(key[i] for key in pairs)) for i in (0, 1))
+    rows = []
+    for muscle in muscles:
+        cells = []
+        for coordinate in coordinates:
+            pair = pairs.get((muscle, coordinate))
+            if pair is None:
+                cells.append("<td></td>")
+                continue
+            error = pair["rms"]
+            red, green, blue = colors(np.array(0.8 * error / WORST), signed=False)
+            tip = f"{muscle}, {coordinate}: all samples {1e3 * pair['rms_all']:.2g} mm, "
+            tip += f"{100 * pair['inconsistent']:.0f} % inconsistent, "
+            tip += f"greatest moment arm {1e3 * pair['peak']:.3g} mm"
+            style = f"background:rgb({red},{green},{blue})"
+            cells.append(f'<td style="{style}" title="{escape(tip)}">{1e3 * error:.2f}</td>')
+        shown = escape(muscle)
+        if muscle in drawn:
+            shown = f'<a href="#{shown}">{shown}</a>'
+        rows.append(f"<tr><td>{shown}</td>{''.join(cells)}</tr>")
+    heads = "".join(f'<th class="across">{escape(name)}</th>' for name in coordinates)
+    return (
+        "<h2>Moment arm errors [mm]</h2>"
+        "<p>Root mean square over consistent samples; empty: no moment arm.</p>"
+        f'<div class="wide"><table><tr><th></th>{heads}</tr>{"".join(rows)}</table></div>'
+    )
+
+
+def _muscles(
+    converted: Converted,
+    model: mujoco.MjModel,
+    fits: "Sequence[MuscleFit]",
+    samples: "Samples",
+    report: Mapping[str, Any],
+) -> str:
+    """Return the curves and maps of all muscles."""
+    from myowarp.opensim.check.muscles import motion
+
+    free = converted.coordinates.free()
+    arms = {
+        name: motion(converted, model, poses).moment_arm[:, :, free.index(name)]
+        for name, poses in samples.sweeps.items()
+    }
+    figures = {muscle["muscle"]: muscle for muscle in report["muscles"]["each"]}
+    sections = []
+    for fit in fits:
+        sweeps, charts = fit.expected.sweeps, []
+        peak = {name: float(np.abs(sweeps[name].moment_arm[name]).max()) for name in sweeps}
+        for name in sorted(peak, key=lambda name: -peak[name])[:MAIN]:
+            own = arms[name][:, model.tendon(fit.name).id]
+            charts.append(_curve(converted, name, samples, sweeps[name], own))
+        figure = figures[fit.name]
+        said = f"length {1e3 * figure['length']:.2g} mm, force {100 * figure['force']:.2g} %"
+        sections.append(
+            f'<h3 id="{escape(fit.name)}">{escape(fit.name)} <small class="note">{said}</small></h3>'
+            f'<div class="wide">{"".join(charts)}</div><div class="wide">{_maps(fit)}</div>'
+        )
+    intro = (
+        "Moment arms over the range of a coordinate, the others at their defaults; forces at rest over "
+        "length and activation, in maximum isometric forces."
+    )
+    legend = "".join(f"<span>{SAMPLE.format(style)} {text}</span>" for style, text in KEYS)
+    intro = f'<p>{intro}</p><p class="legend">{legend}</p>'
+    return f"<h2>Muscles</h2>{intro}{''.join(sections)}"
+
+
+def _curve(converted: Converted, name: str, samples: "Samples", reference: Any, own: np.ndarray) -> str:
+    """Return the chart of the moment arms along one coordinate."""
+    rotational = converted.model.coordinates[name].rotational
+    x = samples.sweeps[name].coordinates[name] * (180 / np.pi if rotational else 1.0)
+    lines = [
+        Line(x, 1e3 * reference.moment_arm[name], "reference"),
+        Line(x, 1e3 * reference.slope[name], "slope"),
+        Line(x, 1e3 * own, "own"),
+    ]
+    # Where a path jumps, its slope is a spike that would squeeze all else.
+    reach = 1.5 * max(float(np.abs(np.concatenate([lines[0].y, lines[2].y])).max()), 0.1)
+    lines[1] = Line(x, np.where(np.abs(lines[1].y) > reach, np.nan, lines[1].y), "slope")
+    return chart(f"{name} [mm]", "°" if rotational else "m", lines)
+
+
+def _maps(fit: "MuscleFit") -> str:
+    """Return force over length and activation: as lines, and the maps of reference, fit and difference."""
+    from myowarp.opensim.check.muscles import engine_force
+
+    x, reference = 1e3 * fit.expected.grid, fit.expected.map
+    own = engine_force(fit, fit.expected.grid)
+    lines = [Line(x, column, "reference") for column in reference.T]
+    lines += [Line(x, column, "own") for column in own.T]
+    parts = [chart("force", "length [mm]", lines)]
+    top = max(float(reference.max()), float(own.max()), 1e-6)
+    worst = max(float(np.abs(own - reference).max()), LEAST_DIFFERENCE)
+    ends = float(x[0]), max(float(x[-1]), float(x[0]) + 1e-6)
+    for title, values, unit in (
+        (f"OpenSim, 0 to {top:.2g}", reference, top),
+        (f"converted, 0 to {top:.2g}", own, top),
+        (f"difference, ±{worst:.2g}", own - reference, worst),
+    ):
+        parts.append(colored_map(title, "length [mm]", ends, (0.0, 1.0), "activation", values, unit))
+    return "".join(parts)
+
+
+def _notes(notes: Sequence[Mapping[str, Any]]) -> str:
+    """Return what is not carried over exactly; notes of one rule stand in one row."""
+    same: dict[tuple[str, str], list[str]] = {}
+    for note in notes:
+        same.setdefault((note["rule"], note["error_bound"] or ""), []).append(note["path"])
+    rows = "".join(
+        f'<tr><td class="text">{escape(rule)}</td><td class="text">{escape(bound)}</td>'
+        f'<td class="text">{escape(", ".join(paths))}</td></tr>'
+        for (rule, bound), paths in same.items()
+    )
+    head = "<tr><th>what was done</th><th>error at most</th><th>where</th></tr>"
+    return f"<h2>Not exact: {len(notes)} notes</h2><table>{head}{rows}</table>"

@@ -1,0 +1,1 @@
+"""Paths as MuJoCo has them, and how they come near OpenSim's."""

@@ -1,0 +1,1 @@
+"""Paths as OpenSim has them: the reference."""

@@ -1,0 +1,253 @@
+"""Scenes: from a task to a compiled model with all arrays allocated."""
+
+import math
+from collections.abc import Callable, Iterable
+from functools import lru_cache
+from pathlib import Path
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+from myowarp.disk import cached, files_digest
+from myowarp.kernels.action import MOTOR, MUSCLE
+from myowarp.kernels.random import new_keys
+from myowarp.models.slim import slim
+from myowarp.sim.capacity import calibrate
+from myowarp.spec.body import BODIES
+from myowarp.spec.condition import Condition
+from myowarp.spec.muscle import MUSCLES, MuscleModel
+from myowarp.spec.registry import check_choice
+from myowarp.spec.scene import Scene
+from myowarp.spec.task import PHYSICS, RESETS, PhysicsPreset, TaskSpec
+from myowarp.spec.worlds import Worlds
+
+SHARED_FIELDS = (
+    # State:
+    *("time", "qpos", "qvel", "act", "history", "plastic", "qacc_warmstart", "ctrl", "qfrc_applied"),
+    *("xfrc_applied", "eq_active", "mocap_pos", "mocap_quat", "userdata", "overflow"),
+    # Results:
+    *("xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat", "cam_xpos"),
+    *("cam_xmat", "light_xpos", "light_xdir", "subtree_com", "cvel", "qacc", "act_dot", "ten_length"),
+    *("actuator_length", "actuator_velocity", "actuator_force", "qfrc_bias", "qfrc_passive"),
+    *("qfrc_actuator", "qfrc_constraint", "sensordata"),
+)
+"""Arrays of `mjw.Data` with a row for each world that are of use outside of the engine.
+
+What only the engine reads is not shared: cores that write what lies side by side take cache lines from each
+other, which costs 64 elbows up to 7 % of a step. Nor is what the fused kernels do not write, such as the
+poses of all sites: it would be old.
+"""
+
+ROUNDING = 1e-6  # of a physics step; control steps are no exact multiples in binary
+
+
+def full_spec(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjSpec:
+    """Return the editable full model of a task: the body and what task and conditions add."""
+    body = BODIES[spec.body].build()
+    body.option.timestep = spec.physics_dt
+    spec.edit(body)
+    for condition in conditions:
+        condition.edit(body)
+    return body
+
+
+@lru_cache(maxsize=1)
+def _slim_spec(spec: TaskSpec, conditions: tuple[Condition, ...]) -> mujoco.MjSpec:
+    """Return the slim spec of a task; shared by the two models that are compiled from it."""
+    return slim(full_spec(spec, conditions), spec.sites)
+
+
+def slim_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
+    """Return the slim model of a task with MuJoCo's built-in muscles."""
+    return _slim_spec(spec, conditions).copy().compile()
+
+
+def stateless_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
+    """Return the slim model with every muscle made a stateless AFFINE actuator (see `MuscleModel`)."""
+    small = _slim_spec(spec, conditions).copy()
+    for actuator in small.actuators:
+        if actuator.dyntype == mujoco.mjtDyn.mjDYN_MUSCLE:
+            actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
+            actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            actuator.gainprm = np.zeros(10)
+            actuator.biasprm = np.zeros(10)
+            actuator.actlimited = False
+    return small.compile()
+
+
+def full_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
+    """Return the unslimmed model of a task, for pictures and comparisons."""
+    return full_spec(spec, conditions).compile()
+
+
+def source_digest(*more: Path) -> str:
+    """Return a digest of the code that builds scenes, and of `more` files: an edit renews the cache."""
+    package = Path(__file__).parents[1]
+    files = [Path(__file__), package / "models/slim.py", package / "spec/parameter.py", *more]
+    files += [*sorted(package.glob("tasks/*.py")), *sorted(package.glob("models/bodies/*.py"))]
+    files += sorted(package.glob("models/conditions/*.py"))
+    return files_digest(files)
+
+
+def _cached_model(
+    spec: TaskSpec,
+    conditions: tuple[Condition, ...],
+    make: Callable[[TaskSpec, tuple[Condition, ...]], mujoco.MjModel],
+) -> mujoco.MjModel:
+    """Return `make(spec, conditions)` through the disk cache."""
+    edits = tuple(condition for condition in conditions if condition.scene_key)
+    key = (spec.scene_key, *(condition.scene_key for condition in edits))
+    return cached(
+        (make.__name__, key, source_digest()),
+        ".mjb",
+        make=lambda: make(spec, edits),
+        save=mujoco.mj_saveModel,
+        load=mujoco.MjModel.from_binary_path,
+    )
+
+
+def oracle_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
+    """Return `slim_model` through the disk cache."""
+    return _cached_model(spec, conditions, slim_model)
+
+
+def set_physics(spec: TaskSpec, preset: PhysicsPreset, models: Iterable[mujoco.MjModel]) -> int:
+    """Set integrator and step of models to a preset's; returns the physics steps in a control step."""
+    num_substeps = spec.num_substeps
+    if preset.coarse:
+        num_substeps = math.ceil(spec.control_dt / spec.coarse_step.dt - ROUNDING)
+    for model in models:
+        model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{preset.integrator or spec.integrator}")
+        model.opt.timestep = spec.control_dt / num_substeps
+    return num_substeps
+
+
+def new_muscles(
+    muscle: type[MuscleModel], model: mujoco.MjModel, num_worlds: int, spec: TaskSpec, preset: PhysicsPreset
+) -> MuscleModel:
+    """Return the muscles of a model, on the current Warp device, set to a preset."""
+    muscles = muscle(model, num_worlds)
+    muscles.midstep = preset.midstep
+    explicit = (preset.integrator or spec.integrator) == "EULER"
+    muscles.implicitness = spec.coarse_step.implicitness if preset.coarse else float(not explicit)
+    return muscles
+
+
+def checked_num_worlds(num_worlds: int) -> int:
+    """Return the number of worlds as a plain integer.
+
+    Raises:
+        ValueError: It is no positive integer.
+    """
+    if isinstance(num_worlds, bool) or not isinstance(num_worlds, (int, np.integer)) or num_worlds < 1:
+        raise ValueError(f"num_envs must be a positive integer, got {num_worlds!r}")
+    return int(num_worlds)
+
+
+def checked_horizon(horizon: int) -> int:
+    """Return the number of control steps in an episode as it was given.
+
+    Raises:
+        ValueError: It is no positive integer.
+    """
+    if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 1:
+        raise ValueError(f"max_episode_steps must be a positive integer, got {horizon!r}")
+    return int(horizon)
+
+
+def actuator_kinds(model: mujoco.MjModel) -> np.ndarray:
+    """Return MUSCLE or MOTOR for each actuator, shape (nu,)."""
+    return np.where(model.actuator_dyntype == mujoco.mjtDyn.mjDYN_MUSCLE, int(MUSCLE), int(MOTOR))
+
+
+def compile_scene(
+    spec: TaskSpec,
+    num_worlds: int | Worlds,
+    device: str | None = None,
+    physics: str = "parity",
+    muscle: str = "mujoco",
+    reset: str = "task",
+    conditions: tuple[Condition, ...] = (),
+) -> Scene:
+    """Build everything that a task needs on a device.
+
+    Args:
+        spec: The task.
+        num_worlds: Number of worlds to step together, >= 1, or those of a part of them.
+        device: Warp device such as "cpu" or "cuda:0"; None: the first CUDA device if there is one.
+        physics: Name in `PHYSICS`.
+        muscle: Name in `MUSCLES`.
+        reset: What episodes start from, one of `spec.RESETS`.
+        conditions: Muscle conditions, as `resolve` returns them.
+
+    Raises:
+        ValueError: An argument is out of its range, or the device does not exist.
+    """
+    worlds = num_worlds if isinstance(num_worlds, Worlds) else Worlds.all(checked_num_worlds(num_worlds))
+    check_choice("physics", physics, PHYSICS)
+    check_choice("reset", reset, RESETS)
+    muscle_class = MUSCLES[muscle]
+    where = resolve_device(device)
+
+    oracle, stepped = oracle_model(spec, conditions), _cached_model(spec, conditions, stateless_model)
+    num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped))
+    start = spec.start(oracle)
+    capacity = calibrate(oracle, start)
+    with wp.ScopedDevice(where):
+        batched = {"actuator_biasprm", *spec.batched}.union(*(c.batched for c in conditions))
+        model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), worlds.number))
+        model.opt.warn_overflow = False
+        data = mjw.make_data(stepped, nworld=worlds.number, nconmax=capacity.contacts, njmax=capacity.rows)
+        muscles = new_muscles(muscle_class, oracle, worlds.number, spec, PHYSICS[physics])
+        if conditions:
+            muscles.individualize()
+        model.callback.control = muscles.launch
+        scene = Scene(
+            spec=spec,
+            worlds=worlds,
+            num_substeps=num_substeps,
+            num_actions=oracle.nu - sum(len(condition.undriven) for condition in conditions),
+            oracle=oracle,
+            model=model,
+            data=data,
+            muscles=muscles,
+            keys=new_keys(worlds.number),
+            qpos_start=wp.array(start, dtype=float),
+            reset=reset,
+            actuator_kind=wp.array(actuator_kinds(oracle), dtype=int),
+            capacity=capacity,
+            device=where,
+        )
+        _share_state(scene, batched, individual=bool(conditions))
+    return scene
+
+
+def _share_state(scene: Scene, batched: Iterable[str], individual: bool) -> None:
+    """Make state, what of the model is `batched`, and individual anatomy visible from outside a part."""
+    worlds, muscles = scene.worlds, scene.muscles
+    worlds.share("model", scene.model, batched)
+    worlds.share("data", scene.data, SHARED_FIELDS)
+    worlds.share("muscles", muscles, ("activation",))
+    worlds.share("keys", scene.keys)
+    if individual:
+        worlds.share("anatomy", muscles.anatomy)
+
+
+def resolve_device(device: str | None) -> wp.Device:
+    """Return the Warp device called `device`, the preferred one for None.
+
+    Raises:
+        ValueError: No such device here; the message lists those there are.
+    """
+    wp.init()
+    if device is None:
+        return wp.get_preferred_device()
+    known = [d.alias for d in wp.get_devices()]
+    if str(device) == "cuda" and wp.is_cuda_available():
+        return wp.get_device("cuda")
+    if str(device) not in known:
+        raise ValueError(f"device {str(device)!r} is not available; available: {', '.join(known)}")
+    return wp.get_device(str(device))

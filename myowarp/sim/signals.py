@@ -1,0 +1,199 @@
+"""What the muscles of every world do: activation, force, length, velocity, power, by name and group.
+
+    signals = Signals(env.sim)  # arrays (num_worlds, num_muscles), filled in every step from here on
+    env.step(actions)
+    signals.muscles.force.numpy()[world, signals.names.index("BIClong")]
+
+All signals of a step belong to one state: the one that the step led to, before what ended is reset. Length
+and velocity are recomputed from it, and force is what the muscle model gives for them and the activation,
+with the strength and transmission that the conditions set for that step. MuJoCo's own `actuator_force` after
+a step is that of the last physics step's begin, 2 ms older than `qpos`. The excitation is the one that was
+held throughout the step.
+
+    myowarp rollout myoElbowPose1D6MRandom-v0 --signals run.parquet
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+from mujoco_warp._src.types import vec10
+
+from myowarp.models.couplings import POINT_JOINTS
+from myowarp.sim.muscle_groups import group_of
+from myowarp.spec.muscle import Anatomy
+
+if TYPE_CHECKING:
+    from myowarp.sim.shards import Shards
+    from myowarp.sim.simulation import Simulation
+
+UNITS = {
+    "activation": "1",
+    "excitation": "1",
+    "force": "N",
+    "length": "m",
+    "velocity": "m/s",
+    "power": "W",
+}
+"""Signals of every muscle, with their units."""
+
+JOINT_UNITS = {"angle": "rad, slides m", "angular_velocity": "rad/s, slides m/s"}
+"""Signals of every joint that is a hinge or a slide."""
+
+
+@wp.struct
+class MuscleSignals:
+    """Signals of all muscles; arrays (num_worlds, num_muscles).
+
+    Attributes:
+        activation: Activation [1].
+        excitation: What the muscle was told, after the conditions [1].
+        force: Tension that the tendon transmits [N], >= 0.
+        length: Musculotendon length [m].
+        velocity: Its rate [m/s], lengthening > 0.
+        power: -force velocity [W]; > 0 while the muscle does work on the limb.
+    """
+
+    activation: wp.array2d[float]
+    excitation: wp.array2d[float]
+    force: wp.array2d[float]
+    length: wp.array2d[float]
+    velocity: wp.array2d[float]
+    power: wp.array2d[float]
+
+
+@wp.kernel(enable_backward=False)
+def read_muscles(
+    # Model:
+    actuator_biasprm: wp.array2d[vec10],
+    # Params:
+    actuator_id: wp.array[int],
+    # Data in:
+    ctrl_in: wp.array2d[float],
+    actuator_length_in: wp.array2d[float],
+    actuator_velocity_in: wp.array2d[float],
+    # In:
+    activation: wp.array2d[float],
+    anatomy: Anatomy,
+    # Out:
+    muscles: MuscleSignals,
+):
+    """Force = -(b0 + b2 velocity), the muscle model's bias, along the path that the muscle pulls."""
+    worldid, muscleid = wp.tid()
+    pathid = anatomy.path[worldid % anatomy.path.shape[0], muscleid]
+    velocity = actuator_velocity_in[worldid, pathid]
+    bias = actuator_biasprm[worldid, pathid]
+    force = wp.max(-(bias[0] + bias[2] * velocity), 0.0)
+    muscles.activation[worldid, muscleid] = activation[worldid, muscleid]
+    muscles.excitation[worldid, muscleid] = ctrl_in[worldid, actuator_id[muscleid]]
+    muscles.force[worldid, muscleid] = force
+    muscles.length[worldid, muscleid] = actuator_length_in[worldid, pathid]
+    muscles.velocity[worldid, muscleid] = velocity
+    muscles.power[worldid, muscleid] = -force * velocity
+
+
+class Signals:
+    """Signals of a simulation, filled in every step; the trajectory stays the same, bit for bit.
+
+    Attributes:
+        names: Muscle names.
+        actuator_id: Actuator of each muscle, shape (num_muscles,).
+        groups: Group of each muscle, "" where none is known (`myowarp.sim.muscle_groups`).
+        muscles: The signals, arrays (num_worlds, num_muscles).
+        info: What conditions show of their state, by name, (num_worlds,) or (num_worlds, num_muscles).
+        joint_names: Names of the hinges and slides.
+        qpos: Configuration, shape (num_worlds, nq); `joint_angles` picks the named joints.
+        qvel: Velocity, shape (num_worlds, nv).
+        valid: Whether the world was stepped and is healthy, shape (num_worlds,); other rows mean nothing.
+        step_count: Control steps since the episode began, the present one included, shape (num_worlds,).
+        episode: Number of the episode since the world was seeded, from 1 on, shape (num_worlds,).
+    """
+
+    def __init__(self, sim: Simulation | Shards) -> None:
+        """Allocate the arrays and add their kernels to the step.
+
+        Raises:
+            ValueError: The body has no muscles.
+        """
+        scene = sim.scene
+        self.sim, self.names = sim, scene.muscles.names
+        if not self.names:
+            raise ValueError(f"signals are those of muscles; the body of task {scene.spec.key!r} has none")
+        self.groups = tuple(group_of(name) for name in self.names)
+        oracle = scene.oracle
+        joints = [j for j in range(oracle.njnt) if oracle.jnt_type[j] in POINT_JOINTS]
+        self.joint_names = tuple(oracle.joint(j).name for j in joints)
+        self._joint_qpos, self._joint_dof = oracle.jnt_qposadr[joints], oracle.jnt_dofadr[joints]
+        with wp.ScopedDevice(scene.device):
+            self.muscles = MuscleSignals()
+            for name in UNITS:
+                setattr(self.muscles, name, wp.zeros_like(scene.muscles.activation))
+            self.actuator_id = wp.array(scene.muscles.actuator_id, dtype=int)
+            copies = {name: wp.zeros_like(array) for name, array in _sources(sim, sim.info).items()}
+        self.info = {name: copies[name] for name in sim.info}
+        self.qpos, self.qvel, self.valid = copies["qpos"], copies["qvel"], copies["valid"]
+        self.step_count, self.episode = copies["step_count"], copies["episode"]
+        for part in sim.parts:
+            own, muscles = part.scene.worlds.own, MuscleSignals()
+            for name in UNITS:
+                setattr(muscles, name, getattr(self.muscles, name)[own])
+            self._attach(part, muscles, {name: array[own] for name, array in copies.items()})
+
+    @property
+    def joint_angles(self) -> np.ndarray:
+        """Angles of hinges [rad] and positions of slides [m], shape (num_worlds, num_joints); host."""
+        return self.qpos.numpy()[:, self._joint_qpos]
+
+    @property
+    def joint_velocities(self) -> np.ndarray:
+        """Their rates [rad/s, m/s], shape (num_worlds, num_joints); host."""
+        return self.qvel.numpy()[:, self._joint_dof]
+
+    def _attach(self, part: Simulation, muscles: MuscleSignals, copies: dict[str, wp.array]) -> None:
+        """Add to a part's step: bring path and force of the muscles to the present state, copy the rest."""
+        scene, model, data = part.scene, part.scene.model, part.scene.data
+        # With a time step of 0 the muscles compute their force and stay as they are.
+        no_time = wp.zeros(1, dtype=float, device=scene.device)
+        still = dataclasses.replace(model, opt=dataclasses.replace(model.opt, timestep=no_time))
+        sources = _sources(part, part.shown)
+
+        def launch() -> None:
+            mjw.kinematics(model, data)
+            mjw.com_pos(model, data)
+            mjw.tendon(model, data)
+            mjw.transmission(model, data)
+            mjw.fwd_velocity(model, data)
+            scene.muscles.launch(still, data)
+            wp.launch(
+                read_muscles,
+                dim=muscles.force.shape,
+                inputs=[
+                    model.actuator_biasprm,
+                    self.actuator_id,
+                    data.ctrl,
+                    data.actuator_length,
+                    data.actuator_velocity,
+                    scene.muscles.activation,
+                    scene.muscles.anatomy,
+                ],
+                outputs=[muscles],
+            )
+            for name, source in sources.items():
+                wp.copy(copies[name], source)
+
+        part.attach(launch)
+
+
+def _sources(sim: Simulation | Shards, shown: dict[str, wp.array]) -> dict[str, wp.array]:
+    """Return the arrays that are copied as they are, with those that the conditions show."""
+    return {
+        "qpos": sim.scene.data.qpos,
+        "qvel": sim.scene.data.qvel,
+        "valid": sim.masks.live,
+        "step_count": sim.episode.step_count,
+        "episode": sim.scene.keys.episode,
+    } | shown

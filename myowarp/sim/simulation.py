@@ -1,0 +1,401 @@
+"""The step loop: action, muscles, physics, observation, reward, termination and reset as one graph.
+
+`Simulation.step` replays a captured graph of kernel launches; nothing in it allocates or reads back. With
+`graph=False` the same launches run one by one, with the same numbers.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Iterable
+from functools import cached_property
+from types import SimpleNamespace
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+from myowarp.engine.compile import compile_kernels, quiet, renew_code
+from myowarp.engine.graph import Graph, replay_nothing
+from myowarp.engine.idle import one_thread, pruned
+from myowarp.engine.patch import engine_kernels_alone
+from myowarp.engine.repeat import repeat
+from myowarp.engine.stages import FUSIONS, Fusion, installed
+from myowarp.engine.stages.rigid_body import RigidBodyFusion
+from myowarp.engine.verify import choose_kernels
+from myowarp.kernels.action import apply_action
+from myowarp.kernels.episode import (
+    AUTORESET,
+    advance_episode,
+    count_step,
+    detect_faults,
+    keep_final,
+    new_episode_state,
+    new_masks,
+    new_transition,
+    open_episode,
+)
+from myowarp.kernels.random import seed_worlds
+from myowarp.kernels.reset import place_start, reset_worlds
+from myowarp.sim.build import checked_horizon, compile_scene, full_model
+from myowarp.sim.starts import random_starts, start_address
+from myowarp.spec.condition import Condition, resolve
+from myowarp.spec.muscle import restore_anatomy
+from myowarp.spec.parameter import Clock
+from myowarp.spec.registry import check_choice
+from myowarp.spec.task import TaskSpec
+from myowarp.spec.worlds import Worlds
+
+
+class Simulation:
+    """All worlds of a task, stepped together.
+
+    Every array is written in place and never replaced; read them through `numpy()`.
+
+    Attributes:
+        conditions: The muscle conditions, in the order in which they act.
+        scene: The compiled task.
+        program: The task's kernels.
+        fusions: Parts of the physics step that kernels of ours do.
+        effects: The conditions' kernels, in the order in which they act.
+        action: Policy actions in [-1, 1], to be written before `step`, shape (num_worlds, num_actuators).
+        transition: What the last step led to.
+        final: What finished episodes ended with; only with autoreset "same_step".
+        episode: Counters of the present episodes.
+        shown: What conditions show of their state, by name, (num_worlds, ...).
+        info: The same after the step, resets included; slices of arrays over all worlds in a part of them.
+        step_graph: What `step` replays; None without a graph.
+        reset_graph: What `reset_asked` replays.
+    """
+
+    _modules: tuple[wp.Module, ...]
+    _idle: frozenset[str]
+
+    def __init__(
+        self,
+        spec: TaskSpec,
+        num_worlds: int | Worlds,
+        *,
+        device: str | None = None,
+        physics: str = "parity",
+        muscle: str = "mujoco",
+        reset: str = "task",
+        conditions: str | Condition | Iterable[str | Condition] = (),
+        autoreset: str = "next_step",
+        horizon: int | None = None,
+        graph: bool = True,
+        deterministic: bool = False,
+        fusions: Iterable[str] | None = None,
+        progress: bool = True,
+        like: Simulation | None = None,
+    ) -> None:
+        """Compile the scene, compile the kernels and capture the step.
+
+        Args:
+            spec: The task.
+            num_worlds: Number of worlds to step together, or those of a part of them.
+            device: Warp device; None: the first CUDA device if there is one, else the CPU.
+            physics: Name in `spec.PHYSICS`.
+            muscle: Name in `MUSCLES`.
+            reset: What episodes start from, one of `spec.RESETS`.
+            conditions: Muscle conditions, each a name in `CONDITIONS` or a `Condition`.
+            autoreset: Gymnasium's mode, a key of `AUTORESET`.
+            horizon: Control steps in an episode; None: the task's.
+            graph: Whether to capture the step as a graph.
+            deterministic: Whether a run gives the same bits every time on CUDA, which is slower.
+            fusions: Names in `FUSIONS` to use where they apply; None: all.
+            progress: Whether to show progress bars while kernels compile and random starts are found.
+            like: Another part, made with the same arguments, whose kernels and starts can be taken over.
+
+        Raises:
+            ValueError: An argument is out of its range.
+        """
+        check_choice("autoreset", autoreset, AUTORESET)
+        horizon = checked_horizon(spec.horizon if horizon is None else horizon)
+        self.autoreset = AUTORESET[autoreset]
+        with quiet():
+            self.conditions = resolve(conditions, spec)
+            self.scene = compile_scene(spec, num_worlds, device, physics, muscle, reset, self.conditions)
+            # Sums on the CPU have one order anyway.
+            self.scene.model.opt.deterministic = bool(deterministic) and not self.scene.device.is_cpu
+        with quiet(), wp.ScopedDevice(self.scene.device):
+            self.program = spec.bind(self.scene)
+            self._bind_conditions()
+            self._allocate(horizon)
+            if like is None:
+                self._choose_starts(progress)
+                self._choose_kernels(FUSIONS if fusions is None else fusions, progress)
+            else:
+                self._take_over(like)
+            self.step_graph = self._capture(self._launch_step) if graph else None
+            self.reset_graph = self._capture(self._launch_asked_reset) if graph else None
+        self.reset()
+
+    @property
+    def num_worlds(self) -> int:
+        """Worlds stepped together."""
+        return self.scene.num_worlds
+
+    @cached_property
+    def full_model(self) -> mujoco.MjModel:
+        """The unslimmed model with the task's objects, for pictures and comparisons; host."""
+        return full_model(self.scene.spec, self.conditions)
+
+    @property
+    def parts(self) -> tuple[Simulation, ...]:
+        """The simulations that step the worlds: this one (compare `myowarp.sim.shards.Shards`)."""
+        return (self,)
+
+    def _choose_starts(self, progress: bool) -> None:
+        """Have a table of random starts, if the episodes are to begin there."""
+        spec, scene = self.scene.spec, self.scene
+        self.starts = self.start_address = None
+        if scene.reset == "random":
+            self.starts = wp.array(find_starts(spec, progress), dtype=float)
+            self.start_address = wp.array(start_address(spec, scene.oracle), dtype=int)
+
+    def _choose_kernels(self, fusions: Iterable[str], progress: bool) -> None:
+        """Find out which kernels to leave out and to replace, and compile the others."""
+        launches = self._launch_all, self._launch_physics
+        self._idle, self.fusions = choose_kernels(self.scene, fusions, *launches, progress)
+        self._modules = compile_kernels(self._launch_all, self.scene.device, show=progress)
+
+    def _take_over(self, like: Simulation) -> None:
+        """Have the starts and kernels of another part."""
+        self.starts, self.start_address = like.starts, like.start_address
+        self._modules, self._idle = like._modules, like._idle
+        self.fusions = tuple(type(fusion)(self.scene) for fusion in like.fusions)
+
+    def _bind_conditions(self) -> None:
+        """Allocate the counters of the episodes, and what the conditions need."""
+        scene = self.scene
+        self.episode = new_episode_state(self.num_worlds)
+        scene.worlds.share("episode", self.episode)
+        clock = Clock()
+        clock.step_count, clock.life_count = self.episode.step_count, self.episode.life_count
+        clock.control_dt = scene.control_dt
+        self.effects = tuple(condition.bind(scene, clock) for condition in self.conditions)
+        for effect in self.effects:
+            effect.check_beside(self.effects)
+        scene.model.callback.control = self._launch_control
+
+    def _allocate(self, horizon: int) -> None:
+        """Allocate every array of the step."""
+        n, scene, spec = self.num_worlds, self.scene, self.scene.spec
+        columns = spec.columns(scene.oracle.nq, len(scene.muscles.names))
+        columns += tuple(column for effect in self.effects for column in effect.columns)
+        self.columns = tuple(column for column in columns if column.size)
+        self.terms = spec.reward_terms() + tuple(term for effect in self.effects for term in effect.terms)
+        self.action = wp.zeros((n, scene.num_actions), dtype=float)
+        self.weights = wp.array([term.weight for term in self.terms], dtype=float)
+        self.horizon = wp.array([horizon], dtype=int)
+        scene.worlds.share("sim", self, ("action",))
+        sizes = n, sum(column.size for column in self.columns), len(self.terms)
+        self.transition, self.final, self.masks = new_transition(*sizes), new_transition(*sizes), new_masks(n)
+        scene.worlds.share("transition", self.transition)
+        scene.worlds.share("final", self.final)
+        scene.worlds.share("masks", self.masks)
+        self.shown = {name: array for effect in self.effects for name, array in effect.info.items()}
+        info = SimpleNamespace(**self.shown)
+        scene.worlds.share("info", info, self.shown)
+        self.info = vars(info)
+        self._asked = wp.zeros(n, dtype=bool)
+        self._countdown = wp.zeros(1, dtype=int)
+        self._probes: list[Callable[[], None]] = []
+        self._idle, self.fusions = frozenset[str](), tuple[Fusion, ...]()
+
+    def _launch_all(self) -> None:
+        """Every launch there is, for the compiler."""
+        self._launch_step()
+        self._launch_asked_reset()
+        replay_nothing(self.scene.device)
+
+    def _launch_step(self) -> None:
+        """One control step of all worlds."""
+        self.launch_action()
+        self.launch_conditions()
+        with pruned(self._idle):
+            repeat(self._launch_physics, self.scene.num_substeps, self._countdown)
+        self._refresh()
+        wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
+        self.launch_scoring()
+        self._launch_observation(self.masks.live)
+        with pruned(self._idle):
+            for launch in self._probes:
+                launch()
+        if self.autoreset == AUTORESET["same_step"]:
+            wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
+        self._launch_reset(self.masks.renew, self.masks.reset, self.masks.fresh, asked=False)
+
+    def _launch_physics(self) -> None:
+        """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
+        with installed(self.fusions), one_thread(self.scene.device), engine_kernels_alone():
+            mjw.step(self.scene.model, self.scene.data)
+
+    def _launch_control(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Engine callback: the muscles, and what conditions do in a physics step."""
+        self.scene.muscles.launch(model, data)
+        for effect in self.effects:
+            effect.act_in_substep()
+
+    def _launch_observation(self, mask: wp.array) -> None:
+        """Observe the worlds of a mask: the task, then the conditions that show something."""
+        obs = self.transition.obs
+        self.program.observe(mask, obs)
+        column = obs.shape[1]
+        for effect in reversed(self.effects):
+            column -= sum(block.size for block in effect.columns)
+            effect.observe(mask, obs, column)
+
+    def launch_conditions(self) -> None:
+        """Let the conditions change excitations, muscles and body, for one control step."""
+        if self.effects:
+            anatomy = self.scene.muscles.anatomy
+            wp.launch(restore_anatomy, dim=anatomy.strength.shape, outputs=[anatomy])
+        for effect in self.effects:
+            effect.act()
+
+    def launch_action(self) -> None:
+        """Map actions to controls."""
+        scene, transition = self.scene, self.transition
+        wp.launch(
+            apply_action,
+            dim=self.num_worlds,
+            inputs=[scene.actuator_kind, scene.model.actuator_ctrlrange, self.action],
+            outputs=[scene.data.ctrl, transition.fault],
+        )
+
+    def launch_scoring(self) -> None:
+        """Judge the present state: faults, reward terms, reward, and what ends."""
+        data, transition = self.scene.data, self.transition
+        wp.launch(
+            detect_faults,
+            dim=self.num_worlds,
+            inputs=[data.qpos, data.qvel, self.scene.muscles.activation],
+            outputs=[data.overflow, transition.fault],
+        )
+        column = len(self.scene.spec.reward_terms())
+        terms = transition.terms[:, :column]
+        self.program.score(self.episode.step_count, terms, transition.solved, transition.failed)
+        for effect in self.effects:
+            effect.score(transition.terms, column)
+            column += len(effect.terms)
+        wp.launch(
+            advance_episode,
+            dim=self.num_worlds,
+            inputs=[self.weights, self.horizon, self.autoreset, self.scene.reset == "none"],
+            outputs=[self.episode, transition, self.masks],
+        )
+
+    def _launch_asked_reset(self) -> None:
+        """Reset that the user asked for; the state is reset in every mode."""
+        self._launch_reset(self._asked, self._asked, self._asked, asked=True)
+
+    def _launch_reset(self, renew: wp.array, reset: wp.array, fresh: wp.array, asked: bool) -> None:
+        """Open episodes in the worlds of `renew`, reset the state of `reset`, observe those of `fresh`."""
+        scene = self.scene
+        wp.launch(
+            open_episode, dim=self.num_worlds, inputs=[renew, asked], outputs=[self.episode, scene.keys]
+        )
+        reset_worlds(reset, scene.qpos_start, scene.data)
+        scene.muscles.reset(reset)
+        for effect in self.effects:
+            effect.sample(renew)
+            effect.reset(reset)
+        self.program.sample_start(reset)
+        if self.starts is not None:
+            wp.launch(
+                place_start,
+                dim=self.num_worlds,
+                inputs=[self.starts, self.start_address, scene.keys, reset],
+                outputs=[scene.data.qpos],
+            )
+        self.program.sample_goal(renew)
+        self._refresh(reset)
+        self._launch_observation(fresh)
+        for name, array in self.shown.items():
+            if self.info[name] is not array:
+                wp.copy(self.info[name], array)
+
+    def _refresh(self, mask: wp.array | None = None) -> None:
+        """Make poses those of the present state, in all worlds or a mask: a step leaves them old."""
+        if not self.scene.spec.uses_kinematics:
+            return
+        model, data = self.scene.model, self.scene.data
+        for fusion in self.fusions:
+            if isinstance(fusion, RigidBodyFusion):
+                fusion.launch_poses(model, data, mask)
+                return
+        with engine_kernels_alone():
+            mjw.kinematics(model, data)
+
+    def _capture(self, launches: Callable[[], None]) -> Graph:
+        """Record launches as a graph, which no other graph shares its code with."""
+        renew_code(self._modules)
+        return Graph(launches, self.scene.device)
+
+    def step(self) -> None:
+        """Advance all worlds by one control step under `action`; results are in `transition`."""
+        self._run(self.step_graph, self._launch_step)
+
+    def attach(self, launch: Callable[[], None]) -> None:
+        """Launch more in every step, after observation and before what ended is reset.
+
+        Args:
+            launch: Launches kernels that only look: all that they may write is their own arrays, and what
+                the next physics step computes anew. With sums and sorts of Warp's, shards step one by one.
+        """
+        self._probes.append(launch)
+        with quiet(), wp.ScopedDevice(self.scene.device):
+            self._modules += compile_kernels(launch, self.scene.device, show=False)
+            if self.step_graph is not None:
+                self.step_graph = self._capture(self._launch_step)
+
+    def close(self) -> None:
+        """Do nothing: there are no threads to end (compare `myowarp.sim.shards.Shards`)."""
+
+    def reset(self, mask: np.ndarray | None = None, seeds: np.ndarray | None = None) -> None:
+        """Start new episodes; their first observation is in `transition.obs`.
+
+        Args:
+            mask: Worlds to reset, shape (num_worlds,) bool; None: all.
+            seeds: New seeds of these worlds, shape (num_worlds,), any integers; None: the random streams
+                go on, after the first call with fresh entropy.
+        """
+        self.ask_for_reset(mask, seeds)
+        self.reset_asked()
+
+    def ask_for_reset(self, mask: np.ndarray | None, seeds: np.ndarray | None) -> None:
+        """Choose what `reset_asked` resets, with the arguments of `reset`."""
+        mask = np.ones(self.num_worlds, dtype=bool) if mask is None else mask
+        if seeds is None and not hasattr(self, "_seeded"):
+            seeds = secrets.randbits(32) + np.arange(self.num_worlds)
+        if seeds is not None:
+            self._seeded = True
+            seed_worlds(self.scene.keys, mask, seeds)
+        self._asked.assign(mask)
+
+    def reset_asked(self) -> None:
+        """Reset the worlds that `ask_for_reset` has chosen."""
+        self._run(self.reset_graph, self._launch_asked_reset)
+
+    def _run(self, graph: Graph | None, launches: Callable[[], None]) -> None:
+        """Replay a graph, or launch what it would hold."""
+        if graph is not None:
+            graph.launch()
+            return
+        with wp.ScopedDevice(self.scene.device):
+            launches()
+
+
+def find_starts(spec: TaskSpec, progress: bool = True) -> np.ndarray:
+    """Return the random starts of a task, tried in a simulation of their own on the CPU."""
+
+    def simulate(num_worlds: int) -> Simulation:
+        return Simulation(
+            spec, num_worlds, device="cpu", reset="fixed", autoreset="disabled", progress=progress
+        )
+
+    with quiet(), wp.ScopedDevice("cpu"):
+        return random_starts(spec, simulate, progress)

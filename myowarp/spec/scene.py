@@ -1,0 +1,81 @@
+"""A task made concrete: names resolved to ids, the body slimmed, all arrays allocated.
+
+Every shape is fixed; the step only launches kernels over these arrays.
+"""
+
+from dataclasses import dataclass, field
+
+import mujoco
+import mujoco_warp as mjw
+import warp as wp
+
+from myowarp.kernels.random import RandomKeys
+from myowarp.spec.muscle import MuscleModel
+from myowarp.spec.task import TaskSpec
+from myowarp.spec.worlds import Worlds
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """Sizes for one world.
+
+    Attributes:
+        contacts: Contacts, and candidate pairs of the broad phase.
+        rows: Constraint rows.
+        peak_contacts: Largest number of contacts seen.
+    """
+
+    contacts: int
+    rows: int
+    peak_contacts: int
+
+
+@dataclass
+class Scene:
+    """A compiled task.
+
+    Attributes:
+        spec: The task.
+        worlds: Worlds stepped together.
+        num_substeps: Physics steps in a control step, after the physics preset.
+        num_actions: Actuators that the policy commands, the first ones.
+        oracle: Slim model with MuJoCo's built-in muscles, host; what our kernels must reproduce.
+        model: Stepped model, stateless actuators.
+        data: State and results of all worlds. Of sites, where fusions act, only those of `spec.sites` have
+            their pose in it; `mujoco_warp.kinematics(model, data)` brings up the others.
+        muscles: The muscles of all worlds.
+        keys: What random numbers are drawn from.
+        qpos_start: Start configuration of an episode, shape (nq,).
+        reset: What episodes start from, one of `spec.RESETS`.
+        actuator_kind: MUSCLE or MOTOR for each actuator, shape (nu,).
+        capacity: Contacts and constraint rows that the arrays hold.
+    """
+
+    spec: TaskSpec
+    worlds: Worlds
+    num_substeps: int
+    num_actions: int
+    oracle: mujoco.MjModel
+    model: mjw.Model
+    data: mjw.Data
+    muscles: MuscleModel
+    keys: RandomKeys
+    qpos_start: wp.array
+    reset: str
+    actuator_kind: wp.array
+    capacity: Capacity
+    device: wp.Device = field(repr=False)
+
+    @property
+    def num_worlds(self) -> int:
+        """Worlds stepped together."""
+        return self.worlds.number
+
+    @property
+    def control_dt(self) -> float:
+        """Duration of a control step [s]."""
+        return self.spec.control_dt
+
+    def site_id(self, name: str) -> int:
+        """Return the id of a site of the stepped model."""
+        return self.oracle.site(name).id
