@@ -67,7 +67,7 @@ def _collect():
             elif isinstance(node, ast.Call) and name != "kernels/launch.py":
                 if is_warp(node, "launch") or is_warp(node, "launch_tiled"):
                     launches.append((name, node))
-                elif isinstance(node.func, ast.Name) and node.func.id == "launch":
+                elif isinstance(node.func, ast.Name) and node.func.id == "launch" and node.args:
                     named.add(node.args[0].id)
     return kernels, launches, named
 
