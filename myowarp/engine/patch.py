@@ -1,16 +1,21 @@
-"""Change what the engine launches, without changing the engine.
+"""Change what the engine's own stages launch, without changing the engine.
 
-Its functions launch by `wp.launch` and `wp.launch_tiled`; for a block these pass every kernel through a
-function of ours first.
+They launch by `wp.launch` and `wp.launch_tiled`; for a block these pass every kernel through a function of
+ours first. What depends on private names of the engine does without them where they are gone, and says so
+once.
 """
 
 import contextlib
 import functools
+import importlib
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 from unittest import mock
 
 import warp as wp
+
+logger = logging.getLogger("myowarp")
 
 
 def is_empty(*args: Any, **kwargs: Any) -> bool:
@@ -59,3 +64,35 @@ def _alone(kernel: wp.Kernel) -> wp.Kernel:
 def engine_kernels_alone() -> contextlib.AbstractContextManager[None]:
     """Launch each kernel of the engine from a module of its own in the block."""
     return exchanged(_alone)
+
+
+ONE_THREAD = (("solver", "_jtdaj_groups_per_world"), ("collision_convex", "_ccd_grid_size"))
+"""Module and function of the engine that say in how many parts to split work on the CPU."""
+
+
+@functools.cache
+def _splits() -> tuple[tuple[Any, str], ...]:
+    """Return those of `ONE_THREAD` that there are."""
+    found = []
+    for name, function in ONE_THREAD:
+        try:
+            module = importlib.import_module(f"mujoco_warp._src.{name}")
+            getattr(module, function)
+        except (ImportError, AttributeError) as error:
+            logger.warning("mujoco-warp has changed, its sums may depend on the number of worlds: %s", error)
+        else:
+            found.append((module, function))
+    return tuple(found)
+
+
+@contextlib.contextmanager
+def one_thread(device: wp.Device) -> Iterator[None]:
+    """Have the engine split no work over threads in the block; on the CPU, which runs them in turn.
+
+    Below 4 worlds mujoco-warp sums J' D J of a sparse model in several parts, and the rounding is another
+    one; it looks for convex contacts in as many threads as there is room for, most of which find nothing.
+    """
+    with contextlib.ExitStack() as stack:
+        for module, function in _splits() if device.is_cpu else ():
+            stack.enter_context(mock.patch.object(module, function, return_value=1))
+        yield

@@ -1,31 +1,45 @@
-"""What the engine's step can be relieved of in a scene, found out once per machine.
+"""Whether our physics step is the engine's: found out in states of the task, once per machine.
 
-To verify pruning and fusions the stock step has to be compiled and run beside ours, which is most of the time
-of a first start. The verdict is kept on disk, under a key that names everything it depends on.
+To verify stages and idle kernels the engine's step has to be compiled and run beside ours, which is most of
+the time of a first start. The verdict is kept on disk, under a key that names everything it depends on.
 """
 
 import json
+import logging
 import platform
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import mujoco
+import numpy as np
+import warp as wp
+
 from myowarp.disk import cached, files_digest, model_digest, version
 from myowarp.engine.compile import compile_kernels
-from myowarp.engine.idle import idle_kernels, verified_idle
-from myowarp.engine.stages import Fusion, applicable_fusions, installed, verified_fusions
+from myowarp.engine.idle import idle_kernels
+from myowarp.engine.stage import Stage, applicable_stages
+from myowarp.engine.step import physics_step, uncovered
+from myowarp.models.couplings import POINT_JOINTS
 from myowarp.spec.scene import Scene
 
-SOURCES = (
-    "engine/**/*.py",
-    "engine/**/*.cpp",
-    "sim/*.py",
-    "kernels/*.py",
-    "kernels/*.cpp",
-    "models/muscles/*.py",
-    "models/muscles/*.cpp",
-)
+logger = logging.getLogger("myowarp")
+
+SOURCES = ("engine/**/*.py", "engine/**/*.cpp", "sim/*.py", "kernels/*", "models/muscles/*")
 """Files of the package that decide a verdict."""
+
+NUM_STATES = 16  # compared, at least
+CONTROL_STEPS = 8  # between two states, at most
+TRUSTED_SHARE = 0.9  # of the states that must agree: the engine itself loses single contacts
+LEAST_CHANGE = 1e-6, 1e-2  # of velocities and positions, that errors are a share of; positions are rounded
+ROUNDINGS = 16
+"""A stage may differ by as much as that many roundings of the state move the engine's step. Stiff equalities,
+as in models converted from OpenSim, turn one rounding into up to 3e-4 of the change of velocity; stages were
+seen to differ by up to 10 times the median of that."""
+ROUNDING = 1e-4  # of the largest change in a world; float32 sums in any order
+
+State = tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]
+"""qpos, qvel, and the muscles' own state by name."""
 
 
 class Verdict(NamedTuple):
@@ -33,25 +47,55 @@ class Verdict(NamedTuple):
 
     Attributes:
         idle: Kernels of the engine to leave out.
-        fusions: Classes of the fusions to use.
+        stages: Classes of the stages to use.
     """
 
     idle: frozenset[str]
-    fusions: frozenset[str]
+    stages: frozenset[str]
 
 
-def cached_verdict(scene: Scene, candidates: Iterable[Fusion], verify: Callable[[], Verdict]) -> Verdict:
+def choose_stages(
+    scene: Scene, names: Iterable[str], also: Callable[[], None], progress: bool
+) -> tuple[tuple[Stage, ...], frozenset[str]]:
+    """Return which stages of ours to use, and which kernels of the engine to leave out.
+
+    Args:
+        scene: The task; its state is overwritten.
+        names: Stages to use where they apply, names in `STAGES`.
+        also: Launches what else is to be compiled.
+        progress: Whether to show progress bars.
+    """
+    candidates = () if uncovered(scene) else applicable_stages(scene, names)
+
+    def verify() -> Verdict:
+        def launch_both() -> None:
+            also()
+            physics_step(scene)()
+            physics_step(scene, candidates)()
+
+        compile_kernels(launch_both, scene.device, show=progress)
+        trusted = verified_stages(scene, candidates)
+        idle = verified_idle(scene)
+        return Verdict(idle, frozenset(type(stage).__name__ for stage in trusted))
+
+    verdict = _cached_verdict(scene, candidates, verify)
+    return tuple(stage for stage in candidates if type(stage).__name__ in verdict.stages), verdict.idle
+
+
+def _cached_verdict(scene: Scene, candidates: Iterable[Stage], verify: Callable[[], Verdict]) -> Verdict:
     """Return what `verify` found for this scene and these candidates, now or in an earlier process."""
     package = Path(__file__).parents[1]
-    files = sorted(file for pattern in SOURCES for file in package.glob(pattern))
+    files = sorted(
+        file for pattern in SOURCES for file in package.glob(pattern) if file.suffix in (".py", ".cpp")
+    )
     digests = (model_digest(scene.oracle), files_digest(files))
-    names = sorted(type(fusion).__name__ for fusion in candidates)
+    names = sorted(type(stage).__name__ for stage in candidates)
     where = (scene.device.alias, scene.device.name, scene.device.arch, platform.machine())
     key = ("verdict", *digests, names, where, version("mujoco-warp"), version("warp-lang"))
 
     def load(path: str) -> Verdict:
         entry = json.loads(Path(path).read_text())
-        known = {"idle": idle_kernels(scene.oracle), "fusions": frozenset(names)}
+        known = {"idle": idle_kernels(scene.oracle), "stages": frozenset(names)}
         if not isinstance(entry, dict) or any(not isinstance(entry.get(part), list) for part in known):
             raise ValueError(f"{path} holds no verdict")
         parts = {part: frozenset(map(str, entry[part])) for part in known}
@@ -65,34 +109,146 @@ def cached_verdict(scene: Scene, candidates: Iterable[Fusion], verify: Callable[
     return cached(key, ".json", make=verify, save=save, load=load)
 
 
-def choose_kernels(
-    scene: Scene,
-    names: Iterable[str],
-    launch_all: Callable[[], None],
-    launch_physics: Callable[[], None],
-    progress: bool,
-) -> tuple[frozenset[str], tuple[Fusion, ...]]:
-    """Return which kernels of the engine to leave out, and which fusions to use.
+def verified_stages(scene: Scene, stages: Iterable[Stage]) -> tuple[Stage, ...]:
+    """Return the stages whose step is the engine's; a line is logged for each that is left out.
 
     Args:
         scene: The task; its state is overwritten.
-        names: Fusions to use where they apply, names in `FUSIONS`.
-        launch_all: Launches everything, the physics stock.
-        launch_physics: Launches a stock physics step.
-        progress: Whether to show progress bars.
+        stages: What `applicable_stages` returned.
     """
-    candidates = applicable_fusions(scene, names)
+    trusted: tuple[Stage, ...] = ()
+    stages = tuple(stages)
+    if not stages:
+        return trusted
+    batches = list(_states(scene))
+    before = _changes(scene, batches, ())
+    # The median: single states where a rounding makes or breaks a contact must not count.
+    rounding = float(np.median(_error(_changes(scene, map(_rounded, batches), ()), before)))
+    for stage in stages:
+        changes = _changes(scene, batches, (*trusted, stage))
+        error, allowed = _error(changes, before), stage.TOLERANCE + ROUNDINGS * rounding
+        if np.mean(error <= allowed) >= TRUSTED_SHARE:
+            trusted, before = (*trusted, stage), changes
+            continue
+        logger.warning(
+            "%s is left to mujoco-warp: a step with ours differs by %.1e of what a step changes (median), "
+            "allowed is %.0e",
+            type(stage).__name__,
+            np.median(error),
+            allowed,
+        )
+    return trusted
 
-    def launch_both() -> None:
-        launch_all()
-        with installed(candidates):
-            launch_physics()
 
-    def verify() -> Verdict:
-        compile_kernels(launch_both, scene.device, show=progress)
-        trusted = verified_fusions(scene, candidates, launch_physics)
-        idle = verified_idle(scene, launch_physics)
-        return Verdict(idle, frozenset(type(fusion).__name__ for fusion in trusted))
+def verified_idle(scene: Scene) -> frozenset[str]:
+    """Return the kernels to leave out, none if leaving them out changes the state.
 
-    verdict = cached_verdict(scene, candidates, verify)
-    return verdict.idle, tuple(fusion for fusion in candidates if type(fusion).__name__ in verdict.fusions)
+    Args:
+        scene: The task; its state is overwritten.
+    """
+    host, data = scene.oracle, scene.data
+    names = idle_kernels(host)
+    rng = np.random.default_rng(0)
+    low, high = np.where(host.jnt_limited[:, None], host.jnt_range, (-1.0, 1.0)).T
+    qpos = np.tile(host.qpos0, (data.nworld, 1))
+    scalar = np.isin(host.jnt_type, POINT_JOINTS)
+    qpos[:, host.jnt_qposadr[scalar]] = rng.uniform(low, high, (data.nworld, host.njnt))[:, scalar]
+    qvel = rng.standard_normal((data.nworld, host.nv))
+    muscles = _muscle_state(scene, rng)
+    start = np.concatenate([qpos, qvel], axis=1)
+    ends = []
+    for skipped in (names, frozenset[str]()):
+        _place(scene, (qpos, qvel, muscles))
+        physics_step(scene, idle=skipped)()
+        ends.append(np.concatenate([data.qpos.numpy(), data.qvel.numpy()], axis=1).copy())
+    ours, stock = ends
+    return names if is_same_step(start, ours, stock, exact=scene.device.is_cpu) else frozenset()
+
+
+def is_same_step(start: np.ndarray, first: np.ndarray, second: np.ndarray, exact: bool) -> bool:
+    """Whether two steps from the same states, (num_worlds, n) each, have led to the same states.
+
+    Args:
+        start: States before.
+        first: States after the one step.
+        second: States after the other.
+        exact: Whether every bit counts. If not, half of the worlds may differ by more than rounding: a
+            solver that stops one iteration earlier makes more of it, a kernel left out shows in all worlds.
+    """
+    if exact:
+        return np.array_equal(first, second)
+    change = np.abs(second - start).max(axis=1).clip(min=1e-6)
+    return bool(np.median(np.abs(first - second).max(axis=1) / change) <= ROUNDING)
+
+
+def _states(scene: Scene) -> Iterator[State]:
+    """Yield states of all worlds, until NUM_STATES are reached: random motion of MuJoCo C."""
+    host, worlds = scene.oracle, scene.num_worlds
+    data = mujoco.MjData(host)
+    data.qpos[:] = scene.qpos_start.numpy()
+    rng = np.random.default_rng(0)
+    low, high = np.where(host.actuator_ctrllimited[:, None], host.actuator_ctrlrange, (-1.0, 1.0)).T
+    motion = []
+    for _ in range(NUM_STATES):
+        data.ctrl[:] = rng.uniform(low, high)
+        mujoco.mj_step(host, data, scene.num_substeps * int(rng.integers(1, CONTROL_STEPS)))
+        motion.append((data.qpos.copy(), data.qvel.copy()))
+    for first in range(0, NUM_STATES, worlds):
+        chosen = [motion[(first + i) % NUM_STATES] for i in range(worlds)]
+        muscles = _muscle_state(scene, rng)
+        yield np.array([q for q, _ in chosen]), np.array([v for _, v in chosen]), muscles
+
+
+def _muscle_state(scene: Scene, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Return a state of the muscles: a random activation."""
+    return {"activation": rng.uniform(size=scene.muscles.activation.shape)}
+
+
+def _place(scene: Scene, state: State) -> None:
+    """Put the worlds into a state."""
+    qpos, qvel, muscles = state
+    scene.data.qpos.assign(qpos)
+    scene.data.qvel.assign(qvel)
+    scene.data.qacc_warmstart.zero_()
+    for name, values in muscles.items():
+        getattr(scene.muscles, name).assign(values)
+
+
+def _rounded(state: State) -> State:
+    """Return states whose positions and velocities are the next float32 numbers, up or down at random."""
+    qpos, qvel, muscles = state
+    random = np.random.default_rng(0)
+
+    def beside(values: np.ndarray) -> np.ndarray:
+        way = np.where(random.integers(2, size=values.shape), np.float32(np.inf), np.float32(-np.inf))
+        return np.nextafter(values.astype(np.float32), way)
+
+    return beside(qpos), beside(qvel), muscles
+
+
+def _changes(
+    scene: Scene, batches: Iterable[State], stages: Iterable[Stage]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what a physics step adds to velocities, (num_states, nv), and to positions, (num_states, nq)."""
+    data, changes = scene.data, []
+    stock, ours = physics_step(scene), physics_step(scene, stages)
+    for state in batches:
+        # What this leaves behind is that of other states: a stage that leaves something out is seen.
+        data.qpos.assign(np.roll(state[0], 1, axis=0))
+        stock()
+        _place(scene, state)
+        before = data.qvel.numpy().copy(), data.qpos.numpy().copy()
+        ours()
+        wp.synchronize_device(scene.device)
+        changes.append((data.qvel.numpy() - before[0], data.qpos.numpy() - before[1]))
+    velocities, positions = zip(*changes, strict=True)
+    return np.concatenate(velocities), np.concatenate(positions)
+
+
+def _error(ours: tuple[np.ndarray, np.ndarray], stock: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Return by how much changes differ, as a share of the largest in each state, for the worse of both."""
+    shares = [
+        np.abs(mine - theirs).max(axis=1) / np.abs(theirs).max(axis=1).clip(min=least)
+        for mine, theirs, least in zip(ours, stock, LEAST_CHANGE, strict=True)
+    ]
+    return np.maximum(*shares)

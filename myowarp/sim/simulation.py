@@ -18,12 +18,12 @@ import warp as wp
 
 from myowarp.engine.compile import compile_kernels, quiet, renew_code
 from myowarp.engine.graph import Graph, replay_nothing
-from myowarp.engine.idle import one_thread, pruned
+from myowarp.engine.idle import pruned
 from myowarp.engine.patch import engine_kernels_alone
 from myowarp.engine.repeat import repeat
-from myowarp.engine.stages import FUSIONS, Fusion, installed
-from myowarp.engine.stages.rigid_body import RigidBodyFusion
-from myowarp.engine.verify import choose_kernels
+from myowarp.engine.stage import STAGES, Stage
+from myowarp.engine.step import physics_step
+from myowarp.engine.verify import choose_stages
 from myowarp.kernels.action import apply_action
 from myowarp.kernels.episode import (
     AUTORESET,
@@ -57,7 +57,7 @@ class Simulation:
         conditions: The muscle conditions, in the order in which they act.
         scene: The compiled task.
         program: The task's kernels.
-        fusions: Parts of the physics step that kernels of ours do.
+        stages: Stages of the physics step that kernels of ours do.
         effects: The conditions' kernels, in the order in which they act.
         action: Policy actions in [-1, 1], to be written before `step`, shape (num_worlds, num_actuators).
         transition: What the last step led to.
@@ -86,7 +86,7 @@ class Simulation:
         horizon: int | None = None,
         graph: bool = True,
         deterministic: bool = False,
-        fusions: Iterable[str] | None = None,
+        stages: Iterable[str] | None = None,
         progress: bool = True,
         like: Simulation | None = None,
     ) -> None:
@@ -104,7 +104,7 @@ class Simulation:
             horizon: Control steps in an episode; None: the task's.
             graph: Whether to capture the step as a graph.
             deterministic: Whether a run gives the same bits every time on CUDA, which is slower.
-            fusions: Names in `FUSIONS` to use where they apply; None: all.
+            stages: Names in `engine.stage.STAGES` to use where they apply; None: all.
             progress: Whether to show progress bars while kernels compile and random starts are found.
             like: Another part, made with the same arguments, whose kernels and starts can be taken over.
 
@@ -125,7 +125,7 @@ class Simulation:
             self._allocate(horizon)
             if like is None:
                 self._choose_starts(progress)
-                self._choose_kernels(FUSIONS if fusions is None else fusions, progress)
+                self._choose_kernels(STAGES if stages is None else stages, progress)
             else:
                 self._take_over(like)
             self.step_graph = self._capture(self._launch_step) if graph else None
@@ -155,17 +155,18 @@ class Simulation:
             self.starts = wp.array(find_starts(spec, progress), dtype=float)
             self.start_address = wp.array(start_address(spec, scene.oracle), dtype=int)
 
-    def _choose_kernels(self, fusions: Iterable[str], progress: bool) -> None:
-        """Find out which kernels to leave out and to replace, and compile the others."""
-        launches = self._launch_all, self._launch_physics
-        self._idle, self.fusions = choose_kernels(self.scene, fusions, *launches, progress)
+    def _choose_kernels(self, names: Iterable[str], progress: bool) -> None:
+        """Find out which stages of the physics step are to be ours, and compile all kernels."""
+        self.stages, self._idle = choose_stages(self.scene, names, self._launch_all, progress)
+        self._launch_physics = physics_step(self.scene, self.stages, self._idle)
         self._modules = compile_kernels(self._launch_all, self.scene.device, show=progress)
 
     def _take_over(self, like: Simulation) -> None:
         """Have the starts and kernels of another part."""
         self.starts, self.start_address = like.starts, like.start_address
         self._modules, self._idle = like._modules, like._idle
-        self.fusions = tuple(type(fusion)(self.scene) for fusion in like.fusions)
+        self.stages = tuple(type(stage)(self.scene) for stage in like.stages)
+        self._launch_physics = physics_step(self.scene, self.stages, self._idle)
 
     def _bind_conditions(self) -> None:
         """Allocate the counters of the episodes, and what the conditions need."""
@@ -203,7 +204,8 @@ class Simulation:
         self._asked = wp.zeros(n, dtype=bool)
         self._countdown = wp.zeros(1, dtype=int)
         self._probes: list[Callable[[], None]] = []
-        self._idle, self.fusions = frozenset[str](), tuple[Fusion, ...]()
+        self._idle, self.stages = frozenset[str](), tuple[Stage, ...]()
+        self._launch_physics = physics_step(self.scene)
 
     def _launch_all(self) -> None:
         """Every launch there is, for the compiler."""
@@ -215,8 +217,7 @@ class Simulation:
         """One control step of all worlds."""
         self.launch_action()
         self.launch_conditions()
-        with pruned(self._idle):
-            repeat(self._launch_physics, self.scene.num_substeps, self._countdown)
+        repeat(self._launch_physics, self.scene.num_substeps, self._countdown)
         self._refresh()
         wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
         self.launch_scoring()
@@ -227,11 +228,6 @@ class Simulation:
         if self.autoreset == AUTORESET["same_step"]:
             wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
         self._launch_reset(self.masks.renew, self.masks.reset, self.masks.fresh, asked=False)
-
-    def _launch_physics(self) -> None:
-        """One physics step of all worlds; muscles and conditions run in the engine's control callback."""
-        with installed(self.fusions), one_thread(self.scene.device), engine_kernels_alone():
-            mjw.step(self.scene.model, self.scene.data)
 
     def _launch_control(self, model: mjw.Model, data: mjw.Data) -> None:
         """Engine callback: the muscles, and what conditions do in a physics step."""
@@ -323,9 +319,8 @@ class Simulation:
         if not self.scene.spec.uses_kinematics:
             return
         model, data = self.scene.model, self.scene.data
-        for fusion in self.fusions:
-            if isinstance(fusion, RigidBodyFusion):
-                fusion.launch_poses(model, data, mask)
+        for stage in self.stages:
+            if stage.refresh(model, data, mask):
                 return
         with engine_kernels_alone():
             mjw.kinematics(model, data)

@@ -1,57 +1,82 @@
-"""Actuator forces by one thread a world, see `kernels/affine_actuators.py`."""
+"""Forces of actuators that are affine in their control, length and velocity: one thread a world.
 
-import contextlib
-from collections.abc import Iterator
-from unittest import mock
+So are motors, and muscles once `myowarp.models.muscles` has put their force into the bias. The engine has a
+thread for each actuator that first finds out which of a dozen kinds it is.
+"""
+
+from typing import ClassVar
 
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
-from mujoco_warp._src import forward
-from mujoco_warp._src.types import BiasType, DisableBit, GainType, IntegratorType, JointType, TrnType
+from mujoco_warp import BiasType, DisableBit, GainType, JointType, TrnType
+from mujoco_warp._src.types import vec10
 
-from myowarp.engine.stages import FUSIONS, Fusion
-from myowarp.engine.stages.affine_actuators_kernel import ActuatorMoments, AffineActuators, actuate
-from myowarp.engine.stages.arrays import filled
-from myowarp.spec.scene import Scene
+from myowarp.engine.stage import Stage
+from myowarp.engine.stages.arrays import any_of, filled
+from myowarp.kernels.batching import batched
+from myowarp.kernels.launch import launch
 
 
-@FUSIONS.register("affine_actuators")
-class AffineActuatorsFusion(Fusion):
-    """The engine's actuation stage, for actuators without a state of their own."""
+@wp.struct
+class Actuators:
+    """What forces depend on; fields are those of the engine's `Model`."""
 
-    @classmethod
-    def obstacle(cls, scene: Scene) -> str | None:
-        """Return why it cannot be used, None if it can."""
-        model, callbacks = scene.model, scene.model.callback
-        gains, biases = model.actuator_gaintype.numpy(), model.actuator_biastype.numpy()
-        off = model.actuator_biasprm.numpy()[:, biases == BiasType.NONE]
-        limited = (model.tendon_actfrclimited, model.jnt_actfrclimited)
-        obstacles = {
-            "the device is not the CPU": not scene.device.is_cpu,
-            "there is no actuator": model.nu == 0,
-            "actuators have states": model.na > 0,
-            "a gain is not a constant": (gains != GainType.FIXED).any(),
-            "a bias is not affine": not np.isin(biases, (BiasType.NONE, BiasType.AFFINE)).all(),
-            "a bias that is off has parameters": off.any(),
-            "an actuator drives neither tendon nor hinge nor slide": not _drives_scalars(model),
-            "controls are delayed": model.nhistory > 0,
-            "forces are limited at tendons or joints": any(array.numpy().any() for array in limited),
-            "actuators compensate gravity": model.jnt_actgravcomp.numpy().any(),
-            "the integrator is the discrete one": model.opt.integrator == IntegratorType.DISCRETE,
-            "actuation is off": bool(model.opt.disableflags & DisableBit.ACTUATION),
-            "the user has actuators": any((callbacks.act_dyn, callbacks.act_gain, callbacks.act_bias)),
-        }
-        return next((reason for reason, holds in obstacles.items() if holds), None)
+    actuator_ctrllimited: wp.array[bool]
+    actuator_ctrlrange: wp.array2d[wp.vec2]
+    actuator_gainprm: wp.array2d[vec10]
+    actuator_biasprm: wp.array2d[vec10]
+    actuator_forcelimited: wp.array[bool]
+    actuator_forcerange: wp.array2d[wp.vec2]
 
-    def __init__(self, scene: Scene) -> None:
-        """Nothing to allocate."""
 
-    @contextlib.contextmanager
-    def installed(self) -> Iterator[None]:
-        """Have the engine launch our kernel as its actuation stage."""
-        with mock.patch.object(forward, "fwd_actuation", launch_actuation):
-            yield
+@wp.struct
+class ActuatorMoments:
+    """Lengths, velocities and moment arms; fields are those of the engine's `Data`."""
+
+    actuator_length: wp.array2d[float]
+    actuator_velocity: wp.array2d[float]
+    moment_rownnz: wp.array2d[int]
+    moment_rowadr: wp.array2d[int]
+    moment_colind: wp.array2d[int]
+    actuator_moment: wp.array2d[float]
+
+
+@wp.kernel(enable_backward=False)
+def actuate(
+    # Model:
+    actuators: Actuators,
+    # Data in:
+    ctrl_in: wp.array2d[float],
+    # In:
+    clamp_controls: bool,
+    moments: ActuatorMoments,
+    # Data out:
+    actuator_force_out: wp.array2d[float],
+    qfrc_actuator_out: wp.array2d[float],
+):
+    """force = g ctrl + b0 + b1 length + b2 velocity, within its range; qfrc = moment' force."""
+    worldid = wp.tid()
+    ctrlrange = actuators.actuator_ctrlrange[batched(worldid, actuators.actuator_ctrlrange.shape[0])]
+    gains = actuators.actuator_gainprm[batched(worldid, actuators.actuator_gainprm.shape[0])]
+    biases = actuators.actuator_biasprm[batched(worldid, actuators.actuator_biasprm.shape[0])]
+    forcerange = actuators.actuator_forcerange[batched(worldid, actuators.actuator_forcerange.shape[0])]
+    qfrc = qfrc_actuator_out[worldid]
+    for dof in range(qfrc.shape[0]):
+        qfrc[dof] = 0.0
+    for i in range(biases.shape[0]):
+        ctrl = ctrl_in[worldid, i]
+        if clamp_controls and actuators.actuator_ctrllimited[i]:
+            ctrl = wp.clamp(ctrl, ctrlrange[i][0], ctrlrange[i][1])
+        length, velocity = moments.actuator_length[worldid, i], moments.actuator_velocity[worldid, i]
+        force = gains[i][0] * ctrl + biases[i][0] + biases[i][1] * length + biases[i][2] * velocity
+        if actuators.actuator_forcelimited[i]:
+            force = wp.clamp(force, forcerange[i][0], forcerange[i][1])
+        actuator_force_out[worldid, i] = force
+        first = moments.moment_rowadr[worldid, i]
+        for entry in range(first, first + moments.moment_rownnz[worldid, i]):
+            dof = moments.moment_colind[worldid, entry]
+            qfrc[dof] = qfrc[dof] + moments.actuator_moment[worldid, entry] * force
 
 
 def _drives_scalars(model: mjw.Model) -> bool:
@@ -63,13 +88,45 @@ def _drives_scalars(model: mjw.Model) -> bool:
     return bool(np.isin(driven, (JointType.HINGE, JointType.SLIDE)).all())
 
 
-def launch_actuation(model: mjw.Model, data: mjw.Data) -> None:
-    """Set the actuator forces of all worlds, as `mujoco_warp._src.forward.fwd_actuation` does."""
-    actuators, moments = filled(AffineActuators, model), filled(ActuatorMoments, data)
-    clamp_controls = not model.opt.disableflags & DisableBit.CLAMPCTRL
-    wp.launch(
-        actuate,
-        dim=data.nworld,
-        inputs=[actuators, data.ctrl, clamp_controls, moments],
-        outputs=[data.actuator_force, data.qfrc_actuator],
-    )
+class AffineActuators(Stage):
+    """The engine's actuation stage, for actuators without a state of their own."""
+
+    REPLACES = ("actuation",)
+    OBSTACLES: ClassVar = {
+        "the device is not the CPU": lambda scene: not scene.device.is_cpu,
+        "there is no actuator": lambda scene: scene.model.nu == 0,
+        "actuators have states": lambda scene: scene.model.na > 0,
+        "a gain is not a constant": lambda scene: any_of(
+            scene.model.actuator_gaintype.numpy() != GainType.FIXED
+        ),
+        "a bias is not affine": lambda scene: (
+            not np.isin(scene.model.actuator_biastype.numpy(), (BiasType.NONE, BiasType.AFFINE)).all()
+        ),
+        "a bias that is off has parameters": lambda scene: any_of(
+            scene.model.actuator_biasprm.numpy()[:, scene.model.actuator_biastype.numpy() == BiasType.NONE]
+        ),
+        "an actuator drives neither tendon nor hinge nor slide": lambda scene: (
+            not _drives_scalars(scene.model)
+        ),
+        "controls are delayed": lambda scene: scene.model.nhistory > 0,
+        "forces are limited at tendons or joints": lambda scene: any_of(
+            scene.model.tendon_actfrclimited, scene.model.jnt_actfrclimited
+        ),
+        "actuators compensate gravity": lambda scene: any_of(scene.model.jnt_actgravcomp),
+        "actuation is off": lambda scene: bool(scene.model.opt.disableflags & DisableBit.ACTUATION),
+        "the user has actuators": lambda scene: any(
+            (
+                scene.model.callback.act_dyn,
+                scene.model.callback.act_gain,
+                scene.model.callback.act_bias,
+            )
+        ),
+    }
+
+    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Set the actuator forces of all worlds, as `mujoco_warp.fwd_actuation` does."""
+        clamp_controls = not model.opt.disableflags & DisableBit.CLAMPCTRL
+        actuators, moments = filled(Actuators, model), filled(ActuatorMoments, data)
+        launch(
+            actuate, data.nworld, data, actuators=actuators, moments=moments, clamp_controls=clamp_controls
+        )

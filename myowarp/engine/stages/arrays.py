@@ -62,3 +62,8 @@ def filled(kind: Any, *sources: Any) -> Any:
         owner = next(source for source in sources if hasattr(source, name))
         setattr(struct, name, getattr(owner, name))
     return struct
+
+
+def any_of(*arrays: Any) -> bool:
+    """Whether anything in these arrays, of Warp or of NumPy, is not zero."""
+    return any((array.numpy() if isinstance(array, wp.array) else array).any() for array in arrays)

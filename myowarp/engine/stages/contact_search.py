@@ -1,17 +1,15 @@
-"""Contacts in few launches, see `kernels/contact_search.py` and `kernels/primitive_contacts.py`."""
+"""Contacts in few launches: those of spheres, capsules and ellipsoids in one, see `contact_search_kernel`."""
 
-import contextlib
-import functools
-from collections.abc import Callable, Iterator
-from unittest import mock
+from collections.abc import Callable
+from typing import ClassVar
 
 import mujoco_warp as mjw
 import warp as wp
-from mujoco_warp._src import collision_driver
-from mujoco_warp._src.collision_core import CollisionContext
-from mujoco_warp._src.types import BroadphaseType, EnableBit, GeomType
+from mujoco_warp import BroadphaseType, DisableBit, EnableBit, GeomType
+from mujoco_warp._src.collision_core import create_collision_context
+from mujoco_warp._src.collision_driver import MJ_COLLISION_TABLE, CollisionType, convex_narrowphase
 
-from myowarp.engine.stages import FUSIONS, Fusion
+from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import ContactPool, filled
 from myowarp.engine.stages.contact_search_kernel import (
     OURS,
@@ -22,61 +20,11 @@ from myowarp.engine.stages.contact_search_kernel import (
 )
 from myowarp.engine.stages.primitive_contacts import CLOSED_FORMS, touch_kernel
 from myowarp.kernels.batching import num_threads
+from myowarp.kernels.launch import launch
 from myowarp.models.slim import colliding_pairs
 from myowarp.spec.scene import Scene
 
 Kind = tuple[GeomType, GeomType]
-Narrowphase = Callable[[mjw.Model, mjw.Data, CollisionContext, list[Kind]], None]
-
-
-@FUSIONS.register("contact_search")
-class ContactSearch(Fusion):
-    """One launch for most contacts, and one for each kind with a closed form; others stay with the engine."""
-
-    TOLERANCE = 1e-2  # the engine's own normals of deep contacts are off by as much
-
-    @classmethod
-    def obstacle(cls, scene: Scene) -> str | None:
-        """Return why the search cannot be used, None if it can."""
-        opt = scene.model.opt
-        obstacles = {
-            "no sphere, capsule or ellipsoid can touch another": _kinds(scene).isdisjoint(OURS),
-            "the engine does not compare all pairs": opt.broadphase != BroadphaseType.NXN,
-            "sleeping is on": bool(opt.enableflags & EnableBit.SLEEP),
-            "meshes differ between worlds": scene.model.geom_dataid.shape[0] > 1,
-        }
-        return next((reason for reason, holds in obstacles.items() if holds), None)
-
-    def __init__(self, scene: Scene) -> None:
-        """Note what is left to the engine."""
-        self._left = _kinds(scene) - set(OURS)
-
-    @contextlib.contextmanager
-    def installed(self) -> Iterator[None]:
-        """Have the engine begin with our search, and go on with the kinds of pairs that are left."""
-
-        def for_what_is_left(engine: Narrowphase) -> Narrowphase:
-            def narrowphase(
-                model: mjw.Model, data: mjw.Data, context: CollisionContext, kinds: list[Kind]
-            ) -> None:
-                left = [kind for kind in kinds if kind in self._left]
-                if not left:
-                    return
-                if data.nacon.device.is_cpu:  # which takes its time to find that threads have nothing to do
-                    wp.capture_if(data.ncollision, lambda: engine(model, data, context, left))
-                else:
-                    engine(model, data, context, left)
-
-            return narrowphase
-
-        convex = collision_driver.convex_narrowphase
-        primitive = functools.partial(launch_primitives, collision_driver.primitive_narrowphase)
-        with (
-            mock.patch.object(collision_driver, "nxn_broadphase", launch_search),
-            mock.patch.object(collision_driver, "convex_narrowphase", for_what_is_left(convex)),
-            mock.patch.object(collision_driver, "primitive_narrowphase", for_what_is_left(primitive)),
-        ):
-            yield
 
 
 def _kinds(scene: Scene) -> set[Kind]:
@@ -86,34 +34,72 @@ def _kinds(scene: Scene) -> set[Kind]:
     return {(GeomType(first), GeomType(second)) for first, second in pairs}
 
 
-def launch_search(
-    model: mjw.Model, data: mjw.Data, context: CollisionContext, awake_prev: wp.array | None = None
-) -> None:
-    """Search all worlds, in the place of `mujoco_warp._src.collision_driver.nxn_broadphase`."""
-    threads = num_threads(data.nacon.device, model.nxn_geom_pair_filtered.shape[0])
-    wp.launch(
-        find_contacts,
-        dim=(data.nworld, threads),
-        inputs=[filled(Shapes, model, data), filled(ContactMaterial, model), data.naconmax, threads],
-        outputs=[filled(ContactPool, data.contact, data), filled(Candidates, context, data)],
-    )
+class ContactSearch(Stage):
+    """One launch for most contacts, and one for each kind with a closed form; others stay with the engine."""
+
+    REPLACES = ("collision",)
+    TOLERANCE = 1e-2  # the engine's own normals of deep contacts are off by as much
+    OBSTACLES: ClassVar = {
+        "no sphere, capsule or ellipsoid can touch another": lambda scene: _kinds(scene).isdisjoint(OURS),
+        "the engine does not compare all pairs": lambda scene: (
+            scene.model.opt.broadphase != BroadphaseType.NXN
+        ),
+        "contacts are off": lambda scene: bool(
+            scene.model.opt.disableflags & (DisableBit.CONSTRAINT | DisableBit.CONTACT)
+        ),
+        "the engine's convex collisions are switched off": lambda scene: bool(
+            scene.model.opt.disableflags & DisableBit.NATIVECCD
+        ),
+        "sleeping is on": lambda scene: bool(scene.model.opt.enableflags & EnableBit.SLEEP),
+        "meshes differ between worlds": lambda scene: scene.model.geom_dataid.shape[0] > 1,
+        "there are flexes, distance fields or moving surfaces": lambda scene: bool(
+            scene.model.nflex or scene.model.has_sdf_geom or scene.model.flg_surfacevel
+        ),
+        "the user filters contacts": lambda scene: scene.model.callback.contactfilter is not None,
+    }
+
+    def __init__(self, scene: Scene) -> None:
+        """Sort the kinds of pairs that are left by who finds their contacts."""
+        super().__init__(scene)
+        left = [kind for kind in MJ_COLLISION_TABLE if kind in _kinds(scene) - set(OURS)]
+        convex = [kind for kind in left if MJ_COLLISION_TABLE[kind] == CollisionType.CONVEX]
+        primitive = [kind for kind in left if MJ_COLLISION_TABLE[kind] == CollisionType.PRIMITIVE]
+        self._convex = convex
+        self._closed = [kind for kind in primitive if kind in CLOSED_FORMS]
+        self._primitive = [kind for kind in primitive if kind not in CLOSED_FORMS]
+        with wp.ScopedDevice(scene.device):
+            self._context = create_collision_context(scene.data.naconmax)
+
+    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Find the contacts of all worlds, as `mujoco_warp.collision` does."""
+        data.ncollision.zero_()
+        data.nacon.zero_()
+        shared = {
+            "shapes": filled(Shapes, model, data),
+            "material": filled(ContactMaterial, model),
+            "candidates": filled(Candidates, self._context, data),
+            "contact": filled(ContactPool, data.contact, data),
+        }
+        pairs = num_threads(data.nacon.device, model.nxn_geom_pair_filtered.shape[0])
+        launch(find_contacts, (data.nworld, pairs), data, threads=pairs, **shared)
+        if self._convex:
+            _if_any(data, lambda: convex_narrowphase(model, data, self._context, self._convex))
+        if self._closed:
+            _if_any(data, lambda: self._launch_closed_forms(data, shared))
+        if self._primitive:
+            _if_any(data, lambda: mjw.primitive_narrowphase(model, data, self._context, self._primitive))
+
+    def _launch_closed_forms(self, data: mjw.Data, shared: dict[str, object]) -> None:
+        """Find the contacts of the kinds of pairs that have a closed form."""
+        threads = num_threads(data.nacon.device, data.naconmax)
+        for kind in self._closed:
+            touch_pairs = touch_kernel(kind)
+            launch(touch_pairs, threads, data, threads=threads, **shared)
 
 
-def launch_primitives(
-    engine: Narrowphase, model: mjw.Model, data: mjw.Data, context: CollisionContext, kinds: list[Kind]
-) -> None:
-    """Find the contacts of these kinds of pairs on the engine's list; those with meshes are left to it."""
-    shapes, material = filled(Shapes, model, data), filled(ContactMaterial, model)
-    candidates, contact = filled(Candidates, context, data), filled(ContactPool, data.contact, data)
-    threads = num_threads(data.nacon.device, data.naconmax)
-    for kind in kinds:
-        if kind not in CLOSED_FORMS:
-            engine(model, data, context, [kind])
-            continue
-        touch_pairs = touch_kernel(kind)
-        wp.launch(
-            touch_pairs,
-            dim=threads,
-            inputs=[shapes, material, data.naconmax, threads, candidates],
-            outputs=[contact],
-        )
+def _if_any(data: mjw.Data, launches: Callable[[], None]) -> None:
+    """Launch where pairs are left on the engine's list; on CUDA its threads find that out by themselves."""
+    if data.nacon.device.is_cpu:
+        wp.capture_if(data.ncollision, launches)
+    else:
+        launches()

@@ -1,74 +1,183 @@
-"""The constraint solver as one kernel, see `kernels/contact_solve.py`."""
+"""Constraint forces: one thread a world runs the whole Newton solve, on the CPU device.
 
-import contextlib
-from collections.abc import Iterator
-from unittest import mock
+Acceleration `x` minimises `1/2 (x - a)' M (x - a) + sum_i s_i(J_i x - aref_i)`, with `a` the acceleration
+without constraints and `s_i` quadratic where row i pulls and linear or zero where it does not (MuJoCo
+documentation, Computation, "Primal problem"). The steps and stopping tests are mujoco-warp's; its dozen
+launches an iteration become plain loops over small dense arrays on the stack (`contact_solve.cpp`). The
+Hessian changes only by the rows whose state flipped, and is factorised again only then. The line search is
+exact, in double precision.
+"""
+
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar
 
 import mujoco_warp as mjw
 import warp as wp
-from mujoco_warp._src import solver
-from mujoco_warp._src.types import DisableBit, EnableBit, IntegratorType
+from mujoco_warp import DisableBit, OverflowType
 
-from myowarp.engine.stages import FUSIONS, Fusion
+from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import ConstraintRows, InertiaRows, filled
-from myowarp.engine.stages.contact_solve_kernel import (
-    VECTOR,
-    RowCounts,
-    SolverOptions,
-    SolverResult,
-    solver_kernel,
-)
-from myowarp.spec.scene import Scene
+from myowarp.kernels.launch import launch
+
+VECTOR = 8  # floats that one instruction adds
+SOURCE = Path(__file__).with_name("contact_solve.cpp").read_text()
+
+
+@wp.struct
+class SolverOptions:
+    """When to stop."""
+
+    tolerance: wp.array[float]
+    iterations: int
+    ls_iterations: int
+
+
+@wp.struct
+class RowCounts:
+    """Rows of each world: equalities, friction losses, all."""
+
+    ne: wp.array[int]
+    nf: wp.array[int]
+    nefc: wp.array[int]
+
+
+@wp.struct
+class SolverResult:
+    """What the solve leaves in `Data`."""
+
+    niter: wp.array[int]
+    overflow: wp.array[int]
+    force: wp.array2d[float]
+    state: wp.array2d[int]
+    Ma: wp.array2d[float]
+
+
+@cache
+def native_solve(width: int) -> Any:
+    """Return the native function for at most `width` degrees of freedom, a multiple of VECTOR."""
+    constants = {
+        "WIDTH": width,
+        "ITERATIONS_OVERFLOW": int(OverflowType.ITERATIONS),
+        "LINE_SEARCH_OVERFLOW": int(OverflowType.LS_ITERATIONS),
+    }
+
+    @wp.func_native(
+        "".join(f"constexpr int {name} = {value};\n" for name, value in constants.items()) + SOURCE
+    )
+    def solve_world(
+        world: int,
+        inertia: InertiaRows,
+        options: SolverOptions,
+        M: wp.array[float],
+        qfrc_smooth: wp.array[float],
+        qacc_warmstart: wp.array[float],
+        counts: RowCounts,
+        rows: ConstraintRows,
+        qacc: wp.array[float],
+        qfrc_constraint: wp.array[float],
+        result: SolverResult,
+    ): ...
+
+    return solve_world
+
+
+@cache
+def solver_kernel(width: int) -> Any:
+    """Return the kernel `solve_constraints` for at most `width` degrees of freedom, a multiple of VECTOR."""
+    solve_world = native_solve(width)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def solve_constraints(
+        # Params:
+        inertia: InertiaRows,
+        options: SolverOptions,
+        # Data in:
+        M_in: wp.array2d[float],
+        qfrc_smooth_in: wp.array2d[float],
+        qacc_warmstart_in: wp.array2d[float],
+        # In:
+        counts: RowCounts,
+        rows: ConstraintRows,
+        # Data out:
+        qacc_out: wp.array2d[float],
+        qfrc_constraint_out: wp.array2d[float],
+        # Out:
+        result: SolverResult,
+    ):
+        """M qacc = qfrc_smooth + J' force, force = -s'(J qacc - aref)."""
+        worldid = wp.tid()
+        solve_world(
+            worldid,
+            inertia,
+            options,
+            M_in[worldid],
+            qfrc_smooth_in[worldid],
+            qacc_warmstart_in[worldid],
+            counts,
+            rows,
+            qacc_out[worldid],
+            qfrc_constraint_out[worldid],
+            result,
+        )
+
+    return solve_constraints
+
+
+@wp.kernel(enable_backward=False)
+def sum_forces(
+    # Data in:
+    qfrc_applied_in: wp.array2d[float],
+    qfrc_passive_in: wp.array2d[float],
+    qfrc_actuator_in: wp.array2d[float],
+    qfrc_bias_in: wp.array2d[float],
+    # Data out:
+    qfrc_smooth_out: wp.array2d[float],
+):
+    """qfrc_smooth = qfrc_passive - qfrc_bias + qfrc_applied + qfrc_actuator."""
+    worldid = wp.tid()
+    for dof in range(qfrc_smooth_out.shape[1]):
+        force = qfrc_passive_in[worldid, dof] - qfrc_bias_in[worldid, dof]
+        force = force + qfrc_applied_in[worldid, dof] + qfrc_actuator_in[worldid, dof]
+        qfrc_smooth_out[worldid, dof] = force
+
 
 MAX_DOFS = 40
 MAX_ROWS = 512  # with MAX_DOFS 100 KB of stack
 
 
-@FUSIONS.register("contact_solve")
-class ContactSolve(Fusion):
-    """Newton's method for all constraints of a world in one thread; `Data.qacc_smooth` is not computed."""
+class ContactSolve(Stage):
+    """Newton's method for all constraints of a world in one thread.
 
-    @classmethod
-    def obstacle(cls, scene: Scene) -> str | None:
-        """Return why the solver cannot be used, None if it can."""
-        opt, data = scene.model.opt, scene.data
-        obstacles = {
-            "the device is not the CPU": not scene.device.is_cpu,
-            "the solver is not Newton's": opt.solver != mjw.SolverType.NEWTON,
-            "the friction cone is not pyramidal": opt.cone != mjw.ConeType.PYRAMIDAL,
-            "the integrator is the discrete one": opt.integrator == IntegratorType.DISCRETE,
-            "noslip iterations are on": opt.noslip_iterations > 0,
-            "sleeping is on": bool(opt.enableflags & EnableBit.SLEEP),
-            "warm starts are off": bool(opt.disableflags & DisableBit.WARMSTART),
-            "the solver makes no iterations": opt.iterations < 1,
-            f"degrees of freedom are not 1 to {MAX_DOFS}": not 0 < scene.model.nv <= MAX_DOFS,
-            f"constraint rows are not 1 to {MAX_ROWS}": not 0 < data.njmax <= MAX_ROWS,
-        }
-        return next((reason for reason, holds in obstacles.items() if holds), None)
+    `Data.qacc_smooth` is not computed. Forces in `Data.xfrc_applied` do not act: the simulation applies none.
+    """
 
-    def __init__(self, scene: Scene) -> None:
-        self._options = scene.model.opt
+    REPLACES = ("acceleration", "solve")
+    OBSTACLES: ClassVar = {
+        "the device is not the CPU": lambda scene: not scene.device.is_cpu,
+        "the solver is not Newton's": lambda scene: scene.model.opt.solver != mjw.SolverType.NEWTON,
+        "the friction cone is not pyramidal": lambda scene: scene.model.opt.cone != mjw.ConeType.PYRAMIDAL,
+        "noslip iterations are on": lambda scene: scene.model.opt.noslip_iterations > 0,
+        "warm starts are off": lambda scene: bool(scene.model.opt.disableflags & DisableBit.WARMSTART),
+        "the solver makes no iterations": lambda scene: scene.model.opt.iterations < 1,
+        f"degrees of freedom are not 1 to {MAX_DOFS}": lambda scene: not 0 < scene.model.nv <= MAX_DOFS,
+        f"constraint rows are not 1 to {MAX_ROWS}": lambda scene: not 0 < scene.data.njmax <= MAX_ROWS,
+    }
 
-    @contextlib.contextmanager
-    def installed(self) -> Iterator[None]:
-        """Have `mujoco_warp.step` launch our solver; it needs no acceleration without constraints."""
-        with (
-            mock.patch.object(solver, "solve", launch_solve),
-            mock.patch.object(self._options, "run_qacc_smooth", False),
-        ):
-            yield
-
-
-def launch_solve(model: mjw.Model, data: mjw.Data) -> None:
-    """Solve the constraints of all worlds, as `mujoco_warp._src.solver.solve` does."""
-    inertia, options = filled(InertiaRows, model), filled(SolverOptions, model.opt)
-    counts, rows, result = filled(RowCounts, data), filled(ConstraintRows, data.efc), SolverResult()
-    result.niter, result.overflow = data.solver_niter, data.overflow
-    result.force, result.state, result.Ma = data.efc.force, data.efc.state, data.efc.Ma
-    solve_constraints = solver_kernel(-(-model.nv // VECTOR) * VECTOR)
-    wp.launch(
-        solve_constraints,
-        dim=data.nworld,
-        inputs=[inertia, options, data.M, data.qfrc_smooth, data.qacc_warmstart, counts, rows],
-        outputs=[data.qacc, data.qfrc_constraint, result],
-    )
+    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Solve the constraints of all worlds, as `mujoco_warp.solve` does."""
+        result = SolverResult()
+        result.niter, result.overflow = data.solver_niter, data.overflow
+        result.force, result.state, result.Ma = data.efc.force, data.efc.state, data.efc.Ma
+        launch(sum_forces, data.nworld, data)
+        solve_constraints = solver_kernel(-(-model.nv // VECTOR) * VECTOR)
+        launch(
+            solve_constraints,
+            data.nworld,
+            data,
+            inertia=filled(InertiaRows, model),
+            options=filled(SolverOptions, model.opt),
+            counts=filled(RowCounts, data),
+            rows=filled(ConstraintRows, data.efc),
+            result=result,
+        )

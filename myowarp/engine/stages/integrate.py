@@ -1,88 +1,212 @@
-"""The end of a physics step in one launch instead of six to nine, see `kernels/integrate.py`."""
+"""The end of a physics step in one thread a world: implicit velocities, positions, time, on the CPU device.
 
-import contextlib
-from collections.abc import Iterator
-from unittest import mock
+(M - h dF/dv) qacc = Ma, with F the damping of joints and, for MuJoCo's integrator `implicitfast`, the
+actuators (MuJoCo documentation, Computation, "Numerical integration"). A dof's row of M holds nothing but the
+dofs that carry it, and elimination from the tips on fills in nothing more (Featherstone, Rigid Body Dynamics
+Algorithms, 2008, section 6.5): for a hand a tenth of the operations of a dense Cholesky factorisation. What
+an actuator couples across branches of the tree has no place in M and stays explicit, as in the engine.
+"""
+
+from pathlib import Path
+from typing import ClassVar
 
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
+from mujoco_warp import BiasType, DisableBit, GainType, IntegratorType, JointType, OverflowType
 from mujoco_warp._src import forward
-from mujoco_warp._src.types import BiasType, DisableBit, EnableBit, GainType, IntegratorType
+from mujoco_warp._src.math import quat_integrate
+from mujoco_warp._src.types import vec10
 
-from myowarp.engine.stages import FUSIONS, Fusion
-from myowarp.engine.stages.arrays import InertiaRows, filled
-from myowarp.engine.stages.integrate_kernel import (
-    MAX_DOFS,
-    MAX_ENTRIES,
-    JointAddresses,
-    Stages,
-    StepState,
-    Usage,
-    VelocityForces,
-    integrate,
-)
+from myowarp.engine.stage import Stage
+from myowarp.engine.stages.arrays import InertiaRows, any_of, filled
+from myowarp.kernels.batching import batched
+from myowarp.kernels.launch import launch
 from myowarp.spec.scene import Scene
 
+MAX_DOFS, MAX_ENTRIES = 512, 8192  # 36 KB of stack
+SOURCE = f"""
+constexpr int AFFINE = {int(BiasType.AFFINE)}, MAX_DOFS = {MAX_DOFS}, MAX_ENTRIES = {MAX_ENTRIES};
+{Path(__file__).with_name("integrate.cpp").read_text()}"""
 
-@FUSIONS.register("integrate")
-class Integrate(Fusion):
-    """The integrators Euler and `implicitfast`; the engine's `implicit_free_body` still does free bodies."""
-
-    @classmethod
-    def obstacle(cls, scene: Scene) -> str | None:
-        """Return why a step cannot end so, None if it can."""
-        model, opt = scene.model, scene.model.opt
-        implicit = opt.integrator == IntegratorType.IMPLICITFAST
-        explicit = DisableBit.DAMPER | (DisableBit.ACTUATION if implicit else DisableBit.EULERDAMP)
-        obstacles = {
-            "the device is not the CPU": not scene.device.is_cpu,
-            "the integrator is neither Euler nor implicitfast": not (
-                implicit or opt.integrator == IntegratorType.EULER
-            ),
-            f"degrees of freedom are not 1 to {MAX_DOFS}": not 0 < model.nv <= MAX_DOFS,
-            f"the inertia matrix has more than {MAX_ENTRIES} entries": scene.data.M.shape[1] > MAX_ENTRIES,
-            "a row of the inertia matrix does not begin with the rows above it": not _rows_begin_alike(model),
-            "forces are integrated explicitly": bool(opt.disableflags & explicit),
-            "actuators damp joints or tendons": _any(model.actuator_damping, model.actuator_dampingpoly),
-            "there are flexes or plastic springs": bool(model.nflex or model.nplastic),
-            "sleeping is on": bool(opt.enableflags & EnableBit.SLEEP),
-            "overflows are to be printed": bool(opt.warn_overflow),
-        }
-        reason = next((reason for reason, holds in obstacles.items() if holds), None)
-        return reason or (_unknown_slope(model) if implicit else None)
-
-    def __init__(self, scene: Scene) -> None:
-        """Allocate the accelerations that the state is advanced with; `Data.qacc` stays the solver's."""
-        self._acceleration = wp.zeros_like(scene.data.qvel)
-
-    @contextlib.contextmanager
-    def installed(self) -> Iterator[None]:
-        """Have the engine end its step with our launch."""
-        with (
-            mock.patch.object(forward, "euler", self._launch),
-            mock.patch.object(forward, "implicit", self._launch),
-        ):
-            yield
-
-    def _launch(self, model: mjw.Model, data: mjw.Data) -> None:
-        """End the step of all worlds, as `mujoco_warp._src.forward.euler` and `implicit` do."""
-        acceleration = self._acceleration
-        implicit = model.opt.integrator == IntegratorType.IMPLICITFAST
-        free = implicit and model.body_freeadr.size > 0
-        stateful = model.na > 0 or model.nhistory > 0
-        launch_stages(model, data, acceleration, implicit, advance=not (free or stateful))
-        if free:
-            forward.implicit_free_body(model, data, data.efc.Ma, acceleration, solve=True)
-        if stateful:
-            forward._advance(model, data, acceleration)
-        elif free:
-            launch_stages(model, data, acceleration, implicit, solve=False)
+NEFC_OVERFLOW = wp.constant(int(OverflowType.NEFC))
+BROADPHASE_OVERFLOW = wp.constant(int(OverflowType.BROADPHASE))
+NARROWPHASE_OVERFLOW = wp.constant(int(OverflowType.NARROWPHASE))
+FREE, BALL = wp.constant(int(JointType.FREE)), wp.constant(int(JointType.BALL))
 
 
-def _any(*arrays: wp.array) -> bool:
-    """Whether anything in these arrays is not zero."""
-    return any(array.numpy().any() for array in arrays)
+@wp.struct
+class Parts:
+    """What a launch does; the two parts are separate where the engine has to do something between them.
+
+    Attributes:
+        timestep: [s], shape (1,) or (num_worlds,).
+        implicit_actuators: Whether actuators are integrated implicitly too.
+        solve: Whether to write the accelerations.
+        advance: Whether to move the state with them.
+    """
+
+    timestep: wp.array[float]
+    implicit_actuators: bool
+    solve: bool
+    advance: bool
+
+
+@wp.struct
+class VelocityForces:
+    """Forces that depend on velocity; fields are those of the engine's `Model` and `Data`."""
+
+    dof_damping: wp.array2d[float]
+    dof_dampingpoly: wp.array2d[wp.vec2]
+    actuator_biastype: wp.array[int]
+    actuator_biasprm: wp.array2d[vec10]
+    actuator_forcelimited: wp.array[bool]
+    actuator_forcerange: wp.array2d[wp.vec2]
+    M_elemid: wp.array2d[int]
+    body_dofadr: wp.array[int]
+    body_freeadr: wp.array[int]
+    actuator_force: wp.array2d[float]
+    moment_rownnz: wp.array2d[int]
+    moment_rowadr: wp.array2d[int]
+    moment_colind: wp.array2d[int]
+    actuator_moment: wp.array2d[float]
+
+
+@wp.struct
+class JointAddresses:
+    """Where the state of joints is; fields are those of the engine's `Model`."""
+
+    jnt_type: wp.array[int]
+    jnt_qposadr: wp.array[int]
+    jnt_dofadr: wp.array[int]
+
+
+@wp.struct
+class Usage:
+    """How much of the engine's arrays is used, and how much there is; fields are those of `Data`."""
+
+    nefc: wp.array[int]
+    ncollision: wp.array[int]
+    nacon: wp.array[int]
+    njmax: int
+    naconmax: int
+
+
+@wp.struct
+class StepState:
+    """What a step leaves; fields are those of the engine's `Data`."""
+
+    qpos: wp.array2d[float]
+    qvel: wp.array2d[float]
+    qacc_warmstart: wp.array2d[float]
+    time: wp.array[float]
+    overflow: wp.array[int]
+
+
+@wp.func_native(SOURCE)
+def solve_motion(
+    world: int,
+    timestep: float,
+    implicit_actuators: bool,
+    inertia: InertiaRows,
+    forces: VelocityForces,
+    M: wp.array[float],
+    Ma: wp.array[float],
+    qvel: wp.array[float],
+    acceleration: wp.array[float],
+):
+    """acceleration = (M - h dF/dv)^-1 Ma, in one world."""
+
+
+@wp.func
+def turn(qpos: wp.array[float], first: int, qvel: wp.array[float], dof: int, timestep: float):
+    """quat = quat exp(h qvel / 2), for the quaternion in `qpos` from `first` on."""
+    quat = wp.quat(qpos[first], qpos[first + 1], qpos[first + 2], qpos[first + 3])
+    quat = quat_integrate(quat, wp.vec3(qvel[dof], qvel[dof + 1], qvel[dof + 2]), timestep)
+    for i in range(4):
+        qpos[first + i] = quat[i]
+
+
+@wp.func
+def move(joints: JointAddresses, qpos: wp.array[float], qvel: wp.array[float], timestep: float):
+    """qpos = qpos + h qvel, on the joints' manifolds."""
+    for joint in range(joints.jnt_type.shape[0]):
+        kind, first, dof = joints.jnt_type[joint], joints.jnt_qposadr[joint], joints.jnt_dofadr[joint]
+        if kind == BALL:
+            turn(qpos, first, qvel, dof, timestep)
+        elif kind == FREE:
+            for i in range(3):
+                qpos[first + i] = qpos[first + i] + timestep * qvel[dof + i]
+            turn(qpos, first + 3, qvel, dof + 3, timestep)
+        else:
+            qpos[first] = qpos[first] + timestep * qvel[dof]
+
+
+@wp.func
+def overflow_bits(usage: Usage, worldid: int) -> int:
+    """Return which of the engine's arrays were too small."""
+    bits = int(0)
+    if usage.nefc[worldid] > usage.njmax:
+        bits |= NEFC_OVERFLOW
+    if usage.ncollision[0] > usage.naconmax:
+        bits |= BROADPHASE_OVERFLOW
+    if usage.nacon[0] > usage.naconmax:
+        bits |= NARROWPHASE_OVERFLOW
+    return bits
+
+
+@wp.kernel(enable_backward=False)
+def integrate(
+    # Model:
+    inertia: InertiaRows,
+    joints: JointAddresses,
+    # Params:
+    parts: Parts,
+    # Data in:
+    M_in: wp.array2d[float],
+    Ma_in: wp.array2d[float],
+    qacc_in: wp.array2d[float],
+    # In:
+    forces: VelocityForces,
+    usage: Usage,
+    # Out:
+    acceleration: wp.array2d[float],
+    state: StepState,
+):
+    """acceleration = (M - h dF/dv)^-1 Ma; qvel += h acceleration; qpos += h qvel; time += h."""
+    worldid = wp.tid()
+    timestep = parts.timestep[batched(worldid, parts.timestep.shape[0])]
+    qvel, change = state.qvel[worldid], acceleration[worldid]
+    if parts.solve:
+        solve_motion(
+            worldid,
+            timestep,
+            parts.implicit_actuators,
+            inertia,
+            forces,
+            M_in[worldid],
+            Ma_in[worldid],
+            qvel,
+            change,
+        )
+    if parts.advance:
+        qacc, warmstart = qacc_in[worldid], state.qacc_warmstart[worldid]
+        for dof in range(qvel.shape[0]):
+            qvel[dof] = qvel[dof] + timestep * change[dof]
+            warmstart[dof] = qacc[dof]
+        move(joints, state.qpos[worldid], qvel, timestep)
+        state.time[worldid] = state.time[worldid] + timestep
+        state.overflow[worldid] = state.overflow[worldid] | overflow_bits(usage, worldid)
+
+
+def _is_implicit(scene: Scene) -> bool:
+    return bool(scene.model.opt.integrator == IntegratorType.IMPLICITFAST)
+
+
+def _has_explicit_forces(scene: Scene) -> bool:
+    """Whether damping, or what `implicitfast` takes in of actuators, is switched off."""
+    off = DisableBit.DAMPER | (DisableBit.ACTUATION if _is_implicit(scene) else DisableBit.EULERDAMP)
+    return bool(scene.model.opt.disableflags & off)
 
 
 def _rows_begin_alike(model: mjw.Model) -> bool:
@@ -92,36 +216,84 @@ def _rows_begin_alike(model: mjw.Model) -> bool:
     return all(rows[dof] == row[: i + 1] for row in rows for i, dof in enumerate(row))
 
 
-def _unknown_slope(model: mjw.Model) -> str | None:
-    """Return which force has a derivative by velocity that we do not compute, None if none has."""
-    velocity_gains = (GainType.AFFINE, GainType.MUSCLE, GainType.DCMOTOR)
-    obstacles = {
-        "a gain may depend on velocity": np.isin(model.actuator_gaintype.numpy(), velocity_gains).any(),
-        "there are DC motors": (model.actuator_biastype.numpy() == BiasType.DCMOTOR).any(),
-        "forces are limited at tendons or joints": _any(model.tendon_actfrclimited, model.jnt_actfrclimited),
-        "tendons are damped": _any(model.tendon_damping, model.tendon_dampingpoly),
-        "a fluid resists": bool(model.has_fluid),
-    }
-    return next((reason for reason, holds in obstacles.items() if holds), None)
-
-
-def launch_stages(
-    model: mjw.Model,
-    data: mjw.Data,
-    acceleration: wp.array,
-    implicit_actuators: bool,
-    solve: bool = True,
-    advance: bool = True,
-) -> None:
-    """Compute accelerations, advance the state with them, or both; see `Stages`."""
-    stages = Stages()
-    stages.timestep, stages.implicit_actuators = model.opt.timestep, implicit_actuators
-    stages.solve, stages.advance = solve, advance
-    inertia, joints = filled(InertiaRows, model), filled(JointAddresses, model)
-    forces, usage, state = filled(VelocityForces, model, data), filled(Usage, data), filled(StepState, data)
-    wp.launch(
-        integrate,
-        dim=data.nworld,
-        inputs=[inertia, joints, stages, data.M, data.efc.Ma, data.qacc, forces, usage],
-        outputs=[acceleration, state],
+def _unknown_slope(scene: Scene) -> bool:
+    """Whether `implicitfast` takes in a force whose derivative by velocity we do not compute."""
+    model = scene.model
+    gains = np.isin(model.actuator_gaintype.numpy(), (GainType.AFFINE, GainType.MUSCLE, GainType.DCMOTOR))
+    return _is_implicit(scene) and (
+        any_of(
+            gains,
+            model.actuator_biastype.numpy() == BiasType.DCMOTOR,
+            model.tendon_actfrclimited,
+            model.jnt_actfrclimited,
+            model.tendon_damping,
+            model.tendon_dampingpoly,
+        )
+        or bool(model.has_fluid)
     )
+
+
+class Integrate(Stage):
+    """The integrators Euler and `implicitfast`."""
+
+    REPLACES = ("integrate",)
+    OBSTACLES: ClassVar = {
+        "the device is not the CPU": lambda scene: not scene.device.is_cpu,
+        "the integrator is neither Euler nor implicitfast": lambda scene: (
+            scene.model.opt.integrator not in (IntegratorType.EULER, IntegratorType.IMPLICITFAST)
+        ),
+        f"degrees of freedom are not 1 to {MAX_DOFS}": lambda scene: not 0 < scene.model.nv <= MAX_DOFS,
+        f"the inertia matrix has more than {MAX_ENTRIES} entries": lambda scene: (
+            scene.data.M.shape[1] > MAX_ENTRIES
+        ),
+        "a row of the inertia matrix does not begin with the rows above it": lambda scene: (
+            not _rows_begin_alike(scene.model)
+        ),
+        "forces are integrated explicitly": _has_explicit_forces,
+        "actuators damp joints or tendons": lambda scene: any_of(
+            scene.model.actuator_damping, scene.model.actuator_dampingpoly
+        ),
+        "there are plastic springs": lambda scene: bool(scene.model.nplastic),
+        "overflows are to be printed": lambda scene: bool(scene.model.opt.warn_overflow),
+        "a force depends on velocity in a way that has no derivative here": _unknown_slope,
+    }
+
+    def __init__(self, scene: Scene) -> None:
+        """Allocate the accelerations that the state is advanced with; `Data.qacc` stays the solver's."""
+        super().__init__(scene)
+        self._acceleration = wp.zeros_like(scene.data.qvel)
+
+    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+        """End the step of all worlds, as `mujoco_warp.euler` and `mujoco_warp.implicit` do."""
+        implicit = model.opt.integrator == IntegratorType.IMPLICITFAST
+        # The engine has a formula of its own for free bodies, and advances the states of actuators.
+        free = implicit and model.body_freeadr.size > 0
+        stateful = model.na > 0 or model.nhistory > 0
+        self._launch(model, data, implicit, advance=not (free or stateful))
+        if free:
+            forward.implicit_free_body(model, data, data.efc.Ma, self._acceleration, solve=True)
+        if stateful:
+            forward._advance(model, data, self._acceleration)
+        elif free:
+            self._launch(model, data, implicit, solve=False)
+
+    def _launch(
+        self, model: mjw.Model, data: mjw.Data, implicit: bool, solve: bool = True, advance: bool = True
+    ) -> None:
+        """Compute accelerations, advance the state with them, or both; see `Parts`."""
+        parts = Parts()
+        parts.timestep, parts.implicit_actuators = model.opt.timestep, implicit
+        parts.solve, parts.advance = solve, advance
+        launch(
+            integrate,
+            data.nworld,
+            data,
+            data.efc,
+            inertia=filled(InertiaRows, model),
+            joints=filled(JointAddresses, model),
+            parts=parts,
+            forces=filled(VelocityForces, model, data),
+            usage=filled(Usage, data),
+            acceleration=self._acceleration,
+            state=filled(StepState, data),
+        )

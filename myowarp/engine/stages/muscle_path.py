@@ -1,56 +1,200 @@
-"""Paths of all tendons, and what actuators make of them, in one launch instead of six."""
+"""The tendons of a model as a program for `kernels.muscle_path`, and the arrays that it runs on."""
 
-import contextlib
-from collections.abc import Iterator
-from unittest import mock
+import math
+from typing import Any, ClassVar
 
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
-from mujoco_warp._src import smooth
 
-from myowarp.engine.idle import pruned
-from myowarp.engine.stages import FUSIONS, Fusion
-from myowarp.engine.stages.path_program import MusclePaths, path_obstacle
+from myowarp.engine.stage import Stage
+from myowarp.engine.stages.arrays import filled
+from myowarp.engine.stages.muscle_path_kernel import (
+    Drive,
+    Path,
+    PathOp,
+    PathProgram,
+    Pose,
+    Transmission,
+    muscle_path,
+)
+from myowarp.engine.stages.wrap import CYLINDER, SPHERE, STRAIGHT
+from myowarp.kernels.batching import num_threads
+from myowarp.kernels.launch import launch
+from myowarp.models.couplings import POINT_JOINTS
 from myowarp.spec.scene import Scene
 
+_WRAP = mujoco.mjtWrap
+_KINDS = {_WRAP.mjWRAP_SPHERE.value: int(SPHERE), _WRAP.mjWRAP_CYLINDER.value: int(CYLINDER)}
+_SITE, _PULLEY = _WRAP.mjWRAP_SITE.value, _WRAP.mjWRAP_PULLEY.value
+_TENDON = mujoco.mjtTrn.mjTRN_TENDON.value
+_JOINT = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
 
-@FUSIONS.register("muscle_path")
-class MusclePathFusion(Fusion):
-    """`kernels.muscle_path` in place of tendons, transmissions, actuator velocities and positions of sites.
 
-    It writes all that they write and later launches read, in the engine's layout, so muscles, limits of
-    tendons, motors and conditions see no difference. Only the sites are left as they were: nothing reads them
-    within a physics step, and tasks and probes bring them up to date themselves.
+def _drives_others(scene: Scene) -> bool:
+    """Whether an actuator is neither on a tendon nor on a joint."""
+    on_joint = np.isin(scene.oracle.actuator_trntype, _JOINT)
+    return not np.all(on_joint | (scene.oracle.actuator_trntype == _TENDON))
+
+
+def _drives_quaternions(scene: Scene) -> bool:
+    """Whether an actuator is on a ball or free joint."""
+    model = scene.oracle
+    on_joint = np.isin(model.actuator_trntype, _JOINT)
+    return not np.all(np.isin(model.jnt_type[model.actuator_trnid[on_joint, 0]], POINT_JOINTS))
+
+
+PATH_OBSTACLES = {
+    "no tendons": lambda scene: not scene.oracle.ntendon,
+    "a tendon that is a sum of joint angles": lambda scene: bool(
+        np.any(scene.oracle.wrap_type == _WRAP.mjWRAP_JOINT)
+    ),
+    "an actuator that is neither on a tendon nor on a joint": _drives_others,
+    "an actuator on a ball or free joint": _drives_quaternions,
+}
+"""What in a model a path program cannot express."""
+
+
+def _struct_array(struct: Any, values: list[tuple[Any, ...]]) -> wp.array:
+    """Return an array of Warp structs, each given by its fields in order."""
+    return wp.array(np.array(values, dtype=struct.numpy_dtype()), dtype=struct)
+
+
+class MusclePaths:
+    """The tendons and actuators of all worlds, followed in one launch.
+
+    `launch` takes the place of mujoco-warp's `tendon`, `transmission` and actuator velocities. Positions of
+    sites, sizes of geoms and gears are read from the model in every launch, so they may differ from world to
+    world; the length of what stays within one body is computed here if the sites are those of all worlds.
+
+    Attributes:
+        program: The tendons.
+        pose: What the kernel reads of `mujoco_warp.Data`.
+        transmission: What it writes.
     """
 
-    @classmethod
-    def obstacle(cls, scene: Scene) -> str | None:
-        """See `Fusion`; what MuJoCo calls armature moves with a tendon and needs its path's derivative."""
-        host = scene.oracle
-        if host.nsensor:
-            return "sensors, which may read sites within a step"
-        if np.any(host.eq_objtype == mujoco.mjtObj.mjOBJ_SITE):
-            return "an equality between sites"
-        if np.any(host.tendon_armature) or np.any(host.actuator_armature):
-            return "armature of a tendon or an actuator"
-        return path_obstacle(host)
+    def __init__(self, host: mujoco.MjModel, model: mjw.Model, data: mjw.Data) -> None:
+        """Compile the tendons of `host`, from which `model` was made; all arrays stay those of `data`."""
+        self._host, self._fixed_sites = host, model.site_pos.shape[0] == 1
+        self._ops: list[tuple[Any, ...]] = []
+        self._crossings: list[tuple[int, int]] = []
+        self._num_worlds, self._threads = data.nworld, num_threads(data.qpos.device, host.ntendon)
+        rows = np.concatenate([[0], np.cumsum(self._moment_sizes())])
+        paths: list[tuple[Any, ...]] = []
+        drives: list[tuple[Any, ...]] = []
+        for tendon in range(host.ntendon):
+            first_op, first_drive = len(self._ops), len(drives)
+            fixed_length = self._compile(tendon)
+            pulled = (host.actuator_trntype == _TENDON) & (host.actuator_trnid[:, 0] == tendon)
+            drives += [(actuator, rows[actuator], -1, -1) for actuator in np.flatnonzero(pulled)]
+            row, num_dofs = host.ten_J_rowadr[tendon], host.ten_J_rownnz[tendon]
+            paths.append((fixed_length, first_op, len(self._ops), row, num_dofs, first_drive, len(drives)))
+        first_joint_drive = len(drives)
+        for actuator in np.flatnonzero(np.isin(host.actuator_trntype, _JOINT)):
+            joint = host.actuator_trnid[actuator, 0]
+            drives.append((actuator, rows[actuator], host.jnt_qposadr[joint], host.jnt_dofadr[joint]))
+
+        self.program = PathProgram()
+        with wp.ScopedDevice(data.qpos.device):
+            self.program.paths = _struct_array(Path, paths)
+            self.program.ops = _struct_array(PathOp, self._ops)
+            self.program.drives = _struct_array(Drive, drives)
+            self.program.crossings = wp.array(np.array(self._crossings).reshape(-1, 2), dtype=wp.vec2i)
+            self.program.dofs = wp.array(host.ten_J_colind, dtype=int)
+        self.program.first_joint_drive = first_joint_drive
+        for name in ("site_pos", "geom_size", "actuator_gear"):
+            setattr(self.program, name, getattr(model, name))
+        self.pose, self.transmission = filled(Pose, data), filled(Transmission, data)
+
+    def _moment_sizes(self) -> np.ndarray:
+        """Return the number of dofs that each actuator acts on."""
+        host = self._host
+        on_tendon = host.actuator_trntype == _TENDON
+        return np.where(on_tendon, host.ten_J_rownnz[np.where(on_tendon, host.actuator_trnid[:, 0], 0)], 1)
+
+    def _compile(self, tendon: int) -> float:
+        """Append the segments of a tendon; returns the length of those that are fixed [m]."""
+        host, scale, fixed_length = self._host, 1.0, 0.0
+        at = host.tendon_adr[tendon]
+        last = at + host.tendon_num[tendon] - 1
+        kinds, objects = host.wrap_type, host.wrap_objid
+        while at < last:
+            if kinds[at] == _PULLEY:
+                scale = 1.0 / host.wrap_prm[at]
+                at += 1
+            elif kinds[at + 1] == _PULLEY:
+                at += 1
+            elif kinds[at + 1] == _SITE:
+                near, far = objects[at], objects[at + 1]
+                if self._fixed_sites and host.site_bodyid[near] == host.site_bodyid[far]:
+                    fixed_length += scale * math.dist(host.site_pos[far], host.site_pos[near])
+                else:
+                    self._add(tendon, int(STRAIGHT), near, far, scale)
+                at += 1
+            else:
+                kind, side = _KINDS[int(kinds[at + 1])], round(host.wrap_prm[at + 1])
+                self._add(tendon, kind, objects[at], objects[at + 2], scale, objects[at + 1], side)
+                at += 2
+        return fixed_length
+
+    def _add(
+        self, tendon: int, kind: int, near: int, far: int, scale: float, geom: int = 0, side: int = -1
+    ) -> None:
+        """Append a segment between two sites."""
+        host = self._host
+        near_body, far_body = host.site_bodyid[near], host.site_bodyid[far]
+        middle_body = near_body if kind == int(STRAIGHT) else host.geom_bodyid[geom]
+        side_body = host.site_bodyid[side] if side >= 0 else 0
+        ends = ((near_body, far_body), (near_body, middle_body), (middle_body, far_body))
+        links = [self._link(tendon, *bodies) for bodies in ends]
+        self._ops.append((kind, near, near_body, far, far_body, geom, side, side_body, scale, *links))
+
+    def _link(self, tendon: int, near_body: int, far_body: int) -> tuple[int, ...]:
+        """Append the dofs that move one of two bodies against the other; returns the fields of a `Link`."""
+        host, spans = self._host, [len(self._crossings)]
+        first = host.ten_J_rowadr[tendon]
+        dofs = host.ten_J_colind[first : first + host.ten_J_rownnz[tendon]].tolist()
+        near, far = self._chain(near_body), self._chain(far_body)
+        for moving in (near - far, far - near):
+            self._crossings += [(dof, first + dofs.index(dof)) for dof in sorted(moving)]
+            spans.append(len(self._crossings))
+        return host.body_rootid[near_body], host.body_rootid[far_body], *spans
+
+    def _chain(self, body: int) -> set[int]:
+        """Return the dofs that move a body."""
+        host, dofs = self._host, set[int]()
+        while body:
+            first = host.body_dofadr[body]
+            dofs.update(range(first, first + host.body_dofnum[body]))
+            body = host.body_parentid[body]
+        return dofs
+
+    def launch(self) -> None:
+        """Launch `muscle_path`; body poses, `geom_xpos` and `cdof` have to be those of `qpos`."""
+        launch(muscle_path, (self._num_worlds, self._threads), self, threads=self._threads)
+
+
+def _has_site_equality(scene: Scene) -> bool:
+    return bool(np.any(scene.oracle.eq_objtype == mujoco.mjtObj.mjOBJ_SITE))
+
+
+class MusclePath(Stage):
+    """The paths of all tendons, what actuators make of them, and their velocities.
+
+    It writes all that the engine's stages write and later ones read, in the engine's layout, so muscles,
+    limits of tendons, motors and conditions see no difference.
+    """
+
+    REPLACES = ("tendon", "transmission", "velocity")
+    OBSTACLES: ClassVar = {"an equality between sites": _has_site_equality, **PATH_OBSTACLES}
 
     def __init__(self, scene: Scene) -> None:
+        """Write the program of the paths."""
+        super().__init__(scene)
         with wp.ScopedDevice(scene.device):
             self._paths = MusclePaths(scene.oracle, scene.model, scene.data)
 
-    @contextlib.contextmanager
-    def installed(self) -> Iterator[None]:
-        """See `Fusion`."""
-        with (
-            mock.patch.object(smooth, "tendon", self._launch),
-            mock.patch.object(smooth, "transmission"),
-            pruned(frozenset({"_actuator_velocity", "_site_local_to_global"})),
-        ):
-            yield
-
-    def _launch(self, model: mjw.Model, data: mjw.Data) -> None:
-        """Do what stands for the engine's `tendon`, and for its `transmission` too."""
+    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Follow all paths."""
         self._paths.launch()

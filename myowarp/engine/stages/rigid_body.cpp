@@ -117,22 +117,21 @@ for (int world = thread; world < qpos.shape[0]; world += threads) {
         orientation[b] = normalized(q);
         frame[b] = matrix(orientation[b]);
     }
-    // Frames fixed to bodies: of mass, of geoms, of sites.
+    // Frames fixed to bodies: of sites, of mass, of geoms.
     auto place = [&](int b, int i, const wp::vec3* offset, const Quat* turn, wp::vec3* x, wp::mat33* R) {
         x[i] = position[b] + wp::mul(frame[b], offset[i]);
         R[i] = matrix(multiply(orientation[b], turn[i]));
     };
-    if (!switches.dynamics) {
-        wp::vec3* site_position = state(pose.site_xpos);
-        wp::mat33* site_frame = state(pose.site_xmat);
-        const wp::vec3* site_offset = model(bodies.site_pos);
-        const Quat* site_turn = (const Quat*)model(bodies.site_quat);
-        for (int k = 0; k < sites.shape[0]; ++k) {
-            const int s = sites.data[k];
-            place(bodies.site_bodyid.data[s], s, site_offset, site_turn, site_position, site_frame);
-        }
-        continue;
+    wp::vec3* site_position = state(pose.site_xpos);
+    wp::mat33* site_frame = state(pose.site_xmat);
+    const wp::vec3* site_offset = model(bodies.site_pos);
+    const Quat* site_turn = (const Quat*)model(bodies.site_quat);
+    for (int k = 0; k < sites.shape[0]; ++k) {
+        const int s = sites.data[k];
+        place(bodies.site_bodyid.data[s], s, site_offset, site_turn, site_position, site_frame);
     }
+    if (!switches.dynamics)
+        continue;
     wp::vec3* center = state(pose.xipos);
     wp::mat33* principal = state(pose.ximat);
     const wp::vec3* center_offset = model(bodies.body_ipos);

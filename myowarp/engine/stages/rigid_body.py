@@ -1,91 +1,212 @@
-"""Kinematics, inertia, bias and passive forces in one launch, see `kernels/rigid_body.py`."""
+"""Rigid bodies: all that follows from positions and velocities alone, in one thread, on the CPU device.
 
-import contextlib
-from collections.abc import Iterator
-from unittest import mock
+Poses along the tree, composite inertias, the joint-space inertia M, the bias force c of
+`M qacc + c = forces` and the passive forces of joints (Featherstone, Rigid Body Dynamics Algorithms, 2008,
+chapters 4 to 6; motions are about the centre of mass of their tree, MuJoCo documentation, Computation). The
+engine makes twenty launches of this, most of which do little more than read what the last one wrote.
+"""
+
+from pathlib import Path
+from typing import ClassVar
 
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
-from mujoco_warp._src import passive, smooth
-from mujoco_warp._src.types import DisableBit, EnableBit, IntegratorType, JointType
+from mujoco_warp import DisableBit, JointType
+from mujoco_warp._src.types import vec10
 
-from myowarp.engine.idle import pruned
-from myowarp.engine.stages import FUSIONS, Fusion
-from myowarp.engine.stages.arrays import filled
-from myowarp.engine.stages.rigid_body_kernel import BodyMotion, Pose, RigidBodies, Switches, move_bodies
+from myowarp.engine.stage import Stage
+from myowarp.engine.stages.arrays import any_of, filled
 from myowarp.kernels.batching import num_threads
+from myowarp.kernels.launch import launch
 from myowarp.spec.scene import Scene
 
-OTHER_POSES = frozenset(
-    {
-        "_kinematics_branch",
-        "_compute_body_matrices",
-        "_compute_body_inertial_frames",
-        "_geom_local_to_global",
-    }
-)
-"""What the engine's `kinematics` launches besides the poses of sites."""
+SOURCE = Path(__file__).with_name("rigid_body.cpp").read_text()
 
 
-@FUSIONS.register("rigid_body")
-class RigidBodyFusion(Fusion):
+@wp.struct
+class RigidBodies:
+    """Bodies, joints, and what is fixed to them; fields are those of the engine's `Model` and `Option`."""
+
+    gravity: wp.array[wp.vec3]
+    body_parentid: wp.array[int]
+    body_rootid: wp.array[int]
+    body_weldid: wp.array[int]
+    body_mocapid: wp.array[int]
+    body_jntnum: wp.array[int]
+    body_jntadr: wp.array[int]
+    body_pos: wp.array2d[wp.vec3]
+    body_quat: wp.array2d[wp.quat]
+    body_ipos: wp.array2d[wp.vec3]
+    body_iquat: wp.array2d[wp.quat]
+    body_mass: wp.array2d[float]
+    body_subtreemass: wp.array2d[float]
+    body_inertia: wp.array2d[wp.vec3]
+    jnt_type: wp.array[int]
+    jnt_qposadr: wp.array[int]
+    jnt_dofadr: wp.array[int]
+    jnt_pos: wp.array2d[wp.vec3]
+    jnt_axis: wp.array2d[wp.vec3]
+    jnt_stiffness: wp.array2d[float]
+    jnt_stiffnesspoly: wp.array2d[wp.vec2]
+    dof_bodyid: wp.array[int]
+    dof_parentid: wp.array[int]
+    dof_armature: wp.array2d[float]
+    dof_damping: wp.array2d[float]
+    dof_dampingpoly: wp.array2d[wp.vec2]
+    qpos0: wp.array2d[float]
+    qpos_spring: wp.array2d[float]
+    M_rownnz: wp.array[int]
+    M_rowadr: wp.array[int]
+    geom_bodyid: wp.array[int]
+    geom_pos: wp.array2d[wp.vec3]
+    geom_quat: wp.array2d[wp.quat]
+    site_bodyid: wp.array[int]
+    site_pos: wp.array2d[wp.vec3]
+    site_quat: wp.array2d[wp.quat]
+
+
+@wp.struct
+class Switches:
+    """What acts; without `dynamics`, only poses of bodies and of some sites are computed."""
+
+    dynamics: bool
+    has_gravity: bool
+    has_springs: bool
+    has_dampers: bool
+
+
+@wp.struct
+class Pose:
+    """Where everything is; fields are those of the engine's `Data`."""
+
+    mocap_pos: wp.array2d[wp.vec3]
+    mocap_quat: wp.array2d[wp.quat]
+    xpos: wp.array2d[wp.vec3]
+    xquat: wp.array2d[wp.quat]
+    xmat: wp.array2d[wp.mat33]
+    xipos: wp.array2d[wp.vec3]
+    ximat: wp.array2d[wp.mat33]
+    xanchor: wp.array2d[wp.vec3]
+    xaxis: wp.array2d[wp.vec3]
+    geom_xpos: wp.array2d[wp.vec3]
+    geom_xmat: wp.array2d[wp.mat33]
+    site_xpos: wp.array2d[wp.vec3]
+    site_xmat: wp.array2d[wp.mat33]
+
+
+@wp.struct
+class BodyMotion:
+    """Inertias, velocities and forces; fields are those of the engine's `Data`."""
+
+    subtree_com: wp.array2d[wp.vec3]
+    cinert: wp.array2d[vec10]
+    crb: wp.array2d[vec10]
+    cdof: wp.array2d[wp.spatial_vector]
+    cdof_dot: wp.array2d[wp.spatial_vector]
+    cvel: wp.array2d[wp.spatial_vector]
+    cacc: wp.array2d[wp.spatial_vector]
+    cfrc_int: wp.array2d[wp.spatial_vector]
+    M: wp.array2d[float]
+    qfrc_bias: wp.array2d[float]
+    qfrc_spring: wp.array2d[float]
+    qfrc_damper: wp.array2d[float]
+    qfrc_passive: wp.array2d[float]
+
+
+@wp.func_native(SOURCE)
+def move_worlds(
+    thread: int,
+    threads: int,
+    bodies: RigidBodies,
+    switches: Switches,
+    sites: wp.array[int],
+    mask: wp.array[bool],
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    pose: Pose,
+    motion: BodyMotion,
+):
+    """Set pose and motion of every `threads`-th world, if it is in the mask."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def move_bodies(
+    # Model:
+    bodies: RigidBodies,
+    # Params:
+    switches: Switches,
+    # Data in:
+    qpos_in: wp.array2d[float],
+    qvel_in: wp.array2d[float],
+    # In:
+    threads: int,
+    sites: wp.array[int],
+    mask: wp.array[bool],
+    # Data out:
+    pose_out: Pose,
+    motion_out: BodyMotion,
+):
+    """x = x(qpos), M = sum_b J_b' I_b J_b, c = sum_b J_b' (I_b a_b + v_b x I_b v_b) with qacc = 0."""
+    thread = wp.tid()
+    move_worlds(thread, threads, bodies, switches, sites, mask, qpos_in, qvel_in, pose_out, motion_out)
+
+
+def _springy_quaternions(scene: Scene) -> bool:
+    """Whether a ball or free joint has a spring."""
+    model = scene.model
+    quaternions = np.isin(model.jnt_type.numpy(), (JointType.FREE, JointType.BALL))
+    springs = (model.jnt_stiffness, model.jnt_stiffnesspoly)
+    return any_of(*(spring.numpy()[:, quaternions] for spring in springs))
+
+
+class RigidBody(Stage):
     """All that a step computes from positions and velocities alone, and poses for who asks for no more.
 
-    Sites are left to the engine within a step, where a muscle path fusion may know that nobody reads them.
+    Within a step only the engine's own tendons and rows read sites; where the tendons are ours, only `refresh`
+    brings sites up to date.
     """
 
-    @classmethod
-    def obstacle(cls, scene: Scene) -> str | None:
-        """Return why it cannot be used, None if it can."""
-        model, opt = scene.model, scene.model.opt
-        quaternions = np.isin(model.jnt_type.numpy(), (JointType.FREE, JointType.BALL))
-        springs = [field.numpy()[:, quaternions] for field in (model.jnt_stiffness, model.jnt_stiffnesspoly)]
-        actuated = (model.actuator_armature, model.actuator_damping, model.actuator_dampingpoly)
-        obstacles = {
-            "the device is not the CPU": not scene.device.is_cpu,
-            "nothing moves": model.nv == 0,
-            "a ball or free joint has a spring": any(spring.any() for spring in springs),
-            "a joint is plastic": bool((model.jnt_plasticadr.numpy() >= 0).any()),
-            "actuators have armature or damping": any(array.numpy().any() for array in actuated),
-            "there are flexes": model.nflex > 0,
-            "the integrator is the discrete one": opt.integrator == IntegratorType.DISCRETE,
-            "sleeping is on": bool(opt.enableflags & EnableBit.SLEEP),
-        }
-        return next((reason for reason, holds in obstacles.items() if holds), None)
+    REPLACES = ("kinematics", "com_pos", "crb", "com_vel", "passive", "rne")
+    OBSTACLES: ClassVar = {
+        "the device is not the CPU": lambda scene: not scene.device.is_cpu,
+        "nothing moves": lambda scene: scene.model.nv == 0,
+        "a ball or free joint has a spring": _springy_quaternions,
+        "a joint is plastic": lambda scene: any_of(scene.model.jnt_plasticadr.numpy() >= 0),
+        "actuators have armature or damping": lambda scene: any_of(
+            scene.model.actuator_armature, scene.model.actuator_damping, scene.model.actuator_dampingpoly
+        ),
+    }
 
     def __init__(self, scene: Scene) -> None:
         """Note which sites the task reads, and whether joints are all that passive forces come from."""
+        super().__init__(scene)
         model, sites = scene.model, [scene.site_id(name) for name in scene.spec.sites]
-        self._sites = wp.array(sites, dtype=int, device=scene.device)
+        self._task_sites = wp.array(sites, dtype=int, device=scene.device)
+        self._all_sites = wp.array(np.arange(model.nsite), dtype=int, device=scene.device)
+        self._no_sites = wp.zeros(0, dtype=int, device=scene.device)
+        self._sites = self._all_sites
         self._every = wp.ones(scene.data.nworld, dtype=bool, device=scene.device)
-        springs = (model.tendon_stiffness, model.tendon_stiffnesspoly)
-        dampers = (model.tendon_damping, model.tendon_dampingpoly)
+        tendons = (
+            model.tendon_stiffness,
+            model.tendon_stiffnesspoly,
+            model.tendon_damping,
+            model.tendon_dampingpoly,
+        )
         others = model.has_fluid or model.flg_adhesion or model.callback.passive is not None
-        self._stock_kinematics = smooth.kinematics
-        forces = (*springs, *dampers, model.body_gravcomp)
-        self._joints_alone = not (others or any(array.numpy().any() for array in forces))
+        if others or any_of(*tendons, model.body_gravcomp):
+            self.replaces = tuple(place for place in self.REPLACES if place != "passive")
 
-    @contextlib.contextmanager
-    def installed(self) -> Iterator[None]:
-        """Launch our kernel as the engine's kinematics, and nothing where it has done the work."""
-        stock_passive = passive.passive
+    def beside(self, replaced: frozenset[str]) -> None:
+        """Leave out the sites if nobody reads them."""
+        self._sites = self._no_sites if "tendon" in replaced else self._all_sites
 
-        def add_other_passive(model: mjw.Model, data: mjw.Data) -> None:
-            with pruned(frozenset({"_spring_damper_dof_passive"})):
-                stock_passive(model, data)
+    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Compute all that follows from positions and velocities."""
+        self._launch(model, data, self._every, self._sites, dynamics=True)
 
-        with (
-            mock.patch.object(smooth, "kinematics", self._launch_bodies),
-            mock.patch.object(smooth, "com_pos"),
-            mock.patch.object(smooth, "crb"),
-            mock.patch.object(smooth, "com_vel"),
-            mock.patch.object(smooth, "rne"),
-            mock.patch.object(passive, "passive", mock.Mock() if self._joints_alone else add_other_passive),
-        ):
-            yield
-
-    def launch_poses(self, model: mjw.Model, data: mjw.Data, mask: wp.array | None = None) -> None:
+    def refresh(self, model: mjw.Model, data: mjw.Data, mask: wp.array | None) -> bool:
         """Compute where bodies and the task's sites are: what tasks read of `mujoco_warp.kinematics`.
 
         Args:
@@ -93,26 +214,28 @@ class RigidBodyFusion(Fusion):
             data: The engine's data.
             mask: Worlds whose positions have changed, shape (num_worlds,) bool; None: all.
         """
-        self._launch(model, data, self._every if mask is None else mask, dynamics=False)
+        self._launch(model, data, self._every if mask is None else mask, self._task_sites, dynamics=False)
+        return True
 
-    def _launch_bodies(self, model: mjw.Model, data: mjw.Data) -> None:
-        """Compute all that follows from positions and velocities."""
-        self._launch(model, data, self._every, dynamics=True)
-        with pruned(OTHER_POSES):
-            self._stock_kinematics(model, data)
-
-    def _launch(self, model: mjw.Model, data: mjw.Data, mask: wp.array, dynamics: bool) -> None:
+    def _launch(
+        self, model: mjw.Model, data: mjw.Data, mask: wp.array, sites: wp.array, dynamics: bool
+    ) -> None:
         """Launch our kernel, which walks through the worlds by itself."""
-        bodies, switches = filled(RigidBodies, model, model.opt), Switches()
-        disabled, sites = model.opt.disableflags, self._sites
-        threads = num_threads(data.qpos.device, data.nworld)
+        disabled, switches = model.opt.disableflags, Switches()
         switches.dynamics = dynamics
         switches.has_gravity = not disabled & DisableBit.GRAVITY
         switches.has_springs = not disabled & DisableBit.SPRING
         switches.has_dampers = not disabled & DisableBit.DAMPER
-        wp.launch(
+        threads = num_threads(data.qpos.device, data.nworld)
+        launch(
             move_bodies,
-            dim=threads,
-            inputs=[bodies, switches, data.qpos, data.qvel, threads, sites, mask],
-            outputs=[filled(Pose, data), filled(BodyMotion, data)],
+            threads,
+            data,
+            bodies=filled(RigidBodies, model, model.opt),
+            switches=switches,
+            threads=threads,
+            sites=sites,
+            mask=mask,
+            pose=filled(Pose, data),
+            motion=filled(BodyMotion, data),
         )

@@ -4,7 +4,7 @@ import warp as wp
 from mujoco_warp import OverflowType
 
 from myowarp.engine.stages.arrays import ConstraintRows, ContactPool
-from myowarp.engine.stages.contact_rows_kernel import KinematicTree, clear, last_dof
+from myowarp.engine.stages.contact_rows import KinematicTree, clear, last_dof
 
 
 @wp.struct

@@ -1,0 +1,96 @@
+"""What a stage of ours is: kernels in place of a part of the engine's physics step; same results, less work.
+
+A stage depends on the engine's internals. It is therefore imported when a scene is built, and one that cannot
+be, because a private name of the engine is gone, is left to mujoco-warp and says so once; one whose step
+differs from the engine's is found out by `verify`. A new stage is one file in `stages/` and its name in
+`STAGES`.
+"""
+
+from __future__ import annotations
+
+import abc
+import importlib
+import logging
+from collections.abc import Callable, Iterable
+from functools import cache
+from typing import ClassVar
+
+import mujoco_warp as mjw
+import warp as wp
+
+from myowarp.spec.scene import Scene
+
+logger = logging.getLogger("myowarp")
+
+STAGES = {
+    "contact_search": "ContactSearch",
+    "contact_solve": "ContactSolve",
+    "constraint_rows": "ConstraintRows",
+    "affine_actuators": "AffineActuators",
+    "integrate": "Integrate",
+    "muscle_path": "MusclePath",
+    "rigid_body": "RigidBody",
+}
+"""Name of a file in `stages/` and of its class, in the order in which they are verified: the solver early,
+because it makes less of a rounding in what comes before it than the engine's."""
+
+
+class Stage(abc.ABC):
+    """Kernels of ours for one or more places of the physics step.
+
+    Attributes:
+        REPLACES: Places in `step.ORDER` that it fills, with one launch in the first.
+        OBSTACLES: What a scene must not have: a reason in words, and whether it holds.
+        TOLERANCE: Largest difference that it makes to a step's change of velocity or of position, as a share
+            of the largest such change in the state (float32 sums in another order), beyond
+            `verify.ROUNDINGS` of the state.
+        replaces: `REPLACES`, or what of it holds in the scene.
+    """
+
+    REPLACES: ClassVar[tuple[str, ...]]
+    OBSTACLES: ClassVar[dict[str, Callable[[Scene], bool]]]
+    TOLERANCE = 1e-4
+
+    @classmethod
+    def obstacle(cls, scene: Scene) -> str | None:
+        """Return why this scene cannot use the stage, None if it can."""
+        return next((reason for reason, holds in cls.OBSTACLES.items() if holds(scene)), None)
+
+    def __init__(self, scene: Scene) -> None:
+        """Allocate all that the kernels need, on the scene's device."""
+        self.replaces = self.REPLACES
+
+    def beside(self, replaced: frozenset[str]) -> None:  # noqa: B027 (most stages stand alone)
+        """Learn which places of the step are ours."""
+
+    def refresh(self, model: mjw.Model, data: mjw.Data, mask: wp.array | None) -> bool:
+        """Bring poses of bodies and of the task's sites up to date in masked worlds, or return False."""
+        return False
+
+    @abc.abstractmethod
+    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Launch our kernels."""
+
+
+@cache
+def load(name: str) -> type[Stage] | None:
+    """Return a stage's class, None where the engine has changed too much for it, which is logged once.
+
+    Raises:
+        ValueError: No such stage.
+    """
+    if name not in STAGES:
+        raise ValueError(f"stage {name!r} unknown; available: {', '.join(STAGES)}")
+    try:
+        module = importlib.import_module(f"myowarp.engine.stages.{name}")
+    except (ImportError, AttributeError) as error:
+        logger.warning("%s is left to mujoco-warp %s, which has changed: %s", name, mjw.__version__, error)
+        return None
+    kind: type[Stage] = getattr(module, STAGES[name])
+    return kind
+
+
+def applicable_stages(scene: Scene, names: Iterable[str] = STAGES) -> tuple[Stage, ...]:
+    """Return the stages of these names that a scene can use, in the order of the names."""
+    kinds = (load(name) for name in names)
+    return tuple(kind(scene) for kind in kinds if kind is not None and kind.obstacle(scene) is None)

@@ -1,0 +1,69 @@
+"""Constraint rows in two launches: those of joints and tendons, then those of contacts."""
+
+from typing import ClassVar
+
+import mujoco_warp as mjw
+import warp as wp
+from mujoco_warp import DeterminismType, DisableBit
+
+from myowarp.engine.stage import Stage
+from myowarp.engine.stages.arrays import ConstraintRows as Rows
+from myowarp.engine.stages.arrays import ContactPool, any_of, filled
+from myowarp.engine.stages.contact_rows import KinematicTree, RowOptions, write_contact_rows
+from myowarp.engine.stages.joint_rows import JointConstraints, JointState, write_joint_rows
+from myowarp.engine.stages.row_places import RowPlaces
+from myowarp.kernels.batching import num_threads
+from myowarp.kernels.launch import launch
+from myowarp.spec.scene import Scene
+
+KINDS = DisableBit.CONSTRAINT | DisableBit.EQUALITY | DisableBit.FRICTIONLOSS | DisableBit.LIMIT
+
+
+class ConstraintRows(Stage):
+    """All rows of joints and tendons in one thread, then each contact's; rows that do not fit are counted."""
+
+    REPLACES = ("make_constraint",)
+    OBSTACLES: ClassVar = {
+        "the device is not the CPU": lambda scene: not scene.device.is_cpu,
+        "rows of a kind are off": lambda scene: bool(scene.model.opt.disableflags & KINDS),
+        "the friction cone is not pyramidal": lambda scene: scene.model.opt.cone != mjw.ConeType.PYRAMIDAL,
+        "rows are sorted": lambda scene: bool(scene.model.opt.deterministic & DeterminismType.CONSTRAINT),
+        "there are flexes, adhesion or moving surfaces": lambda scene: bool(
+            scene.model.nflex or scene.model.flg_adhesion or scene.model.flg_surfacevel
+        ),
+        "an equality is not of joints": lambda scene: any(
+            address.size
+            for address in (
+                scene.model.eq_connect_adr,
+                scene.model.eq_wld_adr,
+                scene.model.eq_ten_adr,
+            )
+        ),
+        "a ball joint is limited": lambda scene: scene.model.jnt_limited_ball_adr.size > 0,
+        "tendons have friction": lambda scene: any_of(scene.model.tendon_frictionloss.numpy() > 0),
+    }
+
+    def __init__(self, scene: Scene) -> None:
+        """Allocate the number of entries of each world's J."""
+        super().__init__(scene)
+        self.efc_nnz = wp.zeros(scene.data.nworld, dtype=int, device=scene.device)
+
+    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Write the rows of joints and tendons, give those of contacts their places, then write these."""
+        shared = {
+            "tree": filled(KinematicTree, model),
+            "options": filled(RowOptions, model.opt),
+            "contacts": filled(ContactPool, data.contact, data),
+            "rows": filled(Rows, data.efc),
+        }
+        launch(
+            write_joint_rows,
+            1,  # the rows of contacts come after the other rows of their world
+            joints=filled(JointConstraints, model),
+            state=filled(JointState, data),
+            places=filled(RowPlaces, data, data.efc, self),
+            **shared,
+        )
+        if data.naconmax:
+            threads = num_threads(data.nacon.device, data.naconmax)
+            launch(write_contact_rows, threads, data, threads=threads, **shared)
