@@ -1,12 +1,11 @@
 """Simulations of the hand with conditions, and the same states in MuJoCo C."""
 
 import mujoco
-import mujoco_warp as mjw
 import numpy as np
 from configurations import configurations
+from stepping import forward, step
 
 import myowarp.tasks.variants  # noqa: F401  (registers the tasks)
-from myowarp.engine.stages import installed
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TASKS
 
@@ -91,15 +90,13 @@ def compare_with_c(sim, models):
     """
     states, data, muscles = States(sim), sim.scene.data, sim.scene.muscles
     states.load(sim)
-    with installed(sim.fusions):
-        mjw.forward(sim.scene.model, data)
+    forward(sim.scene, sim.stages)
     path = muscles.anatomy.path.numpy()
     forces = np.take_along_axis(data.actuator_force.numpy(), path, axis=1)
     accelerations = data.qacc.numpy().copy()
     states.load(sim)
     for _ in range(sim.scene.num_substeps):
-        with installed(sim.fusions):
-            mjw.step(sim.scene.model, data)
+        step(sim.scene, sim.stages)
     errors = {"force": [], "qacc": [], "qpos": [], "activation": []}
     for world, model in enumerate(models):
         first, last = states.in_c(model, world), states.in_c(model, world, sim.scene.num_substeps)

@@ -7,8 +7,9 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 import warp as wp
+from stepping import forward
 
-from myowarp.engine.stages import FUSIONS, installed
+from myowarp.engine.stages.affine_actuators import AffineActuators
 
 NUM_WORLDS = 32
 ROUNDING = 1e-6  # of the largest force
@@ -27,7 +28,7 @@ MODEL = """<mujoco><worldbody>
 
 
 def scene_of(more="", another=""):
-    """Return a model in C, and what the fusion needs of a scene."""
+    """Return a model in C, and what the stage needs of a scene."""
     host = mujoco.MjModel.from_xml_string(MODEL.format(more=more, another=another))
     model, data = mjw.put_model(host), mjw.make_data(host, nworld=NUM_WORLDS)
     return host, SimpleNamespace(model=model, data=data, device=wp.get_device("cpu"))
@@ -36,15 +37,14 @@ def scene_of(more="", another=""):
 def test_forces_are_those_of_mujoco_c():
     with wp.ScopedDevice("cpu"):
         host, scene = scene_of()
-        assert FUSIONS["affine_actuators"].obstacle(scene) is None
+        assert AffineActuators.obstacle(scene) is None
         rng, data = np.random.default_rng(0), scene.data
         states = {"qpos": host.nq, "qvel": host.nv, "ctrl": host.nu}
         states = {name: np.float32(rng.normal(size=(NUM_WORLDS, size))) for name, size in states.items()}
         for name, values in states.items():
             getattr(data, name).assign(values)
         data.actuator_force.fill_(np.nan)
-        with installed([FUSIONS["affine_actuators"](scene)]):
-            mjw.forward(scene.model, data)
+        forward(scene, [AffineActuators(scene)])
     oracle, forces, torques = mujoco.MjData(host), [], []
     for i in range(NUM_WORLDS):
         for name, values in states.items():
@@ -71,4 +71,4 @@ def test_forces_are_those_of_mujoco_c():
 )
 def test_obstacles(more, another, reason):
     with wp.ScopedDevice("cpu"):
-        assert FUSIONS["affine_actuators"].obstacle(scene_of(more, another)[1]) == reason
+        assert AffineActuators.obstacle(scene_of(more, another)[1]) == reason

@@ -1,18 +1,12 @@
 """Constraint rows of contacts against those of MuJoCo C, from the same contacts."""
 
-from types import SimpleNamespace
-
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import pytest
-import warp as wp
 from constrained import MORE, NUM_CONTACTS, NUM_ROWS, model_of, states
-from mujoco_warp._src import constraint
-from mujoco_warp._src.types import DeterminismType, DisableBit, IntegratorType
 
-from myowarp.engine.patch import is_empty
-from myowarp.engine.stages.contact_rows import ContactRowsFusion, launch_rows
+from myowarp.engine.stages.constraint_rows import launch_contact_rows
 
 WORLDS = 2
 CLOSE = 2e-5  # of the largest in a state, float32
@@ -67,7 +61,7 @@ def test_rows_are_those_of_mujoco_c(name):
         else:
             places[:, rows] = np.nan
         data.efc.J.assign(places)
-        launch_rows(model, data)
+        launch_contact_rows(model, data)
         assert np.isfinite(dense(data, nv)).all()
         for part, theirs in expected.items():
             ours = dense(data, nv) if part == "J" else getattr(data.efc, part).numpy()
@@ -84,7 +78,7 @@ def test_only_rows_of_contacts_are_written(name):
     full = dense(data, model.nv)
     others = np.flatnonzero(~np.isin(host.efc_type, CONTACTS))
     beyond = np.arange(host.nefc, NUM_ROWS)
-    launch_rows(model, data)
+    launch_contact_rows(model, data)
     for part, theirs in before.items():
         for rows in (others, beyond):
             assert np.array_equal(getattr(data.efc, part).numpy()[:, rows], theirs[:, rows])
@@ -100,52 +94,8 @@ def test_rows_beyond_the_capacity_are_dropped():
     places[contact, 0] = NUM_ROWS - 1
     data.contact.efc_address.assign(places)
     before = data.efc.aref.numpy().copy()
-    launch_rows(model, data)
+    launch_contact_rows(model, data)
     aref = data.efc.aref.numpy()
     assert aref[0, NUM_ROWS - 1] != before[0, NUM_ROWS - 1]
     others = np.flatnonzero(~np.isin(host.efc_type, CONTACTS))
     assert np.array_equal(aref[1, others], before[1, others])
-
-
-OBSTACLES = {
-    "the device is not the CPU": lambda s: setattr(s, "device", SimpleNamespace(is_cpu=False)),
-    "there are no contacts": lambda s: setattr(s.data, "naconmax", 0),
-    "contacts are off": lambda s: setattr(s.model.opt, "disableflags", int(DisableBit.CONTACT)),
-    "the friction cone is not pyramidal": lambda s: setattr(s.model.opt, "cone", mjw.ConeType.ELLIPTIC),
-    "the integrator is the discrete one": lambda s: setattr(
-        s.model.opt, "integrator", IntegratorType.DISCRETE
-    ),
-    "rows are sorted": lambda s: setattr(s.model.opt, "deterministic", DeterminismType.CONSTRAINT),
-    "there are flexes, adhesion or moving surfaces": lambda s: setattr(s.model, "flg_adhesion", True),
-}
-
-
-@pytest.mark.parametrize("reason", OBSTACLES)
-def test_obstacles(reason):
-    model, data = on_device("dense", states("dense")[0])
-    scene = SimpleNamespace(model=model, data=data, device=SimpleNamespace(is_cpu=True))
-    assert ContactRowsFusion.obstacle(scene) is None
-    OBSTACLES[reason](scene)
-    assert ContactRowsFusion.obstacle(scene) == reason
-
-
-def test_the_engine_leaves_the_rows_to_us(monkeypatch):
-    """Installed, the engine's kernels for these rows are not launched, and ours is, once."""
-    model, data = on_device("dense", states("dense")[0])
-    fusion = ContactRowsFusion(SimpleNamespace(model=model, data=data))
-    launched = []
-
-    def note(kernel, *args, **kwargs):
-        if not is_empty(kernel, *args, **kwargs):
-            launched.append(kernel.key)
-
-    for function in ("launch", "launch_tiled"):
-        monkeypatch.setattr(wp, function, note)
-    constraint.make_constraint(model, data)
-    stock = {key.split("__locals__")[0] for key in launched}
-    launched.clear()
-    with fusion.installed():
-        constraint.make_constraint(model, data)
-    ours = [key.split("__locals__")[0] for key in launched]
-    assert stock - set(ours) == {"_efc_contact_jac_dense", "_efc_contact_update"}
-    assert ours.count("write_contact_rows") == 1

@@ -3,15 +3,16 @@
 Both beside MuJoCo C.
 """
 
-import contextlib
 from types import SimpleNamespace
 
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import pytest
+import warp as wp
+from stepping import launch_place
 
-from myowarp.engine.stages import FUSIONS
+from myowarp.engine.stages.contact_search import ContactSearch
 from myowarp.engine.stages.primitive_contacts import CLOSED_FORMS
 
 NUM_STATES = 64
@@ -82,9 +83,8 @@ def collided(model, qpos, room, ours=True, growth=0.0):
     data = mjw.make_data(model, nworld=len(qpos), nconmax=room)
     data.qpos.assign(qpos)
     mjw.kinematics(device, data)
-    fusion = FUSIONS["contact_search"](SimpleNamespace(model=device, data=data, oracle=model))
-    with fusion.installed() if ours else contextlib.nullcontext():
-        mjw.collision(device, data)
+    scene = SimpleNamespace(model=device, data=data, oracle=model, device=wp.get_device("cpu"))
+    launch_place(scene, "collision", [ContactSearch(scene)] if ours else [])
     return data
 
 

@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 from constrained import MORE, NUM_CONTACTS, NUM_ROWS, NUM_WORLDS, model_of, rows_of, states
 from mujoco_warp._src import solver
-from mujoco_warp._src.types import DisableBit, EnableBit, IntegratorType
+from mujoco_warp._src.types import DisableBit
 from reference.constraint_newton import acceleration, imbalance, row_forces
 
 from myowarp.engine.stages.contact_solve import MAX_DOFS, MAX_ROWS, ContactSolve, launch_solve
@@ -185,11 +185,7 @@ OBSTACLES = {
     "the device is not the CPU": lambda s: setattr(s, "device", SimpleNamespace(is_cpu=False)),
     "the solver is not Newton's": lambda s: setattr(s.model.opt, "solver", mjw.SolverType.CG),
     "the friction cone is not pyramidal": lambda s: setattr(s.model.opt, "cone", mjw.ConeType.ELLIPTIC),
-    "the integrator is the discrete one": lambda s: setattr(
-        s.model.opt, "integrator", IntegratorType.DISCRETE
-    ),
     "noslip iterations are on": lambda s: setattr(s.model.opt, "noslip_iterations", 1),
-    "sleeping is on": lambda s: setattr(s.model.opt, "enableflags", int(EnableBit.SLEEP)),
     "warm starts are off": lambda s: setattr(s.model.opt, "disableflags", int(DisableBit.WARMSTART)),
     "the solver makes no iterations": lambda s: setattr(s.model.opt, "iterations", 0),
     f"degrees of freedom are not 1 to {MAX_DOFS}": lambda s: setattr(s.model, "nv", MAX_DOFS + 1),
@@ -221,7 +217,7 @@ FAMILIES = (
 @pytest.mark.parametrize("key", FAMILIES)
 def test_engine_agrees_in_random_motion(key):
     """Same rows, same answer, same number of iterations: also where this body meets objects and limits."""
-    sim = Simulation(TASKS[key], 50, device="cpu", autoreset="disabled", progress=False, fusions=())
+    sim = Simulation(TASKS[key], 50, device="cpu", autoreset="disabled", progress=False, stages=())
     sim.reset(seeds=np.arange(sim.num_worlds))
     model, data, rng = sim.scene.model, sim.scene.data, np.random.default_rng(0)
     errors, iterations = [], []

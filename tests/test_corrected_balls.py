@@ -8,8 +8,8 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 from configurations import configurations
+from stepping import forward, step
 
-from myowarp.engine.stages import installed
 from myowarp.sim.build import full_spec
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TASKS
@@ -190,8 +190,7 @@ def test_contacts_of_the_engine_are_those_of_mujoco():
     """Friction, impedance and dimension of every contact of a ball that both see."""
     sim = freshly_reset()
     qpos, data, oracle = touching(sim), sim.scene.data, sim.scene.oracle
-    with installed(sim.fusions):
-        mjw.forward(sim.scene.model, data)
+    forward(sim.scene, sim.stages)
     count = data.nacon.numpy()[0]
     fields = {field: getattr(data.contact, field).numpy()[:count] for field in CONTACT_FIELDS}
     pairs, worlds = data.contact.geom.numpy()[:count], data.contact.worldid.numpy()[:count]
@@ -245,8 +244,7 @@ def test_control_step_of_light_balls(record_property):
         touched += np.isin(state.contact.geom, [model.geom(ball).id for ball in BALLS]).any()
         after.append(state.qpos.copy())
     for _ in range(sim.scene.num_substeps):
-        with installed(sim.fusions):
-            mjw.step(sim.scene.model, data)
+        step(sim.scene, sim.stages)
     error = np.abs(data.qpos.numpy() - np.array(after)).max(axis=1)
     record_property("qpos median", float(np.median(error)))
     record_property("qpos worst", float(error.max()))

@@ -12,9 +12,9 @@ import myowarp
 from benchmarks.gpu_cases import Environment, random_actions, trajectory
 from myowarp.engine import repeat
 from myowarp.engine.compile import recorded
-from myowarp.engine.idle import is_same_step
-from myowarp.engine.stages.contact_solve_kernel import solver_kernel
+from myowarp.engine.stages.contact_solve import solver_kernel
 from myowarp.engine.stages.primitive_contacts import CLOSED_FORMS, touch_kernel
+from myowarp.engine.verify import is_same_step
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TASKS
 
@@ -59,7 +59,7 @@ def test_every_kernel_compiles(tmp_path):
 
 @needs_compiler
 def test_native_solver_does_not_compile(tmp_path, capfd):
-    """It is C++ for one thread of a CPU, so that the fusion has to refuse every other device."""
+    """It is C++ for one thread of a CPU, so that the stage has to refuse every other device."""
     with pytest.raises(Exception, match="CUDA kernel build failed"):
         compile_for_cuda(solver_kernel(8).module, tmp_path)
     assert "error" in "".join(capfd.readouterr())

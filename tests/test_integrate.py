@@ -10,11 +10,10 @@ import pytest
 import warp as wp
 from configurations import configurations
 from mujoco_warp._src import forward
-from mujoco_warp._src.types import DisableBit, EnableBit, IntegratorType
+from mujoco_warp._src.types import DisableBit, IntegratorType
+from stepping import launch_place, step
 
-from myowarp.engine.stages import installed
-from myowarp.engine.stages.integrate import Integrate, launch_stages
-from myowarp.engine.stages.integrate_kernel import MAX_DOFS, MAX_ENTRIES
+from myowarp.engine.stages.integrate import MAX_DOFS, MAX_ENTRIES, Integrate
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TASKS
 
@@ -74,7 +73,7 @@ def machine(name, integrator):
 
 
 def scene_of(host):
-    """Return what the fusion needs of a scene, on the CPU."""
+    """Return what the stage needs of a scene, on the CPU."""
     model, data = mjw.put_model(host), mjw.make_data(host, nworld=NUM_WORLDS, njmax=1)
     model.opt.warn_overflow = 0
     return SimpleNamespace(model=model, data=data, device=wp.get_device("cpu"))
@@ -143,8 +142,7 @@ def test_a_step_is_that_of_mujoco_c(name, integrator):
         scene.model.opt.timestep = wp.array(timesteps, dtype=float)
         for field, values in states.items():
             getattr(scene.data, field).assign(values)
-        with installed([Integrate(scene)]):
-            mjw.step(scene.model, scene.data)
+        step(scene, [Integrate(scene)])
     ours = {field: getattr(scene.data, field).numpy().astype(float) for field in states}
     theirs, explicit = stepped_by_c(host, states, parameters, timesteps)
     change = theirs["qvel"] - states["qvel"]
@@ -170,8 +168,9 @@ def test_solution_is_that_of_the_dense_system(name, implicit_actuators):
         damping = rng.uniform(0.0, 1.0, (NUM_WORLDS, host.nv))
         model.dof_damping = wp.array(damping, dtype=float)
         data.efc.Ma.assign(rng.normal(size=(NUM_WORLDS, host.nv)))
-        x = wp.full((NUM_WORLDS, host.nv), np.nan, dtype=float)
-        launch_stages(model, data, x, implicit_actuators, advance=False)
+        stage = Integrate(scene)
+        stage.acceleration.fill_(np.nan)
+        stage.advance(model, data, implicit_actuators, advance=False)
     expected, oracle, M = [], mujoco.MjData(host), np.zeros((host.nv, host.nv))
     for world in range(NUM_WORLDS):
         oracle.M[:] = data.M.numpy()[world]
@@ -181,7 +180,7 @@ def test_solution_is_that_of_the_dense_system(name, implicit_actuators):
         without = np.linalg.solve(M, data.efc.Ma.numpy()[world].astype(float))
         assert np.abs(without - expected[-1]).max() > EFFECT * ROUNDING * np.abs(expected[-1]).max()
     assert np.abs(expected).max() > 10
-    assert np.abs(x.numpy() - expected).max() <= ROUNDING * np.abs(expected).max()
+    assert np.abs(stage.acceleration.numpy() - expected).max() <= ROUNDING * np.abs(expected).max()
 
 
 KEPT = ("time", "overflow", "qacc_warmstart")
@@ -204,8 +203,7 @@ def test_bookkeeping_is_that_of_the_engine(integrator, contacts, found):
             data.nacon.fill_(contacts), data.ncollision.fill_(found)
             data.nefc.assign(np.arange(NUM_WORLDS) % 3)
             data.overflow.assign(np.arange(NUM_WORLDS) % 2 * 64)
-            with installed([Integrate(scene)] if ours else []):
-                (forward.euler if integrator == "Euler" else forward.implicit)(scene.model, data)
+            launch_place(scene, "integrate", [Integrate(scene)] if ours else [])
             ends.append([getattr(data, field).numpy().copy() for field in KEPT])
     for theirs, mine in zip(*ends, strict=True):
         np.testing.assert_array_equal(mine, theirs)
@@ -219,11 +217,10 @@ def test_free_bodies_fall_back_on_their_plain_inertia():
     free = slice(host.nv - 12, None)
     with wp.ScopedDevice("cpu"), mock.patch.object(forward, "implicit_free_body"):
         scene = scene_of(host)
-        for fusions in ((), (Integrate(scene),)):
+        for stages in ((), (Integrate(scene),)):
             for field, values in states.items():
                 getattr(scene.data, field).assign(values)
-            with installed(fusions):
-                mjw.step(scene.model, scene.data)
+            step(scene, stages)
             ends.append(scene.data.qvel.numpy()[:, free] - states["qvel"][:, free])
     assert relative(ends[1], ends[0]).max() < CLOSE
     damped, _ = stepped_by_c(host, states, {}, np.full(NUM_WORLDS, host.opt.timestep))
@@ -242,7 +239,7 @@ TASK_STEPS = {
 def test_tasks_end_their_steps_as_the_engine_does(key):
     """From states of motion, with the slopes of our muscles; and from the second step on."""
     sim = Simulation(
-        TASKS[key], 4, device="cpu", physics=TASK_STEPS[key], graph=False, progress=False, fusions=()
+        TASKS[key], 4, device="cpu", physics=TASK_STEPS[key], graph=False, progress=False, stages=()
     )
     rng, data = np.random.default_rng(0), sim.scene.data
     sim.reset(seeds=np.arange(4))
@@ -253,12 +250,12 @@ def test_tasks_end_their_steps_as_the_engine_does(key):
     start = [getattr(data, field).numpy().copy() for field in fields]
     activation = sim.scene.muscles.activation.numpy().copy()
     ends = []
-    for fusions in ((), (Integrate(sim.scene),)):
+    for stages in ((), (Integrate(sim.scene),)):
         for field, values in zip(fields, start, strict=True):
             getattr(data, field).assign(values)
         sim.scene.muscles.activation.assign(activation)
-        with wp.ScopedDevice("cpu"), installed(fusions):
-            mjw.step(sim.scene.model, data)
+        with wp.ScopedDevice("cpu"):
+            step(sim.scene, stages)
         ends.append([getattr(data, field).numpy().copy() for field in fields])
     changes = [end[1] - start[1] for end in ends]
     assert relative(changes[1], changes[0]).max() < ENGINE
@@ -282,8 +279,7 @@ OBSTACLES = {
         s.model.opt, "disableflags", int(DisableBit.DAMPER)
     ),
     "actuators damp joints or tendons": lambda s: s.model.actuator_damping.fill_(1.0),
-    "there are flexes or plastic springs": lambda s: setattr(s.model, "nplastic", 1),
-    "sleeping is on": lambda s: setattr(s.model.opt, "enableflags", int(EnableBit.SLEEP)),
+    "there are plastic springs": lambda s: setattr(s.model, "nplastic", 1),
     "overflows are to be printed": lambda s: setattr(s.model.opt, "warn_overflow", 1),
 }
 SLOPES = {

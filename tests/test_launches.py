@@ -15,7 +15,7 @@ NUM_WORLDS = 3
 
 
 def simulation(key):
-    return Simulation(TASKS[key], NUM_WORLDS, device="cpu", fusions=(), graph=False, progress=False)
+    return Simulation(TASKS[key], NUM_WORLDS, device="cpu", stages=(), graph=False, progress=False)
 
 
 @pytest.mark.parametrize("key", KEYS)

@@ -12,8 +12,8 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 import warp as wp
+from stepping import step
 
-from myowarp.engine.stages import installed
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TASKS
 
@@ -187,8 +187,7 @@ def test_one_control_step_of_physics(key, record_property):
     moved = np.abs(record["replay_qpos_after"] - record["replay_qpos_before"])
     assert np.median(moved.max(axis=1)) > 10 * QPOS_TOLERANCE
     for _ in range(sim.scene.num_substeps):
-        with installed(sim.fusions):
-            mjw.step(sim.scene.model, data)
+        step(sim.scene, sim.stages)
     error = np.abs(data.qpos.numpy() - record["replay_qpos_after"])
     record_property("qpos median", float(np.median(error.max(axis=1))))
     record_property("qpos worst", float(error.max()))

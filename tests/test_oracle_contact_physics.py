@@ -4,12 +4,11 @@ In two links: our model in MuJoCo C against MyoSuite, nearly to rounding, and th
 """
 
 import mujoco
-import mujoco_warp as mjw
 import numpy as np
 import pytest
 from contact_oracle import KEYS, NUM_WORLDS, oracle_data, padded, recorded, simulation, write_episodes
+from stepping import forward, step
 
-from myowarp.engine.stages import installed
 from myowarp.spec.task import TASKS
 
 ACTIVATION_TOLERANCE = 1e-6
@@ -43,8 +42,7 @@ def test_contacts_are_those_of_upstream(key):
     n = write_episodes(key, "contact")
     data = sim.scene.data
     data.overflow.zero_()
-    with installed(sim.fusions):
-        mjw.forward(sim.scene.model, data)
+    forward(sim.scene, sim.stages)
     assert not data.overflow.numpy().any()
     worlds = data.contact.worldid.numpy()[: data.nacon.numpy()[0]]
     engine = np.stack([np.bincount(worlds, minlength=NUM_WORLDS), data.nefc.numpy()], axis=1)[:n]
@@ -81,8 +79,7 @@ def test_one_control_step_of_physics(key, record_property):
     data = sim.scene.data
     data.ctrl.assign(padded(record["replay_ctrl"]))
     for _ in range(num_substeps):
-        with installed(sim.fusions):
-            mjw.step(sim.scene.model, data)
+        step(sim.scene, sim.stages)
     error = np.abs(data.qpos.numpy()[:n] - after).max(axis=1)
     record_property("qpos median", float(np.median(error)))
     record_property("qpos worst", float(error.max()))
@@ -110,10 +107,9 @@ def test_rollouts(key, relaxed):
         oracle.append(data.qpos.copy())
     if not relaxed:
         assert np.abs(np.array(oracle) - record["rollout_qpos_after"]).max() < 100 * MODEL_TOLERANCE
-    for step in range(ctrl.shape[1]):
-        sim.scene.data.ctrl.assign(padded(ctrl[:, step]))
-        with installed(sim.fusions):
-            mjw.step(sim.scene.model, sim.scene.data)
+    for i in range(ctrl.shape[1]):
+        sim.scene.data.ctrl.assign(padded(ctrl[:, i]))
+        step(sim.scene, sim.stages)
     error = np.abs(sim.scene.data.qpos.numpy()[:n] - np.array(oracle)).max(axis=1)
     worst = ROLLOUT_TOLERANCES[meta["task"]]
     assert error.max() < (worst if relaxed else CONTACT_TOLERANCE)

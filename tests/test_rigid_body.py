@@ -7,8 +7,9 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 import warp as wp
+from stepping import forward
 
-from myowarp.engine.stages import FUSIONS
+from myowarp.engine.stages.rigid_body import RigidBody
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TASKS
 
@@ -53,7 +54,7 @@ MODELS = {
 
 
 def stepping(model, num_worlds):
-    """Return what a fusion needs of a scene."""
+    """Return what a stage needs of a scene."""
     engine = mjw.put_model(model)
     data = mjw.make_data(model, nworld=num_worlds, nconmax=16, njmax=40)
     spec = SimpleNamespace(sites=("tip",))
@@ -104,12 +105,10 @@ def test_every_field_is_that_of_mujoco(name):
     states = random_states(model)
     with wp.ScopedDevice("cpu"):
         scene = stepping(model, NUM_WORLDS)
-        assert FUSIONS["rigid_body"].obstacle(scene) is None
+        assert RigidBody.obstacle(scene) is None
         given(scene, states)
         filled_with_nan(scene.data, (*MOTIONS[:1], *MOTIONS[3:], "qfrc_bias", "qfrc_passive", "site_xpos"))
-        with FUSIONS["rigid_body"](scene).installed():
-            mjw.fwd_position(scene.model, scene.data)
-            mjw.fwd_velocity(scene.model, scene.data)
+        forward(scene, [RigidBody(scene)])
     for data in states:
         # MuJoCo normalises in place what the engine leaves as it is.
         mujoco.mj_normalizeQuat(model, data.qpos)
@@ -144,9 +143,7 @@ def test_worlds_have_their_own_bodies():
         gravity = np.tile(model.opt.gravity, (NUM_WORLDS, 1))
         gravity[3] *= -1.0
         scene.model.opt.gravity = wp.array(gravity, dtype=wp.vec3)
-        with FUSIONS["rigid_body"](scene).installed():
-            mjw.fwd_position(scene.model, scene.data)
-            mjw.fwd_velocity(scene.model, scene.data)
+        forward(scene, [RigidBody(scene)])
     other = mujoco.MjModel.from_xml_string(TREES.format(**MODELS["gravity"]))
     for name, factor in changed.items():
         getattr(other, name)[:] *= factor
@@ -169,12 +166,12 @@ def test_poses_alone():
         given(scene, states)
         filled_with_nan(scene.data, ("site_xpos", "geom_xpos", "M"))
         mask = np.arange(NUM_WORLDS) != 2
-        fusion = FUSIONS["rigid_body"](scene)
+        stage = RigidBody(scene)
         before = scene.data.xpos.numpy()[2].copy()
-        fusion.launch_poses(scene.model, scene.data, wp.array(mask, dtype=bool))
+        stage.refresh(scene.model, scene.data, wp.array(mask, dtype=bool))
         np.testing.assert_array_equal(scene.data.xpos.numpy()[2], before)
         assert np.isnan(scene.data.site_xpos.numpy()[2]).all()
-        fusion.launch_poses(scene.model, scene.data, wp.array(~mask, dtype=bool))
+        stage.refresh(scene.model, scene.data, wp.array(~mask, dtype=bool))
     for data in states:
         mujoco.mj_normalizeQuat(model, data.qpos)
         mujoco.mj_kinematics(model, data)
@@ -199,17 +196,17 @@ def test_obstacles(change, reason):
     model = mujoco.MjModel.from_xml_string(TREES.format(**MODELS["gravity"]))
     change(model)
     with wp.ScopedDevice("cpu"):
-        assert FUSIONS["rigid_body"].obstacle(stepping(model, 1)) == reason
+        assert RigidBody.obstacle(stepping(model, 1)) == reason
 
 
 def test_observations_are_those_of_the_engine():
-    """The tips of a reach task after resets and steps, with the fusion alone and without any."""
+    """The tips of a reach task after resets and steps, with the stage alone and without any."""
     seen = []
-    for fusions in ((), ("rigid_body",)):
+    for stages in ((), ("rigid_body",)):
         sim = Simulation(
-            TASKS["myoHandReachRandom-v0"], 3, device="cpu", graph=False, progress=False, fusions=fusions
+            TASKS["myoHandReachRandom-v0"], 3, device="cpu", graph=False, progress=False, stages=stages
         )
-        assert len(sim.fusions) == len(fusions)
+        assert len(sim.stages) == len(stages)
         sim.reset(seeds=np.arange(3))
         sim.action.fill_(0.5)
         for _ in range(2):

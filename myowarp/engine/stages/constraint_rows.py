@@ -50,20 +50,31 @@ class ConstraintRows(Stage):
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Write the rows of joints and tendons, give those of contacts their places, then write these."""
-        shared = {
-            "tree": filled(KinematicTree, model),
-            "options": filled(RowOptions, model.opt),
-            "contacts": filled(ContactPool, data.contact, data),
-            "rows": filled(Rows, data.efc),
-        }
         launch(
             write_joint_rows,
             1,  # the rows of contacts come after the other rows of their world
+            tree=filled(KinematicTree, model),
             joints=filled(JointConstraints, model),
+            options=filled(RowOptions, model.opt),
             state=filled(JointState, data),
+            contacts=filled(ContactPool, data.contact, data),
             places=filled(RowPlaces, data, data.efc, self),
-            **shared,
+            rows=filled(Rows, data.efc),
         )
         if data.naconmax:
-            threads = num_threads(data.nacon.device, data.naconmax)
-            launch(write_contact_rows, threads, data, threads=threads, **shared)
+            launch_contact_rows(model, data)
+
+
+def launch_contact_rows(model: mjw.Model, data: mjw.Data) -> None:
+    """Write the rows of all contacts that have places."""
+    threads = num_threads(data.nacon.device, data.naconmax)
+    launch(
+        write_contact_rows,
+        threads,
+        data,
+        tree=filled(KinematicTree, model),
+        options=filled(RowOptions, model.opt),
+        threads=threads,
+        contacts=filled(ContactPool, data.contact, data),
+        rows=filled(Rows, data.efc),
+    )

@@ -47,9 +47,6 @@ class ContactSearch(Stage):
         "contacts are off": lambda scene: bool(
             scene.model.opt.disableflags & (DisableBit.CONSTRAINT | DisableBit.CONTACT)
         ),
-        "the engine's convex collisions are switched off": lambda scene: bool(
-            scene.model.opt.disableflags & DisableBit.NATIVECCD
-        ),
         "sleeping is on": lambda scene: bool(scene.model.opt.enableflags & EnableBit.SLEEP),
         "meshes differ between worlds": lambda scene: scene.model.geom_dataid.shape[0] > 1,
         "there are flexes, distance fields or moving surfaces": lambda scene: bool(
@@ -61,10 +58,12 @@ class ContactSearch(Stage):
     def __init__(self, scene: Scene) -> None:
         """Sort the kinds of pairs that are left by who finds their contacts."""
         super().__init__(scene)
-        left = [kind for kind in MJ_COLLISION_TABLE if kind in _kinds(scene) - set(OURS)]
-        convex = [kind for kind in left if MJ_COLLISION_TABLE[kind] == CollisionType.CONVEX]
-        primitive = [kind for kind in left if MJ_COLLISION_TABLE[kind] == CollisionType.PRIMITIVE]
-        self._convex = convex
+        table = dict(MJ_COLLISION_TABLE)
+        if scene.model.opt.disableflags & DisableBit.NATIVECCD:
+            table[GeomType.BOX, GeomType.BOX] = CollisionType.PRIMITIVE
+        left = [kind for kind in table if kind in _kinds(scene) - set(OURS)]
+        primitive = [kind for kind in left if table[kind] == CollisionType.PRIMITIVE]
+        self._convex = [kind for kind in left if table[kind] == CollisionType.CONVEX]
         self._closed = [kind for kind in primitive if kind in CLOSED_FORMS]
         self._primitive = [kind for kind in primitive if kind not in CLOSED_FORMS]
         with wp.ScopedDevice(scene.device):

@@ -165,19 +165,24 @@ class ContactSolve(Stage):
     }
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
-        """Solve the constraints of all worlds, as `mujoco_warp.solve` does."""
-        result = SolverResult()
-        result.niter, result.overflow = data.solver_niter, data.overflow
-        result.force, result.state, result.Ma = data.efc.force, data.efc.state, data.efc.Ma
+        """Sum the forces, then solve the constraints of all worlds."""
         launch(sum_forces, data.nworld, data)
-        solve_constraints = solver_kernel(-(-model.nv // VECTOR) * VECTOR)
-        launch(
-            solve_constraints,
-            data.nworld,
-            data,
-            inertia=filled(InertiaRows, model),
-            options=filled(SolverOptions, model.opt),
-            counts=filled(RowCounts, data),
-            rows=filled(ConstraintRows, data.efc),
-            result=result,
-        )
+        launch_solve(model, data)
+
+
+def launch_solve(model: mjw.Model, data: mjw.Data) -> None:
+    """Solve the constraints of all worlds, as `mujoco_warp.solve` does."""
+    result = SolverResult()
+    result.niter, result.overflow = data.solver_niter, data.overflow
+    result.force, result.state, result.Ma = data.efc.force, data.efc.state, data.efc.Ma
+    solve_constraints = solver_kernel(-(-model.nv // VECTOR) * VECTOR)
+    launch(
+        solve_constraints,
+        data.nworld,
+        data,
+        inertia=filled(InertiaRows, model),
+        options=filled(SolverOptions, model.opt),
+        counts=filled(RowCounts, data),
+        rows=filled(ConstraintRows, data.efc),
+        result=result,
+    )

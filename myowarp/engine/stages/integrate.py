@@ -7,6 +7,7 @@ Algorithms, 2008, section 6.5): for a hand a tenth of the operations of a dense 
 an actuator couples across branches of the tree has no place in M and stays explicit, as in the engine.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
@@ -216,25 +217,36 @@ def _rows_begin_alike(model: mjw.Model) -> bool:
     return all(rows[dof] == row[: i + 1] for row in rows for i, dof in enumerate(row))
 
 
-def _unknown_slope(scene: Scene) -> bool:
-    """Whether `implicitfast` takes in a force whose derivative by velocity we do not compute."""
-    model = scene.model
-    gains = np.isin(model.actuator_gaintype.numpy(), (GainType.AFFINE, GainType.MUSCLE, GainType.DCMOTOR))
-    return _is_implicit(scene) and (
-        any_of(
-            gains,
-            model.actuator_biastype.numpy() == BiasType.DCMOTOR,
-            model.tendon_actfrclimited,
-            model.jnt_actfrclimited,
-            model.tendon_damping,
-            model.tendon_dampingpoly,
-        )
-        or bool(model.has_fluid)
-    )
+def _where_implicit(holds: Callable[[mjw.Model], bool]) -> Callable[[Scene], bool]:
+    """Return a condition on models that counts where forces are integrated implicitly."""
+    return lambda scene: _is_implicit(scene) and holds(scene.model)
+
+
+VELOCITY_GAINS = (GainType.AFFINE, GainType.MUSCLE, GainType.DCMOTOR)
+UNKNOWN_SLOPES = {
+    "a gain may depend on velocity": _where_implicit(
+        lambda model: any_of(np.isin(model.actuator_gaintype.numpy(), VELOCITY_GAINS))
+    ),
+    "there are DC motors": _where_implicit(
+        lambda model: any_of(model.actuator_biastype.numpy() == BiasType.DCMOTOR)
+    ),
+    "forces are limited at tendons or joints": _where_implicit(
+        lambda model: any_of(model.tendon_actfrclimited, model.jnt_actfrclimited)
+    ),
+    "tendons are damped": _where_implicit(
+        lambda model: any_of(model.tendon_damping, model.tendon_dampingpoly)
+    ),
+    "a fluid resists": _where_implicit(lambda model: bool(model.has_fluid)),
+}
+"""Forces whose derivative by velocity the engine takes in and we do not compute."""
 
 
 class Integrate(Stage):
-    """The integrators Euler and `implicitfast`."""
+    """The integrators Euler and `implicitfast`.
+
+    Attributes:
+        acceleration: What the state is advanced with [rad/s^2, m/s^2], shape (num_worlds, nv).
+    """
 
     REPLACES = ("integrate",)
     OBSTACLES: ClassVar = {
@@ -255,13 +267,13 @@ class Integrate(Stage):
         ),
         "there are plastic springs": lambda scene: bool(scene.model.nplastic),
         "overflows are to be printed": lambda scene: bool(scene.model.opt.warn_overflow),
-        "a force depends on velocity in a way that has no derivative here": _unknown_slope,
+        **UNKNOWN_SLOPES,
     }
 
     def __init__(self, scene: Scene) -> None:
-        """Allocate the accelerations that the state is advanced with; `Data.qacc` stays the solver's."""
+        """Allocate the accelerations; `Data.qacc` stays the solver's."""
         super().__init__(scene)
-        self._acceleration = wp.zeros_like(scene.data.qvel)
+        self.acceleration = wp.zeros_like(scene.data.qvel)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """End the step of all worlds, as `mujoco_warp.euler` and `mujoco_warp.implicit` do."""
@@ -269,15 +281,15 @@ class Integrate(Stage):
         # The engine has a formula of its own for free bodies, and advances the states of actuators.
         free = implicit and model.body_freeadr.size > 0
         stateful = model.na > 0 or model.nhistory > 0
-        self._launch(model, data, implicit, advance=not (free or stateful))
+        self.advance(model, data, implicit, advance=not (free or stateful))
         if free:
-            forward.implicit_free_body(model, data, data.efc.Ma, self._acceleration, solve=True)
+            forward.implicit_free_body(model, data, data.efc.Ma, self.acceleration, solve=True)
         if stateful:
-            forward._advance(model, data, self._acceleration)
+            forward._advance(model, data, self.acceleration)
         elif free:
-            self._launch(model, data, implicit, solve=False)
+            self.advance(model, data, implicit, solve=False)
 
-    def _launch(
+    def advance(
         self, model: mjw.Model, data: mjw.Data, implicit: bool, solve: bool = True, advance: bool = True
     ) -> None:
         """Compute accelerations, advance the state with them, or both; see `Parts`."""
@@ -294,6 +306,6 @@ class Integrate(Stage):
             parts=parts,
             forces=filled(VelocityForces, model, data),
             usage=filled(Usage, data),
-            acceleration=self._acceleration,
+            acceleration=self.acceleration,
             state=filled(StepState, data),
         )

@@ -164,8 +164,8 @@ def _springy_quaternions(scene: Scene) -> bool:
 class RigidBody(Stage):
     """All that a step computes from positions and velocities alone, and poses for who asks for no more.
 
-    Within a step only the engine's own tendons and rows read sites; where the tendons are ours, only `refresh`
-    brings sites up to date.
+    Within a step only the engine's own tendons and rows read sites; where the tendons are ours, only
+    `refresh` brings sites up to date.
     """
 
     REPLACES = ("kinematics", "com_pos", "crb", "com_vel", "passive", "rne")

@@ -5,7 +5,8 @@ import json
 import pytest
 
 from myowarp.engine.idle import idle_kernels
-from myowarp.engine.verify import Verdict, cached_verdict
+from myowarp.engine.verify import Verdict
+from myowarp.engine.verify import _cached_verdict as cached_verdict
 from myowarp.sim.build import compile_scene
 from myowarp.spec.task import TASKS
 
@@ -42,9 +43,9 @@ def test_verified_once(counted):
         "5",
         "[[], []]",
         '{"idle": []}',
-        '{"idle": 3, "fusions": []}',
-        json.dumps({"idle": ["_no_such_kernel"], "fusions": []}),
-        json.dumps({"idle": [], "fusions": ["NoSuchFusion"]}),
+        '{"idle": 3, "stages": []}',
+        json.dumps({"idle": ["_no_such_kernel"], "stages": []}),
+        json.dumps({"idle": [], "stages": ["NoSuchStage"]}),
     ],
 )
 def test_a_damaged_entry_is_verified_again(counted, tmp_path, entry):
