@@ -1,11 +1,12 @@
-"""CPU time of a physics step with kernels of ours on and off, MuJoCo C beside it in the same run.
+"""What each stage of ours saves of a physics step, with MuJoCo C beside it in the same run.
 
     python -m benchmarks.substep
 
-All contestants start from one set of states, reached by random actions, and are timed in turns: stock
-mujoco-warp without its idle launches, each fusion alone, all of them, and `mujoco.mj_step` of the same slim
-model in float64. What counts is CPU time of this thread for one world and one physics step, and of all
-rounds the least, since other work on the machine only adds.
+All contestants start from one set of states, reached by random actions, and are timed in turns: all stages of
+ours, all but one of them, all with their launches replayed by Warp, mujoco-warp's own step with and without
+its idle launches, and `mujoco.mj_step` of the same slim model in float64. What counts is CPU time of this
+thread for one world and one physics step, and of all rounds the least, since other work on the machine only
+adds. A stage's price is what the step takes longer without it.
 """
 
 import json
@@ -13,12 +14,12 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
 import mujoco
-import mujoco_warp as mjw
 import numpy as np
 import tyro
 import warp as wp
@@ -30,12 +31,19 @@ from benchmarks.__main__ import CONTACT_TASKS, PACKAGES
 from benchmarks.machine import processor
 from myowarp.engine.compile import quiet
 from myowarp.engine.graph import Graph
-from myowarp.engine.idle import idle_kernels, pruned
-from myowarp.engine.stages import FUSIONS, applicable_fusions, installed
+from myowarp.engine.idle import idle_kernels
+from myowarp.engine.stage import STAGES, applicable_stages
+from myowarp.engine.step import physics_step
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TASKS
 
-STOCK, ALL, MUJOCO_C = "stock", "all", "MuJoCo C"
+ALL, BY_WARP, ENGINE, ENGINE_IDLE, MUJOCO_C = (
+    "all",
+    "replayed by Warp",
+    "engine",
+    "engine with idle launches",
+    "MuJoCo C",
+)
 STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl")
 
 
@@ -63,10 +71,10 @@ class Options:
 
 
 class Physics:
-    """The physics of one task, to be timed with any set of fusions."""
+    """The physics of one task, to be timed with any set of stages."""
 
     def __init__(self, key: str, options: Options) -> None:
-        self.sim = Simulation(TASKS[key], options.num_worlds, device="cpu", autoreset="disabled", fusions=())
+        self.sim = Simulation(TASKS[key], options.num_worlds, device="cpu", autoreset="disabled", stages=())
         self.steps, self.scene = options.steps, self.sim.scene
         self.sim.reset(seeds=np.arange(options.num_worlds))
         rng = np.random.default_rng(0)
@@ -80,32 +88,35 @@ class Physics:
 
     def contestants(self) -> dict[str, Callable[[], float]]:
         """Return what measures microseconds of one world and step, by name."""
-        names = [name for name in FUSIONS if FUSIONS[name].obstacle(self.scene) is None]
-        sets = {STOCK: [], **{name: [name] for name in names}, ALL: names}
-        graphs = {name: self.graph(fusions) for name, fusions in sets.items()}
-        measured = {name: lambda graph=graph: self.run(graph) for name, graph in graphs.items()}
-        return measured | {MUJOCO_C: self.run_mujoco_c}
+        names = [name for name in STAGES if applicable_stages(self.scene, [name])]
+        sets = {ALL: names}
+        sets |= {f"without {name}": [other for other in names if other != name] for name in names}
+        idle = idle_kernels(self.scene.oracle)
+        graphs = {name: self.graph(stages, idle) for name, stages in sets.items()}
+        graphs |= {ENGINE: self.graph([], idle), ENGINE_IDLE: self.graph([], frozenset())}
+        measured = {name: lambda graph=graph: self.run(graph.launch) for name, graph in graphs.items()}
+        by_warp = partial(wp.capture_launch, graphs[ALL].recorded)
+        return measured | {BY_WARP: lambda: self.run(by_warp), MUJOCO_C: self.run_mujoco_c}
 
-    def graph(self, names: list[str]) -> Graph:
-        """Return a captured control step of physics with some fusions."""
-        fusions = applicable_fusions(self.scene, names)
+    def graph(self, names: list[str], idle: frozenset[str]) -> Graph:
+        """Return a captured control step of physics with some stages of ours."""
+        step = physics_step(self.scene, applicable_stages(self.scene, names), idle)
 
         def launch() -> None:
-            with pruned(idle_kernels(self.scene.oracle)), installed(fusions):
-                for _ in range(self.scene.num_substeps):
-                    mjw.step(self.scene.model, self.scene.data)
+            for _ in range(self.scene.num_substeps):
+                step()
 
         with quiet(), wp.ScopedDevice(self.scene.device):
             launch()
             return Graph(launch, self.scene.device)
 
-    def run(self, graph: Graph) -> float:
-        """Time a graph."""
+    def run(self, launch: Callable[[], None]) -> float:
+        """Time a control step."""
         for name, values in self.state.items():
             self.arrays[name].assign(values)
         begin = time.thread_time()
         for _ in range(self.steps):
-            graph.launch()
+            launch()
         return 1e6 * (time.thread_time() - begin) / (self.num_steps * self.scene.num_worlds)
 
     def run_mujoco_c(self) -> float:
@@ -153,13 +164,15 @@ def main() -> None:
         "rows": rows,
     }
     options.output.write_text(json.dumps(report, indent=1) + "\n")
-    columns = list(dict.fromkeys([STOCK, *FUSIONS, ALL, MUJOCO_C]))
-    table = Table(Column("task [us]", no_wrap=True), *columns, "all / C")
+    columns = [*(f"without {name}" for name in STAGES), BY_WARP, ENGINE, ENGINE_IDLE, MUJOCO_C]
+    table = Table(Column("task", no_wrap=True), "all [us]", *(f"{name} / all" for name in columns))
     for row in rows:
-        cells = [row["microseconds"].get(name) for name in columns]
-        ratio = row["microseconds"][ALL] / row["microseconds"][MUJOCO_C]
-        table.add_row(row["task"], *("-" if c is None else f"{c:.1f}" for c in cells), f"{ratio:.2f}")
-    Console().print(table)
+        taken = row["microseconds"]
+        ratios = (taken[name] / taken[ALL] if name in taken else None for name in columns)
+        table.add_row(
+            row["task"], f"{taken[ALL]:.1f}", *("-" if ratio is None else f"{ratio:.2f}" for ratio in ratios)
+        )
+    Console(width=160).print(table)
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ def graph(launches, left_to_warp=False):
 
 def replays(recorded):
     """Return our replay and Warp's of the same record."""
-    return recorded.launch, lambda: wp.capture_launch(recorded._recorded)
+    return recorded.launch, lambda: wp.capture_launch(recorded.recorded)
 
 
 def private():

@@ -36,8 +36,8 @@ def test_references_are_not_searched():
 
 
 def test_garbage_is_collected_as_before():
-    """But for what there is after the import, which is a lot."""
+    """A library does not freeze the heap of its host; the command may."""
     on, off = imported(), imported("off")
     assert on["enabled"]
     assert not off["enabled"]
-    assert on["frozen"] > 100_000
+    assert on["frozen"] == off["frozen"] == 0

@@ -1,6 +1,7 @@
 """Threads of shards: what fails, is interrupted or ends."""
 
 import gc
+import logging
 import os
 import re
 import signal
@@ -8,11 +9,13 @@ import subprocess
 import sys
 import threading
 import time
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
+from myowarp.engine import graph
 from myowarp.sim.shards import simulate
 from myowarp.spec.task import TASKS
 
@@ -223,3 +226,36 @@ def test_exit_and_fork():
     done = subprocess.run([sys.executable, "-W", "ignore", "-c", SCRIPT], capture_output=True, timeout=120)
     assert done.returncode == 0, done.stderr.decode()
     assert done.stdout.decode().endswith("stepped\n")
+
+
+def together(barrier, launch):
+    barrier.wait()
+    launch()
+
+
+def test_parts_act_at_the_same_time_where_warp_replays(monkeypatch, caplog):
+    """Without our replay, in threads of Python: said once, with the same numbers."""
+    ends, seen = [], []
+    for replayed in (True, False):
+        graph._warp_recording.cache_clear()
+        graph.say_once.cache_clear()
+        if not replayed:
+            monkeypatch.setattr(graph, "RECORDERS", (*graph.RECORDERS, "wp_is_no_more"))
+        with caplog.at_level(logging.WARNING, logger="myowarp"):
+            sim = simulate(TASKS[ELBOW], 8, shards=2, device="cpu", progress=False)
+            assert all((part.step_graph.replay is not None) == replayed for part in sim.parts)
+            if not replayed:
+                both = threading.Barrier(2, timeout=30)
+                for part in sim.parts:
+                    launch = part.step_graph.launch
+                    monkeypatch.setattr(part.step_graph, "launch", partial(together, both, launch))
+            sim.reset(seeds=np.arange(8))
+            for value in (0.5, -0.5, 1.0):
+                sim.action.fill_(value)
+                sim.step()
+        seen.append(len(caplog.records))
+        ends.append(sim.transition.obs.numpy().copy())
+        sim.close()
+    graph._warp_recording.cache_clear()
+    np.testing.assert_array_equal(*ends)
+    assert seen == [0, 1]

@@ -115,7 +115,7 @@ def test_no_code_in_common():
     split = build(num_shards=3)
     Signals(split)  # captures every step anew, one after the other
     codes = [
-        graph._recorded.module_execs for part in split.parts for graph in (part.step_graph, part.reset_graph)
+        graph.recorded.module_execs for part in split.parts for graph in (part.step_graph, part.reset_graph)
     ]
     assert all(codes)
     assert len(set().union(*codes)) == sum(len(code) for code in codes)
@@ -271,5 +271,5 @@ def test_a_simulation_of_its_own_beside_others():
     """Two simulations in two threads, without shards: neither runs the other's code."""
     both = [build("myoHandReachRandom-v0", num_worlds=2) for _ in range(2)]
     assert isinstance(both[0], Simulation)
-    assert not both[0].step_graph._recorded.module_execs & both[1].step_graph._recorded.module_execs
+    assert not both[0].step_graph.recorded.module_execs & both[1].step_graph.recorded.module_execs
     assert wp.get_device().is_cpu or not wp.is_cuda_available()

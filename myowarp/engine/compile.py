@@ -92,6 +92,11 @@ def compile_kernels(
     return tuple(dict.fromkeys(module for module, _ in wanted))
 
 
+def can_renew_code() -> bool:
+    """Whether Warp's modules keep their machine code where `renew_code` looks for it."""
+    return hasattr(wp.Module, "execs") or "execs" in vars(wp.get_module(__name__))
+
+
 def renew_code(modules: Iterable[wp.Module]) -> None:
     """Have Warp load the machine code of modules once more when they are next launched on the CPU.
 
@@ -99,5 +104,7 @@ def renew_code(modules: Iterable[wp.Module]) -> None:
     `tile.h`), so that two threads must never run the same code of such a kernel. Graphs captured from here on
     have code of their own; those captured before keep theirs.
     """
+    if not can_renew_code():
+        return
     for module in modules:
         module.execs = {key: loaded for key, loaded in module.execs.items() if not loaded.device.is_cpu}

@@ -8,17 +8,20 @@ through the notes.
 
 import contextlib
 import ctypes
+import importlib
+import logging
 from collections.abc import Callable, Iterator
+from functools import cache
 from itertools import chain
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 from unittest import mock
 
 import numpy as np
 import warp as wp
-from warp._src import context
-from warp._src.apic.types import APIC_OP_WHILE
 
 from myowarp.engine.replay import Operation, replay
+
+logger = logging.getLogger("myowarp")
 
 Row: TypeAlias = tuple[int, ...]
 Rows: TypeAlias = list[Row]
@@ -30,6 +33,7 @@ class Graph:
     """Recorded launches.
 
     Attributes:
+        recorded: What Warp has recorded.
         replay: What launches them on the CPU; None where Warp does.
     """
 
@@ -40,20 +44,25 @@ class Graph:
             launches: Launches kernels whose modules are loaded.
             device: Where they run.
         """
-        notes = _Notes()
-        notebook = notes.taken(device) if device.is_cpu else contextlib.nullcontext()
+        warp = _warp_recording() if device.is_cpu else None
+        notes = None if warp is None else _Notes(warp)
+        notebook = contextlib.nullcontext() if notes is None else notes.taken(device)
         with wp.ScopedCapture(device=device, force_module_load=False) as capture, notebook:
             launches()
-        self._recorded = capture.graph
+        self.recorded = capture.graph
         self.replay: Replay | None = None
-        if device.is_cpu and notes.complete(self._recorded.apic_state):
+        if notes is None:
+            return
+        if notes.complete(self.recorded.apic_state):
             # The notes keep what the program has addresses of, beside what the record keeps.
-            self.replay = Replay(notes.program(), keep=(notes.kept, self._recorded))
+            self.replay = Replay(notes.program(), keep=(notes.kept, self.recorded))
+        else:
+            say_once("a recording has operations that cannot be noted; Warp replays it, which is slower")
 
     def launch(self) -> None:
         """Launch all that was recorded."""
         if self.replay is None:
-            wp.capture_launch(self._recorded)
+            wp.capture_launch(self.recorded)
         else:
             self.replay()
 
@@ -93,6 +102,50 @@ def code_address(function: Any) -> int:
     return ctypes.cast(function, ctypes.c_void_p).value or 0
 
 
+@cache
+def say_once(message: str) -> None:
+    """Log a message, the first time only."""
+    logger.warning(message)
+
+
+class _WarpRecording(NamedTuple):
+    """What is private to Warp and needed to take notes.
+
+    Attributes:
+        runtime: Its native library, and the record that is being made.
+        loop: What a conditional operation is called that is a loop.
+    """
+
+    runtime: Any
+    loop: int
+
+
+RECORDERS = (
+    "wp_cpu_launch_kernel",
+    "wp_memcpy_h2h",
+    "wp_apic_begin_branch",
+    "wp_apic_end_branch",
+    "wp_apic_record_conditional",
+    "wp_apic_get_recording_state",
+    "wp_apic_get_operation_count",
+)
+"""Functions of Warp's native library that record, or say what was recorded."""
+
+
+@cache
+def _warp_recording() -> _WarpRecording | None:
+    """Return what notes are taken with; None, which is logged once, where Warp has changed."""
+    try:
+        runtime = importlib.import_module("warp._src.context").runtime
+        loop = importlib.import_module("warp._src.apic.types").APIC_OP_WHILE
+        for name in RECORDERS:
+            getattr(runtime.core, name)
+        return _WarpRecording(runtime, loop)
+    except (ImportError, AttributeError) as error:
+        say_once(f"launches are replayed by Warp {wp.__version__}, which has changed, and slower: {error}")
+        return None
+
+
 class _Notes:
     """What Warp records on the CPU, an entry for each of its operations.
 
@@ -104,7 +157,8 @@ class _Notes:
         kept: Arguments and values whose addresses were noted.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, warp: _WarpRecording) -> None:
+        self._warp = warp
         self.kept: list[object] = []
         self._operations: list[Rows] = []
         self._outside: list[tuple[list[Rows], int]] = []
@@ -114,7 +168,7 @@ class _Notes:
     @contextlib.contextmanager
     def taken(self, device: wp.Device) -> Iterator[None]:
         """Take notes in the block."""
-        core = context.runtime.core
+        core = self._warp.runtime.core
         noted = (
             (core, "wp_cpu_launch_kernel", self._launch),
             (core, "wp_memcpy_h2h", self._copy),
@@ -126,13 +180,13 @@ class _Notes:
         )
         with contextlib.ExitStack() as patches:
             for holder, name, note in noted:
-                noting = _noting(note, getattr(holder, name))
+                noting = _noting(note, getattr(holder, name), core.wp_apic_get_recording_state)
                 patches.enter_context(mock.patch.object(holder, name, noting))
             yield
 
     def complete(self, state: ctypes.c_void_p) -> bool:
         """Whether there is a note for each operation that Warp has recorded."""
-        return self._has_all and len(self._operations) == _num_recorded(state)
+        return self._has_all and len(self._operations) == self._num_recorded(state)
 
     def program(self) -> Rows:
         """Return what `replay` runs."""
@@ -159,12 +213,12 @@ class _Notes:
         self._note((Operation.COPY, target, tiles.ctypes.data, tiles.nbytes), keep=tiles)
 
     def _begin_branch(self, state: ctypes.c_void_p) -> None:
-        self._outside.append((self._operations, _num_recorded(state)))
+        self._outside.append((self._operations, self._num_recorded(state)))
         self._operations = []
 
     def _end_branch(self, state: ctypes.c_void_p, start: Any) -> None:
         outside, before = self._outside.pop()
-        self._has_all &= len(self._operations) == _num_recorded(state) - before
+        self._has_all &= len(self._operations) == self._num_recorded(state) - before
         self._branches.append(list(chain.from_iterable(self._operations)))
         self._operations = outside
 
@@ -172,14 +226,24 @@ class _Notes:
         """Note a loop over the first branch, or the first if an integer is not 0, and the second if it is."""
         no = self._branches.pop() if second else []
         yes = self._branches.pop() if first else []
-        again = kind == APIC_OP_WHILE and yes  # Warp ends a loop that does nothing
-        skip = Operation.JUMP_IF_ZERO, _address(region) + offset, len(yes) + 2
+        again = kind == self._warp.loop and yes  # Warp ends a loop that does nothing
+        skip = Operation.JUMP_IF_ZERO, self._address(region) + offset, len(yes) + 2
         self._note(skip, *yes, (Operation.JUMP, -len(yes) - 1 if again else len(no) + 1), *no)
 
+    def _num_recorded(self, state: ctypes.c_void_p) -> int:
+        """Return how many operations Warp has recorded, those of the branches that are open included."""
+        return int(self._warp.runtime.core.wp_apic_get_operation_count(state))
 
-def _noting(note: Callable[..., None], native: Callable[..., Any]) -> Callable[..., Any]:
+    def _address(self, region: int) -> int:
+        """Return where memory that Warp knows by a number begins."""
+        known = self._warp.runtime._apic_capture._regions.values()
+        return int(next(base for number, base, *_ in known if number == region))
+
+
+def _noting(
+    note: Callable[..., None], native: Callable[..., Any], recording: Callable[[], Any]
+) -> Callable[..., Any]:
     """Return a function of Warp's that also takes a note when it records: in this thread, and not paused."""
-    recording = context.runtime.core.wp_apic_get_recording_state
 
     def noting(*args: Any) -> Any:
         if recording():
@@ -187,17 +251,6 @@ def _noting(note: Callable[..., None], native: Callable[..., Any]) -> Callable[.
         return native(*args)
 
     return noting
-
-
-def _num_recorded(state: ctypes.c_void_p) -> int:
-    """Return how many operations Warp has recorded, those of the branches that are open included."""
-    return int(context.runtime.core.wp_apic_get_operation_count(state))
-
-
-def _address(region: int) -> int:
-    """Return where memory that Warp knows by a number begins."""
-    known = context.runtime._apic_capture._regions.values()
-    return int(next(base for number, base, *_ in known if number == region))
 
 
 def replay_nothing(device: wp.Device) -> None:

@@ -10,17 +10,16 @@ from unittest import mock
 def quick_import() -> Iterator[None]:
     """Leave out half of what it takes to import Warp, mujoco-warp and our kernels in the block.
 
-    Warp parses all their functions, a thousand. The half a million objects of this stay: not looking through
-    them for garbage, now and later, takes two seconds off start and exit; whatever else there is by then is
-    spared, too. And Warp looks in each function for those that it calls, to renew it where one of them is
-    imported anew, as ours and the engine's must not be: not looking takes off another half second.
+    Warp parses all their functions, a thousand, and half a million objects of this stay: not looking through
+    them for garbage meanwhile takes a second off. And Warp looks in each function for those that it calls, to
+    renew it where one of them is imported anew, as ours and the engine's must not be: not looking takes off
+    another half second.
     """
     collects = gc.isenabled()
     gc.disable()
     try:
         with _references_unseen():
             yield
-        gc.freeze()
     finally:
         if collects:
             gc.enable()
@@ -28,8 +27,10 @@ def quick_import() -> Iterator[None]:
 
 def _references_unseen() -> contextlib.AbstractContextManager[object]:
     """Have Warp note no references of the modules that are imported in a block."""
-    from warp._src.context import Module
-
+    try:
+        from warp._src.context import Module
+    except ImportError:
+        Module = object
     if not hasattr(Module, "_find_references"):  # private to Warp: without it, an import is only slower
         return contextlib.nullcontext()
 

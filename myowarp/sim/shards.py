@@ -10,6 +10,7 @@ import copy
 import dataclasses
 import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any
 
@@ -17,7 +18,7 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from myowarp.engine.compile import quiet
+from myowarp.engine.compile import can_renew_code, quiet
 from myowarp.engine.graph import Graph, Replay
 from myowarp.engine.threads import Team, num_cores
 from myowarp.kernels.episode import EpisodeState, Masks, Transition
@@ -152,12 +153,15 @@ class Shards:
         self._programs = None
 
     def _together(self, graphs: Sequence[Graph | None], act: Callable[[Simulation], None]) -> None:
-        """Replay a graph of each part, all at the same time; where one has none, let them act one by one."""
+        """Replay a graph of each part, all at the same time; without graphs, let them act one by one."""
         if self._failure is not None:
             raise RuntimeError(self._failure)
         replays = tuple(graph.replay for graph in graphs if graph is not None and graph.replay is not None)
-        if len(replays) < len(self.parts):
+        if None in graphs or not can_renew_code():  # else they would share their scratch memory
             self._one_by_one(act)
+            return
+        if len(replays) < len(self.parts):
+            self._in_threads(act)
             return
         programs = self._programs
         if programs is None or self._process != os.getpid():  # threads do not live on in a forked process
@@ -165,19 +169,28 @@ class Shards:
             self._programs, self._process = programs, os.getpid()
         programs(replays)()
 
+    def _in_threads(self, act: Callable[[Simulation], None]) -> None:
+        """Let the parts act at the same time in threads of Python, where Warp replays their graphs."""
+        with ThreadPoolExecutor(len(self.parts)) as pool:
+            futures = [pool.submit(self._act, act, part) for part in self.parts]
+        for future in futures:
+            future.result()
+
     def _one_by_one(self, act: Callable[[Simulation], None]) -> None:
-        """Let the parts act; if one does not get to the end, they are no longer at the same step."""
+        """Let the parts act one after the other."""
         for part in self.parts:
-            try:
-                act(part)
-            except BaseException as error:
-                own, reason = part.scene.worlds.own, f"{type(error).__name__}: {error}"
-                self._failure = (
-                    f"worlds {own.start} to {own.stop - 1} stopped ({reason}); make a new simulation"
-                )
-                error.add_note(self._failure)
-                self.close()
-                raise
+            self._act(act, part)
+
+    def _act(self, act: Callable[[Simulation], None], part: Simulation) -> None:
+        """Let a part act; if it does not get to the end, the parts are no longer at the same step."""
+        try:
+            act(part)
+        except BaseException as error:
+            own, reason = part.scene.worlds.own, f"{type(error).__name__}: {error}"
+            self._failure = f"worlds {own.start} to {own.stop - 1} stopped ({reason}); make a new simulation"
+            error.add_note(self._failure)
+            self.close()
+            raise
 
 
 def _joined(scene: Scene, worlds: Worlds) -> Scene:
