@@ -173,7 +173,7 @@ def test_a_reset_without_starts_says_why(monkeypatch):
     def none_found(*args):
         raise ValueError("too few random starts")
 
-    monkeypatch.setattr("myowarp.sim.simulation.random_starts", none_found)
+    monkeypatch.setattr("myowarp.apps.audit.measure.find_starts", none_found)
     monkeypatch.setattr("myowarp.apps.audit.measure.PROBED_RESETS", ("task", "fixed", "random"))
     found = audit(TASKS[ELBOW], 1, device="cpu")
     assert found.early_failure == {"task": 0.0, "fixed": 0.0, "random": None}

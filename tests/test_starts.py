@@ -9,7 +9,7 @@ import pytest
 from myowarp.sim import starts
 from myowarp.sim.build import oracle_model
 from myowarp.sim.palm import Palm, coordinates, joint_address
-from myowarp.sim.simulation import Simulation, find_starts
+from myowarp.sim.shards import simulate
 from myowarp.sim.starts import FAIL_STEPS, PENETRATION, posture_joints, start_address
 from myowarp.spec.body import BODIES
 from myowarp.spec.task import TASKS
@@ -45,7 +45,7 @@ def model_of(key):
 def table_of(key):
     """Return whole configurations with the random starts of a task in them, shape (num_starts, nq)."""
     spec, model = TASKS[key], model_of(key)
-    table = find_starts(spec, progress=False)
+    table = starts.find_starts(spec, progress=False).values
     qpos = np.tile(spec.start(model), (len(table), 1))
     qpos[:, start_address(spec, model)] = table
     return qpos
@@ -54,7 +54,7 @@ def table_of(key):
 def simulation(key, reset="random", num_worlds=NUM_WORLDS):
     """Return a freshly reset simulation."""
     settings = {"device": "cpu", "graph": False, "progress": False, "autoreset": "disabled"}
-    sim = Simulation(TASKS[key], num_worlds, reset=reset, **settings)
+    sim = simulate(TASKS[key], num_worlds, shards=1, reset=reset, **settings)
     sim.reset(seeds=np.arange(num_worlds))
     return sim
 
@@ -225,19 +225,19 @@ def test_an_object_that_leaves_its_place_is_lost():
 def test_search_is_made_once_with_a_bar_if_wanted(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(starts, "PATIENCE", -1.0)
-    table = find_starts(TASKS[ELBOW], progress=True)
+    table = starts.find_starts(TASKS[ELBOW], progress=True).values
     assert f"{NUM_STARTS}/{NUM_STARTS}" in (shown := capsys.readouterr()).err
     assert "Finding random starts" in shown.err
     assert not shown.out
     monkeypatch.setattr(starts, "Search", lambda *args: pytest.fail("searched again"))
-    np.testing.assert_array_equal(find_starts(TASKS[ELBOW], progress=True), table)
+    np.testing.assert_array_equal(starts.find_starts(TASKS[ELBOW], progress=True).values, table)
     assert not capsys.readouterr().err
 
 
 def test_no_bar_where_none_is_wanted(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(starts, "PATIENCE", -1.0)
-    assert len(find_starts(TASKS[ELBOW], progress=False)) == NUM_STARTS
+    assert len(starts.find_starts(TASKS[ELBOW], progress=False).values) == NUM_STARTS
     assert not capsys.readouterr().err
 
 
@@ -248,7 +248,7 @@ def test_too_few_starts_is_an_error(monkeypatch, tmp_path):
         f"^task '{ELBOW}' has too few random starts: 0 of {NUM_STARTS} after 100 draws; use reset='fixed'$"
     )
     with pytest.raises(ValueError, match=message):
-        find_starts(TASKS[ELBOW], progress=False)
+        starts.find_starts(TASKS[ELBOW], progress=False)
 
 
 def test_an_edit_of_the_code_renews_the_table(monkeypatch):
@@ -256,5 +256,5 @@ def test_an_edit_of_the_code_renews_the_table(monkeypatch):
     read = []
     original = starts.Path.read_bytes
     monkeypatch.setattr(starts.Path, "read_bytes", lambda path: read.append(path.name) or original(path))
-    find_starts(TASKS[ELBOW], progress=False)
+    starts.find_starts(TASKS[ELBOW], progress=False)
     assert {"baoding_balls.py", "pose.py", "contact_hand.py", "slim.py", "build.py", "starts.py"} <= set(read)

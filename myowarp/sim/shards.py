@@ -26,6 +26,7 @@ from myowarp.kernels.random import RandomKeys
 from myowarp.progress import patient_bar
 from myowarp.sim.build import checked_num_worlds, resolve_device
 from myowarp.sim.simulation import Simulation
+from myowarp.sim.starts import find_starts
 from myowarp.spec.condition import Condition
 from myowarp.spec.muscle import Anatomy
 from myowarp.spec.scene import Scene
@@ -64,6 +65,8 @@ def simulate(
         )
     if shards > 1 and not where.is_cpu:
         raise ValueError(f"shards are for the CPU; leave them out on device {where.alias!r}, got {shards}")
+    if options.get("reset") == "random":
+        options["starts"] = find_starts(spec, options.get("progress", True))
     if shards == 1:
         return Simulation(spec, num_worlds, device=device, **options)
     return Shards(spec, num_worlds, int(shards), device=device, **options)

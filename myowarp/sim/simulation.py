@@ -39,11 +39,11 @@ from myowarp.kernels.episode import (
 from myowarp.kernels.random import seed_worlds
 from myowarp.kernels.reset import place_start, reset_worlds
 from myowarp.sim.build import checked_horizon, compile_scene, full_model
-from myowarp.sim.starts import random_starts, start_address
 from myowarp.spec.condition import Condition, resolve
 from myowarp.spec.muscle import restore_anatomy
 from myowarp.spec.parameter import Clock
 from myowarp.spec.registry import check_choice
+from myowarp.spec.scene import Starts
 from myowarp.spec.task import TaskSpec
 from myowarp.spec.worlds import Worlds
 
@@ -88,6 +88,7 @@ class Simulation:
         deterministic: bool = False,
         stages: Iterable[str] | None = None,
         progress: bool = True,
+        starts: Starts | None = None,
         like: Simulation | None = None,
     ) -> None:
         """Compile the scene, compile the kernels and capture the step.
@@ -106,7 +107,8 @@ class Simulation:
             deterministic: Whether a run gives the same bits every time on CUDA, which is slower.
             stages: Names in `engine.stage.STAGES` to use where they apply; None: all.
             progress: Whether to show progress bars while kernels compile and random starts are found.
-            like: Another part, made with the same arguments, whose kernels and starts can be taken over.
+            starts: Random starts to draw from where `reset` is "random"; `sim.starts.find_starts` finds them.
+            like: Another part, made with the same arguments, whose kernels can be taken over.
 
         Raises:
             ValueError: An argument is out of its range.
@@ -123,8 +125,8 @@ class Simulation:
             self.program = spec.bind(self.scene)
             self._bind_conditions()
             self._allocate(horizon)
+            self._place_starts(starts)
             if like is None:
-                self._choose_starts(progress)
                 self._choose_kernels(STAGES if stages is None else stages, progress)
             else:
                 self._take_over(like)
@@ -147,13 +149,15 @@ class Simulation:
         """The simulations that step the worlds: this one (compare `myowarp.sim.shards.Shards`)."""
         return (self,)
 
-    def _choose_starts(self, progress: bool) -> None:
-        """Have a table of random starts, if the episodes are to begin there."""
-        spec, scene = self.scene.spec, self.scene
+    def _place_starts(self, starts: Starts | None) -> None:
+        """Load the random starts."""
         self.starts = self.start_address = None
-        if scene.reset == "random":
-            self.starts = wp.array(find_starts(spec, progress), dtype=float)
-            self.start_address = wp.array(start_address(spec, scene.oracle), dtype=int)
+        if self.scene.reset != "random":
+            return
+        if starts is None:
+            raise ValueError("reset 'random' needs starts; use simulate(), or pass those of find_starts()")
+        self.starts = wp.array(starts.values, dtype=float)
+        self.start_address = wp.array(starts.address, dtype=int)
 
     def _choose_kernels(self, names: Iterable[str], progress: bool) -> None:
         """Find out which stages of the physics step are to be ours, and compile all kernels."""
@@ -162,8 +166,7 @@ class Simulation:
         self._modules = compile_kernels(self._launch_all, self.scene.device, show=progress)
 
     def _take_over(self, like: Simulation) -> None:
-        """Have the starts and kernels of another part."""
-        self.starts, self.start_address = like.starts, like.start_address
+        """Use the kernels of another part."""
         self._modules, self._idle = like._modules, like._idle
         self.stages = tuple(type(stage)(self.scene) for stage in like.stages)
         self._launch_physics = physics_step(self.scene, self.stages, self._idle)
@@ -382,15 +385,3 @@ class Simulation:
             return
         with wp.ScopedDevice(self.scene.device):
             launches()
-
-
-def find_starts(spec: TaskSpec, progress: bool = True) -> np.ndarray:
-    """Return the random starts of a task, tried in a simulation of their own on the CPU."""
-
-    def simulate(num_worlds: int) -> Simulation:
-        return Simulation(
-            spec, num_worlds, device="cpu", reset="fixed", autoreset="disabled", progress=progress
-        )
-
-    with quiet(), wp.ScopedDevice("cpu"):
-        return random_starts(spec, simulate, progress)

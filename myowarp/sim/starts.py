@@ -13,9 +13,8 @@ with the sizes, places and goals of several episodes.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import mujoco
 import mujoco_warp as mjw
@@ -23,15 +22,15 @@ import numpy as np
 import warp as wp
 
 from myowarp.disk import cached
+from myowarp.engine.compile import quiet
 from myowarp.models.couplings import POINT_JOINTS, couplings, follow
 from myowarp.progress import patient_bar
 from myowarp.sim import palm
-from myowarp.sim.build import source_digest
+from myowarp.sim.build import oracle_model, source_digest
+from myowarp.sim.simulation import Simulation
 from myowarp.spec.body import BODIES
+from myowarp.spec.scene import Starts
 from myowarp.spec.task import TaskSpec
-
-if TYPE_CHECKING:
-    from myowarp.sim.simulation import Simulation
 
 NUM_STARTS = 1024
 BATCH = 256  # starts on trial together
@@ -61,36 +60,42 @@ def posture_joints(model: mujoco.MjModel) -> np.ndarray:
     return np.flatnonzero(free)
 
 
-def random_starts(spec: TaskSpec, simulate: Callable[[int], Simulation], progress: bool) -> np.ndarray:
+def find_starts(spec: TaskSpec, progress: bool = True) -> Starts:
     """Return random starts of a task, from disk if they were found before.
+
+    They are tried in a simulation of their own on the CPU, so that they are the same for every device.
 
     Args:
         spec: The task.
-        simulate: Returns a simulation of so many worlds of the task, with reset "fixed", without autoreset,
-            and on the CPU, so that the starts are the same for every device.
         progress: Whether to show a progress bar once this takes longer than a moment.
 
     Returns:
-        Values of the coordinates of `start_address`, shape (1024, num_coordinates).
+        1024 starts.
 
     Raises:
         ValueError: Too few starts are good ones, or a body cannot be carried.
     """
-    return cached(
+    values = cached(
         ("random_starts", spec.key, NUM_STARTS, source_digest(Path(__file__), Path(palm.__file__))),
         ".npy",
-        make=lambda: _find(spec, simulate(BATCH), progress),
+        make=lambda: _find(spec, progress),
         save=lambda starts, path: np.save(path, starts),
         load=np.load,
     )
+    return Starts(values, start_address(spec, oracle_model(spec)))
 
 
-def _find(spec: TaskSpec, sim: Simulation, progress: bool) -> np.ndarray:
+def _find(spec: TaskSpec, progress: bool) -> np.ndarray:
     """Search until there are enough."""
     found: list[np.ndarray] = []
-    with patient_bar(
-        "Finding random starts", "starts", NUM_STARTS, patience=PATIENCE, show=progress
-    ) as advance:
+    sim = Simulation(spec, BATCH, device="cpu", reset="fixed", autoreset="disabled", progress=progress)
+    with (
+        quiet(),
+        wp.ScopedDevice("cpu"),
+        patient_bar(
+            "Finding random starts", "starts", NUM_STARTS, patience=PATIENCE, show=progress
+        ) as advance,
+    ):
         for survivors in Search(spec, sim).survivors():
             found += survivors
             advance(len(survivors))

@@ -4,9 +4,11 @@ Every shape is fixed; the step only launches kernels over these arrays.
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import mujoco
 import mujoco_warp as mjw
+import numpy as np
 import warp as wp
 
 from myowarp.kernels.random import RandomKeys
@@ -28,6 +30,18 @@ class Capacity:
     contacts: int
     rows: int
     peak_contacts: int
+
+
+class Starts(NamedTuple):
+    """Random start configurations of a task.
+
+    Attributes:
+        values: Coordinates, shape (num_starts, num_coordinates).
+        address: Which of `qpos` they are, shape (num_coordinates,).
+    """
+
+    values: np.ndarray
+    address: np.ndarray
 
 
 @dataclass
