@@ -16,7 +16,7 @@ the wrist, so that no stillness is asked for. Corrected balls are those of `baod
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum, auto
+from enum import IntEnum
 from typing import ClassVar
 
 import mujoco
@@ -29,7 +29,7 @@ from myowarp.models.bodies.contact_hand import HAND_JOINTS, SOFT, add_object
 from myowarp.spec.body import CoarseStep
 from myowarp.spec.program import Program
 from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, task, weighted
+from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, weighted
 from myowarp.tasks.baoding_balls import BATCHED, BATCHED_INERTIA, BallRanges, sample_balls, weigh_balls
 from myowarp.tasks.baoding_orbits import (
     OrbitRanges,
@@ -51,36 +51,21 @@ BALLS = {"ball1": (-0.227, -0.511, 1.452), "ball2": (-0.256, -0.552, 1.442)}  # 
 COLORS = ((0.8, 0.25, 0.2, 0.6), (0.2, 0.4, 0.8, 0.6))  # let the targets be seen through the balls
 BALL_RADIUS, BALL_MASS = 0.022, 0.043  # m, kg
 BALL_FRICTION = (1.0, 0.005, 0.0001)  # slide, spin, roll
-FRICTION_RANGE = ((0.8, 0.004, 0.00008), (1.2, 0.006, 0.00012))  # nominal -+ (0.2, 0.001, 0.00002)
 DROP_WEIGHT = 500.0
 """What a fall costs, in the paper's code. It exceeds 200 steps at full effort with both balls as far from
 their targets as the hand reaches, 0.19 m: 200 (10 * 0.19 + 0.16) = 412."""
 
 
-class Obs(IntEnum):
-    """Blocks of the observation."""
+Obs = IntEnum(
+    "Obs",
+    "hand_pos object1_pos object1_velp object2_pos object2_velp target1_pos"
+    " target2_pos target1_err target2_err act",
+    start=0,
+)
+"""Blocks of the observation, in the order of their columns."""
 
-    hand_pos = 0
-    object1_pos = auto()
-    object1_velp = auto()
-    object2_pos = auto()
-    object2_velp = auto()
-    target1_pos = auto()
-    target2_pos = auto()
-    target1_err = auto()
-    target2_err = auto()
-    act = auto()
-
-
-class Term(IntEnum):
-    """Terms of the reward."""
-
-    pos_dist_1 = 0
-    pos_dist_2 = auto()
-    act_reg = auto()
-    sparse = auto()
-    drop = auto()
-    bonus = auto()
+Term = IntEnum("Term", "pos_dist_1 pos_dist_2 act_reg sparse drop bonus", start=0)
+"""Terms of the reward, in the order of their columns."""
 
 
 @wp.func
@@ -307,78 +292,3 @@ class BaodingTask(TaskSpec):
             Term.sparse: 0.0,
         }
         return weighted(weights | ({Term.drop: DROP_WEIGHT, Term.bonus: 1.0} if self.corrected else {}))
-
-
-CORRECTED = (
-    "A fall costs 500, and balls near their targets pay; in MyoSuite 3.0.0 every step costs and a fall ends"
-    " the episode for free. The balls have the inertia of solid spheres, which MyoSuite raises to 1e-4 kg m^2"
-    " and so up to 26 times; the friction of a contact is the ball's, not the larger of ball's and hand's."
-)
-ANY_ORBIT = OrbitRanges(
-    directions=(0.0, -1.0, 1.0),
-    angle=(0.0, 2.0 * np.pi),
-    radius_x=(0.02, 0.03),
-    radius_y=(0.022, 0.032),
-    period=(4.0, 6.0),
-)
-ANY_BALLS = BallRanges(mass=(0.03, 0.3), radius=(0.018, 0.024), friction=FRICTION_RANGE)
-
-
-@task("myoChallengeBaodingP1-v1")
-def challenge_1_v1() -> BaodingTask:
-    """Circle two balls on the palm, counter-clockwise, a revolution in 5 s."""
-    return BaodingTask()
-
-
-@task("myoChallengeBaodingP1-v2", CORRECTED)
-def challenge_1() -> BaodingTask:
-    """Circle two balls on the palm, counter-clockwise, a revolution in 5 s."""
-    return BaodingTask(corrected=True)
-
-
-@task("myoHandBaodingFixed-v0")
-def fixed_v0() -> BaodingTask:
-    """Circle two balls on the palm, counter-clockwise, a revolution in 5 s."""
-    return BaodingTask()
-
-
-@task("myoHandBaodingFixed-v1", CORRECTED)
-def fixed() -> BaodingTask:
-    """Circle two balls on the palm, counter-clockwise, a revolution in 5 s."""
-    return BaodingTask(corrected=True)
-
-
-@task("myoChallengeBaodingP2-v1")
-def challenge_2_v1() -> BaodingTask:
-    """Circle two balls of unknown mass, size and friction either way, or hold them."""
-    return BaodingTask(orbits=ANY_ORBIT, balls=ANY_BALLS)
-
-
-@task("myoChallengeBaodingP2-v2", CORRECTED)
-def challenge_2() -> BaodingTask:
-    """Circle two balls of unknown mass, size and friction either way, or hold them."""
-    return BaodingTask(orbits=ANY_ORBIT, balls=ANY_BALLS, corrected=True)
-
-
-@task("myoHandBaodingRandom-v0")
-def random_v0() -> BaodingTask:
-    """Circle two balls of unknown mass, size and friction either way, or hold them."""
-    return BaodingTask(orbits=ANY_ORBIT, balls=ANY_BALLS)
-
-
-@task("myoHandBaodingRandom-v1", CORRECTED)
-def random() -> BaodingTask:
-    """Circle two balls of unknown mass, size and friction either way, or hold them."""
-    return BaodingTask(orbits=ANY_ORBIT, balls=ANY_BALLS, corrected=True)
-
-
-@task("myoHandBaodingSwap-v0", CORRECTED)
-def swap() -> BaodingTask:
-    """Hold two balls on the palm for 2.5 s, then swap them and hold them again.
-
-    It counts as solved only after the targets have jumped.
-    """
-    # One jump, in the middle of the episode: with a period below 5 s a second one takes the targets back to
-    # where they began, to a hand that never swapped; with a longer one less time is left for the swap than
-    # half a revolution of the other tasks takes.
-    return BaodingTask(orbits=OrbitRanges(period=(5.0, 5.0), jumps=2), corrected=True)

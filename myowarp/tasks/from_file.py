@@ -15,7 +15,8 @@ from myowarp.disk import model_digest
 from myowarp.models.couplings import POINT_JOINTS, couplings
 from myowarp.spec.body import BODIES, Body
 from myowarp.spec.task import TASKS
-from myowarp.tasks.pose import ELBOW_NEAR, PoseTask
+from myowarp.tasks.pose import PoseTask
+from myowarp.tasks.pose_ids import ELBOW_NEAR
 from myowarp.tasks.variants import Variant, find_variant
 
 CONTROL_DT = 0.02  # s, about, as in upstream's tasks

@@ -14,7 +14,7 @@ and 0.03 ms without, both below the physics step.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import IntEnum, auto
+from enum import IntEnum
 from typing import ClassVar
 
 import mujoco
@@ -44,29 +44,11 @@ ALIVE_WEIGHT = 60.0
 most 0.1 m 2 * 1, effort 1 / sqrt(39) = 0.16, and a key turned the wrong way by a revolution 6.28."""
 
 
-class Obs(IntEnum):
-    """Blocks of the observation."""
+Obs = IntEnum("Obs", "hand_qpos hand_qvel key_qpos key_qvel IFtip_approach THtip_approach act", start=0)
+"""Blocks of the observation, in the order of their columns."""
 
-    hand_qpos = 0
-    hand_qvel = auto()
-    key_qpos = auto()
-    key_qvel = auto()
-    IFtip_approach = auto()
-    THtip_approach = auto()
-    act = auto()
-
-
-class Term(IntEnum):
-    """Terms of the reward."""
-
-    key_turn = 0
-    IFtip_approach = auto()
-    THtip_approach = auto()
-    act_reg = auto()
-    bonus = auto()
-    penalty = auto()
-    sparse = auto()
-    alive = auto()
+Term = IntEnum("Term", "key_turn IFtip_approach THtip_approach act_reg bonus penalty sparse alive", start=0)
+"""Terms of the reward, in the order of their columns."""
 
 
 @wp.kernel(enable_backward=False)

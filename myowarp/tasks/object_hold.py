@@ -9,7 +9,7 @@ MyoSuite 3.0.0, family ObjHold (paper: Caggiano et al. 2022, arXiv:2205.13600).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import IntEnum, auto
+from enum import IntEnum
 from typing import ClassVar
 
 import mujoco
@@ -24,6 +24,7 @@ from myowarp.spec.body import CoarseStep
 from myowarp.spec.program import Program
 from myowarp.spec.scene import Scene
 from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, task, weighted
+from myowarp.tasks.held_object import BATCHED_MASS, BATCHED_SIZE, DENSITY, resize_object, weigh_object
 from myowarp.tasks.markers import add_tip_targets
 
 OBJECT = wp.constant(23)  # first of the object's seven coordinates, after the hand's
@@ -31,29 +32,15 @@ NEAR = wp.constant(0.01)  # m, error below which the task counts as solved
 FAR = wp.constant(0.3)  # m, error beyond which the object is lost
 
 NOMINAL_SIZE = (0.025, 0.036, 0.03)  # m, semi-axes
-DENSITY = 1000.0  # kg/m^3
 PALM_UP = -1.5  # rad, forearm rotation at the start, joint 0
 OBJECT_POS = (-0.235, -0.51, 1.45)  # m, world; on the palm
 
 
-class Obs(IntEnum):
-    """Blocks of the observation."""
+Obs = IntEnum("Obs", "hand_qpos hand_qvel obj_pos obj_err act", start=0)
+"""Blocks of the observation, in the order of their columns."""
 
-    hand_qpos = 0
-    hand_qvel = auto()
-    obj_pos = auto()
-    obj_err = auto()
-    act = auto()
-
-
-class Term(IntEnum):
-    """Terms of the reward."""
-
-    goal_dist = 0
-    bonus = auto()
-    act_reg = auto()
-    penalty = auto()
-    sparse = auto()
+Term = IntEnum("Term", "goal_dist bonus act_reg penalty sparse", start=0)
+"""Terms of the reward, in the order of their columns."""
 
 
 @wp.kernel(enable_backward=False)
@@ -76,57 +63,6 @@ def sample_box(
     for i in range(3):
         values[i] = wp.randf(state, low[i], high[i])
     drawn[worldid] = values
-
-
-@wp.kernel(enable_backward=False)
-def resize_object(
-    # Params:
-    object_geom: int,
-    # In:
-    object_size: wp.array[wp.vec3],
-    mask: wp.array[bool],
-    # Out:
-    geom_size: wp.array2d[wp.vec3],
-    geom_rbound: wp.array2d[float],
-    geom_aabb: wp.array3d[wp.vec3],
-):
-    """Semi-axes, bounding sphere max(a, b, c) and bounding box of the ellipsoid."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    size = object_size[worldid]
-    geom_size[worldid, object_geom] = size
-    geom_rbound[worldid, object_geom] = wp.max(size)
-    geom_aabb[worldid, object_geom, 1] = size
-
-
-@wp.kernel(enable_backward=False)
-def weigh_object(
-    # Params:
-    object_body: int,
-    density: float,
-    # In:
-    object_size: wp.array[wp.vec3],
-    mask: wp.array[bool],
-    # Out:
-    body_mass: wp.array2d[float],
-    body_subtreemass: wp.array2d[float],
-    body_inertia: wp.array2d[wp.vec3],
-    body_invweight0: wp.array2d[wp.vec2],
-):
-    """m = 4/3 pi rho a b c, I_x = m (b^2 + c^2) / 5 in cyclic order; inverse weights 1/m, mean of 1/I."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    size = object_size[worldid]
-    mass = 4.0 / 3.0 * wp.pi * density * size[0] * size[1] * size[2]
-    square = wp.cw_mul(size, size)
-    inertia = 0.2 * mass * wp.vec3(square[1] + square[2], square[0] + square[2], square[0] + square[1])
-    compliance = (1.0 / inertia[0] + 1.0 / inertia[1] + 1.0 / inertia[2]) / 3.0
-    body_mass[worldid, object_body] = mass
-    body_subtreemass[worldid, object_body] = mass
-    body_inertia[worldid, object_body] = inertia
-    body_invweight0[worldid, object_body] = wp.vec2(1.0 / mass, compliance)
 
 
 @wp.func
@@ -268,16 +204,9 @@ class ObjectHoldTask(TaskSpec):
         return False
 
     @property
-    def sites(self) -> tuple[str, ...]:
-        """None: joint coordinates say everything."""
-        return ()
-
-    @property
     def batched(self) -> tuple[str, ...]:
         """The object's size and what follows from it."""
-        shape = ("geom_size", "geom_rbound", "geom_aabb")
-        mass = ("body_mass", "body_subtreemass", "body_inertia", "body_invweight0")
-        return (*shape, *mass) if self.true_inertia else shape
+        return (*BATCHED_SIZE, *BATCHED_MASS) if self.true_inertia else BATCHED_SIZE
 
     @property
     def carried(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ arXiv:2205.13600).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum, auto
+from enum import IntEnum
 from typing import ClassVar
 
 import mujoco
@@ -58,28 +58,11 @@ def add_pen(body: mujoco.MjsBody, name: str, density: float, rgba: tuple[float, 
         part.rgba = (0.2, 0.22, 0.28, rgba[3])
 
 
-class Obs(IntEnum):
-    """Blocks of the observation."""
+Obs = IntEnum("Obs", "hand_jnt obj_pos obj_vel obj_rot obj_des_rot obj_err_pos obj_err_rot act", start=0)
+"""Blocks of the observation, in the order of their columns."""
 
-    hand_jnt = 0
-    obj_pos = auto()
-    obj_vel = auto()
-    obj_rot = auto()
-    obj_des_rot = auto()
-    obj_err_pos = auto()
-    obj_err_rot = auto()
-    act = auto()
-
-
-class Term(IntEnum):
-    """Terms of the reward."""
-
-    pos_align = 0
-    rot_align = auto()
-    act_reg = auto()
-    drop = auto()
-    bonus = auto()
-    sparse = auto()
+Term = IntEnum("Term", "pos_align rot_align act_reg drop bonus sparse", start=0)
+"""Terms of the reward, in the order of their columns."""
 
 
 @wp.kernel(enable_backward=False)
@@ -238,11 +221,6 @@ class PenTwirlTask(TaskSpec):
     def scene_key(self) -> tuple[object, ...]:
         """The pen's joints are compiled in."""
         return (*super().scene_key, self.free)
-
-    @property
-    def sites(self) -> tuple[str, ...]:
-        """None: the frames of the two pens say everything."""
-        return ()
 
     @property
     def carried(self) -> tuple[str, ...]:

@@ -8,8 +8,8 @@ MyoSuite 3.0.0, families FingerPose, ElbowPose1D6M, HandPose (paper: Caggiano et
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from enum import IntEnum, auto
+from dataclasses import dataclass
+from enum import IntEnum
 from functools import cached_property
 from typing import ClassVar
 
@@ -26,28 +26,15 @@ from myowarp.sim.build import full_model
 from myowarp.spec.body import BODIES
 from myowarp.spec.program import Program
 from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, task, weighted
+from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, weighted
 from myowarp.tasks.carried_weight import BATCHED, CarriedWeight
 from myowarp.tasks.markers import add_tip_targets
 
+Obs = IntEnum("Obs", "qpos qvel pose_err act", start=0)
+"""Blocks of the observation, in the order of their columns."""
 
-class Obs(IntEnum):
-    """Blocks of the observation."""
-
-    qpos = 0
-    qvel = auto()
-    pose_err = auto()
-    act = auto()
-
-
-class Term(IntEnum):
-    """Terms of the reward."""
-
-    pose = 0
-    bonus = auto()
-    penalty = auto()
-    act_reg = auto()
-    sparse = auto()
+Term = IntEnum("Term", "pose bonus penalty act_reg sparse", start=0)
+"""Terms of the reward, in the order of their columns."""
 
 
 @wp.kernel(enable_backward=False)
@@ -246,11 +233,6 @@ class PoseTask(TaskSpec):
         """Joint angles say everything."""
         return False
 
-    @property
-    def sites(self) -> tuple[str, ...]:
-        """None: joint angles say everything."""
-        return ()
-
     def start(self, model: mujoco.MjModel) -> np.ndarray:
         """Return `start_pose`."""
         return np.array(self.start_pose) if self.start_pose else super().start(model)
@@ -283,72 +265,3 @@ class PoseTask(TaskSpec):
                 Term.sparse: 0.0,
             }
         )
-
-
-ELBOW_NEAR = 0.175  # rad
-EXO_EFFORT_WEIGHT = 5.0  # of the muscles; the motor is free
-
-
-def bend_finger() -> PoseTask:
-    """Return the task with one target pose."""
-    pose = (0.0, 0.0, 0.75, 0.75)
-    return PoseTask(body="finger", target_low=pose, target_high=pose, near=0.35)
-
-
-def bend_finger_anywhere() -> PoseTask:
-    """Return the task with a pose drawn anew each episode."""
-    return replace(bend_finger(), target_low=(-0.2, -0.4, 0.1, 0.1), target_high=(0.2, 1.0, 1.0, 1.0))
-
-
-@task("myoFingerPoseFixed-v0")
-def finger_fixed() -> PoseTask:
-    """Bend the finger to one pose."""
-    return bend_finger()
-
-
-@task("myoFingerPoseRandom-v0")
-def finger_random() -> PoseTask:
-    """Bend the finger to a pose drawn anew each episode."""
-    return bend_finger_anywhere()
-
-
-@task("motorFingerPoseFixed-v0")
-def motor_finger_fixed() -> PoseTask:
-    """Bend the finger to one pose."""
-    return replace(bend_finger(), body="motor_finger", num_substeps=5, horizon=200)
-
-
-@task("motorFingerPoseRandom-v0")
-def motor_finger_random() -> PoseTask:
-    """Bend the finger to a pose drawn anew each episode."""
-    return replace(bend_finger_anywhere(), body="motor_finger", num_substeps=5, horizon=200)
-
-
-def turn_elbow(low: float, high: float) -> PoseTask:
-    """Return the task of turning the elbow from a random angle to one between `low` and `high` [rad]."""
-    return PoseTask(body="elbow", target_low=(low,), target_high=(high,), near=ELBOW_NEAR, random_start=True)
-
-
-@task("myoElbowPose1D6MFixed-v0")
-def elbow_fixed() -> PoseTask:
-    """Flex the elbow to 2 rad from a random angle."""
-    return turn_elbow(2.0, 2.0)
-
-
-@task("myoElbowPose1D6MRandom-v0")
-def elbow_random() -> PoseTask:
-    """Turn the elbow from a random angle to a random angle."""
-    return turn_elbow(0.0, 2.27)
-
-
-@task("myoElbowPose1D6MExoFixed-v0")
-def elbow_exo_fixed() -> PoseTask:
-    """Flex the elbow to 2 rad from a random angle, helped by a motor (action 0), with 0.1 kg in the hand."""
-    return replace(turn_elbow(2.0, 2.0), body="elbow_exo", effort_weight=EXO_EFFORT_WEIGHT)
-
-
-@task("myoElbowPose1D6MExoRandom-v0")
-def elbow_exo_random() -> PoseTask:
-    """Turn the elbow from a random to a random angle, helped by a motor (action 0), with 0.1 to 2 kg."""
-    elbow = turn_elbow(0.0, 2.27)
-    return replace(elbow, body="elbow_exo", effort_weight=EXO_EFFORT_WEIGHT, weight=(0.1, 2.0))

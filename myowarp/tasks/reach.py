@@ -10,8 +10,8 @@ fails beyond far from its second step on. Source: MyoSuite 3.0.0, families Finge
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from enum import IntEnum, auto
+from dataclasses import dataclass
+from enum import IntEnum
 from typing import ClassVar
 
 import mujoco
@@ -24,32 +24,18 @@ from myowarp.kernels.reward import activation_effort, indicator
 from myowarp.spec.body import BODIES
 from myowarp.spec.program import Program
 from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, task, weighted
-from myowarp.tasks import reach_targets
+from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, weighted
 from myowarp.tasks.markers import add_tip_targets
 
 NEAR_PER_TIP = 0.0125  # m
 FIRST_FAILING_STEP = wp.constant(2)  # upstream tests data.time > 2 dt, which rounding makes true at step 2
 
 
-class Obs(IntEnum):
-    """Blocks of the observation."""
+Obs = IntEnum("Obs", "qpos qvel tip_pos reach_err act", start=0)
+"""Blocks of the observation, in the order of their columns."""
 
-    qpos = 0
-    qvel = auto()
-    tip_pos = auto()
-    reach_err = auto()
-    act = auto()
-
-
-class Term(IntEnum):
-    """Terms of the reward."""
-
-    reach = 0
-    bonus = auto()
-    penalty = auto()
-    act_reg = auto()
-    sparse = auto()
+Term = IntEnum("Term", "reach bonus penalty act_reg sparse", start=0)
+"""Terms of the reward, in the order of their columns."""
 
 
 @wp.kernel(enable_backward=False)
@@ -253,97 +239,3 @@ class ReachTask(TaskSpec):
                 Term.sparse: 0.0,
             }
         )
-
-
-FINGER_FAR, HAND_FAR, HAND_FAR_FIXED_V0 = 0.35, 0.075, 0.044  # m a tip; MyoSuite 3.0.0
-
-
-def touch_point() -> ReachTask:
-    """Return the finger's task with one target."""
-    point, still = (0.2, 0.05, 0.2), (0.0, 0.0, 0.0)
-    return ReachTask(body="finger", center=point, low=still, high=still, far_per_tip=FINGER_FAR)
-
-
-def touch_points() -> ReachTask:
-    """Return the finger's task with the reachable part of a box as targets."""
-    return ReachTask(
-        body="finger",
-        center=(0.185, 0.0, 0.2),
-        low=(-0.085, -0.1, -0.1),
-        high=(0.085, 0.1, 0.1),
-        far_per_tip=FINGER_FAR,
-        table=reach_targets.sampled,
-    )
-
-
-@task("myoFingerReachFixed-v0")
-def finger_fixed() -> ReachTask:
-    """Touch one point with the fingertip."""
-    return touch_point()
-
-
-@task("myoFingerReachRandom-v0")
-def finger_random() -> ReachTask:
-    """Touch a point drawn anew each episode from the reachable part of a box."""
-    return touch_points()
-
-
-@task("motorFingerReachFixed-v0")
-def motor_finger_fixed() -> ReachTask:
-    """Touch one point with the fingertip."""
-    return replace(touch_point(), body="motor_finger", num_substeps=5, horizon=200)
-
-
-@task("motorFingerReachRandom-v0")
-def motor_finger_random() -> ReachTask:
-    """Touch a point drawn anew each episode from the reachable part of a box."""
-    return replace(touch_points(), body="motor_finger", num_substeps=5, horizon=200)
-
-
-HAND_CENTER = (
-    *(-0.165, -0.537, 1.495),  # thumb
-    *(-0.151, -0.547, 1.455),  # index
-    *(-0.146, -0.547, 1.447),  # middle
-    *(-0.148, -0.543, 1.445),  # ring
-    *(-0.148, -0.528, 1.434),  # little
-)  # m, world: the tips of the paper's start posture, every joint at mid-range
-HAND_LOW = (-0.02, -0.04, -0.04) + 4 * (-0.04, -0.02, -0.01)
-HAND_HIGH = (0.04, 0.02, 0.04) + 4 * (0.04, 0.02, 0.01)
-STILL = (0.0,) * len(HAND_CENTER)
-
-
-def bring_tips(low: tuple[float, ...], high: tuple[float, ...], far_per_tip: float = HAND_FAR) -> ReachTask:
-    """Return the hand's task with targets between `low` and `high` around `HAND_CENTER` [m]."""
-    return ReachTask(body="hand", center=HAND_CENTER, low=low, high=high, far_per_tip=far_per_tip)
-
-
-@task("myoHandReachFixed-v0")
-def hand_fixed_v0() -> ReachTask:
-    """Bring all five fingertips to fixed points."""
-    return bring_tips(STILL, STILL, HAND_FAR_FIXED_V0)
-
-
-@task("myoHandReachFixed-v1")
-def hand_fixed() -> ReachTask:
-    """Bring all five fingertips to fixed points.
-
-    The failure radius is that of the random task: in v0, as in MyoSuite 3.0.0, it was set for another start
-    posture, and a resting hand fails at step 18.
-    """
-    return bring_tips(STILL, STILL)
-
-
-@task("myoHandReachRandom-v0")
-def hand_random_v0() -> ReachTask:
-    """Bring all five fingertips to points drawn anew each episode."""
-    return bring_tips(HAND_LOW, HAND_HIGH)
-
-
-@task("myoHandReachRandom-v1")
-def hand_random() -> ReachTask:
-    """Bring all five fingertips to points drawn anew each episode, all within reach at once.
-
-    In v0, as in MyoSuite 3.0.0, five in six targets are not: the best posture leaves the thumb up to 6 cm
-    off.
-    """
-    return replace(bring_tips(HAND_LOW, HAND_HIGH), table=reach_targets.solved)

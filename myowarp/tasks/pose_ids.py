@@ -1,11 +1,83 @@
-"""The hand pose ids: a relaxed posture, the ten digits of American Sign Language, and anything between them.
+"""The pose ids: finger, elbow and hand.
 
-Version 0 has MyoSuite 3.0.0's targets, version 1 the published ones (`hand_poses`).
+Hand poses are a relaxed posture, the ten digits of American Sign Language, and anything between them; version
+0 has MyoSuite 3.0.0's angles, version 1 the published ones (`hand_poses`).
 """
+
+from dataclasses import replace
 
 from myowarp.spec.task import task
 from myowarp.tasks.hand_poses import DIGITS, RELAXED, as_in_myosuite_3, bounds
 from myowarp.tasks.pose import PoseTask
+
+ELBOW_NEAR = 0.175  # rad
+EXO_EFFORT_WEIGHT = 5.0  # of the muscles; the motor is free
+
+
+def bend_finger() -> PoseTask:
+    """Return the task with one target pose."""
+    pose = (0.0, 0.0, 0.75, 0.75)
+    return PoseTask(body="finger", target_low=pose, target_high=pose, near=0.35)
+
+
+def bend_finger_anywhere() -> PoseTask:
+    """Return the task with a pose drawn anew each episode."""
+    return replace(bend_finger(), target_low=(-0.2, -0.4, 0.1, 0.1), target_high=(0.2, 1.0, 1.0, 1.0))
+
+
+@task("myoFingerPoseFixed-v0")
+def finger_fixed() -> PoseTask:
+    """Bend the finger to one pose."""
+    return bend_finger()
+
+
+@task("myoFingerPoseRandom-v0")
+def finger_random() -> PoseTask:
+    """Bend the finger to a pose drawn anew each episode."""
+    return bend_finger_anywhere()
+
+
+@task("motorFingerPoseFixed-v0")
+def motor_finger_fixed() -> PoseTask:
+    """Bend the finger to one pose."""
+    return replace(bend_finger(), body="motor_finger", num_substeps=5, horizon=200)
+
+
+@task("motorFingerPoseRandom-v0")
+def motor_finger_random() -> PoseTask:
+    """Bend the finger to a pose drawn anew each episode."""
+    return replace(bend_finger_anywhere(), body="motor_finger", num_substeps=5, horizon=200)
+
+
+def turn_elbow(low: float, high: float) -> PoseTask:
+    """Return the task of turning the elbow from a random angle to one between `low` and `high` [rad]."""
+    return PoseTask(body="elbow", target_low=(low,), target_high=(high,), near=ELBOW_NEAR, random_start=True)
+
+
+@task("myoElbowPose1D6MFixed-v0")
+def elbow_fixed() -> PoseTask:
+    """Flex the elbow to 2 rad from a random angle."""
+    return turn_elbow(2.0, 2.0)
+
+
+@task("myoElbowPose1D6MRandom-v0")
+def elbow_random() -> PoseTask:
+    """Turn the elbow from a random angle to a random angle."""
+    return turn_elbow(0.0, 2.27)
+
+
+@task("myoElbowPose1D6MExoFixed-v0")
+def elbow_exo_fixed() -> PoseTask:
+    """Flex the elbow to 2 rad from a random angle, helped by a motor (action 0), with 0.1 kg in the hand."""
+    return replace(turn_elbow(2.0, 2.0), body="elbow_exo", effort_weight=EXO_EFFORT_WEIGHT)
+
+
+@task("myoElbowPose1D6MExoRandom-v0")
+def elbow_exo_random() -> PoseTask:
+    """Turn the elbow from a random to a random angle, helped by a motor (action 0), with 0.1 to 2 kg."""
+    elbow = turn_elbow(0.0, 2.27)
+    return replace(elbow, body="elbow_exo", effort_weight=EXO_EFFORT_WEIGHT, weight=(0.1, 2.0))
+
 
 THUMB_BASE = (
     "Thumb base angles belong to their axes; in v0, as in MyoSuite 3.0.0, they are swapped and put the thumb"
