@@ -164,7 +164,6 @@ class ObjectHoldProgram(Program):
         self.launch(score_hold, terms=terms, solved=solved, failed=failed)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
-        """Where the object should be."""
         return {"object_target": self.goal.numpy()[world].copy()}
 
 
@@ -210,7 +209,6 @@ class ObjectHoldTask(TaskSpec):
 
     @property
     def carried(self) -> tuple[str, ...]:
-        """The object."""
         return ("object",)
 
     def start(self, model: mujoco.MjModel) -> np.ndarray:
