@@ -248,7 +248,7 @@ def measure_size(task: str, physics: str, num_worlds: int, options: Options) -> 
         "memory_bytes_per_world": round(memory / num_worlds),
         "footprint": env.footprint(steps=20),
         "launches": env.launches(engine),
-        "fusions": sorted(type(fusion).__name__ for fusion in env.sim.fusions),
+        "stages": sorted(type(stage).__name__ for stage in env.sim.stages),
         "idle_kernels": len(env.sim._idle),
     }
 

@@ -23,8 +23,13 @@ mujoco.mj_kinematics(model, data)
 center, reach = data.site(TIP).xpos, np.array([0.1, 0.0, 0.1])
 
 task = ReachTask(
-    *("arm26Reach", 0, read_body(Path(path), tips=(TIP,)), 10, 100, "Bring the wrist to a point."),
-    **{"center": tuple(center), "low": tuple(-reach), "high": tuple(reach), "far_per_tip": 1.0},
+    name="arm26Reach",
+    body=read_body(Path(path), tips=(TIP,)),
+    doc="Bring the wrist to a point.",
+    center=tuple(center),
+    low=tuple(-reach),
+    high=tuple(reach),
+    far_per_tip=1.0,
 )
 TASKS.add(task.key, task)
 

@@ -139,6 +139,7 @@ def written(key, prefix, steps):
     sim.transition.obs.fill_(np.nan)
     sim.transition.terms.fill_(np.nan)
     mjw.kinematics(sim.scene.model, sim.scene.data)
+    sim.program.advance(sim.episode.step_count)
     sim.launch_scoring()
     sim.program.observe(wp.ones(NUM_WORLDS, dtype=bool), sim.transition.obs)
     return sim, count

@@ -170,7 +170,7 @@ def test_early_failures(far, share):
 
 
 def test_a_reset_without_starts_says_why(monkeypatch):
-    def none_found(*args):
+    def none_found(*args, **options):
         raise ValueError("too few random starts")
 
     monkeypatch.setattr("myowarp.apps.audit.measure.find_starts", none_found)

@@ -139,7 +139,7 @@ def drawn(sim):
 @pytest.mark.parametrize("key", KEYS)
 def test_seed_decides(key):
     """The seed of a world decides what it draws, episode after episode; random ids draw, fixed ids do not."""
-    n = 7  # no other array of a program is of this length
+    n = 13  # no other array of a program is of this length
     sim = Simulation(TASKS[key], n, device="cpu", graph=False, progress=False)
     sim.reset(seeds=np.arange(n))
     first = drawn(sim)

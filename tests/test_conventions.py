@@ -56,7 +56,7 @@ def is_warp(node, attribute):
 
 
 def _collect():
-    """Return all kernels by name, launches as (file, call), and which kernels `kernels.launch` launches."""
+    """Return kernels by name, launches as (file, call), and the first arguments of other `launch` calls."""
     kernels, launches, named = {}, [], set()
     for name in FILES:
         for node in ast.walk(tree(name)):
@@ -67,8 +67,8 @@ def _collect():
             elif isinstance(node, ast.Call) and name != "kernels/launch.py":
                 if is_warp(node, "launch") or is_warp(node, "launch_tiled"):
                     launches.append((name, node))
-                elif isinstance(node.func, ast.Name) and node.func.id == "launch" and node.args:
-                    named.add(node.args[0].id)
+                elif getattr(node.func, "id", getattr(node.func, "attr", "")) == "launch" and node.args:
+                    named |= {node.args[0].id} if isinstance(node.args[0], ast.Name) else set()
     return kernels, launches, named
 
 

@@ -15,6 +15,7 @@ from configurations import configurations
 
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TASKS
+from myowarp.tasks.baoding import BaodingProgram
 from myowarp.tasks.baoding_orbits import OrbitRanges
 
 NUM_WORLDS = 200
@@ -40,6 +41,7 @@ def scored(sim, step=1):
     sim.episode.pending.zero_()
     sim.transition.fault.zero_()
     sim.transition.terms.fill_(np.nan)
+    sim.program.advance(sim.episode.step_count)
     sim.launch_scoring()
     t = sim.transition
     terms = {term.name: column for term, column in zip(sim.terms, t.terms.numpy().T, strict=True)}
@@ -219,12 +221,10 @@ def test_targets_jump_in_time(jumps, period, direction):
     """At every step of an episode, against exact fractions; rounding would delay jumps of the last two."""
     sim = simulation("myoHandBaodingSwap-v0")
     ranges = OrbitRanges(directions=(direction,), period=2 * (float(period),), jumps=jumps)
-    program = replace(sim.scene.spec, orbits=ranges).bind(sim.scene)
+    program = BaodingProgram(replace(sim.scene.spec, orbits=ranges), sim.scene)
     steps = np.arange(1, HORIZON + 1)
     program.sample_goal(wp.ones(NUM_WORLDS, dtype=bool))
-    program.score(
-        wp.array(steps, dtype=int), sim.transition.terms, sim.transition.solved, sim.transition.failed
-    )
+    program.advance(wp.array(steps, dtype=int))
     done = [int((step - 1) * Fraction("0.025") * jumps / Fraction(period)) for step in steps.tolist()]
     assert max(done) >= 1
     angle = np.pi / 4 + direction * 2 * np.pi * np.array(done) / jumps

@@ -127,7 +127,8 @@ READ = {
 def program_of(key, num_worlds=NUM_WORLDS):
     """Return a task bound to a scene."""
     with wp.ScopedDevice("cpu"):
-        return TASKS[key].bind(compile_scene(TASKS[key], num_worlds, "cpu"))
+        spec = TASKS[key]
+        return spec.program(spec, compile_scene(spec, num_worlds, "cpu"))
 
 
 def drawn(key, seeds, episode, mask=None):

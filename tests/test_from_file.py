@@ -136,7 +136,7 @@ def test_targets_are_of_joints_that_actuators_move(plain):
     start = model.key_qpos[0, 8]
     np.testing.assert_allclose(task.target_low, (-np.pi / 3, start - np.pi / 4))
     np.testing.assert_allclose(task.target_high, (np.pi / 2, start + np.pi / 4))
-    assert sum(column.size for column in task.columns(model.nq, 1)) == model.nq + model.nv + 2 + 1
+    assert sum(column.size for column in task.columns(model.nq, model.nv, 1)) == model.nq + model.nv + 2 + 1
     assert (task.physics_dt, task.num_substeps, task.integrator) == (0.005, 4, "EULER")
     assert pose_task(plain) == task
     assert [model.joint(j).name for j in posture_joints(model)] == ["shoulder"]

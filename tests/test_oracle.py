@@ -110,8 +110,8 @@ def test_task_facts(key):
     assert spec.horizon == meta["horizon"]
     assert spec.num_substeps == meta["frame_skip"]
     assert spec.control_dt == pytest.approx(meta["dt"])
-    num_joints, num_muscles = record["step_qpos"].shape[1], record["step_act"].shape[1]
-    columns = {c.name: c.size for c in spec.columns(num_joints, num_muscles) if c.size}
+    nq, nv, num_muscles = (record[f"step_{name}"].shape[1] for name in ("qpos", "qvel", "act"))
+    columns = {c.name: c.size for c in spec.columns(nq, nv, num_muscles) if c.size}
     assert columns == meta["obs"]
     assert list(columns) == list(meta["obs"])
     assert {t.name: t.weight for t in spec.reward_terms() if t.weight} == meta["weights"]

@@ -100,8 +100,8 @@ def test_task_facts(key):
     assert spec.num_substeps == meta["frame_skip"]
     assert spec.physics_dt == pytest.approx(meta["timestep"])
     assert spec.control_dt == pytest.approx(meta["dt"])
-    num_joints, num_muscles = record["step_qpos"].shape[1], record["step_act"].shape[1]
-    columns = [(c.name, c.size) for c in spec.columns(num_joints, num_muscles)]
+    nq, nv, num_muscles = (record[f"step_{name}"].shape[1] for name in ("qpos", "qvel", "act"))
+    columns = [(c.name, c.size) for c in spec.columns(nq, nv, num_muscles)]
     assert columns == list(meta["obs"].items())
     assert {t.name: t.weight for t in spec.reward_terms() if t.weight} == meta["weights"]
     if key in ALIASES:

@@ -52,7 +52,7 @@ class Tasks:
                     "id": spec.env_id,
                     "family": spec.family,
                     "body": spec.body,
-                    "obs": sum(column.size for column in spec.columns(model.nq, num_muscles)),
+                    "obs": sum(column.size for column in spec.columns(model.nq, model.nv, num_muscles)),
                     "act": model.nu,
                     "muscles": num_muscles,
                     "horizon": spec.horizon,

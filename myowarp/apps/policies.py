@@ -37,7 +37,7 @@ LEAST_EXCITATION = (
 
 def check_hold(spec: TaskSpec) -> None:
     """Raise ValueError if "hold" cannot act in a task."""
-    if "pose_err" not in [column.name for column in spec.columns(1, 1)]:
+    if "pose_err" not in [column.name for column in spec.columns(1, 1, 1)]:
         raise ValueError(
             f"policy 'hold' follows joint errors, which task {spec.key!r} of family {spec.family!r} does not "
             "observe; use it in pose tasks"

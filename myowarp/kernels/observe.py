@@ -1,7 +1,6 @@
 """Packing of state into the columns of an observation row.
 
-Each function writes one block and returns the column after it, so that the kernel of a task reads like
-its table of columns.
+Each function writes one block from a column on, so that the kernel of a task reads like its table of columns.
 """
 
 import warp as wp
@@ -12,7 +11,6 @@ const float* __restrict__ from = &wp::index(values, worldid, first);
 float* __restrict__ to = &wp::index(obs, worldid, column);
 for (int i = 0; i < count; ++i)
     to[i] = scale * from[i];
-return column + count;
 """)
 def pack_range(
     obs: wp.array2d[float],
@@ -22,15 +20,15 @@ def pack_range(
     first: int,
     count: int,
     scale: float,
-) -> int:
+):
     """Write `scale * values[worldid, first : first + count]`; native, which becomes SIMD."""
     ...
 
 
 @wp.func
-def pack(obs: wp.array2d[float], worldid: int, column: int, values: wp.array2d[float], scale: float) -> int:
+def pack(obs: wp.array2d[float], worldid: int, column: int, values: wp.array2d[float], scale: float):
     """Write `scale * values[worldid]`."""
-    return pack_range(obs, worldid, column, values, 0, values.shape[1], scale)
+    pack_range(obs, worldid, column, values, 0, values.shape[1], scale)
 
 
 @wp.func
@@ -41,19 +39,17 @@ def pack_difference(
     target: wp.array2d[float],
     values: wp.array2d[float],
     address: wp.array[int],
-) -> int:
+):
     """Write `target[worldid] - values[worldid, address]`."""
     for i in range(target.shape[1]):
         obs[worldid, column + i] = target[worldid, i] - values[worldid, address[i]]
-    return column + target.shape[1]
 
 
 @wp.func
-def pack_vec3(obs: wp.array2d[float], worldid: int, column: int, vector: wp.vec3) -> int:
+def pack_vec3(obs: wp.array2d[float], worldid: int, column: int, vector: wp.vec3):
     """Write a position or other three-vector."""
     for i in range(3):
         obs[worldid, column + i] = vector[i]
-    return column + 3
 
 
 @wp.kernel(enable_backward=False)

@@ -42,6 +42,7 @@ from myowarp.sim.build import checked_horizon, compile_scene, full_model
 from myowarp.spec.condition import Condition, resolve
 from myowarp.spec.muscle import restore_anatomy
 from myowarp.spec.parameter import Clock
+from myowarp.spec.program import Program
 from myowarp.spec.registry import check_choice
 from myowarp.spec.scene import Starts
 from myowarp.spec.task import TaskSpec
@@ -122,7 +123,7 @@ class Simulation:
             # Sums on the CPU have one order anyway.
             self.scene.model.opt.deterministic = bool(deterministic) and not self.scene.device.is_cpu
         with quiet(), wp.ScopedDevice(self.scene.device):
-            self.program = spec.bind(self.scene)
+            self.program: Program = spec.program(spec, self.scene)
             self._bind_conditions()
             self._allocate(horizon)
             self._place_starts(starts)
@@ -187,7 +188,7 @@ class Simulation:
     def _allocate(self, horizon: int) -> None:
         """Allocate every array of the step."""
         n, scene, spec = self.num_worlds, self.scene, self.scene.spec
-        columns = spec.columns(scene.oracle.nq, len(scene.muscles.names))
+        columns = spec.columns(scene.oracle.nq, scene.oracle.nv, len(scene.muscles.names))
         columns += tuple(column for effect in self.effects for column in effect.columns)
         self.columns = tuple(column for column in columns if column.size)
         self.terms = spec.reward_terms() + tuple(term for effect in self.effects for term in effect.terms)
@@ -223,6 +224,7 @@ class Simulation:
         repeat(self._launch_physics, self.scene.num_substeps, self._countdown)
         self._refresh()
         wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
+        self.program.advance(self.episode.step_count)
         self.launch_scoring()
         self._launch_observation(self.masks.live)
         with pruned(self._idle):

@@ -257,6 +257,7 @@ class Search:
             program.sample_goal(self.everywhere)
             scene.data.qpos.assign(qpos)
             mjw.kinematics(scene.model, scene.data)
+            program.advance(step_count)
             program.score(step_count, self.terms, self.solved, self.failed)
             failed |= self.failed.numpy()
         return failed

@@ -55,7 +55,7 @@ class Scene:
         num_actions: Actuators that the policy commands, the first ones.
         oracle: Slim model with MuJoCo's built-in muscles, host; what our kernels must reproduce.
         model: Stepped model, stateless actuators.
-        data: State and results of all worlds. Of sites, where fusions act, only those of `spec.sites` have
+        data: State and results of all worlds. Of sites, where stages of ours act, only those of `spec.sites` have
             their pose in it; `mujoco_warp.kinematics(model, data)` brings up the others.
         muscles: The muscles of all worlds.
         keys: What random numbers are drawn from.

@@ -1,24 +1,25 @@
 """What a task is, before any array exists: frozen, hashable, checked on the host.
 
-A task family (`tasks/<family>.py`) subclasses `TaskSpec` once and registers one instance for every id.
-From its tables (`columns`, `reward_terms`) follow the spaces, the info keys, the documentation and the
-tests.
+A task family (`tasks/<family>.py`) subclasses `TaskSpec` once; a function under `@task` returns the instance
+of each id. From its tables (`columns`, `reward_terms`) follow the spaces, the info keys, the documentation
+and the tests.
 """
 
 from __future__ import annotations
 
 import abc
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
+from myowarp.spec.body import BODIES, CoarseStep
 from myowarp.spec.registry import Registry
 
 if TYPE_CHECKING:
     import mujoco
     import numpy as np
-    import warp as wp
-
-    from myowarp.spec.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,37 @@ class RewardTerm:
     weight: float
 
 
+Columns = TypeVar("Columns", bound=IntEnum)
+
+
+def blocks(sizes: Mapping[Columns, tuple[int, str]]) -> tuple[Column, ...]:
+    """Return the columns of an observation.
+
+    Args:
+        sizes: Size and unit of each block; the keys are the enum by which the kernel finds its columns.
+    """
+    _check_order(sizes)
+    return tuple(Column(block.name, *size) for block, size in sizes.items())
+
+
+def weighted(weights: Mapping[Columns, float]) -> tuple[RewardTerm, ...]:
+    """Return the terms of a reward.
+
+    Args:
+        weights: Weight of each term; the keys are the enum by which the kernel finds its columns, or the
+            first members of it.
+    """
+    _check_order(weights)
+    return tuple(RewardTerm(term.name, float(weight)) for term, weight in weights.items())
+
+
+def _check_order(members: Iterable[IntEnum]) -> None:
+    """Raise ValueError if the members do not count from 0 on, which would give columns the wrong names."""
+    numbers = [int(member) for member in members]
+    if numbers != list(range(len(numbers))):
+        raise ValueError(f"columns must be given in their order, 0 to {len(numbers) - 1}, got {numbers}")
+
+
 @dataclass(frozen=True)
 class PhysicsPreset:
     """How a control step is cut into physics steps.
@@ -54,55 +86,14 @@ class PhysicsPreset:
     coarse: bool
 
 
-@dataclass(frozen=True)
-class CoarseStep:
-    """The longest physics steps that are still accurate.
-
-    Attributes:
-        dt: Time step [s]; the control step is cut evenly into steps that are no longer.
-        implicitness: Share of the muscles' dF/dvelocity that the integrator takes in: 0.5 is the trapezoidal
-            rule, 1 fully implicit.
-    """
-
-    dt: float
-    implicitness: float
-
-
-class Program(Protocol):
-    """A task bound to the arrays of a scene: three kernels and what they need.
-
-    Every method only launches kernels, so that a whole environment step can be captured as one graph.
-    """
-
-    def sample_start(self, mask: wp.array) -> None:
-        """Draw what an episode starts from, in the worlds of `mask` (num_worlds,) bool.
-
-        The common start configuration is in place; objects, and their properties, are drawn here.
-        """
-
-    def sample_goal(self, mask: wp.array) -> None:
-        """Draw what the episode asks for, in the worlds of `mask` (num_worlds,) bool."""
-
-    def observe(self, mask: wp.array, obs: wp.array) -> None:
-        """Write `obs` (num_worlds, obs_size) in the worlds of `mask`."""
-
-    def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
-        """Write the raw reward terms (num_worlds, num_terms), and whether a world is solved, failed.
-
-        `step_count` (num_worlds,) counts the steps of the episode, the present one included.
-        """
-
-    def goal_markers(self, world: int) -> dict[str, np.ndarray]:
-        """World positions [m] of the goal's markers in one world by site name; host, for pictures."""
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TaskSpec(abc.ABC):
     """A task, complete but for the number of worlds and the device.
 
     Attributes:
-        name: Upstream's name of the task, such as `myoHandPoseFixed`.
-        version: Version of our id; 0 keeps MyoSuite 3.0.0's semantics.
+        program: Subclass of `spec.program.Program`; called with the task and a scene.
+        name: Upstream's name of the task, such as `myoHandPoseFixed`; `@task` takes it from the id.
+        version: Version of our id, from there too; 0 keeps MyoSuite 3.0.0's semantics.
         body: Name in `BODIES`.
         num_substeps: Physics steps in a control step, upstream's `frame_skip`.
         physics_dt: Upstream's physics time step [s].
@@ -111,14 +102,16 @@ class TaskSpec(abc.ABC):
         doc: One sentence: what the task asks for, and why this version exists.
     """
 
-    name: str
-    version: int
+    program: ClassVar[type]
+
+    name: str = ""
+    version: int = 0
     body: str
     num_substeps: int
     horizon: int
-    doc: str
-    physics_dt: float = field(default=0.002, kw_only=True)
-    integrator: str = field(default="EULER", kw_only=True)
+    doc: str = ""
+    physics_dt: float = 0.002
+    integrator: str = "EULER"
 
     @property
     def key(self) -> str:
@@ -142,8 +135,8 @@ class TaskSpec(abc.ABC):
 
     @property
     def coarse_step(self) -> CoarseStep:
-        """Physics steps of coarse presets."""
-        return COARSE_STEPS.get(self.family, COARSE_STEPS.get(self.body, CAUTIOUS_STEP))
+        """Physics steps of coarse presets; the body's, unless a family has its own."""
+        return BODIES[self.body].coarse_step
 
     @property
     def scene_key(self) -> tuple[object, ...]:
@@ -156,9 +149,9 @@ class TaskSpec(abc.ABC):
         return True
 
     @property
-    @abc.abstractmethod
     def sites(self) -> tuple[str, ...]:
         """Names of the sites that the task reads; they survive slimming."""
+        return ()
 
     @property
     def batched(self) -> tuple[str, ...]:
@@ -179,16 +172,18 @@ class TaskSpec(abc.ABC):
         """Add what the task puts into the scene to the body's `MjSpec`, in place."""
 
     @abc.abstractmethod
-    def columns(self, num_joints: int, num_muscles: int) -> tuple[Column, ...]:
-        """The observation vector, block by block."""
+    def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
+        """The observation vector, block by block.
+
+        Args:
+            nq: Number of coordinates in qpos.
+            nv: Number of velocities in qvel; smaller than `nq` by one for each ball or free joint.
+            num_muscles: Number of muscles.
+        """
 
     @abc.abstractmethod
     def reward_terms(self) -> tuple[RewardTerm, ...]:
         """The reward, term by term."""
-
-    @abc.abstractmethod
-    def bind(self, scene: Scene) -> Program:
-        """Resolve names and allocate the arrays of the task in a compiled scene."""
 
 
 PHYSICS = {
@@ -198,24 +193,34 @@ PHYSICS = {
 """`parity`: MyoSuite's integrator and step. `fast`: implicit in velocity, activation exactly integrated, few
 steps."""
 
-COARSE_STEPS = {
-    "elbow": CoarseStep(0.010, 1.0),
-    "elbow_exo": CoarseStep(0.010, 1.0),
-    "finger": CoarseStep(0.020 / 6, 0.6),
-    "hand": CoarseStep(0.020 / 3, 0.5),
-    "keyturn": CoarseStep(0.004, 0.35),
-    "objecthold": CoarseStep(0.005, 0.5),
-    "pentwirl": CoarseStep(0.005, 0.5),
-    "baoding": CoarseStep(0.005, 0.35),
-}
-"""By task family, else by body: what keeps the root mean square error of the joints below 0.02 rad, against
-steps of 0.1 ms over 0.2 s of policy-like excitations (benchmarks/accuracy.py)."""
-
-CAUTIOUS_STEP = CoarseStep(0.004, 0.5)  # where nothing was measured
-
 RESETS = ("task", "fixed", "random", "none")
 """What a new episode starts from: the task's own way; the task's start configuration; a random posture that
 carries along what lies in the hand, free of penetration and of immediate failure; or the state that the last
 episode left (reset-free, only goal and counters are new)."""
 
 TASKS: Registry[TaskSpec] = Registry("task")
+
+Spec = TypeVar("Spec", bound=TaskSpec)
+
+
+def task(key: str, why: str = "") -> Callable[[Callable[[], Spec]], Callable[[], Spec]]:
+    """Register the task that a function returns; the function's docstring says what the task asks for.
+
+    Args:
+        key: Name and version, such as `myoHandPoseFixed-v0`.
+        why: Why this version exists; it follows the docstring in the task's `doc`.
+
+    Raises:
+        ValueError: The key has no version, or is taken.
+    """
+    match = re.fullmatch(r"(\w+)-v(\d+)", key)
+    if match is None:
+        raise ValueError(f"task id {key!r} must be a name and a version, such as 'myoHandPoseFixed-v0'")
+    name, version = match.groups()
+
+    def register(make: Callable[[], Spec]) -> Callable[[], Spec]:
+        doc = " ".join(f"{make.__doc__ or ''} {why}".split())
+        TASKS.add(key, replace(make(), name=name, version=int(version), doc=doc))
+        return make
+
+    return register

@@ -1,3 +1,10 @@
 """Task families; importing this package registers every id. A new family is one file and one import."""
 
-from myowarp.tasks import baoding, key_turn, object_hold, pen_twirl, pose, reach  # noqa: F401  (they register)
+from myowarp.tasks import (  # noqa: F401  (they register)
+    baoding_ids,
+    key_turn,
+    object_hold,
+    pen_twirl,
+    pose_ids,
+    reach_ids,
+)

@@ -15,7 +15,9 @@ the wrist, so that no stillness is asked for. Corrected balls are those of `baod
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -24,30 +26,184 @@ import warp as wp
 from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.reward import activation_effort, indicator
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, SOFT, add_object
+from myowarp.spec.body import CoarseStep
+from myowarp.spec.program import Program
 from myowarp.spec.scene import Scene
-from myowarp.spec.task import TASKS, Column, RewardTerm, TaskSpec
-from myowarp.tasks.baoding_balls import BATCHED, BATCHED_INERTIA, BallDraw, BallRanges
-from myowarp.tasks.baoding_orbits import OrbitDraw, OrbitRanges, Orbits, orbit_point, orbit_turns
+from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, weighted
+from myowarp.tasks.baoding_balls import BATCHED, BATCHED_INERTIA, BallRanges, sample_balls, weigh_balls
+from myowarp.tasks.baoding_orbits import (
+    OrbitRanges,
+    Orbits,
+    move_targets,
+    new_orbits,
+    orbit_turns,
+    sample_orbit,
+)
 from myowarp.tasks.markers import add_tip_targets
 
 BALL_QPOS = wp.constant(wp.vec2i(23, 30))  # where the free joints start in qpos
 BALL_QVEL = wp.constant(wp.vec2i(23, 29))
 NEAR = wp.constant(0.015)  # m, distance of each ball within which the task is solved
 DROPPED = wp.constant(1.25)  # m, height of a ball's centre below which the episode fails
-DROP = wp.constant(4)  # column of the first term that only the corrected reward has
 
 PALM_UP = -1.57  # rad, pronation at the start
 BALLS = {"ball1": (-0.227, -0.511, 1.452), "ball2": (-0.256, -0.552, 1.442)}  # m, world
 COLORS = ((0.8, 0.25, 0.2, 0.6), (0.2, 0.4, 0.8, 0.6))  # let the targets be seen through the balls
 BALL_RADIUS, BALL_MASS = 0.022, 0.043  # m, kg
 BALL_FRICTION = (1.0, 0.005, 0.0001)  # slide, spin, roll
-FRICTION_RANGE = ((0.8, 0.004, 0.00008), (1.2, 0.006, 0.00012))  # nominal -+ (0.2, 0.001, 0.00002)
 DROP_WEIGHT = 500.0
 """What a fall costs, in the paper's code. It exceeds 200 steps at full effort with both balls as far from
 their targets as the hand reaches, 0.19 m: 200 (10 * 0.19 + 0.16) = 412."""
 
 
-@dataclass(frozen=True)
+Obs = IntEnum(
+    "Obs",
+    "hand_pos object1_pos object1_velp object2_pos object2_velp target1_pos"
+    " target2_pos target1_err target2_err act",
+    start=0,
+)
+"""Blocks of the observation, in the order of their columns."""
+
+Term = IntEnum("Term", "pos_dist_1 pos_dist_2 act_reg sparse drop bonus", start=0)
+"""Terms of the reward, in the order of their columns."""
+
+
+@wp.func
+def position_of(qpos: wp.array2d[float], worldid: int, ball: int) -> wp.vec3:
+    """Centre of ball 0 or 1 in the world [m]."""
+    first = BALL_QPOS[ball]
+    return wp.vec3(qpos[worldid, first], qpos[worldid, first + 1], qpos[worldid, first + 2])
+
+
+@wp.kernel(enable_backward=False)
+def observe_baoding(
+    # Params:
+    first: wp.array[int],
+    palm_site: int,
+    # Data in:
+    qpos_in: wp.array2d[float],
+    qvel_in: wp.array2d[float],
+    site_xpos_in: wp.array2d[wp.vec3],
+    site_xmat_in: wp.array2d[wp.mat33],
+    # In:
+    target: wp.array2d[wp.vec3],
+    activation: wp.array2d[float],
+    control_dt: float,
+    mask: wp.array[bool],
+    # Out:
+    obs: wp.array2d[float],
+):
+    """obs = [hand qpos, p1, v1 dt, p2, v2 dt, t1, t2, t1 - p1, t2 - p2, activation]."""
+    worldid = wp.tid()
+    if not mask[worldid]:
+        return
+    palm, frame = site_xpos_in[worldid, palm_site], site_xmat_in[worldid, palm_site]
+    target1, target2 = palm + frame * target[worldid, 0], palm + frame * target[worldid, 1]
+    pack_range(obs, worldid, first[Obs.hand_pos], qpos_in, 0, HAND_JOINTS, 1.0)
+    pack_range(obs, worldid, first[Obs.object1_pos], qpos_in, BALL_QPOS[0], 3, 1.0)
+    pack_range(obs, worldid, first[Obs.object1_velp], qvel_in, BALL_QVEL[0], 3, control_dt)
+    pack_range(obs, worldid, first[Obs.object2_pos], qpos_in, BALL_QPOS[1], 3, 1.0)
+    pack_range(obs, worldid, first[Obs.object2_velp], qvel_in, BALL_QVEL[1], 3, control_dt)
+    pack_vec3(obs, worldid, first[Obs.target1_pos], target1)
+    pack_vec3(obs, worldid, first[Obs.target2_pos], target2)
+    pack_vec3(obs, worldid, first[Obs.target1_err], target1 - position_of(qpos_in, worldid, 0))
+    pack_vec3(obs, worldid, first[Obs.target2_err], target2 - position_of(qpos_in, worldid, 1))
+    pack(obs, worldid, first[Obs.act], activation, 1.0)
+
+
+@wp.kernel(enable_backward=False)
+def score_baoding(
+    # Params:
+    palm_site: int,
+    # Data in:
+    qpos_in: wp.array2d[float],
+    site_xpos_in: wp.array2d[wp.vec3],
+    site_xmat_in: wp.array2d[wp.mat33],
+    # In:
+    target: wp.array2d[wp.vec3],
+    activation: wp.array2d[float],
+    orbits: Orbits,
+    control_dt: float,
+    step_count: wp.array[int],
+    # Out:
+    terms: wp.array2d[float],
+    solved: wp.array[bool],
+    failed: wp.array[bool],
+):
+    """Terms pos_dist_1, pos_dist_2, act_reg, sparse, and corrected drop, bonus.
+
+    Targets that jump have to be met after their first jump.
+    """
+    worldid = wp.tid()
+    palm, frame = site_xpos_in[worldid, palm_site], site_xmat_in[worldid, palm_site]
+    fallen = bool(False)
+    total, met = float(0.0), float(0.0)
+    for i in range(2):
+        position = position_of(qpos_in, worldid, i)
+        distance = wp.length(palm + frame * target[worldid, i] - position)
+        terms[worldid, Term.pos_dist_1 + i] = -distance
+        total += distance
+        met += indicator(distance < NEAR)
+        fallen = fallen or position[2] < DROPPED
+    terms[worldid, Term.act_reg] = -activation_effort(activation, worldid)
+    terms[worldid, Term.sparse] = -total
+    if terms.shape[1] > Term.drop:
+        terms[worldid, Term.drop] = -indicator(fallen)
+        terms[worldid, Term.bonus] = met + 4.0 * indicator(met == 2.0)
+    begun = orbits.jumps == 0 or orbit_turns(orbits, worldid, control_dt, step_count[worldid]) > 0.0
+    solved[worldid] = met == 2.0 and begun and not fallen
+    failed[worldid] = fallen
+
+
+class BaodingProgram(Program):
+    """A baoding task bound to a scene.
+
+    Attributes:
+        orbits: How the targets move.
+        target: Where they are in this step, frame of the trapezium [m], shape (num_worlds, 2) of vec3.
+    """
+
+    spec: BaodingTask
+
+    def __init__(self, spec: BaodingTask, scene: Scene) -> None:
+        """Resolve palm and balls, allocate the targets."""
+        super().__init__(spec, scene)
+        self.palm_site = scene.site_id("palm_frame")
+        self.ball_body = wp.vec2i(*(scene.oracle.body(name).id for name in BALLS))
+        self.ball_geom = wp.vec2i(*(scene.oracle.geom(name).id for name in BALLS))
+        self.ball_bounds = None if spec.balls is None else spec.balls.on_device()
+        self.orbit_bounds, self.orbits = spec.orbits.on_device(), new_orbits(scene.num_worlds, spec.orbits)
+        self.target = wp.zeros((scene.num_worlds, 2), dtype=wp.vec3)
+
+    def sample_start(self, mask: wp.array) -> None:
+        """Draw the balls where they differ."""
+        if self.ball_bounds is not None:
+            self.launch(sample_balls, mask=mask)
+            if self.spec.corrected:
+                self.launch(weigh_balls, mask=mask)
+
+    def sample_goal(self, mask: wp.array) -> None:
+        self.launch(sample_orbit, mask=mask)
+
+    def advance(self, step_count: wp.array) -> None:
+        self.launch(move_targets, step_count=step_count)
+
+    def observe(self, mask: wp.array, obs: wp.array) -> None:
+        self.launch(observe_baoding, mask=mask, obs=obs)
+
+    def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
+        self.launch(score_baoding, step_count=step_count, terms=terms, solved=solved, failed=failed)
+
+    def goal_markers(self, world: int) -> dict[str, np.ndarray]:
+        """Where the balls have to be."""
+        data = self.scene.data
+        palm = data.site_xpos.numpy()[world, self.palm_site]
+        frame = data.site_xmat.numpy()[world, self.palm_site]
+        places = palm + self.target.numpy()[world] @ frame.T
+        return {f"{name}_target": place for name, place in zip(BALLS, places, strict=True)}
+
+
+@dataclass(frozen=True, kw_only=True)
 class BaodingTask(TaskSpec):
     """Circle two balls, or swap them.
 
@@ -58,9 +214,16 @@ class BaodingTask(TaskSpec):
             friction. Without, they have MyoSuite's inertia floor, and a contact the larger friction.
     """
 
-    orbits: OrbitRanges = field(default=OrbitRanges(), kw_only=True)
-    balls: BallRanges | None = field(default=None, kw_only=True)
-    corrected: bool = field(default=False, kw_only=True)
+    program: ClassVar[type] = BaodingProgram
+    coarse_step = CoarseStep(0.005, 0.35)
+
+    body: str = "contact_hand"
+    num_substeps: int = 10
+    physics_dt: float = 0.0025
+    horizon: int = 200
+    orbits: OrbitRanges = field(default=OrbitRanges())
+    balls: BallRanges | None = None
+    corrected: bool = False
 
     @property
     def scene_key(self) -> tuple[object, ...]:
@@ -105,237 +268,27 @@ class BaodingTask(TaskSpec):
             body.add_site(name=name, size=(0.005, 0.005, 0.005))
         add_tip_targets(spec, BALLS)
 
-    def columns(self, num_joints: int, num_muscles: int) -> tuple[Column, ...]:
-        """Hand, balls, targets, what separates them, activations."""
-        balls = (("object1", "object2"), ("pos", "m"), ("velp", "m per control step"))
-        motion = [Column(f"{name}_{what}", 3, unit) for name in balls[0] for what, unit in balls[1:]]
-        targets = [Column(f"target{i}_{what}", 3, "m") for what in ("pos", "err") for i in (1, 2)]
-        hand = Column("hand_pos", num_joints - 14, "rad")
-        return (hand, *motion, *targets, Column("act", num_muscles, "1"))
+    def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
+        return blocks(
+            {
+                Obs.hand_pos: (HAND_JOINTS, "rad"),
+                Obs.object1_pos: (3, "m"),
+                Obs.object1_velp: (3, "m per control step"),
+                Obs.object2_pos: (3, "m"),
+                Obs.object2_velp: (3, "m per control step"),
+                Obs.target1_pos: (3, "m"),
+                Obs.target2_pos: (3, "m"),
+                Obs.target1_err: (3, "m"),
+                Obs.target2_err: (3, "m"),
+                Obs.act: (num_muscles, "1"),
+            }
+        )
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
-        """In the order in which `score_baoding` writes them."""
-        corrections = (RewardTerm("drop", DROP_WEIGHT), RewardTerm("bonus", 1.0))
-        return (
-            RewardTerm("pos_dist_1", 5.0),
-            RewardTerm("pos_dist_2", 5.0),
-            RewardTerm("act_reg", float(self.corrected)),
-            RewardTerm("sparse", 0.0),
-            *(corrections if self.corrected else ()),
-        )
-
-    def bind(self, scene: Scene) -> BaodingProgram:
-        """Resolve the palm and the balls, allocate the targets."""
-        return BaodingProgram(self, scene)
-
-
-@wp.func
-def position_of(qpos: wp.array2d[float], worldid: int, ball: int) -> wp.vec3:
-    """Centre of ball 0 or 1 in the world [m]."""
-    first = BALL_QPOS[ball]
-    return wp.vec3(qpos[worldid, first], qpos[worldid, first + 1], qpos[worldid, first + 2])
-
-
-@wp.kernel(enable_backward=False)
-def observe_baoding(
-    # Params:
-    palm_site: int,
-    # Data in:
-    qpos_in: wp.array2d[float],
-    qvel_in: wp.array2d[float],
-    site_xpos_in: wp.array2d[wp.vec3],
-    site_xmat_in: wp.array2d[wp.mat33],
-    # In:
-    target: wp.array2d[wp.vec3],
-    activation: wp.array2d[float],
-    control_dt: float,
-    mask: wp.array[bool],
-    # Out:
-    obs: wp.array2d[float],
-):
-    """obs = [hand qpos, p1, v1 dt, p2, v2 dt, t1, t2, t1 - p1, t2 - p2, activation]."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    palm, frame = site_xpos_in[worldid, palm_site], site_xmat_in[worldid, palm_site]
-    column = pack_range(obs, worldid, 0, qpos_in, 0, HAND_JOINTS, 1.0)
-    for i in range(2):
-        column = pack_range(obs, worldid, column, qpos_in, BALL_QPOS[i], 3, 1.0)
-        column = pack_range(obs, worldid, column, qvel_in, BALL_QVEL[i], 3, control_dt)
-    for i in range(2):
-        column = pack_vec3(obs, worldid, column, palm + frame * target[worldid, i])
-    for i in range(2):
-        error = palm + frame * target[worldid, i] - position_of(qpos_in, worldid, i)
-        column = pack_vec3(obs, worldid, column, error)
-    pack(obs, worldid, column, activation, 1.0)
-
-
-@wp.kernel(enable_backward=False)
-def score_baoding(
-    # Params:
-    palm_site: int,
-    # Data in:
-    qpos_in: wp.array2d[float],
-    site_xpos_in: wp.array2d[wp.vec3],
-    site_xmat_in: wp.array2d[wp.mat33],
-    # In:
-    activation: wp.array2d[float],
-    orbits: Orbits,
-    control_dt: float,
-    step_count: wp.array[int],
-    # Out:
-    target: wp.array2d[wp.vec3],
-    terms: wp.array2d[float],
-    solved: wp.array[bool],
-    failed: wp.array[bool],
-):
-    """Targets of this step; terms pos_dist_1, pos_dist_2, act_reg, sparse, and corrected drop, bonus.
-
-    Targets that jump have to be met after their first jump.
-    """
-    worldid = wp.tid()
-    palm, frame = site_xpos_in[worldid, palm_site], site_xmat_in[worldid, palm_site]
-    elapsed = control_dt * float(wp.max(step_count[worldid] - 1, 0))
-    turns = orbit_turns(orbits, worldid, elapsed)
-    fallen = bool(False)
-    total, met = float(0.0), float(0.0)
-    for i in range(2):
-        target[worldid, i] = orbit_point(orbits, worldid, i, turns)
-        position = position_of(qpos_in, worldid, i)
-        distance = wp.length(palm + frame * target[worldid, i] - position)
-        terms[worldid, i] = -distance
-        total += distance
-        met += indicator(distance < NEAR)
-        fallen = fallen or position[2] < DROPPED
-    terms[worldid, 2] = -activation_effort(activation, worldid)
-    terms[worldid, 3] = -total
-    if terms.shape[1] > DROP:
-        terms[worldid, DROP] = -indicator(fallen)
-        terms[worldid, DROP + 1] = met + 4.0 * indicator(met == 2.0)
-    begun = orbits.jumps == 0 or turns > 0.0
-    solved[worldid] = met == 2.0 and begun and not fallen
-    failed[worldid] = fallen
-
-
-class BaodingProgram:
-    """A baoding task bound to a scene.
-
-    Attributes:
-        orbits: How the targets move.
-        target: Where they are in this step, frame of the trapezium [m], shape (num_worlds, 2) of vec3.
-            `score`, which knows the step, moves them; `observe` comes after it and shows them.
-    """
-
-    def __init__(self, spec: BaodingTask, scene: Scene) -> None:
-        """Resolve names, allocate the targets."""
-        self.spec, self.scene = spec, scene
-        self.palm_site = scene.site_id("palm_frame")
-        self.ball_draw = None
-        if spec.balls is not None:
-            self.ball_draw = BallDraw(spec.balls, scene.oracle, BALLS, spec.corrected)
-        self.orbit_draw = OrbitDraw(spec.orbits, scene.num_worlds)
-        self.orbits, self.target = self.orbit_draw.orbits, self.orbit_draw.target
-
-    def sample_start(self, mask: wp.array) -> None:
-        """Draw the balls where they differ."""
-        if self.ball_draw is not None:
-            self.ball_draw.launch(self.scene.model, self.scene.keys, mask)
-
-    def sample_goal(self, mask: wp.array) -> None:
-        """Draw the orbits of the targets."""
-        self.orbit_draw.launch(self.scene.keys, mask)
-
-    def observe(self, mask: wp.array, obs: wp.array) -> None:
-        """Launch `observe_baoding`."""
-        scene, data = self.scene, self.scene.data
-        wp.launch(
-            observe_baoding,
-            dim=scene.num_worlds,
-            inputs=[
-                self.palm_site,
-                data.qpos,
-                data.qvel,
-                data.site_xpos,
-                data.site_xmat,
-                self.target,
-                scene.muscles.activation,
-                scene.control_dt,
-                mask,
-            ],
-            outputs=[obs],
-        )
-
-    def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
-        """Launch `score_baoding`."""
-        scene, data = self.scene, self.scene.data
-        wp.launch(
-            score_baoding,
-            dim=scene.num_worlds,
-            inputs=[
-                self.palm_site,
-                data.qpos,
-                data.site_xpos,
-                data.site_xmat,
-                scene.muscles.activation,
-                self.orbits,
-                scene.control_dt,
-                step_count,
-            ],
-            outputs=[self.target, terms, solved, failed],
-        )
-
-    def goal_markers(self, world: int) -> dict[str, np.ndarray]:
-        """Where the balls have to be."""
-        data = self.scene.data
-        palm = data.site_xpos.numpy()[world, self.palm_site]
-        frame = data.site_xmat.numpy()[world, self.palm_site]
-        places = palm + self.target.numpy()[world] @ frame.T
-        return {f"{name}_target": place for name, place in zip(BALLS, places, strict=True)}
-
-
-CORRECTED = (
-    " A fall costs 500, and balls near their targets pay; in MyoSuite 3.0.0 every step costs and a fall ends"
-    " the episode for free. The balls have the inertia of solid spheres, which MyoSuite raises to 1e-4 kg m^2"
-    " and so up to 26 times; the friction of a contact is the ball's, not the larger of ball's and hand's."
-)
-_P1 = BaodingTask(
-    "myoChallengeBaodingP1",
-    1,
-    "contact_hand",
-    10,
-    200,
-    "Circle two balls on the palm, counter-clockwise, a revolution in 5 s.",
-    physics_dt=0.0025,
-)
-_P2 = replace(
-    _P1,
-    name="myoChallengeBaodingP2",
-    doc="Circle two balls of unknown mass, size and friction either way, or hold them.",
-    orbits=OrbitRanges(
-        directions=(0.0, -1.0, 1.0),
-        angle=(0.0, 2.0 * np.pi),
-        radius_x=(0.02, 0.03),
-        radius_y=(0.022, 0.032),
-        period=(4.0, 6.0),
-    ),
-    balls=BallRanges(mass=(0.03, 0.3), radius=(0.018, 0.024), friction=FRICTION_RANGE),
-)
-for _spec, _name in ((_P1, "myoHandBaodingFixed"), (_P2, "myoHandBaodingRandom")):
-    _next = replace(_spec, version=2, corrected=True, doc=_spec.doc + CORRECTED)
-    _ours = (replace(_spec, name=_name, version=0), replace(_next, name=_name, version=1))
-    for _each in (_spec, _next, *_ours):
-        TASKS.add(_each.key, _each)
-
-# One jump, in the middle of the episode: with a period below 5 s a second one takes the targets back to where
-# they began, to a hand that never swapped; with a longer one less time is left for the swap than half a
-# revolution of the other tasks takes.
-_SWAP = replace(
-    _P1,
-    name="myoHandBaodingSwap",
-    version=0,
-    doc="Hold two balls on the palm for 2.5 s, then swap them and hold them again. It counts as solved only"
-    " after the targets have jumped." + CORRECTED,
-    orbits=OrbitRanges(period=(5.0, 5.0), jumps=2),
-    corrected=True,
-)
-TASKS.add(_SWAP.key, _SWAP)
+        weights = {
+            Term.pos_dist_1: 5.0,
+            Term.pos_dist_2: 5.0,
+            Term.act_reg: float(self.corrected),
+            Term.sparse: 0.0,
+        }
+        return weighted(weights | ({Term.drop: DROP_WEIGHT, Term.bonus: 1.0} if self.corrected else {}))

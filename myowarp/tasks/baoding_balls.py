@@ -12,11 +12,8 @@ are as soft as with the hand.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
-import mujoco
-import mujoco_warp as mjw
 import warp as wp
 
 from myowarp.kernels.random import START, RandomKeys, open_stream
@@ -38,6 +35,16 @@ BATCHED_INERTIA = ("body_inertia",)
 Range = tuple[float, float]
 
 
+@wp.struct
+class BallBounds:
+    """`BallRanges` on the device."""
+
+    mass: wp.vec2
+    radius: wp.vec2
+    friction_low: wp.vec3
+    friction_high: wp.vec3
+
+
 @dataclass(frozen=True)
 class BallRanges:
     """Bounds of the balls' uniformly drawn properties.
@@ -52,15 +59,12 @@ class BallRanges:
     radius: Range
     friction: tuple[tuple[float, float, float], tuple[float, float, float]]
 
-
-@wp.struct
-class BallBounds:
-    """`BallRanges` on the device."""
-
-    mass: wp.vec2
-    radius: wp.vec2
-    friction_low: wp.vec3
-    friction_high: wp.vec3
+    def on_device(self) -> BallBounds:
+        """Return the bounds for a kernel."""
+        bounds = BallBounds()
+        bounds.mass, bounds.radius = wp.vec2(*self.mass), wp.vec2(*self.radius)
+        bounds.friction_low, bounds.friction_high = (wp.vec3(*end) for end in self.friction)
+        return bounds
 
 
 @wp.kernel(enable_backward=False)
@@ -68,7 +72,7 @@ def sample_balls(
     # Params:
     ball_body: wp.vec2i,
     ball_geom: wp.vec2i,
-    bounds: BallBounds,
+    ball_bounds: BallBounds,
     # In:
     keys: RandomKeys,
     mask: wp.array[bool],
@@ -86,7 +90,7 @@ def sample_balls(
     if not mask[worldid]:
         return
     state = open_stream(keys, worldid, START)
-    b = bounds
+    b = ball_bounds
     for i in range(2):
         body, geom = ball_body[i], ball_geom[i]
         mass = wp.randf(state, b.mass[0], b.mass[1])
@@ -127,49 +131,3 @@ def weigh_balls(
         inertia = 0.4 * body_mass[worldid, body] * radius * radius
         body_inertia[worldid, body] = wp.vec3(inertia, inertia, inertia)
         body_invweight0[worldid, body][1] = 1.0 / inertia
-
-
-class BallDraw:
-    """The balls of a scene, and what they are drawn from."""
-
-    def __init__(
-        self, ranges: BallRanges, model: mujoco.MjModel, names: Iterable[str], true_inertia: bool
-    ) -> None:
-        """Resolve the names of the two balls, of bodies and geoms alike.
-
-        Args:
-            ranges: What is drawn.
-            model: The scene's model.
-            names: The two balls.
-            true_inertia: Whether inertia follows from what is drawn; without, it stays as compiled.
-        """
-        self.true_inertia = true_inertia
-        self.ball_body = wp.vec2i(*(model.body(name).id for name in names))
-        self.ball_geom = wp.vec2i(*(model.geom(name).id for name in names))
-        self.bounds = BallBounds()
-        self.bounds.mass, self.bounds.radius = wp.vec2(*ranges.mass), wp.vec2(*ranges.radius)
-        self.bounds.friction_low, self.bounds.friction_high = (wp.vec3(*end) for end in ranges.friction)
-
-    def launch(self, model: mjw.Model, keys: RandomKeys, mask: wp.array) -> None:
-        """Launch `sample_balls`, and `weigh_balls` where inertia follows."""
-        wp.launch(
-            sample_balls,
-            dim=mask.shape[0],
-            inputs=[self.ball_body, self.ball_geom, self.bounds, keys, mask],
-            outputs=[
-                model.body_mass,
-                model.body_subtreemass,
-                model.body_invweight0,
-                model.geom_size,
-                model.geom_rbound,
-                model.geom_aabb,
-                model.geom_friction,
-            ],
-        )
-        if self.true_inertia:
-            wp.launch(
-                weigh_balls,
-                dim=mask.shape[0],
-                inputs=[model.body_mass, model.geom_size, self.ball_body, self.ball_geom, mask],
-                outputs=[model.body_inertia, model.body_invweight0],
-            )

@@ -23,6 +23,17 @@ JUMP_SLACK = wp.constant(1.0e-4)  # jumps; rounding of the time must not delay o
 Range = tuple[float, float]
 
 
+@wp.struct
+class OrbitBounds:
+    """`OrbitRanges` on the device; radii along (x, y)."""
+
+    directions: wp.array[float]
+    angle: wp.vec2
+    radii_low: wp.vec2
+    radii_high: wp.vec2
+    period: wp.vec2
+
+
 @dataclass(frozen=True)
 class OrbitRanges:
     """What the orbits of the targets are drawn from, uniformly.
@@ -43,16 +54,14 @@ class OrbitRanges:
     period: Range = (5.0, 5.0)
     jumps: int = 0
 
-
-@wp.struct
-class OrbitBounds:
-    """`OrbitRanges` on the device; radii along (x, y)."""
-
-    directions: wp.array[float]
-    angle: wp.vec2
-    radii_low: wp.vec2
-    radii_high: wp.vec2
-    period: wp.vec2
+    def on_device(self) -> OrbitBounds:
+        """Return the bounds for a kernel."""
+        bounds = OrbitBounds()
+        bounds.directions = wp.array(self.directions, dtype=float)
+        bounds.angle, bounds.period = wp.vec2(*self.angle), wp.vec2(*self.period)
+        low, high = zip(self.radius_x, self.radius_y, strict=True)
+        bounds.radii_low, bounds.radii_high = wp.vec2(*low), wp.vec2(*high)
+        return bounds
 
 
 @wp.struct
@@ -74,10 +83,20 @@ class Orbits:
     jumps: int
 
 
+def new_orbits(num_worlds: int, ranges: OrbitRanges) -> Orbits:
+    """Allocate the orbits of all worlds."""
+    orbits = Orbits()
+    for name in ("direction", "start_angle", "period"):
+        setattr(orbits, name, wp.zeros(num_worlds, dtype=float))
+    orbits.radii = wp.zeros(num_worlds, dtype=wp.vec2)
+    orbits.jumps = ranges.jumps
+    return orbits
+
+
 @wp.func
-def orbit_turns(orbits: Orbits, worldid: int, elapsed: float) -> float:
-    """Revolutions of the targets after `elapsed` [s], whichever way."""
-    turns = elapsed / orbits.period[worldid]
+def orbit_turns(orbits: Orbits, worldid: int, control_dt: float, step: int) -> float:
+    """Revolutions of the targets, whichever way, in a step of the episode, counted from 1."""
+    turns = control_dt * float(wp.max(step - 1, 0)) / orbits.period[worldid]
     if orbits.jumps > 0:
         jumps = float(orbits.jumps)
         turns = wp.floor(turns * jumps + JUMP_SLACK) / jumps
@@ -96,7 +115,7 @@ def orbit_point(orbits: Orbits, worldid: int, ball: int, turns: float) -> wp.vec
 @wp.kernel(enable_backward=False)
 def sample_orbit(
     # Params:
-    bounds: OrbitBounds,
+    orbit_bounds: OrbitBounds,
     # In:
     keys: RandomKeys,
     mask: wp.array[bool],
@@ -109,7 +128,7 @@ def sample_orbit(
     if not mask[worldid]:
         return
     state = open_stream(keys, worldid, GOAL)
-    b = bounds
+    b = orbit_bounds
     orbits.direction[worldid] = b.directions[wp.randi(state, 0, b.directions.shape[0])]
     orbits.start_angle[worldid] = wp.randf(state, b.angle[0], b.angle[1])
     radius_x = wp.randf(state, b.radii_low[0], b.radii_high[0])
@@ -120,33 +139,17 @@ def sample_orbit(
         target[worldid, ball] = orbit_point(orbits, worldid, ball, 0.0)
 
 
-class OrbitDraw:
-    """The targets of all worlds, and what their orbits are drawn from.
-
-    Attributes:
-        orbits: How the targets move.
-        target: Where they are in this step, frame of the trapezium [m], shape (num_worlds, 2) of vec3.
-    """
-
-    def __init__(self, ranges: OrbitRanges, num_worlds: int) -> None:
-        """Allocate."""
-        self.bounds = OrbitBounds()
-        self.bounds.directions = wp.array(ranges.directions, dtype=float)
-        self.bounds.angle, self.bounds.period = wp.vec2(*ranges.angle), wp.vec2(*ranges.period)
-        low, high = zip(ranges.radius_x, ranges.radius_y, strict=True)
-        self.bounds.radii_low, self.bounds.radii_high = wp.vec2(*low), wp.vec2(*high)
-        self.orbits = Orbits()
-        for name in ("direction", "start_angle", "period"):
-            setattr(self.orbits, name, wp.zeros(num_worlds, dtype=float))
-        self.orbits.radii = wp.zeros(num_worlds, dtype=wp.vec2)
-        self.orbits.jumps = ranges.jumps
-        self.target = wp.zeros((num_worlds, 2), dtype=wp.vec3)
-
-    def launch(self, keys: RandomKeys, mask: wp.array) -> None:
-        """Launch `sample_orbit`."""
-        wp.launch(
-            sample_orbit,
-            dim=mask.shape[0],
-            inputs=[self.bounds, keys, mask],
-            outputs=[self.orbits, self.target],
-        )
+@wp.kernel(enable_backward=False)
+def move_targets(
+    # In:
+    orbits: Orbits,
+    control_dt: float,
+    step_count: wp.array[int],
+    # Out:
+    target: wp.array2d[wp.vec3],
+):
+    """Targets of this step of the episode."""
+    worldid = wp.tid()
+    turns = orbit_turns(orbits, worldid, control_dt, step_count[worldid])
+    for ball in range(2):
+        target[worldid, ball] = orbit_point(orbits, worldid, ball, turns)

@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.kernels.body_mass import MASS_FIELDS, WeighedBody, set_body_mass, weighed_body
+from myowarp.kernels.launch import launch
 from myowarp.models.bodies.elbow_exo import WEIGHT
 from myowarp.spec.parameter import Parameter, Uniform
 
@@ -82,11 +83,5 @@ class CarriedWeight:
         self.hang(mask)
 
     def hang(self, mask: wp.array) -> None:
-        """Launch `weigh_ball`."""
-        model = self.scene.model
-        wp.launch(
-            weigh_ball,
-            dim=self.scene.num_worlds,
-            inputs=[self.body, self.square_lever, self.limb_inertia, self.mass, mask],
-            outputs=[model.body_mass, model.body_subtreemass, model.body_inertia, model.dof_invweight0],
-        )
+        """Give the model's fields the present masses in the worlds of `mask`."""
+        launch(weigh_ball, self.scene.num_worlds, self, self.scene.model, mask=mask)

@@ -15,7 +15,8 @@ from myowarp.disk import model_digest
 from myowarp.models.couplings import POINT_JOINTS, couplings
 from myowarp.spec.body import BODIES, Body
 from myowarp.spec.task import TASKS
-from myowarp.tasks.pose import ELBOW_NEAR, PoseTask
+from myowarp.tasks.pose import PoseTask
+from myowarp.tasks.pose_ids import ELBOW_NEAR
 from myowarp.tasks.variants import Variant, find_variant
 
 CONTROL_DT = 0.02  # s, about, as in upstream's tasks
@@ -105,8 +106,11 @@ def pose_task(path: Path) -> PoseTask:
     bounds = model.jnt_range[joints]
     low, high = np.where(bounds[:, :1] < bounds[:, 1:], bounds, around).T
     task = PoseTask(
-        *(body, 0, body, max(1, round(CONTROL_DT / model.opt.timestep)), EPISODE_STEPS),
-        f"Bring the {len(joints)} joints that the actuators of {path.name} move to a random pose.",
+        name=body,
+        body=body,
+        num_substeps=max(1, round(CONTROL_DT / model.opt.timestep)),
+        horizon=EPISODE_STEPS,
+        doc=f"Bring the {len(joints)} joints that the actuators of {path.name} move to a random pose.",
         physics_dt=model.opt.timestep,
         integrator=mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_"),
         target_low=tuple(low.tolist()),
@@ -115,7 +119,6 @@ def pose_task(path: Path) -> PoseTask:
         far=2.0 * float(np.linalg.norm(high - low)),
         joints=tuple(joints.tolist()),
         start_pose=tuple(start.tolist()),
-        num_quaternions=model.nq - model.nv,
     )
     if task.key not in TASKS:
         TASKS.add(task.key, task)

@@ -8,7 +8,9 @@ MyoSuite 3.0.0, family ObjHold (paper: Caggiano et al. 2022, arXiv:2205.13600).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -18,106 +20,27 @@ from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
 from myowarp.kernels.reward import activation_effort, indicator
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
+from myowarp.spec.body import CoarseStep
+from myowarp.spec.program import Program
 from myowarp.spec.scene import Scene
-from myowarp.spec.task import TASKS, Column, RewardTerm, TaskSpec
+from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, task, weighted
+from myowarp.tasks.held_object import BATCHED_MASS, BATCHED_SIZE, DENSITY, resize_object, weigh_object
 from myowarp.tasks.markers import add_tip_targets
 
 OBJECT = wp.constant(23)  # first of the object's seven coordinates, after the hand's
 NEAR = wp.constant(0.01)  # m, error below which the task counts as solved
 FAR = wp.constant(0.3)  # m, error beyond which the object is lost
 
-DENSITY = 1000.0  # kg/m^3
+NOMINAL_SIZE = (0.025, 0.036, 0.03)  # m, semi-axes
 PALM_UP = -1.5  # rad, forearm rotation at the start, joint 0
 OBJECT_POS = (-0.235, -0.51, 1.45)  # m, world; on the palm
 
 
-@dataclass(frozen=True)
-class ObjectHoldTask(TaskSpec):
-    """Hold the object at a goal.
+Obs = IntEnum("Obs", "hand_qpos hand_qvel obj_pos obj_err act", start=0)
+"""Blocks of the observation, in the order of their columns."""
 
-    Attributes:
-        goal_low: Lower corner of the box from which the goal is drawn [m], world.
-        goal_high: Upper corner.
-        size_low: Lower bounds of the object's uniformly drawn semi-axes [m].
-        size_high: Upper bounds.
-        true_inertia: Whether the object has mass and inertia of its size. Without, it has MyoSuite's: the
-            mass of `NOMINAL_SIZE` and the inertia floor.
-    """
-
-    goal_low: tuple[float, float, float] = field(kw_only=True)
-    goal_high: tuple[float, float, float] = field(kw_only=True)
-    size_low: tuple[float, float, float] = field(kw_only=True)
-    size_high: tuple[float, float, float] = field(kw_only=True)
-    true_inertia: bool = field(default=False, kw_only=True)
-
-    @property
-    def scene_key(self) -> tuple[object, ...]:
-        """The object's inertia is compiled in."""
-        return (*super().scene_key, self.true_inertia)
-
-    @property
-    def uses_kinematics(self) -> bool:
-        """The coordinates of the free object are its position."""
-        return False
-
-    @property
-    def sites(self) -> tuple[str, ...]:
-        """None: joint coordinates say everything."""
-        return ()
-
-    @property
-    def batched(self) -> tuple[str, ...]:
-        """The object's size and what follows from it."""
-        shape = ("geom_size", "geom_rbound", "geom_aabb")
-        mass = ("body_mass", "body_subtreemass", "body_inertia", "body_invweight0")
-        return (*shape, *mass) if self.true_inertia else shape
-
-    @property
-    def carried(self) -> tuple[str, ...]:
-        """The object."""
-        return ("object",)
-
-    def start(self, model: mujoco.MjModel) -> np.ndarray:
-        """Return the open hand, palm up, with the object on it."""
-        qpos = super().start(model)
-        qpos[0] = PALM_UP
-        return qpos
-
-    def edit(self, spec: mujoco.MjSpec) -> None:
-        """Add the object and the marker of its goal."""
-        thing = add_object(spec, "object", OBJECT_POS, floored=not self.true_inertia)
-        shape = thing.add_geom(type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=NOMINAL_SIZE, density=DENSITY)
-        shape.name = "object"
-        shape.contype, shape.conaffinity, shape.condim = 1, 1, 1
-        shape.rgba = (0.25, 0.45, 0.8, 0.6)  # lets the goal be seen through it
-        thing.add_joint(name="object", type=mujoco.mjtJoint.mjJNT_FREE)
-        thing.add_site(name="object", size=(0.005, 0.005, 0.005))
-        add_tip_targets(spec, ("object",))
-
-    def columns(self, num_joints: int, num_muscles: int) -> tuple[Column, ...]:
-        """Hand, where the object is and has to go, activations."""
-        num_hand = num_joints - 7
-        return (
-            Column("hand_qpos", num_hand, "rad"),
-            Column("hand_qvel", num_hand, "rad per control step"),
-            Column("obj_pos", 3, "m"),
-            Column("obj_err", 3, "m"),
-            Column("act", num_muscles, "1"),
-        )
-
-    def reward_terms(self) -> tuple[RewardTerm, ...]:
-        """In the order in which `score_hold` writes them."""
-        return (
-            RewardTerm("goal_dist", 100.0),
-            RewardTerm("bonus", 4.0),
-            RewardTerm("act_reg", 0.0),
-            RewardTerm("penalty", 10.0),
-            RewardTerm("sparse", 0.0),
-        )
-
-    def bind(self, scene: Scene) -> ObjectHoldProgram:
-        """Allocate goal and size for every world."""
-        return ObjectHoldProgram(self, scene)
+Term = IntEnum("Term", "goal_dist bonus act_reg penalty sparse", start=0)
+"""Terms of the reward, in the order of their columns."""
 
 
 @wp.kernel(enable_backward=False)
@@ -142,57 +65,6 @@ def sample_box(
     drawn[worldid] = values
 
 
-@wp.kernel(enable_backward=False)
-def resize_object(
-    # Params:
-    object_geom: int,
-    # In:
-    object_size: wp.array[wp.vec3],
-    mask: wp.array[bool],
-    # Out:
-    geom_size: wp.array2d[wp.vec3],
-    geom_rbound: wp.array2d[float],
-    geom_aabb: wp.array3d[wp.vec3],
-):
-    """Semi-axes, bounding sphere max(a, b, c) and bounding box of the ellipsoid."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    size = object_size[worldid]
-    geom_size[worldid, object_geom] = size
-    geom_rbound[worldid, object_geom] = wp.max(size)
-    geom_aabb[worldid, object_geom, 1] = size
-
-
-@wp.kernel(enable_backward=False)
-def weigh_object(
-    # Params:
-    object_body: int,
-    density: float,
-    # In:
-    object_size: wp.array[wp.vec3],
-    mask: wp.array[bool],
-    # Out:
-    body_mass: wp.array2d[float],
-    body_subtreemass: wp.array2d[float],
-    body_inertia: wp.array2d[wp.vec3],
-    body_invweight0: wp.array2d[wp.vec2],
-):
-    """m = 4/3 pi rho a b c, I_x = m (b^2 + c^2) / 5 in cyclic order; inverse weights 1/m, mean of 1/I."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    size = object_size[worldid]
-    mass = 4.0 / 3.0 * wp.pi * density * size[0] * size[1] * size[2]
-    square = wp.cw_mul(size, size)
-    inertia = 0.2 * mass * wp.vec3(square[1] + square[2], square[0] + square[2], square[0] + square[1])
-    compliance = (1.0 / inertia[0] + 1.0 / inertia[1] + 1.0 / inertia[2]) / 3.0
-    body_mass[worldid, object_body] = mass
-    body_subtreemass[worldid, object_body] = mass
-    body_inertia[worldid, object_body] = inertia
-    body_invweight0[worldid, object_body] = wp.vec2(1.0 / mass, compliance)
-
-
 @wp.func
 def object_position(qpos: wp.array2d[float], worldid: int) -> wp.vec3:
     """Return the position of the free object [m]."""
@@ -201,6 +73,8 @@ def object_position(qpos: wp.array2d[float], worldid: int) -> wp.vec3:
 
 @wp.kernel(enable_backward=False)
 def observe_hold(
+    # Params:
+    first: wp.array[int],
     # Data in:
     qpos_in: wp.array2d[float],
     qvel_in: wp.array2d[float],
@@ -217,11 +91,11 @@ def observe_hold(
     if not mask[worldid]:
         return
     position = object_position(qpos_in, worldid)
-    column = pack_range(obs, worldid, 0, qpos_in, 0, HAND_JOINTS, 1.0)
-    column = pack_range(obs, worldid, column, qvel_in, 0, HAND_JOINTS, control_dt)
-    column = pack_vec3(obs, worldid, column, position)
-    column = pack_vec3(obs, worldid, column, goal[worldid] - position)
-    pack(obs, worldid, column, activation, 1.0)
+    pack_range(obs, worldid, first[Obs.hand_qpos], qpos_in, 0, HAND_JOINTS, 1.0)
+    pack_range(obs, worldid, first[Obs.hand_qvel], qvel_in, 0, HAND_JOINTS, control_dt)
+    pack_vec3(obs, worldid, first[Obs.obj_pos], position)
+    pack_vec3(obs, worldid, first[Obs.obj_err], goal[worldid] - position)
+    pack(obs, worldid, first[Obs.act], activation, 1.0)
 
 
 @wp.kernel(enable_backward=False)
@@ -239,16 +113,16 @@ def score_hold(
     """Terms goal_dist, bonus, act_reg, penalty, sparse from x = |goal - object|."""
     worldid = wp.tid()
     x = wp.length(goal[worldid] - object_position(qpos_in, worldid))
-    terms[worldid, 0] = -x
-    terms[worldid, 1] = indicator(x < 2.0 * NEAR) + indicator(x < NEAR)
-    terms[worldid, 2] = -activation_effort(activation, worldid)
-    terms[worldid, 3] = -indicator(x > FAR)
-    terms[worldid, 4] = -x
+    terms[worldid, Term.goal_dist] = -x
+    terms[worldid, Term.bonus] = indicator(x < 2.0 * NEAR) + indicator(x < NEAR)
+    terms[worldid, Term.act_reg] = -activation_effort(activation, worldid)
+    terms[worldid, Term.penalty] = -indicator(x > FAR)
+    terms[worldid, Term.sparse] = -x
     solved[worldid] = x < NEAR
     failed[worldid] = x > FAR
 
 
-class ObjectHoldProgram:
+class ObjectHoldProgram(Program):
     """An object hold task bound to a scene.
 
     Attributes:
@@ -257,97 +131,131 @@ class ObjectHoldProgram:
             `shape_object`.
     """
 
+    spec: ObjectHoldTask
+
     def __init__(self, spec: ObjectHoldTask, scene: Scene) -> None:
-        """Allocate on the scene's device."""
-        self.spec, self.scene = spec, scene
+        """Allocate goal and size."""
+        super().__init__(spec, scene)
         self.object_geom = scene.oracle.geom("object").id
         self.object_body = scene.oracle.body("object").id
         self.goal = wp.zeros(scene.num_worlds, dtype=wp.vec3)
         self.object_size = wp.zeros(scene.num_worlds, dtype=wp.vec3)
 
-    def _draw(
-        self, box: tuple[tuple[float, ...], tuple[float, ...]], stream: int, mask: wp.array, drawn: wp.array
-    ) -> None:
-        """Launch `sample_box`."""
-        low, high = (wp.vec3(*corner) for corner in box)
-        wp.launch(
-            sample_box,
-            dim=self.scene.num_worlds,
-            inputs=[low, high, stream, self.scene.keys, mask],
-            outputs=[drawn],
-        )
-
     def sample_start(self, mask: wp.array) -> None:
         """Draw sizes, and give the objects their sizes."""
-        self._draw((self.spec.size_low, self.spec.size_high), START, mask, self.object_size)
+        low, high = wp.vec3(*self.spec.size_low), wp.vec3(*self.spec.size_high)
+        self.launch(sample_box, low=low, high=high, stream=START, mask=mask, drawn=self.object_size)
         self.shape_object(mask)
 
     def sample_goal(self, mask: wp.array) -> None:
-        """Draw goals."""
-        self._draw((self.spec.goal_low, self.spec.goal_high), GOAL, mask, self.goal)
+        low, high = wp.vec3(*self.spec.goal_low), wp.vec3(*self.spec.goal_high)
+        self.launch(sample_box, low=low, high=high, stream=GOAL, mask=mask, drawn=self.goal)
 
     def shape_object(self, mask: wp.array) -> None:
         """Write into the model what follows from `object_size` in the worlds of `mask`."""
-        scene, model = self.scene, self.scene.model
-        wp.launch(
-            resize_object,
-            dim=scene.num_worlds,
-            inputs=[self.object_geom, self.object_size, mask],
-            outputs=[model.geom_size, model.geom_rbound, model.geom_aabb],
-        )
+        self.launch(resize_object, mask=mask)
         if self.spec.true_inertia:
-            wp.launch(
-                weigh_object,
-                dim=scene.num_worlds,
-                inputs=[self.object_body, float(DENSITY), self.object_size, mask],
-                outputs=[
-                    model.body_mass,
-                    model.body_subtreemass,
-                    model.body_inertia,
-                    model.body_invweight0,
-                ],
-            )
+            self.launch(weigh_object, density=DENSITY, mask=mask)
 
     def observe(self, mask: wp.array, obs: wp.array) -> None:
-        """Launch `observe_hold`."""
-        scene = self.scene
-        wp.launch(
-            observe_hold,
-            dim=scene.num_worlds,
-            inputs=[
-                scene.data.qpos,
-                scene.data.qvel,
-                scene.muscles.activation,
-                self.goal,
-                scene.control_dt,
-                mask,
-            ],
-            outputs=[obs],
-        )
+        self.launch(observe_hold, mask=mask, obs=obs)
 
     def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
-        """Launch `score_hold`."""
-        scene = self.scene
-        wp.launch(
-            score_hold,
-            dim=scene.num_worlds,
-            inputs=[scene.data.qpos, scene.muscles.activation, self.goal],
-            outputs=[terms, solved, failed],
-        )
+        self.launch(score_hold, terms=terms, solved=solved, failed=failed)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
-        """Where the object should be."""
         return {"object_target": self.goal.numpy()[world].copy()}
 
 
-NOMINAL_SIZE = (0.025, 0.036, 0.03)  # m, semi-axes
-FIXED_GOAL = (-0.24, -0.52, 1.47)  # m, world
+@dataclass(frozen=True, kw_only=True)
+class ObjectHoldTask(TaskSpec):
+    """Hold the object at a goal.
+
+    Attributes:
+        goal_low: Lower corner of the box from which the goal is drawn [m], world.
+        goal_high: Upper corner.
+        size_low: Lower bounds of the object's uniformly drawn semi-axes [m].
+        size_high: Upper bounds.
+        true_inertia: Whether the object has mass and inertia of its size. Without, it has MyoSuite's: the
+            mass of `NOMINAL_SIZE` and the inertia floor.
+    """
+
+    program: ClassVar[type] = ObjectHoldProgram
+    coarse_step = CoarseStep(0.005, 0.5)
+
+    body: str = "contact_hand"
+    num_substeps: int = 10
+    horizon: int = 75
+    goal_low: tuple[float, float, float]
+    goal_high: tuple[float, float, float]
+    size_low: tuple[float, float, float]
+    size_high: tuple[float, float, float]
+    true_inertia: bool = False
+
+    @property
+    def scene_key(self) -> tuple[object, ...]:
+        """The object's inertia is compiled in."""
+        return (*super().scene_key, self.true_inertia)
+
+    @property
+    def uses_kinematics(self) -> bool:
+        """The coordinates of the free object are its position."""
+        return False
+
+    @property
+    def batched(self) -> tuple[str, ...]:
+        """The object's size and what follows from it."""
+        return (*BATCHED_SIZE, *BATCHED_MASS) if self.true_inertia else BATCHED_SIZE
+
+    @property
+    def carried(self) -> tuple[str, ...]:
+        return ("object",)
+
+    def start(self, model: mujoco.MjModel) -> np.ndarray:
+        """Return the open hand, palm up, with the object on it."""
+        qpos = super().start(model)
+        qpos[0] = PALM_UP
+        return qpos
+
+    def edit(self, spec: mujoco.MjSpec) -> None:
+        """Add the object and the marker of its goal."""
+        thing = add_object(spec, "object", OBJECT_POS, floored=not self.true_inertia)
+        shape = thing.add_geom(type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=NOMINAL_SIZE, density=DENSITY)
+        shape.name = "object"
+        shape.contype, shape.conaffinity, shape.condim = 1, 1, 1
+        shape.rgba = (0.25, 0.45, 0.8, 0.6)  # lets the goal be seen through it
+        thing.add_joint(name="object", type=mujoco.mjtJoint.mjJNT_FREE)
+        thing.add_site(name="object", size=(0.005, 0.005, 0.005))
+        add_tip_targets(spec, ("object",))
+
+    def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
+        return blocks(
+            {
+                Obs.hand_qpos: (HAND_JOINTS, "rad"),
+                Obs.hand_qvel: (HAND_JOINTS, "rad per control step"),
+                Obs.obj_pos: (3, "m"),
+                Obs.obj_err: (3, "m"),
+                Obs.act: (num_muscles, "1"),
+            }
+        )
+
+    def reward_terms(self) -> tuple[RewardTerm, ...]:
+        return weighted(
+            {
+                Term.goal_dist: 100.0,
+                Term.bonus: 4.0,
+                Term.act_reg: 0.0,
+                Term.penalty: 10.0,
+                Term.sparse: 0.0,
+            }
+        )
+
+
 CUBE = ((-0.265, -0.54, 1.42), (-0.205, -0.48, 1.48))  # m, MyoSuite's goals: 30 mm to all sides of the start
 CLEAR = ((-0.245, -0.54, 1.455), (-0.205, -0.48, 1.48))  # m, the part of the cube that the hand leaves free
-SIZES = ((0.02, 0.02, 0.02), (0.03, 0.03, 0.03))  # m, semi-axes
 
 TRUE_INERTIA = (
-    " The object has mass and inertia of its size; in v0, as in MyoSuite 3.0.0, every object weighs 113 g"
+    "The object has mass and inertia of its size; in v0, as in MyoSuite 3.0.0, every object weighs 113 g"
     " and its inertia is raised to 1e-4 kg m^2, at least twice the true one."
 )
 ABOVE_PALM = (
@@ -355,35 +263,38 @@ ABOVE_PALM = (
     " 5 mm, at 50% in v0."
 )
 
-for _version, _box, _why, _why_random in (
-    (0, CUBE, "", ""),
-    (1, CLEAR, TRUE_INERTIA, TRUE_INERTIA + ABOVE_PALM),
-):
-    for _name, _goal, _size, _doc in (
-        (
-            "myoHandObjHoldFixed",
-            (FIXED_GOAL, FIXED_GOAL),
-            (NOMINAL_SIZE, NOMINAL_SIZE),
-            f"Lift an ellipsoid 20 mm off the palm and hold it.{_why}",
-        ),
-        (
-            "myoHandObjHoldRandom",
-            _box,
-            SIZES,
-            f"Hold an ellipsoid of random size at a random place.{_why_random}",
-        ),
-    ):
-        _spec = ObjectHoldTask(
-            _name,
-            _version,
-            "contact_hand",
-            10,
-            75,
-            _doc,
-            goal_low=_goal[0],
-            goal_high=_goal[1],
-            size_low=_size[0],
-            size_high=_size[1],
-            true_inertia=_version > 0,
-        )
-        TASKS.add(_spec.key, _spec)
+
+def lift() -> ObjectHoldTask:
+    """Return the task with one object and one goal, as in MyoSuite."""
+    size, goal = NOMINAL_SIZE, (-0.24, -0.52, 1.47)
+    return ObjectHoldTask(goal_low=goal, goal_high=goal, size_low=size, size_high=size)
+
+
+def hold_anywhere(low: tuple[float, float, float], high: tuple[float, float, float]) -> ObjectHoldTask:
+    """Return the task with a random object and goals between `low` and `high`, as in MyoSuite."""
+    smallest, largest = (0.02, 0.02, 0.02), (0.03, 0.03, 0.03)
+    return ObjectHoldTask(goal_low=low, goal_high=high, size_low=smallest, size_high=largest)
+
+
+@task("myoHandObjHoldFixed-v0")
+def fixed_v0() -> ObjectHoldTask:
+    """Lift an ellipsoid 20 mm off the palm and hold it."""
+    return lift()
+
+
+@task("myoHandObjHoldRandom-v0")
+def random_v0() -> ObjectHoldTask:
+    """Hold an ellipsoid of random size at a random place."""
+    return hold_anywhere(*CUBE)
+
+
+@task("myoHandObjHoldFixed-v1", TRUE_INERTIA)
+def fixed() -> ObjectHoldTask:
+    """Lift an ellipsoid 20 mm off the palm and hold it."""
+    return replace(lift(), true_inertia=True)
+
+
+@task("myoHandObjHoldRandom-v1", TRUE_INERTIA + ABOVE_PALM)
+def random() -> ObjectHoldTask:
+    """Hold an ellipsoid of random size at a random place."""
+    return replace(hold_anywhere(*CLEAR), true_inertia=True)

@@ -9,7 +9,9 @@ arXiv:2205.13600).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -19,8 +21,10 @@ from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
 from myowarp.kernels.reward import activation_effort, indicator
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
+from myowarp.spec.body import CoarseStep
+from myowarp.spec.program import Program
 from myowarp.spec.scene import Scene
-from myowarp.spec.task import TASKS, Column, RewardTerm, TaskSpec
+from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, task, weighted
 from myowarp.tasks.markers import add_tip_targets
 
 DROPPED = wp.constant(0.075)  # m, distance from the start beyond which the pen is lost
@@ -29,6 +33,7 @@ ALIGNED = wp.constant(0.95)
 
 PALM_UP = -1.5  # rad, forearm rotation at the start, joint 0
 PEN_POS = (-0.23, -0.53, 1.445)  # m, world; on the fingers
+PEN_START = wp.constant(wp.vec3(*PEN_POS))
 PEN_TILT = 1.27  # rad about world y: nearly lying
 TARGET_POS = (0.0, -0.54, 1.382)  # m, world; beside the hand
 RADIUS, HALF_LENGTH = 0.015, 0.065  # m
@@ -53,85 +58,11 @@ def add_pen(body: mujoco.MjsBody, name: str, density: float, rgba: tuple[float, 
         part.rgba = (0.2, 0.22, 0.28, rgba[3])
 
 
-@dataclass(frozen=True)
-class PenTwirlTask(TaskSpec):
-    """Turn the pen.
+Obs = IntEnum("Obs", "hand_jnt obj_pos obj_vel obj_rot obj_des_rot obj_err_pos obj_err_rot act", start=0)
+"""Blocks of the observation, in the order of their columns."""
 
-    Attributes:
-        tilt: Largest of the uniform angles by which the target is turned about x and then y [rad].
-        free: Whether the pen has a free joint and its true inertia. Without, as in MyoSuite, it has three
-            slides and three hinges along its own axes, and the inertia floor.
-    """
-
-    tilt: float = field(default=0.0, kw_only=True)
-    free: bool = field(default=False, kw_only=True)
-
-    @property
-    def scene_key(self) -> tuple[object, ...]:
-        """The pen's joints are compiled in."""
-        return (*super().scene_key, self.free)
-
-    @property
-    def sites(self) -> tuple[str, ...]:
-        """None: the frames of the two pens say everything."""
-        return ()
-
-    @property
-    def carried(self) -> tuple[str, ...]:
-        """The pen."""
-        return ("Object",)
-
-    def start(self, model: mujoco.MjModel) -> np.ndarray:
-        """Return the open hand, palm up, with the pen on it."""
-        qpos = super().start(model)
-        qpos[0] = PALM_UP
-        return qpos
-
-    def edit(self, spec: mujoco.MjSpec) -> None:
-        """Add the pen, the target pen, and the marker of where the pen's top should be."""
-        pen = add_object(spec, "Object", PEN_POS, floored=not self.free)
-        pen.quat = (np.cos(PEN_TILT / 2), 0.0, np.sin(PEN_TILT / 2), 0.0)
-        add_pen(pen, "pen", 1500.0, (0.25, 0.45, 0.8, 1.0))
-        pen.add_site(name="object_top", pos=(0.0, 0.0, HALF_LENGTH), size=(0.005, 0.005, 0.005))
-        if self.free:
-            pen.add_joint(name="OBJ", type=mujoco.mjtJoint.mjJNT_FREE)
-        else:
-            for prefix, kind in (("T", mujoco.mjtJoint.mjJNT_SLIDE), ("R", mujoco.mjtJoint.mjJNT_HINGE)):
-                for letter, axis in AXES.items():
-                    pen.add_joint(name=f"OBJ{prefix}{letter}", type=kind, axis=axis)
-        # The engine never moves a static geom; a mocap body is as immovable, and turned for each world.
-        target = add_object(spec, "target", TARGET_POS, mocap=True)
-        add_pen(target, "target", 1000.0, (0.1, 0.68, 0.3, 1.0))
-        add_tip_targets(spec, ("object_top",))
-
-    def columns(self, num_joints: int, num_muscles: int) -> tuple[Column, ...]:
-        """Hand, pen, target, errors, activations."""
-        rates = "m, rad per control step"
-        return (
-            Column("hand_jnt", num_joints - (7 if self.free else 6), "rad"),
-            Column("obj_pos", 3, "m"),
-            Column("obj_vel", 6, rates),
-            Column("obj_rot", 3, "1"),
-            Column("obj_des_rot", 3, "1"),
-            Column("obj_err_pos", 3, "m"),
-            Column("obj_err_rot", 3, "1"),
-            Column("act", num_muscles, "1"),
-        )
-
-    def reward_terms(self) -> tuple[RewardTerm, ...]:
-        """In the order in which `score_pen` writes them."""
-        return (
-            RewardTerm("pos_align", 1.0),
-            RewardTerm("rot_align", 1.0),
-            RewardTerm("act_reg", 5.0),
-            RewardTerm("drop", 5.0),
-            RewardTerm("bonus", 10.0),
-            RewardTerm("sparse", 0.0),
-        )
-
-    def bind(self, scene: Scene) -> PenTwirlProgram:
-        """Resolve the two pens."""
-        return PenTwirlProgram(self, scene)
+Term = IntEnum("Term", "pos_align rot_align act_reg drop bonus sparse", start=0)
+"""Terms of the reward, in the order of their columns."""
 
 
 @wp.kernel(enable_backward=False)
@@ -167,8 +98,8 @@ def observe_pen(
     # Params:
     pen_body: int,
     target_body: int,
-    pen_start: wp.vec3,
     free: bool,
+    first: wp.array[int],
     # Data in:
     qpos_in: wp.array2d[float],
     qvel_in: wp.array2d[float],
@@ -192,20 +123,18 @@ def observe_pen(
     frame = xmat_in[worldid, pen_body]
     axis = long_axis(frame)
     wanted = long_axis(xmat_in[worldid, target_body])
-    column = pack_range(obs, worldid, 0, qpos_in, 0, HAND_JOINTS, 1.0)
-    column = pack_vec3(obs, worldid, column, position)
-    column = pack_range(obs, worldid, column, qvel_in, HAND_JOINTS, 3, control_dt)
+    pack_range(obs, worldid, first[Obs.hand_jnt], qpos_in, 0, HAND_JOINTS, 1.0)
+    pack_vec3(obs, worldid, first[Obs.obj_pos], position)
+    pack_range(obs, worldid, first[Obs.obj_vel], qvel_in, HAND_JOINTS, 6, control_dt)
     if free:
         rates = qvel_in[worldid]
         spin = wp.vec3(rates[HAND_JOINTS + 3], rates[HAND_JOINTS + 4], rates[HAND_JOINTS + 5])
-        column = pack_vec3(obs, worldid, column, control_dt * (frame @ spin))
-    else:
-        column = pack_range(obs, worldid, column, qvel_in, HAND_JOINTS + 3, 3, control_dt)
-    column = pack_vec3(obs, worldid, column, axis)
-    column = pack_vec3(obs, worldid, column, wanted)
-    column = pack_vec3(obs, worldid, column, position - pen_start)
-    column = pack_vec3(obs, worldid, column, axis - wanted)
-    pack(obs, worldid, column, activation, 1.0)
+        pack_vec3(obs, worldid, first[Obs.obj_vel] + 3, control_dt * (frame @ spin))
+    pack_vec3(obs, worldid, first[Obs.obj_rot], axis)
+    pack_vec3(obs, worldid, first[Obs.obj_des_rot], wanted)
+    pack_vec3(obs, worldid, first[Obs.obj_err_pos], position - PEN_START)
+    pack_vec3(obs, worldid, first[Obs.obj_err_rot], axis - wanted)
+    pack(obs, worldid, first[Obs.act], activation, 1.0)
 
 
 @wp.kernel(enable_backward=False)
@@ -213,7 +142,6 @@ def score_pen(
     # Params:
     pen_body: int,
     target_body: int,
-    pen_start: wp.vec3,
     # Data in:
     xpos_in: wp.array2d[wp.vec3],
     xmat_in: wp.array2d[wp.mat33],
@@ -226,19 +154,21 @@ def score_pen(
 ):
     """Terms pos_align, rot_align, act_reg, drop, bonus, sparse from p and c."""
     worldid = wp.tid()
-    p = wp.length(xpos_in[worldid, pen_body] - pen_start)
+    p = wp.length(xpos_in[worldid, pen_body] - PEN_START)
     c = wp.dot(long_axis(xmat_in[worldid, pen_body]), long_axis(xmat_in[worldid, target_body]))
-    terms[worldid, 0] = -p
-    terms[worldid, 1] = c
-    terms[worldid, 2] = -activation_effort(activation, worldid)
-    terms[worldid, 3] = -indicator(p > DROPPED)
-    terms[worldid, 4] = (indicator(c > CLOSE) + 5.0 * indicator(c > ALIGNED)) * indicator(p < DROPPED)
-    terms[worldid, 5] = c - p
+    terms[worldid, Term.pos_align] = -p
+    terms[worldid, Term.rot_align] = c
+    terms[worldid, Term.act_reg] = -activation_effort(activation, worldid)
+    terms[worldid, Term.drop] = -indicator(p > DROPPED)
+    terms[worldid, Term.bonus] = (indicator(c > CLOSE) + 5.0 * indicator(c > ALIGNED)) * indicator(
+        p < DROPPED
+    )
+    terms[worldid, Term.sparse] = c - p
     solved[worldid] = c > ALIGNED and p <= DROPPED
     failed[worldid] = p > DROPPED
 
 
-class PenTwirlProgram:
+class PenTwirlProgram(Program):
     """A pen twirl task bound to a scene.
 
     Attributes:
@@ -247,63 +177,20 @@ class PenTwirlProgram:
     """
 
     def __init__(self, spec: PenTwirlTask, scene: Scene) -> None:
-        """Resolve names."""
-        self.spec, self.scene = spec, scene
+        """Resolve the two pens."""
+        super().__init__(spec, scene)
         self.pen_body = scene.oracle.body("Object").id
         self.target_body = scene.oracle.body("target").id
         self.target_quat = scene.data.mocap_quat
 
-    def sample_start(self, mask: wp.array) -> None:
-        """Nothing to draw: the common start is the task's."""
-
     def sample_goal(self, mask: wp.array) -> None:
-        """Launch `sample_pen`."""
-        scene = self.scene
-        wp.launch(
-            sample_pen,
-            dim=scene.num_worlds,
-            inputs=[self.spec.tilt, scene.keys, mask],
-            outputs=[scene.data.mocap_quat],
-        )
+        self.launch(sample_pen, mask=mask)
 
     def observe(self, mask: wp.array, obs: wp.array) -> None:
-        """Launch `observe_pen`."""
-        scene = self.scene
-        wp.launch(
-            observe_pen,
-            dim=scene.num_worlds,
-            inputs=[
-                self.pen_body,
-                self.target_body,
-                wp.vec3(*PEN_POS),
-                self.spec.free,
-                scene.data.qpos,
-                scene.data.qvel,
-                scene.data.xpos,
-                scene.data.xmat,
-                scene.muscles.activation,
-                scene.control_dt,
-                mask,
-            ],
-            outputs=[obs],
-        )
+        self.launch(observe_pen, mask=mask, obs=obs)
 
     def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
-        """Launch `score_pen`."""
-        scene = self.scene
-        wp.launch(
-            score_pen,
-            dim=scene.num_worlds,
-            inputs=[
-                self.pen_body,
-                self.target_body,
-                wp.vec3(*PEN_POS),
-                scene.data.xpos,
-                scene.data.xmat,
-                scene.muscles.activation,
-            ],
-            outputs=[terms, solved, failed],
-        )
+        self.launch(score_pen, terms=terms, solved=solved, failed=failed)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
         """Where the top of the pen should be, its centre being where it started."""
@@ -311,18 +198,111 @@ class PenTwirlProgram:
         return {"object_top_target": np.array(PEN_POS) + HALF_LENGTH * wanted}
 
 
+@dataclass(frozen=True, kw_only=True)
+class PenTwirlTask(TaskSpec):
+    """Turn the pen.
+
+    Attributes:
+        tilt: Largest of the uniform angles by which the target is turned about x and then y [rad].
+        free: Whether the pen has a free joint and its true inertia. Without, as in MyoSuite, it has three
+            slides and three hinges along its own axes, and the inertia floor.
+    """
+
+    program: ClassVar[type] = PenTwirlProgram
+    coarse_step = CoarseStep(0.005, 0.5)
+
+    body: str = "contact_hand"
+    num_substeps: int = 5
+    horizon: int = 50
+    tilt: float = 0.0
+    free: bool = False
+
+    @property
+    def scene_key(self) -> tuple[object, ...]:
+        """The pen's joints are compiled in."""
+        return (*super().scene_key, self.free)
+
+    @property
+    def carried(self) -> tuple[str, ...]:
+        """The pen."""
+        return ("Object",)
+
+    def start(self, model: mujoco.MjModel) -> np.ndarray:
+        """Return the open hand, palm up, with the pen on it."""
+        qpos = super().start(model)
+        qpos[0] = PALM_UP
+        return qpos
+
+    def edit(self, spec: mujoco.MjSpec) -> None:
+        """Add the pen, the target pen, and the marker of where the pen's top should be."""
+        pen = add_object(spec, "Object", PEN_POS, floored=not self.free)
+        pen.quat = (np.cos(PEN_TILT / 2), 0.0, np.sin(PEN_TILT / 2), 0.0)
+        add_pen(pen, "pen", 1500.0, (0.25, 0.45, 0.8, 1.0))
+        pen.add_site(name="object_top", pos=(0.0, 0.0, HALF_LENGTH), size=(0.005, 0.005, 0.005))
+        if self.free:
+            pen.add_joint(name="OBJ", type=mujoco.mjtJoint.mjJNT_FREE)
+        else:
+            for prefix, kind in (("T", mujoco.mjtJoint.mjJNT_SLIDE), ("R", mujoco.mjtJoint.mjJNT_HINGE)):
+                for letter, axis in AXES.items():
+                    pen.add_joint(name=f"OBJ{prefix}{letter}", type=kind, axis=axis)
+        # The engine never moves a static geom; a mocap body is as immovable, and turned for each world.
+        target = add_object(spec, "target", TARGET_POS, mocap=True)
+        add_pen(target, "target", 1000.0, (0.1, 0.68, 0.3, 1.0))
+        add_tip_targets(spec, ("object_top",))
+
+    def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
+        return blocks(
+            {
+                Obs.hand_jnt: (HAND_JOINTS, "rad"),
+                Obs.obj_pos: (3, "m"),
+                Obs.obj_vel: (6, "m, rad per control step"),
+                Obs.obj_rot: (3, "1"),
+                Obs.obj_des_rot: (3, "1"),
+                Obs.obj_err_pos: (3, "m"),
+                Obs.obj_err_rot: (3, "1"),
+                Obs.act: (num_muscles, "1"),
+            }
+        )
+
+    def reward_terms(self) -> tuple[RewardTerm, ...]:
+        return weighted(
+            {
+                Term.pos_align: 1.0,
+                Term.rot_align: 1.0,
+                Term.act_reg: 5.0,
+                Term.drop: 5.0,
+                Term.bonus: 10.0,
+                Term.sparse: 0.0,
+            }
+        )
+
+
 FREE = (
-    " The pen has a free joint and its true inertia; in v0, as in MyoSuite 3.0.0, it loses a direction of"
+    "The pen has a free joint and its true inertia; in v0, as in MyoSuite 3.0.0, it loses a direction of"
     " rotation where the second of its three hinges is at a right angle, its rates are about turned axes, and"
     " its inertia about the long axis is raised from 2e-5 to 1e-4 kg m^2."
 )
 
-for _version, _why in ((0, ""), (1, FREE)):
-    for _name, _tilt, _doc in (
-        ("myoHandPenTwirlFixed", 0.0, "Stand a pen upright in the hand."),
-        ("myoHandPenTwirlRandom", 1.0, "Turn a pen in the hand to an orientation drawn anew each episode."),
-    ):
-        _spec = PenTwirlTask(
-            _name, _version, "contact_hand", 5, 50, f"{_doc}{_why}", tilt=_tilt, free=_version > 0
-        )
-        TASKS.add(_spec.key, _spec)
+
+@task("myoHandPenTwirlFixed-v0")
+def fixed_v0() -> PenTwirlTask:
+    """Stand a pen upright in the hand."""
+    return PenTwirlTask()
+
+
+@task("myoHandPenTwirlRandom-v0")
+def random_v0() -> PenTwirlTask:
+    """Turn a pen in the hand to an orientation drawn anew each episode."""
+    return PenTwirlTask(tilt=1.0)
+
+
+@task("myoHandPenTwirlFixed-v1", FREE)
+def fixed() -> PenTwirlTask:
+    """Stand a pen upright in the hand."""
+    return PenTwirlTask(free=True)
+
+
+@task("myoHandPenTwirlRandom-v1", FREE)
+def random() -> PenTwirlTask:
+    """Turn a pen in the hand to an orientation drawn anew each episode."""
+    return PenTwirlTask(tilt=1.0, free=True)

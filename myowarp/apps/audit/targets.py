@@ -189,13 +189,12 @@ def _placed(sim: Simulation, phases: int) -> np.ndarray:
     scene, spec = sim.scene, sim.scene.spec
     objects = object_bodies(scene)
     step_count = wp.zeros(sim.num_worlds, dtype=int, device=scene.device)
-    scratch = [wp.zeros_like(getattr(sim.transition, name)) for name in ("terms", "solved", "failed")]
     models = [_open_hand(sim, world) for world in range(min(sim.num_worlds, NUM_TARGETS))]
     rows: list[list[np.ndarray]] = [[] for _ in models]
     for phase in range(phases):
         step_count.fill_(1 + phase * spec.horizon // phases)
         with wp.ScopedDevice(scene.device):
-            sim.program.score(step_count, *scratch)
+            sim.program.advance(step_count)
         for world, (model, data) in enumerate(models):
             goals = sim.program.goal_markers(world)
             for marker, pos in goals.items():

@@ -44,9 +44,6 @@ class ContactSearch(Stage):
         "the engine does not compare all pairs": lambda scene: (
             scene.model.opt.broadphase != BroadphaseType.NXN
         ),
-        "contacts are off": lambda scene: bool(
-            scene.model.opt.disableflags & (DisableBit.CONSTRAINT | DisableBit.CONTACT)
-        ),
         "sleeping is on": lambda scene: bool(scene.model.opt.enableflags & EnableBit.SLEEP),
         "meshes differ between worlds": lambda scene: scene.model.geom_dataid.shape[0] > 1,
         "there are flexes, distance fields or moving surfaces": lambda scene: bool(
@@ -73,6 +70,8 @@ class ContactSearch(Stage):
         """Find the contacts of all worlds, as `mujoco_warp.collision` does."""
         data.ncollision.zero_()
         data.nacon.zero_()
+        if model.opt.disableflags & (DisableBit.CONSTRAINT | DisableBit.CONTACT):
+            return
         shared = {
             "shapes": filled(Shapes, model, data),
             "material": filled(ContactMaterial, model),

@@ -6,7 +6,7 @@ Source: myo-sim 0.2.3, legacy elbow model, unchanged.
 import mujoco
 from myo_sim import MODELS_DIR
 
-from myowarp.spec.body import BODIES, Body
+from myowarp.spec.body import BODIES, Body, CoarseStep
 
 
 def elbow() -> mujoco.MjSpec:
@@ -15,4 +15,4 @@ def elbow() -> mujoco.MjSpec:
     return mujoco.MjSpec.from_file(str(path))
 
 
-BODIES.add("elbow", Body(elbow, tips=("wrist",)))
+BODIES.add("elbow", Body(elbow, tips=("wrist",), coarse_step=CoarseStep(0.010, 1.0)))

@@ -9,7 +9,7 @@ that can follow the muscles is the condition `exoskeleton` on the plain elbow.
 import mujoco
 from myo_sim import MODELS_DIR
 
-from myowarp.spec.body import BODIES, Body
+from myowarp.spec.body import BODIES, Body, CoarseStep
 
 WEIGHT = "carry_weight"  # name of the weight's body
 
@@ -23,4 +23,4 @@ def elbow_exo() -> mujoco.MjSpec:
     return spec
 
 
-BODIES.add("elbow_exo", Body(elbow_exo, tips=("wrist",)))
+BODIES.add("elbow_exo", Body(elbow_exo, tips=("wrist",), coarse_step=CoarseStep(0.010, 1.0)))

@@ -7,7 +7,7 @@ the file, with which upstream made the motor twins of the finger tasks solvable.
 import mujoco
 from myo_sim import MODELS_DIR
 
-from myowarp.spec.body import BODIES, Body
+from myowarp.spec.body import BODIES, Body, CoarseStep
 
 MOTOR_GEARS = {"extn": 80.0, "adabR": 20.0, "adabL": 20.0, "mflx": 40.0, "dflx": 40.0}  # N per unit
 
@@ -25,5 +25,5 @@ def motor_finger() -> mujoco.MjSpec:
     return spec
 
 
-BODIES.add("finger", Body(finger, tips=("IFtip",)))
+BODIES.add("finger", Body(finger, tips=("IFtip",), coarse_step=CoarseStep(0.020 / 6, 0.6)))
 BODIES.add("motor_finger", Body(motor_finger, tips=("IFtip",)))

@@ -1,0 +1,246 @@
+"""The pose ids: finger, elbow and hand.
+
+Hand poses are a relaxed posture, the ten digits of American Sign Language, and anything between them; version
+0 has MyoSuite 3.0.0's angles, version 1 the published ones (`hand_poses`).
+"""
+
+from dataclasses import replace
+
+from myowarp.spec.task import task
+from myowarp.tasks.hand_poses import DIGITS, RELAXED, as_in_myosuite_3, bounds
+from myowarp.tasks.pose import PoseTask
+
+ELBOW_NEAR = 0.175  # rad
+EXO_EFFORT_WEIGHT = 5.0  # of the muscles; the motor is free
+
+
+def bend_finger() -> PoseTask:
+    """Return the task with one target pose."""
+    pose = (0.0, 0.0, 0.75, 0.75)
+    return PoseTask(body="finger", target_low=pose, target_high=pose, near=0.35)
+
+
+def bend_finger_anywhere() -> PoseTask:
+    """Return the task with a pose drawn anew each episode."""
+    return replace(bend_finger(), target_low=(-0.2, -0.4, 0.1, 0.1), target_high=(0.2, 1.0, 1.0, 1.0))
+
+
+@task("myoFingerPoseFixed-v0")
+def finger_fixed() -> PoseTask:
+    """Bend the finger to one pose."""
+    return bend_finger()
+
+
+@task("myoFingerPoseRandom-v0")
+def finger_random() -> PoseTask:
+    """Bend the finger to a pose drawn anew each episode."""
+    return bend_finger_anywhere()
+
+
+@task("motorFingerPoseFixed-v0")
+def motor_finger_fixed() -> PoseTask:
+    """Bend the finger to one pose."""
+    return replace(bend_finger(), body="motor_finger", num_substeps=5, horizon=200)
+
+
+@task("motorFingerPoseRandom-v0")
+def motor_finger_random() -> PoseTask:
+    """Bend the finger to a pose drawn anew each episode."""
+    return replace(bend_finger_anywhere(), body="motor_finger", num_substeps=5, horizon=200)
+
+
+def turn_elbow(low: float, high: float) -> PoseTask:
+    """Return the task of turning the elbow from a random angle to one between `low` and `high` [rad]."""
+    return PoseTask(body="elbow", target_low=(low,), target_high=(high,), near=ELBOW_NEAR, random_start=True)
+
+
+@task("myoElbowPose1D6MFixed-v0")
+def elbow_fixed() -> PoseTask:
+    """Flex the elbow to 2 rad from a random angle."""
+    return turn_elbow(2.0, 2.0)
+
+
+@task("myoElbowPose1D6MRandom-v0")
+def elbow_random() -> PoseTask:
+    """Turn the elbow from a random angle to a random angle."""
+    return turn_elbow(0.0, 2.27)
+
+
+@task("myoElbowPose1D6MExoFixed-v0")
+def elbow_exo_fixed() -> PoseTask:
+    """Flex the elbow to 2 rad from a random angle, helped by a motor (action 0), with 0.1 kg in the hand."""
+    return replace(turn_elbow(2.0, 2.0), body="elbow_exo", effort_weight=EXO_EFFORT_WEIGHT)
+
+
+@task("myoElbowPose1D6MExoRandom-v0")
+def elbow_exo_random() -> PoseTask:
+    """Turn the elbow from a random to a random angle, helped by a motor (action 0), with 0.1 to 2 kg."""
+    elbow = turn_elbow(0.0, 2.27)
+    return replace(elbow, body="elbow_exo", effort_weight=EXO_EFFORT_WEIGHT, weight=(0.1, 2.0))
+
+
+THUMB_BASE = (
+    "Thumb base angles belong to their axes; in v0, as in MyoSuite 3.0.0, they are swapped and put the thumb"
+    " tip up to 48 mm off. The target stays within the joint ranges."
+)
+
+
+def hand_pose(low: tuple[float, ...], high: tuple[float, ...] | None = None) -> PoseTask:
+    """Return the task of a posture, or of going from a random one to one between `low` and `high` [rad]."""
+    random = high is not None
+    return PoseTask(body="hand", target_low=low, target_high=high or low, near=0.7, random_start=random)
+
+
+def sign_as_in_myosuite_3(digit: int) -> PoseTask:
+    """Return the task of signing a digit, thumb base values swapped."""
+    return hand_pose(as_in_myosuite_3(DIGITS[digit]))
+
+
+def sign(digit: int) -> PoseTask:
+    """Return the task of signing a digit."""
+    return hand_pose(DIGITS[digit])
+
+
+@task("myoHandPoseFixed-v0")
+def hand_fixed_v0() -> PoseTask:
+    """Move the hand to a relaxed posture."""
+    return hand_pose(as_in_myosuite_3(RELAXED))
+
+
+@task("myoHandPose0Fixed-v0")
+def hand_0_v0() -> PoseTask:
+    """Sign the digit 0 in American Sign Language."""
+    return sign_as_in_myosuite_3(0)
+
+
+@task("myoHandPose1Fixed-v0")
+def hand_1_v0() -> PoseTask:
+    """Sign the digit 1 in American Sign Language."""
+    return sign_as_in_myosuite_3(1)
+
+
+@task("myoHandPose2Fixed-v0")
+def hand_2_v0() -> PoseTask:
+    """Sign the digit 2 in American Sign Language."""
+    return sign_as_in_myosuite_3(2)
+
+
+@task("myoHandPose3Fixed-v0")
+def hand_3_v0() -> PoseTask:
+    """Sign the digit 3 in American Sign Language."""
+    return sign_as_in_myosuite_3(3)
+
+
+@task("myoHandPose4Fixed-v0")
+def hand_4_v0() -> PoseTask:
+    """Sign the digit 4 in American Sign Language."""
+    return sign_as_in_myosuite_3(4)
+
+
+@task("myoHandPose5Fixed-v0")
+def hand_5_v0() -> PoseTask:
+    """Sign the digit 5 in American Sign Language."""
+    return sign_as_in_myosuite_3(5)
+
+
+@task("myoHandPose6Fixed-v0")
+def hand_6_v0() -> PoseTask:
+    """Sign the digit 6 in American Sign Language."""
+    return sign_as_in_myosuite_3(6)
+
+
+@task("myoHandPose7Fixed-v0")
+def hand_7_v0() -> PoseTask:
+    """Sign the digit 7 in American Sign Language."""
+    return sign_as_in_myosuite_3(7)
+
+
+@task("myoHandPose8Fixed-v0")
+def hand_8_v0() -> PoseTask:
+    """Sign the digit 8 in American Sign Language."""
+    return sign_as_in_myosuite_3(8)
+
+
+@task("myoHandPose9Fixed-v0")
+def hand_9_v0() -> PoseTask:
+    """Sign the digit 9 in American Sign Language."""
+    return sign_as_in_myosuite_3(9)
+
+
+@task("myoHandPoseRandom-v0")
+def hand_random_v0() -> PoseTask:
+    """Move the hand from a random posture to one drawn between the ten digits."""
+    return hand_pose(*bounds(tuple(map(as_in_myosuite_3, DIGITS))))
+
+
+@task("myoHandPoseFixed-v1", THUMB_BASE)
+def hand_fixed() -> PoseTask:
+    """Move the hand to a relaxed posture."""
+    within = [max(angle, 0.0) if joint == 9 else angle for joint, angle in enumerate(RELAXED)]
+    return hand_pose(tuple(within))
+
+
+@task("myoHandPose0Fixed-v1", THUMB_BASE)
+def hand_0() -> PoseTask:
+    """Sign the digit 0 in American Sign Language."""
+    return sign(0)
+
+
+@task("myoHandPose1Fixed-v1", THUMB_BASE)
+def hand_1() -> PoseTask:
+    """Sign the digit 1 in American Sign Language."""
+    return sign(1)
+
+
+@task("myoHandPose2Fixed-v1", THUMB_BASE)
+def hand_2() -> PoseTask:
+    """Sign the digit 2 in American Sign Language."""
+    return sign(2)
+
+
+@task("myoHandPose3Fixed-v1", THUMB_BASE)
+def hand_3() -> PoseTask:
+    """Sign the digit 3 in American Sign Language."""
+    return sign(3)
+
+
+@task("myoHandPose4Fixed-v1", THUMB_BASE)
+def hand_4() -> PoseTask:
+    """Sign the digit 4 in American Sign Language."""
+    return sign(4)
+
+
+@task("myoHandPose5Fixed-v1", THUMB_BASE)
+def hand_5() -> PoseTask:
+    """Sign the digit 5 in American Sign Language."""
+    return sign(5)
+
+
+@task("myoHandPose6Fixed-v1", THUMB_BASE)
+def hand_6() -> PoseTask:
+    """Sign the digit 6 in American Sign Language."""
+    return sign(6)
+
+
+@task("myoHandPose7Fixed-v1", THUMB_BASE)
+def hand_7() -> PoseTask:
+    """Sign the digit 7 in American Sign Language."""
+    return sign(7)
+
+
+@task("myoHandPose8Fixed-v1", THUMB_BASE)
+def hand_8() -> PoseTask:
+    """Sign the digit 8 in American Sign Language."""
+    return sign(8)
+
+
+@task("myoHandPose9Fixed-v1", THUMB_BASE)
+def hand_9() -> PoseTask:
+    """Sign the digit 9 in American Sign Language."""
+    return sign(9)
+
+
+@task("myoHandPoseRandom-v1", THUMB_BASE)
+def hand_random() -> PoseTask:
+    """Move the hand from a random posture to one drawn between the ten digits."""
+    return hand_pose(*bounds(DIGITS))

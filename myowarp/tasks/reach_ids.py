@@ -1,0 +1,100 @@
+"""The reach ids: finger and hand."""
+
+from dataclasses import replace
+
+from myowarp.spec.task import task
+from myowarp.tasks import reach_targets
+from myowarp.tasks.reach import ReachTask
+
+FINGER_FAR, HAND_FAR, HAND_FAR_FIXED_V0 = 0.35, 0.075, 0.044  # m a tip; MyoSuite 3.0.0
+
+
+def touch_point() -> ReachTask:
+    """Return the finger's task with one target."""
+    point, still = (0.2, 0.05, 0.2), (0.0, 0.0, 0.0)
+    return ReachTask(body="finger", center=point, low=still, high=still, far_per_tip=FINGER_FAR)
+
+
+def touch_points() -> ReachTask:
+    """Return the finger's task with the reachable part of a box as targets."""
+    return ReachTask(
+        body="finger",
+        center=(0.185, 0.0, 0.2),
+        low=(-0.085, -0.1, -0.1),
+        high=(0.085, 0.1, 0.1),
+        far_per_tip=FINGER_FAR,
+        table=reach_targets.sampled,
+    )
+
+
+@task("myoFingerReachFixed-v0")
+def finger_fixed() -> ReachTask:
+    """Touch one point with the fingertip."""
+    return touch_point()
+
+
+@task("myoFingerReachRandom-v0")
+def finger_random() -> ReachTask:
+    """Touch a point drawn anew each episode from the reachable part of a box."""
+    return touch_points()
+
+
+@task("motorFingerReachFixed-v0")
+def motor_finger_fixed() -> ReachTask:
+    """Touch one point with the fingertip."""
+    return replace(touch_point(), body="motor_finger", num_substeps=5, horizon=200)
+
+
+@task("motorFingerReachRandom-v0")
+def motor_finger_random() -> ReachTask:
+    """Touch a point drawn anew each episode from the reachable part of a box."""
+    return replace(touch_points(), body="motor_finger", num_substeps=5, horizon=200)
+
+
+HAND_CENTER = (
+    *(-0.165, -0.537, 1.495),  # thumb
+    *(-0.151, -0.547, 1.455),  # index
+    *(-0.146, -0.547, 1.447),  # middle
+    *(-0.148, -0.543, 1.445),  # ring
+    *(-0.148, -0.528, 1.434),  # little
+)  # m, world: the tips of the paper's start posture, every joint at mid-range
+HAND_LOW = (-0.02, -0.04, -0.04) + 4 * (-0.04, -0.02, -0.01)
+HAND_HIGH = (0.04, 0.02, 0.04) + 4 * (0.04, 0.02, 0.01)
+STILL = (0.0,) * len(HAND_CENTER)
+
+
+def bring_tips(low: tuple[float, ...], high: tuple[float, ...], far_per_tip: float = HAND_FAR) -> ReachTask:
+    """Return the hand's task with targets between `low` and `high` around `HAND_CENTER` [m]."""
+    return ReachTask(body="hand", center=HAND_CENTER, low=low, high=high, far_per_tip=far_per_tip)
+
+
+@task("myoHandReachFixed-v0")
+def hand_fixed_v0() -> ReachTask:
+    """Bring all five fingertips to fixed points."""
+    return bring_tips(STILL, STILL, HAND_FAR_FIXED_V0)
+
+
+@task("myoHandReachFixed-v1")
+def hand_fixed() -> ReachTask:
+    """Bring all five fingertips to fixed points.
+
+    The failure radius is that of the random task: in v0, as in MyoSuite 3.0.0, it was set for another start
+    posture, and a resting hand fails at step 18.
+    """
+    return bring_tips(STILL, STILL)
+
+
+@task("myoHandReachRandom-v0")
+def hand_random_v0() -> ReachTask:
+    """Bring all five fingertips to points drawn anew each episode."""
+    return bring_tips(HAND_LOW, HAND_HIGH)
+
+
+@task("myoHandReachRandom-v1")
+def hand_random() -> ReachTask:
+    """Bring all five fingertips to points drawn anew each episode, all within reach at once.
+
+    In v0, as in MyoSuite 3.0.0, five in six targets are not: the best posture leaves the thumb up to 6 cm
+    off.
+    """
+    return replace(bring_tips(HAND_LOW, HAND_HIGH), table=reach_targets.solved)
