@@ -55,8 +55,8 @@ class Scene:
         num_actions: Actuators that the policy commands, the first ones.
         oracle: Slim model with MuJoCo's built-in muscles, host; what our kernels must reproduce.
         model: Stepped model, stateless actuators.
-        data: State and results of all worlds. Of sites, where stages of ours act, only those of `spec.sites` have
-            their pose in it; `mujoco_warp.kinematics(model, data)` brings up the others.
+        data: State and results of all worlds. Where stages of ours act, only the sites in `spec.sites`
+            have their pose in it; `mujoco_warp.kinematics(model, data)` brings up the others.
         muscles: The muscles of all worlds.
         keys: What random numbers are drawn from.
         qpos_start: Start configuration of an episode, shape (nq,).
