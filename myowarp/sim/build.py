@@ -1,5 +1,7 @@
 """Scenes: from a task to a compiled model with all arrays allocated."""
 
+import contextlib
+import inspect
 import math
 from collections.abc import Callable, Iterable
 from functools import lru_cache
@@ -83,13 +85,22 @@ def full_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco
     return full_spec(spec, conditions).compile()
 
 
-def source_digest(*more: Path) -> str:
-    """Return a digest of the code that builds scenes, and of `more` files: an edit renews the cache."""
+def source_digest(spec: TaskSpec, conditions: tuple[Condition, ...] = (), more: Iterable[Path] = ()) -> str:
+    """Return a digest of the code that a scene depends on: an edit renews what is kept on disk.
+
+    Args:
+        spec: The task; the files that define it and its body count, wherever they are.
+        conditions: Muscle conditions; so do theirs.
+        more: More files.
+    """
     package = Path(__file__).parents[1]
     files = [Path(__file__), package / "models/slim.py", package / "spec/parameter.py", *more]
     files += [*sorted(package.glob("tasks/*.py")), *sorted(package.glob("models/bodies/*.py"))]
     files += sorted(package.glob("models/conditions/*.py"))
-    return files_digest(files)
+    for definer in (type(spec), BODIES[spec.body].build, *map(type, conditions)):
+        with contextlib.suppress(TypeError, OSError):  # not written in a file
+            files.append(Path(inspect.getsourcefile(definer) or __file__))
+    return files_digest(dict.fromkeys(files))
 
 
 def _cached_model(
@@ -101,7 +112,7 @@ def _cached_model(
     edits = tuple(condition for condition in conditions if condition.scene_key)
     key = (spec.scene_key, *(condition.scene_key for condition in edits))
     return cached(
-        (make.__name__, key, source_digest()),
+        (make.__name__, key, source_digest(spec, edits)),
         ".mjb",
         make=lambda: make(spec, edits),
         save=mujoco.mj_saveModel,
