@@ -29,6 +29,19 @@ class Anatomy:
     transmission: wp.array2d[float]
 
 
+BiasParams = wp.types.vector(10, float)
+"""MuJoCo's `biasprm`."""
+
+
+@wp.func
+def affine_bias(tension: float, damping: float, velocity: float) -> BiasParams:
+    """b0 = damping velocity - tension, b2 = -damping: b0 + b1 length + b2 velocity = -tension."""
+    bias = BiasParams()
+    bias[0] = damping * velocity - tension
+    bias[2] = -damping
+    return bias
+
+
 @wp.kernel(enable_backward=False)
 def restore_anatomy(
     # Out:
@@ -68,7 +81,9 @@ class MuscleModel(abc.ABC):
         is_muscle = model.actuator_dyntype == mjtDyn.mjDYN_MUSCLE
         self.actuator_id = np.flatnonzero(is_muscle).astype(np.int32)
         self.names = tuple(model.actuator(i).name for i in self.actuator_id)
-        self.activation = wp.zeros((num_worlds, len(self.names)), dtype=float)
+        shape = (num_worlds, len(self.names))
+        for name in ("activation", "tension", "length", "velocity", "damping"):
+            setattr(self, name, wp.zeros(shape, dtype=float))
         self.workload = wp.zeros((0, 0), dtype=float)
         self.anatomy = Anatomy()
         self._set_anatomy(1)

@@ -10,19 +10,14 @@ forces agree with MuJoCo C to 1e-5 of the peak; the engine's lengths, in float32
 muscles of the hand (tests/test_muscles.py).
 """
 
-from pathlib import Path
-
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
-from mujoco_warp._src.types import vec10
 
-from myowarp.kernels.activation import ACTIVATION
 from myowarp.kernels.batching import batched, num_threads
-from myowarp.kernels.curves import CURVES
 from myowarp.kernels.reset import masked_fill
-from myowarp.spec.muscle import MUSCLES, Anatomy, MuscleModel
+from myowarp.spec.muscle import MUSCLES, Anatomy, BiasParams, MuscleModel, affine_bias
 
 
 @wp.struct
@@ -68,28 +63,119 @@ class MujocoMuscleParams:
     passive_multiplier: wp.array2d[float]
 
 
-SOURCE = Path(__file__).with_suffix(".cpp").read_text()
+TINY = wp.constant(1e-15)
+"""Instead of a zero that is divided by."""
+
+LEAST_EXPONENT = wp.constant(-87.0)
+"""Where e^x leaves float32."""
 
 
-@wp.func_native(CURVES + ACTIVATION + SOURCE)
-def contract(
-    world: int,
-    thread: int,
-    threads: int,
-    params: MujocoMuscleParams,
-    anatomy: Anatomy,
-    dt: float,
-    midstep: bool,
-    implicitness: float,
-    ctrl: wp.array2d[float],
-    actuator_length: wp.array2d[float],
-    actuator_velocity: wp.array2d[float],
-    activation: wp.array2d[float],
-    workload: wp.array2d[float],
-    actuator_biasprm: wp.array2d[vec10],
-):
-    """Let a world's muscles act, every `threads`-th of them or of their groups; see `mujoco_muscle`."""
-    ...
+@wp.func
+def of_world(values: wp.array2d[float], worldid: int, muscleid: int) -> float:
+    """values[world, muscle], or values[0, muscle] where all worlds have the same."""
+    return values[batched(worldid, values.shape[0]), muscleid]
+
+
+@wp.func
+def activation_rate(
+    excitation: float,
+    activation: float,
+    activation_time_constant: float,
+    deactivation_time_constant: float,
+    smoothing_width: float,
+) -> float:
+    """da/dt = (u - a) / tau [1/s], tau = tau_act (0.5 + 1.5 a) if u > a, else tau_deact / (0.5 + 1.5 a).
+
+    Source: Millard, Uchida, Seth, Delp (2013), doi:10.1115/1.4023390, eq. 1-2. MuJoCo adds a quintic step
+    from the one tau to the other over a width of u - a; width 0 is theirs.
+    """
+    scale = 0.5 + 1.5 * wp.clamp(activation, 0.0, 1.0)
+    rise = activation_time_constant * scale
+    fall = deactivation_time_constant / scale
+    difference = excitation - activation
+    time_constant = wp.where(difference > 0.0, rise, fall)
+    if smoothing_width > 0.0:
+        x = wp.clamp(difference / smoothing_width + 0.5, 0.0, 1.0)
+        time_constant = fall + (rise - fall) * (x * x * x * (x * (6.0 * x - 15.0) + 10.0))
+    return difference / wp.max(time_constant, TINY)
+
+
+@wp.func
+def activation_after(
+    time: float,
+    excitation: float,
+    activation: float,
+    activation_time_constant: float,
+    deactivation_time_constant: float,
+) -> float:
+    """a(t) of `activation_rate` with constant u and smoothing width 0, solved exactly.
+
+    u - a keeps its sign. With c = 0.5 + 1.5 u, w = 1.5 (u - a) and x = ln(w / w_0):
+
+        rising:   c x - w_0 (e^x - 1) = -t / tau_act,
+        falling:  w / (c - w) = w_0 / (c - w_0) exp(-c t / tau_deact).
+
+    Two steps of Halley's method find x, from where the rate half way on leads; 4e-9 is left after t = 2 tau.
+    """
+    c = 0.5 + 1.5 * excitation
+    w0 = 1.5 * (excitation - activation)
+    if w0 <= 0.0:
+        ratio = w0 / (c - w0) * wp.exp(-c * time / wp.max(deactivation_time_constant, TINY))
+        return excitation - c * ratio / (1.5 * (1.0 + ratio))
+    duration = time / wp.max(activation_time_constant, TINY)
+    half = 0.5 * duration / (c - w0)
+    x = wp.max(-duration / (c - w0 / (1.0 + half + 0.5 * half * half)), LEAST_EXPONENT)
+    for _ in range(2):
+        w = w0 * wp.exp(x)
+        excess = c * x - w + w0 + duration
+        slope = c - w
+        x = wp.max(x - excess * slope / (slope * slope + 0.5 * excess * w), LEAST_EXPONENT)
+    return excitation - w0 * wp.exp(x) / 1.5
+
+
+@wp.func
+def active_force_length_multiplier(
+    norm_length: float, min_norm_length: float, max_norm_length: float
+) -> float:
+    """f_L(l) in [0, 1]: 1 - 2 x^2 up to x = 1/2, then 2 (1 - x)^2, 0 from x = 1 on.
+
+    x is the way from 1 to where the force ends, l_min or l_max, as a share.
+    """
+    end = wp.where(norm_length < 1.0, 1.0 - min_norm_length, max_norm_length - 1.0)
+    x = wp.abs(1.0 - norm_length) / end
+    if x < 0.5:
+        return 1.0 - 2.0 * x * x
+    rest = wp.max(1.0 - x, 0.0)
+    return 2.0 * rest * rest
+
+
+@wp.func
+def force_velocity_multiplier(norm_velocity: float, eccentric_multiplier: float) -> float:
+    """f_V(v): (v + 1)^2 from -1 to 0, then f - (f - 1 - v)^2 / (f - 1), f = f_Vmax from v = f - 1 on."""
+    if norm_velocity <= 0.0:
+        rise = wp.max(norm_velocity + 1.0, 0.0)
+        return rise * rise
+    saturation = eccentric_multiplier - 1.0
+    rest = wp.max(saturation - norm_velocity, 0.0)
+    return eccentric_multiplier - rest * (rest / wp.max(saturation, TINY))
+
+
+@wp.func
+def force_velocity_slope(norm_velocity: float, eccentric_multiplier: float) -> float:
+    """df_V/dv >= 0: 2 (v + 1) from -1 to 0, then 2 (f - 1 - v) / (f - 1), 0 outside."""
+    if norm_velocity <= 0.0:
+        return 2.0 * wp.max(norm_velocity + 1.0, 0.0)
+    saturation = eccentric_multiplier - 1.0
+    return 2.0 * (wp.max(saturation - norm_velocity, 0.0) / wp.max(saturation, TINY))
+
+
+@wp.func
+def passive_force_multiplier(
+    norm_length: float, passive_max_norm_length: float, passive_multiplier: float
+) -> float:
+    """f_P(l) = f x^2 / 2 up to x = 1, then f (x - 1/2), with x = 2 (l - 1) / (l_max - 1); 0 up to l = 1."""
+    x = 2.0 * wp.max(norm_length - 1.0, 0.0) / wp.max(passive_max_norm_length - 1.0, TINY)
+    return passive_multiplier * wp.where(x <= 1.0, 0.5 * x * x, x - 0.5)
 
 
 @wp.kernel(enable_backward=False)
@@ -110,30 +196,68 @@ def mujoco_muscle(
     # Out:
     activation: wp.array2d[float],
     workload: wp.array2d[float],
-    actuator_biasprm: wp.array2d[vec10],
+    tension: wp.array2d[float],
+    length: wp.array2d[float],
+    velocity: wp.array2d[float],
+    damping: wp.array2d[float],
+    actuator_biasprm: wp.array2d[BiasParams],
 ):
-    """F from the present activation; then a += dt da/dt, in MuJoCo's order. Midstep: F from a(t + dt/2).
+    """T = transmission (a s F_max f_L f_V + F_Pmax f_P) from the present a; then a += dt da/dt.
 
-    The workload is the integral of a f_L f_V [s]; F is written as b0 + b2 velocity (`MuscleModel`).
+    Midstep: T from a(t + dt/2), both solved exactly where the smoothing width is 0. The workload is the
+    integral of a f_L f_V [s].
     """
     worldid, thread = wp.tid()
     dt = opt_timestep[batched(worldid, opt_timestep.shape[0])]
-    contract(
-        worldid,
-        thread,
-        threads,
-        params,
-        anatomy,
-        dt,
-        midstep,
-        implicitness,
-        ctrl_in,
-        actuator_length_in,
-        actuator_velocity_in,
-        activation,
-        workload,
-        actuator_biasprm,
-    )
+    for m in range(thread, activation.shape[1], threads):
+        path = anatomy.path[batched(worldid, anatomy.path.shape[0]), m]
+        bounds = params.excitation_range[batched(worldid, params.excitation_range.shape[0]), m]
+        excitation = wp.clamp(ctrl_in[worldid, params.actuator_id[m]], bounds[0], bounds[1])
+        tau_act = of_world(params.activation_time_constant, worldid, m)
+        tau_deact = of_world(params.deactivation_time_constant, worldid, m)
+        width = of_world(params.smoothing_width, worldid, m)
+        a = activation[worldid, m]
+        if midstep and width == 0.0:
+            activation[worldid, m] = activation_after(dt, excitation, a, tau_act, tau_deact)
+            a = activation_after(0.5 * dt, excitation, a, tau_act, tau_deact)
+        else:
+            activation[worldid, m] = a + dt * activation_rate(excitation, a, tau_act, tau_deact, width)
+
+        musculotendon_length = actuator_length_in[worldid, path]
+        musculotendon_velocity = actuator_velocity_in[worldid, path]
+        optimal = of_world(params.optimal_fiber_length, worldid, m)
+        max_velocity = optimal * of_world(params.max_contraction_velocity, worldid, m)
+        norm_length = (musculotendon_length - of_world(params.tendon_slack_length, worldid, m)) / optimal
+        norm_velocity = musculotendon_velocity / max_velocity
+        eccentric = of_world(params.eccentric_multiplier, worldid, m)
+        f_l = active_force_length_multiplier(
+            norm_length,
+            of_world(params.min_norm_length, worldid, m),
+            of_world(params.max_norm_length, worldid, m),
+        )
+        f_v = force_velocity_multiplier(norm_velocity, eccentric)
+        passive_slack = of_world(params.passive_slack_length, worldid, m)
+        f_p = passive_force_multiplier(
+            (musculotendon_length - passive_slack) / of_world(params.passive_optimal_length, worldid, m),
+            of_world(params.passive_max_norm_length, worldid, m),
+            of_world(params.passive_multiplier, worldid, m),
+        )
+        strength = of_world(anatomy.strength, worldid, m)
+        transmission = of_world(anatomy.transmission, worldid, m)
+        isometric = a * strength * of_world(params.max_isometric_force, worldid, m) * f_l
+        passive = of_world(params.passive_peak_force, worldid, m) * f_p
+        pull = transmission * (isometric * f_v + passive)
+        slope = float(0.0)  # an explicit integrator has no use for it
+        if implicitness > 0.0:
+            dforce = isometric * force_velocity_slope(norm_velocity, eccentric) / max_velocity
+            slope = implicitness * transmission * dforce
+        tension[worldid, m] = pull
+        length[worldid, m] = musculotendon_length
+        velocity[worldid, m] = musculotendon_velocity
+        damping[worldid, m] = slope
+        actuator_biasprm[worldid, path] = affine_bias(pull, slope, musculotendon_velocity)
+        if workload.shape[0] > 0:
+            workload[worldid, m] += dt * (a * f_l * f_v)
 
 
 def peak_force(prm: np.ndarray, acc0: np.ndarray) -> np.ndarray:
@@ -184,8 +308,11 @@ class MujocoMuscle(MuscleModel):
     """MuJoCo's muscle in a kernel of ours; parameters are read from a compiled `mujoco.MjModel`.
 
     Attributes:
+        cpu_kernel: Kernel on the CPU; `mujoco_muscle`, or what computes the same sooner.
         params: The parameters, editable in place.
     """
+
+    cpu_kernel: wp.Kernel = mujoco_muscle
 
     def __init__(self, model: mujoco.MjModel, num_worlds: int) -> None:
         """Read the parameters of every actuator with muscle dynamics."""
@@ -246,7 +373,7 @@ class MujocoMuscle(MuscleModel):
         num_worlds, num_muscles = self.activation.shape
         threads = num_threads(self.activation.device, num_muscles)
         wp.launch(
-            mujoco_muscle,
+            self.cpu_kernel if self.activation.device.is_cpu else mujoco_muscle,
             dim=(num_worlds, threads),
             inputs=[
                 model.opt.timestep,
@@ -259,7 +386,15 @@ class MujocoMuscle(MuscleModel):
                 threads,
                 self.anatomy,
             ],
-            outputs=[self.activation, self.workload, model.actuator_biasprm],
+            outputs=[
+                self.activation,
+                self.workload,
+                self.tension,
+                self.length,
+                self.velocity,
+                self.damping,
+                model.actuator_biasprm,
+            ],
         )
 
     def reset(self, mask: wp.array) -> None:
@@ -267,4 +402,4 @@ class MujocoMuscle(MuscleModel):
         masked_fill(mask, self.activation, 0.0)
 
 
-MUSCLES.add("mujoco", MujocoMuscle)
+MUSCLES.add("mujoco_readable", MujocoMuscle)
