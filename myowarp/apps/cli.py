@@ -15,6 +15,8 @@ from rich.progress import track
 from rich.table import Column, Table
 
 from myowarp.opensim.command import Convert
+from myowarp.spec.muscle import MUSCLES
+from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.task import TASKS
 from myowarp.tasks.variants import find_variant
 
@@ -123,6 +125,10 @@ class Rollout:
     """Warp device, such as cpu or cuda:0; by default the GPU if there is one."""
     physics: str = "parity"
     """parity (MyoSuite's integrator and step) or fast (implicit, twice the step)."""
+    muscle: Annotated[str, tyro.conf.arg(metavar="{" + ",".join(MUSCLES) + "}")] = "mujoco"
+    """Muscle model."""
+    muscle_parameters: Path | None = None
+    """Muscle parameters in place of the model's, .csv: column `muscle`, and one for each parameter."""
     reset: str | None = None
     """What episodes start from: task, fixed, random or none; by default what the id says."""
     conditions: tuple[str, ...] = ()
@@ -162,12 +168,14 @@ class Rollout:
         check_output(self.save, ".npz")
         check_output(self.video, ".mp4")
         check_recording(self.signals)
+        muscle = MuscleTable.read(self.muscle, self.muscle_parameters)
         console = Console(stderr=True)
         env = MyoWarpVectorEnv(
             spec.key,
             self.num_worlds,
             device=self.device,
             physics=self.physics,
+            muscle=muscle,
             reset=self.reset or variant.reset,
             conditions=(*variant.conditions, *self.conditions),
             autoreset_mode="same_step",

@@ -10,14 +10,18 @@ forces agree with MuJoCo C to 1e-5 of the peak; the engine's lengths, in float32
 muscles of the hand (tests/test_muscles.py).
 """
 
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.kernels.batching import batched, num_threads
-from myowarp.kernels.reset import masked_fill
-from myowarp.spec.muscle import MUSCLES, Anatomy, BiasParams, MuscleModel, affine_bias
+from myowarp.kernels.batching import batched, num_threads, of_world
+from myowarp.kernels.launch import launch
+from myowarp.spec.muscle import MUSCLES, Anatomy, BiasParams, MuscleModel, MuscleResults, affine_bias
 
 
 @wp.struct
@@ -68,12 +72,6 @@ TINY = wp.constant(1e-15)
 
 LEAST_EXPONENT = wp.constant(-87.0)
 """Where e^x leaves float32."""
-
-
-@wp.func
-def of_world(values: wp.array2d[float], worldid: int, muscleid: int) -> float:
-    """values[world, muscle], or values[0, muscle] where all worlds have the same."""
-    return values[batched(worldid, values.shape[0]), muscleid]
 
 
 @wp.func
@@ -178,6 +176,59 @@ def passive_force_multiplier(
     return passive_multiplier * wp.where(x <= 1.0, 0.5 * x * x, x - 0.5)
 
 
+@wp.func
+def activation_step(
+    dt: float,
+    midstep: bool,
+    excitation: float,
+    activation: float,
+    activation_time_constant: float,
+    deactivation_time_constant: float,
+    smoothing_width: float,
+) -> wp.vec2:
+    """(a that pulls, a after dt): a and a + dt da/dt, or a(t + dt/2) and a(t + dt) where they are known."""
+    if midstep and smoothing_width == 0.0:
+        tau_act, tau_deact = activation_time_constant, deactivation_time_constant
+        return wp.vec2(
+            activation_after(0.5 * dt, excitation, activation, tau_act, tau_deact),
+            activation_after(dt, excitation, activation, tau_act, tau_deact),
+        )
+    rate = activation_rate(
+        excitation, activation, activation_time_constant, deactivation_time_constant, smoothing_width
+    )
+    return wp.vec2(activation, activation + dt * rate)
+
+
+@wp.func
+def active_multipliers(
+    params: MujocoMuscleParams, worldid: int, muscleid: int, length: float, velocity: float
+) -> wp.vec3:
+    """(f_L(l), f_V(v), df_V/dvelocity), l = (length - l_T) / l_0, v = velocity / (l_0 v_max)."""
+    optimal = of_world(params.optimal_fiber_length, worldid, muscleid)
+    max_velocity = optimal * of_world(params.max_contraction_velocity, worldid, muscleid)
+    norm_length = (length - of_world(params.tendon_slack_length, worldid, muscleid)) / optimal
+    norm_velocity = velocity / max_velocity
+    min_norm_length = of_world(params.min_norm_length, worldid, muscleid)
+    max_norm_length = of_world(params.max_norm_length, worldid, muscleid)
+    eccentric = of_world(params.eccentric_multiplier, worldid, muscleid)
+    return wp.vec3(
+        active_force_length_multiplier(norm_length, min_norm_length, max_norm_length),
+        force_velocity_multiplier(norm_velocity, eccentric),
+        force_velocity_slope(norm_velocity, eccentric) / max_velocity,
+    )
+
+
+@wp.func
+def passive_force(params: MujocoMuscleParams, worldid: int, muscleid: int, length: float) -> float:
+    """F_Pmax f_P(l) [N], l = (length - l_T) / l_0 of the passive part."""
+    slack = of_world(params.passive_slack_length, worldid, muscleid)
+    norm_length = (length - slack) / of_world(params.passive_optimal_length, worldid, muscleid)
+    max_norm_length = of_world(params.passive_max_norm_length, worldid, muscleid)
+    multiplier = of_world(params.passive_multiplier, worldid, muscleid)
+    peak = of_world(params.passive_peak_force, worldid, muscleid)
+    return peak * passive_force_multiplier(norm_length, max_norm_length, multiplier)
+
+
 @wp.kernel(enable_backward=False)
 def mujoco_muscle(
     # Model:
@@ -195,69 +246,44 @@ def mujoco_muscle(
     anatomy: Anatomy,
     # Out:
     activation: wp.array2d[float],
-    workload: wp.array2d[float],
-    tension: wp.array2d[float],
-    length: wp.array2d[float],
-    velocity: wp.array2d[float],
-    damping: wp.array2d[float],
+    results: MuscleResults,
     actuator_biasprm: wp.array2d[BiasParams],
 ):
-    """T = transmission (a s F_max f_L f_V + F_Pmax f_P) from the present a; then a += dt da/dt.
+    """T = transmission (a s F_max f_L f_V + F_Pmax f_P), damping = implicitness dT/dvelocity; a(t + dt).
 
-    Midstep: T from a(t + dt/2), both solved exactly where the smoothing width is 0. The workload is the
-    integral of a f_L f_V [s].
+    The workload is the integral of a f_L f_V [s].
     """
     worldid, thread = wp.tid()
     dt = opt_timestep[batched(worldid, opt_timestep.shape[0])]
     for m in range(thread, activation.shape[1], threads):
-        path = anatomy.path[batched(worldid, anatomy.path.shape[0]), m]
         bounds = params.excitation_range[batched(worldid, params.excitation_range.shape[0]), m]
-        excitation = wp.clamp(ctrl_in[worldid, params.actuator_id[m]], bounds[0], bounds[1])
-        tau_act = of_world(params.activation_time_constant, worldid, m)
-        tau_deact = of_world(params.deactivation_time_constant, worldid, m)
-        width = of_world(params.smoothing_width, worldid, m)
-        a = activation[worldid, m]
-        if midstep and width == 0.0:
-            activation[worldid, m] = activation_after(dt, excitation, a, tau_act, tau_deact)
-            a = activation_after(0.5 * dt, excitation, a, tau_act, tau_deact)
-        else:
-            activation[worldid, m] = a + dt * activation_rate(excitation, a, tau_act, tau_deact, width)
-
-        musculotendon_length = actuator_length_in[worldid, path]
-        musculotendon_velocity = actuator_velocity_in[worldid, path]
-        optimal = of_world(params.optimal_fiber_length, worldid, m)
-        max_velocity = optimal * of_world(params.max_contraction_velocity, worldid, m)
-        norm_length = (musculotendon_length - of_world(params.tendon_slack_length, worldid, m)) / optimal
-        norm_velocity = musculotendon_velocity / max_velocity
-        eccentric = of_world(params.eccentric_multiplier, worldid, m)
-        f_l = active_force_length_multiplier(
-            norm_length,
-            of_world(params.min_norm_length, worldid, m),
-            of_world(params.max_norm_length, worldid, m),
+        steps = activation_step(
+            dt,
+            midstep,
+            wp.clamp(ctrl_in[worldid, params.actuator_id[m]], bounds[0], bounds[1]),
+            activation[worldid, m],
+            of_world(params.activation_time_constant, worldid, m),
+            of_world(params.deactivation_time_constant, worldid, m),
+            of_world(params.smoothing_width, worldid, m),
         )
-        f_v = force_velocity_multiplier(norm_velocity, eccentric)
-        passive_slack = of_world(params.passive_slack_length, worldid, m)
-        f_p = passive_force_multiplier(
-            (musculotendon_length - passive_slack) / of_world(params.passive_optimal_length, worldid, m),
-            of_world(params.passive_max_norm_length, worldid, m),
-            of_world(params.passive_multiplier, worldid, m),
-        )
+        pathid = anatomy.path[batched(worldid, anatomy.path.shape[0]), m]
+        length, velocity = actuator_length_in[worldid, pathid], actuator_velocity_in[worldid, pathid]
+        active = active_multipliers(params, worldid, m, length, velocity)
         strength = of_world(anatomy.strength, worldid, m)
         transmission = of_world(anatomy.transmission, worldid, m)
-        isometric = a * strength * of_world(params.max_isometric_force, worldid, m) * f_l
-        passive = of_world(params.passive_peak_force, worldid, m) * f_p
-        pull = transmission * (isometric * f_v + passive)
-        slope = float(0.0)  # an explicit integrator has no use for it
+        isometric = steps[0] * strength * of_world(params.max_isometric_force, worldid, m) * active[0]
+        tension = transmission * (isometric * active[1] + passive_force(params, worldid, m, length))
+        damping = float(0.0)  # an explicit integrator has no use for it; b0 + b2 velocity would only round
         if implicitness > 0.0:
-            dforce = isometric * force_velocity_slope(norm_velocity, eccentric) / max_velocity
-            slope = implicitness * transmission * dforce
-        tension[worldid, m] = pull
-        length[worldid, m] = musculotendon_length
-        velocity[worldid, m] = musculotendon_velocity
-        damping[worldid, m] = slope
-        actuator_biasprm[worldid, path] = affine_bias(pull, slope, musculotendon_velocity)
-        if workload.shape[0] > 0:
-            workload[worldid, m] += dt * (a * f_l * f_v)
+            damping = implicitness * transmission * isometric * active[2]
+        activation[worldid, m] = steps[1]
+        results.tension[worldid, m] = tension
+        results.length[worldid, m] = length
+        results.velocity[worldid, m] = velocity
+        results.damping[worldid, m] = damping
+        if results.workload.shape[0] > 0:
+            results.workload[worldid, m] += dt * (steps[0] * active[0] * active[1])
+        actuator_biasprm[worldid, pathid] = affine_bias(tension, damping, velocity)
 
 
 def peak_force(prm: np.ndarray, acc0: np.ndarray) -> np.ndarray:
@@ -308,15 +334,32 @@ class MujocoMuscle(MuscleModel):
     """MuJoCo's muscle in a kernel of ours; parameters are read from a compiled `mujoco.MjModel`.
 
     Attributes:
-        cpu_kernel: Kernel on the CPU; `mujoco_muscle`, or what computes the same sooner.
         params: The parameters, editable in place.
     """
 
-    cpu_kernel: wp.Kernel = mujoco_muscle
+    PARAMETERS: ClassVar[Mapping[str, tuple[float, float]]] = {
+        "activation_time_constant": (0.0, math.inf),
+        "deactivation_time_constant": (0.0, math.inf),
+        "smoothing_width": (0.0, math.inf),
+        "max_isometric_force": (0.0, math.inf),
+        "optimal_fiber_length": (1e-6, math.inf),
+        "tendon_slack_length": (-math.inf, math.inf),
+        "min_norm_length": (0.0, 0.999),
+        "max_norm_length": (1.001, math.inf),
+        "max_contraction_velocity": (1e-6, math.inf),
+        "eccentric_multiplier": (1.0, math.inf),
+        "passive_peak_force": (0.0, math.inf),
+        "passive_optimal_length": (1e-6, math.inf),
+        "passive_slack_length": (-math.inf, math.inf),
+        "passive_max_norm_length": (1.001, math.inf),
+        "passive_multiplier": (0.0, math.inf),
+    }
 
-    def __init__(self, model: mujoco.MjModel, num_worlds: int) -> None:
-        """Read the parameters of every actuator with muscle dynamics."""
-        super().__init__(model, num_worlds)
+    def __init__(
+        self, model: mujoco.MjModel, num_worlds: int, parameters: Mapping[str, np.ndarray] | None = None
+    ) -> None:
+        """Read the parameters of every actuator with muscle dynamics; see `MuscleModel`."""
+        super().__init__(model, num_worlds, parameters)
         ids = self.actuator_id
         gain, bias = model.actuator_gainprm[ids], model.actuator_biasprm[ids]
         dyn, acc0 = model.actuator_dynprm[ids], model.actuator_acc0[ids]
@@ -329,9 +372,9 @@ class MujocoMuscle(MuscleModel):
         self.params = MujocoMuscleParams()
         self.params.actuator_id = wp.array(ids, dtype=int)
         self.params.excitation_range = wp.array(bounds[None], dtype=wp.vec2)
+        self.params.activation_time_constant = self.activation_time_constant
+        self.params.deactivation_time_constant = self.deactivation_time_constant
         for name, values in {
-            "activation_time_constant": dyn[:, 0],
-            "deactivation_time_constant": dyn[:, 1],
             "smoothing_width": dyn[:, 2],
             "max_isometric_force": peak_force(gain, acc0),
             "optimal_fiber_length": optimal,
@@ -346,14 +389,18 @@ class MujocoMuscle(MuscleModel):
             "passive_max_norm_length": bias[:, 5],
             "passive_multiplier": bias[:, 7],
         }.items():
-            setattr(self.params, name, wp.array(values[None], dtype=float))
+            setattr(self.params, name, self._parameter(name, values))
 
     def individualize(self) -> None:
         """Give every world an anatomy and length scales of its own."""
         super().individualize()
         for name in LENGTHS:
-            values = np.repeat(getattr(self.params, name).numpy(), self.activation.shape[0], axis=0)
-            setattr(self.params, name, wp.array(values, dtype=float))
+            values = np.broadcast_to(getattr(self.params, name).numpy(), self.activation.shape)
+            setattr(self.params, name, wp.array(values.copy(), dtype=float))
+
+    def record_workload(self) -> None:
+        """Integrate the workload from now on; see `MuscleModel.record_workload`."""
+        self.workload = wp.zeros_like(self.activation)
 
     def set_length_range(self, muscleid: int, length_range: tuple[float, float], mask: wp.array) -> None:
         """Launch `set_length_scale`; see `MuscleModel.set_length_range`."""
@@ -370,36 +417,16 @@ class MujocoMuscle(MuscleModel):
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Engine callback; see `MuscleModel.launch`."""
-        num_worlds, num_muscles = self.activation.shape
-        threads = num_threads(self.activation.device, num_muscles)
-        wp.launch(
-            self.cpu_kernel if self.activation.device.is_cpu else mujoco_muscle,
-            dim=(num_worlds, threads),
-            inputs=[
-                model.opt.timestep,
-                self.params,
-                data.ctrl,
-                data.actuator_length,
-                data.actuator_velocity,
-                self.implicitness,
-                self.midstep,
-                threads,
-                self.anatomy,
-            ],
-            outputs=[
-                self.activation,
-                self.workload,
-                self.tension,
-                self.length,
-                self.velocity,
-                self.damping,
-                model.actuator_biasprm,
-            ],
+        threads = num_threads(self.activation.device, self.activation.shape[1])
+        launch(
+            mujoco_muscle,
+            (self.activation.shape[0], threads),
+            self,
+            data,
+            model,
+            opt_timestep=model.opt.timestep,
+            threads=threads,
         )
-
-    def reset(self, mask: wp.array) -> None:
-        """Set the activation of the worlds of `mask` to 0."""
-        masked_fill(mask, self.activation, 0.0)
 
 
 MUSCLES.add("mujoco_readable", MujocoMuscle)

@@ -55,11 +55,7 @@ auto quadratic_passive_force = [](float length, float lmax, float fpmax) {
 // Muscles go in groups, as many as a SIMD register has lanes: a third of the time that one after the other
 // takes. On CUDA every muscle has a thread of its own.
 
-#if defined(__CUDA_ARCH__)
-constexpr int LANES = 1;
-#else
 constexpr int LANES = 8;
-#endif
 struct Lanes {
     float lane[LANES];
     CUDA_CALLABLE float& operator[](int k) { return lane[k]; }
@@ -75,13 +71,13 @@ const float* length_of = &wp::index(actuator_length, world, 0);
 const float* velocity_of = &wp::index(actuator_velocity, world, 0);
 float* a = &wp::index(activation, world, 0);
 auto* bias = row(actuator_biasprm);
-float* tension_to = &wp::index(tension, world, 0);
-float* length_to = &wp::index(musculotendon_length, world, 0);
-float* velocity_to = &wp::index(musculotendon_velocity, world, 0);
-float* damping_to = &wp::index(damping, world, 0);
-float* work = workload.shape[0] > 0 ? &wp::index(workload, world, 0) : nullptr;
+float* tension_to = &wp::index(results.tension, world, 0);
+float* length_to = &wp::index(results.length, world, 0);
+float* velocity_to = &wp::index(results.velocity, world, 0);
+float* damping_to = &wp::index(results.damping, world, 0);
+float* work = results.workload.shape[0] > 0 ? &wp::index(results.workload, world, 0) : nullptr;
 
-for (int first = thread * LANES; first < num_muscles; first += threads * LANES) {
+for (int first = 0; first < num_muscles; first += LANES) {
     auto muscle = [&](int k) { return wp::min(first + k, num_muscles - 1); };  // the last one fills up
     const bool whole = first + LANES <= num_muscles;
     auto load = [&](const float* from) {

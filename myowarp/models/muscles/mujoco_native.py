@@ -6,19 +6,19 @@ The twin pays for itself: with the readable kernel a control step of 256 hands t
 
 from pathlib import Path
 
+import mujoco_warp as mjw
 import warp as wp
 
 from myowarp.kernels.batching import batched
 from myowarp.kernels.decay import DECAY
+from myowarp.kernels.launch import launch
 from myowarp.models.muscles.mujoco import MujocoMuscle, MujocoMuscleParams
-from myowarp.spec.muscle import MUSCLES, Anatomy, BiasParams
+from myowarp.spec.muscle import MUSCLES, Anatomy, BiasParams, MuscleResults
 
 
 @wp.func_native(DECAY + Path(__file__).with_suffix(".cpp").read_text())
 def contract(
     world: int,
-    thread: int,
-    threads: int,
     params: MujocoMuscleParams,
     anatomy: Anatomy,
     dt: float,
@@ -28,14 +28,10 @@ def contract(
     actuator_length: wp.array2d[float],
     actuator_velocity: wp.array2d[float],
     activation: wp.array2d[float],
-    workload: wp.array2d[float],
-    tension: wp.array2d[float],
-    musculotendon_length: wp.array2d[float],
-    musculotendon_velocity: wp.array2d[float],
-    damping: wp.array2d[float],
+    results: MuscleResults,
     actuator_biasprm: wp.array2d[BiasParams],
 ):
-    """Let a world's muscles act, every `threads`-th of them or of their groups; see `mujoco_muscle`."""
+    """Let the muscles of a world act; see `mujoco_muscle`."""
     ...
 
 
@@ -52,24 +48,17 @@ def native_mujoco_muscle(
     # In:
     implicitness: float,
     midstep: bool,
-    threads: int,
     anatomy: Anatomy,
     # Out:
     activation: wp.array2d[float],
-    workload: wp.array2d[float],
-    tension: wp.array2d[float],
-    length: wp.array2d[float],
-    velocity: wp.array2d[float],
-    damping: wp.array2d[float],
+    results: MuscleResults,
     actuator_biasprm: wp.array2d[BiasParams],
 ):
     """`mujoco_muscle`, to float32 rounding."""
-    worldid, thread = wp.tid()
+    worldid = wp.tid()
     dt = opt_timestep[batched(worldid, opt_timestep.shape[0])]
     contract(
         worldid,
-        thread,
-        threads,
         params,
         anatomy,
         dt,
@@ -79,11 +68,7 @@ def native_mujoco_muscle(
         actuator_length_in,
         actuator_velocity_in,
         activation,
-        workload,
-        tension,
-        length,
-        velocity,
-        damping,
+        results,
         actuator_biasprm,
     )
 
@@ -91,7 +76,19 @@ def native_mujoco_muscle(
 class NativeMujocoMuscle(MujocoMuscle):
     """`MujocoMuscle` with the native kernel on the CPU; on CUDA every muscle has a thread of its own."""
 
-    cpu_kernel = native_mujoco_muscle
+    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Engine callback; see `MuscleModel.launch`."""
+        if not self.activation.device.is_cpu:
+            super().launch(model, data)
+            return
+        launch(
+            native_mujoco_muscle,
+            self.activation.shape[0],
+            self,
+            data,
+            model,
+            opt_timestep=model.opt.timestep,
+        )
 
 
 MUSCLES.add("mujoco", NativeMujocoMuscle)
