@@ -158,12 +158,7 @@ class Rollout:
         variant = find_task(self.task, self.model)
         spec = TASKS[variant.task]
         steps = spec.horizon if self.steps is None else self.steps
-        numbers = {"steps": steps, "video-worlds": self.video_worlds, "signals-every": self.signals_every}
-        for name, number in numbers.items():
-            if number < 1:
-                raise ValueError(f"--{name} must be at least 1, got {number}")
-        if self.seed < 0:
-            raise ValueError(f"--seed must be at least 0, got {self.seed}")
+        self._check_numbers(steps)
         policy = rollout.find_policy(self.policy, spec)
         check_output(self.save, ".npz")
         check_output(self.video, ".mp4")
@@ -208,6 +203,15 @@ class Rollout:
             except NoGraphicsError as error:
                 console.print(f"No video: {error}", style="yellow")
         env.close()
+
+    def _check_numbers(self, steps: int) -> None:
+        """Raise ValueError if a number is out of its range."""
+        numbers = {"steps": steps, "video-worlds": self.video_worlds, "signals-every": self.signals_every}
+        for name, number in numbers.items():
+            if number < 1:
+                raise ValueError(f"--{name} must be at least 1, got {number}")
+        if self.seed < 0:
+            raise ValueError(f"--seed must be at least 0, got {self.seed}")
 
 
 @dataclass
