@@ -25,6 +25,7 @@ from myowarp.sim.interop import ActionInput, Output
 from myowarp.sim.shards import Shards, simulate
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.condition import Condition
+from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.registry import check_choice
 from myowarp.spec.task import TASKS
 from myowarp.tasks.variants import variants
@@ -74,7 +75,7 @@ class MyoWarpVectorEnv(VectorEnv):
         device: str | None = None,
         shards: int | None = None,
         physics: str = "parity",
-        muscle: str = "mujoco",
+        muscle: str | MuscleTable = "mujoco",
         reset: str = "task",
         conditions: str | Condition | Iterable[str | Condition] = (),
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
@@ -95,7 +96,7 @@ class MyoWarpVectorEnv(VectorEnv):
             device: Warp device, such as "cpu" or "cuda:0"; None: the first CUDA device, else the CPU.
             shards: Threads that share the worlds on the CPU; None: all cores. It changes no result.
             physics: "parity" (MyoSuite's integrator and step) or "fast" (`myowarp.spec.task.PHYSICS`).
-            muscle: Muscle model, a name in `myowarp.models.muscles.MUSCLES`.
+            muscle: Muscle model, a name in `myowarp.spec.muscle.MUSCLES`, or a `MuscleTable` with parameters.
             reset: What episodes start from: "task", "fixed", "random" or "none" (`myowarp.spec.task.RESETS`).
             conditions: Muscle conditions: names in `CONDITIONS`, or `Condition` objects with parameters.
             autoreset_mode: When a finished world starts its next episode.

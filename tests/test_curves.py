@@ -6,7 +6,7 @@ import pytest
 import warp as wp
 from reference import mujoco_muscle as reference
 
-from myowarp.kernels import activation, curves
+from myowarp.models.muscles import mujoco as law
 
 FLOAT32 = 1e-6
 """Values of order one; four to eight roundings of 2^-24 = 6e-8, magnified by slopes of the curves."""
@@ -38,9 +38,9 @@ def test_curves_equal_reference(shape):
     # Through float32, so that a parameter's rounding is not mistaken for the function's.
     lmin, lmax, fvmax, fpmax = np.float32(shape).astype(np.float64)
     for function, exact, grid, parameters in (
-        (curves.quadratic_force_length, reference.force_length, LENGTHS, (lmin, lmax)),
-        (curves.quadratic_force_velocity, reference.force_velocity, VELOCITIES, (fvmax,)),
-        (curves.quadratic_passive_force, reference.passive_force, LENGTHS, (lmax, fpmax)),
+        (law.active_force_length_multiplier, reference.force_length, LENGTHS, (lmin, lmax)),
+        (law.force_velocity_multiplier, reference.force_velocity, VELOCITIES, (fvmax,)),
+        (law.passive_force_multiplier, reference.passive_force, LENGTHS, (lmax, fpmax)),
     ):
         expected = exact(grid.astype(np.float64), *parameters)
         got = on_device(function, grid, *parameters)
@@ -56,7 +56,7 @@ def test_slope_is_the_derivative(shape):
     above = reference.force_velocity(grid + DIFFERENCE_STEP, fvmax)
     below = reference.force_velocity(grid - DIFFERENCE_STEP, fvmax)
     expected = (above - below) / (2.0 * DIFFERENCE_STEP)
-    got = on_device(curves.quadratic_force_velocity_slope, grid, fvmax)
+    got = on_device(law.force_velocity_slope, grid, fvmax)
     # Within a step of saturation the second derivative jumps by 2 / (fvmax - 1).
     tolerance = SLOPE + 2.0 * DIFFERENCE_STEP / (fvmax - 1.0)
     assert np.abs(got - expected).max() <= tolerance
@@ -69,23 +69,23 @@ def test_landmarks(shape):
     lmin, lmax, fvmax, fpmax = (float(x) for x in np.float32(shape))
     half_way = 0.5 * (1.0 + lmax)
     for function, arguments, value in (
-        (curves.quadratic_force_length, (1.0, lmin, lmax), 1.0),
-        (curves.quadratic_force_length, (lmin, lmin, lmax), 0.0),
-        (curves.quadratic_force_length, (lmax, lmin, lmax), 0.0),
-        (curves.quadratic_force_length, (0.5 * (lmin + 1.0), lmin, lmax), 0.5),
-        (curves.quadratic_force_length, (half_way, lmin, lmax), 0.5),
-        (curves.quadratic_force_length, (lmin - 0.1, lmin, lmax), 0.0),
-        (curves.quadratic_force_length, (lmax + 0.1, lmin, lmax), 0.0),
-        (curves.quadratic_force_velocity, (-1.0, fvmax), 0.0),
-        (curves.quadratic_force_velocity, (-5.0, fvmax), 0.0),
-        (curves.quadratic_force_velocity, (-0.5, fvmax), 0.25),
-        (curves.quadratic_force_velocity, (0.0, fvmax), 1.0),
-        (curves.quadratic_force_velocity, (fvmax - 1.0, fvmax), fvmax),
-        (curves.quadratic_force_velocity, (9.0, fvmax), fvmax),
-        (curves.quadratic_passive_force, (0.3, lmax, fpmax), 0.0),
-        (curves.quadratic_passive_force, (1.0, lmax, fpmax), 0.0),
-        (curves.quadratic_passive_force, (half_way, lmax, fpmax), 0.5 * fpmax),
-        (curves.quadratic_passive_force, (lmax, lmax, fpmax), 1.5 * fpmax),
+        (law.active_force_length_multiplier, (1.0, lmin, lmax), 1.0),
+        (law.active_force_length_multiplier, (lmin, lmin, lmax), 0.0),
+        (law.active_force_length_multiplier, (lmax, lmin, lmax), 0.0),
+        (law.active_force_length_multiplier, (0.5 * (lmin + 1.0), lmin, lmax), 0.5),
+        (law.active_force_length_multiplier, (half_way, lmin, lmax), 0.5),
+        (law.active_force_length_multiplier, (lmin - 0.1, lmin, lmax), 0.0),
+        (law.active_force_length_multiplier, (lmax + 0.1, lmin, lmax), 0.0),
+        (law.force_velocity_multiplier, (-1.0, fvmax), 0.0),
+        (law.force_velocity_multiplier, (-5.0, fvmax), 0.0),
+        (law.force_velocity_multiplier, (-0.5, fvmax), 0.25),
+        (law.force_velocity_multiplier, (0.0, fvmax), 1.0),
+        (law.force_velocity_multiplier, (fvmax - 1.0, fvmax), fvmax),
+        (law.force_velocity_multiplier, (9.0, fvmax), fvmax),
+        (law.passive_force_multiplier, (0.3, lmax, fpmax), 0.0),
+        (law.passive_force_multiplier, (1.0, lmax, fpmax), 0.0),
+        (law.passive_force_multiplier, (half_way, lmax, fpmax), 0.5 * fpmax),
+        (law.passive_force_multiplier, (lmax, lmax, fpmax), 1.5 * fpmax),
     ):
         got = on_device(function, *(np.full(1, argument) for argument in arguments))
         assert got[0] == pytest.approx(value, abs=FLOAT32 * max(1.0, fpmax)), (
@@ -102,14 +102,14 @@ def test_curves_are_smooth_at_breakpoints(shape):
     step = 1e-3
     for function, parameters, points, curvature in (
         (
-            curves.quadratic_force_length,
+            law.active_force_length_multiplier,
             (lmin, lmax),
             (lmin, rise, 1.0, fall, lmax),
             max((rise - lmin) ** -2, (lmax - fall) ** -2),
         ),
-        (curves.quadratic_force_velocity, (fvmax,), (-1.0, 0.0, c), max(2.0, 2.0 / c)),
+        (law.force_velocity_multiplier, (fvmax,), (-1.0, 0.0, c), max(2.0, 2.0 / c)),
         (
-            curves.quadratic_passive_force,
+            law.passive_force_multiplier,
             (lmax, fpmax),
             (1.0, fall),
             fpmax / (fall - 1.0) ** 2,
@@ -128,7 +128,7 @@ def test_activation_rate_equals_reference(constants):
     ctrl, act = (grid.ravel() for grid in np.meshgrid(levels, np.float32(np.linspace(0, 1.1, 45))))
     tau_act, tau_deact, width = np.float32(constants).astype(np.float64)
     expected = reference.activation_rate(ctrl, act, tau_act, tau_deact, width)
-    got = on_device(activation.activation_rate, ctrl, act, tau_act, tau_deact, width)
+    got = on_device(law.activation_rate, ctrl, act, tau_act, tau_deact, width)
     # A difference of order one over a time constant; the smooth switch takes the difference of the
     # slow and the fast one, which magnifies the rounding by their ratio.
     fastest, slowest = 0.5 * min(tau_act, tau_deact), 2.0 * max(tau_act, tau_deact)
@@ -148,7 +148,7 @@ def test_activation_after_equals_reference(constants):
     level = np.float32(np.linspace(0.0, 1.0, 41)).astype(np.float64)
     time, ctrl, act = np.meshgrid(np.float32(STEPS).astype(np.float64), level, level)
     expected = reference.activation_after(time, ctrl, act, tau_act, tau_deact)
-    got = on_device(activation.activation_after, time, ctrl, act, tau_act, tau_deact)
+    got = on_device(law.activation_after, time, ctrl, act, tau_act, tau_deact)
     assert np.abs(got - expected).max() <= FLOAT32
     assert np.abs(expected - act)[time > 0.0].max() > 10.0 * FLOAT32
 
@@ -158,7 +158,7 @@ def test_activation_after_vanishing_time_constants(constant):
     """The excitation, at once; MuJoCo accepts a time constant of 0."""
     level = np.linspace(0.0, 1.0, 21)
     ctrl, act = np.meshgrid(level, level)
-    got = on_device(activation.activation_after, 0.005, ctrl, act, constant, constant)
+    got = on_device(law.activation_after, 0.005, ctrl, act, constant, constant)
     assert np.abs(got - np.float32(ctrl)).max() <= FLOAT32
 
 
@@ -184,7 +184,7 @@ def test_reference_solves_the_activation_equation():
 def test_activation_landmarks():
     tau_act, tau_deact = 0.01, 0.04
     rate = on_device(
-        activation.activation_rate,
+        law.activation_rate,
         np.array([1.0, 0.0, 0.4, 1.0]),
         np.array([0.0, 1.0, 0.4, 0.5]),
         tau_act,
@@ -198,9 +198,7 @@ def test_activation_landmarks():
 def test_smooth_switch_meets_hard_switch_outside_its_width():
     act = np.full(101, 0.5)
     ctrl = np.linspace(0.0, 1.0, 101)
-    hard, smooth = (
-        on_device(activation.activation_rate, ctrl, act, 0.01, 0.04, width) for width in (0.0, 0.4)
-    )
+    hard, smooth = (on_device(law.activation_rate, ctrl, act, 0.01, 0.04, width) for width in (0.0, 0.4))
     outside = np.abs(ctrl - act) > 0.2 + 1e-6
     assert smooth[outside] == pytest.approx(hard[outside], rel=FLOAT32)
     inside = (np.abs(ctrl - act) < 0.19) & (np.abs(ctrl - act) > 0.01)

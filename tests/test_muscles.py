@@ -1,5 +1,6 @@
 """Muscle models on every body with muscles, against MuJoCo C and the float64 reference."""
 
+import re
 from functools import lru_cache
 
 import mujoco
@@ -12,6 +13,7 @@ from reference import mujoco_muscle as reference
 
 import myowarp.tasks  # noqa: F401
 from myowarp.models.muscles.mujoco import MujocoMuscle, MujocoMuscleParams
+from myowarp.models.muscles.mujoco_native import NativeMujocoMuscle
 from myowarp.sim.build import compile_scene, slim_model, stateless_model
 from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.task import PHYSICS, TASKS
@@ -311,6 +313,93 @@ def test_options_of_a_muscle():
     force = bias[..., 0] + bias[..., 2] * data.actuator_velocity.numpy()
     assert np.abs((force - expected_force) / peaks(model)).max() <= KERNEL_FORCE
     assert np.abs(muscles.activation.numpy() - expected_activation).max() <= ACTIVATION
+
+
+TWIN = 2e-6
+"""Two ways to round the same law; of the peak, or an activation of order one."""
+
+PUBLISHED = ("activation", "workload", "tension", "length", "velocity", "damping")
+
+
+def random_muscles(num_worlds, num_muscles):
+    """Return an `MjModel` of muscles, and random parameters of every muscle in every world."""
+    muscle = '<muscle joint="hinge" lengthrange="-0.5 0.5"/>'
+    model = mujoco.MjModel.from_xml_string(
+        re.sub("<muscle[^>]*>", "", TINY).replace("</actuator>", num_muscles * muscle + "</actuator>")
+    )
+    rng = np.random.default_rng(3)
+    shape = (num_worlds, num_muscles)
+    ranges = {
+        "activation_time_constant": (0.005, 0.03),
+        "deactivation_time_constant": (0.02, 0.08),
+        "max_isometric_force": (50.0, 900.0),
+        "optimal_fiber_length": (0.3, 0.9),
+        "tendon_slack_length": (-0.9, -0.4),
+        "min_norm_length": (0.1, 0.7),
+        "max_norm_length": (1.3, 1.9),
+        "max_contraction_velocity": (1.0, 9.0),
+        "eccentric_multiplier": (1.05, 1.8),
+        "passive_peak_force": (50.0, 900.0),
+        "passive_optimal_length": (0.3, 0.9),
+        "passive_slack_length": (-0.9, -0.4),
+        "passive_max_norm_length": (1.3, 1.9),
+        "passive_multiplier": (0.2, 2.0),
+    }
+    values = {name: rng.uniform(*bounds, shape) for name, bounds in ranges.items()}
+    values["smoothing_width"] = np.where(rng.random(shape) < 0.7, 0.0, rng.uniform(0.1, 1.0, shape))
+    low = rng.uniform(0.0, 0.3, shape)
+    values["excitation_range"] = np.stack([low, low + rng.uniform(0.2, 0.7, shape)], axis=-1)
+    return model, values
+
+
+@pytest.mark.parametrize("implicitness", [0.0, 0.5])
+@pytest.mark.parametrize("midstep", [False, True])
+def test_native_twin_equals_the_readable_law(midstep, implicitness):
+    num_worlds, num_muscles = 2, 11  # a full SIMD register and a part of one
+    model, values = random_muscles(num_worlds, num_muscles)
+    results = []
+    for muscle in (MujocoMuscle, NativeMujocoMuscle):
+        rng = np.random.default_rng(4)
+        shape = (num_worlds, num_muscles)
+        with wp.ScopedDevice("cpu"):
+            muscles = muscle(model, num_worlds)
+            muscles.midstep, muscles.implicitness = midstep, implicitness
+            muscles.individualize()
+            muscles.record_workload()
+            engine = mjw.put_model(model, batch_sizes={"actuator_biasprm": num_worlds})
+            data = mjw.make_data(model, nworld=num_worlds)
+            for name, array in values.items():
+                dtype = getattr(muscles.params, name).dtype
+                setattr(muscles.params, name, wp.array(array, dtype=dtype))
+        assert set(values) == set(MujocoMuscleParams.vars) - {"actuator_id"}
+        muscles.anatomy.path.assign(np.array([rng.permutation(num_muscles) for _ in range(num_worlds)]))
+        muscles.anatomy.strength.assign(rng.uniform(0.2, 1.0, shape))
+        muscles.anatomy.transmission.assign(rng.uniform(0.2, 1.0, shape))
+        for name in ("tension", "length", "velocity", "damping"):
+            getattr(muscles, name).fill_(np.nan)
+        engine.actuator_biasprm.fill_(np.nan)
+        muscles.workload.assign(rng.uniform(size=shape))
+        muscles.activation.assign(rng.uniform(size=shape))
+        data.ctrl.assign(rng.uniform(-0.2, 1.2, shape))
+        data.actuator_length.assign(rng.uniform(-0.5, 0.5, shape))
+        data.actuator_velocity.assign(rng.normal(size=shape))
+        muscles.launch(engine, data)
+        bias = engine.actuator_biasprm.numpy()
+        results.append({name: getattr(muscles, name).numpy().copy() for name in PUBLISHED} | {"bias": bias})
+        path = muscles.anatomy.path.numpy()
+        pulled = np.take_along_axis(bias, path[..., None], axis=1)
+        assert np.array_equal(
+            muscles.length.numpy(), np.take_along_axis(data.actuator_length.numpy(), path, 1)
+        )
+        force = pulled[..., 0] + pulled[..., 2] * muscles.velocity.numpy()
+        assert np.abs(muscles.tension.numpy() + force).max() <= TWIN * 900.0
+        assert muscles.tension.numpy().min() >= 0.0
+    readable, native = results
+    for name in readable:
+        scale = 1.0 if name in ("activation", "workload", "length", "velocity") else 900.0
+        assert np.abs(readable[name] - native[name]).max() <= TWIN * scale, name
+        worlds = np.abs(readable[name][0] - readable[name][1])
+        assert (name == "damping" and not implicitness) or worlds.max() > EFFECT * TWIN * scale, name
 
 
 @pytest.mark.parametrize("muscle", MUSCLES)

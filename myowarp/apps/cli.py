@@ -16,6 +16,8 @@ from rich.progress import track
 from rich.table import Column, Table
 
 from myowarp.opensim.command import Convert
+from myowarp.spec.muscle import MUSCLES
+from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.task import TASKS
 from myowarp.tasks.variants import find_variant
 
@@ -124,6 +126,10 @@ class Rollout:
     """Warp device, such as cpu or cuda:0; by default the GPU if there is one."""
     physics: str = "parity"
     """parity (MyoSuite's integrator and step) or fast (implicit, twice the step)."""
+    muscle: Annotated[str, tyro.conf.arg(metavar="{" + ",".join(MUSCLES) + "}")] = "mujoco"
+    """Muscle model."""
+    muscle_parameters: Path | None = None
+    """Muscle parameters in place of the model's, .csv: column `muscle`, and one for each parameter."""
     reset: str | None = None
     """What episodes start from: task, fixed, random or none; by default what the id says."""
     conditions: tuple[str, ...] = ()
@@ -153,22 +159,19 @@ class Rollout:
         variant = find_task(self.task, self.model)
         spec = TASKS[variant.task]
         steps = spec.horizon if self.steps is None else self.steps
-        numbers = {"steps": steps, "video-worlds": self.video_worlds, "signals-every": self.signals_every}
-        for name, number in numbers.items():
-            if number < 1:
-                raise ValueError(f"--{name} must be at least 1, got {number}")
-        if self.seed < 0:
-            raise ValueError(f"--seed must be at least 0, got {self.seed}")
+        self._check_numbers(steps)
         policy = rollout.find_policy(self.policy, spec)
         check_output(self.save, ".npz")
         check_output(self.video, ".mp4")
         check_recording(self.signals)
+        muscle = MuscleTable.read(self.muscle, self.muscle_parameters)
         console = Console(stderr=True)
         env = MyoWarpVectorEnv(
             spec.key,
             self.num_worlds,
             device=self.device,
             physics=self.physics,
+            muscle=muscle,
             reset=self.reset or variant.reset,
             conditions=(*variant.conditions, *self.conditions),
             autoreset_mode="same_step",
@@ -201,6 +204,15 @@ class Rollout:
             except NoGraphicsError as error:
                 console.print(f"No video: {error}", style="yellow")
         env.close()
+
+    def _check_numbers(self, steps: int) -> None:
+        """Raise ValueError if a number is out of its range."""
+        numbers = {"steps": steps, "video-worlds": self.video_worlds, "signals-every": self.signals_every}
+        for name, number in numbers.items():
+            if number < 1:
+                raise ValueError(f"--{name} must be at least 1, got {number}")
+        if self.seed < 0:
+            raise ValueError(f"--seed must be at least 0, got {self.seed}")
 
 
 @dataclass

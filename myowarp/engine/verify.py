@@ -200,8 +200,8 @@ def _states(scene: Scene) -> Iterator[State]:
 
 
 def _muscle_state(scene: Scene, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Return a state of the muscles: a random activation."""
-    return {"activation": rng.uniform(size=scene.muscles.activation.shape)}
+    """Return a state of the muscles: all that they remember, at random between 0 and 1."""
+    return {name: rng.uniform(size=array.shape) for name, array in scene.muscles.state.items()}
 
 
 def _place(scene: Scene, state: State) -> None:
@@ -211,7 +211,7 @@ def _place(scene: Scene, state: State) -> None:
     scene.data.qvel.assign(qvel)
     scene.data.qacc_warmstart.zero_()
     for name, values in muscles.items():
-        getattr(scene.muscles, name).assign(values)
+        scene.muscles.state[name].assign(values)
 
 
 def _rounded(state: State) -> State:

@@ -1,4 +1,4 @@
-// Body of the native function `map_action` (action.py), after activation.cpp. Free of branches, so that the loop
+// Body of the native function `map_action` (action.py), after decay.cpp. Free of branches, so that the loop
 // becomes SIMD.
 
 constexpr float LARGEST = 3.4028235e38f;  // finite number

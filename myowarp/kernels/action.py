@@ -8,7 +8,7 @@ from pathlib import Path
 
 import warp as wp
 
-from myowarp.kernels.activation import ACTIVATION
+from myowarp.kernels.decay import DECAY
 
 MUSCLE = wp.constant(0)
 MOTOR = wp.constant(1)
@@ -25,7 +25,7 @@ constexpr float STEEPNESS = {STEEPNESS}f, CENTER = {CENTER}f;
 SOURCE = CONSTANTS + Path(__file__).with_suffix(".cpp").read_text()
 
 
-@wp.func_native(ACTIVATION + SOURCE)
+@wp.func_native(DECAY + SOURCE)
 def map_action(
     worldid: int,
     actuator_kind: wp.array[int],

@@ -1,5 +1,7 @@
 """How kernels walk through worlds: rows of batched arrays, and in how many threads."""
 
+import math
+
 import warp as wp
 
 
@@ -11,6 +13,17 @@ def batched(world: int, size: int) -> int:
     if size == 1:
         return 0
     return world % size
+
+
+@wp.func
+def of_world(values: wp.array2d[float], world: int, index: int) -> float:
+    """Return values[world, index] of an array (1 or num_worlds, n)."""
+    return values[batched(world, values.shape[0]), index]
+
+
+def as_rows(values: wp.array) -> wp.array:
+    """Return an array (num_worlds, ...) as the same memory (num_worlds, n)."""
+    return values.reshape((values.shape[0], math.prod(values.shape[1:])))
 
 
 def num_threads(device: wp.Device, number: int) -> int:

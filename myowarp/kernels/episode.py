@@ -158,8 +158,6 @@ def detect_faults(
     # Data in:
     qpos_in: wp.array2d[float],
     qvel_in: wp.array2d[float],
-    # In:
-    activation: wp.array2d[float],
     # Data out:
     overflow_out: wp.array[int],
     # Out:
@@ -168,11 +166,7 @@ def detect_faults(
     """Add fault bits for states that are not finite and for capacities that overflowed."""
     worldid = wp.tid()
     bits = fault[worldid]
-    if (
-        beyond(qpos_in, worldid, STATE_LIMIT)
-        or beyond(qvel_in, worldid, STATE_LIMIT)
-        or beyond(activation, worldid, STATE_LIMIT)
-    ):
+    if beyond(qpos_in, worldid, STATE_LIMIT) or beyond(qvel_in, worldid, STATE_LIMIT):
         bits |= FAULT_NONFINITE
     if (overflow_out[worldid] & ROW_BITS) != 0:
         bits |= FAULT_ROWS
@@ -180,6 +174,19 @@ def detect_faults(
         bits |= FAULT_CONTACTS
     overflow_out[worldid] = 0
     fault[worldid] = bits
+
+
+@wp.kernel(enable_backward=False)
+def detect_state_faults(
+    # In:
+    state: wp.array2d[float],
+    # Out:
+    fault: wp.array[int],
+):
+    """Add the fault bit for state beside qpos and qvel that is not finite."""
+    worldid = wp.tid()
+    if beyond(state, worldid, STATE_LIMIT):
+        fault[worldid] = fault[worldid] | FAULT_NONFINITE
 
 
 @wp.kernel(enable_backward=False)

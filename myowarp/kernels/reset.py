@@ -3,6 +3,7 @@
 import mujoco_warp as mjw
 import warp as wp
 
+from myowarp.kernels.batching import as_rows
 from myowarp.kernels.random import POSTURE, RandomKeys, open_stream
 
 
@@ -22,8 +23,8 @@ def fill_rows(
 
 
 def masked_fill(mask: wp.array, values: wp.array, value: float) -> None:
-    """Set the rows of `values` (num_worlds, n) that `mask` (num_worlds,) selects to `value`."""
-    wp.launch(fill_rows, dim=values.shape[0], inputs=[mask, value], outputs=[values])
+    """Set the rows of `values` (num_worlds, ...) that `mask` (num_worlds,) selects to `value`."""
+    wp.launch(fill_rows, dim=values.shape[0], inputs=[mask, value], outputs=[as_rows(values)])
 
 
 @wp.kernel(enable_backward=False)

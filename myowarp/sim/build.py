@@ -20,6 +20,7 @@ from myowarp.sim.capacity import calibrate
 from myowarp.spec.body import BODIES
 from myowarp.spec.condition import Condition
 from myowarp.spec.muscle import MUSCLES, MuscleModel
+from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.registry import check_choice
 from myowarp.spec.scene import Scene
 from myowarp.spec.task import PHYSICS, RESETS, PhysicsPreset, TaskSpec
@@ -97,7 +98,12 @@ def source_digest(spec: TaskSpec, conditions: tuple[Condition, ...] = (), more: 
     files = [Path(__file__), package / "models/slim.py", package / "spec/parameter.py", *more]
     files += [*sorted(package.glob("tasks/*.py")), *sorted(package.glob("models/bodies/*.py"))]
     files += sorted(package.glob("models/conditions/*.py"))
-    for definer in (type(spec), BODIES[spec.body].build, *map(type, conditions)):
+    definers: tuple[Callable[..., object], ...] = (
+        type(spec),
+        BODIES[spec.body].build,
+        *map(type, conditions),
+    )
+    for definer in definers:
         with contextlib.suppress(TypeError, OSError):  # not written in a file
             files.append(Path(inspect.getsourcefile(definer) or __file__))
     return files_digest(dict.fromkeys(files))
@@ -137,13 +143,25 @@ def set_physics(spec: TaskSpec, preset: PhysicsPreset, models: Iterable[mujoco.M
 
 
 def new_muscles(
-    muscle: type[MuscleModel], model: mujoco.MjModel, num_worlds: int, spec: TaskSpec, preset: PhysicsPreset
+    muscle: MuscleTable, model: mujoco.MjModel, worlds: Worlds, spec: TaskSpec, preset: PhysicsPreset
 ) -> MuscleModel:
-    """Return the muscles of a model, on the current Warp device, set to a preset."""
-    muscles = muscle(model, num_worlds)
+    """Return the muscles of a model, on the current Warp device, set to a preset.
+
+    Raises:
+        ValueError: A parameter does not fit, or the muscle model's state is not what it says.
+    """
+    names = [model.actuator(i).name for i in np.flatnonzero(actuator_kinds(model) == int(MUSCLE))]
+    muscles = MUSCLES[muscle.model](model, worlds.number, muscle.of(names, worlds))
     muscles.midstep = preset.midstep
     explicit = (preset.integrator or spec.integrator) == "EULER"
     muscles.implicitness = spec.coarse_step.implicitness if preset.coarse else float(not explicit)
+    shape = worlds.number, len(names)
+    for name, state in muscles.state.items():
+        if state.dtype is not wp.float32 or state.shape[:2] != shape:
+            raise ValueError(
+                f"state {name!r} of muscle model {muscle.model!r} must be float32 of shape ({shape[0]}, "
+                f"{shape[1]}) or ({shape[0]}, {shape[1]}, n), got {state.dtype.__name__} of shape {state.shape}"
+            )
     return muscles
 
 
@@ -179,7 +197,7 @@ def compile_scene(
     num_worlds: int | Worlds,
     device: str | None = None,
     physics: str = "parity",
-    muscle: str = "mujoco",
+    muscle: str | MuscleTable = "mujoco",
     reset: str = "task",
     conditions: tuple[Condition, ...] = (),
 ) -> Scene:
@@ -190,7 +208,7 @@ def compile_scene(
         num_worlds: Number of worlds to step together, >= 1, or those of a part of them.
         device: Warp device such as "cpu" or "cuda:0"; None: the first CUDA device if there is one.
         physics: Name in `PHYSICS`.
-        muscle: Name in `MUSCLES`.
+        muscle: Name in `MUSCLES`, or a `MuscleTable` with parameters.
         reset: What episodes start from, one of `spec.RESETS`.
         conditions: Muscle conditions, as `resolve` returns them.
 
@@ -200,7 +218,7 @@ def compile_scene(
     worlds = num_worlds if isinstance(num_worlds, Worlds) else Worlds.all(checked_num_worlds(num_worlds))
     check_choice("physics", physics, PHYSICS)
     check_choice("reset", reset, RESETS)
-    muscle_class = MUSCLES[muscle]
+    table = muscle if isinstance(muscle, MuscleTable) else MuscleTable(muscle)
     where = resolve_device(device)
 
     oracle, stepped = oracle_model(spec, conditions), _cached_model(spec, conditions, stateless_model)
@@ -212,7 +230,7 @@ def compile_scene(
         model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), worlds.number))
         model.opt.warn_overflow = False
         data = mjw.make_data(stepped, nworld=worlds.number, nconmax=capacity.contacts, njmax=capacity.rows)
-        muscles = new_muscles(muscle_class, oracle, worlds.number, spec, PHYSICS[physics])
+        muscles = new_muscles(table, oracle, worlds, spec, PHYSICS[physics])
         if conditions:
             muscles.individualize()
         model.callback.control = muscles.launch
@@ -241,7 +259,7 @@ def _share_state(scene: Scene, batched: Iterable[str], individual: bool) -> None
     worlds, muscles = scene.worlds, scene.muscles
     worlds.share("model", scene.model, batched)
     worlds.share("data", scene.data, SHARED_FIELDS)
-    worlds.share("muscles", muscles, ("activation",))
+    worlds.share("muscles", muscles, (*muscles.STATE, *muscles.RESULTS))
     worlds.share("keys", scene.keys)
     if individual:
         worlds.share("anatomy", muscles.anatomy)

@@ -21,11 +21,9 @@ from typing import TYPE_CHECKING
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
-from mujoco_warp._src.types import vec10
 
 from myowarp.models.couplings import POINT_JOINTS
 from myowarp.sim.muscle_groups import group_of
-from myowarp.spec.muscle import Anatomy
 
 if TYPE_CHECKING:
     from myowarp.sim.shards import Shards
@@ -68,32 +66,26 @@ class MuscleSignals:
 
 @wp.kernel(enable_backward=False)
 def read_muscles(
-    # Model:
-    actuator_biasprm: wp.array2d[vec10],
     # Params:
     actuator_id: wp.array[int],
     # Data in:
     ctrl_in: wp.array2d[float],
-    actuator_length_in: wp.array2d[float],
-    actuator_velocity_in: wp.array2d[float],
     # In:
     activation: wp.array2d[float],
-    anatomy: Anatomy,
+    tension: wp.array2d[float],
+    length: wp.array2d[float],
+    velocity: wp.array2d[float],
     # Out:
     muscles: MuscleSignals,
 ):
-    """Force = -(b0 + b2 velocity), the muscle model's bias, along the path that the muscle pulls."""
+    """What the muscle model publishes; power = -tension velocity."""
     worldid, muscleid = wp.tid()
-    pathid = anatomy.path[worldid % anatomy.path.shape[0], muscleid]
-    velocity = actuator_velocity_in[worldid, pathid]
-    bias = actuator_biasprm[worldid, pathid]
-    force = wp.max(-(bias[0] + bias[2] * velocity), 0.0)
     muscles.activation[worldid, muscleid] = activation[worldid, muscleid]
     muscles.excitation[worldid, muscleid] = ctrl_in[worldid, actuator_id[muscleid]]
-    muscles.force[worldid, muscleid] = force
-    muscles.length[worldid, muscleid] = actuator_length_in[worldid, pathid]
-    muscles.velocity[worldid, muscleid] = velocity
-    muscles.power[worldid, muscleid] = -force * velocity
+    muscles.force[worldid, muscleid] = tension[worldid, muscleid]
+    muscles.length[worldid, muscleid] = length[worldid, muscleid]
+    muscles.velocity[worldid, muscleid] = velocity[worldid, muscleid]
+    muscles.power[worldid, muscleid] = -tension[worldid, muscleid] * velocity[worldid, muscleid]
 
 
 class Signals:
@@ -156,9 +148,10 @@ class Signals:
     def _attach(self, part: Simulation, muscles: MuscleSignals, copies: dict[str, wp.array]) -> None:
         """Add to a part's step: bring path and force of the muscles to the present state, copy the rest."""
         scene, model, data = part.scene, part.scene.model, part.scene.data
-        # With a time step of 0 the muscles compute their force and stay as they are.
+        # With a time step of 0 the muscles compute the force of the present state, which is then put back.
         no_time = wp.zeros(1, dtype=float, device=scene.device)
         still = dataclasses.replace(model, opt=dataclasses.replace(model.opt, timestep=no_time))
+        before = {name: wp.zeros_like(array) for name, array in scene.muscles.state.items()}
         sources = _sources(part, part.shown)
 
         def launch() -> None:
@@ -167,18 +160,21 @@ class Signals:
             mjw.tendon(model, data)
             mjw.transmission(model, data)
             mjw.fwd_velocity(model, data)
+            for name, array in scene.muscles.state.items():
+                wp.copy(before[name], array)
             scene.muscles.launch(still, data)
+            for name, array in scene.muscles.state.items():
+                wp.copy(array, before[name])
             wp.launch(
                 read_muscles,
                 dim=muscles.force.shape,
                 inputs=[
-                    model.actuator_biasprm,
                     self.actuator_id,
                     data.ctrl,
-                    data.actuator_length,
-                    data.actuator_velocity,
                     scene.muscles.activation,
-                    scene.muscles.anatomy,
+                    scene.muscles.tension,
+                    scene.muscles.length,
+                    scene.muscles.velocity,
                 ],
                 outputs=[muscles],
             )

@@ -25,11 +25,13 @@ from myowarp.engine.stage import STAGES, Stage
 from myowarp.engine.step import physics_step
 from myowarp.engine.verify import choose_stages
 from myowarp.kernels.action import apply_action
+from myowarp.kernels.batching import as_rows
 from myowarp.kernels.episode import (
     AUTORESET,
     advance_episode,
     count_step,
     detect_faults,
+    detect_state_faults,
     keep_final,
     new_episode_state,
     new_masks,
@@ -41,6 +43,7 @@ from myowarp.kernels.reset import place_start, reset_worlds
 from myowarp.sim.build import checked_horizon, compile_scene, full_model
 from myowarp.spec.condition import Condition, resolve
 from myowarp.spec.muscle import restore_anatomy
+from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.parameter import Clock
 from myowarp.spec.program import Program
 from myowarp.spec.registry import check_choice
@@ -80,7 +83,7 @@ class Simulation:
         *,
         device: str | None = None,
         physics: str = "parity",
-        muscle: str = "mujoco",
+        muscle: str | MuscleTable = "mujoco",
         reset: str = "task",
         conditions: str | Condition | Iterable[str | Condition] = (),
         autoreset: str = "next_step",
@@ -99,7 +102,7 @@ class Simulation:
             num_worlds: Number of worlds to step together, or those of a part of them.
             device: Warp device; None: the first CUDA device if there is one, else the CPU.
             physics: Name in `spec.PHYSICS`.
-            muscle: Name in `MUSCLES`.
+            muscle: Name in `MUSCLES`, or a `MuscleTable` with parameters.
             reset: What episodes start from, one of `spec.RESETS`.
             conditions: Muscle conditions, each a name in `CONDITIONS` or a `Condition`.
             autoreset: Gymnasium's mode, a key of `AUTORESET`.
@@ -273,9 +276,16 @@ class Simulation:
         wp.launch(
             detect_faults,
             dim=self.num_worlds,
-            inputs=[data.qpos, data.qvel, self.scene.muscles.activation],
+            inputs=[data.qpos, data.qvel],
             outputs=[data.overflow, transition.fault],
         )
+        for state in self.scene.muscles.state.values():
+            wp.launch(
+                detect_state_faults,
+                dim=self.num_worlds,
+                inputs=[as_rows(state)],
+                outputs=[transition.fault],
+            )
         column = len(self.scene.spec.reward_terms())
         terms = transition.terms[:, :column]
         self.program.score(self.episode.step_count, terms, transition.solved, transition.failed)

@@ -75,13 +75,9 @@ def find_starts(spec: TaskSpec, progress: bool = True) -> Starts:
     Raises:
         ValueError: Too few starts are good ones, or a body cannot be carried.
     """
+    code = source_digest(spec, more=(Path(__file__), Path(palm.__file__)))
     values = cached(
-        (
-            "random_starts",
-            spec.key,
-            NUM_STARTS,
-            source_digest(spec, more=(Path(__file__), Path(palm.__file__))),
-        ),
+        ("random_starts", spec.key, NUM_STARTS, code),
         ".npy",
         make=lambda: _find(spec, progress),
         save=lambda starts, path: np.save(path, starts),

@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 import mujoco
 import warp as wp
-from mujoco_warp._src.types import vec10
 
 from myowarp.kernels.reset import masked_fill
 from myowarp.models.conditions.added_mass import BATCHED, AddedMass, HungMass, Part
 from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.spec.muscle import BiasParams
 from myowarp.spec.parameter import Clock, Curve, Parameter, Value, value_of
 from myowarp.spec.task import RewardTerm
 
@@ -141,7 +141,7 @@ class ExoskeletonEffect(Effect):
 
     def reset(self, mask: wp.array) -> None:
         """Show no torque."""
-        masked_fill(mask, self.torque.reshape((self.scene.num_worlds, 1)), 0.0)
+        masked_fill(mask, self.torque, 0.0)
 
     def act(self) -> None:
         """Hang the cuffs on the forearms."""
@@ -160,15 +160,17 @@ def assist(
     actuator_moment_in: wp.array2d[float],
     actuator_velocity_in: wp.array2d[float],
     # In:
+    tension: wp.array2d[float],
+    damping: wp.array2d[float],
     clock: Clock,
     # Out:
     torque: wp.array[float],
-    actuator_biasprm: wp.array2d[vec10],
+    actuator_biasprm: wp.array2d[BiasParams],
 ):
-    """torque = assistance sum_m moment_m force_m, and its derivative by the joint's velocity.
+    """torque = -assistance sum_m moment_m tension_m, and its derivative by the joint's velocity.
 
     The only joint is the elbow, so a muscle has one moment, and the velocity of its path is moment times the
-    joint's: d torque / d velocity = assistance sum_m moment_m^2 kv_m, exactly.
+    joint's: d torque / d velocity = -assistance sum_m moment_m^2 damping_m, exactly.
     """
     worldid = wp.tid()
     total, slope = float(0.0), float(0.0)
@@ -177,11 +179,10 @@ def assist(
         if moment_rownnz_in[worldid, actuatorid] == 0:
             continue
         moment = actuator_moment_in[worldid, moment_rowadr_in[worldid, actuatorid]]
-        bias = actuator_biasprm[worldid, actuatorid]
-        total += moment * (bias[0] + bias[2] * actuator_velocity_in[worldid, actuatorid])
-        slope += moment * moment * bias[2]
+        total -= moment * tension[worldid, i]
+        slope -= moment * moment * damping[worldid, i]
     assistance = value_of(curve, clock, worldid, 0)
-    own = vec10()
+    own = BiasParams()
     own[0] = assistance * (total - slope * actuator_velocity_in[worldid, exo])
     own[2] = assistance * slope
     actuator_biasprm[worldid, exo] = own
@@ -203,7 +204,7 @@ class AssistEffect(ExoskeletonEffect):
 
     def act_in_substep(self) -> None:
         """Launch `assist`."""
-        data, model = self.scene.data, self.scene.model
+        data, model, muscles = self.scene.data, self.scene.model, self.scene.muscles
         wp.launch(
             assist,
             dim=self.scene.num_worlds,
@@ -215,6 +216,8 @@ class AssistEffect(ExoskeletonEffect):
                 data.moment_rowadr,
                 data.actuator_moment,
                 data.actuator_velocity,
+                muscles.tension,
+                muscles.damping,
                 self.clock,
             ],
             outputs=[self.torque, model.actuator_biasprm],

@@ -28,6 +28,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.kernels.accumulate import add_compensated
+from myowarp.kernels.batching import of_world
 from myowarp.kernels.observe import masked_observe
 from myowarp.kernels.random import RandomKeys, open_stream
 from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
@@ -173,8 +174,8 @@ class MotorUnitParams:
 
     Attributes:
         actuator_id: Actuator of each muscle, shape (num_muscles,).
-        activation_time_constant: tau_act [s], shape (num_muscles,).
-        deactivation_time_constant: tau_deact [s], shape (num_muscles,).
+        activation_time_constant: tau_act [s], shape (1 or num_worlds, num_muscles).
+        deactivation_time_constant: tau_deact [s], shape (1 or num_worlds, num_muscles).
         affected: Share of the muscle that tires [1].
         fatigue_rate: F [1/s].
         recovery_rate: R [1/s].
@@ -183,8 +184,8 @@ class MotorUnitParams:
     """
 
     actuator_id: wp.array[int]
-    activation_time_constant: wp.array[float]
-    deactivation_time_constant: wp.array[float]
+    activation_time_constant: wp.array2d[float]
+    deactivation_time_constant: wp.array2d[float]
     affected: Curve
     fatigue_rate: Curve
     recovery_rate: Curve
@@ -260,8 +261,8 @@ def tire_motor_units(
     recovered = wp.min(recovery_rate * dt, 1.0) * fatigued
 
     scale = 0.5 + 1.5 * active
-    rise = 1.0 - wp.exp(-dt / (params.activation_time_constant[muscleid] * scale))
-    fall = 1.0 - wp.exp(-dt * scale / params.deactivation_time_constant[muscleid])
+    rise = 1.0 - wp.exp(-dt / (of_world(params.activation_time_constant, worldid, muscleid) * scale))
+    fall = 1.0 - wp.exp(-dt * scale / of_world(params.deactivation_time_constant, worldid, muscleid))
     active += motor_unit_flow(active, fatigued, target_load, rise, fall, tired, recovered) - tired
     total = add_compensated(fatigued, state.rounding[worldid, muscleid], tired - recovered)
     state.active_fraction[worldid, muscleid] = active
@@ -320,12 +321,11 @@ class Fatigue3CCREffect(Effect):
         self.scene, self.clock, self.parameters = scene, clock, parameters
         self.initial_random = bool(condition.initial_random)
         self.carry_over = bool(condition.carry_over)
-        muscles, oracle = scene.muscles, scene.oracle
+        muscles = scene.muscles
         self.params = MotorUnitParams()
         self.params.actuator_id = wp.array(muscles.actuator_id, dtype=int)
-        time_constants = oracle.actuator_dynprm[muscles.actuator_id]
-        self.params.activation_time_constant = wp.array(time_constants[:, 0], dtype=float)
-        self.params.deactivation_time_constant = wp.array(time_constants[:, 1], dtype=float)
+        self.params.activation_time_constant = muscles.activation_time_constant
+        self.params.deactivation_time_constant = muscles.deactivation_time_constant
         for name, parameter in parameters.items():
             setattr(self.params, name, parameter.curve)
         self.state = MotorUnits()

@@ -18,10 +18,9 @@ from typing import TYPE_CHECKING, ClassVar
 import mujoco
 import numpy as np
 import warp as wp
-from mujoco_warp._src.types import vec10
 
 from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
-from myowarp.spec.muscle import Anatomy
+from myowarp.spec.muscle import Anatomy, BiasParams, affine_bias
 from myowarp.spec.parameter import Clock, Curve, Parameter, Value, muscle_index, value_of
 
 if TYPE_CHECKING:
@@ -183,7 +182,7 @@ def reroute(
     anatomy: Anatomy,
     affected: wp.array[bool],
     healthy: wp.array[bool],
-    actuator_biasprm: wp.array2d[vec10],
+    actuator_biasprm: wp.array2d[BiasParams],
 ):
     """path[donor] = transferred or own, the other one idle; transmission[lost] = 0 where affected."""
     worldid = wp.tid()
@@ -192,7 +191,7 @@ def reroute(
         anatomy.transmission[worldid, route.lost] = 0.0
     anatomy.path[worldid, route.donor] = wp.where(moved, route.transferred, route.own)
     # What pulled in the step before has to let go.
-    actuator_biasprm[worldid, wp.where(moved, route.own, route.transferred)] = vec10()
+    actuator_biasprm[worldid, wp.where(moved, route.own, route.transferred)] = affine_bias(0.0, 0.0, 0.0)
     affected[worldid] = moved
     healthy[worldid] = not moved
 

@@ -10,19 +10,18 @@ forces agree with MuJoCo C to 1e-5 of the peak; the engine's lengths, in float32
 muscles of the hand (tests/test_muscles.py).
 """
 
-from pathlib import Path
+import math
+from collections.abc import Mapping
+from typing import ClassVar
 
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
-from mujoco_warp._src.types import vec10
 
-from myowarp.kernels.activation import ACTIVATION
-from myowarp.kernels.batching import batched, num_threads
-from myowarp.kernels.curves import CURVES
-from myowarp.kernels.reset import masked_fill
-from myowarp.spec.muscle import MUSCLES, Anatomy, MuscleModel
+from myowarp.kernels.batching import batched, num_threads, of_world
+from myowarp.kernels.launch import launch
+from myowarp.spec.muscle import MUSCLES, Anatomy, BiasParams, MuscleModel, MuscleResults, affine_bias
 
 
 @wp.struct
@@ -68,28 +67,166 @@ class MujocoMuscleParams:
     passive_multiplier: wp.array2d[float]
 
 
-SOURCE = Path(__file__).with_suffix(".cpp").read_text()
+TINY = wp.constant(1e-15)
+"""Instead of a zero that is divided by."""
+
+LEAST_EXPONENT = wp.constant(-87.0)
+"""Where e^x leaves float32."""
 
 
-@wp.func_native(CURVES + ACTIVATION + SOURCE)
-def contract(
-    world: int,
-    thread: int,
-    threads: int,
-    params: MujocoMuscleParams,
-    anatomy: Anatomy,
+@wp.func
+def activation_rate(
+    excitation: float,
+    activation: float,
+    activation_time_constant: float,
+    deactivation_time_constant: float,
+    smoothing_width: float,
+) -> float:
+    """da/dt = (u - a) / tau [1/s], tau = tau_act (0.5 + 1.5 a) if u > a, else tau_deact / (0.5 + 1.5 a).
+
+    Source: Millard, Uchida, Seth, Delp (2013), doi:10.1115/1.4023390, eq. 1-2. MuJoCo adds a quintic step
+    from the one tau to the other over a width of u - a; width 0 is theirs.
+    """
+    scale = 0.5 + 1.5 * wp.clamp(activation, 0.0, 1.0)
+    rise = activation_time_constant * scale
+    fall = deactivation_time_constant / scale
+    difference = excitation - activation
+    time_constant = wp.where(difference > 0.0, rise, fall)
+    if smoothing_width > 0.0:
+        x = wp.clamp(difference / smoothing_width + 0.5, 0.0, 1.0)
+        time_constant = fall + (rise - fall) * (x * x * x * (x * (6.0 * x - 15.0) + 10.0))
+    return difference / wp.max(time_constant, TINY)
+
+
+@wp.func
+def activation_after(
+    time: float,
+    excitation: float,
+    activation: float,
+    activation_time_constant: float,
+    deactivation_time_constant: float,
+) -> float:
+    """a(t) of `activation_rate` with constant u and smoothing width 0, solved exactly.
+
+    u - a keeps its sign. With c = 0.5 + 1.5 u, w = 1.5 (u - a) and x = ln(w / w_0):
+
+        rising:   c x - w_0 (e^x - 1) = -t / tau_act,
+        falling:  w / (c - w) = w_0 / (c - w_0) exp(-c t / tau_deact).
+
+    Two steps of Halley's method find x, from where the rate half way on leads; 4e-9 is left after t = 2 tau.
+    """
+    c = 0.5 + 1.5 * excitation
+    w0 = 1.5 * (excitation - activation)
+    if w0 <= 0.0:
+        ratio = w0 / (c - w0) * wp.exp(-c * time / wp.max(deactivation_time_constant, TINY))
+        return excitation - c * ratio / (1.5 * (1.0 + ratio))
+    duration = time / wp.max(activation_time_constant, TINY)
+    half = 0.5 * duration / (c - w0)
+    x = wp.max(-duration / (c - w0 / (1.0 + half + 0.5 * half * half)), LEAST_EXPONENT)
+    for _ in range(2):
+        w = w0 * wp.exp(x)
+        excess = c * x - w + w0 + duration
+        slope = c - w
+        x = wp.max(x - excess * slope / (slope * slope + 0.5 * excess * w), LEAST_EXPONENT)
+    return excitation - w0 * wp.exp(x) / 1.5
+
+
+@wp.func
+def active_force_length_multiplier(
+    norm_length: float, min_norm_length: float, max_norm_length: float
+) -> float:
+    """f_L(l) in [0, 1]: 1 - 2 x^2 up to x = 1/2, then 2 (1 - x)^2, 0 from x = 1 on.
+
+    x is the way from 1 to where the force ends, l_min or l_max, as a share.
+    """
+    end = wp.where(norm_length < 1.0, 1.0 - min_norm_length, max_norm_length - 1.0)
+    x = wp.abs(1.0 - norm_length) / end
+    if x < 0.5:
+        return 1.0 - 2.0 * x * x
+    rest = wp.max(1.0 - x, 0.0)
+    return 2.0 * rest * rest
+
+
+@wp.func
+def force_velocity_multiplier(norm_velocity: float, eccentric_multiplier: float) -> float:
+    """f_V(v): (v + 1)^2 from -1 to 0, then f - (f - 1 - v)^2 / (f - 1), f = f_Vmax from v = f - 1 on."""
+    if norm_velocity <= 0.0:
+        rise = wp.max(norm_velocity + 1.0, 0.0)
+        return rise * rise
+    saturation = eccentric_multiplier - 1.0
+    rest = wp.max(saturation - norm_velocity, 0.0)
+    return eccentric_multiplier - rest * (rest / wp.max(saturation, TINY))
+
+
+@wp.func
+def force_velocity_slope(norm_velocity: float, eccentric_multiplier: float) -> float:
+    """df_V/dv >= 0: 2 (v + 1) from -1 to 0, then 2 (f - 1 - v) / (f - 1), 0 outside."""
+    if norm_velocity <= 0.0:
+        return 2.0 * wp.max(norm_velocity + 1.0, 0.0)
+    saturation = eccentric_multiplier - 1.0
+    return 2.0 * (wp.max(saturation - norm_velocity, 0.0) / wp.max(saturation, TINY))
+
+
+@wp.func
+def passive_force_multiplier(
+    norm_length: float, passive_max_norm_length: float, passive_multiplier: float
+) -> float:
+    """f_P(l) = f x^2 / 2 up to x = 1, then f (x - 1/2), with x = 2 (l - 1) / (l_max - 1); 0 up to l = 1."""
+    x = 2.0 * wp.max(norm_length - 1.0, 0.0) / wp.max(passive_max_norm_length - 1.0, TINY)
+    return passive_multiplier * wp.where(x <= 1.0, 0.5 * x * x, x - 0.5)
+
+
+@wp.func
+def activation_step(
     dt: float,
     midstep: bool,
-    implicitness: float,
-    ctrl: wp.array2d[float],
-    actuator_length: wp.array2d[float],
-    actuator_velocity: wp.array2d[float],
-    activation: wp.array2d[float],
-    workload: wp.array2d[float],
-    actuator_biasprm: wp.array2d[vec10],
-):
-    """Let a world's muscles act, every `threads`-th of them or of their groups; see `mujoco_muscle`."""
-    ...
+    excitation: float,
+    activation: float,
+    activation_time_constant: float,
+    deactivation_time_constant: float,
+    smoothing_width: float,
+) -> wp.vec2:
+    """(a that pulls, a after dt): a and a + dt da/dt, or a(t + dt/2) and a(t + dt) where they are known."""
+    if midstep and smoothing_width == 0.0:
+        tau_act, tau_deact = activation_time_constant, deactivation_time_constant
+        return wp.vec2(
+            activation_after(0.5 * dt, excitation, activation, tau_act, tau_deact),
+            activation_after(dt, excitation, activation, tau_act, tau_deact),
+        )
+    rate = activation_rate(
+        excitation, activation, activation_time_constant, deactivation_time_constant, smoothing_width
+    )
+    return wp.vec2(activation, activation + dt * rate)
+
+
+@wp.func
+def active_multipliers(
+    params: MujocoMuscleParams, worldid: int, muscleid: int, length: float, velocity: float
+) -> wp.vec3:
+    """(f_L(l), f_V(v), df_V/dvelocity), l = (length - l_T) / l_0, v = velocity / (l_0 v_max)."""
+    optimal = of_world(params.optimal_fiber_length, worldid, muscleid)
+    max_velocity = optimal * of_world(params.max_contraction_velocity, worldid, muscleid)
+    norm_length = (length - of_world(params.tendon_slack_length, worldid, muscleid)) / optimal
+    norm_velocity = velocity / max_velocity
+    min_norm_length = of_world(params.min_norm_length, worldid, muscleid)
+    max_norm_length = of_world(params.max_norm_length, worldid, muscleid)
+    eccentric = of_world(params.eccentric_multiplier, worldid, muscleid)
+    return wp.vec3(
+        active_force_length_multiplier(norm_length, min_norm_length, max_norm_length),
+        force_velocity_multiplier(norm_velocity, eccentric),
+        force_velocity_slope(norm_velocity, eccentric) / max_velocity,
+    )
+
+
+@wp.func
+def passive_force(params: MujocoMuscleParams, worldid: int, muscleid: int, length: float) -> float:
+    """F_Pmax f_P(l) [N], l = (length - l_T) / l_0 of the passive part."""
+    slack = of_world(params.passive_slack_length, worldid, muscleid)
+    norm_length = (length - slack) / of_world(params.passive_optimal_length, worldid, muscleid)
+    max_norm_length = of_world(params.passive_max_norm_length, worldid, muscleid)
+    multiplier = of_world(params.passive_multiplier, worldid, muscleid)
+    peak = of_world(params.passive_peak_force, worldid, muscleid)
+    return peak * passive_force_multiplier(norm_length, max_norm_length, multiplier)
 
 
 @wp.kernel(enable_backward=False)
@@ -109,31 +246,44 @@ def mujoco_muscle(
     anatomy: Anatomy,
     # Out:
     activation: wp.array2d[float],
-    workload: wp.array2d[float],
-    actuator_biasprm: wp.array2d[vec10],
+    results: MuscleResults,
+    actuator_biasprm: wp.array2d[BiasParams],
 ):
-    """F from the present activation; then a += dt da/dt, in MuJoCo's order. Midstep: F from a(t + dt/2).
+    """T = transmission (a s F_max f_L f_V + F_Pmax f_P), damping = implicitness dT/dvelocity; a(t + dt).
 
-    The workload is the integral of a f_L f_V [s]; F is written as b0 + b2 velocity (`MuscleModel`).
+    The workload is the integral of a f_L f_V [s].
     """
     worldid, thread = wp.tid()
     dt = opt_timestep[batched(worldid, opt_timestep.shape[0])]
-    contract(
-        worldid,
-        thread,
-        threads,
-        params,
-        anatomy,
-        dt,
-        midstep,
-        implicitness,
-        ctrl_in,
-        actuator_length_in,
-        actuator_velocity_in,
-        activation,
-        workload,
-        actuator_biasprm,
-    )
+    for m in range(thread, activation.shape[1], threads):
+        bounds = params.excitation_range[batched(worldid, params.excitation_range.shape[0]), m]
+        steps = activation_step(
+            dt,
+            midstep,
+            wp.clamp(ctrl_in[worldid, params.actuator_id[m]], bounds[0], bounds[1]),
+            activation[worldid, m],
+            of_world(params.activation_time_constant, worldid, m),
+            of_world(params.deactivation_time_constant, worldid, m),
+            of_world(params.smoothing_width, worldid, m),
+        )
+        pathid = anatomy.path[batched(worldid, anatomy.path.shape[0]), m]
+        length, velocity = actuator_length_in[worldid, pathid], actuator_velocity_in[worldid, pathid]
+        active = active_multipliers(params, worldid, m, length, velocity)
+        strength = of_world(anatomy.strength, worldid, m)
+        transmission = of_world(anatomy.transmission, worldid, m)
+        isometric = steps[0] * strength * of_world(params.max_isometric_force, worldid, m) * active[0]
+        tension = transmission * (isometric * active[1] + passive_force(params, worldid, m, length))
+        damping = float(0.0)  # an explicit integrator has no use for it; b0 + b2 velocity would only round
+        if implicitness > 0.0:
+            damping = implicitness * transmission * isometric * active[2]
+        activation[worldid, m] = steps[1]
+        results.tension[worldid, m] = tension
+        results.length[worldid, m] = length
+        results.velocity[worldid, m] = velocity
+        results.damping[worldid, m] = damping
+        if results.workload.shape[0] > 0:
+            results.workload[worldid, m] += dt * (steps[0] * active[0] * active[1])
+        actuator_biasprm[worldid, pathid] = affine_bias(tension, damping, velocity)
 
 
 def peak_force(prm: np.ndarray, acc0: np.ndarray) -> np.ndarray:
@@ -187,9 +337,29 @@ class MujocoMuscle(MuscleModel):
         params: The parameters, editable in place.
     """
 
-    def __init__(self, model: mujoco.MjModel, num_worlds: int) -> None:
-        """Read the parameters of every actuator with muscle dynamics."""
-        super().__init__(model, num_worlds)
+    PARAMETERS: ClassVar[Mapping[str, tuple[float, float]]] = {
+        "activation_time_constant": (0.0, math.inf),
+        "deactivation_time_constant": (0.0, math.inf),
+        "smoothing_width": (0.0, math.inf),
+        "max_isometric_force": (0.0, math.inf),
+        "optimal_fiber_length": (1e-6, math.inf),
+        "tendon_slack_length": (-math.inf, math.inf),
+        "min_norm_length": (0.0, 0.999),
+        "max_norm_length": (1.001, math.inf),
+        "max_contraction_velocity": (1e-6, math.inf),
+        "eccentric_multiplier": (1.0, math.inf),
+        "passive_peak_force": (0.0, math.inf),
+        "passive_optimal_length": (1e-6, math.inf),
+        "passive_slack_length": (-math.inf, math.inf),
+        "passive_max_norm_length": (1.001, math.inf),
+        "passive_multiplier": (0.0, math.inf),
+    }
+
+    def __init__(
+        self, model: mujoco.MjModel, num_worlds: int, parameters: Mapping[str, np.ndarray] | None = None
+    ) -> None:
+        """Read the parameters of every actuator with muscle dynamics; see `MuscleModel`."""
+        super().__init__(model, num_worlds, parameters)
         ids = self.actuator_id
         gain, bias = model.actuator_gainprm[ids], model.actuator_biasprm[ids]
         dyn, acc0 = model.actuator_dynprm[ids], model.actuator_acc0[ids]
@@ -202,9 +372,9 @@ class MujocoMuscle(MuscleModel):
         self.params = MujocoMuscleParams()
         self.params.actuator_id = wp.array(ids, dtype=int)
         self.params.excitation_range = wp.array(bounds[None], dtype=wp.vec2)
+        self.params.activation_time_constant = self.activation_time_constant
+        self.params.deactivation_time_constant = self.deactivation_time_constant
         for name, values in {
-            "activation_time_constant": dyn[:, 0],
-            "deactivation_time_constant": dyn[:, 1],
             "smoothing_width": dyn[:, 2],
             "max_isometric_force": peak_force(gain, acc0),
             "optimal_fiber_length": optimal,
@@ -219,14 +389,18 @@ class MujocoMuscle(MuscleModel):
             "passive_max_norm_length": bias[:, 5],
             "passive_multiplier": bias[:, 7],
         }.items():
-            setattr(self.params, name, wp.array(values[None], dtype=float))
+            setattr(self.params, name, self._parameter(name, values))
 
     def individualize(self) -> None:
         """Give every world an anatomy and length scales of its own."""
         super().individualize()
         for name in LENGTHS:
-            values = np.repeat(getattr(self.params, name).numpy(), self.activation.shape[0], axis=0)
-            setattr(self.params, name, wp.array(values, dtype=float))
+            values = np.broadcast_to(getattr(self.params, name).numpy(), self.activation.shape)
+            setattr(self.params, name, wp.array(values.copy(), dtype=float))
+
+    def record_workload(self) -> None:
+        """Integrate the workload from now on; see `MuscleModel.record_workload`."""
+        self.workload = wp.zeros_like(self.activation)
 
     def set_length_range(self, muscleid: int, length_range: tuple[float, float], mask: wp.array) -> None:
         """Launch `set_length_scale`; see `MuscleModel.set_length_range`."""
@@ -243,28 +417,16 @@ class MujocoMuscle(MuscleModel):
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Engine callback; see `MuscleModel.launch`."""
-        num_worlds, num_muscles = self.activation.shape
-        threads = num_threads(self.activation.device, num_muscles)
-        wp.launch(
+        threads = num_threads(self.activation.device, self.activation.shape[1])
+        launch(
             mujoco_muscle,
-            dim=(num_worlds, threads),
-            inputs=[
-                model.opt.timestep,
-                self.params,
-                data.ctrl,
-                data.actuator_length,
-                data.actuator_velocity,
-                self.implicitness,
-                self.midstep,
-                threads,
-                self.anatomy,
-            ],
-            outputs=[self.activation, self.workload, model.actuator_biasprm],
+            (self.activation.shape[0], threads),
+            self,
+            data,
+            model,
+            opt_timestep=model.opt.timestep,
+            threads=threads,
         )
 
-    def reset(self, mask: wp.array) -> None:
-        """Set the activation of the worlds of `mask` to 0."""
-        masked_fill(mask, self.activation, 0.0)
 
-
-MUSCLES.add("mujoco", MujocoMuscle)
+MUSCLES.add("mujoco_readable", MujocoMuscle)
