@@ -160,7 +160,8 @@ def new_muscles(
         if state.dtype is not wp.float32 or state.shape[:2] != shape:
             raise ValueError(
                 f"state {name!r} of muscle model {muscle.model!r} must be float32 of shape ({shape[0]}, "
-                f"{shape[1]}) or ({shape[0]}, {shape[1]}, n), got {state.dtype.__name__} of shape {state.shape}"
+                f"{shape[1]}) or ({shape[0]}, {shape[1]}, n), "
+                f"got {state.dtype.__name__} of shape {state.shape}"
             )
     return muscles
 
