@@ -28,7 +28,6 @@ from benchmarks.machine import processor
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.engine.compile import quiet
 from myowarp.engine.graph import Graph
-from myowarp.engine.idle import pruned
 from myowarp.engine.repeat import repeat
 from myowarp.spec.task import PHYSICS
 
@@ -76,8 +75,7 @@ class Pair:
         countdown = wp.zeros(1, dtype=int, device=sim.scene.device)
 
         def launch() -> None:
-            with pruned(sim._idle):
-                repeat(sim._launch_physics, sim.scene.num_substeps, countdown)
+            repeat(sim._launch_physics, sim.scene.num_substeps, countdown)
 
         with quiet():
             graph = Graph(launch, sim.scene.device)

@@ -68,7 +68,7 @@ class Graph:
 
 
 class Replay:
-    """A program of `kernels.replay`, ready to run; Python's other threads go on meanwhile.
+    """A program of `engine.replay`, ready to run; Python's other threads go on meanwhile.
 
     Attributes:
         rows: The program, shape (n, 4) uint64, in the memory that is run.

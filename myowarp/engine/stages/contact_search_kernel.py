@@ -2,7 +2,7 @@
 
 The engine lists the pairs of geoms whose spheres and boxes meet, and goes through the list once for every
 family of shapes. Here a pair is done with in one go: spheres and capsules in closed form, ellipsoids by
-Newton's method (`kernels.separation`); pairs of other shapes go on the engine's list.
+Newton's method (`stages.separation`); pairs of other shapes go on the engine's list.
 """
 
 import warp as wp

@@ -1,4 +1,4 @@
-"""The tendons of a model as a program for `kernels.muscle_path`, and the arrays that it runs on."""
+"""The tendons of a model as a program for `muscle_path_kernel`, and the arrays that it runs on."""
 
 import math
 from typing import Any, ClassVar

@@ -2,7 +2,7 @@
 
     length = sum_segments scale |segment|,    ten_J = d length / d q
 
-A path is a chain of segments between sites, straight or bent round a geom (`kernels.wrap`). A segment whose
+A path is a chain of segments between sites, straight or bent round a geom (`stages.wrap`). A segment whose
 far end moves with dof j, (c_rot, c_lin) = cdof_j given at the centre of mass com of j's tree, adds
 
     c_rot . ((x - com) x u) + c_lin . u
