@@ -143,8 +143,8 @@ def new_muscles(
     for name, state in muscles.state.items():
         if state.dtype is not wp.float32 or state.shape[:2] != shape:
             raise ValueError(
-                f"state {name!r} of muscle model {muscle.model!r} must be float32 of shape ({shape[0]}, "
-                f"{shape[1]}) or ({shape[0]}, {shape[1]}, n), got {state.dtype.__name__} of shape {state.shape}"
+                f"state {name!r} of muscle model {muscle.model!r} must be float32 of shape "
+                f"{shape} or more dimensions, got {state.dtype.__name__} of shape {state.shape}"
             )
     return muscles
 
