@@ -245,7 +245,6 @@ def test_state_must_be_float32_by_world_and_muscle(elastic, monkeypatch):
         self.tendon_force = self.activation.reshape((num_worlds * len(self.names),))
 
     monkeypatch.setattr(elastic_muscle, "__init__", allocate)
-    with pytest.raises(
-        ValueError, match=r"must be float32 of shape \(5, 6\) or \(5, 6, 'n'\), got float32 of"
-    ):
+    message = "must be float32 of shape (5, 6) or more dimensions, got float32 of shape (30,)"
+    with pytest.raises(ValueError, match=re.escape(message)):
         run(elastic, 1)

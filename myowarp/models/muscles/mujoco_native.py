@@ -1,7 +1,7 @@
 """MuJoCo's muscle, eight at a time: the law of mujoco.py in C++ that becomes SIMD, for the CPU.
 
-The twin pays for itself: with the readable kernel a control step of 256 hands takes 7 % longer (`parity`) or
-11 % (`fast`), of 256 elbows 7 % or 15 %, on one core. `muscle="mujoco_readable"` does without it.
+The twin pays for itself: with the readable kernel a control step of 256 hands takes 8 % longer (`parity`) or
+12 % (`fast`), of 256 elbows 8 % or 15 %, on one core. `muscle="mujoco_readable"` does without it.
 """
 
 from pathlib import Path
