@@ -153,7 +153,7 @@ def test_seed_decides(key):
         assert not np.array_equal(first, second)
         assert len(np.unique(first, axis=0)) == n
     elif not getattr(TASKS[key], "random_start", False):
-        np.testing.assert_array_equal(first, second)
+        np.testing.assert_array_equal(first, second, f"{key} draws, but has no Random in its name")
         assert len(np.unique(first, axis=0)) == 1
 
 
