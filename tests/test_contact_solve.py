@@ -1,4 +1,4 @@
-"""The fused constraint solver against MuJoCo C, a dense float64 Newton method, and mujoco-warp's solver."""
+"""Our constraint solver against MuJoCo C, a dense float64 Newton method, and mujoco-warp's solver."""
 
 from types import SimpleNamespace
 

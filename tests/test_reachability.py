@@ -7,7 +7,7 @@ import pytest
 
 from myowarp.models.reachability import reachable, reachable_targets
 from myowarp.spec.body import BODIES
-from myowarp.tasks.reach import HAND_CENTER, HAND_HIGH, HAND_LOW
+from myowarp.tasks.reach_ids import HAND_CENTER, HAND_HIGH, HAND_LOW
 
 FOUND = 1e-3  # m; a thousandth of the miss of a wrong chain, ten times what the iterations leave
 EXCESS = 2e-3  # m above the true minimum after the default iterations, worst of the targets here

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from myowarp.engine import graph
+from myowarp.engine.said import say_once
 from myowarp.sim.shards import simulate
 from myowarp.spec.task import TASKS
 
@@ -238,7 +239,7 @@ def test_parts_act_at_the_same_time_where_warp_replays(monkeypatch, caplog):
     ends, seen = [], []
     for replayed in (True, False):
         graph._warp_recording.cache_clear()
-        graph.say_once.cache_clear()
+        say_once.cache_clear()
         if not replayed:
             monkeypatch.setattr(graph, "RECORDERS", (*graph.RECORDERS, "wp_is_no_more"))
         with caplog.at_level(logging.WARNING, logger="myowarp"):

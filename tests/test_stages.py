@@ -14,6 +14,7 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 import warp as wp
+from stepping import step
 
 from myowarp.engine import stage as stage_module
 from myowarp.engine.stage import STAGES, Stage, applicable_stages, load, logger
@@ -194,7 +195,14 @@ def test_what_the_list_of_stages_does_not_cover(inside, options, reason):
     """There `mujoco_warp.step` runs."""
     host = model_with(inside, options)
     with wp.ScopedDevice("cpu"):
-        assert uncovered(SimpleNamespace(oracle=host, model=mjw.put_model(host))) == reason
+        scene = SimpleNamespace(oracle=host, model=mjw.put_model(host))
+        assert uncovered(scene) == reason
+        if reason is None:
+            scene.model.opt.run_collision_detection = False
+            assert uncovered(scene) == "the user makes the contacts"
+            scene.model.opt.run_collision_detection = True
+            scene.model.callback.sensor = print
+            assert uncovered(scene) == "the user has sensors"
 
 
 ENGINE = Path(stage_module.__file__).parent
@@ -245,3 +253,32 @@ def test_a_private_name_that_is_gone(path, module, name, monkeypatch, caplog):
         assert np.abs(sim.scene.data.qpos.numpy() - start).max() > AFTER_STEPS
     finally:
         load.cache_clear()
+
+
+def test_damped_tendons_keep_their_velocity():
+    """Damping reads the velocities of tendons, which the muscle path leaves to the engine there."""
+    host = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><site name="a" pos="0 0.1 0.3"/><body><joint axis="1 0 0"/>
+        <geom size="0.1" pos="0 0 -0.3"/><site name="b" pos="0 0.1 -0.2"/></body></worldbody>
+        <tendon><spatial name="t" damping="20"><site site="a"/><site site="b"/></spatial></tendon>
+        <actuator><motor tendon="t"/></actuator></mujoco>"""
+    )
+    ends = []
+    with wp.ScopedDevice("cpu"):
+        for ours in (False, True):
+            model, data = mjw.put_model(host), mjw.make_data(host, nworld=2)
+            scene = SimpleNamespace(oracle=host, model=model, data=data, device=wp.get_device("cpu"))
+            assert uncovered(scene) is None
+            assert MusclePath.obstacle(scene) is None
+            data.qvel.fill_(3.0)
+            step(scene, [MusclePath(scene)] if ours else [])
+            ends.append(data.qvel.numpy().copy())
+    data = mujoco.MjData(host)
+    data.qvel[:] = 3.0
+    mujoco.mj_step(host, data)
+    np.testing.assert_allclose(ends, np.full((2, 2, 1), data.qvel[0]), rtol=1e-5)
+    host.tendon_damping[:] = 0.0
+    free = mujoco.MjData(host)
+    free.qvel[:] = 3.0
+    mujoco.mj_step(host, free)
+    assert abs(free.qvel[0] - data.qvel[0]) > 1e-4 * abs(data.qvel[0])

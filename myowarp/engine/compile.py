@@ -14,6 +14,7 @@ from unittest import mock
 import warp as wp
 
 from myowarp.engine.patch import is_empty
+from myowarp.engine.said import say_once
 from myowarp.progress import patient_bar
 
 PATIENCE = 0.5  # s without a word
@@ -105,6 +106,7 @@ def renew_code(modules: Iterable[wp.Module]) -> None:
     have code of their own; those captured before keep theirs.
     """
     if not can_renew_code():
+        say_once("Warp has changed: parts of the worlds step one after the other, which is slower")
         return
     for module in modules:
         module.execs = {key: loaded for key, loaded in module.execs.items() if not loaded.device.is_cpu}

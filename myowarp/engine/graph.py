@@ -9,7 +9,6 @@ through the notes.
 import contextlib
 import ctypes
 import importlib
-import logging
 from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import chain
@@ -20,8 +19,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.engine.replay import Operation, replay
-
-logger = logging.getLogger("myowarp")
+from myowarp.engine.said import say_once
 
 Row: TypeAlias = tuple[int, ...]
 Rows: TypeAlias = list[Row]
@@ -102,12 +100,6 @@ def code_address(function: Any) -> int:
     return ctypes.cast(function, ctypes.c_void_p).value or 0
 
 
-@cache
-def say_once(message: str) -> None:
-    """Log a message, the first time only."""
-    logger.warning(message)
-
-
 class _WarpRecording(NamedTuple):
     """What is private to Warp and needed to take notes.
 
@@ -140,6 +132,7 @@ def _warp_recording() -> _WarpRecording | None:
         loop = importlib.import_module("warp._src.apic.types").APIC_OP_WHILE
         for name in RECORDERS:
             getattr(runtime.core, name)
+        _ = runtime._apic_capture
         return _WarpRecording(runtime, loop)
     except (ImportError, AttributeError) as error:
         say_once(f"launches are replayed by Warp {wp.__version__}, which has changed, and slower: {error}")
@@ -180,13 +173,27 @@ class _Notes:
         )
         with contextlib.ExitStack() as patches:
             for holder, name, note in noted:
-                noting = _noting(note, getattr(holder, name), core.wp_apic_get_recording_state)
+                noting = self._noting(note, getattr(holder, name))
                 patches.enter_context(mock.patch.object(holder, name, noting))
             yield
 
     def complete(self, state: ctypes.c_void_p) -> bool:
         """Whether there is a note for each operation that Warp has recorded."""
         return self._has_all and len(self._operations) == self._num_recorded(state)
+
+    def _noting(self, note: Callable[..., None], native: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function of Warp's that takes a note, too, if it records: in this thread, not paused."""
+        recording = self._warp.runtime.core.wp_apic_get_recording_state
+
+        def noting(*args: Any) -> Any:
+            if recording():
+                try:
+                    note(*args)
+                except (AttributeError, TypeError, StopIteration, IndexError):  # Warp calls it in another way
+                    self._has_all = False
+            return native(*args)
+
+        return noting
 
     def program(self) -> Rows:
         """Return what `replay` runs."""
@@ -238,19 +245,6 @@ class _Notes:
         """Return where memory that Warp knows by a number begins."""
         known = self._warp.runtime._apic_capture._regions.values()
         return int(next(base for number, base, *_ in known if number == region))
-
-
-def _noting(
-    note: Callable[..., None], native: Callable[..., Any], recording: Callable[[], Any]
-) -> Callable[..., Any]:
-    """Return a function of Warp's that also takes a note when it records: in this thread, and not paused."""
-
-    def noting(*args: Any) -> Any:
-        if recording():
-            note(*args)
-        return native(*args)
-
-    return noting
 
 
 def replay_nothing(device: wp.Device) -> None:

@@ -22,6 +22,8 @@ from myowarp.spec.scene import Scene
 
 logger = logging.getLogger("myowarp")
 
+Launches = Callable[[mjw.Model, mjw.Data], None]
+
 STAGES = {
     "contact_search": "ContactSearch",
     "contact_solve": "ContactSolve",
@@ -40,11 +42,12 @@ class Stage(abc.ABC):
 
     Attributes:
         REPLACES: Places in `step.ORDER` that it fills, with one launch in the first.
-        OBSTACLES: What a scene must not have: a reason in words, and whether it holds.
+        OBSTACLES: What a scene must not have, beside `step.UNCOVERED`: a reason in words, and whether the
+            scene has it.
         TOLERANCE: Largest difference that it makes to a step's change of velocity or of position, as a share
             of the largest such change in the state (float32 sums in another order), beyond
             `verify.ROUNDINGS` of the state.
-        replaces: `REPLACES`, or what of it holds in the scene.
+        replaces: `REPLACES`, or the part of it that applies here.
     """
 
     REPLACES: ClassVar[tuple[str, ...]]
@@ -60,8 +63,9 @@ class Stage(abc.ABC):
         """Allocate all that the kernels need, on the scene's device."""
         self.replaces = self.REPLACES
 
-    def beside(self, replaced: frozenset[str]) -> None:  # noqa: B027 (most stages stand alone)
-        """Learn which places of the step are ours."""
+    def launcher(self, replaced: frozenset[str]) -> Launches:
+        """Return what the step launches, knowing which places of it are ours."""
+        return self.launch
 
     def refresh(self, model: mjw.Model, data: mjw.Data, mask: wp.array | None) -> bool:
         """Bring poses of bodies and of the task's sites up to date in masked worlds, or return False."""
@@ -84,7 +88,7 @@ def load(name: str) -> type[Stage] | None:
     try:
         module = importlib.import_module(f"myowarp.engine.stages.{name}")
     except (ImportError, AttributeError) as error:
-        logger.warning("%s is left to mujoco-warp %s, which has changed: %s", name, mjw.__version__, error)
+        _left_to_the_engine(name, error)
         return None
     kind: type[Stage] = getattr(module, STAGES[name])
     return kind
@@ -92,5 +96,16 @@ def load(name: str) -> type[Stage] | None:
 
 def applicable_stages(scene: Scene, names: Iterable[str] = STAGES) -> tuple[Stage, ...]:
     """Return the stages of these names that a scene can use, in the order of the names."""
-    kinds = (load(name) for name in names)
-    return tuple(kind(scene) for kind in kinds if kind is not None and kind.obstacle(scene) is None)
+    found = []
+    for name in names:
+        kind = load(name)
+        try:
+            if kind is not None and kind.obstacle(scene) is None:
+                found.append(kind(scene))
+        except AttributeError as error:  # a field of the engine's model or data is gone
+            _left_to_the_engine(name, error)
+    return tuple(found)
+
+
+def _left_to_the_engine(name: str, error: Exception) -> None:
+    logger.warning("%s is left to mujoco-warp %s, which has changed: %s", name, mjw.__version__, error)

@@ -1,8 +1,8 @@
 """The physics step as a list of stages, each the engine's function or one of ours.
 
-`ORDER` is `mujoco_warp.step` written out: positions, velocities, muscles, forces, accelerations, next state
-(MuJoCo documentation, Computation, "Forward dynamics"). `mujoco_warp.step` itself stays the reference; it
-runs where no stage of ours is used, and where a model has what `UNCOVERED` lists.
+`ORDER` is `mujoco_warp.step` without what `UNCOVERED` lists: positions, velocities, muscles, forces,
+accelerations, next state (MuJoCo documentation, Computation, "Forward dynamics"). `mujoco_warp.step` itself
+stays the reference; it runs where no stage of ours is used, and where a model has what `UNCOVERED` lists.
 """
 
 from collections.abc import Callable, Iterable
@@ -12,11 +12,9 @@ import warp as wp
 
 from myowarp.engine.idle import pruned
 from myowarp.engine.patch import engine_kernels_alone, one_thread
-from myowarp.engine.stage import Stage
+from myowarp.engine.stage import Launches, Stage
 from myowarp.kernels.launch import launch
 from myowarp.spec.scene import Scene
-
-Launches = Callable[[mjw.Model, mjw.Data], None]
 
 
 @wp.kernel(enable_backward=False)
@@ -107,6 +105,8 @@ UNCOVERED: dict[str, Callable[[Scene], bool]] = {
     "the integrator takes several evaluations, or is the discrete one": lambda scene: (
         scene.model.opt.integrator not in INTEGRATORS
     ),
+    "the user makes the contacts": lambda scene: not scene.model.opt.run_collision_detection,
+    "the user has sensors": lambda scene: scene.model.callback.sensor is not None,
     "body accelerations are asked for": lambda scene: bool(scene.model.opt.run_rne_postconstraint),
 }
 """What `mujoco_warp.step` does besides `ORDER`: a reason in words, and whether a scene has it."""
@@ -122,10 +122,9 @@ def stage_launches(stages: Iterable[Stage]) -> dict[str, Launches]:
     places, stages = dict(ORDER), tuple(stages)
     replaced = frozenset(place for stage in stages for place in stage.replaces)
     for stage in stages:
-        stage.beside(replaced)
         for place in stage.replaces[1:]:
             del places[place]
-        places[stage.replaces[0]] = stage.launch
+        places[stage.replaces[0]] = stage.launcher(replaced)
     return places
 
 

@@ -4,6 +4,7 @@ To verify stages and idle kernels the engine's step has to be compiled and run b
 the time of a first start. The verdict is kept on disk, under a key that names everything it depends on.
 """
 
+import inspect
 import json
 import logging
 import platform
@@ -38,8 +39,8 @@ as in models converted from OpenSim, turn one rounding into up to 3e-4 of the ch
 seen to differ by up to 10 times the median of that."""
 ROUNDING = 1e-4  # of the largest change in a world; float32 sums in any order
 
-State = tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]
-"""qpos, qvel, and the muscles' own state by name."""
+State = tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]
+"""qpos, qvel, ctrl, and the muscles' own state by name."""
 
 
 class Verdict(NamedTuple):
@@ -88,10 +89,23 @@ def _cached_verdict(scene: Scene, candidates: Iterable[Stage], verify: Callable[
     files = sorted(
         file for pattern in SOURCES for file in package.glob(pattern) if file.suffix in (".py", ".cpp")
     )
+    defined = inspect.getsourcefile(type(scene.muscles))
+    if defined is not None:
+        files.append(Path(defined))
     digests = (model_digest(scene.oracle), files_digest(files))
     names = sorted(type(stage).__name__ for stage in candidates)
     where = (scene.device.alias, scene.device.name, scene.device.arch, platform.machine())
-    key = ("verdict", *digests, names, where, version("mujoco-warp"), version("warp-lang"))
+    muscles, deterministic = type(scene.muscles).__name__, int(scene.model.opt.deterministic)
+    key = (
+        "verdict",
+        *digests,
+        names,
+        muscles,
+        deterministic,
+        where,
+        version("mujoco-warp"),
+        version("warp-lang"),
+    )
 
     def load(path: str) -> Verdict:
         entry = json.loads(Path(path).read_text())
@@ -100,7 +114,7 @@ def _cached_verdict(scene: Scene, candidates: Iterable[Stage], verify: Callable[
             raise ValueError(f"{path} holds no verdict")
         parts = {part: frozenset(map(str, entry[part])) for part in known}
         if not all(parts[part] <= known[part] for part in known):
-            raise ValueError(f"{path} names kernels that are not there")
+            raise ValueError(f"{path} names kernels or stages that are not there")
         return Verdict(**parts)
 
     def save(verdict: Verdict, path: str) -> None:
@@ -158,7 +172,7 @@ def verified_idle(scene: Scene) -> frozenset[str]:
     start = np.concatenate([qpos, qvel], axis=1)
     ends = []
     for skipped in (names, frozenset[str]()):
-        _place(scene, (qpos, qvel, muscles))
+        _place(scene, (qpos, qvel, np.zeros((data.nworld, host.nu)), muscles))
         physics_step(scene, idle=skipped)()
         ends.append(np.concatenate([data.qpos.numpy(), data.qvel.numpy()], axis=1).copy())
     ours, stock = ends
@@ -195,8 +209,9 @@ def _states(scene: Scene) -> Iterator[State]:
         motion.append((data.qpos.copy(), data.qvel.copy()))
     for first in range(0, NUM_STATES, worlds):
         chosen = [motion[(first + i) % NUM_STATES] for i in range(worlds)]
-        muscles = _muscle_state(scene, rng)
-        yield np.array([q for q, _ in chosen]), np.array([v for _, v in chosen]), muscles
+        ctrl = rng.uniform(low, high, (worlds, host.nu))
+        qpos, qvel = (np.array(values) for values in zip(*chosen, strict=True))
+        yield qpos, qvel, ctrl, _muscle_state(scene, rng)
 
 
 def _muscle_state(scene: Scene, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -206,9 +221,10 @@ def _muscle_state(scene: Scene, rng: np.random.Generator) -> dict[str, np.ndarra
 
 def _place(scene: Scene, state: State) -> None:
     """Put the worlds into a state."""
-    qpos, qvel, muscles = state
+    qpos, qvel, ctrl, muscles = state
     scene.data.qpos.assign(qpos)
     scene.data.qvel.assign(qvel)
+    scene.data.ctrl.assign(ctrl)
     scene.data.qacc_warmstart.zero_()
     for name, values in muscles.items():
         scene.muscles.state[name].assign(values)
@@ -216,14 +232,14 @@ def _place(scene: Scene, state: State) -> None:
 
 def _rounded(state: State) -> State:
     """Return states whose positions and velocities are the next float32 numbers, up or down at random."""
-    qpos, qvel, muscles = state
+    qpos, qvel, ctrl, muscles = state
     random = np.random.default_rng(0)
 
     def beside(values: np.ndarray) -> np.ndarray:
         way = np.where(random.integers(2, size=values.shape), np.float32(np.inf), np.float32(-np.inf))
         return np.nextafter(values.astype(np.float32), way)
 
-    return beside(qpos), beside(qvel), muscles
+    return beside(qpos), beside(qvel), ctrl, muscles
 
 
 def _changes(

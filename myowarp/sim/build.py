@@ -29,7 +29,7 @@ from myowarp.spec.worlds import Worlds
 SHARED_FIELDS = (
     # State:
     *("time", "qpos", "qvel", "act", "history", "plastic", "qacc_warmstart", "ctrl", "qfrc_applied"),
-    *("xfrc_applied", "eq_active", "mocap_pos", "mocap_quat", "userdata", "overflow"),
+    *("eq_active", "mocap_pos", "mocap_quat", "userdata", "overflow"),
     # Results:
     *("xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat", "cam_xpos"),
     *("cam_xmat", "light_xpos", "light_xdir", "subtree_com", "cvel", "qacc", "act_dot", "ten_length"),
@@ -39,7 +39,7 @@ SHARED_FIELDS = (
 """Arrays of `mjw.Data` with a row for each world that are of use outside of the engine.
 
 What only the engine reads is not shared: cores that write what lies side by side take cache lines from each
-other, which costs 64 elbows up to 7 % of a step. Nor is what the fused kernels do not write, such as the
+other, which costs 64 elbows up to 7 % of a step. Nor is what our stages do not write, such as the
 poses of all sites: it would be old.
 """
 
@@ -159,9 +159,8 @@ def new_muscles(
     for name, state in muscles.state.items():
         if state.dtype is not wp.float32 or state.shape[:2] != shape:
             raise ValueError(
-                f"state {name!r} of muscle model {muscle.model!r} must be float32 of shape ({shape[0]}, "
-                f"{shape[1]}) or ({shape[0]}, {shape[1]}, n), "
-                f"got {state.dtype.__name__} of shape {state.shape}"
+                f"state {name!r} of muscle model {muscle.model!r} must be float32 of shape "
+                f"{shape} or more dimensions, got {state.dtype.__name__} of shape {state.shape}"
             )
     return muscles
 

@@ -354,7 +354,7 @@ class Simulation:
 
         Args:
             launch: Launches kernels that only look: all that they may write is their own arrays, and what
-                the next physics step computes anew. With sums and sorts of Warp's, shards step one by one.
+                the next physics step computes anew. With sums and sorts of Warp's, Warp replays the step.
         """
         self._probes.append(launch)
         with quiet(), wp.ScopedDevice(self.scene.device):

@@ -59,7 +59,7 @@ def filled(kind: Any, *sources: Any) -> Any:
     """Return a struct of a kind; each field is the attribute of that name of the first object that has it."""
     struct = kind()
     for name in kind.vars:
-        owner = next(source for source in sources if hasattr(source, name))
+        owner = next((source for source in sources if hasattr(source, name)), sources[0])
         setattr(struct, name, getattr(owner, name))
     return struct
 

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import mujoco_warp as mjw
 import warp as wp
-from mujoco_warp import BroadphaseType, DisableBit, EnableBit, GeomType
+from mujoco_warp import BroadphaseType, DeterminismType, DisableBit, GeomType
 from mujoco_warp._src.collision_core import create_collision_context
 from mujoco_warp._src.collision_driver import MJ_COLLISION_TABLE, CollisionType, convex_narrowphase
 
@@ -44,10 +44,10 @@ class ContactSearch(Stage):
         "the engine does not compare all pairs": lambda scene: (
             scene.model.opt.broadphase != BroadphaseType.NXN
         ),
-        "sleeping is on": lambda scene: bool(scene.model.opt.enableflags & EnableBit.SLEEP),
+        "contacts are sorted": lambda scene: bool(scene.model.opt.deterministic & DeterminismType.CONTACTS),
         "meshes differ between worlds": lambda scene: scene.model.geom_dataid.shape[0] > 1,
-        "there are flexes, distance fields or moving surfaces": lambda scene: bool(
-            scene.model.nflex or scene.model.has_sdf_geom or scene.model.flg_surfacevel
+        "there are distance fields or moving surfaces": lambda scene: bool(
+            scene.model.has_sdf_geom or scene.model.flg_surfacevel
         ),
         "the user filters contacts": lambda scene: scene.model.callback.contactfilter is not None,
     }

@@ -15,7 +15,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 from mujoco_warp import BiasType, DisableBit, GainType, IntegratorType, JointType, OverflowType
-from mujoco_warp._src import forward
+from mujoco_warp._src.forward import _advance, implicit_free_body
 from mujoco_warp._src.math import quat_integrate
 from mujoco_warp._src.types import vec10
 
@@ -283,9 +283,9 @@ class Integrate(Stage):
         stateful = model.na > 0 or model.nhistory > 0
         self.advance(model, data, implicit, advance=not (free or stateful))
         if free:
-            forward.implicit_free_body(model, data, data.efc.Ma, self.acceleration, solve=True)
+            implicit_free_body(model, data, data.efc.Ma, self.acceleration, solve=True)
         if stateful:
-            forward._advance(model, data, self.acceleration)
+            _advance(model, data, self.acceleration)
         elif free:
             self.advance(model, data, implicit, solve=False)
 

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.engine.stage import Stage
-from myowarp.engine.stages.arrays import filled
+from myowarp.engine.stages.arrays import any_of, filled
 from myowarp.engine.stages.muscle_path_kernel import (
     Drive,
     Path,
@@ -192,6 +192,8 @@ class MusclePath(Stage):
     def __init__(self, scene: Scene) -> None:
         """Write the program of the paths."""
         super().__init__(scene)
+        if any_of(scene.model.tendon_damping, scene.model.tendon_dampingpoly):
+            self.replaces = ("tendon", "transmission")  # damping needs the tendons' own velocities
         with wp.ScopedDevice(scene.device):
             self._paths = MusclePaths(scene.oracle, scene.model, scene.data)
 

@@ -6,6 +6,7 @@ chapters 4 to 6; motions are about the centre of mass of their tree, MuJoCo docu
 engine makes twenty launches of this, most of which do little more than read what the last one wrote.
 """
 
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -15,7 +16,7 @@ import warp as wp
 from mujoco_warp import DisableBit, JointType
 from mujoco_warp._src.types import vec10
 
-from myowarp.engine.stage import Stage
+from myowarp.engine.stage import Launches, Stage
 from myowarp.engine.stages.arrays import any_of, filled
 from myowarp.kernels.batching import num_threads
 from myowarp.kernels.launch import launch
@@ -162,7 +163,7 @@ def _springy_quaternions(scene: Scene) -> bool:
 
 
 class RigidBody(Stage):
-    """All that a step computes from positions and velocities alone, and poses for who asks for no more.
+    """All that a step computes from positions and velocities alone, or only poses.
 
     Within a step only the engine's own tendons and rows read sites; where the tendons are ours, only
     `refresh` brings sites up to date.
@@ -186,7 +187,6 @@ class RigidBody(Stage):
         self._task_sites = wp.array(sites, dtype=int, device=scene.device)
         self._all_sites = wp.array(np.arange(model.nsite), dtype=int, device=scene.device)
         self._no_sites = wp.zeros(0, dtype=int, device=scene.device)
-        self._sites = self._all_sites
         self._every = wp.ones(scene.data.nworld, dtype=bool, device=scene.device)
         tendons = (
             model.tendon_stiffness,
@@ -198,13 +198,14 @@ class RigidBody(Stage):
         if others or any_of(*tendons, model.body_gravcomp):
             self.replaces = tuple(place for place in self.REPLACES if place != "passive")
 
-    def beside(self, replaced: frozenset[str]) -> None:
-        """Leave out the sites if nobody reads them."""
-        self._sites = self._no_sites if "tendon" in replaced else self._all_sites
+    def launcher(self, replaced: frozenset[str]) -> Launches:
+        """Return a launch that leaves out the sites if nobody reads them."""
+        sites = self._no_sites if "tendon" in replaced else self._all_sites
+        return partial(self._launch, mask=self._every, sites=sites, dynamics=True)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Compute all that follows from positions and velocities."""
-        self._launch(model, data, self._every, self._sites, dynamics=True)
+        self._launch(model, data, self._every, self._all_sites, dynamics=True)
 
     def refresh(self, model: mjw.Model, data: mjw.Data, mask: wp.array | None) -> bool:
         """Compute where bodies and the task's sites are: what tasks read of `mujoco_warp.kinematics`.

@@ -1,0 +1,12 @@
+"""What the engine room says once: that something is slower than it could be, and why."""
+
+import logging
+from functools import cache
+
+logger = logging.getLogger("myowarp")
+
+
+@cache
+def say_once(message: str) -> None:
+    """Log a message, the first time only."""
+    logger.warning(message)
