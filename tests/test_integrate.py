@@ -215,7 +215,11 @@ def test_free_bodies_fall_back_on_their_plain_inertia():
     host = machine("with free bodies", "implicitfast")
     states, ends = random_states(host), []
     free = slice(host.nv - 12, None)
-    with wp.ScopedDevice("cpu"), mock.patch.object(forward, "implicit_free_body"):
+    with (
+        wp.ScopedDevice("cpu"),
+        mock.patch.object(forward, "implicit_free_body"),
+        mock.patch("myowarp.engine.stages.integrate.implicit_free_body"),
+    ):
         scene = scene_of(host)
         for stages in ((), (Integrate(scene),)):
             for field, values in states.items():

@@ -379,9 +379,14 @@ def _report(figures: dict[str, object], as_json: bool) -> None:
     Console().print(table)
 
 
-def main() -> None:
-    """Entry point of the command; errors are one sentence and exit status 2."""
+def command() -> None:
+    """Entry point of the command, in a process of its own."""
     gc.freeze()  # half a million objects of Warp's stay to the end; not looking through them saves a second
+    main()
+
+
+def main() -> None:
+    """Run the command; errors are one sentence and exit status 2."""
     wp.config.log_level = wp.LOG_ERROR
     command = tyro.extras.subcommand_cli_from_dict(
         {
@@ -405,4 +410,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command()
