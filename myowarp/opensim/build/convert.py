@@ -17,11 +17,11 @@ import mujoco
 import numpy as np
 
 from myowarp.opensim.build.geometry import Build, begin, tie
-from myowarp.opensim.mapping import CoordinateMap
 from myowarp.opensim.build.meshes import add_shapes
-from myowarp.opensim.model import Model, Muscle, Note
 from myowarp.opensim.build.passive import add_forces, path_tendon
 from myowarp.opensim.build.points import add_markers, add_moving_points
+from myowarp.opensim.mapping import CoordinateMap
+from myowarp.opensim.model import Model, Muscle, Note
 from myowarp.opensim.tendon.path import TendonPath
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from myowarp.opensim.elements import Pose
 from myowarp.opensim.build.quartics import Quartic, fit_all
+from myowarp.opensim.elements import Pose
 from myowarp.opensim.functions import IDENTITY, Composed, Constant, Function, Multiplier, affine
 from myowarp.opensim.kinematics import about, sampling_range
 from myowarp.opensim.mapping import CoordinateMap, Dependent, MappedCoordinate

@@ -11,11 +11,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from myowarp.opensim.read.document import Element, parse
-from myowarp.opensim.elements import Shape
 from myowarp.opensim.build.geometry import Build, quaternion
+from myowarp.opensim.elements import Shape
 from myowarp.opensim.kinematics import about
 from myowarp.opensim.model import Note
+from myowarp.opensim.read.document import Element, parse
 
 MAX_PATH = 200  # characters of a file's name
 

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from myowarp.opensim.elements import BodyActuator, Bushing, ConditionalPathPoint, Ligament, Path
 from myowarp.opensim.build.geometry import TIGHT, Build, quaternion
+from myowarp.opensim.elements import BodyActuator, Bushing, ConditionalPathPoint, Ligament, Path
 from myowarp.opensim.model import GROUND, Note
 from myowarp.opensim.tendon.path import TendonPath, Via, add_tendon
 

@@ -4,7 +4,6 @@ from collections.abc import Hashable
 
 import numpy as np
 
-from myowarp.opensim.elements import MovingPathPoint, Path
 from myowarp.opensim.build.geometry import (
     MIN_INERTIA,
     MIN_MASS,
@@ -15,6 +14,7 @@ from myowarp.opensim.build.geometry import (
     quaternion,
     reduced,
 )
+from myowarp.opensim.elements import MovingPathPoint, Path
 from myowarp.opensim.model import Note, pulling
 
 MARKER_GROUP = 5
