@@ -8,6 +8,7 @@ import contextlib
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import cache
 from typing import Any
 from unittest import mock
 
@@ -93,6 +94,7 @@ def compile_kernels(
     return tuple(dict.fromkeys(module for module, _ in wanted))
 
 
+@cache
 def can_renew_code() -> bool:
     """Whether Warp's modules keep their machine code where `renew_code` looks for it."""
     return hasattr(wp.Module, "execs") or "execs" in vars(wp.get_module(__name__))

@@ -8,8 +8,10 @@ import warp as wp
 
 
 @cache
-def _parameters(kernel: wp.Kernel) -> tuple[str, ...]:
-    return tuple(inspect.signature(kernel.func).parameters)
+def _arguments(kernel: wp.Kernel) -> tuple[str, ...]:
+    """Return the names of a kernel's arguments: its parameters without `_in` and `_out`."""
+    parameters = inspect.signature(kernel.func).parameters
+    return tuple(name.removesuffix("_in").removesuffix("_out") for name in parameters)
 
 
 def launch(kernel: wp.Kernel, dim: int | tuple[int, ...], *owners: object, **given: Any) -> None:
@@ -28,7 +30,7 @@ def launch(kernel: wp.Kernel, dim: int | tuple[int, ...], *owners: object, **giv
     Raises:
         TypeError: An argument is missing, or given and not wanted.
     """
-    names = [name.removesuffix("_in").removesuffix("_out") for name in _parameters(kernel)]
+    names = _arguments(kernel)
     if surplus := given.keys() - set(names):
         raise TypeError(f"kernel {kernel.key} takes {', '.join(names)}, got {', '.join(sorted(surplus))} too")
     wp.launch(kernel, dim=dim, inputs=[_argument(kernel, name, owners, given) for name in names])

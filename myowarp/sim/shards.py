@@ -105,7 +105,7 @@ class Shards:
                 parts.append(Simulation(spec, part, like=parts[0] if parts else None, **options))
                 advance(1)
         self.parts = tuple(parts)
-        self.scene = _joined(parts[0].scene, worlds)
+        self.scene = _joined(parts[0].scene, worlds, parts[0].conditions)
         self.columns, self.terms = parts[0].columns, parts[0].terms
         self.action = worlds.shared["sim.action"]
         self.transition = worlds.join("transition", Transition())
@@ -196,7 +196,7 @@ class Shards:
             raise
 
 
-def _joined(scene: Scene, worlds: Worlds) -> Scene:
+def _joined(scene: Scene, worlds: Worlds, conditions: tuple[Condition, ...]) -> Scene:
     """Return the scene of all worlds, after that of a part."""
     model, data, muscles = copy.copy(scene.model), copy.copy(scene.data), copy.copy(scene.muscles)
     for field in dataclasses.fields(data):
@@ -204,7 +204,7 @@ def _joined(scene: Scene, worlds: Worlds) -> Scene:
         if dataclasses.is_dataclass(value) or (isinstance(value, wp.array) and value.size):
             setattr(data, field.name, None)
     data.nworld = worlds.total
-    if worlds.shared.get("anatomy.path") is not None:
+    if conditions:
         muscles.anatomy = worlds.join("anatomy", Anatomy())
     return dataclasses.replace(
         scene,
