@@ -9,7 +9,7 @@ the world of `make(...).reset(seed=s + i)`, as in Gymnasium's own vector environ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -24,6 +24,7 @@ from myowarp.kernels.episode import Transition, describe_fault
 from myowarp.sim.interop import ActionInput, Output
 from myowarp.sim.shards import Shards, simulate
 from myowarp.sim.simulation import Simulation
+from myowarp.sim.state import State, Worlds, get_state, place, set_state, start_arrays
 from myowarp.spec.condition import Condition
 from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.registry import check_choice
@@ -35,6 +36,7 @@ RENDER_MODES = ("human", "rgb_array")
 # Fields of a transition that `step` returns, that show in its `info`, and that it looks at.
 RESULTS = ("obs", "reward", "terminated", "truncated")
 ENTRIES = ("success", "solved", "fault", "terms")
+RESET_OPTIONS = ("reset_mask", "qpos", "qvel", "state")
 SEEN = ("terminated", "truncated", "fault")
 NO_HORIZON = 2**31 - 1  # steps; a single environment leaves truncation to Gymnasium's TimeLimit
 AUTORESET_NAMES = {
@@ -112,6 +114,7 @@ class MyoWarpVectorEnv(VectorEnv):
             ValueError: An argument is out of its range; nothing was built.
             ImportError: Output for a library that is not installed.
         """
+        self._made_with = {name: value for name, value in locals().items() if name != "self"}  # for pickle
         check_choice("render_mode", render_mode, (None, *RENDER_MODES))
         mode = _autoreset_mode(autoreset_mode)
         self.copy = output == "numpy" if copy is None else copy
@@ -170,7 +173,13 @@ class MyoWarpVectorEnv(VectorEnv):
 
         Args:
             seed: World i gets `seed + i`, or the i-th of a sequence; None lets the random streams go on.
-            options: `{"reset_mask": mask}`, a (num_envs,) bool array, resets only those worlds.
+            options: By name, each may be left out:
+                `reset_mask`: Only these worlds, (num_envs,) bool.
+                `qpos`: Start configuration, (nq,) for all or (num_envs, nq), in the order of
+                `env.sim.scene.oracle`; goals, and what conditions draw, are those of any reset.
+                `qvel`: Start velocity, (nv,) or (num_envs, nv); else the worlds start at rest.
+                `state`: A `State` of one world, or of as many as are reset; instead of a reset's own start,
+                goal and random numbers, so that there is nothing to seed.
 
         Returns:
             Observations of all worlds, and an empty dictionary.
@@ -178,7 +187,13 @@ class MyoWarpVectorEnv(VectorEnv):
         Raises:
             ValueError: A seed or an option is not as described; no world was reset.
         """
-        mask = self._reset_mask(options)
+        options = self._options(options)
+        mask = self._reset_mask(options.get("reset_mask"))
+        if "state" in options:
+            if seed is not None or len(options.keys() - {"reset_mask"}) > 1:
+                raise ValueError("reset option 'state' is all that a world is; leave out seed, qpos and qvel")
+            return self.set_state(options["state"], mask), {}
+        start = start_arrays(self.sim, options)
         seeds, seeded = self._seeds(seed)
         if seeds is None:
             self.sim.reset(mask)
@@ -186,6 +201,8 @@ class MyoWarpVectorEnv(VectorEnv):
             self.sim.reset(mask & seeded, seeds)
             if not seeded.all():
                 self.sim.reset(mask & ~seeded)
+        if start:
+            place(self.sim, {name: rows[mask] for name, rows in start.items()}, np.flatnonzero(mask))
         self._was_reset = self._was_reset or bool(mask.all())
         self._ended[mask] = self._resetting[mask] = False
         self._show()
@@ -218,6 +235,57 @@ class MyoWarpVectorEnv(VectorEnv):
         obs, reward, terminated, truncated = self._results().values()
         return obs, reward, terminated, truncated, info
 
+    def get_state(self, worlds: Worlds = None) -> State:
+        """Return all that worlds are: body, goal, conditions, counters, random numbers to come.
+
+        Args:
+            worlds: A number, numbers in any order, or a mask (num_envs,) bool; None: all.
+
+        Raises:
+            ValueError: There are no such worlds.
+            gymnasium.error.ResetNeeded: Not reset yet.
+        """
+        if not self._was_reset:
+            raise ResetNeeded("get_state needs an environment that was reset; call reset() first")
+        return get_state(self.sim, worlds)
+
+    def set_state(self, state: State, worlds: Worlds = None, *, conditions: bool = True) -> Any:
+        """Make worlds what others were, in this environment or in another one of the task.
+
+        What follows is what followed there, bit for bit, over any number of worlds and shards.
+
+        Args:
+            state: One world, which is given to all that are named, or as many as are named.
+            worlds: As in `get_state`.
+            conditions: Whether what the conditions remember and have drawn is set, too; False lets the same
+                movement go on in another patient.
+
+        Returns:
+            Observations of all worlds, as `reset` does.
+
+        Raises:
+            ValueError: The state does not fit; nothing was set.
+        """
+        rows = set_state(self.sim, state, worlds, conditions=conditions)
+        self._was_reset = self._was_reset or len(rows) == self.num_envs
+        ended = self.sim.episode.ended.numpy()[rows]
+        self._ended[rows] = ended & (self._autoreset == AutoresetMode.DISABLED)
+        self._resetting[rows] = ended & (self._autoreset == AutoresetMode.NEXT_STEP)
+        self._show()
+        return self._obs()["obs"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what makes the same environment again: `pickle` and `copy.deepcopy` build it anew."""
+        kept = {"made_with": self._made_with, "state": self.get_state() if self._was_reset else None}
+        return kept | {"spec": self.spec}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        """Build an environment of the same options, in the same state."""
+        self.__init__(**kept["made_with"])  # type: ignore[misc]  # as Gymnasium's EzPickle does
+        self.spec = kept["spec"]
+        if kept["state"] is not None:
+            self.set_state(kept["state"])
+
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Return a picture of every world, each (height, width, 3) uint8; None in human mode.
 
@@ -242,12 +310,16 @@ class MyoWarpVectorEnv(VectorEnv):
         if self.render_mode == "human":
             self._pictures.show(self.sim)
 
-    def _reset_mask(self, options: dict[str, Any] | None) -> np.ndarray:
+    def _options(self, options: dict[str, Any] | None) -> dict[str, Any]:
+        """Return the options of a reset, their names checked."""
+        if options is not None and not isinstance(options, Mapping):
+            raise ValueError(f"reset options must be a dictionary, got {options!r}")
+        for name in options or {}:
+            check_choice("reset option", name, RESET_OPTIONS)
+        return {name: value for name, value in (options or {}).items() if value is not None}
+
+    def _reset_mask(self, mask: Any) -> np.ndarray:
         """Return the worlds to reset."""
-        options = dict(options or {})
-        mask = options.pop("reset_mask", None)
-        if options:
-            raise ValueError(f"reset option {next(iter(options))!r} unknown; available: reset_mask")
         if mask is None:
             return np.ones(self.num_envs, dtype=bool)
         mask = np.asarray(mask)
@@ -367,6 +439,14 @@ class MyoWarpEnv(gym.Env):
         obs, reward, terminated, truncated, info = self._vector.step(np.asarray(action)[None])
         info = {k: v[0].item() if v.ndim == 1 else v[0] for k, v in info.items() if not k.startswith("_")}
         return obs[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
+
+    def get_state(self) -> State:
+        """Return all that the world is; see `MyoWarpVectorEnv.get_state`."""
+        return self._vector.get_state()
+
+    def set_state(self, state: State, *, conditions: bool = True) -> np.ndarray:
+        """Make the world what another was, and return its observation; see `MyoWarpVectorEnv.set_state`."""
+        return self._vector.set_state(state, conditions=conditions)[0]
 
     def render(self) -> np.ndarray | None:
         """Return a picture (height, width, 3) uint8; None in human mode."""

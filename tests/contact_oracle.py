@@ -134,7 +134,7 @@ def written(key, prefix, steps):
     count = write_state(sim, record, prefix)
     AIMS[meta["task"]](sim, record, prefix)
     sim.episode.step_count.assign(padded(steps.astype(np.int32)))
-    sim.episode.pending.zero_()
+    sim.episode.ended.zero_()
     sim.transition.fault.zero_()
     sim.transition.obs.fill_(np.nan)
     sim.transition.terms.fill_(np.nan)

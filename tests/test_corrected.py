@@ -38,7 +38,7 @@ def simulation(key, num_worlds=NUM_WORLDS):
 def scored(sim, step=1):
     """Return reward, terms, solved and failed of the present state of all worlds."""
     sim.episode.step_count.assign(np.broadcast_to(step, sim.num_worlds).astype(np.int32))
-    sim.episode.pending.zero_()
+    sim.episode.ended.zero_()
     sim.transition.fault.zero_()
     sim.transition.terms.fill_(np.nan)
     sim.program.advance(sim.episode.step_count)

@@ -81,7 +81,7 @@ def step_like(sim, record):
         for part in COMPARTMENTS:
             getattr(sim.effects[0].state, f"{part}_fraction").assign(record[f"step_{part}_before"])
     sim.episode.step_count.assign(record["step_step"].astype(np.int32) - 1)
-    sim.episode.pending.zero_()
+    sim.episode.ended.zero_()
     data.qacc_warmstart.zero_()
     sim.action.assign(record["step_action"])
     sim.step()

@@ -48,13 +48,13 @@ class EpisodeState:
         step_count: Steps since reset.
         life_count: Steps since the world was seeded.
         solved_count: Steps since reset in which the task was solved.
-        pending: The last step ended the episode, and the next step has to reset the world.
+        ended: The last step ended the episode, and the world is not reset yet.
     """
 
     step_count: wp.array[int]
     life_count: wp.array[int]
     solved_count: wp.array[int]
-    pending: wp.array[bool]
+    ended: wp.array[bool]
 
 
 @wp.struct
@@ -106,7 +106,7 @@ def new_episode_state(num_worlds: int) -> EpisodeState:
     episode = EpisodeState()
     for count in ("step_count", "life_count", "solved_count"):
         setattr(episode, count, wp.zeros(num_worlds, dtype=int))
-    episode.pending = wp.zeros(num_worlds, dtype=bool)
+    episode.ended = wp.zeros(num_worlds, dtype=bool)
     return episode
 
 
@@ -203,15 +203,15 @@ def advance_episode(
 ):
     """reward = weights . terms; decide what ends, what is reset and what is observed.
 
-    A world that was pending is only renewed: reset, unless states carry over (`keep_state`). A faulty world
+    A world that had ended is only renewed: reset, unless states carry over (`keep_state`). A faulty world
     ends with reward 0, keeps its last observation and is reset at once, in every mode.
     """
     worldid = wp.tid()
-    was_pending = episode.pending[worldid]
-    if was_pending:
+    had_ended = episode.ended[worldid] and autoreset != RESET_DISABLED
+    if had_ended:
         transition.fault[worldid] = 0
     faulty = transition.fault[worldid] != 0
-    live = not was_pending and not faulty
+    live = not had_ended and not faulty
 
     reward = float(0.0)
     for k in range(weights.shape[0]):
@@ -223,20 +223,20 @@ def advance_episode(
     if solved:
         episode.solved_count[worldid] += 1
     terminated = faulty or (live and transition.failed[worldid])
-    truncated = not was_pending and episode.step_count[worldid] >= horizon[0]
+    truncated = not had_ended and episode.step_count[worldid] >= horizon[0]
     ended = terminated or truncated
     reset_now = ended and autoreset == RESET_SAME_STEP
 
     transition.reward[worldid] = reward
     transition.solved[worldid] = solved
-    transition.success[worldid] = not was_pending and episode.solved_count[worldid] > SUCCESS_STEPS
+    transition.success[worldid] = not had_ended and episode.solved_count[worldid] > SUCCESS_STEPS
     transition.terminated[worldid] = terminated
     transition.truncated[worldid] = truncated
-    episode.pending[worldid] = ended and autoreset == RESET_NEXT_STEP
+    episode.ended[worldid] = ended and not reset_now
     masks.live[worldid] = live
-    masks.renew[worldid] = was_pending or faulty or reset_now
-    masks.reset[worldid] = faulty or ((was_pending or reset_now) and not keep_state)
-    masks.fresh[worldid] = was_pending or reset_now
+    masks.renew[worldid] = had_ended or faulty or reset_now
+    masks.reset[worldid] = faulty or ((had_ended or reset_now) and not keep_state)
+    masks.fresh[worldid] = had_ended or reset_now
 
 
 @wp.kernel(enable_backward=False)
@@ -272,7 +272,7 @@ def open_episode(
     episode: EpisodeState,
     keys: RandomKeys,
 ):
-    """Put the counters of the worlds to renew to 0; a reset that was asked for leaves none pending.
+    """Put the counters of the worlds to renew to 0; a reset that was asked for opens what had ended.
 
     The next episode's random numbers are other ones.
     """
@@ -284,4 +284,4 @@ def open_episode(
         if keys.episode[worldid] == 1:
             episode.life_count[worldid] = 0
         if asked:
-            episode.pending[worldid] = False
+            episode.ended[worldid] = False

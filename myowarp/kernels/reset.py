@@ -1,5 +1,7 @@
 """Masked reset of world state; nothing here allocates or reads back."""
 
+from typing import Any
+
 import mujoco_warp as mjw
 import warp as wp
 
@@ -25,6 +27,29 @@ def fill_rows(
 def masked_fill(mask: wp.array, values: wp.array, value: float) -> None:
     """Set the rows of `values` (num_worlds, ...) that `mask` (num_worlds,) selects to `value`."""
     wp.launch(fill_rows, dim=values.shape[0], inputs=[mask, value], outputs=[as_rows(values)])
+
+
+@wp.kernel(enable_backward=False)
+def copy_rows(
+    # In:
+    mask: wp.array[bool],
+    source: wp.array2d[Any],
+    # Out:
+    target: wp.array2d[Any],
+):
+    """target[world, :] = source[world, :] in the worlds of the mask."""
+    worldid = wp.tid()
+    if mask[worldid]:
+        for i in range(target.shape[1]):
+            target[worldid, i] = source[worldid, i]
+
+
+def masked_copy(mask: wp.array | None, source: wp.array, target: wp.array) -> None:
+    """Copy the rows of `source` (num_worlds, ...) that `mask` (num_worlds,) selects; None: all."""
+    if mask is None:
+        wp.copy(target, source)
+    else:
+        wp.launch(copy_rows, dim=mask.shape, inputs=[mask, as_rows(source)], outputs=[as_rows(target)])
 
 
 @wp.kernel(enable_backward=False)

@@ -26,17 +26,21 @@ from myowarp.spec.scene import Scene
 from myowarp.spec.task import PHYSICS, RESETS, PhysicsPreset, TaskSpec
 from myowarp.spec.worlds import Worlds
 
-SHARED_FIELDS = (
-    # State:
+STATE_FIELDS = (
     *("time", "qpos", "qvel", "act", "history", "plastic", "qacc_warmstart", "ctrl", "qfrc_applied"),
-    *("eq_active", "mocap_pos", "mocap_quat", "userdata", "overflow"),
-    # Results:
+    *("eq_active", "mocap_pos", "mocap_quat", "userdata"),
+)
+"""Arrays of `mjw.Data` that the engine carries from one step to the next, and those that only users write."""
+
+SHARED_FIELDS = (
+    *STATE_FIELDS,
+    "overflow",
     *("xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat", "cam_xpos"),
     *("cam_xmat", "light_xpos", "light_xdir", "subtree_com", "cvel", "qacc", "act_dot", "ten_length"),
     *("actuator_length", "actuator_velocity", "actuator_force", "qfrc_bias", "qfrc_passive"),
     *("qfrc_actuator", "qfrc_constraint", "sensordata"),
 )
-"""Arrays of `mjw.Data` with a row for each world that are of use outside of the engine.
+"""Arrays of `mjw.Data` with a row for each world that are of use outside of the engine: state, and results.
 
 What only the engine reads is not shared: cores that write what lies side by side take cache lines from each
 other, which costs 64 elbows up to 7 % of a step. Nor is what our stages do not write, such as the
@@ -251,6 +255,7 @@ def compile_scene(
             device=where,
         )
         _share_state(scene, batched, individual=bool(conditions))
+        _keep_state(scene, batched, individual=bool(conditions))
     return scene
 
 
@@ -263,6 +268,18 @@ def _share_state(scene: Scene, batched: Iterable[str], individual: bool) -> None
     worlds.share("keys", scene.keys)
     if individual:
         worlds.share("anatomy", muscles.anatomy)
+
+
+def _keep_state(scene: Scene, batched: Iterable[str], individual: bool) -> None:
+    """Name what the engine, the muscles and the random numbers remember from one step to the next."""
+    data, model, muscles = scene.data, scene.model, scene.muscles
+    scene.keep_all("data", data, (name for name in STATE_FIELDS if getattr(data, name).size))
+    scene.keep_all("model", model, sorted(scene.spec.batched))
+    scene.keep_all("condition.model", model, sorted(set(batched) - {"actuator_biasprm", *scene.spec.batched}))
+    scene.keep_all("muscles", muscles, (*muscles.STATE, *muscles.RESULTS))
+    scene.keep_all("keys", scene.keys)
+    if individual:
+        scene.keep_all("condition.anatomy", muscles.anatomy)
 
 
 def resolve_device(device: str | None) -> wp.Device:

@@ -4,8 +4,9 @@
     env.step(actions)
     signals.muscles.force.numpy()[world, signals.names.index("BIClong")]
 
-All signals of a step belong to one state: the one that the step led to, before what ended is reset. Length
-and velocity are recomputed from it, and force is what the muscle model gives for them and the activation,
+All signals of a step belong to one state: the one that the step led to, before what ended is reset. After a
+reset that was asked for, or `set_state`, they are those of the state that the worlds are in then. Length and
+velocity are recomputed from it, and force is what the muscle model gives for them and the activation,
 with the strength and transmission that the conditions set for that step. MuJoCo's own `actuator_force` after
 a step is that of the last physics step's begin, 2 ms older than `qpos`. The excitation is the one that was
 held throughout the step.
@@ -22,6 +23,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.kernels.reset import masked_copy
 from myowarp.models.couplings import POINT_JOINTS
 from myowarp.sim.muscle_groups import group_of
 
@@ -75,11 +77,15 @@ def read_muscles(
     tension: wp.array2d[float],
     length: wp.array2d[float],
     velocity: wp.array2d[float],
+    everywhere: bool,
+    mask: wp.array[bool],
     # Out:
     muscles: MuscleSignals,
 ):
-    """What the muscle model publishes; power = -tension velocity."""
+    """What the muscle model publishes, everywhere or in the worlds of the mask; power = -tension velocity."""
     worldid, muscleid = wp.tid()
+    if not (everywhere or mask[worldid]):
+        return
     muscles.activation[worldid, muscleid] = activation[worldid, muscleid]
     muscles.excitation[worldid, muscleid] = ctrl_in[worldid, actuator_id[muscleid]]
     muscles.force[worldid, muscleid] = tension[worldid, muscleid]
@@ -154,7 +160,7 @@ class Signals:
         before = {name: wp.zeros_like(array) for name, array in scene.muscles.state.items()}
         sources = _sources(part, part.shown)
 
-        def launch() -> None:
+        def launch(mask: wp.array | None) -> None:
             mjw.kinematics(model, data)
             mjw.com_pos(model, data)
             mjw.tendon(model, data)
@@ -175,11 +181,15 @@ class Signals:
                     scene.muscles.tension,
                     scene.muscles.length,
                     scene.muscles.velocity,
+                    mask is None,
+                    mask,
                 ],
                 outputs=[muscles],
             )
             for name, source in sources.items():
-                wp.copy(copies[name], source)
+                # What was reset just now is valid, whatever the last step found.
+                known = mask if mask is not None and name == "valid" else source
+                masked_copy(mask, known, copies[name])
 
         part.attach(launch)
 

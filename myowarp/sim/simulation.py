@@ -42,6 +42,7 @@ from myowarp.kernels.random import seed_worlds
 from myowarp.kernels.reset import place_start, reset_worlds
 from myowarp.sim.build import checked_horizon, compile_scene, full_model
 from myowarp.spec.condition import Condition, resolve
+from myowarp.spec.condition import Stage as ConditionStage
 from myowarp.spec.muscle import restore_anatomy
 from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.parameter import Clock
@@ -180,6 +181,7 @@ class Simulation:
         scene = self.scene
         self.episode = new_episode_state(self.num_worlds)
         scene.worlds.share("episode", self.episode)
+        scene.keep_all("episode", self.episode)
         clock = Clock()
         clock.step_count, clock.life_count = self.episode.step_count, self.episode.life_count
         clock.control_dt = scene.control_dt
@@ -210,7 +212,7 @@ class Simulation:
         self.info = vars(info)
         self._asked = wp.zeros(n, dtype=bool)
         self._countdown = wp.zeros(1, dtype=int)
-        self._probes: list[Callable[[], None]] = []
+        self._probes: list[Callable[[wp.array | None], None]] = []
         self._idle, self.stages = frozenset[str](), tuple[Stage, ...]()
         self._launch_physics = physics_step(self.scene)
 
@@ -230,9 +232,7 @@ class Simulation:
         self.program.advance(self.episode.step_count)
         self.launch_scoring()
         self._launch_observation(self.masks.live)
-        with pruned(self._idle):
-            for launch in self._probes:
-                launch()
+        self._launch_probes(None)
         if self.autoreset == AUTORESET["same_step"]:
             wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
         self._launch_reset(self.masks.renew, self.masks.reset, self.masks.fresh, asked=False)
@@ -254,11 +254,15 @@ class Simulation:
 
     def launch_conditions(self) -> None:
         """Let the conditions change excitations, muscles and body, for one control step."""
+        self._launch_anatomy()
+        for effect in self.effects:
+            effect.act()
+
+    def _launch_anatomy(self) -> None:
+        """Make the muscles healthy, from where the conditions start."""
         if self.effects:
             anatomy = self.scene.muscles.anatomy
             wp.launch(restore_anatomy, dim=anatomy.strength.shape, outputs=[anatomy])
-        for effect in self.effects:
-            effect.act()
 
     def launch_action(self) -> None:
         """Map actions to controls."""
@@ -302,6 +306,22 @@ class Simulation:
     def _launch_asked_reset(self) -> None:
         """Reset that the user asked for; the state is reset in every mode."""
         self._launch_reset(self._asked, self._asked, self._asked, asked=True)
+        if self._probes:
+            self._launch_transmission()
+            self._launch_probes(self._asked)
+
+    def _launch_transmission(self) -> None:
+        """Let tendons be torn and rerouted already, so that a probe sees them before the first step."""
+        self._launch_anatomy()
+        for condition, effect in zip(self.conditions, self.effects, strict=True):
+            if condition.STAGE == ConditionStage.TRANSMISSION:
+                effect.act()
+
+    def _launch_probes(self, mask: wp.array | None) -> None:
+        """Let probes look at the present state, in all worlds or a mask."""
+        with pruned(self._idle):
+            for launch in self._probes:
+                launch(mask)
 
     def _launch_reset(self, renew: wp.array, reset: wp.array, fresh: wp.array, asked: bool) -> None:
         """Open episodes in the worlds of `renew`, reset the state of `reset`, observe those of `fresh`."""
@@ -323,7 +343,11 @@ class Simulation:
                 outputs=[scene.data.qpos],
             )
         self.program.sample_goal(renew)
-        self._refresh(reset)
+        self._show(reset, fresh)
+
+    def _show(self, changed: wp.array, fresh: wp.array) -> None:
+        """Make poses those of the present state where it was `changed`, and observe the worlds of `fresh`."""
+        self._refresh(changed)
         self._launch_observation(fresh)
         for name, array in self.shown.items():
             if self.info[name] is not array:
@@ -349,18 +373,25 @@ class Simulation:
         """Advance all worlds by one control step under `action`; results are in `transition`."""
         self._run(self.step_graph, self._launch_step)
 
-    def attach(self, launch: Callable[[], None]) -> None:
-        """Launch more in every step, after observation and before what ended is reset.
+    def attach(self, launch: Callable[[wp.array | None], None]) -> None:
+        """Launch more in every step, after observation and before what ended is reset, and after resets.
 
         Args:
-            launch: Launches kernels that only look: all that they may write is their own arrays, and what
-                the next physics step computes anew. With sums and sorts of Warp's, Warp replays the step.
+            launch: Launches kernels that only look, in the worlds of a mask (num_worlds,) bool, None for all:
+                they may write their own arrays, and what the next physics step computes anew. With sums and
+                sorts of Warp's, Warp replays the step.
         """
         self._probes.append(launch)
+
+        def launch_both() -> None:
+            launch(None)
+            self._launch_asked_reset()
+
         with quiet(), wp.ScopedDevice(self.scene.device):
-            self._modules += compile_kernels(launch, self.scene.device, show=False)
+            self._modules += compile_kernels(launch_both, self.scene.device, show=False)
             if self.step_graph is not None:
                 self.step_graph = self._capture(self._launch_step)
+                self.reset_graph = self._capture(self._launch_asked_reset)
 
     def close(self) -> None:
         """Do nothing: there are no threads to end (compare `myowarp.sim.shards.Shards`)."""
@@ -389,6 +420,17 @@ class Simulation:
     def reset_asked(self) -> None:
         """Reset the worlds that `ask_for_reset` has chosen."""
         self._run(self.reset_graph, self._launch_asked_reset)
+
+    def bring_up(self, mask: np.ndarray) -> None:
+        """Compute what is seen of the state - poses, observation, probes - after it was overwritten.
+
+        Args:
+            mask: The worlds where it was, shape (num_worlds,) bool.
+        """
+        self._asked.assign(mask)
+        with wp.ScopedDevice(self.scene.device):
+            self._show(self._asked, self._asked)
+            self._launch_probes(self._asked)
 
     def _run(self, graph: Graph | None, launches: Callable[[], None]) -> None:
         """Replay a graph, or launch what it would hold."""

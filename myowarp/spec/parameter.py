@@ -185,6 +185,8 @@ class Parameter:
             self.curve.start, self.curve.end = self._matched(value.start, value.end)
         else:
             self.curve.start = self.curve.end = self._array(value, 0)
+        for drawn, (_, values, _) in enumerate(self.draws):
+            scene.keep(f"condition.{name.replace(' ', '.')}.{drawn}", values)
 
     def _finite(self, what: str, number: float) -> float:
         """Return a duration, checked."""

@@ -3,8 +3,9 @@
 Every shape is fixed; the step only launches kernels over these arrays.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import mujoco_warp as mjw
@@ -63,6 +64,7 @@ class Scene:
         reset: What episodes start from, one of `spec.RESETS`.
         actuator_kind: MUSCLE or MOTOR for each actuator, shape (nu,).
         capacity: Contacts and constraint rows that the arrays hold.
+        state: All that a world is from one step to the next, by name: arrays (num_worlds, ...).
     """
 
     spec: TaskSpec
@@ -79,6 +81,7 @@ class Scene:
     actuator_kind: wp.array
     capacity: Capacity
     device: wp.Device = field(repr=False)
+    state: dict[str, wp.array] = field(default_factory=dict, repr=False)
 
     @property
     def num_worlds(self) -> int:
@@ -89,6 +92,34 @@ class Scene:
     def control_dt(self) -> float:
         """Duration of a control step [s]."""
         return self.spec.control_dt
+
+    def zeros(self, name: str, *shape: int, dtype: type = float) -> wp.array:
+        """Allocate state of the worlds: it is saved and restored with them (`myowarp.sim.state`).
+
+        Args:
+            name: What it is called, with its owner: `task.target`, `condition.fatigue_3ccr.rounding`.
+            shape: Its shape in one world.
+            dtype: Warp type.
+
+        Returns:
+            Zeros on the current Warp device, shape (num_worlds, *shape).
+
+        Raises:
+            ValueError: The name is taken.
+        """
+        return self.keep(name, wp.zeros((self.num_worlds, *shape), dtype=dtype))
+
+    def keep(self, name: str, array: wp.array) -> wp.array:
+        """Make an array (num_worlds, ...) that is there already state of the worlds; see `zeros`."""
+        if name in self.state:
+            raise ValueError(f"state {name!r} is there already; give it a name of its own")
+        self.state[name] = array
+        return array
+
+    def keep_all(self, owner: str, holder: Any, names: Iterable[str] | None = None) -> None:
+        """Make arrays of an object state of the worlds, those of a Warp struct by default; see `keep`."""
+        for name in holder._cls.vars if names is None else names:
+            self.keep(f"{owner}.{name}", getattr(holder, name))
 
     def site_id(self, name: str) -> int:
         """Return the id of a site of the stepped model."""

@@ -172,8 +172,8 @@ class BaodingProgram(Program):
         self.ball_body = wp.vec2i(*(scene.oracle.body(name).id for name in BALLS))
         self.ball_geom = wp.vec2i(*(scene.oracle.geom(name).id for name in BALLS))
         self.ball_bounds = None if spec.balls is None else spec.balls.on_device()
-        self.orbit_bounds, self.orbits = spec.orbits.on_device(), new_orbits(scene.num_worlds, spec.orbits)
-        self.target = wp.zeros((scene.num_worlds, 2), dtype=wp.vec3)
+        self.orbit_bounds, self.orbits = spec.orbits.on_device(), new_orbits(scene, spec.orbits)
+        self.target = scene.zeros("task.target", 2, dtype=wp.vec3)
 
     def sample_start(self, mask: wp.array) -> None:
         """Draw the balls where they differ."""

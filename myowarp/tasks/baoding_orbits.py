@@ -10,11 +10,15 @@ arXiv:2205.13600) also has targets that jump.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
+
+if TYPE_CHECKING:
+    from myowarp.spec.scene import Scene
 
 ELLIPSE_CENTER = wp.constant(wp.vec3(-0.0125, -0.07, -0.02))  # m, frame of the trapezium
 TWO_PI = wp.constant(2.0 * np.pi)
@@ -83,12 +87,12 @@ class Orbits:
     jumps: int
 
 
-def new_orbits(num_worlds: int, ranges: OrbitRanges) -> Orbits:
+def new_orbits(scene: Scene, ranges: OrbitRanges) -> Orbits:
     """Allocate the orbits of all worlds."""
     orbits = Orbits()
     for name in ("direction", "start_angle", "period"):
-        setattr(orbits, name, wp.zeros(num_worlds, dtype=float))
-    orbits.radii = wp.zeros(num_worlds, dtype=wp.vec2)
+        setattr(orbits, name, scene.zeros(f"task.{name}"))
+    orbits.radii = scene.zeros("task.radii", dtype=wp.vec2)
     orbits.jumps = ranges.jumps
     return orbits
 

@@ -138,8 +138,8 @@ class ObjectHoldProgram(Program):
         super().__init__(spec, scene)
         self.object_geom = scene.oracle.geom("object").id
         self.object_body = scene.oracle.body("object").id
-        self.goal = wp.zeros(scene.num_worlds, dtype=wp.vec3)
-        self.object_size = wp.zeros(scene.num_worlds, dtype=wp.vec3)
+        self.goal = scene.zeros("task.goal", dtype=wp.vec3)
+        self.object_size = scene.zeros("task.object_size", dtype=wp.vec3)
 
     def sample_start(self, mask: wp.array) -> None:
         """Draw sizes, and give the objects their sizes."""

@@ -156,7 +156,7 @@ class PoseProgram(Program):
                 f"task {spec.key!r} needs one target angle for each of the {len(address)} joints, "
                 f"got {len(spec.target_low)} and {len(spec.target_high)}"
             )
-        self.target = wp.zeros((scene.num_worlds, len(address)), dtype=float)
+        self.target = scene.zeros("task.target", len(address))
         self.address = wp.array(address, dtype=int)
         self.target_low = wp.array(spec.target_low, dtype=float)
         self.target_high = wp.array(spec.target_high, dtype=float)

@@ -150,7 +150,7 @@ class ReachProgram(Program):
         if spec.table is not None:
             table = spec.table(spec, spec.tips, spec.center, spec.low, spec.high)
             low = high = np.zeros(table.shape[1])
-        self.target = wp.zeros((scene.num_worlds, table.shape[1]), dtype=float)
+        self.target = scene.zeros("task.target", table.shape[1])
         self.table = wp.array(table, dtype=float)
         self.target_low = wp.array(low, dtype=float)
         self.target_high = wp.array(high, dtype=float)

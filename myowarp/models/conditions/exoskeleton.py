@@ -132,7 +132,7 @@ class ExoskeletonEffect(Effect):
     def __init__(self, scene: Scene, cuff: HungMass) -> None:
         self.scene, self.cuff = scene, cuff
         self.exo = scene.oracle.actuator(NAME).id
-        self.torque = wp.zeros(scene.num_worlds, dtype=float)
+        self.torque = scene.zeros("condition.exoskeleton.torque")
         self.info = {"exo_torque": self.torque}
 
     def sample(self, renew: wp.array) -> None:

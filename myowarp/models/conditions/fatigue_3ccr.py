@@ -330,7 +330,7 @@ class Fatigue3CCREffect(Effect):
             setattr(self.params, name, parameter.curve)
         self.state = MotorUnits()
         for name in ("active_fraction", "resting_fraction", "fatigued_fraction", "rounding"):
-            setattr(self.state, name, wp.zeros_like(muscles.activation))
+            setattr(self.state, name, scene.zeros(f"condition.fatigue_3ccr.{name}", len(muscles.names)))
         self.info = {"fatigue": self.state.fatigued_fraction}
         if condition.observe:
             self.columns = (Column("fatigue", len(muscles.names), "1"),)

@@ -156,7 +156,8 @@ class FatigueMa2009Effect(Effect):
         muscles = scene.muscles
         self.state = Exhaustion()
         for name in ("exhaustion", "rounding", "fatigue"):
-            setattr(self.state, name, wp.zeros_like(muscles.activation))
+            setattr(self.state, name, scene.zeros(f"condition.fatigue_ma2009.{name}", len(muscles.names)))
+        scene.keep("condition.fatigue_ma2009.workload", muscles.workload)
         self.info = {"fatigue": self.state.fatigue}
         if condition.observe:
             self.columns = (Column("fatigue", len(muscles.names), "1"),)

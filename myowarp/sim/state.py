@@ -1,0 +1,272 @@
+"""All that a world is: taken as arrays, kept in a file, given to the same worlds or to others.
+
+    before = env.get_state()
+    env.step(actions)
+    env.set_state(before)  # as it was, bit for bit
+    env.set_state(before[3])  # every world is what world 3 was: a planner's candidates
+    before.save("before.npz")
+    env.set_state(State.load("before.npz"))  # in another process, over any number of shards
+
+What a world is from one step to the next is what its owners have allocated with `Scene.zeros` or named with
+`Scene.keep`: the engine's state, activations, goals, what conditions remember and have drawn, counters,
+random keys. Everything else follows from it, and is brought up to date when a state is set.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from myowarp.disk import check_output, in_place
+
+if TYPE_CHECKING:
+    from myowarp.sim.shards import Shards
+    from myowarp.sim.simulation import Simulation
+
+Worlds = int | Sequence[int] | npt.NDArray[np.integer] | npt.NDArray[np.bool_] | None
+"""Which worlds: None for all, a number, numbers, or a mask (num_worlds,) bool."""
+
+CONDITION = "condition."  # begin of the names of what belongs to conditions
+CTRL = "data.ctrl"
+UNIT = 1e-3  # how far from 1 the length of a given quaternion may be
+TASK = "task"  # entry of a file that names the task
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What some worlds of a task are.
+
+    Attributes:
+        task: Name and version of the task.
+        arrays: Arrays (num_worlds, ...) by name, such as `data.qpos` or `task.target`; copies.
+    """
+
+    task: str
+    arrays: dict[str, np.ndarray]
+
+    def __len__(self) -> int:
+        """Number of worlds."""
+        return len(next(iter(self.arrays.values())))
+
+    def __getitem__(self, worlds: Worlds) -> State:
+        """Return copies of the states of some worlds.
+
+        Raises:
+            ValueError: There are no such worlds.
+        """
+        rows = rows_of(worlds, len(self))
+        return State(self.task, {name: array[rows] for name, array in self.arrays.items()})
+
+    def save(self, path: str | Path) -> None:
+        """Write an .npz file, whole or not at all.
+
+        Raises:
+            ValueError: The path has another ending, or its folder is not there or not writable.
+            OSError: The file cannot be written.
+        """
+        path = Path(path)
+        check_output(path, ".npz")
+        with in_place(path) as scratch, scratch.open("wb") as file:
+            np.savez(file, **{TASK: np.array(self.task)}, **self.arrays)  # type: ignore[arg-type]
+
+    @classmethod
+    def load(cls, path: str | Path) -> State:
+        """Read a file that `save` has written; no code in it is run.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: The file is damaged, or holds something else.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+            task = str(arrays.pop(TASK)[()])
+            if len({len(array) for array in arrays.values()}) != 1:
+                raise ValueError("its arrays are of different numbers of worlds")
+        except (ValueError, TypeError, KeyError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+            reason = " ".join(str(error).split())
+            raise ValueError(
+                f"state {str(path)!r} must be an .npz file of State.save(), undamaged ({reason})"
+            ) from error
+        return cls(task, arrays)
+
+
+def rows_of(worlds: Worlds, num_worlds: int) -> np.ndarray:
+    """Return the numbers of worlds, shape (number,).
+
+    Raises:
+        ValueError: There are no such worlds, or one is named twice.
+    """
+    if worlds is None:
+        return np.arange(num_worlds)
+    rows = np.atleast_1d(np.asarray(worlds))
+    if rows.dtype == np.bool_ and rows.shape == (num_worlds,):
+        rows = np.flatnonzero(rows)
+    good = rows.ndim == 1 and rows.size and np.issubdtype(rows.dtype, np.integer)
+    if not good or rows.min() < 0 or rows.max() >= num_worlds or len(np.unique(rows)) != len(rows):
+        raise ValueError(
+            f"worlds must be different numbers from 0 to {num_worlds - 1}, or a bool mask of shape "
+            f"({num_worlds},) with a True entry, got {worlds!r}"
+        )
+    return rows
+
+
+def get_state(sim: Simulation | Shards, worlds: Worlds = None) -> State:
+    """Return what worlds are now.
+
+    Args:
+        sim: The simulation.
+        worlds: Which worlds, in this order; None: all.
+
+    Raises:
+        ValueError: There are no such worlds.
+    """
+    rows = rows_of(worlds, sim.num_worlds)
+    parts = [{name: array.numpy() for name, array in part.scene.state.items()} for part in sim.parts]
+    arrays = {name: np.concatenate([part[name] for part in parts])[rows] for name in parts[0]}
+    return State(sim.scene.spec.key, arrays)
+
+
+def set_state(
+    sim: Simulation | Shards, state: State, worlds: Worlds = None, *, conditions: bool = True
+) -> np.ndarray:
+    """Make worlds what others were; poses, observation and signals follow.
+
+    Args:
+        sim: The simulation.
+        state: One world, given to all that are named, or as many as are named.
+        worlds: Which worlds; None: all.
+        conditions: Whether the conditions' own state is set, too. Without, the worlds keep their conditions
+            as they are: the same movement goes on in another patient.
+
+    Returns:
+        The numbers of the worlds that were set.
+
+    Raises:
+        ValueError: The state does not fit the task, its conditions or the worlds; nothing was set.
+    """
+    rows = rows_of(worlds, sim.num_worlds)
+    if not isinstance(state, State):
+        raise ValueError(f"state must be a State, as get_state() returns it, got {type(state).__name__}")
+    spec = sim.scene.spec
+    if state.task != spec.key:
+        raise ValueError(f"state is one of task {state.task!r}; this one is {spec.key!r}")
+    if len(state) not in (1, len(rows)):
+        raise ValueError(f"state must have 1 or {len(rows)} worlds, as many as are set, got {len(state)}")
+    own = sim.parts[0].scene.state
+    arrays = state.arrays
+    if not conditions:
+        arrays = _body_alone(arrays, own)
+    elif set(arrays) != set(own):
+        differ = ", ".join(sorted(set(arrays) ^ set(own)))
+        raise ValueError(
+            f"state and environment must have the same conditions, they differ in {differ}; "
+            "pass conditions=False to leave the environment's as they are"
+        )
+    place(sim, arrays, rows)
+    return rows
+
+
+def _body_alone(arrays: Mapping[str, np.ndarray], own: Mapping[str, wp.array]) -> dict[str, np.ndarray]:
+    """Return the arrays that do not belong to conditions, of those that a simulation has."""
+    found = {name: array for name, array in arrays.items() if name in own and not name.startswith(CONDITION)}
+    ctrl, width = found[CTRL], own[CTRL].shape[1]  # conditions append actuators, at the end
+    found[CTRL] = np.pad(ctrl, ((0, 0), (0, max(0, width - ctrl.shape[1]))))[:, :width]
+    return found
+
+
+def place(sim: Simulation | Shards, arrays: Mapping[str, np.ndarray], rows: np.ndarray) -> None:
+    """Overwrite state in some worlds, and bring up what follows from it.
+
+    Args:
+        sim: The simulation.
+        arrays: Arrays (1 or number, ...) by name.
+        rows: Numbers of the worlds, shape (number,).
+
+    Raises:
+        ValueError: An array does not fit, or is not finite; nothing was written.
+    """
+    own = sim.parts[0].scene.state
+    values = {name: _fitting(name, array, own[name].numpy(), len(rows)) for name, array in arrays.items()}
+    for part in sim.parts:
+        worlds = part.scene.worlds
+        here = (rows >= worlds.first) & (rows < worlds.first + worlds.number)
+        if not here.any():
+            continue
+        local = rows[here] - worlds.first
+        for name, array in values.items():
+            target = part.scene.state[name]
+            whole = target.numpy()
+            whole[local] = array[here]
+            if not part.scene.device.is_cpu:  # on the CPU `numpy` is a view
+                target.assign(whole)
+        mask = np.zeros(worlds.number, dtype=bool)
+        mask[local] = True
+        part.bring_up(mask)
+
+
+def start_arrays(sim: Simulation | Shards, options: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Return configuration and velocity from a reset's options, for `place`.
+
+    Args:
+        sim: The simulation.
+        options: `qpos` and `qvel`, each one row for all worlds or (num_worlds, n); others are not looked at.
+
+    Returns:
+        Arrays (num_worlds, n) of those that are given.
+
+    Raises:
+        ValueError: One is no array of finite numbers of that shape, or has a quaternion of length 0.
+    """
+    start = {}
+    for name in options.keys() & {"qpos", "qvel"}:
+        size = sim.parts[0].scene.state[f"data.{name}"].shape[1]
+        shape = (sim.num_worlds, size)
+        try:
+            values = np.asarray(options[name], dtype=np.float32)
+        except (TypeError, ValueError):
+            values = np.full(shape, np.nan, dtype=np.float32)
+        if values.shape not in ((size,), shape) or not np.isfinite(values).all():
+            raise ValueError(
+                f"reset option {name!r} must be finite numbers of shape ({size},) or {shape}, "
+                f"got {str(options[name])[:40]!r} of shape {np.shape(options[name])}"
+            )
+        start[f"data.{name}"] = np.broadcast_to(values, shape)
+    if "data.qpos" in start:
+        _check_quaternions(sim.scene.oracle, start["data.qpos"])
+    return start
+
+
+def _check_quaternions(model: mujoco.MjModel, qpos: np.ndarray) -> None:
+    """Raise ValueError if an orientation in configurations (num_worlds, nq) is no unit quaternion."""
+    for joint, offset in ((mujoco.mjtJoint.mjJNT_FREE, 3), (mujoco.mjtJoint.mjJNT_BALL, 0)):
+        for j in np.flatnonzero(model.jnt_type == joint):
+            first = model.jnt_qposadr[j] + offset
+            lengths = np.linalg.norm(qpos[:, first : first + 4], axis=1)
+            wrong = lengths[np.abs(lengths - 1.0) > UNIT]
+            if wrong.size:
+                raise ValueError(
+                    f"reset option 'qpos' must have a unit quaternion in entries {first} to {first + 3}, the "
+                    f"orientation of joint {model.joint(j).name!r}, got one of length {wrong[0]:.3g}"
+                )
+
+
+def _fitting(name: str, array: np.ndarray, own: np.ndarray, number: int) -> np.ndarray:
+    """Return an array with a row for each of `number` worlds, checked against a simulation's own."""
+    array = np.asarray(array)
+    shape = (number, *own.shape[1:])
+    if not np.can_cast(array.dtype, own.dtype, "same_kind"):
+        raise ValueError(f"state {name!r} must be of type {own.dtype}, got {array.dtype}")
+    if array.shape not in (shape, (1, *shape[1:])):
+        raise ValueError(f"state {name!r} must have shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"state {name!r} must be finite, got NaN or infinity")
+    return np.broadcast_to(array, shape)
