@@ -50,7 +50,7 @@ def find_variant(name: str) -> Variant:
     Raises:
         ValueError: No such id; the message lists the close ones.
     """
-    known: Registry[Variant] = Registry("task")
+    known: Registry[Variant] = Registry("task", listed_by=TASKS.listed_by)
     for env_id, variant in variants().items():
         known.add(env_id.removeprefix("MyoWarp/"), variant)
     return known[name.removeprefix("MyoWarp/")]

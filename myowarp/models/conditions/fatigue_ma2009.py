@@ -159,7 +159,15 @@ class FatigueMa2009Effect(Effect):
             setattr(self.state, name, wp.zeros_like(muscles.activation))
         self.info = {"fatigue": self.state.fatigue}
         if condition.observe:
-            self.columns = (Column("fatigue", len(muscles.names), "1"),)
+            self.columns = (
+                Column(
+                    "fatigue",
+                    len(muscles.names),
+                    "1",
+                    "share of the peak force that each muscle has lost",
+                    muscles.names,
+                ),
+            )
 
     def sample(self, renew: wp.array) -> None:
         """Draw rates and initial fatigue."""
