@@ -92,8 +92,8 @@ def _about(facts: dict[str, Any]) -> Iterator[str]:
     )
     for name, physics in episode["physics"].items():
         yield (
-            f"Physics {name}: {physics['steps']} steps of {number(1000 * physics['dt'])} ms in a control step, "
-            f"integrator {physics['integrator']}."
+            f"Physics {name}: {physics['steps']} steps of {number(1000 * physics['dt'])} ms in a control "
+            f"step, integrator {physics['integrator']}."
         )
 
 
@@ -141,8 +141,8 @@ def _action(action: dict[str, Any]) -> Iterator[str]:
     if "motor" in action["maps"]:
         yield f"Motors: {action['maps']['motor']['law']}."
     rows = []
-    for _, run in groupby(action["actuators"], lambda row: row["name"] if row["kind"] == "motor" else ""):
-        run = list(run)
+    for _, group in groupby(action["actuators"], lambda row: row["name"] if row["kind"] == "motor" else ""):
+        run = list(group)
         span = _index(run[0]["index"], run[-1]["index"])
         if run[0]["kind"] == "muscle":
             rows.append((span, f"excitation of {', '.join(row['name'] for row in run)}"))
@@ -210,8 +210,11 @@ def _body(body: dict[str, Any]) -> Iterator[str]:
     rows = []
     for joint in body["joints"]:
         text = joint["type"]
-        if "unit" in joint:
-            text += f", {_span(*joint['range'], joint['unit'])}" if joint["range"] else ", no range"
+        if joint.get("range"):
+            low, high = joint["range"]
+            text += f", {_span(low, high, joint['unit'])}"
+        elif "unit" in joint:
+            text += ", no range"
         rows.append((joint["name"], text + (f"; follows {joint['follows']}" if "follows" in joint else "")))
     yield f"Joints: {len(rows)}"
     yield from _rows(rows)

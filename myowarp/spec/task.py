@@ -293,12 +293,13 @@ RESETS = {
     "task": "the task's own way",
     "fixed": "the task's start configuration",
     "random": "a random posture, free of penetration and of immediate failure",
-    "none": "the state that the last episode left (reset-free); a reset that is asked for, and one after a fault,"
-    " starts as fixed does",
+    "none": "the state that the last episode left (reset-free); a reset that is asked for, and one after a"
+    " fault, starts as fixed does",
 }
 """What a new episode starts from; a random posture carries along what lies in the hand."""
 
-TASKS: Registry[TaskSpec] = Registry("task", listed_by="`myowarp tasks` lists them")
+LISTED_BY = "`myowarp tasks` lists them, `myowarp tasks --paper` the paper's grid"
+TASKS: Registry[TaskSpec] = Registry("task", listed_by=LISTED_BY)
 
 Spec = TypeVar("Spec", bound=TaskSpec)
 
