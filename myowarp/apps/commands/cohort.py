@@ -17,9 +17,9 @@ class Cohort:
     """Simulate a table of patients, all at once: results as tidy tables, and a plot.
 
     The table has one row per patient and a column for everything in which patients differ, such as
-    strength (1 if healthy), fatigue_rate [1/s], load_mass [kg], exo_assistance, tendon_tear (names of muscles)
-    or tendon_transfer (0 or 1); a wrong name lists all. Missing columns default to healthy. All patients get
-    identical initial states, goals and noise seeds, so only their bodies differ.
+    strength (1 if healthy), fatigue_rate [1/s], load_mass [kg], exo_assistance, tendon_tear (names of
+    muscles) or tendon_transfer (0 or 1); a wrong name lists all. Missing columns default to healthy. All
+    patients get identical initial states, goals and noise seeds, so only their bodies differ.
 
     Example: raise the forearm from hanging down, and hold it for ten seconds:
     myowarp cohort examples/elbow_cohort.csv --task myoElbowPose1D6MFixed-v0 --reset fixed --steps 500

@@ -101,7 +101,7 @@ def _of_tasks(rows: list[dict[str, Any]], width: int) -> Iterable[str]:
     yield ""
     for prefix, (condition, beginning) in PREFIXES.items():
         varied = prefix + beginning.removeprefix("myo")
-        yield f"Every {beginning}... is also there as {varied}..., with the condition {condition}."
+        yield f"{varied}...: every {beginning}... with the condition {condition}"
 
 
 def _of_paper(rows: list[dict[str, Any]]) -> Iterable[str]:
