@@ -25,7 +25,9 @@ from myowarp.sim.simulation import Simulation
 from myowarp.spec.body import BODIES
 from myowarp.spec.condition import CONDITIONS
 from myowarp.spec.registry import Registry
-from myowarp.spec.task import PHYSICS, RESETS, TASKS, Column
+from myowarp.spec.task import PHYSICS, RESETS, TASKS, Column, weighted
+from myowarp.tasks import pose
+from myowarp.tasks.pose import PoseTask
 from myowarp.tasks.variants import variants
 
 KEYS = sorted(TASKS)
@@ -412,7 +414,7 @@ def test_described_draws_are_those_that_happen(key):
             continue
         name = DRAWN[draw["name"]]
         if name not in expected:
-            assert "within reach" in draw["doc"] or name == "qpos"
+            assert "row of a table" in draw["doc"] or name == "qpos"
             continue
         for end, bounds in zip(("low", "high"), expected[name], strict=True):
             said = [entry[end] for entry in draw["entries"]]
@@ -515,6 +517,30 @@ def test_a_model_from_a_file_has_units_of_its_own(run, tmp_path):
     (motor,) = facts["action"]["actuators"]
     assert (motor["quantity"], motor["low"], motor["high"]) == ("torque on hinge", -3.0, 3.0)
     assert facts["muscles"]["muscles"] == []
+
+
+class Silent(PoseTask):
+    """A task from outside that says nothing of its columns and terms, as short as the tables allow."""
+
+    solved_when = failed_when = ""
+    draws = ()
+
+    def columns(self, nq, nv, num_muscles):
+        return tuple(Column(c.name, c.size, c.unit) for c in super().columns(nq, nv, num_muscles))
+
+    def reward_terms(self):
+        return weighted({getattr(pose.Term, t.name): t.weight for t in super().reward_terms()})
+
+
+def test_a_task_that_says_nothing():
+    """It need not be registered; names are numbers, and what is missing is said to be missing."""
+    spec = Silent(name="silent", body="elbow", target_low=(1.0,), target_high=(1.0,), near=0.1)
+    facts = describe(spec)
+    assert facts["id"] == "MyoWarp/silent-v0"
+    assert facts["observation"]["blocks"][-1]["entries"][5] == {"name": "5", "unit": "1"}
+    assert [t["weight"] for t in facts["reward"]["terms"]] == [1, 4, 50, 1, 0]
+    text = as_text(facts)
+    assert text.count("(the task does not say)") == 4 + 5 + 2
 
 
 def test_too_few_names():

@@ -77,6 +77,7 @@ def describe(
         "id": env_id or spec.env_id,
         "task": spec.env_id,
         "family": spec.family,
+        "family_doc": inspect.getdoc(inspect.getmodule(type(spec))) or "",
         "summary": spec.summary,
         "why": spec.why,
         "versions": _versions(spec),

@@ -65,7 +65,7 @@ def number(value: float) -> str:
 
 
 def _rows(rows: Iterable[Iterable[str]]) -> list[str]:
-    """Return rows as lines with columns of equal width, three spaces apart; numbers to the right."""
+    """Return rows as lines with columns of equal width, three spaces apart."""
     table = [list(row) for row in rows]
     if not table:
         return []
@@ -106,7 +106,7 @@ def _observation(observation: dict[str, Any]) -> list[str]:
         said = block["doc"] or NOT_SAID
         more = ""
         if len(names) <= FEW:
-            said += f": {', '.join(names)}"
+            said += f": {_names(names)}"
         else:
             first = listed.setdefault(names, block["name"])
             more = _names(names) if first == block["name"] else f"in the order of {first}"
@@ -180,7 +180,10 @@ def _resets(facts: dict[str, Any]) -> Iterator[str]:
         draws = f"; draws {', '.join(kind['draws'])}" if kind["draws"] else ""
         rows.append((name, f"{kind['start']}{draws}"))
     yield from _rows(rows)
-    for varies, title in ((True, "Drawn, uniformly and anew:"), (False, "The same in every episode:")):
+    for varies, title in (
+        (True, "Drawn anew, uniformly unless it says otherwise:"),
+        (False, "The same in every episode:"),
+    ):
         rows = [(d["name"], f"{d['doc']}: {_bounds(d)}") for d in facts["draws"] if d["varies"] == varies]
         if rows:
             yield title
@@ -190,7 +193,8 @@ def _resets(facts: dict[str, Any]) -> Iterator[str]:
 def _bounds(draw: dict[str, Any]) -> str:
     """Return the bounds of a draw, numbers with the same bounds together."""
     if "choices" in draw:
-        return " or ".join(map(number, draw["choices"]))
+        *most, last = map(number, sorted(draw["choices"]))
+        return f"{', '.join(most)} or {last}" if most else last
     texts = [(entry["name"], _span(entry["low"], entry["high"], entry["unit"])) for entry in draw["entries"]]
     if len({text for _, text in texts}) == 1:
         return texts[0][1] + ("" if len(texts) == 1 else f" ({', '.join(name for name, _ in texts)})")

@@ -242,7 +242,7 @@ class TaskSpec(abc.ABC):
     @property
     def start_doc(self) -> str:
         """What `start` is, for people."""
-        return "the model's zero"
+        return "the model's zero pose"
 
     @property
     def solved_when(self) -> str:

@@ -227,8 +227,8 @@ class ReachTask(TaskSpec):
     @property
     def draws(self) -> tuple[Draw, ...]:
         low, high = (tuple(np.add(self.center, end).tolist()) for end in (self.low, self.high))
-        within = "" if self.table is None else ", of which only points within reach are drawn"
-        return (Draw("target", "m", low, high, f"target of each tip, world{within}", axes(self.tips)),)
+        source = "" if self.table is None else "; a row of a table of targets within reach, which lie in"
+        return (Draw("target", "m", low, high, f"target of each tip, world{source}", axes(self.tips)),)
 
     def edit(self, spec: mujoco.MjSpec) -> None:
         """Add the target markers."""

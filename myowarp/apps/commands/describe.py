@@ -10,7 +10,7 @@ from myowarp.apps.options import Conditions, Model, OptionalTask, Reset
 from myowarp.spec.task import TASKS
 from myowarp.tasks.from_file import find_task
 
-WIDTH = 80
+WIDTH, WIDEST = 80, 100  # characters: in a file, in a terminal
 
 
 @dataclass
@@ -41,5 +41,5 @@ class Describe:
             reset=self.reset or variant.reset,
             conditions=(*variant.conditions, *self.conditions),
         )
-        width = Console().width if sys.stdout.isatty() else WIDTH
+        width = min(Console().width, WIDEST) if sys.stdout.isatty() else WIDTH
         print(json.dumps(facts, indent=1) if self.json else as_text(facts, width))
