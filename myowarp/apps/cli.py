@@ -20,7 +20,7 @@ from myowarp.opensim.command import Convert
 
 ABOUT = """Musculoskeletal motor control, simulated in thousands of worlds at once.
 
-`myowarp COMMAND --help` explains a command, `myowarp --version` prints versions."""
+COMMAND --help explains a command; --version prints versions."""
 COMMANDS: dict[str, type[Callable[[], None]]] = {
     "tasks": Tasks,
     "describe": Describe,

@@ -180,6 +180,7 @@ def _resets(facts: dict[str, Any]) -> Iterator[str]:
         draws = f"; draws {', '.join(kind['draws'])}" if kind["draws"] else ""
         rows.append((name, f"{kind['start']}{draws}"))
     yield from _rows(rows)
+    yield 'Velocities and activations start at 0, except under "none".'
     for varies, title in (
         (True, "Drawn anew, uniformly unless it says otherwise:"),
         (False, "The same in every episode:"),
