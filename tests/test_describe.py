@@ -504,8 +504,10 @@ MODEL = """<mujoco model="mixed"><worldbody><body><joint name="base" type="slide
 </mujoco>"""
 
 
-def test_a_model_from_a_file_has_units_of_its_own(run, tmp_path):
+def test_a_model_from_a_file_has_units_of_its_own(run, tmp_path, monkeypatch):
     """A slide is in metres; a motor's torque follows its gear and the control range that it gets."""
+    for registry in (TASKS, BODIES):  # what the file registers goes again
+        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
     (tmp_path / "mixed.xml").write_text(MODEL)
     status, out, err = run("describe", "--model", tmp_path / "mixed.xml", "--json")
     assert status == 0, err
