@@ -32,7 +32,7 @@ COMPLETE = ("report.json", "report.html", "model.xml")
 class Convert:
     """Convert an OpenSim model to MuJoCo: bodies, joints, muscles, with a report of what is not exact.
 
-    Writes model.xml, coordinates.json (how coordinates and joints belong together), muscles.csv (the Hill
+    Writes model.xml, coordinates.json (how OpenSim coordinates map to MuJoCo joints), muscles.csv (the Hill
     parameters of the file), report.json and report.html, and meshes where they are found. Works without
     OpenSim. Run again, an interrupted conversion continues.
 
@@ -40,15 +40,15 @@ class Convert:
     """
 
     model: Annotated[Path, tyro.conf.Positional]
-    """The model, .osim, documents 30000 to 40600."""
+    """The model, .osim of OpenSim 3.0 to 4.6 (document versions 30000 to 40600)."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/model")
     """Folder for the result."""
     meshes: tuple[Path, ...] = ()
     """More folders with .vtp, .stl or .obj files; the model's own and Geometry beside it are searched."""
     method: Literal["least_squares", "paper"] = "least_squares"
-    """Of the fits; paper: simulated annealing and differential evolution, slow, for comparison."""
+    """Fitting method; paper: simulated annealing and differential evolution, slow, for comparison."""
     reference: Literal["own", "opensim"] = "own"
-    """Of the check's lengths and moment arms: our own path code, or OpenSim, which has to be installed."""
+    """What lengths and moment arms are checked against: our own path code, or an installed OpenSim."""
     workers: int = 0
     """Processes that fit muscles; 0: one per core."""
     strict: bool = False

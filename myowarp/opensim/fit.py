@@ -36,7 +36,7 @@ FIT_SEED, CHECK_SEED = 0, 1
 POSES = 300
 """Random poses that a muscle is fitted in."""
 CHECK_POSES = 200
-"""Random poses of the check; no fit has seen them."""
+"""Held-out random poses of the check."""
 SWEEP = 41
 """Points of a curve over the range of a coordinate, the others at their defaults."""
 GRID = 33

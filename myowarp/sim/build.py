@@ -135,11 +135,16 @@ def oracle_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujo
     return _cached_model(spec, conditions, slim_model)
 
 
+def num_substeps_of(spec: TaskSpec, preset: PhysicsPreset) -> int:
+    """Return the number of physics steps in a control step."""
+    if preset.coarse:
+        return math.ceil(spec.control_dt / spec.coarse_step.dt - ROUNDING)
+    return spec.num_substeps
+
+
 def set_physics(spec: TaskSpec, preset: PhysicsPreset, models: Iterable[mujoco.MjModel]) -> int:
     """Set integrator and step of models to a preset's; returns the physics steps in a control step."""
-    num_substeps = spec.num_substeps
-    if preset.coarse:
-        num_substeps = math.ceil(spec.control_dt / spec.coarse_step.dt - ROUNDING)
+    num_substeps = num_substeps_of(spec, preset)
     for model in models:
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{preset.integrator or spec.integrator}")
         model.opt.timestep = spec.control_dt / num_substeps
