@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import cache
 from typing import Any
-from unittest import mock
 
 import warp as wp
 
 from myowarp.engine.patch import is_empty
 from myowarp.engine.said import say_once
+from myowarp.engine.turn import TURN, replaced
 from myowarp.progress import patient_bar
 
 PATIENCE = 0.5  # s without a word
@@ -46,10 +46,10 @@ def recorded() -> Iterator[list[tuple[wp.Module, int]]]:
                 branch(**kwargs)
 
     with (
-        mock.patch.object(wp, "launch", launch),
-        mock.patch.object(wp, "launch_tiled", launch),
-        mock.patch.object(wp, "capture_while", call_while),
-        mock.patch.object(wp, "capture_if", call_if),
+        replaced(wp, "launch", launch),
+        replaced(wp, "launch_tiled", launch),
+        replaced(wp, "capture_while", call_while),
+        replaced(wp, "capture_if", call_if),
     ):
         yield found
 
@@ -57,12 +57,13 @@ def recorded() -> Iterator[list[tuple[wp.Module, int]]]:
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
     """Keep Warp's log of loaded modules off the terminal."""
-    level = wp.config.log_level
-    wp.config.log_level = max(level, wp.LOG_ERROR)
-    try:
-        yield
-    finally:
-        wp.config.log_level = level
+    with TURN:
+        level = wp.config.log_level
+        wp.config.log_level = max(level, wp.LOG_ERROR)
+        try:
+            yield
+        finally:
+            wp.config.log_level = level
 
 
 def compile_kernels(

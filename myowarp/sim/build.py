@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.disk import cached, files_digest
+from myowarp.engine.turn import in_turn
 from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import new_keys
 from myowarp.models.slim import slim
@@ -109,6 +110,7 @@ def source_digest(spec: TaskSpec, conditions: tuple[Condition, ...] = (), more: 
     return files_digest(dict.fromkeys(files))
 
 
+@in_turn
 def _cached_model(
     spec: TaskSpec,
     conditions: tuple[Condition, ...],
@@ -265,6 +267,7 @@ def _share_state(scene: Scene, batched: Iterable[str], individual: bool) -> None
         worlds.share("anatomy", muscles.anatomy)
 
 
+@in_turn
 def resolve_device(device: str | None) -> wp.Device:
     """Return the Warp device called `device`, the preferred one for None.
 

@@ -23,6 +23,7 @@ from myowarp.engine.patch import engine_kernels_alone
 from myowarp.engine.repeat import repeat
 from myowarp.engine.stage import STAGES, Stage
 from myowarp.engine.step import physics_step
+from myowarp.engine.turn import TURN, in_turn
 from myowarp.engine.verify import choose_stages
 from myowarp.kernels.action import apply_action
 from myowarp.kernels.batching import as_rows
@@ -40,6 +41,7 @@ from myowarp.kernels.episode import (
 )
 from myowarp.kernels.random import seed_worlds
 from myowarp.kernels.reset import place_start, reset_worlds
+from myowarp.kernels.write import write
 from myowarp.sim.build import checked_horizon, compile_scene, full_model
 from myowarp.spec.condition import Condition, resolve
 from myowarp.spec.muscle import restore_anatomy
@@ -76,6 +78,7 @@ class Simulation:
     _modules: tuple[wp.Module, ...]
     _idle: frozenset[str]
 
+    @in_turn
     def __init__(
         self,
         spec: TaskSpec,
@@ -349,6 +352,7 @@ class Simulation:
         """Advance all worlds by one control step under `action`; results are in `transition`."""
         self._run(self.step_graph, self._launch_step)
 
+    @in_turn
     def attach(self, launch: Callable[[], None]) -> None:
         """Launch more in every step, after observation and before what ended is reset.
 
@@ -384,7 +388,7 @@ class Simulation:
         if seeds is not None:
             self._seeded = True
             seed_worlds(self.scene.keys, mask, seeds)
-        self._asked.assign(mask)
+        write(self._asked, mask)
 
     def reset_asked(self) -> None:
         """Reset the worlds that `ask_for_reset` has chosen."""
@@ -395,5 +399,5 @@ class Simulation:
         if graph is not None:
             graph.launch()
             return
-        with wp.ScopedDevice(self.scene.device):
+        with TURN, wp.ScopedDevice(self.scene.device):
             launches()

@@ -23,6 +23,7 @@ import warp as wp
 
 from myowarp.disk import cached
 from myowarp.engine.compile import quiet
+from myowarp.engine.turn import in_turn
 from myowarp.models.couplings import POINT_JOINTS, couplings, follow
 from myowarp.progress import patient_bar
 from myowarp.sim import palm
@@ -60,6 +61,7 @@ def posture_joints(model: mujoco.MjModel) -> np.ndarray:
     return np.flatnonzero(free)
 
 
+@in_turn
 def find_starts(spec: TaskSpec, progress: bool = True) -> Starts:
     """Return random starts of a task, from disk if they were found before.
 
