@@ -12,7 +12,8 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.disk import cached, files_digest
+from myowarp.disk import cached, files_digest, model_bytes, model_from_bytes
+from myowarp.engine.kernel_cache import start_warp
 from myowarp.engine.turn import in_turn
 from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import new_keys
@@ -121,10 +122,9 @@ def _cached_model(
     key = (spec.scene_key, *(condition.scene_key for condition in edits))
     return cached(
         (make.__name__, key, source_digest(spec, edits)),
-        ".mjb",
         make=lambda: make(spec, edits),
-        save=mujoco.mj_saveModel,
-        load=mujoco.MjModel.from_binary_path,
+        save=model_bytes,
+        load=model_from_bytes,
     )
 
 
@@ -274,12 +274,13 @@ def resolve_device(device: str | None) -> wp.Device:
     Raises:
         ValueError: No such device here; the message lists those there are.
     """
-    wp.init()
+    missing = start_warp()
     if device is None:
         return wp.get_preferred_device()
     known = [d.alias for d in wp.get_devices()]
     if str(device) == "cuda" and wp.is_cuda_available():
         return wp.get_device("cuda")
     if str(device) not in known:
-        raise ValueError(f"device {str(device)!r} is not available; available: {', '.join(known)}")
+        why = f" ({missing})" if missing and str(device).startswith("cuda") else ""
+        raise ValueError(f"device {str(device)!r} is not available; available: {', '.join(known)}{why}")
     return wp.get_device(str(device))
