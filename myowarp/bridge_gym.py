@@ -9,7 +9,7 @@ the world of `make(...).reset(seed=s + i)`, as in Gymnasium's own vector environ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from typing import Any
 
 import gymnasium as gym
@@ -26,7 +26,7 @@ from myowarp.sim.shards import Shards, simulate
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.condition import Condition
 from myowarp.spec.muscle_table import MuscleTable
-from myowarp.spec.registry import check_choice
+from myowarp.spec.registry import check_choice, check_flag
 from myowarp.spec.task import TASKS
 from myowarp.tasks.variants import variants
 from myowarp.view.pictures import Pictures
@@ -113,6 +113,9 @@ class MyoWarpVectorEnv(VectorEnv):
             ImportError: Output for a library that is not installed.
         """
         check_choice("render_mode", render_mode, (None, *RENDER_MODES))
+        flags = {"deterministic": deterministic, "progress": progress}
+        for name, flag in (flags if copy is None else flags | {"copy": copy}).items():
+            check_flag(name, flag)
         mode = _autoreset_mode(autoreset_mode)
         self.copy = output == "numpy" if copy is None else copy
         self.output, given = output, Output(output, self.copy)
@@ -262,13 +265,15 @@ class MyoWarpVectorEnv(VectorEnv):
         """Return a seed for every world and which of them to use."""
         if seed is None:
             return None, np.zeros(self.num_envs, dtype=bool)
-        if isinstance(seed, (int, np.integer)):
+        given = seed
+        if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool):
             seed = [int(seed) + i for i in range(self.num_envs)]
-        seeds = list(seed) if np.iterable(seed) else self.num_envs * [seed]
+        ordered = np.iterable(seed) and not isinstance(seed, (str, bytes, Set, Mapping))
+        seeds = list(seed) if ordered else self.num_envs * [seed]
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed must have one entry for each of {self.num_envs} worlds, got {len(seeds)}")
-        if any(s is not None and (not isinstance(s, (int, np.integer)) or s < 0) for s in seeds):
-            raise ValueError(f"seeds must be non-negative integers or None, got {seed!r}")
+        if not all(s is None or _is_seed(s) for s in seeds):
+            raise ValueError(f"seeds must be integers from 0 to 2**64 - 1 or None, got {given!r}")
         seeded = np.array([s is not None for s in seeds])
         return np.array([s or 0 for s in seeds], dtype=object), seeded
 
@@ -376,6 +381,11 @@ class MyoWarpEnv(gym.Env):
     def close(self) -> None:
         """Close windows and drawing contexts."""
         self._vector.close()
+
+
+def _is_seed(seed: object) -> bool:
+    """Whether it is an integer of which every bit counts (`myowarp.kernels.random.seed_worlds`)."""
+    return isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and 0 <= seed < 2**64
 
 
 def _autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:

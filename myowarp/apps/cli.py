@@ -211,8 +211,9 @@ class Rollout:
         for name, number in numbers.items():
             if number < 1:
                 raise ValueError(f"--{name} must be at least 1, got {number}")
-        if self.seed < 0:
-            raise ValueError(f"--seed must be at least 0, got {self.seed}")
+        most = 2**64 - max(self.num_worlds, 1)  # world i has seed + i
+        if not 0 <= self.seed <= most:
+            raise ValueError(f"--seed must be from 0 to {most}, got {self.seed}")
 
 
 @dataclass
@@ -402,7 +403,7 @@ def main() -> None:
     )
     try:
         command()
-    except (ValueError, OSError, RuntimeError, ImportError) as error:
+    except (ValueError, OSError, RuntimeError, ImportError, MemoryError) as error:
         Console(stderr=True, highlight=False, soft_wrap=True).print(
             f"myowarp: {error}", style="red", markup=False
         )

@@ -141,6 +141,6 @@ def _remove(folder: Path) -> None:
         shutil.rmtree(aside, ignore_errors=True)
     except OSError as error:
         raise RuntimeError(
-            f"compiled kernels in {str(folder)!r} are damaged and cannot be removed ({error}); remove them, or "
-            "set WARP_CACHE_PATH to another folder"
+            f"compiled kernels in {str(folder)!r} are damaged and cannot be removed ({error}); remove them "
+            "or set WARP_CACHE_PATH to another folder"
         ) from error

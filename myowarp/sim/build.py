@@ -19,6 +19,7 @@ from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import new_keys
 from myowarp.models.slim import slim
 from myowarp.sim.capacity import calibrate
+from myowarp.sim.memory import check_memory
 from myowarp.spec.body import BODIES
 from myowarp.spec.condition import Condition
 from myowarp.spec.muscle import MUSCLES, MuscleModel
@@ -45,6 +46,7 @@ other, which costs 64 elbows up to 7 % of a step. Nor is what our stages do not 
 poses of all sites: it would be old.
 """
 
+MOST_STEPS = 2**31 - 1  # in an episode: the device counts in int32
 ROUNDING = 1e-6  # of a physics step; control steps are no exact multiples in binary
 
 
@@ -182,10 +184,12 @@ def checked_horizon(horizon: int) -> int:
     """Return the number of control steps in an episode as it was given.
 
     Raises:
-        ValueError: It is no positive integer.
+        ValueError: It is no positive integer, or more than the device counts.
     """
     if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 1:
         raise ValueError(f"max_episode_steps must be a positive integer, got {horizon!r}")
+    if horizon > MOST_STEPS:
+        raise ValueError(f"max_episode_steps must be at most {MOST_STEPS}, got {horizon}")
     return int(horizon)
 
 
@@ -227,11 +231,16 @@ def compile_scene(
     num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped))
     start = spec.start(oracle)
     capacity = calibrate(oracle, start)
+
+    def make_data(number: int) -> mjw.Data:
+        return mjw.make_data(stepped, nworld=number, nconmax=capacity.contacts, njmax=capacity.rows)
+
+    check_memory(make_data, worlds.total, where)
     with wp.ScopedDevice(where):
         batched = {"actuator_biasprm", *spec.batched}.union(*(c.batched for c in conditions))
         model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), worlds.number))
         model.opt.warn_overflow = False
-        data = mjw.make_data(stepped, nworld=worlds.number, nconmax=capacity.contacts, njmax=capacity.rows)
+        data = make_data(worlds.number)
         muscles = new_muscles(table, oracle, worlds, spec, PHYSICS[physics])
         if conditions:
             muscles.individualize()

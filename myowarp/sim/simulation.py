@@ -48,7 +48,7 @@ from myowarp.spec.muscle import restore_anatomy
 from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.parameter import Clock
 from myowarp.spec.program import Program
-from myowarp.spec.registry import check_choice
+from myowarp.spec.registry import check_choice, check_flag
 from myowarp.spec.scene import Starts
 from myowarp.spec.task import TaskSpec
 from myowarp.spec.worlds import Worlds
@@ -121,6 +121,8 @@ class Simulation:
             ValueError: An argument is out of its range.
         """
         check_choice("autoreset", autoreset, AUTORESET)
+        for name, flag in (("graph", graph), ("deterministic", deterministic), ("progress", progress)):
+            check_flag(name, flag)
         horizon = checked_horizon(spec.horizon if horizon is None else horizon)
         self.autoreset = AUTORESET[autoreset]
         with quiet():

@@ -18,7 +18,7 @@ import numpy as np
 
 from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.parameter import muscle_index
-from myowarp.spec.registry import check_choice
+from myowarp.spec.registry import check_choice, number_in
 from myowarp.spec.worlds import Worlds
 
 
@@ -148,6 +148,6 @@ class MuscleTable:
 def _number(what: str, cell: str) -> float:
     """Return a cell of a table as a number."""
     try:
-        return float(cell)
+        return number_in(cell)
     except ValueError:
         raise ValueError(f"{what} must be a number, got {cell!r}") from None
