@@ -1,7 +1,7 @@
 """Gymnasium on top of the simulation: a vector environment, and one world as a plain environment.
 
-    env = gymnasium.make_vec("MyoWarp/myoHandPoseRandom-v0", num_envs=256)
-    env = gymnasium.make("MyoWarp/myoHandPoseRandom-v0")
+    env = gymnasium.make_vec("MyoWarp/myoHandPoseRandom-v1", num_envs=256)
+    env = gymnasium.make("MyoWarp/myoHandPoseRandom-v1")
 
 Ids carry upstream's names; importing `myowarp` registers them. World i of `make_vec(...).reset(seed=s)` is
 the world of `make(...).reset(seed=s + i)`, as in Gymnasium's own vector environments.
@@ -29,9 +29,9 @@ from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.registry import check_choice, check_flag
 from myowarp.spec.task import TASKS
 from myowarp.tasks.variants import variants
-from myowarp.view.pictures import Pictures
+from myowarp.view.pictures import Pictures, check_render_mode, render_modes
 
-RENDER_MODES = ("human", "rgb_array")
+RENDER_MODES = render_modes()
 # Fields of a transition that `step` returns, that show in its `info`, and that it looks at.
 RESULTS = ("obs", "reward", "terminated", "truncated")
 ENTRIES = ("success", "solved", "fault", "terms")
@@ -90,7 +90,7 @@ class MyoWarpVectorEnv(VectorEnv):
         """Compile the task and its kernels; half a minute the first time, seconds later.
 
         Args:
-            task: Name with version, such as "myoHandPoseRandom-v0"; `make_vec` fills it in.
+            task: Name with version, such as "myoHandPoseRandom-v1"; `make_vec` fills it in.
             num_envs: Worlds stepped together.
             max_episode_steps: Steps after which an episode is truncated; None: the task's horizon.
             device: Warp device, such as "cpu" or "cuda:0"; None: the first CUDA device, else the CPU.
@@ -110,9 +110,9 @@ class MyoWarpVectorEnv(VectorEnv):
 
         Raises:
             ValueError: An argument is out of its range; nothing was built.
-            ImportError: Output for a library that is not installed.
+            ImportError: Output for a library, or a render mode for a viewer, that is not installed.
         """
-        check_choice("render_mode", render_mode, (None, *RENDER_MODES))
+        check_render_mode(render_mode)
         flags = {"deterministic": deterministic, "progress": progress}
         for name, flag in (flags if copy is None else flags | {"copy": copy}).items():
             check_flag(name, flag)
@@ -268,8 +268,8 @@ class MyoWarpVectorEnv(VectorEnv):
         given = seed
         if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool):
             seed = [int(seed) + i for i in range(self.num_envs)]
-        ordered = np.iterable(seed) and not isinstance(seed, (str, bytes, Set, Mapping))
-        seeds = list(seed) if ordered else self.num_envs * [seed]
+        ordered = isinstance(seed, Iterable) and not isinstance(seed, (str, bytes, Set, Mapping))
+        seeds: list[Any] = list(seed) if ordered else self.num_envs * [seed]  # type: ignore[arg-type]
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed must have one entry for each of {self.num_envs} worlds, got {len(seeds)}")
         if not all(s is None or _is_seed(s) for s in seeds):
@@ -385,7 +385,7 @@ class MyoWarpEnv(gym.Env):
 
 def _is_seed(seed: object) -> bool:
     """Whether it is an integer of which every bit counts (`myowarp.kernels.random.seed_worlds`)."""
-    return isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and 0 <= seed < 2**64
+    return isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and 0 <= int(seed) < 2**64
 
 
 def _autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:

@@ -78,6 +78,27 @@ def check_output(path: Path | None, *suffixes: str) -> None:
         raise ValueError(f"output {str(path)!r} cannot be written; its folder must exist and be writable")
 
 
+def check_overwrite(paths: Iterable[Path | None], overwrite: bool) -> None:
+    """Raise a clear error now if files are there that would be replaced, or one would be written twice.
+
+    Args:
+        paths: Files to be written; None: none.
+        overwrite: Whether they may be replaced.
+
+    Raises:
+        ValueError: One is there and may not be replaced, or two are the same.
+    """
+    seen: set[Path] = set()
+    for path in filter(None, paths):
+        if path.resolve() in seen:
+            raise ValueError(f"output {str(path)!r} is asked for twice; give each output a file of its own")
+        seen.add(path.resolve())
+        if path.exists() and not overwrite:
+            raise ValueError(
+                f"output {str(path)!r} exists; choose another name, or replace it with --overwrite"
+            )
+
+
 @cache
 def version(package: str) -> str:
     """Return the version of an installed package."""

@@ -106,7 +106,7 @@ def _list_paper(as_json: bool) -> None:
 class Rollout:
     """Run a policy in many worlds, print figures, and save data and video.
 
-    Example: myowarp rollout MyoWarp/myoHandReachRandom-v0 --num-worlds 256 --video hand.mp4
+    Example: myowarp rollout MyoWarp/myoHandReachRandom-v1 --num-worlds 256 --video hand.mp4
     """
 
     task: Annotated[str | None, tyro.conf.Positional] = None
@@ -144,15 +144,17 @@ class Rollout:
     """Write muscle signals and joint angles to this .parquet (tidy tables) or .npz."""
     signals_every: int = 1
     """Control steps from one sample of the signals to the next."""
+    overwrite: bool = False
+    """Replace output files that exist."""
     json: bool = False
     """Print the figures as JSON."""
 
     def __call__(self) -> None:
         """Run and report."""
         from myowarp.apps import rollout
-        from myowarp.apps.recording import check_recording, recording
+        from myowarp.apps.recording import check_recording, recording, recording_files
         from myowarp.bridge_gym import MyoWarpVectorEnv
-        from myowarp.disk import check_output
+        from myowarp.disk import check_output, check_overwrite
         from myowarp.tasks.from_file import find_task
         from myowarp.view.render import NoGraphicsError
 
@@ -164,17 +166,19 @@ class Rollout:
         check_output(self.save, ".npz")
         check_output(self.video, ".mp4")
         check_recording(self.signals)
+        check_overwrite((self.save, self.video, *recording_files(self.signals)), self.overwrite)
         muscle = MuscleTable.read(self.muscle, self.muscle_parameters)
-        console = Console(stderr=True)
+        console, reset = Console(stderr=True), self.reset or variant.reset
         env = MyoWarpVectorEnv(
             spec.key,
             self.num_worlds,
             device=self.device,
             physics=self.physics,
             muscle=muscle,
-            reset=self.reset or variant.reset,
+            reset=reset,
             conditions=(*variant.conditions, *self.conditions),
-            autoreset_mode="same_step",
+            # A film ends with the last state of an episode; reset-free ones go on from there.
+            autoreset_mode="disabled" if self.video and reset != "none" else "same_step",
         )
         with (
             recording(env.sim, self.signals, self.signals_every)
@@ -253,6 +257,8 @@ class Cohort:
     """Warp device, such as cpu or cuda:0; by default the GPU if there is one."""
     format: Literal["parquet", "csv"] = "parquet"
     """Format of the results."""
+    overwrite: bool = False
+    """Replace output files that exist."""
 
     def __call__(self) -> None:
         """Check, run, write."""
@@ -260,9 +266,8 @@ class Cohort:
 
         settings = dataclasses.asdict(self)
         table, output, suffix = settings.pop("table"), settings.pop("output"), settings.pop("format")
-        command.run(
-            table, output, f".{suffix}", Console(stderr=True, highlight=False, soft_wrap=True), **settings
-        )
+        console, overwrite = Console(stderr=True, highlight=False, soft_wrap=True), settings.pop("overwrite")
+        command.run(table, output, f".{suffix}", console, overwrite, **settings)
 
 
 @dataclass
@@ -319,13 +324,15 @@ class Audit:
     """parity (MyoSuite's integrator and step) or fast (implicit, twice the step)."""
     output: Path = Path("out/audit")
     """Folder for audit.json, written after every id, and index.html with plots (needs matplotlib)."""
+    overwrite: bool = False
+    """Replace output files that exist."""
     json: bool = False
     """Print the JSON instead of a table."""
 
     def __call__(self) -> None:
         """Check everything, then audit and report."""
         from myowarp.apps.audit import command
-        from myowarp.disk import check_folder
+        from myowarp.disk import check_folder, check_overwrite
         from myowarp.sim.build import resolve_device
         from myowarp.spec.registry import check_choice
         from myowarp.spec.task import PHYSICS
@@ -341,6 +348,7 @@ class Audit:
         check_choice("physics", self.physics, PHYSICS)
         resolve_device(self.device)
         check_folder(self.output)
+        check_overwrite((self.output / name for name in command.FILES), self.overwrite)
         self.output.mkdir(parents=True, exist_ok=True)
         console = Console(stderr=True, highlight=False, soft_wrap=True)
         audits = command.audit_all(

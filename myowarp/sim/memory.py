@@ -36,8 +36,8 @@ def check_memory(make_data: Callable[[int], mjw.Data], num_worlds: int, device: 
     needed = one + (num_worlds - 1) * (two - one)
     if needed > available:
         raise ValueError(
-            f"{num_worlds:,} worlds need at least {needed / 1e9:,.1f} GB of memory, {available / 1e9:,.1f} GB "
-            f"are available on {device.alias}; use at most {available // (two - one):,} worlds"
+            f"{num_worlds:,} worlds need at least {needed / 1e9:,.1f} GB of memory, got "
+            f"{available / 1e9:,.1f} GB on {device.alias}; use at most {available // (two - one):,} worlds"
         )
 
 

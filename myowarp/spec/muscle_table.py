@@ -69,6 +69,14 @@ class MuscleTable:
         """
         if path is None:
             return cls(model)
+        try:
+            return cls._read(model, path)
+        except csv.Error as error:
+            raise ValueError(f"{path} is no CSV file ({error})") from error
+
+    @classmethod
+    def _read(cls, model: str, path: str | Path) -> MuscleTable:
+        """Return the table in a file."""
         with Path(path).open(newline="") as file:
             lines = csv.DictReader(file, restval="")
             columns = lines.fieldnames or ()

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import importlib.util
+import os
+import platform
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from myowarp.spec.registry import check_choice
 from myowarp.view.snapshot import snapshot
 
 if TYPE_CHECKING:
@@ -13,6 +17,37 @@ if TYPE_CHECKING:
     from myowarp.sim.simulation import Simulation
     from myowarp.view.human import HumanViewer
     from myowarp.view.render import WorldRenderer
+
+NEEDED = {"gl": ("pyglet", "imgui_bundle"), "viser": ("viser",), "null": ()}
+"""Packages of each kind of viewer."""
+LARGEST_SIDE = 8192  # px of a picture, which is drawn twice as large; OpenGL takes 16384
+
+
+def live_viewer() -> Literal["gl", "viser"]:
+    """Return the kind of viewer for this machine: a window; on Linux without a display, a browser page."""
+    return "gl" if platform.system() != "Linux" or os.environ.get("DISPLAY") else "viser"
+
+
+def render_modes() -> tuple[str, ...]:
+    """Return Gymnasium's names of the ways to show worlds, without those that need what is not installed."""
+    shows = all(map(importlib.util.find_spec, ("newton", *NEEDED[live_viewer()])))
+    return ("human", "rgb_array") if shows else ("rgb_array",)
+
+
+def check_render_mode(mode: str | None) -> None:
+    """Raise if there is no such render mode.
+
+    Raises:
+        ValueError: It is unknown.
+        ImportError: Its viewer is not installed.
+    """
+    check_choice("render_mode", mode, (None, "human", "rgb_array"))
+    if mode == "human" and mode not in render_modes():
+        packages = " and ".join(("newton", *NEEDED[live_viewer()]))
+        raise ImportError(
+            f'render_mode="human" needs {packages}, got an installation without; run '
+            '`pip install "myowarp[view]"`'
+        )
 
 
 class Pictures:
@@ -26,10 +61,13 @@ class Pictures:
             camera: Name of a camera of the model; None frames the limb.
 
         Raises:
-            ValueError: The size is not two positive integers.
+            ValueError: The size is not two positive integers, or too large to draw.
         """
-        if len(size) != 2 or any(not isinstance(side, int) or side < 1 for side in size):
-            raise ValueError(f"render_size must be two positive integers, width and height, got {size!r}")
+        sides = size if isinstance(size, (tuple, list)) else ()
+        if len(sides) != 2 or not all(type(side) is int and 1 <= side <= LARGEST_SIDE for side in sides):
+            raise ValueError(
+                f"render_size must be two integers from 1 to {LARGEST_SIDE}, width and height, got {size!r}"
+            )
         self._size, self._camera = size, camera
         self._renderer: WorldRenderer | None = None
         self._viewer: HumanViewer | None = None
