@@ -29,7 +29,8 @@ from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.registry import check_choice, check_flag
 from myowarp.spec.task import TASKS
 from myowarp.tasks.variants import variants
-from myowarp.view.pictures import Pictures, check_render_mode, render_modes
+from myowarp.view.modes import check_render_mode, render_modes
+from myowarp.view.pictures import Pictures
 
 RENDER_MODES = render_modes()
 # Fields of a transition that `step` returns, that show in its `info`, and that it looks at.

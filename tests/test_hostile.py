@@ -26,7 +26,7 @@ from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.registry import number_in
 from myowarp.spec.task import TASKS
 from myowarp.tasks.variants import variants
-from myowarp.view import pictures
+from myowarp.view import modes
 
 TASK = "myoElbowPose1D6MRandom-v0"
 ID = f"MyoWarp/{TASK}"
@@ -278,18 +278,18 @@ def test_muscle_tables_have_the_same_numbers(tmp_path):
 def test_gymnasium_checks_what_can_be_shown(monkeypatch):
     """Its checker makes an environment in each render mode that is listed."""
     lists = "human" in gym.make(ID, device="cpu").unwrapped.metadata["render_modes"]
-    assert lists == ("human" in pictures.render_modes())
-    usual, viewers = pictures.importlib.util.find_spec, {"newton", "pyglet", "viser"}
+    assert lists == ("human" in modes.render_modes())
+    usual, viewers = modes.importlib.util.find_spec, {"newton", "pyglet", "viser"}
     monkeypatch.setattr(
-        pictures.importlib.util, "find_spec", lambda name: None if name in viewers else usual(name)
+        modes.importlib.util, "find_spec", lambda name: None if name in viewers else usual(name)
     )
-    assert pictures.render_modes() == ("rgb_array",)
+    assert modes.render_modes() == ("rgb_array",)
     hint = r'^render_mode="human" needs newton .*; run `pip install "myowarp\[view\]"`$'
     with pytest.raises(ImportError, match=hint):
         gym.make_vec(ID, num_envs=2, device="cpu", render_mode="human")
 
 
-@pytest.mark.skipif("human" in pictures.render_modes(), reason="opens a viewer")
+@pytest.mark.skipif("human" in modes.render_modes(), reason="opens a viewer")
 def test_check_env_with_pictures():
     check_env(gym.make(ID, device="cpu", render_mode="rgb_array").unwrapped)
 

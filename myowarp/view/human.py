@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from myowarp.view import style as look
-from myowarp.view.pictures import NEEDED, live_viewer
+from myowarp.view.modes import NEEDED, live_viewer
 from myowarp.view.render import NoGraphicsError
 
 Backend = Literal["gl", "viser", "null"]
