@@ -64,7 +64,8 @@ def _without_driver_warning() -> Iterator[list[str]]:
         yield said
         return
     with tempfile.TemporaryFile() as held:
-        sys.stderr.flush()
+        if sys.stderr is not None:
+            sys.stderr.flush()
         os.dup2(held.fileno(), 2)
         try:
             yield said
