@@ -61,7 +61,7 @@ def main() -> None:
     )
     try:
         chosen()
-    except (ValueError, OSError, RuntimeError, ImportError) as error:
+    except (ValueError, OSError, RuntimeError, ImportError, MemoryError) as error:
         Console(stderr=True, highlight=False, soft_wrap=True).print(
             f"myowarp: {error}", style="red", markup=False
         )

@@ -87,6 +87,7 @@ Conditions = Annotated[
     ),
 ]
 Muscle = Annotated[str, _option("{" + ",".join(MUSCLES) + "}", "Muscle model.")]
+Overwrite = Annotated[bool, _option("", "Replace output files that exist.")]
 TaskIds = Annotated[
     tuple[str, ...],
     tyro.conf.Positional,

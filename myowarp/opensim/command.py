@@ -13,7 +13,7 @@ import mujoco
 import tyro
 from rich.console import Console
 
-from myowarp.disk import check_folder, files_digest, in_place
+from myowarp.disk import check_folder, check_overwrite, files_digest, in_place
 from myowarp.opensim.model import Model, Note, pulling
 from myowarp.progress import patient_bar
 
@@ -55,9 +55,12 @@ class Convert:
     """Fail if a stated gate is missed; the result is written all the same."""
     json: bool = False
     """Print the report as JSON instead of a summary."""
+    overwrite: bool = False
+    """Replace output files that exist."""
 
     def __call__(self) -> None:
         """Convert, check, write."""
+        check_overwrite((self.output / name for name in COMPLETE), self.overwrite)
         report = run(self.model, self.output, self.meshes, self.method, self.workers, self.reference)
         if self.json:
             print(json.dumps(report, indent=1))

@@ -6,10 +6,21 @@ in the tests, which run over everything registered.
 
 import difflib
 import itertools
+import re
 from collections.abc import Callable, Iterable, Iterator
 from typing import Generic, TypeVar
 
+import numpy as np
+
 T = TypeVar("T")
+NUMBER = re.compile(r"[ \t]*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?[ \t]*")
+
+
+def check_flag(name: str, value: object) -> None:
+    """Raise ValueError if `value` is neither True nor False: "no" and NaN would count as true."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"{name} must be True or False, got {value!r}")
+
 
 MOST_LISTED = 30  # names in an error message
 
@@ -18,6 +29,17 @@ def check_choice(name: str, value: object, choices: Iterable[object]) -> None:
     """Raise ValueError if `value` is none of `choices`."""
     if value not in choices:
         raise ValueError(f"{name} {value!r} unknown; available: {', '.join(map(str, choices))}")
+
+
+def number_in(cell: str) -> float:
+    """Return the number that a cell of a table holds, as one would write it.
+
+    Raises:
+        ValueError: It holds none; Python's own `float` takes "1_0" for 10, digits of all scripts and more.
+    """
+    if not NUMBER.fullmatch(cell):
+        raise ValueError(f"{cell!r} is no number")
+    return float(cell)
 
 
 class Registry(Generic[T]):

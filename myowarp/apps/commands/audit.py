@@ -6,7 +6,7 @@ from typing import Annotated
 
 from rich.console import Console
 
-from myowarp.apps.options import Device, Physics, TaskIds, optional
+from myowarp.apps.options import Device, Overwrite, Physics, TaskIds, optional
 
 
 @dataclass
@@ -38,13 +38,14 @@ class Audit:
     physics: Physics = "parity"
     output: Path = Path("out/audit")
     """Folder for audit.json, written after every id, and index.html with plots (needs matplotlib)."""
+    overwrite: Overwrite = False
     json: bool = False
     """Print the JSON instead of a table."""
 
     def __call__(self) -> None:
         """Check everything, then audit and report."""
         from myowarp.apps.audit import command
-        from myowarp.disk import check_folder
+        from myowarp.disk import check_folder, check_overwrite
         from myowarp.sim.build import resolve_device
         from myowarp.spec.registry import check_choice
         from myowarp.spec.task import PHYSICS
@@ -60,6 +61,7 @@ class Audit:
         check_choice("physics", self.physics, PHYSICS)
         resolve_device(self.device)
         check_folder(self.output)
+        check_overwrite((self.output / name for name in command.FILES), self.overwrite)
         self.output.mkdir(parents=True, exist_ok=True)
         console = Console(stderr=True, highlight=False, soft_wrap=True)
         audits = command.audit_all(

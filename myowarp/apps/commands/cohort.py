@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from myowarp.apps.options import Device, Physics, Policy, Steps, Task, optional
+from myowarp.apps.options import Device, Overwrite, Physics, Policy, Steps, Task, optional
 from myowarp.spec.task import RESETS
 
 
@@ -44,6 +44,7 @@ class Cohort:
     device: Device = None
     format: Literal["parquet", "csv"] = "parquet"
     """Format of the results."""
+    overwrite: Overwrite = False
 
     def __call__(self) -> None:
         """Check, run, write."""
@@ -51,6 +52,5 @@ class Cohort:
 
         settings = dataclasses.asdict(self)
         table, output, suffix = settings.pop("table"), settings.pop("output"), settings.pop("format")
-        command.run(
-            table, output, f".{suffix}", Console(stderr=True, highlight=False, soft_wrap=True), **settings
-        )
+        console, overwrite = Console(stderr=True, highlight=False, soft_wrap=True), settings.pop("overwrite")
+        command.run(table, output, f".{suffix}", console, overwrite, **settings)

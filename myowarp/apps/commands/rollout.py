@@ -16,6 +16,7 @@ from myowarp.apps.options import (
     Model,
     Muscle,
     OptionalTask,
+    Overwrite,
     Physics,
     Policy,
     Reset,
@@ -36,7 +37,7 @@ RANDOM_ELBOW = 56
 class Rollout:
     """Run a policy in many worlds, print statistics, and save data and video.
 
-    Example: myowarp rollout MyoWarp/myoHandReachRandom-v0 --num-worlds 256 --video hand.mp4
+    Example: myowarp rollout MyoWarp/myoHandReachRandom-v1 --num-worlds 256 --video hand.mp4
     """
 
     task: OptionalTask = None
@@ -64,15 +65,16 @@ class Rollout:
     """Write muscle signals and joint angles to this .parquet (tidy tables) or .npz."""
     signals_every: int = 1
     """Control steps from one sample of the signals to the next."""
+    overwrite: Overwrite = False
     json: bool = False
     """Print the statistics as JSON."""
 
     def __call__(self) -> None:
         """Run and report."""
         from myowarp.apps import rollout
-        from myowarp.apps.recording import check_recording, recording
+        from myowarp.apps.recording import check_recording, recording, recording_files
         from myowarp.bridge_gym import MyoWarpVectorEnv
-        from myowarp.disk import check_output
+        from myowarp.disk import check_output, check_overwrite
         from myowarp.tasks.from_file import find_task
         from myowarp.view.render import NoGraphicsError
 
@@ -84,17 +86,19 @@ class Rollout:
         check_output(self.save, ".npz")
         check_output(self.video, ".mp4")
         check_recording(self.signals)
+        check_overwrite((self.save, self.video, *recording_files(self.signals)), self.overwrite)
         muscle = MuscleTable.read(self.muscle, self.muscle_parameters)
-        console = Console(stderr=True)
+        console, reset = Console(stderr=True), self.reset or variant.reset
         env = MyoWarpVectorEnv(
             spec.key,
             self.num_worlds,
             device=self.device,
             physics=self.physics,
             muscle=muscle,
-            reset=self.reset or variant.reset,
+            reset=reset,
             conditions=(*variant.conditions, *self.conditions),
-            autoreset_mode="same_step",
+            # A film ends with the last state of an episode; reset-free ones go on from there.
+            autoreset_mode="disabled" if self.video and reset != "none" else "same_step",
         )
         with (
             recording(env.sim, self.signals, self.signals_every)
@@ -131,8 +135,9 @@ class Rollout:
         for name, number in numbers.items():
             if number < 1:
                 raise ValueError(f"--{name} must be at least 1, got {number}")
-        if self.seed < 0:
-            raise ValueError(f"--seed must be at least 0, got {self.seed}")
+        most = 2**64 - max(self.num_worlds, 1)  # world i has seed + i
+        if not 0 <= self.seed <= most:
+            raise ValueError(f"--seed must be from 0 to {most}, got {self.seed}")
 
 
 def _report(figures: dict[str, object], spec: TaskSpec, as_json: bool) -> None:
