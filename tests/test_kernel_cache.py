@@ -107,7 +107,7 @@ def test_what_cannot_be_removed_is_an_error(folder, monkeypatch):
 
     monkeypatch.setattr(Path, "rename", refuse)
     with pytest.raises(
-        RuntimeError, match=r"are damaged and cannot be removed \(read-only\); remove them, or "
+        RuntimeError, match=r"are damaged and cannot be removed \(read-only\); remove them or "
     ):
         loaded()
 
