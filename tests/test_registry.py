@@ -37,7 +37,9 @@ def test_add_and_decorator_return_the_entry(fruits):
 def test_taken_name(fruits):
     with pytest.raises(ValueError, match=r".") as error:
         fruits.add("apple", "other")
-    assert str(error.value) == "fruit 'apple' is already registered; choose another name"
+    assert (
+        str(error.value) == "fruit 'apple' is already registered; choose another name, or pass replace=True"
+    )
     assert fruits["apple"] == "APPLE"
 
 

@@ -19,7 +19,7 @@ from myowarp.opensim.command import Convert
 from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.task import TASKS
-from myowarp.tasks.variants import find_variant
+from myowarp.tasks.outside import find_task
 
 TILE = (320, 240)  # px of one world in a video
 
@@ -110,7 +110,7 @@ class Rollout:
     """
 
     task: Annotated[str | None, tyro.conf.Positional] = None
-    """Task id, with or without "MyoWarp/"; `myowarp tasks` lists them."""
+    """Task id, with or without "MyoWarp/" (`myowarp tasks` lists them), or file.py:name for your own."""
     model: Path | None = None
     """Instead of a task: an MJCF file, such as `myowarp convert` writes; random poses of its joints. Physics
     parity is then the file's own integrator and step."""
@@ -153,10 +153,10 @@ class Rollout:
         from myowarp.apps.recording import check_recording, recording
         from myowarp.bridge_gym import MyoWarpVectorEnv
         from myowarp.disk import check_output
-        from myowarp.tasks.from_file import find_task
+        from myowarp.tasks.from_file import task_or_model
         from myowarp.view.render import NoGraphicsError
 
-        variant = find_task(self.task, self.model)
+        variant = task_or_model(self.task, self.model)
         spec = TASKS[variant.task]
         steps = spec.horizon if self.steps is None else self.steps
         self._check_numbers(steps)
@@ -230,7 +230,7 @@ class Cohort:
     table: Annotated[Path, tyro.conf.Positional]
     """Patients, .csv or .parquet."""
     task: str
-    """Task id, with or without "MyoWarp/"; `myowarp tasks` lists them."""
+    """Task id, with or without "MyoWarp/" (`myowarp tasks` lists them), or file.py:name for your own."""
     policy: str = "hold"
     """hold (pose tasks: proportional control of the joints), random, zero, package.module:function or
     file.py:function (observations -> actions)."""
@@ -269,7 +269,7 @@ class Warmup:
     """Compile the kernels of tasks now, so that later starts take seconds."""
 
     tasks: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
-    """Task ids; none means all."""
+    """Task ids, or file.py:name; none means all."""
     device: str | None = None
     """Warp device; by default the GPU if there is one."""
     physics: str = "parity"
@@ -279,7 +279,7 @@ class Warmup:
         """Build one small simulation of every scene."""
         from myowarp.sim.simulation import Simulation
 
-        keys = [find_variant(task).task for task in self.tasks] or list(TASKS)
+        keys = [find_task(task).task for task in self.tasks] or list(TASKS)
         scenes = {TASKS[key].scene_key: TASKS[key] for key in keys}
         for spec in scenes.values():
             Console(stderr=True).print(f"{spec.family} with {spec.body}")
@@ -303,7 +303,7 @@ class Audit:
     """
 
     tasks: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
-    """Task ids, with or without "MyoWarp/", the paper's too; none means every registered id."""
+    """Task ids, with or without "MyoWarp/", the paper's too, or file.py:name; none means all registered."""
     paper: bool = False
     """Audit the paper's grid of 204 ids."""
     num_worlds: int = 64
