@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import re
 import sys
 import traceback
 import zlib
@@ -30,21 +31,24 @@ def find_task(name: str) -> Variant:
         ValueError: There is no such id, file or task, or the file fails.
     """
     source, colon, wanted = name.rpartition(":")
-    if not colon:
+    if not colon and name.endswith(".py"):
+        source = name
+    elif not colon:
         return find_variant(name)
     offered = tasks_of(source)
-    wanted = wanted.removeprefix("MyoWarp/")
+    wanted = wanted.removeprefix("MyoWarp/") if colon else ""
     if wanted in offered:
         return offered[wanted]
-    versions = [key for key in offered if key.rpartition("-v")[0] == wanted]
+    versions = [key for key in offered if re.fullmatch(rf"{re.escape(wanted)}-v\d+", key)]
     if len(versions) == 1:
         return offered[versions[0]]
     keys = ", ".join(dict.fromkeys(variant.task for variant in offered.values())) or "none"
+    if not wanted:
+        raise ValueError(f"{source} needs the name of a task after a colon; tasks in it: {keys}")
     problem = f"has {len(versions)} versions of task" if versions else "has no task"
     raise ValueError(f"{source} {problem} {wanted!r}; tasks in it: {keys}")
 
 
-@cache
 def tasks_of(source: str) -> dict[str, Variant]:
     """Return the tasks of a file or module by every name that they have there.
 
@@ -53,6 +57,8 @@ def tasks_of(source: str) -> dict[str, Variant]:
     """
     before = set(TASKS)
     module = load(source)
+    if module in _OFFERED:
+        return _OFFERED[module]
     keys = dict.fromkeys(key for key in TASKS if key not in before)
     named: dict[str, str] = {}
     for name, value in vars(module).items():
@@ -65,7 +71,12 @@ def tasks_of(source: str) -> dict[str, Variant]:
     offered = {name: Variant(key) for name, key in named.items()}
     for key in keys:
         offered |= {env_id.removeprefix("MyoWarp/"): found for env_id, found in variants_of(key).items()}
+    _OFFERED[module] = offered
     return offered
+
+
+_OFFERED: dict[ModuleType, dict[str, Variant]] = {}
+"""What modules offered when they were run: they register once."""
 
 
 def load(source: str) -> ModuleType:
