@@ -216,7 +216,11 @@ def compile_scene(
     capacity = calibrate(oracle, start)
     with wp.ScopedDevice(where):
         batched = {"actuator_biasprm", *spec.batched}.union(*(c.batched for c in conditions))
-        model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), worlds.number))
+        try:
+            model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), worlds.number))
+        except NotImplementedError as error:
+            reason = " ".join(str(error).split())
+            raise ValueError(f"task {spec.key!r} cannot be simulated; mujoco-warp says: {reason}") from error
         model.opt.warn_overflow = False
         data = mjw.make_data(stepped, nworld=worlds.number, nconmax=capacity.contacts, njmax=capacity.rows)
         muscles = new_muscles(table, oracle, worlds, spec, PHYSICS[physics])

@@ -65,7 +65,7 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
         ValueError: The file is no model that MuJoCo reads, or has actuators that we cannot step.
     """
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_file(str(path.absolute()))
         for actuator in spec.actuators:
             if actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE and not np.any(actuator.ctrlrange):
                 actuator.ctrlrange = (-1.0, 1.0)
@@ -90,6 +90,15 @@ def _check(model: mujoco.MjModel, path: Path) -> None:
         raise ValueError(
             f"model {str(path)!r} has integrator {integrator}; muscles need one of {', '.join(STEPPED)}"
         )
+    for what, has in (
+        ("a plugin", model.actuator_plugin >= 0),
+        ("a delay", model.actuator_delay > 0),
+        ("actearly", model.actuator_actearly.astype(bool)),
+        ("a disabled group", (model.opt.disableactuator >> model.actuator_group) & 1 > 0),
+    ):
+        if has.any():
+            name = model.actuator(int(np.argmax(has))).name or str(np.argmax(has))
+            raise ValueError(f"model {str(path)!r} has actuator {name!r} with {what}, which is not simulated")
     kinds = zip(model.actuator_dyntype, model.actuator_gaintype, model.actuator_biastype, strict=True)
     muscle = (mujoco.mjtDyn.mjDYN_MUSCLE, mujoco.mjtGain.mjGAIN_MUSCLE, mujoco.mjtBias.mjBIAS_MUSCLE)
     for index, kind in enumerate(kinds):
