@@ -3,6 +3,7 @@
 import ast
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -435,7 +436,7 @@ def test_a_replaced_body_is_stepped(folder):
 
 EDITS = {
     # what is edited: module, task, options, file, text before and after
-    "model of a body": ("free_root", "outsideHopperPose-v0", {}, "free_root.xml", 'force="80"', 'force="60"'),
+    "a body": ("free_root", "outsideHopperPose-v0", {}, "free_root.xml", 'force="80"', 'force="60"'),
     "model from MJCF": (
         "mjcf",
         "outsideMjcfPoseRandom-v0",
@@ -473,7 +474,7 @@ print(json.dumps(ends))
 
 @pytest.mark.slow
 def test_an_edited_file_is_new_physics(folder):
-    """In new processes, with the caches of the one before: files that read others, or are models, included."""
+    """In new processes, with the caches of the one before; files that a file reads count too."""
     environment = os.environ | {"MYOWARP_CACHE_DIR": str(folder / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
     environment["PYTHONPATH"] = str(Path(myowarp.__file__).parents[1])
 
@@ -499,12 +500,10 @@ def test_code_is_known_by_its_files(folder):
     """What a user's file imports from another counts; a class without a file is another in each process."""
     (folder / "laws.py").write_text("GAIN = 1.0\n\n\ndef law(x):\n    return GAIN * x\n")
     (folder / "uses.py").write_text("from laws import law\nimport numpy\n\n\nclass Mine:\n    act = law\n")
-    digests = []
+    module, digests = load("uses.py"), []
     for gain in ("1.0", "2.0"):
         (folder / "laws.py").write_text((folder / "laws.py").read_text().replace("1.0", gain))
-        module = load("uses.py")
         digests += [code_digest(module.Mine), code_digest(module.Mine)]
-        del sys.modules["laws"]
     assert digests[0] == digests[1] != digests[2] == digests[3]
     scope = {"__name__": "in_no_file"}
     sys.modules["in_no_file"] = type(sys)("in_no_file")
@@ -529,16 +528,52 @@ EDITS_BY_FIELD = """def edit(self, spec):
         spec.joints[0].damping[0] = self.damping"""
 
 
-def test_only_public_names():
-    """The files above import nothing of ours but `myowarp` itself."""
-    for path in OUTSIDE.glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            modules = [a.name for a in node.names] if isinstance(node, ast.Import) else []
-            modules += [node.module] if isinstance(node, ast.ImportFrom) else []
-            assert not [m for m in modules if m.startswith("myowarp.")], path
-            if (
-                isinstance(node, ast.Attribute)
-                and isinstance(node.value, ast.Name)
-                and node.value.id == "myowarp"
-            ):
-                assert node.attr in myowarp.__all__, f"{path}: {node.attr}"
+def snippets():
+    """Return the Python of examples, of what is outside here, and of README and documentation."""
+    root = OUTSIDE.parents[1]
+    found = {path: path.read_text() for path in (*OUTSIDE.glob("*.py"), *(root / "examples").rglob("*.py"))}
+    for path in (root / "README.md", root / "CONTRIBUTING.md", *(root / "docs").rglob("*.md")):
+        for number, text in enumerate(re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)):
+            found[path.with_suffix(f".{number}")] = text
+    return found
+
+
+SNIPPETS = snippets()
+
+
+@pytest.mark.parametrize("path", SNIPPETS, ids=lambda path: path.name)
+def test_only_public_names(path):
+    """What users read imports nothing of ours but `myowarp` itself, and of it what is public."""
+    for node in ast.walk(ast.parse(SNIPPETS[path])):
+        modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        names = []
+        if isinstance(node, ast.ImportFrom):
+            modules = [node.module]
+            names = [alias.name for alias in node.names] if node.module == "myowarp" else []
+        if (
+            isinstance(node, ast.Attribute)
+            and isinstance(node.value, ast.Name)
+            and node.value.id == "myowarp"
+        ):
+            names = [node.attr]
+        assert not [module for module in modules if module.startswith("myowarp.")]
+        assert set(names) <= set(myowarp.__all__)
+
+
+def test_the_public_face():
+    assert len(set(myowarp.__all__)) == len(myowarp.__all__)
+    assert all(hasattr(myowarp, name) for name in myowarp.__all__)
+    assert set(myowarp.CONDITIONS) == {
+        name for name in myowarp.CONDITIONS if myowarp.CONDITIONS[name].__name__ in myowarp.__all__
+    }
+
+
+def test_the_example(folder):
+    """It runs, within the lines that it may have, and by its name on the command line."""
+    path = OUTSIDE.parents[1] / "examples" / "own_task.py"
+    assert len(path.read_text().splitlines()) <= 60
+    task = find_task(f"{path}:thrifty")
+    assert task.task == "myElbowThriftyRandom-v0"
+    for name in ("thrifty", "reach", "precise"):
+        _, obs, _ = rolled(find_task(f"{path}:{name}").task, steps=3)
+        assert np.isfinite(obs).all()
