@@ -276,12 +276,12 @@ class Warmup:
     """Physics preset."""
 
     def __call__(self) -> None:
-        """Build one small simulation of every scene."""
+        """Build one small simulation of every task that is named, or of every scene."""
         from myowarp.sim.simulation import Simulation
 
-        keys = [find_task(task).task for task in self.tasks] or list(TASKS)
-        scenes = {TASKS[key].scene_key: TASKS[key] for key in keys}
-        for spec in scenes.values():
+        named = dict.fromkeys(find_task(task).task for task in self.tasks)
+        scenes = {TASKS[key].scene_key: key for key in TASKS}
+        for spec in map(TASKS.__getitem__, named or scenes.values()):
             Console(stderr=True).print(f"{spec.family} with {spec.body}")
             Simulation(spec, 1, device=self.device, physics=self.physics)
 
