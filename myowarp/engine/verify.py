@@ -84,15 +84,15 @@ def choose_stages(
         idle = verified_idle(scene)
         return Verdict(idle, frozenset(type(stage).__name__ for stage in trusted))
 
-    verdict = _cached_verdict(scene, candidates, conditions, verify)
+    verdict = _cached_verdict(scene, candidates, verify, conditions)
     return tuple(stage for stage in candidates if type(stage).__name__ in verdict.stages), verdict.idle
 
 
 def _cached_verdict(
     scene: Scene,
     candidates: Iterable[Stage],
-    conditions: Iterable[Condition],
     verify: Callable[[], Verdict],
+    conditions: Iterable[Condition] = (),
 ) -> Verdict:
     """Return what `verify` found for this scene and these candidates, now or in an earlier process."""
     package = Path(__file__).parents[1]
