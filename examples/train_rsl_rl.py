@@ -6,7 +6,7 @@ import gymnasium as gym
 import torch
 from rsl_rl.runners import OnPolicyRunner
 
-from myowarp.apps.adapters.rsl_rl import RslRlVecEnv
+from myowarp import RslRlVecEnv
 
 ID = "MyoWarp/myoElbowPose1D6MRandom-v0"
 UPDATES = int(sys.argv[1]) if len(sys.argv) > 1 else 100

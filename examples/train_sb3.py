@@ -7,7 +7,7 @@ import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from myowarp.apps.adapters.stable_baselines3 import Sb3VecEnv
+from myowarp import Sb3VecEnv
 
 ID = "MyoWarp/myoElbowPose1D6MRandom-v0"
 SAMPLES = int(sys.argv[1]) if len(sys.argv) > 1 else 250_000

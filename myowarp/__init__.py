@@ -1,15 +1,139 @@
 """MyoWarp: musculoskeletal motor control, simulated in thousands of worlds at once.
 
-Importing the package registers every task with Gymnasium under `MyoWarp/<name>-v<version>`.
+    env = gymnasium.make_vec("MyoWarp/myoHandPoseRandom-v1", num_envs=256)
+
+Importing the package registers every task with Gymnasium under `MyoWarp/<name>-v<version>`. What stands here
+is public; everything else may move from one version to the next.
 """
+
+__version__ = "0.1.0"
+
+import importlib
+from typing import Any
 
 from myowarp.engine.quick_import import quick_import
 
 with quick_import():
     import myowarp.models.bodies
-    import myowarp.models.conditions
     import myowarp.models.muscles
     import myowarp.tasks  # noqa: F401  (these register themselves)
-    from myowarp.bridge_gym import register_all
+    from myowarp.bridge_gym import make, make_vec, register_all
+    from myowarp.kernels.batching import batched
+    from myowarp.kernels.episode import FAULTS
+    from myowarp.kernels.launch import launch
+    from myowarp.kernels.observe import pack, pack_difference, pack_vec3
+    from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
+    from myowarp.models.conditions import (
+        Exoskeleton,
+        Fatigue3CCR,
+        FatigueMa2009,
+        Load,
+        MotorNoise,
+        Ramp,
+        Reafferentation,
+        Sarcopenia,
+        TendonTear,
+        TendonTransfer,
+        Uniform,
+    )
+    from myowarp.models.muscles.mujoco import MujocoMuscle
+    from myowarp.sim.signals import Signals
+    from myowarp.sim.state import State
+    from myowarp.spec.body import BODIES, Body, CoarseStep
+    from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
+    from myowarp.spec.muscle import MUSCLES, Anatomy, BiasParams, MuscleModel, affine_bias
+    from myowarp.spec.muscle_table import MuscleTable
+    from myowarp.spec.parameter import Clock, Curve, Parameter, value_of
+    from myowarp.spec.program import Program
+    from myowarp.spec.scene import Scene
+    from myowarp.spec.task import TASKS, Column, RewardTerm, TaskSpec, blocks, register, task, weighted
+    from myowarp.tasks.extend import extend
+    from myowarp.tasks.from_file import from_mjcf
+    from myowarp.tasks.pose import PoseTask
+    from myowarp.tasks.quantities import QUANTITIES
+    from myowarp.tasks.reach import ReachTask
 
+    for _registry in (TASKS, BODIES, MUSCLES, CONDITIONS):
+        _registry.seal()
     register_all()
+
+_ADAPTERS = {
+    "Sb3VecEnv": "myowarp.apps.adapters.stable_baselines3",
+    "RslRlVecEnv": "myowarp.apps.adapters.rsl_rl",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import an adapter when it is first used: it needs its trainer."""
+    if name not in _ADAPTERS:
+        raise AttributeError(f"module 'myowarp' has no attribute {name!r}")
+    return getattr(importlib.import_module(_ADAPTERS[name]), name)
+
+
+__all__ = [  # noqa: RUF022 (by what they are for)
+    # Environments
+    "TASKS",
+    "make",
+    "make_vec",
+    "Signals",
+    "State",
+    "FAULTS",
+    "Sb3VecEnv",
+    "RslRlVecEnv",
+    # Patients
+    "Sarcopenia",
+    "Fatigue3CCR",
+    "FatigueMa2009",
+    "TendonTear",
+    "TendonTransfer",
+    "Reafferentation",
+    "Exoskeleton",
+    "Load",
+    "MotorNoise",
+    "Uniform",
+    "Ramp",
+    "MuscleTable",
+    # Tasks of one's own
+    "from_mjcf",
+    "extend",
+    "register",
+    "task",
+    "PoseTask",
+    "ReachTask",
+    "QUANTITIES",
+    # Families, bodies, conditions and muscle models of one's own
+    "TaskSpec",
+    "Column",
+    "RewardTerm",
+    "blocks",
+    "weighted",
+    "Program",
+    "launch",
+    "pack",
+    "pack_vec3",
+    "pack_difference",
+    "RandomKeys",
+    "open_stream",
+    "GOAL",
+    "START",
+    "BODIES",
+    "Body",
+    "CoarseStep",
+    "CONDITIONS",
+    "Condition",
+    "Effect",
+    "Stage",
+    "Scene",
+    "Clock",
+    "Parameter",
+    "Curve",
+    "value_of",
+    "MUSCLES",
+    "MuscleModel",
+    "MujocoMuscle",
+    "Anatomy",
+    "BiasParams",
+    "affine_bias",
+    "batched",
+    "__version__",
+]

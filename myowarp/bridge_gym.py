@@ -10,7 +10,7 @@ the world of `make(...).reset(seed=s + i)`, as in Gymnasium's own vector environ
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -28,8 +28,8 @@ from myowarp.sim.state import State, Worlds, get_state, place, set_state, start_
 from myowarp.spec.condition import Condition
 from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.registry import check_choice, check_flag
-from myowarp.spec.task import TASKS
-from myowarp.tasks.variants import variants
+from myowarp.spec.task import TASKS, TaskSpec
+from myowarp.tasks.variants import Variant, find_variant, paper_variants, variants_of
 from myowarp.view.modes import check_render_mode, render_modes
 from myowarp.view.pictures import Pictures
 
@@ -479,9 +479,18 @@ def _autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:
     return named[key]
 
 
-def register_all() -> None:
-    """Register every id with Gymnasium; called by `import myowarp`."""
-    for env_id, variant in variants().items():
+def _register(ids: Mapping[str, Variant]) -> None:
+    """Register ids with Gymnasium; an id of the same task is replaced.
+
+    Raises:
+        ValueError: An id is another task's; none is registered.
+    """
+    for env_id, variant in ids.items():
+        if env_id in gym.registry and gym.registry[env_id].kwargs.get("task") != variant.task:
+            owner = gym.registry[env_id].kwargs.get("task")
+            raise ValueError(f"id {env_id!r} is a variant of task {owner!r}; choose another name")
+    for env_id, variant in ids.items():
+        gym.registry.pop(env_id, None)
         gym.register(
             id=env_id,
             entry_point="myowarp.bridge_gym:MyoWarpEnv",
@@ -489,3 +498,50 @@ def register_all() -> None:
             max_episode_steps=TASKS[variant.task].horizon,
             kwargs=vars(variant).copy(),
         )
+
+
+def register_all() -> None:
+    """Register every id with Gymnasium, those of later tasks too; called by `import myowarp`."""
+    TASKS.watch(lambda key: _register(variants_of(key)))
+    _register(paper_variants())
+
+
+def env_id(task: str | TaskSpec) -> str:
+    """Return the Gymnasium id of a task or of an id, in which "MyoWarp/" may be left out.
+
+    Raises:
+        ValueError: There is no such id, or the task is not registered.
+    """
+    if isinstance(task, TaskSpec):
+        if task.key not in TASKS or TASKS[task.key] != task:
+            raise ValueError(f"task {task.key!r} is not registered; call myowarp.register(task) first")
+        return task.env_id
+    find_variant(task)
+    return f"MyoWarp/{task.removeprefix('MyoWarp/')}"
+
+
+def make(task: str | TaskSpec, **options: Any) -> gym.Env:
+    """Return one world of a task as a plain Gymnasium environment, `gymnasium.make` of its id.
+
+    Args:
+        task: Id, with or without "MyoWarp/", or a registered task.
+        **options: Those of `gymnasium.make` and of `MyoWarpVectorEnv`.
+
+    Raises:
+        ValueError: There is no such task, or an option is out of its range.
+    """
+    return gym.make(env_id(task), **options)
+
+
+def make_vec(task: str | TaskSpec, num_envs: int = 1, **options: Any) -> MyoWarpVectorEnv:
+    """Return all worlds of a task as one vector environment, `gymnasium.make_vec` of its id.
+
+    Args:
+        task: Id, with or without "MyoWarp/", or a registered task.
+        num_envs: Worlds stepped together.
+        **options: Those of `MyoWarpVectorEnv`.
+
+    Raises:
+        ValueError: There is no such task, or an option is out of its range.
+    """
+    return cast(MyoWarpVectorEnv, gym.make_vec(env_id(task), num_envs=num_envs, **options))

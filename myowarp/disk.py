@@ -10,12 +10,16 @@ import hashlib
 import io
 import logging
 import os
+import secrets
 import stat
+import sys
+import sysconfig
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from importlib import metadata
 from pathlib import Path
+from types import ModuleType
 from typing import TypeVar
 
 import mujoco
@@ -25,6 +29,8 @@ import platformdirs
 T = TypeVar("T")
 
 logger = logging.getLogger("myowarp")
+OURS = frozenset({"myowarp", "abc", "builtins"})
+"""Packages that define what is ours, base classes of Python's included."""
 
 
 @contextlib.contextmanager
@@ -153,6 +159,55 @@ def _temporary_folder() -> Path:
 def files_digest(files: Iterable[Path]) -> str:
     """Return a digest of what files hold, in their order."""
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
+def is_ours(*definers: object) -> bool:
+    """Whether functions, classes and their bases are all defined in this package."""
+    return all(name.partition(".")[0] in OURS for name in _modules(definers))
+
+
+def code_digest(*definers: object) -> str:
+    """Return a digest of the files that define functions, classes and their bases: an edit makes it another.
+
+    What a user's own file imports from other files of the user's counts too; installed packages do not. Code
+    that is in no file, such as that of a notebook, has another digest in each process.
+    """
+    waiting = _modules(definers)
+    files: dict[str, Path] = {}
+    while waiting:
+        name = waiting.pop()
+        module = sys.modules.get(name)
+        if name in files or module is None or name.partition(".")[0] in sys.stdlib_module_names:
+            continue
+        files[name] = path = Path(getattr(module, "__file__", None) or "")
+        if not path.is_file():
+            return secrets.token_hex()
+        if not _is_users(path):
+            continue
+        for other in _modules(vars(module).values()):
+            file = getattr(sys.modules.get(other), "__file__", None)
+            if file is not None and _is_users(Path(file)):
+                waiting.add(other)
+    return files_digest(sorted(files.values()))
+
+
+def _is_users(path: Path) -> bool:
+    """Whether a file belongs to neither this package nor another installed one."""
+    installed = [Path(__file__).parent, *map(Path, sysconfig.get_paths().values())]
+    return path.suffix == ".py" and not any(folder in path.parents for folder in installed)
+
+
+def _modules(objects: Iterable[object]) -> set[str]:
+    """Return the names of the modules that define objects; of a class, of its bases too."""
+    found = set()
+    for thing in objects:
+        if isinstance(thing, ModuleType):
+            found.add(thing.__name__)
+            continue
+        thing = getattr(thing, "func", thing)  # of Warp's functions and kernels
+        for base in getattr(thing, "__mro__", (thing,)):
+            found.add(str(getattr(base, "__module__", None)))
+    return found
 
 
 def model_bytes(model: mujoco.MjModel) -> bytes:

@@ -313,10 +313,13 @@ BAD_LATER = {
         ["--policy", "best"],
         "policy 'best' unknown; available: random, zero, hold, package.module:function, file.py:function",
     ),
-    "no such file": (["--policy", "none.py:act"], "policy 'none.py:act' not found (FileNotFoundError: "),
-    "no such module": (["--policy", "none:act"], "policy 'none:act' not found (ModuleNotFoundError: "),
-    "no such function": (["--policy", "math:act"], "policy 'math:act' not found (AttributeError: "),
-    "no function in file": (["--policy", "policy.py:none"], "policy 'policy.py:none' not found (KeyError: "),
+    "no such file": (["--policy", "none.py:act"], "file 'none.py' does not exist"),
+    "no such module": (["--policy", "none:act"], "module 'none' does not exist; a file ends in .py"),
+    "no such function": (["--policy", "math:act"], "policy 'math:act' not found: math has no 'act'"),
+    "no function in file": (
+        ["--policy", "policy.py:none"],
+        "policy 'policy.py:none' not found: policy.py has no 'none'",
+    ),
     "no function": (["--policy", "math:pi"], "must be a function of the observations, got float"),
     "wrong actions": (
         ["--policy", "policy.py:narrow"],

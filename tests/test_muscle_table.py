@@ -1,9 +1,10 @@
 """Parameters of muscles beside the compiled model, and muscle models from outside the package."""
 
-import importlib.util
 import re
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -17,6 +18,7 @@ from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.task import TASKS
 from myowarp.spec.worlds import Worlds
+from myowarp.tasks.outside import load
 
 TASK = "myoElbowPose1D6MRandom-v0"
 NAMES = ("a_r", "b", "c")
@@ -140,74 +142,16 @@ def test_command_lists_the_choices():
     assert all(name in text for name in MUSCLES)
 
 
-ELASTIC = '''
-"""MuJoCo's muscle behind an elastic tendon: the tension follows the fibers' with a time constant."""
-
-import mujoco_warp as mjw
-import warp as wp
-
-from myowarp.kernels.batching import batched
-from myowarp.models.muscles.mujoco import MujocoMuscle
-from myowarp.spec.muscle import MUSCLES, Anatomy, BiasParams, affine_bias
-
-TIME_CONSTANT = wp.constant(0.02)  # s
-
-
-@wp.kernel(enable_backward=False)
-def stretch(
-    opt_timestep: wp.array[float],
-    anatomy: Anatomy,
-    velocity: wp.array2d[float],
-    tendon_force: wp.array3d[float],
-    tension: wp.array2d[float],
-    damping: wp.array2d[float],
-    actuator_biasprm: wp.array2d[BiasParams],
-):
-    """dT/dt = (F - T) / tau."""
-    worldid, muscleid = wp.tid()
-    dt = opt_timestep[batched(worldid, opt_timestep.shape[0])]
-    force = tendon_force[worldid, muscleid, 0]
-    tendon_force[worldid, muscleid, 0] = force + (1.0 - wp.exp(-dt / TIME_CONSTANT)) * (
-        tension[worldid, muscleid] - force
-    )
-    tension[worldid, muscleid] = force
-    damping[worldid, muscleid] = 0.0
-    path = anatomy.path[batched(worldid, anatomy.path.shape[0]), muscleid]
-    actuator_biasprm[worldid, path] = affine_bias(force, 0.0, velocity[worldid, muscleid])
-
-
-@MUSCLES.register("elastic_for_a_test")
-class ElasticMuscle(MujocoMuscle):
-    """`MujocoMuscle` with a state of its own."""
-
-    STATE = (*MujocoMuscle.STATE, "tendon_force")
-
-    def __init__(self, model, num_worlds, parameters=None):
-        super().__init__(model, num_worlds, parameters)
-        self.tendon_force = wp.zeros((num_worlds, len(self.names), 1), dtype=float)
-
-    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
-        super().launch(model, data)
-        wp.launch(
-            stretch,
-            dim=self.tension.shape,
-            inputs=[model.opt.timestep, self.anatomy, self.velocity],
-            outputs=[self.tendon_force, self.tension, self.damping, model.actuator_biasprm],
-        )
-'''
-
-
 @pytest.fixture
 def elastic(tmp_path, monkeypatch):
-    """Register a muscle model from a file of its own; return its name."""
-    path = tmp_path / "elastic_muscle.py"
-    path.write_text(ELASTIC)
-    monkeypatch.setattr(MUSCLES, "_entries", dict(MUSCLES._entries))
-    spec = importlib.util.spec_from_file_location("elastic_muscle", path)
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "elastic_muscle", module)
-    spec.loader.exec_module(module)
-    return "elastic_for_a_test"
+    """Register a muscle model from a file of its own; yield its name."""
+    for registry in (MUSCLES, TASKS):
+        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
+    ids = set(gym.registry)
+    path = shutil.copy(Path(__file__).parent / "outside" / "muscle.py", tmp_path)
+    yield load(str(path)) and "outside_elastic"
+    for name in set(gym.registry) - ids:
+        del gym.registry[name]
 
 
 @pytest.mark.parametrize("shards", [1, 2])

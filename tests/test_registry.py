@@ -37,8 +37,36 @@ def test_add_and_decorator_return_the_entry(fruits):
 def test_taken_name(fruits):
     with pytest.raises(ValueError, match=r".") as error:
         fruits.add("apple", "other")
-    assert str(error.value) == "fruit 'apple' is already registered; choose another name"
+    assert (
+        str(error.value) == "fruit 'apple' is already registered; choose another name, or pass replace=True"
+    )
     assert fruits["apple"] == "APPLE"
+
+
+def test_replaced_if_asked(fruits):
+    fruits.seal()
+    fruits.add("fig", 7)
+    assert fruits.add("fig", 8, replace=True) == 8
+    assert list(fruits) == ["pear", "apple", "cherry", "fig"]
+    with pytest.raises(ValueError, match=r"^fruit 'pear' belongs to myowarp; choose another name$"):
+        fruits.add("pear", 1, replace=True)
+    assert fruits["pear"] == "PEAR"
+
+
+def test_who_watches_is_told_and_may_refuse(fruits):
+    told = []
+
+    def watch(name):
+        told.append(name)
+        if name == "stone":
+            raise ValueError("no fruit")
+
+    fruits.watch(watch)
+    fruits.add("fig", 7)
+    with pytest.raises(ValueError, match=r"^no fruit$"):
+        fruits.add("stone", 0)
+    assert told == ["pear", "apple", "cherry", "fig", "stone"]
+    assert "stone" not in fruits
 
 
 @pytest.mark.parametrize(

@@ -2,14 +2,17 @@
 
 import hashlib
 import json
+from pathlib import Path
 
 import pytest
 
 from myowarp.engine.idle import idle_kernels
 from myowarp.engine.verify import Verdict
 from myowarp.engine.verify import _cached_verdict as cached_verdict
+from myowarp.models.conditions import Sarcopenia
 from myowarp.sim.build import compile_scene
 from myowarp.spec.task import TASKS
+from myowarp.tasks.outside import load
 
 KEY = "myoElbowPose1D6MRandom-v0"
 
@@ -66,3 +69,16 @@ def test_another_model_is_another_verdict(counted):
     scene.oracle.opt.timestep *= 2
     cached_verdict(scene, (), verify)
     assert len(calls) == 2
+
+
+def test_an_edited_condition_of_the_users_is_another_verdict(counted, tmp_path):
+    scene, _, verify, calls = counted
+    path = tmp_path / "condition.py"
+    path.write_text((Path(__file__).parent / "outside" / "condition.py").read_text().split("myowarp.COND")[0])
+    fading = load(str(path)).Fading()
+    for conditions in ((), (fading,), (fading,), (Sarcopenia(),)):
+        cached_verdict(scene, (), verify, conditions)
+    assert len(calls) == 2
+    path.write_text(path.read_text().replace("RATE = 2.0", "RATE = 3.0"))
+    cached_verdict(scene, (), verify, (fading,))
+    assert len(calls) == 3

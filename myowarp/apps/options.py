@@ -39,11 +39,12 @@ def _option(metavar: str, text: str, hint: str | None = None) -> object:
     return tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=hint)
 
 
-Task = Annotated[str, _option("ID", 'Task id, with or without "MyoWarp/"; `myowarp tasks` lists them.')]
+TASK = 'Task id, with or without "MyoWarp/" (`myowarp tasks` lists them), or file.py:name for your own.'
+Task = Annotated[str, _option("ID", TASK)]
 OptionalTask = Annotated[
     str | None,
     tyro.conf.Positional,
-    _option("ID", 'Task id, with or without "MyoWarp/"; `myowarp tasks` lists them.', UNSET),
+    _option("ID", TASK, UNSET),
 ]
 Model = Annotated[
     Path | None,
@@ -91,5 +92,9 @@ Overwrite = Annotated[bool, _option("", "Replace output files that exist.")]
 TaskIds = Annotated[
     tuple[str, ...],
     tyro.conf.Positional,
-    _option("[ID ...]", 'Task ids, with or without "MyoWarp/"; none means every registered id.', UNSET),
+    _option(
+        "[ID ...]",
+        'Task ids, with or without "MyoWarp/", or file.py:name; none means every registered id.',
+        UNSET,
+    ),
 ]

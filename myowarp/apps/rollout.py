@@ -4,9 +4,6 @@ A policy is a function of the observations, shape (num_worlds, obs_size), that r
 shape (num_worlds, num_actions).
 """
 
-import importlib
-import runpy
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -23,6 +20,7 @@ from myowarp.disk import in_place
 from myowarp.progress import progress_bar
 from myowarp.spec.scene import Scene
 from myowarp.spec.task import TaskSpec
+from myowarp.tasks.outside import load
 from myowarp.view.render import WorldRenderer
 from myowarp.view.snapshot import Snapshot, snapshot
 from myowarp.view.video import write_video
@@ -107,17 +105,9 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
             f"policy {name!r} unknown; available: {', '.join(BUILT_IN)}, package.module:function, "
             "file.py:function"
         )
-    try:
-        if source.endswith(".py"):
-            act = runpy.run_path(source)[attribute]
-        else:
-            sys.path.insert(0, "")
-            act = getattr(importlib.import_module(source), attribute)
-    except SyntaxError as error:
-        place = f"{error.filename}, line {error.lineno}"
-        raise ValueError(f"policy {name!r} is no Python ({place}: {error.msg})") from error
-    except (ImportError, OSError, KeyError, AttributeError) as error:
-        raise ValueError(f"policy {name!r} not found ({type(error).__name__}: {error})") from error
+    act = getattr(load(source), attribute, None)
+    if act is None:
+        raise ValueError(f"policy {name!r} not found: {source} has no {attribute!r}")
     if not callable(act):
         raise ValueError(f"policy {name!r} must be a function of the observations, got {type(act).__name__}")
     return Policy(name, act)

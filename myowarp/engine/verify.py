@@ -4,7 +4,6 @@ To verify stages and idle kernels the engine's step has to be compiled and run b
 the time of a first start. The verdict is kept on disk, under a key that names everything it depends on.
 """
 
-import inspect
 import json
 import logging
 import platform
@@ -16,12 +15,13 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from myowarp.disk import cached, files_digest, model_digest, version
+from myowarp.disk import cached, code_digest, files_digest, is_ours, model_digest, version
 from myowarp.engine.compile import compile_kernels
 from myowarp.engine.idle import idle_kernels
 from myowarp.engine.stage import Stage, applicable_stages
 from myowarp.engine.step import physics_step, uncovered
 from myowarp.models.couplings import POINT_JOINTS
+from myowarp.spec.condition import Condition
 from myowarp.spec.scene import Scene
 
 logger = logging.getLogger("myowarp")
@@ -56,7 +56,11 @@ class Verdict(NamedTuple):
 
 
 def choose_stages(
-    scene: Scene, names: Iterable[str], also: Callable[[], None], progress: bool
+    scene: Scene,
+    names: Iterable[str],
+    also: Callable[[], None],
+    progress: bool,
+    conditions: Iterable[Condition] = (),
 ) -> tuple[tuple[Stage, ...], frozenset[str]]:
     """Return which stages of ours to use, and which kernels of the engine to leave out.
 
@@ -65,6 +69,7 @@ def choose_stages(
         names: Stages to use where they apply, names in `STAGES`.
         also: Launches what else is to be compiled.
         progress: Whether to show progress bars.
+        conditions: Conditions of the scene, which may act in a physics step.
     """
     candidates = () if uncovered(scene) else applicable_stages(scene, names)
 
@@ -79,20 +84,25 @@ def choose_stages(
         idle = verified_idle(scene)
         return Verdict(idle, frozenset(type(stage).__name__ for stage in trusted))
 
-    verdict = _cached_verdict(scene, candidates, verify)
+    verdict = _cached_verdict(scene, candidates, verify, conditions)
     return tuple(stage for stage in candidates if type(stage).__name__ in verdict.stages), verdict.idle
 
 
-def _cached_verdict(scene: Scene, candidates: Iterable[Stage], verify: Callable[[], Verdict]) -> Verdict:
+def _cached_verdict(
+    scene: Scene,
+    candidates: Iterable[Stage],
+    verify: Callable[[], Verdict],
+    conditions: Iterable[Condition] = (),
+) -> Verdict:
     """Return what `verify` found for this scene and these candidates, now or in an earlier process."""
     package = Path(__file__).parents[1]
     files = sorted(
         file for pattern in SOURCES for file in package.glob(pattern) if file.suffix in (".py", ".cpp")
     )
-    defined = inspect.getsourcefile(type(scene.muscles))
-    if defined is not None:
-        files.append(Path(defined))
-    digests = (model_digest(scene.oracle), files_digest(files))
+    # Of ours, tests say that they go with every stage.
+    theirs = [condition for condition in conditions if not is_ours(type(condition))]
+    code = code_digest(type(scene.muscles), *map(type, theirs))
+    digests = (model_digest(scene.oracle), files_digest(files), code)
     names = sorted(type(stage).__name__ for stage in candidates)
     where = (scene.device.alias, scene.device.name, scene.device.arch, platform.machine())
     muscles, deterministic = type(scene.muscles).__name__, int(scene.model.opt.deterministic)
@@ -101,6 +111,7 @@ def _cached_verdict(scene: Scene, candidates: Iterable[Stage], verify: Callable[
         *digests,
         names,
         muscles,
+        [(type(condition).__qualname__, condition.batched) for condition in theirs],
         deterministic,
         where,
         version("mujoco-warp"),

@@ -1,7 +1,5 @@
 """Scenes: from a task to a compiled model with all arrays allocated."""
 
-import contextlib
-import inspect
 import math
 from collections.abc import Callable, Iterable
 from functools import lru_cache
@@ -12,7 +10,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.disk import cached, files_digest, model_bytes, model_from_bytes
+from myowarp.disk import cached, files_digest, is_ours, model_bytes, model_from_bytes
 from myowarp.engine.kernel_cache import start_warp
 from myowarp.engine.turn import in_turn
 from myowarp.kernels.action import MOTOR, MUSCLE
@@ -20,7 +18,7 @@ from myowarp.kernels.random import new_keys
 from myowarp.models.slim import slim
 from myowarp.sim.capacity import calibrate
 from myowarp.sim.memory import check_memory
-from myowarp.spec.body import BODIES
+from myowarp.spec.body import BODIES, Body
 from myowarp.spec.condition import Condition
 from myowarp.spec.muscle import MUSCLES, MuscleModel
 from myowarp.spec.muscle_table import MuscleTable
@@ -65,19 +63,19 @@ def full_spec(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.
 
 
 @lru_cache(maxsize=1)
-def _slim_spec(spec: TaskSpec, conditions: tuple[Condition, ...]) -> mujoco.MjSpec:
+def _slim_spec(spec: TaskSpec, conditions: tuple[Condition, ...], body: Body) -> mujoco.MjSpec:
     """Return the slim spec of a task; shared by the two models that are compiled from it."""
     return slim(full_spec(spec, conditions), spec.sites)
 
 
 def slim_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
     """Return the slim model of a task with MuJoCo's built-in muscles."""
-    return _slim_spec(spec, conditions).copy().compile()
+    return _slim_spec(spec, conditions, BODIES[spec.body]).copy().compile()
 
 
 def stateless_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
     """Return the slim model with every muscle made a stateless AFFINE actuator (see `MuscleModel`)."""
-    small = _slim_spec(spec, conditions).copy()
+    small = _slim_spec(spec, conditions, BODIES[spec.body]).copy()
     for actuator in small.actuators:
         if actuator.dyntype == mujoco.mjtDyn.mjDYN_MUSCLE:
             actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
@@ -94,27 +92,13 @@ def full_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco
     return full_spec(spec, conditions).compile()
 
 
-def source_digest(spec: TaskSpec, conditions: tuple[Condition, ...] = (), more: Iterable[Path] = ()) -> str:
-    """Return a digest of the code that a scene depends on: an edit renews what is kept on disk.
-
-    Args:
-        spec: The task; the files that define it and its body count, wherever they are.
-        conditions: Muscle conditions; so do theirs.
-        more: More files.
-    """
+def source_digest(more: Iterable[Path] = ()) -> str:
+    """Return a digest of our code that a scene depends on, and of more files: an edit renews what is kept."""
     package = Path(__file__).parents[1]
     files = [Path(__file__), package / "models/slim.py", package / "spec/parameter.py", *more]
     files += [*sorted(package.glob("tasks/*.py")), *sorted(package.glob("models/bodies/*.py"))]
     files += sorted(package.glob("models/conditions/*.py"))
-    definers: tuple[Callable[..., object], ...] = (
-        type(spec),
-        BODIES[spec.body].build,
-        *map(type, conditions),
-    )
-    for definer in definers:
-        with contextlib.suppress(TypeError, OSError):  # not written in a file
-            files.append(Path(inspect.getsourcefile(definer) or __file__))
-    return files_digest(dict.fromkeys(files))
+    return files_digest(files)
 
 
 @in_turn
@@ -123,11 +107,16 @@ def _cached_model(
     conditions: tuple[Condition, ...],
     make: Callable[[TaskSpec, tuple[Condition, ...]], mujoco.MjModel],
 ) -> mujoco.MjModel:
-    """Return `make(spec, conditions)` through the disk cache."""
+    """Return `make(spec, conditions)`, through the disk cache if all of it is ours.
+
+    What others write may depend on anything: on files that it reads, on fields that no key names.
+    """
     edits = tuple(condition for condition in conditions if condition.scene_key)
+    if not is_ours(type(spec), BODIES[spec.body].build, *map(type, conditions)):
+        return make(spec, conditions)
     key = (spec.scene_key, *(condition.scene_key for condition in edits))
     return cached(
-        (make.__name__, key, source_digest(spec, edits)),
+        (make.__name__, key, source_digest()),
         make=lambda: make(spec, edits),
         save=model_bytes,
         load=model_from_bytes,
@@ -247,7 +236,11 @@ def compile_scene(
     check_memory(make_data, worlds.total, where)
     with wp.ScopedDevice(where):
         batched = {"actuator_biasprm", *spec.batched}.union(*(c.batched for c in conditions))
-        model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), worlds.number))
+        try:
+            model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), worlds.number))
+        except NotImplementedError as error:
+            reason = " ".join(str(error).split())
+            raise ValueError(f"task {spec.key!r} cannot be simulated; mujoco-warp says: {reason}") from error
         model.opt.warn_overflow = False
         data = make_data(worlds.number)
         muscles = new_muscles(table, oracle, worlds, spec, PHYSICS[physics])

@@ -17,6 +17,7 @@ held throughout the step.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import mujoco_warp as mjw
@@ -31,6 +32,7 @@ from myowarp.sim.muscle_groups import group_of
 if TYPE_CHECKING:
     from myowarp.sim.shards import Shards
     from myowarp.sim.simulation import Simulation
+    from myowarp.spec.scene import Scene
 
 UNITS = {
     "activation": "1",
@@ -95,6 +97,32 @@ def read_muscles(
     muscles.power[worldid, muscleid] = -tension[worldid, muscleid] * velocity[worldid, muscleid]
 
 
+def present_muscles(scene: Scene) -> Callable[[], None]:
+    """Return launches that bring length, velocity and tension of the muscles to the present state.
+
+    They write what the next physics step computes anew, and leave the state alone.
+    """
+    model, data, state = scene.model, scene.data, scene.muscles.state
+    # With a time step of 0 the muscles compute the force of the present state, which is then put back.
+    no_time = wp.zeros(1, dtype=float, device=scene.device)
+    still = dataclasses.replace(model, opt=dataclasses.replace(model.opt, timestep=no_time))
+    before = {name: wp.zeros_like(array) for name, array in state.items()}
+
+    def launch() -> None:
+        mjw.kinematics(model, data)
+        mjw.com_pos(model, data)
+        mjw.tendon(model, data)
+        mjw.transmission(model, data)
+        mjw.fwd_velocity(model, data)
+        for name, array in state.items():
+            wp.copy(before[name], array)
+        scene.muscles.launch(still, data)
+        for name, array in state.items():
+            wp.copy(array, before[name])
+
+    return launch
+
+
 class Signals:
     """Signals of a simulation, filled in every step; the trajectory stays the same, bit for bit.
 
@@ -155,24 +183,11 @@ class Signals:
 
     def _attach(self, part: Simulation, muscles: MuscleSignals, copies: dict[str, wp.array]) -> None:
         """Add to a part's step: bring path and force of the muscles to the present state, copy the rest."""
-        scene, model, data = part.scene, part.scene.model, part.scene.data
-        # With a time step of 0 the muscles compute the force of the present state, which is then put back.
-        no_time = wp.zeros(1, dtype=float, device=scene.device)
-        still = dataclasses.replace(model, opt=dataclasses.replace(model.opt, timestep=no_time))
-        before = {name: wp.zeros_like(array) for name, array in scene.muscles.state.items()}
-        sources = _sources(part, part.shown)
+        scene, data = part.scene, part.scene.data
+        compute, sources = present_muscles(scene), _sources(part, part.shown)
 
         def launch(mask: wp.array | None) -> None:
-            mjw.kinematics(model, data)
-            mjw.com_pos(model, data)
-            mjw.tendon(model, data)
-            mjw.transmission(model, data)
-            mjw.fwd_velocity(model, data)
-            for name, array in scene.muscles.state.items():
-                wp.copy(before[name], array)
-            scene.muscles.launch(still, data)
-            for name, array in scene.muscles.state.items():
-                wp.copy(array, before[name])
+            compute()
             wp.launch(
                 read_muscles,
                 dim=muscles.force.shape,

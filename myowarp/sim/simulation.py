@@ -171,7 +171,9 @@ class Simulation:
 
     def _choose_kernels(self, names: Iterable[str], progress: bool) -> None:
         """Find out which stages of the physics step are to be ours, and compile all kernels."""
-        self.stages, self._idle = choose_stages(self.scene, names, self._launch_all, progress)
+        self.stages, self._idle = choose_stages(
+            self.scene, names, self._launch_all, progress, self.conditions
+        )
         self._launch_physics = physics_step(self.scene, self.stages, self._idle)
         self._modules = compile_kernels(self._launch_all, self.scene.device, show=progress)
 

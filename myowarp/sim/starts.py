@@ -13,6 +13,7 @@ with the sizes, places and goals of several episodes.
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,7 +22,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.disk import array_bytes, array_from_bytes, cached
+from myowarp.disk import array_bytes, array_from_bytes, cached, code_digest, model_digest
 from myowarp.engine.compile import quiet
 from myowarp.engine.turn import in_turn
 from myowarp.models.couplings import POINT_JOINTS, couplings, follow
@@ -77,14 +78,24 @@ def find_starts(spec: TaskSpec, progress: bool = True) -> Starts:
     Raises:
         ValueError: Too few starts are good ones, or a body cannot be carried.
     """
-    code = source_digest(spec, more=(Path(__file__), Path(palm.__file__)))
+    model = oracle_model(spec)
     values = cached(
-        ("random_starts", spec.key, NUM_STARTS, code),
+        ("random_starts", NUM_STARTS, model_digest(model), *_identity(spec)),
         make=lambda: _find(spec, progress),
         save=array_bytes,
         load=array_from_bytes,
     )
-    return Starts(values, start_address(spec, oracle_model(spec)))
+    return Starts(values, start_address(spec, model))
+
+
+def _identity(spec: TaskSpec) -> tuple[object, ...]:
+    """Return what decides besides the model whether a start is a good one: values, and code."""
+    values = {field.name: getattr(spec, field.name) for field in dataclasses.fields(spec)}
+    called = [value for value in values.values() if callable(value)]
+    values |= {name: getattr(v, "__qualname__", repr(v)) for name, v in values.items() if callable(v)}
+    kinds = (value if hasattr(value, "__qualname__") else type(value) for value in called)
+    code = code_digest(type(spec), spec.program, *kinds)
+    return values, code, source_digest(more=(Path(__file__), Path(palm.__file__)))
 
 
 def _find(spec: TaskSpec, progress: bool) -> np.ndarray:

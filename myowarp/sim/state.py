@@ -9,7 +9,8 @@
 
 What a world is from one step to the next is what its owners have allocated with `Scene.zeros` or named with
 `Scene.keep`: the engine's state, activations, goals, what conditions remember and have drawn, counters,
-random keys. Everything else follows from it, and is brought up to date when a state is set.
+random keys. Everything else follows from it, and is brought up to date when a state is set. Other arrays with
+a row for each world, which a task or a condition of one's own has allocated, are taken for state, too.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from myowarp.disk import check_output, in_place
+from myowarp.disk import check_output, in_place, is_ours
 
 if TYPE_CHECKING:
     from myowarp.sim.shards import Shards
@@ -35,6 +36,7 @@ Worlds = int | Sequence[int] | npt.NDArray[np.integer] | npt.NDArray[np.bool_] |
 """Which worlds: None for all, a number, numbers, or a mask (num_worlds,) bool."""
 
 CONDITION = "condition."  # begin of the names of what belongs to conditions
+UNLISTED = "unlisted."  # begin of the names of what is only taken for state
 CTRL = "data.ctrl"
 UNIT = 1e-3  # how far from 1 the length of a given quaternion may be
 TASK = "task"  # entry of a file that names the task
@@ -119,6 +121,21 @@ def rows_of(worlds: Worlds, num_worlds: int) -> np.ndarray:
     return rows
 
 
+def _state_of(part: Simulation) -> dict[str, wp.array]:
+    """Return the state of a part by name, and what users' own tasks and conditions have for every world."""
+    state, num_worlds = dict(part.scene.state), part.num_worlds
+    listed = {array.ptr for array in state.values()}
+    for owner in (owner for owner in (part.program, *part.effects) if not is_ours(type(owner))):
+        for attribute, value in vars(owner).items():
+            struct = getattr(value, "_cls", None)
+            fields = {name: getattr(value, name) for name in struct.vars} if struct else {"": value}
+            for name, array in fields.items():
+                is_array = isinstance(array, wp.array) and array.ndim > 0
+                if is_array and array.shape[0] == num_worlds and array.ptr not in listed:
+                    state[f"{UNLISTED}{type(owner).__name__}.{attribute}.{name}".rstrip(".")] = array
+    return state
+
+
 def get_state(sim: Simulation | Shards, worlds: Worlds = None) -> State:
     """Return what worlds are now.
 
@@ -130,8 +147,9 @@ def get_state(sim: Simulation | Shards, worlds: Worlds = None) -> State:
         ValueError: There are no such worlds.
     """
     rows = rows_of(worlds, sim.num_worlds)
-    parts = [{name: array.numpy() for name, array in part.scene.state.items()} for part in sim.parts]
-    arrays = {name: np.concatenate([part[name] for part in parts])[rows] for name in parts[0]}
+    parts = [{name: array.numpy() for name, array in _state_of(part).items()} for part in sim.parts]
+    names = [name for name in parts[0] if all(name in part for part in parts)]
+    arrays = {name: np.concatenate([part[name] for part in parts])[rows] for name in names}
     return State(sim.scene.spec.key, arrays)
 
 
@@ -161,23 +179,24 @@ def set_state(
         raise ValueError(f"state is one of task {state.task!r}; this one is {spec.key!r}")
     if len(state) not in (1, len(rows)):
         raise ValueError(f"state must have 1 or {len(rows)} worlds, as many as are set, got {len(state)}")
-    own = sim.parts[0].scene.state
-    arrays = state.arrays
+    own = _state_of(sim.parts[0])
+    # What only one of them takes for state, unlisted, is as long as worlds are many by chance: a constant.
+    differ = {name for name in state.arrays.keys() ^ own.keys() if not name.startswith(UNLISTED)}
+    arrays = {name: array for name, array in state.arrays.items() if name in own}
     if not conditions:
         arrays = _body_alone(arrays, own)
-    elif set(arrays) != set(own):
-        differ = ", ".join(sorted(set(arrays) ^ set(own)))
+    elif differ:
         raise ValueError(
-            f"state and environment must have the same conditions, they differ in {differ}; "
-            "pass conditions=False to leave the environment's as they are"
+            "state and environment must have the same conditions, they differ in "
+            f"{', '.join(sorted(differ))}; pass conditions=False to leave the environment's as they are"
         )
     place(sim, arrays, rows)
     return rows
 
 
 def _body_alone(arrays: Mapping[str, np.ndarray], own: Mapping[str, wp.array]) -> dict[str, np.ndarray]:
-    """Return the arrays that do not belong to conditions, of those that a simulation has."""
-    found = {name: array for name, array in arrays.items() if name in own and not name.startswith(CONDITION)}
+    """Return the arrays that do not belong to conditions."""
+    found = {name: array for name, array in arrays.items() if not name.startswith((CONDITION, UNLISTED))}
     ctrl, width = found[CTRL], own[CTRL].shape[1]  # conditions append actuators, at the end
     found[CTRL] = np.pad(ctrl, ((0, 0), (0, max(0, width - ctrl.shape[1]))))[:, :width]
     return found
@@ -194,16 +213,18 @@ def place(sim: Simulation | Shards, arrays: Mapping[str, np.ndarray], rows: np.n
     Raises:
         ValueError: An array does not fit, or is not finite; nothing was written.
     """
-    own = sim.parts[0].scene.state
+    own = _state_of(sim.parts[0])
     values = {name: _fitting(name, array, own[name].numpy(), len(rows)) for name, array in arrays.items()}
     for part in sim.parts:
         worlds = part.scene.worlds
         here = (rows >= worlds.first) & (rows < worlds.first + worlds.number)
         if not here.any():
             continue
-        local = rows[here] - worlds.first
+        local, state = rows[here] - worlds.first, _state_of(part)
         for name, array in values.items():
-            target = part.scene.state[name]
+            target = state.get(name)
+            if target is None:  # a constant, see `set_state`
+                continue
             whole = target.numpy()
             whole[local] = array[here]
             if not part.scene.device.is_cpu:  # on the CPU `numpy` is a view

@@ -53,21 +53,54 @@ class Registry(Generic[T]):
     def __init__(self, kind: str, listed_by: str = "") -> None:
         self.kind, self.listed_by = kind, listed_by
         self._entries: dict[str, T] = {}
+        self._sealed: frozenset[str] = frozenset()
+        self._watchers: list[Callable[[str], None]] = []
 
-    def add(self, name: str, entry: T) -> T:
+    def add(self, name: str, entry: T, *, replace: bool = False) -> T:
         """Register `entry` under `name`.
 
+        Args:
+            name: Its name.
+            entry: What is registered.
+            replace: Whether it may take the place of another entry, such as the one of an edited notebook
+                cell; what was made with the other keeps it. What the package brings stays what it is.
+
         Raises:
-            ValueError: `name` is taken.
+            ValueError: `name` is taken, or one who watches refuses it.
         """
-        if name in self._entries:
-            raise ValueError(f"{self.kind} {name!r} is already registered; choose another name")
+        if name in self._sealed:
+            raise ValueError(f"{self.kind} {name!r} belongs to myowarp; choose another name")
+        if name in self._entries and not replace:
+            raise ValueError(
+                f"{self.kind} {name!r} is already registered; choose another name, or pass replace=True"
+            )
+        before = dict(self._entries)
         self._entries[name] = entry
+        try:
+            for watcher in self._watchers:
+                watcher(name)
+        except ValueError:
+            self._entries = before
+            raise
         return entry
 
-    def register(self, name: str) -> Callable[[T], T]:
+    def register(self, name: str, *, replace: bool = False) -> Callable[[T], T]:
         """Decorator form of `add`."""
-        return lambda entry: self.add(name, entry)
+        return lambda entry: self.add(name, entry, replace=replace)
+
+    def watch(self, watcher: Callable[[str], None]) -> None:
+        """Call a function with the name of every entry, of those that come later too.
+
+        Args:
+            watcher: The function; a ValueError of it refuses an entry.
+        """
+        for name in self._entries:
+            watcher(name)
+        self._watchers.append(watcher)
+
+    def seal(self) -> None:
+        """Let no entry so far be replaced."""
+        self._sealed = frozenset(self._entries)
 
     def __getitem__(self, name: str) -> T:
         """Return the entry called `name`.

@@ -8,11 +8,14 @@ and the tests.
 from __future__ import annotations
 
 import abc
+import dataclasses
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, ClassVar, TypeVar
+
+import numpy as np
 
 from myowarp.spec.body import BODIES, CoarseStep
 from myowarp.spec.entries import Entry, Names, entries
@@ -20,7 +23,6 @@ from myowarp.spec.registry import Registry
 
 if TYPE_CHECKING:
     import mujoco
-    import numpy as np
 
 
 @dataclass(frozen=True)
@@ -164,6 +166,7 @@ class TaskSpec(abc.ABC):
         num_substeps: Physics steps in a control step, upstream's `frame_skip`.
         physics_dt: Upstream's physics time step [s].
         integrator: Upstream's integrator, as in `PhysicsPreset`.
+        start_pose: Configuration from which episodes start, shape (nq,); () means the model's zero.
         horizon: Control steps in an episode.
         doc: One sentence: what the task asks for, and why this version exists.
     """
@@ -178,6 +181,7 @@ class TaskSpec(abc.ABC):
     doc: str = ""
     physics_dt: float = 0.002
     integrator: str = "EULER"
+    start_pose: tuple[float, ...] = ()
 
     @property
     def key(self) -> str:
@@ -260,8 +264,16 @@ class TaskSpec(abc.ABC):
         return ()
 
     def start(self, model: mujoco.MjModel) -> np.ndarray:
-        """Return the configuration from which episodes start, shape (nq,)."""
-        return model.qpos0.copy()
+        """Return the configuration from which episodes start, shape (nq,).
+
+        Raises:
+            ValueError: `start_pose` does not fit the model.
+        """
+        if len(self.start_pose) not in (0, model.nq):
+            raise ValueError(
+                f"start_pose of task {self.key!r} must have {model.nq} entries, got {len(self.start_pose)}"
+            )
+        return np.array(self.start_pose) if self.start_pose else model.qpos0.copy()
 
     @abc.abstractmethod
     def edit(self, spec: mujoco.MjSpec) -> None:
@@ -304,24 +316,64 @@ TASKS: Registry[TaskSpec] = Registry("task", listed_by=LISTED_BY)
 Spec = TypeVar("Spec", bound=TaskSpec)
 
 
-def task(key: str, why: str = "") -> Callable[[Callable[[], Spec]], Callable[[], Spec]]:
+def split_key(key: str) -> tuple[str, int]:
+    """Return name and version of a task id such as `myoHandPoseFixed-v0`.
+
+    Raises:
+        ValueError: It is not made of these.
+    """
+    match = re.fullmatch(r"(\w+)-v(\d+)", key) if isinstance(key, str) else None
+    if match is None:
+        raise ValueError(f"task id {key!r} must be a name and a version, such as 'myoHandPoseFixed-v0'")
+    return match[1], int(match[2])
+
+
+def task(
+    key: str, why: str = "", *, replace: bool = False
+) -> Callable[[Callable[[], Spec]], Callable[[], Spec]]:
     """Register the task that a function returns; the function's docstring says what the task asks for.
 
     Args:
         key: Name and version, such as `myoHandPoseFixed-v0`.
         why: Why this version exists; it follows the docstring in the task's `doc`.
+        replace: Whether it may take the place of a task that is registered.
 
     Raises:
         ValueError: The key has no version, or is taken.
     """
-    match = re.fullmatch(r"(\w+)-v(\d+)", key)
-    if match is None:
-        raise ValueError(f"task id {key!r} must be a name and a version, such as 'myoHandPoseFixed-v0'")
-    name, version = match.groups()
+    name, version = split_key(key)
 
-    def register(make: Callable[[], Spec]) -> Callable[[], Spec]:
+    def register_made(make: Callable[[], Spec]) -> Callable[[], Spec]:
         doc = " ".join(f"{make.__doc__ or ''} {why}".split())
-        TASKS.add(key, replace(make(), name=name, version=int(version), doc=doc))
+        spec = make()
+        if not isinstance(spec, TaskSpec):
+            raise ValueError(f"task {key!r} must be a TaskSpec, got {type(spec).__name__}")
+        register(dataclasses.replace(spec, name=name, version=version, doc=doc), replace=replace)
+        make.__dict__["key"] = key
         return make
 
-    return register
+    return register_made
+
+
+def register(spec: Spec, *, replace: bool = False) -> Spec:
+    """Register a task: `gymnasium.make`, `gymnasium.make_vec` and the command line then know its id.
+
+    Args:
+        spec: The task; its name and version are the id.
+        replace: Whether it may take the place of a task that is registered, such as that of an edited
+            notebook cell. Environments made before keep theirs; the package's own tasks stay.
+
+    Returns:
+        The task.
+
+    Raises:
+        ValueError: It is no task, or its name is none or taken.
+    """
+    if not isinstance(spec, TaskSpec):
+        raise ValueError(f"what is registered must be a TaskSpec, got {type(spec).__name__}")
+    split_key(spec.key)
+    if spec.body not in BODIES:
+        raise ValueError(f"task {spec.key!r} needs a body in BODIES, got {spec.body!r}")
+    if spec.key not in TASKS or TASKS[spec.key] != spec:
+        TASKS.add(spec.key, spec, replace=replace)
+    return spec

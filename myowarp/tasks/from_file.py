@@ -1,33 +1,44 @@
-"""A model from a file, MJCF such as `myowarp convert` writes, as a body and as a pose task.
+"""A model from a file, MJCF such as `myowarp convert` writes, as a body, and as a pose or reach task.
 
-The task asks for a random pose of the joints that the actuators move. Joints that an equality ties to others
-follow, and a root that nothing holds falls. Episodes start from the first keyframe, if there is one. Physics
-`parity` is the file's own time step and integrator.
+Targets are those of joints that the actuators move, or of sites. Joints that an equality ties to others
+follow, and a root that nothing holds falls. Physics `parity` is the file's own time step and integrator.
 """
 
 import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import mujoco
 import numpy as np
 
 from myowarp.disk import model_digest
-from myowarp.models.couplings import POINT_JOINTS, couplings
+from myowarp.models.couplings import POINT_JOINTS, couplings, follow
+from myowarp.models.reachability import tip_positions
+from myowarp.sim.build import checked_horizon, full_model
 from myowarp.spec.body import BODIES, Body
-from myowarp.spec.task import TASKS
+from myowarp.spec.registry import check_choice
+from myowarp.spec.task import TaskSpec, register, split_key
+from myowarp.tasks.extend import Reward, extend
+from myowarp.tasks.outside import find_task
 from myowarp.tasks.pose import PoseTask
 from myowarp.tasks.pose_ids import ELBOW_NEAR
-from myowarp.tasks.variants import Variant, find_variant
+from myowarp.tasks.reach import NEAR_PER_TIP, ReachTask
+from myowarp.tasks.variants import Variant
 
 CONTROL_DT = 0.02  # s, about, as in upstream's tasks
 EPISODE_STEPS = 100
 SPAN = np.pi / 4  # rad to both sides of the start, for targets of a hinge without range
 MOVED = 1e-9  # m or 1: greater moment arms are no rounding
 NUM_POSES = 16  # in which a joint is looked at for moment arms
+NUM_TARGETS = 1024  # points to reach
+STEP_ROUNDING = 1e-6  # of a time step
+KINDS = ("pose", "reach")
 STEPPED = ("EULER", "IMPLICITFAST")  # integrators; others call the muscles more than once in a step
 
 
-def find_task(task: str | None, model: Path | None) -> Variant:
+def task_or_model(task: str | None, model: Path | None) -> Variant:
     """Return what an id stands for, or the pose task of a model's file.
 
     Raises:
@@ -36,7 +47,7 @@ def find_task(task: str | None, model: Path | None) -> Variant:
     if (task is None) == (model is None):
         got = "neither" if task is None else f"{task!r} and {str(model)!r}"
         raise ValueError(f"what to run is a task id or --model with an MJCF file, one of them; got {got}")
-    return find_variant(task) if task is not None else Variant(pose_task(Path(str(model))).key)
+    return find_task(task) if task is not None else Variant(pose_task(Path(str(model))).key)
 
 
 def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
@@ -54,7 +65,7 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
         ValueError: The file is no model that MuJoCo reads, or has actuators that we cannot step.
     """
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_file(str(path.absolute()))
         for actuator in spec.actuators:
             if actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE and not np.any(actuator.ctrlrange):
                 actuator.ctrlrange = (-1.0, 1.0)
@@ -79,6 +90,15 @@ def _check(model: mujoco.MjModel, path: Path) -> None:
         raise ValueError(
             f"model {str(path)!r} has integrator {integrator}; muscles need one of {', '.join(STEPPED)}"
         )
+    for what, has in (
+        ("a plugin", model.actuator_plugin >= 0),
+        ("a delay", model.actuator_delay > 0),
+        ("actearly", model.actuator_actearly.astype(bool)),
+        ("a disabled group", (model.opt.disableactuator >> model.actuator_group) & 1 > 0),
+    ):
+        if has.any():
+            name = model.actuator(int(np.argmax(has))).name or str(np.argmax(has))
+            raise ValueError(f"model {str(path)!r} has actuator {name!r} with {what}, which is not simulated")
     kinds = zip(model.actuator_dyntype, model.actuator_gaintype, model.actuator_biastype, strict=True)
     muscle = (mujoco.mjtDyn.mjDYN_MUSCLE, mujoco.mjtGain.mjGAIN_MUSCLE, mujoco.mjtBias.mjBIAS_MUSCLE)
     for index, kind in enumerate(kinds):
@@ -91,38 +111,240 @@ def _check(model: mujoco.MjModel, path: Path) -> None:
 
 
 def pose_task(path: Path) -> PoseTask:
-    """Register the pose task of a model's file, once.
+    """Return the pose task of all joints that the actuators of a file's model move; it is registered.
 
     Raises:
         ValueError: The file is unsuitable (`read_body`), or its actuators move no joint.
     """
-    body = read_body(path)
+    return cast(PoseTask, from_mjcf(path))
+
+
+def from_mjcf(
+    path: str | Path,
+    key: str | None = None,
+    kind: str = "pose",
+    *,
+    targets: Iterable[str] | Mapping[str, Sequence[Any] | None] = (),
+    horizon: int = EPISODE_STEPS,
+    control_dt: float | None = None,
+    keyframe: str | None = None,
+    near: float | None = None,
+    far: float | None = None,
+    rewards: Mapping[str, Reward] | None = None,
+    doc: str = "",
+    replace: bool = False,
+) -> TaskSpec:
+    """Return a task on the model of a file, MJCF with muscles or motors; it is registered.
+
+    Args:
+        path: MJCF; includes and meshes are found from it.
+        key: Id of the task, such as "myArmReach-v0"; None: from the model's name and content.
+        kind: "pose" (bring joints to angles) or "reach" (bring sites to points).
+        targets: Names of the joints, or of the sites; a mapping gives each its bounds: (low, high) [rad or
+            m] of a joint, two points [m] of a site, in world coordinates. Without bounds the targets are
+            within the joint's range, and where the sites are in random poses within the joints' ranges. A
+            pose task without names is about all joints that the actuators move.
+        horizon: Control steps in an episode.
+        control_dt: Duration of a control step [s], a multiple of the file's time step; None: about 0.02.
+        keyframe: Name of the keyframe from which episodes start; None: the first, else the model's zero.
+        near: Error norm below which the task is solved [rad or m]; None: 0.175 rad times the square root of
+            the number of joints, 0.0125 m times the number of sites.
+        far: Error norm beyond which an episode fails; None: twice that between the farthest targets.
+        rewards: New weights of terms and new terms, as in `extend`.
+        doc: One sentence: what the task asks for; "": what follows from the above.
+        replace: Whether it may take the place of a task that is registered.
+
+    Raises:
+        ValueError: The file is unsuitable, or an argument is not as described; nothing was registered.
+    """
+    path = Path(path)
+    check_choice("kind", kind, KINDS)
+    if isinstance(targets, str):
+        targets = (targets,)
+    bounds = dict(targets) if isinstance(targets, Mapping) else dict.fromkeys(targets)
+    body = read_body(path, tuple(bounds) if kind == "reach" else ())
     model = BODIES[body].build().compile()
-    joints = np.array(_moved_joints(model))
-    if not joints.size:
+    name, version = split_key(key) if key is not None else (body if kind == "pose" else f"{body}_{kind}", 0)
+    for what, value in (("horizon", horizon), ("near", near), ("far", far), ("control_dt", control_dt)):
+        if value is not None and (isinstance(value, bool) or not value > 0 or not np.isfinite(value)):
+            raise ValueError(f"{what} must be positive, got {value!r}")
+    start = _start(model, path, keyframe)
+    common: dict[str, Any] = {
+        "name": name,
+        "version": version,
+        "body": body,
+        "horizon": checked_horizon(horizon),
+        "physics_dt": model.opt.timestep,
+        "num_substeps": _substeps(model.opt.timestep, control_dt),
+        "integrator": mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_"),
+        "start_pose": tuple(start.tolist()),
+    }
+    make = _pose if kind == "pose" else _reach
+    task = make(model, path, start, bounds, near, far, common | {"doc": doc})
+    if rewards:
+        return extend(task, task.key, rewards=rewards, replace=replace)
+    return register(task, replace=replace)
+
+
+def _start(model: mujoco.MjModel, path: Path, keyframe: str | None) -> np.ndarray:
+    """Return the configuration from which episodes start, (nq,)."""
+    if keyframe is None:
+        return model.key_qpos[0] if model.nkey else model.qpos0
+    names = [model.key(k).name for k in range(model.nkey)]
+    if keyframe not in names:
+        raise ValueError(
+            f"model {str(path)!r} has no keyframe {keyframe!r}; it has {', '.join(names) or 'none'}"
+        )
+    return model.key_qpos[names.index(keyframe)]
+
+
+def _substeps(physics_dt: float, control_dt: float | None) -> int:
+    """Return the physics steps in a control step."""
+    if control_dt is None:
+        return max(1, round(CONTROL_DT / physics_dt))
+    number = round(control_dt / physics_dt)
+    if number < 1 or abs(number * physics_dt - control_dt) > STEP_ROUNDING * physics_dt:
+        raise ValueError(
+            f"control_dt must be a multiple of the file's time step, {physics_dt:g} s, got {control_dt:g} s"
+        )
+    return number
+
+
+def _pose(
+    model: mujoco.MjModel,
+    path: Path,
+    start: np.ndarray,
+    bounds: Mapping[str, Sequence[Any] | None],
+    near: float | None,
+    far: float | None,
+    common: dict[str, Any],
+) -> TaskSpec:
+    """Return the pose task of some joints, or of all that actuators move."""
+    moved = _moved_joints(model)
+    if not moved:
         raise ValueError(f"model {str(path)!r} has no free hinge or slide that its actuators move")
-    start = model.key_qpos[0] if model.nkey else model.qpos0
+    names = [model.joint(j).name for j in moved]
+    for name in bounds:
+        if name not in names:
+            raise ValueError(
+                f"model {str(path)!r} has no hinge or slide {name!r} that its actuators move and no equality "
+                f"ties; it has {', '.join(names)}"
+            )
+    joints = np.array([moved[names.index(name)] for name in bounds] or moved)
     around = start[model.jnt_qposadr[joints], None] + (-SPAN, SPAN)
-    bounds = model.jnt_range[joints]
-    low, high = np.where(bounds[:, :1] < bounds[:, 1:], bounds, around).T
-    task = PoseTask(
-        name=body,
-        body=body,
-        num_substeps=max(1, round(CONTROL_DT / model.opt.timestep)),
-        horizon=EPISODE_STEPS,
-        doc=f"Bring the {len(joints)} joints that the actuators of {path.name} move to a random pose.",
-        physics_dt=model.opt.timestep,
-        integrator=mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_"),
+    limits = model.jnt_range[joints]
+    span = np.where(limits[:, :1] < limits[:, 1:], limits, around)
+    for row, (name, given) in zip(span, bounds.items(), strict=False):
+        if given is not None:
+            low, high = _bounds(f"joint {name!r}", given, 1)[:, 0]
+            if model.joint(name).limited[0] and (low < row[0] or high > row[1]):
+                raise ValueError(
+                    f"target of joint {name!r} must be within its range, {row[0]:g} to {row[1]:g}, "
+                    f"got {low:g} to {high:g}"
+                )
+            row[:] = low, high
+    low, high = span.T
+    doc = f"Bring {len(joints)} joints of {path.name} to a random pose."
+    return PoseTask(
+        **common | {"doc": common["doc"] or doc},
         target_low=tuple(low.tolist()),
         target_high=tuple(high.tolist()),
-        near=ELBOW_NEAR * float(np.sqrt(len(joints))),
-        far=2.0 * float(np.linalg.norm(high - low)),
+        near=ELBOW_NEAR * float(np.sqrt(len(joints))) if near is None else near,
+        far=2.0 * float(np.linalg.norm(np.maximum(abs(high - start[model.jnt_qposadr[joints]]), high - low)))
+        if far is None
+        else far,
         joints=tuple(joints.tolist()),
-        start_pose=tuple(start.tolist()),
     )
-    if task.key not in TASKS:
-        TASKS.add(task.key, task)
-    return task
+
+
+def _reach(
+    model: mujoco.MjModel,
+    path: Path,
+    start: np.ndarray,
+    bounds: Mapping[str, Sequence[Any] | None],
+    near: float | None,
+    far: float | None,
+    common: dict[str, Any],
+) -> TaskSpec:
+    """Return the reach task of some sites."""
+    sites = [model.site(i).name for i in range(model.nsite)]
+    for name in bounds or ("",):
+        if name not in sites:
+            raise ValueError(
+                f"targets of kind 'reach' must be sites of model {str(path)!r}, got {name or 'none'}; "
+                f"it has {', '.join(filter(None, sites)) or 'none'}"
+            )
+    given = [value is not None for value in bounds.values()]
+    if any(given) and not all(given):
+        raise ValueError("targets must give bounds for every site, or for none")
+    tips = tuple(bounds)
+    table = None
+    if all(given):
+        boxes = np.stack([_bounds(f"site {name!r}", box, 3) for name, box in bounds.items() if box], axis=1)
+        low, high = boxes.reshape(2, -1)
+    else:
+        joints = _moved_joints(model)
+        if not joints:
+            raise ValueError(f"model {str(path)!r} has no free hinge or slide that its actuators move")
+        table = Reachable(tuple(joints))
+        points = table.points(model, tips, start)
+        low, high = points.min(axis=0), points.max(axis=0)
+    tip = tip_positions(model, tips, start[None])[0]
+    widest = float(np.linalg.norm(np.maximum(np.maximum(abs(high - tip), abs(low - tip)), high - low)))
+    return ReachTask(
+        **common | {"doc": common["doc"] or f"Bring {', '.join(tips)} of {path.name} to random points."},
+        center=tuple((0.5 * (low + high)).tolist()),
+        low=tuple((0.5 * (low - high)).tolist()),
+        high=tuple((0.5 * (high - low)).tolist()),
+        far_per_tip=(2.0 * widest if far is None else far) / len(tips),
+        near_per_tip=NEAR_PER_TIP if near is None else near / len(tips),
+        table=table,
+    )
+
+
+def _bounds(what: str, given: Any, size: int) -> np.ndarray:
+    """Return bounds of a target, shape (2, size).
+
+    Raises:
+        ValueError: They are no two finite points, the lower first.
+    """
+    try:
+        bounds = np.asarray(given, dtype=float).reshape(2, size)
+    except (TypeError, ValueError):
+        bounds = np.full((2, size), np.nan)
+    if not np.isfinite(bounds).all() or (bounds[0] > bounds[1]).any():
+        kind = "numbers" if size == 1 else f"points of {size} numbers"
+        raise ValueError(f"target of {what} must be two {kind}, low and high, got {given!r}")
+    return bounds
+
+
+@dataclass(frozen=True)
+class Reachable:
+    """Points that sites reach at once: where they are in random poses, a `table` of `ReachTask`.
+
+    Attributes:
+        joints: Ids of the joints that move, each uniformly within its range.
+    """
+
+    joints: tuple[int, ...]
+
+    def __call__(self, spec: TaskSpec, tips: tuple[str, ...], *_: object) -> np.ndarray:
+        """Return points [m], shape (NUM_TARGETS, 3 num_tips)."""
+        model = full_model(spec)
+        return self.points(model, tips, spec.start(model))
+
+    def points(self, model: mujoco.MjModel, tips: tuple[str, ...], start: np.ndarray) -> np.ndarray:
+        """Return points for a model and the configuration of what does not move."""
+        joints = np.array(self.joints)
+        address = model.jnt_qposadr[joints]
+        around = start[address, None] + (-SPAN, SPAN)
+        limits = model.jnt_range[joints]
+        low, high = np.where(limits[:, :1] < limits[:, 1:], limits, around).T
+        poses = np.tile(start, (NUM_TARGETS, 1))
+        poses[:, address] = np.random.default_rng(0).uniform(low, high, (NUM_TARGETS, len(joints)))
+        for pose in poses:
+            follow(model, pose)
+        return tip_positions(model, tips, poses)
 
 
 def _moved_joints(model: mujoco.MjModel) -> list[int]:

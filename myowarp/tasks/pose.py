@@ -209,7 +209,6 @@ class PoseTask(TaskSpec):
         random_start: Whether episodes start from a random configuration within the joint ranges.
         weight: Bounds of the uniformly drawn weight in the hand [kg]; () leaves the body's.
         joints: Ids of the hinges and slides that have a target; () means all of them.
-        start_pose: Start configuration, shape (nq,); () means the model's zero.
     """
 
     program: ClassVar[type] = PoseProgram
@@ -224,7 +223,6 @@ class PoseTask(TaskSpec):
     random_start: bool = False
     weight: tuple[float, ...] = ()
     joints: tuple[int, ...] = ()
-    start_pose: tuple[float, ...] = ()
 
     @property
     def batched(self) -> tuple[str, ...]:
@@ -269,10 +267,6 @@ class PoseTask(TaskSpec):
                 Draw("weight", "kg", (low,), (high,), "mass of the weight in the hand", when="start")
             )
         return tuple(found)
-
-    def start(self, model: mujoco.MjModel) -> np.ndarray:
-        """Return `start_pose`."""
-        return np.array(self.start_pose) if self.start_pose else super().start(model)
 
     def target_joints(self, model: mujoco.MjModel) -> np.ndarray:
         """Return the ids of the joints that have a target, in its order."""

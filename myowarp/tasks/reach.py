@@ -28,7 +28,7 @@ from myowarp.spec.scene import Scene
 from myowarp.spec.task import Column, Draw, RewardTerm, TaskSpec, blocks, weighted
 from myowarp.tasks.markers import add_tip_targets
 
-NEAR_PER_TIP = 0.0125  # m
+NEAR_PER_TIP = 0.0125  # m; MyoSuite 3.0.0
 WIDER = wp.constant(2.0)  # times `near`: where the first bonus begins
 FIRST_FAILING_STEP = wp.constant(2)  # upstream tests data.time > 2 dt, which rounding makes true at step 2
 
@@ -182,6 +182,7 @@ class ReachTask(TaskSpec):
         low: Lower bound of the uniform offset from `center` [m].
         high: Upper bound.
         far_per_tip: Failure radius divided by the number of tips [m].
+        near_per_tip: Success radius divided by the number of tips [m].
         table: Returns targets within the reach of the tips, a row each, to draw from instead of the box;
             called like `reach_targets.sampled`.
     """
@@ -194,6 +195,7 @@ class ReachTask(TaskSpec):
     low: tuple[float, ...]
     high: tuple[float, ...]
     far_per_tip: float
+    near_per_tip: float = NEAR_PER_TIP
     table: Callable[..., np.ndarray] | None = None
 
     @property
@@ -209,7 +211,7 @@ class ReachTask(TaskSpec):
     @property
     def near(self) -> float:
         """Distance norm below which the task counts as solved [m]."""
-        return NEAR_PER_TIP * len(self.tips)
+        return self.near_per_tip * len(self.tips)
 
     @property
     def far(self) -> float:

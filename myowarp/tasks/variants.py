@@ -33,15 +33,26 @@ class Variant:
     conditions: tuple[str, ...] = ()
 
 
-def variants() -> dict[str, Variant]:
-    """Return all ids, such as `MyoWarp/myoSarcHandPoseFixed-v0`, and what they stand for."""
-    found = {TASKS[key].env_id: Variant(key) for key in TASKS}
+def variants_of(key: str) -> dict[str, Variant]:
+    """Return the ids of a task, such as `MyoWarp/myoSarcHandPoseFixed-v0`, and what they stand for."""
+    found = {TASKS[key].env_id: Variant(key)}
     for prefix, (condition, beginning) in PREFIXES.items():
-        for key in TASKS:
-            if key.startswith(beginning):
-                found[f"MyoWarp/{prefix}{key.removeprefix('myo')}"] = Variant(key, conditions=(condition,))
-    found |= {cell.id: Variant(cell.task, cell.reset, cell.conditions) for cell in grid()}
+        if key.startswith(beginning):
+            found[f"MyoWarp/{prefix}{key.removeprefix('myo')}"] = Variant(key, conditions=(condition,))
     return found
+
+
+def paper_variants() -> dict[str, Variant]:
+    """Return the ids of the paper's grid, and what they stand for."""
+    return {cell.id: Variant(cell.task, cell.reset, cell.conditions) for cell in grid()}
+
+
+def variants() -> dict[str, Variant]:
+    """Return all ids and what they stand for."""
+    found: dict[str, Variant] = {}
+    for key in TASKS:
+        found |= variants_of(key)
+    return found | paper_variants()
 
 
 def find_variant(name: str) -> Variant:

@@ -16,8 +16,8 @@ from myowarp.apps.audit.measure import Audit, audit
 from myowarp.disk import in_place
 from myowarp.progress import progress_bar
 from myowarp.spec.task import TASKS, TaskSpec
+from myowarp.tasks.outside import find_task
 from myowarp.tasks.paper import grid
-from myowarp.tasks.variants import find_variant
 
 GUTTER = 2  # characters between columns: a line and a space
 NO_PAGE = "No page: it needs matplotlib; pip install 'myowarp[plot]'"
@@ -61,8 +61,9 @@ def find_jobs(names: Iterable[str], paper: bool) -> list[Job]:
         return [Job(row.id, TASKS[row.task], row.reset, row.conditions) for row in grid()]
     chosen = []
     for name in names or TASKS:
-        variant = find_variant(name)
-        chosen.append(Job(f"MyoWarp/{name}", TASKS[variant.task], variant.reset, variant.conditions))
+        variant = find_task(name)
+        env_id = TASKS[variant.task].env_id if ":" in name else f"MyoWarp/{name}"
+        chosen.append(Job(env_id, TASKS[variant.task], variant.reset, variant.conditions))
     first = {name: i for i, name in reversed(list(enumerate(job.spec.name for job in chosen)))}
     return sorted(chosen, key=lambda job: (first[job.spec.name], job.spec.version))
 

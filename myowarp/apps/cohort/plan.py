@@ -17,6 +17,8 @@ from myowarp.sim.build import MOST_STEPS, actuator_kinds, oracle_model, resolve_
 from myowarp.spec.condition import Condition
 from myowarp.spec.registry import check_choice
 from myowarp.spec.task import PHYSICS, RESETS, TASKS, TaskSpec
+from myowarp.tasks.outside import find_task
+from myowarp.tasks.variants import Variant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -85,7 +87,12 @@ def plan_cohort(
             raise ImportError(
                 f'a cohort needs {package}, which is not installed; run `pip install "myowarp[cohort]"`'
             )
-    spec = TASKS[task.removeprefix("MyoWarp/")]
+    variant = find_task(task)
+    if variant != Variant(variant.task):
+        raise ValueError(
+            f"a cohort sets conditions and reset itself; give task {variant.task!r} in place of {task!r}"
+        )
+    spec = TASKS[variant.task]
     steps = spec.horizon if steps is None else steps
     every = max(1, steps // SAMPLES) if every is None else every
     for name, number, least, most in (

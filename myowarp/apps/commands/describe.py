@@ -8,7 +8,7 @@ from rich.console import Console
 
 from myowarp.apps.options import Conditions, Model, OptionalTask, Reset
 from myowarp.spec.task import TASKS
-from myowarp.tasks.from_file import find_task
+from myowarp.tasks.from_file import task_or_model
 
 WIDTH, WIDEST = 80, 100  # characters: in a file, in a terminal
 
@@ -32,7 +32,7 @@ class Describe:
         from myowarp.apps.describe import describe
         from myowarp.apps.describe_text import as_text
 
-        variant = find_task(self.task, self.model)
+        variant = task_or_model(self.task, self.model)
         spec = TASKS[variant.task]
         env_id = spec.env_id if self.task is None else f"MyoWarp/{self.task.removeprefix('MyoWarp/')}"
         facts = describe(

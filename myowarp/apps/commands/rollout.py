@@ -75,10 +75,10 @@ class Rollout:
         from myowarp.apps.recording import check_recording, recording, recording_files
         from myowarp.bridge_gym import MyoWarpVectorEnv
         from myowarp.disk import check_output, check_overwrite
-        from myowarp.tasks.from_file import find_task
+        from myowarp.tasks.from_file import task_or_model
         from myowarp.view.render import NoGraphicsError
 
-        variant = find_task(self.task, self.model)
+        variant = task_or_model(self.task, self.model)
         spec = TASKS[variant.task]
         steps = spec.horizon if self.steps is None else self.steps
         self._check_numbers(steps)

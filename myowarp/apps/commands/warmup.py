@@ -6,7 +6,7 @@ from rich.console import Console
 
 from myowarp.apps.options import Device, Physics, TaskIds
 from myowarp.spec.task import TASKS
-from myowarp.tasks.variants import find_variant
+from myowarp.tasks.outside import find_task
 
 
 @dataclass
@@ -18,11 +18,11 @@ class Warmup:
     physics: Physics = "parity"
 
     def __call__(self) -> None:
-        """Build one small simulation of every scene."""
+        """Build one small simulation of every task that is named, or of every scene."""
         from myowarp.sim.simulation import Simulation
 
-        keys = [find_variant(task).task for task in self.tasks] or list(TASKS)
-        scenes = {TASKS[key].scene_key: TASKS[key] for key in keys}
-        for spec in scenes.values():
+        named = dict.fromkeys(find_task(task).task for task in self.tasks)
+        scenes = {TASKS[key].scene_key: key for key in TASKS}
+        for spec in map(TASKS.__getitem__, named or scenes.values()):
             Console(stderr=True).print(f"{spec.family} with {spec.body}")
             Simulation(spec, 1, device=self.device, physics=self.physics)

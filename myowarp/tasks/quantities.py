@@ -1,0 +1,119 @@
+"""What a function of one world can read: its state, and what its muscles do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import warp as wp
+
+from myowarp.engine.patch import engine_kernels_alone
+from myowarp.sim.signals import present_muscles
+from myowarp.spec.scene import Scene
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a parameter of a function can be.
+
+    Attributes:
+        dtype: Type of the entries of a world's row.
+        unit: Their unit.
+        meaning: What they are.
+    """
+
+    dtype: type
+    unit: str
+    meaning: str
+
+
+QUANTITIES = {
+    "qpos": Quantity(wp.float32, "rad or m", "configuration, (nq,)"),
+    "qvel": Quantity(wp.float32, "rad/s or m/s", "velocity, (nv,)"),
+    "ctrl": Quantity(wp.float32, "1", "what all actuators were told, (nu,)"),
+    "excitation": Quantity(wp.float32, "1", "what the muscles were told, after conditions, (num_muscles,)"),
+    "activation": Quantity(wp.float32, "1", "activation, (num_muscles,)"),
+    "tension": Quantity(wp.float32, "N", "force that the tendon transmits, >= 0, (num_muscles,)"),
+    "length": Quantity(wp.float32, "m", "musculotendon length, (num_muscles,)"),
+    "velocity": Quantity(wp.float32, "m/s", "its rate, lengthening > 0, (num_muscles,)"),
+    "site_xpos": Quantity(wp.vec3f, "m", "positions of `sites`, in their order, (num_sites,)"),
+}
+"""What every task offers: parameters of the type `wp.array[float]`, of `site_xpos` `wp.array[wp.vec3]`."""
+
+OF_STATE = ("qpos", "qvel", "ctrl")
+OF_MUSCLES = ("tension", "length", "velocity")  # they are computed anew for the present state
+
+
+@wp.kernel(enable_backward=False)
+def pick_excitations(
+    # Params:
+    actuator_id: wp.array[int],
+    # Data in:
+    ctrl_in: wp.array2d[float],
+    # Out:
+    excitation: wp.array2d[float],
+):
+    """excitation[world, muscle] = ctrl[world, actuator_id[muscle]]."""
+    worldid, muscleid = wp.tid()
+    excitation[worldid, muscleid] = ctrl_in[worldid, actuator_id[muscleid]]
+
+
+@wp.kernel(enable_backward=False)
+def pick_sites(
+    # Params:
+    site_id: wp.array[int],
+    # Data in:
+    site_xpos_in: wp.array2d[wp.vec3],
+    # Out:
+    position: wp.array2d[wp.vec3],
+):
+    """position[world, i] = site_xpos[world, site_id[i]]."""
+    worldid, i = wp.tid()
+    position[worldid, i] = site_xpos_in[worldid, site_id[i]]
+
+
+class Present:
+    """Quantities of the present state of a scene.
+
+    Attributes:
+        arrays: By name in `QUANTITIES`, (num_worlds, n).
+    """
+
+    def __init__(self, scene: Scene, names: Iterable[str], sites: Iterable[str]) -> None:
+        """Allocate what is not there already.
+
+        Args:
+            scene: The scene.
+            names: What is read.
+            sites: Names of the sites of `site_xpos`.
+        """
+        self.scene, self.names = scene, frozenset(names)
+        self.actuator_id = wp.array(scene.muscles.actuator_id, dtype=int)
+        self.site_id = wp.array([scene.site_id(name) for name in sites], dtype=int)
+        self.excitation = wp.zeros((scene.num_worlds, len(self.actuator_id)), dtype=float)
+        self.position = wp.zeros((scene.num_worlds, len(self.site_id)), dtype=wp.vec3)
+        self.arrays = {name: getattr(scene.data, name) for name in OF_STATE}
+        self.arrays |= {name: getattr(scene.muscles, name) for name in ("activation", *OF_MUSCLES)}
+        self.arrays |= {"excitation": self.excitation, "site_xpos": self.position}
+        self._compute_muscles = present_muscles(scene)
+
+    def update(self) -> None:
+        """Launch what brings the quantities that are read to the present state."""
+        data = self.scene.data
+        if self.names.intersection(OF_MUSCLES):
+            with engine_kernels_alone():
+                self._compute_muscles()
+        if "excitation" in self.names:
+            wp.launch(
+                pick_excitations,
+                dim=self.excitation.shape,
+                inputs=[self.actuator_id, data.ctrl],
+                outputs=[self.excitation],
+            )
+        if "site_xpos" in self.names:
+            wp.launch(
+                pick_sites,
+                dim=self.position.shape,
+                inputs=[self.site_id, data.site_xpos],
+                outputs=[self.position],
+            )
