@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Column, Table
 
+from myowarp.apps.train.command import Eval, Train
 from myowarp.opensim.command import Convert
 from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.muscle_table import MuscleTable
@@ -394,6 +395,8 @@ def main() -> None:
             "rollout": Rollout,
             "cohort": Cohort,
             "audit": Audit,
+            "train": Train,
+            "eval": Eval,
             "convert": Convert,
             "warmup": Warmup,
         },

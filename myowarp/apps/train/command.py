@@ -1,0 +1,520 @@
+"""What `myowarp train` and `myowarp eval` do."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import json
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Optional
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from myowarp.apps.train.settings import ALGORITHMS, Settings, all_settings, choose, restore
+from myowarp.disk import check_folder, in_place
+from myowarp.spec.registry import check_choice
+from myowarp.spec.task import PHYSICS, TASKS
+from myowarp.tasks.from_file import find_task
+from myowarp.tasks.variants import Variant
+
+if TYPE_CHECKING:
+    from myowarp.apps.train.checkpoint import Checkpoint
+    from myowarp.apps.train.loop import Run
+
+REPORT = "report.json"
+NEEDS = ("torch", "skrl", "safetensors", "tensorboard")
+EVALUATION_SEED = 1_000_000  # other worlds than those of training
+MODES = ("deterministic", "sampled")
+
+
+@dataclass
+class TrainCommand:
+    """Train a policy: PPO, TRPO or SAC, with a preset for the task.
+
+    Writes a folder with the last checkpoint, progress.csv, TensorBoard events, curve.png and report.json.
+    Ctrl-C finishes the iteration and saves; a run that was stopped or killed goes on with --resume, on the CPU
+    bit for bit.
+
+    Example: myowarp train myoElbowPose1D6MRandom-v0 --output runs/elbow
+
+    Then: myowarp eval runs/elbow
+
+    Or: myowarp rollout myoElbowPose1D6MRandom-v0 --policy runs/elbow --video elbow.mp4
+    """
+
+    task: Annotated[str | None, tyro.conf.Positional] = None
+    """Task id, with or without "MyoWarp/"; `myowarp tasks` lists them."""
+    model: Path | None = None
+    """Instead of a task: an MJCF file, such as `myowarp convert` writes; random poses of its joints."""
+    algorithm: Literal["ppo", "trpo", "sac"] | None = None
+    """Algorithm; by default ppo."""
+    output: Path | None = None
+    """New folder of the run; by default runs/<task>_<algorithm>_<seed>."""
+    resume: Path | None = None
+    """Folder of a run that is to go on; its settings hold, only --samples and --stop-success may change."""
+    save_seconds: float = 30.0
+    """Seconds from one checkpoint to the next; 0: after every iteration."""
+    wandb: bool = False
+    """Send the figures to Weights & Biases too."""
+
+    def __call__(self) -> None:
+        """Check everything, train and report."""
+        begin = time.monotonic()
+        console = Console(stderr=True, highlight=False, soft_wrap=True)
+        job = _plan(self)
+        run = _start(job)
+        reason = _train(job, run, console, self.save_seconds, self.wandb)
+        _report(job, run, reason, time.monotonic() - begin, console)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run that was checked and is ready to be built.
+
+    Attributes:
+        task: What the user called the task: an id, or the path of a model's file.
+        model: Whether it is the path of a model's file.
+        variant: What its id stands for.
+        algorithm: Key in `ALGORITHMS`.
+        settings: Settings.
+        folder: Folder of the run.
+        checkpoint: What is resumed; None: nothing.
+    """
+
+    task: str
+    model: bool
+    variant: Variant
+    algorithm: str
+    settings: Settings
+    folder: Path
+    checkpoint: Checkpoint | None = None
+
+
+def _plan(command: TrainCommand) -> Job:
+    """Return the run that a command asks for.
+
+    Raises:
+        ValueError: An argument is wrong; nothing was built or written.
+        ImportError: A package is not installed.
+    """
+    missing = [name for name in NEEDS if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ImportError(f'training needs {", ".join(missing)}; run `pip install "myowarp[train]"`')
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        raise ValueError("training runs in one process; start it without torchrun (WORLD_SIZE is above 1)")
+    if not 0.0 <= command.save_seconds < float("inf"):
+        raise ValueError(f"--save-seconds must be at least 0, got {command.save_seconds}")
+    if command.wandb:
+        from myowarp.apps.train.progress import check_wandb
+
+        check_wandb()
+    given = {name: getattr(command, name) for name in all_settings()}
+    given = {name: value for name, value in given.items() if value is not None}
+    if command.resume is not None:
+        return _plan_resume(command, given)
+    variant = find_task(command.task, command.model)
+    algorithm = command.algorithm or "ppo"
+    settings = choose(TASKS[variant.task].name, algorithm, given)
+    task = command.task or str(command.model)
+    name = f"{TASKS[variant.task].key}_{algorithm}_{settings.seed}"
+    folder = command.output or Path("runs") / name
+    check_folder(folder)
+    if folder.exists() and any(folder.iterdir()):
+        raise ValueError(
+            f"output {str(folder)!r} is not empty; choose a new folder, or go on with --resume {folder}"
+        )
+    return Job(task, command.model is not None, variant, algorithm, settings, folder)
+
+
+def _plan_resume(command: TrainCommand, given: dict[str, Any]) -> Job:
+    """Return the run that goes on; see `_plan`."""
+    from myowarp.apps.train.checkpoint import load_checkpoint
+
+    folder = Path(str(command.resume))
+    checkpoint = load_checkpoint(folder)
+    manifest = checkpoint.manifest
+    recorded = manifest["settings"]
+    wanted = {"task": command.task, "algorithm": command.algorithm, "output": command.output}
+    same = {"task": manifest["task"], "algorithm": manifest["algorithm"], "output": folder}
+    for name, value in wanted.items():
+        if value is not None and str(value).removeprefix("MyoWarp/") != str(same[name]).removeprefix(
+            "MyoWarp/"
+        ):
+            raise ValueError(
+                f"--resume goes on with {name} {str(same[name])!r}, got {str(value)!r}; leave it out"
+            )
+    fields = all_settings()
+    for name, value in given.items():
+        if name not in recorded or (not fields[name].metadata["free"] and _listed(value) != recorded[name]):
+            flag = "--" + name.replace("_", "-")
+            raise ValueError(
+                f"--resume goes on with the settings of its run, where {flag} is {recorded.get(name)!r}, "
+                f"got {value!r}; leave it out, or start a new run"
+            )
+    check_choice("algorithm", manifest["algorithm"], ALGORITHMS)
+    settings = restore(ALGORITHMS[manifest["algorithm"]], recorded | given)
+    task, model = (None, Path(manifest["task"])) if manifest["model"] else (manifest["task"], None)
+    if model is None and ":" in str(task) and command.task is None:
+        raise ValueError(f"the run's task is code in {task!r}, which --resume runs only if you name it, too")
+    variant = find_task(task, model)
+    algorithm = manifest["algorithm"]
+    return Job(manifest["task"], model is not None, variant, algorithm, settings, folder, checkpoint)
+
+
+def _listed(value: Any) -> Any:
+    """Return a value as JSON gives it back."""
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _start(job: Job) -> Run:
+    """Build the environment and the agent; put a resumed run's numbers back.
+
+    Raises:
+        CheckpointError: The checkpoint does not fit the task as it is now.
+    """
+    import torch
+
+    from myowarp.apps.train.checkpoint import CheckpointError, check_contract
+    from myowarp.apps.train.loop import Run
+    from myowarp.bridge_gym import MyoWarpVectorEnv
+
+    settings, variant = job.settings, job.variant
+    torch.set_num_threads(settings.threads)
+    env = MyoWarpVectorEnv(
+        variant.task,
+        settings.num_worlds,
+        device=settings.device or None,
+        physics=settings.physics,
+        muscle=settings.muscle,
+        reset=settings.reset or variant.reset,
+        conditions=(*variant.conditions, *settings.conditions),
+        autoreset_mode="disabled",
+        output="torch",
+        copy=False,
+    )
+    run = Run(env, settings)
+    if job.checkpoint is not None:
+        check_contract(job.checkpoint, env.sim)
+        try:
+            run.restore(job.checkpoint)
+        except (KeyError, RuntimeError, ValueError) as error:
+            reason = " ".join(str(error).split())
+            raise CheckpointError(
+                f"checkpoint {str(job.checkpoint.folder)!r} cannot be resumed: {reason}"
+            ) from error
+    return run
+
+
+def _train(job: Job, run: Run, console: Console, save_seconds: float, wandb: bool) -> str:
+    """Iterate until something ends the run; returns what.
+
+    Raises:
+        DivergedError: A loss or a weight was not finite; the last good checkpoint is there.
+        OSError: A checkpoint or figures could not be written; the last good checkpoint is there.
+    """
+    from myowarp.apps.train.loop import DivergedError
+    from myowarp.apps.train.progress import Progress
+
+    settings = job.settings
+    job.folder.mkdir(parents=True, exist_ok=True)
+    _note_versions(job, console)
+    if job.checkpoint is None:
+        _save(job, run)  # whatever happens from here on, the run can go on
+    console.print(
+        f"{job.task}: {job.algorithm}, {settings.num_worlds} worlds under {settings.physics} physics, "
+        f"into {job.folder}"
+    )
+    saved = time.monotonic()
+    with (
+        _stop_asked() as asked,
+        Progress(job.folder, settings.samples, console, after=run.samples) as progress,
+    ):
+        if wandb:
+            progress.start_wandb(job.folder.name, dataclasses.asdict(settings))
+        while True:
+            if asked():
+                reason = "stopped by a signal"
+            elif run.tally.reached(settings.stop_success):
+                reason = f"{100 * settings.stop_success:.1f} % success"
+            elif run.samples >= settings.samples:
+                reason = "all samples"
+            else:
+                reason = ""
+            if reason or time.monotonic() - saved >= save_seconds:
+                _save(job, run)
+                saved = time.monotonic()
+            if reason:
+                return reason
+            try:
+                run.iterate()
+            except DivergedError as error:
+                raise DivergedError(
+                    f"{error}; the last good checkpoint is in {job.folder}, try a lower --learning-rate"
+                ) from error
+            progress.add(run.row())
+
+
+@contextmanager
+def _stop_asked() -> Iterator[Any]:
+    """Turn the first Ctrl-C or SIGTERM into a wish; a second one acts as ever.
+
+    Yields:
+        A function that returns whether one came.
+    """
+    came: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def note(number: int, frame: object) -> None:
+        came.append(number)
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+    for number in before:
+        signal.signal(number, note)
+    try:
+        yield lambda: bool(came)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _note_versions(job: Job, console: Console) -> None:
+    """Say if packages are not those that wrote the checkpoint that is resumed."""
+    from myowarp.apps.train.checkpoint import versions
+
+    if job.checkpoint is None:
+        return
+    before, now = job.checkpoint.manifest["versions"], versions()
+    for name in before.keys() & now.keys():
+        if before[name] != now[name]:
+            console.print(
+                f"{name} was {before[name]}, is {now[name]}: the run goes on, not bit for bit", style="yellow"
+            )
+
+
+def _save(job: Job, run: Run) -> None:
+    """Write a checkpoint.
+
+    Raises:
+        OSError: It cannot be written; the one before is still there.
+    """
+    from myowarp.apps.train import checkpoint
+
+    manifest = {
+        "task": job.task,
+        "model": job.model,
+        "reset": job.variant.reset,
+        "conditions": list(job.variant.conditions),
+        "algorithm": job.algorithm,
+        "contract": checkpoint.task_contract(run.env.sim),
+        "settings": dataclasses.asdict(job.settings),
+        "versions": checkpoint.versions(),
+        **run.manifest(),
+    }
+    try:
+        checkpoint.save_checkpoint(job.folder, run.samples, checkpoint.plain(manifest), *run.arrays())
+    except OSError as error:
+        raise OSError(
+            f"checkpoint after {run.samples} samples could not be written ({error.strerror or error}); the "
+            f"one before is in {job.folder}, go on with --resume {job.folder}"
+        ) from error
+
+
+def _report(job: Job, run: Run, reason: str, seconds: float, console: Console) -> None:
+    """Draw the curve, write and print what came out."""
+    from myowarp.apps.train.checkpoint import plain
+    from myowarp.apps.train.progress import draw_curve
+
+    settings = job.settings
+    figures = {
+        "task": job.task,
+        "algorithm": job.algorithm,
+        "seed": settings.seed,
+        "physics": settings.physics,
+        "ended": reason,
+        "samples": run.samples,
+        "updates": run.updates,
+        "seconds": round(seconds, 1),
+        **{name: value for name, value in run.tally.figures().items()},
+        **{f"share_{name}": round(share, 3) for name, share in run.clock.shares().items()},
+    }
+    with in_place(job.folder / REPORT) as scratch:
+        scratch.write_text(json.dumps(plain(figures), indent=1) + "\n")
+    curve = draw_curve(job.folder, f"{job.task}, {job.algorithm}, seed {settings.seed}")
+    share = 100 * run.tally.figures()["success"]
+    console.print(
+        f"Ended after {run.samples:,} samples in {seconds:.1f} s: {reason}; of the last episodes "
+        f"{share:.1f} % succeeded, sampled actions under {settings.physics} physics"
+    )
+    console.print(f"Saved {job.folder}" + (f" and {curve}" if curve else ""))
+    console.print(f"Evaluate: myowarp eval {job.folder}")
+
+
+def _overrides() -> list[tuple[str, Any, Any]]:
+    """Return the settings as fields of the command, each None where it is not given."""
+    fields: list[tuple[str, Any, Any]] = []
+    for name, entry in all_settings().items():
+        kind: Any = tuple[int, ...] if name == "hidden" else type(entry.default)
+        kind = tuple[str, ...] if kind is tuple else kind
+        owners = [a for a, k in ALGORITHMS.items() if name in {f.name for f in dataclasses.fields(k)}]
+        only = "" if len(owners) == len(ALGORITHMS) else f" ({', '.join(owners)})"
+        hint = f"(preset, else {_shown(entry.default)})"
+        text = entry.metadata["text"] + only
+        fields.append(
+            (
+                name,
+                Annotated[Optional[kind], tyro.conf.arg(help=text, help_behavior_hint=hint)],  # noqa: UP045
+                dataclasses.field(default=None),
+            )
+        )
+    return fields
+
+
+def _shown(value: Any) -> str:
+    """Return a default for the help."""
+    return " ".join(map(str, value)) or "none" if isinstance(value, tuple) else str(value) or "empty"
+
+
+Train = dataclasses.make_dataclass("Train", _overrides(), bases=(TrainCommand,))
+Train.__doc__ = TrainCommand.__doc__
+
+
+@dataclass
+class Eval:
+    """Evaluate a trained policy: success by three rules with 95 % intervals, return and effort.
+
+    Every world runs one episode. The physics is parity (MyoSuite's integrator and step) unless you choose
+    another; reset and conditions are those of the training unless you choose others.
+
+    Example: myowarp eval runs/elbow --conditions sarcopenia
+    """
+
+    checkpoint: Annotated[Path, tyro.conf.Positional]
+    """Folder of a run or of a checkpoint."""
+    task: str | None = None
+    """Another task with the same observation and actuators; by default that of the training."""
+    model: Path | None = None
+    """MJCF file of the training, for a policy that was trained with --model."""
+    episodes: int = 256
+    """Episodes of each mode, and worlds simulated together."""
+    mode: Literal["both", "deterministic", "sampled"] = "both"
+    """Whether actions are the policy's means, or drawn as in training."""
+    seed: int = EVALUATION_SEED
+    """World i resets with seed + i."""
+    physics: str = "parity"
+    """Physics preset: parity or fast."""
+    muscle: str | None = None
+    """Muscle model; by default that of the training."""
+    reset: str | None = None
+    """What episodes start from; by default as in the training."""
+    conditions: tuple[str, ...] | None = None
+    """Muscle conditions; by default those of the training. Without a name after it: none."""
+    device: str | None = None
+    """Warp device, such as cpu or cuda:0; by default the GPU if there is one."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def __call__(self) -> None:
+        """Check, run and print."""
+        from myowarp.apps.learned import LearnedPolicy
+        from myowarp.apps.train.checkpoint import check_contract
+        from myowarp.apps.train.evaluate import evaluate
+        from myowarp.bridge_gym import MyoWarpVectorEnv
+
+        checkpoint, variant, options = self._plan()
+        modes = MODES if self.mode == "both" else (self.mode,)
+        env = MyoWarpVectorEnv(variant.task, self.episodes, autoreset_mode="same_step", **options)
+        check_contract(checkpoint, env.sim)
+        console = Console(stderr=True)
+        results = {}
+        for mode in modes:
+            act = LearnedPolicy(checkpoint, sampled=mode == "sampled", seed=self.seed)
+            results[mode] = dataclasses.asdict(evaluate(env, act, self.seed, title=mode, console=console))
+        env.close()
+        head = {"task": TASKS[variant.task].env_id, "checkpoint": str(checkpoint.folder), "seed": self.seed}
+        head |= {name: options[name] for name in ("physics", "muscle", "reset")}
+        head |= {"conditions": list(options["conditions"]), "device": str(env.sim.scene.device)}
+        head |= {
+            "trained_under": checkpoint.manifest["settings"]["physics"],
+            "samples": checkpoint.manifest["samples"],
+        }
+        if self.json:
+            print(json.dumps({**head, **results}, indent=1))
+        else:
+            _print_table(head, results)
+
+    def _plan(self) -> tuple[Checkpoint, Variant, dict[str, Any]]:
+        """Return checkpoint, task and options of the environment.
+
+        Raises:
+            ValueError: An argument is wrong; nothing was built.
+        """
+        from myowarp.apps.train.checkpoint import CheckpointError, load_checkpoint
+
+        for name, number, least in (("episodes", self.episodes, 1), ("seed", self.seed, 0)):
+            if number < least:
+                raise ValueError(f"--{name} must be at least {least}, got {number}")
+        check_choice("physics", self.physics, PHYSICS)
+        checkpoint = load_checkpoint(self.checkpoint)
+        manifest = checkpoint.manifest
+        trained = manifest["settings"]
+        other = self.task is not None or self.model is not None
+        if not other and (manifest["model"] or ":" in manifest["task"]):
+            option = "--model" if manifest["model"] else "--task"
+            raise CheckpointError(
+                f"checkpoint {str(self.checkpoint)!r} was trained with the file {manifest['task']!r}; "
+                f"name it with {option}, because a checkpoint opens no files"
+            )
+        variant = find_task(self.task if other else manifest["task"], self.model)
+        own = (*variant.conditions, *(trained["conditions"] if self.conditions is None else self.conditions))
+        options = {
+            "physics": self.physics,
+            "muscle": self.muscle or trained["muscle"],
+            "reset": self.reset or trained["reset"] or variant.reset,
+            "conditions": own,
+            "device": self.device,
+        }
+        return checkpoint, variant, options
+
+
+def _print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> None:
+    """Print figures, a column for each mode."""
+    console = Console(highlight=False)
+    with_conditions = f", conditions {' '.join(head['conditions'])}" if head["conditions"] else ""
+    console.print(
+        f"[bold]{head['task']}[/bold]: {head['physics']} physics{with_conditions}, seed {head['seed']}"
+    )
+    table = Table("", *results)
+
+    def share(figures: dict[str, Any], name: str) -> str:
+        low, high = figures["intervals"][name]
+        return f"{100 * figures[name]:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+
+    rules = {
+        "success": "success (more than 5 solved steps)",
+        "success_last": "solved on the last step",
+        "success_any": "solved at any step",
+    }
+    for name, text in rules.items():
+        table.add_row(text, *(share(figures, name) for figures in results.values()))
+    table.add_row("return", *(f"{f['return_mean']:.1f} ± {f['return_std']:.1f}" for f in results.values()))
+    plain = {
+        "length_mean": "length [steps]",
+        "mean_activation": "mean activation",
+        "activation_rate": "activation rate [1/s]",
+    }
+    for name, text in (plain | {"episodes": "episodes", "faults": "faults"}).items():
+        table.add_row(text, *("-" if f[name] is None else f"{f[name]:.4g}" for f in results.values()))
+    console.print(table)
