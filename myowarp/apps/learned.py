@@ -89,7 +89,8 @@ def read_policy(name: str, spec: TaskSpec) -> Checkpoint:
     there = f"{contract['task']!r} ({contract['family']} with {contract['body']})"
     if (contract["family"], contract["body"]) != (spec.family, spec.body):
         raise CheckpointError(
-            f"policy {name!r} was trained in {there} and cannot act in {spec.key!r} ({spec.family} with {spec.body})"
+            f"policy {name!r} was trained in {there} and cannot act in {spec.key!r} "
+            f"({spec.family} with {spec.body})"
         )
     return checkpoint
 

@@ -41,8 +41,8 @@ class TrainCommand:
     """Train a policy: PPO, TRPO or SAC, with a preset for the task.
 
     Writes a folder with the last checkpoint, progress.csv, TensorBoard events, curve.png and report.json.
-    Ctrl-C finishes the iteration and saves; a run that was stopped or killed goes on with --resume, on the CPU
-    bit for bit.
+    Ctrl-C finishes the iteration and saves; a run that was stopped or killed goes on with --resume, bit for
+    bit on the CPU.
 
     Example: myowarp train myoElbowPose1D6MRandom-v0 --output runs/elbow
 
@@ -250,6 +250,7 @@ def _train(job: Job, run: Run, console: Console, save_seconds: float, wandb: boo
             else:
                 reason = ""
             if reason or time.monotonic() - saved >= save_seconds:
+                progress.flush()
                 _save(job, run)
                 saved = time.monotonic()
             if reason:

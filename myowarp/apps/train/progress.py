@@ -15,6 +15,7 @@ from rich.live import Live
 from rich.text import Text
 
 CSV, CURVE = "progress.csv", "curve.png"
+PARTS = ("simulation", "learner", "rest")
 REFRESH = 0.25  # s between changes of the live line
 LINE_EVERY = 10.0  # s between lines where the error stream is no terminal
 SUCCESSES = {
@@ -45,15 +46,16 @@ class Progress:
         Raises:
             OSError: The files cannot be written.
         """
-        from skrl.utils.tensorboard import SummaryWriter
+        from torch.utils.tensorboard import SummaryWriter
 
         self.folder, self.total, self.console = folder, total, console
-        self._kept = _rows_until(folder / CSV, after)
-        self._writer = SummaryWriter(str(folder))
+        kept = _rows_until(folder / CSV, after)
+        self._writer = SummaryWriter(str(folder), purge_step=after + 1 if after else None)
         self._file = (folder / CSV).open("w", newline="")
         self._rows: csv.DictWriter[str] | None = None
-        for row in self._kept:
+        for row in kept:
             self._write_row(row)
+        self._file.flush()
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._wandb: Any = None
         self._begin, self._after, self._shown = time.monotonic(), after, 0.0
@@ -92,19 +94,28 @@ class Progress:
         step = int(row["samples"])
         for name, value in row.items():
             if name != "samples" and value == value:
-                self._writer.add_scalar(tag=name, value=value, timestep=step)
+                self._writer.add_scalar(name, value, step)
         if self._wandb is not None:
             self._wandb.log(dict(row), step=step)
         now, every = time.monotonic(), REFRESH if self.console.is_terminal else LINE_EVERY
         if now - self._shown < every:
             return
         self._shown = now
-        self._file.flush()
+        self.flush()
         text = self._line(row)
         if self._live.is_started:
             self._live.update(text, refresh=True)
         else:
             self.console.print(text)
+
+    def flush(self) -> None:
+        """Hand over what was written; the rows of a checkpoint come before the checkpoint.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        self._file.flush()
+        self._writer.flush()
 
     def _write_row(self, row: Mapping[str, Any]) -> None:
         """Append a row; the first one names the columns."""
@@ -119,10 +130,10 @@ class Progress:
         seconds = time.monotonic() - self._begin
         left = seconds * (self.total - row["samples"]) / max(done, 1)
         rules = " ".join(f"{100 * row[name]:.0f}" for name in SUCCESSES)
+        shares = " ".join(f"{part} {100 * row[f'share_{part}']:.0f}" for part in PARTS)
         return Text(
             f"{row['samples'] / 1e6:.2f} of {self.total / 1e6:.2f} M samples  return {row['return']:.1f}  "
-            f"success {rules} %  {done / max(seconds, 1e-9):,.0f}/s  "
-            f"simulation {100 * row['share_simulation']:.0f} learner {100 * row['share_learner']:.0f} rest {100 * row['share_rest']:.0f} %  "
+            f"success {rules} %  {done / max(seconds, 1e-9):,.0f}/s  {shares} %  "
             f"{int(left) // 60}:{int(left) % 60:02d} left"
         )
 
