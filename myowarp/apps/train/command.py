@@ -19,7 +19,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from myowarp.apps.train.settings import ALGORITHMS, Settings, all_settings, choose, restore
+from myowarp.apps.train.settings import ALGORITHMS, SUCCESSES, Settings, all_settings, choose, restore
 from myowarp.disk import check_folder, in_place
 from myowarp.spec.registry import check_choice
 from myowarp.spec.task import PHYSICS, TASKS
@@ -73,6 +73,7 @@ class TrainCommand:
         job = _plan(self)
         run = _start(job)
         reason = _train(job, run, console, self.save_seconds, self.wandb)
+        run.env.close()
         _report(job, run, reason, time.monotonic() - begin, console)
 
 
@@ -243,8 +244,8 @@ def _train(job: Job, run: Run, console: Console, save_seconds: float, wandb: boo
         while True:
             if asked():
                 reason = "stopped by a signal"
-            elif run.tally.reached(settings.stop_success):
-                reason = f"{100 * settings.stop_success:.1f} % success"
+            elif run.tally.reached(settings.stop_success, settings.stop_rule):
+                reason = f"{100 * settings.stop_success:.1f} % {SUCCESSES[settings.stop_rule]}"
             elif run.samples >= settings.samples:
                 reason = "all samples"
             else:
@@ -339,7 +340,7 @@ def _report(job: Job, run: Run, reason: str, seconds: float, console: Console) -
     from myowarp.apps.train.progress import draw_curve
 
     settings = job.settings
-    figures = {
+    figures: dict[str, Any] = {
         "task": job.task,
         "algorithm": job.algorithm,
         "seed": settings.seed,
@@ -354,10 +355,10 @@ def _report(job: Job, run: Run, reason: str, seconds: float, console: Console) -
     with in_place(job.folder / REPORT) as scratch:
         scratch.write_text(json.dumps(plain(figures), indent=1) + "\n")
     curve = draw_curve(job.folder, f"{job.task}, {job.algorithm}, seed {settings.seed}")
-    share = 100 * run.tally.figures()["success"]
+    share = f"{100 * figures['success']:.1f} %" if figures["episodes"] else "none"
     console.print(
         f"Ended after {run.samples:,} samples in {seconds:.1f} s: {reason}; of the last episodes "
-        f"{share:.1f} % succeeded, sampled actions under {settings.physics} physics"
+        f"{share} succeeded, sampled actions under {settings.physics} physics"
     )
     console.print(f"Saved {job.folder}" + (f" and {curve}" if curve else ""))
     console.print(f"Evaluate: myowarp eval {job.folder}")
@@ -503,12 +504,7 @@ def _print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> No
         low, high = figures["intervals"][name]
         return f"{100 * figures[name]:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
 
-    rules = {
-        "success": "success (more than 5 solved steps)",
-        "success_last": "solved on the last step",
-        "success_any": "solved at any step",
-    }
-    for name, text in rules.items():
+    for name, text in SUCCESSES.items():
         table.add_row(text, *(share(figures, name) for figures in results.values()))
     table.add_row("return", *(f"{f['return_mean']:.1f} ± {f['return_std']:.1f}" for f in results.values()))
     plain = {

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from myowarp.apps.train.settings import SUCCESSES
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.progress import progress_bar
 
-SUCCESSES = ("success", "success_last", "success_any")
 Z = 1.959963984540054  # quantile of the normal distribution for 95 %
 
 

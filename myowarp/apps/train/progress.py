@@ -14,15 +14,12 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from myowarp.apps.train.settings import SUCCESSES
+
 CSV, CURVE = "progress.csv", "curve.png"
 PARTS = ("simulation", "learner", "rest")
 REFRESH = 0.25  # s between changes of the live line
 LINE_EVERY = 10.0  # s between lines where the error stream is no terminal
-SUCCESSES = {
-    "success": "more than 5 solved steps",
-    "success_last": "solved on the last step",
-    "success_any": "solved at any step",
-}
 
 
 def check_wandb() -> None:
@@ -129,11 +126,13 @@ class Progress:
         done = row["samples"] - self._after
         seconds = time.monotonic() - self._begin
         left = seconds * (self.total - row["samples"]) / max(done, 1)
-        rules = " ".join(f"{100 * row[name]:.0f}" for name in SUCCESSES)
+        success = "success {:.0f} % (last step {:.0f}, any step {:.0f})".format(
+            *(100 * row[name] for name in SUCCESSES)
+        )
         shares = " ".join(f"{part} {100 * row[f'share_{part}']:.0f}" for part in PARTS)
         return Text(
             f"{row['samples'] / 1e6:.2f} of {self.total / 1e6:.2f} M samples  return {row['return']:.1f}  "
-            f"success {rules} %  {done / max(seconds, 1e-9):,.0f}/s  {shares} %  "
+            f"{success}  {done / max(seconds, 1e-9):,.0f}/s  {shares} %  "
             f"{int(left) // 60}:{int(left) % 60:02d} left"
         )
 

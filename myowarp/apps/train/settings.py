@@ -19,6 +19,11 @@ from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.registry import check_choice
 from myowarp.spec.task import PHYSICS, RESETS
 
+SUCCESSES = {
+    "success": "more than 5 solved steps",  # the paper's rule
+    "success_last": "solved on the last step",
+    "success_any": "solved at any step",
+}
 ACTIVATIONS = ("elu", "tanh", "relu")
 
 
@@ -52,8 +57,14 @@ class Settings:
     samples: int = setting(3_000_000, "Control steps of all worlds together.", least=1, free=True)
     stop_success: float = setting(
         0.995,
-        "Stop when this share of the last 256 episodes succeeded (more than 5 solved steps); above 1: never.",
+        "Stop when this share of the last 256 episodes succeeded; above 1: never.",
         least=0.0,
+        free=True,
+    )
+    stop_rule: str = setting(
+        "success",
+        "What counts there: success (more than 5 solved steps), success_last or success_any (solved steps).",
+        choices=SUCCESSES,
         free=True,
     )
     seed: int = setting(0, "Seed of networks, actions and worlds (world i: seed + i).", least=0)

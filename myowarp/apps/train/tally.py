@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import torch
 
+from myowarp.apps.train.settings import SUCCESSES
+
 WINDOW = 256  # episodes that figures cover
-COLUMNS = ("return", "length", "success", "success_last", "success_any")
-"""Of an episode. Success: more than 5 solved steps (the paper's rule), on the last step, at any step."""
+COLUMNS = ("return", "length", *SUCCESSES)  # of an episode
 
 
 class Tally:
@@ -47,9 +48,9 @@ class Tally:
         means = np.mean(self._last, axis=0) if self._last else np.full(len(COLUMNS), np.nan)
         return dict(zip(COLUMNS, means.tolist(), strict=True)) | {"episodes": self.episodes}
 
-    def reached(self, share: float) -> bool:
-        """Return whether this share of a full window succeeded, by the paper's rule."""
-        return len(self._last) == WINDOW and self.figures()["success"] >= share
+    def reached(self, share: float, rule: str) -> bool:
+        """Return whether this share of a full window succeeded, by one of the rules `SUCCESSES`."""
+        return len(self._last) == WINDOW and self.figures()[rule] >= share
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return all numbers."""
