@@ -2,6 +2,7 @@
 
 import dataclasses
 import errno
+import importlib.util
 import json
 import os
 import pickle
@@ -394,3 +395,16 @@ def test_settings_are_all_in_the_manifest(tiny):
     recorded = checkpoints.load_checkpoint(tiny).manifest["settings"]
     assert set(recorded) == {f.name for f in dataclasses.fields(ALGORITHMS["ppo"])}
     assert recorded["num_worlds"] == 8
+
+
+@pytest.mark.parametrize(
+    ("package", "arguments", "sentence"),
+    [
+        ("skrl", (), 'training needs skrl; run `pip install "myowarp[train]"`'),
+        ("wandb", ("--wandb",), "--wandb needs wandb, which is not installed; run `pip install wandb`"),
+    ],
+)
+def test_a_missing_package_is_named(package, arguments, sentence, run, no_simulation, tmp_path, monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == package else find(name))
+    assert said(run("train", ELBOW, "--output", tmp_path / "new", *arguments)) == sentence
