@@ -1,5 +1,6 @@
 """`myowarp train` and `myowarp eval`: a policy that learns, figures, and how they say no."""
 
+import csv
 import dataclasses
 import errno
 import importlib.util
@@ -93,6 +94,45 @@ def test_rollout_plays_it(learned, run):
     )
     assert status == 0, err
     assert json.loads(out)["success_percent"] >= 90.0
+
+
+def test_a_cohort_is_driven_by_it(learned, run, tmp_path):
+    (tmp_path / "patients.csv").write_text("patient,strength\nwell,1.0\nweak,0.4\n")
+    status, _, err = run(
+        *("cohort", tmp_path / "patients.csv", "--task", OTHER, "--policy", learned, "--device", "cpu"),
+        *("--format", "csv", "--output", tmp_path / "out"),
+    )
+    assert status == 0, err
+    with (tmp_path / "out" / "summary.csv").open() as file:
+        well, weak = csv.DictReader(file)
+    assert well["success"] == "True"
+    assert float(weak["mean_activation"]) != float(well["mean_activation"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algorithm", ["trpo", "sac"])
+def test_the_elbow_learns_with_other_algorithms(algorithm, run, tmp_path):
+    options = ("--algorithm", algorithm, "--stop-success", 0.95, "--samples", 120_000, "--device", "cpu")
+    status, _, err = run("train", ELBOW, "--output", tmp_path / "run", *options)
+    assert status == 0, err
+    assert json.loads((tmp_path / "run" / "report.json").read_text())["success"] >= 0.9
+
+
+def test_a_checkpoint_that_is_replaced_while_it_is_read_is_read_again(tiny, tmp_path, monkeypatch):
+    whole = checkpoints.load_checkpoint(tiny)
+    content = {k: v for k, v in whole.manifest.items() if k != "files"}, whole.policy, {}
+    checkpoints.save_checkpoint(tmp_path, 1, *content)
+    read, calls = checkpoints._read_manifest, []
+
+    def replaced(folder):
+        calls.append(folder.name)
+        if len(calls) == 1:
+            checkpoints.save_checkpoint(tmp_path, 2, *content)
+        return read(folder)
+
+    monkeypatch.setattr(checkpoints, "_read_manifest", replaced)
+    assert checkpoints.load_checkpoint(tmp_path).folder.name == "000000000002"
+    assert len(calls) == 2
 
 
 def test_another_task_with_the_same_contract_can_be_named(learned, run):

@@ -15,7 +15,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Column, Table
 
-from myowarp.apps.train.command import Eval, Train
+from myowarp.apps.train.command import Train
+from myowarp.apps.train.eval_command import Eval
 from myowarp.opensim.command import Convert
 from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.muscle_table import MuscleTable

@@ -10,5 +10,5 @@
 | `checkpoint.py` | a folder of manifest and tensors: written whole, refused when damaged; needs no torch |
 | `progress.py` | the live line, CSV, TensorBoard, the curve |
 | `evaluate.py` | episodes of a checkpoint, three success rules; needs no torch |
-| `command.py` | `myowarp train` and `myowarp eval` |
+| `command.py`, `eval_command.py` | `myowarp train` and `myowarp eval` |
 """

@@ -196,9 +196,14 @@ def load_checkpoint(path: Path) -> Checkpoint:
         CheckpointError: There is none, it is damaged, or another version wrote it.
     """
     folder = find_folder(path)
-    manifest = _read_manifest(folder)
-    policy = _read_arrays(folder, POLICY, manifest)
-    _check_policy(folder, manifest, policy)
+    try:
+        manifest = _read_manifest(folder)
+        policy = _read_arrays(folder, POLICY, manifest)
+        _check_policy(folder, manifest, policy)
+    except CheckpointError:
+        if find_folder(path) == folder:
+            raise
+        return load_checkpoint(path)  # the run goes on, and has replaced it meanwhile
     return Checkpoint(folder, manifest, policy)
 
 
