@@ -223,7 +223,8 @@ BAD_LATER = {
     "negative seed": (["--seed", "-1"], "seed"),
     "no such policy": (
         ["--policy", "best"],
-        "policy 'best' unknown; available: random, zero, hold, package.module:function, file.py:function",
+        "policy 'best' unknown; available: random, zero, hold, the folder of a trained policy, "
+        "package.module:function, file.py:function",
     ),
     "no such file": (["--policy", "none.py:act"], "policy 'none.py:act' not found (FileNotFoundError: "),
     "no such module": (["--policy", "none:act"], "policy 'none:act' not found (ModuleNotFoundError: "),

@@ -70,8 +70,6 @@ class Run:
         self.steps = self.updates = 0
         self.losses: dict[str, float] = {}
         obs, _ = env.reset(seed=settings.seed)
-        if settings.stagger:
-            obs = self._stagger()
         self._obs = obs.clone()  # what is acted on; `obs` is overwritten by the next step
 
     @property
@@ -139,14 +137,6 @@ class Run:
         self.steps, self.updates = manifest["steps"], manifest["updates"]
         self.clock = Clock(**manifest["clock"])
         agents.restore_agent(self.agent, checkpoint.policy, learner)
-
-    def _stagger(self) -> torch.Tensor:
-        """Let the first episodes end at different times; returns the observations."""
-        state = self.env.get_state()
-        horizon = self.env.sim.scene.spec.horizon
-        ages = torch.randint(0, horizon, (self.env.num_envs,)).numpy()
-        state.arrays["episode.step_count"][:] = ages
-        return self.env.set_state(state)
 
     def _step(self) -> None:
         """One control step of all worlds."""

@@ -78,7 +78,6 @@ class Settings:
     )
     device: str = setting("", "Warp device, such as cpu or cuda:0; empty: the GPU if there is one.")
     threads: int = setting(1, "Threads of torch on the CPU; more pay on idle cores alone.", least=1)
-    stagger: bool = setting(False, "Let the first episodes of the worlds end at different times.")
     discount: float = setting(
         0.97, "Discount of rewards from one control step to the next.", least=0.0, most=1.0
     )
