@@ -280,6 +280,15 @@ def test_contracts_differ_in_columns(tiny):
         checkpoints.check_contract(whole, env.sim)
 
 
+def test_a_run_does_not_go_on_with_another_reward(tiny, run, tmp_path):
+    whole = checkpoints.load_checkpoint(tiny)
+    manifest = json.loads(json.dumps({k: v for k, v in whole.manifest.items() if k != "files"}))
+    manifest["contract"]["reward"][0][1] = 2.5
+    checkpoints.save_checkpoint(tmp_path, 128, manifest, whole.policy, whole.state())
+    sentence = said(run("train", "--resume", tmp_path))
+    assert f"cannot learn in {ELBOW!r}: reward have ['pose', 2.5] there and ['pose', 1.0] here" in sentence
+
+
 def truncate(path):
     path.write_bytes(path.read_bytes()[:-1])
 

@@ -36,7 +36,7 @@ from myowarp.spec.task import TaskSpec
 FORMAT = 1
 MANIFEST, POLICY, STATE = "manifest.json", "policy.safetensors", "state.safetensors"
 FOLDER, TEMPORARY = "checkpoints", ".part"
-CONTRACT = ("family", "body", "columns", "actuators", "action")  # what a policy needs of a task
+ACTING = ("family", "body", "columns", "actuators", "action")  # entries of a contract that a policy needs
 PACKAGES = ("myowarp", "mujoco", "mujoco-warp", "warp-lang", "myo-sim", "numpy", "torch", "skrl")
 
 
@@ -90,15 +90,16 @@ def task_contract(sim: Simulation | Shards) -> dict[str, Any]:
     }
 
 
-def check_contract(checkpoint: Checkpoint, sim: Simulation | Shards) -> None:
-    """Raise CheckpointError if a policy cannot act in a simulation."""
+def check_contract(checkpoint: Checkpoint, sim: Simulation | Shards, *, learning: bool = False) -> None:
+    """Raise CheckpointError if a policy cannot act in a simulation, or not go on to learn in it."""
     present = json.loads(json.dumps(task_contract(sim)))
     recorded = checkpoint.manifest["contract"]
-    for key in CONTRACT:
-        if recorded[key] != present[key]:
+    for key in present if learning else ACTING:
+        if recorded.get(key) != present[key]:
+            does = "learn" if learning else "act"
             raise CheckpointError(
-                f"checkpoint {str(checkpoint.folder)!r} was trained in {recorded['task']!r} and cannot act "
-                f"in {present['task']!r}: {_difference(key, recorded[key], present[key])}"
+                f"checkpoint {str(checkpoint.folder)!r} was trained in {recorded['task']!r} and cannot {does} "
+                f"in {present['task']!r}: {_difference(key, recorded.get(key), present[key])}"
             )
 
 
@@ -145,6 +146,8 @@ def save_checkpoint(
     root = run / FOLDER
     root.mkdir(parents=True, exist_ok=True)
     final, part = root / f"{samples:012d}", root / f"{samples:012d}{TEMPORARY}"
+    if final.exists():  # a resumed run that ends before its first step
+        return final
     shutil.rmtree(part, ignore_errors=True)
     try:
         part.mkdir()
@@ -155,8 +158,6 @@ def save_checkpoint(
         for name, content in contents.items():
             _write(part / name, content)
         _flush_folder(part)
-        if final.exists():  # the same moment again, such as a resumed run that is asked to stop at once
-            shutil.rmtree(final)
         part.rename(final)
         _flush_folder(root)
     except BaseException:

@@ -141,14 +141,14 @@ def _plan_resume(command: TrainCommand, given: dict[str, Any]) -> Job:
     checkpoint = load_checkpoint(folder)
     manifest = checkpoint.manifest
     recorded = manifest["settings"]
-    wanted = {"task": command.task, "algorithm": command.algorithm, "output": command.output}
-    same = {"task": manifest["task"], "algorithm": manifest["algorithm"], "output": folder}
-    for name, value in wanted.items():
-        if value is not None and str(value).removeprefix("MyoWarp/") != str(same[name]).removeprefix(
-            "MyoWarp/"
-        ):
+    task = command.task and command.task.removeprefix("MyoWarp/")
+    wanted = {"task": task, "model": command.model, "algorithm": command.algorithm, "output": command.output}
+    name = manifest["task"].removeprefix("MyoWarp/")
+    same = {"task": name, "model": name, "algorithm": manifest["algorithm"], "output": folder}
+    for what, value in wanted.items():
+        if value is not None and str(value) != str(same[what]):
             raise ValueError(
-                f"--resume goes on with {name} {str(same[name])!r}, got {str(value)!r}; leave it out"
+                f"--resume goes on with {what} {str(same[what])!r}, got {str(value)!r}; leave it out"
             )
     fields = all_settings()
     for name, value in given.items():
@@ -160,12 +160,13 @@ def _plan_resume(command: TrainCommand, given: dict[str, Any]) -> Job:
             )
     check_choice("algorithm", manifest["algorithm"], ALGORITHMS)
     settings = restore(ALGORITHMS[manifest["algorithm"]], recorded | given)
-    task, model = (None, Path(manifest["task"])) if manifest["model"] else (manifest["task"], None)
-    if model is None and ":" in str(task) and command.task is None:
-        raise ValueError(f"the run's task is code in {task!r}, which --resume runs only if you name it, too")
-    variant = find_task(task, model)
-    algorithm = manifest["algorithm"]
-    return Job(manifest["task"], model is not None, variant, algorithm, settings, folder, checkpoint)
+    task, is_model, algorithm = manifest["task"], manifest["model"], manifest["algorithm"]
+    if (is_model or ":" in task) and command.task is None and command.model is None:
+        raise ValueError(
+            f"the task of the run is in the file {task!r}, which --resume opens if you name it, too"
+        )
+    variant = find_task(None if is_model else task, Path(task) if is_model else None)
+    return Job(task, is_model, variant, algorithm, settings, folder, checkpoint)
 
 
 def _listed(value: Any) -> Any:
@@ -201,7 +202,7 @@ def _start(job: Job) -> Run:
     )
     run = Run(env, settings)
     if job.checkpoint is not None:
-        check_contract(job.checkpoint, env.sim)
+        check_contract(job.checkpoint, env.sim, learning=True)
         try:
             run.restore(job.checkpoint)
         except (KeyError, RuntimeError, ValueError) as error:
