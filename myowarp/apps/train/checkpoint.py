@@ -98,8 +98,8 @@ def check_contract(checkpoint: Checkpoint, sim: Simulation | Shards, *, learning
         if recorded.get(key) != present[key]:
             does = "learn" if learning else "act"
             raise CheckpointError(
-                f"checkpoint {str(checkpoint.folder)!r} was trained in {recorded['task']!r} and cannot {does} "
-                f"in {present['task']!r}: {_difference(key, recorded.get(key), present[key])}"
+                f"checkpoint {str(checkpoint.folder)!r} was trained in {recorded['task']!r} and cannot "
+                f"{does} in {present['task']!r}: {_difference(key, recorded.get(key), present[key])}"
             )
 
 

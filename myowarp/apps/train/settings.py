@@ -77,8 +77,8 @@ class Settings:
         (), "Muscle conditions, besides those of the id.", choices=CONDITIONS
     )
     device: str = setting("", "Warp device, such as cpu or cuda:0; empty: the GPU if there is one.")
-    # Two threads halve an update on two idle cores (5.9 to 3.5 us a sample and pass, two networks of 2 x 128).
-    # They make it 10 to 60 times as long when another process wants a core, because they wait at every barrier.
+    # On two idle cores, two threads take 3.5 us a sample and pass (two networks 2 x 128), one 5.9.
+    # When another process wants a core they take 10 to 60 times as long: they wait at every barrier.
     threads: int = setting(1, "Threads of torch on the CPU; more pay on idle cores alone.", least=1)
     discount: float = setting(
         0.97, "Discount of rewards from one control step to the next.", least=0.0, most=1.0
