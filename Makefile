@@ -41,7 +41,7 @@ $(STAMP): pyproject.toml
 
 demo: setup ## Simulate 256 hands and write out/demo.mp4
 	@mkdir -p out
-	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --num-worlds 256 --video out/demo.mp4
+	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --num-worlds 256 --video out/demo.mp4 --overwrite
 
 test: lint ## Check format, lint and types, then run the fast tests (what CI runs)
 	$(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile $(PYTEST)
@@ -99,7 +99,7 @@ soak: setup ## Run random actions in all 204 ids of the paper's grid and pairs o
 	$(BIN)/python -m benchmarks.soak --pairs --output out/soak_pairs.json
 
 audit: setup ## Audit every task, table, JSON and page to out/audit (10 minutes to an hour)
-	$(BIN)/myowarp audit --output out/audit
+	$(BIN)/myowarp audit --output out/audit --overwrite
 
 clean: ## Remove .venv, caches and outputs
 	rm -rf $(VENV) .venv-parity .venv-envpool .venv-opensim out build dist .mypy_cache .pytest_cache .ruff_cache

@@ -1,7 +1,7 @@
 """Gymnasium on top of the simulation: a vector environment, and one world as a plain environment.
 
-    env = gymnasium.make_vec("MyoWarp/myoHandPoseRandom-v0", num_envs=256)
-    env = gymnasium.make("MyoWarp/myoHandPoseRandom-v0")
+    env = gymnasium.make_vec("MyoWarp/myoHandPoseRandom-v1", num_envs=256)
+    env = gymnasium.make("MyoWarp/myoHandPoseRandom-v1")
 
 Ids carry upstream's names; importing `myowarp` registers them. World i of `make_vec(...).reset(seed=s)` is
 the world of `make(...).reset(seed=s + i)`, as in Gymnasium's own vector environments.
@@ -9,7 +9,7 @@ the world of `make(...).reset(seed=s + i)`, as in Gymnasium's own vector environ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from typing import Any
 
 import gymnasium as gym
@@ -27,12 +27,13 @@ from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import State, Worlds, get_state, place, set_state, start_arrays
 from myowarp.spec.condition import Condition
 from myowarp.spec.muscle_table import MuscleTable
-from myowarp.spec.registry import check_choice
+from myowarp.spec.registry import check_choice, check_flag
 from myowarp.spec.task import TASKS
 from myowarp.tasks.variants import variants
+from myowarp.view.modes import check_render_mode, render_modes
 from myowarp.view.pictures import Pictures
 
-RENDER_MODES = ("human", "rgb_array")
+RENDER_MODES = render_modes()
 # Fields of a transition that `step` returns, that show in its `info`, and that it looks at.
 RESULTS = ("obs", "reward", "terminated", "truncated")
 ENTRIES = ("success", "solved", "fault", "terms")
@@ -92,7 +93,7 @@ class MyoWarpVectorEnv(VectorEnv):
         """Compile the task and its kernels; half a minute the first time, seconds later.
 
         Args:
-            task: Name with version, such as "myoHandPoseRandom-v0"; `make_vec` fills it in.
+            task: Name with version, such as "myoHandPoseRandom-v1"; `make_vec` fills it in.
             num_envs: Worlds stepped together.
             max_episode_steps: Steps after which an episode is truncated; None: the task's horizon.
             device: Warp device, such as "cpu" or "cuda:0"; None: the first CUDA device, else the CPU.
@@ -112,10 +113,13 @@ class MyoWarpVectorEnv(VectorEnv):
 
         Raises:
             ValueError: An argument is out of its range; nothing was built.
-            ImportError: Output for a library that is not installed.
+            ImportError: Output for a library, or a render mode for a viewer, that is not installed.
         """
         self._made_with = {name: value for name, value in locals().items() if name != "self"}  # for pickle
-        check_choice("render_mode", render_mode, (None, *RENDER_MODES))
+        check_render_mode(render_mode)
+        flags = {"deterministic": deterministic, "progress": progress}
+        for name, flag in (flags if copy is None else flags | {"copy": copy}).items():
+            check_flag(name, flag)
         mode = _autoreset_mode(autoreset_mode)
         self.copy = output == "numpy" if copy is None else copy
         self.output, given = output, Output(output, self.copy)
@@ -334,13 +338,15 @@ class MyoWarpVectorEnv(VectorEnv):
         """Return a seed for every world and which of them to use."""
         if seed is None:
             return None, np.zeros(self.num_envs, dtype=bool)
-        if isinstance(seed, (int, np.integer)):
+        given = seed
+        if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool):
             seed = [int(seed) + i for i in range(self.num_envs)]
-        seeds = list(seed) if np.iterable(seed) else self.num_envs * [seed]
+        ordered = isinstance(seed, Iterable) and not isinstance(seed, (str, bytes, Set, Mapping))
+        seeds: list[Any] = list(seed) if ordered else self.num_envs * [seed]  # type: ignore[arg-type]
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed must have one entry for each of {self.num_envs} worlds, got {len(seeds)}")
-        if any(s is not None and (not isinstance(s, (int, np.integer)) or s < 0) for s in seeds):
-            raise ValueError(f"seeds must be non-negative integers or None, got {seed!r}")
+        if not all(s is None or _is_seed(s) for s in seeds):
+            raise ValueError(f"seeds must be integers from 0 to 2**64 - 1 or None, got {given!r}")
         seeded = np.array([s is not None for s in seeds])
         return np.array([s or 0 for s in seeds], dtype=object), seeded
 
@@ -456,6 +462,11 @@ class MyoWarpEnv(gym.Env):
     def close(self) -> None:
         """Close windows and drawing contexts."""
         self._vector.close()
+
+
+def _is_seed(seed: object) -> bool:
+    """Whether it is an integer of which every bit counts (`myowarp.kernels.random.seed_worlds`)."""
+    return isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and 0 <= int(seed) < 2**64
 
 
 def _autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:

@@ -1,12 +1,16 @@
 """Files that are written whole or not at all, and results that are kept on disk between runs.
 
-A key of the cache names everything the result depends on, package versions included. An entry that cannot be
-read is made again, never trusted. `MYOWARP_CACHE_DIR` moves the folder.
+A key of the cache names everything the result depends on, package versions included. An entry is kept with
+its SHA-256: one that was changed is made again, never trusted. `MYOWARP_CACHE_DIR` moves the folder; where it
+cannot be written, a temporary one takes its place.
 """
 
 import contextlib
 import hashlib
+import io
+import logging
 import os
+import stat
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
@@ -19,6 +23,8 @@ import numpy as np
 import platformdirs
 
 T = TypeVar("T")
+
+logger = logging.getLogger("myowarp")
 
 
 @contextlib.contextmanager
@@ -72,6 +78,27 @@ def check_output(path: Path | None, *suffixes: str) -> None:
         raise ValueError(f"output {str(path)!r} cannot be written; its folder must exist and be writable")
 
 
+def check_overwrite(paths: Iterable[Path | None], overwrite: bool) -> None:
+    """Raise a clear error now if files are there that would be replaced, or one would be written twice.
+
+    Args:
+        paths: Files to be written; None: none.
+        overwrite: Whether they may be replaced.
+
+    Raises:
+        ValueError: One is there and may not be replaced, or two are the same.
+    """
+    seen: set[Path] = set()
+    for path in filter(None, paths):
+        if path.resolve() in seen:
+            raise ValueError(f"output {str(path)!r} is asked for twice; give each output a file of its own")
+        seen.add(path.resolve())
+        if path.exists() and not overwrite:
+            raise ValueError(
+                f"output {str(path)!r} exists; choose another name, or replace it with --overwrite"
+            )
+
+
 @cache
 def version(package: str) -> str:
     """Return the version of an installed package."""
@@ -79,9 +106,48 @@ def version(package: str) -> str:
 
 
 def cache_dir() -> Path:
-    """Return the folder of the cache; it may not exist yet."""
+    """Return the folder of the cache; it may not exist yet, or be read-only."""
     default = platformdirs.user_cache_dir("myowarp")
     return Path(os.environ.get("MYOWARP_CACHE_DIR", default))
+
+
+@cache
+def writable_folder(folder: Path, variable: str) -> Path:
+    """Return a folder in which files can be kept: `folder` or, which a line says, a temporary one.
+
+    Args:
+        folder: Where they should be kept; it is made if it does not exist.
+        variable: Name of the environment variable that moves it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        reason = "" if os.access(folder, os.W_OK | os.X_OK) else "no permission to write"
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+    if not reason:
+        return folder
+    instead = _temporary_folder() / variable.lower()
+    instead.mkdir(exist_ok=True)
+    logger.warning(
+        "cache folder %s cannot be written (%s), %s is used; set %s to a folder that can be written",
+        *(folder, reason, instead, variable),
+    )
+    return instead
+
+
+def _temporary_folder() -> Path:
+    """Return a temporary folder that only this user can write, the same in every process if possible."""
+    user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "")
+    folder = Path(tempfile.gettempdir()) / f"myowarp-{user}"
+    with contextlib.suppress(OSError):
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+        if stat.S_ISDIR(found.st_mode) and (
+            os.name == "nt" or (found.st_uid == user and stat.S_IMODE(found.st_mode) == 0o700)
+        ):
+            return folder
+    # Somebody else's is there, and machine code is run from here.
+    return Path(tempfile.mkdtemp(prefix="myowarp-"))
 
 
 def files_digest(files: Iterable[Path]) -> str:
@@ -89,46 +155,82 @@ def files_digest(files: Iterable[Path]) -> str:
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
-def model_digest(model: mujoco.MjModel) -> str:
-    """Return a digest of everything a compiled model holds."""
+def model_bytes(model: mujoco.MjModel) -> bytes:
+    """Return everything that a compiled model holds."""
     content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, content)
-    return hashlib.sha256(content.tobytes()).hexdigest()
+    return content.tobytes()
+
+
+def model_from_bytes(content: bytes) -> mujoco.MjModel:
+    """Return the model that `model_bytes` was given."""
+    return mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": content})
+
+
+def model_digest(model: mujoco.MjModel) -> str:
+    """Return a digest of everything that a compiled model holds."""
+    return hashlib.sha256(model_bytes(model)).hexdigest()
+
+
+def array_bytes(array: np.ndarray) -> bytes:
+    """Return an array in the .npy format."""
+    file = io.BytesIO()
+    np.save(file, array, allow_pickle=False)
+    return file.getvalue()
+
+
+def array_from_bytes(content: bytes) -> np.ndarray:
+    """Return the array that `array_bytes` was given."""
+    return np.load(io.BytesIO(content), allow_pickle=False)
 
 
 def cached(
     key: tuple[object, ...],
-    suffix: str,
     make: Callable[[], T],
-    save: Callable[[T, str], None],
-    load: Callable[[str], T],
+    save: Callable[[T], bytes],
+    load: Callable[[bytes], T],
 ) -> T:
     """Return the object that `key` names: loaded from disk if there, else made and saved.
 
     Args:
         key: What the result depends on; `repr` must identify it. Versions of mujoco and myo-sim are
             added.
-        suffix: File suffix, dot included.
         make: Builds the object.
-        save: Writes the object to a path.
-        load: Reads it back; raises ValueError, EOFError or OSError on a damaged file.
+        save: Returns the object as bytes.
+        load: Returns the object that `save` was given; raises ValueError for one that is no longer of use.
 
     Returns:
         The object. A cache folder that cannot be written only costs time.
     """
     versions = (version("mujoco"), version("myo-sim"))
-    digest = hashlib.sha256(repr((key, versions)).encode()).hexdigest()[:24]
-    path = cache_dir() / f"{digest}{suffix}"
-    if path.exists():
+    name = hashlib.sha256(repr((key, versions)).encode()).hexdigest()[:24] + ".cache"
+    folders = cache_dir(), writable_folder(cache_dir(), "MYOWARP_CACHE_DIR")
+    for path in dict.fromkeys(folder / name for folder in folders):
         try:
-            return load(str(path))
-        except (ValueError, EOFError, OSError):
-            pass  # damaged or unreadable: made again below
+            return load(_checked(path.read_bytes()))
+        except (FileNotFoundError, NotADirectoryError):
+            pass
+        except (ValueError, OSError) as error:
+            logger.warning("cached file %s is made again: %s", path, error)
     entry = make()
+    content = save(entry)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with in_place(path) as scratch:
-            save(entry, str(scratch))
-    except OSError:
-        pass  # without a cache the next start takes as long as this one
+        with in_place(folders[1] / name) as scratch:
+            scratch.write_bytes(hashlib.sha256(content).digest() + content)
+    except OSError as error:
+        logger.warning(
+            "result %s is not kept, and made again at the next start: %s", folders[1] / name, error
+        )
     return entry
+
+
+def _checked(data: bytes) -> bytes:
+    """Return what follows its own digest.
+
+    Raises:
+        ValueError: It is not what was written.
+    """
+    size = hashlib.sha256().digest_size
+    if hashlib.sha256(data[size:]).digest() != data[:size]:
+        raise ValueError("it was damaged or changed")
+    return data[size:]

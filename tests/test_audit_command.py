@@ -91,7 +91,7 @@ def run(run):
     ("arguments", "sentence"),
     [
         (["myoElbowPose"], "task 'myoElbowPose' unknown; did you mean "),
-        ([ELBOW, "nonsense"], "task 'nonsense' unknown; available: "),
+        ([ELBOW, "nonsense"], "task 'nonsense' unknown; there are "),
         (["--paper", ELBOW], f"--paper audits the whole grid; leave it or '{ELBOW}' away"),
         (["--num-worlds", 0], "--num-worlds must be at least 1, got 0"),
         (["--steps", 0], "--steps must be at least 1, got 0"),

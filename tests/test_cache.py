@@ -1,5 +1,6 @@
 """The disk cache: what a key distinguishes, and what happens to damaged files and bad folders."""
 
+import os
 import tempfile
 from pathlib import Path
 
@@ -8,7 +9,15 @@ import numpy as np
 import pytest
 
 from myowarp import disk as cache
-from myowarp.disk import cache_dir, cached
+from myowarp.disk import (
+    array_bytes,
+    array_from_bytes,
+    cache_dir,
+    cached,
+    model_bytes,
+    model_from_bytes,
+    writable_folder,
+)
 
 MODEL = "<mujoco><worldbody><body><joint/><geom size='{size}'/></body></worldbody></mujoco>"
 
@@ -17,7 +26,10 @@ MODEL = "<mujoco><worldbody><body><joint/><geom size='{size}'/></body></worldbod
 def folder(tmp_path, monkeypatch):
     path = tmp_path / "not" / "yet" / "there"
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(path))
-    return path
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    writable_folder.cache_clear()
+    yield path
+    writable_folder.cache_clear()
 
 
 class Maker:
@@ -31,7 +43,7 @@ class Maker:
             self.count += 1
             return np.full(100, value)
 
-        return cached(key, ".npy", make, save=lambda entry, path: np.save(path, entry), load=np.load)
+        return cached(key, make, array_bytes, array_from_bytes)
 
 
 @pytest.fixture
@@ -73,16 +85,22 @@ DAMAGE = {
     "header cut": lambda content: content[:20],
     "half": lambda content: content[: len(content) // 2],
     "garbage": lambda content: b"\x00junk" * 50,
+    "one bit of the digest": lambda content: bytes([content[0] ^ 1]) + content[1:],
+    "one bit of the content": lambda content: content[:200] + bytes([content[200] ^ 1]) + content[201:],
+    "one more byte": lambda content: content + b"\x00",
 }
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_damaged_entry_is_made_again(make, folder, damage):
+def test_damaged_entry_is_made_again(make, folder, damage, caplog):
     expected = make("key")
     entry = next(folder.iterdir())
     entry.write_bytes(DAMAGE[damage](entry.read_bytes()))
     assert np.array_equal(make("key"), expected)
     assert make.count == 2
+    assert [record.getMessage() for record in caplog.records] == [
+        f"cached file {entry} is made again: it was damaged or changed"
+    ]
     assert np.array_equal(make("key"), expected)
     assert make.count == 2, "the new entry was not kept"
 
@@ -92,10 +110,9 @@ def test_damaged_model_is_compiled_again(folder, damage):
     def compiled():
         return cached(
             ("model",),
-            ".mjb",
             make=lambda: mujoco.MjModel.from_xml_string(MODEL.format(size=0.3)),
-            save=mujoco.mj_saveModel,
-            load=mujoco.MjModel.from_binary_path,
+            save=model_bytes,
+            load=model_from_bytes,
         )
 
     compiled()
@@ -106,13 +123,50 @@ def test_damaged_model_is_compiled_again(folder, damage):
     assert entry.read_bytes() == content
 
 
-def test_folder_that_cannot_be_made(make, tmp_path, monkeypatch):
+def test_folder_that_cannot_be_made(make, tmp_path, monkeypatch, caplog):
+    """A temporary one is used, the same in the next process, and one line says so."""
     file = tmp_path / "file"
     file.write_text("in the way")
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(file / "folder"))
+    for _ in range(2):
+        assert make("key")[0] == 1.0
+    writable_folder.cache_clear()
     assert make("key")[0] == 1.0
-    assert make("key")[0] == 1.0
+    assert make.count == 1
+    (instead,) = tmp_path.glob("myowarp-*/myowarp_cache_dir")
+    assert instead.parent.stat().st_mode & 0o777 == 0o700
+    lines = [record.getMessage() for record in caplog.records]
+    assert lines[0] == (
+        f"cache folder {file / 'folder'} cannot be written (Not a directory), {instead} is used; "
+        "set MYOWARP_CACHE_DIR to a folder that can be written"
+    )
+    assert lines[1:] == lines[:1]
+
+
+def test_temporary_folder_of_somebody_else(make, tmp_path, monkeypatch):
+    """Where others could have written nothing is read or kept."""
+    monkeypatch.setenv("MYOWARP_CACHE_DIR", "/dev/null/folder")
+    make("key")
+    (usual,) = tmp_path.glob("myowarp-*")
+    usual.chmod(0o777)
+    writable_folder.cache_clear()
+    make("key")
     assert make.count == 2
+    assert len(list(tmp_path.glob("myowarp-*"))) == 2
+
+
+def test_full_folder_that_became_read_only_is_read(make, folder, tmp_path, monkeypatch):
+    """As that of an image; root may write everything, so it is feigned."""
+    make("key")
+    usual = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode, **k: Path(path) != folder and usual(path, mode, **k))
+    writable_folder.cache_clear()
+    make("key")
+    assert make.count == 1
+    make("other")
+    make("other")
+    assert make.count == 2
+    assert len(list(folder.iterdir())) == 1
 
 
 def test_folder_that_cannot_be_written(make, folder, monkeypatch):
@@ -138,13 +192,16 @@ def test_entry_that_cannot_be_opened(make, folder):
     assert make("key")[0] == 1.0
 
 
-def test_failed_write_leaves_no_scratch(folder):
-    def save(entry, path):
-        Path(path).write_bytes(b"half of it")
+def test_failed_write_leaves_no_scratch(folder, monkeypatch, caplog):
+    def write(path, content):
+        with path.open("wb") as file:
+            file.write(content[:3])
         raise OSError("disk full")
 
-    assert cached(("key",), ".npy", lambda: 5, save, lambda path: pytest.fail("loaded")) == 5
+    monkeypatch.setattr(Path, "write_bytes", write)
+    assert cached(("key",), lambda: 5, lambda entry: b"five", lambda content: pytest.fail("loaded")) == 5
     assert not list(folder.iterdir())
+    assert caplog.records[0].getMessage().endswith("made again at the next start: disk full")
 
 
 def test_failure_to_make_is_not_hidden(folder):
@@ -152,4 +209,4 @@ def test_failure_to_make_is_not_hidden(folder):
         raise OSError("a model file is missing")
 
     with pytest.raises(OSError, match="a model file is missing"):
-        cached(("key",), ".npy", make, np.save, np.load)
+        cached(("key",), make, array_bytes, array_from_bytes)

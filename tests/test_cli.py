@@ -2,15 +2,21 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
+from importlib.metadata import version
 
 import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
 
-from myowarp.spec.task import TASKS
+from myowarp.apps.cli import COMMANDS
+from myowarp.apps.options import longer_steps
+from myowarp.sim.build import oracle_model, set_physics
+from myowarp.spec.task import PHYSICS, TASKS
+from myowarp.tasks.paper import grid
 from myowarp.view.render import NoGraphicsError, WorldRenderer
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
@@ -84,12 +90,84 @@ def assert_recorded(path, expected):
         assert saved["control_dt"] == 0.02
 
 
+def ids_in(out):
+    """Return the first words of the lines of a list."""
+    return [line.split()[0] for line in out.splitlines() if line.strip()]
+
+
 def test_tasks_prints_every_id(run):
+    """Whole ids, each on the line of its description, as for `grep`; versions of a task side by side."""
     status, out, _ = run("tasks")
     assert status == 0
-    assert f"{len(TASKS)} tasks" in out
-    printed = {line.split("│")[1].strip() for line in out.splitlines() if line.startswith("│")}
-    assert set(TASKS) <= printed
+    assert out.startswith(f"{len(TASKS)} tasks")
+    printed = [name for name in ids_in(out) if name in TASKS]
+    assert sorted(printed) == sorted(TASKS)
+    assert printed.index("myoHandPoseFixed-v1") == printed.index("myoHandPoseFixed-v0") + 1
+    (line,) = (line for line in out.splitlines() if "myoElbowPose1D6MExoFixed-v0" in line)
+    assert line.endswith(TASKS["myoElbowPose1D6MExoFixed-v0"].summary)
+    assert "pose, elbow: 9 observations, 6 actions, 100 steps of 0.02 s" in out
+
+
+def test_paper_prints_every_id(run):
+    status, out, _ = run("tasks", "--paper")
+    assert status == 0
+    assert max(map(len, out.splitlines())) <= 80
+    assert set(ids_in(out)) >= {cell.id.removeprefix("MyoWarp/") for cell in grid()}
+    assert re.search(r"^paperElbowPoseHardRExo-v0 +myoElbowPose1D6MRandom-v0 +random exoskeleton$", out, re.M)
+
+
+def test_tasks_fit_a_terminal(run, monkeypatch):
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "80")
+    _, out, _ = run("tasks")
+    assert max(map(len, out.splitlines())) <= 80
+    assert set(TASKS) <= set(ids_in(out))
+
+
+@pytest.mark.parametrize("name", [None, *COMMANDS])
+def test_help_can_be_read(run, monkeypatch, name):
+    """No type of Python's in place of a value; every option is explained; a list says one sentence each."""
+    monkeypatch.setenv("COLUMNS", "80")
+    status, out, _ = run(*([] if name is None else [name]), "--help")
+    assert status == 0
+    assert "{None}" not in out
+    assert "STR" not in out
+    assert "no-json" not in out
+    text = " ".join(re.sub("[│╭╮╰╯─]", " ", out).split())
+    if name is None:
+        assert all(kind.__doc__.splitlines()[0] in text for kind in COMMANDS.values())
+        assert "Example" not in text
+    else:
+        assert " ".join(COMMANDS[name].__doc__.split())[:150] in text
+
+
+def test_help_says_what_fast_is():
+    """Steps of fast physics over MyoSuite's, from the two models' time steps."""
+    said = longer_steps()
+    for key in SCENES:
+        steps = []
+        for physics in ("parity", "fast"):
+            model = oracle_model(TASKS[key])
+            set_physics(TASKS[key], PHYSICS[physics], [model])
+            steps.append(model.opt.timestep)
+        (span,) = re.findall(rf"\b{TASKS[key].body} ([\d.]+(?: to [\d.]+)?)", said)
+        bounds = [float(bound) for bound in span.split(" to ")]
+        assert bounds[0] - 0.05 <= steps[1] / steps[0] <= bounds[-1] + 0.05
+    assert "elbow 5" in said
+
+
+def test_version_and_module(tmp_path):
+    for module in ("myowarp", "myowarp.apps.cli"):
+        command = [sys.executable, "-m", module, "--version"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert done.stdout.startswith(f"myowarp {version('myowarp')} (mujoco {mujoco.__version__}, ")
+
+
+def test_an_id_like_no_other_lists_none(run):
+    result = run("describe", "walker")
+    assert_one_sentence(result, "task 'walker' unknown; there are ")
+    assert "`myowarp tasks` lists them" in result[2]
+    assert len(result[2]) < 300
 
 
 def test_tasks_of_a_family(run):
@@ -112,6 +190,7 @@ def test_tasks_as_json_is_what_the_environments_are(run):
         assert row["control_dt"] == pytest.approx(1 / env.metadata["render_fps"])
         assert (row["family"], row["body"]) == (TASKS[key].family, TASKS[key].body)
         assert row["doc"] == TASKS[key].doc
+        assert row["doc"].startswith(row["summary"])
 
 
 def test_rollout_of_one_episode(rollout, tmp_path):
@@ -190,6 +269,15 @@ def test_figures_as_a_table(run):
     assert (table["num worlds"], table["steps"], table["episodes"]) == ("2", "2", "0")
     assert {"env steps/s", "physics steps/s"} <= set(table)
     assert "return mean" not in table
+    assert "Success" not in out
+
+
+def test_success_is_explained(run):
+    """Where a rollout says how many episodes succeed, it says what that means here."""
+    _, out, _ = run("rollout", ELBOW, "--num-worlds", 2, "--policy", "zero", "--device", "cpu")
+    said = " ".join(out.split())
+    assert "Success: more than 5 steps of the episode are solved" in said
+    assert TASKS[ELBOW].solved_when in said
 
 
 BAD = {

@@ -19,6 +19,7 @@ ALIASES: dict[str, set[str]] = {}
 """Parameter name: other names that an argument may have; empty as long as the code can do without."""
 
 ROOMS = (
+    "__main__",
     "__init__",
     "apps",
     "bridge_gym",

@@ -92,7 +92,7 @@ def test_interrupted_conversion_continues(arm, tmp_path, monkeypatch):
     """What an earlier run finished is read, a damaged result is made again, all others are not."""
     folder, report, cache = arm
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(cache))
-    entries = sorted(cache.glob("*.muscle"))
+    entries = sorted(cache.glob("*.cache"))
     assert len(entries) == 6
     damaged = bytearray(entries[0].read_bytes())
     damaged[-1] ^= 1

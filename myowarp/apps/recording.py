@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from myowarp.apps.recording_formats import Write, open_npz, open_parquet
+from myowarp.apps.recording_formats import Write, joints_path, open_npz, open_parquet
 from myowarp.disk import check_output
 from myowarp.sim.signals import JOINT_UNITS, UNITS, Signals
 
@@ -39,6 +39,13 @@ if TYPE_CHECKING:
 
 FORMATS = {".parquet": open_parquet, ".npz": open_npz}
 CHUNK = 1 << 20  # entries of one signal that are held in memory
+
+
+def recording_files(path: Path | None) -> tuple[Path, ...]:
+    """Return the files of a recording."""
+    if path is None:
+        return ()
+    return (path, joints_path(path)) if path.suffix.lower() == ".parquet" else (path,)
 
 
 def check_recording(path: Path | None) -> None:

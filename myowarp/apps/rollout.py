@@ -120,6 +120,9 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
         else:
             sys.path.insert(0, "")
             act = getattr(importlib.import_module(source), attribute)
+    except SyntaxError as error:
+        place = f"{error.filename}, line {error.lineno}"
+        raise ValueError(f"policy {name!r} is no Python ({place}: {error.msg})") from error
     except (ImportError, OSError, KeyError, AttributeError) as error:
         raise ValueError(f"policy {name!r} not found ({type(error).__name__}: {error})") from error
     if not callable(act):
@@ -164,7 +167,8 @@ def run(
     """Run a policy.
 
     Args:
-        env: Environment with NumPy output and autoreset in the same step.
+        env: Environment with NumPy output, and autoreset in the same step or, to film the end of episodes,
+            none: worlds that ended are then reset here, with the same numbers.
         policy: What acts, from `find_policy`.
         steps: Control steps.
         seed: Seed of the resets and of the random policy.
@@ -198,8 +202,11 @@ def run(
                 recorder.add()
             if filmed:
                 recording.frames.append([snapshot(env.sim, world) for world in range(filmed)])
+            ended = terminated | truncated
+            tally.add(reward, ended, info)
+            if ended.any() and "final_info" not in info:
+                next_obs, _ = env.reset(options={"reset_mask": ended})
             obs = next_obs
-            tally.add(reward, terminated | truncated, info)
             bar.update(task, advance=1, rate=env.num_envs * step / seconds)
     return _summary(env, policy, steps, seconds, tally), recording
 
@@ -235,7 +242,7 @@ class _Tally:
         self._faults += int(np.count_nonzero(info["fault"]))
         if ended.any():
             self._returns += self._running[ended].tolist()
-            self._successes += info["final_info"]["success"][ended].tolist()
+            self._successes += info.get("final_info", info)["success"][ended].tolist()
             self._running[ended] = 0.0
 
     def figures(self) -> dict[str, Any]:

@@ -5,18 +5,23 @@ silence for a hand. Here the launches are first only listed, then their modules 
 """
 
 import contextlib
+import logging
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import cache
+from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import warp as wp
 
+from myowarp.engine.kernel_cache import load_module
 from myowarp.engine.patch import is_empty
 from myowarp.engine.said import say_once
+from myowarp.engine.turn import TURN, replaced
 from myowarp.progress import patient_bar
+
+logger = logging.getLogger("myowarp")
 
 PATIENCE = 0.5  # s without a word
 BLOCK_DIM = 256  # threads of a block on CUDA where a launch names none; Warp's
@@ -46,10 +51,10 @@ def recorded() -> Iterator[list[tuple[wp.Module, int]]]:
                 branch(**kwargs)
 
     with (
-        mock.patch.object(wp, "launch", launch),
-        mock.patch.object(wp, "launch_tiled", launch),
-        mock.patch.object(wp, "capture_while", call_while),
-        mock.patch.object(wp, "capture_if", call_if),
+        replaced(wp, "launch", launch),
+        replaced(wp, "launch_tiled", launch),
+        replaced(wp, "capture_while", call_while),
+        replaced(wp, "capture_if", call_if),
     ):
         yield found
 
@@ -57,12 +62,13 @@ def recorded() -> Iterator[list[tuple[wp.Module, int]]]:
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
     """Keep Warp's log of loaded modules off the terminal."""
-    level = wp.config.log_level
-    wp.config.log_level = max(level, wp.LOG_ERROR)
-    try:
-        yield
-    finally:
-        wp.config.log_level = level
+    with TURN:
+        level = wp.config.log_level
+        wp.config.log_level = max(level, wp.LOG_ERROR)
+        try:
+            yield
+        finally:
+            wp.config.log_level = level
 
 
 def compile_kernels(
@@ -82,15 +88,22 @@ def compile_kernels(
         launches()
     # CUDA's machine code is made for one number of threads, the CPU's serves all.
     wanted = dict.fromkeys((module, 1 if device.is_cpu else block_dim) for module, block_dim in found)
+    damaged: list[Path] = []
     with (
         patient_bar("Compiling kernels", "modules", len(wanted), patience=PATIENCE, show=show) as advance,
         ThreadPoolExecutor(os.cpu_count()) as pool,
     ):
         for load in as_completed(
-            pool.submit(wp.force_load, device, [module], block_dim) for module, block_dim in wanted
+            pool.submit(load_module, module, device, block_dim) for module, block_dim in wanted
         ):
-            load.result()
+            if (folder := load.result()) is not None:
+                damaged.append(folder)
             advance(1)
+    if damaged:
+        logger.warning(
+            "compiled kernels were damaged or changed on disk and are compiled anew: %d modules in %s",
+            *(len(damaged), damaged[0].parent),
+        )
     return tuple(dict.fromkeys(module for module, _ in wanted))
 
 

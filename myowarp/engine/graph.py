@@ -13,13 +13,13 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import chain
 from typing import Any, NamedTuple, TypeAlias
-from unittest import mock
 
 import numpy as np
 import warp as wp
 
 from myowarp.engine.replay import Operation, replay
 from myowarp.engine.said import say_once
+from myowarp.engine.turn import in_turn, replaced
 
 Row: TypeAlias = tuple[int, ...]
 Rows: TypeAlias = list[Row]
@@ -35,6 +35,7 @@ class Graph:
         replay: What launches them on the CPU; None where Warp does.
     """
 
+    @in_turn
     def __init__(self, launches: Callable[[], None], device: wp.Device) -> None:
         """Record what `launches` launches, without launching it.
 
@@ -73,6 +74,7 @@ class Replay:
         row: What runs it as a part of another program.
     """
 
+    @in_turn
     def __init__(self, rows: Rows, keep: object = None) -> None:
         """Load the code that runs it.
 
@@ -174,7 +176,7 @@ class _Notes:
         with contextlib.ExitStack() as patches:
             for holder, name, note in noted:
                 noting = self._noting(note, getattr(holder, name))
-                patches.enter_context(mock.patch.object(holder, name, noting))
+                patches.enter_context(replaced(holder, name, noting))
             yield
 
     def complete(self, state: ctypes.c_void_p) -> bool:

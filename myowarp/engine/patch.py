@@ -11,9 +11,10 @@ import importlib
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
-from unittest import mock
 
 import warp as wp
+
+from myowarp.engine.turn import TURN, replaced
 
 logger = logging.getLogger("myowarp")
 
@@ -42,8 +43,9 @@ def exchanged(change: Callable[[wp.Kernel], wp.Kernel | None]) -> Iterator[None]
         return launch_changed
 
     with (
-        mock.patch.object(wp, "launch", changing(wp.launch)),
-        mock.patch.object(wp, "launch_tiled", changing(wp.launch_tiled)),
+        TURN,
+        replaced(wp, "launch", changing(wp.launch)),
+        replaced(wp, "launch_tiled", changing(wp.launch_tiled)),
     ):
         yield
 
@@ -94,5 +96,5 @@ def one_thread(device: wp.Device) -> Iterator[None]:
     """
     with contextlib.ExitStack() as stack:
         for module, function in _splits() if device.is_cpu else ():
-            stack.enter_context(mock.patch.object(module, function, return_value=1))
+            stack.enter_context(replaced(module, function, lambda *args, **kwargs: 1))
         yield

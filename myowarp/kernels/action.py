@@ -4,6 +4,7 @@ Muscles: excitation = 1 / (1 + exp(-5 (a - 0.5))), MyoSuite's map: 0 at rest, 0.
 body without muscles: linear onto their control range.
 """
 
+import math
 from pathlib import Path
 
 import warp as wp
@@ -15,6 +16,15 @@ MOTOR = wp.constant(1)
 
 STEEPNESS = 5.0  # of the sigmoid; MyoSuite 3.0.0
 CENTER = 0.5  # action at which the excitation is 0.5; MyoSuite 3.0.0
+
+EXCITATION = f"excitation = 1 / (1 + exp(-{STEEPNESS:g} (action - {CENTER:g})))"
+"""What a muscle gets, for people."""
+
+
+def excitation(action: float) -> float:
+    """Return the excitation that an action in [-1, 1] stands for; on the host, for people."""
+    return 1.0 / (1.0 + math.exp(-STEEPNESS * (action - CENTER)))
+
 
 FAULT_ACTION = wp.constant(8)
 

@@ -30,6 +30,9 @@ SUCCESS_STEPS = wp.constant(5)  # an episode succeeds with more solved steps tha
 ROW_BITS = wp.constant(int(OverflowType.NEFC | OverflowType.NJMAX_NNZ))
 CONTACT_BITS = wp.constant(int(OverflowType.BROADPHASE | OverflowType.NARROWPHASE | OverflowType.CCD))
 
+SUCCESS_RULE = f"more than {int(SUCCESS_STEPS)} steps of the episode are solved, in a row or not"
+"""When an episode counts as a success, for people."""
+
 RESET_DISABLED = wp.constant(0)  # Gymnasium's autoreset modes
 RESET_NEXT_STEP = wp.constant(1)
 RESET_SAME_STEP = wp.constant(2)

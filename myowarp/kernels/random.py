@@ -9,6 +9,8 @@ from collections.abc import Iterable
 import numpy as np
 import warp as wp
 
+from myowarp.kernels.write import write
+
 GOAL = wp.constant(0)
 START = wp.constant(1)
 POSTURE = wp.constant(2)
@@ -45,8 +47,8 @@ def seed_worlds(keys: RandomKeys, mask: np.ndarray, seeds: Iterable[int]) -> Non
     """
     folded = np.array([int(seed) % 2**64 for seed in seeds], dtype=np.uint64)
     folded = (folded ^ (folded >> np.uint64(32))).astype(np.uint32).view(np.int32)
-    keys.seed.assign(np.where(mask, folded, keys.seed.numpy()))
-    keys.episode.assign(np.where(mask, 0, keys.episode.numpy()).astype(np.int32))
+    write(keys.seed, np.where(mask, folded, keys.seed.numpy()))
+    write(keys.episode, np.where(mask, 0, keys.episode.numpy()).astype(np.int32))
 
 
 @wp.func

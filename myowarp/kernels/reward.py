@@ -18,6 +18,10 @@ def activation_effort(activation: wp.array2d[float], worldid: int) -> float:
     return wp.sqrt(total) / wp.max(float(activation.shape[1]), 1.0)
 
 
+EFFORT = ("1", "minus the effort: Euclidean norm of the activations over their number")
+"""Unit and meaning of `-activation_effort`, the end of an entry of `spec.task.weighted`."""
+
+
 @wp.func
 def squared_distance(
     target: wp.array2d[float], values: wp.array2d[float], address: wp.array[int], worldid: int

@@ -13,7 +13,7 @@ import mujoco
 import tyro
 from rich.console import Console
 
-from myowarp.disk import check_folder, files_digest, in_place
+from myowarp.disk import check_folder, check_overwrite, files_digest, in_place
 from myowarp.opensim.model import Model, Note, pulling
 from myowarp.progress import patient_bar
 
@@ -32,7 +32,7 @@ COMPLETE = ("report.json", "report.html", "model.xml")
 class Convert:
     """Convert an OpenSim model to MuJoCo: bodies, joints, muscles, with a report of what is not exact.
 
-    Writes model.xml, coordinates.json (how coordinates and joints belong together), muscles.csv (the Hill
+    Writes model.xml, coordinates.json (how OpenSim coordinates map to MuJoCo joints), muscles.csv (the Hill
     parameters of the file), report.json and report.html, and meshes where they are found. Works without
     OpenSim. Run again, an interrupted conversion continues.
 
@@ -40,24 +40,27 @@ class Convert:
     """
 
     model: Annotated[Path, tyro.conf.Positional]
-    """The model, .osim, documents 30000 to 40600."""
+    """The model, .osim of OpenSim 3.0 to 4.6 (document versions 30000 to 40600)."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/model")
     """Folder for the result."""
     meshes: tuple[Path, ...] = ()
     """More folders with .vtp, .stl or .obj files; the model's own and Geometry beside it are searched."""
     method: Literal["least_squares", "paper"] = "least_squares"
-    """Of the fits; paper: simulated annealing and differential evolution, slow, for comparison."""
+    """Fitting method; paper: simulated annealing and differential evolution, slow, for comparison."""
     reference: Literal["own", "opensim"] = "own"
-    """Of the check's lengths and moment arms: our own path code, or OpenSim, which has to be installed."""
+    """What lengths and moment arms are checked against: our own path code, or an installed OpenSim."""
     workers: int = 0
     """Processes that fit muscles; 0: one per core."""
     strict: bool = False
     """Fail if a stated gate is missed; the result is written all the same."""
     json: bool = False
     """Print the report as JSON instead of a summary."""
+    overwrite: bool = False
+    """Replace output files that exist."""
 
     def __call__(self) -> None:
         """Convert, check, write."""
+        check_overwrite((self.output / name for name in COMPLETE), self.overwrite)
         report = run(self.model, self.output, self.meshes, self.method, self.workers, self.reference)
         if self.json:
             print(json.dumps(report, indent=1))

@@ -1,4 +1,4 @@
-"""How OpenSim's coordinates and MuJoCo's joints belong together: the sidecar `coordinates.json`.
+"""How OpenSim coordinates map to MuJoCo joints: the sidecar `coordinates.json`.
 
 A free coordinate q has a joint with the value scale * q. All other joints follow one joint each by a
 quartic, as the equality of the same name says; `CoordinateMap` holds them in the order of evaluation.

@@ -12,11 +12,14 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.disk import cached, files_digest
+from myowarp.disk import cached, files_digest, model_bytes, model_from_bytes
+from myowarp.engine.kernel_cache import start_warp
+from myowarp.engine.turn import in_turn
 from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import new_keys
 from myowarp.models.slim import slim
 from myowarp.sim.capacity import calibrate
+from myowarp.sim.memory import check_memory
 from myowarp.spec.body import BODIES
 from myowarp.spec.condition import Condition
 from myowarp.spec.muscle import MUSCLES, MuscleModel
@@ -47,6 +50,7 @@ other, which costs 64 elbows up to 7 % of a step. Nor is what our stages do not 
 poses of all sites: it would be old.
 """
 
+MOST_STEPS = 2**31 - 1  # in an episode: the device counts in int32
 ROUNDING = 1e-6  # of a physics step; control steps are no exact multiples in binary
 
 
@@ -113,6 +117,7 @@ def source_digest(spec: TaskSpec, conditions: tuple[Condition, ...] = (), more: 
     return files_digest(dict.fromkeys(files))
 
 
+@in_turn
 def _cached_model(
     spec: TaskSpec,
     conditions: tuple[Condition, ...],
@@ -123,10 +128,9 @@ def _cached_model(
     key = (spec.scene_key, *(condition.scene_key for condition in edits))
     return cached(
         (make.__name__, key, source_digest(spec, edits)),
-        ".mjb",
         make=lambda: make(spec, edits),
-        save=mujoco.mj_saveModel,
-        load=mujoco.MjModel.from_binary_path,
+        save=model_bytes,
+        load=model_from_bytes,
     )
 
 
@@ -135,11 +139,16 @@ def oracle_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujo
     return _cached_model(spec, conditions, slim_model)
 
 
+def num_substeps_of(spec: TaskSpec, preset: PhysicsPreset) -> int:
+    """Return the number of physics steps in a control step."""
+    if preset.coarse:
+        return math.ceil(spec.control_dt / spec.coarse_step.dt - ROUNDING)
+    return spec.num_substeps
+
+
 def set_physics(spec: TaskSpec, preset: PhysicsPreset, models: Iterable[mujoco.MjModel]) -> int:
     """Set integrator and step of models to a preset's; returns the physics steps in a control step."""
-    num_substeps = spec.num_substeps
-    if preset.coarse:
-        num_substeps = math.ceil(spec.control_dt / spec.coarse_step.dt - ROUNDING)
+    num_substeps = num_substeps_of(spec, preset)
     for model in models:
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{preset.integrator or spec.integrator}")
         model.opt.timestep = spec.control_dt / num_substeps
@@ -184,10 +193,12 @@ def checked_horizon(horizon: int) -> int:
     """Return the number of control steps in an episode as it was given.
 
     Raises:
-        ValueError: It is no positive integer.
+        ValueError: It is no positive integer, or more than the device counts.
     """
     if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 1:
         raise ValueError(f"max_episode_steps must be a positive integer, got {horizon!r}")
+    if horizon > MOST_STEPS:
+        raise ValueError(f"max_episode_steps must be at most {MOST_STEPS}, got {horizon}")
     return int(horizon)
 
 
@@ -229,11 +240,16 @@ def compile_scene(
     num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped))
     start = spec.start(oracle)
     capacity = calibrate(oracle, start)
+
+    def make_data(number: int) -> mjw.Data:
+        return mjw.make_data(stepped, nworld=number, nconmax=capacity.contacts, njmax=capacity.rows)
+
+    check_memory(make_data, worlds.total, where)
     with wp.ScopedDevice(where):
         batched = {"actuator_biasprm", *spec.batched}.union(*(c.batched for c in conditions))
         model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), worlds.number))
         model.opt.warn_overflow = False
-        data = mjw.make_data(stepped, nworld=worlds.number, nconmax=capacity.contacts, njmax=capacity.rows)
+        data = make_data(worlds.number)
         muscles = new_muscles(table, oracle, worlds, spec, PHYSICS[physics])
         if conditions:
             muscles.individualize()
@@ -282,18 +298,20 @@ def _keep_state(scene: Scene, batched: Iterable[str], individual: bool) -> None:
         scene.keep_all("condition.anatomy", muscles.anatomy)
 
 
+@in_turn
 def resolve_device(device: str | None) -> wp.Device:
     """Return the Warp device called `device`, the preferred one for None.
 
     Raises:
         ValueError: No such device here; the message lists those there are.
     """
-    wp.init()
+    missing = start_warp()
     if device is None:
         return wp.get_preferred_device()
     known = [d.alias for d in wp.get_devices()]
     if str(device) == "cuda" and wp.is_cuda_available():
         return wp.get_device("cuda")
     if str(device) not in known:
-        raise ValueError(f"device {str(device)!r} is not available; available: {', '.join(known)}")
+        why = f" ({missing})" if missing and str(device).startswith("cuda") else ""
+        raise ValueError(f"device {str(device)!r} is not available; available: {', '.join(known)}{why}")
     return wp.get_device(str(device))

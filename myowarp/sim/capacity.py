@@ -12,7 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from myowarp.disk import cached, files_digest, model_digest
+from myowarp.disk import array_bytes, array_from_bytes, cached, files_digest, model_digest
 from myowarp.models import slim
 from myowarp.spec.scene import Capacity
 
@@ -36,10 +36,9 @@ def calibrate(model: mujoco.MjModel, start: np.ndarray) -> Capacity:
     code = files_digest(Path(file) for file in (__file__, slim.__file__))
     return cached(
         ("capacity", code, model_digest(model), start.tolist()),
-        ".npy",
         make=lambda: _measure(model, start),
-        save=lambda capacity, path: np.save(path, astuple(capacity)),
-        load=lambda path: Capacity(*np.load(path).tolist()),
+        save=lambda capacity: array_bytes(np.array(astuple(capacity))),
+        load=lambda content: Capacity(*array_from_bytes(content).tolist()),
     )
 
 

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from myowarp.engine.turn import in_turn
+from myowarp.kernels.write import write
 from myowarp.spec.registry import check_choice
 
 OUTPUTS = ("numpy", "torch", "warp")
@@ -44,7 +46,7 @@ class Output:
         """
         library, copy = self._library, self._copy
         if library == "warp":
-            return lambda: {name: wp.clone(array) if copy else array for name, array in arrays.items()}
+            return lambda: _cloned(arrays) if copy else dict(arrays)
         if library == "torch":
             tensors = {name: wp.to_torch(array) for name, array in arrays.items()}
             return lambda: {name: tensor.clone() if copy else tensor for name, tensor in tensors.items()}
@@ -52,6 +54,12 @@ class Output:
             return lambda: {name: array.numpy() for name, array in arrays.items()}
         views = {name: array.numpy() for name, array in arrays.items()}
         return lambda: {name: view.copy() if copy else view for name, view in views.items()}
+
+
+@in_turn
+def _cloned(arrays: Mapping[str, wp.array]) -> dict[str, wp.array]:
+    """Return copies of arrays by name."""
+    return {name: wp.clone(array) for name, array in arrays.items()}
 
 
 class ActionInput:
@@ -78,7 +86,7 @@ class ActionInput:
                     f"actions must be float32 of shape {self._action.shape}, "
                     f"got {actions.dtype.__name__} of shape {actions.shape}"
                 )
-            self._action.assign(actions)
+            write(self._action, actions)
             return
         if hasattr(actions, "detach"):
             tensor = actions.detach()

@@ -21,6 +21,7 @@ import warp as wp
 from myowarp.engine.compile import can_renew_code, quiet
 from myowarp.engine.graph import Graph, Replay
 from myowarp.engine.threads import Team, num_cores
+from myowarp.engine.turn import in_turn
 from myowarp.kernels.episode import EpisodeState, Masks, Transition
 from myowarp.kernels.random import RandomKeys
 from myowarp.progress import patient_bar
@@ -38,6 +39,7 @@ NUM_GRAPHS = 2  # of a part: step and reset
 PATIENCE = 2.0  # s without a word
 
 
+@in_turn
 def simulate(
     spec: TaskSpec, num_worlds: int, *, shards: int | None = None, device: str | None = None, **options: Any
 ) -> "Simulation | Shards":
@@ -85,6 +87,7 @@ class Shards:
         info: What conditions show of their state.
     """
 
+    @in_turn
     def __init__(self, spec: TaskSpec, num_worlds: int, shards: int, **options: Any) -> None:
         """Build the parts one after the other; kernels are compiled once.
 

@@ -23,6 +23,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.engine.turn import in_turn
 from myowarp.kernels.reset import masked_copy
 from myowarp.models.couplings import POINT_JOINTS
 from myowarp.sim.muscle_groups import group_of
@@ -111,6 +112,7 @@ class Signals:
         episode: Number of the episode since the world was seeded, from 1 on, shape (num_worlds,).
     """
 
+    @in_turn
     def __init__(self, sim: Simulation | Shards) -> None:
         """Allocate the arrays and add their kernels to the step.
 

@@ -23,6 +23,7 @@ from myowarp.engine.patch import engine_kernels_alone
 from myowarp.engine.repeat import repeat
 from myowarp.engine.stage import STAGES, Stage
 from myowarp.engine.step import physics_step
+from myowarp.engine.turn import TURN, in_turn
 from myowarp.engine.verify import choose_stages
 from myowarp.kernels.action import apply_action
 from myowarp.kernels.batching import as_rows
@@ -40,6 +41,7 @@ from myowarp.kernels.episode import (
 )
 from myowarp.kernels.random import seed_worlds
 from myowarp.kernels.reset import place_start, reset_worlds
+from myowarp.kernels.write import write
 from myowarp.sim.build import checked_horizon, compile_scene, full_model
 from myowarp.spec.condition import Condition, resolve
 from myowarp.spec.condition import Stage as ConditionStage
@@ -47,7 +49,7 @@ from myowarp.spec.muscle import restore_anatomy
 from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.parameter import Clock
 from myowarp.spec.program import Program
-from myowarp.spec.registry import check_choice
+from myowarp.spec.registry import check_choice, check_flag
 from myowarp.spec.scene import Starts
 from myowarp.spec.task import TaskSpec
 from myowarp.spec.worlds import Worlds
@@ -77,6 +79,7 @@ class Simulation:
     _modules: tuple[wp.Module, ...]
     _idle: frozenset[str]
 
+    @in_turn
     def __init__(
         self,
         spec: TaskSpec,
@@ -119,6 +122,8 @@ class Simulation:
             ValueError: An argument is out of its range.
         """
         check_choice("autoreset", autoreset, AUTORESET)
+        for name, flag in (("graph", graph), ("deterministic", deterministic), ("progress", progress)):
+            check_flag(name, flag)
         horizon = checked_horizon(spec.horizon if horizon is None else horizon)
         self.autoreset = AUTORESET[autoreset]
         with quiet():
@@ -373,6 +378,7 @@ class Simulation:
         """Advance all worlds by one control step under `action`; results are in `transition`."""
         self._run(self.step_graph, self._launch_step)
 
+    @in_turn
     def attach(self, launch: Callable[[wp.array | None], None]) -> None:
         """Launch more in every step, after observation and before what ended is reset, and after resets.
 
@@ -415,7 +421,7 @@ class Simulation:
         if seeds is not None:
             self._seeded = True
             seed_worlds(self.scene.keys, mask, seeds)
-        self._asked.assign(mask)
+        write(self._asked, mask)
 
     def reset_asked(self) -> None:
         """Reset the worlds that `ask_for_reset` has chosen."""
@@ -427,8 +433,8 @@ class Simulation:
         Args:
             mask: The worlds where it was, shape (num_worlds,) bool.
         """
-        self._asked.assign(mask)
-        with wp.ScopedDevice(self.scene.device):
+        write(self._asked, mask)
+        with TURN, wp.ScopedDevice(self.scene.device):
             self._show(self._asked, self._asked)
             self._launch_probes(self._asked)
 
@@ -437,5 +443,5 @@ class Simulation:
         if graph is not None:
             graph.launch()
             return
-        with wp.ScopedDevice(self.scene.device):
+        with TURN, wp.ScopedDevice(self.scene.device):
             launches()

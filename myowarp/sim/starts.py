@@ -21,8 +21,9 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.disk import cached
+from myowarp.disk import array_bytes, array_from_bytes, cached
 from myowarp.engine.compile import quiet
+from myowarp.engine.turn import in_turn
 from myowarp.models.couplings import POINT_JOINTS, couplings, follow
 from myowarp.progress import patient_bar
 from myowarp.sim import palm
@@ -60,6 +61,7 @@ def posture_joints(model: mujoco.MjModel) -> np.ndarray:
     return np.flatnonzero(free)
 
 
+@in_turn
 def find_starts(spec: TaskSpec, progress: bool = True) -> Starts:
     """Return random starts of a task, from disk if they were found before.
 
@@ -78,10 +80,9 @@ def find_starts(spec: TaskSpec, progress: bool = True) -> Starts:
     code = source_digest(spec, more=(Path(__file__), Path(palm.__file__)))
     values = cached(
         ("random_starts", spec.key, NUM_STARTS, code),
-        ".npy",
         make=lambda: _find(spec, progress),
-        save=lambda starts, path: np.save(path, starts),
-        load=np.load,
+        save=array_bytes,
+        load=array_from_bytes,
     )
     return Starts(values, start_address(spec, oracle_model(spec)))
 

@@ -1,5 +1,6 @@
 """What a body is: a function that returns a fresh, editable `mujoco.MjSpec`, and what tasks know of it."""
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -43,6 +44,13 @@ class Body:
     tips: tuple[str, ...]
     palm: str | None = None
     coarse_step: CoarseStep = CAUTIOUS_STEP
+
+    @property
+    def doc(self) -> str:
+        """What it is, for people: what `build` says that it returns; "" where it says nothing."""
+        said = inspect.getdoc(self.build) if inspect.isfunction(self.build) else None
+        sentence = " ".join((said or "").split("\n\n")[0].split())
+        return sentence.removeprefix("Return the ").removeprefix("Return ")
 
 
 BODIES: Registry[Body] = Registry("body")

@@ -10,12 +10,13 @@ from the stages, never from the order in which conditions are named:
 from __future__ import annotations
 
 import abc
+import dataclasses
 import enum
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from myowarp.spec.parameter import Clock
-from myowarp.spec.registry import Registry
+from myowarp.spec.registry import Registry, check_flag
 from myowarp.spec.scene import Scene
 from myowarp.spec.task import Column, RewardTerm, TaskSpec
 
@@ -158,6 +159,9 @@ def resolve(conditions: str | Condition | Iterable[str | Condition], spec: TaskS
         found.append(CONDITIONS[entry]() if isinstance(entry, str) else entry)
     writer: dict[str, str] = {}
     for condition in found:
+        for field in dataclasses.fields(condition):  # type: ignore[arg-type]
+            if isinstance(field.default, bool):
+                check_flag(f"{condition.name} {field.name}", getattr(condition, field.name))
         condition.check(spec)
         for quantity in condition.WRITES:
             if quantity in writer:

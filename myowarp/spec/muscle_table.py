@@ -18,7 +18,7 @@ import numpy as np
 
 from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.parameter import muscle_index
-from myowarp.spec.registry import check_choice
+from myowarp.spec.registry import check_choice, number_in
 from myowarp.spec.worlds import Worlds
 
 
@@ -69,6 +69,14 @@ class MuscleTable:
         """
         if path is None:
             return cls(model)
+        try:
+            return cls._read(model, path)
+        except csv.Error as error:
+            raise ValueError(f"{path} is no CSV file ({error})") from error
+
+    @classmethod
+    def _read(cls, model: str, path: str | Path) -> MuscleTable:
+        """Return the table in a file."""
         with Path(path).open(newline="") as file:
             lines = csv.DictReader(file, restval="")
             columns = lines.fieldnames or ()
@@ -148,6 +156,6 @@ class MuscleTable:
 def _number(what: str, cell: str) -> float:
     """Return a cell of a table as a number."""
     try:
-        return float(cell)
+        return number_in(cell)
     except ValueError:
         raise ValueError(f"{what} must be a number, got {cell!r}") from None

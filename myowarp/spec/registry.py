@@ -5,10 +5,24 @@ in the tests, which run over everything registered.
 """
 
 import difflib
+import itertools
+import re
 from collections.abc import Callable, Iterable, Iterator
 from typing import Generic, TypeVar
 
+import numpy as np
+
 T = TypeVar("T")
+NUMBER = re.compile(r"[ \t]*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?[ \t]*")
+
+
+def check_flag(name: str, value: object) -> None:
+    """Raise ValueError if `value` is neither True nor False: "no" and NaN would count as true."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"{name} must be True or False, got {value!r}")
+
+
+MOST_LISTED = 30  # names in an error message
 
 
 def check_choice(name: str, value: object, choices: Iterable[object]) -> None:
@@ -17,15 +31,27 @@ def check_choice(name: str, value: object, choices: Iterable[object]) -> None:
         raise ValueError(f"{name} {value!r} unknown; available: {', '.join(map(str, choices))}")
 
 
+def number_in(cell: str) -> float:
+    """Return the number that a cell of a table holds, as one would write it.
+
+    Raises:
+        ValueError: It holds none; Python's own `float` takes "1_0" for 10, digits of all scripts and more.
+    """
+    if not NUMBER.fullmatch(cell):
+        raise ValueError(f"{cell!r} is no number")
+    return float(cell)
+
+
 class Registry(Generic[T]):
     """An ordered mapping from names to objects that explains itself when a name is unknown.
 
     Args:
         kind: What is registered, in the singular; used in error messages.
+        listed_by: Where to find all names, for a registry with more than a message can list.
     """
 
-    def __init__(self, kind: str) -> None:
-        self.kind = kind
+    def __init__(self, kind: str, listed_by: str = "") -> None:
+        self.kind, self.listed_by = kind, listed_by
         self._entries: dict[str, T] = {}
 
     def add(self, name: str, entry: T) -> T:
@@ -47,13 +73,20 @@ class Registry(Generic[T]):
         """Return the entry called `name`.
 
         Raises:
-            ValueError: No such entry; the message lists the close names, or all.
+            ValueError: No such entry; the message lists the close names, or all, or says where they are.
         """
         if name in self._entries:
             return self._entries[name]
         close = difflib.get_close_matches(str(name), self._entries, n=3)
-        hint = f"did you mean {', '.join(close)}?" if close else f"available: {', '.join(self)}"
+        hint = f"did you mean {', '.join(close)}?" if close else self._available()
         raise ValueError(f"{self.kind} {name!r} unknown; {hint}")
+
+    def _available(self) -> str:
+        """Return what there is, in a few words."""
+        if len(self) <= MOST_LISTED:
+            return f"available: {', '.join(self)}"
+        some = ", ".join(itertools.islice(self, 3))
+        return f"there are {len(self)}, such as {some}" + (f"; {self.listed_by}" if self.listed_by else "")
 
     def __contains__(self, name: str) -> bool:
         return name in self._entries

@@ -15,6 +15,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from myowarp.spec.body import BODIES, CoarseStep
+from myowarp.spec.entries import Entry, Names, entries
 from myowarp.spec.registry import Registry
 
 if TYPE_CHECKING:
@@ -24,43 +25,108 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Column:
-    """A named block of the observation vector."""
+    """A named block of the observation vector.
+
+    Attributes:
+        name: Name of the block.
+        size: How many numbers it has.
+        unit: Their unit; "1" for none.
+        doc: What they are.
+        names: What each is called; () where they are only counted.
+    """
 
     name: str
     size: int
     unit: str
+    doc: str = ""
+    names: Names = ()
+
+    def entries(self, model: mujoco.MjModel) -> tuple[Entry, ...]:
+        """Return name and unit of each of its numbers, which are the first ones that `names` finds.
+
+        Raises:
+            ValueError: There are fewer names than numbers.
+        """
+        found = entries(self.names or tuple(map(str, range(self.size))), self.unit, model)
+        if len(found) < self.size:
+            raise ValueError(f"column {self.name!r} has {self.size} numbers, but {len(found)} names")
+        return found[: self.size]
 
 
 @dataclass(frozen=True)
 class RewardTerm:
-    """A named term of the reward; `reward = sum(weight * term)`. Weight 0: logged only."""
+    """A named term of the reward; `reward = sum(weight * term)`. Weight 0: logged only.
+
+    Attributes:
+        name: Name of the term.
+        weight: Its weight.
+        unit: Unit of the term before weighting; "1" for none.
+        doc: What it is.
+    """
 
     name: str
     weight: float
+    unit: str = ""
+    doc: str = ""
+
+
+@dataclass(frozen=True)
+class Draw:
+    """What a new episode draws uniformly; a quantity with equal bounds always has that value.
+
+    Attributes:
+        name: Name of the quantity.
+        unit: Its unit.
+        low: Lower bounds, one for each of its numbers; () stands for the ranges of the joints.
+        high: Upper bounds.
+        doc: What it is.
+        names: What each number is called, as in `Column`.
+        when: "goal": in every episode; "start": where the state is reset, which reset "none" does not;
+            "posture": under reset "task" only.
+        choices: Values that are equally likely, in place of bounds.
+    """
+
+    name: str
+    unit: str
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    doc: str
+    names: Names = ()
+    when: str = "goal"
+    choices: tuple[float, ...] = ()
+
+    @property
+    def varies(self) -> bool:
+        """Whether episodes differ in it."""
+        return len(self.choices) > 1 if self.choices else not self.low or self.low != self.high
 
 
 Columns = TypeVar("Columns", bound=IntEnum)
+Block = tuple[int, str] | tuple[int, str, str] | tuple[int, str, str, Names]
+Weighted = float | tuple[float, str, str]
 
 
-def blocks(sizes: Mapping[Columns, tuple[int, str]]) -> tuple[Column, ...]:
+def blocks(sizes: Mapping[Columns, Block]) -> tuple[Column, ...]:
     """Return the columns of an observation.
 
     Args:
-        sizes: Size and unit of each block; the keys are the enum by which the kernel finds its columns.
+        sizes: Size and unit of each block, and what `myowarp describe` says of it: meaning and names. The
+            keys are the enum by which the kernel finds its columns.
     """
     _check_order(sizes)
     return tuple(Column(block.name, *size) for block, size in sizes.items())
 
 
-def weighted(weights: Mapping[Columns, float]) -> tuple[RewardTerm, ...]:
+def weighted(weights: Mapping[Columns, Weighted]) -> tuple[RewardTerm, ...]:
     """Return the terms of a reward.
 
     Args:
-        weights: Weight of each term; the keys are the enum by which the kernel finds its columns, or the
-            first members of it.
+        weights: Weight of each term, alone or with its unit and meaning; the keys are the enum by which the
+            kernel finds its columns, or the first members of it.
     """
     _check_order(weights)
-    return tuple(RewardTerm(term.name, float(weight)) for term, weight in weights.items())
+    rows = {term: given if isinstance(given, tuple) else (given,) for term, given in weights.items()}
+    return tuple(RewardTerm(term.name, float(weight), *said) for term, (weight, *said) in rows.items())
 
 
 def _check_order(members: Iterable[IntEnum]) -> None:
@@ -129,6 +195,16 @@ class TaskSpec(abc.ABC):
         return type(self).__name__.removesuffix("Task").lower()
 
     @property
+    def summary(self) -> str:
+        """What the task asks for: the first sentence of `doc`."""
+        return self.doc.partition(". ")[0].removesuffix(".") + "."
+
+    @property
+    def why(self) -> str:
+        """What else `doc` says: what this version corrects, and why; "" where there is nothing to say."""
+        return self.doc.partition(". ")[2]
+
+    @property
     def control_dt(self) -> float:
         """Duration of a control step [s]."""
         return self.num_substeps * self.physics_dt
@@ -163,6 +239,26 @@ class TaskSpec(abc.ABC):
         """Names of the bodies that lie in the hand; a random start posture carries them along."""
         return ()
 
+    @property
+    def start_doc(self) -> str:
+        """What `start` is, for people."""
+        return "the model's zero pose"
+
+    @property
+    def solved_when(self) -> str:
+        """When a state counts as solved, for people: a clause, with thresholds and units."""
+        return ""
+
+    @property
+    def failed_when(self) -> str:
+        """When the episode fails and ends, for people: a clause, with thresholds and units."""
+        return ""
+
+    @property
+    def draws(self) -> tuple[Draw, ...]:
+        """What new episodes draw."""
+        return ()
+
     def start(self, model: mujoco.MjModel) -> np.ndarray:
         """Return the configuration from which episodes start, shape (nq,)."""
         return model.qpos0.copy()
@@ -193,12 +289,17 @@ PHYSICS = {
 """`parity`: MyoSuite's integrator and step. `fast`: implicit in velocity, activation exactly integrated, few
 steps."""
 
-RESETS = ("task", "fixed", "random", "none")
-"""What a new episode starts from: the task's own way; the task's start configuration; a random posture that
-carries along what lies in the hand, free of penetration and of immediate failure; or the state that the last
-episode left (reset-free, only goal and counters are new)."""
+RESETS = {
+    "task": "the task's own way",
+    "fixed": "the task's start configuration",
+    "random": "a random posture, free of penetration and of immediate failure",
+    "none": "the state that the last episode left (reset-free); a reset that is asked for, and one after a"
+    " fault, starts as fixed does",
+}
+"""What a new episode starts from; a random posture carries along what lies in the hand."""
 
-TASKS: Registry[TaskSpec] = Registry("task")
+LISTED_BY = "`myowarp tasks` lists them, `myowarp tasks --paper` the paper's grid"
+TASKS: Registry[TaskSpec] = Registry("task", listed_by=LISTED_BY)
 
 Spec = TypeVar("Spec", bound=TaskSpec)
 

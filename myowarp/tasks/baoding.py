@@ -24,12 +24,13 @@ import numpy as np
 import warp as wp
 
 from myowarp.kernels.observe import pack, pack_range, pack_vec3
-from myowarp.kernels.reward import activation_effort, indicator
+from myowarp.kernels.reward import EFFORT, activation_effort, indicator
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, SOFT, add_object
 from myowarp.spec.body import CoarseStep
+from myowarp.spec.entries import ACTIVATION, COORDINATES, XYZ
 from myowarp.spec.program import Program
 from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, weighted
+from myowarp.spec.task import Column, Draw, RewardTerm, TaskSpec, Weighted, blocks, weighted
 from myowarp.tasks.baoding_balls import BATCHED, BATCHED_INERTIA, BallRanges, sample_balls, weigh_balls
 from myowarp.tasks.baoding_orbits import (
     OrbitRanges,
@@ -44,6 +45,7 @@ from myowarp.tasks.markers import add_tip_targets
 BALL_QPOS = wp.constant(wp.vec2i(23, 30))  # where the free joints start in qpos
 BALL_QVEL = wp.constant(wp.vec2i(23, 29))
 NEAR = wp.constant(0.015)  # m, distance of each ball within which the task is solved
+BOTH_BONUS = wp.constant(4.0)  # what both balls at their targets add to the 1 of each
 DROPPED = wp.constant(1.25)  # m, height of a ball's centre below which the episode fails
 
 PALM_UP = -1.57  # rad, pronation at the start
@@ -51,6 +53,8 @@ BALLS = {"ball1": (-0.227, -0.511, 1.452), "ball2": (-0.256, -0.552, 1.442)}  # 
 COLORS = ((0.8, 0.25, 0.2, 0.6), (0.2, 0.4, 0.8, 0.6))  # let the targets be seen through the balls
 BALL_RADIUS, BALL_MASS = 0.022, 0.043  # m, kg
 BALL_FRICTION = (1.0, 0.005, 0.0001)  # slide, spin, roll
+FRICTIONS = ("slide", "spin", "roll")
+NOMINAL_BALLS = BallRanges(2 * (BALL_MASS,), 2 * (BALL_RADIUS,), (BALL_FRICTION, BALL_FRICTION))
 DROP_WEIGHT = 500.0
 """What a fall costs, in the paper's code. It exceeds 200 steps at full effort with both balls as far from
 their targets as the hand reaches, 0.19 m: 200 (10 * 0.19 + 0.16) = 412."""
@@ -149,7 +153,7 @@ def score_baoding(
     terms[worldid, Term.sparse] = -total
     if terms.shape[1] > Term.drop:
         terms[worldid, Term.drop] = -indicator(fallen)
-        terms[worldid, Term.bonus] = met + 4.0 * indicator(met == 2.0)
+        terms[worldid, Term.bonus] = met + BOTH_BONUS * indicator(met == 2.0)
     begun = orbits.jumps == 0 or orbit_turns(orbits, worldid, control_dt, step_count[worldid]) > 0.0
     solved[worldid] = met == 2.0 and begun and not fallen
     failed[worldid] = fallen
@@ -246,6 +250,30 @@ class BaodingTask(TaskSpec):
         """The balls."""
         return tuple(BALLS)
 
+    @property
+    def start_doc(self) -> str:
+        return "the open hand, palm up, with the balls above it"
+
+    @property
+    def solved_when(self) -> str:
+        jumped = ", and the targets have jumped" if self.orbits.jumps else ""
+        return f"both balls are within {NEAR:g} m of their targets{jumped}"
+
+    @property
+    def failed_when(self) -> str:
+        return f"the centre of a ball is below {DROPPED:g} m, height in the world"
+
+    @property
+    def draws(self) -> tuple[Draw, ...]:
+        balls = self.balls or NOMINAL_BALLS
+        low, high = balls.friction
+        return (
+            *self.orbits.draws,
+            Draw("ball mass", "kg", balls.mass[:1], balls.mass[1:], "mass of each ball", when="start"),
+            Draw("ball radius", "m", balls.radius[:1], balls.radius[1:], "radius of each ball", when="start"),
+            Draw("ball friction", "1", low, high, "friction of each ball", FRICTIONS, when="start"),
+        )
+
     def start(self, model: mujoco.MjModel) -> np.ndarray:
         """Open hand, palm up, the balls above it."""
         qpos = model.qpos0.copy()
@@ -269,26 +297,31 @@ class BaodingTask(TaskSpec):
         add_tip_targets(spec, BALLS)
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
+        velocity = "velocity of ball {} times the control step, world"
         return blocks(
             {
-                Obs.hand_pos: (HAND_JOINTS, "rad"),
-                Obs.object1_pos: (3, "m"),
-                Obs.object1_velp: (3, "m per control step"),
-                Obs.object2_pos: (3, "m"),
-                Obs.object2_velp: (3, "m per control step"),
-                Obs.target1_pos: (3, "m"),
-                Obs.target2_pos: (3, "m"),
-                Obs.target1_err: (3, "m"),
-                Obs.target2_err: (3, "m"),
-                Obs.act: (num_muscles, "1"),
+                Obs.hand_pos: (HAND_JOINTS, *COORDINATES),
+                Obs.object1_pos: (3, "m", "position of ball 1, world", XYZ),
+                Obs.object1_velp: (3, "m per control step", velocity.format(1), XYZ),
+                Obs.object2_pos: (3, "m", "position of ball 2, world", XYZ),
+                Obs.object2_velp: (3, "m per control step", velocity.format(2), XYZ),
+                Obs.target1_pos: (3, "m", "target of ball 1, world", XYZ),
+                Obs.target2_pos: (3, "m", "target of ball 2, world", XYZ),
+                Obs.target1_err: (3, "m", "from ball 1 to its target, world", XYZ),
+                Obs.target2_err: (3, "m", "from ball 2 to its target, world", XYZ),
+                Obs.act: (num_muscles, *ACTIVATION),
             }
         )
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
-        weights = {
-            Term.pos_dist_1: 5.0,
-            Term.pos_dist_2: 5.0,
-            Term.act_reg: float(self.corrected),
-            Term.sparse: 0.0,
+        weights: dict[IntEnum, Weighted] = {
+            Term.pos_dist_1: (5.0, "m", "minus the distance of ball 1 from its target"),
+            Term.pos_dist_2: (5.0, "m", "minus the distance of ball 2 from its target"),
+            Term.act_reg: (float(self.corrected), *EFFORT),
+            Term.sparse: (0.0, "m", "minus the sum of both distances"),
         }
-        return weighted(weights | ({Term.drop: DROP_WEIGHT, Term.bonus: 1.0} if self.corrected else {}))
+        if self.corrected:
+            met = f"1 for each ball within {NEAR:g} m of its target, and {BOTH_BONUS:g} more for both"
+            weights[Term.drop] = (DROP_WEIGHT, "1", "-1 where the episode fails")
+            weights[Term.bonus] = (1.0, "1", met)
+        return weighted(weights)

@@ -16,6 +16,8 @@ import numpy as np
 import warp as wp
 
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
+from myowarp.spec.entries import XYZ
+from myowarp.spec.task import Draw
 
 if TYPE_CHECKING:
     from myowarp.spec.scene import Scene
@@ -57,6 +59,20 @@ class OrbitRanges:
     radius_y: Range = (0.028, 0.028)
     period: Range = (5.0, 5.0)
     jumps: int = 0
+
+    @property
+    def draws(self) -> tuple[Draw, ...]:
+        """What a new episode draws."""
+        low, high = zip(self.radius_x, self.radius_y, strict=True)
+        path = f"jump, {self.jumps} times a revolution" if self.jumps else "circle"
+        half_axes = f"half axes of the ellipse along which the targets {path}, frame of the trapezium"
+        sense = "how the targets turn: 1 counter-clockwise, -1 clockwise, 0 not at all"
+        return (
+            Draw("direction", "1", (), (), sense, choices=self.directions),
+            Draw("start angle", "rad", self.angle[:1], self.angle[1:], "angle of target 1 at the reset"),
+            Draw("half axes", "m", low, high, half_axes, XYZ[:2]),
+            Draw("period", "s", self.period[:1], self.period[1:], "duration of a revolution"),
+        )
 
     def on_device(self) -> OrbitBounds:
         """Return the bounds for a kernel."""

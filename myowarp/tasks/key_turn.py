@@ -23,12 +23,13 @@ import warp as wp
 
 from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
-from myowarp.kernels.reward import activation_effort, indicator
+from myowarp.kernels.reward import EFFORT, activation_effort, indicator
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
 from myowarp.spec.body import CoarseStep
+from myowarp.spec.entries import ACTIVATION, COORDINATES, VELOCITIES, XYZ
 from myowarp.spec.program import Program
 from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, task, weighted
+from myowarp.spec.task import Column, Draw, RewardTerm, TaskSpec, Weighted, blocks, task, weighted
 
 KEY = wp.constant(23)  # joint of the key, after the hand's
 GRIP = wp.constant(0.03)  # m, wanted distance of a tip from the key head
@@ -206,6 +207,27 @@ class KeyTurnTask(TaskSpec):
         """The key's position."""
         return ("body_pos",)
 
+    @property
+    def start_doc(self) -> str:
+        return "the open hand, every joint at 0, beside the key"
+
+    @property
+    def solved_when(self) -> str:
+        return f"the key's angle exceeds {self.goal_angle:.4g} rad"
+
+    @property
+    def failed_when(self) -> str:
+        return f"the distance of a tip from the key head differs from {GRIP:g} m by more than {LOST:g} m"
+
+    @property
+    def draws(self) -> tuple[Draw, ...]:
+        low, high = (tuple(np.add(KEY_POS, jitter).tolist()) for jitter in (-self.jitter, self.jitter))
+        angle = (self.angle_low,), (self.angle_high,)
+        return (
+            Draw("key angle", "rad", *angle, "angle of the key", when="start"),
+            Draw("key position", "m", low, high, "where the key is, world", XYZ, when="start"),
+        )
+
     def edit(self, spec: mujoco.MjSpec) -> None:
         """Add the key: an elliptic head, a shaft and a bit, on a hinge."""
         key = add_object(spec, "key", KEY_POS)
@@ -228,27 +250,40 @@ class KeyTurnTask(TaskSpec):
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
         return blocks(
             {
-                Obs.hand_qpos: (HAND_JOINTS, "rad"),
-                Obs.hand_qvel: (HAND_JOINTS, "rad per control step"),
-                Obs.key_qpos: (1, "rad"),
-                Obs.key_qvel: (1, "rad per control step"),
-                Obs.IFtip_approach: (3, "m"),
-                Obs.THtip_approach: (3, "m"),
-                Obs.act: (num_muscles, "1"),
+                Obs.hand_qpos: (HAND_JOINTS, *COORDINATES),
+                Obs.hand_qvel: (HAND_JOINTS, *VELOCITIES),
+                Obs.key_qpos: (1, "rad", "angle of the key", ("keyjoint",)),
+                Obs.key_qvel: (
+                    1,
+                    "rad per control step",
+                    "velocity of the key times the control step",
+                    ("keyjoint",),
+                ),
+                Obs.IFtip_approach: (3, "m", "from the index tip to the key head, world", XYZ),
+                Obs.THtip_approach: (3, "m", "from the thumb tip to the key head, world", XYZ),
+                Obs.act: (num_muscles, *ACTIVATION),
             }
         )
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
-        weights = {
-            Term.key_turn: 1.0,
-            Term.IFtip_approach: 10.0,
-            Term.THtip_approach: 10.0,
-            Term.act_reg: 1.0,
-            Term.bonus: 4.0,
-            Term.penalty: 25.0,
-            Term.sparse: 0.0,
+        off = f"minus |distance of the {{}} tip from the key head - {GRIP:g} m|"
+        turns = f"1 where the key's angle exceeds {QUARTER_TURN:.4g} rad, 2 beyond {HALF_TURN:.4g} rad"
+        weights: dict[IntEnum, Weighted] = {
+            Term.key_turn: (1.0, "rad", "angle of the key"),
+            Term.IFtip_approach: (10.0, "m", off.format("index")),
+            Term.THtip_approach: (10.0, "m", off.format("thumb")),
+            Term.act_reg: (1.0, *EFFORT),
+            Term.bonus: (4.0, "1", turns),
+            Term.penalty: (
+                25.0,
+                "1",
+                f"-1 for each tip whose distance differs from {GRIP:g} m by more than {LOOSE:g} m",
+            ),
+            Term.sparse: (0.0, "rad", "angle of the key"),
         }
-        return weighted(weights | ({Term.alive: self.alive_weight} if self.alive_weight else {}))
+        if self.alive_weight:
+            weights[Term.alive] = (self.alive_weight, "1", "1 where the episode does not fail")
+        return weighted(weights)
 
 
 LIVING_PAYS = (

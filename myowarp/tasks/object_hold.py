@@ -18,17 +18,19 @@ import warp as wp
 
 from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
-from myowarp.kernels.reward import activation_effort, indicator
+from myowarp.kernels.reward import EFFORT, activation_effort, indicator
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
 from myowarp.spec.body import CoarseStep
+from myowarp.spec.entries import ACTIVATION, COORDINATES, VELOCITIES, XYZ
 from myowarp.spec.program import Program
 from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, task, weighted
+from myowarp.spec.task import Column, Draw, RewardTerm, TaskSpec, blocks, task, weighted
 from myowarp.tasks.held_object import BATCHED_MASS, BATCHED_SIZE, DENSITY, resize_object, weigh_object
 from myowarp.tasks.markers import add_tip_targets
 
 OBJECT = wp.constant(23)  # first of the object's seven coordinates, after the hand's
 NEAR = wp.constant(0.01)  # m, error below which the task counts as solved
+WIDER = wp.constant(2.0)  # times NEAR: where the first bonus begins
 FAR = wp.constant(0.3)  # m, error beyond which the object is lost
 
 NOMINAL_SIZE = (0.025, 0.036, 0.03)  # m, semi-axes
@@ -114,7 +116,7 @@ def score_hold(
     worldid = wp.tid()
     x = wp.length(goal[worldid] - object_position(qpos_in, worldid))
     terms[worldid, Term.goal_dist] = -x
-    terms[worldid, Term.bonus] = indicator(x < 2.0 * NEAR) + indicator(x < NEAR)
+    terms[worldid, Term.bonus] = indicator(x < WIDER * NEAR) + indicator(x < NEAR)
     terms[worldid, Term.act_reg] = -activation_effort(activation, worldid)
     terms[worldid, Term.penalty] = -indicator(x > FAR)
     terms[worldid, Term.sparse] = -x
@@ -211,6 +213,26 @@ class ObjectHoldTask(TaskSpec):
     def carried(self) -> tuple[str, ...]:
         return ("object",)
 
+    @property
+    def start_doc(self) -> str:
+        return "the open hand, palm up, with the object on it"
+
+    @property
+    def solved_when(self) -> str:
+        return f"the error, the distance of the object from the goal, is below {NEAR:g} m"
+
+    @property
+    def failed_when(self) -> str:
+        return f"the error exceeds {FAR:g} m"
+
+    @property
+    def draws(self) -> tuple[Draw, ...]:
+        size = "semi-axes of the object, an ellipsoid"
+        return (
+            Draw("goal", "m", self.goal_low, self.goal_high, "where the object should be, world", XYZ),
+            Draw("object size", "m", self.size_low, self.size_high, size, XYZ, when="start"),
+        )
+
     def start(self, model: mujoco.MjModel) -> np.ndarray:
         """Return the open hand, palm up, with the object on it."""
         qpos = super().start(model)
@@ -231,22 +253,26 @@ class ObjectHoldTask(TaskSpec):
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
         return blocks(
             {
-                Obs.hand_qpos: (HAND_JOINTS, "rad"),
-                Obs.hand_qvel: (HAND_JOINTS, "rad per control step"),
-                Obs.obj_pos: (3, "m"),
-                Obs.obj_err: (3, "m"),
-                Obs.act: (num_muscles, "1"),
+                Obs.hand_qpos: (HAND_JOINTS, *COORDINATES),
+                Obs.hand_qvel: (HAND_JOINTS, *VELOCITIES),
+                Obs.obj_pos: (3, "m", "position of the object, world", XYZ),
+                Obs.obj_err: (3, "m", "from the object to the goal, world", XYZ),
+                Obs.act: (num_muscles, *ACTIVATION),
             }
         )
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
         return weighted(
             {
-                Term.goal_dist: 100.0,
-                Term.bonus: 4.0,
-                Term.act_reg: 0.0,
-                Term.penalty: 10.0,
-                Term.sparse: 0.0,
+                Term.goal_dist: (100.0, "m", "minus the error, the distance of the object from the goal"),
+                Term.bonus: (
+                    4.0,
+                    "1",
+                    f"1 where the error is below {WIDER * NEAR:g} m, 2 below {NEAR:g} m",
+                ),
+                Term.act_reg: (0.0, *EFFORT),
+                Term.penalty: (10.0, "1", f"-1 where the error exceeds {FAR:g} m"),
+                Term.sparse: (0.0, "m", "minus the error"),
             }
         )
 

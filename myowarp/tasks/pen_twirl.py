@@ -19,17 +19,19 @@ import warp as wp
 
 from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
-from myowarp.kernels.reward import activation_effort, indicator
+from myowarp.kernels.reward import EFFORT, activation_effort, indicator
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
 from myowarp.spec.body import CoarseStep
+from myowarp.spec.entries import ACTIVATION, COORDINATES, FREE_RATES, XYZ
 from myowarp.spec.program import Program
 from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, task, weighted
+from myowarp.spec.task import Column, Draw, RewardTerm, TaskSpec, blocks, task, weighted
 from myowarp.tasks.markers import add_tip_targets
 
 DROPPED = wp.constant(0.075)  # m, distance from the start beyond which the pen is lost
 CLOSE = wp.constant(0.9)  # cosines with bonus
 ALIGNED = wp.constant(0.95)
+ALIGNED_BONUS = wp.constant(5.0)  # what it adds to the 1 of CLOSE
 
 PALM_UP = -1.5  # rad, forearm rotation at the start, joint 0
 PEN_POS = (-0.23, -0.53, 1.445)  # m, world; on the fingers
@@ -160,7 +162,7 @@ def score_pen(
     terms[worldid, Term.rot_align] = c
     terms[worldid, Term.act_reg] = -activation_effort(activation, worldid)
     terms[worldid, Term.drop] = -indicator(p > DROPPED)
-    terms[worldid, Term.bonus] = (indicator(c > CLOSE) + 5.0 * indicator(c > ALIGNED)) * indicator(
+    terms[worldid, Term.bonus] = (indicator(c > CLOSE) + ALIGNED_BONUS * indicator(c > ALIGNED)) * indicator(
         p < DROPPED
     )
     terms[worldid, Term.sparse] = c - p
@@ -227,6 +229,23 @@ class PenTwirlTask(TaskSpec):
         """The pen."""
         return ("Object",)
 
+    @property
+    def start_doc(self) -> str:
+        return "the open hand, palm up, with the pen on it"
+
+    @property
+    def solved_when(self) -> str:
+        return f"the cosine between pen and wanted pen exceeds {ALIGNED:g}, and the pen is not lost"
+
+    @property
+    def failed_when(self) -> str:
+        return f"the pen is lost: its centre is more than {DROPPED:g} m from where it started"
+
+    @property
+    def draws(self) -> tuple[Draw, ...]:
+        turns = "by what the wanted pen is turned from upright: about x, then about its own y"
+        return (Draw("tilt", "rad", 2 * (-self.tilt,), 2 * (self.tilt,), turns, XYZ[:2]),)
+
     def start(self, model: mujoco.MjModel) -> np.ndarray:
         """Return the open hand, palm up, with the pen on it."""
         qpos = super().start(model)
@@ -251,28 +270,39 @@ class PenTwirlTask(TaskSpec):
         add_tip_targets(spec, ("object_top",))
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
+        frame = "world" if self.free else "of three slides and three hinges along the pen's own axes"
         return blocks(
             {
-                Obs.hand_jnt: (HAND_JOINTS, "rad"),
-                Obs.obj_pos: (3, "m"),
-                Obs.obj_vel: (6, "m, rad per control step"),
-                Obs.obj_rot: (3, "1"),
-                Obs.obj_des_rot: (3, "1"),
-                Obs.obj_err_pos: (3, "m"),
-                Obs.obj_err_rot: (3, "1"),
-                Obs.act: (num_muscles, "1"),
+                Obs.hand_jnt: (HAND_JOINTS, *COORDINATES),
+                Obs.obj_pos: (3, "m", "position of the pen's centre, world", XYZ),
+                Obs.obj_vel: (
+                    6,
+                    "m, rad per control step",
+                    f"velocities of the pen, {frame}, times the control step",
+                    FREE_RATES,
+                ),
+                Obs.obj_rot: (3, "1", "unit vector along the pen, to its top, world", XYZ),
+                Obs.obj_des_rot: (3, "1", "unit vector along the wanted pen, world", XYZ),
+                Obs.obj_err_pos: (3, "m", "from the pen's start to its centre, world", XYZ),
+                Obs.obj_err_rot: (3, "1", "obj_rot minus obj_des_rot", XYZ),
+                Obs.act: (num_muscles, *ACTIVATION),
             }
         )
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
         return weighted(
             {
-                Term.pos_align: 1.0,
-                Term.rot_align: 1.0,
-                Term.act_reg: 5.0,
-                Term.drop: 5.0,
-                Term.bonus: 10.0,
-                Term.sparse: 0.0,
+                Term.pos_align: (1.0, "m", "minus the distance of the pen's centre from its start"),
+                Term.rot_align: (1.0, "1", "cosine between pen and wanted pen"),
+                Term.act_reg: (5.0, *EFFORT),
+                Term.drop: (5.0, "1", "-1 where the pen is lost"),
+                Term.bonus: (
+                    10.0,
+                    "1",
+                    f"1 where the cosine exceeds {CLOSE:g}, {1 + ALIGNED_BONUS:g} beyond {ALIGNED:g};"
+                    " 0 where the pen is lost",
+                ),
+                Term.sparse: (0.0, "1", "rot_align plus pos_align"),
             }
         )
 

@@ -20,15 +20,18 @@ from mujoco_warp import JointType
 
 from myowarp.kernels.observe import pack, pack_difference
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
-from myowarp.kernels.reward import activation_effort, indicator, squared_distance
+from myowarp.kernels.reward import EFFORT, activation_effort, indicator, squared_distance
 from myowarp.models.couplings import POINT_JOINTS
 from myowarp.sim.build import full_model
 from myowarp.spec.body import BODIES
+from myowarp.spec.entries import ACTIVATION, COORDINATES, VELOCITIES, Entry, of_joints
 from myowarp.spec.program import Program
 from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, weighted
+from myowarp.spec.task import Column, Draw, RewardTerm, TaskSpec, blocks, weighted
 from myowarp.tasks.carried_weight import BATCHED, CarriedWeight
 from myowarp.tasks.markers import add_tip_targets
+
+WIDER = wp.constant(1.5)  # times `near`: where the first bonus begins
 
 Obs = IntEnum("Obs", "qpos qvel pose_err act", start=0)
 """Blocks of the observation, in the order of their columns."""
@@ -125,7 +128,7 @@ def score_pose(
     worldid = wp.tid()
     d = wp.sqrt(squared_distance(target, qpos_in, address, worldid))
     terms[worldid, Term.pose] = -d
-    terms[worldid, Term.bonus] = indicator(d < near) + indicator(d < 1.5 * near)
+    terms[worldid, Term.bonus] = indicator(d < near) + indicator(d < WIDER * near)
     terms[worldid, Term.penalty] = -indicator(d > far)
     terms[worldid, Term.act_reg] = -activation_effort(activation, worldid)
     terms[worldid, Term.sparse] = -d
@@ -233,6 +236,40 @@ class PoseTask(TaskSpec):
         """Joint angles say everything."""
         return False
 
+    @property
+    def start_doc(self) -> str:
+        return "the model's start pose" if self.start_pose else super().start_doc
+
+    @property
+    def solved_when(self) -> str:
+        return f"the error, the norm of all joint errors, is below {self.near:.4g} rad"
+
+    @property
+    def failed_when(self) -> str:
+        return f"the error exceeds {self.far:.4g} rad"
+
+    @property
+    def draws(self) -> tuple[Draw, ...]:
+        bounds = self.target_low, self.target_high
+        found = [Draw("target", "rad", *bounds, "target of each joint", self.target_entries)]
+        if self.random_start:
+            found.append(
+                Draw(
+                    "configuration",
+                    "rad",
+                    (),
+                    (),
+                    "random configuration, every joint within its range",
+                    when="posture",
+                )
+            )
+        if self.weight:
+            low, high = self.weight
+            found.append(
+                Draw("weight", "kg", (low,), (high,), "mass of the weight in the hand", when="start")
+            )
+        return tuple(found)
+
     def start(self, model: mujoco.MjModel) -> np.ndarray:
         """Return `start_pose`."""
         return np.array(self.start_pose) if self.start_pose else super().start(model)
@@ -241,6 +278,10 @@ class PoseTask(TaskSpec):
         """Return the ids of the joints that have a target, in its order."""
         return np.array(self.joints or np.flatnonzero(np.isin(model.jnt_type, POINT_JOINTS)))
 
+    def target_entries(self, model: mujoco.MjModel) -> tuple[Entry, ...]:
+        """Return names and units of the joints that have a target, in its order."""
+        return of_joints(model, self.target_joints(model))
+
     def edit(self, spec: mujoco.MjSpec) -> None:
         """Add the markers that show where the tips of the target pose are."""
         add_tip_targets(spec, BODIES[self.body].tips)
@@ -248,20 +289,29 @@ class PoseTask(TaskSpec):
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
         return blocks(
             {
-                Obs.qpos: (nq, "rad"),
-                Obs.qvel: (nv, "rad per control step"),
-                Obs.pose_err: (len(self.target_low), "rad"),
-                Obs.act: (num_muscles, "1"),
+                Obs.qpos: (nq, *COORDINATES),
+                Obs.qvel: (nv, *VELOCITIES),
+                Obs.pose_err: (
+                    len(self.target_low),
+                    "rad",
+                    "joint error: target minus position",
+                    self.target_entries,
+                ),
+                Obs.act: (num_muscles, *ACTIVATION),
             }
         )
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
         return weighted(
             {
-                Term.pose: 1.0,
-                Term.bonus: 4.0,
-                Term.penalty: 50.0,
-                Term.act_reg: self.effort_weight,
-                Term.sparse: 0.0,
+                Term.pose: (1.0, "rad", "minus the error, the norm of all joint errors"),
+                Term.bonus: (
+                    4.0,
+                    "1",
+                    f"1 where the error is below {WIDER * self.near:.4g} rad, 2 below {self.near:.4g} rad",
+                ),
+                Term.penalty: (50.0, "1", f"-1 where the error exceeds {self.far:.4g} rad"),
+                Term.act_reg: (self.effort_weight, *EFFORT),
+                Term.sparse: (0.0, "rad", "minus the error"),
             }
         )

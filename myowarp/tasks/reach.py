@@ -20,14 +20,16 @@ import warp as wp
 
 from myowarp.kernels.observe import pack, pack_vec3
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
-from myowarp.kernels.reward import activation_effort, indicator
+from myowarp.kernels.reward import EFFORT, activation_effort, indicator
 from myowarp.spec.body import BODIES
+from myowarp.spec.entries import ACTIVATION, COORDINATES, VELOCITIES, axes
 from myowarp.spec.program import Program
 from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, RewardTerm, TaskSpec, blocks, weighted
+from myowarp.spec.task import Column, Draw, RewardTerm, TaskSpec, blocks, weighted
 from myowarp.tasks.markers import add_tip_targets
 
 NEAR_PER_TIP = 0.0125  # m
+WIDER = wp.constant(2.0)  # times `near`: where the first bonus begins
 FIRST_FAILING_STEP = wp.constant(2)  # upstream tests data.time > 2 dt, which rounding makes true at step 2
 
 
@@ -125,7 +127,7 @@ def score_reach(
     x = wp.sqrt(total)
     lost = x > far and step_count[worldid] >= FIRST_FAILING_STEP
     terms[worldid, Term.reach] = -x
-    terms[worldid, Term.bonus] = indicator(x < 2.0 * near) + indicator(x < near)
+    terms[worldid, Term.bonus] = indicator(x < WIDER * near) + indicator(x < near)
     terms[worldid, Term.penalty] = -indicator(lost)
     terms[worldid, Term.act_reg] = -activation_effort(activation, worldid)
     terms[worldid, Term.sparse] = -x
@@ -214,6 +216,20 @@ class ReachTask(TaskSpec):
         """Distance norm beyond which the episode fails [m]."""
         return self.far_per_tip * len(self.tips)
 
+    @property
+    def solved_when(self) -> str:
+        return f"the error, the norm of all distances of tips from targets, is below {self.near:.4g} m"
+
+    @property
+    def failed_when(self) -> str:
+        return f"the error exceeds {self.far:.4g} m, from step {FIRST_FAILING_STEP} on"
+
+    @property
+    def draws(self) -> tuple[Draw, ...]:
+        low, high = (tuple(np.add(self.center, end).tolist()) for end in (self.low, self.high))
+        source = "" if self.table is None else "; a row of a table of targets within reach, which lie in"
+        return (Draw("target", "m", low, high, f"target of each tip, world{source}", axes(self.tips)),)
+
     def edit(self, spec: mujoco.MjSpec) -> None:
         """Add the target markers."""
         add_tip_targets(spec, self.tips)
@@ -221,21 +237,30 @@ class ReachTask(TaskSpec):
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
         return blocks(
             {
-                Obs.qpos: (nq, "rad"),
-                Obs.qvel: (nv, "rad per control step"),
-                Obs.tip_pos: (3 * len(self.tips), "m"),
-                Obs.reach_err: (3 * len(self.tips), "m"),
-                Obs.act: (num_muscles, "1"),
+                Obs.qpos: (nq, *COORDINATES),
+                Obs.qvel: (nv, *VELOCITIES),
+                Obs.tip_pos: (3 * len(self.tips), "m", "position of each tip, world", axes(self.tips)),
+                Obs.reach_err: (
+                    3 * len(self.tips),
+                    "m",
+                    "from each tip to its target, world",
+                    axes(self.tips),
+                ),
+                Obs.act: (num_muscles, *ACTIVATION),
             }
         )
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
         return weighted(
             {
-                Term.reach: 1.0,
-                Term.bonus: 4.0,
-                Term.penalty: 50.0,
-                Term.act_reg: 0.0,
-                Term.sparse: 0.0,
+                Term.reach: (1.0, "m", "minus the error, the norm of all distances of tips from targets"),
+                Term.bonus: (
+                    4.0,
+                    "1",
+                    f"1 where the error is below {WIDER * self.near:.4g} m, 2 below {self.near:.4g} m",
+                ),
+                Term.penalty: (50.0, "1", "-1 where the episode fails"),
+                Term.act_reg: (0.0, *EFFORT),
+                Term.sparse: (0.0, "m", "minus the error"),
             }
         )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from myowarp.disk import cached
+from myowarp.disk import array_bytes, array_from_bytes, cached
 from myowarp.models.reachability import tip_positions
 from myowarp.sim.build import full_model
 from myowarp.spec.task import TaskSpec
@@ -46,7 +46,7 @@ def sampled(
         return points[inside.all(axis=1)]
 
     key = ("sampled", spec.scene_key, center, low, high, NUM_CONFIGURATIONS)
-    return cached(key, ".npy", make, lambda points, path: np.save(path, points), np.load)
+    return cached(key, make, array_bytes, array_from_bytes)
 
 
 def solved(*_: object) -> np.ndarray:

@@ -7,7 +7,7 @@ MyoSuite names a condition by a prefix: `myoSarc...` and `myoFati...` exist for 
 from dataclasses import dataclass
 
 from myowarp.spec.registry import Registry
-from myowarp.spec.task import TASKS
+from myowarp.spec.task import LISTED_BY, TASKS
 from myowarp.tasks.paper import grid
 
 PREFIXES = {
@@ -50,7 +50,7 @@ def find_variant(name: str) -> Variant:
     Raises:
         ValueError: No such id; the message lists the close ones.
     """
-    known: Registry[Variant] = Registry("task")
+    known: Registry[Variant] = Registry("task", listed_by=LISTED_BY)
     for env_id, variant in variants().items():
         known.add(env_id.removeprefix("MyoWarp/"), variant)
     return known[name.removeprefix("MyoWarp/")]

@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from myowarp.view import style as look
+from myowarp.view.modes import NEEDED, live_viewer
 from myowarp.view.render import NoGraphicsError
 
 Backend = Literal["gl", "viser", "null"]
@@ -62,7 +63,7 @@ class HumanViewer:
             ValueError: the backend is unknown.
             NoGraphicsError: a package or a display is missing.
         """
-        backend = backend or ("gl" if _has_display() else "viser")
+        backend = backend or live_viewer()
         self._model, self._data = model, mujoco.MjData(model)
         self._tendons = look.muscle_tendons(model)
         self._tips = look.tip_sites(model)
@@ -285,11 +286,6 @@ class HumanViewer:
         self.viewer.set_camera(eye, camera.elevation, camera.azimuth)
 
 
-def _has_display() -> bool:
-    """Says whether a window can be opened; on Linux the viewer's windows need X11, or XWayland."""
-    return platform.system() != "Linux" or bool(os.environ.get("DISPLAY"))
-
-
 def _check_display() -> None:
     """Raises ``NoGraphicsError`` where no X server answers."""
     if platform.system() != "Linux":
@@ -323,11 +319,10 @@ def _check_count(count: int, activation: np.ndarray | None, sites: Mapping[str, 
 
 def _import_newton(backend: str) -> tuple[ModuleType, ModuleType]:
     """Imports Newton and Warp, and what the backend needs besides, or says what to install."""
-    needed = {"gl": ("pyglet", "imgui_bundle"), "viser": ("viser",), "null": ()}
-    if backend not in needed:
-        raise ValueError(f"viewer backend '{backend}' unknown; available: {', '.join(sorted(needed))}")
+    if backend not in NEEDED:
+        raise ValueError(f"viewer backend '{backend}' unknown; available: {', '.join(sorted(NEEDED))}")
     try:
-        for package in ("newton.viewer", *needed[backend]):
+        for package in ("newton.viewer", *NEEDED[backend]):
             importlib.import_module(package)
         return importlib.import_module("newton"), importlib.import_module("warp")
     except ImportError as error:

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from myowarp.view.human import HumanViewer
     from myowarp.view.render import WorldRenderer
 
+LARGEST_SIDE = 8192  # px of a picture, which is drawn twice as large; OpenGL takes 16384
+
 
 class Pictures:
     """Draws worlds of a simulation."""
@@ -26,10 +28,13 @@ class Pictures:
             camera: Name of a camera of the model; None frames the limb.
 
         Raises:
-            ValueError: The size is not two positive integers.
+            ValueError: The size is not two positive integers, or too large to draw.
         """
-        if len(size) != 2 or any(not isinstance(side, int) or side < 1 for side in size):
-            raise ValueError(f"render_size must be two positive integers, width and height, got {size!r}")
+        sides = size if isinstance(size, (tuple, list)) else ()
+        if len(sides) != 2 or not all(type(side) is int and 1 <= side <= LARGEST_SIDE for side in sides):
+            raise ValueError(
+                f"render_size must be two integers from 1 to {LARGEST_SIDE}, width and height, got {size!r}"
+            )
         self._size, self._camera = size, camera
         self._renderer: WorldRenderer | None = None
         self._viewer: HumanViewer | None = None

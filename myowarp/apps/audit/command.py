@@ -40,6 +40,10 @@ class Job:
     conditions: tuple[str, ...] = ()
 
 
+FILES = "audit.json", "index.html"
+"""What `audit_all` writes into a folder."""
+
+
 def find_jobs(names: Iterable[str], paper: bool) -> list[Job]:
     """Return what to audit, versions of a task side by side.
 

@@ -5,8 +5,8 @@
 
     myowarp cohort patients.csv --task myoElbowPose1D6MRandom-v0 --output results
 
-A row of the table is a patient; its columns (`COLUMNS`) set parameters of muscle conditions. A column that is
-not there leaves everybody healthy in that respect.
+A row of the table is a patient; its columns (`COLUMNS`) set parameters of muscle conditions. Missing
+columns default to healthy.
 """
 
 from myowarp.apps.cohort.columns import COLUMNS

@@ -16,7 +16,7 @@ import numpy as np
 
 from myowarp.spec.condition import CONDITIONS, Condition, resolve
 from myowarp.spec.parameter import muscle_index
-from myowarp.spec.registry import Registry
+from myowarp.spec.registry import Registry, number_in
 from myowarp.spec.task import TaskSpec
 
 T = TypeVar("T")
@@ -60,7 +60,7 @@ class CohortColumn:
         """
         if isinstance(entry, (bool, np.bool_)):
             raise ValueError
-        number = float(entry)
+        number = number_in(entry) if isinstance(entry, str) else float(entry)
         if not (math.isfinite(number) and self.low <= number <= self.high):
             raise ValueError
         return number

@@ -10,11 +10,13 @@ from rich.console import Console
 from rich.table import Table
 
 from myowarp.apps.cohort.plan import plan_cohort
-from myowarp.apps.cohort.run import CohortResult, run_plan
-from myowarp.disk import check_folder
+from myowarp.apps.cohort.run import CohortResult, result_files, run_plan
+from myowarp.disk import check_folder, check_overwrite
+
+PLOT = "plot.png"
 
 
-def run(table: Path, output: Path, suffix: str, console: Console, **settings: Any) -> None:
+def run(table: Path, output: Path, suffix: str, console: Console, overwrite: bool, **settings: Any) -> None:
     """Check everything, run the cohort, write results and plot into `output`, and print figures.
 
     Raises:
@@ -23,6 +25,7 @@ def run(table: Path, output: Path, suffix: str, console: Console, **settings: An
         OSError: The files cannot be written.
     """
     check_folder(output)
+    check_overwrite((output / name for name in (*result_files(suffix), PLOT)), overwrite)
     plan = plan_cohort(table, **settings)
     result = run_plan(plan, console)
     paths = result.save(output, suffix)
@@ -31,7 +34,7 @@ def run(table: Path, output: Path, suffix: str, console: Console, **settings: An
     else:
         from myowarp.apps.cohort.plot import draw_cohort
 
-        paths.append(output / "plot.png")
+        paths.append(output / PLOT)
         draw_cohort(result, paths[-1])
     Console().print(figures(result))
     for path in paths:

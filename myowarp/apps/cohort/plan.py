@@ -13,7 +13,7 @@ from myowarp.apps.cohort.columns import conditions_of
 from myowarp.apps.cohort.table import Population, read_population
 from myowarp.apps.rollout import Act, Policy, find_policy
 from myowarp.kernels.action import MUSCLE
-from myowarp.sim.build import actuator_kinds, oracle_model, resolve_device
+from myowarp.sim.build import MOST_STEPS, actuator_kinds, oracle_model, resolve_device
 from myowarp.spec.condition import Condition
 from myowarp.spec.registry import check_choice
 from myowarp.spec.task import PHYSICS, RESETS, TASKS, TaskSpec
@@ -21,6 +21,7 @@ from myowarp.spec.task import PHYSICS, RESETS, TASKS, TaskSpec
 if TYPE_CHECKING:
     import pandas as pd
 
+MOST_TRIALS = 1_000_000  # of a patient
 SAMPLES = 100  # of an episode, unless told otherwise
 
 
@@ -87,14 +88,16 @@ def plan_cohort(
     spec = TASKS[task.removeprefix("MyoWarp/")]
     steps = spec.horizon if steps is None else steps
     every = max(1, steps // SAMPLES) if every is None else every
-    for name, number, least in (
-        ("steps", steps, 1),
-        ("trials", trials, 1),
-        ("every", every, 1),
-        ("seed", seed, 0),
+    for name, number, least, most in (
+        ("steps", steps, 1, MOST_STEPS),
+        ("trials", trials, 1, MOST_TRIALS),
+        ("every", every, 1, MOST_STEPS),
+        ("seed", seed, 0, 2**63 - 1 - MOST_TRIALS),
     ):
         if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < least:
             raise ValueError(f"{name} must be an integer >= {least}, got {number!r}")
+        if number > most:
+            raise ValueError(f"{name} must be at most {most}, got {number}")
     check_choice("reset", reset, RESETS)
     check_choice("physics", physics, PHYSICS)
     resolve_device(device)

@@ -86,7 +86,7 @@ class CohortResult:
         """
         check_choice("cohort format", suffix, FORMATS)
         folder.mkdir(parents=True, exist_ok=True)
-        paths = [folder / f"results{suffix}", folder / "summary.csv", folder / "settings.json"]
+        paths = [folder / name for name in result_files(suffix)]
         with in_place(paths[0]) as scratch:
             if suffix == ".csv":
                 self.samples.to_csv(scratch, index=False)
@@ -97,6 +97,11 @@ class CohortResult:
         with in_place(paths[2]) as scratch:
             scratch.write_text(json.dumps(self.settings, indent=1) + "\n")
         return paths
+
+
+def result_files(suffix: str) -> tuple[str, ...]:
+    """Return the names of the files that `CohortResult.save` writes."""
+    return f"results{suffix}", "summary.csv", "settings.json"
 
 
 def run_cohort(

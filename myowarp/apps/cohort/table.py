@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import importlib.util
+import io
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,9 +99,13 @@ def _csv(path: Path) -> tuple[list[str], list[list[Any]]]:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"cohort table {str(path)!r} is not UTF-8 text ({error})") from error
-    first = text.splitlines()[0] if text else ""
+    first = text.partition("\n")[0]
     delimiter = max(DELIMITERS, key=first.count)
-    lines = [row for row in csv.reader(text.splitlines(), delimiter=delimiter) if any(map(str.strip, row))]
+    try:
+        rows = list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter))
+    except csv.Error as error:
+        raise ValueError(f"cohort table {str(path)!r} is no CSV file ({error})") from error
+    lines = [row for row in rows if any(map(str.strip, row))]
     if not lines:
         return [], []
     header = [name.strip() for name in lines[0]]
@@ -137,6 +143,8 @@ def _patients(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> tuple[str
         name = "" if _is_missing(row[index]) else str(row[index]).strip()
         if not name:
             raise ValueError(f"cohort row {i + 1}, column 'patient': needs a name, got nothing")
+        if any(unicodedata.category(character) == "Cc" for character in name):
+            raise ValueError(f"cohort row {i + 1}, column 'patient': a name is printable text, got {name!r}")
         if name in found:
             raise ValueError(
                 f"cohort rows {found[name] + 1} and {i + 1} are both patient {name!r}; names differ"

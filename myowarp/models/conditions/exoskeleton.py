@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from myowarp.spec.task import TaskSpec
 
 NAME = "exoskeleton"  # of the actuator
+EXO_EFFORT = ("1", "minus the square of the motor's torque over its largest")
 BODY, JOINT, LIMB = "elbow", "r_elbow_flex", "r_ulna_radius_hand"
 
 _CYLINDER, _BOX = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
@@ -250,7 +251,7 @@ class MotorEffect(ExoskeletonEffect):
     def __init__(self, scene: Scene, cuff: HungMass, exoskeleton: Exoskeleton) -> None:
         super().__init__(scene, cuff)
         self.max_torque = float(exoskeleton.max_torque)
-        self.terms = (RewardTerm("exo_effort", float(exoskeleton.effort_weight)),)
+        self.terms = (RewardTerm("exo_effort", float(exoskeleton.effort_weight), *EXO_EFFORT),)
 
     def score(self, terms: wp.array, column: int) -> None:
         """Launch `score_motor`."""

@@ -333,7 +333,9 @@ class Fatigue3CCREffect(Effect):
             setattr(self.state, name, scene.zeros(f"condition.fatigue_3ccr.{name}", len(muscles.names)))
         self.info = {"fatigue": self.state.fatigued_fraction}
         if condition.observe:
-            self.columns = (Column("fatigue", len(muscles.names), "1"),)
+            self.columns = (
+                Column("fatigue", len(muscles.names), "1", "fatigued fraction of each muscle", muscles.names),
+            )
 
     def sample(self, renew: wp.array) -> None:
         """Draw parameters."""

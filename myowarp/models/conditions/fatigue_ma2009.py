@@ -160,7 +160,15 @@ class FatigueMa2009Effect(Effect):
         scene.keep("condition.fatigue_ma2009.workload", muscles.workload)
         self.info = {"fatigue": self.state.fatigue}
         if condition.observe:
-            self.columns = (Column("fatigue", len(muscles.names), "1"),)
+            self.columns = (
+                Column(
+                    "fatigue",
+                    len(muscles.names),
+                    "1",
+                    "share of the peak force that each muscle has lost",
+                    muscles.names,
+                ),
+            )
 
     def sample(self, renew: wp.array) -> None:
         """Draw rates and initial fatigue."""

@@ -1,6 +1,6 @@
 """Vlt2 and Vlt3: lengths, moment arms and forces of the compiled model against the reference.
 
-Everything is evaluated in random poses that no fit has seen. OpenSim has two senses of a moment arm (see
+Everything is evaluated in held-out random poses. OpenSim has two senses of a moment arm (see
 `moment_arm`); samples where they differ are counted, and errors are stated with and without them.
 """
 

@@ -104,7 +104,7 @@ def _gates(report: Mapping[str, Any]) -> str:
         head = "<tr><th>muscles, or muscles and coordinates</th><th>mean</th><th>median</th><th>max</th></tr>"
         poses = report["muscles"]["poses"]
         table += (
-            f"<h2>Muscles in {poses} random poses</h2><p>Poses that no fit has seen, every coordinate over "
+            f"<h2>Muscles in {poses} held-out random poses</h2><p>Every coordinate varies over "
             f"its full range. Inconsistent: the two senses of OpenSim's moment arm differ by more than "
             f"0.1 mm. Forces in % of the maximum isometric force.</p><table>{head}{''.join(rows)}</table>"
         )

@@ -1,0 +1,28 @@
+"""The command `myowarp warmup`: kernels compiled beforehand."""
+
+from dataclasses import dataclass
+
+from rich.console import Console
+
+from myowarp.apps.options import Device, Physics, TaskIds
+from myowarp.spec.task import TASKS
+from myowarp.tasks.variants import find_variant
+
+
+@dataclass
+class Warmup:
+    """Compile the kernels of tasks now, so that later starts take seconds."""
+
+    tasks: TaskIds = ()
+    device: Device = None
+    physics: Physics = "parity"
+
+    def __call__(self) -> None:
+        """Build one small simulation of every scene."""
+        from myowarp.sim.simulation import Simulation
+
+        keys = [find_variant(task).task for task in self.tasks] or list(TASKS)
+        scenes = {TASKS[key].scene_key: TASKS[key] for key in keys}
+        for spec in scenes.values():
+            Console(stderr=True).print(f"{spec.family} with {spec.body}")
+            Simulation(spec, 1, device=self.device, physics=self.physics)

@@ -1,0 +1,147 @@
+"""Machine code that Warp keeps on disk: where it can be written, and compiled anew where it was damaged.
+
+Warp runs what it finds: a flipped bit ends the process without a word, at every start. So the folder of each
+module gets a list of the SHA-256 of its files once they were compiled, and they are compared before they are
+loaded. Files without a list were left by other programs or an older version, and get theirs then.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import warp as wp
+
+from myowarp.disk import in_place, writable_folder
+from myowarp.engine.said import say_once
+
+SUMS = "myowarp.json"
+SOURCES = (".cpp", ".cu")  # are not read again
+NO_DRIVER = "Could not find or load the NVIDIA CUDA driver"  # as Warp's native code says
+GPU_FILES = ("/dev/nvidiactl", "/dev/dxg")  # of a machine that has an NVIDIA GPU: Linux, WSL
+
+_sound: set[tuple[Path, str]] = set()
+"""Folder and device of what this process has compared."""
+
+
+@cache
+def start_warp() -> str:
+    """Start Warp, with a folder for its machine code that can be written.
+
+    Returns:
+        Why there is no CUDA device, as far as Warp said so; it is not printed where there is no GPU either.
+    """
+    with _without_driver_warning() as said:
+        try:
+            wp.init()
+        except OSError as error:
+            folder = Path(error.filename or wp.config.kernel_cache_dir or "warp")
+            wp.config.kernel_cache_dir = str(writable_folder(folder, "WARP_CACHE_PATH"))
+            wp.init()
+    given = Path(wp.config.kernel_cache_dir)
+    folder = writable_folder(given, "WARP_CACHE_PATH")
+    if folder != given:
+        for module in given.glob("wp_*"):
+            with contextlib.suppress(FileExistsError):
+                (folder / module.name).symlink_to(module, target_is_directory=True)
+        wp.config.kernel_cache_dir = str(folder)
+    return "".join(said)
+
+
+@contextlib.contextmanager
+def _without_driver_warning() -> Iterator[list[str]]:
+    """Keep one line of Warp's native code off the error stream where it says what everybody knows: no GPU."""
+    said: list[str] = []
+    try:
+        stream = os.dup(2)
+    except OSError:  # there is no error stream
+        yield said
+        return
+    with tempfile.TemporaryFile() as held:
+        if sys.stderr is not None:
+            sys.stderr.flush()
+        os.dup2(held.fileno(), 2)
+        try:
+            yield said
+        finally:
+            os.dup2(stream, 2)
+            os.close(stream)
+            held.seek(0)
+            for line in held:
+                if NO_DRIVER.encode() in line and not any(map(os.path.exists, GPU_FILES)):
+                    said[:] = [NO_DRIVER]
+                else:
+                    os.write(2, line)
+
+
+def load_module(module: wp.Module, device: wp.Device, block_dim: int) -> Path | None:
+    """Load a module, compiled if its machine code is not on disk, or is not what was written.
+
+    Returns:
+        The folder whose files were not what was written; None: they were, or there were none.
+
+    Raises:
+        RuntimeError: What is damaged cannot be removed.
+    """
+    if not hasattr(module, "get_module_identifier"):
+        say_once("Warp has changed: machine code that was damaged on disk is not found out")
+        wp.force_load(device, [module], block_dim)
+        return None
+    folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_dim)
+    if (folder, device.alias) in _sound:
+        wp.force_load(device, [module], block_dim)
+        return None
+    listed = _listed(folder)
+    damaged = listed is not None and listed != _sums(folder)
+    if damaged:
+        _remove(folder)
+        listed = None
+    wp.force_load(device, [module], block_dim)
+    if listed is None or len(listed) != len(_files(folder)):  # for another device, there are more now
+        with contextlib.suppress(OSError), in_place(folder / SUMS) as scratch:
+            scratch.write_text(json.dumps(_sums(folder)))
+    _sound.add((folder, device.alias))
+    return folder if damaged else None
+
+
+def _listed(folder: Path) -> dict[str, str] | None:
+    """Return the list of a folder; None: there is none."""
+    try:
+        listed = json.loads((folder / SUMS).read_bytes())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError):
+        return {}
+    return listed if isinstance(listed, dict) else {}
+
+
+def _sums(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of the files of a folder that are loaded, by name."""
+    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in _files(folder)}
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return the files of a folder that are loaded."""
+    return sorted(file for file in folder.glob("wp_*") if file.suffix not in SOURCES)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder, at once for other processes."""
+    try:
+        if folder.is_symlink():
+            folder.unlink()
+            return
+        aside = Path(tempfile.mkdtemp(dir=folder.parent))
+        folder.rename(aside / folder.name)
+        shutil.rmtree(aside, ignore_errors=True)
+    except OSError as error:
+        raise RuntimeError(
+            f"compiled kernels in {str(folder)!r} are damaged and cannot be removed ({error}); remove them "
+            "or set WARP_CACHE_PATH to another folder"
+        ) from error
