@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Optional
 import tyro
 from rich.console import Console
 
+from myowarp.apps.options import Model, OptionalTask, optional
 from myowarp.apps.train.settings import ALGORITHMS, SUCCESSES, Settings, all_settings, choose, restore
 from myowarp.disk import check_folder, in_place
 from myowarp.spec.registry import check_choice
@@ -48,16 +49,14 @@ class TrainCommand:
     Or: myowarp rollout myoElbowPose1D6MRandom-v0 --policy runs/elbow --video elbow.mp4
     """
 
-    task: Annotated[str | None, tyro.conf.Positional] = None
-    """Task id, with or without "MyoWarp/"; `myowarp tasks` lists them."""
-    model: Path | None = None
-    """Instead of a task: an MJCF file, such as `myowarp convert` writes; random poses of its joints."""
-    algorithm: Literal["ppo", "trpo", "sac"] | None = None
+    task: OptionalTask = None
+    model: Model = None
+    algorithm: Annotated[Literal["ppo", "trpo", "sac"] | None, optional("{ppo,trpo,sac}")] = None
     """Algorithm; by default ppo."""
-    output: Path | None = None
+    output: Annotated[Path | None, optional("FOLDER")] = None
     """New folder of the run; by default runs/<task>_<algorithm>_<seed>."""
-    resume: Path | None = None
-    """Folder of a run that is to go on; its settings hold, only --samples and --stop-success may change."""
+    resume: Annotated[Path | None, optional("FOLDER")] = None
+    """Folder of a run that is to go on; its settings hold, only --samples and when to stop may change."""
     save_seconds: float = 30.0
     """Seconds from one checkpoint to the next; 0: after every iteration."""
     wandb: bool = False
@@ -366,8 +365,14 @@ def _overrides() -> list[tuple[str, Any, Any]]:
     """Return the settings as fields of the command, each None where it is not given."""
     fields: list[tuple[str, Any, Any]] = []
     for name, entry in all_settings().items():
-        kind: Any = tuple[int, ...] if name == "hidden" else type(entry.default)
-        kind = tuple[str, ...] if kind is tuple else kind
+        kind: Any = type(entry.default)
+        metavar = "{" + ",".join(filter(None, entry.metadata["choices"])) + "}"
+        if kind is tuple:
+            kind, metavar = (
+                (tuple[int, ...], "[INT ...]") if name == "hidden" else (tuple[str, ...], "[NAME ...]")
+            )
+        elif not entry.metadata["choices"]:
+            metavar = {int: "INT", float: "FLOAT"}.get(kind, "NAME")
         owners = [a for a, k in ALGORITHMS.items() if name in {f.name for f in dataclasses.fields(k)}]
         only = "" if len(owners) == len(ALGORITHMS) else f" ({', '.join(owners)})"
         hint = f"(preset, else {_shown(entry.default)})"
@@ -375,7 +380,7 @@ def _overrides() -> list[tuple[str, Any, Any]]:
         fields.append(
             (
                 name,
-                Annotated[Optional[kind], tyro.conf.arg(help=text, help_behavior_hint=hint)],  # noqa: UP045
+                Annotated[Optional[kind], tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=hint)],  # noqa: UP045
                 dataclasses.field(default=None),
             )
         )

@@ -12,9 +12,11 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from myowarp.apps.options import Device, Physics, optional
 from myowarp.apps.train.settings import SUCCESSES
+from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.registry import check_choice
-from myowarp.spec.task import PHYSICS, TASKS
+from myowarp.spec.task import PHYSICS, RESETS, TASKS
 from myowarp.tasks.from_file import find_task
 from myowarp.tasks.variants import Variant
 
@@ -35,11 +37,11 @@ class Eval:
     Example: myowarp eval runs/elbow --conditions sarcopenia
     """
 
-    checkpoint: Annotated[Path, tyro.conf.Positional]
+    checkpoint: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
     """Folder of a run or of a checkpoint."""
-    task: str | None = None
+    task: Annotated[str | None, optional("ID")] = None
     """Another task with the same observation and actuators; by default that of the training."""
-    model: Path | None = None
+    model: Annotated[Path | None, optional("FILE")] = None
     """MJCF file of the training, for a policy that was trained with --model."""
     episodes: int = 256
     """Episodes of each mode, and worlds simulated together."""
@@ -47,16 +49,14 @@ class Eval:
     """Whether actions are the policy's means, or drawn as in training."""
     seed: int = EVALUATION_SEED
     """World i resets with seed + i."""
-    physics: str = "parity"
-    """Physics preset: parity or fast."""
-    muscle: str | None = None
+    physics: Physics = "parity"
+    muscle: Annotated[str | None, optional("{" + ",".join(MUSCLES) + "}")] = None
     """Muscle model; by default that of the training."""
-    reset: str | None = None
+    reset: Annotated[str | None, optional("{" + ",".join(RESETS) + "}")] = None
     """What episodes start from; by default as in the training."""
-    conditions: tuple[str, ...] | None = None
-    """Muscle conditions; by default those of the training. Without a name after it: none."""
-    device: str | None = None
-    """Warp device, such as cpu or cuda:0; by default the GPU if there is one."""
+    conditions: Annotated[tuple[str, ...] | None, optional("[NAME ...]")] = None
+    """Muscle conditions; by default those of the training; without a name: none."""
+    device: Device = None
     json: bool = False
     """Print JSON instead of a table."""
 
