@@ -16,6 +16,8 @@ from myowarp.apps.commands.describe import Describe
 from myowarp.apps.commands.rollout import Rollout
 from myowarp.apps.commands.tasks import Tasks
 from myowarp.apps.commands.warmup import Warmup
+from myowarp.apps.train.command import Train
+from myowarp.apps.train.eval_command import Eval
 from myowarp.opensim.command import Convert
 
 ABOUT = """Musculoskeletal motor control, simulated in thousands of worlds at once.
@@ -27,6 +29,8 @@ COMMANDS: dict[str, type[Callable[[], None]]] = {
     "rollout": Rollout,
     "cohort": Cohort,
     "audit": Audit,
+    "train": Train,
+    "eval": Eval,
     "convert": Convert,
     "warmup": Warmup,
 }

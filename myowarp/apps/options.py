@@ -60,9 +60,9 @@ Policy = Annotated[
     str,
     _option(
         "NAME",
-        "random, zero, hold (pose tasks: proportional control of the joints), package.module:function or"
-        " file.py:function: a function from observations (num_worlds, n) to actions (num_worlds, m) in"
-        " [-1, 1].",
+        "random, zero, hold (pose tasks: proportional control of the joints), the folder of a trained policy,"
+        " package.module:function or file.py:function: a function from observations (num_worlds, n) to"
+        " actions (num_worlds, m) in [-1, 1].",
     ),
 ]
 Device = Annotated[

@@ -13,12 +13,15 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from myowarp.apps.learned import bind, is_learned, read_policy
 from myowarp.apps.policies import Hold, check_hold
 from myowarp.apps.recording import SignalRecorder
+from myowarp.apps.train.checkpoint import Checkpoint
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.disk import in_place
 from myowarp.progress import progress_bar
-from myowarp.spec.scene import Scene
+from myowarp.sim.shards import Shards
+from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TaskSpec
 from myowarp.tasks.outside import load
 from myowarp.view.render import WorldRenderer
@@ -38,10 +41,12 @@ class Policy:
     Attributes:
         name: How the user called it.
         act: Function of the observations; None for the built-in policies.
+        checkpoint: What was trained; None for all others.
     """
 
     name: str
     act: Act | None = None
+    checkpoint: Checkpoint | None = None
 
 
 @dataclass
@@ -88,8 +93,8 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
     """Return a policy by name; code of the user that defines it is run once.
 
     Args:
-        name: "random", "zero", "hold" (`myowarp.apps.policies`), "package.module:function" or
-            "file.py:function".
+        name: "random", "zero", "hold" (`myowarp.apps.policies`), the folder of a trained policy
+            (`myowarp.apps.learned`), "package.module:function" or "file.py:function".
         spec: The task in which it is to act.
 
     Raises:
@@ -99,11 +104,13 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
         check_hold(spec)
     if name in BUILT_IN:
         return Policy(name)
+    if is_learned(name):
+        return Policy(name, checkpoint=read_policy(name, spec))
     source, colon, attribute = name.rpartition(":")
     if not colon:
         raise ValueError(
-            f"policy {name!r} unknown; available: {', '.join(BUILT_IN)}, package.module:function, "
-            "file.py:function"
+            f"policy {name!r} unknown; available: {', '.join(BUILT_IN)}, the folder of a trained "
+            "policy, package.module:function, file.py:function"
         )
     act = getattr(load(source), attribute, None)
     if act is None:
@@ -113,9 +120,11 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
     return Policy(name, act)
 
 
-def acting(policy: Policy, scene: Scene, seed: int) -> Act:
+def acting(policy: Policy, sim: Simulation | Shards, seed: int) -> Act:
     """Return the function that acts: the user's, with its errors marked as such, or a built-in one."""
-    act = policy.act
+    act, scene = policy.act, sim.scene
+    if policy.checkpoint is not None:
+        return bind(policy.checkpoint, sim)
     if act is not None:
 
         def guarded(obs: np.ndarray) -> np.ndarray:
@@ -164,7 +173,7 @@ def run(
     Raises:
         ValueError: The policy returned actions of a wrong shape or value.
     """
-    act = acting(policy, env.sim.scene, seed)
+    act = acting(policy, env.sim, seed)
     recording, tally = Recording(), _Tally(env.num_envs)
     obs, _ = env.reset(seed=seed)
     seconds = 0.0

@@ -164,7 +164,7 @@ def run_plan(plan: Plan, console: Console | None = None) -> CohortResult:
 def _policy(plan: Plan, sim: Simulation | Shards) -> Act:
     """Return the function that acts; random actions are a trial's, the same for every patient."""
     if plan.policy.act is not None or plan.policy.name != "random":
-        return acting(plan.policy, sim.scene, plan.seed)
+        return acting(plan.policy, sim, plan.seed)
     draws = [np.random.default_rng(plan.seed + trial) for trial in range(plan.trials)]
     patients, num_actions = len(plan.population.patients), sim.scene.num_actions
 

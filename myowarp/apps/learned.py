@@ -1,0 +1,105 @@
+"""A trained policy from a checkpoint, in NumPy: playing one needs neither torch nor skrl.
+
+    x = clip((obs - mean) / (sqrt(variance) + eps), -c, c)
+    x = f(W x + b)  for every hidden layer
+    a = clip(W x + b, -1, 1)                 one standard deviation for all states (PPO, TRPO)
+    a = tanh(first half of W x + b)          the second half is its logarithm (SAC)
+
+The forward pass equals torch's to 1e-6 (tests/test_train_policy.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from myowarp.apps.train.checkpoint import Checkpoint, CheckpointError, check_contract, load_checkpoint
+from myowarp.sim.shards import Shards
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.task import TaskSpec
+
+ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "elu": lambda x: np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0))),
+    "tanh": np.tanh,
+    "relu": lambda x: np.maximum(x, 0.0),
+}
+
+
+class LearnedPolicy:
+    """Observations (rows, obs_size) to actions (rows, num_actions) in [-1, 1].
+
+    Attributes:
+        checkpoint: What it was read from.
+    """
+
+    def __init__(self, checkpoint: Checkpoint, *, sampled: bool = False, seed: int = 0) -> None:
+        """Arrange the arrays.
+
+        Args:
+            checkpoint: What `load_checkpoint` returns.
+            sampled: Whether actions are drawn, as in training; otherwise they are the means.
+            seed: Seed of what is drawn.
+        """
+        self.checkpoint, arrays, form = checkpoint, checkpoint.policy, checkpoint.manifest["policy"]
+        numbers = sorted({int(name.split(".")[1]) for name in arrays if name.startswith("net.")})
+        self._layers = [(arrays[f"net.{i}.weight"].T.copy(), arrays[f"net.{i}.bias"]) for i in numbers]
+        self._mean = arrays["observation_mean"].astype(np.float32)
+        self._spread = np.sqrt(arrays["observation_variance"].astype(np.float32)) + np.float32(
+            form["epsilon"]
+        )
+        self._clip, self._function = form["clip"], ACTIVATIONS[form["activation"]]
+        self._log_std, self._bounds = arrays.get("log_std"), form["log_std_bounds"]
+        self._rng = np.random.default_rng(seed) if sampled else None
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        """Return actions."""
+        x = np.clip((obs - self._mean) / self._spread, -self._clip, self._clip)
+        for weight, bias in self._layers[:-1]:
+            x = self._function(x @ weight + bias)
+        weight, bias = self._layers[-1]
+        x = x @ weight + bias
+        if self._log_std is not None:
+            return np.clip(self._drawn(x, self._log_std), -1.0, 1.0).astype(np.float32)
+        mean, log_std = np.split(x, 2, axis=1)
+        return np.tanh(self._drawn(mean, log_std)).astype(np.float32)
+
+    def _drawn(self, mean: np.ndarray, log_std: np.ndarray) -> np.ndarray:
+        """Return a draw, or the mean of a deterministic policy."""
+        if self._rng is None:
+            return mean
+        std = np.exp(np.clip(log_std, *self._bounds))
+        return mean + std * self._rng.standard_normal(mean.shape, dtype=np.float32)
+
+
+def is_learned(name: str) -> bool:
+    """Return whether the name of a policy is that of a folder."""
+    return Path(name).is_dir()
+
+
+def read_policy(name: str, spec: TaskSpec) -> Checkpoint:
+    """Return the checkpoint of a folder, checked as far as a task alone can tell.
+
+    Raises:
+        CheckpointError: There is none, it is damaged, or it belongs to another family or body.
+    """
+    checkpoint = load_checkpoint(Path(name))
+    contract = checkpoint.manifest["contract"]
+    there = f"{contract['task']!r} ({contract['family']} with {contract['body']})"
+    if (contract["family"], contract["body"]) != (spec.family, spec.body):
+        raise CheckpointError(
+            f"policy {name!r} was trained in {there} and cannot act in {spec.key!r} "
+            f"({spec.family} with {spec.body})"
+        )
+    return checkpoint
+
+
+def bind(checkpoint: Checkpoint, sim: Simulation | Shards) -> LearnedPolicy:
+    """Return the deterministic policy of a checkpoint for a simulation.
+
+    Raises:
+        CheckpointError: Observations or actuators are other ones.
+    """
+    check_contract(checkpoint, sim)
+    return LearnedPolicy(checkpoint)

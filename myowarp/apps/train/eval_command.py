@@ -1,0 +1,149 @@
+"""What `myowarp eval` does; it needs no torch."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from myowarp.apps.options import Device, Physics, optional
+from myowarp.apps.train.settings import SUCCESSES
+from myowarp.spec.muscle import MUSCLES
+from myowarp.spec.registry import check_choice
+from myowarp.spec.task import PHYSICS, RESETS, TASKS
+from myowarp.tasks.from_file import find_task
+from myowarp.tasks.variants import Variant
+
+if TYPE_CHECKING:
+    from myowarp.apps.train.checkpoint import Checkpoint
+
+EVALUATION_SEED = 1_000_000  # other worlds than those of training
+MODES = ("deterministic", "sampled")
+
+
+@dataclass
+class Eval:
+    """Evaluate a trained policy: success by three rules with 95 % intervals, return and effort.
+
+    Every world runs one episode. The physics is parity (MyoSuite's integrator and step) unless you choose
+    another; reset and conditions are those of the training unless you choose others.
+
+    Example: myowarp eval runs/elbow --conditions sarcopenia
+    """
+
+    checkpoint: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
+    """Folder of a run or of a checkpoint."""
+    task: Annotated[str | None, optional("ID")] = None
+    """Another task with the same observation and actuators; by default that of the training."""
+    model: Annotated[Path | None, optional("FILE")] = None
+    """MJCF file of the training, for a policy that was trained with --model."""
+    episodes: int = 256
+    """Episodes of each mode, and worlds simulated together."""
+    mode: Literal["both", "deterministic", "sampled"] = "both"
+    """Whether actions are the policy's means, or drawn as in training."""
+    seed: int = EVALUATION_SEED
+    """World i resets with seed + i."""
+    physics: Physics = "parity"
+    muscle: Annotated[str | None, optional("{" + ",".join(MUSCLES) + "}")] = None
+    """Muscle model; by default that of the training."""
+    reset: Annotated[str | None, optional("{" + ",".join(RESETS) + "}")] = None
+    """What episodes start from; by default as in the training."""
+    conditions: Annotated[tuple[str, ...] | None, optional("[NAME ...]")] = None
+    """Muscle conditions; by default those of the training; without a name: none."""
+    device: Device = None
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def __call__(self) -> None:
+        """Check, run and print."""
+        from myowarp.apps.learned import LearnedPolicy
+        from myowarp.apps.train.checkpoint import check_contract
+        from myowarp.apps.train.evaluate import evaluate
+        from myowarp.bridge_gym import MyoWarpVectorEnv
+
+        checkpoint, variant, options = self._plan()
+        modes = MODES if self.mode == "both" else (self.mode,)
+        env = MyoWarpVectorEnv(variant.task, self.episodes, autoreset_mode="same_step", **options)
+        check_contract(checkpoint, env.sim)
+        console = Console(stderr=True)
+        results = {}
+        for mode in modes:
+            act = LearnedPolicy(checkpoint, sampled=mode == "sampled", seed=self.seed)
+            results[mode] = dataclasses.asdict(evaluate(env, act, self.seed, title=mode, console=console))
+        env.close()
+        head = {"task": TASKS[variant.task].env_id, "checkpoint": str(checkpoint.folder), "seed": self.seed}
+        head |= {name: options[name] for name in ("physics", "muscle", "reset")}
+        head |= {"conditions": list(options["conditions"]), "device": str(env.sim.scene.device)}
+        head |= {
+            "trained_under": checkpoint.manifest["settings"]["physics"],
+            "samples": checkpoint.manifest["samples"],
+        }
+        if self.json:
+            print(json.dumps({**head, **results}, indent=1))
+        else:
+            _print_table(head, results)
+
+    def _plan(self) -> tuple[Checkpoint, Variant, dict[str, Any]]:
+        """Return checkpoint, task and options of the environment.
+
+        Raises:
+            ValueError: An argument is wrong; nothing was built.
+        """
+        from myowarp.apps.train.checkpoint import CheckpointError, load_checkpoint
+
+        for name, number, least in (("episodes", self.episodes, 1), ("seed", self.seed, 0)):
+            if number < least:
+                raise ValueError(f"--{name} must be at least {least}, got {number}")
+        check_choice("physics", self.physics, PHYSICS)
+        checkpoint = load_checkpoint(self.checkpoint)
+        manifest = checkpoint.manifest
+        trained = manifest["settings"]
+        other = self.task is not None or self.model is not None
+        if not other and (manifest["model"] or ":" in manifest["task"]):
+            option = "--model" if manifest["model"] else "--task"
+            raise CheckpointError(
+                f"checkpoint {str(self.checkpoint)!r} was trained with the file {manifest['task']!r}; "
+                f"name it with {option}, because a checkpoint opens no files"
+            )
+        variant = find_task(self.task if other else manifest["task"], self.model)
+        own = (*variant.conditions, *(trained["conditions"] if self.conditions is None else self.conditions))
+        options = {
+            "physics": self.physics,
+            "muscle": self.muscle or trained["muscle"],
+            "reset": self.reset or trained["reset"] or variant.reset,
+            "conditions": own,
+            "device": self.device,
+        }
+        return checkpoint, variant, options
+
+
+def _print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> None:
+    """Print figures, a column for each mode."""
+    console = Console(highlight=False)
+    with_conditions = f", conditions {' '.join(head['conditions'])}" if head["conditions"] else ""
+    console.print(
+        f"[bold]{head['task']}[/bold]: {head['physics']} physics{with_conditions}, seed {head['seed']}"
+    )
+    table = Table("", *results)
+
+    def share(figures: dict[str, Any], name: str) -> str:
+        low, high = figures["intervals"][name]
+        return f"{100 * figures[name]:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+
+    for name, text in SUCCESSES.items():
+        table.add_row(text, *(share(figures, name) for figures in results.values()))
+    table.add_row("return", *(f"{f['return_mean']:.1f} ± {f['return_std']:.1f}" for f in results.values()))
+    plain = {
+        "length_mean": "length [steps]",
+        "mean_activation": "mean activation",
+        "activation_rate": "activation rate [1/s]",
+    }
+    for name, text in (plain | {"episodes": "episodes", "faults": "faults"}).items():
+        table.add_row(text, *("-" if f[name] is None else f"{f[name]:.4g}" for f in results.values()))
+    console.print(table)

@@ -1,0 +1,174 @@
+"""The loop: act, step, record, update; save now and then; stop on success, at the end, when asked, on NaN.
+
+skrl's trainer and wrappers are not used, because truncation is right only with all of: no autoreset, so that
+the observation that an episode ended with is recorded; resets of what ended by mask; bootstrap at the time
+limit from that observation; and rewards that the learner may change.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from typing import Any
+
+import torch
+
+from myowarp.apps.train import agents
+from myowarp.apps.train.checkpoint import Checkpoint
+from myowarp.apps.train.settings import Settings
+from myowarp.apps.train.tally import Tally
+from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.sim.state import State
+
+
+class DivergedError(RuntimeError):
+    """A loss or a weight is not finite."""
+
+
+@dataclasses.dataclass
+class Clock:
+    """Seconds spent in parts of a run."""
+
+    simulation: float = 0.0
+    learner: float = 0.0
+    total: float = 0.0
+
+    def shares(self) -> dict[str, float]:
+        """Return the shares of simulation, learner and rest."""
+        total = max(self.total, 1e-9)
+        rest = self.total - self.simulation - self.learner
+        return {
+            "simulation": self.simulation / total,
+            "learner": self.learner / total,
+            "rest": max(rest, 0.0) / total,
+        }
+
+
+class Run:
+    """A training run between two iterations.
+
+    Attributes:
+        env: Environment without autoreset, with views of the simulation as tensors.
+        agent: skrl's agent.
+        tally: Returns and successes.
+        clock: Where the time went, earlier processes of a resumed run included.
+        steps: Control steps of every world so far.
+        updates: Iterations so far.
+        losses: What the last update tracked.
+    """
+
+    def __init__(self, env: MyoWarpVectorEnv, settings: Settings) -> None:
+        """Seed everything and make the agent."""
+        self.env, self.settings = env, settings
+        self.device = str(env.sim.scene.device)
+        torch.manual_seed(settings.seed)
+        observation, action = env.single_observation_space, env.single_action_space
+        self.agent = agents.make_agent(settings, observation, action, self.device)
+        self.tally = Tally(env.num_envs, self.device)
+        self.clock = Clock()
+        self.steps = self.updates = 0
+        self.losses: dict[str, float] = {}
+        obs, _ = env.reset(seed=settings.seed)
+        self._obs = obs.clone()  # what is acted on; `obs` is overwritten by the next step
+
+    @property
+    def samples(self) -> int:
+        """Control steps of all worlds so far."""
+        return self.steps * self.env.num_envs
+
+    def iterate(self) -> None:
+        """Do one iteration: control steps, and the updates that belong to them.
+
+        Raises:
+            DivergedError: A loss or a weight is not finite.
+        """
+        begin = time.perf_counter()
+        for _ in range(self.settings.rollout_steps):
+            self._step()
+        self.updates += 1
+        self.losses = agents.losses(self.agent)
+        self.clock.total += time.perf_counter() - begin
+        wrong = [name for name, value in self.losses.items() if not math.isfinite(value)]
+        if wrong or not agents.is_finite(self.agent):
+            what = wrong[0].replace("_", " ") if wrong else "a weight"
+            raise DivergedError(f"{what} was not finite in update {self.updates}")
+
+    def row(self) -> dict[str, float]:
+        """Return the figures of the last iteration."""
+        shares = {f"share_{name}": value for name, value in self.clock.shares().items()}
+        figures = {"samples": self.samples, "updates": self.updates, "seconds": self.clock.total}
+        rate = {"samples_per_s": self.samples / max(self.clock.total, 1e-9)}
+        tracked = dict.fromkeys(agents.TRACKED.values(), math.nan) | self.losses
+        return {**figures, **self.tally.figures(), **rate, **shares, **tracked}
+
+    def manifest(self) -> dict[str, Any]:
+        """Return the plain numbers of a checkpoint."""
+        return {
+            "samples": self.samples,
+            "steps": self.steps,
+            "updates": self.updates,
+            "clock": dataclasses.asdict(self.clock),
+            "figures": self.tally.figures(),
+            "policy": agents.policy_form(self.settings),
+        }
+
+    def arrays(self) -> tuple[agents.Arrays, agents.Arrays]:
+        """Return the arrays of a checkpoint: those of the policy, and all others."""
+        state = {f"agent.{name}": array for name, array in agents.learner_arrays(self.agent).items()}
+        state |= {f"world.{name}": array for name, array in self.env.get_state().arrays.items()}
+        state |= {"observation": self._obs.cpu().numpy().copy()} | self.tally.arrays()
+        return agents.policy_arrays(self.agent), state
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Put back everything that a checkpoint of this run holds.
+
+        Raises:
+            KeyError: An array is missing.
+            RuntimeError: An array of the agent does not fit.
+            ValueError: An array of the environment does not fit.
+        """
+        state, manifest = checkpoint.state(), checkpoint.manifest
+        worlds = {name.removeprefix("world."): a for name, a in state.items() if name.startswith("world.")}
+        learner = {name.removeprefix("agent."): a for name, a in state.items() if name.startswith("agent.")}
+        self.env.set_state(State(self.env.sim.scene.spec.key, worlds))
+        self._obs.copy_(torch.from_numpy(state["observation"].copy()))
+        self.tally.restore(state)
+        self.steps, self.updates = manifest["steps"], manifest["updates"]
+        self.clock = Clock(**manifest["clock"])
+        agents.restore_agent(self.agent, checkpoint.policy, learner)
+
+    def _step(self) -> None:
+        """One control step of all worlds."""
+        env, agent, clock = self.env, self.agent, self.clock
+        at = {"timestep": self.steps, "timesteps": 0}
+        begin = time.perf_counter()
+        with torch.no_grad():
+            action, _ = agent.act(self._obs, None, **at)
+        acted = time.perf_counter()
+        obs, reward, terminated, truncated, info = env.step(action)
+        stepped = time.perf_counter()
+        ended = terminated | truncated
+        any_ended = bool(ended.any())
+        self.tally.add(reward, ended, any_ended, info)
+        tallied = time.perf_counter()
+        agent.record_transition(
+            observations=self._obs,
+            states=None,
+            actions=action,
+            rewards=reward[:, None].clone(),  # skrl adds to it
+            next_observations=obs,
+            next_states=None,
+            terminated=terminated[:, None],
+            truncated=(truncated & ~terminated)[:, None],
+            infos=info,
+            **at,
+        )
+        agent.post_interaction(**at)
+        learned = time.perf_counter()
+        if any_ended:
+            obs, _ = env.reset(options={"reset_mask": ended.cpu().numpy()})
+        self._obs.copy_(obs)
+        self.steps += 1
+        clock.simulation += stepped - acted + time.perf_counter() - learned
+        clock.learner += acted - begin + learned - tallied

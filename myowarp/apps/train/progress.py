@@ -1,0 +1,170 @@
+"""What one sees of a run: a live line, a row of `progress.csv` and TensorBoard scalars, and the curve."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from myowarp.apps.train.settings import SUCCESSES
+
+CSV, CURVE = "progress.csv", "curve.png"
+PARTS = ("simulation", "learner", "rest")
+REFRESH = 0.25  # s between changes of the live line
+LINE_EVERY = 10.0  # s between lines where the error stream is no terminal
+
+
+def check_wandb() -> None:
+    """Raise ImportError if Weights & Biases is not installed."""
+    if importlib.util.find_spec("wandb") is None:
+        raise ImportError("--wandb needs wandb, which is not installed; run `pip install wandb`")
+
+
+class Progress:
+    """Files and live line of a run; use it as a context."""
+
+    def __init__(self, folder: Path, total: int, console: Console, *, after: int = 0) -> None:
+        """Open the files.
+
+        Args:
+            folder: Folder of the run.
+            total: Samples of the whole run.
+            console: Where the live line is drawn.
+            after: Samples of the checkpoint that is resumed; later rows are dropped.
+
+        Raises:
+            OSError: The files cannot be written.
+        """
+        from torch.utils.tensorboard import SummaryWriter
+
+        self.folder, self.total, self.console = folder, total, console
+        kept = _rows_until(folder / CSV, after)
+        self._writer = SummaryWriter(str(folder), purge_step=after + 1 if after else None)
+        self._file = (folder / CSV).open("w", newline="")
+        self._rows: csv.DictWriter[str] | None = None
+        for row in kept:
+            self._write_row(row)
+        self._file.flush()
+        self._live = Live(console=console, auto_refresh=False, transient=True)
+        self._wandb: Any = None
+        self._begin, self._after, self._shown = time.monotonic(), after, 0.0
+
+    def start_wandb(self, name: str, settings: Mapping[str, Any]) -> None:
+        """Send the scalars to Weights & Biases too."""
+        import wandb
+
+        self._wandb = wandb.init(name=name, config=dict(settings), dir=str(self.folder))
+
+    def __enter__(self) -> Progress:
+        if self.console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live.is_started:
+            self._live.stop()
+        self._file.close()
+        self._writer.close()
+        if self._wandb is not None:
+            self._wandb.finish()
+
+    def add(self, row: Mapping[str, float]) -> None:
+        """Write the figures of an iteration, and show them now and then.
+
+        Args:
+            row: Name to number; `samples`, `return` and the successes are shown.
+
+        Raises:
+            OSError: The files cannot be written.
+        """
+        self._write_row(row)
+        step = int(row["samples"])
+        for name, value in row.items():
+            if name != "samples" and value == value:
+                self._writer.add_scalar(name, value, step)
+        if self._wandb is not None:
+            self._wandb.log(dict(row), step=step)
+        now, every = time.monotonic(), REFRESH if self.console.is_terminal else LINE_EVERY
+        if now - self._shown < every:
+            return
+        self._shown = now
+        self.flush()
+        text = self._line(row)
+        if self._live.is_started:
+            self._live.update(text, refresh=True)
+        else:
+            self.console.print(text)
+
+    def flush(self) -> None:
+        """Hand over what was written; the rows of a checkpoint come before the checkpoint.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        self._file.flush()
+        self._writer.flush()
+
+    def _write_row(self, row: Mapping[str, Any]) -> None:
+        """Append a row; the first one names the columns."""
+        if self._rows is None:
+            self._rows = csv.DictWriter(self._file, list(row), restval="", extrasaction="ignore")
+            self._rows.writeheader()
+        self._rows.writerow(row)
+
+    def _line(self, row: Mapping[str, float]) -> Text:
+        """Return the live line."""
+        done = row["samples"] - self._after
+        seconds = time.monotonic() - self._begin
+        left = seconds * (self.total - row["samples"]) / max(done, 1)
+        success = "success {:.0f} % (last step {:.0f}, any step {:.0f})".format(
+            *(100 * row[name] for name in SUCCESSES)
+        )
+        shares = " ".join(f"{part} {100 * row[f'share_{part}']:.0f}" for part in PARTS)
+        return Text(
+            f"{row['samples'] / 1e6:.2f} of {self.total / 1e6:.2f} M samples  return {row['return']:.1f}  "
+            f"{success}  {done / max(seconds, 1e-9):,.0f}/s  {shares} %  "
+            f"{int(left) // 60}:{int(left) % 60:02d} left"
+        )
+
+
+def _rows_until(path: Path, samples: int) -> list[dict[str, str]]:
+    """Return the rows of a CSV up to a number of samples; rows that were not written whole are left out."""
+    if not samples or not path.is_file():
+        return []
+    with path.open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if None not in row.values() and row["samples"]]
+    return [row for row in rows if float(row["samples"]) <= samples]
+
+
+def draw_curve(folder: Path, title: str) -> Path | None:
+    """Draw return and success over samples into the run's folder; None without matplotlib or episodes."""
+    if importlib.util.find_spec("matplotlib") is None:
+        return None
+    from matplotlib.figure import Figure
+
+    with (folder / CSV).open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["return"] not in ("", "nan")]
+    if not rows:
+        return None
+    samples = [float(row["samples"]) / 1e6 for row in rows]
+    figure = Figure(figsize=(8, 3.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.plot(samples, [float(row["return"]) for row in rows], color="tab:blue")
+    left.set(xlabel="samples [million]", ylabel="return")
+    for name, rule in SUCCESSES.items():
+        right.plot(samples, [100 * float(row[name]) for row in rows], label=rule)
+    right.set(xlabel="samples [million]", ylabel="success [%]", ylim=(-2, 102))
+    right.legend(fontsize="small", frameon=False)
+    figure.suptitle(title, fontsize="medium")
+    figure.savefig(folder / CURVE, dpi=150)
+    return folder / CURVE

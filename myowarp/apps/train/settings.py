@@ -1,0 +1,262 @@
+"""What a training run can be told, the presets of tasks, and what is refused before anything is built.
+
+A setting is one line: type, default, help, bounds. The command line, the presets (`presets/<task>.toml`), the
+checks and the manifest of a checkpoint all follow from these lines. The defaults are settings B of a plain
+PPO on the hand, with updates that the measurements of `presets/` made cheaper.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from typing import Any, TypeVar
+
+from myowarp.spec.condition import CONDITIONS
+from myowarp.spec.muscle import MUSCLES
+from myowarp.spec.registry import check_choice
+from myowarp.spec.task import PHYSICS, RESETS
+
+SUCCESSES = {
+    "success": "more than 5 solved steps",  # the paper's rule
+    "success_last": "solved on the last step",
+    "success_any": "solved at any step",
+}
+ACTIVATIONS = ("elu", "tanh", "relu")
+
+
+def setting(
+    default: Any,
+    text: str,
+    *,
+    least: float | None = None,
+    most: float | None = None,
+    choices: Iterable[str] = (),
+    free: bool = False,
+) -> Any:
+    """Return the field of a setting.
+
+    Args:
+        default: Its value without preset.
+        text: Help, one line.
+        least: Smallest value that is allowed.
+        most: Largest value that is allowed.
+        choices: Names that are allowed.
+        free: Whether a run may be resumed with another value, because no number of the run depends on it.
+    """
+    metadata = {"text": text, "least": least, "most": most, "choices": tuple(choices), "free": free}
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Settings of every algorithm."""
+
+    samples: int = setting(3_000_000, "Control steps of all worlds together.", least=1, free=True)
+    stop_success: float = setting(
+        0.995,
+        "Stop when this share of the last 256 episodes succeeded; above 1: never.",
+        least=0.0,
+        free=True,
+    )
+    stop_rule: str = setting(
+        "success",
+        "What counts there: success (more than 5 solved steps), success_last or success_any (solved steps).",
+        choices=SUCCESSES,
+        free=True,
+    )
+    seed: int = setting(0, "Seed of networks, actions and worlds (world i: seed + i).", least=0)
+    num_worlds: int = setting(256, "Worlds simulated together.", least=1)
+    rollout_steps: int = setting(24, "Control steps of every world in an iteration.", least=1)
+    physics: str = setting("fast", "Physics preset of the training.", choices=PHYSICS)
+    muscle: str = setting("mujoco", "Muscle model.", choices=MUSCLES)
+    reset: str = setting("", "What episodes start from; empty: what the id says.", choices=("", *RESETS))
+    conditions: tuple[str, ...] = setting(
+        (), "Muscle conditions, besides those of the id.", choices=CONDITIONS
+    )
+    device: str = setting("", "Warp device, such as cpu or cuda:0; empty: the GPU if there is one.")
+    # On two idle cores, two threads take 3.5 us a sample and pass (two networks 2 x 128), one 5.9.
+    # When another process wants a core they take 10 to 60 times as long: they wait at every barrier.
+    threads: int = setting(1, "Threads of torch on the CPU; more pay on idle cores alone.", least=1)
+    discount: float = setting(
+        0.97, "Discount of rewards from one control step to the next.", least=0.0, most=1.0
+    )
+    hidden: tuple[int, ...] = setting((128, 128), "Widths of the hidden layers of every network.", least=1)
+    activation: str = setting("elu", "Function between the layers.", choices=ACTIVATIONS)
+    learning_rate: float = setting(3e-4, "Learning rate of Adam, the first one if it adapts.", least=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnPolicy(Settings):
+    """What PPO and TRPO share."""
+
+    trace_decay: float = setting(0.95, "Lambda of generalised advantage estimation.", least=0.0, most=1.0)
+    epochs: int = setting(5, "Passes over the samples in an update.", least=1)
+    minibatches: int = setting(8, "Parts of a pass.", least=1)
+    initial_std: float = setting(0.5, "Standard deviation of actions at the start.", least=1e-3)
+    gradient_norm: float = setting(1.0, "Norm to which gradients are clipped; 0: not at all.", least=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOSettings(OnPolicy):
+    """Proximal policy optimisation."""
+
+    clip: float = setting(0.2, "Clip of the ratio of probabilities.", least=0.0)
+    value_clip: float = setting(
+        0.2, "Clip of a value's change, in standard deviations of returns; 0: none.", least=0.0
+    )
+    kl: float = setting(0.01, "KL divergence that the learning rate aims at; 0: constant rate.", least=0.0)
+    least_rate: float = setting(1e-5, "Smallest learning rate.", least=0.0)
+    largest_rate: float = setting(1e-2, "Largest learning rate.", least=0.0)
+    entropy: float = setting(0.0, "Weight of the entropy.", least=0.0)
+    value_loss: float = setting(1.0, "Weight of the value's loss.", least=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TRPOSettings(OnPolicy):
+    """Trust region policy optimisation, a natural gradient with a line search."""
+
+    max_kl: float = setting(0.02, "Largest KL divergence of an update.", least=1e-9)
+    damping: float = setting(0.1, "Damping of the Fisher matrix.", least=0.0)
+    conjugate_steps: int = setting(10, "Steps of the conjugate gradient.", least=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SACSettings(Settings):
+    """Soft actor-critic."""
+
+    batch_size: int = setting(512, "Samples of a gradient step.", least=1)
+    gradient_steps: int = setting(4, "Gradient steps after each control step of the worlds.", least=1)
+    replay: int = setting(262_144, "Samples in the replay memory; a checkpoint holds them.", least=1)
+    random_steps: int = setting(10, "Control steps of every world with random actions.", least=0)
+    target_rate: float = setting(0.01, "Rate at which target networks follow.", least=0.0, most=1.0)
+    temperature: float = setting(0.05, "Weight of the entropy at the start; it is learned.", least=1e-9)
+    target_entropy: float = setting(-0.5, "Entropy that the weight aims at, for each action.")
+    reward_scale: float = setting(0.05, "Factor of rewards.", least=0.0)
+
+
+ALGORITHMS: dict[str, type[Settings]] = {"ppo": PPOSettings, "trpo": TRPOSettings, "sac": SACSettings}
+RECORDED = TypeVar("RECORDED", bound=Settings)
+
+
+def all_settings() -> dict[str, dataclasses.Field[Any]]:
+    """Return the settings of all algorithms by name."""
+    return {f.name: f for kind in ALGORITHMS.values() for f in dataclasses.fields(kind)}
+
+
+def preset(name: str, algorithm: str) -> dict[str, Any]:
+    """Return the settings that a task's preset changes; none for a task without preset.
+
+    Args:
+        name: Name of the task without version.
+        algorithm: Key in `ALGORITHMS`; its table follows what the preset says for all.
+    """
+    file = resources.files(__package__) / "presets" / f"{name}.toml"
+    if not file.is_file():
+        return {}
+    table = tomllib.loads(file.read_text())
+    own = table.pop(algorithm, {})
+    return {key: value for key, value in table.items() if not isinstance(value, dict)} | own
+
+
+def choose(name: str, algorithm: str, given: Mapping[str, Any]) -> Settings:
+    """Return settings: the defaults, a task's preset over them, and over both what is given.
+
+    Raises:
+        ValueError: A setting does not belong to the algorithm, is out of its range or does not fit to others.
+    """
+    check_choice("algorithm", algorithm, ALGORITHMS)
+    kind = ALGORITHMS[algorithm]
+    known = {f.name for f in dataclasses.fields(kind)}
+    for key in given:
+        if key not in known:
+            owners = [a for a, k in ALGORITHMS.items() if key in {f.name for f in dataclasses.fields(k)}]
+            where = (
+                f"it belongs to {' and '.join(owners)}"
+                if owners
+                else f"available: {', '.join(sorted(known))}"
+            )
+            raise ValueError(f"{algorithm} has no setting {_flag(key)}; {where}")
+    return restore(kind, preset(name, algorithm) | dict(given))
+
+
+def restore(kind: type[RECORDED], values: Mapping[str, Any]) -> RECORDED:
+    """Return settings from plain values, checked.
+
+    Raises:
+        ValueError: A value has the wrong type, is out of its range or does not fit to others.
+    """
+    fields = {f.name: f for f in dataclasses.fields(kind)}
+    checked = {}
+    for key, value in values.items():
+        if key not in fields:
+            raise ValueError(f"setting {key!r} is unknown; available: {', '.join(fields)}")
+        checked[key] = _checked(fields[key], value)
+    settings = kind(**checked)
+    _check_together(settings)
+    return settings
+
+
+def _checked(entry: dataclasses.Field[Any], value: Any) -> Any:
+    """Return a setting's value in its type.
+
+    Raises:
+        ValueError: It has another type, or is out of its range.
+    """
+    flag, bounds, kind = _flag(entry.name), entry.metadata, type(entry.default)
+    if kind is float and type(value) is int:
+        value = float(value)
+    if kind is tuple and isinstance(value, list | tuple):
+        value = tuple(value)
+    if type(value) is not kind:
+        raise ValueError(f"{flag} must be of type {kind.__name__}, got {value!r}")
+    for item in value if isinstance(value, tuple) else (value,):
+        if bounds["choices"]:
+            check_choice(flag, item, bounds["choices"])
+        elif isinstance(item, int | float):
+            _check_bounds(flag, item, bounds["least"], bounds["most"])
+    return value
+
+
+def _check_bounds(flag: str, value: float, least: float | None, most: float | None) -> None:
+    """Raise ValueError if a number is not within its bounds, or not a number."""
+    low, high = float("-inf") if least is None else least, float("inf") if most is None else most
+    if low <= value <= high and abs(value) != float("inf"):
+        return
+    wanted = f"at least {least}" if most is None else f"from {least} to {most}"
+    raise ValueError(f"{flag} must be {wanted if least is not None else 'finite'}, got {value}")
+
+
+def _check_together(settings: Settings) -> None:
+    """Raise ValueError if settings do not fit together."""
+    iteration = settings.num_worlds * settings.rollout_steps
+    if settings.samples < iteration:
+        raise ValueError(
+            f"--samples must be at least one iteration, {settings.num_worlds} worlds x "
+            f"{settings.rollout_steps} steps = {iteration}, got {settings.samples}"
+        )
+    if isinstance(settings, OnPolicy) and iteration % settings.minibatches:
+        raise ValueError(
+            f"--minibatches must divide the samples of an iteration, {settings.num_worlds} worlds x "
+            f"{settings.rollout_steps} steps = {iteration}, got {settings.minibatches}"
+        )
+    if isinstance(settings, PPOSettings) and settings.least_rate > settings.largest_rate:
+        raise ValueError(
+            f"--least-rate must be at most --largest-rate, {settings.largest_rate}, got {settings.least_rate}"
+        )
+    if isinstance(settings, SACSettings):
+        if settings.replay % settings.num_worlds:
+            raise ValueError(
+                f"--replay must be a multiple of the {settings.num_worlds} worlds, got {settings.replay}"
+            )
+        if settings.batch_size > settings.replay:
+            raise ValueError(
+                f"--batch-size must be at most --replay, {settings.replay} samples, got {settings.batch_size}"
+            )
+
+
+def _flag(name: str) -> str:
+    """Return a setting's name on the command line."""
+    return "--" + name.replace("_", "-")

@@ -1,0 +1,459 @@
+"""`myowarp train` and `myowarp eval`: a policy that learns, figures, and how they say no."""
+
+import csv
+import dataclasses
+import errno
+import importlib.util
+import json
+import os
+import pickle
+import signal
+from importlib import resources
+
+import numpy as np
+import pytest
+
+from myowarp.apps.train import checkpoint as checkpoints
+from myowarp.apps.train import command
+from myowarp.apps.train.evaluate import evaluate, wilson
+from myowarp.apps.train.settings import ALGORITHMS, choose
+from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
+from myowarp.spec.task import TASKS
+
+ELBOW, OTHER = "myoElbowPose1D6MRandom-v0", "myoElbowPose1D6MFixed-v0"
+TINY = ("--num-worlds", 8, "--rollout-steps", 8, "--minibatches", 2, "--hidden", 16, "--device", "cpu")
+PRESETS = sorted(f.name for f in resources.files("myowarp.apps.train").joinpath("presets").iterdir())
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory):
+    """Train an elbow with its preset; return the folder of the run."""
+    folder = tmp_path_factory.mktemp("runs") / "elbow"
+    command.Train(task=ELBOW, output=folder, device="cpu", seed=1)()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    """Return the folder of a run of two iterations."""
+    folder = tmp_path_factory.mktemp("runs") / "tiny"
+    settings = {"num_worlds": 8, "rollout_steps": 8, "minibatches": 2, "hidden": (16,), "samples": 128}
+    command.Train(task=ELBOW, output=folder, device="cpu", **settings)()
+    return folder
+
+
+@pytest.fixture
+def copy(tiny, tmp_path):
+    """Return the folder of a checkpoint that may be damaged."""
+    source, target = checkpoints.find_folder(tiny), tmp_path / "damaged"
+    target.mkdir()
+    for file in source.iterdir():
+        (target / file.name).write_bytes(file.read_bytes())
+    return target
+
+
+@pytest.fixture
+def no_simulation(monkeypatch):
+    """Whoever builds a simulation fails."""
+
+    def refuse(*args, **options):
+        pytest.fail("a simulation was built")
+
+    monkeypatch.setattr("myowarp.bridge_gym.MyoWarpVectorEnv.__init__", refuse)
+
+
+def said(result):
+    """Return the one sentence of a command that failed."""
+    status, _, err = result
+    assert status == 2, err
+    (line,) = [line for line in err.splitlines() if line.startswith("myowarp: ")]
+    return line.removeprefix("myowarp: ")
+
+
+def test_the_elbow_learns_in_seconds(learned, run):
+    report = json.loads((learned / "report.json").read_text())
+    assert report["ended"] == "99.5 % more than 5 solved steps"
+    assert report["samples"] <= 250_000
+    status, out, err = run("eval", learned, "--device", "cpu", "--json")
+    assert status == 0, err
+    figures = json.loads(out)
+    assert figures["physics"] == "parity"
+    for mode in ("deterministic", "sampled"):
+        assert figures[mode]["episodes"] == 256
+        assert figures[mode]["success"] >= 0.9
+        assert figures[mode]["intervals"]["success"][0] > 0.85
+    assert figures["deterministic"]["activation_rate"] < figures["sampled"]["activation_rate"]
+    assert {path.name for path in learned.iterdir()} >= {"progress.csv", "curve.png", "checkpoints"}
+    assert any(path.name.startswith("events.out") for path in learned.iterdir())
+
+
+def test_rollout_plays_it(learned, run):
+    status, out, err = run(
+        "rollout", ELBOW, "--policy", learned, "--num-worlds", 64, "--device", "cpu", "--json"
+    )
+    assert status == 0, err
+    assert json.loads(out)["success_percent"] >= 90.0
+
+
+def test_a_cohort_is_driven_by_it(learned, run, tmp_path):
+    (tmp_path / "patients.csv").write_text("patient,strength\nwell,1.0\nweak,0.4\n")
+    status, _, err = run(
+        *("cohort", tmp_path / "patients.csv", "--task", OTHER, "--policy", learned, "--device", "cpu"),
+        *("--format", "csv", "--output", tmp_path / "out"),
+    )
+    assert status == 0, err
+    with (tmp_path / "out" / "summary.csv").open() as file:
+        well, weak = csv.DictReader(file)
+    assert well["success"] == "True"
+    assert float(weak["mean_activation"]) != float(well["mean_activation"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algorithm", ["trpo", "sac"])
+def test_the_elbow_learns_with_other_algorithms(algorithm, run, tmp_path):
+    options = ("--algorithm", algorithm, "--stop-success", 0.95, "--samples", 120_000, "--device", "cpu")
+    status, _, err = run("train", ELBOW, "--output", tmp_path / "run", *options)
+    assert status == 0, err
+    assert json.loads((tmp_path / "run" / "report.json").read_text())["success"] >= 0.9
+
+
+def test_a_checkpoint_that_is_replaced_while_it_is_read_is_read_again(tiny, tmp_path, monkeypatch):
+    whole = checkpoints.load_checkpoint(tiny)
+    content = {k: v for k, v in whole.manifest.items() if k != "files"}, whole.policy, {}
+    checkpoints.save_checkpoint(tmp_path, 1, *content)
+    read, calls = checkpoints._read_manifest, []
+
+    def replaced(folder):
+        calls.append(folder.name)
+        if len(calls) == 1:
+            checkpoints.save_checkpoint(tmp_path, 2, *content)
+        return read(folder)
+
+    monkeypatch.setattr(checkpoints, "_read_manifest", replaced)
+    assert checkpoints.load_checkpoint(tmp_path).folder.name == "000000000002"
+    assert len(calls) == 2
+
+
+def test_another_task_with_the_same_contract_can_be_named(learned, run):
+    status, out, _ = run("eval", learned, "--task", OTHER, "--episodes", 16, "--device", "cpu", "--json")
+    assert status == 0
+    assert json.loads(out)["task"] == f"MyoWarp/{OTHER}"
+
+
+def test_conditions_weaken_it(learned, run):
+    options = ("--episodes", 64, "--mode", "deterministic", "--device", "cpu", "--json")
+    healthy = json.loads(run("eval", learned, *options)[1])["deterministic"]
+    weak = json.loads(run("eval", learned, *options, "--conditions", "sarcopenia")[1])
+    assert weak["conditions"] == ["sarcopenia"]
+    assert weak["deterministic"]["return_mean"] != healthy["return_mean"]
+
+
+def test_wilson():
+    # Newcombe 1998, Statistics in Medicine 17:857, table I, method 3.
+    np.testing.assert_allclose(wilson(81, 263), (0.2553, 0.3662), atol=5e-5)
+    np.testing.assert_allclose(wilson(15, 148), (0.0624, 0.1605), atol=5e-5)
+    np.testing.assert_allclose(wilson(0, 20), (0.0, 0.1611), atol=5e-5)
+    np.testing.assert_allclose(wilson(1, 29), (0.0061, 0.1718), atol=5e-5)
+
+
+def test_evaluation_counts_each_world_once():
+    """The figures are those of a plain loop over a world that stops when its episode ends."""
+    env = MyoWarpVectorEnv(ELBOW, 6, device="cpu", autoreset_mode="same_step", max_episode_steps=30)
+    gains = np.linspace(-1.0, 1.0, 6)
+
+    def act(obs):
+        return np.tanh(3.0 * obs[:, 2:3] * gains)
+
+    got = evaluate(env, act, 7)
+    returns, solved, success, effort, rate = [], [], [], [], []
+    for world in range(6):
+        one = MyoWarpVectorEnv(ELBOW, 1, device="cpu", autoreset_mode="disabled", max_episode_steps=30)
+        obs, _ = one.reset(seed=7 + world)
+        total, hits, activations, ended = 0.0, [], [obs[0, 3:9]], False
+        while not ended:
+            obs, reward, terminated, truncated, info = one.step(act(obs))
+            total, ended = total + reward[0], bool(terminated[0] | truncated[0])
+            hits.append(bool(info["solved"][0]))
+            activations.append(obs[0, 3:9])
+        returns.append(total)
+        solved.append(hits)
+        success.append(sum(hits) > 5)
+        seen = np.array(activations[:-1])  # the step that ends an episode shows the next one's activation
+        effort.append(seen[1:].mean())
+        rate.append(np.abs(np.diff(seen, axis=0)).mean() / 0.02)
+    assert got.episodes == 6
+    assert 0.0 < got.success < 1.0 or 0.0 < got.success_any <= 1.0
+    np.testing.assert_allclose(got.return_mean, np.mean(returns), rtol=1e-6)
+    assert got.success == np.mean(success)
+    assert got.success_any == np.mean([any(hits) for hits in solved])
+    assert got.success_last == np.mean([hits[-1] for hits in solved])
+    np.testing.assert_allclose(got.mean_activation, np.mean(effort), rtol=1e-5)
+    np.testing.assert_allclose(got.activation_rate, np.mean(rate), rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_are_of_tasks_and_within_bounds(name):
+    task = name.removesuffix(".toml")
+    assert task in {TASKS[key].name for key in TASKS}
+    for algorithm in ALGORITHMS:
+        choose(task, algorithm, {})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--num-worlds", 0), "--num-worlds must be at least 1, got 0"),
+        (("--samples", 0), "--samples must be at least 1, got 0"),
+        (("--learning-rate", "nan"), "--learning-rate must be at least 0.0, got nan"),
+        (("--discount", 1.5), "--discount must be from 0.0 to 1.0, got 1.5"),
+        (("--save-seconds", -1), "--save-seconds must be at least 0, got -1.0"),
+        (("--replay", 64), "ppo has no setting --replay; it belongs to sac"),
+        (("--physics", "quick"), "--physics 'quick' unknown; available: parity, fast"),
+        (
+            ("--num-worlds", 8, "--rollout-steps", 8, "--minibatches", 7),
+            "--minibatches must divide the samples of an iteration, 8 worlds x 8 steps = 64, got 7",
+        ),
+        (
+            ("--num-worlds", 8, "--rollout-steps", 8, "--minibatches", 2, "--samples", 63),
+            "--samples must be at least one iteration, 8 worlds x 8 steps = 64, got 63",
+        ),
+        (
+            ("--algorithm", "sac", "--num-worlds", 48),
+            "--replay must be a multiple of the 48 worlds, got 262144",
+        ),
+        (
+            ("--algorithm", "sac", "--num-worlds", 8, "--replay", 64),
+            "--batch-size must be at most --replay, 64 samples, got 512",
+        ),
+        (("--resume", "nowhere"), "'nowhere' holds no checkpoint; a run's folder has "),
+    ],
+)
+def test_settings_are_refused_before_anything_is_built(arguments, sentence, run, no_simulation, tmp_path):
+    assert said(run("train", ELBOW, "--output", tmp_path / "new", *arguments)).startswith(sentence)
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_folder_that_holds_something_is_left_alone(tiny, run, no_simulation):
+    assert said(run("train", ELBOW, "--output", tiny)) == (
+        f"output {str(tiny)!r} is not empty; choose a new folder, or go on with --resume {tiny}"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--epochs", 7), "--resume goes on with the settings of its run, where --epochs is 5, got 7"),
+        (("--hidden", 8), "--resume goes on with the settings of its run, where --hidden is [16], got (8,)"),
+        (("--replay", 8), "--resume goes on with the settings of its run, where --replay is None, got 8"),
+        (("--algorithm", "sac"), "--resume goes on with algorithm 'ppo', got 'sac'; leave it out"),
+        ((OTHER,), f"--resume goes on with task {ELBOW!r}, got {OTHER!r}; leave it out"),
+    ],
+)
+def test_a_run_goes_on_with_its_own_settings(arguments, sentence, tiny, run, no_simulation):
+    assert said(run("train", "--resume", tiny, *arguments)).startswith(sentence)
+
+
+def test_a_policy_cannot_act_in_another_body(tiny, run, no_simulation):
+    assert said(run("rollout", "myoHandReachFixed-v0", "--policy", tiny)) == (
+        f"policy {str(tiny)!r} was trained in {ELBOW!r} (pose with elbow) and cannot act in "
+        "'myoHandReachFixed-v0' (reach with hand)"
+    )
+    assert "cannot act" in said(run("rollout", "myoFingerPoseFixed-v0", "--policy", tiny))
+
+
+def test_a_policy_cannot_act_with_another_contract(tiny, run):
+    folder = str(checkpoints.find_folder(tiny))
+    other = "myoElbowPose1D6MExoRandom-v0"
+    assert said(run("eval", tiny, "--task", other, "--episodes", 2, "--device", "cpu")) == (
+        f"checkpoint {folder!r} was trained in {ELBOW!r} and cannot act in {other!r}: "
+        "body is 'elbow' there and 'elbow_exo' here"
+    )
+
+
+def test_contracts_differ_in_columns(tiny):
+    """A condition that shows its state appends columns."""
+    whole = checkpoints.load_checkpoint(tiny)
+    shown = Fatigue3CCR(observe=True)
+    env = MyoWarpVectorEnv(ELBOW, 1, device="cpu", conditions=shown)
+    with pytest.raises(checkpoints.CheckpointError, match="columns have 4 entries there and 5 here"):
+        checkpoints.check_contract(whole, env.sim)
+
+
+def test_a_run_does_not_go_on_with_another_reward(tiny, run, tmp_path):
+    whole = checkpoints.load_checkpoint(tiny)
+    manifest = json.loads(json.dumps({k: v for k, v in whole.manifest.items() if k != "files"}))
+    manifest["contract"]["reward"][0][1] = 2.5
+    checkpoints.save_checkpoint(tmp_path, 128, manifest, whole.policy, whole.state())
+    sentence = said(run("train", "--resume", tmp_path))
+    assert f"cannot learn in {ELBOW!r}: reward have ['pose', 2.5] there and ['pose', 1.0] here" in sentence
+
+
+def truncate(path):
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def flip(path):
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+
+
+def edit(path):
+    path.write_text(path.read_text().replace('"samples": 128', '"samples": 129'))
+
+
+def unpickled(path):
+    class Code:
+        def __reduce__(self):
+            return os.mkdir, (str(path) + ".ran",)
+
+    path.write_bytes(pickle.dumps(Code()))
+
+
+@pytest.mark.parametrize(
+    ("damage", "file", "words"),
+    [
+        (truncate, "policy.safetensors", "is damaged: policy.safetensors has"),
+        (flip, "policy.safetensors", "was changed: policy.safetensors does not have its checksum"),
+        (unpickled, "policy.safetensors", "is damaged: policy.safetensors has"),
+        (os.unlink, "policy.safetensors", "lacks policy.safetensors"),
+        (truncate, "manifest.json", "has no readable manifest.json"),
+        (unpickled, "manifest.json", "has no readable manifest.json"),
+        (edit, "manifest.json", "was changed: manifest.json does not have its digest"),
+        (os.unlink, "manifest.json", "holds no checkpoint"),
+    ],
+)
+def test_damaged_checkpoints_are_refused(damage, file, words, copy, run, no_simulation):
+    damage(copy / file)
+    for arguments in (("eval", copy), ("rollout", ELBOW, "--policy", copy), ("train", "--resume", copy)):
+        assert words in said(run(*arguments))
+    assert not (copy / f"{file}.ran").exists()
+
+
+def test_a_damaged_state_is_refused_when_a_run_goes_on(copy, run):
+    flip(copy / "state.safetensors")
+    assert "state.safetensors does not have its checksum" in said(run("train", "--resume", copy))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda policy: policy["net.2.bias"].fill(np.nan), "has net.2.bias that is not finite"),
+        (
+            lambda policy: policy.update({"net.0.weight": np.ones((16, 4), np.float32)}),
+            "own contract: net.0.weight",
+        ),
+    ],
+)
+def test_weights_that_cannot_act_are_refused(change, words, tiny, tmp_path):
+    whole = checkpoints.load_checkpoint(tiny)
+    policy = {name: array.copy() for name, array in whole.policy.items()}
+    change(policy)
+    checkpoints.save_checkpoint(
+        tmp_path, 1, {k: v for k, v in whole.manifest.items() if k != "files"}, policy, {}
+    )
+    with pytest.raises(checkpoints.CheckpointError, match=words):
+        checkpoints.load_checkpoint(tmp_path)
+
+
+@pytest.mark.parametrize("call", range(1, 7))
+def test_a_full_disk_keeps_the_checkpoint_before(call, tmp_path, monkeypatch):
+    """Whatever write or flush of a save fails, what was there is still there, whole and alone."""
+    arrays = {"net.0.weight": np.ones((2, 3), np.float32), "net.0.bias": np.ones(2, np.float32)}
+    arrays |= {"observation_mean": np.zeros(3), "observation_variance": np.ones(3), "log_std": np.zeros(2)}
+    contract = {"columns": [["x", 3, "1"]], "actuators": ["a", "b"]}
+    checkpoints.save_checkpoint(tmp_path, 1, {"contract": contract}, arrays, arrays)
+    calls, fsync = [], os.fsync
+
+    def full(handle):
+        calls.append(handle)
+        if len(calls) == call:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", full)
+    try:
+        checkpoints.save_checkpoint(tmp_path, 2, {"contract": contract}, arrays, arrays)
+        assert call == 6  # there are five
+    except OSError:
+        pass
+    monkeypatch.undo()
+    folder = checkpoints.find_folder(tmp_path)
+    assert int(folder.name) == (1 if call <= 4 else 2)
+    assert set(checkpoints.load_checkpoint(tmp_path).state()) == set(arrays)
+
+
+def test_a_full_disk_ends_the_run_with_one_sentence(run, tmp_path, monkeypatch):
+    save, calls = checkpoints.save_checkpoint, []
+
+    def full(*arguments):
+        calls.append(arguments)
+        if len(calls) == 3:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return save(*arguments)
+
+    monkeypatch.setattr(checkpoints, "save_checkpoint", full)
+    folder = tmp_path / "full"
+    sentence = said(run("train", ELBOW, "--output", folder, *TINY, "--save-seconds", 0))
+    assert sentence.startswith("checkpoint after 64 samples could not be written (No space left on device)")
+    assert checkpoints.load_checkpoint(folder).manifest["samples"] == 0
+
+
+def test_ctrl_c_leaves_a_checkpoint_and_a_report(run, tmp_path, monkeypatch):
+    from myowarp.apps.train.loop import Run
+
+    iterate = Run.iterate
+
+    def interrupted(self):
+        if self.updates == 2:
+            os.kill(os.getpid(), signal.SIGINT)
+        iterate(self)
+
+    monkeypatch.setattr(Run, "iterate", interrupted)
+    status, _, err = run("train", ELBOW, "--output", tmp_path / "run", *TINY)
+    assert status == 0, err
+    assert "stopped by a signal" in err
+    assert json.loads((tmp_path / "run" / "report.json").read_text())["updates"] == 3
+    assert checkpoints.load_checkpoint(tmp_path / "run").manifest["samples"] == 3 * 64
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_diverged_run_keeps_the_last_good_checkpoint(run, tmp_path, monkeypatch):
+    from myowarp.apps.train.loop import Run
+
+    iterate = Run.iterate
+
+    def broken(self):
+        if self.updates == 2:
+            with __import__("torch").no_grad():
+                next(self.agent.value.parameters())[0, 0] = float("nan")
+        iterate(self)
+
+    monkeypatch.setattr(Run, "iterate", broken)
+    folder = tmp_path / "run"
+    sentence = said(run("train", ELBOW, "--output", folder, *TINY, "--save-seconds", 0))
+    assert sentence == (
+        f"policy loss was not finite in update 3; the last good checkpoint is in {folder}, try a lower "
+        "--learning-rate"
+    )
+    assert checkpoints.load_checkpoint(folder).manifest["samples"] == 2 * 64
+
+
+def test_settings_are_all_in_the_manifest(tiny):
+    recorded = checkpoints.load_checkpoint(tiny).manifest["settings"]
+    assert set(recorded) == {f.name for f in dataclasses.fields(ALGORITHMS["ppo"])}
+    assert recorded["num_worlds"] == 8
+
+
+@pytest.mark.parametrize(
+    ("package", "arguments", "sentence"),
+    [
+        ("skrl", (), 'training needs skrl; run `pip install "myowarp[train]"`'),
+        ("wandb", ("--wandb",), "--wandb needs wandb, which is not installed; run `pip install wandb`"),
+    ],
+)
+def test_a_missing_package_is_named(package, arguments, sentence, run, no_simulation, tmp_path, monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == package else find(name))
+    assert said(run("train", ELBOW, "--output", tmp_path / "new", *arguments)) == sentence

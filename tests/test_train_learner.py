@@ -1,0 +1,138 @@
+"""The learner beside our own arithmetic: bootstrap at truncation, finite weights, arrays there and back."""
+
+import numpy as np
+import pytest
+import torch
+
+from myowarp.apps.train import agents
+from myowarp.apps.train.loop import DivergedError, Run
+from myowarp.apps.train.settings import choose
+from myowarp.bridge_gym import MyoWarpVectorEnv
+
+ELBOW = "myoElbowPose1D6MRandom-v0"
+HORIZON = 5  # steps: two truncations and a piece in a rollout of 12
+STEPS, WORLDS = 12, 3
+SMALL = {"num_worlds": WORLDS, "rollout_steps": STEPS, "hidden": (16,), "discount": 0.9}
+FLOAT32 = 2e-5  # of advantages of order 1, sums of a dozen float32
+
+
+def make_run(algorithm, **settings):
+    """Return a run of a few elbows with short episodes."""
+    env = MyoWarpVectorEnv(
+        ELBOW,
+        WORLDS,
+        device="cpu",
+        max_episode_steps=HORIZON,
+        autoreset_mode="disabled",
+        output="torch",
+        copy=False,
+        progress=False,
+    )
+    return Run(env, choose("none", algorithm, SMALL | settings))
+
+
+def record(run):
+    """Let a run note every transition as the environment gave it, before anything is reset."""
+    rows, step = [], run.env.step
+
+    def noted(action):
+        before = run.env._obs()["obs"].clone()
+        obs, reward, terminated, truncated, info = step(action)
+        rows.append([x.clone().double().numpy() for x in (before, obs, reward, terminated, truncated)])
+        return obs, reward, terminated, truncated, info
+
+    run.env.step = noted
+    return rows
+
+
+def hand_computed(rows, value, discount, decay, *, bootstrap=True):
+    """Return advantages (steps, worlds) by their definition, world by world, in float64.
+
+    A_t = sum_k (discount decay)^k delta_{t+k} within the episode, delta = r + discount V(s') - V(s), with
+    V(s') = 0 after a termination, and V of the observation that the episode ended with after a truncation.
+    """
+    advantages = np.zeros((len(rows), WORLDS))
+    for world in range(WORLDS):
+        for first in range(len(rows)):
+            weight = 1.0
+            for before, after, reward, terminated, truncated in rows[first:]:
+                following = 0.0 if terminated[world] else value(after[world])
+                if truncated[world] and not bootstrap:
+                    following = 0.0
+                delta = reward[world] + discount * following - value(before[world])
+                advantages[first, world] += weight * delta
+                if terminated[world] or truncated[world]:
+                    break
+                weight *= discount * decay
+    return advantages
+
+
+def standardized(x):
+    return (x - x.mean()) / x.std(ddof=1)
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "trpo"])
+def test_truncated_episodes_bootstrap_from_the_observation_they_ended_with(algorithm):
+    run = make_run(algorithm, minibatches=1, epochs=1, trace_decay=0.8)
+    run.iterate()  # a normaliser and a value function that are not those of the start
+    rows, seen = record(run), {}
+    update = run.agent.update
+
+    def noted(**at):
+        scaler, returns = run.agent._observation_preprocessor, run.agent._value_preprocessor
+
+        def value(obs):
+            with torch.no_grad():
+                x = scaler(torch.tensor(obs, dtype=torch.float32)[None])
+                return returns(run.agent.value.act({"observations": x}, role="value")[0], inverse=True).item()
+
+        for name, bootstrap in (("right", True), ("without", False)):
+            seen[name] = standardized(hand_computed(rows, value, 0.9, 0.8, bootstrap=bootstrap))
+        update(**at)
+
+    run.agent.update = noted
+    run.iterate()
+    got = run.agent.memory.get_tensor_by_name("advantages")[..., 0].numpy()
+    assert sum(row[4].sum() for row in rows) >= 2 * WORLDS
+    assert np.abs(got - seen["right"]).max() < FLOAT32
+    assert np.abs(seen["without"] - seen["right"]).max() > 10 * FLOAT32
+
+
+def test_sac_keeps_the_observation_that_an_episode_ended_with():
+    run = make_run("sac", replay=60, batch_size=30, gradient_steps=1, random_steps=0)
+    rows = record(run)
+    run.iterate()
+    kept = run.agent.memory.get_tensor_by_name("next_observations")[:STEPS].numpy()
+    firsts = run.agent.memory.get_tensor_by_name("observations")[:STEPS].numpy()
+    np.testing.assert_array_equal(kept, np.stack([row[1] for row in rows]).astype(np.float32))
+    np.testing.assert_array_equal(firsts, np.stack([row[0] for row in rows]).astype(np.float32))
+    ended = np.flatnonzero(rows[HORIZON - 1][4])
+    assert ended.size
+    assert np.abs(kept[HORIZON - 1, ended] - firsts[HORIZON, ended]).max() > 1e-3  # not the next episode's
+
+
+def test_a_loss_that_is_not_finite_stops_the_run():
+    run = make_run("ppo", minibatches=1)
+    run.iterate()
+    with torch.no_grad():
+        next(run.agent.value.parameters())[0, 0] = float("nan")
+    with pytest.raises(DivergedError, match="policy loss was not finite in update 2"):
+        run.iterate()
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "trpo", "sac"])
+def test_an_agent_made_anew_from_arrays_is_the_same(algorithm):
+    small = {"replay": 60, "batch_size": 30} if algorithm == "sac" else {"minibatches": 2}
+    run = make_run(algorithm, **small)
+    run.iterate()
+    policy, learner = agents.policy_arrays(run.agent), agents.learner_arrays(run.agent)
+    other = make_run(algorithm, **small, seed=5)
+    assert not np.array_equal(agents.policy_arrays(other.agent)["net.0.weight"], policy["net.0.weight"])
+    agents.restore_agent(other.agent, policy, learner)
+    for before, after in (
+        (policy, agents.policy_arrays(other.agent)),
+        (learner, agents.learner_arrays(other.agent)),
+    ):
+        assert before.keys() == after.keys()
+        for name, array in before.items():
+            np.testing.assert_array_equal(array, after[name], err_msg=name)

@@ -1,0 +1,97 @@
+"""Killed at any moment and resumed, a run is the run that nothing disturbed, bit for bit on the CPU."""
+
+import csv
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from myowarp.apps.train.checkpoint import FOLDER, MANIFEST, find_folder, load_checkpoint
+
+ELBOW = "myoElbowPose1D6MRandom-v0"
+ALGORITHMS = {
+    "ppo": ("--minibatches", 2, "--epochs", 2),
+    "trpo": ("--minibatches", 2, "--epochs", 2),
+    "sac": ("--replay", 2048, "--batch-size", 64, "--gradient-steps", 1, "--random-steps", 4),
+}
+SAMPLES = 8 * 16 * 30  # thirty iterations, five episodes a world
+PATIENCE = 120.0  # s
+TIMES = ("seconds", "samples_per_s", "share_simulation", "share_learner", "share_rest")
+
+
+def arguments(algorithm, samples=SAMPLES):
+    """Return the command of a small run with a checkpoint after every iteration."""
+    sizes = ("--num-worlds", 8, "--rollout-steps", 16, "--hidden", 16, 16, "--samples", samples)
+    places = ("--device", "cpu", "--save-seconds", 0, "--stop-success", 2, "--seed", 3)
+    own = ALGORITHMS[algorithm]
+    return [str(a) for a in ("train", ELBOW, "--algorithm", algorithm, *sizes, *places, *own)]
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    """Start a long run of each algorithm, kill each at a random moment; return their folders."""
+    root = tmp_path_factory.mktemp("killed")
+    command = [sys.executable, "-m", "myowarp.apps.cli"]
+    running = {
+        name: subprocess.Popen(
+            [*command, *arguments(name, 10**7), "--output", str(root / name)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for name in ALGORITHMS
+    }
+    for name, process in running.items():
+        begin = time.monotonic()
+        while samples_of(root / name) < 8 * 16 * 4:
+            assert process.poll() is None, process.stderr.read()
+            assert time.monotonic() - begin < PATIENCE
+            time.sleep(0.002)
+        time.sleep(random.uniform(0.0, 0.1))
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+    return root
+
+
+def samples_of(run):
+    """Return the samples of the last checkpoint of a run, 0 while there is none."""
+    try:
+        return int(find_folder(run).name)
+    except (ValueError, OSError):
+        return 0
+
+
+def rows(run):
+    with (run / "progress.csv").open() as file:
+        return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(file)]
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_killed_and_resumed_is_undisturbed(algorithm, killed, run, tmp_path):
+    stopped = killed / algorithm
+    at = samples_of(stopped)
+    total = at + 8 * 16 * 12
+    status, _, err = run("train", "--resume", stopped, "--samples", total, "--save-seconds", 0)
+    assert status == 0, err
+    undisturbed = tmp_path / "undisturbed"
+    status, _, err = run(*arguments(algorithm, total), "--output", undisturbed)
+    assert status == 0, err
+    one, other = load_checkpoint(stopped), load_checkpoint(undisturbed)
+    assert one.manifest["samples"] == other.manifest["samples"] == total > at >= 8 * 16 * 4
+    for before, after in ((one.policy, other.policy), (one.state(), other.state())):
+        assert before.keys() == after.keys()
+        for name, array in before.items():
+            np.testing.assert_array_equal(array, after[name], err_msg=name)
+    assert rows(stopped) == rows(undisturbed)
+    assert len(rows(stopped)) == total // (8 * 16)
+
+
+def test_a_kill_leaves_one_whole_checkpoint_and_nothing_that_is_taken_for_one(killed):
+    for algorithm in ALGORITHMS:
+        root = killed / algorithm / FOLDER
+        assert load_checkpoint(killed / algorithm).state()
+        assert 1 <= sum((folder / MANIFEST).is_file() for folder in root.iterdir()) <= 3
