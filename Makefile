@@ -14,6 +14,7 @@ OPENSIM ?=
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+TEST_STAMP := $(VENV)/.installed-test
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
 .PHONY: help setup demo test test-slow lint format bench gpu rivals opensim accuracy parity soak audit clean
@@ -39,6 +40,11 @@ $(STAMP): pyproject.toml
 	@touch $@
 	@echo "Ready: $(BIN)/myowarp --help"
 
+$(TEST_STAMP): $(STAMP)
+	@echo "Installing what the tests need besides: torch and the trainers (with CUDA libraries several gigabytes)"
+	@set -o pipefail; $(PIP) install --progress-bar off -e ".[test]" | awk '/Downloading|Installing collected/ { print substr($$0, 1, 100); fflush() }'
+	@touch $@
+
 demo: setup ## Simulate 256 hands and write out/demo.mp4
 	@mkdir -p out
 	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --num-worlds 256 --video out/demo.mp4 --overwrite
@@ -46,10 +52,10 @@ demo: setup ## Simulate 256 hands and write out/demo.mp4
 test: lint ## Check format, lint and types, then run the fast tests (what CI runs)
 	$(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile $(PYTEST)
 
-test-slow: setup ## Run the tests marked slow
+test-slow: $(TEST_STAMP) ## Run the tests marked slow
 	$(BIN)/python -m pytest -m slow $(PYTEST)
 
-lint: setup ## Check format, lint and types
+lint: $(TEST_STAMP) ## Check format, lint and types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy

@@ -23,7 +23,7 @@ from myowarp.apps.train.settings import ALGORITHMS, SUCCESSES, Settings, all_set
 from myowarp.disk import check_folder, in_place
 from myowarp.spec.registry import check_choice
 from myowarp.spec.task import TASKS
-from myowarp.tasks.from_file import find_task
+from myowarp.tasks.from_file import task_or_model
 from myowarp.tasks.variants import Variant
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def _plan(command: TrainCommand) -> Job:
     given = {name: value for name, value in given.items() if value is not None}
     if command.resume is not None:
         return _plan_resume(command, given)
-    variant = find_task(command.task, command.model)
+    variant = task_or_model(command.task, command.model)
     algorithm = command.algorithm or "ppo"
     settings = choose(TASKS[variant.task].name, algorithm, given)
     task = command.task or str(command.model)
@@ -164,7 +164,7 @@ def _plan_resume(command: TrainCommand, given: dict[str, Any]) -> Job:
         raise ValueError(
             f"the task of the run is in the file {task!r}, which --resume opens if you name it, too"
         )
-    variant = find_task(None if is_model else task, Path(task) if is_model else None)
+    variant = task_or_model(None if is_model else task, Path(task) if is_model else None)
     return Job(task, is_model, variant, algorithm, settings, folder, checkpoint)
 
 

@@ -17,7 +17,7 @@ from myowarp.apps.train.settings import SUCCESSES
 from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.registry import check_choice
 from myowarp.spec.task import PHYSICS, RESETS, TASKS
-from myowarp.tasks.from_file import find_task
+from myowarp.tasks.from_file import task_or_model
 from myowarp.tasks.variants import Variant
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ class Eval:
                 f"checkpoint {str(self.checkpoint)!r} was trained with the file {manifest['task']!r}; "
                 f"name it with {option}, because a checkpoint opens no files"
             )
-        variant = find_task(self.task if other else manifest["task"], self.model)
+        variant = task_or_model(self.task if other else manifest["task"], self.model)
         own = (*variant.conditions, *(trained["conditions"] if self.conditions is None else self.conditions))
         options = {
             "physics": self.physics,
