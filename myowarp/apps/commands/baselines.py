@@ -1,0 +1,95 @@
+"""The command `myowarp baselines`: trained policies that come with the package."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from myowarp.apps.options import Device, OptionalTask, optional
+from myowarp.apps.train.settings import SUCCESSES, success_text
+
+
+@dataclass
+class Baselines:
+    """List the trained policies that come with the package, or remake one and compare it with its table.
+
+    Example: myowarp rollout myoHandReachFixed-v0 --policy baseline --video hand.mp4
+
+    Or: myowarp baselines run myoElbowPose1D6MRandom-v0
+    """
+
+    action: Annotated[Literal["list", "run"], tyro.conf.Positional]
+    """list: all baselines, or the one of a task. run: train it again with its settings (needs
+    "myowarp[train]"), evaluate 256 episodes under parity, and compare."""
+    task: OptionalTask = None
+    output: Annotated[Path | None, optional("FOLDER")] = None
+    """run: new folder; by default runs/baseline_<task>_<seed>."""
+    seed: Annotated[int | None, optional("INT")] = None
+    """run: another seed than that of the baseline."""
+    device: Device = None
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def __call__(self) -> None:
+        """Check, then list or run."""
+        from myowarp.apps import baselines
+
+        task = self.task and self.task.removeprefix("MyoWarp/")
+        if self.action == "list":
+            names = [task] if task else baselines.baseline_tasks()
+            _list([baselines.load_baseline(name) for name in names], self.json)
+            return
+        if task is None:
+            raise ValueError(f"baselines run needs a task: {', '.join(baselines.baseline_tasks())}")
+        baseline = baselines.load_baseline(task)
+        seed = baseline.settings["seed"] if self.seed is None else self.seed
+        output = self.output or Path("runs") / f"baseline_{task}_{seed}"
+        device = {"device": self.device} if self.device else {}
+        now = baselines.remake(baseline, output, seed=seed, **device)
+        self._report(baseline, now, output)
+
+    def _report(self, baseline: Any, now: dict[str, Any], output: Path) -> None:
+        """Print both sets of figures.
+
+        Raises:
+            RuntimeError: The baseline was not reached.
+        """
+        from myowarp.apps.baselines import shortfall
+        from myowarp.apps.train.checkpoint import POLICY, load_checkpoint
+
+        before = {mode: baseline.runs[0]["evaluation"][mode] for mode in now}
+        remade = load_checkpoint(output).manifest["files"][POLICY]
+        same = remade == baseline.checkpoint.manifest["files"][POLICY]
+        if self.json:
+            print(json.dumps({"task": baseline.task, "remade": now, "same_policy": same}, indent=1))
+        else:
+            console, table = Console(highlight=False), Table("", "baseline", "remade")
+            for mode in now:
+                for rule, text in SUCCESSES.items():
+                    table.add_row(
+                        f"{mode}: {text}", success_text(before[mode], rule), success_text(now[mode], rule)
+                    )
+            console.print(table)
+            console.print(f"The policies are {'equal bit for bit' if same else 'not equal bit for bit'}.")
+        if short := shortfall(now, before):
+            raise RuntimeError(f"baseline {baseline.task!r} was not reached: {short}")
+
+
+def _list(found: list[Any], as_json: bool) -> None:
+    """Print baselines."""
+    if as_json:
+        print(json.dumps({baseline.task: {"runs": baseline.runs} for baseline in found}, indent=1))
+        return
+    table = Table("task", "algorithm", "samples [million]", "success, deterministic", "success, sampled")
+    for baseline in found:
+        run = baseline.runs[0]
+        modes = (success_text(run["evaluation"][mode], "success") for mode in ("deterministic", "sampled"))
+        training = run["training"]
+        table.add_row(baseline.task, training["algorithm"], f"{training['samples'] / 1e6:.2f}", *modes)
+    console = Console(highlight=False)
+    console.print(table)
+    console.print(f"Success: {SUCCESSES['success']}, 256 episodes under parity physics, 95 % intervals.")
