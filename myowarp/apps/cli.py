@@ -15,6 +15,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Column, Table
 
+from myowarp.apps.plot import Plot
+from myowarp.apps.record import Record
 from myowarp.opensim.command import Convert
 from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.muscle_table import MuscleTable
@@ -137,7 +139,7 @@ class Rollout:
     save: Path | None = None
     """Write observations, actions, rewards and endings of all steps to this .npz."""
     video: Path | None = None
-    """Write a video of some worlds to this .mp4."""
+    """Write a video of some worlds to this .mp4 or .gif."""
     video_worlds: int = 6
     """Worlds in the video."""
     signals: Path | None = None
@@ -150,6 +152,7 @@ class Rollout:
     def __call__(self) -> None:
         """Run and report."""
         from myowarp.apps import rollout
+        from myowarp.apps.film import VIDEOS, Film, write
         from myowarp.apps.recording import check_recording, recording
         from myowarp.bridge_gym import MyoWarpVectorEnv
         from myowarp.disk import check_output
@@ -162,7 +165,7 @@ class Rollout:
         self._check_numbers(steps)
         policy = rollout.find_policy(self.policy, spec)
         check_output(self.save, ".npz")
-        check_output(self.video, ".mp4")
+        check_output(self.video, *VIDEOS)
         check_recording(self.signals)
         muscle = MuscleTable.read(self.muscle, self.muscle_parameters)
         console = Console(stderr=True)
@@ -176,6 +179,9 @@ class Rollout:
             conditions=(*variant.conditions, *self.conditions),
             autoreset_mode="same_step",
         )
+        film = None
+        if self.video:
+            film = Film(env.sim, range(min(self.video_worlds, self.num_worlds)), TILE)
         with (
             recording(env.sim, self.signals, self.signals_every)
             if self.signals
@@ -187,7 +193,7 @@ class Rollout:
                 steps,
                 self.seed,
                 record=self.save is not None,
-                filmed=min(self.video_worlds, self.num_worlds) if self.video else 0,
+                film=film,
                 recorder=recorder,
                 console=console,
             )
@@ -197,9 +203,9 @@ class Rollout:
             console.print(f"Saved {self.save}")
         if self.signals:
             console.print(f"Saved {self.signals}")
-        if self.video:
+        if self.video and film is not None:
             try:
-                rollout.film(self.video, env, kept, TILE, console)
+                write(self.video, [film], console)
                 console.print(f"Saved {self.video}")
             except NoGraphicsError as error:
                 console.print(f"No video: {error}", style="yellow")
@@ -394,6 +400,8 @@ def main() -> None:
             "rollout": Rollout,
             "cohort": Cohort,
             "audit": Audit,
+            "record": Record,
+            "plot": Plot,
             "convert": Convert,
             "warmup": Warmup,
         },
