@@ -411,7 +411,15 @@ class MyoWarpEnv(gym.Env):
             TypeError: An option is unknown.
             ValueError: An option is out of its range, or makes sense for many worlds only.
         """
-        many = ("num_envs", "shards", "autoreset_mode", "output", "copy", "max_episode_steps", "render_worlds")
+        many = (
+            "num_envs",
+            "shards",
+            "autoreset_mode",
+            "output",
+            "copy",
+            "max_episode_steps",
+            "render_worlds",
+        )
         for option in many:
             if option in options:
                 raise ValueError(f"option {option!r} is for make_vec; a single environment has none")

@@ -78,7 +78,9 @@ def read_course(path: Path, name: str, world: int, episode: int | None) -> Cours
     muscles, keys, values = readers[path.suffix.lower()](path, name)
     present = keys["world"] == world
     if not present.any():
-        raise ValueError(f"recording {str(path)!r} has no world {world}; --world goes to {keys['world'].max()}")
+        raise ValueError(
+            f"recording {str(path)!r} has no world {world}; --world goes to {keys['world'].max()}"
+        )
     own = int(keys["episode"][present].min()) if episode is None else episode
     rows = present & (keys["episode"] == own)
     if not rows.any():
@@ -95,7 +97,9 @@ def _read_npz(path: Path, name: str) -> tuple[tuple[str, ...], dict[str, np.ndar
         if "muscles" not in file.files or "valid" not in file.files:
             raise ValueError(f"{str(path)!r} must be a recording of `myowarp rollout --signals`")
         muscles = tuple(file["muscles"].tolist())
-        known = [entry for entry in file.files if file[entry].ndim == 3 and file[entry].shape[2] == len(muscles)]
+        known = [
+            entry for entry in file.files if file[entry].ndim == 3 and file[entry].shape[2] == len(muscles)
+        ]
         check_choice("signal", name, tuple(entry for entry in known if not entry.startswith("angl")))
         valid, values = file["valid"].astype(bool), file[name]
         world = np.broadcast_to(np.arange(valid.shape[1]), valid.shape)
@@ -111,7 +115,9 @@ def _read_parquet(path: Path, name: str) -> tuple[tuple[str, ...], dict[str, np.
     if "muscle" not in table:
         raise ValueError(f"{str(path)!r} must be the muscles' table of `myowarp rollout --signals`")
     keys = ["world", "episode", "time"]
-    check_choice("signal", name, tuple(column for column in table if column not in (*keys, "muscle", "group")))
+    check_choice(
+        "signal", name, tuple(column for column in table if column not in (*keys, "muscle", "group"))
+    )
     wide = table.pivot(index=keys, columns="muscle", values=name)[list(table["muscle"].cat.categories)]
     index = wide.index.to_frame(index=False)
     return tuple(wide.columns), {key: index[key].to_numpy() for key in keys}, wide.to_numpy()
@@ -176,7 +182,7 @@ def arms_over_range(model: mujoco.MjModel, joint: int, points: int) -> tuple[np.
     data, address = mujoco.MjData(model), model.jnt_qposadr[joint]
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "default")
     rest = (model.qpos0 if key < 0 else model.key_qpos[key]).copy()
-    coordinate = np.linspace(*model.jnt_range[joint], points)
+    coordinate = np.linspace(model.jnt_range[joint, 0], model.jnt_range[joint, 1], points)
     tendons = model.actuator_trnid[_pullers(model), 0]
     lengths = np.zeros((2, points, len(tendons)))
     for side, shift in enumerate((-STEP, STEP)):
@@ -192,7 +198,7 @@ def arms_over_range(model: mujoco.MjModel, joint: int, points: int) -> tuple[np.
 
 
 def contraction(model: mujoco.MjModel, title: str, what: str, muscles: Sequence[str] = ()) -> Figure:
-    """Return the force of muscles over length or velocity at full and at no activation, over the peak force.
+    """Return the force of muscles over length or velocity at full and at no activation.
 
     Raises:
         ValueError: There is no such muscle.
@@ -202,14 +208,14 @@ def contraction(model: mujoco.MjModel, title: str, what: str, muscles: Sequence[
     axis = "length" if what == "force-length" else "velocity"
     figure, axes = _axes(f"Force over {axis}: {title}")
     for index in shown:
-        line = axes.plot(norm, tension[1, :, index] / peak[index], label=names[index])[0]
-        axes.plot(norm, tension[0, :, index] / peak[index], color=line.get_color(), linestyle=":")
+        line = axes.plot(norm, tension[1, :, index], label=names[index])[0]
+        axes.plot(norm, tension[0, :, index], color=line.get_color(), linestyle=":")
     label = (
         "Fiber length / optimal fiber length"
         if axis == "length"
         else "Fiber velocity / maximum contraction velocity (lengthening > 0)"
     )
-    _finish(axes, label, "Force / peak force; dotted: passive", left_out)
+    _finish(axes, label, "Force [N]; dotted: without activation", left_out)
     return figure
 
 
@@ -251,7 +257,7 @@ def contraction_curves(
             actuator_length=wp.array(length, dtype=float),
             actuator_velocity=wp.array(velocity, dtype=float),
         )
-        muscles.launch(SimpleNamespace(opt=opt, actuator_biasprm=forms), data)  # type: ignore[arg-type]
+        muscles.launch(SimpleNamespace(opt=opt, actuator_biasprm=forms), data)
         peak = muscles.params.max_isometric_force.numpy()[0]
     return norm, muscles.tension.numpy().reshape(2, POINTS, -1), peak, muscles.names
 

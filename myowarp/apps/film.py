@@ -1,12 +1,12 @@
 """Films of worlds: what they looked like step by step, kept while they move and drawn afterwards.
 
-    film = Film(env.sim, worlds=[0, 3])
-    env.reset()
-    film.add()
-    ...
-        env.step(actions)
-        film.add(reward, success)
-    film.write("run.mp4")
+film = Film(env.sim, worlds=[0, 3])
+env.reset()
+film.add()
+...
+    env.step(actions)
+    film.add(reward, success)
+film.write("run.mp4")
 """
 
 from __future__ import annotations
@@ -92,6 +92,8 @@ class Film:
             self._returns += reward[self.worlds]
             self._times += self.sim.scene.control_dt
         self.frames.append(list(seen or (self._pictures.snapshot(self.sim, world) for world in self.worlds)))
+        if len(self.frames) == 2:  # conditions weaken muscles in a step, not in a reset
+            self.frames[0] = [_as_strong(*pair) for pair in zip(*self.frames, strict=True)]
         solved = np.zeros(len(self.worlds), dtype=bool) if success is None else success[self.worlds]
         self.captions.append([self._caption(index, bool(solved[index])) for index in range(len(self.worlds))])
 
@@ -125,7 +127,15 @@ class Film:
         return [*([self._title] if self._title else []), line + ("  success" if success else "")]
 
 
-def write(path: Path, films: Sequence[Film], console: Console | None = None, fps: float | None = None) -> None:
+def _as_strong(seen: Snapshot, after: Snapshot) -> Snapshot:
+    """Return a snapshot with the strength of the muscles that another one shows."""
+    strength = {name: after.muscles[name] for name in ("strength",) if name in after.muscles}
+    return seen._replace(muscles={**seen.muscles, **strength})
+
+
+def write(
+    path: Path, films: Sequence[Film], console: Console | None = None, fps: float | None = None
+) -> None:
     """Draw films and write them, side by side if there are several; the frames are those of equal steps.
 
     Args:
@@ -159,5 +169,3 @@ def _together(films: tuple[list[np.ndarray], ...]) -> np.ndarray:
         return tiled(films[0], -(-count // 2) if count > 3 else None)
     # A row a world, a column a film: what differs stands side by side.
     return tiled([tile for row in zip(*films, strict=True) for tile in row], len(films))
-
-

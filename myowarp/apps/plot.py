@@ -21,8 +21,8 @@ LEARNING = "learning"
 class Plot:
     """Draw a figure to a .png or .pdf.
 
-    Of a recording of `myowarp rollout --signals`, over time: activation, excitation, force, length, velocity, power
-    of muscles, and what conditions show, such as fatigue.
+    Of a recording of `myowarp rollout --signals`, over time: activation, excitation, force, length, velocity
+    or power of muscles, and what conditions show, such as fatigue.
     myowarp plot activation run.parquet --muscles BIClong BRA
 
     Of a body, by task id or MJCF file: moment-arms over a joint's range; force-length and force-velocity.
@@ -33,7 +33,7 @@ class Plot:
     """
 
     what: Annotated[str, tyro.conf.Positional]
-    """A signal such as activation, force or fatigue; moment-arms, force-length, force-velocity; or learning."""
+    """A signal, such as activation or fatigue; moment-arms, force-length, force-velocity; or learning."""
     sources: Annotated[tuple[str, ...], tyro.conf.Positional]
     """A recording (.parquet, .npz), a task id or MJCF file, or CSV files."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/plot.png")
@@ -98,4 +98,4 @@ def find_model(source: str) -> tuple[mujoco.MjModel, str]:
     is_file = Path(source).suffix.lower() == ".xml"
     variant = find_task(None, Path(source)) if is_file else find_task(source, None)
     spec = TASKS[variant.task]
-    return oracle_model(spec), Path(source).stem if is_file else spec.body
+    return oracle_model(spec), source if is_file else spec.body

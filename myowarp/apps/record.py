@@ -1,4 +1,4 @@
-"""The command `myowarp record`: a film of a policy in some worlds, alone or beside the same worlds changed."""
+"""The command `myowarp record`: a film of a policy in some worlds, or of two patients side by side."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ if TYPE_CHECKING:
 class Record:
     """Film a policy: several worlds as tiles, or two sets of conditions side by side from the same state.
 
-    Muscles are as wide as they are strong, and coloured by what they do. The posture that a pose task asks for
-    is a green ghost; lines join tips to their targets.
+    Muscles are as wide as they are strong, and coloured by what they do. A green ghost shows the posture that
+    a pose task asks for; lines join tips to their targets.
 
     Example: myowarp record myoHandReachRandom-v1 --worlds 4 -o hand.gif
 
-    A healthy elbow beside a weak one: myowarp record myoElbowPose1D6MRandom-v0 --policy hold --beside sarcopenia
+    A healthy elbow beside a weak one:
+    myowarp record myoElbowPose1D6MRandom-v0 --policy hold --beside sarcopenia
     """
 
     task: Annotated[str | None, tyro.conf.Positional] = None

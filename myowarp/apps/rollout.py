@@ -50,7 +50,7 @@ class Recording:
 
     Attributes:
         arrays: Name to array of shape (T, N, ...).
-        """
+    """
 
     arrays: dict[str, list[np.ndarray]] = field(default_factory=dict)
 

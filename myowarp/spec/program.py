@@ -76,5 +76,5 @@ class Program(abc.ABC):
         return {}
 
     def goal_pose(self, world: int) -> np.ndarray | None:
-        """Return the configuration (nq,) that the goal asks of one world, None for none; host, for pictures."""
+        """Return the configuration (nq,) that the goal asks for in one world, or None; host, for pictures."""
         return None

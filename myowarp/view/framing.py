@@ -1,8 +1,8 @@
 """Where the camera stands: everything that matters in the picture, as large as it can be.
 
-What matters are the limb with its muscles, its tips, the targets, and objects. A camera is fitted to points in
-closed form; it looks at the flattest side of the limb, and goes along with a root that moves. Without a look
-ahead the points are those of the joints' ranges; `Framing.fit` takes those of the snapshots of a film.
+The limb with its muscles, its tips, the targets and the objects matter. The camera is fitted to their points in
+closed form; it looks at the flattest side of the limb, and goes along with a root that moves. The points are
+those of the joints' ranges; `Framing.fit` takes those of a film instead.
 """
 
 from __future__ import annotations
@@ -39,7 +39,11 @@ class Framing:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, tips: Iterable[str] = (), aspect: float = 4 / 3, skeleton: Skeleton | None = None
+        self,
+        model: mujoco.MjModel,
+        tips: Iterable[str] = (),
+        aspect: float = 4 / 3,
+        skeleton: Skeleton | None = None,
     ) -> None:
         """Find the direction of the camera, and what the joints' ranges fill.
 
@@ -155,7 +159,9 @@ class Framing:
             Points [m] of the limb's end at rest and over the ranges, all points over the ranges, and the way
             from the motionless geoms to the limb's end.
         """
-        model, clouds, ends = self._model, [], []
+        model = self._model
+        clouds: list[np.ndarray] = []
+        ends: list[np.ndarray] = []
         self._home, middle = np.zeros(3), None
         for qpos in motion_samples(model, ranges=not self._root):
             look.pose(model, data, qpos)
@@ -177,7 +183,9 @@ def _carried_root(model: mujoco.MjModel) -> int:
         body, kind = int(model.jnt_bodyid[joint]), model.jnt_type[joint]
         long = np.ptp(model.jnt_range[joint]) >= TRAVEL or not model.jnt_limited[joint]
         slides = kind == mujoco.mjtJoint.mjJNT_SLIDE and long
-        outermost = model.body_rootid[body] == body or not look.moving_bodies(model)[model.body_parentid[body]]
+        outermost = (
+            model.body_rootid[body] == body or not look.moving_bodies(model)[model.body_parentid[body]]
+        )
         if limb[body] and outermost and (kind == mujoco.mjtJoint.mjJNT_FREE or slides):
             return body
     return 0
@@ -190,7 +198,7 @@ def motion_samples(model: mujoco.MjModel, ranges: bool = True) -> Iterator[np.nd
     limb = look.limb_trees(model)[model.jnt_bodyid]
     for joint in np.flatnonzero(np.isin(model.jnt_type, POINT_JOINTS) & limb) if ranges else ():
         span = np.ptp(model.jnt_range[joint])
-        if 0 < span and (model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE or span < TRAVEL):
+        if span > 0 and (model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE or span < TRAVEL):
             for end in model.jnt_range[joint]:
                 qpos = rest.copy()
                 qpos[model.jnt_qposadr[joint]] = end

@@ -1,8 +1,8 @@
 """Muscles as tubes: a belly and a tendon, as wide as they are strong, in the colour of what they do.
 
-The belly is as long as the fibers are, keeps its volume, and lies nearer to the trunk, with the longer part of the
-tendon beyond it. Its cross section goes with the peak force; the widths of one body keep their proportions, whatever
-its size. `QUANTITIES` are what colours can show.
+The belly is as long as the fibers are, keeps its volume, and lies nearer to the trunk, with the longer part of
+the tendon beyond it. Its cross section is proportional to the peak force; the scale is that of the picture, so
+that muscles of a finger and of a leg are both readable. `QUANTITIES` are what colours can show.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Quantity:
     colors: tuple[tuple[float, float, float], ...]
 
     def rgb(self, values: np.ndarray) -> np.ndarray:
-        """Return colours (n, 3) of values (n,); values beyond the ends have theirs, NaN that of no knowledge."""
+        """Return colours (n, 3) of values (n,); those beyond an end have its colour, NaN `UNKNOWN_RGB`."""
         share = np.clip((np.asarray(values, dtype=float) - self.low) / (self.high - self.low), 0.0, 1.0)
         places, colors = np.linspace(0.0, 1.0, len(self.colors)), np.array(self.colors)
         mixed = np.stack([np.interp(share, places, colors[:, k]) for k in range(3)], axis=-1)
@@ -120,7 +120,9 @@ class Muscles:
         self.tendons = look.muscle_tendons(model)
         gain, bounds = model.actuator_gainprm[on_tendon], model.actuator_ctrlrange[on_tendon]
         self._is_muscle = model.actuator_gaintype[on_tendon] == mujoco.mjtGain.mjGAIN_MUSCLE
-        pull = np.abs(bounds).max(axis=1, initial=0.0) * np.abs(gain[:, 0] * model.actuator_gear[on_tendon, 0])
+        pull = np.abs(bounds).max(axis=1, initial=0.0) * np.abs(
+            gain[:, 0] * model.actuator_gear[on_tendon, 0]
+        )
         self.peak_force = np.where(self._is_muscle, peak_force(gain, model.actuator_acc0[on_tendon]), pull)
         optimal, slack = length_scale(gain, model.actuator_lengthrange[on_tendon])
         self.optimal, self.slack = (np.where(self._is_muscle, own, np.nan) for own in (optimal, slack))
@@ -138,9 +140,7 @@ class Muscles:
         own = self.peak_force if strength is None else np.where(np.isnan(strength), self.peak_force, strength)
         return self._widest * np.sqrt(np.maximum(own, 0.0) / max(self.peak_force.max(initial=0.0), 1e-9))
 
-    def tubes(
-        self, data: mujoco.MjData, strength: np.ndarray | None = None, thinnest: float = 0.0
-    ) -> Tubes:
+    def tubes(self, data: mujoco.MjData, strength: np.ndarray | None = None, thinnest: float = 0.0) -> Tubes:
         """Return the capsules of all muscles in a pose.
 
         Args:
@@ -158,16 +158,16 @@ class Muscles:
                 first, last, bulge = self._belly(muscle, float(data.ten_length[self.tendons[muscle]]))
                 thick = max(bulge * bellies[muscle], 1.25 * thinnest)
                 thin = max(TENDON_WIDTH * bellies[muscle], thinnest)
-                parts.append((*_spindle(starts[own], ends[own], first, last, thick, thin, self._samples), muscle))
+                parts.append(
+                    (*_spindle(starts[own], ends[own], first, last, thick, thin, self._samples), muscle)
+                )
         if not parts:
             return Tubes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, int), np.zeros(0, bool))
         joined = [np.concatenate([part[k] for part in parts]) for k in range(4)]
         owners = np.concatenate([np.full(len(part[2]), part[4]) for part in parts])
         return Tubes(joined[0], joined[1], joined[2], owners, joined[3])
 
-    def values(
-        self, quantity: str, known: Mapping[str, np.ndarray], data: mujoco.MjData
-    ) -> np.ndarray:
+    def values(self, quantity: str, known: Mapping[str, np.ndarray], data: mujoco.MjData) -> np.ndarray:
         """Return what colours show of each muscle, NaN where it is not known, shape (num_muscles,).
 
         Args:
@@ -184,7 +184,7 @@ class Muscles:
         return known.get(quantity, unknown)
 
     def _belly(self, muscle: int, length: float) -> tuple[float, float, float]:
-        """Return where the belly begins and ends on the path, as shares, and how wide it is for its length."""
+        """Return where the belly begins and ends, as shares of the path, and its width over the usual one."""
         if not self._is_muscle[muscle] or not length > 0.0:
             return 0.0, 0.0, 1.0
         optimal = self.optimal[muscle]

@@ -11,8 +11,8 @@ from myowarp.sim.signals import Signals
 from myowarp.spec.body import BODIES
 from myowarp.spec.registry import check_choice
 from myowarp.view.muscles import QUANTITIES
-from myowarp.view.style import LARGEST
 from myowarp.view.snapshot import Snapshot, snapshot
+from myowarp.view.style import LARGEST
 
 if TYPE_CHECKING:
     from myowarp.sim.shards import Shards
@@ -25,7 +25,11 @@ class Pictures:
     """Draws worlds of a simulation."""
 
     def __init__(
-        self, size: tuple[int, int], camera: str | None = None, color: str = "activation", legend: bool = False
+        self,
+        size: tuple[int, int],
+        camera: str | None = None,
+        color: str = "activation",
+        legend: bool = False,
     ) -> None:
         """Remember how to draw; nothing is opened yet.
 

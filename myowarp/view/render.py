@@ -140,6 +140,8 @@ class WorldRenderer:
         self._tips = look.tip_sites(model, tips)
         self._pale = frozenset(np.flatnonzero(look.pale_geoms(model)).tolist())
         drawn = look.drawn_geoms(self._model)
+        moving = look.moving_bodies(model) & look.limb_trees(model)
+        self._ghostly = drawn[moving[model.geom_bodyid[drawn]]]
         self._alpha = self._model.geom_rgba[:, 3].copy()
         self._cullable = drawn[self._model.geom_type[drawn] == mujoco.mjtGeom.mjGEOM_MESH]
         self._floor = _floor_height(model) if self.framing.follows and not _has_plane(model) else None
@@ -165,9 +167,7 @@ class WorldRenderer:
 
         self.framing.fit(moments())
 
-    def frame(
-        self, seen: Snapshot, caption: Sequence[str] = (), legend: bool | None = None
-    ) -> np.ndarray:
+    def frame(self, seen: Snapshot, caption: Sequence[str] = (), legend: bool | None = None) -> np.ndarray:
         """Draws one world.
 
         Args:
@@ -187,7 +187,8 @@ class WorldRenderer:
             raise RuntimeError("frame needs an open WorldRenderer, got a closed one; make a new one")
         self._check(seen)
         data = self._posed(seen)
-        camera = self.framing.camera(data, seen.goals) if self.camera is None else self.camera
+        framed = self.framing.camera(data, seen.goals)
+        camera = framed if self.camera is None else self.camera
         self._hide_what_is_outside(data, camera)
         self._renderer.update_scene(data, camera, self._option)
         scene = self._renderer.scene
@@ -199,7 +200,7 @@ class WorldRenderer:
             self._add_ghost(scene, seen.ghost)
         self._add_markers(scene, seen.goals, pixel)
         if self._floor is not None:
-            _add_floor(scene, self._floor, np.array(camera.lookat), self.framing.radius, pixel)
+            _add_floor(scene, self._floor, np.array(framed.lookat), self.framing.radius, pixel)
         _add_backdrop(scene)
         _add_lamp(scene)
         return self._drawn(caption, self._legend if legend is None else legend)
@@ -295,17 +296,17 @@ class WorldRenderer:
     def _ghost(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """The model with nothing but the moving bones, translucent."""
         model = copy.copy(self._model)
-        moving = look.moving_bodies(model) & look.limb_trees(model)
-        drawn = np.intersect1d(look.drawn_geoms(self._model), np.flatnonzero(moving[model.geom_bodyid]))
         model.geom_matid[:], model.geom_rgba[:, 3] = -1, 0.0
-        model.geom_rgba[drawn] = (*look.TARGET_RGB, GHOST_ALPHA)
+        model.geom_rgba[self._ghostly] = (*look.TARGET_RGB, GHOST_ALPHA)
         return model, mujoco.MjData(model)
 
     def _hide_what_is_outside(self, data: mujoco.MjData, camera: str | mujoco.MjvCamera) -> None:
-        """Leaves out geoms that are not in the picture: a skeleton around an elbow costs more than the elbow."""
+        """Leaves out geoms outside of the picture: the skeleton beside an elbow costs more than the elbow."""
         self._model.geom_rgba[:, 3] = self._alpha
         if isinstance(camera, mujoco.MjvCamera) and camera.type == mujoco.mjtCamera.mjCAMERA_FREE:
-            half = np.tan(np.radians(self._model.vis.global_.fovy) / 2) * np.array((self.width / self.height, 1.0))
+            half = np.tan(np.radians(self._model.vis.global_.fovy) / 2) * np.array(
+                (self.width / self.height, 1.0)
+            )
             axes = view_axes(camera.azimuth, camera.elevation)
             corners = (look.geom_box(self._model, data, self._cullable) - camera.lookat) @ axes.T
             side = corners[:, :2].reshape(-1, 8, 2)
@@ -330,7 +331,7 @@ class WorldRenderer:
 
 def check_size(width: int, height: int) -> None:
     """Raises ValueError if a picture of this size cannot be drawn."""
-    if not (1 <= width and 1 <= height and max(width, height) <= look.LARGEST):
+    if not (width >= 1 and height >= 1 and max(width, height) <= look.LARGEST):
         raise ValueError(f"a picture needs 1 to {look.LARGEST} px on each side, got {width} by {height}")
 
 
@@ -446,7 +447,9 @@ def _add_floor(
     scene: mujoco.MjvScene, height: float, middle: np.ndarray, radius: float, pixel: float
 ) -> None:
     """Draws squares on the floor below the camera's middle; they stand still while the camera goes along."""
-    cell = 10.0 ** np.floor(np.log10(radius)) * (1.0 if radius / 10.0 ** np.floor(np.log10(radius)) > 3 else 0.5)
+    cell = 10.0 ** np.floor(np.log10(radius)) * (
+        1.0 if radius / 10.0 ** np.floor(np.log10(radius)) > 3 else 0.5
+    )
     center = np.round(middle[:2] / cell) * cell
     reach = np.ceil(FLOOR_REACH * radius / cell) * cell
     color = np.array((*look.PALE_RGB, 1.0), dtype=np.float32)

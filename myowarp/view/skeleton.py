@@ -1,7 +1,8 @@
 """Bones of a body without meshes: capsules from joint to joint, as converted models are drawn.
 
 A bone goes from a body's origin to that of each body that hangs on it, and in the last body of a chain to its
-farthest site or the far side of its centre of mass. A leaf that only slides is a moving point of a muscle path, no bone.
+farthest site or the far side of its centre of mass. A leaf that only slides is a moving point of a muscle path,
+no bone.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def _is_bare(model: mujoco.MjModel) -> bool:
     moving = look.moving_bodies(model)
     bare = moving.copy()
     bare[model.geom_bodyid[look.drawn_geoms(model)]] = False
-    return 2 * np.count_nonzero(bare) > np.count_nonzero(moving)
+    return bool(2 * np.count_nonzero(bare) > np.count_nonzero(moving))
 
 
 def _bones(model: mujoco.MjModel) -> Iterator[tuple[int, int, np.ndarray]]:

@@ -30,9 +30,9 @@ class Snapshot(NamedTuple):
     """
 
     qpos: np.ndarray
-    muscles: Mapping[str, np.ndarray] = {}  # noqa: RUF012 (never changed)
-    goals: Mapping[str, np.ndarray] = {}  # noqa: RUF012
-    shape: Mapping[tuple[str, str], np.ndarray] = {}  # noqa: RUF012
+    muscles: Mapping[str, np.ndarray] = {}
+    goals: Mapping[str, np.ndarray] = {}
+    shape: Mapping[tuple[str, str], np.ndarray] = {}
     ghost: np.ndarray | None = None
 
     @property

@@ -12,16 +12,20 @@ import numpy as np
 
 QUALITY = 7
 """imageio's scale, 0 to 10; 7 is libx264's constant rate factor 15."""
-PALETTE = "split[a][b];[a]palettegen=max_colors=192:stats_mode=diff[p];[b][p]paletteuse=dither=bayer:bayer_scale=4"
+PALETTE = (
+    "split[a][b];[a]palettegen=max_colors=192:stats_mode=diff[p];[b][p]paletteuse=dither=bayer:bayer_scale=4"
+)
 """A palette made for the film, in place of GIF's own 216 colours."""
 GIF_FPS = 50.0
 """1/s; browsers slow down GIFs with less than 2 hundredths of a second between frames."""
-VIDEOS = {
+VIDEOS: dict[str, dict[str, Any]] = {
     ".mp4": {"codec": "libx264", "quality": QUALITY, "output_params": ["-movflags", "+faststart"]},
     ".gif": {"codec": "gif", "pix_fmt_out": "pal8", "output_params": ["-vf", PALETTE, "-loop", "0"]},
 }
 """What the encoder is told, by the ending of the file."""
-PICTURES = {".png": {"codec": "png", "pix_fmt_out": "rgb24", "output_params": ["-frames:v", "1", "-update", "1"]}}
+PICTURES: dict[str, dict[str, Any]] = {
+    ".png": {"codec": "png", "pix_fmt_out": "rgb24", "output_params": ["-frames:v", "1", "-update", "1"]}
+}
 
 
 class NoEncoderError(RuntimeError):
