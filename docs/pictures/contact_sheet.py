@@ -1,6 +1,6 @@
 """Every body and every task family in one picture: python docs/pictures/contact_sheet.py [OUTPUT.png]
 
-Each tile shows a world after half an episode of random actions.
+Each tile shows a world after some random actions.
 """
 
 import sys
@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from myowarp.apps.film import Film
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.progress import progress_bar
 from myowarp.spec.task import TASKS
-from myowarp.view.pictures import Pictures
 from myowarp.view.render import tiled
 from myowarp.view.video import write_picture
 
@@ -32,13 +32,15 @@ def scenes() -> list[str]:
 def picture(task: str) -> np.ndarray:
     """Return the picture of a world of a task."""
     env = MyoWarpVectorEnv(task, 1, device="cpu", progress=False)
-    pictures = Pictures(SIZE, None, legend=False)
+    film = Film(env.sim, [0], SIZE)
     env.reset(seed=1)
     action = np.random.default_rng(1).uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32)
     for _ in range(STEPS):
         env.step(action)
-    image = pictures.frame(env.sim, 0, [task])
-    pictures.close()
+    film.add()
+    film.captions = [[[task]]]
+    image = next(film.tiles())[0]
+    film.close()
     env.close()
     return image
 

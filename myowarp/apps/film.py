@@ -102,6 +102,15 @@ class Film:
         self._returns[ended[self.worlds]] = 0.0
         self._times[ended[self.worlds]] = 0.0
 
+    def open(self) -> None:
+        """Open what draws, so that it fails before anything is simulated.
+
+        Raises:
+            ValueError: The model has no such camera.
+            myowarp.view.render.NoGraphicsError: No OpenGL was found.
+        """
+        self._pictures.renderer(self.sim)
+
     def close(self) -> None:
         """Free what draws."""
         self._pictures.close()

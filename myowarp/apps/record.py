@@ -102,6 +102,8 @@ class Record:
             Film(env.sim, range(self.worlds), title=title, **look)
             for env, title in zip(envs, titles, strict=True)
         ]
+        for film in films:
+            film.open()
         acts = [acting(policy, env.sim.scene, self.seed) for env in envs]
         console = Console(stderr=True, highlight=False, soft_wrap=True)
         film_worlds(envs, films, acts, steps, self.seed, console)

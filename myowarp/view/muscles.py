@@ -1,8 +1,8 @@
 """Muscles as tubes: a belly and a tendon, as wide as they are strong, in the colour of what they do.
 
-The belly is as long as the fibers are, keeps its volume, and lies nearer to the trunk, with the longer part of
-the tendon beyond it. Its cross section is proportional to the peak force; the scale is that of the picture, so
-that muscles of a finger and of a leg are both readable. `QUANTITIES` are what colours can show.
+The belly is as long as the fibers are, keeps its volume, and lies nearer to the trunk, with the longer part
+of the tendon beyond it. Its cross section is proportional to the peak force; the scale is that of the picture,
+so that muscles of a finger and of a leg are both readable. `QUANTITIES` are what colours can show.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TENDON_TINT = 0.35
 
 WIDEST = 0.08
 """Radius of the strongest belly in a body with one muscle, in units of the framed radius."""
-CROWDING = 0.38
+CROWDING = 0.3
 """Bellies get thinner with the number of muscles to this power."""
 TENDON_WIDTH = 0.30
 """Radius of a tendon over that of its belly."""

@@ -1,8 +1,8 @@
 """Bones of a body without meshes: capsules from joint to joint, as converted models are drawn.
 
 A bone goes from a body's origin to that of each body that hangs on it, and in the last body of a chain to its
-farthest site or the far side of its centre of mass. A leaf that only slides is a moving point of a muscle path,
-no bone.
+farthest site or the far side of its centre of mass. A leaf that only slides is a moving point of a muscle
+path, no bone.
 """
 
 from __future__ import annotations
