@@ -1,8 +1,8 @@
 """Where the camera stands: everything that matters in the picture, as large as it can be.
 
 The limb with its muscles, its tips, the targets and the objects matter. The camera is fitted to their points
-in closed form; it looks at the flattest side of the limb, and goes along with a root that moves. The points are
-those of the joints' ranges; `Framing.fit` takes those of a film instead.
+in closed form; it looks at the flattest side of the limb, and goes along with a root that moves. The points
+are those of the joints' ranges; `Framing.fit` takes those of a film instead.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Muscles as tubes: a belly and a tendon, as wide as they are strong, in the colour of what they do.
 
 The belly is as long as the fibers are, keeps its volume, and lies nearer to the trunk, with the longer part
-of the tendon beyond it. Its cross section is proportional to the peak force; the scale is that of the picture,
-so that muscles of a finger and of a leg are both readable. `QUANTITIES` are what colours can show.
+of the tendon beyond it. Its cross section is proportional to the peak force; the scale is the picture's, so
+that muscles of a finger and of a leg are both readable. `QUANTITIES` are what colours can show.
 """
 
 from __future__ import annotations
@@ -130,6 +130,11 @@ class Muscles:
         self._widest = WIDEST * radius / number**CROWDING
         self._samples = int(np.clip(PIECES / number, 8, 40))
         self._away = np.array([self._runs_outwards(tendon) for tendon in self.tendons], dtype=bool)
+
+    @property
+    def any(self) -> bool:
+        """Whether there are muscles, not motors alone."""
+        return bool(self._is_muscle.any())
 
     def belly_radius(self, strength: np.ndarray | None = None) -> np.ndarray:
         """Return the radius of each belly at optimal fiber length [m], shape (num_muscles,).

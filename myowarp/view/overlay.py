@@ -68,4 +68,4 @@ class Overlay:
         """Write a text with its lower left corner at a pixel."""
         # A rectangle without colour: text is placed in the area that was drawn last.
         mujoco.mjr_rectangle(mujoco.MjrRect(left, bottom, self._width, self._line), 0.0, 0.0, 0.0, 0.0)
-        mujoco.mjr_text(mujoco.mjtFont.mjFONT_NORMAL, text, self._context, 0.0, 0.3, *INK)
+        mujoco.mjr_text(mujoco.mjtFont.mjFONT_NORMAL, text, self._context, 0.0, 0.0, *INK)

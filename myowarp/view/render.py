@@ -259,7 +259,7 @@ class WorldRenderer:
         renderer._gl_context.make_current()
         mujoco.mjr_render(area, renderer.scene, renderer._mjr_context)
         self._overlay.text(caption)
-        if legend and len(self.muscles.tendons):
+        if legend and self.muscles.any:
             self._overlay.legend(QUANTITIES[self.color])
         mujoco.mjr_readPixels(image, None, area, renderer._mjr_context)
         return _shrunk(image[::-1])

@@ -119,7 +119,7 @@ def tip_radii(model: mujoco.MjModel, tips: list[int], framed: float) -> list[flo
     for site in tips:
         own = [g for g in drawn_geoms(model) if model.geom_bodyid[g] == model.site_bodyid[site]]
         round_ends = [model.geom_size[g, 0] for g in own if model.geom_type[g] in ROUND_GEOMS]
-        radii.append(float(np.clip(1.15 * max(round_ends, default=0.0), 0.022 * framed, 0.06 * framed)))
+        radii.append(float(np.clip(1.15 * max(round_ends, default=0.0), 0.022 * framed, 0.2 * framed)))
     return radii
 
 
