@@ -128,7 +128,7 @@ class Muscles:
         self.optimal, self.slack = (np.where(self._is_muscle, own, np.nan) for own in (optimal, slack))
         number = max(len(self.tendons), 1)
         self._widest = WIDEST * radius / number**CROWDING
-        self._samples = int(np.clip(PIECES / number, 8, 40))
+        self._samples = int(np.clip(PIECES / number, 6, 40))
         self._away = np.array([self._runs_outwards(tendon) for tendon in self.tendons], dtype=bool)
 
     @property

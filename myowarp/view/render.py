@@ -27,6 +27,16 @@ from myowarp.view import style as look
 from myowarp.view.framing import Framing, view_axes
 from myowarp.view.muscles import QUANTITIES, TENDON_RGB, TENDON_TINT, Muscles
 from myowarp.view.overlay import OVERSAMPLING, Overlay, font_size
+from myowarp.view.scenery import (
+    add_backdrop,
+    add_capsule,
+    add_floor,
+    add_lamp,
+    add_sphere,
+    brighten,
+    floor_height,
+    has_plane,
+)
 from myowarp.view.skeleton import Skeleton
 from myowarp.view.snapshot import Snapshot
 
@@ -37,10 +47,11 @@ MARKER_RADIUS = (0.035, 0.10)
 """Smallest and largest radius of a target marker, in units of the framed radius."""
 FACETS = (14, 6)
 """Faces of round shapes, around and along."""
+MOST_GEOMS = 20000
+"""Shapes in a picture, pieces of muscles included."""
+COARSE = 1.0
+"""px: what is smaller in a mesh is not drawn."""
 GHOST_ALPHA = 0.28
-FLOOR_REACH = 4.0
-"""Half a side of the floor, in units of the framed radius."""
-CAPSULE, NOWHERE, UPRIGHT = mujoco.mjtGeom.mjGEOM_CAPSULE, np.zeros(3), np.eye(3).ravel()
 LINK_RADIUS = 0.005
 """Radius of the line from a tip to its target, in units of the framed radius."""
 GL_ERRORS = (ImportError, RuntimeError, AttributeError, OSError, ctypes.ArgumentError, mujoco.FatalError)
@@ -89,7 +100,7 @@ def _open_renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Ren
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return mujoco.Renderer(model, height, width, font_scale=mujoco.mjtFontScale(font_size(height)))
+            return mujoco.Renderer(model, height, width, MOST_GEOMS, mujoco.mjtFontScale(font_size(height)))
     except GL_ERRORS as error:
         raise _no_graphics(backend, error) from error
 
@@ -134,6 +145,7 @@ class WorldRenderer:
         self.muscles = Muscles(model, self.framing.radius)
         self.color, self._legend = color, legend
         self._model = _prepared(model, self.framing.radius, OVERSAMPLING * width, OVERSAMPLING * height)
+        _coarsen(self._model, COARSE * 2.0 * self.framing.radius / min(width, height))
         self._data = mujoco.MjData(self._model)
         self._nominal: dict[tuple[str, str], np.ndarray] = {}  # of what some world had for itself
         self._option = _drawing_options()
@@ -144,7 +156,7 @@ class WorldRenderer:
         self._ghostly = drawn[moving[model.geom_bodyid[drawn]]]
         self._alpha = self._model.geom_rgba[:, 3].copy()
         self._cullable = drawn[self._model.geom_type[drawn] == mujoco.mjtGeom.mjGEOM_MESH]
-        self._floor = _floor_height(model) if self.framing.follows and not _has_plane(model) else None
+        self._floor = floor_height(model) if self.framing.follows and not has_plane(model) else None
         self._renderer = _open_renderer(self._model, OVERSAMPLING * height, OVERSAMPLING * width)
         context = self._renderer._mjr_context
         self._overlay = Overlay(context, OVERSAMPLING * width, OVERSAMPLING * height)
@@ -192,7 +204,7 @@ class WorldRenderer:
         self._hide_what_is_outside(data, camera)
         self._renderer.update_scene(data, camera, self._option)
         scene = self._renderer.scene
-        _brighten(scene, self._pale)
+        brighten(scene, self._pale)
         pixel = 2.0 * self.framing.radius / min(self.width, self.height)
         self._add_muscles(scene, seen, 0.55 * pixel)
         self._add_skeleton(scene, data, look.BONE_RGB, 1.0)
@@ -200,9 +212,9 @@ class WorldRenderer:
             self._add_ghost(scene, seen.ghost)
         self._add_markers(scene, seen.goals, pixel)
         if self._floor is not None:
-            _add_floor(scene, self._floor, np.array(framed.lookat), self.framing.radius, pixel)
-        _add_backdrop(scene)
-        _add_lamp(scene)
+            add_floor(scene, self._floor, np.array(framed.lookat), self.framing.radius, pixel)
+        add_backdrop(scene)
+        add_lamp(scene)
         return self._drawn(caption, self._legend if legend is None else legend)
 
     def frame_grid(
@@ -272,14 +284,14 @@ class WorldRenderer:
         colors = np.where(tubes.belly[:, None], rgb[tubes.owner], tendon[tubes.owner])
         colors = np.concatenate((colors, np.ones((len(colors), 1))), axis=1).astype(np.float32)
         for k in np.flatnonzero(~hidden[tubes.owner]):
-            _add_capsule(scene, tubes.starts[k], tubes.ends[k], tubes.radii[k], colors[k])
+            add_capsule(scene, tubes.starts[k], tubes.ends[k], tubes.radii[k], colors[k])
 
     def _add_skeleton(
         self, scene: mujoco.MjvScene, data: mujoco.MjData, rgb: np.ndarray, alpha: float
     ) -> None:
         color = np.array((*rgb, alpha), dtype=np.float32)
         for start, end, radius in zip(*self._skeleton.bones(data), strict=True):
-            _add_capsule(scene, start, end, radius, color)
+            add_capsule(scene, start, end, radius, color)
 
     def _add_ghost(self, scene: mujoco.MjvScene, wanted: np.ndarray) -> None:
         """Adds the limb in the wanted posture, translucent."""
@@ -317,16 +329,16 @@ class WorldRenderer:
     def _add_markers(self, scene: mujoco.MjvScene, goals: Mapping[str, np.ndarray], pixel: float) -> None:
         radius = self.framing.radius
         for site, size in zip(self._tips, look.tip_radii(self._model, self._tips, radius), strict=True):
-            _add_sphere(scene, self._data.site_xpos[site], size, (*look.TIP_RGB, 1.0))
+            add_sphere(scene, self._data.site_xpos[site], size, (*look.TIP_RGB, 1.0))
         for name, place in goals.items():
             site = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
             size = self._model.site_size[site, 0] if site >= 0 else 0.0
             size = np.clip(size, MARKER_RADIUS[0] * radius, MARKER_RADIUS[1] * radius)
-            _add_sphere(scene, place, size, (*look.TARGET_RGB, 0.65))
+            add_sphere(scene, place, size, (*look.TARGET_RGB, 0.65))
         color = np.array((*look.TARGET_RGB, 0.8), dtype=np.float32)
         for tip, target in look.marker_pairs(self._model, goals):
             link = max(LINK_RADIUS * radius, 0.7 * pixel)
-            _add_capsule(scene, self._data.site_xpos[tip], target, link, color, emission=0.25)
+            add_capsule(scene, self._data.site_xpos[tip], target, link, color, emission=0.25)
 
 
 def check_size(width: int, height: int) -> None:
@@ -384,6 +396,23 @@ def _prepared(model: mujoco.MjModel, radius: float, width: int, height: int) -> 
     return model
 
 
+def _coarsen(model: mujoco.MjModel, cell: float) -> None:
+    """Merges vertices of a mesh in one cell of a grid [m]: faces below a pixel cost time for nothing."""
+    for mesh in range(model.nmesh):
+        first, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
+        faces = slice(face, face + model.mesh_facenum[mesh])
+        vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
+        _, chosen, own = np.unique(np.round(vertices / cell), axis=0, return_index=True, return_inverse=True)
+        merged = chosen[own.ravel()][model.mesh_face[faces]]
+        kept = (merged != np.roll(merged, 1, axis=1)).all(axis=1)
+        count = int(kept.sum())
+        if count:
+            model.mesh_face[face : face + count] = merged[kept]
+            for corners in (model.mesh_facenormal, model.mesh_facetexcoord):
+                corners[face : face + count] = corners[faces][kept]
+            model.mesh_facenum[mesh] = count
+
+
 def _shrunk(image: np.ndarray) -> np.ndarray:
     """Averages blocks of 2 by 2 drawn pixels into image pixels."""
     rows = image[0::2].astype(np.uint16)
@@ -400,98 +429,3 @@ def _drawing_options() -> mujoco.MjvOption:
     option.geomgroup[:] = 0
     option.geomgroup[list(look.VISIBLE_GEOM_GROUPS)] = 1
     return option
-
-
-def _next_geom(scene: mujoco.MjvScene) -> mujoco.MjvGeom:
-    scene.ngeom += 1
-    return scene.geoms[scene.ngeom - 1]
-
-
-def _add_sphere(scene: mujoco.MjvScene, place: np.ndarray, radius: float, rgba: tuple[float, ...]) -> None:
-    geom = _next_geom(scene)
-    size, color = np.full(3, radius), np.array(rgba, dtype=np.float32)
-    mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_SPHERE, size, place, np.eye(3).ravel(), color)
-    geom.emission = 0.25
-    geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-
-
-def _add_capsule(
-    scene: mujoco.MjvScene,
-    start: np.ndarray,
-    end: np.ndarray,
-    radius: float,
-    color: np.ndarray,
-    emission: float = 0.0,
-) -> None:
-    geom = _next_geom(scene)
-    mujoco.mjv_initGeom(geom, CAPSULE, NOWHERE, NOWHERE, UPRIGHT, color)
-    mujoco.mjv_connector(geom, CAPSULE, radius, start, end)
-    geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-    if emission:
-        geom.emission = emission
-
-
-def _has_plane(model: mujoco.MjModel) -> bool:
-    return bool((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any())
-
-
-def _floor_height(model: mujoco.MjModel) -> float:
-    """Returns the height of the lowest body at rest [m], where a floor would be."""
-    data = mujoco.MjData(model)
-    look.pose(model, data, look.rest_pose(model))
-    points = (data.xpos[1:], data.site_xpos)
-    return float(np.concatenate(points)[:, 2].min())
-
-
-def _add_floor(
-    scene: mujoco.MjvScene, height: float, middle: np.ndarray, radius: float, pixel: float
-) -> None:
-    """Draws squares on the floor below the camera's middle; they stand still while the camera goes along."""
-    cell = 10.0 ** np.floor(np.log10(radius)) * (
-        1.0 if radius / 10.0 ** np.floor(np.log10(radius)) > 3 else 0.5
-    )
-    center = np.round(middle[:2] / cell) * cell
-    reach = np.ceil(FLOOR_REACH * radius / cell) * cell
-    color = np.array((*look.PALE_RGB, 1.0), dtype=np.float32)
-    for offset in np.arange(-reach, reach + 0.5 * cell, cell):
-        for along in (0, 1):
-            ends = np.full((2, 3), height)
-            ends[:, along], ends[:, 1 - along] = center[along] + (-reach, reach), center[1 - along] + offset
-            _add_capsule(scene, ends[0], ends[1], 0.45 * pixel, color, emission=0.3)
-
-
-def _add_backdrop(scene: mujoco.MjvScene) -> None:
-    """Stands a bright wall behind everything: without a sky box MuJoCo clears to black."""
-    eye = scene.camera[0]
-    forward, up = np.array(eye.forward, dtype=float), np.array(eye.up, dtype=float)
-    far = 0.9 * eye.frustum_far
-    half = 1.5 * far / eye.frustum_near * max(eye.frustum_top, eye.frustum_width, 1e-6)
-    turn = np.stack((np.cross(up, -forward), up, -forward), axis=1)
-    geom = _next_geom(scene)
-    size, color = np.array((2 * half, 2 * half, 1.0)), np.array((*look.BACKDROP_RGB, 1.0), dtype=np.float32)
-    place = np.array(eye.pos, dtype=float) + far * forward
-    mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_PLANE, size, place, turn.ravel(), color)
-    geom.emission, geom.specular, geom.reflectance = 0.2, 0.0, 0.0
-    geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-
-
-def _brighten(scene: mujoco.MjvScene, pale: frozenset[int]) -> None:
-    """Lets the geoms of these ids glow a little, so that they stay pale from any angle."""
-    for geom in scene.geoms[: scene.ngeom]:
-        if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in pale:
-            geom.emission, geom.specular, geom.reflectance = 0.45, 0.0, 0.0
-
-
-def _add_lamp(scene: mujoco.MjvScene) -> None:
-    """Adds a lamp above the viewer's left shoulder, so that bones have a lit and a shaded side."""
-    eye = scene.camera[0]
-    forward, up = np.array(eye.forward), np.array(eye.up)
-    right = np.cross(forward, up)
-    lamp = scene.lights[scene.nlight]
-    scene.nlight += 1
-    lamp.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    lamp.headlight, lamp.castshadow, lamp.texid = 0, 0, -1
-    lamp.pos[:] = eye.pos
-    lamp.dir[:] = 0.6 * forward - 0.7 * up + 0.5 * right
-    lamp.attenuation[:] = (1.0, 0.0, 0.0)
-    lamp.ambient[:], lamp.diffuse[:], lamp.specular[:] = 0.0, 0.35, 0.15
