@@ -68,7 +68,7 @@ class Quantity:
 
 LEVEL = (tuple(RELAXED_RGB), tuple(TENSED_RGB))
 STRETCH = ((0.10, 0.30, 0.75), (0.62, 0.62, 0.64), (0.90, 0.48, 0.05))
-FRACTION = ((0.20, 0.55, 0.45), (0.85, 0.70, 0.20), (0.45, 0.10, 0.45))
+FRACTION = ((0.43, 0.52, 0.66), (0.85, 0.70, 0.20), (0.45, 0.10, 0.45))
 
 QUANTITIES = {
     "activation": Quantity("activation", 0.0, 1.0, LEVEL),
