@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from myowarp.apps import rollout
+from myowarp.apps.film import Film
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.spec.task import TASKS
 from myowarp.view.snapshot import snapshot
@@ -68,9 +69,10 @@ def test_figures_over_several_episodes(env):
 
 
 def test_filmed_worlds_are_the_leading_ones(env):
-    summary, recording = record(env, growing(reuse=False), steps=3, filmed=1)
-    assert [len(worlds) for worlds in recording.frames] == [1, 1, 1]
-    angles = [worlds[0][0][0] for worlds in recording.frames]
+    film = Film(env.sim, [0])
+    summary, recording = record(env, growing(reuse=False), steps=3, film=film)
+    assert [len(worlds) for worlds in film.frames] == [1, 1, 1]
+    angles = [worlds[0].qpos[0] for worlds in film.frames]
     seen = [obs[0, 0] for obs in recording.arrays["obs"]]
     np.testing.assert_array_equal(angles[:2], seen[1:])
     assert len(set(angles)) == 3

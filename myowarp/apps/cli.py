@@ -13,6 +13,8 @@ from rich.console import Console
 from myowarp.apps.commands.audit import Audit
 from myowarp.apps.commands.cohort import Cohort
 from myowarp.apps.commands.describe import Describe
+from myowarp.apps.commands.plot import Plot
+from myowarp.apps.commands.record import Record
 from myowarp.apps.commands.rollout import Rollout
 from myowarp.apps.commands.tasks import Tasks
 from myowarp.apps.commands.warmup import Warmup
@@ -27,6 +29,8 @@ COMMANDS: dict[str, type[Callable[[], None]]] = {
     "tasks": Tasks,
     "describe": Describe,
     "rollout": Rollout,
+    "record": Record,
+    "plot": Plot,
     "cohort": Cohort,
     "audit": Audit,
     "train": Train,
