@@ -108,7 +108,10 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
             f"policy {name!r} unknown; available: {', '.join(BUILT_IN)}, the folder of a trained "
             "policy, package.module:function, file.py:function"
         )
-    act = getattr(load(source), attribute, None)
+    try:
+        act = getattr(load(source), attribute, None)
+    except ValueError as error:
+        raise ValueError(f"policy {name!r} not found: {error}") from error
     if act is None:
         raise ValueError(f"policy {name!r} not found: {source} has no {attribute!r}")
     if not callable(act):

@@ -34,9 +34,9 @@ class Plot:
     myowarp plot learning runs/a/progress.csv runs/b/progress.csv --columns return
     """
 
-    what: Annotated[str, tyro.conf.Positional]
+    what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="WHAT")]
     """A signal, such as activation or fatigue; moment-arms, force-length, force-velocity; or learning."""
-    sources: Annotated[tuple[str, ...], tyro.conf.Positional]
+    sources: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE ...")]
     """A recording (.parquet, .npz), a task id or MJCF file, or CSV files."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/plot.png")
     """File to write, .png or .pdf."""

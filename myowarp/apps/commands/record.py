@@ -22,6 +22,7 @@ from myowarp.apps.options import (
     Steps,
     optional,
 )
+from myowarp.view.muscles import QUANTITIES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -59,8 +60,8 @@ class Record:
     reset: Reset = None
     physics: Physics = "parity"
     device: Device = None
-    color: str = "activation"
-    """What the colour of a muscle shows: activation, excitation, force, fiber_length or fatigue."""
+    color: Annotated[str, tyro.conf.arg(metavar="{" + ",".join(QUANTITIES) + "}")] = "activation"
+    """What the colour of a muscle shows."""
     camera: Annotated[str | None, optional("NAME")] = None
     """Camera of the model; by default one that frames the limb, tips, targets and objects."""
     size: tuple[int, int] = (480, 360)
