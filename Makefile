@@ -17,7 +17,7 @@ STAMP := $(VENV)/.installed
 TEST_STAMP := $(VENV)/.installed-test
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help setup demo test test-slow lint format bench gpu rivals opensim accuracy parity soak audit clean
+.PHONY: help setup demo test test-slow lint format bench gpu rivals opensim accuracy parity soak audit pictures clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -106,6 +106,9 @@ soak: setup ## Run random actions in all 204 ids of the paper's grid and pairs o
 
 audit: setup ## Audit every task, table, JSON and page to out/audit (10 minutes to an hour)
 	$(BIN)/myowarp audit --output out/audit --overwrite
+
+pictures: setup ## Draw every body and task family into docs/pictures/bodies.png
+	$(BIN)/python docs/pictures/contact_sheet.py
 
 clean: ## Remove .venv, caches and outputs
 	rm -rf $(VENV) .venv-parity .venv-envpool .venv-opensim out build dist .mypy_cache .pytest_cache .ruff_cache

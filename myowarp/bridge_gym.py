@@ -24,7 +24,7 @@ from myowarp.kernels.episode import Transition, describe_fault
 from myowarp.sim.interop import ActionInput, Output
 from myowarp.sim.shards import Shards, simulate
 from myowarp.sim.simulation import Simulation
-from myowarp.sim.state import State, Worlds, get_state, place, set_state, start_arrays
+from myowarp.sim.state import State, Worlds, get_state, place, rows_of, set_state, start_arrays
 from myowarp.spec.condition import Condition
 from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.registry import check_choice, check_flag
@@ -87,6 +87,8 @@ class MyoWarpVectorEnv(VectorEnv):
         render_mode: str | None = None,
         render_size: tuple[int, int] = (640, 480),
         camera: str | None = None,
+        render_worlds: Sequence[int] | None = None,
+        muscle_color: str = "activation",
         deterministic: bool = False,
         progress: bool = True,
     ) -> None:
@@ -107,7 +109,10 @@ class MyoWarpVectorEnv(VectorEnv):
             copy: Whether returned arrays are copies; None: copies for numpy, views otherwise.
             render_mode: "rgb_array" or "human"; None: no pictures.
             render_size: Width and height of a picture [px].
-            camera: Name of a camera of the model; None frames the limb.
+            camera: Name of a camera of the model; None frames the limb, tips, targets and objects.
+            render_worlds: Worlds of which `render` returns pictures, in this order; None: all, as Gymnasium's
+                vector environments do. Human mode shows the first.
+            muscle_color: What the colour of a muscle shows, a name in `myowarp.view.muscles.QUANTITIES`.
             deterministic: Whether a run gives the same bits every time on CUDA, which is slower.
             progress: Whether to show a progress bar while kernels compile.
 
@@ -123,11 +128,15 @@ class MyoWarpVectorEnv(VectorEnv):
         mode = _autoreset_mode(autoreset_mode)
         self.copy = output == "numpy" if copy is None else copy
         self.output, given = output, Output(output, self.copy)
-        self.render_mode, self._pictures = render_mode, Pictures(render_size, camera)
+        self.render_mode, self._pictures = render_mode, Pictures(render_size, camera, muscle_color)
+        rendered = None if render_worlds is None else rows_of(list(render_worlds), num_envs).tolist()
         options: dict[str, Any] = {"physics": physics, "muscle": muscle, "reset": reset, "shards": shards}
         options |= {"device": device, "conditions": conditions, "horizon": max_episode_steps}
         options |= {"autoreset": AUTORESET_NAMES[mode], "deterministic": deterministic, "progress": progress}
         self.sim = simulate(TASKS[task], num_envs, **options)
+        if render_mode is not None:
+            self._pictures.attach(self.sim)
+        self._rendered = list(range(self.sim.num_worlds)) if rendered is None else rendered
         self._set_up(mode)
         self._wrap(given)
 
@@ -291,7 +300,7 @@ class MyoWarpVectorEnv(VectorEnv):
             self.set_state(kept["state"])
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Return a picture of every world, each (height, width, 3) uint8; None in human mode.
+        """Return a picture of each of `render_worlds`, (height, width, 3) uint8; None in human mode.
 
         Raises:
             ValueError: The environment was made without a render mode.
@@ -302,7 +311,7 @@ class MyoWarpVectorEnv(VectorEnv):
         if self.render_mode == "human":
             self._show()
             return None
-        return tuple(self._pictures.frame(self.sim, world) for world in range(self.num_envs))
+        return tuple(self._pictures.frame(self.sim, world) for world in self._rendered)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close windows and drawing contexts, and end all threads."""
@@ -312,7 +321,7 @@ class MyoWarpVectorEnv(VectorEnv):
     def _show(self) -> None:
         """Update the window of human mode."""
         if self.render_mode == "human":
-            self._pictures.show(self.sim)
+            self._pictures.show(self.sim, self._rendered[0])
 
     def _options(self, options: dict[str, Any] | None) -> dict[str, Any]:
         """Return the options of a reset, their names checked."""
@@ -408,7 +417,16 @@ class MyoWarpEnv(gym.Env):
             TypeError: An option is unknown.
             ValueError: An option is out of its range, or makes sense for many worlds only.
         """
-        for option in ("num_envs", "shards", "autoreset_mode", "output", "copy", "max_episode_steps"):
+        many = (
+            "num_envs",
+            "shards",
+            "autoreset_mode",
+            "output",
+            "copy",
+            "max_episode_steps",
+            "render_worlds",
+        )
+        for option in many:
             if option in options:
                 raise ValueError(f"option {option!r} is for make_vec; a single environment has none")
         self._vector = MyoWarpVectorEnv(

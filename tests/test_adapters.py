@@ -100,7 +100,9 @@ def test_rsl_rl_may_start_within_episodes():
     assert not ends[:, [0, 3]].any()
 
 
-@pytest.mark.parametrize(("file", "budget"), [("train_sb3.py", 160_000), ("train_rsl_rl.py", 60)])
+@pytest.mark.parametrize(
+    ("file", "budget"), [("train_sb3.py", 160_000), ("train_rsl_rl.py", 60), ("train_skrl.py", 1500)]
+)
 def test_examples_learn(file, budget):
     """The elbow is reached by at least 90 % of the episodes."""
     path = Path(__file__).parents[1] / "examples" / file

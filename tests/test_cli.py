@@ -290,7 +290,7 @@ BAD = {
         "--video-worlds must be at least 1, got -1",
     ),
     "wrong suffix": (["rollout", ELBOW, "--save", "data.csv"], "output 'data.csv' must end in .npz"),
-    "wrong video": (["rollout", ELBOW, "--video", "film.gif"], "output 'film.gif' must end in .mp4"),
+    "wrong video": (["rollout", ELBOW, "--video", "film.avi"], "output 'film.avi' must end in .mp4 or .gif"),
     "no folder": (
         ["rollout", ELBOW, "--save", "none/data.npz"],
         "output 'none/data.npz' cannot be written; its folder must exist and be writable",

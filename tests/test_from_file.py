@@ -20,7 +20,8 @@ from myowarp.sim.starts import posture_joints
 from myowarp.spec.body import BODIES
 from myowarp.spec.task import TASKS
 from myowarp.tasks.from_file import pose_task
-from myowarp.view.style import frame_camera
+from myowarp.view.framing import Framing
+from myowarp.view.style import pose
 
 OSIM = Path(__file__).parent / "data" / "osim"
 
@@ -181,12 +182,12 @@ def test_camera_finds_bodies_without_geoms():
     root = spec.joint("pelvis_tx")
     root.limited, root.range = mujoco.mjtLimited.mjLIMITED_TRUE, (-50.0, 50.0)
     model = spec.compile()
-    camera, radius = frame_camera(model, 4 / 3)
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
-    mujoco.mj_kinematics(model, data)
+    framing, data = Framing(model), mujoco.MjData(model)
+    pose(model, data, model.key_qpos[0])
+    camera = framing.camera(data, {})
     assert np.linalg.norm(camera.lookat - data.body("femur_r").xpos) < 1.0
-    assert 0.3 < radius < 1.5
+    assert 0.3 < framing.radius < 1.5
+    assert framing.follows
 
 
 def test_another_content_is_another_body(plain, tmp_path):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from myowarp.apps import rollout
+from myowarp.apps.film import Film
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.spec.task import TASKS
 from myowarp.view.snapshot import snapshot
@@ -68,9 +69,10 @@ def test_figures_over_several_episodes(env):
 
 
 def test_filmed_worlds_are_the_leading_ones(env):
-    summary, recording = record(env, growing(reuse=False), steps=3, filmed=1)
-    assert [len(worlds) for worlds in recording.frames] == [1, 1, 1]
-    angles = [worlds[0][0][0] for worlds in recording.frames]
+    film = Film(env.sim, [0])
+    summary, recording = record(env, growing(reuse=False), steps=3, film=film)
+    assert [len(worlds) for worlds in film.frames] == [1, 1, 1]
+    angles = [worlds[0].qpos[0] for worlds in film.frames]
     seen = [obs[0, 0] for obs in recording.arrays["obs"]]
     np.testing.assert_array_equal(angles[:2], seen[1:])
     assert len(set(angles)) == 3
@@ -102,11 +104,13 @@ def test_failing_disk_leaves_the_older_file(env, monkeypatch, tmp_path):
 def test_film_ends_with_the_last_state(tmp_path, monkeypatch):
     """A frame is what the step led to: no start of a next episode in its place, and the same numbers."""
     horizon = TASKS[TASK].horizon
-    kept = {}
+    kept, films = {}, {}
     for mode in ("same_step", "disabled"):
         env = MyoWarpVectorEnv(TASK, 2, device="cpu", autoreset_mode=mode, progress=False)
         policy = rollout.Policy("random")
-        summary, kept[mode] = rollout.run(env, policy, horizon + 3, seed=4, record=True, filmed=2)
+        films[mode] = Film(env.sim, range(2))
+        options = {"seed": 4, "record": True, "film": films[mode]}
+        summary, kept[mode] = rollout.run(env, policy, horizon + 3, **options)
         assert summary.episodes == 2
     for name, steps in kept["same_step"].arrays.items():
         np.testing.assert_array_equal(steps, kept["disabled"].arrays[name])
@@ -114,9 +118,9 @@ def test_film_ends_with_the_last_state(tmp_path, monkeypatch):
     twin.reset(seed=4)
     for actions in kept["disabled"].arrays["action"][:horizon]:
         twin.step(actions)
-    last = kept["disabled"].frames[horizon - 1]
+    last = films["disabled"].frames[horizon - 1]
     for world in range(2):
         expected = snapshot(twin.sim, world)
         np.testing.assert_array_equal(last[world].qpos, expected.qpos)
-        start = kept["same_step"].frames[horizon - 1][world].qpos
+        start = films["same_step"].frames[horizon - 1][world].qpos
         assert np.abs(start - expected.qpos).max() > 0.01

@@ -12,8 +12,8 @@ from myowarp.spec.task import TASKS
 from myowarp.view import style as look
 from myowarp.view.human import HumanViewer
 from myowarp.view.render import NoGraphicsError, WorldRenderer
-from myowarp.view.snapshot import snapshot
-from myowarp.view.video import write_video
+from myowarp.view.snapshot import Snapshot, snapshot
+from myowarp.view.video import write_picture, write_video
 
 SIZE = (160, 120)
 BODIES = {TASKS[key].body: key for key in TASKS}
@@ -41,32 +41,49 @@ def middle(model):
 
 
 def test_picture_shows_pose_activation_and_target(model, renderer):
-    rest = renderer.frame(model.qpos0)
+    rest = renderer.frame(Snapshot(model.qpos0))
     assert rest.shape == (SIZE[1], SIZE[0], 3)
     assert rest.dtype == np.uint8
     assert rest.std() > 5
-    np.testing.assert_array_equal(rest, renderer.frame(model.qpos0))
-    assert not np.array_equal(rest, renderer.frame(middle(model)))
-    calm, strained = (renderer.frame(model.qpos0, np.full(renderer.num_muscles, a)) for a in (0.0, 1.0))
+    np.testing.assert_array_equal(rest, renderer.frame(Snapshot(model.qpos0)))
+    assert not np.array_equal(rest, renderer.frame(Snapshot(middle(model))))
+    number = len(renderer.muscles.tendons)
+    calm, strained = (
+        renderer.frame(Snapshot(model.qpos0, {"activation": np.full(number, a)})) for a in (0.0, 1.0)
+    )
     redness = [
         float(image[..., 0].astype(int).sum() - image[..., 2].astype(int).sum()) for image in (calm, strained)
     ]
     assert redness[1] > redness[0]
-    tip = look.tip_sites(model)
-    if tip:
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
-        marked = renderer.frame(
-            model.qpos0, sites={"anywhere": data.site_xpos[tip[0]] + (0, 0, 0.3 * renderer.radius)}
-        )
-        assert (marked != rest).any(axis=2).sum() > 5
+    hidden = renderer.frame(Snapshot(model.qpos0, {"activation": np.full(number, np.nan)}))
+    assert (hidden != calm).any(axis=2).sum() > 50
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    above = np.array((0.0, 0.0, 0.3 * renderer.framing.radius))
+    place = data.geom_xpos[look.drawn_geoms(model)].mean(axis=0) + above
+    marked = renderer.frame(Snapshot(model.qpos0, goals={"anywhere": place}))
+    green = marked.astype(int) - rest
+    assert (green[..., 1] > green[..., 0] + 30).sum() > 5
 
 
 def test_grid_holds_the_tiles(model, renderer):
-    poses = np.stack([model.qpos0, middle(model), model.qpos0])
-    grid = renderer.frame_grid([(pose,) for pose in poses], columns=2)
-    np.testing.assert_array_equal(grid[: SIZE[1], : SIZE[0]], renderer.frame(poses[0]))
-    np.testing.assert_array_equal(grid[: SIZE[1], -SIZE[0] :], renderer.frame(poses[1]))
+    film = [Snapshot(pose) for pose in (model.qpos0, middle(model), model.qpos0)]
+    grid = renderer.frame_grid(film, columns=2)
+    np.testing.assert_array_equal(grid[: SIZE[1], : SIZE[0]], renderer.frame(film[0]))
+    np.testing.assert_array_equal(grid[: SIZE[1], -SIZE[0] :], renderer.frame(film[1]))
+
+
+@pytest.mark.parametrize(
+    ("seen", "text"),
+    [
+        ({"muscles": {"activation": np.zeros(1)}}, "activation needs one value per muscle"),
+        ({"goals": {"there": np.array((0, 0, np.nan))}}, "site 'there' needs a finite world position"),
+        ({"qpos": np.zeros(0)}, "qpos needs shape"),
+    ],
+)
+def test_what_does_not_fit_is_not_drawn(model, renderer, seen, text):
+    with pytest.raises(ValueError, match=text):
+        renderer.frame(Snapshot(model.qpos0)._replace(**seen))
 
 
 @pytest.mark.parametrize(
@@ -94,9 +111,9 @@ def test_worlds_are_drawn_with_their_own_objects(key):
             np.testing.assert_array_equal(model.geom_size[model.geom("object").id], size)
     try:
         with WorldRenderer(model, *SIZE) as renderer:
-            own, other = (renderer.frame(*snapshot(sim, world)) for world in range(2))
-            np.testing.assert_array_equal(renderer.frame(*snapshot(sim, 0)), own)
-            nominal = renderer.frame(*snapshot(sim, 0)[:3])
+            own, other = (renderer.frame(snapshot(sim, world)) for world in range(2))
+            np.testing.assert_array_equal(renderer.frame(snapshot(sim, 0)), own)
+            nominal = renderer.frame(snapshot(sim, 0)._replace(shape={}))
     except NoGraphicsError as error:
         pytest.skip(str(error))
     assert not np.array_equal(own, other)
@@ -133,6 +150,23 @@ def test_video_holds_the_frames(tmp_path):
     np.testing.assert_allclose(brightness, 20 * np.arange(9), atol=4)
 
 
+def test_gif_holds_the_frames_at_their_pace(tmp_path):
+    path = write_video(tmp_path / "a.gif", iter(frames(9)), fps=25)
+    count, seconds = imageio_ffmpeg.count_frames_and_secs(str(path))
+    assert count == 9
+    assert seconds == pytest.approx(9 / 25, abs=0.02)
+
+
+def test_png_holds_the_picture(tmp_path):
+    picture = np.random.default_rng(0).integers(0, 255, (33, 47, 3), dtype=np.uint8)
+    path = write_picture(tmp_path / "a.png", picture)
+    reader = imageio_ffmpeg.read_frames(str(path))
+    assert next(reader)["size"] == (47, 33)
+    np.testing.assert_array_equal(np.frombuffer(next(reader), np.uint8).reshape(33, 47, 3), picture)
+    with pytest.raises(ValueError, match=r"ends in \.png"):
+        write_picture(tmp_path / "a.jpg", picture)
+
+
 def test_broken_video_leaves_the_old_file(tmp_path):
     path = tmp_path / "a.mp4"
     path.write_bytes(b"old")
@@ -150,7 +184,7 @@ def test_broken_video_leaves_the_old_file(tmp_path):
 @pytest.mark.parametrize(
     ("name", "images", "text"),
     [
-        ("a.avi", frames(2), "path that ends in .mp4"),
+        ("a.avi", frames(2), "path that ends in .mp4 or .gif"),
         ("no/such/a.mp4", frames(2), "existing folder"),
         ("a.mp4", [], "at least one frame"),
         ("a.mp4", [np.zeros((4, 4))], "uint8 frames"),

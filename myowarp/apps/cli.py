@@ -15,6 +15,8 @@ from myowarp.apps.commands.baselines import Baselines
 from myowarp.apps.commands.cohort import Cohort
 from myowarp.apps.commands.describe import Describe
 from myowarp.apps.commands.export import Export
+from myowarp.apps.commands.plot import Plot
+from myowarp.apps.commands.record import Record
 from myowarp.apps.commands.rollout import Rollout
 from myowarp.apps.commands.tasks import Tasks
 from myowarp.apps.commands.warmup import Warmup
@@ -29,6 +31,8 @@ COMMANDS: dict[str, type[Callable[[], None]]] = {
     "tasks": Tasks,
     "describe": Describe,
     "rollout": Rollout,
+    "record": Record,
+    "plot": Plot,
     "cohort": Cohort,
     "audit": Audit,
     "train": Train,

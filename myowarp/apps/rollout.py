@@ -14,6 +14,7 @@ import numpy as np
 from rich.console import Console
 
 from myowarp.apps.baselines import policy_folder
+from myowarp.apps.film import Film
 from myowarp.apps.learned import bind, read_policy
 from myowarp.apps.policies import Hold, check_hold
 from myowarp.apps.recording import SignalRecorder
@@ -25,9 +26,6 @@ from myowarp.sim.shards import Shards
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TaskSpec
 from myowarp.tasks.outside import load
-from myowarp.view.render import WorldRenderer
-from myowarp.view.snapshot import Snapshot, snapshot
-from myowarp.view.video import write_video
 
 Act = Callable[[np.ndarray], np.ndarray]
 """Observations (num_worlds, obs_size) to actions (num_worlds, num_actions) in [-1, 1]."""
@@ -56,11 +54,9 @@ class Recording:
 
     Attributes:
         arrays: Name to array of shape (T, N, ...).
-        frames: What the filmed worlds look like, one entry a step.
     """
 
     arrays: dict[str, list[np.ndarray]] = field(default_factory=dict)
-    frames: list[list[Snapshot]] = field(default_factory=list)
 
     def add(self, **values: np.ndarray) -> None:
         """Append one step."""
@@ -114,7 +110,10 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
             f"policy {name!r} unknown; available: {', '.join(BUILT_IN)}, baseline, "
             "baselines/<task>, the folder of a trained policy, package.module:function, file.py:function"
         )
-    act = getattr(load(source), attribute, None)
+    try:
+        act = getattr(load(source), attribute, None)
+    except ValueError as error:
+        raise ValueError(f"policy {name!r} not found: {error}") from error
     if act is None:
         raise ValueError(f"policy {name!r} not found: {source} has no {attribute!r}")
     if not callable(act):
@@ -152,7 +151,7 @@ def run(
     seed: int,
     *,
     record: bool = False,
-    filmed: int = 0,
+    film: Film | None = None,
     recorder: SignalRecorder | None = None,
     console: Console | None = None,
 ) -> tuple[Summary, Recording]:
@@ -165,7 +164,7 @@ def run(
         steps: Control steps.
         seed: Seed of the resets and of the random policy.
         record: Whether to keep observation, action, reward and endings of every step.
-        filmed: Number of leading worlds whose configurations are kept for pictures.
+        film: Film that keeps what its worlds look like.
         recorder: Recorder of muscle signals.
         console: Where to draw the progress bar.
 
@@ -192,15 +191,23 @@ def run(
                 )
             if recorder is not None:
                 recorder.add()
-            if filmed:
-                recording.frames.append([snapshot(env.sim, world) for world in range(filmed)])
             ended = terminated | truncated
+            if film is not None:
+                film.add(reward, _success(info, ended))
+                film.begin(ended)
             tally.add(reward, ended, info)
             if ended.any() and "final_info" not in info:
                 next_obs, _ = env.reset(options={"reset_mask": ended})
             obs = next_obs
             bar.update(task, advance=1, rate=env.num_envs * step / seconds)
     return _summary(env, policy, steps, seconds, tally), recording
+
+
+def _success(info: dict[str, Any], ended: np.ndarray) -> np.ndarray:
+    """Return whether the step that was made solved the task, shape (num_worlds,)."""
+    if "final_info" not in info:
+        return info["success"]
+    return np.where(ended, info["final_info"]["success"], info["success"])
 
 
 def _summary(env: MyoWarpVectorEnv, policy: Policy, steps: int, seconds: float, tally: "_Tally") -> Summary:
@@ -261,35 +268,3 @@ def save_recording(path: Path, env: MyoWarpVectorEnv, recording: Recording) -> N
     arrays |= {"control_dt": np.array(env.sim.scene.control_dt)}
     with in_place(path) as scratch, scratch.open("wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-
-
-def film(
-    path: Path,
-    env: MyoWarpVectorEnv,
-    recording: Recording,
-    size: tuple[int, int],
-    console: Console | None = None,
-) -> None:
-    """Draw the filmed worlds side by side and write the video.
-
-    Args:
-        path: File to write, ending in .mp4.
-        env: Environment that was filmed.
-        recording: Recording with frames.
-        size: Width and height of one world's tile [px].
-        console: Where to draw the progress bar.
-
-    Raises:
-        myowarp.view.render.NoGraphicsError: No OpenGL was found.
-        OSError: The file cannot be written.
-    """
-    bar = progress_bar("Drawing", "frames", console)
-    with WorldRenderer(env.sim.full_model, *size) as renderer, bar:
-        images = (
-            renderer.frame_grid(
-                worlds,
-                columns=-(-len(worlds) // 2) if len(worlds) > 3 else None,
-            )
-            for worlds in bar.track(recording.frames)
-        )
-        write_video(path, images, fps=1.0 / env.sim.scene.control_dt)

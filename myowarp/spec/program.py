@@ -74,3 +74,7 @@ class Program(abc.ABC):
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
         """Return world positions [m] of the goal's markers in one world by site name; host, for pictures."""
         return {}
+
+    def goal_pose(self, world: int) -> np.ndarray | None:
+        """Return the configuration (nq,) that the goal asks for in one world, or None; host, for pictures."""
+        return None

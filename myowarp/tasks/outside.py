@@ -124,7 +124,7 @@ def _run(path: Path, content: bytes) -> ModuleType:
 def _reason(error: Exception) -> str:
     """Return where and why a module failed: its own last line on the way to the error."""
     if isinstance(error, SyntaxError):
-        return f"{error.filename}, line {error.lineno}: {error.msg}"
+        return f"line {error.lineno}: {error.msg}" if error.lineno else str(error.msg)
     frames = traceback.extract_tb(error.__traceback__)
     where = [f"line {frame.lineno}: " for frame in frames if frame.name == "<module>"]
     return f"{where[-1] if where else ''}{type(error).__name__}: {' '.join(str(error).split())}"

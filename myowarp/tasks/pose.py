@@ -21,7 +21,7 @@ from mujoco_warp import JointType
 from myowarp.kernels.observe import pack, pack_difference
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
 from myowarp.kernels.reward import EFFORT, activation_effort, indicator, squared_distance
-from myowarp.models.couplings import POINT_JOINTS
+from myowarp.models.couplings import POINT_JOINTS, follow
 from myowarp.sim.build import full_model
 from myowarp.spec.body import BODIES
 from myowarp.spec.entries import ACTIVATION, COORDINATES, VELOCITIES, Entry, of_joints
@@ -186,11 +186,17 @@ class PoseProgram(Program):
         """The body with all its sites, which the slim model lacks."""
         return full_model(self.spec)
 
+    def goal_pose(self, world: int) -> np.ndarray:
+        """The present configuration with the target's angles; joints that follow others follow."""
+        qpos = self.scene.data.qpos.numpy()[world].astype(float)
+        qpos[self.address.numpy()] = self.target.numpy()[world]
+        follow(self.scene.oracle, qpos)
+        return qpos
+
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
         """Where the tips are in the target pose, by forward kinematics."""
         data = mujoco.MjData(self._full)
-        data.qpos[:] = self.scene.qpos_start.numpy()
-        data.qpos[self.address.numpy()] = self.target.numpy()[world]
+        data.qpos[:] = self.goal_pose(world)
         mujoco.mj_kinematics(self._full, data)
         tips = BODIES[self.spec.body].tips
         return {f"{tip}_target": data.site(tip).xpos.copy() for tip in tips}

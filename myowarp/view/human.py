@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import ModuleType
 from typing import Any, Literal
 
@@ -18,7 +18,9 @@ import mujoco
 import numpy as np
 
 from myowarp.view import style as look
+from myowarp.view.framing import Framing, view_axes
 from myowarp.view.modes import NEEDED, live_viewer
+from myowarp.view.muscles import QUANTITIES, RELAXED_RGB
 from myowarp.view.render import NoGraphicsError
 
 Backend = Literal["gl", "viser", "null"]
@@ -48,7 +50,12 @@ class HumanViewer:
     """Shows one or several worlds of a model as they move."""
 
     def __init__(
-        self, model: mujoco.MjModel, backend: Backend | None = None, port: int = 8080, title: str = "MyoWarp"
+        self,
+        model: mujoco.MjModel,
+        backend: Backend | None = None,
+        port: int = 8080,
+        title: str = "MyoWarp",
+        tips: Iterable[str] = (),
     ):
         """Opens the viewer.
 
@@ -58,6 +65,7 @@ class HumanViewer:
                 (tests); by default a window where a display is there, else the browser.
             port: port of the browser page on this machine; the next free one is taken.
             title: name of the window or page.
+            tips: names of the sites at the ends of the limb.
 
         Raises:
             ValueError: the backend is unknown.
@@ -66,8 +74,11 @@ class HumanViewer:
         backend = backend or live_viewer()
         self._model, self._data = model, mujoco.MjData(model)
         self._tendons = look.muscle_tendons(model)
-        self._tips = look.tip_sites(model)
-        camera, self._radius = look.frame_camera(model, 16 / 9)
+        self._tips = look.tip_sites(model, tips)
+        framing = Framing(model, tips, 16 / 9)
+        self._radius = framing.radius
+        look.pose(model, self._data, look.rest_pose(model))
+        camera = framing.camera(self._data, {})
         self._tip_radii = look.tip_radii(model, self._tips, self._radius)
         geoms = look.drawn_geoms(model)
         self._geoms = [int(g) for g in geoms if int(model.geom_type[g]) in SHAPES]
@@ -158,7 +169,10 @@ class HumanViewer:
     ) -> tuple[np.ndarray, ...]:
         """Returns geom transforms, muscle pieces with colours, and markers of one world, moved aside."""
         look.pose(self._model, self._data, qpos[world], shape)
-        rgb = look.activation_rgb(None if activation is None else activation[world], len(self._tendons))
+        level = np.full(len(self._tendons), np.nan) if activation is None else activation[world]
+        if level.shape != (len(self._tendons),):
+            raise ValueError(f"activation needs shape ({len(self._tendons)},), got {level.shape}")
+        rgb = QUANTITIES["activation"].rgb(level)
         starts, ends, owner = look.tendon_segments(self._model, self._data, self._tendons)
         if activation is not None:
             shown = ~np.isnan(activation[world])[owner]
@@ -167,7 +181,7 @@ class HumanViewer:
         spare = 2 * self._model.nwrap - len(starts)
         fill = np.zeros((spare, 3)) if not len(ends) else np.tile(ends[-1], (spare, 1))
         lines = np.concatenate((starts, fill)) + shift, np.concatenate((ends, fill)) + shift
-        colors = np.concatenate((rgb[owner], np.tile(look.RELAXED_RGB, (spare, 1))))
+        colors = np.concatenate((rgb[owner], np.tile(RELAXED_RGB, (spare, 1))))
         targets = np.array([place[world] for place in sites.values()]).reshape(-1, 3)
         places = np.concatenate((self._data.site_xpos[self._tips], targets)) + shift
         return self._transforms(shift), *lines, colors, places
@@ -275,7 +289,7 @@ class HumanViewer:
         Newton's yaw and pitch are MuJoCo's azimuth and elevation.
         """
         camera = self._camera
-        axes = look.view_axes(camera.azimuth, camera.elevation)
+        axes = view_axes(camera.azimuth, camera.elevation)
         columns = int(np.ceil(count**0.5))
         row, column = np.divmod(np.arange(count), columns)
         across, down = column - (columns - 1) / 2, row - row.max() / 2

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from myowarp.view.snapshot import snapshot
+from myowarp.sim.signals import Signals
+from myowarp.spec.body import BODIES
+from myowarp.spec.registry import check_choice
+from myowarp.view.muscles import QUANTITIES
+from myowarp.view.snapshot import Snapshot, snapshot
+from myowarp.view.style import LARGEST
 
 if TYPE_CHECKING:
     from myowarp.sim.shards import Shards
@@ -14,46 +20,74 @@ if TYPE_CHECKING:
     from myowarp.view.human import HumanViewer
     from myowarp.view.render import WorldRenderer
 
-LARGEST_SIDE = 8192  # px of a picture, which is drawn twice as large; OpenGL takes 16384
-
 
 class Pictures:
     """Draws worlds of a simulation."""
 
-    def __init__(self, size: tuple[int, int], camera: str | None) -> None:
+    def __init__(
+        self,
+        size: tuple[int, int],
+        camera: str | None = None,
+        color: str = "activation",
+        legend: bool = False,
+    ) -> None:
         """Remember how to draw; nothing is opened yet.
 
         Args:
             size: Width and height of a picture [px].
-            camera: Name of a camera of the model; None frames the limb.
+            camera: Name of a camera of the model; None frames the limb, tips, targets and objects.
+            color: What the colour of a muscle shows, a name in `myowarp.view.muscles.QUANTITIES`.
+            legend: Whether to draw what the colours mean.
 
         Raises:
-            ValueError: The size is not two positive integers, or too large to draw.
+            ValueError: The size is not two positive integers, or too large; the colour is unknown.
         """
         sides = size if isinstance(size, (tuple, list)) else ()
-        if len(sides) != 2 or not all(type(side) is int and 1 <= side <= LARGEST_SIDE for side in sides):
+        if len(sides) != 2 or not all(type(side) is int and 1 <= side <= LARGEST for side in sides):
             raise ValueError(
-                f"render_size must be two integers from 1 to {LARGEST_SIDE}, width and height, got {size!r}"
+                f"render_size must be two integers from 1 to {LARGEST}, width and height, got {size!r}"
             )
-        self._size, self._camera = size, camera
+        check_choice("muscle color", color, tuple(QUANTITIES))
+        self._size, self._camera, self._color, self._legend = size, camera, color, legend
+        self._signals: Signals | None = None
         self._renderer: WorldRenderer | None = None
         self._viewer: HumanViewer | None = None
 
-    def frame(self, sim: Simulation | Shards, world: int) -> np.ndarray:
-        """Return a picture of one world, (height, width, 3) uint8."""
+    def attach(self, sim: Simulation | Shards) -> None:
+        """Have the simulation compute what the colours show, if it does not yet; before it is stepped."""
+        if self._color == "force" and sim.scene.muscles.names:
+            self._signals = Signals(sim)
+
+    def snapshot(self, sim: Simulation | Shards, world: int) -> Snapshot:
+        """Return what a picture of a world shows now."""
+        return snapshot(sim, world, self._signals)
+
+    def renderer(self, sim: Simulation | Shards) -> WorldRenderer:
+        """Return the renderer of the simulation's worlds; opened once.
+
+        Raises:
+            myowarp.view.render.NoGraphicsError: No OpenGL was found.
+        """
         if self._renderer is None:
             from myowarp.view.render import WorldRenderer
 
-            self._renderer = WorldRenderer(sim.full_model, *self._size, camera=self._camera)
-        return self._renderer.frame(*snapshot(sim, world))
+            tips = BODIES[sim.scene.spec.body].tips
+            self._renderer = WorldRenderer(
+                sim.full_model, *self._size, self._camera, tips=tips, color=self._color, legend=self._legend
+            )
+        return self._renderer
 
-    def show(self, sim: Simulation | Shards) -> None:
-        """Show world 0 in the live viewer."""
+    def frame(self, sim: Simulation | Shards, world: int, caption: Sequence[str] = ()) -> np.ndarray:
+        """Return a picture of one world, (height, width, 3) uint8, with lines of text on it."""
+        return self.renderer(sim).frame(self.snapshot(sim, world), caption)
+
+    def show(self, sim: Simulation | Shards, world: int = 0) -> None:
+        """Show a world in the live viewer."""
         if self._viewer is None:
             from myowarp.view.human import HumanViewer
 
-            self._viewer = HumanViewer(sim.full_model)
-        seen = snapshot(sim, 0)
+            self._viewer = HumanViewer(sim.full_model, tips=BODIES[sim.scene.spec.body].tips)
+        seen = snapshot(sim, world)
         self._viewer.show(seen.qpos, seen.activation, seen.goals, shapes=[seen.shape])
 
     def close(self) -> None:

@@ -16,21 +16,42 @@ import importlib
 import os
 import platform
 import warnings
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
 
 import mujoco
 import numpy as np
 
+from myowarp.spec.registry import check_choice
 from myowarp.view import style as look
+from myowarp.view.framing import Framing, view_axes
+from myowarp.view.muscles import QUANTITIES, TENDON_RGB, TENDON_TINT, Muscles
+from myowarp.view.overlay import OVERSAMPLING, Overlay, font_size
+from myowarp.view.scenery import (
+    add_backdrop,
+    add_capsule,
+    add_floor,
+    add_lamp,
+    add_sphere,
+    brighten,
+    floor_height,
+    has_plane,
+)
+from myowarp.view.skeleton import Skeleton
+from myowarp.view.snapshot import Snapshot
 
 SEPARATOR_PX = 2
 """Width of the line between the tiles of a grid."""
 SEPARATOR_RGB = (150, 156, 165)
 MARKER_RADIUS = (0.035, 0.10)
 """Smallest and largest radius of a target marker, in units of the framed radius."""
-OVERSAMPLING = 2
-"""Drawn pixels per image pixel and side; for meshes faster than Mesa's multisampling, and smoother."""
+FACETS = (14, 6)
+"""Faces of round shapes, around and along."""
+MOST_GEOMS = 20000
+"""Shapes in a picture, pieces of muscles included."""
+COARSE = 1.0
+"""px: what is smaller in a mesh is not drawn."""
+GHOST_ALPHA = 0.28
 LINK_RADIUS = 0.005
 """Radius of the line from a tip to its target, in units of the framed radius."""
 GL_ERRORS = (ImportError, RuntimeError, AttributeError, OSError, ctypes.ArgumentError, mujoco.FatalError)
@@ -79,13 +100,13 @@ def _open_renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Ren
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return mujoco.Renderer(model, height, width)
+            return mujoco.Renderer(model, height, width, MOST_GEOMS, mujoco.mjtFontScale(font_size(height)))
     except GL_ERRORS as error:
         raise _no_graphics(backend, error) from error
 
 
 class WorldRenderer:
-    """Draws worlds of one model: bones, muscles coloured by activation, targets and tips."""
+    """Draws worlds of one model: bones, muscles as tubes, targets, tips, and the posture that is wanted."""
 
     def __init__(
         self,
@@ -93,6 +114,10 @@ class WorldRenderer:
         width: int = 640,
         height: int = 480,
         camera: str | mujoco.MjvCamera | None = None,
+        *,
+        tips: Iterable[str] = (),
+        color: str = "activation",
+        legend: bool = False,
     ):
         """Prepares a private copy of the model for drawing and opens an OpenGL context.
 
@@ -100,31 +125,41 @@ class WorldRenderer:
             model: the full (unslimmed) model; it is not changed.
             width: image width [px].
             height: image height [px].
-            camera: name of a camera of the model, or a camera; None frames the moving limb.
+            camera: name of a camera of the model, or a camera; None frames the limb, tips, targets, objects.
+            tips: names of the sites at the ends of the limb.
+            color: what the colour of a muscle shows, a name in `myowarp.view.muscles.QUANTITIES`.
+            legend: whether to draw what the colours mean.
 
         Raises:
-            ValueError: the camera is unknown.
+            ValueError: the camera or the colour is unknown, or the image is too large.
             NoGraphicsError: no OpenGL was found.
         """
         names = [model.camera(i).name for i in range(model.ncam)]
         if isinstance(camera, str) and camera not in names:
             raise ValueError(f"camera '{camera}' unknown; available: {', '.join(sorted(names)) or 'none'}")
-        self.width, self.height = width, height
-        self.tendons = look.muscle_tendons(model)
-        self.num_muscles = len(self.tendons)
-        framed, self.radius = look.frame_camera(model, width / height)
-        self.camera = framed if camera is None else camera
-        self._model = _prepared(model, self.radius, OVERSAMPLING * width, OVERSAMPLING * height)
+        check_choice("muscle color", color, tuple(QUANTITIES))
+        check_size(width, height)
+        self.width, self.height, self.camera = width, height, camera
+        self._skeleton = Skeleton(model)
+        self.framing = Framing(model, tips, width / height, self._skeleton)
+        self.muscles = Muscles(model, self.framing.radius)
+        self.color, self._legend = color, legend
+        self._model = _prepared(model, self.framing.radius, OVERSAMPLING * width, OVERSAMPLING * height)
+        _coarsen(self._model, COARSE * 2.0 * self.framing.radius / min(width, height))
         self._data = mujoco.MjData(self._model)
         self._nominal: dict[tuple[str, str], np.ndarray] = {}  # of what some world had for itself
         self._option = _drawing_options()
-        self._tips = look.tip_sites(model)
-        self._tip_radii = look.tip_radii(model, self._tips, self.radius)
+        self._tips = look.tip_sites(model, tips)
         self._pale = frozenset(np.flatnonzero(look.pale_geoms(model)).tolist())
-        pixel = 2.0 * self.radius / min(width, height)
-        self._thin = max(self.radius * 0.035 / max(self.num_muscles, 1) ** 0.5, 0.9 * pixel)
-        self._link_radius = max(LINK_RADIUS * self.radius, 0.7 * pixel)
+        drawn = look.drawn_geoms(self._model)
+        moving = look.moving_bodies(model) & look.limb_trees(model)
+        self._ghostly = drawn[moving[model.geom_bodyid[drawn]]]
+        self._alpha = self._model.geom_rgba[:, 3].copy()
+        self._cullable = drawn[self._model.geom_type[drawn] == mujoco.mjtGeom.mjGEOM_MESH]
+        self._floor = floor_height(model) if self.framing.follows and not has_plane(model) else None
         self._renderer = _open_renderer(self._model, OVERSAMPLING * height, OVERSAMPLING * width)
+        context = self._renderer._mjr_context
+        self._overlay = Overlay(context, OVERSAMPLING * width, OVERSAMPLING * height)
 
     def __enter__(self) -> WorldRenderer:
         return self
@@ -132,21 +167,26 @@ class WorldRenderer:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def frame(
-        self,
-        qpos: np.ndarray,
-        activation: np.ndarray | None = None,
-        sites: Mapping[str, np.ndarray] | None = None,
-        shape: Mapping[tuple[str, str], np.ndarray] | None = None,
-    ) -> np.ndarray:
+    def fit(self, film: Iterable[Snapshot]) -> None:
+        """Fits the picture to what a film shows, instead of what the joints' ranges allow."""
+
+        def moments() -> Iterator[tuple[mujoco.MjData, Mapping[str, np.ndarray]]]:
+            for seen in film:
+                yield self._posed(seen), seen.goals
+                if seen.ghost is not None:
+                    look.pose(self._model, self._data, seen.ghost)
+                    yield self._data, {}
+
+        self.framing.fit(moments())
+
+    def frame(self, seen: Snapshot, caption: Sequence[str] = (), legend: bool | None = None) -> np.ndarray:
         """Draws one world.
 
         Args:
-            qpos: generalised position, shape ``(nq,)``.
-            activation: muscle activation [1], shape ``(num_muscles,)``, or None; NaN hides a muscle.
-            sites: task targets: name to position in the world [m], shape ``(3,)``. A site of the model of
-                that name gives the size; ``<tip>_target`` is joined to the site ``<tip>`` by a line.
-            shape: geometry of this world alone: (field of model or data, name of geom or body) to values.
+            seen: what it shows. A site of the model with the name of a goal gives its size; `<tip>_target`
+                is joined to the site `<tip>` by a line.
+            caption: lines of text.
+            legend: whether to draw the legend; None: as the renderer was made.
 
         Returns:
             Image, uint8, shape ``(height, width, 3)``.
@@ -157,27 +197,37 @@ class WorldRenderer:
         """
         if self._renderer is None:
             raise RuntimeError("frame needs an open WorldRenderer, got a closed one; make a new one")
-        rgb = look.activation_rgb(activation, self.num_muscles)
-        for key in shape or {}:
-            self._nominal.setdefault(key, look.geometry(self._model, self._data, key).copy())
-        look.pose(self._model, self._data, qpos, self._nominal | dict(shape or {}))
-        self._model.tendon_rgba[self.tendons, :3] = rgb
-        self._model.tendon_rgba[self.tendons, 3] = 1.0 if activation is None else ~np.isnan(activation)
-        bulge = 0.5 if activation is None else np.clip(np.nan_to_num(activation), 0.0, 1.0)
-        self._model.tendon_width[self.tendons] = self._thin * (0.75 + 0.75 * bulge)
-        self._renderer.update_scene(self._data, self.camera, self._option)
+        self._check(seen)
+        data = self._posed(seen)
+        framed = self.framing.camera(data, seen.goals)
+        camera = framed if self.camera is None else self.camera
+        self._hide_what_is_outside(data, camera)
+        self._renderer.update_scene(data, camera, self._option)
         scene = self._renderer.scene
-        _brighten(scene, self._pale)
-        _add_backdrop(scene)
-        _add_lamp(scene)
-        self._add_markers(scene, sites or {})
-        return _shrunk(self._renderer.render())
+        brighten(scene, self._pale)
+        pixel = 2.0 * self.framing.radius / min(self.width, self.height)
+        self._add_muscles(scene, seen, 0.55 * pixel)
+        self._add_skeleton(scene, data, look.BONE_RGB, 1.0)
+        if seen.ghost is not None:
+            self._add_ghost(scene, seen.ghost)
+        self._add_markers(scene, seen.goals, pixel)
+        if self._floor is not None:
+            add_floor(scene, self._floor, np.array(framed.lookat), self.framing.radius, pixel)
+        add_backdrop(scene)
+        add_lamp(scene)
+        return self._drawn(caption, self._legend if legend is None else legend)
 
-    def frame_grid(self, looks: Sequence[tuple[Any, ...]], columns: int | None = None) -> np.ndarray:
+    def frame_grid(
+        self,
+        film: Sequence[Snapshot],
+        captions: Sequence[Sequence[str]] = (),
+        columns: int | None = None,
+    ) -> np.ndarray:
         """Draws several worlds as tiles of one image, row by row.
 
         Args:
-            looks: for each world the arguments of `frame`.
+            film: what each world shows.
+            captions: lines of text for each world; none for no text.
             columns: tiles in a row; by default the grid is as square as it can be.
 
         Returns:
@@ -186,19 +236,8 @@ class WorldRenderer:
         Raises:
             ValueError: a shape is wrong, or there is no world.
         """
-        count = len(looks)
-        if not count:
-            raise ValueError("frame_grid needs the looks of one world at least, got none")
-        columns = min(columns or int(np.ceil(count**0.5)), count)
-        rows = -(-count // columns)
-        step = np.array((self.height, self.width)) + SEPARATOR_PX
-        image = np.full(
-            (rows * step[0] - SEPARATOR_PX, columns * step[1] - SEPARATOR_PX, 3), SEPARATOR_RGB, np.uint8
-        )
-        for world in range(count):
-            top, left = np.array(divmod(world, columns)) * step
-            image[top : top + self.height, left : left + self.width] = self.frame(*looks[world])
-        return image
+        captions = captions or [()] * len(film)
+        return tiled([self.frame(*world) for world in zip(film, captions, strict=True)], columns)
 
     def close(self) -> None:
         """Frees the OpenGL context; safe to call twice."""
@@ -206,19 +245,130 @@ class WorldRenderer:
             self._renderer.close()
         self._renderer = None
 
-    def _add_markers(self, scene: mujoco.MjvScene, sites: Mapping[str, np.ndarray]) -> None:
-        for site, radius in zip(self._tips, self._tip_radii, strict=True):
-            _add_sphere(scene, self._data.site_xpos[site], radius, (*look.TIP_RGB, 1.0))
-        for name, position in sites.items():
-            place = np.asarray(position, dtype=float)
-            if place.shape != (3,) or not np.isfinite(place).all():
-                raise ValueError(f"site '{name}' needs a finite world position of shape (3,), got {position}")
+    def _check(self, seen: Snapshot) -> None:
+        """Raises ValueError if a snapshot does not fit the model."""
+        number = len(self.muscles.tendons)
+        for name, values in seen.muscles.items():
+            if np.shape(values) != (number,):
+                raise ValueError(
+                    f"{name} needs one value per muscle, shape ({number},), got {np.shape(values)}"
+                )
+        for name, place in seen.goals.items():
+            if np.shape(place) != (3,) or not np.isfinite(place).all():
+                raise ValueError(f"site '{name}' needs a finite world position of shape (3,), got {place}")
+
+    def _posed(self, seen: Snapshot) -> mujoco.MjData:
+        """Returns the data in a world's pose, with its own geometry."""
+        for key in seen.shape:
+            self._nominal.setdefault(key, look.geometry(self._model, self._data, key).copy())
+        look.pose(self._model, self._data, seen.qpos, self._nominal | dict(seen.shape))
+        return self._data
+
+    def _drawn(self, caption: Sequence[str], legend: bool) -> np.ndarray:
+        """Returns the picture of the scene, with what is written on it."""
+        renderer, size = self._renderer, (OVERSAMPLING * self.height, OVERSAMPLING * self.width, 3)
+        image, area = np.empty(size, dtype=np.uint8), mujoco.MjrRect(0, 0, size[1], size[0])
+        renderer._gl_context.make_current()
+        mujoco.mjr_render(area, renderer.scene, renderer._mjr_context)
+        self._overlay.text(caption)
+        if legend and self.muscles.any:
+            self._overlay.legend(QUANTITIES[self.color])
+        mujoco.mjr_readPixels(image, None, area, renderer._mjr_context)
+        return _shrunk(image[::-1])
+
+    def _add_muscles(self, scene: mujoco.MjvScene, seen: Snapshot, thinnest: float) -> None:
+        tubes = self.muscles.tubes(self._data, seen.muscles.get("strength"), thinnest)
+        rgb = QUANTITIES[self.color].rgb(self.muscles.values(self.color, seen.muscles, self._data))
+        tendon = (1.0 - TENDON_TINT) * TENDON_RGB + TENDON_TINT * rgb
+        hidden = np.isnan(seen.activation) if seen.activation is not None else np.zeros(len(rgb), dtype=bool)
+        colors = np.where(tubes.belly[:, None], rgb[tubes.owner], tendon[tubes.owner])
+        colors = np.concatenate((colors, np.ones((len(colors), 1))), axis=1).astype(np.float32)
+        for k in np.flatnonzero(~hidden[tubes.owner]):
+            add_capsule(scene, tubes.starts[k], tubes.ends[k], tubes.radii[k], colors[k])
+
+    def _add_skeleton(
+        self, scene: mujoco.MjvScene, data: mujoco.MjData, rgb: np.ndarray, alpha: float
+    ) -> None:
+        color = np.array((*rgb, alpha), dtype=np.float32)
+        for start, end, radius in zip(*self._skeleton.bones(data), strict=True):
+            add_capsule(scene, start, end, radius, color)
+
+    def _add_ghost(self, scene: mujoco.MjvScene, wanted: np.ndarray) -> None:
+        """Adds the limb in the wanted posture, translucent."""
+        model, data = self._ghost
+        look.pose(model, data, wanted)
+        first = scene.ngeom
+        category = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_addGeoms(model, data, self._option, mujoco.MjvPerturb(), category, scene)
+        for geom in scene.geoms[first : scene.ngeom]:
+            geom.emission, geom.specular = 0.35, 0.0
+        self._add_skeleton(scene, data, look.TARGET_RGB, GHOST_ALPHA)
+
+    @cached_property
+    def _ghost(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """The model with nothing but the moving bones, translucent."""
+        model = copy.copy(self._model)
+        model.geom_matid[:], model.geom_rgba[:, 3] = -1, 0.0
+        model.geom_rgba[self._ghostly] = (*look.TARGET_RGB, GHOST_ALPHA)
+        return model, mujoco.MjData(model)
+
+    def _hide_what_is_outside(self, data: mujoco.MjData, camera: str | mujoco.MjvCamera) -> None:
+        """Leaves out geoms outside of the picture: the skeleton beside an elbow costs more than the elbow."""
+        self._model.geom_rgba[:, 3] = self._alpha
+        if isinstance(camera, mujoco.MjvCamera) and camera.type == mujoco.mjtCamera.mjCAMERA_FREE:
+            half = np.tan(np.radians(self._model.vis.global_.fovy) / 2) * np.array(
+                (self.width / self.height, 1.0)
+            )
+            axes = view_axes(camera.azimuth, camera.elevation)
+            corners = (look.geom_box(self._model, data, self._cullable) - camera.lookat) @ axes.T
+            side = corners[:, :2].reshape(-1, 8, 2)
+            reach = (half * (corners[:, 2:] + camera.distance)).reshape(-1, 8, 2)
+            outside = ((side > reach).all(axis=1) | (side < -reach).all(axis=1)).any(axis=1)
+            self._model.geom_rgba[self._cullable[outside], 3] = 0.0
+
+    def _add_markers(self, scene: mujoco.MjvScene, goals: Mapping[str, np.ndarray], pixel: float) -> None:
+        radius = self.framing.radius
+        for site, size in zip(self._tips, look.tip_radii(self._model, self._tips, radius), strict=True):
+            add_sphere(scene, self._data.site_xpos[site], size, (*look.TIP_RGB, 1.0))
+        for name, place in goals.items():
             site = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
             size = self._model.site_size[site, 0] if site >= 0 else 0.0
-            size = np.clip(size, MARKER_RADIUS[0] * self.radius, MARKER_RADIUS[1] * self.radius)
-            _add_sphere(scene, place, size, (*look.TARGET_RGB, 0.65))
-        for tip, target in look.marker_pairs(self._model, sites):
-            _add_link(scene, self._data.site_xpos[tip], target, self._link_radius)
+            size = np.clip(size, MARKER_RADIUS[0] * radius, MARKER_RADIUS[1] * radius)
+            add_sphere(scene, place, size, (*look.TARGET_RGB, 0.65))
+        color = np.array((*look.TARGET_RGB, 0.8), dtype=np.float32)
+        for tip, target in look.marker_pairs(self._model, goals):
+            link = max(LINK_RADIUS * radius, 0.7 * pixel)
+            add_capsule(scene, self._data.site_xpos[tip], target, link, color, emission=0.25)
+
+
+def check_size(width: int, height: int) -> None:
+    """Raises ValueError if a picture of this size cannot be drawn."""
+    if not (width >= 1 and height >= 1 and max(width, height) <= look.LARGEST):
+        raise ValueError(f"a picture needs 1 to {look.LARGEST} px on each side, got {width} by {height}")
+
+
+def tiled(tiles: Sequence[np.ndarray], columns: int | None = None) -> np.ndarray:
+    """Puts images of one size into one image, row by row, with a line between them.
+
+    Args:
+        tiles: images, uint8, shape ``(height, width, 3)`` each.
+        columns: tiles in a row; by default the grid is as square as it can be.
+
+    Raises:
+        ValueError: there is no image.
+    """
+    if not tiles:
+        raise ValueError("a grid needs one picture at least, got none")
+    columns = min(columns or int(np.ceil(len(tiles) ** 0.5)), len(tiles))
+    rows = -(-len(tiles) // columns)
+    height, width = np.array(tiles[0].shape[:2]) + SEPARATOR_PX
+    shape = rows * height - SEPARATOR_PX, columns * width - SEPARATOR_PX, 3
+    image = np.full(shape, SEPARATOR_RGB, np.uint8)
+    for index, tile in enumerate(tiles):
+        row, column = divmod(index, columns)
+        top, left = row * height, column * width
+        image[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
+    return image
 
 
 def _prepared(model: mujoco.MjModel, radius: float, width: int, height: int) -> mujoco.MjModel:
@@ -228,21 +378,39 @@ def _prepared(model: mujoco.MjModel, radius: float, width: int, height: int) -> 
     model.geom_matid[hidden] = -1
     model.geom_rgba[hidden, 3] = 0.0
     bone, pale = look.bone_geoms(model), look.pale_geoms(model)
+    plain = (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & (model.geom_matid >= 0)
+    model.geom_rgba[plain] = model.mat_rgba[model.geom_matid[plain]]
+    model.geom_matid[plain] = -1  # the renderer looks for what is hidden in the geom's own colour
     model.geom_rgba[bone, :3] = look.BONE_RGB
     model.geom_rgba[pale, :3] = look.PALE_RGB
     model.geom_matid[pale] = -1
-    model.tendon_matid[:] = -1
-    model.tendon_rgba[:, 3] = 0.0
-    model.tendon_rgba[look.muscle_tendons(model), 3] = 1.0
     model.stat.extent = 2.0 * radius
     model.vis.map.znear, model.vis.map.zfar = 0.01, 50.0
     model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
     model.vis.global_.offheight = max(height, model.vis.global_.offheight)
     model.vis.quality.offsamples = 0
+    model.vis.quality.numslices, model.vis.quality.numstacks = FACETS
     model.vis.headlight.ambient[:] = 0.38
     model.vis.headlight.diffuse[:] = 0.45
     model.vis.headlight.specular[:] = 0.10
     return model
+
+
+def _coarsen(model: mujoco.MjModel, cell: float) -> None:
+    """Merges vertices of a mesh in one cell of a grid [m]: faces below a pixel cost time for nothing."""
+    for mesh in range(model.nmesh):
+        first, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
+        faces = slice(face, face + model.mesh_facenum[mesh])
+        vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
+        _, chosen, own = np.unique(np.round(vertices / cell), axis=0, return_index=True, return_inverse=True)
+        merged = chosen[own.ravel()][model.mesh_face[faces]]
+        kept = (merged != np.roll(merged, 1, axis=1)).all(axis=1)
+        count = int(kept.sum())
+        if count:
+            model.mesh_face[face : face + count] = merged[kept]
+            for corners in (model.mesh_facenormal, model.mesh_facetexcoord):
+                corners[face : face + count] = corners[faces][kept]
+            model.mesh_facenum[mesh] = count
 
 
 def _shrunk(image: np.ndarray) -> np.ndarray:
@@ -254,71 +422,10 @@ def _shrunk(image: np.ndarray) -> np.ndarray:
 
 
 def _drawing_options() -> mujoco.MjvOption:
-    """Bones and muscles, no sites: markers are drawn by hand in one size."""
+    """Bones alone: muscles and markers are drawn by hand."""
     option = mujoco.MjvOption()
     option.sitegroup[:] = 0
-    option.tendongroup[:] = 1
+    option.tendongroup[:] = 0
     option.geomgroup[:] = 0
     option.geomgroup[list(look.VISIBLE_GEOM_GROUPS)] = 1
     return option
-
-
-def _next_geom(scene: mujoco.MjvScene) -> mujoco.MjvGeom:
-    scene.ngeom += 1
-    return scene.geoms[scene.ngeom - 1]
-
-
-def _add_sphere(scene: mujoco.MjvScene, place: np.ndarray, radius: float, rgba: tuple[float, ...]) -> None:
-    geom = _next_geom(scene)
-    size, color = np.full(3, radius), np.array(rgba, dtype=np.float32)
-    mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_SPHERE, size, place, np.eye(3).ravel(), color)
-    geom.emission = 0.25
-    geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-
-
-def _add_link(scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, radius: float) -> None:
-    geom = _next_geom(scene)
-    color = np.array((*look.TARGET_RGB, 0.8), dtype=np.float32)
-    mujoco.mjv_initGeom(
-        geom, mujoco.mjtGeom.mjGEOM_CAPSULE, np.zeros(3), np.zeros(3), np.eye(3).ravel(), color
-    )
-    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, start, end)
-    geom.emission = 0.25
-    geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-
-
-def _add_backdrop(scene: mujoco.MjvScene) -> None:
-    """Stands a bright wall behind everything: without a sky box MuJoCo clears to black."""
-    eye = scene.camera[0]
-    forward, up = np.array(eye.forward, dtype=float), np.array(eye.up, dtype=float)
-    far = 0.9 * eye.frustum_far
-    half = 1.5 * far / eye.frustum_near * max(eye.frustum_top, eye.frustum_width, 1e-6)
-    turn = np.stack((np.cross(up, -forward), up, -forward), axis=1)
-    geom = _next_geom(scene)
-    size, color = np.array((2 * half, 2 * half, 1.0)), np.array((*look.BACKDROP_RGB, 1.0), dtype=np.float32)
-    place = np.array(eye.pos, dtype=float) + far * forward
-    mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_PLANE, size, place, turn.ravel(), color)
-    geom.emission, geom.specular, geom.reflectance = 0.2, 0.0, 0.0
-    geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-
-
-def _brighten(scene: mujoco.MjvScene, pale: frozenset[int]) -> None:
-    """Lets the geoms of these ids glow a little, so that they stay pale from any angle."""
-    for geom in scene.geoms[: scene.ngeom]:
-        if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in pale:
-            geom.emission, geom.specular, geom.reflectance = 0.45, 0.0, 0.0
-
-
-def _add_lamp(scene: mujoco.MjvScene) -> None:
-    """Adds a lamp above the viewer's left shoulder, so that bones have a lit and a shaded side."""
-    eye = scene.camera[0]
-    forward, up = np.array(eye.forward), np.array(eye.up)
-    right = np.cross(forward, up)
-    lamp = scene.lights[scene.nlight]
-    scene.nlight += 1
-    lamp.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    lamp.headlight, lamp.castshadow, lamp.texid = 0, 0, -1
-    lamp.pos[:] = eye.pos
-    lamp.dir[:] = 0.6 * forward - 0.7 * up + 0.5 * right
-    lamp.attenuation[:] = (1.0, 0.0, 0.0)
-    lamp.ambient[:], lamp.diffuse[:], lamp.specular[:] = 0.0, 0.35, 0.15

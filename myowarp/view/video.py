@@ -1,4 +1,4 @@
-"""Frames to an MP4 file that plays in browsers."""
+"""Frames to an MP4 file that plays in browsers, or to a GIF; a picture to a PNG file."""
 
 from __future__ import annotations
 
@@ -6,11 +6,26 @@ import os
 import uuid
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 QUALITY = 7
 """imageio's scale, 0 to 10; 7 is libx264's constant rate factor 15."""
+PALETTE = (
+    "split[a][b];[a]palettegen=max_colors=192:stats_mode=diff[p];[b][p]paletteuse=dither=bayer:bayer_scale=4"
+)
+"""A palette made for the film, in place of GIF's own 216 colours."""
+GIF_FPS = 50.0
+"""1/s; browsers slow down GIFs with less than 2 hundredths of a second between frames."""
+VIDEOS: dict[str, dict[str, Any]] = {
+    ".mp4": {"codec": "libx264", "quality": QUALITY, "output_params": ["-movflags", "+faststart"]},
+    ".gif": {"codec": "gif", "pix_fmt_out": "pal8", "output_params": ["-vf", PALETTE, "-loop", "0"]},
+}
+"""What the encoder is told, by the ending of the file."""
+PICTURES: dict[str, dict[str, Any]] = {
+    ".png": {"codec": "png", "pix_fmt_out": "rgb24", "output_params": ["-frames:v", "1", "-update", "1"]}
+}
 
 
 class NoEncoderError(RuntimeError):
@@ -18,15 +33,15 @@ class NoEncoderError(RuntimeError):
 
 
 def write_video(path: str | os.PathLike[str], frames: Iterable[np.ndarray], fps: float) -> Path:
-    """Encodes frames as H.264, 4:2:0, and puts the finished file in place in one move.
+    """Encodes frames as H.264, 4:2:0, or as a GIF, and puts the finished file in place in one move.
 
     An error or an interrupt leaves the path as it was. Frames are read one at a time, so a generator
     needs memory for one frame. Odd sizes lose their last row or column: 4:2:0 needs even ones.
 
     Args:
-        path: file to write, ending in ``.mp4``; its folder must exist. An older file is replaced.
+        path: file to write, ending in ``.mp4`` or ``.gif``; its folder must exist. An older file is replaced.
         frames: images, uint8, shape ``(height, width, 3)``, all of one shape.
-        fps: frames per second [1/s].
+        fps: frames per second [1/s]; a GIF has 50 at most, and shows every frame.
 
     Returns:
         The path.
@@ -37,13 +52,38 @@ def write_video(path: str | os.PathLike[str], frames: Iterable[np.ndarray], fps:
         OSError: the file cannot be written there.
     """
     path = Path(path)
-    if path.suffix.lower() != ".mp4":
-        raise ValueError(f"write_video needs a path that ends in .mp4, got '{path}'")
+    if path.suffix.lower() not in VIDEOS:
+        raise ValueError(f"write_video needs a path that ends in {' or '.join(VIDEOS)}, got '{path}'")
     if not (np.isfinite(fps) and fps > 0):
         raise ValueError(f"write_video needs fps > 0, got {fps}")
+    if path.suffix.lower() == ".gif":
+        fps = min(fps, GIF_FPS)
+    return _write(path, frames, fps, VIDEOS[path.suffix.lower()])
+
+
+def write_picture(path: str | os.PathLike[str], picture: np.ndarray) -> Path:
+    """Writes a picture to a PNG file, in place in one move.
+
+    Args:
+        path: file to write, ending in ``.png``; its folder must exist.
+        picture: image, uint8, shape ``(height, width, 3)``.
+
+    Raises:
+        NoEncoderError: imageio-ffmpeg is missing.
+        ValueError: the name or the picture is unusable.
+        OSError: the file cannot be written there.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in PICTURES:
+        raise ValueError(f"write_picture needs a path that ends in {' or '.join(PICTURES)}, got '{path}'")
+    return _write(path, [picture], 1.0, PICTURES[path.suffix.lower()])
+
+
+def _write(path: Path, frames: Iterable[np.ndarray], fps: float, options: dict[str, Any]) -> Path:
+    """Encodes beside the path, then moves."""
     part = _open_part(path)
     try:
-        _encode(part, frames, fps)
+        _encode(part, frames, fps, options)
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
@@ -54,7 +94,7 @@ def _open_part(path: Path) -> Path:
     """Makes the file to encode into, beside the path, so that a wrong path fails before any drawing."""
     if path.is_dir():
         raise IsADirectoryError(f"write_video needs the path of a file, got the folder '{path}'")
-    part = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.part.mp4")
+    part = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.part{path.suffix}")
     try:
         part.touch(exist_ok=False)
     except OSError as error:
@@ -65,7 +105,7 @@ def _open_part(path: Path) -> Path:
     return part
 
 
-def _encode(part: Path, frames: Iterable[np.ndarray], fps: float) -> None:
+def _encode(part: Path, frames: Iterable[np.ndarray], fps: float, options: dict[str, Any]) -> None:
     """Writes frames to a file that is not in place yet, and counts what arrived in it."""
     try:
         import imageio_ffmpeg
@@ -78,16 +118,14 @@ def _encode(part: Path, frames: Iterable[np.ndarray], fps: float) -> None:
         for count, frame in enumerate(frames, start=1):
             shape = shape or frame.shape
             _check_frame(frame, shape, count - 1)
-            even = frame[: shape[0] // 2 * 2, : shape[1] // 2 * 2]
+            even = frame if options["codec"] != "libx264" else frame[: shape[0] // 2 * 2, : shape[1] // 2 * 2]
             if writer is None:
                 writer = imageio_ffmpeg.write_frames(
                     part,
                     (even.shape[1], even.shape[0]),
                     fps=float(fps),
-                    codec="libx264",
-                    quality=QUALITY,
-                    macro_block_size=2,
-                    output_params=["-movflags", "+faststart"],
+                    macro_block_size=1,
+                    **options,
                 )
                 writer.send(None)
             writer.send(np.ascontiguousarray(even))

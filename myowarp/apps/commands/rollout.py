@@ -58,7 +58,7 @@ class Rollout:
     save: Annotated[Path | None, optional("FILE")] = None
     """Write observations, actions, rewards and endings of all steps to this .npz."""
     video: Annotated[Path | None, optional("FILE")] = None
-    """Write a video of some worlds to this .mp4."""
+    """Write a video of some worlds to this .mp4 or .gif."""
     video_worlds: int = 6
     """Worlds in the video."""
     signals: Annotated[Path | None, optional("FILE")] = None
@@ -72,6 +72,7 @@ class Rollout:
     def __call__(self) -> None:
         """Run and report."""
         from myowarp.apps import rollout
+        from myowarp.apps.film import VIDEOS, Film, write
         from myowarp.apps.recording import check_recording, recording, recording_files
         from myowarp.bridge_gym import MyoWarpVectorEnv
         from myowarp.disk import check_output, check_overwrite
@@ -84,7 +85,7 @@ class Rollout:
         self._check_numbers(steps)
         policy = rollout.find_policy(self.policy, spec)
         check_output(self.save, ".npz")
-        check_output(self.video, ".mp4")
+        check_output(self.video, *VIDEOS)
         check_recording(self.signals)
         check_overwrite((self.save, self.video, *recording_files(self.signals)), self.overwrite)
         muscle = MuscleTable.read(self.muscle, self.muscle_parameters)
@@ -100,6 +101,9 @@ class Rollout:
             # A film ends with the last state of an episode; reset-free ones go on from there.
             autoreset_mode="disabled" if self.video and reset != "none" else "same_step",
         )
+        film = None
+        if self.video:
+            film = Film(env.sim, range(min(self.video_worlds, self.num_worlds)), TILE)
         with (
             recording(env.sim, self.signals, self.signals_every)
             if self.signals
@@ -111,7 +115,7 @@ class Rollout:
                 steps,
                 self.seed,
                 record=self.save is not None,
-                filmed=min(self.video_worlds, self.num_worlds) if self.video else 0,
+                film=film,
                 recorder=recorder,
                 console=console,
             )
@@ -121,9 +125,9 @@ class Rollout:
             console.print(f"Saved {self.save}")
         if self.signals:
             console.print(f"Saved {self.signals}")
-        if self.video:
+        if self.video and film is not None:
             try:
-                rollout.film(self.video, env, kept, TILE, console)
+                write(self.video, [film], console)
                 console.print(f"Saved {self.video}")
             except NoGraphicsError as error:
                 console.print(f"No video: {error}", style="yellow")

@@ -18,11 +18,11 @@ class Warmup:
     physics: Physics = "parity"
 
     def __call__(self) -> None:
-        """Build one small simulation of every task that is named, or of every scene."""
+        """Build one small simulation of every scene."""
         from myowarp.sim.simulation import Simulation
 
-        named = dict.fromkeys(find_task(task).task for task in self.tasks)
-        scenes = {TASKS[key].scene_key: key for key in TASKS}
-        for spec in map(TASKS.__getitem__, named or scenes.values()):
+        specs = [TASKS[find_task(task).task] for task in self.tasks] or [TASKS[key] for key in TASKS]
+        scenes = {(type(spec), spec.scene_key): spec for spec in specs}
+        for spec in scenes.values():
             Console(stderr=True).print(f"{spec.family} with {spec.body}")
             Simulation(spec, 1, device=self.device, physics=self.physics)

@@ -1,0 +1,56 @@
+"""Every body and every task family in one picture: python docs/pictures/contact_sheet.py [OUTPUT.png]
+
+Each tile shows a world after some random actions.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from myowarp.apps.film import Film
+from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.progress import progress_bar
+from myowarp.spec.task import TASKS
+from myowarp.view.render import tiled
+from myowarp.view.video import write_picture
+
+SIZE = (400, 300)  # px of a tile
+COLUMNS = 4
+STEPS = 12
+SHEET = Path(__file__).with_name("bodies.png")
+
+
+def scenes() -> list[str]:
+    """Return one task for each family and body: the newest version of a random one."""
+    best: dict[tuple[str, str], str] = {}
+    for key in sorted(TASKS, key=lambda key: ("Random" in key, key)):
+        best[TASKS[key].family, TASKS[key].body] = key
+    return [best[pair] for pair in sorted(best)]
+
+
+def picture(task: str) -> np.ndarray:
+    """Return the picture of a world of a task."""
+    env = MyoWarpVectorEnv(task, 1, device="cpu", progress=False)
+    film = Film(env.sim, [0], SIZE)
+    env.reset(seed=1)
+    action = np.random.default_rng(1).uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32)
+    for _ in range(STEPS):
+        env.step(action)
+    film.add()
+    film.captions = [[[task]]]
+    image = next(film.tiles())[0]
+    film.close()
+    env.close()
+    return image
+
+
+def main() -> None:
+    """Draw the sheet."""
+    with progress_bar("Drawing", "tasks") as bar:
+        tiles = [picture(task) for task in bar.track(scenes())]
+    write_picture(Path(sys.argv[1]) if len(sys.argv) > 1 else SHEET, tiled(tiles, COLUMNS))
+
+
+if __name__ == "__main__":
+    main()

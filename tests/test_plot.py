@@ -1,0 +1,174 @@
+"""Figures show what recordings, models and tables hold."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from myowarp.apps import figures
+from myowarp.apps.cli import main
+from myowarp.models.couplings import couplings
+from myowarp.sim.build import oracle_model
+from myowarp.spec.task import TASKS
+
+pytest.importorskip("matplotlib")
+ELBOW = "myoElbowPose1D6MRandom-v0"
+
+
+def run(capsys, monkeypatch, *arguments):
+    monkeypatch.setattr("sys.argv", ["myowarp", *map(str, arguments)])
+    status = 0
+    try:
+        main()
+    except SystemExit as end:
+        status = end.code
+    return status, " ".join(capsys.readouterr().err.split())
+
+
+@pytest.fixture(scope="module")
+def elbow():
+    return oracle_model(TASKS[ELBOW])
+
+
+def test_moment_arms_are_those_of_mujoco(elbow):
+    """Of the elbow, and of a hand's wrist: no joint follows another there."""
+    for model in (elbow, oracle_model(TASKS["myoHandPoseRandom-v0"])):
+        assert not couplings(model)
+        data, joint = mujoco.MjData(model), model.njnt // 2
+        angles, arms = figures.arms_over_range(model, joint, 5)
+        np.testing.assert_allclose(angles[[0, -1]], model.jnt_range[joint])
+        moment = np.zeros((model.nu, model.nv))
+        for angle, arm in zip(angles, arms, strict=True):
+            data.qpos[:] = model.qpos0
+            data.qpos[model.jnt_qposadr[joint]] = angle
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mju_sparse2dense(
+                moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+            )
+            np.testing.assert_allclose(arm, -moment[:, model.jnt_dofadr[joint]], atol=2e-5)
+
+
+def test_moment_arms_of_a_joint_that_leads_others():
+    """The joint that follows moves along: l = |x + 2 x| with y = 2 x."""
+    model = mujoco.MjModel.from_xml_string("""
+    <mujoco><worldbody><site name="a"/>
+      <body><joint name="x" type="slide" axis="1 0 0" range="1 2"/><geom size="0.01"/>
+        <body><joint name="y" type="slide" axis="1 0 0"/><geom size="0.01"/><site name="b"/></body></body>
+    </worldbody>
+    <equality><joint joint1="y" joint2="x" polycoef="0 2 0 0 0"/></equality>
+    <tendon><spatial name="t"><site site="a"/><site site="b"/></spatial></tendon>
+    <actuator><muscle tendon="t" lengthrange="1 6"/></actuator></mujoco>""")
+    _, arms = figures.arms_over_range(model, 0, 3)
+    np.testing.assert_allclose(arms, -3.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("what", ["force-length", "force-velocity"])
+def test_force_curves_are_those_of_mujoco(elbow, what):
+    norm, tension, peak, names = figures.contraction_curves(elbow, what)
+    assert names == tuple(elbow.actuator(i).name for i in range(elbow.nu))
+    for muscle in range(elbow.nu):
+        prm, span = elbow.actuator_gainprm[muscle], elbow.actuator_lengthrange[muscle]
+        optimal = (span[1] - span[0]) / (prm[1] - prm[0])
+        for value, passive, full in zip(norm[::20], *tension[:, ::20, muscle], strict=True):
+            length, speed = (value, 0.0) if what == "force-length" else (1.0, value)
+            # MuJoCo divides the velocity by l_0 v_max, too.
+            where = (span[0] + (length - prm[0]) * optimal, speed * optimal * prm[6], span)
+            acc0 = elbow.actuator_acc0[muscle]
+            gain = mujoco.mju_muscleGain(*where, acc0, prm[:9])
+            bias = mujoco.mju_muscleBias(where[0], span, acc0, elbow.actuator_biasprm[muscle, :9])
+            assert passive == pytest.approx(-bias, abs=2e-4 * float(peak[muscle]))
+            assert full == pytest.approx(-gain - bias, abs=2e-4 * float(peak[muscle]))
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    """The same run as .npz and .parquet: two worlds, two episodes."""
+    from myowarp.apps.recording import recording
+    from myowarp.bridge_gym import MyoWarpVectorEnv
+
+    folder = tmp_path_factory.mktemp("recordings")
+    paths = [folder / "run.npz"]
+    pytest.importorskip("pyarrow")
+    paths.append(folder / "run.parquet")
+    for path in paths:
+        env = MyoWarpVectorEnv(
+            ELBOW,
+            2,
+            device="cpu",
+            progress=False,
+            autoreset_mode="same_step",
+            max_episode_steps=4,
+            conditions="fatigue_3ccr",
+        )
+        with recording(env.sim, path) as recorder:
+            env.reset(seed=0)
+            for step in range(6):
+                env.step(np.full((2, 6), 0.1 * step, dtype=np.float32))
+                recorder.add()
+        env.close()
+    return paths
+
+
+def test_signals_of_a_world_over_an_episode(recordings):
+    with np.load(recordings[0]) as file:
+        activation, time, muscles = file["activation"], file["time"], file["muscles"]
+    courses = [figures.read_course(path, "activation", 1, None) for path in recordings]
+    for course in courses:
+        np.testing.assert_allclose(course.values, activation[:4, 1], rtol=1e-6)
+        np.testing.assert_allclose(course.time, time[:4, 1])
+        assert course.muscles == tuple(muscles)
+        axes = figures.over_time(course, ["BRA"]).axes[0]
+        np.testing.assert_allclose(axes.lines[0].get_ydata(), course.values[:, list(muscles).index("BRA")])
+        assert axes.get_ylabel() == "activation [1]"
+    second = figures.read_course(recordings[1], "fatigue", 1, 2)
+    assert len(second.time) == 2
+    for path in recordings:
+        with pytest.raises(ValueError, match="signal 'pain' unknown; available: activation"):
+            figures.read_course(path, "pain", 0, None)
+        with pytest.raises(ValueError, match="has no world 7"):
+            figures.read_course(path, "force", 7, None)
+        with pytest.raises(ValueError, match="world 0 has no episode 9; available: 1, 2"):
+            figures.read_course(path, "force", 0, 9)
+
+
+def test_learning_curves(tmp_path):
+    path = tmp_path / "progress.csv"
+    path.write_text("samples,return,success_percent,name\n0,1.5,0,a\n100,2.5,,b\n")
+    panels = figures.learning([path]).axes
+    assert [axes.get_ylabel() for axes in panels] == ["return", "success percent"]
+    np.testing.assert_array_equal(panels[0].lines[0].get_xdata(), [0, 100])
+    np.testing.assert_array_equal(panels[0].lines[0].get_ydata(), [1.5, 2.5])
+    with pytest.raises(ValueError, match="column 'loss' unknown; available: return, success_percent"):
+        figures.learning([path], ["loss"])
+    path.write_text("steps,return\n0,1\n")
+    with pytest.raises(ValueError, match="must be a CSV with a column 'samples'"):
+        figures.learning([path])
+
+
+@pytest.mark.parametrize("suffix", [".png", ".pdf"])
+def test_command_writes_the_figure(capsys, monkeypatch, tmp_path, suffix):
+    path = tmp_path / "new" / f"plot{suffix}"
+    status, said = run(capsys, monkeypatch, "plot", "force-length", ELBOW, "--muscles", "BRA", "-o", path)
+    assert status == 0, said
+    assert path.read_bytes()[:4] in (b"\x89PNG", b"%PDF")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["moment-arms", ELBOW, "--joint", "knee"], "joint 'knee' unknown; available: r_elbow_flex"),
+        (["moment-arms", ELBOW, "--muscles", "soleus"], "soleus"),
+        (["moment-arms", ELBOW, "-o", "a.svg"], "must end in .png or .pdf"),
+        (["force-length", "nothing"], "task 'nothing' unknown"),
+        (["force-length", "motorFingerReachRandom-v0"], "the body has none"),
+        (["force", "nowhere.npz"], "nowhere.npz"),
+        (["force", "run.txt"], "needs a recording, .parquet or .npz, got 'run.txt'"),
+        (["force", "a.npz", "b.npz"], "plot force shows one recording or body, got 2"),
+        (["learning", "nowhere.csv"], "nowhere.csv"),
+    ],
+)
+def test_bad_input_is_one_sentence(capsys, monkeypatch, tmp_path, arguments, text):
+    monkeypatch.chdir(tmp_path)
+    status, said = run(capsys, monkeypatch, "plot", *arguments)
+    assert status == 2
+    assert text in said
+    assert not list(tmp_path.rglob("*.*"))

@@ -1,0 +1,113 @@
+"""Films: frames of equal steps, what differs side by side from the same state, captions, bad input."""
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+from myowarp.apps.cli import main
+from myowarp.apps.commands.record import film_worlds
+from myowarp.apps.film import Film, write
+from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.view.render import NoGraphicsError
+
+ELBOW = "myoElbowPose1D6MRandom-v0"
+WORLDS, STEPS, HORIZON = 2, 7, 5
+
+
+@pytest.fixture(scope="module")
+def films():
+    """A healthy and a weak elbow over one episode and a bit."""
+    options = {"device": "cpu", "progress": False, "autoreset_mode": "disabled", "max_episode_steps": HORIZON}
+    sets = ((), ("sarcopenia",))
+    envs = [MyoWarpVectorEnv(ELBOW, WORLDS, conditions=conditions, **options) for conditions in sets]
+    made = [Film(env.sim, range(WORLDS), (64, 48), title=name) for env, name in zip(envs, "ab", strict=True)]
+    full = np.ones((WORLDS, 6), dtype=np.float32)
+    film_worlds(envs, made, [lambda obs: full, lambda obs: full], STEPS, seed=3)
+    yield made
+    for env, film in zip(envs, made, strict=True):
+        film.close()
+        env.close()
+
+
+def test_worlds_start_from_the_same_state_and_part(films):
+    healthy, weak = ([[seen.qpos[0] for seen in row] for row in film.frames] for film in films)
+    assert len(healthy) == len(weak) == STEPS + 1
+    np.testing.assert_array_equal(healthy[0], weak[0])
+    assert np.abs(np.subtract(healthy[HORIZON], weak[HORIZON])).min() > 1e-3
+    goals = [[seen.ghost for seen in row] for row in films[0].frames]
+    other = [[seen.ghost for seen in row] for row in films[1].frames]
+    np.testing.assert_array_equal(goals, other)
+    assert np.abs(np.subtract(goals[HORIZON], goals[HORIZON + 1])).min() > 1e-3  # a new episode, a new goal
+    strengths = [film.frames[0][0].muscles["strength"] for film in films]
+    np.testing.assert_allclose(strengths[1], 0.5 * strengths[0])
+
+
+def test_the_last_frame_of_an_episode_is_its_own(films):
+    """It is one step from the frame before, and the next one is one step from the new start."""
+    captions = [row[1] for row in films[0].captions]
+    dt = films[0].sim.scene.control_dt
+    assert [caption[0] for caption in captions] == ["a"] * (STEPS + 1)
+    times = [float(caption[1].split("  ")[1].removesuffix(" s")) for caption in captions]
+    expected = [0, *range(1, HORIZON + 1), *range(1, STEPS - HORIZON + 1)]
+    np.testing.assert_allclose(times, np.multiply(expected, dt), atol=0.006)
+    returns = [float(caption[1].split("return ")[1].split()[0]) for caption in captions]
+    assert returns[0] == 0.0
+    assert abs(returns[HORIZON]) > 0.1
+
+
+def test_films_stand_side_by_side(films, tmp_path):
+    try:
+        write(tmp_path / "a.mp4", films)
+        write(tmp_path / "a.gif", films[:1])
+    except NoGraphicsError as error:
+        pytest.skip(str(error))
+    count, _ = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "a.mp4"))
+    assert count == STEPS + 1
+    about = next(imageio_ffmpeg.read_frames(str(tmp_path / "a.mp4")))
+    assert about["size"] == (2 * 64 + 2, 2 * 48 + 2)
+    assert about["fps"] == pytest.approx(1.0 / films[0].sim.scene.control_dt)
+    about = next(imageio_ffmpeg.read_frames(str(tmp_path / "a.gif")))
+    assert about["size"] == (2 * 64 + 2, 48)
+
+
+def run(capsys, monkeypatch, *arguments):
+    monkeypatch.setattr("sys.argv", ["myowarp", *map(str, arguments)])
+    status = 0
+    try:
+        main()
+    except SystemExit as end:
+        status = end.code
+    return status, " ".join(capsys.readouterr().err.split())
+
+
+def test_command_writes_a_picture(capsys, monkeypatch, tmp_path):
+    path = tmp_path / "new" / "a.png"
+    options = ("--device", "cpu", "--steps", 2, "--size", 64, 48, "--color", "force", "--policy", "hold")
+    status, said = run(capsys, monkeypatch, "record", ELBOW, "-o", path, "--beside", "none", *options)
+    if "drawing needs OpenGL" in said:
+        pytest.skip(said)
+    assert status == 0, said
+    assert f"Saved {path}".replace(" ", "") in said.replace(" ", "")
+    assert next(imageio_ffmpeg.read_frames(str(path)))["size"] == (2 * 64 + 2, 48)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--worlds", 0], "--worlds must be at least 1, got 0"),
+        (["--steps", 0], "--steps must be at least 1, got 0"),
+        (["--fps", 0], "--fps must be positive, got 0"),
+        (["--size", 99999, 10], "a picture needs 1 to 4096 px on each side, got 99999 by 10"),
+        (["-o", "a.avi"], "must end in .mp4 or .gif or .png"),
+        (["--color", "pain"], "muscle color 'pain' unknown"),
+        (["--beside", "old_age"], "condition 'old_age' unknown"),
+        (["--policy", "best"], "policy 'best' unknown"),
+        (["--camera", "nowhere"], "camera 'nowhere' unknown"),
+    ],
+)
+def test_bad_input_is_one_sentence(capsys, monkeypatch, tmp_path, arguments, text):
+    monkeypatch.chdir(tmp_path)
+    status, said = run(capsys, monkeypatch, "record", ELBOW, "--device", "cpu", "--steps", 1, *arguments)
+    assert status == 2
+    assert text in said
+    assert not list(tmp_path.rglob("*.*"))
