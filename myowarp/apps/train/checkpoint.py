@@ -182,7 +182,7 @@ def _contents(manifest: Mapping[str, Any], files: Mapping[str, Mapping[str, np.n
     contents = {name: _packed(arrays) for name, arrays in files.items()}
     entries = {name: _entry(content) for name, content in contents.items()}
     whole = {"format": FORMAT, **manifest, "files": entries}
-    contents[MANIFEST] = (json.dumps(whole | {"digest": _digest(whole)}, indent=1) + "\n").encode()
+    contents[MANIFEST] = json.dumps(whole | {"digest": _digest(whole)}, indent=1).encode()
     return contents
 
 
@@ -243,8 +243,6 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
 
 def _read_arrays(folder: Path, name: str, manifest: dict[str, Any]) -> dict[str, np.ndarray]:
     """Return the arrays of a file that has the checksum of the manifest."""
-    if name not in manifest["files"]:
-        raise CheckpointError(f"checkpoint {str(folder)!r} holds a policy alone and cannot be resumed")
     wanted = manifest["files"][name]
     try:
         content = (folder / name).read_bytes()

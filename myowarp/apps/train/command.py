@@ -143,11 +143,13 @@ def _plan(command: TrainCommand) -> Job:
 
 def _plan_resume(command: TrainCommand, given: dict[str, Any]) -> Job:
     """Return the run that goes on; see `_plan`."""
-    from myowarp.apps.train.checkpoint import load_checkpoint
+    from myowarp.apps.train.checkpoint import STATE, CheckpointError, load_checkpoint
 
     folder = Path(str(command.resume))
     checkpoint = load_checkpoint(folder)
     manifest = checkpoint.manifest
+    if STATE not in manifest["files"]:
+        raise CheckpointError(f"checkpoint {str(folder)!r} holds a policy alone and cannot be resumed")
     recorded = manifest["settings"]
     task = command.task and command.task.removeprefix("MyoWarp/")
     wanted = {"task": task, "model": command.model, "algorithm": command.algorithm, "output": command.output}
