@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from myowarp.apps import baselines
-from myowarp.apps.baselines import CURVE, FOLDER, RESULT, Baseline, load_baseline
+from myowarp.apps.baselines import CURVE, RESULT, Baseline, load_baseline
 from myowarp.apps.train.checkpoint import load_checkpoint, save_policy
 from myowarp.apps.train.command import REPORT
 from myowarp.apps.train.eval_command import Eval
@@ -46,7 +46,7 @@ def add(run: Path) -> None:
     training = json.loads((run / REPORT).read_text())
     head, figures = Eval(checkpoint=run).figures()
     evaluation = {name: value for name, value in head.items() if name not in LEFT_OUT} | figures
-    task, folder = checkpoint.task, FOLDER / checkpoint.task
+    task, folder = checkpoint.task, baselines.FOLDER / checkpoint.task
     before = load_baseline(task).runs if (folder / RESULT).is_file() else []
     runs = [entry for entry in before if entry["training"]["seed"] != training["seed"]]
     runs.append({"training": training, "evaluation": evaluation})
@@ -67,7 +67,7 @@ def _write_curve(source: Path, target: Path) -> None:
     """Write some rows of a run's figures, the last one among them."""
     with source.open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["return"] not in ("", "nan")]
-    every = -(-len(rows) // CURVE_ROWS)
+    every = max(1, -(-len(rows) // CURVE_ROWS))
     with in_place(target) as scratch, scratch.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(CURVE_COLUMNS)
@@ -156,7 +156,7 @@ def draw(path: Path) -> None:
     figure = Figure(figsize=(11, 2.1 * rows), layout="constrained")
     panels = list(figure.subplots(rows, columns, sharey=True, squeeze=False).flat)
     for panel, task in zip(panels, tasks, strict=False):
-        with (FOLDER / task / CURVE).open(newline="") as file:
+        with (baselines.FOLDER / task / CURVE).open(newline="") as file:
             points = [(float(row["samples"]) / 1e6, row) for row in csv.DictReader(file)]
         for rule, text in SUCCESSES.items():
             panel.plot([x for x, _ in points], [100 * float(row[rule]) for _, row in points], label=text)

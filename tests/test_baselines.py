@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.baselines import DOCS, MOST_BYTES, page
+from benchmarks.baselines import DOCS, MOST_BYTES, add, page
 from myowarp.apps import baselines
 from myowarp.apps.learned import LearnedPolicy
 from myowarp.apps.train import checkpoint as checkpoints
@@ -128,6 +128,36 @@ def test_a_baseline_acts_wherever_a_policy_is_taken(run, tmp_path):
         *("--output", tmp_path / "out", "--format", "csv"),
     )
     assert status == 0, err
+
+
+def test_a_run_becomes_a_baseline(run, tmp_path, monkeypatch):
+    """Its policy, figures and curve; a second seed is a row more, the first seed again takes its place."""
+    monkeypatch.setattr(baselines, "FOLDER", tmp_path / "baselines")
+    for name, seed, steps in (("a", 1, 64), ("b", 3, 128), ("c", 1, 192)):
+        options = (
+            "--num-worlds",
+            8,
+            "--rollout-steps",
+            8,
+            "--minibatches",
+            2,
+            "--hidden",
+            16,
+            "--samples",
+            steps,
+        )
+        options += ("--device", "cpu", "--seed", seed, "--output", tmp_path / name)
+        assert run("train", REACHED[0], *options)[0] == 0
+        add(tmp_path / name)
+    baseline = baselines.load_baseline(REACHED[0])
+    assert [(r["training"]["seed"], r["training"]["samples"]) for r in baseline.runs] == [(1, 192), (3, 128)]
+    policy = checkpoints.load_checkpoint(tmp_path / "c").policy
+    assert all(np.array_equal(policy[key], array) for key, array in baseline.checkpoint.policy.items())
+    _, figures = Eval(checkpoint=tmp_path / "c", device="cpu").figures()
+    evaluated = baseline.runs[0]["evaluation"]
+    assert evaluated["sampled"]["return_mean"] == figures["sampled"]["return_mean"]
+    assert str(tmp_path) not in (baseline.checkpoint.folder / "result.json").read_text()
+    assert (baseline.checkpoint.folder / "curve.csv").read_text().startswith("samples,return,success,")
 
 
 def test_list_prints_what_is_committed(run):

@@ -84,12 +84,15 @@ def _list(found: list[Any], as_json: bool) -> None:
     if as_json:
         print(json.dumps({baseline.task: {"runs": baseline.runs} for baseline in found}, indent=1))
         return
-    table = Table("task", "algorithm", "samples [million]", "success, deterministic", "success, sampled")
+    table, modes = Table("task", "samples", "deterministic", "sampled"), ("deterministic", "sampled")
+    table.columns[0].no_wrap = True
     for baseline in found:
         run = baseline.runs[0]
-        modes = (success_text(run["evaluation"][mode], "success") for mode in ("deterministic", "sampled"))
-        training = run["training"]
-        table.add_row(baseline.task, training["algorithm"], f"{training['samples'] / 1e6:.2f}", *modes)
-    console = Console(highlight=False)
+        shares = (f"{100 * run['evaluation'][mode]['success']:.1f} %" for mode in modes)
+        table.add_row(baseline.task, f"{run['training']['samples'] / 1e6:.2f} M", *shares)
+    console = Console(highlight=False, soft_wrap=True)
     console.print(table)
-    console.print(f"Success: {SUCCESSES['success']}, 256 episodes under parity physics, 95 % intervals.")
+    console.print(
+        f"Episodes with {SUCCESSES['success']}, of 256 with deterministic and 256 with sampled actions under "
+        "parity physics; --json has intervals and two more rules."
+    )
