@@ -114,13 +114,14 @@ def _training_table(found: list[Baseline]) -> str:
                     f"`myowarp baselines run {baseline.task}{seed}`",
                     training["physics"],
                     f"{training['samples'] / 1e6:.2f}",
-                    f"{training['seconds']:.0f}",
-                    f"{training['cpu_seconds']:.0f}",
+                    "-" if training.get("resumed_after") else f"{training['seconds']:.0f}",
+                    f"{training['training_seconds']:.0f}",
+                    f"{training['training_cpu_seconds']:.0f}",
                     f"{training['cores_busy_with_others']:.2f}",
                     training["ended"],
                 ]
             )
-    columns = ["command", "physics", "samples [million]", "wall [s]", "CPU [s]", "cores busy with others"]
+    columns = ["command", "physics", "samples [million]", "wall [s]", "training [s]", "CPU [s]", "busy cores"]
     return _table([*columns, "ended by"], rows)
 
 

@@ -11,7 +11,6 @@ Playing one needs no torch. `python -m benchmarks.baselines --add` makes these f
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,25 +109,3 @@ def shortfall(figures: dict[str, dict[str, Any]], table: dict[str, dict[str, Any
         if now["success"] < least:
             found.append(f"{100 * now['success']:.1f} % {mode}, at least {100 * least:.1f} % are needed")
     return "; ".join(found)
-
-
-def remake(baseline: Baseline, output: Path, **changed: Any) -> dict[str, dict[str, Any]]:
-    """Train a baseline again, with its settings, and evaluate it like the committed policy.
-
-    Args:
-        baseline: What is remade.
-        output: New folder of the run.
-        changed: Settings to change, such as `seed`.
-
-    Returns:
-        Figures of each mode.
-    """
-    from myowarp.apps.train.command import Train
-    from myowarp.apps.train.eval_command import Eval
-    from myowarp.apps.train.settings import ALGORITHMS, restore
-
-    algorithm = baseline.checkpoint.manifest["algorithm"]
-    settings = restore(ALGORITHMS[algorithm], baseline.settings | changed)
-    given = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
-    Train(task=baseline.task, algorithm=algorithm, output=output, **given)()
-    return Eval(checkpoint=output, device=settings.device or None).figures()[1]

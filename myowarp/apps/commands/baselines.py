@@ -1,9 +1,12 @@
 """The command `myowarp baselines`: trained policies that come with the package."""
 
+from __future__ import annotations
+
+import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -11,6 +14,9 @@ from rich.table import Table
 
 from myowarp.apps.options import Device, OptionalTask, optional
 from myowarp.apps.train.settings import SUCCESSES, success_text
+
+if TYPE_CHECKING:
+    from myowarp.apps.baselines import Baseline
 
 
 @dataclass
@@ -49,10 +55,10 @@ class Baselines:
         seed = baseline.settings["seed"] if self.seed is None else self.seed
         output = self.output or Path("runs") / f"baseline_{task}_{seed}"
         device = {"device": self.device} if self.device else {}
-        now = baselines.remake(baseline, output, seed=seed, **device)
+        now = _remake(baseline, output, seed=seed, **device)
         self._report(baseline, now, output)
 
-    def _report(self, baseline: Any, now: dict[str, Any], output: Path) -> None:
+    def _report(self, baseline: Baseline, now: dict[str, Any], output: Path) -> None:
         """Print both sets of figures.
 
         Raises:
@@ -79,7 +85,29 @@ class Baselines:
             raise RuntimeError(f"baseline {baseline.task!r} was not reached: {short}")
 
 
-def _list(found: list[Any], as_json: bool) -> None:
+def _remake(baseline: Baseline, output: Path, **changed: Any) -> dict[str, dict[str, Any]]:
+    """Train a baseline again, with its settings, and evaluate it like the committed policy.
+
+    Args:
+        baseline: What is remade.
+        output: New folder of the run.
+        changed: Settings to change, such as `seed`.
+
+    Returns:
+        Figures of each mode.
+    """
+    from myowarp.apps.train.command import Train
+    from myowarp.apps.train.eval_command import Eval
+    from myowarp.apps.train.settings import ALGORITHMS, restore
+
+    algorithm = baseline.checkpoint.manifest["algorithm"]
+    settings = restore(ALGORITHMS[algorithm], baseline.settings | changed)
+    given = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
+    Train(task=baseline.task, algorithm=algorithm, output=output, **given)()
+    return Eval(checkpoint=output, device=settings.device or None).figures()[1]
+
+
+def _list(found: list[Baseline], as_json: bool) -> None:
     """Print baselines."""
     if as_json:
         print(json.dumps({baseline.task: {"runs": baseline.runs} for baseline in found}, indent=1))

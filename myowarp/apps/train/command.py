@@ -356,6 +356,7 @@ def _report(job: Job, run: Run, reason: str, watch: Stopwatch, console: Console)
         "ended": reason,
         "samples": run.samples,
         "updates": run.updates,
+        "resumed_after": job.checkpoint.manifest["samples"] if job.checkpoint else 0,
         **{name: round(value, 2) for name, value in spent.items()},
         "processor": processor(),
         "cores": os.cpu_count(),
