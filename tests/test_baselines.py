@@ -1,6 +1,7 @@
 """Baselines: every one acts, two still reach their table, and what is missing or damaged is refused."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import pytest
 
 from benchmarks.baselines import DOCS, MOST_BYTES, add, page
 from myowarp.apps import baselines
-from myowarp.apps.learned import LearnedPolicy
+from myowarp.apps.learned import LearnedPolicy, read_policy
 from myowarp.apps.train import checkpoint as checkpoints
 from myowarp.apps.train.eval_command import Eval
 from myowarp.apps.train.settings import ALGORITHMS, preset, restore
@@ -160,6 +161,12 @@ def test_a_run_becomes_a_baseline(run, tmp_path, monkeypatch):
     assert (baseline.checkpoint.folder / "curve.csv").read_text().startswith("samples,return,success,")
 
 
+def test_the_demo_shows_a_baseline():
+    makefile = (DOCS.parent / "Makefile").read_text()
+    task, policy = re.search(r"rollout MyoWarp/(\S+) .*--policy (\S+).* --video", makefile).groups()
+    assert read_policy(policy, baselines.policy_folder(policy, task), TASKS[task]).task in NAMES
+
+
 def test_list_prints_what_is_committed(run):
     status, out, _ = run("baselines", "list", "--json")
     assert status == 0
@@ -250,6 +257,10 @@ def test_what_is_not_there_is_said(copies, run, no_simulation):
         ("baselines", "list", "myoHandPoseRandom-v1"),
     ):
         assert said(run(*arguments)) == none
+    other = copies.name.replace("-v0", "-v1")
+    assert said(run("eval", f"baselines/{other}")) == (
+        f"task {other!r} has no baseline; that of another version is baselines/{copies.name}"
+    )
     assert said(run("baselines", "run")) == f"baselines run needs a task: {copies.name}"
     assert said(run("eval", "baseline")).startswith("policy 'baseline' needs a task")
     assert said(run("train", "--resume", copies)) == (
