@@ -32,9 +32,10 @@ COMPLETE = ("report.json", "report.html", "model.xml")
 class Convert:
     """Convert an OpenSim model to MuJoCo: bodies, joints, muscles, with a report of what is not exact.
 
-    Writes model.xml, coordinates.json (how coordinates and joints belong together), muscles.csv (the Hill
-    parameters of the file), report.json and report.html, and meshes where they are found. Works without
-    OpenSim. Run again, an interrupted conversion continues.
+    Writes model.xml, coordinates.json (how coordinates and joints belong together), couplings.json (how
+    joints follow others, as the file says), muscles.csv (the Hill parameters of the file), report.json and
+    report.html, and meshes where they are found. Works without OpenSim. Run again, an interrupted conversion
+    continues.
 
     Example: myowarp convert arm26.osim -o out/arm26
     """
@@ -132,6 +133,7 @@ def run(
     files = {
         **{f"meshes/{name}": content for name, content in converted.meshes.items()},
         "coordinates.json": json.dumps(converted.coordinates.as_json(), indent=1).encode(),
+        **({"couplings.json": converted.exact.as_json().encode()} if converted.exact.curves else {}),
         "muscles.csv": muscle_table(map(HillMuscle.of, model.muscles.values())).encode(),
         "model.xml": text.encode(),
         "report.html": page(report, converted, compiled, fits, samples).encode(),

@@ -1,8 +1,8 @@
 """A model from a file, MJCF such as `myowarp convert` writes, as a body and as a pose task.
 
 The task asks for a random pose of the joints that the actuators move. Joints that an equality ties to others
-follow, and a root that nothing holds falls. Episodes start from the first keyframe, if there is one. Physics
-`parity` is the file's own time step and integrator.
+follow, exactly if `couplings.json` lies beside the file, and a root that nothing holds falls. Episodes start
+from the first keyframe, if there is one. Physics `parity` is the file's own time step and integrator.
 """
 
 import re
@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from myowarp.disk import model_digest
-from myowarp.models.couplings import POINT_JOINTS, couplings
+from myowarp.models.couplings import POINT_JOINTS, ask, couplings, exact, follow
 from myowarp.spec.body import BODIES, Body
 from myowarp.spec.task import TASKS
 from myowarp.tasks.pose import PoseTask
@@ -24,6 +24,7 @@ EPISODE_STEPS = 100
 SPAN = np.pi / 4  # rad to both sides of the start, for targets of a hinge without range
 MOVED = 1e-9  # m or 1: greater moment arms are no rounding
 NUM_POSES = 16  # in which a joint is looked at for moment arms
+COUPLINGS = "couplings.json"  # beside the model's file; see `myowarp.models.couplings`
 STEPPED = ("EULER", "IMPLICITFAST")  # integrators; others call the muscles more than once in a step
 
 
@@ -58,11 +59,17 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
         for actuator in spec.actuators:
             if actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE and not np.any(actuator.ctrlrange):
                 actuator.ctrlrange = (-1.0, 1.0)
+        if (beside := path.with_name(COUPLINGS)).is_file():
+            ask(spec, beside.read_text())
         model = spec.compile()
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"model {str(path)!r} must be an MJCF file; MuJoCo says: {reason}") from error
     _check(model, path)
+    try:
+        exact(model)
+    except ValueError as error:
+        raise ValueError(f"{str(path.with_name(COUPLINGS))!r}: {error}") from error
     title = re.sub(r"[^A-Za-z0-9]+", "_", spec.modelname).strip("_")
     name = "_".join((title, model_digest(model)[:8], *tips))
     if name not in BODIES:
@@ -101,7 +108,9 @@ def pose_task(path: Path) -> PoseTask:
     joints = np.array(_moved_joints(model))
     if not joints.size:
         raise ValueError(f"model {str(path)!r} has no free hinge or slide that its actuators move")
-    start = model.key_qpos[0] if model.nkey else model.qpos0
+    start = (model.key_qpos[0] if model.nkey else model.qpos0).copy()
+    if exact(model) is not None:
+        follow(model, start)
     around = start[model.jnt_qposadr[joints], None] + (-SPAN, SPAN)
     bounds = model.jnt_range[joints]
     low, high = np.where(bounds[:, :1] < bounds[:, 1:], bounds, around).T

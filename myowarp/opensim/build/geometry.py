@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
+from myowarp.models.couplings import Exact, line
 from myowarp.opensim.build.quartics import Quartic, fit_all
 from myowarp.opensim.elements import Pose
-from myowarp.opensim.functions import IDENTITY, Composed, Constant, Function, Multiplier, affine
+from myowarp.opensim.functions import IDENTITY, Composed, Constant, Function, Multiplier, affine, curves
 from myowarp.opensim.kinematics import about, sampling_range
 from myowarp.opensim.mapping import CoordinateMap, Dependent, MappedCoordinate
 from myowarp.opensim.model import GROUND, Joint, Model, Move, Note
@@ -57,6 +58,8 @@ class Build:
     """By name in the OpenSim model."""
     carriers: dict[str, tuple[str, float]] = field(default_factory=dict)
     """Coordinate: joint that shows it, and scale."""
+    light: dict[str, tuple[float, tuple[float, ...]]] = field(default_factory=dict)
+    """Bodies that the document gives another mass [kg] or other principal moments [kg m^2]."""
     demands: list[Demand] = field(default_factory=list)
     notes: list[Note] = field(default_factory=list)
     names: set[tuple[str, str]] = field(default_factory=set)
@@ -179,13 +182,19 @@ def _add_body(build: Build, joint: Joint, moving: dict[str, float]) -> None:
                 added.armature = TIED_ARMATURE[added.type]
             _limit(build, added, move, scale)
         if not last:
-            body.explicitinertial, body.mass, body.ipos = True, MIN_MASS, np.zeros(3)
-            body.inertia = (MIN_INERTIA,) * 3
+            weigh(build, body)
             rule = "moves by more joints than a body may have; some are on a light body before it"
             bound = f"{MIN_MASS:g} kg, {MIN_INERTIA:g} kg m^2"
             build.notes.append(Note(f"/bodyset/{joint.child}", rule, bound))
     build.bodies[joint.child] = body
     _add_inertia(build, joint.child, body, floor=bool(placed) and moving[joint.child] <= 0)
+
+
+def weigh(build: Build, body: mujoco.MjsBody, inertia: float = MIN_INERTIA) -> None:
+    """Give a body the mass that MuJoCo needs and the document has not."""
+    body.explicitinertial, body.mass, body.ipos = True, MIN_MASS, np.zeros(3)
+    body.inertia = (inertia,) * 3
+    build.light[body.name] = 0.0, (0.0, 0.0, 0.0)
 
 
 def _carriers(model: Model, joint: Joint) -> dict[int, str]:
@@ -230,6 +239,7 @@ def _add_inertia(build: Build, name: str, body: mujoco.MjsBody, floor: bool) -> 
     mass = source.mass
     xx, yy, zz, xy, xz, yz = source.inertia
     values, axes = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    stated = mass, tuple(values.tolist()) if mass > 0 else (0.0, 0.0, 0.0)
     if floor:
         mass, values = MIN_MASS, np.maximum(values, MIN_INERTIA)
         build.notes.append(
@@ -261,6 +271,8 @@ def _add_inertia(build: Build, name: str, body: mujoco.MjsBody, floor: bool) -> 
             axes = axes * [1.0, 1.0, -1.0]
         body.explicitinertial, body.mass, body.ipos = True, mass, source.mass_center
         body.inertia, body.iquat = values, quaternion(axes)
+        if stated != (mass, tuple(values.tolist())):
+            build.light[body.name] = stated
 
 
 def tie(build: Build) -> CoordinateMap:
@@ -283,6 +295,17 @@ def tie(build: Build) -> CoordinateMap:
         equality.data[:5] = dependent.polynomial
         equality.solref, equality.solimp = TIGHT
     return CoordinateMap(tuple(_mapped(build, name) for name in model.coordinates), tuple(dependents))
+
+
+def exact(build: Build) -> Exact:
+    """Return what the document says of joints that follow, and of bodies that are lighter there."""
+    said = {}
+    for demand in build.demands:
+        chain = curves(demand.function)
+        if chain is not None:  # else the equality is all there is
+            joint, scale = build.carriers[demand.coordinate]
+            said[demand.joint] = joint, chain if scale == 1 else (line(1 / scale), *chain)
+    return Exact(said, build.light)
 
 
 def _tied(build: Build, name: str, demands: Sequence[Demand]) -> list[Dependent]:
@@ -325,8 +348,7 @@ def add_phantom(build: Build, name: str) -> str:
     body = build.bodies[GROUND].add_body(name=build.free_name("body", name))
     joint = build.free_name("joint", name)
     body.add_joint(name=joint, type=HINGE, axis=(1.0, 0.0, 0.0))
-    body.explicitinertial, body.mass, body.ipos = True, MIN_MASS, np.zeros(3)
-    body.inertia = (PHANTOM_INERTIA,) * 3
+    weigh(build, body, PHANTOM_INERTIA)
     return joint
 
 

@@ -5,7 +5,6 @@ from collections.abc import Hashable
 import numpy as np
 
 from myowarp.opensim.build.geometry import (
-    MIN_INERTIA,
     MIN_MASS,
     SLIDE,
     TIED_ARMATURE,
@@ -13,6 +12,7 @@ from myowarp.opensim.build.geometry import (
     Demand,
     quaternion,
     reduced,
+    weigh,
 )
 from myowarp.opensim.elements import MovingPathPoint, Path
 from myowarp.opensim.model import Note, pulling
@@ -76,8 +76,7 @@ def _add_point(build: Build, name: str, point: MovingPathPoint) -> str:
     for axis, joint in moves:
         body.add_joint(name=joint, type=SLIDE, axis=np.eye(3)[axis], armature=TIED_ARMATURE[SLIDE])
     if moves:
-        body.explicitinertial, body.mass, body.ipos = True, MIN_MASS, np.zeros(3)
-        body.inertia = (MIN_INERTIA,) * 3
+        weigh(build, body)
         body.gravcomp = 1.0
         build.notes.append(
             Note(
