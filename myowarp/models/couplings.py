@@ -188,10 +188,16 @@ def exact(model: mujoco.MjModel) -> Exact | None:
 
 
 def ask(spec: mujoco.MjSpec, text: str = NOTHING.as_json()) -> None:
-    """Have the joints of a spec follow exactly, as a text says; one that it has already is replaced."""
+    """Have the joints of a spec follow exactly, as a text says; one that it has already is replaced.
+
+    Raises:
+        ValueError: The text is broken.
+    """
     for old in [old for old in spec.texts if old.name == TEXT]:
         spec.delete(old)
     spec.add_text(name=TEXT, data=text)
+    for body in filter(None, map(spec.body, read(text).bodies)):
+        body.fuse = 0  # fused with its parent it could not be weighed
 
 
 def couplings(model: mujoco.MjModel) -> list[Coupling]:

@@ -59,17 +59,17 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
         for actuator in spec.actuators:
             if actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE and not np.any(actuator.ctrlrange):
                 actuator.ctrlrange = (-1.0, 1.0)
-        if (beside := path.with_name(COUPLINGS)).is_file():
-            ask(spec, beside.read_text())
         model = spec.compile()
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"model {str(path)!r} must be an MJCF file; MuJoCo says: {reason}") from error
     _check(model, path)
-    try:
-        exact(model)
-    except ValueError as error:
-        raise ValueError(f"{str(path.with_name(COUPLINGS))!r}: {error}") from error
+    if (beside := path.with_name(COUPLINGS)).is_file():
+        try:
+            ask(spec, beside.read_text())
+            exact(model := spec.compile())
+        except ValueError as error:
+            raise ValueError(f"file {str(beside)!r} must belong to {path.name}: {error}") from error
     title = re.sub(r"[^A-Za-z0-9]+", "_", spec.modelname).strip("_")
     name = "_".join((title, model_digest(model)[:8], *tips))
     if name not in BODIES:

@@ -7,7 +7,7 @@ along u by J':
     M_r u'' = J'(forces - M a) + (row J)' f,    row J u'' = aref - row a,    M_r = J' M J
 
 (d'Alembert's principle; Featherstone, Rigid Body Dynamics Algorithms, 2008, section 3.2.) Nothing but g holds
-the joints that follow: they have no equalities, do not drift, and their bodies are as light as the document's.
+the joints that follow: they have no equalities and do not drift, and their bodies weigh what the document says.
 The free coordinates are a scene of their own, a chain of slides, whose inertia, forces and rows are written
 here; the solver and the integrator, ours or the engine's, see no difference.
 """
@@ -27,11 +27,12 @@ from myowarp.engine.stage import Launches, Stage
 from myowarp.engine.stages.arrays import InertiaRows, any_of, filled
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
-from myowarp.models.couplings import POINT_JOINTS, Coupling, Exact, couplings, exact, jacobian
+from myowarp.models.couplings import NOTHING, POINT_JOINTS, Coupling, Exact, couplings, exact, jacobian
 from myowarp.spec.scene import Scene
 
 logger = logging.getLogger("myowarp")
 
+REGULAR = 1e-9  # least eigenvalue of M_r, its diagonal scaled to 1, below which coordinates lack mass
 SAME_MASS = 1e-9  # relative; a body that has taken in others, or was made heavier, keeps its mass
 
 
@@ -324,8 +325,10 @@ def document_masses(model: mujoco.MjModel, said: Exact) -> None:
     model.dof_simplenum[:] = 0  # MuJoCo keeps the inertia of bodies that stand alone
 
 
-def softness(model: mujoco.MjModel, ties: list[Coupling], qpos: np.ndarray) -> np.ndarray:
-    """Return the diagonal of J M_r^-1 J' in a pose, (nv,): what a unit of force along a joint does to it."""
+def inertia_of(
+    model: mujoco.MjModel, ties: list[Coupling], qpos: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return M_r, shape (n, n), and J, shape (nv, n), in a pose, in float64."""
     data, M = mujoco.MjData(model), np.zeros((model.nv, model.nv))
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
@@ -333,8 +336,22 @@ def softness(model: mujoco.MjModel, ties: list[Coupling], qpos: np.ndarray) -> n
     mujoco.mj_crb(model, data)
     mujoco.mj_fullM(model, data, M)
     _, J, _ = jacobian(model, ties, qpos)
-    response: np.ndarray = np.einsum("ij,ji->i", J, np.linalg.solve(J.T @ M @ J, J.T))
-    return response
+    return J.T @ M @ J, J
+
+
+def document_model(scene: Scene) -> mujoco.MjModel:
+    """Return the scene's model with the masses of the document, host."""
+    model, said = copy.copy(scene.oracle), exact(scene.oracle)
+    document_masses(model, NOTHING if said is None else said)
+    return model
+
+
+def _massless(scene: Scene) -> bool:
+    """Whether a coordinate moves nothing that has a mass."""
+    start = scene.qpos_start.numpy().astype(float)
+    M, _ = inertia_of(document_model(scene), couplings(scene.oracle), start)
+    scale = np.sqrt(np.diag(M).clip(min=0.0))
+    return not scale.all() or bool(np.linalg.eigvalsh(M / np.outer(scale, scale))[0] < REGULAR)
 
 
 def chain_of_slides(model: mjw.Model, number: int) -> mujoco.MjModel:
@@ -422,6 +439,7 @@ class FreeCoordinates(Stage):
             scene, scene.model.tendon_actfrclimited, scene.model.jnt_actfrclimited
         ),
         "a fluid resists": lambda scene: bool(scene.model.has_fluid),
+        "the model's masses leave a coordinate without inertia": _massless,
         "there are plastic springs": lambda scene: bool(scene.model.nplastic),
     }
 
@@ -438,10 +456,10 @@ class FreeCoordinates(Stage):
     def __init__(self, scene: Scene) -> None:
         """Take equalities and light bodies out of the scene's model, and make the coordinates' scene."""
         super().__init__(scene)
-        ties, said, host = couplings(scene.oracle), exact(scene.oracle), copy.copy(scene.oracle)
-        assert said is not None  # obstacle
-        document_masses(host, said)
-        host.dof_invweight0[:] = softness(host, ties, scene.qpos_start.numpy().astype(float))
+        ties, host = couplings(scene.oracle), document_model(scene)
+        M, J = inertia_of(host, ties, scene.qpos_start.numpy().astype(float))
+        # What a unit of force along a joint does to it: decides how soft limits and friction are.
+        host.dof_invweight0[:] = np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T))
         masses = ("body_mass", "body_inertia", "body_subtreemass", "body_gravcomp", "dof_armature")
         for name in (*masses, "dof_invweight0"):
             array, values = getattr(scene.model, name), getattr(host, name)
