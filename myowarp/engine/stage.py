@@ -35,7 +35,7 @@ STAGES = {
     "rigid_body": "RigidBody",
 }
 """Name of a file in `stages/` and of its class, in the order in which they are verified: first what makes it
-another step, the solver early, because it makes less of a rounding in what comes before it than the engine's."""
+another step, the solver early, because it makes less of a rounding in what comes before it than theirs."""
 
 INNER = ("acceleration", "solve", "integrate")
 """Places that a stage with an `inner` scene has step that scene."""
@@ -130,6 +130,11 @@ def same_stages(scene: Scene, stages: Iterable[Stage]) -> tuple[Stage, ...]:
     for stage in stages:
         made.append(type(stage)(stepped(scene, type(stage), made)))
     return tuple(made)
+
+
+def not_exact(reason: str) -> None:
+    """Say that joints that should follow others exactly do not, and why."""
+    logger.warning("joints follow others by the engine's springs, not exactly: %s", reason)
 
 
 def _left_to_the_engine(name: str, error: Exception) -> None:

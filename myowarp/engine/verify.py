@@ -19,9 +19,9 @@ import warp as wp
 from myowarp.disk import cached, files_digest, model_digest, version
 from myowarp.engine.compile import compile_kernels
 from myowarp.engine.idle import idle_kernels
-from myowarp.engine.stage import Stage, applicable_stages
+from myowarp.engine.stage import Stage, applicable_stages, not_exact
 from myowarp.engine.step import physics_step, uncovered
-from myowarp.models.couplings import POINT_JOINTS
+from myowarp.models.couplings import POINT_JOINTS, exact
 from myowarp.spec.scene import Scene
 
 logger = logging.getLogger("myowarp")
@@ -66,7 +66,10 @@ def choose_stages(
         also: Launches what else is to be compiled.
         progress: Whether to show progress bars.
     """
-    candidates = () if uncovered(scene) else applicable_stages(scene, names)
+    reason = uncovered(scene)
+    if reason is not None and exact(scene.oracle) is not None:
+        not_exact(reason)
+    candidates = () if reason is not None else applicable_stages(scene, names)
 
     def verify() -> Verdict:
         def launch_both() -> None:

@@ -1,20 +1,18 @@
 """Joints that follow others exactly: what is integrated are the coordinates u that follow none.
 
-With q = g(u), each joint a function of one coordinate, velocities are J u' and accelerations J u'' + a, where
-J = dg/du has one entry in a row and a_i = g_i'' u'^2 (see `models.couplings`). What acts along the joints acts
-along u by J':
+With q = g(u), each joint a function of one coordinate, velocities are J u' and accelerations J u'' + a: J = dg/du
+has one entry in a row, and a_i = g_i'' u'^2 (see `models.couplings`). Forces along joints act along u by J':
 
     M_r u'' = J'(forces - M a) + (row J)' f,    row J u'' = aref - row a,    M_r = J' M J
 
 (d'Alembert's principle; Featherstone, Rigid Body Dynamics Algorithms, 2008, section 3.2.) Nothing but g holds
-the joints that follow: they have no equalities and do not drift, and their bodies weigh what the document says.
+the joints that follow: they have no equalities and do not drift; their bodies weigh what the document says.
 The free coordinates are a scene of their own, a chain of slides, whose inertia, forces and rows are written
 here; the solver and the integrator, ours or the engine's, see no difference.
 """
 
 import copy
 import dataclasses
-import logging
 from typing import Any, ClassVar
 
 import mujoco
@@ -23,14 +21,12 @@ import numpy as np
 import warp as wp
 from mujoco_warp import IntegratorType
 
-from myowarp.engine.stage import Launches, Stage
+from myowarp.engine.stage import Launches, Stage, not_exact
 from myowarp.engine.stages.arrays import InertiaRows, any_of, filled
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
 from myowarp.models.couplings import NOTHING, POINT_JOINTS, Coupling, Exact, couplings, exact, jacobian
 from myowarp.spec.scene import Scene
-
-logger = logging.getLogger("myowarp")
 
 REGULAR = 1e-9  # least eigenvalue of M_r, its diagonal scaled to 1, below which coordinates lack mass
 SAME_MASS = 1e-9  # relative; a body that has taken in others, or was made heavier, keeps its mass
@@ -450,7 +446,7 @@ class FreeCoordinates(Stage):
             return "the model does not ask for it"
         reason = super().obstacle(scene)
         if reason is not None:
-            logger.warning("joints follow others by the engine's springs, not exactly: %s", reason)
+            not_exact(reason)
         return reason
 
     def __init__(self, scene: Scene) -> None:
