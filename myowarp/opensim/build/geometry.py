@@ -1,10 +1,10 @@
 """Bodies and joints: a `Model` -> MuJoCo's MjSpec, exact in every frame.
 
-A joint's moves become slides and hinges of the child body in the same order; constant moves and offsets
-fold into the body's pose. The body `ground` keeps OpenSim's axes and is turned so that up is z.
-A coordinate is identified with the first move that is linear in it; what follows a coordinate by a spline
-or coupler becomes a joint of its own, tied by an equality to a quartic (see `fit`). Masses of zero get a
-floor where MuJoCo needs one. Every deviation is noted.
+A joint's moves become slides and hinges of the child body in the same order; constant moves and offsets fold
+into the body's pose, which is that of the default coordinates (`ref` of the joints). The body `ground` keeps
+OpenSim's axes and is turned so that up is z. A coordinate is identified with the first move that is linear in
+it; what follows a coordinate by a spline or coupler becomes a joint of its own, tied by an equality to a
+quartic (see `fit`). Masses of zero get a floor where MuJoCo needs one. Every deviation is noted.
 """
 
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from myowarp.models.couplings import Exact, line
 from myowarp.opensim.build.quartics import Quartic, fit_all
@@ -128,6 +129,12 @@ def reduced(model: Model, function: Function, coordinate: str | None) -> tuple[F
     return function, coordinate
 
 
+def default_of(model: Model, function: Function, coordinate: str | None) -> float:
+    """Return the value of a function of a coordinate in the default pose."""
+    function, free = reduced(model, function, coordinate)
+    return float(function.value(0.0 if free is None else model.coordinates[free].default))
+
+
 def _elementary(move: Move, value: float) -> Pose:
     """Return a move by a value [m] or [rad] as a pose."""
     if move.kind == "slide":
@@ -139,7 +146,7 @@ def _add_body(build: Build, joint: Joint, moving: dict[str, float]) -> None:
     """Add the child of a joint with its MuJoCo joints."""
     model = build.model
     fixed = Pose(np.zeros(3), np.eye(3))
-    placed: list[tuple[Move, Pose, str, float, float]] = []
+    placed: list[tuple[Move, Pose, str, float, float, float]] = []
     carried = _carriers(model, joint)
     for index, move in enumerate(joint.moves):
         function, free = reduced(model, move.function, move.coordinate)
@@ -158,12 +165,14 @@ def _add_body(build: Build, joint: Joint, moving: dict[str, float]) -> None:
         else:
             name = build.free_name("joint", f"{joint.name}_{move.kind}{index + 1}")
             function = move.function if line is None else Multiplier(IDENTITY, scale)
+        start = default_of(model, function, move.coordinate)
         lever = 1.0 if move.kind == "slide" else ANGLE_LEVER
         if carried.get(index) is None or move.coordinate in model.couplers:
             function, free = reduced(model, function, move.coordinate)
             if free is not None:
                 build.demands.append(Demand(name, function, free, lever))
-        placed.append((move, fixed, name, sign, scale))
+        placed.append((move, fixed, name, sign, scale, start))
+        fixed = fixed @ _elementary(move, sign * start)
     total = fixed @ joint.child_frame.inverse()
     back = total.inverse()
     body, pose = build.bodies[joint.parent], joint.parent_frame @ total
@@ -174,10 +183,11 @@ def _add_body(build: Build, joint: Joint, moving: dict[str, float]) -> None:
             name=build.free_name("body", name), pos=pose.position, quat=quaternion(pose.rotation)
         )
         pose = Pose(np.zeros(3), np.eye(3))
-        for move, at, name, sign, scale in placed[first : first + MAX_JOINTS]:
+        for move, at, name, sign, scale, start in placed[first : first + MAX_JOINTS]:
             local = back @ at
             added = body.add_joint(name=name, type=SLIDE if move.kind == "slide" else HINGE)
             added.axis, added.pos = sign * local.rotation @ move.axis, local.position
+            added.ref = start
             if any(demand.joint == name for demand in build.demands):
                 added.armature = TIED_ARMATURE[added.type]
             _limit(build, added, move, scale)
@@ -280,7 +290,7 @@ def tie(build: Build) -> CoordinateMap:
     model, dependents = build.model, []
     for name in dict.fromkeys(demand.coordinate for demand in build.demands):
         if name not in build.carriers:
-            build.carriers[name] = (add_phantom(build, name), 1.0)
+            build.carriers[name] = (add_phantom(build, name, model.coordinates[name].default), 1.0)
             build.notes.append(
                 Note(
                     f"/jointset/{model.coordinates[name].joint}/{name}",
@@ -292,9 +302,15 @@ def tie(build: Build) -> CoordinateMap:
     for dependent in dependents:
         equality = build.spec.add_equality(name=dependent.joint, type=mujoco.mjtEq.mjEQ_JOINT)
         equality.name1, equality.name2 = dependent.joint, dependent.of
-        equality.data[:5] = dependent.polynomial
+        equality.data[:5] = _about(dependent.polynomial, build.spec.joint(dependent.of).ref)
         equality.solref, equality.solimp = TIGHT
     return CoordinateMap(tuple(_mapped(build, name) for name in model.coordinates), tuple(dependents))
+
+
+def _about(polynomial: Sequence[float], start: float) -> Array:
+    """Return a quartic of x as one of x - start, without what it is off there: the default pose is exact."""
+    moved = Polynomial(polynomial)(Polynomial([start, 1.0])).coef
+    return np.pad([0.0, *moved[1:]], (0, 5 - len(moved)))
 
 
 def exact(build: Build) -> Exact:
@@ -322,7 +338,13 @@ def _tied(build: Build, name: str, demands: Sequence[Demand]) -> list[Dependent]
         return exact
     low, high = sampling_range(build.model, name)
     fit = fit_all([d.function for d in bent], [d.lever for d in bent], low, high)
-    phantoms = [add_phantom(build, f"{name}_phantom{index + 1}") for index in range(len(fit.phantoms))]
+    phantoms: list[str] = []
+    start = build.model.coordinates[name].default
+    values: list[float] = []
+    for index, quartic in enumerate(fit.phantoms):
+        x = start if quartic.of is None else values[quartic.of]
+        values.append(float(Polynomial(quartic.coefficients)(x)))
+        phantoms.append(add_phantom(build, f"{name}_phantom{index + 1}", values[-1]))
 
     def follow(joint: str, quartic: Quartic) -> Dependent:
         of, coefficients = quartic.of, np.array(quartic.coefficients)
@@ -343,11 +365,11 @@ def _tied(build: Build, name: str, demands: Sequence[Demand]) -> list[Dependent]
     return exact + chain + ends
 
 
-def add_phantom(build: Build, name: str) -> str:
-    """Add a body on ground that only carries a hinge, and return the hinge's name."""
+def add_phantom(build: Build, name: str, start: float) -> str:
+    """Add a body on ground that only carries a hinge, `start` by default, and return the hinge's name."""
     body = build.bodies[GROUND].add_body(name=build.free_name("body", name))
     joint = build.free_name("joint", name)
-    body.add_joint(name=joint, type=HINGE, axis=(1.0, 0.0, 0.0))
+    body.add_joint(name=joint, type=HINGE, axis=(1.0, 0.0, 0.0), ref=start)
     weigh(build, body, PHANTOM_INERTIA)
     return joint
 

@@ -10,6 +10,7 @@ from myowarp.opensim.build.geometry import (
     TIED_ARMATURE,
     Build,
     Demand,
+    default_of,
     quaternion,
     reduced,
     weigh,
@@ -58,23 +59,25 @@ def _of_path(build: Build, owner: str, path: Path, shared: dict[Hashable, str]) 
 
 def _add_point(build: Build, name: str, point: MovingPathPoint) -> str:
     """Add a body with a slide for every axis that moves, and demand what the slides have to do."""
-    fixed = np.zeros(3)
     moves: list[tuple[int, str]] = []
+    start = np.zeros(3)
     for axis, (function, coordinate) in enumerate(zip(point.functions, point.coordinates, strict=True)):
         function, free = reduced(build.model, function, coordinate)
+        start[axis] = default_of(build.model, function, free)
         if free is None:
-            fixed[axis] = float(function.value(0.0))
             continue
         joint = build.free_name("joint", f"{name}-{'xyz'[axis]}")
         build.demands.append(Demand(joint, function, free, 1.0))
         moves.append((axis, joint))
     body = build.bodies[point.body].add_body(
         name=build.free_name("body", name),
-        pos=point.frame.point(fixed),
+        pos=point.frame.point(start),
         quat=quaternion(point.frame.rotation),
     )
     for axis, joint in moves:
-        body.add_joint(name=joint, type=SLIDE, axis=np.eye(3)[axis], armature=TIED_ARMATURE[SLIDE])
+        body.add_joint(
+            name=joint, type=SLIDE, axis=np.eye(3)[axis], armature=TIED_ARMATURE[SLIDE], ref=start[axis]
+        )
     if moves:
         weigh(build, body)
         body.gravcomp = 1.0
