@@ -233,6 +233,8 @@ def _move(scene: Scene, step: Callable[[], None], data: mujoco.MjData, number: i
     for _ in range(number):
         step()
     data.qpos[:], data.qvel[:] = scene.data.qpos.numpy()[0], scene.data.qvel.numpy()[0]
+    if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):  # as MuJoCo C begins again
+        data.qpos[:], data.qvel[:] = scene.qpos_start.numpy(), 0.0
 
 
 def _muscle_state(scene: Scene, rng: np.random.Generator) -> dict[str, np.ndarray]:

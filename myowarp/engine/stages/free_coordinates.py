@@ -1,8 +1,8 @@
 """Joints that follow others exactly: what is integrated are the coordinates u that follow none.
 
 With q = g(u), each joint a function of one coordinate, velocities are J u' and accelerations J u'' + a, where
-J = dg/du has one entry in a row and a_i = g_i'' u'^2 (`models.couplings`). J' carries along u what acts on the
-joints:
+J = dg/du has one entry in a row and a_i = g_i'' u'^2 (`models.couplings`). What acts on joints acts on
+coordinates by J':
 
     M_r u'' = J'(forces - M a) + (row J)' f,    row J u'' = aref - row a,    M_r = J' M J
 
