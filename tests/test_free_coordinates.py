@@ -400,7 +400,7 @@ def test_a_part_takes_over_the_stages(tmp_path):
 
 @pytest.mark.parametrize("name", ["gait10dof18musc", "leg6dof9musc"])
 def test_the_binary_model_is_near(name, tmp_path):
-    """In MuJoCo C, against OpenSim; the XML, which cannot say how stiff equalities are, is ten times as far off."""
+    """In MuJoCo C, against OpenSim; the XML, which cannot say how stiff rows are, is ten times as far off."""
     recorded, (converted, path) = np.load(RECORDED / f"accelerations_{name}.npz"), motorised(tmp_path, name)
     model = mujoco.MjModel.from_xml_path(str(path))
     (tmp_path / "model.mjb").write_bytes(binary(stiff(model, converted.exact)))

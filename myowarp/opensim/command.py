@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 NO_FITS = "paths and muscles' forces are not fitted: it needs SciPy; pip install 'myowarp[convert]'"
 LACKS = (
-    "Joints that follow others do so by quartics and springs, on bodies that are too heavy: accelerations are off "
-    "by a third in places. model.mjb is right within a few per cent in MuJoCo; MyoWarp follows couplings.json. "
+    "Joints that follow others do so by quartics and springs, on bodies too heavy: accelerations are "
+    "off by a third in places; model.mjb in MuJoCo, and couplings.json in MyoWarp, are near OpenSim's. "
 )
 PATIENCE = 1.0
 """[s] after which a progress bar is drawn."""

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from myowarp.models.couplings import Exact
-from myowarp.opensim.build.geometry import Build, begin, exact, tie
+from myowarp.opensim.build.geometry import Build, begin, exact, starts_of, tie
 from myowarp.opensim.build.meshes import add_shapes
 from myowarp.opensim.build.passive import add_forces, path_tendon
 from myowarp.opensim.build.points import add_markers, add_moving_points
@@ -90,10 +90,10 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     Raises:
         ValueError: MuJoCo refuses the result.
     """
-    build = begin(model)
+    _, _, coordinates = _skeleton(model, {})
+    # Where quartics put joints by default is known when they are there.
+    build, moving, coordinates = _skeleton(model, starts_of(coordinates))
     add_markers(build)
-    moving = add_moving_points(build)
-    coordinates = tie(build)
     for muscle in model.muscles.values():
         _add_muscle(build, muscle, moving[muscle.name], stages)
     add_forces(build, moving, stages.tendons)
@@ -110,6 +110,15 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     bodies = {name: body.name for name, body in build.bodies.items()}
     notes = (*model.notes, *build.notes)
     return Converted(model, build.spec, bodies, coordinates, exact(build), moving, meshes, notes)
+
+
+def _skeleton(
+    model: Model, starts: dict[str, float]
+) -> tuple[Build, dict[str, dict[int, str]], CoordinateMap]:
+    """Return bodies, joints and moving points, tied to the coordinates; see `begin` and `Converted`."""
+    build = begin(model, starts)
+    moving = add_moving_points(build)
+    return build, moving, tie(build)
 
 
 def _add_muscle(build: Build, muscle: Muscle, moving: Mapping[int, str], stages: Stages) -> None:

@@ -57,6 +57,8 @@ class Build:
     spec: mujoco.MjSpec
     bodies: dict[str, mujoco.MjsBody]
     """By name in the OpenSim model."""
+    starts: dict[str, float] = field(default_factory=dict)
+    """Where joints are in the default pose, as far as that is known before they are there."""
     carriers: dict[str, tuple[str, float]] = field(default_factory=dict)
     """Coordinate: joint that shows it, and scale."""
     light: dict[str, tuple[float, tuple[float, ...]]] = field(default_factory=dict)
@@ -74,8 +76,13 @@ class Build:
         return unique
 
 
-def begin(model: Model) -> Build:
-    """Return a spec with the bodies and joints of a model, not yet with what its coordinates demand."""
+def begin(model: Model, starts: dict[str, float]) -> Build:
+    """Return a spec with the bodies and joints of a model, not yet with what its coordinates demand.
+
+    Args:
+        model: The model.
+        starts: Where joints are in the default pose; those that are missing are where the document says.
+    """
     spec = mujoco.MjSpec()
     spec.modelname = model.name
     spec.compiler.degree = False
@@ -85,7 +92,7 @@ def begin(model: Model) -> Build:
     turn = upright(model.gravity)
     spec.option.gravity = turn @ model.gravity
     ground = spec.worldbody.add_body(name=GROUND, quat=quaternion(turn))
-    build = Build(model, spec, {GROUND: ground}, names={("body", "world"), ("body", GROUND)})
+    build = Build(model, spec, {GROUND: ground}, starts, names={("body", "world"), ("body", GROUND)})
     moving = _moving_masses(model)
     for joint in model.joints.values():
         _add_body(build, joint, moving)
@@ -165,7 +172,7 @@ def _add_body(build: Build, joint: Joint, moving: dict[str, float]) -> None:
         else:
             name = build.free_name("joint", f"{joint.name}_{move.kind}{index + 1}")
             function = move.function if line is None else Multiplier(IDENTITY, scale)
-        start = default_of(model, function, move.coordinate)
+        start = build.starts.get(name, default_of(model, function, move.coordinate))
         lever = 1.0 if move.kind == "slide" else ANGLE_LEVER
         if carried.get(index) is None or move.coordinate in model.couplers:
             function, free = reduced(model, function, move.coordinate)
@@ -302,15 +309,24 @@ def tie(build: Build) -> CoordinateMap:
     for dependent in dependents:
         equality = build.spec.add_equality(name=dependent.joint, type=mujoco.mjtEq.mjEQ_JOINT)
         equality.name1, equality.name2 = dependent.joint, dependent.of
-        equality.data[:5] = _about(dependent.polynomial, build.spec.joint(dependent.of).ref)
+        ends = (build.spec.joint(name).ref for name in (dependent.of, dependent.joint))
+        equality.data[:5] = _about(dependent.polynomial, *ends)
         equality.solref, equality.solimp = TIGHT
     return CoordinateMap(tuple(_mapped(build, name) for name in model.coordinates), tuple(dependents))
 
 
-def _about(polynomial: Sequence[float], start: float) -> Array:
-    """Return a quartic of x as one of x - start, without what it is off there: the default pose is exact."""
-    moved = Polynomial(polynomial)(Polynomial([start, 1.0])).coef
-    return np.pad([0.0, *moved[1:]], (0, 5 - len(moved)))
+def _about(polynomial: Sequence[float], of: float, joint: float) -> Array:
+    """Return a quartic of x with values y as one of x - of with values y - joint."""
+    moved = (Polynomial(polynomial)(Polynomial([of, 1.0])) - joint).coef
+    return np.pad(moved, (0, 5 - len(moved)))
+
+
+def starts_of(coordinates: CoordinateMap) -> dict[str, float]:
+    """Return where joints are in the default pose, those that follow by quartics included."""
+    values = {c.joint: c.scale * c.default for c in coordinates.coordinates if c.joint and c.kind == "free"}
+    for dependent in coordinates.dependents:
+        values[dependent.joint] = float(Polynomial(dependent.polynomial)(values[dependent.of]))
+    return values
 
 
 def exact(build: Build) -> Exact:

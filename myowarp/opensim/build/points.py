@@ -67,6 +67,7 @@ def _add_point(build: Build, name: str, point: MovingPathPoint) -> str:
         if free is None:
             continue
         joint = build.free_name("joint", f"{name}-{'xyz'[axis]}")
+        start[axis] = build.starts.get(joint, start[axis])
         build.demands.append(Demand(joint, function, free, 1.0))
         moves.append((axis, joint))
     body = build.bodies[point.body].add_body(
