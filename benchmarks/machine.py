@@ -1,29 +1,18 @@
 """The machine that is measured on, and who else uses its cores."""
 
-import os
-import platform
 import statistics
 import time
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import TypeVar
+
+from myowarp.apps.machine import processor, used_seconds
+
+__all__ = ["IDLE_CORES", "disturbances", "least_disturbed", "processor", "timed_here"]
 
 IDLE_CORES = 0.1  # cores that others may keep busy before a measurement counts as disturbed
 REPEATS = 4  # of a disturbed measurement
 
 T = TypeVar("T")
-
-
-def processor() -> str:
-    """Return the processor's name."""
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        names = [
-            line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line
-        ]
-        if names:
-            return names[0]
-    return platform.processor() or platform.machine()
 
 
 def least_disturbed(measure: Callable[[], tuple[T, float]]) -> tuple[T, float]:
@@ -40,9 +29,9 @@ def least_disturbed(measure: Callable[[], tuple[T, float]]) -> tuple[T, float]:
     """
     tries: list[tuple[T, float]] = []
     while len(tries) <= REPEATS and all(others > IDLE_CORES for _, others in tries):
-        begin, (busy, stolen) = time.perf_counter(), _used_seconds()
+        begin, (busy, stolen) = time.perf_counter(), used_seconds()
         measured, own = measure()
-        wall, (busy_after, stolen_after) = time.perf_counter() - begin, _used_seconds()
+        wall, (busy_after, stolen_after) = time.perf_counter() - begin, used_seconds()
         others = max(0.0, busy_after - busy - own) + stolen_after - stolen
         tries.append((measured, others / wall))
     return min(tries, key=lambda one: one[1])
@@ -67,12 +56,3 @@ def disturbances(others: Iterable[float]) -> dict[str, float]:
         "disturbed_measurements": sum(busy > IDLE_CORES for busy in cores),
         "measurements": len(cores),
     }
-
-
-def _used_seconds() -> tuple[float, float]:
-    """Return the processor time that all processes here have used so far, and that the host has kept [s]."""
-    if not (stat := Path("/proc/stat")).exists():
-        return 0.0, 0.0
-    words = stat.read_text().splitlines()[0].split()[1:]
-    user, nice, system, _, _, irq, softirq, stolen, *_ = (int(w) / os.sysconf("SC_CLK_TCK") for w in words)
-    return user + nice + system + irq + softirq, stolen

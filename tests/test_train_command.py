@@ -13,6 +13,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
+from myowarp.apps.commands.rollout import Rollout
 from myowarp.apps.train import checkpoint as checkpoints
 from myowarp.apps.train import command
 from myowarp.apps.train.evaluate import evaluate, wilson
@@ -107,6 +108,32 @@ def test_a_cohort_is_driven_by_it(learned, run, tmp_path):
         well, weak = csv.DictReader(file)
     assert well["success"] == "True"
     assert float(weak["mean_activation"]) != float(well["mean_activation"])
+
+
+def test_a_training_ends_with_a_video(run, tmp_path, monkeypatch):
+    """The trained policy acts in it, or a word says what is missing."""
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    film, asked = tmp_path / "film.mp4", []
+
+    def short(**options):
+        asked.append(options)
+        return Rollout(**options, steps=3, num_worlds=2, video_worlds=1)
+
+    monkeypatch.setattr(command, "Rollout", short)
+    _, out, err = run("train", ELBOW, "--output", tmp_path / "run", *TINY, "--samples", 64, "--video", film)
+    assert f"MyoWarp/{ELBOW}" in out
+    assert asked[0]["policy"] == str(tmp_path / "run")
+    if "No video" in err:
+        pytest.skip("drawing needs OpenGL")
+    assert imageio_ffmpeg.count_frames_and_secs(film)[0] == 3
+
+
+def test_a_video_is_refused_before_the_training(run, no_simulation, tmp_path):
+    (tmp_path / "old.mp4").touch()
+    for name, words in (("old.mp4", "exists; choose another name"), ("film.gif", "must end in .mp4")):
+        options = ("--output", tmp_path / "run", "--video", tmp_path / name)
+        assert said(run("train", ELBOW, *options)) == f"output {str(tmp_path / name)!r} {words}"
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.slow

@@ -1,12 +1,16 @@
 """A policy played without torch is the one that was trained."""
 
+import importlib.util
+import json
 import subprocess
 import sys
 
 import numpy as np
+import onnx
 import pytest
 import torch
 from gymnasium.spaces import Box
+from onnx.reference import ReferenceEvaluator
 
 from myowarp.apps.learned import LearnedPolicy
 from myowarp.apps.train import agents
@@ -79,6 +83,49 @@ def test_drawn_actions_have_the_spread_of_torch(trained, tmp_path):
     np.testing.assert_allclose(got.std(axis=0), expected.std(axis=0), atol=0.02)
     again = LearnedPolicy(checkpoint, sampled=True, seed=1)(obs)
     np.testing.assert_array_equal(got, again)
+
+
+def test_exported_policies_act_like_the_original(trained, tmp_path, run):
+    """ONNX by the reference evaluator of its own package, TorchScript as another program loads it."""
+    agent, manifest = trained
+    save_checkpoint(tmp_path / "run", 12, plain(manifest), agents.policy_arrays(agent), {})
+    for name in ("policy.onnx", "policy.pt"):
+        status, _, err = run("export", tmp_path / "run", tmp_path / name)
+        assert status == 0, err
+    obs = observations()
+    model = onnx.load(tmp_path / "policy.onnx")
+    (got,) = ReferenceEvaluator(model).run(None, {"obs": obs})
+    expected = torch_means(agent, obs)
+    assert np.abs(got - expected).max() < SAME
+    (contract,) = [entry.value for entry in model.metadata_props if entry.key == "contract"]
+    assert json.loads(contract) == CONTRACT
+    files = {"contract": ""}
+    script = torch.jit.load(str(tmp_path / "policy.pt"), _extra_files=files)
+    assert np.abs(script(torch.from_numpy(obs)).numpy() - expected).max() < SAME
+    assert script(torch.from_numpy(obs[:1])).shape == (1, NUM_ACTIONS)
+    assert json.loads(files["contract"]) == CONTRACT
+
+
+@pytest.mark.parametrize(
+    ("output", "missing", "sentence"),
+    [
+        ("policy.h5", None, "must end in .onnx or .pt"),
+        ("policy.onnx", "onnx", ".onnx files need onnx, not installed; run `pip install onnx`"),
+        ("policy.pt", "torch", '.pt files need torch, not installed; run `pip install "myowarp[torch]"`'),
+        ("nowhere/policy.pt", None, "its folder must exist and be writable"),
+        ("there.onnx", None, "exists; choose another name, or replace it with --overwrite"),
+        ("new.onnx", None, "holds no checkpoint"),
+    ],
+)
+def test_what_cannot_be_exported_is_said(output, missing, sentence, run, tmp_path, monkeypatch):
+    (tmp_path / "there.onnx").touch()
+    if missing:
+        find = importlib.util.find_spec
+        monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == missing else find(name))
+    status, _, err = run("export", tmp_path / "empty", tmp_path / output)
+    assert status == 2
+    assert sentence in err
+    assert [file.name for file in tmp_path.iterdir()] == ["there.onnx"]
 
 
 def test_playing_imports_no_torch(trained, tmp_path):

@@ -11,8 +11,10 @@ import warp as wp
 from rich.console import Console
 
 from myowarp.apps.commands.audit import Audit
+from myowarp.apps.commands.baselines import Baselines
 from myowarp.apps.commands.cohort import Cohort
 from myowarp.apps.commands.describe import Describe
+from myowarp.apps.commands.export import Export
 from myowarp.apps.commands.plot import Plot
 from myowarp.apps.commands.record import Record
 from myowarp.apps.commands.rollout import Rollout
@@ -35,6 +37,8 @@ COMMANDS: dict[str, type[Callable[[], None]]] = {
     "audit": Audit,
     "train": Train,
     "eval": Eval,
+    "baselines": Baselines,
+    "export": Export,
     "convert": Convert,
     "warmup": Warmup,
 }

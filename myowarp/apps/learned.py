@@ -32,6 +32,12 @@ class LearnedPolicy:
 
     Attributes:
         checkpoint: What it was read from.
+        mean: Mean that observations are normalised with, shape (obs_size,).
+        spread: Their standard deviation, shape (obs_size,).
+        clip: Bound of normalised observations.
+        layers: Weights (inputs, outputs) and biases (outputs,).
+        activation: Function between the layers, key in `ACTIVATIONS`.
+        squashed: Whether actions are the hyperbolic tangent of the first half of the last layer.
     """
 
     def __init__(self, checkpoint: Checkpoint, *, sampled: bool = False, seed: int = 0) -> None:
@@ -44,21 +50,33 @@ class LearnedPolicy:
         """
         self.checkpoint, arrays, form = checkpoint, checkpoint.policy, checkpoint.manifest["policy"]
         numbers = sorted({int(name.split(".")[1]) for name in arrays if name.startswith("net.")})
-        self._layers = [(arrays[f"net.{i}.weight"].T.copy(), arrays[f"net.{i}.bias"]) for i in numbers]
-        self._mean = arrays["observation_mean"].astype(np.float32)
-        self._spread = np.sqrt(arrays["observation_variance"].astype(np.float32)) + np.float32(
-            form["epsilon"]
-        )
-        self._clip, self._function = form["clip"], ACTIVATIONS[form["activation"]]
+        self.layers = [(arrays[f"net.{i}.weight"].T.copy(), arrays[f"net.{i}.bias"]) for i in numbers]
+        self.mean = arrays["observation_mean"].astype(np.float32)
+        self.spread = np.sqrt(arrays["observation_variance"].astype(np.float32)) + np.float32(form["epsilon"])
+        self.clip, self.activation = form["clip"], form["activation"]
+        self.squashed = "log_std" not in arrays
         self._log_std, self._bounds = arrays.get("log_std"), form["log_std_bounds"]
         self._rng = np.random.default_rng(seed) if sampled else None
 
+    @property
+    def obs_size(self) -> int:
+        """Entries of an observation."""
+        return len(self.mean)
+
+    @property
+    def num_actions(self) -> int:
+        """Entries of an action."""
+        return len(self.layers[-1][1]) // (2 if self.squashed else 1)
+
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Return actions."""
-        x = np.clip((obs - self._mean) / self._spread, -self._clip, self._clip)
-        for weight, bias in self._layers[:-1]:
-            x = self._function(x @ weight + bias)
-        weight, bias = self._layers[-1]
+        x, function = (
+            np.clip((obs - self.mean) / self.spread, -self.clip, self.clip),
+            ACTIVATIONS[self.activation],
+        )
+        for weight, bias in self.layers[:-1]:
+            x = function(x @ weight + bias)
+        weight, bias = self.layers[-1]
         x = x @ weight + bias
         if self._log_std is not None:
             return np.clip(self._drawn(x, self._log_std), -1.0, 1.0).astype(np.float32)
@@ -73,18 +91,18 @@ class LearnedPolicy:
         return mean + std * self._rng.standard_normal(mean.shape, dtype=np.float32)
 
 
-def is_learned(name: str) -> bool:
-    """Return whether the name of a policy is that of a folder."""
-    return Path(name).is_dir()
-
-
-def read_policy(name: str, spec: TaskSpec) -> Checkpoint:
+def read_policy(name: str, folder: Path, spec: TaskSpec) -> Checkpoint:
     """Return the checkpoint of a folder, checked as far as a task alone can tell.
+
+    Args:
+        name: How the user called it.
+        folder: Where it is.
+        spec: The task in which it is to act.
 
     Raises:
         CheckpointError: There is none, it is damaged, or it belongs to another family or body.
     """
-    checkpoint = load_checkpoint(Path(name))
+    checkpoint = load_checkpoint(folder)
     contract = checkpoint.manifest["contract"]
     there = f"{contract['task']!r} ({contract['family']} with {contract['body']})"
     if (contract["family"], contract["body"]) != (spec.family, spec.body):

@@ -60,8 +60,10 @@ Policy = Annotated[
     str,
     _option(
         "NAME",
-        "random, zero, hold (pose tasks: proportional control of the joints), the folder of a trained policy,"
-        " package.module:function or file.py:function: a function from observations (num_worlds, n) to"
+        "random, zero, hold (pose tasks: proportional control of the joints), baseline (the trained policy"
+        " of the package for the task; `myowarp baselines list`), baselines/ID (that of another task),"
+        " the folder of a trained policy, package.module:function or file.py:function: a function from"
+        " observations (num_worlds, n) to"
         " actions (num_worlds, m) in [-1, 1].",
     ),
 ]

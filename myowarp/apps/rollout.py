@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from myowarp.apps.baselines import policy_folder
 from myowarp.apps.film import Film
-from myowarp.apps.learned import bind, is_learned, read_policy
+from myowarp.apps.learned import bind, read_policy
 from myowarp.apps.policies import Hold, check_hold
 from myowarp.apps.recording import SignalRecorder
 from myowarp.apps.train.checkpoint import Checkpoint
@@ -89,8 +90,9 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
     """Return a policy by name; code of the user that defines it is run once.
 
     Args:
-        name: "random", "zero", "hold" (`myowarp.apps.policies`), the folder of a trained policy
-            (`myowarp.apps.learned`), "package.module:function" or "file.py:function".
+        name: "random", "zero", "hold" (`myowarp.apps.policies`), "baseline", "baselines/<task>"
+            (`myowarp.apps.baselines`), the folder of a trained policy (`myowarp.apps.learned`),
+            "package.module:function" or "file.py:function".
         spec: The task in which it is to act.
 
     Raises:
@@ -100,13 +102,13 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
         check_hold(spec)
     if name in BUILT_IN:
         return Policy(name)
-    if is_learned(name):
-        return Policy(name, checkpoint=read_policy(name, spec))
+    if (folder := policy_folder(name, spec.key)) is not None:
+        return Policy(name, checkpoint=read_policy(name, folder, spec))
     source, colon, attribute = name.rpartition(":")
     if not colon:
         raise ValueError(
-            f"policy {name!r} unknown; available: {', '.join(BUILT_IN)}, the folder of a trained "
-            "policy, package.module:function, file.py:function"
+            f"policy {name!r} unknown; available: {', '.join(BUILT_IN)}, baseline, "
+            "baselines/<task>, the folder of a trained policy, package.module:function, file.py:function"
         )
     try:
         act = getattr(load(source), attribute, None)

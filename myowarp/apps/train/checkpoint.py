@@ -151,11 +151,7 @@ def save_checkpoint(
     shutil.rmtree(part, ignore_errors=True)
     try:
         part.mkdir()
-        contents = {name: _packed(arrays) for name, arrays in ((POLICY, policy), (STATE, state))}
-        files = {name: _entry(content) for name, content in contents.items()}
-        whole = {"format": FORMAT, **manifest, "files": files}
-        contents[MANIFEST] = json.dumps(whole | {"digest": _digest(whole)}, indent=1).encode()
-        for name, content in contents.items():
+        for name, content in _contents(manifest, {POLICY: policy, STATE: state}).items():
             _write(part / name, content)
         _flush_folder(part)
         part.rename(final)
@@ -167,6 +163,27 @@ def save_checkpoint(
         if other != final:
             shutil.rmtree(other, ignore_errors=True)
     return final
+
+
+def save_policy(folder: Path, checkpoint: Checkpoint) -> None:
+    """Write what acts of a checkpoint: manifest and policy; such a run cannot be resumed.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    manifest = {name: entry for name, entry in checkpoint.manifest.items() if name not in ("format", "files")}
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in _contents(manifest, {POLICY: checkpoint.policy}).items():
+        _write(folder / name, content)
+
+
+def _contents(manifest: Mapping[str, Any], files: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, bytes]:
+    """Return the contents of a checkpoint's files: arrays, and the manifest with their checksums."""
+    contents = {name: _packed(arrays) for name, arrays in files.items()}
+    entries = {name: _entry(content) for name, content in contents.items()}
+    whole = {"format": FORMAT, **manifest, "files": entries}
+    contents[MANIFEST] = json.dumps(whole | {"digest": _digest(whole)}, indent=1).encode()
+    return contents
 
 
 def find_folder(path: Path) -> Path:

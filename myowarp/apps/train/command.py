@@ -18,9 +18,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Optional
 import tyro
 from rich.console import Console
 
+from myowarp.apps.commands.rollout import Rollout
+from myowarp.apps.machine import Stopwatch, processor
 from myowarp.apps.options import Model, OptionalTask, optional
+from myowarp.apps.train.eval_command import EVALUATION_SEED
 from myowarp.apps.train.settings import ALGORITHMS, SUCCESSES, Settings, all_settings, choose, restore
-from myowarp.disk import check_folder, in_place
+from myowarp.disk import check_folder, check_output, in_place
 from myowarp.spec.registry import check_choice
 from myowarp.spec.task import TASKS
 from myowarp.tasks.from_file import task_or_model
@@ -57,6 +60,8 @@ class TrainCommand:
     """New folder of the run; by default runs/<task>_<algorithm>_<seed>."""
     resume: Annotated[Path | None, optional("FOLDER")] = None
     """Folder of a run that is to go on; its settings hold, only --samples and when to stop may change."""
+    video: Annotated[Path | None, optional("FILE")] = None
+    """Write a video of the trained policy to this .mp4: deterministic actions, parity physics."""
     save_seconds: float = 30.0
     """Seconds from one checkpoint to the next; 0: after every iteration."""
     wandb: bool = False
@@ -64,13 +69,14 @@ class TrainCommand:
 
     def __call__(self) -> None:
         """Check everything, train and report."""
-        begin = time.monotonic()
-        console = Console(stderr=True, highlight=False, soft_wrap=True)
+        watch, console = Stopwatch(), Console(stderr=True, highlight=False, soft_wrap=True)
         job = _plan(self)
         run = _start(job)
         reason = _train(job, run, console, self.save_seconds, self.wandb)
         run.env.close()
-        _report(job, run, reason, time.monotonic() - begin, console)
+        _report(job, run, reason, watch, console)
+        if self.video:
+            _film(job, self.video)
 
 
 @dataclass(frozen=True)
@@ -110,6 +116,9 @@ def _plan(command: TrainCommand) -> Job:
         raise ValueError("training runs in one process; start it without torchrun (WORLD_SIZE is above 1)")
     if not 0.0 <= command.save_seconds < float("inf"):
         raise ValueError(f"--save-seconds must be at least 0, got {command.save_seconds}")
+    check_output(command.video, ".mp4")
+    if command.video is not None and command.video.exists():
+        raise ValueError(f"output {str(command.video)!r} exists; choose another name")
     if command.wandb:
         from myowarp.apps.train.progress import check_wandb
 
@@ -134,11 +143,13 @@ def _plan(command: TrainCommand) -> Job:
 
 def _plan_resume(command: TrainCommand, given: dict[str, Any]) -> Job:
     """Return the run that goes on; see `_plan`."""
-    from myowarp.apps.train.checkpoint import load_checkpoint
+    from myowarp.apps.train.checkpoint import STATE, CheckpointError, load_checkpoint
 
     folder = Path(str(command.resume))
     checkpoint = load_checkpoint(folder)
     manifest = checkpoint.manifest
+    if STATE not in manifest["files"]:
+        raise CheckpointError(f"checkpoint {str(folder)!r} holds a policy alone and cannot be resumed")
     recorded = manifest["settings"]
     task = command.task and command.task.removeprefix("MyoWarp/")
     wanted = {"task": task, "model": command.model, "algorithm": command.algorithm, "output": command.output}
@@ -331,12 +342,12 @@ def _save(job: Job, run: Run) -> None:
         ) from error
 
 
-def _report(job: Job, run: Run, reason: str, seconds: float, console: Console) -> None:
+def _report(job: Job, run: Run, reason: str, watch: Stopwatch, console: Console) -> None:
     """Draw the curve, write and print what came out."""
     from myowarp.apps.train.checkpoint import plain
     from myowarp.apps.train.progress import draw_curve
 
-    settings = job.settings
+    settings, spent = job.settings, watch.read()
     figures: dict[str, Any] = {
         "task": job.task,
         "algorithm": job.algorithm,
@@ -345,7 +356,12 @@ def _report(job: Job, run: Run, reason: str, seconds: float, console: Console) -
         "ended": reason,
         "samples": run.samples,
         "updates": run.updates,
-        "seconds": round(seconds, 1),
+        "resumed_after": job.checkpoint.manifest["samples"] if job.checkpoint else 0,
+        **{name: round(value, 2) for name, value in spent.items()},
+        "processor": processor(),
+        "cores": os.cpu_count(),
+        "training_seconds": round(run.clock.total, 1),
+        "training_cpu_seconds": round(run.clock.cpu, 1),
         **{name: value for name, value in run.tally.figures().items()},
         **{f"share_{name}": round(share, 3) for name, share in run.clock.shares().items()},
     }
@@ -354,11 +370,27 @@ def _report(job: Job, run: Run, reason: str, seconds: float, console: Console) -
     curve = draw_curve(job.folder, f"{job.task}, {job.algorithm}, seed {settings.seed}")
     share = f"{100 * figures['success']:.1f} %" if figures["episodes"] else "none"
     console.print(
-        f"Ended after {run.samples:,} samples in {seconds:.1f} s: {reason}; of the last episodes "
+        f"Ended after {run.samples:,} samples in {spent['seconds']:.1f} s: {reason}; of the last episodes "
         f"{share} succeeded, sampled actions under {settings.physics} physics"
     )
     console.print(f"Saved {job.folder}" + (f" and {curve}" if curve else ""))
     console.print(f"Evaluate: myowarp eval {job.folder}")
+
+
+def _film(job: Job, video: Path) -> None:
+    """Run the policy that was trained, print what it does, and write a video."""
+    settings = job.settings
+    Rollout(
+        task=None if job.model else job.task,
+        model=Path(job.task) if job.model else None,
+        policy=str(job.folder),
+        seed=EVALUATION_SEED,
+        device=settings.device or None,
+        muscle=settings.muscle,
+        reset=settings.reset or None,
+        conditions=settings.conditions,
+        video=video,
+    )()
 
 
 def _overrides() -> list[tuple[str, Any, Any]]:

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from myowarp.apps.options import Device, Physics, optional
-from myowarp.apps.train.settings import SUCCESSES
+from myowarp.apps.train.settings import SUCCESSES, success_text
 from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.registry import check_choice
 from myowarp.spec.task import PHYSICS, RESETS, TASKS
@@ -38,7 +38,7 @@ class Eval:
     """
 
     checkpoint: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
-    """Folder of a run or of a checkpoint."""
+    """Folder of a run or of a checkpoint, or a policy of the package: baselines/ID."""
     task: Annotated[str | None, optional("ID")] = None
     """Another task with the same observation and actuators; by default that of the training."""
     model: Annotated[Path | None, optional("FILE")] = None
@@ -62,6 +62,18 @@ class Eval:
 
     def __call__(self) -> None:
         """Check, run and print."""
+        head, results = self.figures()
+        if self.json:
+            print(json.dumps({**head, **results}, indent=1))
+        else:
+            _print_table(head, results)
+
+    def figures(self) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Check and run; return under what, and the figures of `Evaluation` of each mode.
+
+        Raises:
+            ValueError: An argument is wrong; nothing was built.
+        """
         from myowarp.apps.learned import LearnedPolicy
         from myowarp.apps.train.checkpoint import check_contract
         from myowarp.apps.train.evaluate import evaluate
@@ -84,10 +96,7 @@ class Eval:
             "trained_under": checkpoint.manifest["settings"]["physics"],
             "samples": checkpoint.manifest["samples"],
         }
-        if self.json:
-            print(json.dumps({**head, **results}, indent=1))
-        else:
-            _print_table(head, results)
+        return head, results
 
     def _plan(self) -> tuple[Checkpoint, Variant, dict[str, Any]]:
         """Return checkpoint, task and options of the environment.
@@ -95,13 +104,15 @@ class Eval:
         Raises:
             ValueError: An argument is wrong; nothing was built.
         """
+        from myowarp.apps.baselines import policy_folder
         from myowarp.apps.train.checkpoint import CheckpointError, load_checkpoint
 
         for name, number, least in (("episodes", self.episodes, 1), ("seed", self.seed, 0)):
             if number < least:
                 raise ValueError(f"--{name} must be at least {least}, got {number}")
         check_choice("physics", self.physics, PHYSICS)
-        checkpoint = load_checkpoint(self.checkpoint)
+        own = self.task and self.task.removeprefix("MyoWarp/")
+        checkpoint = load_checkpoint(policy_folder(str(self.checkpoint), own) or self.checkpoint)
         manifest = checkpoint.manifest
         trained = manifest["settings"]
         other = self.task is not None or self.model is not None
@@ -112,12 +123,15 @@ class Eval:
                 f"name it with {option}, because a checkpoint opens no files"
             )
         variant = task_or_model(self.task if other else manifest["task"], self.model)
-        own = (*variant.conditions, *(trained["conditions"] if self.conditions is None else self.conditions))
+        conditions = (
+            *variant.conditions,
+            *(trained["conditions"] if self.conditions is None else self.conditions),
+        )
         options = {
             "physics": self.physics,
             "muscle": self.muscle or trained["muscle"],
             "reset": self.reset or trained["reset"] or variant.reset,
-            "conditions": own,
+            "conditions": conditions,
             "device": self.device,
         }
         return checkpoint, variant, options
@@ -132,12 +146,8 @@ def _print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> No
     )
     table = Table("", *results)
 
-    def share(figures: dict[str, Any], name: str) -> str:
-        low, high = figures["intervals"][name]
-        return f"{100 * figures[name]:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
-
     for name, text in SUCCESSES.items():
-        table.add_row(text, *(share(figures, name) for figures in results.values()))
+        table.add_row(text, *(success_text(figures, name) for figures in results.values()))
     table.add_row("return", *(f"{f['return_mean']:.1f} ± {f['return_std']:.1f}" for f in results.values()))
     plain = {
         "length_mean": "length [steps]",

@@ -28,11 +28,19 @@ class DivergedError(RuntimeError):
 
 @dataclasses.dataclass
 class Clock:
-    """Seconds spent in parts of a run."""
+    """Seconds spent in parts of a run.
+
+    Attributes:
+        simulation: In control steps and resets.
+        learner: In actions and updates.
+        total: In iterations; what other work on the same cores took is part of it.
+        cpu: Of all cores, in iterations; what other work on the same cores took is no part of it.
+    """
 
     simulation: float = 0.0
     learner: float = 0.0
     total: float = 0.0
+    cpu: float = 0.0
 
     def shares(self) -> dict[str, float]:
         """Return the shares of simulation, learner and rest."""
@@ -83,12 +91,13 @@ class Run:
         Raises:
             DivergedError: A loss or a weight is not finite.
         """
-        begin = time.perf_counter()
+        begin, cpu = time.perf_counter(), time.process_time()
         for _ in range(self.settings.rollout_steps):
             self._step()
         self.updates += 1
         self.losses = agents.losses(self.agent)
         self.clock.total += time.perf_counter() - begin
+        self.clock.cpu += time.process_time() - cpu
         wrong = [name for name, value in self.losses.items() if not math.isfinite(value)]
         if wrong or not agents.is_finite(self.agent):
             what = wrong[0].replace("_", " ") if wrong else "a weight"

@@ -27,6 +27,12 @@ SUCCESSES = {
 ACTIVATIONS = ("elu", "tanh", "relu")
 
 
+def success_text(figures: Mapping[str, Any], rule: str) -> str:
+    """Return a success of an evaluation with its interval, in percent."""
+    low, high = figures["intervals"][rule]
+    return f"{100 * figures[rule]:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+
+
 def setting(
     default: Any,
     text: str,

@@ -1,0 +1,193 @@
+"""Baselines of the package: add runs of `myowarp train`, and write the page of all results.
+
+    python -m benchmarks.baselines --add runs/hand    # evaluate it, 256 episodes under parity; then the page
+    python -m benchmarks.baselines                    # docs/baselines.md and docs/baselines.png alone
+
+A run of a task that has a baseline replaces the run of the same seed; the policy that acts is that of the
+lowest seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+from myowarp.apps import baselines
+from myowarp.apps.baselines import CURVE, RESULT, Baseline, load_baseline
+from myowarp.apps.train.checkpoint import load_checkpoint, save_policy
+from myowarp.apps.train.command import REPORT
+from myowarp.apps.train.eval_command import Eval
+from myowarp.apps.train.progress import CSV
+from myowarp.apps.train.settings import SUCCESSES, success_text
+from myowarp.disk import in_place
+
+DOCS = Path(__file__).parents[1] / "docs"
+PUBLISHED = Path(__file__).with_name("published_success.json")
+PAGE = Path(__file__).with_name("baselines_page.md")
+MOST_BYTES = 400_000  # of a policy
+CURVE_ROWS = 150
+CURVE_COLUMNS = ("samples", "return", *SUCCESSES)
+MODES = ("deterministic", "sampled")
+LEFT_OUT = ("checkpoint",)  # of an evaluation: a path of the machine
+
+
+def add(run: Path) -> None:
+    """Evaluate a run and make it a baseline.
+
+    Raises:
+        ValueError: The run is not finished, or its policy is too large.
+    """
+    checkpoint = load_checkpoint(run)
+    if not (run / REPORT).is_file():
+        raise ValueError(f"run {str(run)!r} has no {REPORT}; let it end, or stop it with Ctrl-C")
+    training = json.loads((run / REPORT).read_text())
+    head, figures = Eval(checkpoint=run).figures()
+    evaluation = {name: value for name, value in head.items() if name not in LEFT_OUT} | figures
+    task, folder = checkpoint.task, baselines.FOLDER / checkpoint.task
+    before = load_baseline(task).runs if (folder / RESULT).is_file() else []
+    runs = [entry for entry in before if entry["training"]["seed"] != training["seed"]]
+    runs.append({"training": training, "evaluation": evaluation})
+    runs.sort(key=lambda entry: entry["training"]["seed"])
+    if runs[0]["training"] is training:
+        size = sum(array.nbytes for array in checkpoint.policy.values())
+        if size > MOST_BYTES:
+            raise ValueError(
+                f"policy of {task!r} has {size} bytes, at most {MOST_BYTES} are allowed; --hidden 128 128"
+            )
+        save_policy(folder, checkpoint)
+        _write_curve(run / CSV, folder / CURVE)
+    with in_place(folder / RESULT) as scratch:
+        scratch.write_text(json.dumps({"runs": runs}, indent=1) + "\n")
+
+
+def _write_curve(source: Path, target: Path) -> None:
+    """Write some rows of a run's figures, the last one among them."""
+    with source.open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["return"] not in ("", "nan")]
+    every = max(1, -(-len(rows) // CURVE_ROWS))
+    with in_place(target) as scratch, scratch.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(CURVE_COLUMNS)
+        for row in rows[::-1][::every][::-1]:
+            writer.writerow(f"{float(row[name]):.6g}" for name in CURVE_COLUMNS)
+
+
+def page() -> str:
+    """Return the page of all baselines as Markdown."""
+    found = [load_baseline(task) for task in baselines.baseline_tasks()]
+    published = json.loads(PUBLISHED.read_text())
+    machines = {(run["training"]["processor"], run["training"]["cores"]) for b in found for run in b.runs}
+    missing = [f"`{task}`" for task in published["tasks"] if task not in {b.task for b in found}]
+    return PAGE.read_text().format(
+        success=_success_table(found),
+        missing=f"\nNot trained: {', '.join(missing)}.\n" if missing else "",
+        machine=", ".join(f"{cores} cores ({name})" for name, cores in sorted(machines)),
+        training=_training_table(found),
+        published=_published_table(found, published),
+    )
+
+
+def _success_table(found: list[Baseline]) -> str:
+    """Return success by three rules, deterministic over sampled."""
+    rows = []
+    for baseline in found:
+        for run in baseline.runs:
+            evaluation, seed = run["evaluation"], run["training"]["seed"]
+            for mode in MODES:
+                shares = (success_text(evaluation[mode], rule) for rule in SUCCESSES)
+                rows.append([f"`{baseline.task}`", str(seed), mode, *shares])
+    return _table(["task", "seed", "actions", *SUCCESSES.values()], rows)
+
+
+def _training_table(found: list[Baseline]) -> str:
+    """Return what the training took, and the command that remakes it."""
+    rows = []
+    for baseline in found:
+        for run in baseline.runs:
+            training = run["training"]
+            seed = "" if run is baseline.runs[0] else f" --seed {training['seed']}"
+            rows.append(
+                [
+                    f"`myowarp baselines run {baseline.task}{seed}`",
+                    training["physics"],
+                    f"{training['samples'] / 1e6:.2f}",
+                    "-" if training.get("resumed_after") else f"{training['seconds']:.0f}",
+                    f"{training['training_seconds']:.0f}",
+                    f"{training['training_cpu_seconds']:.0f}",
+                    f"{training['cores_busy_with_others']:.2f}",
+                    training["ended"],
+                ]
+            )
+    columns = ["command", "physics", "samples [million]", "wall [s]", "training [s]", "CPU [s]", "busy cores"]
+    return _table([*columns, "ended by"], rows)
+
+
+def _published_table(found: list[Baseline], published: dict[str, Any]) -> str:
+    """Return our success beside that of others."""
+    ours = {
+        b.task: f"{100 * b.runs[0]['evaluation']['deterministic']['success']:.1f}"
+        f" ({b.runs[0]['training']['samples'] / 1e6:.2f} M)"
+        for b in found
+    }
+    sources = published["sources"]
+    rows = [
+        [f"`{task}`", ours.get(task, "not trained"), *(theirs.get(name, "-") for name in sources)]
+        for task, theirs in published["tasks"].items()
+    ]
+    heads = {"npg": "the paper's NPG", "ppo": "MyoSuite 3, PPO on a GPU", "off_policy": "FlashSAC"}
+    table = _table(["task", "MyoWarp, PPO", *(heads[name] for name in sources)], rows)
+    return table + "\n" + "".join(f"* {heads[name]}. {text}\n" for name, text in sources.items())
+
+
+def _table(head: list[str], rows: list[list[str]]) -> str:
+    """Return a table as Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def draw(path: Path) -> None:
+    """Draw the curves of all baselines: success by the paper's rule over samples, a panel for each task."""
+    from matplotlib.figure import Figure
+
+    tasks, columns = baselines.baseline_tasks(), 4
+    rows = -(-len(tasks) // columns)
+    figure = Figure(figsize=(11, 2.1 * rows), layout="constrained")
+    panels = list(figure.subplots(rows, columns, sharey=True, squeeze=False).flat)
+    for panel, task in zip(panels, tasks, strict=False):
+        with (baselines.FOLDER / task / CURVE).open(newline="") as file:
+            points = [(float(row["samples"]) / 1e6, row) for row in csv.DictReader(file)]
+        for rule, text in SUCCESSES.items():
+            panel.plot([x for x, _ in points], [100 * float(row[rule]) for _, row in points], label=text)
+        panel.set_title(task, fontsize="small")
+        panel.set(ylim=(-2, 102), xlim=(0, None))
+        panel.tick_params(labelsize="small")
+    for panel in panels[len(tasks) :]:
+        panel.axis("off")
+    figure.supxlabel("samples [million]", fontsize="small")
+    figure.supylabel("success [%]", fontsize="small")
+    figure.legend(
+        *figure.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False
+    )
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """Add runs, and write the page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--add", nargs="*", type=Path, default=[], metavar="RUN", help="folders of runs")
+    for run in parser.parse_args().add:
+        add(run)
+        print(f"Added {run}")
+    with in_place(DOCS / "baselines.md") as scratch:
+        scratch.write_text(page())
+    draw(DOCS / "baselines.png")
+    print(f"Wrote {DOCS / 'baselines.md'} and baselines.png")
+
+
+if __name__ == "__main__":
+    main()

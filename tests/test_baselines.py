@@ -1,0 +1,261 @@
+"""Baselines: every one acts, two still reach their table, and what is missing or damaged is refused."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.baselines import DOCS, MOST_BYTES, add, page
+from myowarp.apps import baselines
+from myowarp.apps.learned import LearnedPolicy
+from myowarp.apps.train import checkpoint as checkpoints
+from myowarp.apps.train.eval_command import Eval
+from myowarp.apps.train.settings import ALGORITHMS, preset, restore
+from myowarp.spec.task import TASKS
+
+NAMES = baselines.baseline_tasks()
+REACHED = ("myoElbowPose1D6MRandom-v0", "myoFingerReachFixed-v0")
+"""Baselines that are evaluated here; the quickest."""
+
+
+@pytest.fixture
+def no_simulation(monkeypatch):
+    """Whoever builds a simulation fails."""
+
+    def refuse(*args, **options):
+        pytest.fail("a simulation was built")
+
+    monkeypatch.setattr("myowarp.bridge_gym.MyoWarpVectorEnv.__init__", refuse)
+
+
+@pytest.fixture
+def copies(tmp_path, monkeypatch):
+    """Work on a copy of a baseline, which may be damaged; return its folder."""
+    shutil.copytree(baselines.FOLDER / REACHED[0], tmp_path / REACHED[0])
+    monkeypatch.setattr(baselines, "FOLDER", tmp_path)
+    return tmp_path / REACHED[0]
+
+
+def said(result):
+    """Return the one sentence of a command that failed."""
+    status, _, err = result
+    assert status == 2, err
+    (line,) = [line for line in err.splitlines() if line.startswith("myowarp: ")]
+    return line.removeprefix("myowarp: ")
+
+
+def test_there_are_baselines():
+    assert set(REACHED) <= set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_baseline_is_whole_small_and_what_its_table_is_about(name):
+    baseline = baselines.load_baseline(name)
+    manifest, first = baseline.checkpoint.manifest, baseline.runs[0]
+    assert manifest["contract"]["task"] == name == TASKS[name].key
+    assert manifest["samples"] == first["training"]["samples"] == first["evaluation"]["samples"]
+    assert manifest["settings"]["seed"] == first["training"]["seed"]
+    for run in baseline.runs:
+        assert run["evaluation"]["task"] == TASKS[name].env_id
+        assert run["evaluation"]["physics"] == "parity"
+        for mode in ("deterministic", "sampled"):
+            assert run["evaluation"][mode]["episodes"] >= 256
+    assert sum(file.stat().st_size for file in baseline.checkpoint.folder.iterdir()) < MOST_BYTES
+    act = LearnedPolicy(baseline.checkpoint)
+    obs = np.zeros((2, sum(size for _, size, _ in manifest["contract"]["columns"])))
+    assert act(obs).shape == (2, len(manifest["contract"]["actuators"]))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_train_remakes_a_baseline_by_its_preset(name):
+    """The settings of the run are those that `myowarp train` has for the task, apart from when it stops."""
+    manifest = baselines.load_baseline(name).checkpoint.manifest
+    kind = ALGORITHMS[manifest["algorithm"]]
+    now = restore(kind, preset(TASKS[name].name, manifest["algorithm"]))
+    then = restore(kind, manifest["settings"])
+    ends = ("samples", "stop_success", "stop_rule")
+    differing = [key for key, value in vars(then).items() if value != getattr(now, key) and key not in ends]
+    assert not differing
+
+
+@pytest.mark.parametrize("name", REACHED)
+def test_a_baseline_reaches_its_table(name):
+    evaluation = baselines.load_baseline(name).runs[0]["evaluation"]
+    folder = Path(f"{baselines.PREFIX}{name}")
+    head, figures = Eval(checkpoint=folder, seed=evaluation["seed"], device="cpu").figures()
+    assert head["physics"] == "parity"
+    assert {mode: entry["episodes"] for mode, entry in figures.items()} == {
+        "deterministic": 256,
+        "sampled": 256,
+    }
+    assert not baselines.shortfall(figures, evaluation)
+
+
+def test_a_policy_that_forgot_does_not_reach_it(copies):
+    whole = checkpoints.load_checkpoint(copies)
+    policy = {k: v if "mean" in k or "variance" in k else np.zeros_like(v) for k, v in whole.policy.items()}
+    checkpoints.save_policy(copies, checkpoints.Checkpoint(copies, whole.manifest, policy))
+    evaluation = baselines.load_baseline(copies.name).runs[0]["evaluation"]
+    options = {"mode": "deterministic", "seed": evaluation["seed"], "device": "cpu"}
+    _, figures = Eval(checkpoint=copies, **options).figures()
+    assert "% deterministic, at least 98.5 % are needed" in baselines.shortfall(figures, evaluation)
+
+
+def test_shortfall_looks_at_the_lower_end_of_the_interval():
+    table = {"sampled": {"intervals": {"success": (0.9, 0.97)}}}
+    assert baselines.shortfall({"sampled": {"success": 0.9}}, table) == ""
+    assert baselines.shortfall({"sampled": {"success": 0.896}}, table) == (
+        "89.6 % sampled, at least 90.0 % are needed"
+    )
+
+
+def test_a_baseline_acts_wherever_a_policy_is_taken(run, tmp_path):
+    elbow = REACHED[0]
+    options = ("--num-worlds", 32, "--device", "cpu", "--json")
+    figures = [
+        json.loads(run("rollout", elbow, "--policy", name, *options)[1])
+        for name in ("baseline", f"baselines/{elbow}", baselines.FOLDER / elbow)
+    ]
+    assert figures[0]["success_percent"] > 90.0
+    assert len({entry["return_mean"] for entry in figures}) == 1
+    (tmp_path / "patients.csv").write_text("patient,strength\nwell,1.0\nweak,0.4\n")
+    status, _, err = run(
+        *("cohort", tmp_path / "patients.csv", "--task", elbow, "--policy", "baseline", "--device", "cpu"),
+        *("--output", tmp_path / "out", "--format", "csv"),
+    )
+    assert status == 0, err
+
+
+def test_a_run_becomes_a_baseline(run, tmp_path, monkeypatch):
+    """Its policy, figures and curve; a second seed is a row more, the first seed again takes its place."""
+    monkeypatch.setattr(baselines, "FOLDER", tmp_path / "baselines")
+    for name, seed, steps in (("a", 1, 64), ("b", 3, 128), ("c", 1, 192)):
+        options = (
+            "--num-worlds",
+            8,
+            "--rollout-steps",
+            8,
+            "--minibatches",
+            2,
+            "--hidden",
+            16,
+            "--samples",
+            steps,
+        )
+        options += ("--device", "cpu", "--seed", seed, "--output", tmp_path / name)
+        assert run("train", REACHED[0], *options)[0] == 0
+        add(tmp_path / name)
+    baseline = baselines.load_baseline(REACHED[0])
+    assert [(r["training"]["seed"], r["training"]["samples"]) for r in baseline.runs] == [(1, 192), (3, 128)]
+    policy = checkpoints.load_checkpoint(tmp_path / "c").policy
+    assert all(np.array_equal(policy[key], array) for key, array in baseline.checkpoint.policy.items())
+    _, figures = Eval(checkpoint=tmp_path / "c", device="cpu").figures()
+    evaluated = baseline.runs[0]["evaluation"]
+    assert evaluated["sampled"]["return_mean"] == figures["sampled"]["return_mean"]
+    assert str(tmp_path) not in (baseline.checkpoint.folder / "result.json").read_text()
+    assert (baseline.checkpoint.folder / "curve.csv").read_text().startswith("samples,return,success,")
+
+
+def test_list_prints_what_is_committed(run):
+    status, out, _ = run("baselines", "list", "--json")
+    assert status == 0
+    listed = json.loads(out)
+    assert list(listed) == NAMES
+    status, out, _ = run("baselines", "list", REACHED[0])
+    assert status == 0
+    training = listed[REACHED[0]]["runs"][0]["training"]
+    assert f"{training['samples'] / 1e6:.2f}" in out
+
+
+def test_run_remakes_a_baseline_and_compares(run, tmp_path):
+    status, out, err = run(
+        "baselines", "run", REACHED[0], "--output", tmp_path / "run", "--device", "cpu", "--json"
+    )
+    assert status == 0, err
+    remade = json.loads(out)
+    assert not baselines.shortfall(
+        remade["remade"], baselines.load_baseline(REACHED[0]).runs[0]["evaluation"]
+    )
+    assert checkpoints.load_checkpoint(tmp_path / "run").manifest["algorithm"] == "ppo"
+
+
+def test_run_says_when_a_baseline_is_not_reached(run, tmp_path, copies):
+    result = json.loads((copies / "result.json").read_text())
+    for mode in ("deterministic", "sampled"):
+        result["runs"][0]["evaluation"][mode]["intervals"]["success"][0] = 1.001
+    (copies / "result.json").write_text(json.dumps(result))
+    words = said(run("baselines", "run", copies.name, "--output", tmp_path / "run", "--device", "cpu"))
+    assert words.startswith(f"baseline {copies.name!r} was not reached: ")
+    assert "at least 100.1 % are needed" in words
+
+
+def test_listing_and_playing_import_no_torch():
+    code = f"""
+import sys
+sys.modules["torch"] = sys.modules["skrl"] = None
+from myowarp.apps.commands.baselines import Baselines
+from myowarp.apps.commands.rollout import Rollout
+Baselines("list")()
+Rollout("{REACHED[0]}", policy="baseline", num_worlds=2, device="cpu", steps=2)()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def flip(path):
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("damage", "file", "words"),
+    [
+        (flip, "policy.safetensors", "was changed: policy.safetensors does not have its checksum"),
+        (Path.unlink, "policy.safetensors", "lacks policy.safetensors"),
+        (flip, "manifest.json", "has no readable manifest.json"),
+        (Path.unlink, "manifest.json", "holds no checkpoint"),
+    ],
+)
+def test_a_damaged_baseline_is_refused(damage, file, words, copies, run, no_simulation):
+    damage(copies / file)
+    name = copies.name
+    for arguments in (
+        ("rollout", name, "--policy", "baseline"),
+        ("eval", f"baselines/{name}"),
+        ("baselines", "list"),
+        ("baselines", "run", name),
+    ):
+        assert words in said(run(*arguments))
+
+
+@pytest.mark.parametrize("damage", [flip, Path.unlink, lambda path: path.write_text('{"runs": [{}]}')])
+def test_a_damaged_table_is_refused(damage, copies, run, no_simulation):
+    damage(copies / "result.json")
+    assert said(run("baselines", "list", copies.name)).startswith(
+        f"baseline {copies.name!r} has no readable result.json ("
+    )
+
+
+def test_what_is_not_there_is_said(copies, run, no_simulation):
+    none = f"task 'myoHandPoseRandom-v1' has no baseline; available: {copies.name}"
+    for arguments in (
+        ("rollout", "myoHandPoseRandom-v1", "--policy", "baseline"),
+        ("eval", "baselines/myoHandPoseRandom-v1"),
+        ("baselines", "run", "myoHandPoseRandom-v1"),
+        ("baselines", "list", "myoHandPoseRandom-v1"),
+    ):
+        assert said(run(*arguments)) == none
+    assert said(run("baselines", "run")) == f"baselines run needs a task: {copies.name}"
+    assert said(run("eval", "baseline")).startswith("policy 'baseline' needs a task")
+    assert said(run("train", "--resume", copies)) == (
+        f"checkpoint {str(copies)!r} holds a policy alone and cannot be resumed"
+    )
+
+
+def test_the_page_is_what_the_results_say():
+    assert (DOCS / "baselines.md").read_text() == page()
