@@ -88,7 +88,8 @@ class Physics:
 
     def contestants(self) -> dict[str, Callable[[], float]]:
         """Return what measures microseconds of one world and step, by name."""
-        names = [name for name in STAGES if applicable_stages(self.scene, [name])]
+        used = {type(stage).__name__ for stage in applicable_stages(self.scene)}
+        names = [name for name, kind in STAGES.items() if kind in used]
         sets = {ALL: names}
         sets |= {f"without {name}": [other for other in names if other != name] for name in names}
         idle = idle_kernels(self.scene.oracle)

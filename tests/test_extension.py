@@ -279,7 +279,7 @@ BAD = {
     "syntax": (
         "variant.py:near",
         ("return replace(", "return replace(("),
-        "variant.py, line 11: invalid syntax",
+        "variant.py cannot be imported: line 11: invalid syntax",
     ),
     "exception": (
         "variant.py:near",

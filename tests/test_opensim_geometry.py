@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from myowarp.models.couplings import couplings, follow
 from myowarp.opensim.build.convert import Options, convert
 from myowarp.opensim.build.mjcf import mjcf
 from myowarp.opensim.build.quartics import fit_all
@@ -156,6 +157,22 @@ def test_coordinates_and_joints(conversions):
     np.testing.assert_allclose(slope[:, :, column], (ends[0] - ends[1]) / (2 * step), atol=1e-6)
     assert np.abs(slope[:, :, column]).sum(axis=1).min() > 1
     json.dumps(converted.coordinates.as_json())
+
+
+@pytest.mark.parametrize("name", ["joints", "gait10dof18musc", "leg6dof9musc"])
+def test_a_reset_leaves_joints_where_they_follow(conversions, name):
+    """`mj_resetData` is the default pose; from zeros, couplers would be off by up to 2.2."""
+    converted, model = conversions(name)
+    np.testing.assert_allclose(model.qpos0, model.key("default").qpos, atol=1e-12)
+    qpos, data = model.qpos0.copy(), mujoco.MjData(model)
+    follow(model, qpos)
+    np.testing.assert_allclose(qpos, model.qpos0, atol=1e-12)
+    mujoco.mj_forward(model, data)
+    ties = data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value]
+    assert not len(ties) or np.abs(ties).max() < 1e-12
+    assert name == "joints" or np.abs(model.qpos0).max() > 0.5
+    exact = {model.joint(joint).id: curves for joint, (_, curves) in converted.exact.curves.items()}
+    assert exact.keys() <= {tie.joint for tie in couplings(model)}
 
 
 def test_fit_claims_what_it_does():

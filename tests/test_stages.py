@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import ClassVar
 
+import converted
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
@@ -82,9 +83,10 @@ def test_all_that_apply_are_used(body, caplog, monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("name", STAGES)
-def test_each_applies_somewhere(name):
-    """A stage that no registered task can use would be dead code."""
+def test_each_applies_somewhere(name, tmp_path):
+    """A stage that no registered task and no converted model can use would be dead code."""
     scenes = [simulation(key, 1, stages=()).scene for key in BODY_TASKS.values()]
+    scenes.append(converted.simulation(converted.motorised(tmp_path, "leg6dof9musc")[1], 1, stages=()).scene)
     obstacles = {load(name).obstacle(scene) for scene in scenes}
     assert None in obstacles
 

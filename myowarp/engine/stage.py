@@ -25,6 +25,7 @@ logger = logging.getLogger("myowarp")
 Launches = Callable[[mjw.Model, mjw.Data], None]
 
 STAGES = {
+    "free_coordinates": "FreeCoordinates",
     "contact_search": "ContactSearch",
     "contact_solve": "ContactSolve",
     "constraint_rows": "ConstraintRows",
@@ -33,8 +34,11 @@ STAGES = {
     "muscle_path": "MusclePath",
     "rigid_body": "RigidBody",
 }
-"""Name of a file in `stages/` and of its class, in the order in which they are verified: the solver early,
-because it makes less of a rounding in what comes before it than the engine's."""
+"""Name of a file in `stages/` and of its class, in the order in which they are verified: first what makes it
+another step, the solver early, because it makes less of a rounding in what comes before it than theirs."""
+
+INNER = ("acceleration", "solve", "integrate")
+"""Places that a stage with an `inner` scene has step that scene."""
 
 
 class Stage(abc.ABC):
@@ -48,7 +52,10 @@ class Stage(abc.ABC):
             of the largest such change in the state (float32 sums in another order), beyond
             `verify.ROUNDINGS` of the state.
         replaces: `REPLACES`, or the part of it that applies here.
+        inner: What the places `INNER` step in place of the scene; None: the scene.
     """
+
+    inner: Scene | None = None
 
     REPLACES: ClassVar[tuple[str, ...]]
     OBSTACLES: ClassVar[dict[str, Callable[[Scene], bool]]]
@@ -63,8 +70,12 @@ class Stage(abc.ABC):
         """Allocate all that the kernels need, on the scene's device."""
         self.replaces = self.REPLACES
 
+    def launches(self, replaced: frozenset[str]) -> dict[str, Launches]:
+        """Return what the step launches, place by place, knowing which places of it are ours."""
+        return {self.replaces[0]: self.launcher(replaced)}
+
     def launcher(self, replaced: frozenset[str]) -> Launches:
-        """Return what the step launches, knowing which places of it are ours."""
+        """Return what the step launches in the first place, knowing which places of it are ours."""
         return self.launch
 
     def refresh(self, model: mjw.Model, data: mjw.Data, mask: wp.array | None) -> bool:
@@ -96,15 +107,34 @@ def load(name: str) -> type[Stage] | None:
 
 def applicable_stages(scene: Scene, names: Iterable[str] = STAGES) -> tuple[Stage, ...]:
     """Return the stages of these names that a scene can use, in the order of the names."""
-    found = []
+    found: list[Stage] = []
     for name in names:
         kind = load(name)
         try:
-            if kind is not None and kind.obstacle(scene) is None:
-                found.append(kind(scene))
+            if kind is not None and kind.obstacle(stepped(scene, kind, found)) is None:
+                found.append(kind(stepped(scene, kind, found)))
         except AttributeError as error:  # a field of the engine's model or data is gone
             _left_to_the_engine(name, error)
     return tuple(found)
+
+
+def stepped(scene: Scene, kind: type[Stage], before: Iterable[Stage]) -> Scene:
+    """Return what a stage of a kind steps, after others: the scene, or the inner one of another stage."""
+    inner = next((stage.inner for stage in before if stage.inner is not None), None)
+    return scene if inner is None or kind.REPLACES[0] not in INNER else inner
+
+
+def same_stages(scene: Scene, stages: Iterable[Stage]) -> tuple[Stage, ...]:
+    """Return stages of the same kinds for another part of the worlds."""
+    made: list[Stage] = []
+    for stage in stages:
+        made.append(type(stage)(stepped(scene, type(stage), made)))
+    return tuple(made)
+
+
+def not_exact(reason: str) -> None:
+    """Say that joints that should follow others exactly do not, and why."""
+    logger.warning("joints follow others by the engine's springs, not exactly: %s", reason)
 
 
 def _left_to_the_engine(name: str, error: Exception) -> None:

@@ -1,8 +1,9 @@
 """The physics step as a list of stages, each the engine's function or one of ours.
 
 `ORDER` is `mujoco_warp.step` without what `UNCOVERED` lists: positions, velocities, muscles, forces,
-accelerations, next state (MuJoCo documentation, Computation, "Forward dynamics"). `mujoco_warp.step` itself
-stays the reference; it runs where no stage of ours is used, and where a model has what `UNCOVERED` lists.
+accelerations, next state (MuJoCo documentation, Computation, "Forward dynamics"), and three places where
+nothing happens but by a stage of ours. `mujoco_warp.step` itself stays the reference; it runs where no stage
+of ours is used, and where a model has what `UNCOVERED` lists.
 """
 
 from collections.abc import Callable, Iterable
@@ -12,7 +13,7 @@ import warp as wp
 
 from myowarp.engine.idle import pruned
 from myowarp.engine.patch import engine_kernels_alone, one_thread
-from myowarp.engine.stage import Launches, Stage
+from myowarp.engine.stage import INNER, Launches, Stage
 from myowarp.kernels.launch import launch
 from myowarp.spec.scene import Scene
 
@@ -67,7 +68,13 @@ def _integrate(model: mjw.Model, data: mjw.Data) -> None:
     (mjw.euler if model.opt.integrator == mjw.IntegratorType.EULER else mjw.implicit)(model, data)
 
 
+def _nothing(model: mjw.Model, data: mjw.Data) -> None:
+    """Launch nothing: a place for stages that the engine has no counterpart of."""
+
+
 ORDER: dict[str, Launches] = {
+    # Joints that follow others exactly (`stages.free_coordinates`):
+    "follow": _nothing,
     # What follows from positions:
     "kinematics": mjw.kinematics,
     "com_pos": mjw.com_pos,
@@ -86,9 +93,11 @@ ORDER: dict[str, Launches] = {
     "control": _control,
     # Forces, acceleration, next state:
     "actuation": mjw.fwd_actuation,
+    "reduce": _nothing,
     "acceleration": _acceleration,
     "solve": mjw.solve,
     "integrate": _integrate,
+    "expand": _nothing,
 }
 
 INTEGRATORS = (mjw.IntegratorType.EULER, mjw.IntegratorType.IMPLICIT, mjw.IntegratorType.IMPLICITFAST)
@@ -122,10 +131,18 @@ def stage_launches(stages: Iterable[Stage]) -> dict[str, Launches]:
     places, stages = dict(ORDER), tuple(stages)
     replaced = frozenset(place for stage in stages for place in stage.replaces)
     for stage in stages:
-        for place in stage.replaces[1:]:
+        launches = stage.launches(replaced)
+        for place in set(stage.replaces) - set(launches):
             del places[place]
-        places[stage.replaces[0]] = stage.launcher(replaced)
+        places |= launches
+    for inner in (stage.inner for stage in stages if stage.inner is not None):
+        places |= {place: _within(inner, places[place]) for place in INNER if place in places}
     return places
+
+
+def _within(inner: Scene, launch_stage: Launches) -> Launches:
+    """Return launches that step another scene."""
+    return lambda model, data: launch_stage(inner.model, inner.data)
 
 
 def physics_step(

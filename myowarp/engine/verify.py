@@ -18,9 +18,9 @@ import warp as wp
 from myowarp.disk import cached, code_digest, files_digest, is_ours, model_digest, version
 from myowarp.engine.compile import compile_kernels
 from myowarp.engine.idle import idle_kernels
-from myowarp.engine.stage import Stage, applicable_stages
+from myowarp.engine.stage import Stage, applicable_stages, not_exact
 from myowarp.engine.step import physics_step, uncovered
-from myowarp.models.couplings import POINT_JOINTS
+from myowarp.models.couplings import POINT_JOINTS, exact
 from myowarp.spec.condition import Condition
 from myowarp.spec.scene import Scene
 
@@ -71,7 +71,10 @@ def choose_stages(
         progress: Whether to show progress bars.
         conditions: Conditions of the scene, which may act in a physics step.
     """
-    candidates = () if uncovered(scene) else applicable_stages(scene, names)
+    reason = uncovered(scene)
+    if reason is not None and exact(scene.oracle) is not None:
+        not_exact(reason)
+    candidates = () if reason is not None else applicable_stages(scene, names)
 
     def verify() -> Verdict:
         def launch_both() -> None:
@@ -141,15 +144,17 @@ def verified_stages(scene: Scene, stages: Iterable[Stage]) -> tuple[Stage, ...]:
         scene: The task; its state is overwritten.
         stages: What `applicable_stages` returned.
     """
-    trusted: tuple[Stage, ...] = ()
     stages = tuple(stages)
-    if not stages:
+    # What makes it another step is part of what others are compared with.
+    trusted = tuple(stage for stage in stages if stage.inner is not None)
+    candidates = [stage for stage in stages if stage.inner is None]
+    if not candidates:
         return trusted
-    batches = list(_states(scene))
-    before = _changes(scene, batches, ())
+    batches = list(_states(scene, trusted))
+    before = _changes(scene, batches, trusted)
     # The median: single states where a rounding makes or breaks a contact must not count.
-    rounding = float(np.median(_error(_changes(scene, map(_rounded, batches), ()), before)))
-    for stage in stages:
+    rounding = float(np.median(_error(_changes(scene, map(_rounded, batches), trusted), before)))
+    for stage in candidates:
         changes = _changes(scene, batches, (*trusted, stage))
         error, allowed = _error(changes, before), stage.TOLERANCE + ROUNDINGS * rounding
         if np.mean(error <= allowed) >= TRUSTED_SHARE:
@@ -206,23 +211,41 @@ def is_same_step(start: np.ndarray, first: np.ndarray, second: np.ndarray, exact
     return bool(np.median(np.abs(first - second).max(axis=1) / change) <= ROUNDING)
 
 
-def _states(scene: Scene) -> Iterator[State]:
-    """Yield states of all worlds, until NUM_STATES are reached: random motion of MuJoCo C."""
+def _states(scene: Scene, stages: Iterable[Stage]) -> Iterator[State]:
+    """Yield states of all worlds, until NUM_STATES are reached: random motion of MuJoCo C or of stages."""
     host, worlds = scene.oracle, scene.num_worlds
     data = mujoco.MjData(host)
     data.qpos[:] = scene.qpos_start.numpy()
     rng = np.random.default_rng(0)
     low, high = np.where(host.actuator_ctrllimited[:, None], host.actuator_ctrlrange, (-1.0, 1.0)).T
     motion = []
+    other = physics_step(scene, stages) if stages else None
     for _ in range(NUM_STATES):
         data.ctrl[:] = rng.uniform(low, high)
-        mujoco.mj_step(host, data, scene.num_substeps * int(rng.integers(1, CONTROL_STEPS)))
+        number = scene.num_substeps * int(rng.integers(1, CONTROL_STEPS))
+        if other is None:
+            mujoco.mj_step(host, data, number)
+        else:
+            _move(scene, other, data, number)
         motion.append((data.qpos.copy(), data.qvel.copy()))
     for first in range(0, NUM_STATES, worlds):
         chosen = [motion[(first + i) % NUM_STATES] for i in range(worlds)]
         ctrl = rng.uniform(low, high, (worlds, host.nu))
         qpos, qvel = (np.array(values) for values in zip(*chosen, strict=True))
         yield qpos, qvel, ctrl, _muscle_state(scene, rng)
+
+
+def _move(scene: Scene, step: Callable[[], None], data: mujoco.MjData, number: int) -> None:
+    """Let our step move what MuJoCo C cannot: light bodies that are held exactly."""
+    worlds = scene.data.nworld
+    still = {name: np.zeros(array.shape) for name, array in scene.muscles.state.items()}
+    qpos, qvel, ctrl = (np.tile(values, (worlds, 1)) for values in (data.qpos, data.qvel, data.ctrl))
+    _place(scene, (qpos, qvel, ctrl, still))
+    for _ in range(number):
+        step()
+    data.qpos[:], data.qvel[:] = scene.data.qpos.numpy()[0], scene.data.qvel.numpy()[0]
+    if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):  # as MuJoCo C begins again
+        data.qpos[:], data.qvel[:] = scene.qpos_start.numpy(), 0.0
 
 
 def _muscle_state(scene: Scene, rng: np.random.Generator) -> dict[str, np.ndarray]:

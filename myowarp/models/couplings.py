@@ -1,17 +1,77 @@
-"""Joints that follow others: MuJoCo's joint equalities.
+"""Joints that follow others: q_i = f_i(q_j), f_i piecewise polynomial.
 
-    q_i - q0_i = sum_k c_k (q_j - q0_j)^k,    k = 0..4
+MuJoCo has a joint equality for that, one quartic, held by a spring. A model may carry better: a text named
+`couplings` (what `myowarp convert` writes as `couplings.json` beside `model.xml`) with the document's own
+functions, and with the masses that its light bodies have in the document. Such a model asks for coordinates
+that follow exactly (`engine.stages.free_coordinates`); a text without functions asks so for its equalities.
 
-with the values q0 of the model's zero. Source: MuJoCo documentation, *XML reference, equality/joint*.
+Source: MuJoCo documentation, *XML reference, equality/joint*: q_i - q0_i = sum_k c_k (q_j - q0_j)^k, k <= 4.
 """
 
+import json
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import zip_longest
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 POINT_JOINTS = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
 """Joints with one coordinate."""
+
+TEXT = "couplings"
+"""Name of the model's text that says how its joints follow each other exactly."""
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """A piecewise polynomial of one variable.
+
+    Attributes:
+        breaks: Where pieces begin, ascending; the first piece also covers all below.
+        coefficients: Of each piece, ascending in powers of x minus its beginning.
+    """
+
+    breaks: tuple[float, ...]
+    coefficients: tuple[tuple[float, ...], ...]
+
+    def derivatives(self, x: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return f(x), f'(x) and f''(x), each in the shape of `x`."""
+        x = np.asarray(x, float)
+        breaks, table = self._table
+        piece = np.maximum(np.searchsorted(breaks, x, side="right") - 1, 0)
+        d = x - breaks[piece]
+        value, slope, bend = np.zeros((3, *x.shape))
+        for coefficient in table[::-1, piece]:
+            bend = bend * d + 2 * slope
+            slope = slope * d + value
+            value = value * d + coefficient
+        return value, slope, bend
+
+    @cached_property
+    def _table(self) -> tuple[np.ndarray, np.ndarray]:
+        """Breaks, shape (n,), and coefficients, shape (terms, n)."""
+        rows = zip_longest(*self.coefficients, fillvalue=0.0)
+        return np.array(self.breaks), np.array(list(rows))
+
+    def value(self, x: ArrayLike) -> np.ndarray:
+        """Return f(x)."""
+        return self.derivatives(x)[0]
+
+    def derivative(self, x: ArrayLike) -> np.ndarray:
+        """Return f'(x)."""
+        return self.derivatives(x)[1]
+
+    def scaled(self, scale: float) -> "Pieces":
+        """Return scale f(x)."""
+        return Pieces(self.breaks, tuple(tuple(scale * c for c in row) for row in self.coefficients))
+
+
+def line(slope: float, offset: float = 0.0) -> Pieces:
+    """Return slope x + offset."""
+    return Pieces((0.0,), ((offset, slope),))
 
 
 @dataclass(frozen=True)
@@ -20,34 +80,192 @@ class Coupling:
 
     Attributes:
         joint: Id of the joint.
-        driver: Id of the joint that it follows; -1 for none, it then stays where it is put.
-        polynomial: c, shape (5,).
+        driver: Id of the joint that it follows, which follows none itself unless joints follow each other in
+            a ring; -1 for none, it then stays where it is put.
+        curves: The joint's value is last(...(first(driver's value))).
     """
 
     joint: int
     driver: int
-    polynomial: np.ndarray
+    curves: tuple[Pieces, ...]
+
+    def derivatives(self, x: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the joint's value, slope and second derivative at driver's values `x`, in its shape."""
+        value = np.asarray(x, float)
+        slope, bend = np.ones(value.shape), np.zeros(value.shape)
+        for curve in self.curves:
+            value, outer, outer_bend = curve.derivatives(value)
+            slope, bend = outer * slope, outer_bend * slope**2 + outer * bend
+        return value, slope, bend
+
+
+@dataclass(frozen=True)
+class Exact:
+    """What a model's text says.
+
+    Attributes:
+        curves: Of joints that follow, by name: the joint that each follows, None for none, and its curves.
+        bodies: Mass [kg] and principal moments of inertia [kg m^2], in the model's axes, of bodies that are
+            heavier in the model, because MuJoCo needs it.
+    """
+
+    curves: Mapping[str, tuple[str | None, tuple[Pieces, ...]]]
+    bodies: Mapping[str, tuple[float, tuple[float, ...]]]
+
+    def as_json(self) -> str:
+        """Return the text."""
+        curves = {
+            joint: {"of": of, "curves": [[p.breaks, p.coefficients] for p in pieces]}
+            for joint, (of, pieces) in self.curves.items()
+        }
+        bodies = {name: {"mass": mass, "inertia": inertia} for name, (mass, inertia) in self.bodies.items()}
+        return json.dumps({"joints": curves, "bodies": bodies})
+
+
+NOTHING = Exact({}, {})
+"""Asks that joint equalities be exact."""
+
+
+@lru_cache(maxsize=8)
+def read(text: str) -> Exact:
+    """Return what a text says.
+
+    Raises:
+        ValueError: It is not one that `Exact.as_json` writes.
+    """
+    try:
+        entry = json.loads(text)
+        return Exact({joint: _curves(e) for joint, e in entry["joints"].items()}, _bodies(entry["bodies"]))
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ValueError(
+            "the couplings of the model must be JSON with 'joints' and 'bodies' as `myowarp convert` writes "
+            f"it; {type(error).__name__}: {error}"
+        ) from error
+
+
+def _curves(entry: Mapping[str, object]) -> tuple[str | None, tuple[Pieces, ...]]:
+    of, curves = entry["of"], entry["curves"]
+    pieces = []
+    for breaks, rows in curves:  # type: ignore[attr-defined]
+        if not breaks or len(breaks) != len(rows) or not all(rows) or (np.diff(breaks) < 0).any():
+            raise ValueError("a curve needs as many pieces as breaks, and these must ascend")
+        numbers = np.concatenate([breaks, *rows]).astype(float)
+        if not np.isfinite(numbers).all():
+            raise ValueError("a curve has a number that is not finite")
+        pieces.append(Pieces(tuple(map(float, breaks)), tuple(tuple(map(float, row)) for row in rows)))
+    return (None if of is None else str(of)), tuple(pieces)
+
+
+def _bodies(entries: Mapping[str, Mapping[str, object]]) -> dict[str, tuple[float, tuple[float, ...]]]:
+    bodies = {}
+    for name, entry in entries.items():
+        mass, inertia = np.array(entry["mass"], float), np.array(entry["inertia"], float)
+        if mass.shape or inertia.shape != (3,) or not (mass >= 0 and np.isfinite([mass, *inertia]).all()):
+            raise ValueError(f"body {name!r} needs a mass and three moments of inertia")
+        bodies[name] = float(mass), tuple(inertia.tolist())
+    return bodies
+
+
+def exact(model: mujoco.MjModel) -> Exact | None:
+    """Return what a model's text says, None for a model without one: its joints follow by equalities.
+
+    Raises:
+        ValueError: The text is broken, or names joints that the model has not.
+    """
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, TEXT)
+    if number < 0:
+        return None
+    first, size = model.text_adr[number], model.text_size[number]
+    found = read(model.text_data[first : first + size].rstrip(b"\0").decode())
+    scalar = {model.joint(j).name for j in np.flatnonzero(np.isin(model.jnt_type, POINT_JOINTS))}
+    named = {*found.curves, *(of for of, _ in found.curves.values() if of is not None)}
+    if lost := named - scalar:
+        raise ValueError(
+            f"the couplings name {min(lost)!r}, and the model has no hinge or slide of that name; "
+            "they belong to another model"
+        )
+    return found
+
+
+def ask(spec: mujoco.MjSpec, text: str = NOTHING.as_json()) -> None:
+    """Have the joints of a spec follow exactly, as a text says; one that it has already is replaced.
+
+    Raises:
+        ValueError: The text is broken.
+    """
+    for old in [old for old in spec.texts if old.name == TEXT]:
+        spec.delete(old)
+    spec.add_text(name=TEXT, data=text)
+    for body in filter(None, map(spec.body, read(text).bodies)):
+        body.fuse = 0  # fused with its parent it could not be weighed
 
 
 def couplings(model: mujoco.MjModel) -> list[Coupling]:
-    """Return the active couplings of a model; a driver that itself follows comes before its followers."""
-    ties = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_active0.astype(bool)
+    """Return the active couplings of a model, each from the joint at the root of its chain.
+
+    What the model's text says comes before its equalities of the same joint.
+    """
+    said = exact(model) or NOTHING
     waiting = [
-        Coupling(int(model.eq_obj1id[i]), int(model.eq_obj2id[i]), model.eq_data[i, :5].copy())
-        for i in np.flatnonzero(ties)
+        Coupling(model.joint(joint).id, -1 if of is None else model.joint(of).id, curves)
+        for joint, (of, curves) in said.curves.items()
     ]
+    ties = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_active0.astype(bool)
+    for i in np.flatnonzero(ties):
+        joint, driver = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+        if model.joint(joint).name not in said.curves:
+            waiting.append(_equality(model, joint, driver, model.eq_data[i, :5].tolist()))
     ordered: list[Coupling] = []
+    chains: dict[int, Coupling] = {}
     while waiting:
         late = {coupling.joint for coupling in waiting}
         ready = [coupling for coupling in waiting if coupling.driver not in late]
-        ordered += ready or waiting  # a ring has no beginning
+        for coupling in ready or waiting:  # a ring has no beginning
+            before = chains.get(coupling.driver)
+            if before is not None:
+                coupling = Coupling(coupling.joint, before.driver, before.curves + coupling.curves)
+            ordered.append(coupling)
+        chains |= {coupling.joint: coupling for coupling in ordered} if ready else {}
         waiting = [coupling for coupling in waiting if ready and coupling.driver in late]
     return ordered
+
+
+def _equality(model: mujoco.MjModel, joint: int, driver: int, polynomial: list[float]) -> Coupling:
+    """Return a joint equality as a coupling."""
+    own = float(model.qpos0[model.jnt_qposadr[joint]])
+    if driver < 0:
+        return Coupling(joint, -1, (Pieces((0.0,), ((own + polynomial[0],),)),))
+    start = float(model.qpos0[model.jnt_qposadr[driver]])
+    return Coupling(joint, driver, (Pieces((start,), ((own + polynomial[0], *polynomial[1:]),)),))
 
 
 def follow(model: mujoco.MjModel, qpos: np.ndarray) -> None:
     """Put the joints that follow to where their drivers are in `qpos` (nq,), in place."""
     for coupling in couplings(model):
         driver, address = model.jnt_qposadr[[coupling.driver, coupling.joint]]
-        moved = qpos[driver] - model.qpos0[driver] if coupling.driver >= 0 else 0.0
-        qpos[address] = model.qpos0[address] + np.polynomial.polynomial.polyval(moved, coupling.polynomial)
+        qpos[address] = coupling.derivatives(qpos[driver] if coupling.driver >= 0 else 0.0)[0]
+
+
+def jacobian(
+    model: mujoco.MjModel, ties: Iterable[Coupling], qpos: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how joints move with those that follow none; all joints have one coordinate each.
+
+    Args:
+        model: The model.
+        ties: Its `couplings`.
+        qpos: Positions, shape (nv,).
+
+    Returns:
+        Ids of the joints that follow none, (n,); dq/du, shape (nv, n); and d2q/du2 of each joint by the one
+        that it follows, shape (nv,).
+    """
+    followers = {tie.joint for tie in ties}
+    free = np.array([j for j in range(model.njnt) if j not in followers])
+    slopes, bends = np.zeros((model.nv, len(free))), np.zeros(model.nv)
+    slopes[free, np.arange(len(free))] = 1.0
+    for tie in ties:
+        if tie.driver >= 0:
+            _, slope, bends[tie.joint] = tie.derivatives(qpos[tie.driver])
+            slopes[tie.joint, free == tie.driver] = slope
+    return free, slopes, bends

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from myowarp.opensim.fitted import Fits
 
 NO_FITS = "paths and muscles' forces are not fitted: it needs SciPy; pip install 'myowarp[convert]'"
+LACKS = (
+    "Joints that follow others do so by quartics and springs, on bodies too heavy: accelerations are "
+    "off by a third in places; model.mjb in MuJoCo, and couplings.json in MyoWarp, are near OpenSim's. "
+)
 PATIENCE = 1.0
 """[s] after which a progress bar is drawn."""
 COMPLETE = ("report.json", "report.html", "model.xml")
@@ -32,9 +36,10 @@ COMPLETE = ("report.json", "report.html", "model.xml")
 class Convert:
     """Convert an OpenSim model to MuJoCo: bodies, joints, muscles, with a report of what is not exact.
 
-    Writes model.xml, coordinates.json (how OpenSim coordinates map to MuJoCo joints), muscles.csv (the Hill
-    parameters of the file), report.json and report.html, and meshes where they are found. Works without
-    OpenSim. Run again, an interrupted conversion continues.
+    Writes model.xml; model.mjb, the same for plain MuJoCo of this version, stiffer; coordinates.json (how
+    OpenSim coordinates map to MuJoCo joints); couplings.json (how joints follow others, as the file says, for
+    MyoWarp); muscles.csv (the Hill parameters of the file); report.json and report.html; and meshes where
+    they are found. Works without OpenSim. Run again, an interrupted conversion continues.
 
     Example: myowarp convert arm26.osim -o out/arm26
     """
@@ -99,6 +104,7 @@ def run(
         NotImplementedError: The model contains something that is not supported.
         OSError: A file cannot be read or written.
     """
+    from myowarp.opensim.build.binary import binary, stiff
     from myowarp.opensim.build.convert import Options, Stages, convert
     from myowarp.opensim.build.mjcf import mjcf
     from myowarp.opensim.muscle.hill import HillMuscle
@@ -127,7 +133,9 @@ def run(
         note = Note("/forceset", NO_FITS)
         converted = dataclasses.replace(converted, notes=(*converted.notes, note))
     converted.spec.meshdir = "meshes" if converted.meshes else ""
-    text = mjcf(converted.spec, comment=f"{model.name}. {model.credits}")
+    text = mjcf(
+        converted.spec, comment=f"{model.name}. {LACKS if converted.exact.curves else ''}{model.credits}"
+    )
     compiled = mujoco.MjModel.from_xml_string(text, {**converted.meshes})
     checked = check(converted, compiled, fits, samples)
     report = report_of(converted, compiled, checked, digest, reference)
@@ -135,8 +143,10 @@ def run(
     files = {
         **{f"meshes/{name}": content for name, content in converted.meshes.items()},
         "coordinates.json": json.dumps(converted.coordinates.as_json(), indent=1).encode(),
+        **({"couplings.json": converted.exact.as_json().encode()} if converted.exact.curves else {}),
         "muscles.csv": muscle_table(map(HillMuscle.of, model.muscles.values())).encode(),
         "model.xml": text.encode(),
+        "model.mjb": binary(stiff(compiled, converted.exact)),
         "report.html": page(report, converted, compiled, fits, samples).encode(),
         "report.json": json.dumps(report, indent=1).encode(),
     }

@@ -1,7 +1,7 @@
 """Scalar functions of an OpenSim model: joint axes, couplers, moving points, force curves.
 
 Each function is a frozen dataclass with `value(x)` and `derivative(x)`, both vectorised over NumPy
-arrays of any shape, in float64, and `knots`: the places where a fit should look closer.
+arrays of any shape, in float64. Most are piecewise polynomials and say only which ones (`Pieces`).
 
 Source: OpenSim's documentation of its Function classes. `SimmSpline` is the cubic spline of
 Forsythe, Malcolm, Moler, *Computer Methods for Mathematical Computations* (1977), chapter 4, with
@@ -10,24 +10,22 @@ spline of degree 2 m - 1 (Woltring 1986, doi:10.1016/0141-1195(86)90098-7), writ
 basis |x - x_i|^(2m-1), which continues as a polynomial of degree m - 1 outside.
 """
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
+from math import comb
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-Array = np.ndarray
+from myowarp.models.couplings import Pieces, line
 
-NO_KNOTS = np.empty(0)
+Array = np.ndarray
 
 
 class Function(Protocol):
     """A scalar function of one variable."""
-
-    @property
-    def knots(self) -> Array:
-        """Where its pieces meet, shape `(n,)`, ascending; empty for a smooth function."""
 
     def value(self, x: ArrayLike) -> Array:
         """Return f(x), in the shape of `x`."""
@@ -36,54 +34,59 @@ class Function(Protocol):
         """Return df/dx, in the shape of `x`."""
 
 
+class Piecewise:
+    """A function that is a polynomial between breaks."""
+
+    @property
+    @abstractmethod
+    def pieces(self) -> Pieces:
+        """Return its polynomials."""
+
+    def value(self, x: ArrayLike) -> Array:
+        """Return f(x), in the shape of `x`."""
+        return self.pieces.value(x)
+
+    def derivative(self, x: ArrayLike) -> Array:
+        """Return df/dx, in the shape of `x`."""
+        return self.pieces.derivative(x)
+
+
 @dataclass(frozen=True)
-class Constant:
+class Constant(Piecewise):
     """f(x) = value."""
 
     level: float
     """The value."""
-    knots = NO_KNOTS
 
-    def value(self, x: ArrayLike) -> Array:
-        """Return the level."""
-        return np.full(np.shape(x), self.level)
-
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return 0."""
-        return np.zeros(np.shape(x))
+    @cached_property
+    def pieces(self) -> Pieces:
+        """Return one constant."""
+        return line(0.0, self.level)
 
 
 @dataclass(frozen=True)
-class Polynomial:
+class Polynomial(Piecewise):
     """f(x) = c[0] x^n + ... + c[n]: descending powers, as OpenSim writes them."""
 
     coefficients: tuple[float, ...]
-    knots = NO_KNOTS
 
-    def value(self, x: ArrayLike) -> Array:
+    @cached_property
+    def pieces(self) -> Pieces:
         """Return the polynomial."""
-        return np.polyval(self.coefficients, np.asarray(x, float))
-
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return its slope."""
-        return np.polyval(np.polyder(np.asarray(self.coefficients)), np.asarray(x, float))
+        return Pieces((0.0,), (self.coefficients[::-1],))
 
 
 @dataclass(frozen=True)
-class Linear:
+class Linear(Piecewise):
     """f(x) = slope x + offset."""
 
     slope: float
     offset: float = 0.0
-    knots = NO_KNOTS
 
-    def value(self, x: ArrayLike) -> Array:
+    @cached_property
+    def pieces(self) -> Pieces:
         """Return the line."""
-        return self.slope * np.asarray(x, float) + self.offset
-
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return the slope."""
-        return np.full(np.shape(x), self.slope)
+        return line(self.slope, self.offset)
 
 
 @dataclass(frozen=True)
@@ -92,11 +95,6 @@ class Multiplier:
 
     function: Function
     scale: float
-
-    @property
-    def knots(self) -> Array:
-        """Knots of g."""
-        return self.function.knots
 
     def value(self, x: ArrayLike) -> Array:
         """Return scale g(x)."""
@@ -113,11 +111,6 @@ class Composed:
 
     outer: Function
     inner: Function
-
-    @property
-    def knots(self) -> Array:
-        """Knots of the inner function; those of the outer one are not traced back."""
-        return self.inner.knots
 
     def value(self, x: ArrayLike) -> Array:
         """Return outer(inner(x))."""
@@ -136,7 +129,6 @@ class Sine:
     omega: float
     phase: float
     offset: float = 0.0
-    knots = NO_KNOTS
 
     def value(self, x: ArrayLike) -> Array:
         """Return the sine."""
@@ -148,7 +140,7 @@ class Sine:
 
 
 @dataclass(frozen=True)
-class Step:
+class Step(Piecewise):
     """A quintic S-curve from one level to another, constant outside (Simbody's stepAny)."""
 
     start: float
@@ -156,88 +148,59 @@ class Step:
     start_value: float
     end_value: float
 
-    @property
-    def knots(self) -> Array:
-        """Start and end."""
-        return np.array([self.start, self.end])
-
-    def value(self, x: ArrayLike) -> Array:
-        """Return the step."""
-        t = np.clip((np.asarray(x, float) - self.start) / (self.end - self.start), 0.0, 1.0)
-        return self.start_value + (self.end_value - self.start_value) * t**3 * (10 + t * (6 * t - 15))
-
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return its slope."""
-        width = self.end - self.start
-        t = np.clip((np.asarray(x, float) - self.start) / width, 0.0, 1.0)
-        return (self.end_value - self.start_value) / width * 30 * (t * (1 - t)) ** 2
+    @cached_property
+    def pieces(self) -> Pieces:
+        """Return a level, the curve 10 t^3 - 15 t^4 + 6 t^5 and a level."""
+        rise, width = self.end_value - self.start_value, self.end - self.start
+        curve = (self.start_value, 0.0, 0.0, *(rise * c / width**n for n, c in ((3, 10), (4, -15), (5, 6))))
+        return Pieces((self.start, self.start, self.end), ((self.start_value,), curve, (self.end_value,)))
 
 
 @dataclass(frozen=True)
-class PiecewiseLinear:
+class PiecewiseLinear(Piecewise):
     """Straight lines between knots, the first and the last one continued outside."""
 
     x: tuple[float, ...]
     y: tuple[float, ...]
 
     @cached_property
-    def knots(self) -> Array:
-        """The x of the knots."""
-        return np.array(self.x)
-
-    def _slope(self, x: ArrayLike) -> tuple[Array, Array]:
-        """Return the index of the piece and its slope."""
-        knots, y = self.knots, np.array(self.y)
-        piece = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 2)
-        return piece, (np.diff(y) / np.diff(knots))[piece]
-
-    def value(self, x: ArrayLike) -> Array:
-        """Return the line at x."""
-        piece, slope = self._slope(x)
-        return np.array(self.y)[piece] + slope * (np.asarray(x, float) - self.knots[piece])
-
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return the slope of the piece."""
-        return self._slope(x)[1]
+    def pieces(self) -> Pieces:
+        """Return a line from every knot but the last."""
+        slopes = np.diff(self.y) / np.diff(self.x)
+        return Pieces(self.x[:-1], tuple(zip(self.y[:-1], slopes.tolist(), strict=True)))
 
 
 @dataclass(frozen=True)
-class PiecewiseConstant:
+class PiecewiseConstant(Piecewise):
     """The value of the last knot that is not above x; the first value below all knots."""
 
     x: tuple[float, ...]
     y: tuple[float, ...]
 
     @cached_property
-    def knots(self) -> Array:
-        """The x of the knots."""
-        return np.array(self.x)
-
-    def value(self, x: ArrayLike) -> Array:
-        """Return the level at x."""
-        return np.array(self.y)[np.maximum(np.searchsorted(self.knots, x, side="right") - 1, 0)]
-
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return 0."""
-        return np.zeros(np.shape(x))
+    def pieces(self) -> Pieces:
+        """Return a level from every knot."""
+        return Pieces(self.x, tuple((y,) for y in self.y))
 
 
 @dataclass(frozen=True)
-class SimmSpline:
+class SimmSpline(Piecewise):
     """Cubic spline; end third derivatives from the cubic through the four nearest knots."""
 
     x: tuple[float, ...]
     y: tuple[float, ...]
 
     @cached_property
-    def knots(self) -> Array:
-        """The x of the knots."""
-        return np.array(self.x)
+    def pieces(self) -> Pieces:
+        """Return a line before the first knot, a cubic from every knot and a line from the last."""
+        cubics = np.stack([self.y, *self._coefficients], axis=1)
+        rows = [cubics[0, :2], *cubics[:-1], cubics[-1, :2]]
+        return Pieces((self.x[0], *self.x), tuple(tuple(row.tolist()) for row in rows))
 
     @cached_property
     def _coefficients(self) -> Array:
         """Slope, quadratic and cubic coefficient at every knot, shape `(3, n)`."""
-        x, y = self.knots, np.array(self.y)
+        x, y = np.array(self.x), np.array(self.y)
         step, n = np.diff(x), len(x)
         slope = np.diff(y) / step
         if n == 2:
@@ -260,27 +223,9 @@ class SimmSpline:
         cubic = np.append(np.diff(sigma) / step, 0.0)
         return np.array([linear, 3 * sigma, cubic])
 
-    def _locate(self, x: ArrayLike) -> tuple[Array, Array, Array, Array, Array]:
-        """Return knot index, distance from it, and the coefficients there, flat outside."""
-        x = np.asarray(x, float)
-        index = np.clip(np.searchsorted(self.knots, x, side="right") - 1, 0, len(self.knots) - 1)
-        linear, square, cubic = self._coefficients[:, index]
-        outside = (x < self.knots[0]) | (x >= self.knots[-1])
-        return index, x - self.knots[index], linear, np.where(outside, 0, square), np.where(outside, 0, cubic)
-
-    def value(self, x: ArrayLike) -> Array:
-        """Return the spline."""
-        index, d, linear, square, cubic = self._locate(x)
-        return np.array(self.y)[index] + d * (linear + d * (square + d * cubic))
-
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return its slope."""
-        _, d, linear, square, cubic = self._locate(x)
-        return linear + d * (2 * square + 3 * d * cubic)
-
 
 @dataclass(frozen=True)
-class GCVSpline:
+class GCVSpline(Piecewise):
     """Natural interpolating spline of degree 2 half_order - 1."""
 
     x: tuple[float, ...]
@@ -288,46 +233,38 @@ class GCVSpline:
     half_order: int = 3
 
     @cached_property
-    def knots(self) -> Array:
-        """The x of the knots."""
-        return np.array(self.x)
+    def pieces(self) -> Pieces:
+        """Return Taylor's polynomials at the knots: of degree m - 1 outside, of degree 2 m - 1 inside.
 
-    @cached_property
-    def _weights(self) -> Array:
-        """Weights of |t - t_i|^(2m-1), then of 1, t, ..., t^(m-1); t = x over [-1, 1]."""
-        t, n, m = self._scaled(self.knots), len(self.x), self.half_order
-        powers = t[:, None] ** np.arange(m)
-        matrix = np.zeros((n + m, n + m))
-        matrix[:n, :n] = np.abs(t[:, None] - t) ** (2 * m - 1)
-        matrix[:n, n:], matrix[n:, :n] = powers, powers.T
-        return np.linalg.solve(matrix, np.append(self.y, np.zeros(m)))
+        To the right of a knot t, |t + d - t_i|^n = s (t - t_i + d)^n with n = 2 m - 1 odd and s the sign.
+        """
+        m, half = self.half_order, (self.x[-1] - self.x[0]) / 2
+        t = (np.array(self.x) - (self.x[-1] + self.x[0]) / 2) / half
+        degree, order = 2 * m - 1, np.arange(m)
+        matrix = np.zeros((len(t) + m, len(t) + m))
+        matrix[: len(t), : len(t)] = np.abs(t[:, None] - t) ** degree
+        matrix[: len(t), len(t) :] = t[:, None] ** order
+        matrix[len(t) :, : len(t)] = matrix[: len(t), len(t) :].T
+        weights = np.linalg.solve(matrix, np.append(self.y, np.zeros(m)))
 
-    @property
-    def _half_width(self) -> float:
-        return (self.x[-1] - self.x[0]) / 2
+        def taylor(number: int, last: int, terms: int) -> tuple[float, ...]:
+            """Coefficients at a knot, where the knots up to number `last` lie to the left."""
+            signed = np.where(np.arange(len(t)) <= last, 1.0, -1.0) * weights[: len(t)]
+            away, at = t[number] - t, t[number]
+            sums = [
+                comb(degree, k) * (signed @ away ** (degree - k))
+                + sum(comb(p, k) * weights[len(t) + p] * at ** (p - k) for p in range(k, m))
+                for k in range(terms)
+            ]
+            return tuple(float(c / half**k) for k, c in enumerate(sums))
 
-    def _scaled(self, x: ArrayLike) -> Array:
-        return (np.asarray(x, float) - (self.x[-1] + self.x[0]) / 2) / self._half_width
-
-    def value(self, x: ArrayLike) -> Array:
-        """Return the spline."""
-        t, n, m = self._scaled(x), len(self.x), self.half_order
-        distance = np.abs(t[..., None] - self._scaled(self.knots))
-        powers = t[..., None] ** np.arange(m)
-        return distance ** (2 * m - 1) @ self._weights[:n] + powers @ self._weights[n:]
-
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return its slope."""
-        t, n, m = self._scaled(x), len(self.x), self.half_order
-        away = t[..., None] - self._scaled(self.knots)
-        basis = (2 * m - 1) * np.sign(away) * np.abs(away) ** (2 * m - 2)
-        order = np.arange(1, m)
-        powers = order * t[..., None] ** (order - 1)
-        return (basis @ self._weights[:n] + powers @ self._weights[n + 1 :]) / self._half_width
+        end = len(t) - 1
+        inside = [taylor(number, number, degree + 1) for number in range(end)]
+        return Pieces((self.x[0], *self.x), (taylor(0, -1, m), *inside, taylor(end, end, m)))
 
 
 @dataclass(frozen=True)
-class ToeThenLine:
+class ToeThenLine(Piecewise):
     """0 up to x = 1, a parabola over the strain `toe`, then a line of slope `stiffness`.
 
     Source: Blankevoort, Huiskes 1991, doi:10.1115/1.2894883: force of a ligament over l / l0.
@@ -336,25 +273,30 @@ class ToeThenLine:
     stiffness: float
     toe: float
 
-    @property
-    def knots(self) -> Array:
-        """Where the parabola begins and ends."""
-        return np.array([1.0, 1.0 + self.toe])
-
-    def value(self, x: ArrayLike) -> Array:
-        """Return the force."""
-        strain = np.maximum(np.asarray(x, float) - 1, 0.0)
-        bent = np.minimum(strain, self.toe)
-        parabola = bent**2 / (2 * self.toe) if self.toe > 0 else 0.0 * bent
-        return self.stiffness * (parabola + strain - bent)
-
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return its slope."""
-        strain = np.maximum(np.asarray(x, float) - 1, 0.0)
-        return self.stiffness * np.clip(strain / max(self.toe, 1e-12), 0.0, 1.0)
+    @cached_property
+    def pieces(self) -> Pieces:
+        """Return nothing, the parabola and the line; without a toe no parabola."""
+        end = self.stiffness * self.toe / 2, self.stiffness
+        if self.toe == 0:
+            return Pieces((1.0, 1.0), ((0.0,), end))
+        parabola = 0.0, 0.0, self.stiffness / (2 * self.toe)
+        return Pieces((1.0, 1.0, 1.0 + self.toe), ((0.0,), parabola, end))
 
 
 IDENTITY = Linear(1.0)
+
+
+def curves(function: Function) -> tuple[Pieces, ...] | None:
+    """Return a function as piecewise polynomials that are applied one after the other, None if it is none."""
+    match function:
+        case Piecewise():
+            return (function.pieces,)
+        case Multiplier(inner, scale) if (chain := curves(inner)) is not None:
+            return *chain[:-1], chain[-1].scaled(scale)
+        case Composed(outer, inner) if (first := curves(inner)) is not None:
+            last = curves(outer)
+            return None if last is None else first + last
+    return None
 
 
 def affine(function: Function) -> tuple[float, float] | None:

@@ -1,7 +1,7 @@
 """How OpenSim coordinates map to MuJoCo joints: the sidecar `coordinates.json`.
 
 A free coordinate q has a joint with the value scale * q. All other joints follow one joint each by a
-quartic, as the equality of the same name says; `CoordinateMap` holds them in the order of evaluation.
+quartic, as the equality of the same name says; `couplings.json` says what the quartic stands for.
 Moment arms with respect to a coordinate collect all joints that follow it: with the Jacobian of `rates`,
 dl/dq = sum over joints of dl/dqpos * dqpos/dq.
 """
@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+
+from myowarp.models.couplings import couplings
 
 Array = np.ndarray
 
@@ -88,13 +90,10 @@ class CoordinateMap:
                 value = np.asarray(values.get(coordinate.name, coordinate.default), float)
                 position[:, joint.qposadr[0]] = coordinate.scale * value
                 slope[:, joint.dofadr[0], free.index(coordinate.name)] = coordinate.scale
-        for dependent in self.dependents:
-            joint, of = model.joint(dependent.joint), model.joint(dependent.of)
-            x = position[:, of.qposadr[0]]
-            descending = dependent.polynomial[::-1]
-            position[:, joint.qposadr[0]] = np.polyval(descending, x)
-            rate = np.polyval(np.polyder(np.array(descending)), x)
-            slope[:, joint.dofadr[0]] = rate[:, None] * slope[:, of.dofadr[0]]
+        for tie in couplings(model):
+            value, rate, _ = tie.derivatives(position[:, tie.driver])
+            position[:, tie.joint] = value
+            slope[:, tie.joint] = rate[:, None] * slope[:, tie.driver]
         return position, slope
 
     def as_json(self) -> dict[str, object]:

@@ -15,6 +15,7 @@ from myowarp.engine.kernel_cache import start_warp
 from myowarp.engine.turn import in_turn
 from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import new_keys
+from myowarp.models.couplings import exact, follow
 from myowarp.models.slim import slim
 from myowarp.sim.capacity import calibrate
 from myowarp.sim.memory import check_memory
@@ -228,6 +229,9 @@ def compile_scene(
     oracle, stepped = oracle_model(spec, conditions), _cached_model(spec, conditions, stateless_model)
     num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped))
     start = spec.start(oracle)
+    if exact(oracle) is not None:
+        start = start.copy()
+        follow(oracle, start)
     capacity = calibrate(oracle, start)
 
     def make_data(number: int) -> mjw.Data:

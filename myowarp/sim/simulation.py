@@ -21,7 +21,7 @@ from myowarp.engine.graph import Graph, replay_nothing
 from myowarp.engine.idle import pruned
 from myowarp.engine.patch import engine_kernels_alone
 from myowarp.engine.repeat import repeat
-from myowarp.engine.stage import STAGES, Stage
+from myowarp.engine.stage import STAGES, Stage, same_stages
 from myowarp.engine.step import physics_step
 from myowarp.engine.turn import TURN, in_turn
 from myowarp.engine.verify import choose_stages
@@ -180,7 +180,7 @@ class Simulation:
     def _take_over(self, like: Simulation) -> None:
         """Use the kernels of another part."""
         self._modules, self._idle = like._modules, like._idle
-        self.stages = tuple(type(stage)(self.scene) for stage in like.stages)
+        self.stages = same_stages(self.scene, like.stages)
         self._launch_physics = physics_step(self.scene, self.stages, self._idle)
 
     def _bind_conditions(self) -> None:

@@ -1,7 +1,8 @@
 """A model from a file, MJCF such as `myowarp convert` writes, as a body, and as a pose or reach task.
 
 Targets are those of joints that the actuators move, or of sites. Joints that an equality ties to others
-follow, and a root that nothing holds falls. Physics `parity` is the file's own time step and integrator.
+follow, exactly if `couplings.json` lies beside the file, and a root that nothing holds falls. Physics
+`parity` is the file's own time step and integrator.
 """
 
 import re
@@ -14,7 +15,7 @@ import mujoco
 import numpy as np
 
 from myowarp.disk import model_digest
-from myowarp.models.couplings import POINT_JOINTS, couplings, follow
+from myowarp.models.couplings import POINT_JOINTS, ask, couplings, exact, follow
 from myowarp.models.reachability import tip_positions
 from myowarp.sim.build import checked_horizon, full_model
 from myowarp.spec.body import BODIES, Body
@@ -35,6 +36,7 @@ NUM_POSES = 16  # in which a joint is looked at for moment arms
 NUM_TARGETS = 1024  # points to reach
 STEP_ROUNDING = 1e-6  # of a time step
 KINDS = ("pose", "reach")
+COUPLINGS = "couplings.json"  # beside the model's file; see `myowarp.models.couplings`
 STEPPED = ("EULER", "IMPLICITFAST")  # integrators; others call the muscles more than once in a step
 
 
@@ -74,6 +76,12 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
         reason = " ".join(str(error).split())
         raise ValueError(f"model {str(path)!r} must be an MJCF file; MuJoCo says: {reason}") from error
     _check(model, path)
+    if (beside := path.with_name(COUPLINGS)).is_file():
+        try:
+            ask(spec, beside.read_text())
+            exact(model := spec.compile())
+        except ValueError as error:
+            raise ValueError(f"file {str(beside)!r} must belong to {path.name}: {error}") from error
     title = re.sub(r"[^A-Za-z0-9]+", "_", spec.modelname).strip("_")
     name = "_".join((title, model_digest(model)[:8], *tips))
     if name not in BODIES:
@@ -188,14 +196,16 @@ def from_mjcf(
 
 def _start(model: mujoco.MjModel, path: Path, keyframe: str | None) -> np.ndarray:
     """Return the configuration from which episodes start, (nq,)."""
-    if keyframe is None:
-        return model.key_qpos[0] if model.nkey else model.qpos0
     names = [model.key(k).name for k in range(model.nkey)]
-    if keyframe not in names:
+    if keyframe is not None and keyframe not in names:
         raise ValueError(
             f"model {str(path)!r} has no keyframe {keyframe!r}; it has {', '.join(names) or 'none'}"
         )
-    return model.key_qpos[names.index(keyframe)]
+    chosen = names.index(keyframe) if keyframe is not None else 0
+    start: np.ndarray = (model.key_qpos[chosen] if names else model.qpos0).copy()
+    if exact(model) is not None:
+        follow(model, start)
+    return start
 
 
 def _substeps(physics_dt: float, control_dt: float | None) -> int:

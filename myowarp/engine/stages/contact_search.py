@@ -58,7 +58,8 @@ class ContactSearch(Stage):
         table = dict(MJ_COLLISION_TABLE)
         if scene.model.opt.disableflags & DisableBit.NATIVECCD:
             table[GeomType.BOX, GeomType.BOX] = CollisionType.PRIMITIVE
-        left = [kind for kind in table if kind in _kinds(scene) - set(OURS)]
+        others = _kinds(scene) - set(OURS)
+        left = [kind for kind in table if kind in others]
         primitive = [kind for kind in left if table[kind] == CollisionType.PRIMITIVE]
         self._convex = [kind for kind in left if table[kind] == CollisionType.CONVEX]
         self._closed = [kind for kind in primitive if kind in CLOSED_FORMS]

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from myowarp.opensim.build.geometry import Build, begin, tie
+from myowarp.models.couplings import Exact
+from myowarp.opensim.build.geometry import Build, begin, exact, starts_of, tie
 from myowarp.opensim.build.meshes import add_shapes
 from myowarp.opensim.build.passive import add_forces, path_tendon
 from myowarp.opensim.build.points import add_markers, add_moving_points
@@ -53,6 +54,7 @@ class Converted:
         spec: MuJoCo's model, with a keyframe at the default pose.
         bodies: Name in MuJoCo of every body, ground included.
         coordinates: How coordinates and joints belong together.
+        exact: How joints follow each other in the document, and what its bodies weigh.
         moving: For each path, body at each of its moving points.
         meshes: Files that belong into the folder `meshes`.
         notes: Everything that is not carried over exactly, reading included.
@@ -62,6 +64,7 @@ class Converted:
     spec: mujoco.MjSpec
     bodies: Mapping[str, str]
     coordinates: CoordinateMap
+    exact: Exact
     moving: Mapping[str, Mapping[int, str]]
     meshes: Mapping[str, bytes]
     notes: tuple[Note, ...]
@@ -87,10 +90,10 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     Raises:
         ValueError: MuJoCo refuses the result.
     """
-    build = begin(model)
+    _, _, coordinates = _skeleton(model, {})
+    # Where quartics put joints by default is known when they are there.
+    build, moving, coordinates = _skeleton(model, starts_of(coordinates))
     add_markers(build)
-    moving = add_moving_points(build)
-    coordinates = tie(build)
     for muscle in model.muscles.values():
         _add_muscle(build, muscle, moving[muscle.name], stages)
     add_forces(build, moving, stages.tendons)
@@ -105,7 +108,17 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
         raise ValueError(f"{model.source}: MuJoCo does not accept the converted model: {reason}") from error
     build.spec.add_key(name=KEYFRAME, qpos=coordinates.qpos(compiled, {})[0])
     bodies = {name: body.name for name, body in build.bodies.items()}
-    return Converted(model, build.spec, bodies, coordinates, moving, meshes, (*model.notes, *build.notes))
+    notes = (*model.notes, *build.notes)
+    return Converted(model, build.spec, bodies, coordinates, exact(build), moving, meshes, notes)
+
+
+def _skeleton(
+    model: Model, starts: dict[str, float]
+) -> tuple[Build, dict[str, dict[int, str]], CoordinateMap]:
+    """Return bodies, joints and moving points, tied to the coordinates; see `begin` and `Converted`."""
+    build = begin(model, starts)
+    moving = add_moving_points(build)
+    return build, moving, tie(build)
 
 
 def _add_muscle(build: Build, muscle: Muscle, moving: Mapping[int, str], stages: Stages) -> None:

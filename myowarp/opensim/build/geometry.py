@@ -1,10 +1,10 @@
 """Bodies and joints: a `Model` -> MuJoCo's MjSpec, exact in every frame.
 
-A joint's moves become slides and hinges of the child body in the same order; constant moves and offsets
-fold into the body's pose. The body `ground` keeps OpenSim's axes and is turned so that up is z.
-A coordinate is identified with the first move that is linear in it; what follows a coordinate by a spline
-or coupler becomes a joint of its own, tied by an equality to a quartic (see `fit`). Masses of zero get a
-floor where MuJoCo needs one. Every deviation is noted.
+A joint's moves become slides and hinges of the child body in the same order; constant moves and offsets fold
+into the body's pose, which is that of the default coordinates (`ref` of the joints). The body `ground` keeps
+OpenSim's axes and is turned so that up is z. A coordinate is identified with the first move that is linear in
+it; what follows a coordinate by a spline or coupler becomes a joint of its own, tied by an equality to a
+quartic (see `fit`). Masses of zero get a floor where MuJoCo needs one. Every deviation is noted.
 """
 
 from collections.abc import Sequence
@@ -12,10 +12,12 @@ from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
+from numpy.polynomial import Polynomial
 
+from myowarp.models.couplings import Exact, line
 from myowarp.opensim.build.quartics import Quartic, fit_all
 from myowarp.opensim.elements import Pose
-from myowarp.opensim.functions import IDENTITY, Composed, Constant, Function, Multiplier, affine
+from myowarp.opensim.functions import IDENTITY, Composed, Constant, Function, Multiplier, affine, curves
 from myowarp.opensim.kinematics import about, sampling_range
 from myowarp.opensim.mapping import CoordinateMap, Dependent, MappedCoordinate
 from myowarp.opensim.model import GROUND, Joint, Model, Move, Note
@@ -55,8 +57,12 @@ class Build:
     spec: mujoco.MjSpec
     bodies: dict[str, mujoco.MjsBody]
     """By name in the OpenSim model."""
+    starts: dict[str, float] = field(default_factory=dict)
+    """Where joints are in the default pose, as far as that is known before they are there."""
     carriers: dict[str, tuple[str, float]] = field(default_factory=dict)
     """Coordinate: joint that shows it, and scale."""
+    light: dict[str, tuple[float, tuple[float, ...]]] = field(default_factory=dict)
+    """Bodies that the document gives another mass [kg] or other principal moments [kg m^2]."""
     demands: list[Demand] = field(default_factory=list)
     notes: list[Note] = field(default_factory=list)
     names: set[tuple[str, str]] = field(default_factory=set)
@@ -70,8 +76,13 @@ class Build:
         return unique
 
 
-def begin(model: Model) -> Build:
-    """Return a spec with the bodies and joints of a model, not yet with what its coordinates demand."""
+def begin(model: Model, starts: dict[str, float]) -> Build:
+    """Return a spec with the bodies and joints of a model, not yet with what its coordinates demand.
+
+    Args:
+        model: The model.
+        starts: Where joints are in the default pose; those that are missing are where the document says.
+    """
     spec = mujoco.MjSpec()
     spec.modelname = model.name
     spec.compiler.degree = False
@@ -81,7 +92,7 @@ def begin(model: Model) -> Build:
     turn = upright(model.gravity)
     spec.option.gravity = turn @ model.gravity
     ground = spec.worldbody.add_body(name=GROUND, quat=quaternion(turn))
-    build = Build(model, spec, {GROUND: ground}, names={("body", "world"), ("body", GROUND)})
+    build = Build(model, spec, {GROUND: ground}, starts, names={("body", "world"), ("body", GROUND)})
     moving = _moving_masses(model)
     for joint in model.joints.values():
         _add_body(build, joint, moving)
@@ -125,6 +136,12 @@ def reduced(model: Model, function: Function, coordinate: str | None) -> tuple[F
     return function, coordinate
 
 
+def default_of(model: Model, function: Function, coordinate: str | None) -> float:
+    """Return the value of a function of a coordinate in the default pose."""
+    function, free = reduced(model, function, coordinate)
+    return float(function.value(0.0 if free is None else model.coordinates[free].default))
+
+
 def _elementary(move: Move, value: float) -> Pose:
     """Return a move by a value [m] or [rad] as a pose."""
     if move.kind == "slide":
@@ -136,7 +153,7 @@ def _add_body(build: Build, joint: Joint, moving: dict[str, float]) -> None:
     """Add the child of a joint with its MuJoCo joints."""
     model = build.model
     fixed = Pose(np.zeros(3), np.eye(3))
-    placed: list[tuple[Move, Pose, str, float, float]] = []
+    placed: list[tuple[Move, Pose, str, float, float, float]] = []
     carried = _carriers(model, joint)
     for index, move in enumerate(joint.moves):
         function, free = reduced(model, move.function, move.coordinate)
@@ -155,12 +172,14 @@ def _add_body(build: Build, joint: Joint, moving: dict[str, float]) -> None:
         else:
             name = build.free_name("joint", f"{joint.name}_{move.kind}{index + 1}")
             function = move.function if line is None else Multiplier(IDENTITY, scale)
+        start = build.starts.get(name, default_of(model, function, move.coordinate))
         lever = 1.0 if move.kind == "slide" else ANGLE_LEVER
         if carried.get(index) is None or move.coordinate in model.couplers:
             function, free = reduced(model, function, move.coordinate)
             if free is not None:
                 build.demands.append(Demand(name, function, free, lever))
-        placed.append((move, fixed, name, sign, scale))
+        placed.append((move, fixed, name, sign, scale, start))
+        fixed = fixed @ _elementary(move, sign * start)
     total = fixed @ joint.child_frame.inverse()
     back = total.inverse()
     body, pose = build.bodies[joint.parent], joint.parent_frame @ total
@@ -171,21 +190,28 @@ def _add_body(build: Build, joint: Joint, moving: dict[str, float]) -> None:
             name=build.free_name("body", name), pos=pose.position, quat=quaternion(pose.rotation)
         )
         pose = Pose(np.zeros(3), np.eye(3))
-        for move, at, name, sign, scale in placed[first : first + MAX_JOINTS]:
+        for move, at, name, sign, scale, start in placed[first : first + MAX_JOINTS]:
             local = back @ at
             added = body.add_joint(name=name, type=SLIDE if move.kind == "slide" else HINGE)
             added.axis, added.pos = sign * local.rotation @ move.axis, local.position
+            added.ref = start
             if any(demand.joint == name for demand in build.demands):
                 added.armature = TIED_ARMATURE[added.type]
             _limit(build, added, move, scale)
         if not last:
-            body.explicitinertial, body.mass, body.ipos = True, MIN_MASS, np.zeros(3)
-            body.inertia = (MIN_INERTIA,) * 3
+            weigh(build, body)
             rule = "moves by more joints than a body may have; some are on a light body before it"
             bound = f"{MIN_MASS:g} kg, {MIN_INERTIA:g} kg m^2"
             build.notes.append(Note(f"/bodyset/{joint.child}", rule, bound))
     build.bodies[joint.child] = body
     _add_inertia(build, joint.child, body, floor=bool(placed) and moving[joint.child] <= 0)
+
+
+def weigh(build: Build, body: mujoco.MjsBody, inertia: float = MIN_INERTIA) -> None:
+    """Give a body the mass that MuJoCo needs and the document has not."""
+    body.explicitinertial, body.mass, body.ipos = True, MIN_MASS, np.zeros(3)
+    body.inertia = (inertia,) * 3
+    build.light[body.name] = 0.0, (0.0, 0.0, 0.0)
 
 
 def _carriers(model: Model, joint: Joint) -> dict[int, str]:
@@ -230,6 +256,7 @@ def _add_inertia(build: Build, name: str, body: mujoco.MjsBody, floor: bool) -> 
     mass = source.mass
     xx, yy, zz, xy, xz, yz = source.inertia
     values, axes = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    stated = mass, tuple(values.tolist()) if mass > 0 else (0.0, 0.0, 0.0)
     if floor:
         mass, values = MIN_MASS, np.maximum(values, MIN_INERTIA)
         build.notes.append(
@@ -261,6 +288,8 @@ def _add_inertia(build: Build, name: str, body: mujoco.MjsBody, floor: bool) -> 
             axes = axes * [1.0, 1.0, -1.0]
         body.explicitinertial, body.mass, body.ipos = True, mass, source.mass_center
         body.inertia, body.iquat = values, quaternion(axes)
+        if stated != (mass, tuple(values.tolist())):
+            build.light[body.name] = stated
 
 
 def tie(build: Build) -> CoordinateMap:
@@ -268,7 +297,7 @@ def tie(build: Build) -> CoordinateMap:
     model, dependents = build.model, []
     for name in dict.fromkeys(demand.coordinate for demand in build.demands):
         if name not in build.carriers:
-            build.carriers[name] = (add_phantom(build, name), 1.0)
+            build.carriers[name] = (add_phantom(build, name, model.coordinates[name].default), 1.0)
             build.notes.append(
                 Note(
                     f"/jointset/{model.coordinates[name].joint}/{name}",
@@ -280,9 +309,35 @@ def tie(build: Build) -> CoordinateMap:
     for dependent in dependents:
         equality = build.spec.add_equality(name=dependent.joint, type=mujoco.mjtEq.mjEQ_JOINT)
         equality.name1, equality.name2 = dependent.joint, dependent.of
-        equality.data[:5] = dependent.polynomial
+        ends = (build.spec.joint(name).ref for name in (dependent.of, dependent.joint))
+        equality.data[:5] = _about(dependent.polynomial, *ends)
         equality.solref, equality.solimp = TIGHT
     return CoordinateMap(tuple(_mapped(build, name) for name in model.coordinates), tuple(dependents))
+
+
+def _about(polynomial: Sequence[float], of: float, joint: float) -> Array:
+    """Return a quartic of x with values y as one of x - of with values y - joint."""
+    moved = (Polynomial(polynomial)(Polynomial([of, 1.0])) - joint).coef
+    return np.pad(moved, (0, 5 - len(moved)))
+
+
+def starts_of(coordinates: CoordinateMap) -> dict[str, float]:
+    """Return where joints are in the default pose, those that follow by quartics included."""
+    values = {c.joint: c.scale * c.default for c in coordinates.coordinates if c.joint and c.kind == "free"}
+    for dependent in coordinates.dependents:
+        values[dependent.joint] = float(Polynomial(dependent.polynomial)(values[dependent.of]))
+    return values
+
+
+def exact(build: Build) -> Exact:
+    """Return what the document says of joints that follow, and of bodies that are lighter there."""
+    said = {}
+    for demand in build.demands:
+        chain = curves(demand.function)
+        if chain is not None:  # else the equality is all there is
+            joint, scale = build.carriers[demand.coordinate]
+            said[demand.joint] = joint, chain if scale == 1 else (line(1 / scale), *chain)
+    return Exact(said, build.light)
 
 
 def _tied(build: Build, name: str, demands: Sequence[Demand]) -> list[Dependent]:
@@ -299,7 +354,13 @@ def _tied(build: Build, name: str, demands: Sequence[Demand]) -> list[Dependent]
         return exact
     low, high = sampling_range(build.model, name)
     fit = fit_all([d.function for d in bent], [d.lever for d in bent], low, high)
-    phantoms = [add_phantom(build, f"{name}_phantom{index + 1}") for index in range(len(fit.phantoms))]
+    phantoms: list[str] = []
+    start = build.model.coordinates[name].default
+    values: list[float] = []
+    for index, quartic in enumerate(fit.phantoms):
+        x = start if quartic.of is None else values[quartic.of]
+        values.append(float(Polynomial(quartic.coefficients)(x)))
+        phantoms.append(add_phantom(build, f"{name}_phantom{index + 1}", values[-1]))
 
     def follow(joint: str, quartic: Quartic) -> Dependent:
         of, coefficients = quartic.of, np.array(quartic.coefficients)
@@ -320,13 +381,12 @@ def _tied(build: Build, name: str, demands: Sequence[Demand]) -> list[Dependent]
     return exact + chain + ends
 
 
-def add_phantom(build: Build, name: str) -> str:
-    """Add a body on ground that only carries a hinge, and return the hinge's name."""
+def add_phantom(build: Build, name: str, start: float) -> str:
+    """Add a body on ground that only carries a hinge, `start` by default, and return the hinge's name."""
     body = build.bodies[GROUND].add_body(name=build.free_name("body", name))
     joint = build.free_name("joint", name)
-    body.add_joint(name=joint, type=HINGE, axis=(1.0, 0.0, 0.0))
-    body.explicitinertial, body.mass, body.ipos = True, MIN_MASS, np.zeros(3)
-    body.inertia = (PHANTOM_INERTIA,) * 3
+    body.add_joint(name=joint, type=HINGE, axis=(1.0, 0.0, 0.0), ref=start)
+    weigh(build, body, PHANTOM_INERTIA)
     return joint
 
 

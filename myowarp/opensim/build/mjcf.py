@@ -178,6 +178,7 @@ def _joint(element: ElementTree.Element, joint: mujoco.MjsJoint) -> None:
         axis=joint.axis,
         limited=limited,
         range=_unless(joint.range, (0.0, 0.0)),
+        ref=_unless(joint.ref, 0.0),
         armature=_unless(joint.armature, 0.0),
         damping=_unless(joint.damping[0], 0.0),
     )

@@ -5,14 +5,15 @@ from collections.abc import Hashable
 import numpy as np
 
 from myowarp.opensim.build.geometry import (
-    MIN_INERTIA,
     MIN_MASS,
     SLIDE,
     TIED_ARMATURE,
     Build,
     Demand,
+    default_of,
     quaternion,
     reduced,
+    weigh,
 )
 from myowarp.opensim.elements import MovingPathPoint, Path
 from myowarp.opensim.model import Note, pulling
@@ -58,26 +59,28 @@ def _of_path(build: Build, owner: str, path: Path, shared: dict[Hashable, str]) 
 
 def _add_point(build: Build, name: str, point: MovingPathPoint) -> str:
     """Add a body with a slide for every axis that moves, and demand what the slides have to do."""
-    fixed = np.zeros(3)
     moves: list[tuple[int, str]] = []
+    start = np.zeros(3)
     for axis, (function, coordinate) in enumerate(zip(point.functions, point.coordinates, strict=True)):
         function, free = reduced(build.model, function, coordinate)
+        start[axis] = default_of(build.model, function, free)
         if free is None:
-            fixed[axis] = float(function.value(0.0))
             continue
         joint = build.free_name("joint", f"{name}-{'xyz'[axis]}")
+        start[axis] = build.starts.get(joint, start[axis])
         build.demands.append(Demand(joint, function, free, 1.0))
         moves.append((axis, joint))
     body = build.bodies[point.body].add_body(
         name=build.free_name("body", name),
-        pos=point.frame.point(fixed),
+        pos=point.frame.point(start),
         quat=quaternion(point.frame.rotation),
     )
     for axis, joint in moves:
-        body.add_joint(name=joint, type=SLIDE, axis=np.eye(3)[axis], armature=TIED_ARMATURE[SLIDE])
+        body.add_joint(
+            name=joint, type=SLIDE, axis=np.eye(3)[axis], armature=TIED_ARMATURE[SLIDE], ref=start[axis]
+        )
     if moves:
-        body.explicitinertial, body.mass, body.ipos = True, MIN_MASS, np.zeros(3)
-        body.inertia = (MIN_INERTIA,) * 3
+        weigh(build, body)
         body.gravcomp = 1.0
         build.notes.append(
             Note(

@@ -1,0 +1,31 @@
+"""Converted models in a folder, as `myowarp convert` leaves them, with motors in place of muscles."""
+
+from pathlib import Path
+
+from myowarp.opensim.build.convert import convert
+from myowarp.opensim.build.mjcf import mjcf
+from myowarp.opensim.read.model import read_model
+from myowarp.sim.simulation import Simulation
+from myowarp.tasks.from_file import pose_task
+
+OSIM = Path(__file__).parent / "data" / "osim"
+
+
+def motorised(folder, name):
+    """Write a model with a motor for each free coordinate; returns the conversion and the model's path."""
+    converted = convert(read_model(OSIM / f"{name}.osim"))
+    spec = converted.spec
+    for element in [*spec.actuators, *spec.tendons]:
+        spec.delete(element)
+    for entry in converted.coordinates.coordinates:
+        if entry.kind == "free":
+            spec.add_actuator(name=entry.name, target=entry.joint, trntype=0, ctrlrange=(-1, 1))
+    path = folder / "model.xml"
+    path.write_text(mjcf(spec))
+    (folder / "couplings.json").write_text(converted.exact.as_json())
+    return converted, path
+
+
+def simulation(path, num_worlds, **options):
+    settings = {"device": "cpu", "graph": False, "progress": False} | options
+    return Simulation(pose_task(path), num_worlds, **settings)
