@@ -60,11 +60,14 @@ def test_a_baseline_is_whole_small_and_what_its_table_is_about(name):
     assert manifest["contract"]["task"] == name == TASKS[name].key
     assert manifest["samples"] == first["training"]["samples"] == first["evaluation"]["samples"]
     assert manifest["settings"]["seed"] == first["training"]["seed"]
+    corrected = name.replace("-v0", "-v1")
     for run in baseline.runs:
-        assert run["evaluation"]["task"] == TASKS[name].env_id
-        assert run["evaluation"]["physics"] == "parity"
-        for mode in ("deterministic", "sampled"):
-            assert run["evaluation"][mode]["episodes"] >= 256
+        kinds = {"evaluation": name} | ({"corrected": corrected} if corrected in TASKS else {})
+        assert set(run) == {"training", *kinds}
+        for kind, task in kinds.items():
+            assert run[kind]["task"] == TASKS[task].env_id
+            assert run[kind]["physics"] == "parity"
+            assert all(run[kind][mode]["episodes"] >= 256 for mode in ("deterministic", "sampled"))
     assert sum(file.stat().st_size for file in baseline.checkpoint.folder.iterdir()) < MOST_BYTES
     act = LearnedPolicy(baseline.checkpoint)
     obs = np.zeros((2, sum(size for _, size, _ in manifest["contract"]["columns"])))
