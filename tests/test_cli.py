@@ -311,8 +311,8 @@ BAD_LATER = {
     "negative seed": (["--seed", "-1"], "seed"),
     "no such policy": (
         ["--policy", "best"],
-        "policy 'best' unknown; available: random, zero, hold, the folder of a trained policy, "
-        "package.module:function, file.py:function",
+        "policy 'best' unknown; available: random, zero, hold, baseline, baselines/<task>, "
+        "the folder of a trained policy, package.module:function, file.py:function",
     ),
     "no such file": (["--policy", "none.py:act"], "file 'none.py' does not exist"),
     "no such module": (["--policy", "none:act"], "module 'none' does not exist; a file ends in .py"),

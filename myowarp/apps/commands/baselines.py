@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 class Baselines:
     """List the trained policies that come with the package, or remake one and compare it with its table.
 
-    Example: myowarp rollout myoHandReachFixed-v0 --policy baseline --video hand.mp4
+    Example: myowarp rollout myoFingerReachFixed-v0 --policy baseline --video finger.mp4
 
     Or: myowarp baselines run myoElbowPose1D6MRandom-v0
     """
