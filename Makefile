@@ -45,9 +45,9 @@ $(TEST_STAMP): $(STAMP)
 	@set -o pipefail; $(PIP) install --progress-bar off -e ".[test]" | awk '/Downloading|Installing collected/ { print substr($$0, 1, 100); fflush() }'
 	@touch $@
 
-demo: setup ## Simulate 256 hands and write out/demo.mp4
+demo: setup ## Show 256 trained hands that reach for targets, success rate, out/demo.mp4
 	@mkdir -p out
-	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --num-worlds 256 --video out/demo.mp4 --overwrite
+	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --policy baselines/myoHandReachRandom-v0 --num-worlds 256 --video out/demo.mp4 --overwrite
 
 test: lint ## Check format, lint and types, then run the fast tests (what CI runs)
 	$(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile $(PYTEST)

@@ -23,6 +23,7 @@ from myowarp.apps.train.eval_command import Eval
 from myowarp.apps.train.progress import CSV
 from myowarp.apps.train.settings import SUCCESSES, success_text
 from myowarp.disk import in_place
+from myowarp.spec.task import TASKS
 
 DOCS = Path(__file__).parents[1] / "docs"
 PUBLISHED = Path(__file__).with_name("published_success.json")
@@ -44,13 +45,14 @@ def add(run: Path) -> None:
     if not (run / REPORT).is_file():
         raise ValueError(f"run {str(run)!r} has no {REPORT}; let it end, or stop it with Ctrl-C")
     training = json.loads((run / REPORT).read_text())
-    head, figures = Eval(checkpoint=run).figures()
-    evaluation = {name: value for name, value in head.items() if name not in LEFT_OUT} | figures
     task, folder = checkpoint.task, baselines.FOLDER / checkpoint.task
+    entry = {"training": training, "evaluation": _evaluation(run, None)}
+    if (corrected := task.replace("-v0", "-v1")) in set(TASKS) - {task}:
+        entry["corrected"] = _evaluation(run, corrected)
     before = load_baseline(task).runs if (folder / RESULT).is_file() else []
-    runs = [entry for entry in before if entry["training"]["seed"] != training["seed"]]
-    runs.append({"training": training, "evaluation": evaluation})
-    runs.sort(key=lambda entry: entry["training"]["seed"])
+    runs = [other for other in before if other["training"]["seed"] != training["seed"]]
+    runs.append(entry)
+    runs.sort(key=lambda other: other["training"]["seed"])
     if runs[0]["training"] is training:
         size = sum(array.nbytes for array in checkpoint.policy.values())
         if size > MOST_BYTES:
@@ -61,6 +63,12 @@ def add(run: Path) -> None:
         _write_curve(run / CSV, folder / CURVE)
     with in_place(folder / RESULT) as scratch:
         scratch.write_text(json.dumps({"runs": runs}, indent=1) + "\n")
+
+
+def _evaluation(run: Path, task: str | None) -> dict[str, Any]:
+    """Return the figures of a run's policy in its task, or in another one."""
+    head, figures = Eval(checkpoint=run, task=task).figures()
+    return {name: value for name, value in head.items() if name not in LEFT_OUT} | figures
 
 
 def _write_curve(source: Path, target: Path) -> None:
@@ -95,10 +103,11 @@ def _success_table(found: list[Baseline]) -> str:
     rows = []
     for baseline in found:
         for run in baseline.runs:
-            evaluation, seed = run["evaluation"], run["training"]["seed"]
-            for mode in MODES:
-                shares = (success_text(evaluation[mode], rule) for rule in SUCCESSES)
-                rows.append([f"`{baseline.task}`", str(seed), mode, *shares])
+            for evaluation in (run["evaluation"], run.get("corrected")):
+                for mode in MODES if evaluation else ():
+                    shares = (success_text(evaluation[mode], rule) for rule in SUCCESSES)
+                    task = evaluation["task"].removeprefix("MyoWarp/")
+                    rows.append([f"`{task}`", str(run["training"]["seed"]), mode, *shares])
     return _table(["task", "seed", "actions", *SUCCESSES.values()], rows)
 
 
@@ -127,11 +136,11 @@ def _training_table(found: list[Baseline]) -> str:
 
 def _published_table(found: list[Baseline], published: dict[str, Any]) -> str:
     """Return our success beside that of others."""
-    ours = {
-        b.task: f"{100 * b.runs[0]['evaluation']['deterministic']['success']:.1f}"
-        f" ({b.runs[0]['training']['samples'] / 1e6:.2f} M)"
-        for b in found
-    }
+    ours = {}
+    for baseline in found:
+        run = baseline.runs[0]
+        shares = " / ".join(f"{100 * run['evaluation'][mode]['success']:.1f}" for mode in MODES)
+        ours[baseline.task] = f"{shares} ({run['training']['samples'] / 1e6:.2f} M)"
     sources = published["sources"]
     rows = [
         [f"`{task}`", ours.get(task, "not trained"), *(theirs.get(name, "-") for name in sources)]

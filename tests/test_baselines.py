@@ -1,6 +1,7 @@
 """Baselines: every one acts, two still reach their table, and what is missing or damaged is refused."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import pytest
 
 from benchmarks.baselines import DOCS, MOST_BYTES, add, page
 from myowarp.apps import baselines
-from myowarp.apps.learned import LearnedPolicy
+from myowarp.apps.learned import LearnedPolicy, read_policy
 from myowarp.apps.train import checkpoint as checkpoints
 from myowarp.apps.train.eval_command import Eval
 from myowarp.apps.train.settings import ALGORITHMS, preset, restore
@@ -59,11 +60,14 @@ def test_a_baseline_is_whole_small_and_what_its_table_is_about(name):
     assert manifest["contract"]["task"] == name == TASKS[name].key
     assert manifest["samples"] == first["training"]["samples"] == first["evaluation"]["samples"]
     assert manifest["settings"]["seed"] == first["training"]["seed"]
+    corrected = name.replace("-v0", "-v1")
     for run in baseline.runs:
-        assert run["evaluation"]["task"] == TASKS[name].env_id
-        assert run["evaluation"]["physics"] == "parity"
-        for mode in ("deterministic", "sampled"):
-            assert run["evaluation"][mode]["episodes"] >= 256
+        kinds = {"evaluation": name} | ({"corrected": corrected} if corrected in TASKS else {})
+        assert set(run) == {"training", *kinds}
+        for kind, task in kinds.items():
+            assert run[kind]["task"] == TASKS[task].env_id
+            assert run[kind]["physics"] == "parity"
+            assert all(run[kind][mode]["episodes"] >= 256 for mode in ("deterministic", "sampled"))
     assert sum(file.stat().st_size for file in baseline.checkpoint.folder.iterdir()) < MOST_BYTES
     act = LearnedPolicy(baseline.checkpoint)
     obs = np.zeros((2, sum(size for _, size, _ in manifest["contract"]["columns"])))
@@ -160,6 +164,12 @@ def test_a_run_becomes_a_baseline(run, tmp_path, monkeypatch):
     assert (baseline.checkpoint.folder / "curve.csv").read_text().startswith("samples,return,success,")
 
 
+def test_the_demo_shows_a_baseline():
+    makefile = (DOCS.parent / "Makefile").read_text()
+    task, policy = re.search(r"rollout MyoWarp/(\S+) .*--policy (\S+).* --video", makefile).groups()
+    assert read_policy(policy, baselines.policy_folder(policy, task), TASKS[task]).task in NAMES
+
+
 def test_list_prints_what_is_committed(run):
     status, out, _ = run("baselines", "list", "--json")
     assert status == 0
@@ -250,6 +260,10 @@ def test_what_is_not_there_is_said(copies, run, no_simulation):
         ("baselines", "list", "myoHandPoseRandom-v1"),
     ):
         assert said(run(*arguments)) == none
+    other = copies.name.replace("-v0", "-v1")
+    assert said(run("eval", f"baselines/{other}")) == (
+        f"task {other!r} has no baseline; that of another version is baselines/{copies.name}"
+    )
     assert said(run("baselines", "run")) == f"baselines run needs a task: {copies.name}"
     assert said(run("eval", "baseline")).startswith("policy 'baseline' needs a task")
     assert said(run("train", "--resume", copies)) == (

@@ -76,6 +76,10 @@ def test_the_elbow_learns_in_seconds(learned, run):
     report = json.loads((learned / "report.json").read_text())
     assert report["ended"] == "99.5 % more than 5 solved steps"
     assert report["samples"] <= 250_000
+    assert 0.0 < report["training_seconds"] < report["seconds"]
+    assert 0.0 < report["training_cpu_seconds"] < report["cpu_seconds"] < report["seconds"] * report["cores"]
+    assert 0.0 <= report["cores_busy_with_others"] < report["cores"] + 1
+    assert report["resumed_after"] == 0
     status, out, err = run("eval", learned, "--device", "cpu", "--json")
     assert status == 0, err
     figures = json.loads(out)

@@ -56,7 +56,10 @@ def baseline_folder(task: str) -> Path:
         ValueError: There is none.
     """
     if task not in (available := baseline_tasks()):
-        raise ValueError(f"task {task!r} has no baseline; available: {', '.join(available)}")
+        versions = [other for other in available if other.rpartition("-")[0] == task.rpartition("-")[0]]
+        listed = f"available: {', '.join(available)}"
+        others = f"that of another version is {PREFIX}{versions[0]}" if versions else listed
+        raise ValueError(f"task {task!r} has no baseline; {others}")
     return FOLDER / task
 
 
