@@ -34,8 +34,10 @@ def state(env):
     sim = env.unwrapped.sim
     keys, episode = sim.scene.keys, sim.episode
     arrays = (keys.seed, keys.episode, episode.step_count, episode.solved_count, sim.transition.obs)
-    looks = [snapshot(sim, world)[:2] for world in range(sim.num_worlds)]
-    return [array.numpy().copy() for array in arrays] + [part for look in looks for part in look]
+    seen = [snapshot(sim, world) for world in range(sim.num_worlds)]
+    return [array.numpy().copy() for array in arrays] + [
+        part for one in seen for part in (one.qpos, one.activation)
+    ]
 
 
 def assert_equal(first, second):
@@ -131,10 +133,13 @@ BAD_RESETS = {
         {"options": {"reset_mask": np.zeros(3, dtype=bool)}},
         mask_sentence("bool of shape (3,) with 0"),
     ),
-    "unknown option": ({"options": {"goal": 1.0}}, "reset option 'goal' unknown; available: reset_mask"),
+    "unknown option": (
+        {"options": {"goal": 1.0}},
+        "reset option 'goal' unknown; available: reset_mask, qpos, qvel, state",
+    ),
     "unknown option beside a mask": (
         {"options": {"reset_mask": np.ones(3, dtype=bool), "goal": 1.0}},
-        "reset option 'goal' unknown; available: reset_mask",
+        "reset option 'goal' unknown; available: reset_mask, qpos, qvel, state",
     ),
     "too few seeds": ({"seed": [1, 2]}, "seed must have one entry for each of 3 worlds, got 2"),
     "too many seeds": ({"seed": [1, 2, 3, 4]}, "seed must have one entry for each of 3 worlds, got 4"),

@@ -111,7 +111,7 @@ def test_spaces_and_metadata(elbow):
     assert elbow.spec.id == ELBOW
     assert elbow.num_envs == 3
     assert elbow.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    assert elbow.metadata["render_modes"] == ["human", "rgb_array"]
+    assert "rgb_array" in elbow.metadata["render_modes"]
     assert elbow.metadata["render_fps"] == 50
     assert elbow.muscle_names == ("TRIlong", "TRIlat", "TRImed", "BIClong", "BICshort", "BRA")
     for space, single, size in (

@@ -212,7 +212,7 @@ class TestParameter:
     @staticmethod
     def values(value, num_worlds=3, names=("a", "b", "c_r"), steps=0, dt=0.1, **options):
         """Return a parameter's values after some control steps of dt [s], shape (num_worlds, num_names)."""
-        scene = SimpleNamespace(worlds=Worlds.all(num_worlds), control_dt=dt)
+        scene = SimpleNamespace(worlds=Worlds.all(num_worlds), control_dt=dt, keep=lambda name, array: array)
         parameter = Parameter("thing", value, scene, names, neutral=1.0, **options)
         clock = Clock()
         clock.step_count = wp.full(num_worlds, steps, dtype=int)

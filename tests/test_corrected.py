@@ -221,7 +221,7 @@ def test_targets_jump_in_time(jumps, period, direction):
     """At every step of an episode, against exact fractions; rounding would delay jumps of the last two."""
     sim = simulation("myoHandBaodingSwap-v0")
     ranges = OrbitRanges(directions=(direction,), period=2 * (float(period),), jumps=jumps)
-    program = BaodingProgram(replace(sim.scene.spec, orbits=ranges), sim.scene)
+    program = BaodingProgram(replace(sim.scene.spec, orbits=ranges), replace(sim.scene, state={}))
     steps = np.arange(1, HORIZON + 1)
     program.sample_goal(wp.ones(NUM_WORLDS, dtype=bool))
     program.advance(wp.array(steps, dtype=int))

@@ -126,7 +126,7 @@ def test_masses_that_mujoco_refuses_are_repaired(tmp_path):
     assert notes["/bodyset/turned"].error_bound == "0.001 kg, 1e-06 kg m^2"
     assert "break A + B >= C" in notes["/bodyset/ball"].rule
     a, b, c = sorted(model.body("ball").inertia)
-    assert a + b == pytest.approx(c)
+    assert c <= a + b <= (1 + 2e-6) * c
     # A body behind a locked joint moves with one that has mass: nothing to repair.
     assert "/bodyset/loose" not in notes
     assert model.body("loose").mass[0] == 0

@@ -68,7 +68,7 @@ class TestReafferentation:
 )
 def test_both_in_one_world(reafferentation, transfer, world):
     """Refused where it is known beforehand, at any time."""
-    scene = SimpleNamespace(worlds=Worlds.all(2), control_dt=0.02)
+    scene = SimpleNamespace(worlds=Worlds.all(2), control_dt=0.02, keep=lambda name, array: array)
     parameters = [
         Parameter(f"{name} affected", value, scene, (), neutral=0.0)
         for name, value in (("reafferentation", reafferentation), ("tendon_transfer", transfer))

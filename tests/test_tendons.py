@@ -223,7 +223,7 @@ class TestTransfer:
         sim.launch_conditions()
         activation = np.float32(np.linspace(0.1, 0.9, 39))
         sim.scene.muscles.activation.assign(np.tile(activation, (NUM_WORLDS, 1)))
-        affected, healthy = (snapshot(sim, world)[1] for world in (0, 1))
+        affected, healthy = (snapshot(sim, world).activation for world in (0, 1))
         np.testing.assert_array_equal(healthy, [*activation, np.nan])
         assert affected[MOVED] == activation[EIP]
         assert np.flatnonzero(np.isnan(affected)).tolist() == [EIP, EPL]

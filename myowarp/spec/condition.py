@@ -13,7 +13,7 @@ import abc
 import dataclasses
 import enum
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from myowarp.spec.parameter import Clock
 from myowarp.spec.registry import Registry, check_flag
@@ -159,7 +159,8 @@ def resolve(conditions: str | Condition | Iterable[str | Condition], spec: TaskS
         found.append(CONDITIONS[entry]() if isinstance(entry, str) else entry)
     writer: dict[str, str] = {}
     for condition in found:
-        for field in dataclasses.fields(condition):  # type: ignore[arg-type]
+        fields: Iterable[Any] = dataclasses.fields(condition) if dataclasses.is_dataclass(condition) else ()
+        for field in fields:
             if isinstance(field.default, bool):
                 check_flag(f"{condition.name} {field.name}", getattr(condition, field.name))
         condition.check(spec)

@@ -28,6 +28,7 @@ HINGE, SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 
 MIN_MASS = 1e-3  # kg, of a moving body that has none
 MIN_INERTIA = 1e-6  # kg m^2
+ROUNDING = 1e-6  # relative; MuJoCo refuses A + B >= C that its own rounding breaks
 MAX_JOINTS = 6  # of one body, in MuJoCo
 PHANTOM_INERTIA = 1e-3  # kg m^2, of a phantom whose angle runs over about 2 rad
 TIED_ARMATURE = {HINGE: 1e-3, SLIDE: 0.1}
@@ -274,15 +275,17 @@ def _add_inertia(build: Build, name: str, body: mujoco.MjsBody, floor: bool) -> 
         )
         values = lift
     lack = values[2] - values[0] - values[1]
-    if mass > 0 and lack > 1e-9 * values[2]:
-        values = values + np.array([lack, lack, 0.0]) / 2
-        build.notes.append(
-            Note(
-                f"/bodyset/{name}",
-                "its moments of inertia break A + B >= C; the lesser ones were raised",
-                f"{lack / 2:.3g} kg m^2",
+    if mass > 0 and lack > -ROUNDING * values[2]:
+        lift = (lack + ROUNDING * values[2]) / 2
+        values = values + np.array([lift, lift, 0.0])
+        if lack > ROUNDING * values[2]:
+            build.notes.append(
+                Note(
+                    f"/bodyset/{name}",
+                    "its moments of inertia break A + B >= C; the lesser ones were raised",
+                    f"{lift:.3g} kg m^2",
+                )
             )
-        )
     if mass > 0:
         if np.linalg.det(axes) < 0:
             axes = axes * [1.0, 1.0, -1.0]
