@@ -47,27 +47,27 @@ with quick_import():
     from myowarp.spec.program import Program
     from myowarp.spec.scene import Scene
     from myowarp.spec.task import TASKS, Column, RewardTerm, TaskSpec, blocks, register, task, weighted
-    from myowarp.tasks.extend import extend
-    from myowarp.tasks.from_file import from_mjcf
     from myowarp.tasks.pose import PoseTask
-    from myowarp.tasks.quantities import QUANTITIES
     from myowarp.tasks.reach import ReachTask
 
     for _registry in (TASKS, BODIES, MUSCLES, CONDITIONS):
         _registry.seal()
     register_all()
 
-_ADAPTERS = {
+_LATER = {
+    "extend": "myowarp.tasks.extend",
+    "from_mjcf": "myowarp.tasks.from_file",
+    "QUANTITIES": "myowarp.tasks.quantities",
     "Sb3VecEnv": "myowarp.apps.adapters.stable_baselines3",
     "RslRlVecEnv": "myowarp.apps.adapters.rsl_rl",
 }
 
 
 def __getattr__(name: str) -> Any:
-    """Import an adapter when it is first used: it needs its trainer."""
-    if name not in _ADAPTERS:
+    """Import what is not needed at every start, and adapters, which need their trainers, when first used."""
+    if name not in _LATER:
         raise AttributeError(f"module 'myowarp' has no attribute {name!r}")
-    return getattr(importlib.import_module(_ADAPTERS[name]), name)
+    return getattr(importlib.import_module(_LATER[name]), name)
 
 
 __all__ = [  # noqa: RUF022 (by what they are for)
