@@ -2,6 +2,7 @@
 #   make PYTHON=python3.12 test      another interpreter (after `make clean` if .venv exists)
 #   make test PYTEST="-k fatigue"    more arguments for pytest
 #   make rivals RIVALS=--quick       three families and two rounds instead of all
+#   make learning LEARNING=--quick   the elbow alone
 #   make opensim OPENSIM=--quick     one model and two rounds instead of all
 
 SHELL := bash
@@ -10,6 +11,7 @@ SHELL := bash
 PYTHON ?= python3
 PYTEST ?=
 RIVALS ?=
+LEARNING ?=
 OPENSIM ?=
 VENV := .venv
 BIN := $(VENV)/bin
@@ -17,7 +19,7 @@ STAMP := $(VENV)/.installed
 TEST_STAMP := $(VENV)/.installed-test
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help setup demo test test-slow lint format bench gpu rivals opensim accuracy parity soak audit pictures clean
+.PHONY: help setup demo test test-slow lint format bench gpu rivals opensim accuracy parity soak audit docs pictures dist learning test-view clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -50,10 +52,15 @@ demo: setup ## Show 256 trained hands that reach for targets, success rate, out/
 	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --policy baselines/myoHandReachRandom-v0 --num-worlds 256 --video out/demo.mp4 --overwrite
 
 test: lint ## Check format, lint and types, then run the fast tests (what CI runs)
-	$(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile $(PYTEST)
+	$(BIN)/python -m pytest -m "not slow and not view" -n auto --dist loadfile $(PYTEST)
 
 test-slow: $(TEST_STAMP) ## Run the tests marked slow
 	$(BIN)/python -m pytest -m slow $(PYTEST)
+
+test-view: $(TEST_STAMP) ## Test the page of `myowarp view` in a headless Chromium, which is installed where apt-get is
+	@command -v chromium >/dev/null || apt-get install --yes --no-install-recommends chromium || { \
+	  echo "Install Chromium first (Debian: apt-get install chromium)" >&2; exit 1; }
+	$(BIN)/python -m pytest -m view $(PYTEST)
 
 lint: $(TEST_STAMP) ## Check format, lint and types
 	$(BIN)/ruff format --check .
@@ -77,6 +84,9 @@ gpu: setup ## Measure on a GPU, JSON to out/gpu.json (8 minutes)
 
 rivals: setup .venv-parity/.installed .venv-envpool/.installed ## Measure speed beside MyoSuite, EnvPool and MuJoCo C (8 to 20 minutes, idle cores)
 	$(BIN)/python -m benchmarks.rivals --output out/rivals.json $(RIVALS)
+
+learning: $(TEST_STAMP) .venv-parity/.installed .venv-envpool/.installed ## Measure the time to success beside MyoSuite and EnvPool (hours; LEARNING=--quick: minutes)
+	$(BIN)/python -m benchmarks.learning --output out/learning.json $(LEARNING)
 
 opensim: setup .venv-opensim/.installed ## Measure speed beside OpenSim with 1 to 64 times the muscles (5 to 12 minutes; OPENSIM="ARM.osim GAIT.osim")
 	$(BIN)/python -m benchmarks.opensim_speed --output out/opensim_speed.json $(OPENSIM)
@@ -107,8 +117,20 @@ soak: setup ## Run random actions in all 204 ids of the paper's grid and pairs o
 audit: setup ## Audit every task, table, JSON and page to out/audit (10 minutes to an hour)
 	$(BIN)/myowarp audit --output out/audit --overwrite
 
-pictures: setup ## Draw every body and task family into docs/pictures/bodies.png
+docs: $(TEST_STAMP) ## Build the documentation site into out/docs
+	$(BIN)/sphinx-build -W --keep-going -j auto docs out/docs
+	@echo "Open out/docs/index.html"
+
+pictures: setup ## Draw every body and task family into docs/pictures
 	$(BIN)/python docs/pictures/contact_sheet.py
+
+# Wheel and sdist, and the wheel at work: installed into an empty environment, away from this folder.
+dist: setup ## Build wheel and sdist into dist, check them, try the wheel in an empty environment
+	rm -rf dist build
+	$(PIP) install --quiet build twine
+	$(BIN)/python -m build
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/python tests/try_wheel.py dist/*.whl
 
 clean: ## Remove .venv, caches and outputs
 	rm -rf $(VENV) .venv-parity .venv-envpool .venv-opensim out build dist .mypy_cache .pytest_cache .ruff_cache

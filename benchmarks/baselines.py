@@ -1,6 +1,7 @@
 """Baselines of the package: add runs of `myowarp train`, and write the page of all results.
 
     python -m benchmarks.baselines --add runs/hand    # evaluate it, 256 episodes under parity; then the page
+    python -m benchmarks.baselines --evaluate ID      # evaluate a committed policy again; then the page
     python -m benchmarks.baselines                    # docs/baselines.md and docs/baselines.png alone
 
 A run of a task that has a baseline replaces the run of the same seed; the policy that acts is that of the
@@ -61,6 +62,21 @@ def add(run: Path) -> None:
             )
         save_policy(folder, checkpoint)
         _write_curve(run / CSV, folder / CURVE)
+    _write_result(folder, runs)
+
+
+def evaluate_again(task: str) -> None:
+    """Replace the evaluation of the policy that a baseline has, that of its first run."""
+    folder = baselines.FOLDER / task
+    runs = load_baseline(task).runs
+    runs[0]["evaluation"] = _evaluation(folder, None)
+    if "corrected" in runs[0]:
+        runs[0]["corrected"] = _evaluation(folder, task.replace("-v0", "-v1"))
+    _write_result(folder, runs)
+
+
+def _write_result(folder: Path, runs: list[dict[str, Any]]) -> None:
+    """Write the runs of a baseline."""
     with in_place(folder / RESULT) as scratch:
         scratch.write_text(json.dumps({"runs": runs}, indent=1) + "\n")
 
@@ -91,6 +107,7 @@ def page() -> str:
     missing = [f"`{task}`" for task in published["tasks"] if task not in {b.task for b in found}]
     return PAGE.read_text().format(
         success=_success_table(found),
+        reachable=_reachable(found),
         missing=f"\nNot trained: {', '.join(missing)}.\n" if missing else "",
         machine=", ".join(f"{cores} cores ({name})" for name, cores in sorted(machines)),
         training=_training_table(found),
@@ -109,6 +126,18 @@ def _success_table(found: list[Baseline]) -> str:
                     task = evaluation["task"].removeprefix("MyoWarp/")
                     rows.append([f"`{task}`", str(run["training"]["seed"]), mode, *shares])
     return _table(["task", "seed", "actions", *SUCCESSES.values()], rows)
+
+
+def _reachable(found: list[Baseline]) -> str:
+    """Return success over targets that can be met exactly, where some cannot."""
+    lines = []
+    for baseline in found:
+        figures = baseline.runs[0]["evaluation"]
+        count, episodes = figures[MODES[0]].get("reachable"), figures[MODES[0]]["episodes"]
+        if count and count < episodes:
+            shares = (f"{success_text(figures[mode], 'success_reachable')} {mode}" for mode in MODES)
+            lines.append(f"* `{baseline.task}`: {count} of {episodes} targets; {', '.join(shares)}.\n")
+    return "".join(lines)
 
 
 def _training_table(found: list[Baseline]) -> str:
@@ -189,9 +218,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--add", nargs="*", type=Path, default=[], metavar="RUN", help="folders of runs")
-    for run in parser.parse_args().add:
+    parser.add_argument("--evaluate", nargs="*", default=[], metavar="ID", help="baselines")
+    arguments = parser.parse_args()
+    for run in arguments.add:
         add(run)
         print(f"Added {run}")
+    for task in arguments.evaluate:
+        evaluate_again(task)
+        print(f"Evaluated {task}")
     with in_place(DOCS / "baselines.md") as scratch:
         scratch.write_text(page())
     draw(DOCS / "baselines.png")

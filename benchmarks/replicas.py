@@ -152,14 +152,14 @@ class MyoWarp:
     def __init__(self, model: str, copies: int, worlds: int, device: str, shards: int, **_: Any) -> None:
         import numpy as np
 
-        from myowarp.sim.shards import simulate
+        from myowarp.sim.simulation import Simulation
         from myowarp.tasks.from_file import pose_task
 
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "model.xml"
             path.write_text(replicate(Path(model), copies))
             options = {"autoreset": "disabled", "progress": False, "device": device}
-            self.sim = simulate(pose_task(path), worlds, shards=shards, **options)
+            self.sim = Simulation(pose_task(path), worlds, shards=shards, **options)
         scene = self.sim.scene
         muscles = scene.muscles.activation.shape
         action = 0.5 + math.log(EXCITATION / (1.0 - EXCITATION)) / 5.0  # the inverse of kernels/action.py

@@ -24,7 +24,6 @@ from myowarp.models.conditions import TendonTear
 from myowarp.progress import progress_bar
 from myowarp.sim.build import oracle_model
 from myowarp.sim.simulation import Simulation
-from myowarp.sim.starts import find_starts
 from myowarp.spec.condition import CONDITIONS, Condition, resolve
 from myowarp.spec.task import TASKS, TaskSpec
 from myowarp.tasks.paper import FAMILIES, grid
@@ -81,7 +80,6 @@ def soak(run: Soaked, num_worlds: int) -> dict[str, object]:
             conditions=run.conditions,
             autoreset="same_step",
             progress=False,
-            starts=find_starts(spec, progress=False) if run.reset == "random" else None,
         )
     except ValueError as refusal:
         return {"id": run.id, "refused": str(refusal)}

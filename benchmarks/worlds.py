@@ -33,7 +33,6 @@ from benchmarks.machine import disturbances, least_disturbed, processor, timed_h
 from benchmarks.rivals import FAMILIES
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.progress import progress_bar
-from myowarp.sim.shards import Shards
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import PHYSICS, TASKS
 
@@ -81,7 +80,7 @@ class Batch:
 
     def _elapsed(
         self,
-        sim: Simulation | Shards,
+        sim: Simulation,
         step: Callable[[np.ndarray], object],
         clock: Callable[[], float],
         steps: int,
@@ -100,7 +99,7 @@ class Batch:
         return elapsed / (steps * episode)
 
 
-def stepped(sim: Simulation | Shards) -> Callable[[np.ndarray], None]:
+def stepped(sim: Simulation) -> Callable[[np.ndarray], None]:
     """Return what steps a simulation under actions on the host, as little as there can be around it."""
     host = sim.action.numpy()  # a view
 

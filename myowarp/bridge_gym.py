@@ -22,7 +22,6 @@ from gymnasium.vector.utils import batch_space
 
 from myowarp.kernels.episode import Transition, describe_fault
 from myowarp.sim.interop import ActionInput, Output
-from myowarp.sim.shards import Shards, simulate
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import State, Worlds, get_state, place, rows_of, set_state, start_arrays
 from myowarp.spec.condition import Condition
@@ -133,7 +132,7 @@ class MyoWarpVectorEnv(VectorEnv):
         options: dict[str, Any] = {"physics": physics, "muscle": muscle, "reset": reset, "shards": shards}
         options |= {"device": device, "conditions": conditions, "horizon": max_episode_steps}
         options |= {"autoreset": AUTORESET_NAMES[mode], "deterministic": deterministic, "progress": progress}
-        self.sim = simulate(TASKS[task], num_envs, **options)
+        self.sim = Simulation(TASKS[task], num_envs, **options)
         if render_mode is not None:
             self._pictures.attach(self.sim)
         self._rendered = list(range(self.sim.num_worlds)) if rendered is None else rendered
@@ -438,7 +437,7 @@ class MyoWarpEnv(gym.Env):
         self.action_space = self._vector.single_action_space
 
     @property
-    def sim(self) -> Simulation | Shards:
+    def sim(self) -> Simulation:
         """The simulation of this one world."""
         return self._vector.sim
 

@@ -9,6 +9,7 @@ import contextlib
 import hashlib
 import io
 import logging
+import math
 import os
 import secrets
 import stat
@@ -20,7 +21,7 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -103,6 +104,15 @@ def check_overwrite(paths: Iterable[Path | None], overwrite: bool) -> None:
             raise ValueError(
                 f"output {str(path)!r} exists; choose another name, or replace it with --overwrite"
             )
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON can hold it: NaN and infinity as None."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, dict):
+        return {key: plain(entry) for key, entry in value.items()}
+    return [plain(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
 @cache

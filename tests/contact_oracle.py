@@ -107,7 +107,7 @@ def aim_key(sim, record, prefix):
 
 def aim_baoding(sim, record, prefix):
     """Give the targets their orbits and their step."""
-    orbits = sim.program.orbits
+    orbits = sim.parts[0].program.orbits
     names = {"direction": "sign", "radii": "radii", "period": "period"}
     for ours, theirs in names.items():
         getattr(orbits, ours).assign(padded(record[f"{prefix}_{theirs}"]))
@@ -116,7 +116,7 @@ def aim_baoding(sim, record, prefix):
 
 def aim_hold(sim, record, prefix):
     """Put the goal where it was."""
-    sim.program.goal.assign(padded(record[f"{prefix}_goal_pos"]))
+    sim.parts[0].program.goal.assign(padded(record[f"{prefix}_goal_pos"]))
 
 
 def aim_pen(sim, record, prefix):
@@ -139,9 +139,9 @@ def written(key, prefix, steps):
     sim.transition.obs.fill_(np.nan)
     sim.transition.terms.fill_(np.nan)
     mjw.kinematics(sim.scene.model, sim.scene.data)
-    sim.program.advance(sim.episode.step_count)
-    sim.launch_scoring()
-    sim.program.observe(wp.ones(NUM_WORLDS, dtype=bool), sim.transition.obs)
+    sim.parts[0].program.advance(sim.episode.step_count)
+    sim.parts[0].launch_scoring()
+    sim.parts[0].program.observe(wp.ones(NUM_WORLDS, dtype=bool), sim.transition.obs)
     return sim, count
 
 

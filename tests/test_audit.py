@@ -10,6 +10,7 @@ import pytest
 from myowarp.apps.audit import audit, objects, runs, targets
 from myowarp.apps.audit.figures import findings
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.models.reachability import tip_positions
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TASKS
 
@@ -173,7 +174,7 @@ def test_a_reset_without_starts_says_why(monkeypatch):
     def none_found(*args, **options):
         raise ValueError("too few random starts")
 
-    monkeypatch.setattr("myowarp.apps.audit.measure.find_starts", none_found)
+    monkeypatch.setattr("myowarp.sim.simulation.find_starts", none_found)
     monkeypatch.setattr("myowarp.apps.audit.measure.PROBED_RESETS", ("task", "fixed", "random"))
     found = audit(TASKS[ELBOW], 1, device="cpu")
     assert found.early_failure == {"task": 0.0, "fixed": 0.0, "random": None}
@@ -380,3 +381,17 @@ def test_thumb_is_where_it_was_published(key, off):
         found.append(targets.measure(sim).thumb_off)
     assert abs(found[0] - off) < 1e-4
     assert found[1] < 3e-5
+
+
+def test_targets_in_reach_are_those_of_some_posture():
+    """Points where some posture has the tips, and angles within the ranges; a point a metre off is not."""
+    spec, rng = TASKS["myoFingerReachRandom-v0"], np.random.default_rng(0)
+    model = simulation(spec, 1).scene.oracle
+    qpos = rng.uniform(*model.jnt_range.T, (5, model.nq))
+    points = tip_positions(model, spec.tips, qpos)
+    points[[1, 3]] += 1.0
+    assert targets.in_reach(spec, model, points).tolist() == [True, False, True, False, True]
+    spec = TASKS["myoFingerPoseRandom-v0"]
+    qpos[2, 1] = model.jnt_range[1, 1] + 0.01
+    assert targets.in_reach(spec, model, qpos).tolist() == [True, True, False, True, True]
+    assert targets.in_reach(TASKS["myoHandKeyTurnFixed-v0"], model, qpos) is None

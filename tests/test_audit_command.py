@@ -141,6 +141,13 @@ def test_command_writes_json_and_page(run, tmp_path):
     assert (first["reset"], second["reset"], second["steps"]) == ("task", "none", 200)
     assert first["findings"] == ["Reward terms that never leave 0: penalty."]
     assert first["targets"]["solvable"] == 1.0
+    returns = first["scores"]["random"]["returns"]
+    assert list(returns) == ["0", "5", "25", "50", "75", "95", "100"]
+    mean = (returns["0"] + returns["100"]) / 2  # of two worlds
+    assert mean == pytest.approx(first["scores"]["random"]["return_mean"])
+    assert list(first["columns"]) == ["qpos", "qvel", "pose_err", "act"]
+    assert len(first["columns"]["act"]["high"]) == 6
+    assert len(saved.splitlines()) == 4
     page = (tmp_path / "new" / "folder" / "index.html").read_text()
     assert page.count("data:image/svg+xml;base64,") == page.count("<img") == 2
     assert f'<h3 id="{ELBOW}">' in page

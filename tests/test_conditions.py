@@ -178,7 +178,7 @@ def test_a_broken_world_comes_back(hosted, moment):
     np.testing.assert_array_equal(whole[others], hurt[others])
     assert np.isfinite(hurt).all()
     assert not sims[1].transition.fault.numpy().any()
-    for effect in sims[1].effects:
+    for effect in sims[1].parts[0].effects:
         for array in effect.info.values():
             assert np.isfinite(array.numpy()).all()
 
@@ -212,7 +212,12 @@ class TestParameter:
     @staticmethod
     def values(value, num_worlds=3, names=("a", "b", "c_r"), steps=0, dt=0.1, **options):
         """Return a parameter's values after some control steps of dt [s], shape (num_worlds, num_names)."""
-        scene = SimpleNamespace(worlds=Worlds.all(num_worlds), control_dt=dt, keep=lambda name, array: array)
+        scene = SimpleNamespace(
+            worlds=Worlds.all(num_worlds),
+            control_dt=dt,
+            zeros=lambda name, *shape: wp.zeros((num_worlds, *shape), dtype=float),
+            parameters=[],
+        )
         parameter = Parameter("thing", value, scene, names, neutral=1.0, **options)
         clock = Clock()
         clock.step_count = wp.full(num_worlds, steps, dtype=int)
@@ -270,7 +275,7 @@ class TestParameter:
         sim = Simulation(TASKS[HOSTS[0]], 64, device="cpu", conditions=strength, graph=False, progress=False)
 
         def drawn():
-            sim.launch_conditions()
+            sim.parts[0].launch_conditions()
             return sim.scene.muscles.anatomy.strength.numpy().copy()
 
         sim.reset(seeds=np.arange(64))
@@ -286,7 +291,7 @@ class TestParameter:
         strength = Sarcopenia(Uniform(0.2, 0.9, each=True))
         sim = Simulation(TASKS[HOSTS[0]], 3, device="cpu", conditions=strength, graph=False, progress=False)
         sim.reset(seeds=np.arange(3))
-        sim.launch_conditions()
+        sim.parts[0].launch_conditions()
         assert len(np.unique(sim.scene.muscles.anatomy.strength.numpy())) == 18
 
     @pytest.mark.parametrize(

@@ -191,7 +191,7 @@ def test_contract(options):
     task = rich(sites=sites_of("elbow"))
     shared = {name: value for name, value in options.items() if name != "graph"}
     sim, first, rows = rolled(task, **shared)
-    assert all(graph.replay for graph in (sim.step_graph, sim.reset_graph))
+    assert all(graph.replay for graph in (sim.parts[0].step_graph, sim.parts[0].reset_graph))
     _, other_first, others = rolled(task, num_worlds=13, **options)
     np.testing.assert_array_equal(first, other_first[:6])
     for name, values in rows.items():

@@ -207,7 +207,7 @@ def test_muscle_with_state(folder):
 
 def simulated(env, actions, start, worlds=1):
     """Return the qpos of each control step in MuJoCo C, from a configuration at rest."""
-    model = env.unwrapped.sim.parts[0].full_model
+    model = env.unwrapped.sim.full_model
     data = mujoco.MjData(model)
     data.qpos[:] = start
     found = []

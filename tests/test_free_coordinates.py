@@ -164,7 +164,7 @@ def place(sim, u, du, ctrl):
 
 def physics(sim):
     with wp.ScopedDevice(sim.scene.device):
-        sim._launch_physics()
+        sim.parts[0]._launch_physics()
 
 
 def states(count, seed=0):
@@ -178,8 +178,8 @@ def states(count, seed=0):
 def test_a_step_is_that_of_float64(tmp_path, integrator, stages):
     """Accelerations, and 0.2 s of motion, of the engine's solver and integrator and of ours."""
     sim = simulation(leg(tmp_path, integrator=integrator), 37, stages=stages)
-    assert isinstance(sim.stages[0], FreeCoordinates)
-    assert bool(sim.stages[1:]) == (stages is None)
+    assert isinstance(sim.parts[0].stages[0], FreeCoordinates)
+    assert bool(sim.parts[0].stages[1:]) == (stages is None)
     reference, (u, du, ctrl) = Leg(mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))), states(37)
     place(sim, u, du, ctrl)
     h = sim.scene.oracle.opt.timestep
@@ -270,7 +270,7 @@ def test_accelerations_are_those_of_opensim(name, tmp_path):
 
     converted, path = motorised(tmp_path, name)
     sim = simulation(path, len(recorded["values"]))
-    assert isinstance(sim.stages[0], FreeCoordinates)
+    assert isinstance(sim.parts[0].stages[0], FreeCoordinates)
     model, data = sim.scene.oracle, sim.scene.data
     entries = {entry.name: entry for entry in converted.coordinates.coordinates}
     joints = [model.joint(entries[str(c)].joint).id for c in recorded["coordinates"]]
@@ -296,15 +296,15 @@ def test_a_model_asks_for_it(tmp_path, caplog):
     (tmp_path / "couplings.json").unlink()
     with caplog.at_level(logging.WARNING, logger="myowarp"):
         sim = simulation(path, 1)
-    assert not isinstance(sim.stages[0], FreeCoordinates)
+    assert not isinstance(sim.parts[0].stages[0], FreeCoordinates)
     assert not caplog.records
     spec = mujoco.MjSpec.from_file(str(path))
     ask(spec)
     (tmp_path / "couplings.json").write_text(Exact({}, {}).as_json())
     sim = simulation(path, 1)
-    assert isinstance(sim.stages[0], FreeCoordinates)
+    assert isinstance(sim.parts[0].stages[0], FreeCoordinates)
     place(sim, np.array([[0.2, -0.7]]), np.zeros((1, 2)), np.zeros((1, 2)))
-    sim.stages[0].follow(sim.scene.model, sim.scene.data)
+    sim.parts[0].stages[0].follow(sim.scene.model, sim.scene.data)
     ghost = 0.9 * -0.7 + 0.2 * 0.49
     wanted = (0.2, 0.03 * -0.7, -0.7, 0.1 + 0.4 * ghost, 0.01, ghost)
     np.testing.assert_allclose(sim.scene.data.qpos.numpy()[0], wanted, atol=1e-6)
@@ -335,7 +335,7 @@ def test_what_it_does_not_cover_is_said_once(tmp_path, caplog, changes, reason):
         path.write_text(path.read_text().replace(old, new or old, 1))
     with caplog.at_level(logging.WARNING, logger="myowarp"):
         sim = simulation(path, 1)
-    assert any(isinstance(stage, FreeCoordinates) for stage in sim.stages) == (not reason)
+    assert any(isinstance(stage, FreeCoordinates) for stage in sim.parts[0].stages) == (not reason)
     said = [
         record.getMessage() for record in caplog.records if "by the engine's springs" in record.getMessage()
     ]
@@ -349,7 +349,7 @@ def test_massless_coordinates_are_refused(tmp_path, caplog):
     )
     with caplog.at_level(logging.WARNING, logger="myowarp"):
         sim = simulation(leg(tmp_path, said), 1)
-    assert not any(isinstance(stage, FreeCoordinates) for stage in sim.stages)
+    assert not any(isinstance(stage, FreeCoordinates) for stage in sim.parts[0].stages)
     assert "the model's masses leave a coordinate without inertia" in caplog.text
 
 
@@ -388,14 +388,15 @@ def test_text_reads_back_the_same(tmp_path):
 
 
 def test_a_part_takes_over_the_stages(tmp_path):
-    sim = simulation(leg(tmp_path), 3)
-    part = simulation(leg(tmp_path), 3, like=sim)
-    assert [type(stage) for stage in part.stages] == [type(stage) for stage in sim.stages]
-    for one in (sim, part):
-        place(one, *states(3))
-        physics(one)
-    np.testing.assert_array_equal(part.scene.data.qpos.numpy(), sim.scene.data.qpos.numpy())
-    assert applicable_stages(sim.scene, ["contact_solve"])[0]
+    first, second = simulation(leg(tmp_path), 6, shards=2).parts
+    assert [type(stage) for stage in second.stages] == [type(stage) for stage in first.stages]
+    assert isinstance(second.stages[0], FreeCoordinates)
+    for part in (first, second):
+        place(part, *states(3))
+        with wp.ScopedDevice(part.scene.device):
+            part._launch_physics()
+    np.testing.assert_array_equal(second.scene.data.qpos.numpy(), first.scene.data.qpos.numpy())
+    assert applicable_stages(first.scene, ["contact_solve"])[0]
 
 
 @pytest.mark.parametrize("name", ["gait10dof18musc", "leg6dof9musc"])

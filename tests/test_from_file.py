@@ -154,7 +154,7 @@ def test_only_joints_with_a_target_count():
     np.testing.assert_allclose(sim.transition.obs.numpy()[:, error], [(0.2, -0.1)] * 2, atol=1e-6)
     assert not sim.transition.terminated.numpy().any()
     sim.scene.data.qpos.assign(np.array([(0.0, 0.0, 0.0, 0.2), (0.45, 0.0, 0.0, 0.2)]))
-    sim.launch_scoring()
+    sim.parts[0].launch_scoring()
     distance = np.hypot(0.2, (0.1, 0.55))
     np.testing.assert_allclose(sim.transition.terms.numpy()[:, 0], -distance, atol=1e-6)
     assert sim.transition.terminated.numpy().tolist() == [False, True]

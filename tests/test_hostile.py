@@ -11,6 +11,7 @@ import warnings
 from pathlib import Path
 
 import gymnasium as gym
+import mujoco_warp as mjw
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -193,9 +194,7 @@ def test_estimated_memory_is_what_the_arrays_take():
     capacity = sim.scene.capacity
 
     def make(number):
-        return simulation.mjw.make_data(
-            sim.scene.oracle, nworld=number, nconmax=capacity.contacts, njmax=capacity.rows
-        )
+        return mjw.make_data(sim.scene.oracle, nworld=number, nconmax=capacity.contacts, njmax=capacity.rows)
 
     one, two, forty = (memory._bytes(make(number)) for number in (1, 2, 40))
     assert forty == pytest.approx(one + 39 * (two - one), rel=0.02)
@@ -284,7 +283,7 @@ def test_gymnasium_checks_what_can_be_shown(monkeypatch):
         modes.importlib.util, "find_spec", lambda name: None if name in viewers else usual(name)
     )
     assert modes.render_modes() == ("rgb_array",)
-    hint = r'^render_mode="human" needs newton .*; run `pip install "myowarp\[view\]"`$'
+    hint = r'^render_mode="human" needs (newton|viser).*; run `pip install "myowarp\[view\]"`$'
     with pytest.raises(ImportError, match=hint):
         gym.make_vec(ID, num_envs=2, device="cpu", render_mode="human")
 

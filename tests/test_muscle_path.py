@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from myowarp.engine.stage import first_reason
 from myowarp.engine.stages.muscle_path import PATH_OBSTACLES, MusclePaths
 from myowarp.spec.body import BODIES
 
@@ -104,7 +105,7 @@ TWO_TREES = """
 def obstacle_of(model):
     """Return what in a model the kernel cannot follow, None if it can all."""
     scene = SimpleNamespace(oracle=model)
-    return next((reason for reason, holds in PATH_OBSTACLES.items() if holds(scene)), None)
+    return first_reason(PATH_OBSTACLES, scene)
 
 
 def compiled(name):

@@ -12,8 +12,8 @@ import pytest
 
 import myowarp
 from myowarp.models.muscles.mujoco import MujocoMuscle
-from myowarp.sim.shards import simulate
 from myowarp.sim.signals import Signals
+from myowarp.sim.simulation import Simulation
 from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.task import TASKS
@@ -99,7 +99,7 @@ def test_csv(tmp_path):
 
 def run(muscle, shards, steps=5):
     """Return tensions of five elbows after some steps of full action."""
-    sim = simulate(
+    sim = Simulation(
         TASKS[TASK], 5, shards=shards, device="cpu", muscle=muscle, reset="fixed", autoreset="disabled"
     )
     sim.reset(seeds=np.arange(5))

@@ -10,6 +10,7 @@ import pytest
 from myowarp.models.couplings import couplings, follow
 from myowarp.opensim.build.convert import Options, convert
 from myowarp.opensim.build.mjcf import mjcf
+from myowarp.opensim.build.passive import onset, rising
 from myowarp.opensim.build.quartics import fit_all
 from myowarp.opensim.check.frames import kinematics_error
 from myowarp.opensim.command import run, write
@@ -201,8 +202,28 @@ def test_springs_at_a_limit(conversions):
         data.qpos[:] = converted.coordinates.qpos(model, {"elbow_flexion": np.radians([degrees])})[0]
         mujoco.mj_forward(model, data)
         assert data.qfrc_spring[dof] == pytest.approx(torque, abs=1e-9)
-    note = next(note for note in converted.notes if note.path == "/forceset/elbow_stop")
-    assert "without the damping" in note.rule
+    notes = [note.rule for note in converted.notes if note.path == "/forceset/elbow_stop"]
+    assert any("damping beyond the limits is left out" in rule for rule in notes)
+
+
+LIMIT_FORCE = {
+    2.0: 0.38431604938272385,
+    5.0: 10.493827160493824,
+    10.0: 79.01234567901233,
+    14.0: 139.6255604938272,
+}
+"""OpenSim 4.6: stiffness 10 N m / degree with a transition of 15 degrees, so far beyond its limit."""
+
+
+def test_springs_set_in_over_a_transition():
+    """The quintic onset is OpenSim's; the cubic that stands for it stays near, and never falls."""
+    beyond, force = np.array([*LIMIT_FORCE]), np.array([*LIMIT_FORCE.values()])
+    np.testing.assert_allclose(10.0 * beyond * onset(beyond / 15.0), force, rtol=1e-12)
+    x = np.linspace(0.0, 15.0, 41)[1:]
+    spring = rising(x, 10.0 * x * onset(x / 15.0))
+    assert (spring >= 0).all()
+    np.testing.assert_allclose(beyond[:, None] ** [1, 2, 3] @ spring, force, atol=0.1 * 150)
+    np.testing.assert_allclose(rising(x, 3.0 * x), [3.0, 0.0, 0.0], atol=1e-9)
 
 
 VTP = """<?xml version="1.0"?><VTKFile type="PolyData"><PolyData><Piece NumberOfPoints="4" NumberOfPolys="4">

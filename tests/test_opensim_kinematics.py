@@ -139,6 +139,30 @@ def test_splines_keep_polynomials():
     )
 
 
+REPEATED = (-5.0, 0.0, 0.401, 0.602, 1.0, 1.1, 1.15, 1.15, 1.4, 2.0, 2.0)
+"""Knots of which two repeat, inside and at the end, as in published muscle curves."""
+REPEATED_Y = (0.0, 0.0, 0.1, 0.3, 0.5, 0.2, 0.3, 0.31, 0.6, 0.7, 0.75)
+OPENSIM_THERE = [
+    (-6.0, -489.1463654475517, 489.1463654475517),
+    (-4.615384615384615, 173.51610098167325, 413.1688479404179),
+    (-2.3076923076923075, 604.2544121343328, -38.7287334104044),
+    (-0.23076923076923084, 106.55278636486784, -439.6213004718994),
+    (0.601999999, 0.3000027769561112, -2776.9562072336653),
+    (1.1000000010000002, 0.19996423971242883, -35760.28518183046),
+    (1.1500001, 0.3200000048764284, 100000.01223611257),
+    (1.999999999, 0.69950000013056, 499999.84849990613),
+    (3.0, 500000.8985295146, 500000.1485295146),
+]
+"""x, value and slope of OpenSim 4.6's SimmSpline."""
+
+
+def test_repeated_knots_are_opensims():
+    spline = SimmSpline(REPEATED, REPEATED_Y)
+    x, value, slope = np.array(OPENSIM_THERE).T
+    np.testing.assert_allclose(spline.value(x), value, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(spline.derivative(x), slope, rtol=1e-5, atol=1e-9)
+
+
 def test_straight_lines_are_found():
     assert affine(Multiplier(SimmSpline((0.0, 1.0), (1.0, 3.0)), 2.0)) == pytest.approx((4.0, 2.0))
     assert affine(Polynomial((0.0, 2.0, 1.0))) == (2.0, 1.0)

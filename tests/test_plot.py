@@ -81,14 +81,14 @@ def test_force_curves_are_those_of_mujoco(elbow, what):
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory):
-    """The same run as .npz and .parquet: two worlds, two episodes."""
+    """The same run as .npz, .parquet and .csv: two worlds, two episodes."""
     from myowarp.apps.recording import recording
     from myowarp.bridge_gym import MyoWarpVectorEnv
 
     folder = tmp_path_factory.mktemp("recordings")
     paths = [folder / "run.npz"]
     pytest.importorskip("pyarrow")
-    paths.append(folder / "run.parquet")
+    paths += [folder / "run.parquet", folder / "run.csv"]
     for path in paths:
         env = MyoWarpVectorEnv(
             ELBOW,
@@ -161,7 +161,7 @@ def test_command_writes_the_figure(capsys, monkeypatch, tmp_path, suffix):
         (["force-length", "nothing"], "task 'nothing' unknown"),
         (["force-length", "motorFingerReachRandom-v0"], "the body has none"),
         (["force", "nowhere.npz"], "nowhere.npz"),
-        (["force", "run.txt"], "needs a recording, .parquet or .npz, got 'run.txt'"),
+        (["force", "run.txt"], "needs a recording, .parquet, .csv or .npz, got 'run.txt'"),
         (["force", "a.npz", "b.npz"], "plot force shows one recording or body, got 2"),
         (["learning", "nowhere.csv"], "nowhere.csv"),
     ],

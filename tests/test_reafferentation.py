@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import warp as wp
 from hands import EIP, ELBOW, EPL, HAND, act, simulation, state
 
 from myowarp.models.conditions.reafferentation import Reafferentation, check_apart
@@ -28,7 +29,7 @@ class TestReafferentation:
         ctrl = np.float32(np.random.default_rng(0).uniform(0.1, 1.0, (3, 39)))
         ctrl[:, EPL] = np.nan
         sim.scene.data.ctrl.assign(ctrl)
-        sim.launch_conditions()
+        sim.parts[0].launch_conditions()
         expected = ctrl.copy()
         expected[[0, 2], EPL], expected[[0, 2], EIP] = ctrl[[0, 2], EIP], 0.0
         np.testing.assert_array_equal(sim.scene.data.ctrl.numpy(), expected)
@@ -68,7 +69,12 @@ class TestReafferentation:
 )
 def test_both_in_one_world(reafferentation, transfer, world):
     """Refused where it is known beforehand, at any time."""
-    scene = SimpleNamespace(worlds=Worlds.all(2), control_dt=0.02, keep=lambda name, array: array)
+    scene = SimpleNamespace(
+        worlds=Worlds.all(2),
+        control_dt=0.02,
+        zeros=lambda name, *shape: wp.zeros((2, *shape)),
+        parameters=[],
+    )
     parameters = [
         Parameter(f"{name} affected", value, scene, (), neutral=0.0)
         for name, value in (("reafferentation", reafferentation), ("tendon_transfer", transfer))

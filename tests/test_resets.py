@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from myowarp.sim.shards import simulate
+from myowarp.sim.simulation import Simulation
 from myowarp.sim.starts import posture_joints
 from myowarp.spec.task import TASKS
 
@@ -14,7 +14,7 @@ FLOAT32 = 1e-6  # rad, rounding of joint angles
 
 def simulation(key, reset, **options):
     settings = {"device": "cpu", "graph": False, "progress": False, "autoreset": "same_step"} | options
-    sim = simulate(TASKS[key], NUM_WORLDS, shards=1, reset=reset, **settings)
+    sim = Simulation(TASKS[key], NUM_WORLDS, shards=1, reset=reset, **settings)
     sim.reset(seeds=np.arange(NUM_WORLDS))
     return sim
 

@@ -17,7 +17,7 @@ import pytest
 
 from myowarp.engine import graph
 from myowarp.engine.said import say_once
-from myowarp.sim.shards import simulate
+from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TASKS
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarn
 
 def build(num_shards):
     options = {"device": "cpu", "horizon": 10**6, "progress": False}
-    return simulate(TASKS[ELBOW], NUM_WORLDS, shards=num_shards, **options)
+    return Simulation(TASKS[ELBOW], NUM_WORLDS, shards=num_shards, **options)
 
 
 @pytest.fixture
@@ -243,7 +243,7 @@ def test_parts_act_at_the_same_time_where_warp_replays(monkeypatch, caplog):
         if not replayed:
             monkeypatch.setattr(graph, "RECORDERS", (*graph.RECORDERS, "wp_is_no_more"))
         with caplog.at_level(logging.WARNING, logger="myowarp"):
-            sim = simulate(TASKS[ELBOW], 8, shards=2, device="cpu", progress=False)
+            sim = Simulation(TASKS[ELBOW], 8, shards=2, device="cpu", progress=False)
             assert all((part.step_graph.replay is not None) == replayed for part in sim.parts)
             if not replayed:
                 both = threading.Barrier(2, timeout=30)

@@ -12,9 +12,8 @@ from gymnasium.error import ResetNeeded
 from myowarp.kernels.episode import Transition
 from myowarp.models.conditions import Fatigue3CCR, Load, MotorNoise, Ramp, Sarcopenia, Uniform
 from myowarp.models.conditions.reafferentation import check_apart
-from myowarp.sim import shards as module
-from myowarp.sim.build import SHARED_FIELDS
-from myowarp.sim.shards import Shards, simulate
+from myowarp.sim import simulation as module
+from myowarp.sim.build import RESULT_FIELDS, STATE_FIELDS
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.parameter import Parameter
@@ -46,7 +45,7 @@ def settings(**options):
 
 
 def build(key=ELBOW, num_shards=1, num_worlds=NUM_WORLDS, **options):
-    return simulate(TASKS[key], num_worlds, shards=num_shards, **settings(**options))
+    return Simulation(TASKS[key], num_worlds, shards=num_shards, **settings(**options))
 
 
 def everything(sim):
@@ -54,7 +53,7 @@ def everything(sim):
     seen = {f"transition.{name}": getattr(sim.transition, name) for name in Transition.vars}
     seen |= {f"final.{name}": getattr(sim.final, name) for name in Transition.vars}
     seen |= {f"info.{name}": array for name, array in sim.info.items()}
-    seen |= {name: getattr(sim.scene.data, name) for name in SHARED_FIELDS}
+    seen |= {name: getattr(sim.scene.data, name) for name in (*STATE_FIELDS, *RESULT_FIELDS)}
     seen |= {"episode": sim.scene.keys.episode, "activation": sim.scene.muscles.activation}
     seen |= {"step_count": sim.episode.step_count, "live": sim.masks.live}
     return {name: array.numpy().copy() for name, array in seen.items()}
@@ -94,7 +93,6 @@ def test_the_split_does_not_show(whole, num_shards):
     """Over 1000 steps with resets, an odd number of worlds, patients of their own."""
     split = build(num_shards=num_shards, num_worlds=13, conditions=patients(13))
     sizes = [part.num_worlds for part in split.parts]
-    assert isinstance(split, Shards)
     assert len(sizes) == num_shards
     assert sum(sizes) == 13
     assert max(sizes) - min(sizes) == 1
@@ -261,7 +259,7 @@ def test_values_per_world_count_all_worlds(rows):
 
 def test_worlds_are_named_as_among_all():
     one = np.array([0.0, 0.0, 0.0, 1.0])
-    scene = SimpleNamespace(worlds=Worlds.all(4).split(2)[1], control_dt=0.02)
+    scene = SimpleNamespace(worlds=Worlds.all(4).split(2)[1], control_dt=0.02, parameters=[])
     both = [Parameter("affected", one, scene, (), neutral=0.0) for _ in range(2)]
     with pytest.raises(ValueError, match=r"^world 3 cannot have both"):
         check_apart(*both)
@@ -270,6 +268,8 @@ def test_worlds_are_named_as_among_all():
 def test_a_simulation_of_its_own_beside_others():
     """Two simulations in two threads, without shards: neither runs the other's code."""
     both = [build("myoHandReachRandom-v0", num_worlds=2) for _ in range(2)]
-    assert isinstance(both[0], Simulation)
-    assert not both[0].step_graph.recorded.module_execs & both[1].step_graph.recorded.module_execs
+    assert (
+        not both[0].parts[0].step_graph.recorded.module_execs
+        & both[1].parts[0].step_graph.recorded.module_execs
+    )
     assert wp.get_device().is_cpu or not wp.is_cuda_available()

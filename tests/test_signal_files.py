@@ -176,7 +176,7 @@ def test_command(tmp_path, run):
 @pytest.mark.parametrize(
     ("name", "every", "message"),
     [
-        ("run.csv", 1, r"^output '.*run\.csv' must end in \.parquet or \.npz$"),
+        ("run.txt", 1, r"^output '.*run\.txt' must end in \.parquet or \.csv or \.npz or \.sto$"),
         (
             "none/run.npz",
             1,
@@ -200,4 +200,4 @@ def test_parquet_without_pyarrow(tmp_path, monkeypatch):
         match=r"^output '.*run\.parquet' needs pyarrow, which is not installed; "
         r"run `pip install \"myowarp\[cohort\]\"` or write \.npz$",
     ):
-        record.check_recording(tmp_path / "run.parquet")
+        record.check_recording(tmp_path / "run.parquet", 1)

@@ -18,6 +18,7 @@ import warp as wp
 from stepping import step
 
 from myowarp.engine import stage as stage_module
+from myowarp.engine.said import say_once
 from myowarp.engine.stage import STAGES, Stage, applicable_stages, load, logger
 from myowarp.engine.stages.muscle_path import MusclePath, MusclePaths
 from myowarp.engine.step import ORDER, uncovered
@@ -77,8 +78,8 @@ def test_all_that_apply_are_used(body, caplog, monkeypatch, tmp_path):
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path))  # no verdict of an earlier run
     with caplog.at_level(logging.WARNING, logger="myowarp"):
         sim = simulation(BODY_TASKS[body])
-    assert kinds(sim.stages) == kinds(applicable_stages(sim.scene))
-    assert sim.stages or not sim.scene.muscles.names
+    assert kinds(sim.parts[0].stages) == kinds(applicable_stages(sim.scene))
+    assert sim.parts[0].stages or not sim.scene.muscles.names
     assert not caplog.records
 
 
@@ -94,7 +95,7 @@ def test_each_applies_somewhere(name, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(("key", "condition"), CONDITIONED)
 def test_bodies_with_conditions(key, condition):
-    assert MusclePath in kinds(simulation(key, conditions=condition).stages)
+    assert MusclePath in kinds(simulation(key, conditions=condition).parts[0].stages)
 
 
 @pytest.mark.parametrize("key", ["myoElbowPose1D6MRandom-v0", "myoFingerPoseFixed-v0"])
@@ -103,7 +104,7 @@ def test_steps_are_those_of_the_engine(key):
     ends, start = [], None
     for stages in ((), tuple(STAGES)):
         sim = simulation(key, stages=stages)
-        assert bool(sim.stages) == bool(stages)
+        assert bool(sim.parts[0].stages) == bool(stages)
         rng = np.random.default_rng(0)
         sim.reset(seeds=np.arange(4))
         start = sim.scene.data.qpos.numpy().copy()
@@ -154,7 +155,7 @@ def test_stiff_equalities_are_no_reason(tmp_path, monkeypatch, caplog):
 def test_none_on_request():
     sim = simulation(BODY_TASKS["elbow"], 1, stages=())
     assert applicable_stages(sim.scene)
-    assert sim.stages == ()
+    assert sim.parts[0].stages == ()
 
 
 @pytest.mark.parametrize(
@@ -239,6 +240,7 @@ def test_a_private_name_that_is_gone(path, module, name, monkeypatch, caplog):
     for loaded in [key for key in sys.modules if key.startswith("myowarp.engine.stages.")]:
         monkeypatch.delitem(sys.modules, loaded)
     load.cache_clear()
+    say_once.cache_clear()
     try:
         with caplog.at_level(logging.WARNING, logger=logger.name):
             left = [stage for stage in STAGES if load(stage) is None]
@@ -247,7 +249,7 @@ def test_a_private_name_that_is_gone(path, module, name, monkeypatch, caplog):
         assert [record.getMessage().split()[0] for record in caplog.records] == left
         key = "myoElbowPose1D6MRandom-v0"
         sim = Simulation(TASKS[key], 2, device="cpu", graph=False, progress=False)
-        assert not {STAGES[stage] for stage in left} & {type(one).__name__ for one in sim.stages}
+        assert not {STAGES[stage] for stage in left} & {type(one).__name__ for one in sim.parts[0].stages}
         start = sim.scene.data.qpos.numpy().copy()
         sim.action.fill_(1.0)
         sim.step()
@@ -255,6 +257,7 @@ def test_a_private_name_that_is_gone(path, module, name, monkeypatch, caplog):
         assert np.abs(sim.scene.data.qpos.numpy() - start).max() > AFTER_STEPS
     finally:
         load.cache_clear()
+        say_once.cache_clear()
 
 
 def test_damped_tendons_keep_their_velocity():

@@ -9,7 +9,7 @@ import pytest
 from myowarp.sim import starts
 from myowarp.sim.build import oracle_model
 from myowarp.sim.palm import Palm, coordinates, joint_address
-from myowarp.sim.shards import simulate
+from myowarp.sim.simulation import Simulation
 from myowarp.sim.starts import FAIL_STEPS, PENETRATION, posture_joints, start_address
 from myowarp.spec.body import BODIES
 from myowarp.spec.task import TASKS
@@ -54,7 +54,7 @@ def table_of(key):
 def simulation(key, reset="random", num_worlds=NUM_WORLDS):
     """Return a freshly reset simulation."""
     settings = {"device": "cpu", "graph": False, "progress": False, "autoreset": "disabled"}
-    sim = simulate(TASKS[key], num_worlds, shards=1, reset=reset, **settings)
+    sim = Simulation(TASKS[key], num_worlds, shards=1, reset=reset, **settings)
     sim.reset(seeds=np.arange(num_worlds))
     return sim
 
@@ -145,7 +145,7 @@ def test_objects_keep_their_place_in_the_palm(key):
 def test_starts_are_rows_of_the_table(key):
     """They differ and lie within the ranges; what does not lie in the hand is where the task puts it."""
     sim, fixed = simulation(key, num_worlds=24), simulation(key, "fixed", num_worlds=24)
-    model, table = sim.scene.oracle, sim.starts.numpy()
+    model, table = sim.scene.oracle, sim.parts[0].starts.numpy()
     address = start_address(TASKS[key], model)
     assert table.shape == (NUM_STARTS, len(address))
     qpos = sim.scene.data.qpos.numpy()
@@ -212,13 +212,13 @@ def test_without_the_trial_starts_fail_at_once(monkeypatch, tmp_path):
 def test_an_object_that_leaves_its_place_is_lost():
     """Balls that fall off count as lost long before the task fails: 0.2 m lower."""
     spec = TASKS["myoChallengeBaodingP1-v1"]
-    search = starts.Search(spec, simulation(spec.key, "fixed"))
-    search.sim.step()
+    search = starts.Search(spec, simulation(spec.key, "fixed").parts[0])
+    search.part.step()
     age = np.ones(NUM_WORLDS, dtype=np.int32)
     assert not search._lost(age).any()
-    qpos = search.sim.scene.data.qpos.numpy().copy()
+    qpos = search.part.scene.data.qpos.numpy().copy()
     qpos[3, joint_address(search.model, search.model.body("ball2").id)[2]] -= starts.HOLD_DISTANCE
-    search.sim.scene.data.qpos.assign(qpos)
+    search.part.scene.data.qpos.assign(qpos)
     assert np.flatnonzero(search._lost(age)).tolist() == [3]
 
 

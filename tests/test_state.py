@@ -15,8 +15,8 @@ import warp as wp
 from test_conditions import NAMES, host_of
 
 from myowarp.models.conditions import Fatigue3CCR, Sarcopenia, TendonTear, Uniform
-from myowarp.sim.shards import simulate
 from myowarp.sim.signals import UNITS, Signals
+from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import State, get_state, set_state
 from myowarp.spec.condition import CONDITIONS
 from myowarp.spec.task import TASKS
@@ -42,7 +42,7 @@ def drawn(name):
 
 def build(key, shards=1, num_worlds=NUM_WORLDS, **options):
     settings = {"device": "cpu", "progress": False, "autoreset": "next_step", "horizon": 33} | options
-    return simulate(TASKS[key], num_worlds, shards=shards, **settings)
+    return Simulation(TASKS[key], num_worlds, shards=shards, **settings)
 
 
 def run(sim, first, number):
@@ -163,8 +163,8 @@ def test_what_a_task_allocates_is_state(key):
     n = 31
     sim = build(key, num_worlds=n)
     known = {array.ptr for array in sim.scene.state.values()}
-    seen = {id(sim.scene), id(sim.scene.spec)}
-    for name, array in arrays_of(sim.program, seen):
+    seen = {id(sim.scene), id(sim.scene.spec), id(sim.scene.worlds)}
+    for name, array in arrays_of(sim.parts[0].program, seen):
         assert array.shape[0] != n or array.ptr in known, name
 
 
@@ -173,8 +173,9 @@ def test_what_a_condition_allocates_is_state(name):
     n = 31
     sim = build(host_of(name), num_worlds=n, conditions=drawn(name))
     known = {array.ptr for array in sim.scene.state.values()}
-    seen = {id(sim.scene), id(sim.scene.spec), id(sim.scene.data), id(sim.scene.model), id(sim.scene.muscles)}
-    for effect in sim.effects:
+    scene = sim.scene
+    seen = {id(part) for part in (scene, scene.spec, scene.worlds, scene.data, scene.model, scene.muscles)}
+    for effect in sim.parts[0].effects:
         for name, array in arrays_of(effect, seen):
             assert array.shape[0] != n or array.ptr in known or FOLLOWS.fullmatch(name), name
 

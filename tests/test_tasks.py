@@ -113,8 +113,8 @@ def test_coarse_step_is_the_family_s_or_the_body_s():
 
 def state(sim):
     """Return a copy of all that a score could change: data, episode, and the program's arrays."""
-    owners = [sim.program, sim.scene.data, sim.episode, sim.scene.muscles]
-    owners += [value for value in vars(sim.program).values() if hasattr(value, "_cls")]
+    owners = [sim.parts[0].program, sim.scene.data, sim.episode, sim.scene.muscles]
+    owners += [value for value in vars(sim.parts[0].program).values() if hasattr(value, "_cls")]
     arrays = {}
     for i, owner in enumerate(owners):
         names = owner._cls.vars if hasattr(owner, "_cls") else vars(owner)
@@ -136,7 +136,7 @@ def test_score_only_looks(key):
     for poison in (np.nan, 1e3):
         terms = wp.full((NUM_WORLDS, len(TASKS[key].reward_terms())), poison, dtype=float, device="cpu")
         flags = [wp.full(NUM_WORLDS, bool(poison > 0), dtype=bool, device="cpu") for _ in range(2)]
-        sim.program.score(step_count, terms, *flags)
+        sim.parts[0].program.score(step_count, terms, *flags)
         results.append([array.numpy() for array in (terms, *flags)])
     for first, second in zip(*results, strict=True):
         assert np.isfinite(first).all()
@@ -151,9 +151,9 @@ def test_arguments_that_are_not_there():
         "^kernel observe_pose needs 'mask'; it is not given, and no attribute of PoseProgram, PoseTask, Sc"
     )
     with pytest.raises(TypeError, match=message):
-        sim.program.launch(observe_pose, obs=sim.transition.obs)
+        sim.parts[0].program.launch(observe_pose, obs=sim.transition.obs)
     with pytest.raises(TypeError, match=r"^kernel score_pose takes .*, failed, got step_count too$"):
-        sim.program.launch(score_pose, step_count=sim.episode.step_count)
+        sim.parts[0].program.launch(score_pose, step_count=sim.episode.step_count)
 
 
 def by_name(sim):
@@ -210,5 +210,5 @@ def test_pose_with_a_free_root(trunk):
     sim = moved(spec)
     seen = by_name(sim)
     assert_observed(sim, seen)
-    error = sim.program.target.numpy() - sim.scene.data.qpos.numpy()[:, [KNEE, WHEEL]]
+    error = sim.parts[0].program.target.numpy() - sim.scene.data.qpos.numpy()[:, [KNEE, WHEEL]]
     np.testing.assert_allclose(seen["pose_err"], error, atol=VALUE_TOLERANCE)

@@ -11,8 +11,8 @@ import warp as wp
 
 import myowarp  # noqa: F401  (registers the ids)
 from myowarp.engine.turn import TURN, replaced
-from myowarp.sim.shards import simulate
 from myowarp.sim.signals import Signals
+from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TASKS
 
 TASK = "myoElbowPose1D6MRandom-v0"
@@ -32,7 +32,9 @@ def play(sim, seed, num_steps=NUM_STEPS):
 
 
 def build(**options):
-    return simulate(TASKS[TASK], NUM_WORLDS, device="cpu", progress=False, **options)
+    return Simulation(
+        TASKS[TASK], NUM_WORLDS, **{"device": "cpu", "shards": None, "progress": False} | options
+    )
 
 
 def build_and_play(seed):

@@ -17,9 +17,11 @@ from myowarp.apps.commands.rollout import Rollout
 from myowarp.apps.train import checkpoint as checkpoints
 from myowarp.apps.train import command
 from myowarp.apps.train.evaluate import evaluate, wilson
+from myowarp.apps.train.plan import plan
 from myowarp.apps.train.settings import ALGORITHMS, choose
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
+from myowarp.sim.state import State
 from myowarp.spec.task import TASKS
 
 ELBOW, OTHER = "myoElbowPose1D6MRandom-v0", "myoElbowPose1D6MFixed-v0"
@@ -188,7 +190,7 @@ def test_wilson():
     np.testing.assert_allclose(wilson(1, 29), (0.0061, 0.1718), atol=5e-5)
 
 
-def test_evaluation_counts_each_world_once():
+def test_evaluation_counts_each_world_once(monkeypatch):
     """The figures are those of a plain loop over a world that stops when its episode ends."""
     env = MyoWarpVectorEnv(ELBOW, 6, device="cpu", autoreset_mode="same_step", max_episode_steps=30)
     gains = np.linspace(-1.0, 1.0, 6)
@@ -196,6 +198,8 @@ def test_evaluation_counts_each_world_once():
     def act(obs):
         return np.tanh(3.0 * obs[:, 2:3] * gains)
 
+    in_reach = np.arange(6) % 2 == 0
+    monkeypatch.setattr("myowarp.apps.train.evaluate.in_reach", lambda *of: in_reach)
     got = evaluate(env, act, 7)
     returns, solved, success, effort, rate = [], [], [], [], []
     for world in range(6):
@@ -217,6 +221,8 @@ def test_evaluation_counts_each_world_once():
     assert 0.0 < got.success < 1.0 or 0.0 < got.success_any <= 1.0
     np.testing.assert_allclose(got.return_mean, np.mean(returns), rtol=1e-6)
     assert got.success == np.mean(success)
+    assert (got.reachable, got.success_reachable) == (3, np.mean(np.array(success)[in_reach]))
+    assert got.intervals["success_reachable"] == wilson(sum(np.array(success)[in_reach]), 3)
     assert got.success_any == np.mean([any(hits) for hits in solved])
     assert got.success_last == np.mean([hits[-1] for hits in solved])
     np.testing.assert_allclose(got.mean_activation, np.mean(effort), rtol=1e-5)
@@ -283,6 +289,107 @@ def test_a_folder_that_holds_something_is_left_alone(tiny, run, no_simulation):
 )
 def test_a_run_goes_on_with_its_own_settings(arguments, sentence, tiny, run, no_simulation):
     assert said(run("train", "--resume", tiny, *arguments)).startswith(sentence)
+
+
+def test_a_run_starts_from_another_one_and_says_so(tiny, run, tmp_path):
+    options = ("--output", tmp_path / "child", *TINY, "--samples", 64, "--parent", tiny)
+    status, _, err = run("train", OTHER, *options)
+    assert status == 0, err
+    parent, child = checkpoints.load_checkpoint(tiny), checkpoints.load_checkpoint(tmp_path / "child")
+    origin = {"task": ELBOW, "samples": 128, **parent.manifest["files"][checkpoints.POLICY]}
+    assert child.manifest["parent"] == origin
+    assert child.manifest["settings"]["parent"] == str(tiny)
+    assert parent.manifest["parent"] is None
+    apart = np.abs(child.policy["net.0.weight"] - parent.policy["net.0.weight"]).max()
+    assert 0.0 < apart < 0.05  # an iteration away
+    status, _, err = run("train", "--resume", tmp_path / "child", "--samples", 128)
+    assert status == 0, err
+    assert checkpoints.load_checkpoint(tmp_path / "child").manifest["parent"] == origin
+
+
+@pytest.mark.parametrize(
+    ("task", "arguments", "words"),
+    [
+        (ELBOW, ("--parent", "nowhere"), "--parent 'nowhere' must be a run's folder, baseline or baselines/"),
+        (ELBOW, ("--hidden", 32), "--hidden must be that of --parent"),
+        (
+            ELBOW,
+            ("--hidden", 16, "--algorithm", "sac"),
+            "was trained by ppo, whose policies sac cannot train",
+        ),
+        (
+            "myoFingerPoseFixed-v0",
+            ("--hidden", 16),
+            "cannot act in 'myoFingerPoseFixed-v0' (pose with finger)",
+        ),
+    ],
+)
+def test_a_parent_that_does_not_fit_is_refused(task, arguments, words, tiny, run, no_simulation, tmp_path):
+    arguments = ("--output", tmp_path / "new", "--parent", tiny, *arguments)
+    assert words in said(run("train", task, *arguments))
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_cohort_learns_together(tmp_path):
+    """Worlds of a patient are alike, those of a weaker one are not."""
+    (tmp_path / "patients.csv").write_text("patient,strength\nwell,1.0\nweak,0.3\n")
+    options = {"num_worlds": 4, "rollout_steps": 8, "minibatches": 2, "device": "cpu"}
+    job = plan(
+        command.Train(task=ELBOW, output=tmp_path / "x", cohort=str(tmp_path / "patients.csv"), **options)
+    )
+    env = command.start(job).env
+    env.reset(seed=[3] * 4)
+    for _ in range(10):
+        env.step(np.ones((4, 6), np.float32))
+    well, same, weak, alike = env.get_state().arrays["data.qpos"][:, 0]
+    assert (well, weak) == (same, alike)
+    assert abs(well - weak) > 1e-3
+
+
+def test_episodes_start_in_a_state(tmp_path, run):
+    """Worlds take the states in turn, and again after every episode; a resumed run goes on alike."""
+    env = MyoWarpVectorEnv(ELBOW, 3, device="cpu", progress=False)
+    env.reset(seed=0)
+    for _ in range(98):  # two steps from the end of the episode
+        env.step(np.zeros((3, 6), np.float32))
+    state = env.get_state([2, 1])
+    state.save(tmp_path / "state.npz")
+    given = (*TINY, "--start", tmp_path / "state.npz")
+    for name, samples in (("whole", 192), ("halves", 64)):
+        status, _, err = run("train", ELBOW, "--output", tmp_path / name, *given, "--samples", samples)
+        assert status == 0, err
+    status, _, err = run("train", "--resume", tmp_path / "halves", "--samples", 192)
+    assert status == 0, err
+    whole, halves = (checkpoints.load_checkpoint(tmp_path / name) for name in ("whole", "halves"))
+    assert all(np.array_equal(halves.policy[name], array) for name, array in whole.policy.items())
+    arrays = whole.state()
+    np.testing.assert_array_equal(arrays["world.data.qpos"], state.arrays["data.qpos"][[0, 1] * 4])
+    assert arrays["tally.episodes"] == 8 * 24 / 2
+    (tmp_path / "state.npz").unlink()
+    env.get_state([0, 1]).save(tmp_path / "state.npz")
+    assert said(run("train", "--resume", tmp_path / "halves", "--samples", 256)) == (
+        f"--start {str(tmp_path / 'state.npz')!r} has changed since the run began"
+    )
+
+
+@pytest.mark.parametrize(
+    ("option", "sentence"),
+    [
+        (("--cohort", "three.csv"), "--num-worlds must be a multiple of the 3 patients of --cohort, got 8"),
+        (("--cohort", "three.csv", "--conditions", "sarcopenia"), "--num-worlds must be a multiple"),
+        (("--cohort", "none.csv"), "cohort table 'none.csv' does not exist"),
+        (("--start", "none.npz"), "--start 'none.npz' does not exist"),
+        (("--start", "other.npz"), f"--start 'other.npz' holds states of {OTHER!r}, not of {ELBOW!r}"),
+        (("--start", "over.npz"), "--start 'over.npz' holds episodes that have ended; save others"),
+    ],
+)
+def test_files_of_a_run_are_checked_first(option, sentence, run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "three.csv").write_text("strength\n1.0\n0.5\n0.2\n")
+    State(OTHER, {"episode.ended": np.zeros(1, bool)}).save("other.npz")
+    State(ELBOW, {"episode.ended": np.ones(1, bool)}).save("over.npz")
+    assert said(run("train", ELBOW, "--output", "new", *TINY, *option)).startswith(sentence)
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_policy_cannot_act_in_another_body(tiny, run, no_simulation):

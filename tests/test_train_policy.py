@@ -14,8 +14,9 @@ from onnx.reference import ReferenceEvaluator
 
 from myowarp.apps.learned import LearnedPolicy
 from myowarp.apps.train import agents
-from myowarp.apps.train.checkpoint import Checkpoint, load_checkpoint, plain, save_checkpoint
-from myowarp.apps.train.settings import choose
+from myowarp.apps.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from myowarp.apps.train.settings import ALGORITHMS, choose
+from myowarp.disk import plain
 
 NUM_OBS, NUM_ACTIONS, ROWS = 7, 3, 400
 SAME = 1e-6
@@ -52,6 +53,11 @@ def observations():
     return obs
 
 
+def agent_activation(agent):
+    """Return the name of the function between an agent's layers."""
+    return type(agent.policy.net[1]).__name__.lower()
+
+
 def torch_means(agent, obs):
     """Return the actions of highest probability, by torch."""
     with torch.no_grad():
@@ -67,6 +73,27 @@ def test_numpy_acts_like_torch(trained, tmp_path):
     assert np.abs(act(obs) - torch_means(agent, obs)).max() < SAME
     assert np.abs(act(obs[:1]) - act(obs)[:1]).max() < SAME
     assert np.ptp(act(obs), axis=0).min() > 0.1  # it looks at the observation
+
+
+def test_a_run_starts_with_the_policy_of_another(trained):
+    """The child acts like its parent, apart from a column that never changed while the parent learned."""
+    agent, _ = trained
+    arrays, samples, fixed = agents.policy_arrays(agent), 10**6, 3
+    arrays["observation_mean"][fixed], arrays["observation_variance"][fixed] = 0.0, 1.0 / samples
+    kind = ALGORITHMS["sac" if "log_std" not in arrays else "ppo"]
+    settings = kind(num_worlds=4, hidden=(9, 8), activation=agent_activation(agent))
+    child = agents.make_agent(settings, OBS, ACTIONS, "cpu")
+    agents.inherit(child, arrays, samples, count=96)
+    obs = observations()
+    obs[:, fixed] = 0.0
+    agent._observation_preprocessor.running_mean[fixed] = (
+        0.0  # where a column is at its mean, it says nothing
+    )
+    assert np.abs(torch_means(child, obs) - torch_means(agent, obs)).max() < SAME
+    obs[:, fixed] = 7.0
+    assert np.abs(torch_means(agent, obs) - torch_means(child, obs)).max() > 0.1
+    child._observation_preprocessor(torch.from_numpy(obs), train=True)
+    assert child._observation_preprocessor.running_mean[fixed] > 5.0  # the new task soon says what is usual
 
 
 def test_drawn_actions_have_the_spread_of_torch(trained, tmp_path):

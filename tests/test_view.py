@@ -107,7 +107,7 @@ def test_worlds_are_drawn_with_their_own_objects(key):
             np.testing.assert_allclose(drawn.xpos[ours], theirs[0], atol=1e-6)
             np.testing.assert_allclose(drawn.xquat[ours], theirs[1], atol=1e-6)
         if key.startswith("myoHandObjHold"):
-            size = sim.program.object_size.numpy()[world]
+            size = sim.parts[0].program.object_size.numpy()[world]
             np.testing.assert_array_equal(model.geom_size[model.geom("object").id], size)
     try:
         with WorldRenderer(model, *SIZE) as renderer:
@@ -125,14 +125,15 @@ def test_unknown_camera_lists_the_known(model):
         WorldRenderer(model, *SIZE, camera="nowhere")
 
 
-def test_viewer_takes_worlds(model):
+def test_window_takes_a_world(model):
     """Newton's null viewer accepts everything a window would draw."""
     num_muscles = len(look.muscle_tendons(model))
     with HumanViewer(model, backend="null") as viewer:
-        for time in (0.0, 0.1):
-            viewer.show(middle(model), np.linspace(0, 1, num_muscles), {"goal": np.zeros(3)}, time)
+        for _ in range(2):
+            activation = {"activation": np.linspace(0, 1, num_muscles)}
+            viewer.show(Snapshot(middle(model), activation, {"goal": np.zeros(3)}))
         with pytest.raises(ValueError, match="qpos"):
-            viewer.show(np.zeros(model.nq + 1))
+            viewer.show(Snapshot(np.zeros(model.nq + 1)))
 
 
 def frames(count):

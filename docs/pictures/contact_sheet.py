@@ -1,9 +1,10 @@
-"""Every body and every task family in one picture: python docs/pictures/contact_sheet.py [OUTPUT.png]
+"""Every body and every task family in a picture, and all of them in bodies.png.
 
-Each tile shows a world after some random actions.
+    python docs/pictures/contact_sheet.py
+
+Each picture shows a world after some random actions.
 """
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from myowarp.view.video import write_picture
 SIZE = (400, 300)  # px of a tile
 COLUMNS = 4
 STEPS = 12
-SHEET = Path(__file__).with_name("bodies.png")
+PICTURES = Path(__file__).parent
 
 
 def scenes() -> list[str]:
@@ -48,8 +49,10 @@ def picture(task: str) -> np.ndarray:
 def main() -> None:
     """Draw the sheet."""
     with progress_bar("Drawing", "tasks") as bar:
-        tiles = [picture(task) for task in bar.track(scenes())]
-    write_picture(Path(sys.argv[1]) if len(sys.argv) > 1 else SHEET, tiled(tiles, COLUMNS))
+        tiles = {task: picture(task) for task in bar.track(scenes())}
+    for task, tile in tiles.items():
+        write_picture(PICTURES / f"{TASKS[task].family}_{TASKS[task].body}.png", tile)
+    write_picture(PICTURES / "bodies.png", tiled(list(tiles.values()), COLUMNS))
 
 
 if __name__ == "__main__":

@@ -38,10 +38,16 @@ class Baseline:
     checkpoint: Checkpoint
     runs: list[dict[str, Any]]
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Settings that remake the policy: those of its run, up to the samples after which it ended."""
-        return self.checkpoint.manifest["settings"] | {"samples": self.checkpoint.manifest["samples"]}
+    def settings(self, seed: int | None = None) -> dict[str, Any]:
+        """Return the settings of a seed's run, up to the samples after which it ended.
+
+        Args:
+            seed: None: that of the policy, which they remake. A seed that had no run has all samples.
+        """
+        settings = self.checkpoint.manifest["settings"]
+        seed = settings["seed"] if seed is None else seed
+        ended = {run["training"]["seed"]: run["training"]["samples"] for run in self.runs}
+        return settings | {"seed": seed, "samples": ended.get(seed, settings["samples"])}
 
 
 def baseline_tasks() -> list[str]:

@@ -17,8 +17,10 @@ from myowarp.apps.commands.describe import Describe
 from myowarp.apps.commands.export import Export
 from myowarp.apps.commands.plot import Plot
 from myowarp.apps.commands.record import Record
+from myowarp.apps.commands.reproduce import Reproduce
 from myowarp.apps.commands.rollout import Rollout
 from myowarp.apps.commands.tasks import Tasks
+from myowarp.apps.commands.view import View
 from myowarp.apps.commands.warmup import Warmup
 from myowarp.apps.train.command import Train
 from myowarp.apps.train.eval_command import Eval
@@ -32,12 +34,14 @@ COMMANDS: dict[str, type[Callable[[], None]]] = {
     "describe": Describe,
     "rollout": Rollout,
     "record": Record,
+    "view": View,
     "plot": Plot,
     "cohort": Cohort,
     "audit": Audit,
     "train": Train,
     "eval": Eval,
     "baselines": Baselines,
+    "reproduce": Reproduce,
     "export": Export,
     "convert": Convert,
     "warmup": Warmup,

@@ -19,16 +19,16 @@ import warp as wp
 
 from myowarp.engine.compile import quiet
 from myowarp.kernels.action import EXCITATION, MUSCLE, excitation
-from myowarp.kernels.episode import FAULTS, SUCCESS_RULE, new_episode_state
+from myowarp.kernels.episode import FAULTS, SUCCESS_RULE
 from myowarp.models.couplings import POINT_JOINTS, couplings
 from myowarp.sim.build import actuator_kinds, compile_scene, num_substeps_of
 from myowarp.sim.muscle_groups import group_of
+from myowarp.sim.part import bind_conditions
 from myowarp.spec.body import BODIES
 from myowarp.spec.condition import Condition, Effect, resolve
 from myowarp.spec.entries import entries, of_joints
 from myowarp.spec.muscle import MuscleModel
 from myowarp.spec.muscle_table import MuscleTable
-from myowarp.spec.parameter import Clock
 from myowarp.spec.scene import Scene
 from myowarp.spec.task import PHYSICS, RESETS, TASKS, Draw, TaskSpec
 
@@ -69,10 +69,7 @@ def describe(
     with quiet(), wp.ScopedDevice("cpu"):
         scene = compile_scene(spec, 1, "cpu", "parity", muscle, reset, found)
         spec.program(spec, scene)
-        clock, episode = Clock(), new_episode_state(1)
-        clock.step_count, clock.life_count = episode.step_count, episode.life_count
-        clock.control_dt = scene.control_dt
-        effects = [condition.bind(scene, clock) for condition in found]
+        _, effects = bind_conditions(scene, found)
     return {
         "id": env_id or spec.env_id,
         "task": spec.env_id,

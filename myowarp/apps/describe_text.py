@@ -22,7 +22,12 @@ def as_text(facts: dict[str, Any], width: int = 80) -> str:
         facts: What `describe` returned.
         width: Longest line, where words allow it.
     """
-    sections = {
+    return "\n\n".join(f"{title}\n{text}" for title, text in sections(facts, width).items())
+
+
+def sections(facts: dict[str, Any], width: int = 80) -> dict[str, str]:
+    """Return a description as texts by title; see `as_text`."""
+    lines = {
         facts["id"]: _about(facts),
         f"Observation: {facts['observation']['size']} numbers": _observation(facts["observation"]),
         f"Action: {facts['action']['size']} numbers, -1 to 1": _action(facts["action"]),
@@ -32,13 +37,13 @@ def as_text(facts: dict[str, Any], width: int = 80) -> str:
         f"Body: {facts['body']['name']}": _body(facts["body"]),
     }
     if facts["muscles"]["muscles"]:
-        sections[f"Muscles: {len(facts['muscles']['muscles'])}"] = _muscles(facts["muscles"])
+        lines[f"Muscles: {len(facts['muscles']['muscles'])}"] = _muscles(facts["muscles"])
     if facts["conditions"]:
-        sections["Conditions"] = _conditions(facts["conditions"])
-    texts = []
-    for title, lines in sections.items():
-        texts.append("\n".join([title, *(wrapped for line in lines for wrapped in _wrapped(line, width))]))
-    return "\n\n".join(texts)
+        lines["Conditions"] = _conditions(facts["conditions"])
+    return {
+        title: "\n".join(wrapped for line in own for wrapped in _wrapped(line, width))
+        for title, own in lines.items()
+    }
 
 
 def _wrapped(line: str, width: int) -> list[str]:

@@ -63,7 +63,7 @@ def read_course(path: Path, name: str, world: int, episode: int | None) -> Cours
     """Return a signal of a recording that `myowarp rollout --signals` has written.
 
     Args:
-        path: The recording, .parquet or .npz.
+        path: The recording, .parquet, .csv or .npz.
         name: Signal, such as `activation` or `fatigue`.
         world: Number of the world.
         episode: Number of the episode; None: the first of the world.
@@ -72,9 +72,9 @@ def read_course(path: Path, name: str, world: int, episode: int | None) -> Cours
         ValueError: There is no such signal, world or episode.
         OSError: The file cannot be read.
     """
-    readers = {".parquet": _read_parquet, ".npz": _read_npz}
+    readers = {".parquet": _read_table, ".csv": _read_table, ".npz": _read_npz}
     if path.suffix.lower() not in readers:
-        raise ValueError(f"plot {name} needs a recording, .parquet or .npz, got {str(path)!r}")
+        raise ValueError(f"plot {name} needs a recording, .parquet, .csv or .npz, got {str(path)!r}")
     muscles, keys, values = readers[path.suffix.lower()](path, name)
     present = keys["world"] == world
     if not present.any():
@@ -107,18 +107,18 @@ def _read_npz(path: Path, name: str) -> tuple[tuple[str, ...], dict[str, np.ndar
     return muscles, keys, values[valid]
 
 
-def _read_parquet(path: Path, name: str) -> tuple[tuple[str, ...], dict[str, np.ndarray], np.ndarray]:
+def _read_table(path: Path, name: str) -> tuple[tuple[str, ...], dict[str, np.ndarray], np.ndarray]:
     """Return muscles, keys of the samples (n,), values (n, num_muscles)."""
     import pandas as pd
 
-    table = pd.read_parquet(path)
+    table = pd.read_parquet(path) if path.suffix.lower() == ".parquet" else pd.read_csv(path)
     if "muscle" not in table:
         raise ValueError(f"{str(path)!r} must be the muscles' table of `myowarp rollout --signals`")
     keys = ["world", "episode", "time"]
     check_choice(
         "signal", name, tuple(column for column in table if column not in (*keys, "muscle", "group"))
     )
-    wide = table.pivot(index=keys, columns="muscle", values=name)[list(table["muscle"].cat.categories)]
+    wide = table.pivot(index=keys, columns="muscle", values=name)[list(table["muscle"].unique())]
     index = wide.index.to_frame(index=False)
     return tuple(wide.columns), {key: index[key].to_numpy() for key in keys}, wide.to_numpy()
 

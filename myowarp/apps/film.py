@@ -4,9 +4,8 @@ film = Film(env.sim, worlds=[0, 3])
 env.reset()
 film.add()
 ...
-    env.step(actions)
-    film.add(reward, success)
-film.write("run.mp4")
+    film.add(reward, success)  # after every step
+write(Path("run.mp4"), [film])
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ from myowarp.view.snapshot import Snapshot
 from myowarp.view.video import PICTURES, VIDEOS, write_picture, write_video
 
 if TYPE_CHECKING:
-    from myowarp.sim.shards import Shards
     from myowarp.sim.simulation import Simulation
 
 SUFFIXES = (*VIDEOS, *PICTURES)
@@ -44,7 +42,7 @@ class Film:
 
     def __init__(
         self,
-        sim: Simulation | Shards,
+        sim: Simulation,
         worlds: Sequence[int],
         size: tuple[int, int] = (480, 360),
         camera: str | None = None,

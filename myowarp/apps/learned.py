@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from myowarp.apps.train.checkpoint import Checkpoint, CheckpointError, check_contract, load_checkpoint
-from myowarp.sim.shards import Shards
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TaskSpec
 
@@ -113,7 +112,7 @@ def read_policy(name: str, folder: Path, spec: TaskSpec) -> Checkpoint:
     return checkpoint
 
 
-def bind(checkpoint: Checkpoint, sim: Simulation | Shards) -> LearnedPolicy:
+def bind(checkpoint: Checkpoint, sim: Simulation) -> LearnedPolicy:
     """Return the deterministic policy of a checkpoint for a simulation.
 
     Raises:

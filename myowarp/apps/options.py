@@ -34,6 +34,13 @@ def optional(metavar: str) -> object:
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=UNSET)
 
 
+def check_least(least: int, **numbers: int) -> None:
+    """Raise ValueError if a number, called like its option with `_` for `-`, is below a least one."""
+    for name, number in numbers.items():
+        if number < least:
+            raise ValueError(f"--{name.replace('_', '-')} must be at least {least}, got {number}")
+
+
 def _option(metavar: str, text: str, hint: str | None = None) -> object:
     """Return what tyro is told about an option; `hint` replaces what it says of the default."""
     return tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=hint)
@@ -62,8 +69,8 @@ Policy = Annotated[
         "NAME",
         "random, zero, hold (pose tasks: proportional control of the joints), baseline (the trained policy"
         " of the package for the task; `myowarp baselines list`), baselines/ID (that of another task),"
-        " the folder of a trained policy, package.module:function or file.py:function: a function from"
-        " observations (num_worlds, n) to"
+        " the folder of a trained policy, excitations over time (.sto, .mot, .csv; a column for each muscle),"
+        " package.module:function or file.py:function: a function from observations (num_worlds, n) to"
         " actions (num_worlds, m) in [-1, 1].",
     ),
 ]

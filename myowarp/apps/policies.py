@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, cast
 import mujoco
 import numpy as np
 
-from myowarp.kernels.action import CENTER, STEEPNESS
+from myowarp.kernels.action import action_of
 from myowarp.models.couplings import POINT_JOINTS, follow
 
 if TYPE_CHECKING:
@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 GAIN = 2.0  # excitation per rad
 LEAD = 0.05  # s; with 0.1 s and a healthy elbow the delay of the muscles makes it tremble
 LEAST_ARM = 1e-9  # m; a muscle with less moves no joint
-LEAST_EXCITATION = (
-    1e-6  # and one less than the greatest: finite under the logarithm, beyond the action's bounds
-)
 
 
 def check_hold(spec: TaskSpec) -> None:
@@ -86,8 +83,6 @@ class Hold:
         """Return actions (num_worlds, num_actions) for observations of a pose task; motors do nothing."""
         velocity, error = obs[:, self._velocities] / self._control_dt, obs[:, self._errors]
         drive = GAIN * (error - LEAD * velocity) @ self.directions
-        excitation = np.clip(drive, LEAST_EXCITATION, 1.0 - LEAST_EXCITATION)
         action = np.zeros((len(obs), self._num_actions), dtype=np.float32)
-        inverse = CENTER + np.log(excitation / (1.0 - excitation)) / STEEPNESS
-        action[:, self._actuator_id] = np.clip(inverse, -1.0, 1.0)
+        action[:, self._actuator_id] = action_of(drive)
         return action

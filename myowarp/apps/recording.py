@@ -13,6 +13,11 @@ stepped or had a fault are left out. For pandas and xarray:
     table.groupby(["group", "time"], observed=True)["force"].mean()
     table.set_index(["world", "episode", "time", "muscle"])["force"].to_xarray()
 
+`.csv`: the same two tables as text.
+
+`.sto`: one world, for OpenSim and SCONE: columns such as `BIClong.activation`; joint angles [rad] go to the
+`.mot` file beside it.
+
 `.npz`: arrays (samples, num_worlds, num_muscles) by signal, (samples, num_worlds, num_joints) for the joints,
 `time`, `episode` and `valid` (samples, num_worlds), and the names. Entries that are not valid are NaN.
 
@@ -29,15 +34,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from myowarp.apps.recording_formats import Write, joints_path, open_npz, open_parquet
+from myowarp.apps.recording_formats import (
+    Write,
+    joints_path,
+    open_csv,
+    open_npz,
+    open_parquet,
+    open_storage,
+)
 from myowarp.disk import check_output
 from myowarp.sim.signals import JOINT_UNITS, UNITS, Signals
 
 if TYPE_CHECKING:
-    from myowarp.sim.shards import Shards
     from myowarp.sim.simulation import Simulation
 
-FORMATS = {".parquet": open_parquet, ".npz": open_npz}
+FORMATS = {".parquet": open_parquet, ".csv": open_csv, ".npz": open_npz, ".sto": open_storage}
+NEED_PYARROW = (".parquet", ".csv")
 CHUNK = 1 << 20  # entries of one signal that are held in memory
 
 
@@ -45,18 +57,30 @@ def recording_files(path: Path | None) -> tuple[Path, ...]:
     """Return the files of a recording."""
     if path is None:
         return ()
-    return (path, joints_path(path)) if path.suffix.lower() == ".parquet" else (path,)
+    return (path,) if path.suffix.lower() == ".npz" else (path, joints_path(path))
 
 
-def check_recording(path: Path | None) -> None:
+def check_recording(path: Path | None, num_worlds: int) -> None:
     """Raise now if a recording could not be written to `path`.
 
+    Args:
+        path: File to be written; None: none.
+        num_worlds: Worlds that would be recorded.
+
     Raises:
-        ValueError: Wrong suffix, no such folder, or no permission.
-        ImportError: Parquet without pyarrow.
+        ValueError: Wrong suffix, no such folder, no permission, or several worlds in a `.sto` file.
+        ImportError: Tables without pyarrow.
     """
     check_output(path, *FORMATS)
-    if path is not None and path.suffix.lower() == ".parquet" and importlib.util.find_spec("pyarrow") is None:
+    if path is None:
+        return
+    suffix = path.suffix.lower()
+    if suffix == ".sto" and num_worlds > 1:
+        raise ValueError(
+            f"output {str(path)!r} holds the motion of one world, got {num_worlds} worlds; simulate one "
+            "(world i of seed s is the one world of seed s + i), or write .parquet"
+        )
+    if suffix in NEED_PYARROW and importlib.util.find_spec("pyarrow") is None:
         raise ImportError(
             f"output {str(path)!r} needs pyarrow, which is not installed; run "
             '`pip install "myowarp[cohort]"` or write .npz'
@@ -65,21 +89,21 @@ def check_recording(path: Path | None) -> None:
 
 @contextlib.contextmanager
 def recording(
-    sim: Simulation | Shards, path: Path, every: int = 1, signals: Signals | None = None
+    sim: Simulation, path: Path, every: int = 1, signals: Signals | None = None
 ) -> Iterator[SignalRecorder]:
     """Record a simulation in the block; the file is complete after it, and deleted if the block fails.
 
     Args:
         sim: The simulation.
-        path: File to write, ending in .parquet or .npz.
+        path: File to write, ending in .parquet, .csv, .npz or .sto.
         every: Control steps from one sample to the next.
         signals: Signals that the simulation has already; None: new ones.
 
     Raises:
         ValueError: The file cannot be written, `every` is no positive integer, or there are no muscles.
-        ImportError: Parquet without pyarrow.
+        ImportError: Tables without pyarrow.
     """
-    check_recording(path)
+    check_recording(path, sim.scene.num_worlds)
     if isinstance(every, bool) or not isinstance(every, (int, np.integer)) or every < 1:
         raise ValueError(f"every must be a positive number of control steps, got {every!r}")
     signals = signals or Signals(sim)

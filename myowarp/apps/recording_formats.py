@@ -12,10 +12,11 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from myowarp.apps.storage import Storage, write_storage
 from myowarp.disk import in_place
 from myowarp.sim.signals import JOINT_UNITS, UNITS
 
@@ -29,20 +30,42 @@ Write = Callable[[dict[str, np.ndarray]], None]
 
 
 def joints_path(path: Path) -> Path:
-    """Return where the joint table of a Parquet recording goes."""
+    """Return where the joints of a recording go, the muscles' file being `path`."""
+    if path.suffix.lower() == ".sto":
+        return path.with_suffix(".mot")
     return path.with_name(f"{path.stem}_joints{path.suffix}")
 
 
 @contextlib.contextmanager
 def open_parquet(path: Path, signals: Signals) -> Iterator[Write]:
+    """Write tables of muscles and joints as Parquet."""
+    import pyarrow.parquet as pq
+
+    with _open_tables(
+        path, signals, lambda path, schema: pq.ParquetWriter(path, schema, compression="zstd")
+    ) as write:
+        yield write
+
+
+@contextlib.contextmanager
+def open_csv(path: Path, signals: Signals) -> Iterator[Write]:
+    """Write tables of muscles and joints as text."""
+    import pyarrow.csv
+
+    with _open_tables(path, signals, pyarrow.csv.CSVWriter) as write:
+        yield write
+
+
+@contextlib.contextmanager
+def _open_tables(path: Path, signals: Signals, writer: Callable[..., Any]) -> Iterator[Write]:
     """Write `path`, a row for every world, time and muscle, and `joints_path(path)`, one for every joint."""
     shown = dict.fromkeys(signals.info, "")
     muscles: dict[str, Sequence[str]] = {"muscle": signals.names, "group": signals.groups}
     with (
         in_place(path) as scratch,
         in_place(joints_path(path)) as joint_scratch,
-        _open_table(scratch, muscles, UNITS | shown) as write_muscles,
-        _open_table(joint_scratch, {"joint": signals.joint_names}, JOINT_UNITS) as write_joints,
+        _open_table(writer, scratch, muscles, UNITS | shown) as write_muscles,
+        _open_table(writer, joint_scratch, {"joint": signals.joint_names}, JOINT_UNITS) as write_joints,
     ):
 
         def write(chunk: dict[str, np.ndarray]) -> None:
@@ -53,19 +76,20 @@ def open_parquet(path: Path, signals: Signals) -> Iterator[Write]:
 
 
 @contextlib.contextmanager
-def _open_table(path: Path, names: dict[str, Sequence[str]], units: dict[str, str]) -> Iterator[Write]:
+def _open_table(
+    writer: Callable[..., Any], path: Path, names: dict[str, Sequence[str]], units: dict[str, str]
+) -> Iterator[Write]:
     """Write one tidy table; `names` are the categories along the last axis of the arrays named in `units`."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     fields = [("world", pa.int32()), ("episode", pa.int32()), ("time", pa.float64())]
     fields += [(name, pa.dictionary(pa.int16(), pa.string())) for name in names]
     described = [pa.field(name, pa.float32(), metadata={"unit": unit}) for name, unit in units.items()]
     schema = pa.schema([*fields, *described]).with_metadata({"units": json.dumps(units | {"time": "s"})})
-    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
+    with writer(path, schema) as table:
 
         def write(chunk: dict[str, np.ndarray]) -> None:
-            writer.write_table(_tidy(chunk, names, schema))
+            table.write_table(_tidy(chunk, names, schema))
 
         yield write
 
@@ -124,3 +148,37 @@ def open_npz(path: Path, signals: Signals) -> Iterator[Write]:
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
                     np.lib.format.write_array_header_2_0(entry, header)
                     shutil.copyfileobj(spool, entry)
+
+
+@contextlib.contextmanager
+def open_storage(path: Path, signals: Signals) -> Iterator[Write]:
+    """Write the muscles of the one world to a `.sto` file, and the joint angles to the `.mot` file beside it.
+
+    Time goes on where an episode ends, and `episode` counts them.
+    """
+    samples: list[dict[str, np.ndarray]] = []
+
+    def write(chunk: dict[str, np.ndarray]) -> None:
+        valid = chunk["valid"][:, 0]
+        samples.append({name: values[valid, 0] for name, values in chunk.items()})
+
+    with in_place(path) as scratch, in_place(joints_path(path)) as joint_scratch:
+        yield write
+        if not samples:
+            raise ValueError(f"recording {str(path)!r} has no sample; add at least one before it ends")
+        kept = {name: np.concatenate([sample[name] for sample in samples]) for name in samples[0]}
+        time, episode = _running(kept["time"], kept["episode"]), kept["episode"][:, None]
+        shown = [*UNITS, *signals.info]
+        labels = [f"{muscle}.{name}" for name in shown for muscle in signals.names]
+        values = np.concatenate([episode, *(kept[name] for name in shown)], axis=1)
+        write_storage(scratch, path.stem, Storage(("episode", *labels), time, values))
+        write_storage(joint_scratch, path.stem, Storage(signals.joint_names, time, kept["angle"]))
+
+
+def _running(time: np.ndarray, episode: np.ndarray) -> np.ndarray:
+    """Return times [s] that go on where an episode ends, for times that begin anew; shape (samples,)."""
+    last = np.flatnonzero(np.diff(episode))
+    shift = np.zeros_like(time)
+    for end in last:
+        shift[end + 1 :] += time[end]
+    return time + shift

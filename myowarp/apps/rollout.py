@@ -18,11 +18,12 @@ from myowarp.apps.film import Film
 from myowarp.apps.learned import bind, read_policy
 from myowarp.apps.policies import Hold, check_hold
 from myowarp.apps.recording import SignalRecorder
+from myowarp.apps.replay import Replay, is_replay
+from myowarp.apps.storage import Storage, read_storage
 from myowarp.apps.train.checkpoint import Checkpoint
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.disk import in_place
 from myowarp.progress import progress_bar
-from myowarp.sim.shards import Shards
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TaskSpec
 from myowarp.tasks.outside import load
@@ -41,11 +42,13 @@ class Policy:
         name: How the user called it.
         act: Function of the observations; None for the built-in policies.
         checkpoint: What was trained; None for all others.
+        excitations: Excitations over time; None for all others.
     """
 
     name: str
     act: Act | None = None
     checkpoint: Checkpoint | None = None
+    excitations: Storage | None = None
 
 
 @dataclass
@@ -91,12 +94,13 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
 
     Args:
         name: "random", "zero", "hold" (`myowarp.apps.policies`), "baseline", "baselines/<task>"
-            (`myowarp.apps.baselines`), the folder of a trained policy (`myowarp.apps.learned`),
-            "package.module:function" or "file.py:function".
+            (`myowarp.apps.baselines`), the folder of a trained policy (`myowarp.apps.learned`), a file of
+            excitations (`myowarp.apps.replay`), "package.module:function" or "file.py:function".
         spec: The task in which it is to act.
 
     Raises:
         ValueError: No such policy, or it cannot act in this task.
+        OSError: Its file cannot be read.
     """
     if name == "hold":
         check_hold(spec)
@@ -104,11 +108,14 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
         return Policy(name)
     if (folder := policy_folder(name, spec.key)) is not None:
         return Policy(name, checkpoint=read_policy(name, folder, spec))
+    if is_replay(name):
+        return Policy(name, excitations=read_storage(Path(name)))
     source, colon, attribute = name.rpartition(":")
     if not colon:
         raise ValueError(
             f"policy {name!r} unknown; available: {', '.join(BUILT_IN)}, baseline, "
-            "baselines/<task>, the folder of a trained policy, package.module:function, file.py:function"
+            "baselines/<task>, the folder of a trained policy, excitations (.sto, .mot, .csv), "
+            "package.module:function, file.py:function"
         )
     try:
         act = getattr(load(source), attribute, None)
@@ -121,11 +128,13 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
     return Policy(name, act)
 
 
-def acting(policy: Policy, sim: Simulation | Shards, seed: int) -> Act:
+def acting(policy: Policy, sim: Simulation, seed: int) -> Act:
     """Return the function that acts: the user's, with its errors marked as such, or a built-in one."""
     act, scene = policy.act, sim.scene
     if policy.checkpoint is not None:
         return bind(policy.checkpoint, sim)
+    if policy.excitations is not None:
+        return Replay(policy.name, policy.excitations, sim)
     if act is not None:
 
         def guarded(obs: np.ndarray) -> np.ndarray:

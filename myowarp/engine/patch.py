@@ -8,15 +8,13 @@ once.
 import contextlib
 import functools
 import importlib
-import logging
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import warp as wp
 
+from myowarp.engine.said import say_once
 from myowarp.engine.turn import TURN, replaced
-
-logger = logging.getLogger("myowarp")
 
 
 def is_empty(*args: Any, **kwargs: Any) -> bool:
@@ -81,7 +79,7 @@ def _splits() -> tuple[tuple[Any, str], ...]:
             module = importlib.import_module(f"mujoco_warp._src.{name}")
             getattr(module, function)
         except (ImportError, AttributeError) as error:
-            logger.warning("mujoco-warp has changed, its sums may depend on the number of worlds: %s", error)
+            say_once(f"mujoco-warp has changed, its sums may depend on the number of worlds: {error}")
         else:
             found.append((module, function))
     return tuple(found)

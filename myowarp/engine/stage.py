@@ -18,11 +18,14 @@ from typing import ClassVar
 import mujoco_warp as mjw
 import warp as wp
 
+from myowarp.engine.said import say_once
 from myowarp.spec.scene import Scene
 
 logger = logging.getLogger("myowarp")
 
 Launches = Callable[[mjw.Model, mjw.Data], None]
+Obstacles = dict[str, Callable[[Scene], bool]]
+"""A reason in words, and whether a scene has it."""
 
 STAGES = {
     "free_coordinates": "FreeCoordinates",
@@ -46,8 +49,8 @@ class Stage(abc.ABC):
 
     Attributes:
         REPLACES: Places in `step.ORDER` that it fills, with one launch in the first.
-        OBSTACLES: What a scene must not have, beside `step.UNCOVERED`: a reason in words, and whether the
-            scene has it.
+        OBSTACLES: What a scene must not have, beside `step.UNCOVERED`.
+        ON_CUDA: Whether it is worth its launches on CUDA, too.
         TOLERANCE: Largest difference that it makes to a step's change of velocity or of position, as a share
             of the largest such change in the state (float32 sums in another order), beyond
             `verify.ROUNDINGS` of the state.
@@ -58,13 +61,16 @@ class Stage(abc.ABC):
     inner: Scene | None = None
 
     REPLACES: ClassVar[tuple[str, ...]]
-    OBSTACLES: ClassVar[dict[str, Callable[[Scene], bool]]]
+    OBSTACLES: ClassVar[Obstacles]
+    ON_CUDA = False
     TOLERANCE = 1e-4
 
     @classmethod
     def obstacle(cls, scene: Scene) -> str | None:
         """Return why this scene cannot use the stage, None if it can."""
-        return next((reason for reason, holds in cls.OBSTACLES.items() if holds(scene)), None)
+        if not (cls.ON_CUDA or scene.device.is_cpu):
+            return "the device is not the CPU"
+        return first_reason(cls.OBSTACLES, scene)
 
     def __init__(self, scene: Scene) -> None:
         """Allocate all that the kernels need, on the scene's device."""
@@ -85,6 +91,11 @@ class Stage(abc.ABC):
     @abc.abstractmethod
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Launch our kernels."""
+
+
+def first_reason(obstacles: Obstacles, scene: Scene) -> str | None:
+    """Return the first reason that holds for a scene, None if none does."""
+    return next((reason for reason, holds in obstacles.items() if holds(scene)), None)
 
 
 @cache
@@ -138,4 +149,4 @@ def not_exact(reason: str) -> None:
 
 
 def _left_to_the_engine(name: str, error: Exception) -> None:
-    logger.warning("%s is left to mujoco-warp %s, which has changed: %s", name, mjw.__version__, error)
+    say_once(f"{name} is left to mujoco-warp {mjw.__version__}, which has changed: {error}")

@@ -13,7 +13,7 @@ import warp as wp
 
 from myowarp.engine.idle import pruned
 from myowarp.engine.patch import engine_kernels_alone, one_thread
-from myowarp.engine.stage import INNER, Launches, Stage
+from myowarp.engine.stage import INNER, Launches, Obstacles, Stage, first_reason
 from myowarp.kernels.launch import launch
 from myowarp.spec.scene import Scene
 
@@ -102,7 +102,7 @@ ORDER: dict[str, Launches] = {
 
 INTEGRATORS = (mjw.IntegratorType.EULER, mjw.IntegratorType.IMPLICIT, mjw.IntegratorType.IMPLICITFAST)
 
-UNCOVERED: dict[str, Callable[[Scene], bool]] = {
+UNCOVERED: Obstacles = {
     "tendons or actuators have armature": lambda scene: bool(
         scene.oracle.tendon_armature.any() or scene.oracle.actuator_armature.any()
     ),
@@ -118,12 +118,12 @@ UNCOVERED: dict[str, Callable[[Scene], bool]] = {
     "the user has sensors": lambda scene: scene.model.callback.sensor is not None,
     "body accelerations are asked for": lambda scene: bool(scene.model.opt.run_rne_postconstraint),
 }
-"""What `mujoco_warp.step` does besides `ORDER`: a reason in words, and whether a scene has it."""
+"""What `mujoco_warp.step` does besides `ORDER`."""
 
 
 def uncovered(scene: Scene) -> str | None:
     """Return why a scene's step cannot be a list of stages, None if it can."""
-    return next((reason for reason, holds in UNCOVERED.items() if holds(scene)), None)
+    return first_reason(UNCOVERED, scene)
 
 
 def stage_launches(stages: Iterable[Stage]) -> dict[str, Launches]:

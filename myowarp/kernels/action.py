@@ -7,6 +7,8 @@ body without muscles: linear onto their control range.
 import math
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
 import warp as wp
 
 from myowarp.kernels.decay import DECAY
@@ -16,6 +18,7 @@ MOTOR = wp.constant(1)
 
 STEEPNESS = 5.0  # of the sigmoid; MyoSuite 3.0.0
 CENTER = 0.5  # action at which the excitation is 0.5; MyoSuite 3.0.0
+LEAST_EXCITATION = 1e-6  # below what the action -1 gives, and finite under the logarithm
 
 EXCITATION = f"excitation = 1 / (1 + exp(-{STEEPNESS:g} (action - {CENTER:g})))"
 """What a muscle gets, for people."""
@@ -24,6 +27,12 @@ EXCITATION = f"excitation = 1 / (1 + exp(-{STEEPNESS:g} (action - {CENTER:g})))"
 def excitation(action: float) -> float:
     """Return the excitation that an action in [-1, 1] stands for; on the host, for people."""
     return 1.0 / (1.0 + math.exp(-STEEPNESS * (action - CENTER)))
+
+
+def action_of(excitation: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """Return the actions in [-1, 1] that come closest to excitations from 0 to 1, same shape; on the host."""
+    inner = np.clip(excitation, LEAST_EXCITATION, 1.0 - LEAST_EXCITATION)
+    return np.clip(CENTER + np.log(inner / (1.0 - inner)) / STEEPNESS, -1.0, 1.0)
 
 
 FAULT_ACTION = wp.constant(8)

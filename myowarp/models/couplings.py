@@ -246,6 +246,14 @@ def follow(model: mujoco.MjModel, qpos: np.ndarray) -> None:
         qpos[address] = coupling.derivatives(qpos[driver] if coupling.driver >= 0 else 0.0)[0]
 
 
+def settled(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """Return a copy of a configuration (nq,) in which the joints that follow exactly do."""
+    qpos = qpos.copy()
+    if exact(model) is not None:
+        follow(model, qpos)
+    return qpos
+
+
 def jacobian(
     model: mujoco.MjModel, ties: Iterable[Coupling], qpos: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -269,3 +277,10 @@ def jacobian(
             _, slope, bends[tie.joint] = tie.derivatives(qpos[tie.driver])
             slopes[tie.joint, free == tie.driver] = slope
     return free, slopes, bends
+
+
+def regularity(M: np.ndarray) -> float:
+    """Return the least eigenvalue of a mass matrix, its diagonal scaled to 1; 0 if that has a zero."""
+    scale = np.sqrt(np.diag(M).clip(min=0.0))
+    scaled = M / scale[:, None] / scale if scale.all() else np.zeros_like(M)
+    return float(np.linalg.eigvalsh(scaled)[0]) if np.isfinite(scaled).all() else 0.0

@@ -5,6 +5,7 @@ import importlib.util
 import json
 import os
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,7 +15,7 @@ import tyro
 from rich.console import Console
 
 from myowarp.disk import check_folder, check_overwrite, files_digest, in_place
-from myowarp.opensim.model import Model, Note, pulling
+from myowarp.opensim.model import Loss, Model, pulling
 from myowarp.progress import patient_bar
 
 if TYPE_CHECKING:
@@ -57,7 +58,9 @@ class Convert:
     workers: int = 0
     """Processes that fit muscles; 0: one per core."""
     strict: bool = False
-    """Fail if a stated gate is missed; the result is written all the same."""
+    """Fail if a stated gate is missed or something is left out; the result is written all the same."""
+    accept_losses: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[CODE ...]", help_behavior_hint="")] = ()
+    """Codes of what may be left out with --strict, such as BushingForce; the report says which there are."""
     json: bool = False
     """Print the report as JSON instead of a summary."""
     overwrite: bool = False
@@ -66,26 +69,64 @@ class Convert:
     def __call__(self) -> None:
         """Convert, check, write."""
         check_overwrite((self.output / name for name in COMPLETE), self.overwrite)
-        report = run(self.model, self.output, self.meshes, self.method, self.workers, self.reference)
+        report = run(
+            self.model,
+            self.output,
+            self.meshes,
+            self.method,
+            self.workers,
+            self.reference,
+            self.accept_losses,
+        )
         if self.json:
             print(json.dumps(report, indent=1))
         else:
-            _summarize(report, self.output)
-        missed = [gate for gate in report["gates"] if not gate["passed"]]
-        if self.strict and missed:
-            said = "; ".join(
-                f"{g['name']} {g['value']:.3g} {g['unit']} (at most {g['bound']:g})" for g in missed
-            )
-            raise ValueError(f"{self.model}: {len(missed)} gates of --strict missed: {said}")
+            _summarize(report, self.output, self.accept_losses)
+        if self.strict and (failed := _failed(report)):
+            raise ValueError(f"{self.model}: {failed}")
 
 
-def _summarize(report: dict[str, Any], output: Path) -> None:
+def _failed(report: dict[str, Any]) -> str:
+    """Return what --strict fails on, "" for nothing."""
+    missed = [gate for gate in report["gates"] if not gate["passed"]]
+    said = "; ".join(
+        f"{gate['name']} {_figure(gate)} (at most {gate['bound']:g}"
+        + (f"; {gate['where']})" if gate["where"] else ")")
+        for gate in missed
+    )
+    parts = [f"{len(missed)} gates of --strict missed: {said}"] if missed else []
+    lost = [loss for loss in report["left_out"] if not loss["accepted"]]
+    if lost:
+        codes = " ".join(sorted({loss["code"] for loss in lost}))
+        parts.append(f"{len(lost)} things left out that act in OpenSim; --accept-losses {codes} accepts them")
+    return ". ".join(parts)
+
+
+def _figure(gate: dict[str, Any]) -> str:
+    """Return the value of a gate with its unit."""
+    return "has no number" if gate["value"] is None else f"{gate['value']:.3g} {gate['unit']}"
+
+
+def _summarize(report: dict[str, Any], output: Path, accepted: tuple[str, ...]) -> None:
+    from myowarp.opensim.report.data import left_out
+
     console = Console(highlight=False, soft_wrap=True)
     counts = report["counts"]
     console.print(f"{output}/model.xml: {counts['joints']} joints, {counts['muscles']} muscles")
-    for gate in report["gates"]:
-        mark = "within" if gate["passed"] else "beyond"
-        console.print(f"{gate['name']}: {gate['value']:.2g} {gate['unit']}, {mark} {gate['bound']:g}")
+    for code, said, rules, _ in left_out(report["left_out"]):
+        console.print(f"left out: {code}, {said}: {rules}", markup=False)
+    for code in sorted(set(accepted) - {loss["code"] for loss in report["left_out"]}):
+        console.print(f"accepted but not left out here: {code}", markup=False)
+    for engine in report["dynamics"]["engines"].values():
+        median, worst = (f"{100 * engine['accelerations'][key]:.2g} %" for key in ("median", "worst"))
+        console.print(f"{engine['name']}: accelerations {median} off (median of states), {worst} (worst)")
+    missed = [gate for gate in report["gates"] if not gate["passed"]]
+    for gate in missed:
+        where = f" ({gate['where']})" if gate["where"] else ""
+        console.print(f"{gate['name']}: {_figure(gate)}, beyond {gate['bound']:g}{where}", markup=False)
+    console.print(
+        f"{len(report['gates']) - len(missed)} of {len(report['gates'])} figures within their gates"
+    )
     console.print(f"{len(report['notes'])} notes on what is not exact, in {output}/report.html")
 
 
@@ -96,6 +137,7 @@ def run(
     method: str = "least_squares",
     workers: int = 0,
     reference: str = "own",
+    accepted: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Convert a file and write the result; the report is written last, the model before it.
 
@@ -107,6 +149,9 @@ def run(
     from myowarp.opensim.build.binary import binary, stiff
     from myowarp.opensim.build.convert import Options, Stages, convert
     from myowarp.opensim.build.mjcf import mjcf
+    from myowarp.opensim.check.dynamics import dynamics
+    from myowarp.opensim.check.engines import Engine, OurStep, PlainMuJoCo
+    from myowarp.opensim.check.left_out import sized
     from myowarp.opensim.muscle.hill import HillMuscle
     from myowarp.opensim.muscle.table import muscle_table
     from myowarp.opensim.read.model import read_model
@@ -129,25 +174,40 @@ def run(
     tendons = {name: path.tendon for name, path in fits.paths().items()}
     stages = Stages(tendons, {fit.name: fit.force for fit in fits.muscles})
     converted = convert(model, Options(mesh_folders), stages)
+    converted = dataclasses.replace(converted, notes=sized(source, model, converted.notes))
     if pulling(model) and samples is None:
-        note = Note("/forceset", NO_FITS)
+        note = Loss("/forceset", NO_FITS, code="fits")
         converted = dataclasses.replace(converted, notes=(*converted.notes, note))
     converted.spec.meshdir = "meshes" if converted.meshes else ""
     text = mjcf(
         converted.spec, comment=f"{model.name}. {LACKS if converted.exact.curves else ''}{model.credits}"
     )
     compiled = mujoco.MjModel.from_xml_string(text, {**converted.meshes})
-    checked = check(converted, compiled, fits, samples)
-    report = report_of(converted, compiled, checked, digest, reference)
+    said = converted.exact.as_json() if converted.exact.curves else ""
+    stiffer = stiff(compiled, converted.exact)
+    coordinates = converted.coordinates
+    engines: dict[str, Engine] = {}
+    if coordinates.free():
+        try:
+            engines["step"] = OurStep(coordinates, mujoco.MjSpec.from_string(text), said)
+        except ValueError as error:
+            reason = " ".join(str(error).split())
+            raise ValueError(f"{source}: MyoWarp cannot step the converted model: {reason}") from error
+        engines["mjb"] = PlainMuJoCo(coordinates, stiffer)
+        engines["xml"] = PlainMuJoCo(coordinates, compiled)
+    with patient_bar("Comparing accelerations", "steps", 1 + len(engines), patience=PATIENCE) as advance:
+        moved = dynamics(source, model, engines, advance)
+    checked = check(converted, compiled, fits, samples, moved)
+    report = report_of(converted, compiled, checked, digest, reference, accepted)
     report["seconds"] = round(time.perf_counter() - begin, 3)
     files = {
         **{f"meshes/{name}": content for name, content in converted.meshes.items()},
         "coordinates.json": json.dumps(converted.coordinates.as_json(), indent=1).encode(),
-        **({"couplings.json": converted.exact.as_json().encode()} if converted.exact.curves else {}),
+        **({"couplings.json": said.encode()} if said else {}),
         "muscles.csv": muscle_table(map(HillMuscle.of, model.muscles.values())).encode(),
         "model.xml": text.encode(),
-        "model.mjb": binary(stiff(compiled, converted.exact)),
-        "report.html": page(report, converted, compiled, fits, samples).encode(),
+        "model.mjb": binary(stiffer),
+        "report.html": page(report, converted, compiled, fits, samples, moved).encode(),
         "report.json": json.dumps(report, indent=1).encode(),
     }
     write(output, files)

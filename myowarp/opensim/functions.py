@@ -23,6 +23,9 @@ from myowarp.models.couplings import Pieces, line
 
 Array = np.ndarray
 
+LEAST_STEP = 1e-7
+"""Between knots of a SimmSpline, in OpenSim."""
+
 
 class Function(Protocol):
     """A scalar function of one variable."""
@@ -185,7 +188,10 @@ class PiecewiseConstant(Piecewise):
 
 @dataclass(frozen=True)
 class SimmSpline(Piecewise):
-    """Cubic spline; end third derivatives from the cubic through the four nearest knots."""
+    """Cubic spline; end third derivatives from the cubic through the four nearest knots.
+
+    Knots may repeat; as in OpenSim, whatever lies between two knots counts as at least `LEAST_STEP`.
+    """
 
     x: tuple[float, ...]
     y: tuple[float, ...]
@@ -201,7 +207,7 @@ class SimmSpline(Piecewise):
     def _coefficients(self) -> Array:
         """Slope, quadratic and cubic coefficient at every knot, shape `(3, n)`."""
         x, y = np.array(self.x), np.array(self.y)
-        step, n = np.diff(x), len(x)
+        step, n = np.maximum(np.diff(x), LEAST_STEP), len(x)
         slope = np.diff(y) / step
         if n == 2:
             return np.array([[slope[0]] * 2, [0.0] * 2, [0.0] * 2])
@@ -213,8 +219,8 @@ class SimmSpline(Piecewise):
         matrix[0, :2] = -step[0], step[0]
         matrix[-1, -2:] = step[-1], -step[-1]
         if n > 3:
-            second = np.diff(slope) / (x[2:] - x[:-2])
-            third = np.diff(second) / (x[3:] - x[:-3])
+            second = np.diff(slope) / np.maximum(x[2:] - x[:-2], LEAST_STEP)
+            third = np.diff(second) / np.maximum(x[3:] - x[:-3], LEAST_STEP)
             right[0] = step[0] ** 2 * third[0]
             right[-1] = -(step[-1] ** 2) * third[-1]
         sigma = np.linalg.solve(matrix, right)
@@ -299,6 +305,29 @@ def curves(function: Function) -> tuple[Pieces, ...] | None:
     return None
 
 
+def derivatives(function: Function, x: ArrayLike) -> tuple[Array, Array, Array]:
+    """Return f(x), f'(x) and f''(x), each in the shape of `x`.
+
+    Raises:
+        TypeError: The function is none of this file's.
+    """
+    x = np.asarray(x, float)
+    match function:
+        case Piecewise():
+            return function.pieces.derivatives(x)
+        case Multiplier(inner, scale):
+            value, slope, bend = derivatives(inner, x)
+            return scale * value, scale * slope, scale * bend
+        case Composed(outer, inner):
+            between, first, first_bend = derivatives(inner, x)
+            value, last, last_bend = derivatives(outer, between)
+            return value, last * first, last_bend * first**2 + last * first_bend
+        case Sine(_, omega, _, offset):
+            value = function.value(x)
+            return value, function.derivative(x), -(omega**2) * (value - offset)
+    raise TypeError(f"{type(function).__name__} has no second derivative")
+
+
 def affine(function: Function) -> tuple[float, float] | None:
     """Return (slope, offset) where a function is a straight line everywhere, else None."""
     match function:
@@ -315,7 +344,7 @@ def affine(function: Function) -> tuple[float, float] | None:
             if first is not None and last is not None:
                 return last[0] * first[0], last[0] * first[1] + last[1]
         case SimmSpline(x, y) | PiecewiseLinear(x, y):
-            slope = (y[-1] - y[0]) / (x[-1] - x[0])
+            slope = (y[-1] - y[0]) / max(x[-1] - x[0], LEAST_STEP)
             bend = np.array(y) - y[0] - slope * (np.array(x) - x[0])
             # Rounding of the file's digits: such a bend moves no one.
             if np.abs(bend).max() <= 1e-12 * max(1.0, np.abs(y).max()):

@@ -45,6 +45,20 @@ class Note:
     """How far off that can be, with its unit; None: not bounded."""
 
 
+@dataclass(frozen=True)
+class Loss(Note):
+    """Something that acts in the document and not, or not as there, in the result."""
+
+    code: str = ""
+    """What accepts it: OpenSim's class, or a word of ours."""
+    effect: Literal["force", "motion", "mass", "contact", "control"] = "force"
+    """What it changes."""
+    largest: float | None = None
+    """Its greatest force in the poses of the check; None: not measured."""
+    unit: str = "N"
+    """Of that."""
+
+
 @dataclass(frozen=True, eq=False)
 class Body:
     """A rigid body."""

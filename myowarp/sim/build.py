@@ -15,7 +15,7 @@ from myowarp.engine.kernel_cache import start_warp
 from myowarp.engine.turn import in_turn
 from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import new_keys
-from myowarp.models.couplings import exact, follow
+from myowarp.models.couplings import settled
 from myowarp.models.slim import slim
 from myowarp.sim.capacity import calibrate
 from myowarp.sim.memory import check_memory
@@ -34,18 +34,17 @@ STATE_FIELDS = (
 )
 """Arrays of `mjw.Data` that the engine carries from one step to the next, and those that only users write."""
 
-SHARED_FIELDS = (
-    *STATE_FIELDS,
+RESULT_FIELDS = (
     "overflow",
     *("xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat", "cam_xpos"),
     *("cam_xmat", "light_xpos", "light_xdir", "subtree_com", "cvel", "qacc", "act_dot", "ten_length"),
     *("actuator_length", "actuator_velocity", "actuator_force", "qfrc_bias", "qfrc_passive"),
     *("qfrc_actuator", "qfrc_constraint", "sensordata"),
 )
-"""Arrays of `mjw.Data` with a row for each world that are of use outside of the engine: state, and results.
+"""Further arrays of `mjw.Data` with a row for each world that are of use outside of the engine.
 
-What only the engine reads is not shared: cores that write what lies side by side take cache lines from each
-other, which costs 64 elbows up to 7 % of a step. Nor is what our stages do not write, such as the
+What only the engine reads stays with the part: cores that write what lies side by side take cache lines from
+each other, which costs 64 elbows up to 7 % of a step. So does what our stages do not write, such as the
 poses of all sites: it would be old.
 """
 
@@ -197,6 +196,21 @@ def actuator_kinds(model: mujoco.MjModel) -> np.ndarray:
     return np.where(model.actuator_dyntype == mujoco.mjtDyn.mjDYN_MUSCLE, int(MUSCLE), int(MOTOR))
 
 
+def _put_model(spec: TaskSpec, stepped: mujoco.MjModel, batch_sizes: dict[str, int]) -> mjw.Model:
+    """Put the stepped model of a task on the current Warp device.
+
+    Raises:
+        ValueError: The engine does not simulate something in it.
+    """
+    try:
+        model = mjw.put_model(stepped, batch_sizes=batch_sizes)
+    except NotImplementedError as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"task {spec.key!r} cannot be simulated; mujoco-warp says: {reason}") from error
+    model.opt.warn_overflow = False
+    return model
+
+
 def compile_scene(
     spec: TaskSpec,
     num_worlds: int | Worlds,
@@ -228,10 +242,7 @@ def compile_scene(
 
     oracle, stepped = oracle_model(spec, conditions), _cached_model(spec, conditions, stateless_model)
     num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped))
-    start = spec.start(oracle)
-    if exact(oracle) is not None:
-        start = start.copy()
-        follow(oracle, start)
+    start = settled(oracle, spec.start(oracle))
     capacity = calibrate(oracle, start)
 
     def make_data(number: int) -> mjw.Data:
@@ -240,17 +251,11 @@ def compile_scene(
     check_memory(make_data, worlds.total, where)
     with wp.ScopedDevice(where):
         batched = {"actuator_biasprm", *spec.batched}.union(*(c.batched for c in conditions))
-        try:
-            model = mjw.put_model(stepped, batch_sizes=dict.fromkeys(sorted(batched), worlds.number))
-        except NotImplementedError as error:
-            reason = " ".join(str(error).split())
-            raise ValueError(f"task {spec.key!r} cannot be simulated; mujoco-warp says: {reason}") from error
-        model.opt.warn_overflow = False
+        model = _put_model(spec, stepped, dict.fromkeys(sorted(batched), worlds.number))
         data = make_data(worlds.number)
         muscles = new_muscles(table, oracle, worlds, spec, PHYSICS[physics])
         if conditions:
             muscles.individualize()
-        model.callback.control = muscles.launch
         scene = Scene(
             spec=spec,
             worlds=worlds,
@@ -267,32 +272,23 @@ def compile_scene(
             capacity=capacity,
             device=where,
         )
-        _share_state(scene, batched, individual=bool(conditions))
-        _keep_state(scene, batched, individual=bool(conditions))
+        _adopt_arrays(scene, batched, individual=bool(conditions))
     return scene
 
 
-def _share_state(scene: Scene, batched: Iterable[str], individual: bool) -> None:
-    """Make state, what of the model is `batched`, and individual anatomy visible from outside a part."""
-    worlds, muscles = scene.worlds, scene.muscles
-    worlds.share("model", scene.model, batched)
-    worlds.share("data", scene.data, SHARED_FIELDS)
-    worlds.share("muscles", muscles, (*muscles.STATE, *muscles.RESULTS))
-    worlds.share("keys", scene.keys)
-    if individual:
-        worlds.share("anatomy", muscles.anatomy)
-
-
-def _keep_state(scene: Scene, batched: Iterable[str], individual: bool) -> None:
-    """Name what the engine, the muscles and the random numbers remember from one step to the next."""
+def _adopt_arrays(scene: Scene, batched: set[str], individual: bool) -> None:
+    """Name the arrays that engine, muscles and random numbers share with other parts, and which are state."""
     data, model, muscles = scene.data, scene.model, scene.muscles
-    scene.keep_all("data", data, (name for name in STATE_FIELDS if getattr(data, name).size))
-    scene.keep_all("model", model, sorted(scene.spec.batched))
-    scene.keep_all("condition.model", model, sorted(set(batched) - {"actuator_biasprm", *scene.spec.batched}))
-    scene.keep_all("muscles", muscles, (*muscles.STATE, *muscles.RESULTS))
-    scene.keep_all("keys", scene.keys)
+    for name in STATE_FIELDS:
+        scene.adopt("data", data, (name,), state=getattr(data, name).size > 0)
+    scene.adopt("data", data, RESULT_FIELDS, state=False)
+    scene.adopt("model", model, sorted(scene.spec.batched))
+    scene.adopt("model", model, ("actuator_biasprm",), state=False)
+    scene.adopt("condition.model", model, sorted(batched - {"actuator_biasprm", *scene.spec.batched}))
+    scene.adopt("muscles", muscles, (*muscles.STATE, *muscles.RESULTS))
+    scene.adopt("keys", scene.keys)
     if individual:
-        scene.keep_all("condition.anatomy", muscles.anatomy)
+        scene.adopt("condition.anatomy", muscles.anatomy)
 
 
 @in_turn

@@ -30,7 +30,7 @@ from myowarp.models.couplings import POINT_JOINTS
 from myowarp.sim.muscle_groups import group_of
 
 if TYPE_CHECKING:
-    from myowarp.sim.shards import Shards
+    from myowarp.sim.part import Part
     from myowarp.sim.simulation import Simulation
     from myowarp.spec.scene import Scene
 
@@ -141,7 +141,7 @@ class Signals:
     """
 
     @in_turn
-    def __init__(self, sim: Simulation | Shards) -> None:
+    def __init__(self, sim: Simulation) -> None:
         """Allocate the arrays and add their kernels to the step.
 
         Raises:
@@ -181,7 +181,7 @@ class Signals:
         """Their rates [rad/s, m/s], shape (num_worlds, num_joints); host."""
         return self.qvel.numpy()[:, self._joint_dof]
 
-    def _attach(self, part: Simulation, muscles: MuscleSignals, copies: dict[str, wp.array]) -> None:
+    def _attach(self, part: Part, muscles: MuscleSignals, copies: dict[str, wp.array]) -> None:
         """Add to a part's step: bring path and force of the muscles to the present state, copy the rest."""
         scene, data = part.scene, part.scene.data
         compute, sources = present_muscles(scene), _sources(part, part.shown)
@@ -211,7 +211,7 @@ class Signals:
         part.attach(launch)
 
 
-def _sources(sim: Simulation | Shards, shown: dict[str, wp.array]) -> dict[str, wp.array]:
+def _sources(sim: Simulation | Part, shown: dict[str, wp.array]) -> dict[str, wp.array]:
     """Return the arrays that are copied as they are, with those that the conditions show."""
     return {
         "qpos": sim.scene.data.qpos,

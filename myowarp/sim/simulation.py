@@ -1,58 +1,52 @@
-"""The step loop: action, muscles, physics, observation, reward, termination and reset as one graph.
+"""All worlds of a task, stepped together; on a CPU each core steps a part of them.
 
-`Simulation.step` replays a captured graph of kernel launches; nothing in it allocates or reads back. With
-`graph=False` the same launches run one by one, with the same numbers.
+    sim = Simulation(TASKS["myoHandPoseRandom-v0"], 256, shards=None)
+
+A world's numbers depend on its seed alone, so that the split does not show in them: results are the same for
+any number of parts, bit for bit. On CUDA there is nothing to split.
 """
 
 from __future__ import annotations
 
-import secrets
+import copy
+import dataclasses
+import os
 from collections.abc import Callable, Iterable
-from functools import cached_property
-from types import SimpleNamespace
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import cached_property, lru_cache, partial
 
 import mujoco
-import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.engine.compile import compile_kernels, quiet, renew_code
-from myowarp.engine.graph import Graph, replay_nothing
-from myowarp.engine.idle import pruned
-from myowarp.engine.patch import engine_kernels_alone
-from myowarp.engine.repeat import repeat
-from myowarp.engine.stage import STAGES, Stage, same_stages
-from myowarp.engine.step import physics_step
-from myowarp.engine.turn import TURN, in_turn
-from myowarp.engine.verify import choose_stages
-from myowarp.kernels.action import apply_action
-from myowarp.kernels.batching import as_rows
-from myowarp.kernels.episode import (
-    AUTORESET,
-    advance_episode,
-    count_step,
-    detect_faults,
-    detect_state_faults,
-    keep_final,
-    new_episode_state,
-    new_masks,
-    new_transition,
-    open_episode,
+from myowarp.engine.compile import can_renew_code, quiet
+from myowarp.engine.graph import Graph, Replay
+from myowarp.engine.stage import STAGES
+from myowarp.engine.threads import Team, num_cores
+from myowarp.engine.turn import in_turn
+from myowarp.kernels.episode import AUTORESET, EpisodeState, Masks, Transition
+from myowarp.kernels.random import RandomKeys
+from myowarp.progress import patient_bar
+from myowarp.sim.build import (
+    checked_horizon,
+    checked_num_worlds,
+    compile_scene,
+    full_model,
+    resolve_device,
 )
-from myowarp.kernels.random import seed_worlds
-from myowarp.kernels.reset import place_start, reset_worlds
-from myowarp.kernels.write import write
-from myowarp.sim.build import checked_horizon, compile_scene, full_model
+from myowarp.sim.part import Part
+from myowarp.sim.starts import find_starts
 from myowarp.spec.condition import Condition, resolve
-from myowarp.spec.condition import Stage as ConditionStage
-from myowarp.spec.muscle import restore_anatomy
+from myowarp.spec.muscle import Anatomy
 from myowarp.spec.muscle_table import MuscleTable
-from myowarp.spec.parameter import Clock
-from myowarp.spec.program import Program
 from myowarp.spec.registry import check_choice, check_flag
-from myowarp.spec.scene import Starts
+from myowarp.spec.scene import Scene
 from myowarp.spec.task import TaskSpec
 from myowarp.spec.worlds import Worlds
+
+LEAST_WORLDS = 4  # in a part, by default: fewer are not worth the time that a part takes to build
+NUM_GRAPHS = 2  # of a part: step and reset
+PATIENCE = 2.0  # s without a word
 
 
 class Simulation:
@@ -61,30 +55,29 @@ class Simulation:
     Every array is written in place and never replaced; read them through `numpy()`.
 
     Attributes:
+        parts: What steps the worlds, in their order: one part, or one for each core.
         conditions: The muscle conditions, in the order in which they act.
-        scene: The compiled task.
-        program: The task's kernels.
-        stages: Stages of the physics step that kernels of ours do.
-        effects: The conditions' kernels, in the order in which they act.
+        scene: The compiled task. Over several parts it holds names, sizes, settings and the state of all
+            worlds; what does not belong to a single world, such as contacts, or only to the engine is with
+            the parts, and None here.
+        columns: Blocks of the observation.
+        terms: Reward terms.
+        horizon: Control steps in an episode.
         action: Policy actions in [-1, 1], to be written before `step`, shape (num_worlds, num_actuators).
         transition: What the last step led to.
         final: What finished episodes ended with; only with autoreset "same_step".
         episode: Counters of the present episodes.
-        shown: What conditions show of their state, by name, (num_worlds, ...).
-        info: The same after the step, resets included; slices of arrays over all worlds in a part of them.
-        step_graph: What `step` replays; None without a graph.
-        reset_graph: What `reset_asked` replays.
+        masks: Which worlds were stepped and are healthy (`live`), and which were reset.
+        info: What conditions show of their state after the step, by name, (num_worlds, ...).
     """
-
-    _modules: tuple[wp.Module, ...]
-    _idle: frozenset[str]
 
     @in_turn
     def __init__(
         self,
         spec: TaskSpec,
-        num_worlds: int | Worlds,
+        num_worlds: int,
         *,
+        shards: int | None = 1,
         device: str | None = None,
         physics: str = "parity",
         muscle: str | MuscleTable = "mujoco",
@@ -96,14 +89,15 @@ class Simulation:
         deterministic: bool = False,
         stages: Iterable[str] | None = None,
         progress: bool = True,
-        starts: Starts | None = None,
-        like: Simulation | None = None,
+        adjustable: bool = False,
     ) -> None:
-        """Compile the scene, compile the kernels and capture the step.
+        """Compile scene and kernels, and capture the step; kernels are compiled once for all parts.
 
         Args:
             spec: The task.
-            num_worlds: Number of worlds to step together, or those of a part of them.
+            num_worlds: Worlds to step together.
+            shards: Parts, each stepped by a thread of its own; None: one for each core that this process may
+                use, but none with fewer than 4 worlds.
             device: Warp device; None: the first CUDA device if there is one, else the CPU.
             physics: Name in `spec.PHYSICS`.
             muscle: Name in `MUSCLES`, or a `MuscleTable` with parameters.
@@ -115,34 +109,54 @@ class Simulation:
             deterministic: Whether a run gives the same bits every time on CUDA, which is slower.
             stages: Names in `engine.stage.STAGES` to use where they apply; None: all.
             progress: Whether to show progress bars while kernels compile and random starts are found.
-            starts: Random starts to draw from where `reset` is "random"; `sim.starts.find_starts` finds them.
-            like: Another part, made with the same arguments, whose kernels can be taken over.
+            adjustable: Whether conditions can be changed later, as `myowarp.sim.patient` does.
 
         Raises:
             ValueError: An argument is out of its range.
         """
+        worlds = Worlds.all(checked_num_worlds(num_worlds), adjustable)
         check_choice("autoreset", autoreset, AUTORESET)
         for name, flag in (("graph", graph), ("deterministic", deterministic), ("progress", progress)):
             check_flag(name, flag)
-        horizon = checked_horizon(spec.horizon if horizon is None else horizon)
-        self.autoreset = AUTORESET[autoreset]
+        self.horizon = checked_horizon(spec.horizon if horizon is None else horizon)
+        stages = tuple(STAGES if stages is None else stages)
+        parts: list[Part] = []
         with quiet():
+            where = resolve_device(device)
+            shards = _checked_shards(shards, worlds.total, where)
             self.conditions = resolve(conditions, spec)
-            self.scene = compile_scene(spec, num_worlds, device, physics, muscle, reset, self.conditions)
-            # Sums on the CPU have one order anyway.
-            self.scene.model.opt.deterministic = bool(deterministic) and not self.scene.device.is_cpu
-        with quiet(), wp.ScopedDevice(self.scene.device):
-            self.program: Program = spec.program(spec, self.scene)
-            self._bind_conditions()
-            self._allocate(horizon)
-            self._place_starts(starts)
-            if like is None:
-                self._choose_kernels(STAGES if stages is None else stages, progress)
-            else:
-                self._take_over(like)
-            self.step_graph = self._capture(self._launch_step) if graph else None
-            self.reset_graph = self._capture(self._launch_asked_reset) if graph else None
-        self.reset()
+            show = progress and shards > 1
+            with patient_bar("Preparing cores", "shards", shards, patience=PATIENCE, show=show) as advance:
+                for own in worlds.split(shards):
+                    scene = compile_scene(spec, own, where.alias, physics, muscle, reset, self.conditions)
+                    # Sums on the CPU have one order anyway.
+                    scene.model.opt.deterministic = bool(deterministic) and not where.is_cpu
+                    part = Part(
+                        scene,
+                        self.conditions,
+                        autoreset=autoreset,
+                        horizon=self.horizon,
+                        graph=graph,
+                        stages=stages,
+                        progress=progress,
+                        find_starts=partial(find_starts, spec, progress),
+                        like=parts[0] if parts else None,
+                    )
+                    parts.append(part)
+                    advance(1)
+        self.parts, (first, *others) = tuple(parts), parts
+        self.scene = _joined(first.scene, worlds) if others else first.scene
+        self.columns, self.terms = first.columns, first.terms
+        self.action = worlds.whole["action"]
+        self.transition = worlds.join("transition", Transition())
+        self.final = worlds.join("final", Transition())
+        self.episode = worlds.join("episode", EpisodeState())
+        self.masks = worlds.join("masks", Masks())
+        self.info = {name: worlds.whole[f"info.{name}"] for name in first.info}
+        self._together: Callable[[tuple[Replay, ...]], Replay] | None = None
+        self._pool: ThreadPoolExecutor | None = None
+        self._process = os.getpid()
+        self._failure: str | None = None
 
     @property
     def num_worlds(self) -> int:
@@ -154,255 +168,16 @@ class Simulation:
         """The unslimmed model with the task's objects, for pictures and comparisons; host."""
         return full_model(self.scene.spec, self.conditions)
 
-    @property
-    def parts(self) -> tuple[Simulation, ...]:
-        """The simulations that step the worlds: this one (compare `myowarp.sim.shards.Shards`)."""
-        return (self,)
-
-    def _place_starts(self, starts: Starts | None) -> None:
-        """Load the random starts."""
-        self.starts = self.start_address = None
-        if self.scene.reset != "random":
-            return
-        if starts is None:
-            raise ValueError("reset 'random' needs starts; use simulate(), or pass those of find_starts()")
-        self.starts = wp.array(starts.values, dtype=float)
-        self.start_address = wp.array(starts.address, dtype=int)
-
-    def _choose_kernels(self, names: Iterable[str], progress: bool) -> None:
-        """Find out which stages of the physics step are to be ours, and compile all kernels."""
-        self.stages, self._idle = choose_stages(
-            self.scene, names, self._launch_all, progress, self.conditions
-        )
-        self._launch_physics = physics_step(self.scene, self.stages, self._idle)
-        self._modules = compile_kernels(self._launch_all, self.scene.device, show=progress)
-
-    def _take_over(self, like: Simulation) -> None:
-        """Use the kernels of another part."""
-        self._modules, self._idle = like._modules, like._idle
-        self.stages = same_stages(self.scene, like.stages)
-        self._launch_physics = physics_step(self.scene, self.stages, self._idle)
-
-    def _bind_conditions(self) -> None:
-        """Allocate the counters of the episodes, and what the conditions need."""
-        scene = self.scene
-        self.episode = new_episode_state(self.num_worlds)
-        scene.worlds.share("episode", self.episode)
-        scene.keep_all("episode", self.episode)
-        clock = Clock()
-        clock.step_count, clock.life_count = self.episode.step_count, self.episode.life_count
-        clock.control_dt = scene.control_dt
-        self.effects = tuple(condition.bind(scene, clock) for condition in self.conditions)
-        for effect in self.effects:
-            effect.check_beside(self.effects)
-        scene.model.callback.control = self._launch_control
-
-    def _allocate(self, horizon: int) -> None:
-        """Allocate every array of the step."""
-        n, scene, spec = self.num_worlds, self.scene, self.scene.spec
-        columns = spec.columns(scene.oracle.nq, scene.oracle.nv, len(scene.muscles.names))
-        columns += tuple(column for effect in self.effects for column in effect.columns)
-        self.columns = tuple(column for column in columns if column.size)
-        self.terms = spec.reward_terms() + tuple(term for effect in self.effects for term in effect.terms)
-        self.action = wp.zeros((n, scene.num_actions), dtype=float)
-        self.weights = wp.array([term.weight for term in self.terms], dtype=float)
-        self.horizon = wp.array([horizon], dtype=int)
-        scene.worlds.share("sim", self, ("action",))
-        sizes = n, sum(column.size for column in self.columns), len(self.terms)
-        self.transition, self.final, self.masks = new_transition(*sizes), new_transition(*sizes), new_masks(n)
-        scene.worlds.share("transition", self.transition)
-        scene.worlds.share("final", self.final)
-        scene.worlds.share("masks", self.masks)
-        self.shown = {name: array for effect in self.effects for name, array in effect.info.items()}
-        info = SimpleNamespace(**self.shown)
-        scene.worlds.share("info", info, self.shown)
-        self.info = vars(info)
-        self._asked = wp.zeros(n, dtype=bool)
-        self._countdown = wp.zeros(1, dtype=int)
-        self._probes: list[Callable[[wp.array | None], None]] = []
-        self._idle, self.stages = frozenset[str](), tuple[Stage, ...]()
-        self._launch_physics = physics_step(self.scene)
-
-    def _launch_all(self) -> None:
-        """Every launch there is, for the compiler."""
-        self._launch_step()
-        self._launch_asked_reset()
-        replay_nothing(self.scene.device)
-
-    def _launch_step(self) -> None:
-        """One control step of all worlds."""
-        self.launch_action()
-        self.launch_conditions()
-        repeat(self._launch_physics, self.scene.num_substeps, self._countdown)
-        self._refresh()
-        wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
-        self.program.advance(self.episode.step_count)
-        self.launch_scoring()
-        self._launch_observation(self.masks.live)
-        self._launch_probes(None)
-        if self.autoreset == AUTORESET["same_step"]:
-            wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
-        self._launch_reset(self.masks.renew, self.masks.reset, self.masks.fresh, asked=False)
-
-    def _launch_control(self, model: mjw.Model, data: mjw.Data) -> None:
-        """Engine callback: the muscles, and what conditions do in a physics step."""
-        self.scene.muscles.launch(model, data)
-        for effect in self.effects:
-            effect.act_in_substep()
-
-    def _launch_observation(self, mask: wp.array) -> None:
-        """Observe the worlds of a mask: the task, then the conditions that show something."""
-        obs = self.transition.obs
-        self.program.observe(mask, obs)
-        column = obs.shape[1]
-        for effect in reversed(self.effects):
-            column -= sum(block.size for block in effect.columns)
-            effect.observe(mask, obs, column)
-
-    def launch_conditions(self) -> None:
-        """Let the conditions change excitations, muscles and body, for one control step."""
-        self._launch_anatomy()
-        for effect in self.effects:
-            effect.act()
-
-    def _launch_anatomy(self) -> None:
-        """Make the muscles healthy, from where the conditions start."""
-        if self.effects:
-            anatomy = self.scene.muscles.anatomy
-            wp.launch(restore_anatomy, dim=anatomy.strength.shape, outputs=[anatomy])
-
-    def launch_action(self) -> None:
-        """Map actions to controls."""
-        scene, transition = self.scene, self.transition
-        wp.launch(
-            apply_action,
-            dim=self.num_worlds,
-            inputs=[scene.actuator_kind, scene.model.actuator_ctrlrange, self.action],
-            outputs=[scene.data.ctrl, transition.fault],
-        )
-
-    def launch_scoring(self) -> None:
-        """Judge the present state: faults, reward terms, reward, and what ends."""
-        data, transition = self.scene.data, self.transition
-        wp.launch(
-            detect_faults,
-            dim=self.num_worlds,
-            inputs=[data.qpos, data.qvel],
-            outputs=[data.overflow, transition.fault],
-        )
-        for state in self.scene.muscles.state.values():
-            wp.launch(
-                detect_state_faults,
-                dim=self.num_worlds,
-                inputs=[as_rows(state)],
-                outputs=[transition.fault],
-            )
-        column = len(self.scene.spec.reward_terms())
-        terms = transition.terms[:, :column]
-        self.program.score(self.episode.step_count, terms, transition.solved, transition.failed)
-        for effect in self.effects:
-            effect.score(transition.terms, column)
-            column += len(effect.terms)
-        wp.launch(
-            advance_episode,
-            dim=self.num_worlds,
-            inputs=[self.weights, self.horizon, self.autoreset, self.scene.reset == "none"],
-            outputs=[self.episode, transition, self.masks],
-        )
-
-    def _launch_asked_reset(self) -> None:
-        """Reset that the user asked for; the state is reset in every mode."""
-        self._launch_reset(self._asked, self._asked, self._asked, asked=True)
-        if self._probes:
-            self._launch_transmission()
-            self._launch_probes(self._asked)
-
-    def _launch_transmission(self) -> None:
-        """Let tendons be torn and rerouted already, so that a probe sees them before the first step."""
-        self._launch_anatomy()
-        for condition, effect in zip(self.conditions, self.effects, strict=True):
-            if condition.STAGE == ConditionStage.TRANSMISSION:
-                effect.act()
-
-    def _launch_probes(self, mask: wp.array | None) -> None:
-        """Let probes look at the present state, in all worlds or a mask."""
-        with pruned(self._idle):
-            for launch in self._probes:
-                launch(mask)
-
-    def _launch_reset(self, renew: wp.array, reset: wp.array, fresh: wp.array, asked: bool) -> None:
-        """Open episodes in the worlds of `renew`, reset the state of `reset`, observe those of `fresh`."""
-        scene = self.scene
-        wp.launch(
-            open_episode, dim=self.num_worlds, inputs=[renew, asked], outputs=[self.episode, scene.keys]
-        )
-        reset_worlds(reset, scene.qpos_start, scene.data)
-        scene.muscles.reset(reset)
-        for effect in self.effects:
-            effect.sample(renew)
-            effect.reset(reset)
-        self.program.sample_start(reset)
-        if self.starts is not None:
-            wp.launch(
-                place_start,
-                dim=self.num_worlds,
-                inputs=[self.starts, self.start_address, scene.keys, reset],
-                outputs=[scene.data.qpos],
-            )
-        self.program.sample_goal(renew)
-        self._show(reset, fresh)
-
-    def _show(self, changed: wp.array, fresh: wp.array) -> None:
-        """Make poses those of the present state where it was `changed`, and observe the worlds of `fresh`."""
-        self._refresh(changed)
-        self._launch_observation(fresh)
-        for name, array in self.shown.items():
-            if self.info[name] is not array:
-                wp.copy(self.info[name], array)
-
-    def _refresh(self, mask: wp.array | None = None) -> None:
-        """Make poses those of the present state, in all worlds or a mask: a step leaves them old."""
-        if not self.scene.spec.uses_kinematics:
-            return
-        model, data = self.scene.model, self.scene.data
-        for stage in self.stages:
-            if stage.refresh(model, data, mask):
-                return
-        with engine_kernels_alone():
-            mjw.kinematics(model, data)
-
-    def _capture(self, launches: Callable[[], None]) -> Graph:
-        """Record launches as a graph, which no other graph shares its code with."""
-        renew_code(self._modules)
-        return Graph(launches, self.scene.device)
-
     def step(self) -> None:
-        """Advance all worlds by one control step under `action`; results are in `transition`."""
-        self._run(self.step_graph, self._launch_step)
+        """Advance all worlds by one control step under `action`; results are in `transition`.
 
-    @in_turn
-    def attach(self, launch: Callable[[wp.array | None], None]) -> None:
-        """Launch more in every step, after observation and before what ended is reset, and after resets.
-
-        Args:
-            launch: Launches kernels that only look, in the worlds of a mask (num_worlds,) bool, None for all:
-                they may write their own arrays, and what the next physics step computes anew. With sums and
-                sorts of Warp's, Warp replays the step.
+        Raises:
+            RuntimeError: Without graphs, a part has failed in an earlier step.
         """
-        self._probes.append(launch)
-
-        def launch_both() -> None:
-            launch(None)
-            self._launch_asked_reset()
-
-        with quiet(), wp.ScopedDevice(self.scene.device):
-            self._modules += compile_kernels(launch_both, self.scene.device, show=False)
-            if self.step_graph is not None:
-                self.step_graph = self._capture(self._launch_step)
-                self.reset_graph = self._capture(self._launch_asked_reset)
-
-    def close(self) -> None:
-        """Do nothing: there are no threads to end (compare `myowarp.sim.shards.Shards`)."""
+        if len(self.parts) == 1:
+            self.parts[0].step()
+        else:
+            self._at_once(Part.step, [part.step_graph for part in self.parts])
 
     def reset(self, mask: np.ndarray | None = None, seeds: np.ndarray | None = None) -> None:
         """Start new episodes; their first observation is in `transition.obs`.
@@ -411,39 +186,99 @@ class Simulation:
             mask: Worlds to reset, shape (num_worlds,) bool; None: all.
             seeds: New seeds of these worlds, shape (num_worlds,), any integers; None: the random streams
                 go on, after the first call with fresh entropy.
+
+        Raises:
+            RuntimeError: As in `step`.
         """
-        self.ask_for_reset(mask, seeds)
-        self.reset_asked()
+        for part in self.parts:
+            own = part.scene.worlds.own
+            part.ask_for_reset(None if mask is None else mask[own], None if seeds is None else seeds[own])
+        if len(self.parts) == 1:
+            self.parts[0].reset_asked()
+        else:
+            self._at_once(Part.reset_asked, [part.reset_graph for part in self.parts])
 
-    def ask_for_reset(self, mask: np.ndarray | None, seeds: np.ndarray | None) -> None:
-        """Choose what `reset_asked` resets, with the arguments of `reset`."""
-        mask = np.ones(self.num_worlds, dtype=bool) if mask is None else mask
-        if seeds is None and not hasattr(self, "_seeded"):
-            seeds = secrets.randbits(32) + np.arange(self.num_worlds)
-        if seeds is not None:
-            self._seeded = True
-            seed_worlds(self.scene.keys, mask, seeds)
-        write(self._asked, mask)
+    def close(self) -> None:
+        """Let the threads end, once no step is under way; the next would start new ones."""
+        self._together = self._pool = None
 
-    def reset_asked(self) -> None:
-        """Reset the worlds that `ask_for_reset` has chosen."""
-        self._run(self.reset_graph, self._launch_asked_reset)
+    def _at_once(self, act: Callable[[Part], None], graphs: list[Graph | None]) -> None:
+        """Let all parts act at the same time, by replaying a graph of each; without graphs, one by one."""
+        if self._failure is not None:
+            raise RuntimeError(self._failure)
+        if self._process != os.getpid():  # threads do not live on in a forked process
+            self.close()
+            self._process = os.getpid()
+        replays = tuple(graph.replay for graph in graphs if graph is not None and graph.replay is not None)
+        if None in graphs or not can_renew_code():  # else they would share their scratch memory
+            for part in self.parts:
+                self._act(act, part)
+        elif len(replays) < len(self.parts):
+            self._in_threads(act)
+        else:
+            together = self._together  # which another thread may close
+            if together is None:
+                self._together = together = lru_cache(NUM_GRAPHS)(Team(len(self.parts)).together)
+            together(replays)()
 
-    def bring_up(self, mask: np.ndarray) -> None:
-        """Compute what is seen of the state - poses, observation, probes - after it was overwritten.
+    def _in_threads(self, act: Callable[[Part], None]) -> None:
+        """Let the parts act at the same time in threads of Python, where Warp replays their graphs."""
+        pool = self._pool
+        if pool is None:
+            self._pool = pool = ThreadPoolExecutor(len(self.parts))
+        futures = [pool.submit(self._act, act, part) for part in self.parts]
+        try:
+            for future in futures:
+                future.result()
+        finally:
+            wait(futures)
 
-        Args:
-            mask: The worlds where it was, shape (num_worlds,) bool.
-        """
-        write(self._asked, mask)
-        with TURN, wp.ScopedDevice(self.scene.device):
-            self._show(self._asked, self._asked)
-            self._launch_probes(self._asked)
+    def _act(self, act: Callable[[Part], None], part: Part) -> None:
+        """Let a part act; if it does not get to the end, the parts are no longer at the same step."""
+        try:
+            act(part)
+        except BaseException as error:
+            own, reason = part.scene.worlds.own, f"{type(error).__name__}: {error}"
+            self._failure = f"worlds {own.start} to {own.stop - 1} stopped ({reason}); make a new simulation"
+            error.add_note(self._failure)
+            self.close()
+            raise
 
-    def _run(self, graph: Graph | None, launches: Callable[[], None]) -> None:
-        """Replay a graph, or launch what it would hold."""
-        if graph is not None:
-            graph.launch()
-            return
-        with TURN, wp.ScopedDevice(self.scene.device):
-            launches()
+
+def _checked_shards(shards: int | None, num_worlds: int, device: wp.Device) -> int:
+    """Return in how many parts to step worlds on a device.
+
+    Raises:
+        ValueError: The number is out of its range, or the device is not the CPU.
+    """
+    if shards is None:
+        return max(1, min(num_cores(), num_worlds // LEAST_WORLDS)) if device.is_cpu else 1
+    if isinstance(shards, bool) or not isinstance(shards, (int, np.integer)) or not 1 <= shards <= num_worlds:
+        raise ValueError(
+            f"shards must be an integer from 1 to the number of worlds, {num_worlds}, got {shards!r}"
+        )
+    if shards > 1 and not device.is_cpu:
+        raise ValueError(f"shards are for the CPU; leave them out on device {device.alias!r}, got {shards}")
+    return int(shards)
+
+
+def _joined(scene: Scene, worlds: Worlds) -> Scene:
+    """Return the scene of all worlds, after that of a part."""
+    model, data, muscles = copy.copy(scene.model), copy.copy(scene.data), copy.copy(scene.muscles)
+    for field in dataclasses.fields(data):
+        value = getattr(data, field.name)
+        if dataclasses.is_dataclass(value) or (isinstance(value, wp.array) and value.size):
+            setattr(data, field.name, None)
+    data.nworld = worlds.total
+    worlds.join("condition.model", model)
+    if "condition.anatomy.strength" in worlds.whole:
+        muscles.anatomy = worlds.join("condition.anatomy", Anatomy())
+    return dataclasses.replace(
+        scene,
+        worlds=worlds,
+        model=worlds.join("model", model),
+        data=worlds.join("data", data),
+        muscles=worlds.join("muscles", muscles),
+        keys=worlds.join("keys", RandomKeys()),
+        state={name: worlds.whole[name] for name in scene.state},
+    )

@@ -28,8 +28,8 @@ from myowarp.engine.turn import in_turn
 from myowarp.models.couplings import POINT_JOINTS, couplings, follow
 from myowarp.progress import patient_bar
 from myowarp.sim import palm
-from myowarp.sim.build import oracle_model, source_digest
-from myowarp.sim.simulation import Simulation
+from myowarp.sim.build import compile_scene, oracle_model, source_digest
+from myowarp.sim.part import Part
 from myowarp.spec.body import BODIES
 from myowarp.spec.scene import Starts
 from myowarp.spec.task import TaskSpec
@@ -101,7 +101,8 @@ def _identity(spec: TaskSpec) -> tuple[object, ...]:
 def _find(spec: TaskSpec, progress: bool) -> np.ndarray:
     """Search until there are enough."""
     found: list[np.ndarray] = []
-    sim = Simulation(spec, BATCH, device="cpu", reset="fixed", autoreset="disabled", progress=progress)
+    with quiet():
+        part = Part(compile_scene(spec, BATCH, "cpu", reset="fixed"), progress=progress)
     with (
         quiet(),
         wp.ScopedDevice("cpu"),
@@ -109,7 +110,7 @@ def _find(spec: TaskSpec, progress: bool) -> np.ndarray:
             "Finding random starts", "starts", NUM_STARTS, patience=PATIENCE, show=progress
         ) as advance,
     ):
-        for survivors in Search(spec, sim).survivors():
+        for survivors in Search(spec, part).survivors():
             found += survivors
             advance(len(survivors))
             if len(found) >= NUM_STARTS:
@@ -128,19 +129,19 @@ class Search:
         num_steps: Control steps of a trial.
     """
 
-    def __init__(self, spec: TaskSpec, sim: Simulation) -> None:
-        """Note what the task's own start is like; `sim` is used up."""
-        self.sim, self.draws, self.rng = sim, 0, np.random.default_rng(0)
-        self.model = copy.copy(sim.scene.oracle)
+    def __init__(self, spec: TaskSpec, part: Part) -> None:
+        """Note what the task's own start is like; `part` is used up."""
+        self.part, self.draws, self.rng = part, 0, np.random.default_rng(0)
+        self.model = copy.copy(part.scene.oracle)
         self.data = mujoco.MjData(self.model)
         self.start = spec.start(self.model)
         joints = posture_joints(self.model)
         self.posture, self.address = self.model.jnt_qposadr[joints], start_address(spec, self.model)
         self.low, self.high = self.model.jnt_range[joints].T
-        self.palm = palm.Palm(sim.scene.oracle, self.start, BODIES[spec.body].palm, spec.carried)
+        self.palm = palm.Palm(part.scene.oracle, self.start, BODIES[spec.body].palm, spec.carried)
         hold_steps = int(np.ceil(HOLD_TIME / spec.control_dt)) if spec.carried else 0
         self.num_steps = max(FAIL_STEPS, hold_steps)
-        self.terms = wp.zeros_like(sim.transition.terms)
+        self.terms = wp.zeros_like(part.transition.terms)
         self.solved, self.failed = wp.zeros(BATCH, dtype=bool), wp.zeros(BATCH, dtype=bool)
         self.everywhere = wp.ones(BATCH, dtype=bool)
         self.scenes = self._draw_scenes()
@@ -156,10 +157,10 @@ class Search:
         while self._enough_waiting(int(free.sum())):
             if free.any():
                 rows[free] = [self.waiting.pop() for _ in range(free.sum())]
-                self.sim.reset(free, self.rng.integers(2**32, size=BATCH))
+                self.part.reset(free, self.rng.integers(2**32, size=BATCH))
                 self._write(free, rows[free])
                 age[free] = 0
-            self.sim.step()
+            self.part.step()
             age += 1
             lost = self._lost(age)
             passed = ~lost & (age == self.num_steps)
@@ -168,9 +169,9 @@ class Search:
 
     def _write(self, mask: np.ndarray, rows: np.ndarray) -> None:
         """Put starts into the worlds of a mask."""
-        qpos = self.sim.scene.data.qpos.numpy().copy()
+        qpos = self.part.scene.data.qpos.numpy().copy()
         qpos[np.ix_(mask, self.address)] = rows
-        self.sim.scene.data.qpos.assign(qpos)
+        self.part.scene.data.qpos.assign(qpos)
 
     def _enough_waiting(self, count: int) -> bool:
         """Draw until so many starts wait for their trial; whether there are as many."""
@@ -191,7 +192,7 @@ class Search:
         self.draws += 1
         draw, number = self.rng.uniform, len(self.posture)
         step = np.ones(number)
-        if self.sim.scene.capacity.peak_contacts > 0:
+        if self.part.scene.capacity.peak_contacts > 0:
             step = np.where(draw(size=number) < np.sqrt(draw()), np.sqrt(draw(size=number)), 0.0)
         qpos = self.start.copy()
         qpos[self.posture] += step * (draw(self.low, self.high) - qpos[self.posture])
@@ -210,8 +211,8 @@ class Search:
 
         The first is the task's own start; those that agree are returned once.
         """
-        scene = self.sim.scene
-        self.sim.reset(seeds=self.rng.integers(2**32, size=BATCH))
+        scene = self.part.scene
+        self.part.reset(seeds=self.rng.integers(2**32, size=BATCH))
         qpos = np.vstack([np.float32(self.start), scene.data.qpos.numpy()[:NUM_EPISODES]]).astype(float)
         fields = {}
         for name in (*SIZES, *PLACES):
@@ -245,7 +246,7 @@ class Search:
 
     def _not_failed(self, rows: np.ndarray) -> list[np.ndarray]:
         """Return those of at most `BATCH` starts that do not fail where they stand."""
-        qpos = self.sim.scene.data.qpos
+        qpos = self.part.scene.data.qpos
         present = qpos.numpy().copy()
         self._write(np.arange(BATCH) < len(rows), rows)
         failed = self._failed(np.full(BATCH, FAIL_STEPS, dtype=np.int32))
@@ -254,13 +255,13 @@ class Search:
 
     def _lost(self, age: np.ndarray) -> np.ndarray:
         """Whether the starts on trial, so many steps old, have failed or let an object go; shape (BATCH,)."""
-        data = self.sim.scene.data
-        lost = self._failed(age) | (self.sim.transition.fault.numpy() != 0)
+        data = self.part.scene.data
+        lost = self._failed(age) | (self.part.transition.fault.numpy() != 0)
         return lost | (self.palm.drift(data.xpos.numpy(), data.xmat.numpy()) > HOLD_DISTANCE)
 
     def _failed(self, age: np.ndarray) -> np.ndarray:
         """Whether the task fails in the present configurations in any of several episodes; shape (BATCH,)."""
-        scene, program = self.sim.scene, self.sim.program
+        scene, program = self.part.scene, self.part.program
         episode, qpos = scene.keys.episode.numpy().copy(), scene.data.qpos.numpy().copy()
         step_count = wp.array(age, dtype=int)
         failed = np.zeros(BATCH, dtype=bool)

@@ -8,7 +8,7 @@
     env.set_state(State.load("before.npz"))  # in another process, over any number of shards
 
 What a world is from one step to the next is what its owners have allocated with `Scene.zeros` or named with
-`Scene.keep`: the engine's state, activations, goals, what conditions remember and have drawn, counters,
+`Scene.adopt`: the engine's state, activations, goals, what conditions remember and have drawn, counters,
 random keys. Everything else follows from it, and is brought up to date when a state is set. Other arrays with
 a row for each world, which a task or a condition of one's own has allocated, are taken for state, too.
 """
@@ -27,9 +27,10 @@ import numpy.typing as npt
 import warp as wp
 
 from myowarp.disk import check_output, in_place, is_ours
+from myowarp.kernels.write import write
 
 if TYPE_CHECKING:
-    from myowarp.sim.shards import Shards
+    from myowarp.sim.part import Part
     from myowarp.sim.simulation import Simulation
 
 Worlds = int | Sequence[int] | npt.NDArray[np.integer] | npt.NDArray[np.bool_] | None
@@ -121,7 +122,7 @@ def rows_of(worlds: Worlds, num_worlds: int) -> np.ndarray:
     return rows
 
 
-def _state_of(part: Simulation) -> dict[str, wp.array]:
+def _state_of(part: Part) -> dict[str, wp.array]:
     """Return the state of a part by name, and what users' own tasks and conditions have for every world."""
     state, num_worlds = dict(part.scene.state), part.num_worlds
     listed = {array.ptr for array in state.values()}
@@ -136,7 +137,7 @@ def _state_of(part: Simulation) -> dict[str, wp.array]:
     return state
 
 
-def get_state(sim: Simulation | Shards, worlds: Worlds = None) -> State:
+def get_state(sim: Simulation, worlds: Worlds = None) -> State:
     """Return what worlds are now.
 
     Args:
@@ -153,9 +154,7 @@ def get_state(sim: Simulation | Shards, worlds: Worlds = None) -> State:
     return State(sim.scene.spec.key, arrays)
 
 
-def set_state(
-    sim: Simulation | Shards, state: State, worlds: Worlds = None, *, conditions: bool = True
-) -> np.ndarray:
+def set_state(sim: Simulation, state: State, worlds: Worlds = None, *, conditions: bool = True) -> np.ndarray:
     """Make worlds what others were; poses, observation and signals follow.
 
     Args:
@@ -202,7 +201,7 @@ def _body_alone(arrays: Mapping[str, np.ndarray], own: Mapping[str, wp.array]) -
     return found
 
 
-def place(sim: Simulation | Shards, arrays: Mapping[str, np.ndarray], rows: np.ndarray) -> None:
+def place(sim: Simulation, arrays: Mapping[str, np.ndarray], rows: np.ndarray) -> None:
     """Overwrite state in some worlds, and bring up what follows from it.
 
     Args:
@@ -213,28 +212,28 @@ def place(sim: Simulation | Shards, arrays: Mapping[str, np.ndarray], rows: np.n
     Raises:
         ValueError: An array does not fit, or is not finite; nothing was written.
     """
-    own = _state_of(sim.parts[0])
+    states = [_state_of(part) for part in sim.parts]
+    own = states[0]
     values = {name: _fitting(name, array, own[name].numpy(), len(rows)) for name, array in arrays.items()}
-    for part in sim.parts:
+    for part, state in zip(sim.parts, states, strict=True):
         worlds = part.scene.worlds
         here = (rows >= worlds.first) & (rows < worlds.first + worlds.number)
         if not here.any():
             continue
-        local, state = rows[here] - worlds.first, _state_of(part)
+        local = rows[here] - worlds.first
         for name, array in values.items():
             target = state.get(name)
             if target is None:  # a constant, see `set_state`
                 continue
             whole = target.numpy()
             whole[local] = array[here]
-            if not part.scene.device.is_cpu:  # on the CPU `numpy` is a view
-                target.assign(whole)
+            write(target, whole)
         mask = np.zeros(worlds.number, dtype=bool)
         mask[local] = True
         part.bring_up(mask)
 
 
-def start_arrays(sim: Simulation | Shards, options: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def start_arrays(sim: Simulation, options: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Return configuration and velocity from a reset's options, for `place`.
 
     Args:

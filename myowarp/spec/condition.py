@@ -59,6 +59,17 @@ class Condition(abc.ABC):
         """Name in `CONDITIONS`."""
         return next(name for name in CONDITIONS if CONDITIONS[name] is type(self))
 
+    @classmethod
+    def neutral(cls, spec: TaskSpec) -> Condition:
+        """Return one that changes nothing in the body of a task, until its parameters are set.
+
+        Raises:
+            ValueError: The body cannot have it.
+        """
+        condition = cls(**cls.NEUTRAL)
+        condition.check(spec)
+        return condition
+
     @property
     def scene_key(self) -> tuple[object, ...]:
         """What `edit` makes of a model, hashable; empty where it leaves the model alone."""

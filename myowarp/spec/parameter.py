@@ -19,6 +19,7 @@ import numpy.typing as npt
 import warp as wp
 
 from myowarp.kernels.random import RandomKeys, open_stream
+from myowarp.kernels.write import write
 from myowarp.spec.registry import check_choice
 
 if TYPE_CHECKING:
@@ -146,6 +147,7 @@ class Parameter:
 
     Attributes:
         curve: What kernels read through `value_of`.
+        usual: Greatest value that a slider offers; None: it follows from the bounds.
     """
 
     def __init__(
@@ -158,6 +160,7 @@ class Parameter:
         neutral: float,
         low: float = -np.inf,
         high: float = np.inf,
+        usual: float | None = None,
     ) -> None:
         """Check a value and put it on the current Warp device.
 
@@ -169,24 +172,35 @@ class Parameter:
             neutral: Value of muscles that a mapping does not name.
             low: Least value allowed.
             high: Greatest value allowed.
+            usual: Greatest value that a slider offers.
 
         Raises:
             ValueError: The value has a wrong shape, is out of its range, or names an unknown muscle.
         """
         self.name, self.worlds, self.names = name, scene.worlds, tuple(names)
-        self.neutral, self.bounds = neutral, (low, high)
+        self.neutral, self.bounds, self.usual = neutral, (low, high), usual
         self.draws: list[tuple[Uniform, wp.array, int]] = []
         self.curve = Curve()
+        ends = (value,) if not isinstance(value, Ramp) else (value.start, value.end)
         if isinstance(value, Ramp):
             check_choice(f"{name} ramp of", value.of, SPANS)
             self.curve.onset = self._finite("onset", value.onset) / scene.control_dt
             self.curve.duration = self._finite("duration", value.duration) / scene.control_dt
             self.curve.lifelong = value.of == "life"
-            self.curve.start, self.curve.end = self._matched(value.start, value.end)
-        else:
-            self.curve.start = self.curve.end = self._array(value, 0)
-        for drawn, (_, values, _) in enumerate(self.draws):
-            scene.keep(f"condition.{name.replace(' ', '.')}.{drawn}", values)
+        numbers = [self._before_draws(end) if isinstance(end, Uniform) else self._fixed(end) for end in ends]
+        shape = np.broadcast_shapes(*(array.shape for array in numbers))  # both ends of a ramp have one
+        if self.worlds.adjustable and not any(isinstance(end, Uniform) for end in ends):
+            shape = (self.worlds.number, max(len(self.names), 1))
+        arrays = []
+        for number, (end, array) in enumerate(zip(ends, numbers, strict=True)):
+            if isinstance(end, Uniform):
+                values = scene.zeros(f"condition.{name.replace(' ', '.')}.{len(self.draws)}", shape[1])
+                self.draws.append((end, values, zlib.crc32(f"{name} {number}".encode()) & 0x7FFFFFFF))
+            else:
+                values = wp.array(np.broadcast_to(array, shape).copy(), dtype=float)
+            arrays.append(values)
+        self.curve.start, self.curve.end = arrays[0], arrays[-1]
+        scene.parameters.append(self)
 
     def _finite(self, what: str, number: float) -> float:
         """Return a duration, checked."""
@@ -194,38 +208,20 @@ class Parameter:
             raise ValueError(f"{self.name} {what} must be a finite time >= 0 s, got {number!r}")
         return float(number)
 
-    def _matched(self, start: Fixed | Uniform, end: Fixed | Uniform) -> tuple[wp.array, wp.array]:
-        """Return both ends of a ramp in one shape."""
-        arrays = [self._array(start, 0), self._array(end, 1)]
-        shape = np.broadcast_shapes(arrays[0].shape, arrays[1].shape)
-        for i, array in enumerate(arrays):
-            if array.shape != shape:
-                arrays[i] = wp.array(np.broadcast_to(array.numpy(), shape).copy(), dtype=float)
-                self.draws = [(u, arrays[i] if drawn is array else drawn, s) for u, drawn, s in self.draws]
-        return arrays[0], arrays[1]
-
-    def _array(self, value: Fixed | Uniform, end: int) -> wp.array:
-        """Return a value on the device, shape (1 or num_worlds, 1 or num_muscles)."""
-        if isinstance(value, Uniform):
-            return self._drawn(value, end)
+    def _fixed(self, value: Fixed) -> np.ndarray:
+        """Return what is not drawn, shape (1 or num_worlds, 1 or num_muscles)."""
         numbers = self._by_name(value) if isinstance(value, Mapping) and self.names else self._numbers(value)
         self._check_range(numbers)
-        if len(numbers) > 1:
-            numbers = numbers[self.worlds.own]
-        return wp.array(numbers, dtype=float)
+        return numbers if len(numbers) == 1 else numbers[self.worlds.own]
 
-    def _drawn(self, value: Uniform, end: int) -> wp.array:
-        """Return an array that `sample` fills."""
+    def _before_draws(self, value: Uniform) -> np.ndarray:
+        """Return zeros, shape (num_worlds, 1 or num_muscles), where `sample` is to fill in what is drawn."""
         check_choice(f"{self.name} drawn per", value.per, SPANS)
         limits = self._numbers([value.low, value.high], worlds=2)
         self._check_range(limits)
         if value.low > value.high:
             raise ValueError(f"{self.name} must be drawn with low <= high, got {value.low} and {value.high}")
-        columns = max(len(self.names), 1) if value.each else 1
-        array = wp.zeros((self.worlds.number, columns), dtype=float)
-        stream = zlib.crc32(f"{self.name} {end}".encode()) & 0x7FFFFFFF
-        self.draws.append((value, array, stream))
-        return array
+        return np.zeros((self.worlds.number, max(len(self.names), 1) if value.each else 1))
 
     def _numbers(self, value: object, worlds: int | None = None) -> np.ndarray:
         """Return numbers as (1 or num_worlds, 1 or num_muscles)."""
@@ -263,6 +259,30 @@ class Parameter:
             if high == np.inf and low > -np.inf:
                 span = f">= {low:g}" if np.isfinite(wrong[0]) else f"finite and >= {low:g}"
             raise ValueError(f"{self.name} must be {span}, got {wrong[0]:g}")
+
+    def values(self, world: int) -> np.ndarray:
+        """Return what a world has now, before its change over time, shape (1 or num_muscles,)."""
+        values = self.curve.start.numpy()
+        return values[world % len(values)]
+
+    def set(self, numbers: npt.ArrayLike, worlds: Sequence[int], columns: Sequence[int]) -> None:
+        """Change numbers of worlds that are `adjustable`; from the next step on they have them.
+
+        Args:
+            numbers: New numbers, one or as many as columns.
+            worlds: Which worlds.
+            columns: Which muscles; of a number that is one for the whole world, 0.
+
+        Raises:
+            ValueError: A number is out of its range; nothing was changed.
+        """
+        numbers = np.atleast_1d(np.asarray(numbers, dtype=np.float64))
+        self._check_range(numbers)
+        for array in {array.ptr: array for array in (self.curve.start, self.curve.end)}.values():
+            values = array.numpy()
+            chosen = columns if values.shape[1] > 1 else [0]
+            values[np.ix_(worlds, chosen)] = numbers if len(numbers) == len(chosen) else numbers[0]
+            write(array, values)
 
     def sample(self, keys: RandomKeys, mask: wp.array) -> None:
         """Draw in the worlds of `mask` (num_worlds,) bool."""

@@ -65,6 +65,7 @@ class Scene:
         actuator_kind: MUSCLE or MOTOR for each actuator, shape (nu,).
         capacity: Contacts and constraint rows that the arrays hold.
         state: All that a world is from one step to the next, by name: arrays (num_worlds, ...).
+        parameters: Those of the conditions (`spec.parameter.Parameter`), in the order of their binding.
     """
 
     spec: TaskSpec
@@ -82,6 +83,7 @@ class Scene:
     capacity: Capacity
     device: wp.Device = field(repr=False)
     state: dict[str, wp.array] = field(default_factory=dict, repr=False)
+    parameters: list[Any] = field(default_factory=list, repr=False)
 
     @property
     def num_worlds(self) -> int:
@@ -102,24 +104,37 @@ class Scene:
             dtype: Warp type.
 
         Returns:
-            Zeros on the current Warp device, shape (num_worlds, *shape).
+            Zeros on the current Warp device, shape `(num_worlds, *shape)`.
 
         Raises:
             ValueError: The name is taken.
         """
-        return self.keep(name, wp.zeros((self.num_worlds, *shape), dtype=dtype))
+        return self._keep(name, wp.zeros((self.num_worlds, *shape), dtype=dtype))
 
-    def keep(self, name: str, array: wp.array) -> wp.array:
-        """Make an array (num_worlds, ...) that is there already state of the worlds; see `zeros`."""
+    def adopt(
+        self, owner: str, holder: Any, names: Iterable[str] | None = None, *, state: bool = True
+    ) -> None:
+        """Make arrays of an object visible from outside a part, where they are rows of those over all worlds.
+
+        Args:
+            owner: What the object is called.
+            holder: The object, whose arrays (num_worlds, ...) no launch has been captured with yet.
+            names: Its attributes; None: all arrays of a Warp struct.
+            state: Whether they are state of the worlds, as those of `zeros` are.
+
+        Raises:
+            ValueError: The name of a state is taken.
+        """
+        take = self._keep if state else self.worlds.rows
+        for name in holder._cls.vars if names is None else names:
+            setattr(holder, name, take(f"{owner}.{name}", getattr(holder, name)))
+
+    def _keep(self, name: str, array: wp.array) -> wp.array:
+        """Return what is state in place of an array."""
         if name in self.state:
             raise ValueError(f"state {name!r} is there already; give it a name of its own")
-        self.state[name] = array
-        return array
-
-    def keep_all(self, owner: str, holder: Any, names: Iterable[str] | None = None) -> None:
-        """Make arrays of an object state of the worlds, those of a Warp struct by default; see `keep`."""
-        for name in holder._cls.vars if names is None else names:
-            self.keep(f"{owner}.{name}", getattr(holder, name))
+        self.state[name] = self.worlds.rows(name, array)
+        return self.state[name]
 
     def site_id(self, name: str) -> int:
         """Return the id of a site of the stepped model."""

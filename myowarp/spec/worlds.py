@@ -1,14 +1,12 @@
-"""Which worlds a simulation steps, and the arrays that it shares with those that step the others.
+"""Which worlds a scene holds, and the arrays that it shares with the scenes of the others.
 
-On many cores the worlds are parts of one whole (`myowarp.sim.shards`). A part is a simulation of its own,
-with arrays of its own, but for what is written and read from outside: state, actions, results. These are
-slices of arrays over all worlds.
+On many cores the worlds are parts of one whole (`myowarp.sim.simulation`). A part has arrays of its own, but
+for what is written and read from outside: state, actions, results. These are rows of arrays over all worlds.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,24 +21,27 @@ class Worlds:
         first: The first of them, counted among all.
         number: How many there are.
         total: How many there are in all parts.
-        shared: Arrays over all worlds by name, the same dictionary in every part.
+        whole: Arrays over all worlds by name, the same dictionary in every part.
+        adjustable: Whether parameters of conditions have an entry for each world and muscle even where all
+            agree, so that `Parameter.set` can change one while the worlds are stepped.
     """
 
     first: int
     number: int
     total: int
-    shared: dict[str, wp.array] = field(default_factory=dict, repr=False)
+    whole: dict[str, wp.array] = field(default_factory=dict, repr=False)
+    adjustable: bool = False
 
     @classmethod
-    def all(cls, number: int) -> Worlds:
+    def all(cls, number: int, adjustable: bool = False) -> Worlds:
         """Return the worlds of a simulation that steps them all."""
-        return cls(0, number, number)
+        return cls(0, number, number, adjustable=adjustable)
 
     def split(self, parts: int) -> list[Worlds]:
         """Return parts that differ by one world at most."""
         ends = [self.number * i // parts for i in range(parts + 1)]
         return [
-            Worlds(self.first + begin, end - begin, self.total, self.shared)
+            Worlds(self.first + begin, end - begin, self.total, self.whole, self.adjustable)
             for begin, end in itertools.pairwise(ends)
         ]
 
@@ -49,32 +50,29 @@ class Worlds:
         """Which rows of an array over all worlds are theirs."""
         return slice(self.first, self.first + self.number)
 
-    def share(self, name: str, holder: Any, fields: Iterable[str] | None = None) -> None:
-        """Replace arrays (number, ...) of an object by slices, with their values, of arrays over all worlds.
+    def rows(self, name: str, array: wp.array) -> wp.array:
+        """Return what takes the place of an array: rows of one over all worlds, with the same values.
 
         Args:
-            name: What the object is called in every part.
-            holder: The object, whose arrays no launch has been captured with yet.
-            fields: Its attributes that are arrays with a row for each world; None: all of a Warp struct.
+            name: What it is called in every part, with its owner: `data.qpos`.
+            array: The array (number, ...), which no launch has been captured with yet.
         """
         if self.number == self.total:
-            return
-        for key in holder._cls.vars if fields is None else fields:
-            array = getattr(holder, key)
-            whole = self.shared.get(f"{name}.{key}")
-            if whole is None:
-                whole = wp.zeros((self.total, *array.shape[1:]), dtype=array.dtype, device=array.device)
-                self.shared[f"{name}.{key}"] = whole
-            if not array.size:
-                continue
-            slot = whole[self.own]
-            wp.copy(slot, array)
-            setattr(holder, key, slot)
+            self.whole[name] = array
+            return array
+        if name not in self.whole:
+            shape = self.total, *array.shape[1:]
+            self.whole[name] = wp.zeros(shape, dtype=array.dtype, device=array.device)
+        if not array.size:
+            return array
+        rows = self.whole[name][self.own]
+        wp.copy(rows, array)
+        return rows
 
-    def join(self, name: str, holder: Any) -> Any:
-        """Set the attributes of an object that are shared under this name to the arrays over all worlds."""
-        for key, whole in self.shared.items():
-            owner, _, attribute = key.partition(".")
-            if owner == name:
-                setattr(holder, attribute, whole)
+    def join(self, owner: str, holder: Any) -> Any:
+        """Set the attributes of an object to the arrays over all worlds of this owner."""
+        for name, array in self.whole.items():
+            theirs, _, attribute = name.rpartition(".")
+            if theirs == owner:
+                setattr(holder, attribute, array)
         return holder

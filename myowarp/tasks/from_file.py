@@ -9,13 +9,13 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import mujoco
 import numpy as np
 
 from myowarp.disk import model_digest
-from myowarp.models.couplings import POINT_JOINTS, ask, couplings, exact, follow
+from myowarp.models.couplings import POINT_JOINTS, ask, couplings, exact, follow, settled
 from myowarp.models.reachability import tip_positions
 from myowarp.sim.build import checked_horizon, full_model
 from myowarp.spec.body import BODIES, Body
@@ -68,6 +68,8 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path.absolute()))
+        # What the file says of it is for MuJoCo C; mujoco-warp has dense Jacobians of small models only.
+        spec.option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
         for actuator in spec.actuators:
             if actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE and not np.any(actuator.ctrlrange):
                 actuator.ctrlrange = (-1.0, 1.0)
@@ -188,7 +190,7 @@ def from_mjcf(
         "start_pose": tuple(start.tolist()),
     }
     make = _pose if kind == "pose" else _reach
-    task = make(model, path, start, bounds, near, far, common | {"doc": doc})
+    task = make(_Given(model, path, start, bounds, near, far), common | {"doc": doc})
     if rewards:
         return extend(task, task.key, rewards=rewards, replace=replace)
     return register(task, replace=replace)
@@ -202,10 +204,7 @@ def _start(model: mujoco.MjModel, path: Path, keyframe: str | None) -> np.ndarra
             f"model {str(path)!r} has no keyframe {keyframe!r}; it has {', '.join(names) or 'none'}"
         )
     chosen = names.index(keyframe) if keyframe is not None else 0
-    start: np.ndarray = (model.key_qpos[chosen] if names else model.qpos0).copy()
-    if exact(model) is not None:
-        follow(model, start)
-    return start
+    return settled(model, model.key_qpos[chosen] if names else model.qpos0)
 
 
 def _substeps(physics_dt: float, control_dt: float | None) -> int:
@@ -220,16 +219,20 @@ def _substeps(physics_dt: float, control_dt: float | None) -> int:
     return number
 
 
-def _pose(
-    model: mujoco.MjModel,
-    path: Path,
-    start: np.ndarray,
-    bounds: Mapping[str, Sequence[Any] | None],
-    near: float | None,
-    far: float | None,
-    common: dict[str, Any],
-) -> TaskSpec:
+class _Given(NamedTuple):
+    """What the goals of a task are made of; as in `from_mjcf`."""
+
+    model: mujoco.MjModel
+    path: Path
+    start: np.ndarray
+    bounds: Mapping[str, Sequence[Any] | None]
+    near: float | None
+    far: float | None
+
+
+def _pose(given: _Given, common: dict[str, Any]) -> TaskSpec:
     """Return the pose task of some joints, or of all that actuators move."""
+    model, path, start, bounds, near, far = given
     moved = _moved_joints(model)
     if not moved:
         raise ValueError(f"model {str(path)!r} has no free hinge or slide that its actuators move")
@@ -244,9 +247,9 @@ def _pose(
     around = start[model.jnt_qposadr[joints], None] + (-SPAN, SPAN)
     limits = model.jnt_range[joints]
     span = np.where(limits[:, :1] < limits[:, 1:], limits, around)
-    for row, (name, given) in zip(span, bounds.items(), strict=False):
-        if given is not None:
-            low, high = _bounds(f"joint {name!r}", given, 1)[:, 0]
+    for row, (name, asked) in zip(span, bounds.items(), strict=False):
+        if asked is not None:
+            low, high = _bounds(f"joint {name!r}", asked, 1)[:, 0]
             if model.joint(name).limited[0] and (low < row[0] or high > row[1]):
                 raise ValueError(
                     f"target of joint {name!r} must be within its range, {row[0]:g} to {row[1]:g}, "
@@ -267,16 +270,9 @@ def _pose(
     )
 
 
-def _reach(
-    model: mujoco.MjModel,
-    path: Path,
-    start: np.ndarray,
-    bounds: Mapping[str, Sequence[Any] | None],
-    near: float | None,
-    far: float | None,
-    common: dict[str, Any],
-) -> TaskSpec:
+def _reach(given: _Given, common: dict[str, Any]) -> TaskSpec:
     """Return the reach task of some sites."""
+    model, path, start, bounds, near, far = given
     sites = [model.site(i).name for i in range(model.nsite)]
     for name in bounds or ("",):
         if name not in sites:
@@ -284,12 +280,12 @@ def _reach(
                 f"targets of kind 'reach' must be sites of model {str(path)!r}, got {name or 'none'}; "
                 f"it has {', '.join(filter(None, sites)) or 'none'}"
             )
-    given = [value is not None for value in bounds.values()]
-    if any(given) and not all(given):
+    bounded = [value is not None for value in bounds.values()]
+    if any(bounded) and not all(bounded):
         raise ValueError("targets must give bounds for every site, or for none")
     tips = tuple(bounds)
     table = None
-    if all(given):
+    if all(bounded):
         boxes = np.stack([_bounds(f"site {name!r}", box, 3) for name, box in bounds.items() if box], axis=1)
         low, high = boxes.reshape(2, -1)
     else:

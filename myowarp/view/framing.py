@@ -88,7 +88,7 @@ class Framing:
 
     def fit(self, moments: Iterable[tuple[mujoco.MjData, Mapping[str, np.ndarray]]]) -> None:
         """Fit the picture to moments instead of the joints' ranges: data, posed, and goals of each."""
-        extents = [self._extent(self._points(*moment) - self._shift(moment[0])) for moment in moments]
+        extents = [self._extent(self._points(*moment) - self.shift(moment[0])) for moment in moments]
         low, high = np.array([e[0] for e in extents]), np.array([e[1] for e in extents])
         # Objects that fall down take the median's place, not their own.
         spread = np.median(high - low, axis=0)
@@ -104,7 +104,7 @@ class Framing:
             data: The data, posed.
             goals: World positions [m] of targets, by name.
         """
-        shift = self._shift(data)
+        shift = self.shift(data)
         low, high = self._usual
         reach = STRETCH * (high - low)
         now_low, now_high = self._extent(self._points(data, goals) - shift)
@@ -116,7 +116,7 @@ class Framing:
         camera.lookat[:] = np.array((*middle, self._depth)) @ self._axes + shift
         return camera
 
-    def _shift(self, data: mujoco.MjData) -> np.ndarray:
+    def shift(self, data: mujoco.MjData) -> np.ndarray:
         """Return how far a root that moves has come since the start [m], shape (3,)."""
         return data.xpos[self._root] - self._home if self._root else np.zeros(3)
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 from myowarp.spec.registry import check_choice
 
-NEEDED = {"gl": ("pyglet", "imgui_bundle"), "viser": ("viser",), "null": ()}
+NEEDED = {"gl": ("newton", "pyglet", "imgui_bundle"), "viser": ("viser",), "null": ("newton",)}
 """Packages of each kind of viewer."""
 
 
@@ -18,7 +18,7 @@ def live_viewer() -> Literal["gl", "viser"]:
 
 def render_modes() -> tuple[str, ...]:
     """Return Gymnasium's names of the ways to show worlds, without those that need what is not installed."""
-    shows = all(map(importlib.util.find_spec, ("newton", *NEEDED[live_viewer()])))
+    shows = all(map(importlib.util.find_spec, NEEDED[live_viewer()]))
     return ("human", "rgb_array") if shows else ("rgb_array",)
 
 
@@ -31,7 +31,7 @@ def check_render_mode(mode: str | None) -> None:
     """
     check_choice("render_mode", mode, (None, "human", "rgb_array"))
     if mode == "human" and mode not in render_modes():
-        packages = " and ".join(("newton", *NEEDED[live_viewer()]))
+        packages = " and ".join(NEEDED[live_viewer()])
         raise ImportError(
             f'render_mode="human" needs {packages}, got an installation without; run '
             '`pip install "myowarp[view]"`'

@@ -10,13 +10,14 @@ import numpy as np
 from myowarp.sim.signals import Signals
 from myowarp.spec.body import BODIES
 from myowarp.spec.registry import check_choice
+from myowarp.view.modes import live_viewer
 from myowarp.view.muscles import QUANTITIES
 from myowarp.view.snapshot import Snapshot, snapshot
 from myowarp.view.style import LARGEST
 
 if TYPE_CHECKING:
-    from myowarp.sim.shards import Shards
     from myowarp.sim.simulation import Simulation
+    from myowarp.view.browser.page import Page
     from myowarp.view.human import HumanViewer
     from myowarp.view.render import WorldRenderer
 
@@ -51,18 +52,18 @@ class Pictures:
         self._size, self._camera, self._color, self._legend = size, camera, color, legend
         self._signals: Signals | None = None
         self._renderer: WorldRenderer | None = None
-        self._viewer: HumanViewer | None = None
+        self._viewer: HumanViewer | Page | None = None
 
-    def attach(self, sim: Simulation | Shards) -> None:
+    def attach(self, sim: Simulation) -> None:
         """Have the simulation compute what the colours show, if it does not yet; before it is stepped."""
         if self._color == "force" and sim.scene.muscles.names:
             self._signals = Signals(sim)
 
-    def snapshot(self, sim: Simulation | Shards, world: int) -> Snapshot:
+    def snapshot(self, sim: Simulation, world: int) -> Snapshot:
         """Return what a picture of a world shows now."""
         return snapshot(sim, world, self._signals)
 
-    def renderer(self, sim: Simulation | Shards) -> WorldRenderer:
+    def renderer(self, sim: Simulation) -> WorldRenderer:
         """Return the renderer of the simulation's worlds; opened once.
 
         Raises:
@@ -77,18 +78,23 @@ class Pictures:
             )
         return self._renderer
 
-    def frame(self, sim: Simulation | Shards, world: int, caption: Sequence[str] = ()) -> np.ndarray:
+    def frame(self, sim: Simulation, world: int, caption: Sequence[str] = ()) -> np.ndarray:
         """Return a picture of one world, (height, width, 3) uint8, with lines of text on it."""
         return self.renderer(sim).frame(self.snapshot(sim, world), caption)
 
-    def show(self, sim: Simulation | Shards, world: int = 0) -> None:
+    def show(self, sim: Simulation, world: int = 0) -> None:
         """Show a world in the live viewer."""
         if self._viewer is None:
-            from myowarp.view.human import HumanViewer
+            tips = BODIES[sim.scene.spec.body].tips
+            if live_viewer() == "gl":
+                from myowarp.view.human import HumanViewer
 
-            self._viewer = HumanViewer(sim.full_model, tips=BODIES[sim.scene.spec.body].tips)
-        seen = snapshot(sim, world)
-        self._viewer.show(seen.qpos, seen.activation, seen.goals, shapes=[seen.shape])
+                self._viewer = HumanViewer(sim.full_model, tips=tips)
+            else:
+                from myowarp.view.browser.page import Page
+
+                self._viewer = Page(sim.full_model, tips)
+        self._viewer.show(snapshot(sim, world))
 
     def close(self) -> None:
         """Close what is open."""

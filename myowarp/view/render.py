@@ -145,7 +145,7 @@ class WorldRenderer:
         self.muscles = Muscles(model, self.framing.radius)
         self.color, self._legend = color, legend
         self._model = _prepared(model, self.framing.radius, OVERSAMPLING * width, OVERSAMPLING * height)
-        _coarsen(self._model, COARSE * 2.0 * self.framing.radius / min(width, height))
+        coarsen(self._model, COARSE * 2.0 * self.framing.radius / min(width, height))
         self._data = mujoco.MjData(self._model)
         self._nominal: dict[tuple[str, str], np.ndarray] = {}  # of what some world had for itself
         self._option = _drawing_options()
@@ -396,7 +396,7 @@ def _prepared(model: mujoco.MjModel, radius: float, width: int, height: int) -> 
     return model
 
 
-def _coarsen(model: mujoco.MjModel, cell: float) -> None:
+def coarsen(model: mujoco.MjModel, cell: float) -> None:
     """Merges vertices of a mesh in one cell of a grid [m]: faces below a pixel cost time for nothing."""
     for mesh in range(model.nmesh):
         first, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]

@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 
 from myowarp.models.muscles.mujoco import MujocoMuscle
-from myowarp.sim.shards import Shards
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.scene import Scene
@@ -41,7 +40,7 @@ class Snapshot(NamedTuple):
         return self.muscles.get("activation")
 
 
-def snapshot(sim: Simulation | Shards, world: int, signals: Signals | None = None) -> Snapshot:
+def snapshot(sim: Simulation, world: int, signals: Signals | None = None) -> Snapshot:
     """Return what a picture of one world shows.
 
     Args:

@@ -164,6 +164,15 @@ def bone_geoms(model: mujoco.MjModel) -> np.ndarray:
     return mesh & limb_bodies(model)[model.geom_bodyid] & (light > 0.7) & (spread < 0.1)
 
 
+def shown_rgba(model: mujoco.MjModel) -> np.ndarray:
+    """Returns colours of geoms, bones of one tone, what is no part of the limb pale, shape ``(ngeom, 4)``."""
+    rgba, own = model.geom_rgba.copy(), model.geom_matid >= 0
+    rgba[own] = model.mat_rgba[model.geom_matid[own]]
+    rgba[bone_geoms(model), :3] = BONE_RGB
+    rgba[pale_geoms(model), :3] = PALE_RGB
+    return rgba
+
+
 def geom_box(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np.ndarray:
     """Returns the corners of the geoms' bounding boxes in the world [m], shape ``(8 * len(geoms), 3)``."""
     sign = np.array(np.meshgrid((-1, 1), (-1, 1), (-1, 1))).reshape(3, 8).T

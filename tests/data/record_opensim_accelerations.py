@@ -2,6 +2,7 @@
 
     python tests/data/record_opensim_accelerations.py tests/data/osim/leg6dof9musc.osim -o tests/data/opensim
 
+(`--states 100 --share 1` for `benchmarks.opensim_dynamics`; `--mass 0.05` where a document weighs nothing)
 needs an interpreter with `opensim` (4.6) and numpy only; nothing of ours is imported. Every model gives
 `accelerations_<model>.npz`. All its forces are switched off, then every free coordinate gets a generalised
 force; coordinates that follow others do so in value and speed. Arrays, for n states and c free coordinates,
@@ -16,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import opensim
 
-NUM_STATES = 12
-SHARE = 0.9  # of the ranges
+MASSIVE = 1e-6  # kg; what weighs less weighs nothing
+INERTIA = 1e-4  # kg m^2, of a body that is given a mass
 WIDE = 20.0  # rad or m: nobody set such a range
 SPEED = {True: 5.0, False: 1.0}  # rad/s, m/s
 FORCE = {True: 20.0, False: 200.0}  # N m, N
@@ -28,9 +29,19 @@ def members(collection):
     return [collection.get(index) for index in range(collection.getSize())]
 
 
-def record(path):
+def weigh(model, mass):
+    """Give all bodies of a model that weighs nothing a mass [kg]."""
+    bodies = members(model.updBodySet())
+    if mass and sum(body.getMass() for body in bodies) < MASSIVE:
+        for body in bodies:
+            body.setMass(mass)
+            body.setInertia(opensim.Inertia(INERTIA, INERTIA, INERTIA))
+
+
+def record(path, states, share, mass):
     """Return the arrays of one model."""
     model = opensim.Model(str(path))
+    weigh(model, mass)
     for force in members(model.updForceSet()):
         force.set_appliesForce(False)
     couplers = []
@@ -56,14 +67,14 @@ def record(path):
     rng, first = np.random.default_rng(0), opensim.StdVectorInt()
     first.append(0)
     rows = {"values": [], "speeds": [], "forces": [], "accelerations": []}
-    for _ in range(NUM_STATES):
+    for _ in range(states):
         values, speeds, torques = [], [], []
         for name, actuator in zip(names, actuators, strict=True):
             item = coordinates[name]
             low, high = item.getRangeMin(), item.getRangeMax()
             low, high = (low, high) if high - low < WIDE else (-1.0, 1.0)
             turns = item.getMotionType() != 2
-            values.append((low + high) / 2 + SHARE * (high - low) * rng.uniform(-0.5, 0.5))
+            values.append((low + high) / 2 + share * (high - low) * rng.uniform(-0.5, 0.5))
             speeds.append(SPEED[turns] * rng.uniform(-1, 1))
             torques.append(FORCE[turns] * rng.uniform(-1, 1))
             actuator.overrideActuation(state, True)
@@ -90,10 +101,14 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("models", type=Path, nargs="+")
     parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--states", type=int, default=12)
+    parser.add_argument("--share", type=float, default=0.9, help="of the ranges of coordinates")
+    parser.add_argument("--mass", type=float, default=0.0, help="[kg] of each body of a massless document")
     options = parser.parse_args()
     opensim.Logger.setLevelString("Off")
     for path in options.models:
-        np.savez_compressed(options.output / f"accelerations_{path.stem}.npz", **record(path))
+        arrays = record(path, options.states, options.share, options.mass)
+        np.savez_compressed(options.output / f"accelerations_{path.stem}.npz", **arrays)
 
 
 if __name__ == "__main__":

@@ -45,7 +45,7 @@ class RslRlVecEnv(VecEnv):
         sim = env.sim
         self.env, self.cfg = env, {"env_id": sim.scene.spec.env_id, "num_envs": env.num_envs, "seed": seed}
         self.num_envs, self.num_actions = env.num_envs, sim.action.shape[1]
-        self.max_episode_length = int(sim.parts[0].horizon.numpy()[0])
+        self.max_episode_length = sim.horizon
         self.device = wp.device_to_torch(sim.scene.device)
         self._step_count = wp.to_torch(sim.episode.step_count)
         self._obs, _ = env.reset(seed=seed)

@@ -7,7 +7,7 @@ When an episode ends, `infos` has its last observation as `terminal_observation`
 which Stable-Baselines3 bootstraps; and `is_success`, which its `EvalCallback` averages.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -106,5 +106,4 @@ class Sb3VecEnv(VecEnv):
 
     def _worlds(self, indices: VecEnvIndices) -> Sequence[int]:
         """Return the numbers of the worlds that are meant."""
-        found: Iterable[int] = self._get_indices(indices)
-        return list(found)
+        return list(self._get_indices(indices))

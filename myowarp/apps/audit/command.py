@@ -3,17 +3,18 @@
 import dataclasses
 import importlib.util
 import json
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Column, Table
 
 from myowarp.apps.audit.figures import FIGURES, Figure, changes, findings
 from myowarp.apps.audit.measure import Audit, audit
-from myowarp.disk import in_place
+from myowarp.disk import in_place, plain
 from myowarp.progress import progress_bar
 from myowarp.spec.task import TASKS, TaskSpec
 from myowarp.tasks.outside import find_task
@@ -41,6 +42,7 @@ class Job:
 
 
 FILES = "audit.json", "index.html"
+QUANTILES = (0, 5, 25, 50, 75, 95, 100)  # %, of returns, in the JSON
 """What `audit_all` writes into a folder."""
 
 
@@ -127,9 +129,10 @@ def upstreams(audits: Iterable[Audit]) -> dict[str, Audit]:
 
 
 def as_json(audits: list[Audit]) -> str:
-    """Return audits as JSON: their fields, findings, and what differs from upstream's version.
+    """Return audits as JSON, a line an id: their fields, findings, and what differs from upstream's version.
 
-    A number that is not finite becomes null.
+    Returns of episodes become `QUANTILES` of them, `failures` the steps in which one failed, and columns the
+    ranges of their blocks. A number that is not finite becomes null.
     """
     known = upstreams(audits)
     rows = []
@@ -138,17 +141,28 @@ def as_json(audits: list[Audit]) -> str:
             figure.head: [there, here] for figure, there, here in changes(found, known.get(found.upstream))
         }
         extra = {"corrected": found.corrected, "findings": findings(found), "changed": changed}
-        rows.append(dataclasses.asdict(found) | extra)
-    return json.dumps(_finite({"audits": rows}), indent=1, allow_nan=False)
+        rows.append(json.dumps(plain(_shorter(dataclasses.asdict(found)) | extra), allow_nan=False))
+    return '{"audits": [\n' + ",\n".join(rows) + "\n]}\n"
 
 
-def _finite(value: object) -> object:
-    """Return a tree of plain objects with None for numbers that are not finite."""
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def _shorter(row: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of an audit with summaries in place of long lists."""
+    scores = {}
+    for policy, score in row["scores"].items():
+        returns = np.percentile(score["returns"], QUANTILES).tolist() if score["returns"] else []
+        failures = {step: count for step, count in enumerate(score["failures"], 1) if count}
+        scores[policy] = score | {
+            "returns": dict(zip(QUANTILES, returns, strict=False)),
+            "failures": failures,
+        }
+    blocks: dict[str, dict[str, Any]] = {}
+    for column in row["columns"]:
+        block = blocks.setdefault(
+            column["name"].rpartition("[")[0], {"unit": column["unit"], "low": [], "high": []}
+        )
+        for end in ("low", "high"):
+            block[end].append(float(f"{column[end]:.4g}"))
+    return row | {"scores": scores, "columns": blocks}
 
 
 def print_table(audits: list[Audit], console: Console) -> None:

@@ -21,7 +21,6 @@ from myowarp.apps.audit.runs import (
 from myowarp.apps.audit.targets import Targets
 from myowarp.engine.compile import quiet
 from myowarp.sim.simulation import Simulation
-from myowarp.sim.starts import find_starts
 from myowarp.spec.condition import Condition
 from myowarp.spec.task import TASKS, TaskSpec
 
@@ -223,7 +222,6 @@ def _simulation(
         conditions=conditions,
         autoreset="same_step",
         progress=False,
-        starts=find_starts(spec, progress=False) if reset == "random" else None,
     )
 
 

@@ -51,11 +51,11 @@ h2 { font-size: 1.15rem; margin: 2.2rem 0 .3rem; border-top: 1px solid #d7dbe0; 
 h3 { font-size: 1rem; margin: 1rem 0 .2rem }
 p { margin: .2rem 0 .5rem; max-width: 75rem }
 .wide { overflow-x: auto }
-table { border-collapse: collapse; font-size: 12px; font-variant-numeric: tabular-nums }
-th { text-align: right; vertical-align: bottom; font-weight: 600; padding: .25rem .4rem; max-width: 4.6rem }
+table { border-collapse: collapse; font-size: 11.5px; font-variant-numeric: tabular-nums }
+th { text-align: right; vertical-align: bottom; font-weight: 600; padding: .25rem .28rem; max-width: 4.4rem }
 th:first-child, td:first-child { text-align: left; position: sticky; left: 0; background: #fff;
  white-space: nowrap; max-width: none }
-td { text-align: right; padding: .15rem .4rem; white-space: nowrap }
+td { text-align: right; padding: .15rem .28rem; white-space: nowrap }
 tr.first td { border-top: 1px solid #d7dbe0 } tr.corrected td:first-child { padding-left: 1.6rem }
 td.bad { color: #b3261e; background: #fdecea } td.changed { font-weight: 700 }
 td.changed small { display: block; font-weight: 400; color: #70757d }

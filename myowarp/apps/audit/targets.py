@@ -6,6 +6,7 @@ the start. Muscles, gravity and time are not, so a share is an upper bound of wh
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -31,6 +32,9 @@ ON_THE_BOUND = 1e-5  # rad, float32
 OVERLAP = 5e-3  # m, overlap with the open hand that the hand can make room for
 PHASES = 8  # of an episode, at which moving targets are judged
 LIFTS = 15  # places above its start at which a pen is tried
+
+Judgement = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Of each target: whether it can be met well enough to count as solved, whether exactly, and the miss."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,41 @@ def measure(sim: Simulation) -> Targets:
     return _none(f"there is no rule for family {sim.scene.spec.family!r}")
 
 
+def in_reach(spec: TaskSpec, model: mujoco.MjModel, rows: np.ndarray) -> np.ndarray | None:
+    """Return which targets can be met exactly, by joint ranges alone, (num_targets,) bool.
+
+    Args:
+        spec: The task.
+        model: Its model.
+        rows: Its `task.target`, shape (num_targets, size).
+
+    Returns:
+        None where the targets are neither joint angles nor points of tips.
+    """
+    for kind, judge in JUDGES.items():
+        if isinstance(spec, kind):
+            different, number = np.unique(rows.astype(float), axis=0, return_inverse=True)
+            return np.asarray(judge(spec, model, different)[1][number])
+    return None
+
+
+def _judge_pose(spec: PoseTask, model: mujoco.MjModel, rows: np.ndarray) -> Judgement:
+    """Target angles against the joint ranges."""
+    low, high = model.jnt_range[spec.target_joints(model)].T
+    beyond = rows - np.clip(rows, low, high)
+    miss = np.linalg.norm(beyond, axis=1)
+    return miss < spec.near, np.abs(beyond).max(axis=1) <= ON_THE_BOUND, miss
+
+
+def _judge_reach(spec: ReachTask, model: mujoco.MjModel, rows: np.ndarray) -> Judgement:
+    """Target points against the tips' reach."""
+    miss, _ = reachable(model, spec.tips, rows)
+    return miss < spec.near, miss <= EXACT, miss
+
+
+JUDGES: dict[type[TaskSpec], Callable[..., Judgement]] = {PoseTask: _judge_pose, ReachTask: _judge_reach}
+
+
 def _none(why: str) -> Targets:
     """Return that there is nothing to say."""
     return Targets(count=0, solvable=None, exact=None, worst=None, unit="", rule="", why=why)
@@ -74,7 +113,7 @@ def _none(why: str) -> Targets:
 
 def _judged(
     drawn: np.ndarray,
-    judge: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]],
+    judge: Callable[[np.ndarray], Judgement],
     unit: str,
     rule: str,
 ) -> Targets:
@@ -96,22 +135,15 @@ def _draws(sim: Simulation, read: Callable[[], np.ndarray]) -> np.ndarray:
 
 def _pose(sim: Simulation) -> Targets:
     """Targets against the joint ranges."""
-    spec, program = sim.scene.spec, sim.program
+    spec, program = sim.scene.spec, sim.parts[0].program
     assert isinstance(spec, PoseTask)
     assert isinstance(program, PoseProgram)
-    low, high = sim.scene.oracle.jnt_range.T
-
-    def judge(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        beyond = rows - np.clip(rows, low, high)
-        miss = np.linalg.norm(beyond, axis=1)
-        return miss < spec.near, np.abs(beyond).max(axis=1) <= ON_THE_BOUND, miss
-
     rule = (
         f"solvable: some posture within the joint ranges is closer than {spec.near:.3g} rad, norm over all "
         "joints; exact: the target is within the ranges"
     )
     drawn = _draws(sim, program.target.numpy)
-    found = _judged(drawn, judge, "rad", rule)
+    found = _judged(drawn, partial(_judge_pose, spec, sim.scene.oracle), "rad", rule)
     if spec.body != "hand":
         return found
     return replace(found, thumb_off=_thumb_off(spec, np.unique(drawn, axis=0)))
@@ -139,18 +171,14 @@ def _thumb_off(spec: PoseTask, targets: np.ndarray) -> float:
 
 def _reach(sim: Simulation) -> Targets:
     """Targets against the tips' reach, by inverse kinematics."""
-    spec, program = sim.scene.spec, sim.program
+    spec, program = sim.scene.spec, sim.parts[0].program
     assert isinstance(spec, ReachTask)
     assert isinstance(program, ReachProgram)
-
-    def judge(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        miss, _ = reachable(sim.scene.oracle, spec.tips, rows)
-        return miss < spec.near, miss <= EXACT, miss
-
     rule = (
         f"solvable: some posture within the joint ranges brings the tips closer than {1e3 * spec.near:.3g} "
         f"mm, norm over all tips as the task scores it; exact: closer than {1e3 * EXACT:.0f} mm"
     )
+    judge = partial(_judge_reach, spec, sim.scene.oracle)
     return _judged(_draws(sim, program.target.numpy), judge, "m", rule)
 
 
@@ -194,9 +222,9 @@ def _placed(sim: Simulation, phases: int) -> np.ndarray:
     for phase in range(phases):
         step_count.fill_(1 + phase * spec.horizon // phases)
         with wp.ScopedDevice(scene.device):
-            sim.program.advance(step_count)
+            sim.parts[0].program.advance(step_count)
         for world, (model, data) in enumerate(models):
-            goals = sim.program.goal_markers(world)
+            goals = sim.parts[0].program.goal_markers(world)
             for marker, pos in goals.items():
                 place(model, data, model.body(marker.removesuffix("_target")).id, pos)
             rows[world].append(np.concatenate([overlaps(model, data, objects), *goals.values()]))
@@ -206,7 +234,7 @@ def _placed(sim: Simulation, phases: int) -> np.ndarray:
 def _hold(sim: Simulation) -> Targets:
     """The object at its goal against the open hand."""
 
-    def judge(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def judge(rows: np.ndarray) -> Judgement:
         return rows[:, 0] < OVERLAP, rows[:, 0] < EXACT, rows[:, 0]
 
     rule = (
@@ -220,7 +248,7 @@ def _baoding(sim: Simulation) -> Targets:
     """Both balls at their targets against the open hand and each other, over the episode."""
     near = float(baoding.NEAR)
 
-    def judge(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def judge(rows: np.ndarray) -> Judgement:
         deep = rows[:, :2]
         solvable = (deep[:, 0] < near) & (deep[:, 1] < 2.0 * near)
         return solvable, deep.max(axis=1) < EXACT, deep.max(axis=1)
@@ -243,7 +271,7 @@ def _pen(sim: Simulation) -> Targets:
         place(model, data, pen, np.add(pen_twirl.PEN_POS, (0.0, 0.0, lift)), quat)
         return overlaps(model, data, (pen,))[0]
 
-    def judge(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def judge(rows: np.ndarray) -> Judgement:
         deep = np.array([[depth(quat, lift) for lift in lifts] for quat in rows])
         return deep.min(axis=1) < OVERLAP, deep[:, 0] < EXACT, deep.min(axis=1)
 

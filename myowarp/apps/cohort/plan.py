@@ -112,10 +112,20 @@ def plan_cohort(
         acts = find_policy(policy, spec)
     else:
         acts = Policy(getattr(policy, "__name__", type(policy).__name__), policy)
+    population = population_of(table, spec)
+    conditions = conditions_of(population.entries, spec, trials)
+    return Plan(spec, population, conditions, acts, steps, trials, seed, every, reset, physics, device)
+
+
+def population_of(table: str | Path | pd.DataFrame, spec: TaskSpec) -> Population:
+    """Return the patients of a table, checked against the muscles of a task.
+
+    Raises:
+        ValueError: An entry is wrong, or the body has no muscles.
+        ImportError: Parquet without pandas and pyarrow.
+    """
     model = oracle_model(spec)
     if not model.na:
         raise ValueError(f"a cohort is about muscles; the body of task {spec.key!r} has none")
     muscles = tuple(model.actuator(i).name for i in np.flatnonzero(actuator_kinds(model) == int(MUSCLE)))
-    population = read_population(table, muscles)
-    conditions = conditions_of(population.entries, spec, trials)
-    return Plan(spec, population, conditions, acts, steps, trials, seed, every, reset, physics, device)
+    return read_population(table, muscles)

@@ -17,7 +17,6 @@ from myowarp.disk import in_place, version
 from myowarp.kernels.episode import describe_fault
 from myowarp.progress import progress_bar
 from myowarp.sim.interop import ActionInput
-from myowarp.sim.shards import Shards, simulate
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.registry import check_choice
@@ -139,9 +138,10 @@ def run_cohort(
 
 def run_plan(plan: Plan, console: Console | None = None) -> CohortResult:
     """Run a checked cohort; see `run_cohort`."""
-    sim = simulate(
+    sim = Simulation(
         plan.spec,
         len(plan.seeds),
+        shards=None,
         device=plan.device,
         physics=plan.physics,
         reset=plan.reset,
@@ -161,7 +161,7 @@ def run_plan(plan: Plan, console: Console | None = None) -> CohortResult:
     return CohortResult(tally.samples(), tally.summary(), tally.settings())
 
 
-def _policy(plan: Plan, sim: Simulation | Shards) -> Act:
+def _policy(plan: Plan, sim: Simulation) -> Act:
     """Return the function that acts; random actions are a trial's, the same for every patient."""
     if plan.policy.act is not None or plan.policy.name != "random":
         return acting(plan.policy, sim, plan.seed)
@@ -178,7 +178,7 @@ def _policy(plan: Plan, sim: Simulation | Shards) -> Act:
 class _Tally:
     """Gathers results step by step, each patient's up to the end of the episode."""
 
-    def __init__(self, plan: Plan, sim: Simulation | Shards) -> None:
+    def __init__(self, plan: Plan, sim: Simulation) -> None:
         self._plan, self._sim, self._signals = plan, sim, Signals(sim)
         self._blocks, self._unit = tracking_blocks(sim.columns)
         n = sim.num_worlds

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from rich.console import Console
 
-from myowarp.apps.options import Device, Overwrite, Physics, TaskIds, optional
+from myowarp.apps.options import Device, Overwrite, Physics, TaskIds, check_least, optional
 
 
 @dataclass
@@ -51,13 +51,8 @@ class Audit:
         from myowarp.spec.task import PHYSICS
 
         jobs = command.find_jobs(self.tasks, self.paper)
-        for name, number, least in (
-            ("num-worlds", self.num_worlds, 1),
-            ("steps", 1 if self.steps is None else self.steps, 1),
-            ("seed", self.seed, 0),
-        ):
-            if number < least:
-                raise ValueError(f"--{name} must be at least {least}, got {number}")
+        check_least(1, num_worlds=self.num_worlds, steps=1 if self.steps is None else self.steps)
+        check_least(0, seed=self.seed)
         check_choice("physics", self.physics, PHYSICS)
         resolve_device(self.device)
         check_folder(self.output)

@@ -52,10 +52,9 @@ class Baselines:
         if task is None:
             raise ValueError(f"baselines run needs a task: {', '.join(baselines.baseline_tasks())}")
         baseline = baselines.load_baseline(task)
-        seed = baseline.settings["seed"] if self.seed is None else self.seed
-        output = self.output or Path("runs") / f"baseline_{task}_{seed}"
-        device = {"device": self.device} if self.device else {}
-        now = _remake(baseline, output, seed=seed, **device)
+        settings = baseline.settings(self.seed) | ({"device": self.device} if self.device else {})
+        output = self.output or Path("runs") / f"baseline_{task}_{settings['seed']}"
+        now = _remake(baseline, output, settings)
         self._report(baseline, now, output)
 
     def _report(self, baseline: Baseline, now: dict[str, Any], output: Path) -> None:
@@ -85,13 +84,13 @@ class Baselines:
             raise RuntimeError(f"baseline {baseline.task!r} was not reached: {short}")
 
 
-def _remake(baseline: Baseline, output: Path, **changed: Any) -> dict[str, dict[str, Any]]:
-    """Train a baseline again, with its settings, and evaluate it like the committed policy.
+def _remake(baseline: Baseline, output: Path, values: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Train a baseline again and evaluate it like the committed policy.
 
     Args:
         baseline: What is remade.
         output: New folder of the run.
-        changed: Settings to change, such as `seed`.
+        values: Settings, such as `Baseline.settings`.
 
     Returns:
         Figures of each mode.
@@ -101,7 +100,7 @@ def _remake(baseline: Baseline, output: Path, **changed: Any) -> dict[str, dict[
     from myowarp.apps.train.settings import ALGORITHMS, restore
 
     algorithm = baseline.checkpoint.manifest["algorithm"]
-    settings = restore(ALGORITHMS[algorithm], baseline.settings | changed)
+    settings = restore(ALGORITHMS[algorithm], values)
     given = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
     Train(task=baseline.task, algorithm=algorithm, output=output, **given)()
     return Eval(checkpoint=output, device=settings.device or None).figures()[1]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.console import Console
 
-from myowarp.apps.options import Overwrite, optional
+from myowarp.apps.options import Overwrite, check_least, optional
 
 if TYPE_CHECKING:
     import mujoco
@@ -83,8 +83,7 @@ class Plot:
             if self.what == "moment-arms":
                 return figures.moment_arms(model, title, self.joint, self.muscles)
             return figures.contraction(model, title, self.what, self.muscles)
-        if self.world < 0:
-            raise ValueError(f"--world must be at least 0, got {self.world}")
+        check_least(0, world=self.world)
         course = figures.read_course(Path(source), self.what, self.world, self.episode)
         return figures.over_time(course, self.muscles)
 

@@ -20,6 +20,7 @@ from myowarp.apps.options import (
     Policy,
     Reset,
     Steps,
+    check_least,
     optional,
 )
 from myowarp.view.muscles import QUANTITIES
@@ -85,9 +86,8 @@ class Record:
         variant = task_or_model(self.task, self.model)
         spec = TASKS[variant.task]
         steps = spec.horizon if self.steps is None else self.steps
-        for name, number, least in (("steps", steps, 1), ("worlds", self.worlds, 1), ("seed", self.seed, 0)):
-            if number < least:
-                raise ValueError(f"--{name} must be at least {least}, got {number}")
+        check_least(1, steps=steps, worlds=self.worlds)
+        check_least(0, seed=self.seed)
         if self.fps is not None and not 0.0 < self.fps < np.inf:
             raise ValueError(f"--fps must be positive, got {self.fps:g}")
         check_size(*self.size)

@@ -21,6 +21,7 @@ from myowarp.apps.options import (
     Policy,
     Reset,
     Steps,
+    check_least,
     optional,
 )
 from myowarp.kernels.episode import SUCCESS_RULE
@@ -62,7 +63,7 @@ class Rollout:
     video_worlds: int = 6
     """Worlds in the video."""
     signals: Annotated[Path | None, optional("FILE")] = None
-    """Write muscle signals and joint angles to this .parquet (tidy tables) or .npz."""
+    """Write muscle signals and joint angles: .parquet or .csv (tidy tables), .npz, .sto (one world)."""
     signals_every: int = 1
     """Control steps from one sample of the signals to the next."""
     overwrite: Overwrite = False
@@ -86,7 +87,7 @@ class Rollout:
         policy = rollout.find_policy(self.policy, spec)
         check_output(self.save, ".npz")
         check_output(self.video, *VIDEOS)
-        check_recording(self.signals)
+        check_recording(self.signals, self.num_worlds)
         check_overwrite((self.save, self.video, *recording_files(self.signals)), self.overwrite)
         muscle = MuscleTable.read(self.muscle, self.muscle_parameters)
         console, reset = Console(stderr=True), self.reset or variant.reset
@@ -123,8 +124,8 @@ class Rollout:
         if self.save:
             rollout.save_recording(self.save, env, kept)
             console.print(f"Saved {self.save}")
-        if self.signals:
-            console.print(f"Saved {self.signals}")
+        for path in recording_files(self.signals):
+            console.print(f"Saved {path}")
         if self.video and film is not None:
             try:
                 write(self.video, [film], console)
@@ -135,10 +136,9 @@ class Rollout:
 
     def _check_numbers(self, steps: int) -> None:
         """Raise ValueError if a number is out of its range."""
-        numbers = {"steps": steps, "video-worlds": self.video_worlds, "signals-every": self.signals_every}
-        for name, number in numbers.items():
-            if number < 1:
-                raise ValueError(f"--{name} must be at least 1, got {number}")
+        check_least(1, steps=steps, video_worlds=self.video_worlds, signals_every=self.signals_every)
+        if self.signals and self.signals_every > steps:
+            raise ValueError(f"--signals-every must be at most --steps, {steps}, got {self.signals_every}")
         most = 2**64 - max(self.num_worlds, 1)  # world i has seed + i
         if not 0 <= self.seed <= most:
             raise ValueError(f"--seed must be from 0 to {most}, got {self.seed}")

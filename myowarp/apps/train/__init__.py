@@ -2,7 +2,8 @@
 
 | file | what it holds |
 |---|---|
-| `settings.py` | what a run can be told, presets of tasks, what is refused before anything is built |
+| `settings.py` | what a run can be told, presets of tasks |
+| `plan.py` | a run that was asked for, checked before anything is built |
 | `networks.py` | policies and value functions |
 | `agents.py` | skrl's agents from settings; all their numbers as named arrays, and back |
 | `loop.py` | act, step, record, update, save, stop |

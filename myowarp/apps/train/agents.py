@@ -215,6 +215,29 @@ def restore_agent(agent: Agent, policy: Mapping[str, np.ndarray], learner: Mappi
         torch.cuda.set_rng_state(_tensor(learner["cuda_generator"]), agent.device)
 
 
+def inherit(agent: Agent, parent: Mapping[str, np.ndarray], samples: int, count: int) -> None:
+    """Start from the policy of another run, with a spread and a value function of this one.
+
+    Args:
+        agent: Agent with networks of the same sizes.
+        parent: Arrays of that policy.
+        samples: Samples that its normaliser of observations has seen.
+        count: Samples as which they count here, few enough for the new task's to outweigh them soon.
+    """
+    own = agent.policy.state_dict()
+    agent.policy.load_state_dict({k: v if k == "log_std" else _tensor(parent[k]) for k, v in own.items()})
+    mean, variance = parent["observation_mean"], parent["observation_variance"]
+    # A column that never changed, such as a fixed goal, has weights that nothing trained, and no more
+    # variance than skrl's normaliser starts with: that of one sample beside the mean 0.
+    unseen = variance * samples < 1.01 * (1.0 + mean * mean)
+    with torch.no_grad():
+        agent.policy.net[0].weight[:, torch.from_numpy(unseen)] = 0.0
+    scaler = agent._observation_preprocessor
+    scaler.running_mean.copy_(_tensor(mean))
+    scaler.running_variance.copy_(_tensor(variance))
+    scaler.current_count.fill_(count)
+
+
 def _restore_optimizer(
     optimizer: torch.optim.Optimizer, prefix: str, learner: Mapping[str, np.ndarray]
 ) -> None:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import platform
 import shutil
@@ -29,7 +28,6 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from myowarp.kernels.action import CENTER, STEEPNESS
-from myowarp.sim.shards import Shards
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TaskSpec
 
@@ -72,7 +70,7 @@ class Checkpoint:
         return _read_arrays(self.folder, STATE, self.manifest)
 
 
-def task_contract(sim: Simulation | Shards) -> dict[str, Any]:
+def task_contract(sim: Simulation) -> dict[str, Any]:
     """Return what a policy is tied to: observation, action mapping and reward of a task."""
     scene = sim.scene
     spec: TaskSpec = scene.spec
@@ -90,7 +88,7 @@ def task_contract(sim: Simulation | Shards) -> dict[str, Any]:
     }
 
 
-def check_contract(checkpoint: Checkpoint, sim: Simulation | Shards, *, learning: bool = False) -> None:
+def check_contract(checkpoint: Checkpoint, sim: Simulation, *, learning: bool = False) -> None:
     """Raise CheckpointError if a policy cannot act in a simulation, or not go on to learn in it."""
     present = json.loads(json.dumps(task_contract(sim)))
     recorded = checkpoint.manifest["contract"]
@@ -313,12 +311,3 @@ def _flush_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def plain(value: Any) -> Any:
-    """Return a value as JSON can hold it: NaN and infinity as None."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, dict):
-        return {key: plain(entry) for key, entry in value.items()}
-    return [plain(entry) for entry in value] if isinstance(value, list | tuple) else value

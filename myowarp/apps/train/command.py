@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import json
 import os
 import signal
@@ -13,32 +12,26 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Optional
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import tyro
 from rich.console import Console
 
 from myowarp.apps.commands.rollout import Rollout
 from myowarp.apps.machine import Stopwatch, processor
-from myowarp.apps.options import Model, OptionalTask, optional
 from myowarp.apps.train.eval_command import EVALUATION_SEED
-from myowarp.apps.train.settings import ALGORITHMS, SUCCESSES, Settings, all_settings, choose, restore
-from myowarp.disk import check_folder, check_output, in_place
-from myowarp.spec.registry import check_choice
-from myowarp.spec.task import TASKS
-from myowarp.tasks.from_file import task_or_model
-from myowarp.tasks.variants import Variant
+from myowarp.apps.train.plan import SAVE_SECONDS, Job, TrainOptions, plan, shown
+from myowarp.apps.train.settings import ALGORITHMS, SUCCESSES, all_settings
+from myowarp.disk import in_place, plain
 
 if TYPE_CHECKING:
-    from myowarp.apps.train.checkpoint import Checkpoint
     from myowarp.apps.train.loop import Run
 
 REPORT = "report.json"
-NEEDS = ("torch", "skrl", "safetensors", "tensorboard")
 
 
 @dataclass
-class TrainCommand:
+class TrainCommand(TrainOptions):
     """Train a policy: PPO, TRPO or SAC, with a preset for the task.
 
     Writes a folder with the last checkpoint, progress.csv, TensorBoard events, curve.png and report.json.
@@ -52,139 +45,19 @@ class TrainCommand:
     Or: myowarp rollout myoElbowPose1D6MRandom-v0 --policy runs/elbow --video elbow.mp4
     """
 
-    task: OptionalTask = None
-    model: Model = None
-    algorithm: Annotated[Literal["ppo", "trpo", "sac"] | None, optional("{ppo,trpo,sac}")] = None
-    """Algorithm; by default ppo."""
-    output: Annotated[Path | None, optional("FOLDER")] = None
-    """New folder of the run; by default runs/<task>_<algorithm>_<seed>."""
-    resume: Annotated[Path | None, optional("FOLDER")] = None
-    """Folder of a run that is to go on; its settings hold, only --samples and when to stop may change."""
-    video: Annotated[Path | None, optional("FILE")] = None
-    """Write a video of the trained policy to this .mp4: deterministic actions, parity physics."""
-    save_seconds: float = 30.0
-    """Seconds from one checkpoint to the next; 0: after every iteration."""
-    wandb: bool = False
-    """Send the figures to Weights & Biases too."""
-
     def __call__(self) -> None:
         """Check everything, train and report."""
         watch, console = Stopwatch(), Console(stderr=True, highlight=False, soft_wrap=True)
-        job = _plan(self)
-        run = _start(job)
-        reason = _train(job, run, console, self.save_seconds, self.wandb)
+        job = plan(self)
+        run = start(job)
+        reason = train(job, run, console, self.save_seconds, self.wandb)
         run.env.close()
         _report(job, run, reason, watch, console)
         if self.video:
             _film(job, self.video)
 
 
-@dataclass(frozen=True)
-class Job:
-    """A run that was checked and is ready to be built.
-
-    Attributes:
-        task: What the user called the task: an id, or the path of a model's file.
-        model: Whether it is the path of a model's file.
-        variant: What its id stands for.
-        algorithm: Key in `ALGORITHMS`.
-        settings: Settings.
-        folder: Folder of the run.
-        checkpoint: What is resumed; None: nothing.
-    """
-
-    task: str
-    model: bool
-    variant: Variant
-    algorithm: str
-    settings: Settings
-    folder: Path
-    checkpoint: Checkpoint | None = None
-
-
-def _plan(command: TrainCommand) -> Job:
-    """Return the run that a command asks for.
-
-    Raises:
-        ValueError: An argument is wrong; nothing was built or written.
-        ImportError: A package is not installed.
-    """
-    missing = [name for name in NEEDS if importlib.util.find_spec(name) is None]
-    if missing:
-        raise ImportError(f'training needs {", ".join(missing)}; run `pip install "myowarp[train]"`')
-    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
-        raise ValueError("training runs in one process; start it without torchrun (WORLD_SIZE is above 1)")
-    if not 0.0 <= command.save_seconds < float("inf"):
-        raise ValueError(f"--save-seconds must be at least 0, got {command.save_seconds}")
-    check_output(command.video, ".mp4")
-    if command.video is not None and command.video.exists():
-        raise ValueError(f"output {str(command.video)!r} exists; choose another name")
-    if command.wandb:
-        from myowarp.apps.train.progress import check_wandb
-
-        check_wandb()
-    given = {name: getattr(command, name) for name in all_settings()}
-    given = {name: value for name, value in given.items() if value is not None}
-    if command.resume is not None:
-        return _plan_resume(command, given)
-    variant = task_or_model(command.task, command.model)
-    algorithm = command.algorithm or "ppo"
-    settings = choose(TASKS[variant.task].name, algorithm, given)
-    task = command.task or str(command.model)
-    name = f"{TASKS[variant.task].key}_{algorithm}_{settings.seed}"
-    folder = command.output or Path("runs") / name
-    check_folder(folder)
-    if folder.exists() and any(folder.iterdir()):
-        raise ValueError(
-            f"output {str(folder)!r} is not empty; choose a new folder, or go on with --resume {folder}"
-        )
-    return Job(task, command.model is not None, variant, algorithm, settings, folder)
-
-
-def _plan_resume(command: TrainCommand, given: dict[str, Any]) -> Job:
-    """Return the run that goes on; see `_plan`."""
-    from myowarp.apps.train.checkpoint import STATE, CheckpointError, load_checkpoint
-
-    folder = Path(str(command.resume))
-    checkpoint = load_checkpoint(folder)
-    manifest = checkpoint.manifest
-    if STATE not in manifest["files"]:
-        raise CheckpointError(f"checkpoint {str(folder)!r} holds a policy alone and cannot be resumed")
-    recorded = manifest["settings"]
-    task = command.task and command.task.removeprefix("MyoWarp/")
-    wanted = {"task": task, "model": command.model, "algorithm": command.algorithm, "output": command.output}
-    name = manifest["task"].removeprefix("MyoWarp/")
-    same = {"task": name, "model": name, "algorithm": manifest["algorithm"], "output": folder}
-    for what, value in wanted.items():
-        if value is not None and str(value) != str(same[what]):
-            raise ValueError(
-                f"--resume goes on with {what} {str(same[what])!r}, got {str(value)!r}; leave it out"
-            )
-    fields = all_settings()
-    for name, value in given.items():
-        if name not in recorded or (not fields[name].metadata["free"] and _listed(value) != recorded[name]):
-            flag = "--" + name.replace("_", "-")
-            raise ValueError(
-                f"--resume goes on with the settings of its run, where {flag} is {recorded.get(name)!r}, "
-                f"got {value!r}; leave it out, or start a new run"
-            )
-    check_choice("algorithm", manifest["algorithm"], ALGORITHMS)
-    settings = restore(ALGORITHMS[manifest["algorithm"]], recorded | given)
-    task, is_model, algorithm = manifest["task"], manifest["model"], manifest["algorithm"]
-    if (is_model or ":" in task) and command.task is None and command.model is None:
-        raise ValueError(
-            f"the task of the run is in the file {task!r}, which --resume opens if you name it, too"
-        )
-    variant = task_or_model(None if is_model else task, Path(task) if is_model else None)
-    return Job(task, is_model, variant, algorithm, settings, folder, checkpoint)
-
-
-def _listed(value: Any) -> Any:
-    """Return a value as JSON gives it back."""
-    return list(value) if isinstance(value, tuple) else value
-
-
-def _start(job: Job) -> Run:
+def start(job: Job) -> Run:
     """Build the environment and the agent; put a resumed run's numbers back.
 
     Raises:
@@ -205,12 +78,14 @@ def _start(job: Job) -> Run:
         physics=settings.physics,
         muscle=settings.muscle,
         reset=settings.reset or variant.reset,
-        conditions=(*variant.conditions, *settings.conditions),
+        conditions=(*variant.conditions, *settings.conditions, *job.conditions, *job.patients),
         autoreset_mode="disabled",
         output="torch",
         copy=False,
     )
-    run = Run(env, settings)
+    if job.parent is not None:
+        check_contract(job.parent, env.sim)
+    run = Run(env, settings, job.parent, job.start)
     if job.checkpoint is not None:
         check_contract(job.checkpoint, env.sim, learning=True)
         try:
@@ -223,7 +98,9 @@ def _start(job: Job) -> Run:
     return run
 
 
-def _train(job: Job, run: Run, console: Console, save_seconds: float, wandb: bool) -> str:
+def train(
+    job: Job, run: Run, console: Console, save_seconds: float = SAVE_SECONDS, wandb: bool = False
+) -> str:
     """Iterate until something ends the run; returns what.
 
     Raises:
@@ -239,8 +116,8 @@ def _train(job: Job, run: Run, console: Console, save_seconds: float, wandb: boo
     if job.checkpoint is None:
         _save(job, run)  # whatever happens from here on, the run can go on
     console.print(
-        f"{job.task}: {job.algorithm}, {settings.num_worlds} worlds under {settings.physics} physics, "
-        f"into {job.folder}"
+        f"{job.task}: {job.algorithm}, {settings.num_worlds} worlds under {settings.physics} physics"
+        f"{f', from {settings.parent}' if settings.parent else ''}, into {job.folder}"
     )
     saved = time.monotonic()
     with (
@@ -326,15 +203,17 @@ def _save(job: Job, run: Run) -> None:
         "task": job.task,
         "model": job.model,
         "reset": job.variant.reset,
-        "conditions": list(job.variant.conditions),
+        "conditions": [*job.variant.conditions, *(condition.name for condition in job.conditions)],
         "algorithm": job.algorithm,
         "contract": checkpoint.task_contract(run.env.sim),
         "settings": dataclasses.asdict(job.settings),
         "versions": checkpoint.versions(),
+        "parent": _origin(job),
+        "files_read": job.files_read,
         **run.manifest(),
     }
     try:
-        checkpoint.save_checkpoint(job.folder, run.samples, checkpoint.plain(manifest), *run.arrays())
+        checkpoint.save_checkpoint(job.folder, run.samples, plain(manifest), *run.arrays())
     except OSError as error:
         raise OSError(
             f"checkpoint after {run.samples} samples could not be written ({error.strerror or error}); the "
@@ -342,9 +221,20 @@ def _save(job: Job, run: Run) -> None:
         ) from error
 
 
+def _origin(job: Job) -> dict[str, Any] | None:
+    """Return which policy a run started from: its task, samples and file."""
+    if job.checkpoint is not None:
+        return dict(job.checkpoint.manifest.get("parent") or {}) or None
+    if job.parent is None:
+        return None
+    from myowarp.apps.train.checkpoint import POLICY
+
+    manifest = job.parent.manifest
+    return {"task": job.parent.task, "samples": manifest["samples"], **manifest["files"][POLICY]}
+
+
 def _report(job: Job, run: Run, reason: str, watch: Stopwatch, console: Console) -> None:
     """Draw the curve, write and print what came out."""
-    from myowarp.apps.train.checkpoint import plain
     from myowarp.apps.train.progress import draw_curve
 
     settings, spent = job.settings, watch.read()
@@ -407,7 +297,7 @@ def _overrides() -> list[tuple[str, Any, Any]]:
             metavar = {int: "INT", float: "FLOAT"}.get(kind, "NAME")
         owners = [a for a, k in ALGORITHMS.items() if name in {f.name for f in dataclasses.fields(k)}]
         only = "" if len(owners) == len(ALGORITHMS) else f" ({', '.join(owners)})"
-        hint = f"(preset, else {_shown(entry.default)})"
+        hint = f"(preset, else {shown(entry.default)})"
         text = entry.metadata["text"] + only
         fields.append(
             (
@@ -417,11 +307,6 @@ def _overrides() -> list[tuple[str, Any, Any]]:
             )
         )
     return fields
-
-
-def _shown(value: Any) -> str:
-    """Return a default for the help."""
-    return " ".join(map(str, value)) or "none" if isinstance(value, tuple) else str(value) or "empty"
 
 
 Train = dataclasses.make_dataclass("Train", _overrides(), bases=(TrainCommand,))

@@ -12,7 +12,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from myowarp.apps.options import Device, Physics, optional
+from myowarp.apps.options import Device, Physics, check_least, optional
 from myowarp.apps.train.settings import SUCCESSES, success_text
 from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.registry import check_choice
@@ -107,9 +107,8 @@ class Eval:
         from myowarp.apps.baselines import policy_folder
         from myowarp.apps.train.checkpoint import CheckpointError, load_checkpoint
 
-        for name, number, least in (("episodes", self.episodes, 1), ("seed", self.seed, 0)):
-            if number < least:
-                raise ValueError(f"--{name} must be at least {least}, got {number}")
+        check_least(1, episodes=self.episodes)
+        check_least(0, seed=self.seed)
         check_choice("physics", self.physics, PHYSICS)
         own = self.task and self.task.removeprefix("MyoWarp/")
         checkpoint = load_checkpoint(policy_folder(str(self.checkpoint), own) or self.checkpoint)
@@ -145,9 +144,12 @@ def _print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> No
         f"[bold]{head['task']}[/bold]: {head['physics']} physics{with_conditions}, seed {head['seed']}"
     )
     table = Table("", *results)
-
     for name, text in SUCCESSES.items():
         table.add_row(text, *(success_text(figures, name) for figures in results.values()))
+    some = next(iter(results.values()))
+    if some["reachable"] and some["reachable"] < some["episodes"]:
+        text = f"{SUCCESSES['success']}, {some['reachable']} reachable targets"
+        table.add_row(text, *(success_text(figures, "success_reachable") for figures in results.values()))
     table.add_row("return", *(f"{f['return_mean']:.1f} ± {f['return_std']:.1f}" for f in results.values()))
     plain = {
         "length_mean": "length [steps]",

@@ -12,6 +12,7 @@ import math
 import time
 from typing import Any
 
+import numpy as np
 import torch
 
 from myowarp.apps.train import agents
@@ -20,6 +21,9 @@ from myowarp.apps.train.settings import Settings
 from myowarp.apps.train.tally import Tally
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.sim.state import State
+
+INHERITED_STEPS = 32
+"""Control steps of every world as which all that a parent's normaliser has seen counts."""
 
 
 class DivergedError(RuntimeError):
@@ -66,18 +70,42 @@ class Run:
         losses: What the last update tracked.
     """
 
-    def __init__(self, env: MyoWarpVectorEnv, settings: Settings) -> None:
-        """Seed everything and make the agent."""
+    def __init__(
+        self,
+        env: MyoWarpVectorEnv,
+        settings: Settings,
+        parent: Checkpoint | None = None,
+        start: State | None = None,
+    ) -> None:
+        """Seed everything and make the agent.
+
+        Args:
+            env: Environment.
+            settings: Settings.
+            parent: Whose policy the run starts from; None: networks are drawn.
+            start: States that episodes start in, world i in the i-th, over and over; None: resets.
+        """
         self.env, self.settings = env, settings
         self.device = str(env.sim.scene.device)
         torch.manual_seed(settings.seed)
         observation, action = env.single_observation_space, env.single_action_space
         self.agent = agents.make_agent(settings, observation, action, self.device)
+        if parent is not None:
+            count = settings.parent_samples or settings.num_worlds * INHERITED_STEPS
+            agents.inherit(self.agent, parent.policy, parent.manifest["samples"], count)
         self.tally = Tally(env.num_envs, self.device)
         self.clock = Clock()
         self.steps = self.updates = 0
         self.losses: dict[str, float] = {}
+        self._start = None
+        if start is not None:
+            rows = np.arange(env.num_envs) % len(start)
+            # Each episode has random numbers of its own, and draws its patients and noise anew.
+            kept = {name: array for name, array in start.arrays.items() if not name.startswith("keys.")}
+            self._start = State(start.task, {name: array[rows] for name, array in kept.items()})
         obs, _ = env.reset(seed=settings.seed)
+        if self._start is not None:
+            obs = env.set_state(self._start, conditions=False)
         self._obs = obs.clone()  # what is acted on; `obs` is overwritten by the next step
 
     @property
@@ -92,8 +120,13 @@ class Run:
             DivergedError: A loss or a weight is not finite.
         """
         begin, cpu = time.perf_counter(), time.process_time()
+        alone = self.updates < getattr(self.settings, "value_first", 0)
+        before = {name: tensor.clone() for name, tensor in self.agent.policy.state_dict().items()}
         for _ in range(self.settings.rollout_steps):
             self._step()
+        if alone:
+            # A policy that follows a value function which has seen nothing forgets what it could.
+            self.agent.policy.load_state_dict(before)
         self.updates += 1
         self.losses = agents.losses(self.agent)
         self.clock.total += time.perf_counter() - begin
@@ -147,6 +180,13 @@ class Run:
         self.clock = Clock(**manifest["clock"])
         agents.restore_agent(self.agent, checkpoint.policy, learner)
 
+    def _restart(self, mask: np.ndarray) -> torch.Tensor:
+        """Begin new episodes in the worlds of a mask; returns observations of all worlds."""
+        obs, _ = self.env.reset(options={"reset_mask": mask})
+        if self._start is not None:
+            obs = self.env.set_state(self._start[mask], mask, conditions=False)
+        return obs
+
     def _step(self) -> None:
         """One control step of all worlds."""
         env, agent, clock = self.env, self.agent, self.clock
@@ -176,7 +216,7 @@ class Run:
         agent.post_interaction(**at)
         learned = time.perf_counter()
         if any_ended:
-            obs, _ = env.reset(options={"reset_mask": ended.cpu().numpy()})
+            obs = self._restart(ended.cpu().numpy())
         self._obs.copy_(obs)
         self.steps += 1
         clock.simulation += stepped - acted + time.perf_counter() - learned

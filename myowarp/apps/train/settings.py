@@ -82,6 +82,18 @@ class Settings:
     conditions: tuple[str, ...] = setting(
         (), "Muscle conditions, besides those of the id.", choices=CONDITIONS
     )
+    cohort: str = setting("", "Patient table; every patient has as many worlds; empty: one body for all.")
+    start: str = setting(
+        "", "State file (`State.save`): episodes start in its worlds, with their goals; empty: resets."
+    )
+    parent: str = setting(
+        "", "Policy that the training starts from: a run's folder or baselines/<id>; empty: none."
+    )
+    parent_samples: int = setting(
+        0,
+        "Samples as which the parent's normaliser of observations counts; 0: 32 steps of all worlds.",
+        least=0,
+    )
     device: str = setting("", "Warp device, such as cpu or cuda:0; empty: the GPU if there is one.")
     # On two idle cores, two threads take 3.5 us a sample and pass (two networks 2 x 128), one 5.9.
     # When another process wants a core they take 10 to 60 times as long: they wait at every barrier.
@@ -101,7 +113,12 @@ class OnPolicy(Settings):
     trace_decay: float = setting(0.95, "Lambda of generalised advantage estimation.", least=0.0, most=1.0)
     epochs: int = setting(5, "Passes over the samples in an update.", least=1)
     minibatches: int = setting(8, "Parts of a pass.", least=1)
-    initial_std: float = setting(0.5, "Standard deviation of actions at the start.", least=1e-3)
+    initial_std: float = setting(
+        0.5, "Standard deviation of actions at the start, with a parent, too.", least=1e-3
+    )
+    value_first: int = setting(
+        0, "Iterations at the start in which the value function alone learns, with a parent.", least=0
+    )
     gradient_norm: float = setting(1.0, "Norm to which gradients are clipped; 0: not at all.", least=0.0)
 
 

@@ -93,7 +93,6 @@ class AffineActuators(Stage):
 
     REPLACES = ("actuation",)
     OBSTACLES: ClassVar = {
-        "the device is not the CPU": lambda scene: not scene.device.is_cpu,
         "there is no actuator": lambda scene: scene.model.nu == 0,
         "actuators have states": lambda scene: scene.model.na > 0,
         "a gain is not a constant": lambda scene: any_of(

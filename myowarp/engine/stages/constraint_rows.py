@@ -24,7 +24,6 @@ class ConstraintRows(Stage):
 
     REPLACES = ("make_constraint",)
     OBSTACLES: ClassVar = {
-        "the device is not the CPU": lambda scene: not scene.device.is_cpu,
         "rows of a kind are off": lambda scene: bool(scene.model.opt.disableflags & KINDS),
         "the friction cone is not pyramidal": lambda scene: scene.model.opt.cone != mjw.ConeType.PYRAMIDAL,
         "rows are sorted": lambda scene: bool(scene.model.opt.deterministic & DeterminismType.CONSTRAINT),

@@ -39,6 +39,7 @@ class ContactSearch(Stage):
 
     REPLACES = ("collision",)
     TOLERANCE = 1e-2  # the engine's own normals of deep contacts are off by as much
+    ON_CUDA = True
     OBSTACLES: ClassVar = {
         "no sphere, capsule or ellipsoid can touch another": lambda scene: _kinds(scene).isdisjoint(OURS),
         "the engine does not compare all pairs": lambda scene: (

@@ -154,7 +154,6 @@ class ContactSolve(Stage):
 
     REPLACES = ("acceleration", "solve")
     OBSTACLES: ClassVar = {
-        "the device is not the CPU": lambda scene: not scene.device.is_cpu,
         "the solver is not Newton's": lambda scene: scene.model.opt.solver != mjw.SolverType.NEWTON,
         "the friction cone is not pyramidal": lambda scene: scene.model.opt.cone != mjw.ConeType.PYRAMIDAL,
         "noslip iterations are on": lambda scene: scene.model.opt.noslip_iterations > 0,

@@ -24,9 +24,28 @@ from mujoco_warp import IntegratorType
 
 from myowarp.engine.stage import Launches, Stage, not_exact
 from myowarp.engine.stages.arrays import InertiaRows, any_of, filled
+from myowarp.engine.stages.hinge_triples import (
+    Bodies,
+    LimitRows,
+    straighten_dynamics,
+    straighten_rows,
+    straighten_speeds,
+    triple_tables,
+    triples_of,
+    turn_triples,
+)
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
-from myowarp.models.couplings import NOTHING, POINT_JOINTS, Coupling, Exact, couplings, exact, jacobian
+from myowarp.models.couplings import (
+    NOTHING,
+    POINT_JOINTS,
+    Coupling,
+    Exact,
+    couplings,
+    exact,
+    jacobian,
+    regularity,
+)
 from myowarp.spec.scene import Scene
 
 REGULAR = 1e-9  # least eigenvalue of M_r, its diagonal scaled to 1, below which coordinates lack mass
@@ -347,8 +366,7 @@ def _massless(scene: Scene) -> bool:
     """Whether a coordinate moves nothing that has a mass."""
     start = scene.qpos_start.numpy().astype(float)
     M, _ = inertia_of(document_model(scene), couplings(scene.oracle), start)
-    scale = np.sqrt(np.diag(M).clip(min=0.0))
-    return not scale.all() or bool(np.linalg.eigvalsh(M / np.outer(scale, scale))[0] < REGULAR)
+    return regularity(M) < REGULAR
 
 
 def chain_of_slides(model: mjw.Model, number: int) -> mujoco.MjModel:
@@ -411,6 +429,7 @@ class FreeCoordinates(Stage):
 
     inner: Scene
     REPLACES = ("follow", "reduce", "expand")
+    ON_CUDA = True
     OBSTACLES: ClassVar = {
         "nothing is free": lambda scene: scene.oracle.njnt <= len(couplings(scene.oracle)),
         "a joint is a ball or free": lambda scene: not np.isin(scene.oracle.jnt_type, POINT_JOINTS).all(),
@@ -467,6 +486,9 @@ class FreeCoordinates(Stage):
             self.followers = tables(host, ties)
             self.inner = free_scene(scene, self.followers.joint.shape[0])
             self.slopes, self.excess = wp.zeros_like(scene.data.qvel), wp.zeros_like(scene.data.qvel)
+            found = triples_of(host, ties)
+            self.triples = triple_tables(host, found, self.followers.coordinate.numpy()) if found else None
+            self.directions = wp.zeros(scene.data.qvel.shape, dtype=wp.spatial_vector)
 
     def launches(self, replaced: frozenset[str]) -> dict[str, Launches]:
         """Return what comes first in a step, before the accelerations, and last."""
@@ -481,11 +503,23 @@ class FreeCoordinates(Stage):
             self,
             free=filled(Coordinates, self.inner.data),
         )
+        if self.triples is not None:
+            free = self.inner.data
+            launch(
+                straighten_speeds,
+                (free.nworld, self.triples.joint.shape[0]),
+                self,
+                positions=free.qpos,
+                speeds=free.qvel,
+                accelerations=free.qacc_warmstart,
+            )
 
     def reduce(self, model: mjw.Model, data: mjw.Data) -> None:
         """Write inertia, forces, damping, moment arms and rows along the coordinates."""
         inner = self.inner
         reduced = filled(Reduced, inner.data, inner.model)
+        if self.triples is not None:
+            launch(straighten_dynamics, data.nworld, data, self, bodies=filled(Bodies, model, data))
         launch(
             reduce_dynamics,
             data.nworld,
@@ -505,9 +539,34 @@ class FreeCoordinates(Stage):
             free_rows=filled(RowJacobian, inner.data.efc),
             reduced=reduced,
         )
+        if self.triples is not None:
+            moments = reduced.actuator_moment.reshape((data.nworld, -1, inner.data.qvel.shape[1]))
+            launch(
+                straighten_rows,
+                data.nworld,
+                data,
+                self,
+                model.opt,
+                rows=filled(LimitRows, inner.data.efc),
+                positions=inner.data.qpos,
+                J=inner.data.efc.J,
+                actuator_moment=moments,
+            )
 
     def expand(self, model: mjw.Model, data: mjw.Data) -> None:
         """Put all joints where the coordinates are now."""
+        if self.triples is not None:
+            free = self.inner.data
+            launch(
+                turn_triples,
+                (free.nworld, self.triples.joint.shape[0]),
+                data,
+                model.opt,
+                self,
+                positions=free.qpos,
+                speeds=free.qvel,
+                accelerations=free.qacc,
+            )
         launch(
             expand_coordinates,
             data.nworld,

@@ -250,7 +250,6 @@ class Integrate(Stage):
 
     REPLACES = ("integrate",)
     OBSTACLES: ClassVar = {
-        "the device is not the CPU": lambda scene: not scene.device.is_cpu,
         "the integrator is neither Euler nor implicitfast": lambda scene: (
             scene.model.opt.integrator not in (IntegratorType.EULER, IntegratorType.IMPLICITFAST)
         ),

@@ -187,6 +187,7 @@ class MusclePath(Stage):
     """
 
     REPLACES = ("tendon", "transmission", "velocity")
+    ON_CUDA = True
     OBSTACLES: ClassVar = {"an equality between sites": _has_site_equality, **PATH_OBSTACLES}
 
     def __init__(self, scene: Scene) -> None:

@@ -171,7 +171,6 @@ class RigidBody(Stage):
 
     REPLACES = ("kinematics", "com_pos", "crb", "com_vel", "passive", "rne")
     OBSTACLES: ClassVar = {
-        "the device is not the CPU": lambda scene: not scene.device.is_cpu,
         "nothing moves": lambda scene: scene.model.nv == 0,
         "a ball or free joint has a spring": _springy_quaternions,
         "a joint is plastic": lambda scene: any_of(scene.model.jnt_plasticadr.numpy() >= 0),

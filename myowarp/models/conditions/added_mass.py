@@ -27,6 +27,7 @@ BATCHED = (*MASS_FIELDS, "body_inertia")
 
 Triple = tuple[float, float, float]
 GRAY = (0.3, 0.3, 0.3, 1.0)
+USUAL = 2.0  # kg: the greatest load of Caggiano et al. (2022), and the end of a slider
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class AddedMass:
         """
         alone = self._build().compile()
         unit_inertia = wp.vec3(*(alone.body_inertia[1] / alone.body_mass[1]))
-        parameter = Parameter(label, mass, scene, (), neutral=0.0, low=0.0)
+        parameter = Parameter(label, mass, scene, (), neutral=0.0, low=0.0, usual=USUAL)
         return HungMass(scene, clock, weighed_body(scene.oracle, self.name), unit_inertia, parameter)
 
 

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from myowarp.spec.scene import Scene
 
 REST_LOAD = wp.constant(0.01)  # a muscle rests up to this target load [1]; MyoSuite 3.0.0
+FAST = 2.0  # 1/s: a hundred times what is measured, so that a viewer need not wait for minutes
 STREAM = wp.constant(zlib.crc32(b"fatigue_3ccr initial_random") & 0x7FFFFFFF)
 
 
@@ -135,16 +136,18 @@ class Fatigue3CCR(Condition):
         """Put all parameters on the device."""
         names = self.muscle_names(scene)
         limits = {
-            # parameter: (value, neutral, greatest); no more than all of a compartment flows in a step
-            "affected": (self.affected, 0.0, 1.0),
-            "fatigue_rate": (self._rates("fatigue_rate", names), 0.0, 1.0 / scene.control_dt),
-            "recovery_rate": (self._rates("recovery_rate", names), 0.0, 1.0 / scene.control_dt),
-            "rest_recovery_factor": (self._rates("rest_recovery_factor", names), 1.0, np.inf),
-            "initial": (0.0 if self.initial is None else self.initial, 0.0, 1.0),
+            # parameter: (value, neutral, greatest, usual); no more than all of a compartment flows in a step
+            "affected": (self.affected, 0.0, 1.0, None),
+            "fatigue_rate": (self._rates("fatigue_rate", names), 0.0, 1.0 / scene.control_dt, FAST),
+            "recovery_rate": (self._rates("recovery_rate", names), 0.0, 1.0 / scene.control_dt, FAST),
+            "rest_recovery_factor": (self._rates("rest_recovery_factor", names), 1.0, np.inf, None),
+            "initial": (0.0 if self.initial is None else self.initial, 0.0, 1.0, None),
         }
         parameters = {
-            name: Parameter(f"fatigue_3ccr {name}", value, scene, names, neutral=neutral, low=0.0, high=high)
-            for name, (value, neutral, high) in limits.items()
+            name: Parameter(
+                f"fatigue_3ccr {name}", value, scene, names, neutral=neutral, low=0.0, high=high, usual=usual
+            )
+            for name, (value, neutral, high, usual) in limits.items()
         }
         return Fatigue3CCREffect(self, scene, clock, parameters)
 

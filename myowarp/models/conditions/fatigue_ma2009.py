@@ -157,7 +157,7 @@ class FatigueMa2009Effect(Effect):
         self.state = Exhaustion()
         for name in ("exhaustion", "rounding", "fatigue"):
             setattr(self.state, name, scene.zeros(f"condition.fatigue_ma2009.{name}", len(muscles.names)))
-        scene.keep("condition.fatigue_ma2009.workload", muscles.workload)
+        scene.adopt("condition.fatigue_ma2009", muscles, ("workload",))
         self.info = {"fatigue": self.state.fatigue}
         if condition.observe:
             self.columns = (

@@ -58,6 +58,11 @@ class TendonTear(Condition):
         if not self.muscles:
             raise ValueError("tendon_tear needs at least one muscle, got none")
 
+    @classmethod
+    def neutral(cls, spec: TaskSpec) -> TendonTear:
+        """Return one of all muscles."""
+        return cls(_muscle_names(spec.body), transmission=1.0)
+
     def check(self, spec: TaskSpec) -> None:
         """Raise ValueError if the body lacks a muscle."""
         self.indices(_muscle_names(spec.body))

@@ -20,9 +20,15 @@ STIFFER = 1e-6
 
 
 def stiff(model: mujoco.MjModel, said: Exact) -> mujoco.MjModel:
-    """Return a converted model whose joints follow as stiffly as MuJoCo C's float64 allows."""
+    """Return a converted model whose joints follow as stiffly as MuJoCo C's float64 allows.
+
+    A document that weighs nothing keeps the masses that it was given.
+    """
     model = copy.copy(model)
-    for body in (model.body(name).id for name, (mass, _) in said.bodies.items() if mass == 0):
+    light = [model.body(name).id for name, (mass, _) in said.bodies.items() if mass == 0]
+    if not np.delete(model.body_mass, light).any():
+        return model
+    for body in light:
         model.body_mass[body] *= LIGHTER
         model.body_inertia[body] *= LIGHTER
     ties = couplings(model)

@@ -23,6 +23,7 @@ from myowarp.opensim.build.passive import add_forces, path_tendon
 from myowarp.opensim.build.points import add_markers, add_moving_points
 from myowarp.opensim.mapping import CoordinateMap
 from myowarp.opensim.model import Model, Muscle, Note
+from myowarp.opensim.muscle.hill import HillMuscle
 from myowarp.opensim.tendon.path import TendonPath
 
 if TYPE_CHECKING:
@@ -162,8 +163,9 @@ def _plain(muscle: Muscle) -> tuple[tuple[float, float], np.ndarray]:
     length = muscle.optimal_fiber_length * flat
     parameters = np.zeros(10)
     force = muscle.max_isometric_force * flat
+    speed = HillMuscle.of(muscle).velocity_scale / muscle.optimal_fiber_length
     # range, force, scale (unused), lmin, lmax, vmax, fpmax, fvmax: MuJoCo's defaults but for force and speed.
-    parameters[:9] = low, high, force, 200.0, 0.5, 1.6, muscle.max_contraction_velocity, 1.3, 1.4
+    parameters[:9] = low, high, force, 200.0, 0.5, 1.6, speed, 1.3, 1.4
     slack = muscle.tendon_slack_length
     return (slack + low * length, slack + high * length), parameters
 

@@ -62,6 +62,8 @@ class Build:
     """Where joints are in the default pose, as far as that is known before they are there."""
     carriers: dict[str, tuple[str, float]] = field(default_factory=dict)
     """Coordinate: joint that shows it, and scale."""
+    shown: dict[tuple[str, int], tuple[str, float, float]] = field(default_factory=dict)
+    """OpenSim's joint and number of a move: MuJoCo's joint, sign and offset; move = sign joint + offset."""
     light: dict[str, tuple[float, tuple[float, ...]]] = field(default_factory=dict)
     """Bodies that the document gives another mass [kg] or other principal moments [kg m^2]."""
     demands: list[Demand] = field(default_factory=list)
@@ -90,6 +92,8 @@ def begin(model: Model, starts: dict[str, float]) -> Build:
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
     spec.option.timestep = 0.002
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # Chains of equalities on light bodies keep MuJoCo's sparse solver from converging; dense costs 10 % more.
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     turn = upright(model.gravity)
     spec.option.gravity = turn @ model.gravity
     ground = spec.worldbody.add_body(name=GROUND, quat=quaternion(turn))
@@ -173,6 +177,7 @@ def _add_body(build: Build, joint: Joint, moving: dict[str, float]) -> None:
         else:
             name = build.free_name("joint", f"{joint.name}_{move.kind}{index + 1}")
             function = move.function if line is None else Multiplier(IDENTITY, scale)
+        build.shown[joint.name, index] = name, sign, 0.0 if line is None else line[1]
         start = build.starts.get(name, default_of(model, function, move.coordinate))
         lever = 1.0 if move.kind == "slide" else ANGLE_LEVER
         if carried.get(index) is None or move.coordinate in model.couplers:
@@ -300,7 +305,12 @@ def tie(build: Build) -> CoordinateMap:
     model, dependents = build.model, []
     for name in dict.fromkeys(demand.coordinate for demand in build.demands):
         if name not in build.carriers:
-            build.carriers[name] = (add_phantom(build, name, model.coordinates[name].default), 1.0)
+            coordinate = model.coordinates[name]
+            phantom = add_phantom(build, name, coordinate.default)
+            build.carriers[name] = phantom, 1.0
+            if coordinate.clamped and coordinate.range[0] < coordinate.range[1]:
+                joint = build.spec.joint(phantom)
+                joint.range, joint.limited = coordinate.range, mujoco.mjtLimited.mjLIMITED_TRUE
             build.notes.append(
                 Note(
                     f"/jointset/{model.coordinates[name].joint}/{name}",

@@ -48,6 +48,11 @@ INTEGRATORS = {
     mujoco.mjtIntegrator.mjINT_EULER: "Euler",
     mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast",
 }
+JACOBIANS = {
+    mujoco.mjtJacobian.mjJAC_DENSE: "dense",
+    mujoco.mjtJacobian.mjJAC_SPARSE: "sparse",
+    mujoco.mjtJacobian.mjJAC_AUTO: "auto",
+}
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -77,7 +82,15 @@ def mjcf(spec: mujoco.MjSpec, comment: str = "") -> str:
     )
     option = spec.option
     integrator = INTEGRATORS[mujoco.mjtIntegrator(option.integrator)]
-    _add(root, "option", timestep=option.timestep, integrator=integrator, gravity=option.gravity)
+    jacobian = _unless(JACOBIANS[mujoco.mjtJacobian(option.jacobian)], "auto")
+    _add(
+        root,
+        "option",
+        timestep=option.timestep,
+        integrator=integrator,
+        jacobian=jacobian,
+        gravity=option.gravity,
+    )
     if len(spec.texts):
         custom = _add(root, "custom")
         for text in spec.texts:
@@ -181,6 +194,8 @@ def _joint(element: ElementTree.Element, joint: mujoco.MjsJoint) -> None:
         ref=_unless(joint.ref, 0.0),
         armature=_unless(joint.armature, 0.0),
         damping=_unless(joint.damping[0], 0.0),
+        stiffness=_unless(joint.stiffness[0], 0.0),
+        springref=_unless(joint.springref, 0.0),
     )
 
 

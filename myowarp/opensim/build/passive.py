@@ -3,19 +3,28 @@
 What MuJoCo cannot say, or says differently, is noted.
 """
 
+import itertools
 import math
 from collections.abc import Mapping
 
 import mujoco
 import numpy as np
 
-from myowarp.opensim.build.geometry import TIGHT, Build, quaternion
+from myowarp.opensim.build.geometry import TIGHT, Build, quaternion, reduced
 from myowarp.opensim.elements import BodyActuator, Bushing, ConditionalPathPoint, Ligament, Path
-from myowarp.opensim.model import GROUND, Note
+from myowarp.opensim.functions import IDENTITY
+from myowarp.opensim.kinematics import sampling_range
+from myowarp.opensim.model import GROUND, Joint, Loss, Note
 from myowarp.opensim.tendon.path import TendonPath, Via, add_tendon
 
 STRAIN = np.linspace(0.0, 0.1, 51)[1:]
 """Of a ligament, over which its curve is fitted with a straight line and a parabola."""
+
+MARGIN = {True: 0.2, False: 0.02}
+"""rad, m: beyond limits that a coordinate's range does not pass, over which springs are fitted."""
+
+WEAK = 1e-4
+"""N m or N: springs of which there is less in the whole range are none."""
 
 FAR = 1e6
 """m or rad: the end of a spring that acts on one side only."""
@@ -45,14 +54,10 @@ def add_forces(
         _add_ligament(build, ligament, moving[ligament.name], tendons)
     _add_limits(build)
     for spring in build.model.coordinate_springs:
-        fixed_tendon(
-            build,
-            spring.name,
-            spring.coordinate,
-            (spring.rest, spring.rest),
-            spring.stiffness,
-            spring.damping,
-        )
+        if _has_joint(build, spring.name, "SpringGeneralizedForce", spring.coordinate):
+            joint, scale = build.carriers[spring.coordinate]
+            stiffness, damping = spring.stiffness / scale**2, spring.damping / scale**2
+            _spring(build, joint, scale * spring.rest, stiffness, damping)
     for bushing in build.model.bushings:
         _add_bushing(build, bushing)
     _add_constraints(build)
@@ -74,10 +79,7 @@ def _motor(
 def _add_coordinate_actuators(build: Build) -> None:
     """Add a motor on the joint that shows the coordinate: gear = force per coordinate / scale."""
     for item in build.model.coordinate_actuators:
-        if item.coordinate not in build.carriers:
-            build.notes.append(
-                Note(f"/forceset/{item.name}", f"no joint shows {item.coordinate!r}; left out")
-            )
+        if not _has_joint(build, item.name, "CoordinateActuator", item.coordinate):
             continue
         joint, scale = build.carriers[item.coordinate]
         _motor(
@@ -98,8 +100,16 @@ def _add_body_actuator(build: Build, item: BodyActuator) -> None:
         build.bodies[GROUND].add_site(name=reference, size=[0.002] * 3, group=4)
         actuator.refsite = reference
     if item.reaction != GROUND:
+        rule = f"its reaction acts on ground, not on {item.reaction!r}"
+        strongest = item.optimal_force * max(map(abs, item.control_range))
         build.notes.append(
-            Note(f"/forceset/{item.name}", f"its reaction acts on ground, not on {item.reaction!r}")
+            Loss(
+                f"/forceset/{item.name}",
+                rule,
+                code="TorqueActuator",
+                largest=strongest if math.isfinite(strongest) else item.optimal_force,
+                unit="N m",
+            )
         )
 
 
@@ -145,67 +155,172 @@ def _add_ligament(
     )
 
 
-def fixed_tendon(
-    build: Build,
-    name: str,
-    coordinate: str,
-    springlength: tuple[float, float],
-    stiffness: float,
-    damping: float,
+def _has_joint(build: Build, name: str, kind: str, coordinate: str) -> bool:
+    """Whether a joint shows the coordinate that something acts on; a loss is noted if none does."""
+    if coordinate in build.carriers:
+        return True
+    path, rule = f"/forceset/{name}", f"no joint shows {coordinate!r}; left out"
+    if reduced(build.model, IDENTITY, coordinate)[1] is None:
+        build.notes.append(Note(path, rule, "0: the coordinate is locked"))
+    else:
+        build.notes.append(Loss(path, rule, code=kind))
+    return False
+
+
+def _spring(build: Build, joint: str, rest: float, stiffness: float, damping: float) -> None:
+    """Add a spring and a damper to a joint, beside those that it has."""
+    found = build.spec.joint(joint)
+    total = found.stiffness[0] + stiffness
+    if total > 0:
+        found.springref = (found.stiffness[0] * found.springref + stiffness * rest) / total
+    found.stiffness[0] = total
+    found.damping[0] += damping
+
+
+def _one_sided(
+    build: Build, name: str, coordinate: str, springlength: tuple[float, float], stiffness: np.ndarray
 ) -> None:
-    """Add a spring on a coordinate: a tendon whose length is the coordinate."""
-    if coordinate not in build.carriers:
-        build.notes.append(Note(f"/forceset/{name}", f"no joint shows {coordinate!r}; left out"))
-        return
+    """Add a spring that acts on a coordinate beyond two ends: a tendon whose length is the coordinate.
+
+    Its force is c[0] x + c[1] x^2 + c[2] x^3 of the way x beyond an end, c the stiffness.
+    """
     joint, scale = build.carriers[coordinate]
     tendon = build.spec.add_tendon(name=build.free_name("tendon", name))
     tendon.wrap_joint(joint, 1.0 / scale)
-    tendon.stiffness[0], tendon.damping[0], tendon.springlength = stiffness, damping, springlength
+    # MuJoCo's force is -x (k0 + k1 x + k2 x^2), x negative below the lower end.
+    below = springlength[1] >= FAR
+    tendon.stiffness[:3] = stiffness * [1.0, -1.0 if below else 1.0, 1.0]
+    tendon.springlength = springlength
 
 
 def _add_limits(build: Build) -> None:
-    """Add the springs at a coordinate's limits, one tendon for both sides where they are alike."""
+    """Add the springs beyond a coordinate's limits, and the damping that is there in its whole range."""
     for item in build.model.limit_forces:
-        (low, high), (soft, stiff) = item.limits, item.stiffness
-        if soft == stiff:
-            fixed_tendon(build, item.name, item.coordinate, (low, high), soft, 0.0)
-        else:
-            fixed_tendon(build, f"{item.name}-low", item.coordinate, (low, FAR), soft, 0.0)
-            fixed_tendon(build, f"{item.name}-high", item.coordinate, (-FAR, high), stiff, 0.0)
-        rule = f"springs without the damping of {item.damping:.3g} beyond the limits; they set in at once"
-        bound = f"{max(soft, stiff) * item.transition:.3g} N or N m within {item.transition:.3g} rad or m"
-        build.notes.append(Note(f"/forceset/{item.name}", rule, bound))
+        if not _has_joint(build, item.name, "CoordinateLimitForce", item.coordinate):
+            continue
+        low, high = sampling_range(build.model, item.coordinate)
+        sides = [(item.limits[0] - low, item.stiffness[0]), (high - item.limits[1], item.stiffness[1])]
+        errors, transition = [], max(item.transition, SAME)
+        for name, (beyond, stiffness), ends in zip(
+            ("low", "high"), sides, ((item.limits[0], FAR), (-FAR, item.limits[1])), strict=True
+        ):
+            reach = max(
+                beyond, min(item.transition, MARGIN[build.model.coordinates[item.coordinate].rotational])
+            )
+            x = np.linspace(0.0, reach, 41)[1:]
+            force = stiffness * x * onset(x / transition)
+            if force[-1] > WEAK:
+                sudden = transition <= reach
+                spring = np.array([stiffness, 0.0, 0.0]) if sudden else rising(x, force)
+                _one_sided(build, f"{item.name}-{name}", item.coordinate, ends, spring)
+                errors.append(float(np.abs(x[:, None] ** [1, 2, 3] @ spring - force).max()))
+        grid = np.linspace(low, high, 101)
+        share = onset((item.limits[0] - grid) / transition) + onset((grid - item.limits[1]) / transition)
+        joint, scale = build.carriers[item.coordinate]
+        _spring(build, joint, 0.0, 0.0, float(share.min()) * item.damping / scale**2)
+        path = f"/forceset/{item.name}"
+        if errors:
+            rule = "springs whose force is linear in the way beyond the limits, or a cubic that never falls"
+            build.notes.append(Note(path, rule, f"{max(errors):.2g} N m or N in the coordinate's range"))
+        left = float(np.ptp(share)) * item.damping
+        if left > 0:
+            rule = "its damping beyond the limits is left out"
+            build.notes.append(Note(path, rule, f"{left:.2g} N m s or N s/m at most"))
+
+
+def onset(x: np.ndarray) -> np.ndarray:
+    """Return how much of a limit's stiffness acts, as x runs from 0 to 1 over its transition."""
+    t = np.clip(x, 0.0, 1.0)
+    return t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
+
+
+def rising(x: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Return c >= 0 of the best c[0] x + c[1] x^2 + c[2] x^3: it falls nowhere, beyond the samples either."""
+    best, least = np.zeros(3), np.inf
+    for powers in (p for count in (1, 2, 3) for p in itertools.combinations(range(3), count)):
+        basis = x[:, None] ** (np.array(powers) + 1)
+        found = np.linalg.lstsq(basis, force)[0]
+        error = float(np.linalg.norm(basis @ found - force))
+        if (found >= 0).all() and error < least:
+            best, least = np.zeros(3), error
+            best[list(powers)] = found
+    return best
 
 
 def _add_bushing(build: Build, bushing: Bushing) -> None:
-    """Add springs on the coordinates of the joint at which a bushing sits, if it sits at one."""
-    path = f"/forceset/{bushing.name}"
+    """Add springs on the joints of the OpenSim joint at which a bushing sits, else what a tendon can do."""
+    path, spanned = f"/forceset/{bushing.name}", _spanned(build, bushing)
+    if spanned is None:
+        _add_bushing_between(build, bushing, path)
+        return
+    joint, forward = spanned
+    for index, move in enumerate(joint.moves):
+        if (joint.name, index) not in build.shown:
+            continue  # it stands still
+        name, sign, offset = build.shown[joint.name, index]
+        along = move.axis**2
+        if move.kind == "hinge":
+            stiffness, damping = along @ bushing.rotational_stiffness, along @ bushing.rotational_damping
+        else:
+            stiffness, damping = (
+                along @ bushing.translational_stiffness,
+                along @ bushing.translational_damping,
+            )
+        _spring(build, name, -sign * offset, float(stiffness), float(damping))
+    rule = "springs and dampers on the joints between its frames"
+    build.notes.append(Note(path, rule, "0" if forward and _along_axes(joint) else "exact for small angles"))
+
+
+def _spanned(build: Build, bushing: Bushing) -> tuple[Joint, bool] | None:
+    """Return the joint whose frames are a bushing's, and whether its first frame is the parent's."""
+    given = list(zip(bushing.bodies, bushing.frames, strict=True))
     for joint in build.model.joints.values():
         ends = [(joint.parent, joint.parent_frame), (joint.child, joint.child_frame)]
-        given = list(zip(bushing.bodies, bushing.frames, strict=True))
-        for order in (given, given[::-1]):
+        for forward in (True, False):
             if all(
                 a[0] == b[0]
                 and np.abs(a[1].position - b[1].position).max() < SAME
                 and np.abs(a[1].rotation - b[1].rotation).max() < SAME
-                for a, b in zip(ends, order, strict=True)
+                for a, b in zip(ends, given if forward else given[::-1], strict=True)
             ):
-                for move in joint.moves:
-                    axis = int(np.argmax(np.abs(move.axis)))
-                    if move.coordinate is None or np.abs(move.axis).max() < 1 - SAME:
-                        continue
-                    angle = move.kind == "hinge"
-                    stiffness = (bushing.rotational_stiffness if angle else bushing.translational_stiffness)[
-                        axis
-                    ]
-                    damping = (bushing.rotational_damping if angle else bushing.translational_damping)[axis]
-                    name = f"{bushing.name}-{move.coordinate}"
-                    fixed_tendon(build, name, move.coordinate, (0.0, 0.0), float(stiffness), float(damping))
-                build.notes.append(
-                    Note(path, "springs on the coordinates of its joint; exact for small angles")
-                )
-                return
-    build.notes.append(Note(path, "a bushing whose frames are not those of a joint; left out"))
+                return joint, forward
+    return None
+
+
+def _along_axes(joint: Joint) -> bool:
+    """Whether a joint slides along axes, then turns about x, y, z in this order, as a bushing does."""
+    numbers = []
+    for move in joint.moves:
+        axis = int(np.argmax(np.abs(move.axis)))
+        if np.abs(move.axis).max() < 1 - SAME:
+            return False
+        numbers.append(axis if move.kind == "slide" else 3 + axis)
+    slides = [number for number in numbers if number < 3]
+    hinges = [number for number in numbers if number >= 3]
+    return numbers == slides + hinges and hinges == sorted(set(hinges)) and len(slides) == len(set(slides))
+
+
+def _add_bushing_between(build: Build, bushing: Bushing, path: str) -> None:
+    """Add a spring from point to point for a bushing that is as stiff in all directions; the rest is lost."""
+    stiffness = bushing.translational_stiffness
+    alike = bool(np.ptp(stiffness) <= SAME * stiffness.max())
+    if alike and stiffness[0] > 0:
+        tendon = build.spec.add_tendon(name=build.free_name("tendon", bushing.name))
+        for body, frame, side in zip(bushing.bodies, bushing.frames, "12", strict=True):
+            site = build.free_name("site", f"{bushing.name}-{side}")
+            build.bodies[body].add_site(name=site, pos=frame.position, size=[0.002] * 3, group=4)
+            tendon.wrap_site(site)
+        tendon.stiffness[0], tendon.springlength = stiffness[0], (0.0, 0.0)
+        build.notes.append(Note(path, "a spring from point to point", "0"))
+    lost = {
+        "translational stiffness": not alike,
+        "rotational stiffness": bushing.rotational_stiffness.any(),
+        "damping": bushing.translational_damping.any() or bushing.rotational_damping.any(),
+    }
+    if any(lost.values()):
+        said = ", ".join(what for what, gone in lost.items() if gone)
+        rule = f"its frames are not those of a joint; left out: {said}"
+        build.notes.append(Loss(path, rule, code="BushingForce"))
 
 
 def _add_constraints(build: Build) -> None:

@@ -1,7 +1,9 @@
 """Vlt2 and Vlt3: lengths, moment arms and forces of the compiled model against the reference.
 
-Everything is evaluated in held-out random poses. OpenSim has two senses of a moment arm (see
-`moment_arm`); samples where they differ are counted, and errors are stated with and without them.
+Everything is evaluated in held-out random poses. OpenSim has two senses of a moment arm (see `moment_arm`).
+Where they agree, its `computeMomentArm` is the judge; where they do not, minus the slope of its length is,
+which is what a muscle of that length does. A sample is left out only if the reference has no number, or its
+length jumps; such samples are counted, and what has no sample left has no figure.
 """
 
 from collections.abc import Sequence
@@ -17,30 +19,57 @@ from myowarp.opensim.wrap.moment_arm import PRESENT, Poses, Reference
 
 Array = np.ndarray
 
+JUMP = 3.0
+"""[m], or 1 along a slide: a slope that no muscle has; the length jumps within the difference."""
+SIGN = 1e-3
+"""[m] of moment arm beyond which a wrong sign counts."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Sizes of errors over samples, each NaN where no sample was left; infinite where one is no number."""
+
+    rms: float
+    p95: float
+    """95th percentile of the absolute value."""
+    worst: float
+
+    @classmethod
+    def of(cls, errors: Array) -> "Spread":
+        """Return the spread of errors of any shape."""
+        sizes = np.nan_to_num(np.abs(errors), nan=np.inf, posinf=np.inf).ravel()
+        if not sizes.size:
+            return cls(np.nan, np.nan, np.nan)
+        # Of several infinite values the percentile would be no number.
+        p95 = np.sort(sizes)[int(np.ceil(0.95 * sizes.size)) - 1]
+        return cls(float(np.sqrt(np.mean(sizes**2))), float(p95), float(sizes.max()))
+
 
 @dataclass(frozen=True)
 class MomentArmError:
-    """A muscle or another path and a coordinate; root mean squares over the poses of the check [m].
+    """A muscle or another path and a coordinate, over the poses of the check [m].
 
     Attributes:
         muscle: Name.
         coordinate: Name.
-        rms: Against `computeMomentArm`, consistent samples.
-        rms_slope: Against the slope of the length, consistent samples.
-        rms_all: Against `computeMomentArm`, all samples.
-        rms_slope_all: Against the slope of the length, all samples.
-        peak: Greatest moment arm of the reference [m].
-        inconsistent: Share of samples in which the two senses differ.
+        error: Of all samples but those left out.
+        consistent: Of samples in which OpenSim's two senses agree.
+        computed: Of samples where OpenSim computes one, against that alone.
+        wrong_signs: Share of judged samples with a sign other than the reference's, where this is over 1 mm.
+        peak: Greatest moment arm of the reference, NaN where it has none.
+        inconsistent: Share of samples judged by the slope, because the two senses differ.
+        excluded: Share of samples left out.
     """
 
     muscle: str
     coordinate: str
-    rms: float
-    rms_slope: float
-    rms_all: float
-    rms_slope_all: float
+    error: Spread
+    consistent: Spread
+    computed: Spread
+    wrong_signs: float
     peak: float
     inconsistent: float
+    excluded: float
 
 
 @dataclass(frozen=True)
@@ -49,21 +78,21 @@ class MuscleError:
 
     Attributes:
         muscle: Name.
-        length: Root mean square over the poses of the check [m].
-        force: Root mean square over lengths of these poses and five activations, at the same length.
+        length: Over the poses of the check [m].
+        force: Over lengths of these poses and five activations, at the same length.
         force_full: The same at activation 1.
-        force_in_pose: As `force`, with the converted path's own length in each pose.
-        force_max: Greatest difference at the same length.
+        force_in_pose: As `force`, at the converted path's own length in each pose.
         force_peak: Greatest force of the reference in these poses.
+        excluded: Share of poses in which the reference has no length or force.
     """
 
     muscle: str
-    length: float
-    force: float
-    force_full: float
-    force_in_pose: float
-    force_max: float
+    length: Spread
+    force: Spread
+    force_full: Spread
+    force_in_pose: Spread
     force_peak: float
+    excluded: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,23 +138,28 @@ def moment_arm_errors(
         tendon = model.tendon(name).id
         for coordinate in reference.moment_arm:
             one = _pair(name, coordinate, reference, found.moment_arm[:, tendon, free.index(coordinate)])
-            if one.peak > PRESENT:
+            if not one.peak <= PRESENT:  # one that is no number is shown, too
                 errors.append(one)
     return errors
 
 
 def _pair(muscle: str, coordinate: str, reference: Reference, found: Array) -> MomentArmError:
     arm, slope = reference.moment_arm[coordinate], reference.slope[coordinate]
-    kept = reference.consistent(coordinate)
+    agreed = reference.consistent(coordinate)
+    judge = np.where(agreed, arm, slope)
+    kept = np.isfinite(judge) & np.isfinite(reference.length) & (agreed | (np.abs(judge) <= JUMP))
+    wrong = (judge * found < 0) & (np.abs(judge) > SIGN)
+    known = arm[np.isfinite(arm)]
     return MomentArmError(
         muscle,
         coordinate,
-        rms=_rms((found - arm)[kept]),
-        rms_slope=_rms((found - slope)[kept]),
-        rms_all=_rms(found - arm),
-        rms_slope_all=_rms(found - slope),
-        peak=float(np.abs(arm).max()),
-        inconsistent=float(1 - kept.mean()),
+        error=Spread.of((found - judge)[kept]),
+        consistent=Spread.of((found - arm)[agreed]),
+        computed=Spread.of((found - arm)[np.isfinite(arm)]),
+        wrong_signs=float(wrong[kept].mean()) if kept.any() else np.nan,
+        peak=float(np.abs(known).max()) if known.size else np.nan,
+        inconsistent=float(np.mean(kept & ~agreed)),
+        excluded=float(1 - kept.mean()),
     )
 
 
@@ -135,16 +169,17 @@ def muscle_errors(model: mujoco.MjModel, fits: Sequence[MuscleFit], found: Motio
     for fit in fits:
         expected, own = fit.expected, found.length[:, model.tendon(fit.name).id]
         reference = expected.random.length
-        same, there = (engine_force(fit, lengths) - expected.forces for lengths in (reference, own))
+        kept = np.isfinite(reference) & np.isfinite(expected.forces).all(axis=1)
+        same, there = ((engine_force(fit, lengths) - expected.forces)[kept] for lengths in (reference, own))
         errors.append(
             MuscleError(
                 fit.name,
-                length=_rms(own - reference),
-                force=_rms(same),
-                force_full=_rms(same[:, -1]),
-                force_in_pose=_rms(there),
-                force_max=float(np.abs(same).max()),
-                force_peak=float(expected.forces.max()),
+                length=Spread.of((own - reference)[kept]),
+                force=Spread.of(same),
+                force_full=Spread.of(same[:, -1]),
+                force_in_pose=Spread.of(there),
+                force_peak=float(expected.forces[kept].max()) if kept.any() else np.nan,
+                excluded=float(1 - kept.mean()),
             )
         )
     return errors
@@ -164,8 +199,3 @@ def engine_force(fit: MuscleFit, lengths: Array) -> Array:
     ]
     parts = -np.array(rows)
     return (parts[:, :1] * ACTIVATIONS + parts[:, 1:]) / fit.max_isometric_force
-
-
-def _rms(values: Array) -> float:
-    """Return a root mean square; 0 of nothing."""
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

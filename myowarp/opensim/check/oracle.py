@@ -1,14 +1,18 @@
-"""OpenSim itself as the reference of the check: lengths and moment arms from its Python wheel.
+"""OpenSim itself as the reference of the check: lengths, moment arms and dynamics from its Python wheel.
 
 Poses are set coordinate by coordinate, couplers evaluated by us: OpenSim would assemble the model anew at
 each, which is a hundred times slower and agrees to 1e-7 rad.
 """
 
+import importlib.util
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from myowarp.opensim.functions import derivatives
+from myowarp.opensim.kinematics import complete, independent
 from myowarp.opensim.model import Model
 from myowarp.opensim.wrap.moment_arm import STEP, Poses, Reference
 
@@ -16,6 +20,91 @@ Array = np.ndarray
 
 PULLING = ("PathActuator", "Ligament", "Blankevoort1991Ligament", "PathSpring")
 """OpenSim's classes with a path; a muscle is a path actuator."""
+
+OTHER_SPEEDS = ("BallJoint", "EllipsoidJoint", "FreeJoint", "ScapulothoracicJoint")
+"""Joints whose speeds are no derivatives of their coordinates in OpenSim."""
+
+
+def speaks_of_dynamics(model: Model) -> bool:
+    """Whether OpenSim is installed, and its speeds are the derivatives of this model's coordinates."""
+    installed = importlib.util.find_spec("opensim") is not None
+    return installed and all(joint.type not in OTHER_SPEEDS for joint in model.joints.values())
+
+
+def opened(source: Path) -> tuple[Any, Any]:
+    """Return OpenSim's module, and the model of a file.
+
+    Raises:
+        ValueError: OpenSim is not installed, or does not read the file.
+    """
+    try:
+        import opensim
+    except ImportError as error:
+        raise ValueError("reference opensim needs OpenSim; pip install 'myowarp[opensim]'") from error
+    opensim.Logger.setLevelString("Off")
+    try:
+        return opensim, opensim.Model(str(source))
+    except RuntimeError as error:
+        raise ValueError(f"{source}: OpenSim does not load it: {' '.join(str(error).split())}") from error
+
+
+def opensim_equations(
+    source: Path, model: Model, values: Mapping[str, Array], speeds: Array
+) -> tuple[Array, Array]:
+    """Return what `dynamics.equations` does, from accelerations that OpenSim has under unit forces.
+
+    Raises:
+        ValueError: OpenSim is not installed, or does not read the file.
+    """
+    opensim, loaded = opened(source)
+    free = independent(model)
+    for index in range(loaded.getForceSet().getSize()):
+        loaded.updForceSet().get(index).set_appliesForce(False)
+    motors = [opensim.CoordinateActuator(name) for name in free]
+    for motor, name in zip(motors, free, strict=True):
+        motor.setName(f"check-{name}")
+        motor.setOptimalForce(1.0)
+        loaded.addForce(motor)
+    state = loaded.initSystem()
+    coupling = {coupler.name for coupler in model.couplers.values()}
+    constraints = loaded.getConstraintSet()
+    for constraint in (constraints.get(index) for index in range(constraints.getSize())):
+        if constraint.getName() not in coupling:
+            constraint.setIsEnforced(state, False)
+    coordinates = {name: loaded.getCoordinateSet().get(name) for name in model.coordinates}
+    for motor in motors:
+        motor.overrideActuation(state, True)
+        motor.setOverrideActuation(state, 0.0)
+    count = len(speeds)
+    value, rate = complete(model, values, count), {name: np.zeros(count) for name in model.coordinates}
+    rate |= {name: speeds[:, number] for number, name in enumerate(free)}
+    waiting = dict(model.couplers)
+    while waiting:
+        for name in [name for name, coupler in waiting.items() if coupler.independent not in waiting]:
+            coupler = waiting.pop(name)
+            slope = derivatives(coupler.function, value[coupler.independent])[1]
+            rate[name] = slope * rate[coupler.independent]
+    responses, still = np.zeros((count, len(free), len(free))), np.zeros((count, len(free)))
+
+    def accelerations() -> list[float]:
+        loaded.realizeAcceleration(state)
+        return [coordinates[name].getAccelerationValue(state) for name in free]
+
+    for index in range(count):
+        for name, coordinate in coordinates.items():
+            if not model.coordinates[name].locked:
+                coordinate.setValue(state, float(value[name][index]), False)
+                coordinate.setSpeedValue(state, float(rate[name][index]))
+        still[index] = accelerations()
+        for number, motor in enumerate(motors):
+            motor.setOverrideActuation(state, 1.0)
+            responses[index, :, number] = accelerations() - still[index]
+            motor.setOverrideActuation(state, 0.0)
+    known = np.isfinite(responses).all(axis=(1, 2)) & np.isfinite(still).all(axis=1)
+    M, c = np.full_like(responses, np.nan), np.full_like(still, np.nan)
+    M[known] = np.linalg.inv(responses[known])
+    c[known] = -np.einsum("njk,nk->nj", M[known], still[known])
+    return M, c
 
 
 def opensim_references(
@@ -32,16 +121,8 @@ def opensim_references(
     Raises:
         ValueError: OpenSim is not installed, or does not read the file.
     """
-    try:
-        import opensim
-    except ImportError as error:
-        raise ValueError("reference opensim needs OpenSim; pip install 'myowarp[opensim]'") from error
-    opensim.Logger.setLevelString("Off")
-    try:
-        loaded = opensim.Model(str(source))
-        state = loaded.initSystem()
-    except RuntimeError as error:
-        raise ValueError(f"{source}: OpenSim does not load it: {' '.join(str(error).split())}") from error
+    opensim, loaded = opened(source)
+    state = loaded.initSystem()
     coordinates = {name: loaded.getCoordinateSet().get(name) for name in model.coordinates}
     classes = [getattr(opensim, name) for name in PULLING]
     forces = [loaded.getForceSet().get(name) for name in along]

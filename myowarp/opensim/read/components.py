@@ -5,7 +5,7 @@ from types import MappingProxyType
 from typing import Any
 
 from myowarp.opensim.elements import Shape
-from myowarp.opensim.model import Coupler, Note
+from myowarp.opensim.model import Coupler, Loss, Note
 from myowarp.opensim.read import forces as read_forces
 from myowarp.opensim.read import muscles as read_muscles
 from myowarp.opensim.read.document import Element
@@ -36,6 +36,7 @@ READERS: dict[str, tuple[str, Callable[[Element, Scope], Any]]] = {
 
 MAX_CHAIN = 30  # couplers in series; composed functions are evaluated recursively
 
+FIELDS = tuple(dict.fromkeys(field for field, _ in READERS.values()))
 MAPPINGS = ("couplers", "muscles", "ligaments", "markers")
 """Fields that are looked up by name; the others are tuples."""
 
@@ -43,9 +44,25 @@ INERT = (*FRAMES, "Station", "IMU", "FrameGeometry", "ModelVisualPreferences")
 """Components that others refer to, or that only record or show."""
 
 
+CONTACT = ("HuntCrossleyForce", "ElasticFoundationForce", "SmoothSphereHalfSpaceForce")
+"""Forces between contact geometries; MuJoCo's own contact of the same geometry takes their place."""
+
+
+def unread(path: str, element: Element) -> Note:
+    """Return what is said of a component that nobody reads."""
+    rule = f"{element.tag} has no counterpart; left out"
+    where = path.split("/")[1]
+    if where in ("controllerset", "probeset"):
+        return Note(path, rule, "0: commands or records, and is no part of the body")
+    if element.tag in CONTACT:
+        return Loss(path, rule, code=element.tag, effect="contact")
+    constraint = where == "constraintset" or element.tag.endswith("Constraint")
+    return Loss(path, rule, code=element.tag, effect="motion" if constraint else "force")
+
+
 def read_components(components: list[tuple[str, Element]], scope: Scope) -> dict[str, Any]:
     """Return the fields of `Model` that `READERS` fills; what nobody reads gets a note."""
-    found: dict[str, dict[str, Any]] = {field: {} for field, _ in READERS.values()}
+    found: dict[str, dict[str, Any]] = {field: {} for field in FIELDS}
     for path, element in components:
         if element.tag in READERS:
             field, read = READERS[element.tag]
@@ -58,13 +75,17 @@ def read_components(components: list[tuple[str, Element]], scope: Scope) -> dict
                 # Names of markers need not differ, and two couplers may want one coordinate.
                 if field == "couplers":
                     raise element.error(f"drives coordinate {key!r}, as {found[field][key].name!r} does")
-                scope.notes.append(Note(path, f"a second {element.tag} of that name; left out"))
+                again = f"a second {element.tag} of that name; left out"
+                scope.notes.append(
+                    Note(path, again) if field == "markers" else Loss(path, again, code=element.tag)
+                )
                 continue
             found[field][key] = item
             if element.tag == "ActivationCoordinateActuator":
-                scope.notes.append(Note(path, "its activation dynamics are left out; it acts at once"))
+                rule = "its activation dynamics are left out; it acts at once"
+                scope.notes.append(Loss(path, rule, code=element.tag, effect="control"))
         elif element.tag not in (*INERT, *JOINTS, *read_forces.SHAPES):
-            scope.notes.append(Note(path, f"{element.tag} has no counterpart; left out"))
+            scope.notes.append(unread(path, element))
     _refuse_cycles(found["couplers"], components)
     return {
         field: MappingProxyType(items) if field in MAPPINGS else tuple(items.values())

@@ -48,14 +48,14 @@ def function_in(owner: Element, *tags: str) -> Function | None:
     return None
 
 
-def _knots(element: Element, least: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return x and y."""
+def _knots(element: Element, least: int, repeat: bool = False) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return x and y; x ascends, and may repeat where OpenSim has a rule for it."""
     x, y = element.numbers("x"), element.numbers("y")
     if len(x) != len(y) or len(x) < least:
         raise element.error(f"must have at least {least} knots, as many x as y, got {len(x)} and {len(y)}")
     if len(x) > MAX_KNOTS:
         raise element.unsupported(f"has {len(x)} knots; at most {MAX_KNOTS} are supported")
-    if (np.diff(x) <= 0).any():
+    if (np.diff(x) < 0).any() or not (repeat or np.diff(x).all()):
         raise element.error("must have knots with ascending x")
     return tuple(x.tolist()), tuple(y.tolist())
 
@@ -109,7 +109,7 @@ def _piecewise_constant(element: Element) -> Function:
 
 
 def _simm_spline(element: Element) -> Function:
-    return SimmSpline(*_knots(element, 2))
+    return SimmSpline(*_knots(element, 2, repeat=True))
 
 
 READERS: dict[str, Callable[[Element], Function]] = {

@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 
 from myowarp.opensim.elements import Pose
-from myowarp.opensim.model import GROUND, Body, Constraint, Coordinate, Joint, Model, Note
+from myowarp.opensim.model import GROUND, Body, Constraint, Coordinate, Joint, Loss, Model, Note
 from myowarp.opensim.read.components import READERS, read_components, read_shapes
 from myowarp.opensim.read.document import Element, parse
 from myowarp.opensim.read.frames import Frames
@@ -60,6 +60,7 @@ def read_model(path: Path) -> Model:
     wraps, more = read_wraps(model, frames)
     notes += more
     found = read_components(components, Scope(frames, coordinates, wraps, notes))
+    notes += _inside(model, components)
     here = Pose(np.zeros(3), np.eye(3))
     closed = [Constraint(copy, "weld", (body, copy), (here, here)) for copy, body in copies.items()]
     found["constraints"] = (*found["constraints"], *closed)
@@ -134,6 +135,17 @@ def _components(model: Element) -> list[tuple[str, Element]]:
                 element.attributes["name"] = f"{base}_{number - 1}" if number else base
             names.add(element.name)
     return [(f"/{name}/{element.name}", element) for name, element in listed]
+
+
+def _inside(model: Element, components: list[tuple[str, Element]]) -> list[Note]:
+    """Return what is lost because it is listed inside of another component."""
+    listed = {id(element) for _, element in components}
+    rule = "is listed inside of another component; left out"
+    return [
+        Loss(f"/{element.name}", f"{element.tag} {rule}", code=element.tag)
+        for element in model.walk()
+        if element.tag in READERS and element.tag != "Marker" and id(element) not in listed
+    ]
 
 
 def _is_body(element: Element) -> bool:

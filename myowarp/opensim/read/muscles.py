@@ -103,7 +103,8 @@ def read_muscle(element: Element, scope: Scope) -> Muscle:
         ("optimal_fiber_length", 1e-6, math.inf),
         ("tendon_slack_length", 0.0, math.inf),
         ("pennation_angle_at_optimal", -math.pi / 2, math.pi / 2),
-        ("max_contraction_velocity", 1e-6, math.inf),
+        # Where a class has a time scale, that alone says how fast it is.
+        ("max_contraction_velocity", 0.0 if "time_scale" in values else 1e-6, math.inf),
     ):
         if not low <= values[name] <= high:
             raise element.error(f"must have {name} from {low:g} to {high:g}, got {values[name]:g}")

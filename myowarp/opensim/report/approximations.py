@@ -36,11 +36,11 @@ def approximations(
         if not rule:
             continue
         off = np.abs(found.length[:, compiled.tendon(name).id] - references[name].length)
-        worst = max((pair.rms_all for pair in arms if pair.muscle == name), default=0.0)
+        worst = max((pair.computed.rms for pair in arms if pair.muscle == name), default=0.0)
         bound = f"length {1e3 * off.max():.2g} mm at most, moment arms {1e3 * worst:.2g} mm root mean square"
         notes.append(Note(f"/forceset/{name}", rule, bound))
     for muscle in muscles:
-        bound = f"{100 * muscle.force_max:.2g} % of max_isometric_force at most, at rest"
+        bound = f"{100 * muscle.force.worst:.2g} % of max_isometric_force at most, at rest"
         rule = f"{model.muscles[muscle.muscle].type} became MuJoCo's muscle, its tendon rigid"
         notes.append(Note(f"/forceset/{muscle.muscle}", rule, bound))
     return notes

@@ -78,6 +78,13 @@ def colors(values: Array, signed: bool) -> Array:
     return np.round(ramp[low] + (place - low)[..., None] * (ramp[low + 1] - ramp[low])).astype(np.uint8)
 
 
+def legible(color: Array) -> str:
+    """Return the style of a cell with a background (red, green, blue), its text light on what is dark."""
+    red, green, blue = (int(part) for part in color)
+    text = "" if 0.299 * red + 0.587 * green + 0.114 * blue > 140 else ";color:#fff"
+    return f"background:rgb({red},{green},{blue}){text}"
+
+
 def png(pixels: Array) -> bytes:
     """Return an image of bytes (height, width, 3) as PNG."""
     height, width, _ = pixels.shape

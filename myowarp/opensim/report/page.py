@@ -8,7 +8,10 @@ import mujoco
 import numpy as np
 
 from myowarp.opensim.build.convert import Converted
-from myowarp.opensim.report.charts import Line, chart, colored_map, colors, outline
+from myowarp.opensim.check.dynamics import Dynamics
+from myowarp.opensim.report.charts import Line, chart, colored_map, colors, legible, outline
+from myowarp.opensim.report.data import left_out
+from myowarp.opensim.report.dynamics import dynamics_section, engines_table
 
 if TYPE_CHECKING:
     from myowarp.opensim.fit import Samples
@@ -31,7 +34,7 @@ h1 { font-size: 1.5rem; margin-bottom: .2rem } h2 { font-size: 1.15rem; margin: 
 h3 { font-size: 1rem; margin: 1.4rem 0 0 } p { max-width: 60rem; margin: .2rem 0 .5rem }
 table { border-collapse: collapse; font-size: 12px; font-variant-numeric: tabular-nums }
 th, td { padding: .15rem .5rem; text-align: right; border-bottom: 1px solid #e8eaed } th { font-weight: 600 }
-th:first-child, td:first-child, td.text { text-align: left } .wide { overflow-x: auto }
+th:first-child, td:first-child, td.text, th.text { text-align: left } .wide { overflow-x: auto }
 th.across { writing-mode: vertical-rl; transform: rotate(180deg); text-align: left; padding: .4rem .15rem }
 .good { color: #1b7f3b } .bad { color: #b3261e; font-weight: 600 } .note { color: #5f6670 }
 .legend span { margin-right: 1.4rem }
@@ -41,6 +44,9 @@ svg polyline { fill: none; stroke-linejoin: round }
 svg .x { text-anchor: middle } svg .y { text-anchor: end } svg .axis { fill: none; stroke: #9aa0a8 }
 svg .axis text { fill: #4a4f57; stroke: none } .reference { stroke: #f0b27a; stroke-width: 5 }
 .slope { stroke: #4a4f57; stroke-width: 1; stroke-dasharray: 2 2 } .own { stroke: #1f5fa8; stroke-width: 1.5 }
+.step { stroke: #1f5fa8; stroke-width: 1.5 } .xml { stroke: #b3261e; stroke-width: 1.2 }
+.mjb { stroke: #1b7f3b; stroke-width: 1.5; stroke-dasharray: 5 2 }
+.step-key { color: #1f5fa8 } .mjb-key { color: #1b7f3b } .xml-key { color: #b3261e }
 .edge { stroke: #9aa0a8; stroke-width: 11; stroke-linecap: round }
 .bone { stroke: #eceef1; stroke-width: 9; stroke-linecap: round }
 .tendon { stroke-width: 1.6; stroke-linecap: round } .joint { fill: #4a4f57 }
@@ -58,6 +64,7 @@ def page(
     model: mujoco.MjModel,
     fits: "Fits",
     samples: "Samples | None",
+    dynamics: Dynamics,
 ) -> str:
     """Return the page of a conversion; `report` is the content of report.json."""
     title = escape(f"{report['name']}: OpenSim to MuJoCo")
@@ -66,8 +73,11 @@ def page(
         f"<h1>{title}</h1>",
         f'<p class="note">{escape(report["source"])}, document {report["document"]}, sha256 '
         f"{report['sha256'][:16]}; {escape(_counts(report['counts']))}.</p>",
+        _left_out(report),
+        f"<h2>Accelerations</h2>{engines_table(report)}",
         _gates(report),
         f"<h2>Default pose</h2>{_pictures(model)}",
+        dynamics_section(report, dynamics),
     ]
     if samples is not None:
         parts += [_heat(report), _muscles(converted, model, fits.muscles, samples, report)]
@@ -82,47 +92,118 @@ def _counts(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{number} {name}" for name, number in counts.items())
 
 
+def _left_out(report: Mapping[str, Any]) -> str:
+    """Return what acts in OpenSim and not here."""
+    rows = "".join(
+        f'<tr><td class="bad">{escape(code)}</td><td class="text">{escape(said)}</td>'
+        f'<td class="text">{escape(rules)}</td><td class="text">{escape(paths)}</td></tr>'
+        for code, said, rules, paths in left_out(report["left_out"])
+    )
+    if not rows:
+        return '<h2>Left out</h2><p class="good">Nothing that acts in OpenSim was left out.</p>'
+    head = "<tr><th>code</th>" + "".join(f'<th class="text">{name}</th>' for name in LEFT_OUT) + "</tr>"
+    return (
+        "<h2>Left out</h2><p>This acts in OpenSim and not, or not as there, in the converted model. Greatest "
+        f"forces are those in random poses at rest.</p><table>{head}{rows}</table>"
+    )
+
+
 def _gates(report: Mapping[str, Any]) -> str:
     """Return the table of figures with their gates, and of the figures without."""
     rows = []
     for gate in report["gates"]:
         unit, (style, word) = escape(gate["unit"]), MARKS[gate["passed"]]
+        value = "no number" if gate["value"] is None else f"{gate['value']:.3g} {unit}"
         rows.append(
-            f"<tr><td>{escape(gate['name'])}</td><td>{gate['value']:.3g} {unit}</td>"
-            f'<td>{gate["bound"]:g} {unit}</td><td class="{style}">{word}</td></tr>'
+            f"<tr><td>{escape(gate['name'])}</td><td>{value}</td><td>{gate['bound']:g} {unit}</td>"
+            f'<td class="{style}">{word}</td><td class="text">{escape(gate["where"])}</td></tr>'
         )
-    table = f"<table><tr><th>figure</th><th>value</th><th>gate</th><th></th></tr>{''.join(rows)}</table>"
+    head = '<tr><th>figure</th><th>value</th><th>gate</th><th></th><th class="text">where</th></tr>'
+    table = f"<table>{head}{''.join(rows)}</table>"
     rows = []
-    for group, scale, unit in (("moment_arms", 1e3, "mm"), ("muscles", 100, "%")):
-        for name, values in report[group]["summary"].items():
-            factor, shown = (
-                (1e3, "mm") if name == "length" else (100, "%") if name == "inconsistent" else (scale, unit)
-            )
-            cells = "".join(f"<td>{factor * values[key]:.3g}</td>" for key in ("mean", "median", "max"))
-            rows.append(f"<tr><td>{escape(FIGURES[name])} [{shown}]</td>{cells}</tr>")
+    for group, figures in (("moment_arms", ARMS), ("muscles", MUSCLES)):
+        for name, (said, factor, unit) in figures.items():
+            if name in (summary := report[group]["summary"]):
+                shown = (_number(summary[name][key], factor) for key in ("mean", "median", "max"))
+                cells = "".join(f"<td>{cell}</td>" for cell in shown)
+                rows.append(f"<tr><td>{escape(said)} [{unit}]</td>{cells}</tr>")
     if rows:
         head = "<tr><th>muscles, or muscles and coordinates</th><th>mean</th><th>median</th><th>max</th></tr>"
-        poses = report["muscles"]["poses"]
+        poses, arms = report["muscles"]["poses"], report["moment_arms"]
         table += (
-            f"<h2>Muscles in {poses} held-out random poses</h2><p>Every coordinate varies over "
-            f"its full range. Inconsistent: the two senses of OpenSim's moment arm differ by more than "
-            f"0.1 mm. Forces in % of the maximum isometric force.</p><table>{head}{''.join(rows)}</table>"
+            f"<h2>Muscles in {poses} held-out random poses</h2><p>Every coordinate varies over its full "
+            f"range. Reference: {escape(arms['reference'])}; {escape(report['muscles']['reference'])}; "
+            f"frames: {escape(report['kinematics']['reference'])}. Where OpenSim's moment arm differs from "
+            "minus the slope of its own length by more than 0.1 mm, the slope is the reference. Samples are "
+            "left out where a length jumps or the reference has no number. Forces in % of the maximum "
+            f"isometric force.</p><table>{head}{''.join(rows)}</table>{_worst(report)}"
         )
     return f"<h2>Checks</h2>{table}"
 
 
-FIGURES = {
-    "rms": "moment arm, consistent samples",
-    "rms_slope": "moment arm as slope, consistent samples",
-    "rms_all": "moment arm, all samples",
-    "rms_slope_all": "moment arm as slope, all samples",
-    "inconsistent": "inconsistent samples",
-    "length": "length",
-    "force": "force over length and activation",
-    "force_full": "force, full activation",
-    "force_in_pose": "force, with the converted path's length",
-    "force_max": "force, greatest difference",
+def _number(value: float | None, factor: float) -> str:
+    return "no number" if value is None else f"{factor * value:.3g}"
+
+
+def _worst(report: Mapping[str, Any]) -> str:
+    """Return the muscles with the greatest errors at their own length, with their worst coordinate."""
+    pairs: dict[str, list[Any]] = {}
+    for pair in report["moment_arms"]["pairs"]:
+        pairs.setdefault(pair["muscle"], []).append(pair)
+
+    def size(value: float | None) -> float:
+        return np.inf if value is None else value
+
+    def rank(muscle: Mapping[str, Any]) -> float:
+        return max(size(muscle["length"]["rms"]) / 3e-3, size(muscle["force_in_pose"]["rms"]) / 0.1)
+
+    rows = []
+    for muscle in sorted(report["muscles"]["each"], key=rank, reverse=True)[:WORST_MUSCLES]:
+        own = pairs.get(muscle["muscle"], [])
+        pair = max(own, key=lambda pair: size(pair["error"]["rms"]), default=None)
+        arm = "" if pair is None else f"{_number(pair['error']['rms'], 1e3)} ({escape(pair['coordinate'])})"
+        figures = [(muscle["length"][key], 1e3) for key in ("rms", "p95")]
+        figures += [(muscle["force_in_pose"][key], 100) for key in ("rms", "p95")]
+        cells = "".join(f"<td>{_number(*figure)}</td>" for figure in figures)
+        name = escape(muscle["muscle"])
+        rows.append(f'<tr><td><a href="#{name}">{name}</a></td>{cells}<td class="text">{arm}</td></tr>')
+    if not rows:
+        return ""
+    heads = (
+        "length RMS [mm]",
+        "95th percentile",
+        "force RMS [%]",
+        "95th percentile",
+        "worst moment arm [mm]",
+    )
+    head = "".join(f"<th>{name}</th>" for name in heads)
+    return f"<h3>Worst muscles</h3><table><tr><th></th>{head}</tr>{''.join(rows)}</table>"
+
+
+ARMS = {
+    "rms": ("moment arm, RMS", 1e3, "mm"),
+    "p95": ("moment arm, 95th percentile", 1e3, "mm"),
+    "worst": ("moment arm, greatest error", 1e3, "mm"),
+    "rms_consistent": ("moment arm, RMS where OpenSim agrees with itself", 1e3, "mm"),
+    "rms_computed": ("moment arm, RMS against OpenSim's own everywhere", 1e3, "mm"),
+    "wrong_signs": ("moment arm, wrong signs above 1 mm", 100, "%"),
+    "inconsistent": ("samples judged by the slope of the length", 100, "%"),
+    "excluded": ("samples left out", 100, "%"),
 }
+"""Figures of `report.data.ARM_FIGURES`: what they are, factor, unit."""
+MUSCLES = {
+    "length": ("length, RMS", 1e3, "mm"),
+    "length_worst": ("length, greatest error", 1e3, "mm"),
+    "force": ("force at OpenSim's length, RMS", 100, "%"),
+    "force_full": ("force at OpenSim's length, full activation, RMS", 100, "%"),
+    "force_in_pose": ("force at the converted path's length, RMS", 100, "%"),
+    "force_in_pose_p95": ("force at the converted path's length, 95th percentile", 100, "%"),
+    "force_in_pose_worst": ("force at the converted path's length, greatest error", 100, "%"),
+}
+"""Of `report.data.MUSCLE_FIGURES`."""
+WORST_MUSCLES = 6
+LEFT_OUT = ("number, effect, greatest force", "what was done", "where")
+"""Columns beside the code."""
 
 
 def _pictures(model: mujoco.MjModel) -> str:
@@ -176,13 +257,14 @@ def _heat(report: Mapping[str, Any]) -> str:
             if pair is None:
                 cells.append("<td></td>")
                 continue
-            error = pair["rms"]
-            red, green, blue = colors(np.array(0.8 * error / WORST), signed=False)
-            tip = f"{muscle}, {coordinate}: all samples {1e3 * pair['rms_all']:.2g} mm, "
-            tip += f"{100 * pair['inconsistent']:.0f} % inconsistent, "
-            tip += f"greatest moment arm {1e3 * pair['peak']:.3g} mm"
-            style = f"background:rgb({red},{green},{blue})"
-            cells.append(f'<td style="{style}" title="{escape(tip)}">{1e3 * error:.2f}</td>')
+            error = pair["error"]["rms"]
+            color = colors(np.array(1.0 if error is None else 0.8 * error / WORST), signed=False)
+            tip = f"{muscle}, {coordinate}: at most {_number(pair['error']['worst'], 1e3)} mm, "
+            tip += f"{100 * pair['inconsistent']:.0f} % judged by the slope, "
+            tip += f"{100 * pair['excluded']:.0f} % left out, "
+            tip += f"greatest moment arm {_number(pair['peak'], 1e3)} mm"
+            shown = "–" if error is None else f"{1e3 * error:.2f}"
+            cells.append(f'<td style="{legible(color)}" title="{escape(tip)}">{shown}</td>')
         shown = escape(muscle)
         if muscle in drawn:
             shown = f'<a href="#{shown}">{shown}</a>'
@@ -190,7 +272,7 @@ def _heat(report: Mapping[str, Any]) -> str:
     heads = "".join(f'<th class="across">{escape(name)}</th>' for name in coordinates)
     return (
         "<h2>Moment arm errors [mm]</h2>"
-        "<p>Root mean square over consistent samples; empty: no moment arm.</p>"
+        "<p>Root mean square; empty: no moment arm.</p>"
         f'<div class="wide"><table><tr><th></th>{heads}</tr>{"".join(rows)}</table></div>'
     )
 
@@ -219,7 +301,8 @@ def _muscles(
             own = arms[name][:, model.tendon(fit.name).id]
             charts.append(_curve(converted, name, samples, sweeps[name], own))
         figure = figures[fit.name]
-        said = f"length {1e3 * figure['length']:.2g} mm, force {100 * figure['force']:.2g} %"
+        said = f"length {_number(figure['length']['rms'], 1e3)} mm, "
+        said += f"force {_number(figure['force_in_pose']['rms'], 100)} % RMS"
         sections.append(
             f'<h3 id="{escape(fit.name)}">{escape(fit.name)} <small class="note">{said}</small></h3>'
             f'<div class="wide">{"".join(charts)}</div><div class="wide">{_maps(fit)}</div>'

@@ -1,0 +1,158 @@
+"""The command `myowarp view`: a policy moves a body in the browser, and the patient can be changed."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import secrets
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import tyro
+from rich.console import Console
+
+from myowarp.apps.options import Conditions, Device, Model, OptionalTask, Physics, Policy, Reset, check_least
+
+if TYPE_CHECKING:
+    from myowarp.sim.simulation import Simulation
+    from myowarp.spec.task import TaskSpec
+    from myowarp.tasks.variants import Variant
+    from myowarp.view.browser.session import Act, Session
+
+TOKEN_BYTES = 16
+
+
+@dataclass
+class View:
+    """Show a policy in the browser: muscles in the colour of what they do, readings, traces, and the patient.
+
+    Sliders change strength, tears, fatigue, noise, exoskeleton and load of a muscle, a group or all while the
+    policy runs; "beside" shows the same body from the same state without the change. Everything stands still
+    while no page is open. Ctrl-C ends it.
+
+    Example: myowarp view myoHandReachFixed-v1 --policy baselines/myoHandReachFixed-v0
+
+    A converted model: myowarp view --model out/arm26/model.xml
+    """
+
+    task: OptionalTask = None
+    model: Model = None
+    policy: Policy = "random"
+    worlds: int = 1
+    """Worlds to choose from."""
+    conditions: Conditions = ()
+    reset: Reset = None
+    physics: Physics = "parity"
+    device: Device = None
+    seed: int = 0
+    """Seed of the first reset and of the random policy."""
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Address to listen at. Elsewhere than on this machine, the printed address holds a token."""
+    port: int = 8080
+    """Port of the page; 0 for any that is free."""
+
+    def __call__(self) -> None:
+        """Check, build, serve."""
+        if importlib.util.find_spec("viser") is None:
+            raise ImportError(
+                'myowarp view needs viser, which is not installed; run `pip install "myowarp[view]"`'
+            )
+        from myowarp.apps.rollout import find_policy
+        from myowarp.spec.task import TASKS
+        from myowarp.tasks.from_file import task_or_model
+        from myowarp.tasks.variants import variants
+        from myowarp.view.browser.live import Live
+        from myowarp.view.browser.server import (
+            LOCAL,
+            LOCAL_NAMES,
+            Gate,
+            check_port,
+            close_server,
+            open_server,
+        )
+        from myowarp.view.browser.session import Choices
+
+        check_least(1, worlds=self.worlds)
+        check_least(0, seed=self.seed)
+        variant = task_or_model(self.task, self.model)
+        find_policy(self.policy, TASKS[variant.task])
+        local = self.host in LOCAL_NAMES
+        check_port(LOCAL if local else self.host, self.port)
+        title = str(self.task).removeprefix("MyoWarp/") if self.task else str(self.model)
+        session = self._open(title, variant, self.policy)
+        choices = Choices(
+            tasks=[env_id.removeprefix("MyoWarp/") for env_id in variants()],
+            policies=policies_for,
+            acting=self._acting,
+            open=self._reopen,
+        )
+        console = Console(stderr=True, highlight=False, soft_wrap=True)
+        server = open_server(self.port if local else 0, "MyoWarp")
+        with contextlib.ExitStack() as stack:
+            stack.callback(close_server, server)
+            address = f"http://localhost:{server.get_port()}"
+            if not local:
+                token = secrets.token_urlsafe(TOKEN_BYTES)
+                gate = Gate(self.host, self.port, server.get_port(), token)
+                stack.callback(gate.close)
+                address = f"http://{self.host}:{gate.port}/?token={token}"
+            live = Live(server, session, choices)
+            console.print(f"Open {address}   (Ctrl-C ends)")
+            with contextlib.suppress(KeyboardInterrupt):
+                live.run()
+
+    def _open(self, title: str, variant: Variant, policy: str) -> Session:
+        """Return the session of a task."""
+        from myowarp.spec.task import TASKS
+        from myowarp.view.browser.session import Session
+
+        return Session(
+            title,
+            TASKS[variant.task],
+            self.worlds,
+            policy,
+            self._acting,
+            conditions=(*variant.conditions, *self.conditions),
+            device=self.device,
+            physics=self.physics,
+            reset=self.reset or variant.reset,
+            seed=self.seed,
+        )
+
+    def _reopen(self, task: str, policy: str) -> Session:
+        """Return the session of another task, with the same policy if it can act there."""
+        from myowarp.spec.task import TASKS
+        from myowarp.tasks.from_file import task_or_model
+
+        is_own = task == str(self.model)
+        variant = task_or_model(None, self.model) if is_own else task_or_model(task, None)
+        offered = policies_for(TASKS[variant.task])
+        return self._open(task, variant, policy if policy in offered else offered[0])
+
+    def _acting(self, name: str, sim: Simulation) -> Act:
+        """Return what acts, with the errors of a user's policy as one sentence."""
+        from myowarp.apps.rollout import PolicyError, acting, find_policy
+
+        act = acting(find_policy(name, sim.scene.spec), sim, self.seed)
+
+        def guarded(obs: np.ndarray) -> np.ndarray:
+            try:
+                return act(obs)
+            except PolicyError as error:
+                raise RuntimeError(f"{error} ({error.__cause__})") from error
+
+        return guarded
+
+
+def policies_for(spec: TaskSpec) -> list[str]:
+    """Return the names of the policies of the package that can act in a task, the best first."""
+    from myowarp.apps.baselines import OWN, PREFIX, baseline_tasks
+    from myowarp.apps.rollout import BUILT_IN, find_policy
+
+    found = []
+    for name in (OWN, *(f"{PREFIX}{task}" for task in baseline_tasks()), *BUILT_IN):
+        with contextlib.suppress(ValueError):
+            find_policy(name, spec)
+            found.append(name)
+    return found

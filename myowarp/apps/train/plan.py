@@ -1,0 +1,247 @@
+"""What a training is told, checked before anything is built or written."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib.util
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+
+from myowarp.apps.options import Model, OptionalTask, optional
+from myowarp.apps.train.settings import ALGORITHMS, Settings, all_settings, choose, restore
+from myowarp.disk import check_folder, check_output
+from myowarp.sim.state import State
+from myowarp.spec.condition import Condition, resolve
+from myowarp.spec.registry import check_choice
+from myowarp.spec.task import TASKS, TaskSpec
+from myowarp.tasks.from_file import task_or_model
+from myowarp.tasks.variants import Variant
+
+if TYPE_CHECKING:
+    from myowarp.apps.train.checkpoint import Checkpoint
+
+SAVE_SECONDS = 30.0  # from one checkpoint to the next
+NEEDS = ("torch", "skrl", "safetensors", "tensorboard")
+
+
+@dataclass
+class TrainOptions:
+    """What the command line says besides settings."""
+
+    task: OptionalTask = None
+    model: Model = None
+    algorithm: Annotated[Literal["ppo", "trpo", "sac"] | None, optional("{ppo,trpo,sac}")] = None
+    """Algorithm; by default ppo."""
+    output: Annotated[Path | None, optional("FOLDER")] = None
+    """New folder of the run; by default runs/<task>_<algorithm>_<seed>."""
+    resume: Annotated[Path | None, optional("FOLDER")] = None
+    """Folder of a run that is to go on; its settings hold, only --samples and when to stop may change."""
+    video: Annotated[Path | None, optional("FILE")] = None
+    """Write a video of the trained policy to this .mp4: deterministic actions, parity physics."""
+    save_seconds: float = SAVE_SECONDS
+    """Seconds from one checkpoint to the next; 0: after every iteration."""
+    wandb: bool = False
+    """Send the figures to Weights & Biases too."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run that was checked and is ready to be built.
+
+    Attributes:
+        task: What the user called the task: an id, or the path of a model's file.
+        model: Whether it is the path of a model's file.
+        variant: What its id stands for.
+        algorithm: Key in `ALGORITHMS`.
+        settings: Settings.
+        folder: Folder of the run.
+        checkpoint: What is resumed; None: nothing.
+        parent: Whose policy a new run starts from; None: networks are drawn.
+        conditions: Conditions with parameters of their own, besides those that are named.
+        patients: Conditions of the patients of `--cohort`.
+        start: States of `--start`.
+        files_read: Checksums of the files that these came from, by option.
+    """
+
+    task: str
+    model: bool
+    variant: Variant
+    algorithm: str
+    settings: Settings
+    folder: Path
+    checkpoint: Checkpoint | None = None
+    parent: Checkpoint | None = None
+    conditions: tuple[Condition, ...] = ()
+    patients: tuple[Condition, ...] = ()
+    start: State | None = None
+    files_read: dict[str, str] = field(default_factory=dict)
+
+
+def check_packages() -> None:
+    """Raise ImportError if a package that training needs is not installed."""
+    missing = [name for name in NEEDS if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ImportError(f'training needs {", ".join(missing)}; run `pip install "myowarp[train]"`')
+
+
+def plan(command: TrainOptions) -> Job:
+    """Return the run that a command asks for.
+
+    Raises:
+        ValueError: An argument is wrong; nothing was built or written.
+        ImportError: A package is not installed.
+    """
+    check_packages()
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        raise ValueError("training runs in one process; start it without torchrun (WORLD_SIZE is above 1)")
+    if not 0.0 <= command.save_seconds < float("inf"):
+        raise ValueError(f"--save-seconds must be at least 0, got {command.save_seconds}")
+    check_output(command.video, ".mp4")
+    if command.video is not None and command.video.exists():
+        raise ValueError(f"output {str(command.video)!r} exists; choose another name")
+    if command.wandb:
+        from myowarp.apps.train.progress import check_wandb
+
+        check_wandb()
+    given = {name: getattr(command, name) for name in all_settings()}
+    given = {name: value for name, value in given.items() if value is not None}
+    if command.resume is not None:
+        return _plan_resume(command, given)
+    variant = task_or_model(command.task, command.model)
+    algorithm = command.algorithm or "ppo"
+    settings = choose(TASKS[variant.task].name, algorithm, given)
+    task = command.task or str(command.model)
+    name = f"{TASKS[variant.task].key}_{algorithm}_{settings.seed}"
+    folder = command.output or Path("runs") / name
+    check_folder(folder)
+    if folder.exists() and any(folder.iterdir()):
+        raise ValueError(
+            f"output {str(folder)!r} is not empty; choose a new folder, or go on with --resume {folder}"
+        )
+    parent = _parent(settings, algorithm, TASKS[variant.task]) if settings.parent else None
+    job = Job(task, command.model is not None, variant, algorithm, settings, folder, parent=parent)
+    return _with_files(job)
+
+
+def _with_files(job: Job) -> Job:
+    """Return a run with what its patient table and its file of states hold, both checked.
+
+    Raises:
+        ValueError: A file is wrong, or does not fit to the run.
+        ImportError: A package is not installed.
+    """
+    settings, spec = job.settings, TASKS[job.variant.task]
+    patients: tuple[Condition, ...] = ()
+    if settings.cohort:
+        from myowarp.apps.cohort.columns import conditions_of
+        from myowarp.apps.cohort.plan import population_of
+
+        population = population_of(settings.cohort, spec)
+        number = len(population.patients)
+        if settings.num_worlds % number:
+            raise ValueError(
+                f"--num-worlds must be a multiple of the {number} patients of --cohort, got "
+                f"{settings.num_worlds}"
+            )
+        patients = conditions_of(population.entries, spec, settings.num_worlds // number)
+        resolve((*job.variant.conditions, *settings.conditions, *patients), spec)
+    if settings.start and not Path(settings.start).is_file():
+        raise ValueError(f"--start {settings.start!r} does not exist")
+    start = State.load(settings.start) if settings.start else None
+    if start is not None and start.task != spec.key:
+        raise ValueError(f"--start {settings.start!r} holds states of {start.task!r}, not of {spec.key!r}")
+    if start is not None and start.arrays.get("episode.ended", np.zeros(1)).any():
+        raise ValueError(f"--start {settings.start!r} holds episodes that have ended; save others")
+    return dataclasses.replace(job, patients=patients, start=start, files_read=_digests(settings))
+
+
+def _digests(settings: Settings) -> dict[str, str]:
+    """Return checksums of the files that a run reads."""
+    paths = {"cohort": settings.cohort, "start": settings.start}
+    return {k: hashlib.sha256(Path(path).read_bytes()).hexdigest() for k, path in paths.items() if path}
+
+
+def _parent(settings: Settings, algorithm: str, spec: TaskSpec) -> Checkpoint:
+    """Return the checkpoint whose policy a run starts from.
+
+    Raises:
+        ValueError: There is none, or its policy is not one that the run can train.
+    """
+    from myowarp.apps.baselines import policy_folder
+    from myowarp.apps.learned import read_policy
+    from myowarp.apps.train.checkpoint import CheckpointError
+
+    folder = policy_folder(settings.parent, spec.key)
+    if folder is None:
+        raise ValueError(f"--parent {settings.parent!r} must be a run's folder, baseline or baselines/<id>")
+    parent = read_policy(settings.parent, folder, spec)
+    theirs = parent.manifest["settings"]
+    if ("log_std" in parent.policy) != (algorithm != "sac"):
+        raise CheckpointError(
+            f"--parent {settings.parent!r} was trained by {parent.manifest['algorithm']}, whose policies "
+            f"{algorithm} cannot train"
+        )
+    for name in ("hidden", "activation"):
+        if _listed(getattr(settings, name)) != theirs[name]:
+            raise CheckpointError(
+                f"--{name} must be that of --parent {settings.parent!r}, {shown(theirs[name])}; got "
+                f"{shown(getattr(settings, name))}"
+            )
+    return parent
+
+
+def _plan_resume(command: TrainOptions, given: dict[str, Any]) -> Job:
+    """Return the run that goes on; see `plan`."""
+    from myowarp.apps.train.checkpoint import STATE, CheckpointError, load_checkpoint
+
+    folder = Path(str(command.resume))
+    checkpoint = load_checkpoint(folder)
+    manifest = checkpoint.manifest
+    if STATE not in manifest["files"]:
+        raise CheckpointError(f"checkpoint {str(folder)!r} holds a policy alone and cannot be resumed")
+    recorded = manifest["settings"]
+    task = command.task and command.task.removeprefix("MyoWarp/")
+    wanted = {"task": task, "model": command.model, "algorithm": command.algorithm, "output": command.output}
+    name = manifest["task"].removeprefix("MyoWarp/")
+    same = {"task": name, "model": name, "algorithm": manifest["algorithm"], "output": folder}
+    for what, value in wanted.items():
+        if value is not None and str(value) != str(same[what]):
+            raise ValueError(
+                f"--resume goes on with {what} {str(same[what])!r}, got {str(value)!r}; leave it out"
+            )
+    fields = all_settings()
+    for name, value in given.items():
+        if name not in recorded or (not fields[name].metadata["free"] and _listed(value) != recorded[name]):
+            flag = "--" + name.replace("_", "-")
+            raise ValueError(
+                f"--resume goes on with the settings of its run, where {flag} is {recorded.get(name)!r}, "
+                f"got {value!r}; leave it out, or start a new run"
+            )
+    check_choice("algorithm", manifest["algorithm"], ALGORITHMS)
+    settings = restore(ALGORITHMS[manifest["algorithm"]], recorded | given)
+    task, is_model, algorithm = manifest["task"], manifest["model"], manifest["algorithm"]
+    if (is_model or ":" in task) and command.task is None and command.model is None:
+        raise ValueError(
+            f"the task of the run is in the file {task!r}, which --resume opens if you name it, too"
+        )
+    variant = task_or_model(None if is_model else task, Path(task) if is_model else None)
+    job = _with_files(Job(task, is_model, variant, algorithm, settings, folder, checkpoint))
+    if (now := job.files_read) != (then := manifest.get("files_read", {})):
+        changed = next(name for name in now if now[name] != then.get(name))
+        raise ValueError(f"--{changed} {getattr(settings, changed)!r} has changed since the run began")
+    return job
+
+
+def _listed(value: Any) -> Any:
+    """Return a value as JSON gives it back."""
+    return list(value) if isinstance(value, tuple) else value
+
+
+def shown(value: Any) -> str:
+    """Return a setting's value for people."""
+    return " ".join(map(str, value)) or "none" if isinstance(value, tuple | list) else str(value) or "empty"

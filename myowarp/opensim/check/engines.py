@@ -1,0 +1,233 @@
+"""Accelerations of a converted model in what steps it: our step, and plain MuJoCo.
+
+Gravity and forces along coordinates are all that acts: muscles, springs, dampers, limits, contacts and
+constraints that close loops are off.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+import mujoco
+import numpy as np
+
+from myowarp.disk import model_digest
+from myowarp.engine.compile import compile_kernels, quiet
+from myowarp.engine.stage import applicable_stages
+from myowarp.engine.stages.free_coordinates import FreeCoordinates
+from myowarp.engine.step import physics_step
+from myowarp.models.couplings import ask, couplings
+from myowarp.opensim.mapping import CoordinateMap
+from myowarp.sim.build import compile_scene
+from myowarp.spec.body import BODIES, Body
+from myowarp.spec.task import Column, RewardTerm, TaskSpec
+
+Array = np.ndarray
+
+WORLDS = 64
+"""States that our step takes at once."""
+
+OFF = (
+    mujoco.mjtDisableBit.mjDSBL_CONTACT
+    | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+    | mujoco.mjtDisableBit.mjDSBL_SPRING
+    | mujoco.mjtDisableBit.mjDSBL_DAMPER
+)
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """n states of k independent coordinates, and what acts; each field has shape (n, k).
+
+    Attributes:
+        values: [rad] or [m].
+        speeds: [rad/s] or [m/s].
+        forces: Along them [N m] or [N].
+        gravity: Whether there is gravity, for all states.
+    """
+
+    values: Array
+    speeds: Array
+    forces: Array
+    gravity: bool = True
+
+
+class Engine(Protocol):
+    """What steps a converted model."""
+
+    def accelerations(self, states: States) -> Array:
+        """Return u'' [rad/s^2] or [m/s^2], shape (n, k)."""
+
+    def inertia(self, values: Array) -> Array | None:
+        """Return the mass matrix at coordinates (n, k), shape (n, k, k); None: only seen in accelerations."""
+
+
+class Joints:
+    """Joints of a model that show its free coordinates."""
+
+    def __init__(self, coordinates: CoordinateMap, model: mujoco.MjModel) -> None:
+        self.map, self.model = coordinates, model
+        shown = [entry for entry in coordinates.coordinates if entry.kind == "free"]
+        self.moving = np.array([entry.joint is not None for entry in shown])
+        self.joint = np.array([model.joint(entry.joint).id for entry in shown if entry.joint], int)
+        self.scale = np.array([entry.scale for entry in shown if entry.joint])
+
+    def state(self, states: States) -> tuple[Array, Array, Array]:
+        """Return qpos, qvel and qfrc_applied, each of shape (n, nv)."""
+        qpos, slope = self.map.rates(self.model, dict(zip(self.map.free(), states.values.T, strict=True)))
+        force = np.zeros_like(qpos)
+        force[:, self.joint] = states.forces[:, self.moving] / self.scale
+        return qpos, np.einsum("nij,nj->ni", slope, states.speeds), force
+
+    def coordinates(self, qacc: Array) -> Array:
+        """Return accelerations of the coordinates from those of joints; 0 for one that moves nothing."""
+        found = np.zeros((len(qacc), len(self.moving)))
+        found[:, self.moving] = qacc[:, self.joint] / self.scale
+        return found
+
+
+class PlainMuJoCo:
+    """MuJoCo C: joints that follow are held by equalities."""
+
+    def __init__(self, coordinates: CoordinateMap, model: mujoco.MjModel) -> None:
+        self.joints, self.model = Joints(coordinates, model), model
+
+    def accelerations(self, states: States) -> Array:
+        """Return u'', from `mj_forward`."""
+        model, opt = self.model, self.model.opt
+        before = opt.disableflags
+        opt.disableflags = before | OFF | mujoco.mjtDisableBit.mjDSBL_ACTUATION
+        if not states.gravity:
+            opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
+        data, qacc = mujoco.MjData(model), np.zeros((len(states.values), model.nv))
+        data.eq_active &= model.eq_type == mujoco.mjtEq.mjEQ_JOINT
+        for index, (qpos, qvel, force) in enumerate(zip(*self.joints.state(states), strict=True)):
+            data.qpos, data.qvel, data.qfrc_applied, data.qacc_warmstart = qpos, qvel, force, 0.0
+            mujoco.mj_forward(model, data)
+            qacc[index] = data.qacc
+        opt.disableflags = before
+        return self.joints.coordinates(qacc)
+
+    def inertia(self, values: Array) -> None:
+        """Return nothing: what its springs pass on is seen in accelerations."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nothing(TaskSpec):
+    """A body of which nothing is asked."""
+
+    program: ClassVar[type] = type(None)
+
+    def edit(self, spec: mujoco.MjSpec) -> None:
+        """Add nothing."""
+
+    def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
+        """Return nothing."""
+        return ()
+
+    def reward_terms(self) -> tuple[RewardTerm, ...]:
+        """Return nothing."""
+        return ()
+
+
+class OurStep:
+    """MyoWarp in float32 on the CPU: joints that follow do so exactly (`engine.stages.free_coordinates`).
+
+    Attributes:
+        exact: Whether they do; else equalities hold them, and a line was logged.
+    """
+
+    def __init__(self, coordinates: CoordinateMap, spec: mujoco.MjSpec, said: str) -> None:
+        """Compile the step of a spec, which loses all that does not act here.
+
+        Args:
+            coordinates: Of the model.
+            spec: The model; it is changed.
+            said: Its `couplings.json`; "": it has none.
+        """
+        loops = [equality for equality in spec.equalities if equality.type != mujoco.mjtEq.mjEQ_JOINT]
+        for element in (*spec.actuators, *spec.tendons, *loops, *spec.geoms, *spec.meshes):
+            spec.delete(element)
+        spec.option.disableflags |= OFF
+        if said:
+            ask(spec, said)
+        host = spec.compile()
+        body = f"check_{model_digest(host)[:16]}"
+        if body not in BODIES:
+            BODIES.add(body, Body(spec.copy, ()))
+        start = tuple(host.key_qpos[0]) if host.nkey else ()
+        task = Nothing(
+            name="check",
+            body=body,
+            num_substeps=1,
+            horizon=1,
+            start_pose=start,
+            physics_dt=host.opt.timestep,
+            integrator="IMPLICITFAST",
+        )
+        with quiet():
+            self.scene = compile_scene(task, WORLDS, "cpu")
+            stages = applicable_stages(self.scene, ("free_coordinates",))
+            self.step: Callable[[], None] = physics_step(self.scene, stages)
+            compile_kernels(self.step, self.scene.device)
+        self.joints = Joints(coordinates, self.scene.oracle)
+        self.stage = next((stage for stage in stages if isinstance(stage, FreeCoordinates)), None)
+        self.exact = self.stage is not None or not couplings(self.scene.oracle)
+        self.gravity = self.scene.model.opt.gravity.numpy().copy()  # on the CPU it is the array itself
+
+    def accelerations(self, states: States) -> Array:
+        """Return u'', from the physics step."""
+        return np.concatenate([self.joints.coordinates(part) for part, _ in self._stepped(states)])
+
+    def inertia(self, values: Array) -> Array | None:
+        """Return the mass matrix along the coordinates, as the step has it."""
+        if not self.exact:
+            return None
+        still = np.zeros_like(values)
+        found = np.concatenate([M for _, M in self._stepped(States(values, still, still))])
+        joints, order = self.joints, np.argsort(np.argsort(self.joints.joint))
+        M, scale = np.zeros((len(values), len(joints.moving), len(joints.moving))), joints.scale
+        places = np.flatnonzero(joints.moving)
+        M[:, places[:, None], places] = found[:, order][:, :, order] * scale[:, None] * scale
+        return M
+
+    def _stepped(self, states: States) -> list[tuple[Array, Array]]:
+        """Return qacc and the mass matrix along free joints, in their order, of all states in parts."""
+        data, parts, rows = self.scene.data, [], self.joints.state(states)
+        self.scene.model.opt.gravity.assign(self.gravity * states.gravity)
+        for first in range(0, len(states.values), WORLDS):
+            chosen = np.minimum(np.arange(first, first + WORLDS), len(states.values) - 1)
+            for array, row in zip((data.qpos, data.qvel, data.qfrc_applied), rows, strict=True):
+                array.assign(row[chosen])
+            data.qacc_warmstart.zero_()
+            with quiet():
+                self.step()
+            count = min(WORLDS, len(states.values) - first)
+            parts.append((data.qacc.numpy()[:count].astype(float), self._inertia(rows[0][chosen])[:count]))
+        return parts
+
+    def _inertia(self, qpos: Array) -> Array:
+        """Return the mass matrix of the last step, from qpos (WORLDS, nv); shape (WORLDS, free, free)."""
+        if self.stage is not None:
+            packed = self.stage.inner.data.M.numpy().reshape(WORLDS, -1)
+            number = self.joints.joint.size
+            row, column = np.tril_indices(number)
+        else:
+            model, packed = self.scene.model, self.scene.data.M.numpy().reshape(WORLDS, -1)
+            number = self.scene.oracle.nv
+            row = np.repeat(np.arange(number), model.M_rownnz.numpy())
+            packed, column = packed[:, : len(row)], model.M_colind.numpy()[: len(row)]
+        M = np.zeros((WORLDS, number, number))
+        M[:, row, column] = M[:, column, row] = packed[:, : len(row)]
+        triples = None if self.stage is None else self.stage.triples
+        if triples is None:
+            return M
+        # The step has angular velocities w = A u' of these hinges (`engine.stages.hinge_triples`).
+        A = np.tile(np.eye(number), (WORLDS, 1, 1))
+        for (first, _, third), joint, zero in zip(
+            triples.coordinate.numpy(), triples.joint.numpy(), triples.zero.numpy(), strict=True
+        ):
+            tilt = qpos[:, joint[1]] - zero[1]
+            A[:, first, third], A[:, third, third] = np.sin(tilt), np.cos(tilt)
+        return A.transpose(0, 2, 1) @ M @ A

@@ -1,0 +1,413 @@
+"""The step loop: action, muscles, physics, observation, reward, termination and reset as one graph.
+
+A step replays a captured graph of kernel launches; nothing in it allocates or reads back. With `graph=False`
+the same launches run one by one, with the same numbers.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Iterable
+
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+from myowarp.engine.compile import compile_kernels, quiet, renew_code
+from myowarp.engine.graph import Graph, replay_nothing
+from myowarp.engine.idle import pruned
+from myowarp.engine.patch import engine_kernels_alone
+from myowarp.engine.repeat import repeat
+from myowarp.engine.stage import STAGES, Stage, same_stages
+from myowarp.engine.step import physics_step
+from myowarp.engine.turn import TURN, in_turn
+from myowarp.engine.verify import choose_stages
+from myowarp.kernels.action import apply_action
+from myowarp.kernels.batching import as_rows
+from myowarp.kernels.episode import (
+    AUTORESET,
+    EpisodeState,
+    advance_episode,
+    count_step,
+    detect_faults,
+    detect_state_faults,
+    keep_final,
+    new_episode_state,
+    new_masks,
+    new_transition,
+    open_episode,
+)
+from myowarp.kernels.random import seed_worlds
+from myowarp.kernels.reset import place_start, reset_worlds
+from myowarp.kernels.write import write
+from myowarp.spec.condition import Condition, Effect
+from myowarp.spec.condition import Stage as ConditionStage
+from myowarp.spec.muscle import restore_anatomy
+from myowarp.spec.parameter import Clock
+from myowarp.spec.program import Program
+from myowarp.spec.scene import Scene, Starts
+
+
+class Part:
+    """The worlds of one scene, stepped together: all worlds of a `Simulation`, or those of a core.
+
+    Attributes that a `Simulation` has, too, are as there, for these worlds.
+
+    Attributes:
+        scene: The compiled task.
+        program: The task's kernels.
+        effects: The conditions' kernels, in the order in which they act.
+        stages: Stages of the physics step that kernels of ours do.
+        weights: Weights of the reward terms, shape (num_terms,).
+        shown: What conditions show of their state, by name, (num_worlds, ...).
+        info: The same after the step, resets included.
+        starts: Random starts, shape (num_starts, num_coordinates); None where episodes start otherwise.
+        start_address: Which of `qpos` they are, shape (num_coordinates,).
+        step_graph: What `step` replays; None without a graph.
+        reset_graph: What `reset_asked` replays.
+    """
+
+    _modules: tuple[wp.Module, ...]
+    _idle = frozenset[str]()
+    stages: tuple[Stage, ...] = ()
+    starts: wp.array | None = None
+    start_address: wp.array | None = None
+
+    @in_turn
+    def __init__(
+        self,
+        scene: Scene,
+        conditions: tuple[Condition, ...] = (),
+        *,
+        autoreset: str = "disabled",
+        horizon: int | None = None,
+        graph: bool = True,
+        stages: Iterable[str] = STAGES,
+        progress: bool = True,
+        find_starts: Callable[[], Starts] | None = None,
+        like: Part | None = None,
+    ) -> None:
+        """Compile the kernels and capture the step.
+
+        Args:
+            scene: The compiled task, with these conditions.
+            conditions: Muscle conditions, as `resolve` returns them.
+            autoreset: Gymnasium's mode, a key of `AUTORESET`.
+            horizon: Control steps in an episode; None: the task's.
+            graph: Whether to capture the step as a graph.
+            stages: Names in `engine.stage.STAGES` to use where they apply.
+            progress: Whether to show a progress bar while kernels compile.
+            find_starts: Returns random starts, for a scene whose `reset` is "random"; called once all else of
+                the scene is known to be right.
+            like: Another part of the worlds, whose kernels and starts are taken over.
+
+        Raises:
+            ValueError: A condition does not fit the scene, or there are too few random starts.
+        """
+        self.scene, self.conditions, self.autoreset = scene, conditions, AUTORESET[autoreset]
+        with quiet(), wp.ScopedDevice(scene.device):
+            self.program: Program = scene.spec.program(scene.spec, scene)
+            self.episode, self.effects = bind_conditions(scene, conditions)
+            scene.model.callback.control = self._launch_control
+            self._allocate(scene.spec.horizon if horizon is None else horizon)
+            if like is not None:
+                self._take_over(like)
+            else:
+                self._load_starts(find_starts)
+                self._choose_kernels(stages, progress)
+            self.step_graph = self._capture(self._launch_step) if graph else None
+            self.reset_graph = self._capture(self._launch_asked_reset) if graph else None
+        self.reset()
+
+    @property
+    def num_worlds(self) -> int:
+        """Worlds stepped together."""
+        return self.scene.num_worlds
+
+    def _load_starts(self, find_starts: Callable[[], Starts] | None) -> None:
+        """Find the random starts, where episodes start from them."""
+        if self.scene.reset != "random":
+            return
+        if find_starts is None:
+            raise ValueError("a scene with reset 'random' needs find_starts, got None")
+        starts = find_starts()
+        self.starts = wp.array(starts.values, dtype=float)
+        self.start_address = wp.array(starts.address, dtype=int)
+
+    def _choose_kernels(self, names: Iterable[str], progress: bool) -> None:
+        """Find out which stages of the physics step are to be ours, and compile all kernels."""
+        self.stages, self._idle = choose_stages(
+            self.scene, names, self._launch_all, progress, self.conditions
+        )
+        self._launch_physics = physics_step(self.scene, self.stages, self._idle)
+        self._modules = compile_kernels(self._launch_all, self.scene.device, show=progress)
+
+    def _take_over(self, like: Part) -> None:
+        """Use the kernels and the starts of another part."""
+        self.starts, self.start_address = like.starts, like.start_address
+        self._modules, self._idle = like._modules, like._idle
+        self.stages = same_stages(self.scene, like.stages)
+        self._launch_physics = physics_step(self.scene, self.stages, self._idle)
+
+    def _allocate(self, horizon: int) -> None:
+        """Allocate every array of the step."""
+        n, scene, spec = self.num_worlds, self.scene, self.scene.spec
+        columns = spec.columns(scene.oracle.nq, scene.oracle.nv, len(scene.muscles.names))
+        columns += tuple(column for effect in self.effects for column in effect.columns)
+        self.columns = tuple(column for column in columns if column.size)
+        self.terms = spec.reward_terms() + tuple(term for effect in self.effects for term in effect.terms)
+        self.weights = wp.array([term.weight for term in self.terms], dtype=float)
+        self.horizon = wp.array([horizon], dtype=int)
+        sizes = n, sum(column.size for column in self.columns), len(self.terms)
+        self.transition, self.final, self.masks = new_transition(*sizes), new_transition(*sizes), new_masks(n)
+        for owner in ("transition", "final", "masks"):
+            scene.adopt(owner, getattr(self, owner), state=False)
+        self.action = scene.worlds.rows("action", wp.zeros((n, scene.num_actions), dtype=float))
+        self.shown = {name: array for effect in self.effects for name, array in effect.info.items()}
+        self.info = {name: scene.worlds.rows(f"info.{name}", array) for name, array in self.shown.items()}
+        self._asked, self._seeded = wp.zeros(n, dtype=bool), False
+        self._countdown = wp.zeros(1, dtype=int)
+        self._probes: list[Callable[[wp.array | None], None]] = []
+        self._launch_physics = physics_step(scene)
+
+    def _launch_all(self) -> None:
+        """Every launch there is, for the compiler."""
+        self._launch_step()
+        self._launch_asked_reset()
+        replay_nothing(self.scene.device)
+
+    def _launch_step(self) -> None:
+        """One control step of all worlds."""
+        self.launch_action()
+        self.launch_conditions()
+        repeat(self._launch_physics, self.scene.num_substeps, self._countdown)
+        self._refresh()
+        wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
+        self.program.advance(self.episode.step_count)
+        self.launch_scoring()
+        self._launch_observation(self.masks.live)
+        self._launch_probes(None)
+        if self.autoreset == AUTORESET["same_step"]:
+            wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
+        self._launch_reset(self.masks.renew, self.masks.reset, self.masks.fresh, asked=False)
+
+    def _launch_control(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Engine callback: the muscles, and what conditions do in a physics step."""
+        self.scene.muscles.launch(model, data)
+        for effect in self.effects:
+            effect.act_in_substep()
+
+    def _launch_observation(self, mask: wp.array) -> None:
+        """Observe the worlds of a mask: the task, then the conditions that show something."""
+        obs = self.transition.obs
+        self.program.observe(mask, obs)
+        column = obs.shape[1]
+        for effect in reversed(self.effects):
+            column -= sum(block.size for block in effect.columns)
+            effect.observe(mask, obs, column)
+
+    def launch_conditions(self) -> None:
+        """Let the conditions change excitations, muscles and body, for one control step."""
+        self._launch_anatomy()
+        for effect in self.effects:
+            effect.act()
+
+    def _launch_anatomy(self) -> None:
+        """Make the muscles healthy, from where the conditions start."""
+        if self.effects:
+            anatomy = self.scene.muscles.anatomy
+            wp.launch(restore_anatomy, dim=anatomy.strength.shape, outputs=[anatomy])
+
+    def launch_action(self) -> None:
+        """Map actions to controls."""
+        scene, transition = self.scene, self.transition
+        wp.launch(
+            apply_action,
+            dim=self.num_worlds,
+            inputs=[scene.actuator_kind, scene.model.actuator_ctrlrange, self.action],
+            outputs=[scene.data.ctrl, transition.fault],
+        )
+
+    def launch_scoring(self) -> None:
+        """Judge the present state: faults, reward terms, reward, and what ends."""
+        data, transition = self.scene.data, self.transition
+        wp.launch(
+            detect_faults,
+            dim=self.num_worlds,
+            inputs=[data.qpos, data.qvel],
+            outputs=[data.overflow, transition.fault],
+        )
+        for state in self.scene.muscles.state.values():
+            wp.launch(
+                detect_state_faults,
+                dim=self.num_worlds,
+                inputs=[as_rows(state)],
+                outputs=[transition.fault],
+            )
+        column = len(self.scene.spec.reward_terms())
+        terms = transition.terms[:, :column]
+        self.program.score(self.episode.step_count, terms, transition.solved, transition.failed)
+        for effect in self.effects:
+            effect.score(transition.terms, column)
+            column += len(effect.terms)
+        wp.launch(
+            advance_episode,
+            dim=self.num_worlds,
+            inputs=[self.weights, self.horizon, self.autoreset, self.scene.reset == "none"],
+            outputs=[self.episode, transition, self.masks],
+        )
+
+    def _launch_asked_reset(self) -> None:
+        """Reset that the user asked for; the state is reset in every mode."""
+        self._launch_reset(self._asked, self._asked, self._asked, asked=True)
+        if self._probes:
+            self._launch_transmission()
+            self._launch_probes(self._asked)
+
+    def _launch_transmission(self) -> None:
+        """Let tendons be torn and rerouted already, so that a probe sees them before the first step."""
+        self._launch_anatomy()
+        for condition, effect in zip(self.conditions, self.effects, strict=True):
+            if condition.STAGE == ConditionStage.TRANSMISSION:
+                effect.act()
+
+    def _launch_probes(self, mask: wp.array | None) -> None:
+        """Let probes look at the present state, in all worlds or a mask."""
+        with pruned(self._idle):
+            for launch in self._probes:
+                launch(mask)
+
+    def _launch_reset(self, renew: wp.array, reset: wp.array, fresh: wp.array, asked: bool) -> None:
+        """Open episodes in the worlds of `renew`, reset the state of `reset`, observe those of `fresh`."""
+        scene = self.scene
+        wp.launch(
+            open_episode, dim=self.num_worlds, inputs=[renew, asked], outputs=[self.episode, scene.keys]
+        )
+        reset_worlds(reset, scene.qpos_start, scene.data)
+        scene.muscles.reset(reset)
+        for effect in self.effects:
+            effect.sample(renew)
+            effect.reset(reset)
+        self.program.sample_start(reset)
+        if self.starts is not None:
+            wp.launch(
+                place_start,
+                dim=self.num_worlds,
+                inputs=[self.starts, self.start_address, scene.keys, reset],
+                outputs=[scene.data.qpos],
+            )
+        self.program.sample_goal(renew)
+        self._show(reset, fresh)
+
+    def _show(self, changed: wp.array, fresh: wp.array) -> None:
+        """Make poses those of the present state where it was `changed`, and observe the worlds of `fresh`."""
+        self._refresh(changed)
+        self._launch_observation(fresh)
+        for name, array in self.shown.items():
+            if self.info[name] is not array:
+                wp.copy(self.info[name], array)
+
+    def _refresh(self, mask: wp.array | None = None) -> None:
+        """Make poses those of the present state, in all worlds or a mask: a step leaves them old."""
+        if not self.scene.spec.uses_kinematics:
+            return
+        model, data = self.scene.model, self.scene.data
+        for stage in self.stages:
+            if stage.refresh(model, data, mask):
+                return
+        with engine_kernels_alone():
+            mjw.kinematics(model, data)
+
+    def _capture(self, launches: Callable[[], None]) -> Graph:
+        """Record launches as a graph, which no other graph shares its code with."""
+        renew_code(self._modules)
+        return Graph(launches, self.scene.device)
+
+    def step(self) -> None:
+        """Advance all worlds by one control step under `action`; results are in `transition`."""
+        if self.step_graph is not None:
+            self.step_graph.launch()
+        else:
+            self._launch_now(self._launch_step)
+
+    @in_turn
+    def attach(self, launch: Callable[[wp.array | None], None]) -> None:
+        """Launch more in every step, after observation and before what ended is reset, and after resets.
+
+        Args:
+            launch: Launches kernels that only look, in the worlds of a mask (num_worlds,) bool, None for all:
+                they may write their own arrays, and what the next physics step computes anew. With sums and
+                sorts of Warp's, Warp replays the step.
+        """
+        self._probes.append(launch)
+
+        def launch_both() -> None:
+            launch(None)
+            self._launch_asked_reset()
+
+        with quiet(), wp.ScopedDevice(self.scene.device):
+            self._modules += compile_kernels(launch_both, self.scene.device, show=False)
+            if self.step_graph is not None:
+                self.step_graph = self._capture(self._launch_step)
+                self.reset_graph = self._capture(self._launch_asked_reset)
+
+    def reset(self, mask: np.ndarray | None = None, seeds: np.ndarray | None = None) -> None:
+        """Start new episodes; their first observation is in `transition.obs`.
+
+        Args:
+            mask: Worlds to reset, shape (num_worlds,) bool; None: all.
+            seeds: New seeds of these worlds, shape (num_worlds,), any integers; None: the random streams
+                go on, after the first call with fresh entropy.
+        """
+        self.ask_for_reset(mask, seeds)
+        self.reset_asked()
+
+    def ask_for_reset(self, mask: np.ndarray | None, seeds: np.ndarray | None) -> None:
+        """Choose what `reset_asked` resets, with the arguments of `reset`."""
+        mask = np.ones(self.num_worlds, dtype=bool) if mask is None else mask
+        if seeds is None and not self._seeded:
+            seeds = secrets.randbits(32) + np.arange(self.num_worlds)
+        if seeds is not None:
+            self._seeded = True
+            seed_worlds(self.scene.keys, mask, seeds)
+        write(self._asked, mask)
+
+    def reset_asked(self) -> None:
+        """Reset the worlds that `ask_for_reset` has chosen."""
+        if self.reset_graph is not None:
+            self.reset_graph.launch()
+        else:
+            self._launch_now(self._launch_asked_reset)
+
+    def bring_up(self, mask: np.ndarray) -> None:
+        """Compute what is seen of the state - poses, observation, probes - after it was overwritten.
+
+        Args:
+            mask: The worlds where it was, shape (num_worlds,) bool.
+        """
+        write(self._asked, mask)
+        with TURN, wp.ScopedDevice(self.scene.device):
+            self._show(self._asked, self._asked)
+            self._launch_probes(self._asked)
+
+    def _launch_now(self, launches: Callable[[], None]) -> None:
+        """Launch what is in no graph."""
+        with TURN, wp.ScopedDevice(self.scene.device):
+            launches()
+
+
+def bind_conditions(scene: Scene, conditions: Iterable[Condition]) -> tuple[EpisodeState, tuple[Effect, ...]]:
+    """Return the counters of the episodes, and the effects of the conditions, on the current Warp device.
+
+    Raises:
+        ValueError: A condition does not fit the scene, or another condition.
+    """
+    episode = new_episode_state(scene.num_worlds)
+    scene.adopt("episode", episode)
+    clock = Clock()
+    clock.step_count, clock.life_count = episode.step_count, episode.life_count
+    clock.control_dt = scene.control_dt
+    effects = tuple(condition.bind(scene, clock) for condition in conditions)
+    for effect in effects:
+        effect.check_beside(effects)
+    return episode, effects

@@ -1,0 +1,157 @@
+"""The patient at one's fingertips: parameters of conditions, changed while the worlds are stepped.
+
+    sim = Simulation(spec, 2, conditions=every_condition(spec), adjustable=True)
+    patient = Patient(sim)
+    knob = patient.knobs["sarcopenia strength"]
+    patient.set(knob, 0.3, worlds=[0], muscles=["BIClong"])  # world 1 stays as it was
+
+What a condition declares as a `Parameter` is a knob; nothing is named here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from myowarp.sim.muscle_groups import group_of
+from myowarp.sim.simulation import Simulation
+from myowarp.spec.condition import CONDITIONS, Condition, resolve
+from myowarp.spec.parameter import Parameter, muscle_index
+from myowarp.spec.task import TaskSpec
+
+STEPS = 200  # of a slider
+
+
+def every_condition(spec: TaskSpec, given: Sequence[str | Condition] = ()) -> tuple[Condition, ...]:
+    """Return the given conditions, and every other that a body can have beside them, neutral.
+
+    Raises:
+        ValueError: A given condition does not suit.
+    """
+    found = resolve(given, spec)
+    for name in CONDITIONS:
+        if name in {condition.name for condition in found}:
+            continue
+        try:
+            found = resolve((*found, CONDITIONS[name].neutral(spec)), spec)
+        except ValueError:  # not in this body, or not beside the others
+            continue
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Knob:
+    """A parameter that can be changed.
+
+    Attributes:
+        condition: Name of the condition.
+        field: Name of the parameter in it.
+        parameter: The parameter.
+        low: Least value.
+        high: Greatest value of a slider; more may be allowed.
+    """
+
+    condition: str
+    field: str
+    parameter: Parameter
+    low: float
+    high: float
+
+    @property
+    def name(self) -> str:
+        """Condition and parameter."""
+        return f"{self.condition} {self.field}"
+
+    @property
+    def step(self) -> float:
+        """Step of a slider."""
+        return (self.high - self.low) / STEPS
+
+
+class Patient:
+    """The knobs of a simulation.
+
+    Attributes:
+        knobs: Knobs by name, in the order in which conditions act.
+        groups: Names of muscles by what they are chosen with: "all", a group, or a muscle's own name.
+    """
+
+    def __init__(self, sim: Simulation) -> None:
+        """Find the knobs.
+
+        Args:
+            sim: A simulation made with `adjustable`, of one part.
+        """
+        (self._part,) = sim.parts
+        self._changed: dict[tuple[str, int], np.ndarray] = {}
+        found = (_knob(parameter, sim.conditions) for parameter in self._part.scene.parameters)
+        self.knobs = {knob.name: knob for knob in found if knob is not None}
+        names = sim.scene.muscles.names
+        self.groups: dict[str, tuple[str, ...]] = {"all muscles": tuple(names)}
+        for name in names:
+            if group := group_of(name):
+                self.groups[group] = (*self.groups.get(group, ()), name)
+        self.groups |= {name: (name,) for name in names}
+
+    def value(self, knob: Knob, world: int, muscles: Sequence[str] = ()) -> float:
+        """Return what a world has, the mean of some muscles."""
+        values = knob.parameter.values(world)
+        columns = _columns(knob, muscles)
+        return float(values[columns].mean() if len(values) > 1 else values[0])
+
+    def set(self, knob: Knob, value: float, worlds: Sequence[int], muscles: Sequence[str] = ()) -> None:
+        """Change a parameter in some worlds, of some muscles, () for all.
+
+        Raises:
+            ValueError: The value is out of its range, or the conditions cannot act together; nothing changed.
+        """
+        before = {world: knob.parameter.values(world).copy() for world in worlds}
+        knob.parameter.set(value, worlds, _columns(knob, muscles))
+        try:
+            for effect in self._part.effects:
+                effect.check_beside(self._part.effects)
+        except ValueError:
+            for world, values in before.items():
+                knob.parameter.set(values, [world], range(len(values)))
+            raise
+        for world in worlds:
+            self._changed[knob.name, world] = knob.parameter.values(world).copy()
+
+    def forget(self) -> None:
+        """Let resets draw parameters as they like again."""
+        self._changed.clear()
+
+    def renew(self) -> None:
+        """Set what was changed once more, after a reset has drawn parameters anew."""
+        for (name, world), values in self._changed.items():
+            parameter = self.knobs[name].parameter
+            if parameter.draws:
+                parameter.set(values, [world], range(len(values)))
+
+
+def _columns(knob: Knob, muscles: Sequence[str]) -> list[int]:
+    """Return the columns of a parameter that stand for muscles; those that it is not about are left out."""
+    names = knob.parameter.names
+    if not names:
+        return [0]
+    return [muscle_index(muscle, names) for muscle in muscles if muscle in names] or list(range(len(names)))
+
+
+def _knob(parameter: Parameter, conditions: Sequence[Condition]) -> Knob | None:
+    """Return the knob of a parameter of a condition; None where no end of its slider is known.
+
+    What changes by itself, a ramp, has none either.
+    """
+    name, _, field = parameter.name.partition(" of ")[0].partition(" ")
+    kind = next((condition for condition in conditions if condition.name == name), None)
+    if kind is None or parameter.curve.start.ptr != parameter.curve.end.ptr:
+        return None
+    default = getattr(type(kind), field, None)
+    low, high = parameter.bounds
+    known = [abs(float(n)) for n in (default, parameter.neutral) if isinstance(n, (int, float))]
+    now = float(parameter.curve.start.numpy().max(initial=0.0))
+    top = max(now, parameter.usual or (high if high <= 1.0 else 2.0 * max(*known, now)))
+    bottom = low if np.isfinite(low) else -top
+    return Knob(name, field, parameter, bottom, float(f"{top:.3g}")) if top > bottom else None

@@ -1,0 +1,82 @@
+"""What the loop and the panel of a page share: how it runs, what is shown, what browsers have asked for."""
+
+from __future__ import annotations
+
+import abc
+import threading
+from collections.abc import Callable
+from typing import Literal
+
+import viser
+
+from myowarp.view.browser.session import Choices, Session
+
+ERRORS = (ValueError, OSError, RuntimeError, ImportError, MemoryError, LookupError, TypeError)
+"""What a wish may raise; the page shows it and everything goes on."""
+NOTICE_SECONDS = 10.0
+
+
+class Controls(abc.ABC):
+    """The state of a page, changed by the loop alone.
+
+    Attributes:
+        server: The page's server.
+        choices: What can be chosen.
+        session: What runs.
+        playing: Whether it does.
+        speed: Simulated time over the time that it is to take.
+        factor: The same, measured.
+        color: What the colour of a muscle shows.
+        follow: Whether a root that moves stays in the middle.
+        message: What went wrong last.
+    """
+
+    def __init__(self, server: viser.ViserServer, session: Session, choices: Choices) -> None:
+        """Play."""
+        self.server, self.choices, self.session = server, choices, session
+        self.playing, self.speed, self.factor = True, 1.0, 0.0
+        self.color, self.follow, self.message = "activation", True, ""
+        self._asked: dict[str, Callable[[], object]] = {}
+        self._lock = threading.Lock()
+
+    def ask(self, key: str, wish: Callable[[], object]) -> None:
+        """Have something done before the next step, in place of what was asked for under the same key."""
+        with self._lock:
+            self._asked[key] = wish
+
+    def obey(self) -> bool:
+        """Do what was asked for; say whether there was something."""
+        with self._lock:
+            asked, self._asked = self._asked, {}
+        for wish in asked.values():
+            try:
+                wish()
+            except ERRORS as error:
+                self.complain(str(error))
+        return bool(asked)
+
+    def complain(self, text: str) -> None:
+        """Show in all pages what went wrong."""
+        self.message = text
+        self.notify(text, "red")
+
+    def notify(self, text: str, color: Literal["red", "blue"]) -> None:
+        """Show a sentence in all pages, for some seconds."""
+        for client in self.server.get_clients().values():
+            client.add_notification("MyoWarp", text, auto_close_seconds=NOTICE_SECONDS, color=color)
+
+    @abc.abstractmethod
+    def open(self, task: str, policy: str) -> None:
+        """Show another task.
+
+        Raises:
+            ValueError: It cannot be built; the one before goes on.
+        """
+
+    @abc.abstractmethod
+    def single_step(self) -> None:
+        """Pause, and make one step."""
+
+    @abc.abstractmethod
+    def show_twin(self, beside: bool) -> None:
+        """Show or hide the twin, from the state that the shown world is in."""

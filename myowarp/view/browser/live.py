@@ -1,0 +1,213 @@
+"""The loop behind a page: steps in real time, draws what is new, and does what browsers ask for.
+
+Browsers ask from threads of their own; the loop does it between two steps, and what is asked for twice before
+that once. While no page is open, nothing moves.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+
+import numpy as np
+import viser
+
+from myowarp.spec.body import BODIES
+from myowarp.view import style as look
+from myowarp.view.browser.controls import ERRORS, Controls
+from myowarp.view.browser.panel import Panel
+from myowarp.view.browser.scene import Figure
+from myowarp.view.browser.session import Choices, Session
+from myowarp.view.framing import Framing, view_axes
+from myowarp.view.scenery import floor_height, has_plane
+
+FRAME = 1.0 / 30.0
+"""Least time between two frames [s]."""
+TRAFFIC = 1.5e6
+"""Bytes per second that bodies and muscles may take to a page; before there are more, frames get rarer."""
+READING = 0.2
+"""Time between two readings and plots [s]."""
+LATE = 0.25
+"""s: who is later than that does not catch up, but says that it is slower than real time."""
+SPACING = 2.3
+"""Distance of the twin, in units of the framed radius."""
+ASPECT = 1.0
+"""Of the picture beside the panel, about."""
+
+
+class Live(Controls):
+    """A session in a page."""
+
+    _twin: Figure | None
+    _labels: dict[str, viser.LabelHandle]
+
+    def __init__(self, server: viser.ViserServer, session: Session, choices: Choices) -> None:
+        """Show a session.
+
+        Args:
+            server: Where.
+            session: What.
+            choices: What can be chosen.
+        """
+        super().__init__(server, session, choices)
+        self._stopped = threading.Event()
+        self._progress: deque[tuple[float, int]] = deque()
+        self._due = self._drawn = self._read = 0.0
+        self._open()
+
+    def stop(self) -> None:
+        """End `run`, from any thread."""
+        self._stopped.set()
+
+    def run(self) -> None:
+        """Run until `stop`."""
+        while not self._stopped.is_set():
+            if self.obey():
+                self._drawn = self._read = 0.0
+            now = time.monotonic()
+            watched = bool(self.server.get_clients())
+            if self.playing and watched and now >= self._due:
+                self._step(now)
+            if watched and now >= self._drawn + self._frame:
+                self.draw(now)
+            now = time.monotonic()
+            until = min(self._due, self._drawn + self._frame) if self.playing and watched else now + FRAME
+            self._stopped.wait(max(until - now, 0.0))
+
+    def open(self, task: str, policy: str) -> None:
+        """Show another task."""
+        self.notify(f"Preparing {task} ...", "blue")
+        self.session = self.choices.open(task, policy)
+        self._close()
+        self._open()
+
+    def show_twin(self, beside: bool) -> None:
+        """Show or hide the twin, from the state that the shown world is in."""
+        self.session.match()
+        if beside and self._twin is None:
+            self._twin = self._figure("/twin")
+        elif not beside and self._twin is not None:
+            self._twin.remove()
+            self._twin = None
+        self.session.beside = beside
+        self._labels["/twin"].visible = self._labels["/world"].visible = beside
+        self._set_up_view()
+
+    def single_step(self) -> None:
+        """Pause, and make one step."""
+        self.playing = False
+        self.session.step()
+        self._drawn = self._read = 0.0
+
+    def draw(self, now: float) -> None:
+        """Send what is new."""
+        self._drawn = now
+        session = self.session
+        with self.server.atomic():
+            self._place("/world", self._figure_shown, session.world, np.zeros(3))
+            if self._twin is not None:
+                self._place("/twin", self._twin, session.twin, self._side)
+            self._panel.record()
+        if now >= self._read + READING:
+            self._read = now
+            self._measure(now)
+            with self.server.atomic():
+                self._panel.refresh()
+
+    @property
+    def _frame(self) -> float:
+        """Time between two frames [s]."""
+        figures = [self._figure_shown] + ([self._twin] if self._twin is not None else [])
+        return max(FRAME, sum(figure.bytes_per_frame for figure in figures) / TRAFFIC)
+
+    def _step(self, now: float) -> None:
+        """Make the step that is due."""
+        dt = self.session.sim.scene.control_dt / self.speed
+        self._due = self._due + dt if now < self._due + dt + LATE else now + dt
+        try:
+            self.session.step()
+        except ERRORS as error:
+            self.playing = False
+            self.complain(str(error))
+
+    def _measure(self, now: float) -> None:
+        """Find out how fast it is, over the last second."""
+        self._progress.append((now, self.session.steps))
+        while len(self._progress) > 1 and now - self._progress[0][0] > 1.0 + READING:
+            self._progress.popleft()
+        (begin, first), steps = self._progress[0], self.session.steps
+        elapsed = (steps - first) * self.session.sim.scene.control_dt
+        self.factor = elapsed / (now - begin) if now > begin else 0.0
+
+    def _open(self) -> None:
+        """Send all that a session's page begins with."""
+        model, scene = self.session.sim.full_model, self.server.scene
+        self._framing = Framing(model, BODIES[self.session.sim.scene.spec.body].tips, ASPECT)
+        self._progress.clear()
+        self._roots = {name: scene.add_frame(name, show_axes=False) for name in ("/world", "/twin")}
+        self._figure_shown = self._figure("/world")
+        self._twin = None
+        look.pose(model, self._figure_shown.data, look.rest_pose(model))
+        self._camera = self._framing.camera(self._figure_shown.data, {})
+        axes = view_axes(self._camera.azimuth, self._camera.elevation)
+        self._side = SPACING * self._framing.radius * axes[0]
+        above = self._camera.lookat + 1.05 * self._framing.radius * axes[1]
+        self._labels = {
+            name: scene.add_label(f"{name}_label", text, position=above + shift, visible=False)
+            for name, text, shift in (("/world", "changed", 0.0), ("/twin", "before", self._side))
+        }
+        if not has_plane(model):
+            self._add_floor(floor_height(model))
+        self._panel = Panel(self)
+        self._set_up_view()
+
+    def _close(self) -> None:
+        """Take a session out of the page."""
+        for node in (*self._labels.values(), *self._roots.values()):
+            node.remove()
+        self._panel.remove()
+
+    def _figure(self, name: str) -> Figure:
+        """Return a world's figure under a node."""
+        sim = self.session.sim
+        tips = BODIES[sim.scene.spec.body].tips
+        return Figure(self.server, f"{name}/body", sim.full_model, self._framing.radius, tips)
+
+    def _add_floor(self, height: float) -> None:
+        """Draw squares on the floor, which move as the body does."""
+        power = 10.0 ** np.floor(np.log10(self._framing.radius))
+        side = 20.0 * self._framing.radius
+        self.server.scene.add_grid(
+            "/world/floor",
+            side,
+            side,
+            position=(0.0, 0.0, height),
+            cell_size=power,
+            section_size=5 * power,
+            cell_color=(225, 228, 232),
+            section_color=(190, 195, 200),
+        )
+
+    def _place(self, name: str, figure: Figure, world: int, aside: np.ndarray) -> None:
+        """Show a world; the body stays in the middle, and the floor goes by."""
+        try:
+            figure.show(self.session.seen(world), self.color, self.session.hidden(world))
+        except ValueError as error:  # a state that is not finite; the next step resets it
+            self.message = str(error)
+            return
+        shift = self._framing.shift(figure.data) if self.follow else np.zeros(3)
+        self._roots[name].position = aside - shift
+
+    def _set_up_view(self) -> None:
+        """Point the camera of pages at what there is, now and where they are set back to it."""
+        camera = self._camera
+        forward = view_axes(camera.azimuth, camera.elevation)[2]
+        middle = camera.lookat + (0.5 * self._side if self.session.beside else 0.0)
+        eye = middle - (1.7 if self.session.beside else 1.0) * camera.distance * forward
+        opening = float(np.radians(self.session.sim.full_model.vis.global_.fovy))
+        start = self.server.initial_camera
+        start.position, start.look_at, start.fov = eye, middle, opening
+        for client in self.server.get_clients().values():
+            with client.atomic():
+                client.camera.position, client.camera.look_at, client.camera.fov = eye, middle, opening

@@ -1,0 +1,50 @@
+"""A page without a panel: what `render_mode="human"` opens where there is no display."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from rich.console import Console
+
+from myowarp.view import style as look
+from myowarp.view.browser.scene import Figure
+from myowarp.view.browser.server import close_server, open_server
+from myowarp.view.framing import Framing, view_axes
+from myowarp.view.snapshot import Snapshot
+
+
+class Page:
+    """Shows a world on this machine.
+
+    Attributes:
+        server: The page's server.
+    """
+
+    def __init__(self, model: mujoco.MjModel, tips: tuple[str, ...] = ()) -> None:
+        """Open it at a free port, and say where.
+
+        Args:
+            model: The full model.
+            tips: Names of the sites at the ends of the limb.
+        """
+        framing = Framing(model, tips)
+        self.server = open_server(0, "MyoWarp")
+        self._figure = Figure(self.server, "/world", model, framing.radius, tips)
+        look.pose(model, self._figure.data, look.rest_pose(model))
+        camera, start = framing.camera(self._figure.data, {}), self.server.initial_camera
+        start.look_at, start.fov = camera.lookat, float(np.radians(model.vis.global_.fovy))
+        start.position = camera.lookat - camera.distance * view_axes(camera.azimuth, camera.elevation)[2]
+        Console(stderr=True, highlight=False).print(f"Open http://localhost:{self.server.get_port()}")
+
+    def show(self, seen: Snapshot) -> None:
+        """Show a moment.
+
+        Raises:
+            ValueError: A position is not finite.
+        """
+        with self.server.atomic():
+            self._figure.show(seen)
+
+    def close(self) -> None:
+        """Stop serving."""
+        close_server(self.server)

@@ -1,0 +1,215 @@
+"""What a page shows: a task that runs, what acts in it, its patient, and the same patient without the change.
+
+The last world is the twin: it has the conditions that the session began with, and starts from the state that
+the shown world is in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from myowarp.kernels.write import write
+from myowarp.sim.build import full_spec
+from myowarp.sim.patient import Knob, Patient, every_condition
+from myowarp.sim.signals import Signals
+from myowarp.sim.simulation import Simulation
+from myowarp.sim.state import get_state, set_state
+from myowarp.spec.task import TaskSpec
+from myowarp.view.snapshot import Snapshot, snapshot
+
+Act = Callable[[np.ndarray], np.ndarray]
+"""Observations (num_worlds, obs_size) to actions (num_worlds, num_actions) in [-1, 1]."""
+
+OPEN_LOOP = "random"
+"""Policy that does not look at observations: the twin does what the shown world does."""
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What can be chosen in a page.
+
+    Attributes:
+        tasks: Ids of tasks.
+        policies: Function from a task to the names of policies that may act in it.
+        acting: Function from the name of a policy and a simulation to what acts.
+        open: Function from the id of a task and the name of a policy to a session.
+    """
+
+    tasks: Sequence[str]
+    policies: Callable[[TaskSpec], Sequence[str]]
+    acting: Callable[[str, Simulation], Act]
+    open: Callable[[str, str], Session]
+
+
+class Session:
+    """A task that runs.
+
+    Attributes:
+        title: What it is called.
+        sim: Its worlds, the twin last.
+        patient: What can be changed in them.
+        policy: Name of what acts.
+        world: The shown world.
+        twin: Number of the twin.
+        beside: Whether the twin is shown; only then does its end end the episode.
+        returns: Sum of rewards in the present episode, shape (num_worlds,).
+        steps: Control steps since the session was opened.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        spec: TaskSpec,
+        worlds: int,
+        policy: str,
+        acting: Callable[[str, Simulation], Act],
+        conditions: Sequence[str] = (),
+        device: str | None = None,
+        physics: str = "parity",
+        reset: str = "task",
+        seed: int = 0,
+    ) -> None:
+        """Build the simulation, and reset it.
+
+        Args:
+            title: What it is called.
+            spec: The task.
+            worlds: Worlds to choose from.
+            policy: Name of what acts.
+            acting: As in `Choices`.
+            conditions: Names of conditions that the patient has from the beginning.
+            device: Warp device.
+            physics: Name in `PHYSICS`.
+            reset: What episodes start from, one of `RESETS`.
+            seed: Seed of the first reset.
+
+        Raises:
+            ValueError: An argument is wrong.
+        """
+        plain = full_spec(spec)
+        muscles = any(actuator.dyntype == mujoco.mjtDyn.mjDYN_MUSCLE for actuator in plain.actuators)
+        self.sim = Simulation(
+            spec,
+            worlds + 1,
+            device=device,
+            physics=physics,
+            reset=reset,
+            conditions=every_condition(spec, conditions) if muscles or conditions else (),
+            autoreset="disabled",
+            adjustable=True,
+        )
+        self.title, self.world, self.twin, self.beside = title, 0, worlds, False
+        self.signals = Signals(self.sim) if muscles else None
+        self.patient = Patient(self.sim)
+        self._acting = acting
+        self._own = {body.name for body in plain.bodies}
+        self.returns, self.steps = np.zeros(worlds + 1), 0
+        self.act(policy)
+        self._seeds: np.ndarray | None = seed + np.arange(worlds + 1)
+        self.restart()
+
+    @property
+    def time(self) -> float:
+        """Time of the shown world's episode [s]."""
+        return int(self.sim.episode.step_count.numpy()[self.world]) * self.sim.scene.control_dt
+
+    @property
+    def success(self) -> bool:
+        """Whether the shown world's episode counts as a success so far."""
+        return bool(self.sim.transition.success.numpy()[self.world])
+
+    @property
+    def terms(self) -> dict[str, float]:
+        """Weighted reward terms of the last step in the shown world."""
+        values = self.sim.transition.terms.numpy()[self.world]
+        pairs = zip(self.sim.terms, values, strict=True)
+        return {term.name: term.weight * float(value) for term, value in pairs if term.weight}
+
+    def act(self, policy: str) -> None:
+        """Let another policy act.
+
+        Raises:
+            ValueError: It cannot act here; the one before goes on.
+        """
+        self._act = self._acting(policy, self.sim)
+        self.policy = policy
+
+    def show(self, world: int) -> None:
+        """Choose the shown world; the twin becomes like it.
+
+        Raises:
+            ValueError: There is no such world.
+        """
+        if not 0 <= world < self.twin:
+            raise ValueError(f"world must be from 0 to {self.twin - 1}, got {world}")
+        self.world = world
+        self.match()
+
+    def match(self) -> None:
+        """Put the twin into the state of the shown world; its conditions stay its own."""
+        set_state(self.sim, get_state(self.sim, self.world), self.twin, conditions=False)
+        self.returns[self.twin] = self.returns[self.world]
+
+    def turn(self, knob: Knob, value: float, muscles: Sequence[str]) -> None:
+        """Change the patient in all worlds but the twin.
+
+        Raises:
+            ValueError: The value is out of its range, or conditions cannot act together.
+        """
+        self.patient.set(knob, value, range(self.twin), muscles)
+
+    def restart(self, mask: np.ndarray | None = None) -> None:
+        """Begin new episodes, in all worlds or a mask; the twin's begins like that of the shown world."""
+        mask = np.ones(self.twin + 1, dtype=bool) if mask is None else mask
+        mask[self.twin] = mask[self.world]
+        self.sim.reset(mask, self._seeds)
+        self._seeds = None
+        self.returns[mask] = 0.0
+        self.patient.renew()
+        if mask[self.world]:
+            self.match()
+
+    def step(self) -> None:
+        """Let the policy act once; episodes that ended begin anew, those of shown world and twin together.
+
+        Raises:
+            ValueError: The policy's actions do not fit.
+        """
+        sim = self.sim
+        if (ended := self._ended()).any():
+            self.restart(ended)
+        actions = np.array(self._act(sim.transition.obs.numpy()), dtype=np.float32)
+        shape = tuple(sim.action.shape)
+        if actions.shape != shape or not np.isfinite(actions).all():
+            raise ValueError(
+                f"policy {self.policy!r} must return finite actions of shape {shape}, got {actions.shape}"
+            )
+        if self.policy == OPEN_LOOP:
+            actions[self.twin] = actions[self.world]
+        write(sim.action, actions.clip(-1.0, 1.0))
+        sim.step()
+        self.steps += 1
+        self.returns += sim.transition.reward.numpy()
+
+    def _ended(self) -> np.ndarray:
+        """Return whose episode has ended, shape (num_worlds,)."""
+        transition = self.sim.transition
+        ended = transition.terminated.numpy() | transition.truncated.numpy()
+        if self.beside:
+            ended[self.world] |= ended[self.twin]
+        return ended
+
+    def seen(self, world: int) -> Snapshot:
+        """Return what a world looks like."""
+        return snapshot(self.sim, world, self.signals)
+
+    def hidden(self, world: int) -> frozenset[str]:
+        """Return names of bodies that conditions have added and that weigh nothing now: they are not worn."""
+        oracle, mass = self.sim.scene.oracle, self.sim.scene.model.body_mass.numpy()
+        own = mass[world % len(mass)]
+        names = {oracle.body(body).name for body in np.flatnonzero(own == 0.0)}
+        return frozenset(names - self._own)

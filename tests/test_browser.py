@@ -1,0 +1,366 @@
+"""The page of `myowarp view`, by a client on its socket: what it gets, may ask for, and cannot break."""
+
+import http.client
+import logging
+import socket
+import threading
+import time
+
+import gymnasium as gym
+import msgspec
+import numpy as np
+import pytest
+import viser
+import zstandard
+from websockets.sync.client import connect
+
+from myowarp.apps.commands.view import View, policies_for
+from myowarp.spec.task import TASKS
+from myowarp.tasks.variants import find_variant
+from myowarp.view.browser import live as live_module
+from myowarp.view.browser.live import Live
+from myowarp.view.browser.server import Gate, check_port, close_server, open_server
+from myowarp.view.browser.session import Choices
+
+KEY = "myoElbowPose1D6MRandom-v0"
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    **{"wxyz": [1.0, 0.0, 0.0, 0.0], "position": [1.0, 0.0, 0.0], "look_at": [0.0, 0.0, 0.0]},
+    **{"fov": 1.0, "near": 0.01, "far": 100.0, "image_height": 100, "image_width": 100},
+    "up_direction": [0.0, 0.0, 1.0],
+}
+
+
+class Client:
+    """A browser without a screen."""
+
+    def __init__(self, address):
+        # A browser acknowledges pings, and reads on while nobody looks.
+        self._socket = connect(
+            address, subprotocols=[f"viser-v{viser.__version__}"], max_size=None, compression=None
+        )
+        self.parts, self.bytes, self.types, self.done = {}, 0, set(), False
+        self.send(CAMERA)
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def send(self, message):
+        self._socket.send(msgspec.msgpack.encode(message))
+
+    def _read(self):
+        try:
+            for packet in self._socket:
+                self.bytes += len(packet)
+                size = int.from_bytes(packet[8:16], "little")
+                text = zstandard.ZstdDecompressor().decompress(packet[16 : 16 + size])
+                for message in msgspec.msgpack.decode(text)["messages"]:
+                    self._take(message)
+        except Exception as error:  # noqa: BLE001 (shown by whoever waits)
+            self.error = error
+        self.done = True
+
+    def _take(self, message):
+        self.types.add(message["type"])
+        if "props" in message and "uuid" in message:
+            self.parts[message["uuid"]] = dict(message["props"], value=message.get("value"))
+        elif message["type"] == "GuiUpdateMessage":
+            self.parts.setdefault(message["uuid"], {}).update(message["updates"])
+        elif message["type"] == "GuiRemoveMessage":
+            self.parts.pop(message["uuid"], None)
+
+    def uuid(self, label):
+        return until(
+            lambda: next((u for u, part in list(self.parts.items()) if part.get("label") == label), None)
+        )
+
+    def set(self, label, value):
+        self.send({"type": "GuiUpdateMessage", "uuid": self.uuid(label), "updates": {"value": value}})
+
+    def press(self, button):
+        self.send({"type": "GuiUpdateMessage", "uuid": self.uuid(""), "updates": {"value": button}})
+
+    def status(self):
+        return next(
+            (p["content"] for p in list(self.parts.values()) if "real time" in p.get("content", "")), ""
+        )
+
+    def leave(self):
+        self._socket.close()
+        self._reader.join(10)
+
+
+def until(condition, seconds=60.0):
+    """Wait for a condition, and return what it returns."""
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < end, "it did not come"
+        time.sleep(0.02)
+    return found
+
+
+@pytest.fixture(scope="module")
+def page():
+    command = View(task=KEY, worlds=2)
+    session = command._open(KEY, find_variant(KEY), "random")
+    choices = Choices([KEY, "myoFingerPoseFixed-v0"], policies_for, command._acting, command._reopen)
+    server = open_server(0, "test")
+    live = Live(server, session, choices)
+    thread = threading.Thread(target=live.run, daemon=True)
+    thread.start()
+    yield live, f"ws://127.0.0.1:{server.get_port()}"
+    assert thread.is_alive()
+    live.stop()
+    thread.join(30)
+    close_server(server)
+
+
+@pytest.fixture
+def client(page):
+    found = Client(page[1])
+    until(found.status)
+    until(lambda: page[0].server.get_clients())
+    yield found
+    found.leave()
+
+
+def steps(live):
+    return live.session.steps
+
+
+def test_body_muscles_and_readings_arrive(page, client):
+    live = page[0]
+    names = {"FrameMessage", "MeshMessage", "BatchedMeshesMessage", "GuiUplotMessage"}
+    until(lambda: names <= client.types)
+    assert "success" in client.status() or "return" in client.status()
+    assert "bonus" in client.status()
+    first = steps(live)
+    until(lambda: steps(live) > first + 5)
+    tubes = live._figure_shown._tubes._handle
+    seen, places = live.session.seen(0), tubes.batched_positions.copy()
+    assert np.isfinite(places).all()
+    assert len(places) >= len(seen.activation)
+    until(lambda: not np.array_equal(tubes.batched_positions, places))
+
+
+def test_pause_stops_the_step_counter(page, client):
+    live = page[0]
+    until(lambda: live.playing and steps(live) > 3)
+    client.press("Play / Pause")
+    until(lambda: "paused" in client.status())
+    halted = steps(live)
+    time.sleep(0.5)
+    assert steps(live) == halted
+    client.press("Step")
+    until(lambda: steps(live) == halted + 1)
+    time.sleep(0.3)
+    assert steps(live) == halted + 1
+    client.press("Reset")
+    until(lambda: live.session.time == 0.0)
+    client.press("Play / Pause")
+    until(lambda: steps(live) > halted + 3)
+
+
+def test_a_slider_weakens_the_chosen_muscle_beside_its_twin(page, client):
+    live = page[0]
+    session = live.session
+    client.set("muscles", "BIClong")
+    until(lambda: live._panel._muscles == "BIClong")
+    client.set("beside: the same without the change", True)
+    until(lambda: live.session.beside)
+    client.set("strength", 0.25)
+    knob = session.patient.knobs["sarcopenia strength"]
+    until(lambda: session.patient.value(knob, 0, ["BIClong"]) == pytest.approx(0.25))
+    first = steps(live)
+    until(lambda: steps(live) > first + 2)
+    strength = session.sim.scene.muscles.anatomy.strength.numpy()
+    index = list(session.sim.scene.muscles.names).index("BIClong")
+    expected = np.ones_like(strength)
+    expected[: session.twin, index] = 0.25
+    np.testing.assert_array_equal(strength, expected)
+    until(lambda: live._twin is not None and "before the change" in client.status())
+    client.send(
+        {"type": "GuiUpdateMessage", "uuid": client.uuid("Undo all changes"), "updates": {"value": True}}
+    )
+    until(lambda: session.patient.value(knob, 0, ["BIClong"]) == 1.0)
+    client.set("beside: the same without the change", False)
+    until(lambda: not live.session.beside)
+
+
+@pytest.mark.parametrize(
+    ("label", "value", "says"),
+    [
+        ("strength", float("nan"), "sarcopenia strength must be"),
+        ("strength", -5.0, "sarcopenia strength must be"),
+        ("transmission", 1e9, "tendon_tear transmission of"),
+        ("speed / real time", 1e300, "speed must be from"),
+        ("muscles", "no such muscle", "muscles 'no such muscle' unknown"),
+        ("color", "<script>", "unknown; available"),
+        ("policy", "hold it", "policy 'hold it' unknown"),
+        ("world", "99", "world '99' unknown"),
+    ],
+)
+def test_hostile_values_are_refused_in_a_sentence(page, client, label, value, says):
+    live = page[0]
+    before = client.parts[client.uuid(label)]["value"]
+    live.message = ""
+    client.set(label, value)
+    until(lambda: says in live.message)
+    assert "<script>" not in client.status()
+    until(lambda: client.parts[client.uuid(label)]["value"] == before)
+    halted = steps(live)
+    until(lambda: steps(live) > halted + 2)
+
+
+def test_what_is_no_message_changes_nothing(page, client, capfd, caplog):
+    live, address = page
+    with caplog.at_level(logging.ERROR):
+        rude = Client(address)
+        uuid = rude.uuid("strength") if until(rude.status) else ""
+        rude.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": "much"}})
+        rude.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"nothing": 1}})
+        rude.send({"type": "ShareUrlRequest"})
+        rude.send({"type": "no such type"})
+        rude._socket.close_socket() if hasattr(rude._socket, "close_socket") else rude.leave()
+        half = socket.create_connection(("127.0.0.1", live.server.get_port()))
+        half.send(b"GET / HTTP/1.1\r\n\x00\xff")
+        half.close()
+        halted = steps(live)
+        until(lambda: steps(live) > halted + 5)
+        time.sleep(0.3)
+    said = "".join(capfd.readouterr())
+    assert "Traceback" not in said + caplog.text
+    assert not client.done
+
+
+def test_two_pages_show_the_same_and_one_may_leave(page, client, capfd):
+    live, address = page
+    other = Client(address)
+    until(other.status)
+    until(lambda: len(live.server.get_clients()) == 2)
+    other.set("color", "force")
+    until(lambda: client.parts[client.uuid("color")]["value"] == "force")
+    other.leave()
+    until(lambda: len(live.server.get_clients()) == 1)
+    halted = steps(live)
+    until(lambda: steps(live) > halted + 5)
+    client.set("color", "activation")
+    until(lambda: live.color == "activation")
+    assert "Traceback" not in "".join(capfd.readouterr())
+
+
+def test_nothing_moves_while_no_page_is_open(page):
+    live = page[0]
+    until(lambda: not live.server.get_clients())
+    time.sleep(0.1)
+    halted = steps(live)
+    time.sleep(0.4)
+    assert steps(live) == halted
+
+
+def test_traffic_is_bounded(page, client, monkeypatch):
+    """With room for a fifth of what is moved, fewer frames are sent, not more bytes."""
+    live = page[0]
+    until(lambda: client.types and live._panel)
+    rates = []
+    for bound in (live_module.TRAFFIC, 5e4):
+        monkeypatch.setattr(live_module, "TRAFFIC", bound)
+        time.sleep(0.5)
+        begin, first = time.monotonic(), client.bytes
+        time.sleep(2.0)
+        rates.append((client.bytes - first) / (time.monotonic() - begin))
+    assert 0 < rates[0] < 2e6
+    assert rates[1] < 1.5e5
+
+
+def test_another_task_is_shown(page, client):
+    live = page[0]
+    client.set("task", "myoFingerPoseFixed-v0")
+    until(lambda: live.session.title == "myoFingerPoseFixed-v0", 240.0)
+    until(lambda: steps(live) > 3)
+    assert live.session.sim.scene.spec.key == "myoFingerPoseFixed-v0"
+    client.set("task", KEY)
+    until(lambda: live.session.title == KEY, 240.0)
+    until(lambda: client.status() and steps(live) > 3)
+
+
+def get(port, path, cookie=""):
+    line = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    line.request("GET", path, headers={"Cookie": cookie} if cookie else {})
+    answer = line.getresponse()
+    return answer.status, answer.headers, answer.read()
+
+
+def test_elsewhere_needs_the_token(page):
+    live = page[0]
+    gate = Gate("127.0.0.1", 0, live.server.get_port(), "secret")
+    try:
+        for path, cookie in (("/", ""), ("/?token=wrong", ""), ("/", "myowarp_token=wrong")):
+            status, _, text = get(gate.port, path, cookie)
+            assert status == 403
+            assert b"needs its token" in text
+        status, headers, _ = get(gate.port, "/?token=secret")
+        assert status == 303
+        cookie = headers["Set-Cookie"].partition(";")[0]
+        status, _, text = get(gate.port, "/", f"other=1; {cookie}")
+        assert status == 200
+        assert b"<html" in text.lower()
+        with pytest.raises(Exception, match="403"):
+            connect(f"ws://127.0.0.1:{gate.port}", subprotocols=[f"viser-v{viser.__version__}"])
+        admitted = connect(
+            f"ws://127.0.0.1:{gate.port}",
+            subprotocols=[f"viser-v{viser.__version__}"],
+            additional_headers={"Cookie": cookie},
+            max_size=None,
+        )
+        assert admitted.recv(timeout=60)
+        admitted.close()
+    finally:
+        gate.close()
+
+
+def test_a_busy_port_is_one_sentence():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(OSError, match=rf"^port {port} of 127.0.0.1 cannot be used .*--port 0"):
+            check_port("127.0.0.1", port)
+        with pytest.raises(OSError, match=rf"^port {port} of 127.0.0.1 cannot be used"):
+            View(task=KEY, port=port)()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"task": KEY, "port": 70000}, "--port must be from 0 to 65535"),
+        ({"task": KEY, "worlds": 0}, "--worlds must be at least 1"),
+        ({"task": "myoHandReachFixed-v0", "policy": "hold"}, "policy 'hold' follows joint errors"),
+        ({"task": KEY, "policy": "baselines/myoHandReachFixed-v0"}, "cannot act in"),
+        ({}, "a task id or --model"),
+    ],
+)
+def test_a_wrong_argument_is_one_sentence(arguments, says):
+    with pytest.raises((ValueError, RuntimeError), match=says):
+        View(**arguments)()
+
+
+def test_without_viser_it_says_what_to_install(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ImportError, match=r'needs viser.*pip install "myowarp\[view\]"'):
+        View(task=KEY)()
+
+
+def test_human_mode_without_a_display_is_a_page(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    env = gym.make_vec(f"MyoWarp/{KEY}", num_envs=2, device="cpu", render_mode="human")
+    env.reset(seed=0)
+    page = Client(f"ws://127.0.0.1:{env.unwrapped._pictures._viewer.server.get_port()}")
+    env.step(env.action_space.sample())
+    until(lambda: {"MeshMessage", "BatchedMeshesMessage"} <= page.types)
+    env.close()
+    until(lambda: page.done)
+
+
+def test_policies_offered_can_act():
+    assert policies_for(TASKS["myoHandReachFixed-v0"])[0] == "baseline"
+    assert "hold" not in policies_for(TASKS["myoHandReachFixed-v0"])

@@ -1,0 +1,183 @@
+"""What acts in OpenSim and not in the result: it has a code and a size, and --strict fails until accepted."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from myowarp.opensim import command
+from myowarp.opensim.read.components import READERS
+from myowarp.opensim.read.model import read_model
+
+TORSION, TENSION = 30.0, 400.0
+"""N m/rad and N/m of the bushings."""
+
+PENDULUM = """<OpenSimDocument Version="40000"><Model name="pendulum"><gravity>0 -9.8 0</gravity>
+<BodySet><objects>
+ <Body name="rod"><mass>2</mass><mass_center>0 -.3 0</mass_center><inertia>.1 .02 .1 0 0 0</inertia></Body>
+ <Body name="bob"><mass>1</mass><mass_center>0 -.1 0</mass_center><inertia>.1 .1 .1 0 0 0</inertia></Body>
+</objects></BodySet>
+<JointSet><objects>
+ <PinJoint name="top"><socket_parent_frame>/ground</socket_parent_frame>
+  <socket_child_frame>/bodyset/rod</socket_child_frame>
+  <coordinates><Coordinate name="swing"><range>-1 1</range></Coordinate></coordinates></PinJoint>
+ <CustomJoint name="low"><socket_parent_frame>hinge</socket_parent_frame>
+  <socket_child_frame>/bodyset/bob</socket_child_frame>
+  <coordinates><Coordinate name="bend"><range>-.8 .8</range></Coordinate>
+   <Coordinate name="hidden"><range>-1 1</range></Coordinate></coordinates>
+  <frames><PhysicalOffsetFrame name="hinge"><socket_parent>/bodyset/rod</socket_parent>
+   <translation>0 -.6 0</translation></PhysicalOffsetFrame></frames>
+  <SpatialTransform>
+   <TransformAxis name="rotation3"><coordinates>bend</coordinates><axis>0 0 1</axis>
+    <LinearFunction name="function"><coefficients>-1 .2</coefficients></LinearFunction>
+   </TransformAxis>
+   <TransformAxis name="translation1"><coordinates>hidden</coordinates><axis>1 0 0</axis>
+    <PolynomialFunction name="function"><coefficients>.01 0 .01</coefficients>
+    </PolynomialFunction>
+   </TransformAxis>
+  </SpatialTransform></CustomJoint>
+</objects></JointSet>
+<ConstraintSet><objects><CoordinateCouplerConstraint name="couple">
+ <coupled_coordinates_function><LinearFunction><coefficients>1 0</coefficients></LinearFunction>
+ </coupled_coordinates_function><independent_coordinate_names>bend</independent_coordinate_names>
+ <dependent_coordinate_name>hidden</dependent_coordinate_name></CoordinateCouplerConstraint>
+ {constraint}</objects></ConstraintSet>
+<ForceSet><objects>{force}</objects></ForceSet></Model></OpenSimDocument>"""
+
+BUSHING = """<BushingForce name="lost">
+<socket_frame1>/ground</socket_frame1><socket_frame2>{frame}</socket_frame2>
+<rotational_stiffness>0 0 {torsion}</rotational_stiffness><translational_stiffness>{tension}
+</translational_stiffness></BushingForce>"""
+
+
+def written(tmp_path, force="", constraint=""):
+    path = tmp_path / "pendulum.osim"
+    path.write_text(PENDULUM.format(force=force, constraint=constraint))
+    return path
+
+
+def converted(path, tmp_path, **options):
+    """Convert strictly; returns what was printed by an error, "" for none."""
+    convert = command.Convert(path, tmp_path / "out", workers=1, strict=True, overwrite=True, **options)
+    try:
+        convert()
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+KINDS = sorted(set(READERS) - {"Marker", "CoordinateCouplerConstraint"})
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "HuntCrossleyForce", "PointOnLineConstraint", "NoOneKnowsForce"])
+def test_what_nobody_reads_is_a_loss(kind, tmp_path, monkeypatch, capsys):
+    """Each kind dropped in turn: --strict fails and names the code that accepts it."""
+    monkeypatch.delitem(READERS, kind, raising=False)
+    place = "constraint" if kind.endswith("Constraint") else "force"
+    path = written(tmp_path, **{place: f'<{kind} name="lost"/>'})
+    failed = converted(path, tmp_path)
+    assert failed.endswith(f"--accept-losses {kind} accepts them")
+    assert f"left out: {kind}, 1, " in capsys.readouterr().out
+    assert f">{kind}</td>" in (tmp_path / "out" / "report.html").read_text()
+    assert converted(path, tmp_path, accept_losses=(kind,)) == ""
+    assert f"left out: {kind}, 1, " in (said := capsys.readouterr().out)
+    assert "accepted by you" in said
+
+
+@pytest.mark.parametrize(
+    ("kind", "force"),
+    [
+        ("CoordinateLimitForce", "<coordinate>hidden</coordinate>"),
+        ("SpringGeneralizedForce", "<coordinate>hidden</coordinate><stiffness>5</stiffness>"),
+        ("CoordinateActuator", "<coordinate>hidden</coordinate>"),
+    ],
+)
+def test_what_acts_where_no_joint_is_is_a_loss(kind, force, tmp_path):
+    path = written(tmp_path, f'<{kind} name="lost">{force}</{kind}>')
+    assert f"--accept-losses {kind} " in converted(path, tmp_path)
+    assert converted(path, tmp_path, accept_losses=(kind,)) == ""
+
+
+def test_nothing_is_lost_of_a_pendulum(tmp_path, capsys):
+    assert converted(written(tmp_path), tmp_path, accept_losses=("BushingForce",)) == ""
+    assert "accepted but not left out here: BushingForce" in capsys.readouterr().out
+
+
+def test_a_bushing_elsewhere_is_measured(tmp_path):
+    """From ground to the bob, whose angle is that of both hinges: -swing with -bend + .2."""
+    force = BUSHING.format(frame="/bodyset/bob", torsion=TORSION, tension="1 2 3")
+    path = written(tmp_path, force)
+    assert "--accept-losses BushingForce " in converted(path, tmp_path)
+    (loss,) = command.run(path, tmp_path / "again")["left_out"]
+    assert loss["code"] == "BushingForce"
+    assert loss["effect"] == "force"
+    assert loss["unit"] == "N m"
+    assert 0.8 * TORSION < loss["largest"] < TORSION * (1 + 0.8 + 0.2)
+
+
+def energies(model, poses):
+    """Return potential energies of springs alone, in poses of all joints."""
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    data, found = mujoco.MjData(model), []
+    for pose in poses:
+        data.qpos = pose
+        mujoco.mj_forward(model, data)
+        mujoco.mj_energyPos(model, data)
+        found.append(data.energy[0])
+    return np.array(found)
+
+
+def test_a_bushing_at_a_joint_is_springs_on_its_joints(tmp_path):
+    """Energy k/2 d^2 of each deflection d: a turn with an offset, and a slide that follows a polynomial."""
+    force = BUSHING.replace("/ground", "/jointset/low/hinge").format(
+        frame="/bodyset/bob", torsion=TORSION, tension=f"{TENSION} 0 0"
+    )
+    path = written(tmp_path, force)
+    assert converted(path, tmp_path) == ""
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "model.xml"))
+    report = command.run(path, tmp_path / "again")
+    assert not report["left_out"]
+    assert [note["error_bound"] for note in report["notes"] if note["path"] == "/forceset/lost"] == ["0"]
+    coordinates = command.json.loads((tmp_path / "out" / "coordinates.json").read_text())
+    bend = np.linspace(-0.8, 0.8, 9)
+    joints = {entry["name"]: entry["joint"] for entry in coordinates["coordinates"]}
+    poses = np.zeros((9, model.nq))
+    poses[:, model.joint(joints["bend"]).qposadr[0]] = bend
+    for tie in coordinates["dependents"]:
+        of = poses[:, model.joint(tie["of"]).qposadr[0]]
+        poses[:, model.joint(tie["joint"]).qposadr[0]] = np.polyval(tie["polynomial"][::-1], of)
+    turned, slid = -bend + 0.2, 0.01 * bend**2 + 0.01
+    expected = 0.5 * TORSION * turned**2 + 0.5 * TENSION * slid**2
+    np.testing.assert_allclose(energies(model, poses), expected, rtol=1e-9)
+
+
+def test_a_bushing_as_stiff_in_all_directions_is_a_spring_between_points(tmp_path):
+    force = BUSHING.format(frame="/bodyset/bob", torsion=0, tension=f"{TENSION} {TENSION} {TENSION}")
+    path = written(tmp_path, force)
+    assert converted(path, tmp_path) == ""
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "model.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    away = np.linalg.norm(data.body("bob").xpos)
+    assert energies(model, [data.qpos])[0] == pytest.approx(0.5 * TENSION * away**2)
+    assert away == pytest.approx(np.hypot(0.6, 0.01), rel=1e-3)
+
+
+def test_what_is_inside_of_another_component_is_a_loss(tmp_path):
+    inside = '<components><PathActuator name="deep"/></components>'
+    path = written(tmp_path)
+    path.write_text(path.read_text().replace("<mass>2</mass>", f"{inside}<mass>2</mass>"))
+    (loss,) = read_model(path).notes
+    assert (loss.code, loss.path) == ("PathActuator", "/deep")
+
+
+def test_actuators_of_locked_coordinates_are_no_loss(tmp_path):
+    path = written(
+        tmp_path, '<CoordinateActuator name="idle"><coordinate>swing</coordinate></CoordinateActuator>'
+    )
+    path.write_text(path.read_text().replace("<range>-1 1</range>", "<locked>true</locked>", 1))
+    report = command.run(path, tmp_path / "out")
+    assert report["left_out"] == []
+    assert {note["error_bound"] for note in report["notes"] if note["path"] == "/forceset/idle"} == {
+        "0: the coordinate is locked"
+    }
