@@ -32,7 +32,7 @@ REPORT = "report.json"
 
 @dataclass
 class TrainCommand(TrainOptions):
-    """Train a policy: PPO, TRPO or SAC, with a preset for the task.
+    """Train a policy: PPO, TRPO, SAC or FlashSAC, with a preset for the task.
 
     Writes a folder with the last checkpoint, progress.csv, TensorBoard events, curve.png and report.json.
     Ctrl-C finishes the iteration and saves; a run that was stopped or killed goes on with --resume, bit for

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 
 from myowarp.apps.options import Model, OptionalTask, optional
-from myowarp.apps.train.settings import ALGORITHMS, Settings, all_settings, choose, restore
+from myowarp.apps.train.settings import ALGORITHMS, OnPolicy, Settings, all_settings, choose, restore
 from myowarp.disk import check_folder, check_output
 from myowarp.sim.state import State
 from myowarp.spec.condition import Condition, resolve
@@ -35,7 +35,9 @@ class TrainOptions:
 
     task: OptionalTask = None
     model: Model = None
-    algorithm: Annotated[Literal["ppo", "trpo", "sac"] | None, optional("{ppo,trpo,sac}")] = None
+    algorithm: Annotated[
+        Literal["ppo", "trpo", "sac", "flashsac"] | None, optional("{ppo,trpo,sac,flashsac}")
+    ] = None
     """Algorithm; by default ppo."""
     output: Annotated[Path | None, optional("FOLDER")] = None
     """New folder of the run; by default runs/<task>_<algorithm>_<seed>."""
@@ -181,7 +183,7 @@ def _parent(settings: Settings, algorithm: str, spec: TaskSpec) -> Checkpoint:
         raise ValueError(f"--parent {settings.parent!r} must be a run's folder, baseline or baselines/<id>")
     parent = read_policy(settings.parent, folder, spec)
     theirs = parent.manifest["settings"]
-    if ("log_std" in parent.policy) != (algorithm != "sac"):
+    if ("log_std" in parent.policy) != issubclass(ALGORITHMS[algorithm], OnPolicy):
         raise CheckpointError(
             f"--parent {settings.parent!r} was trained by {parent.manifest['algorithm']}, whose policies "
             f"{algorithm} cannot train"
