@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from skrl import config
 from skrl.agents.torch import Agent
 from skrl.agents.torch.ppo import PPO, PPO_CFG
 from skrl.agents.torch.sac import SAC, SAC_CFG
@@ -24,6 +25,7 @@ from skrl.resources.schedulers.torch import KLAdaptiveLR
 
 from myowarp.apps.train.flash_sac import CategoricalCritic, FlashSAC
 from myowarp.apps.train.networks import GAUSSIAN_LOG_STD, LOG_STD, GaussianPolicy, SquashedPolicy, Value
+from myowarp.apps.train.ranks import merged_moments
 from myowarp.apps.train.settings import (
     FlashSACSettings,
     OffPolicy,
@@ -48,6 +50,15 @@ CRITICS = ("critic_1", "critic_2", "target_critic_1", "target_critic_2")
 SCALER_CLIP, SCALER_EPSILON = 5.0, 1e-8  # of normalised observations; of their standard deviation
 SCALER = {"clip_threshold": SCALER_CLIP, "epsilon": SCALER_EPSILON}
 QUIET = {"write_interval": 0, "checkpoint_interval": 0}  # skrl writes no files: we do
+
+
+class MergedScaler(RunningStandardScaler):
+    """Normaliser whose moments are those of the samples of all ranks; skrl's are each rank's own."""
+
+    def _parallel_variance(self, input_mean: torch.Tensor, input_var: torch.Tensor, input_count: int) -> None:
+        if config.torch.is_distributed:
+            input_mean, input_var, input_count = merged_moments(input_mean, input_var, input_count)
+        super()._parallel_variance(input_mean, input_var, input_count)
 
 
 class TrackedSAC(SAC):
@@ -100,7 +111,7 @@ def _configuration(
     common: dict[str, Any] = {
         "discount_factor": settings.discount,
         "learning_rate": settings.learning_rate,
-        "observation_preprocessor": RunningStandardScaler,
+        "observation_preprocessor": MergedScaler,
         "observation_preprocessor_kwargs": {"size": observation, "device": device, **SCALER},
         "experiment": QUIET,
     }
@@ -127,7 +138,7 @@ def _configuration(
         "mini_batches": settings.minibatches,
         "gae_lambda": settings.trace_decay,
         "grad_norm_clip": settings.gradient_norm,
-        "value_preprocessor": RunningStandardScaler,
+        "value_preprocessor": MergedScaler,
         "value_preprocessor_kwargs": {"size": 1, "device": device},
         "time_limit_bootstrap": True,  # else advantages leak from one episode into the one before
     }
