@@ -2,12 +2,15 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
+from myowarp.opensim.check.engines import OurStep, States
 from myowarp.opensim.check.oracle import opensim_equations
 from myowarp.opensim.dynamics import equations
 from myowarp.opensim.kinematics import independent, random_poses
+from myowarp.opensim.mapping import CoordinateMap, MappedCoordinate
 from myowarp.opensim.read.model import read_model
 
 DATA = Path(__file__).parent / "data"
@@ -42,3 +45,20 @@ def test_equations_are_those_of_opensim(name):
         equations(model, values, speeds), opensim_equations(source, model, values, speeds), strict=True
     ):
         np.testing.assert_allclose(found, wanted, rtol=0, atol=SOLVED * np.abs(wanted).max())
+
+
+@pytest.mark.slow
+def test_step_of_more_joints_than_a_dense_jacobian_holds():
+    """61 bodies on slides of their own: a = f / m, although the file asks for dense Jacobians."""
+    number = 61
+    spec, mass = mujoco.MjSpec(), np.linspace(1.0, 2.0, number)
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    for index in range(number):
+        body = spec.worldbody.add_body(mass=mass[index], inertia=np.ones(3), explicitinertial=True)
+        body.add_joint(name=str(index), type=mujoco.mjtJoint.mjJNT_SLIDE)
+    ends = "free", False, 0.0, (-1.0, 1.0), False
+    shown = tuple(MappedCoordinate(str(index), str(index), 1.0, *ends) for index in range(number))
+    step = OurStep(CoordinateMap(shown, ()), spec, "")
+    still, forces = np.zeros((2, number)), np.arange(2.0 * number).reshape(2, number)
+    found = step.accelerations(States(still, still, forces, gravity=False))
+    np.testing.assert_allclose(found, forces / mass, rtol=1e-6)

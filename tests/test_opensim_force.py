@@ -192,7 +192,7 @@ def test_samples():
     with pytest.raises(ValueError, match=f"muscle '{muscle.name}' has no finite length among 2 poses"):
         force.fit_force(muscle, lengths[-2:])
     stretched = force.fit_force(muscle, np.linspace(1.0, 2.5, 30) * length)
-    assert "of the poses stretch it to more than 3 times" in stretched.notes[-1].rule
+    assert "poses stretch it to more than 3 times" in stretched.notes[-1].rule
     assert not fit.notes
 
 

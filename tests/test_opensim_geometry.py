@@ -242,13 +242,33 @@ def test_meshes(form, tmp_path):
     model = converted.spec.compile()
     assert model.nmesh == (form == "ascii")
     assert model.body("upper").mass[0] == 2
-    notes = [note.rule for note in converted.notes if note.path == "upper/humerus.vtp"]
+    notes = [note.rule for note in converted.notes if note.path in ("upper/humerus.vtp", "/meshes")]
     if form == "ascii":
         assert notes == []
         assert model.mesh_vertnum[0] == 4
         assert list(converted.meshes) == ["humerus.obj"]
     else:
-        assert ("not found" if form is None else "must be in ASCII") in notes[0]
+        expected = "1 mesh files are not found" if form is None else "must be in ASCII"
+        assert len(notes) == 1
+        assert expected in notes[0]
+
+
+def test_visible_body():
+    """Without meshes, capsules go from joint to joint and a floor is below them; nothing else changes."""
+    converted = convert(read_model(DATA / "osim" / "arm26.osim"))
+    model = mujoco.MjModel.from_xml_string(mjcf(converted.spec))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    geom = model.geom("r_humerus_bone")
+    along = geom.size[1] * data.geom_xmat[geom.id].reshape(3, 3)[:, 2]
+    ends = data.geom_xpos[geom.id] + np.outer([-1, 1], along)
+    joints = [data.body(name).xpos for name in ("r_humerus", "r_ulna_radius_hand")]
+    np.testing.assert_allclose(ends, joints, atol=1e-9)
+    floor = data.geom_xpos[model.geom("floor").id][2]
+    assert floor <= data.geom_xpos[:, 2].min()
+    drawn = [model.geom(name).id for name in ("floor", "r_humerus_bone", "r_ulna_radius_hand_bone")]
+    assert not (model.geom_contype | model.geom_conaffinity)[drawn].any()
+    np.testing.assert_allclose(model.body_mass.sum(), sum(b.mass for b in converted.model.bodies.values()))
 
 
 def test_command_writes_a_model_that_loads(tmp_path):

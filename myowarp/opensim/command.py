@@ -108,7 +108,7 @@ def _figure(gate: dict[str, Any]) -> str:
 
 
 def _summarize(report: dict[str, Any], output: Path, accepted: tuple[str, ...]) -> None:
-    from myowarp.opensim.report.data import left_out
+    from myowarp.opensim.report.data import alike, left_out
 
     console = Console(highlight=False, soft_wrap=True)
     counts = report["counts"]
@@ -127,7 +127,9 @@ def _summarize(report: dict[str, Any], output: Path, accepted: tuple[str, ...]) 
     console.print(
         f"{len(report['gates']) - len(missed)} of {len(report['gates'])} figures within their gates"
     )
-    console.print(f"{len(report['notes'])} notes on what is not exact, in {output}/report.html")
+    for done, notes in alike(report["notes"]).items():
+        console.print(f"{len(notes)} x {done}", markup=False)
+    console.print(f"each of these, and how far off it is: {output}/report.html")
 
 
 def run(

@@ -21,6 +21,7 @@ from myowarp.opensim.build.geometry import Build, begin, exact, starts_of, tie
 from myowarp.opensim.build.meshes import add_shapes
 from myowarp.opensim.build.passive import add_forces, path_tendon
 from myowarp.opensim.build.points import add_markers, add_moving_points
+from myowarp.opensim.build.visible_body import add_visible_body
 from myowarp.opensim.mapping import CoordinateMap
 from myowarp.opensim.model import Model, Muscle, Note
 from myowarp.opensim.muscle.hill import HillMuscle
@@ -107,6 +108,8 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"{model.source}: MuJoCo does not accept the converted model: {reason}") from error
+    if not meshes:
+        add_visible_body(build, compiled)
     build.spec.add_key(name=KEYFRAME, qpos=coordinates.qpos(compiled, {})[0])
     bodies = {name: body.name for name, body in build.bodies.items()}
     notes = (*model.notes, *build.notes)

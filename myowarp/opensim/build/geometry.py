@@ -389,7 +389,9 @@ def _tied(build: Build, name: str, demands: Sequence[Demand]) -> list[Dependent]
         unit = "m" if demand.lever == 1 else "rad"
         slope = f"slope {end.slope_error:.2g} {unit} per unit of {name} root mean square"
         build.notes.append(
-            Note(f"/joint/{demand.joint}", f"follows {name} by a quartic", f"{end.error:.2g} {unit}; {slope}")
+            Note(
+                f"/joint/{demand.joint}", f"follows by a quartic: {name}", f"{end.error:.2g} {unit}; {slope}"
+            )
         )
     return exact + chain + ends
 

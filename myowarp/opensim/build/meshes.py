@@ -44,15 +44,20 @@ def add_shapes(build: Build, folders: Sequence[Path]) -> dict[str, bytes]:
     places = [*folders, *(build.model.source.parent / folder for folder in FOLDERS)]
     files: dict[str, bytes] = {}
     meshes: dict[tuple[str, tuple[float, ...]], str | None] = {}
+    missing: list[str] = []
     for shape in build.model.shapes:
         if shape.kind == "mesh":
             key = shape.file or "", tuple(shape.size)
             if key not in meshes:
-                meshes[key] = _add_mesh(build, shape, places, files)
+                meshes[key] = _add_mesh(build, shape, places, files, missing)
             if meshes[key] is not None:
                 _add_geom(build, shape, meshes[key])
         else:
             _add_geom(build, shape, None)
+    if missing:
+        named = ", ".join(dict.fromkeys(missing))
+        rule = f"{len(missing)} mesh files are not found, given with --meshes: {named}"
+        build.notes.append(Note("/meshes", rule, "0: for looking at only"))
     return files
 
 
@@ -86,16 +91,18 @@ def _add_geom(build: Build, shape: Shape, mesh: str | None) -> None:
         geom.size[: len(shape.size)] = shape.size
 
 
-def _add_mesh(build: Build, shape: Shape, places: Sequence[Path], files: dict[str, bytes]) -> str | None:
-    """Add a mesh asset and return its name; None, with a note, if there is no usable file."""
+def _add_mesh(
+    build: Build, shape: Shape, places: Sequence[Path], files: dict[str, bytes], missing: list[str]
+) -> str | None:
+    """Add a mesh asset and return its name; None, with a note or in `missing`, if there is no usable file."""
     file = Path((shape.file or "").replace("\\", "/")[-MAX_PATH:])
     found = next(
         (place / name for place in places for name in (file, file.name) if (place / name).is_file()), None
     )
-    where = f"{shape.body}/{file}"
     if found is None:
-        build.notes.append(Note(where, "the mesh file was not found; left out", "0: for looking at only"))
+        missing.append(file.name)
         return None
+    where = f"{shape.body}/{file}"
     try:
         name, content = _content(found)
         _check(name, content, shape.size)

@@ -17,6 +17,7 @@ GEOMS = {
     mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
     mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
     mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
+    mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
     mujoco.mjtGeom.mjGEOM_BOX: "box",
     mujoco.mjtGeom.mjGEOM_MESH: "mesh",
 }
@@ -95,8 +96,15 @@ def mjcf(spec: mujoco.MjSpec, comment: str = "") -> str:
         custom = _add(root, "custom")
         for text in spec.texts:
             _add(custom, "text", name=text.name, data=text.data)
-    if len(spec.meshes):
+    if len(spec.meshes) or len(spec.materials):
         asset = _add(root, "asset")
+        for texture in spec.textures:
+            size = {"width": texture.width, "height": texture.height}
+            colors = {"rgb1": texture.rgb1, "rgb2": texture.rgb2}
+            _add(asset, "texture", name=texture.name, type="2d", builtin="checker", **size, **colors)
+        for material in spec.materials:
+            texture = material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB]
+            _add(asset, "material", name=material.name, texture=texture, texrepeat=material.texrepeat)
         for mesh in spec.meshes:
             _add(asset, "mesh", name=mesh.name, file=mesh.file, scale=mesh.scale, inertia="shell")
     _body_content(_add(root, "worldbody"), spec.worldbody)
@@ -211,11 +219,12 @@ def _geom(element: ElementTree.Element, geom: mujoco.MjsGeom) -> None:
         quat=_unless(geom.quat, IDENTITY),
         size=None if mesh else geom.size,
         mesh=geom.meshname if mesh else None,
+        material=geom.material or None,
         mass=0.0,
         contype=int(geom.contype),
         conaffinity=int(geom.conaffinity),
         group=int(geom.group),
-        rgba=geom.rgba,
+        rgba=None if geom.material else geom.rgba,
     )
 
 

@@ -159,7 +159,7 @@ def _has_joint(build: Build, name: str, kind: str, coordinate: str) -> bool:
     """Whether a joint shows the coordinate that something acts on; a loss is noted if none does."""
     if coordinate in build.carriers:
         return True
-    path, rule = f"/forceset/{name}", f"no joint shows {coordinate!r}; left out"
+    path, rule = f"/forceset/{name}", f"left out, no joint shows its coordinate: {coordinate}"
     if reduced(build.model, IDENTITY, coordinate)[1] is None:
         build.notes.append(Note(path, rule, "0: the coordinate is locked"))
     else:

@@ -150,6 +150,8 @@ class OurStep:
         for element in (*spec.actuators, *spec.tendons, *loops, *spec.geoms, *spec.meshes):
             spec.delete(element)
         spec.option.disableflags |= OFF
+        # What the file says is for MuJoCo C; mujoco-warp has dense Jacobians of up to 60 joints only.
+        spec.option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
         if said:
             ask(spec, said)
         host = spec.compile()

@@ -320,7 +320,7 @@ def _stretched(muscle: HillMuscle, check: _Samples, error: Array) -> tuple[Note,
     if share == 0.0:
         return ()
     rule = (
-        f"{100 * share:.0f} % of the poses stretch it to more than {HIGH_FORCE:g} times its maximum "
-        "isometric force, where MuJoCo's passive force is a line"
+        f"poses stretch it to more than {HIGH_FORCE:g} times its maximum isometric force, where MuJoCo's "
+        f"passive force is a line: {100 * share:.0f} % of them"
     )
     return (Note(muscle.name, rule, f"{np.abs(error).max():.2g} times the maximum isometric force"),)

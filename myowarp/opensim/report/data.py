@@ -220,6 +220,18 @@ def report_of(
     )
 
 
+def alike(notes: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """Return notes by what they have in common: what was done, without what follows a colon.
+
+    Args:
+        notes: `notes` of a report.
+    """
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for note in notes:
+        groups.setdefault(note["rule"].partition(":")[0], []).append(note)
+    return groups
+
+
 def left_out(losses: list[dict[str, Any]]) -> list[tuple[str, str, str, str]]:
     """Return what was left out by code: code, effect and size, what was done, and elements; most come first.
 

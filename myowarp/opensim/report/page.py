@@ -8,9 +8,10 @@ import mujoco
 import numpy as np
 
 from myowarp.opensim.build.convert import Converted
+from myowarp.opensim.build.visible_body import bones
 from myowarp.opensim.check.dynamics import Dynamics
 from myowarp.opensim.report.charts import Line, chart, colored_map, colors, legible, outline
-from myowarp.opensim.report.data import left_out
+from myowarp.opensim.report.data import alike, left_out
 from myowarp.opensim.report.dynamics import dynamics_section, engines_table
 
 if TYPE_CHECKING:
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 
 MAIN = 3
 """Coordinates of a muscle whose moment arms are drawn, greatest first."""
-LIGHT = 2e-3
-"""[kg]: what a body of a phantom or a moving point weighs at most."""
 WORST = 1e-3
 """[m] of moment arm error with the strongest color."""
 LEAST_DIFFERENCE = 0.05
@@ -76,7 +75,7 @@ def page(
         _left_out(report),
         f"<h2>Accelerations</h2>{engines_table(report)}",
         _gates(report),
-        f"<h2>Default pose</h2>{_pictures(model)}",
+        f"<h2>Default pose</h2>{_pictures(converted, model)}",
         dynamics_section(report, dynamics),
     ]
     if samples is not None:
@@ -206,20 +205,13 @@ LEFT_OUT = ("number, effect, greatest force", "what was done", "where")
 """Columns beside the code."""
 
 
-def _pictures(model: mujoco.MjModel) -> str:
+def _pictures(converted: Converted, model: mujoco.MjModel) -> str:
     """Draw bodies as capsules from joint to joint, and tendons in their colors, from three sides."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
-    strokes: list[tuple[str, np.ndarray]] = []
-    still = model.body_weldid == 0
-    # Bodies of phantoms and moving points carry next to nothing; they stand for no bone.
-    bones = [body for body in range(1, model.nbody) if not still[body] and model.body_mass[body] > LIGHT]
-    for body in bones:
-        children = [child for child in bones if model.body_parentid[child] == body]
-        # A body at the end of a chain is taken to reach as far beyond its mass centre as this is away.
-        ends = [data.xpos[child] for child in children] or [2 * data.xipos[body] - data.xpos[body]]
-        strokes += [("bone", np.array([data.xpos[body], end])) for end in ends]
+    found = [ends for _, ends in bones(converted.model, converted.bodies, model)]
+    strokes = [("bone", ends) for ends in found]
     wraps = data.wrap_xpos.reshape(-1, 3)
     for tendon, (first, count) in enumerate(zip(data.ten_wrapadr, data.ten_wrapnum, strict=True)):
         red, green, blue = (255 * model.tendon_rgba[tendon, :3]).astype(int)
@@ -228,7 +220,7 @@ def _pictures(model: mujoco.MjModel) -> str:
         ]
     if not strokes:
         return "<p>Nothing moves.</p>"
-    dots = data.xpos[np.array(bones, int)]
+    dots = np.array([ends[0] for ends in found]).reshape(-1, 3)
     pictures = []
     for title, axis, sign in VIEWS:
         right, up = np.eye(3)[axis] * sign, np.array([0.0, 0.0, 1.0])
@@ -352,15 +344,16 @@ def _maps(fit: "MuscleFit") -> str:
     return "".join(parts)
 
 
-def _notes(notes: Sequence[Mapping[str, Any]]) -> str:
-    """Return what is not carried over exactly; notes of one rule stand in one row."""
-    same: dict[tuple[str, str], list[str]] = {}
-    for note in notes:
-        same.setdefault((note["rule"], note["error_bound"] or ""), []).append(note["path"])
-    rows = "".join(
-        f'<tr><td class="text">{escape(rule)}</td><td class="text">{escape(bound)}</td>'
-        f'<td class="text">{escape(", ".join(paths))}</td></tr>'
-        for (rule, bound), paths in same.items()
-    )
-    head = "<tr><th>what was done</th><th>error at most</th><th>where</th></tr>"
-    return f"<h2>Not exact: {len(notes)} notes</h2><table>{head}{rows}</table>"
+def _notes(notes: list[dict[str, Any]]) -> str:
+    """Return what is not carried over exactly: a line for what is alike, which opens to its elements."""
+    parts = []
+    for done, group in alike(notes).items():
+        rows = "".join(
+            f'<tr><td class="text">{escape(note["path"])}</td>'
+            f'<td class="text">{escape(note["rule"].partition(":")[2])}</td>'
+            f'<td class="text">{escape(note["error_bound"] or "")}</td></tr>'
+            for note in group
+        )
+        table = f'<table><tr><th>where</th><th></th><th class="text">error at most</th></tr>{rows}</table>'
+        parts.append(f"<details><summary>{len(group)} × {escape(done)}</summary>{table}</details>")
+    return f"<h2>Not exact: {len(notes)} elements</h2>{''.join(parts)}"
