@@ -18,7 +18,7 @@ from myowarp.apps.train import checkpoint as checkpoints
 from myowarp.apps.train import command
 from myowarp.apps.train.evaluate import evaluate, wilson
 from myowarp.apps.train.plan import plan
-from myowarp.apps.train.settings import ALGORITHMS, choose
+from myowarp.apps.train.settings import ALGORITHMS, choose, preset_algorithm
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
 from myowarp.sim.state import State
@@ -233,6 +233,7 @@ def test_evaluation_counts_each_world_once(monkeypatch):
 def test_presets_are_of_tasks_and_within_bounds(name):
     task = name.removesuffix(".toml")
     assert task in {TASKS[key].name for key in TASKS}
+    assert preset_algorithm(task) in ALGORITHMS
     for algorithm in ALGORITHMS:
         choose(task, algorithm, {})
 
@@ -596,3 +597,12 @@ def test_a_missing_package_is_named(package, arguments, sentence, run, no_simula
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == package else find(name))
     assert said(run("train", ELBOW, "--output", tmp_path / "new", *arguments)) == sentence
+
+
+def test_a_preset_chooses_the_algorithm(run, no_simulation, tmp_path):
+    task = next(name.removesuffix(".toml") for name in PRESETS if preset_algorithm(name[:-5]) == "flashsac")
+    options = ("--output", tmp_path / "new", "--num-worlds", 48)
+    assert said(run("train", f"{task}-v0", *options)).startswith("--replay must be a multiple of the 48 worlds")
+    sentence = "flashsac has no setting --epochs; it belongs to ppo and trpo"
+    assert said(run("train", f"{task}-v0", *options, "--epochs", 4)) == sentence
+    assert said(run("train", f"{task}-v0", *options, "--algorithm", "ppo", "--epochs", 0)).startswith("--epochs")

@@ -20,6 +20,7 @@ from myowarp.apps.train.settings import (
     Settings,
     all_settings,
     choose,
+    preset_algorithm,
     restore,
 )
 from myowarp.disk import check_folder, check_output
@@ -46,7 +47,7 @@ class TrainOptions:
     algorithm: Annotated[
         Literal["ppo", "trpo", "sac", "flashsac"] | None, optional("{ppo,trpo,sac,flashsac}")
     ] = None
-    """Algorithm; by default ppo."""
+    """Algorithm; by default that of the task's preset, which is ppo but for a few."""
     output: Annotated[Path | None, optional("FOLDER")] = None
     """New folder of the run; by default runs/<task>_<algorithm>_<seed>."""
     resume: Annotated[Path | None, optional("FOLDER")] = None
@@ -124,7 +125,7 @@ def plan(command: TrainOptions) -> Job:
     if command.resume is not None:
         return _plan_resume(command, given, ranks)
     variant = task_or_model(command.task, command.model)
-    algorithm = command.algorithm or "ppo"
+    algorithm = command.algorithm or preset_algorithm(TASKS[variant.task].name)
     settings = choose(TASKS[variant.task].name, algorithm, given)
     task = command.task or str(command.model)
     name = f"{TASKS[variant.task].key}_{algorithm}_{settings.seed}"

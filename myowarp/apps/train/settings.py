@@ -172,7 +172,7 @@ class FlashSACSettings(OffPolicy):
     """Soft actor-critic with categorical critics and repeated noise."""
 
     temperature: float = setting(0.002, "Weight of the entropy at the start; it is learned.", least=1e-9)
-    critic_width: int = setting(256, "Width of the critics' residual blocks.", least=1)
+    critic_width: int = setting(128, "Width of the critics' residual blocks.", least=1)
     critic_blocks: int = setting(2, "Residual blocks of a critic.", least=1)
     atoms: int = setting(101, "Values whose probabilities a critic learns.", least=2)
     policy_every: int = setting(2, "Gradient steps of the critics for one of the policy.", least=1)
@@ -204,12 +204,22 @@ def preset(name: str, algorithm: str) -> dict[str, Any]:
         name: Name of the task without version.
         algorithm: Key in `ALGORITHMS`; its table follows what the preset says for all.
     """
+    table = _preset_table(name)
+    own = table.get(algorithm, {})
+    shared = {key: value for key, value in table.items() if not isinstance(value, dict)}
+    shared.pop("algorithm", None)
+    return shared | own
+
+
+def preset_algorithm(name: str) -> str:
+    """Return the algorithm of a task's preset, ppo where it names none."""
+    return str(_preset_table(name).get("algorithm", "ppo"))
+
+
+def _preset_table(name: str) -> dict[str, Any]:
+    """Return a task's preset as it stands in its file."""
     file = resources.files(__package__) / "presets" / f"{name}.toml"
-    if not file.is_file():
-        return {}
-    table = tomllib.loads(file.read_text())
-    own = table.pop(algorithm, {})
-    return {key: value for key, value in table.items() if not isinstance(value, dict)} | own
+    return tomllib.loads(file.read_text()) if file.is_file() else {}
 
 
 def choose(name: str, algorithm: str, given: Mapping[str, Any]) -> Settings:
