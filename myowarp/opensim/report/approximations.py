@@ -66,10 +66,10 @@ def _reason(path: Path, tendon: TendonPath, pairs: Sequence[MomentArmError]) -> 
         said.append(
             f"OpenSim switches {len(switched)} of its points on and off by {coordinates}; no surface does"
         )
-    shown = {over.name: over.surface.kind for over in tendon.surfaces}
-    wraps = {wrap.object: wrap.object.replace("/", "-") for wrap in path.wraps}
-    if len(wraps) > 1 and len(shown) < len(wraps):
-        said.append(f"MuJoCo has one surface between two points, which leaves {len(shown)} of {len(wraps)}")
+    bare = {wrap.object.replace("/", "-") for wrap in path.wraps} - {over.name for over in tendon.surfaces}
+    if bare:
+        named = ", ".join(sorted(bare))
+        said.append(f"no surface stands for {named}: MuJoCo takes one between two points")
     if share := max((pair.inconsistent for pair in pairs), default=0.0):
         said.append(
             f"in up to {100 * share:.0f} % of the poses OpenSim's moment arm is not the slope of its length"
