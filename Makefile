@@ -19,7 +19,7 @@ STAMP := $(VENV)/.installed
 TEST_STAMP := $(VENV)/.installed-test
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help setup demo test test-slow lint format bench gpu rivals opensim accuracy parity soak audit docs pictures dist learning test-view clean
+.PHONY: help setup demo test test-slow scale lint format bench gpu rivals opensim accuracy parity soak audit docs pictures dist learning test-view clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -52,10 +52,13 @@ demo: setup ## Show 256 trained hands that reach for targets, success rate, out/
 	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --policy baselines/myoHandReachRandom-v0 --num-worlds 256 --video out/demo.mp4 --overwrite
 
 test: lint ## Check format, lint and types, then run the fast tests (what CI runs)
-	$(BIN)/python -m pytest -m "not slow and not view" -n auto --dist loadfile $(PYTEST)
+	$(BIN)/python -m pytest -m "not slow and not view and not scale" -n auto --dist loadfile $(PYTEST)
 
 test-slow: $(TEST_STAMP) ## Run the tests marked slow
-	$(BIN)/python -m pytest -m slow $(PYTEST)
+	$(BIN)/python -m pytest -m "slow and not scale" $(PYTEST)
+
+scale: $(TEST_STAMP) ## Kill ranks, workers, nodes and drivers, and compare with undisturbed runs (half an hour)
+	$(BIN)/python -m pytest -m scale $(PYTEST)
 
 test-view: $(TEST_STAMP) ## Test the page of `myowarp view` in a headless Chromium, which is installed where apt-get is
 	@command -v chromium >/dev/null || apt-get install --yes --no-install-recommends chromium || { \

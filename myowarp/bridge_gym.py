@@ -90,6 +90,7 @@ class MyoWarpVectorEnv(VectorEnv):
         muscle_color: str = "activation",
         deterministic: bool = False,
         progress: bool = True,
+        rank: tuple[int, int] = (0, 1),
     ) -> None:
         """Compile the task and its kernels; half a minute the first time, seconds later.
 
@@ -114,6 +115,9 @@ class MyoWarpVectorEnv(VectorEnv):
             muscle_color: What the colour of a muscle shows, a name in `myowarp.view.muscles.QUANTITIES`.
             deterministic: Whether a run gives the same bits every time on CUDA, which is slower.
             progress: Whether to show a progress bar while kernels compile.
+            rank: Which of how many equal ranks, each a process of its own: rank r of R has worlds r num_envs
+                to (r + 1) num_envs - 1 of one numbered set. World i of all resets with `seed + i`, and
+                parameters that are given per world are given for all R num_envs.
 
         Raises:
             ValueError: An argument is out of its range; nothing was built.
@@ -132,6 +136,7 @@ class MyoWarpVectorEnv(VectorEnv):
         options: dict[str, Any] = {"physics": physics, "muscle": muscle, "reset": reset, "shards": shards}
         options |= {"device": device, "conditions": conditions, "horizon": max_episode_steps}
         options |= {"autoreset": AUTORESET_NAMES[mode], "deterministic": deterministic, "progress": progress}
+        options["rank"] = rank
         self.sim = Simulation(TASKS[task], num_envs, **options)
         if render_mode is not None:
             self._pictures.attach(self.sim)
@@ -184,7 +189,8 @@ class MyoWarpVectorEnv(VectorEnv):
         """Start new episodes.
 
         Args:
-            seed: World i gets `seed + i`, or the i-th of a sequence; None lets the random streams go on.
+            seed: World i gets `seed + i`, or the i-th of a sequence; None lets the random streams go on. With
+                ranks, i counts the worlds of all, and a sequence is for those of this rank.
             options: By name, each may be left out:
                 `reset_mask`: Only these worlds, (num_envs,) bool.
                 `qpos`: Start configuration, (nq,) for all or (num_envs, nq), in the order of
@@ -348,7 +354,8 @@ class MyoWarpVectorEnv(VectorEnv):
             return None, np.zeros(self.num_envs, dtype=bool)
         given = seed
         if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool):
-            seed = [int(seed) + i for i in range(self.num_envs)]
+            first = int(seed) + self.sim.scene.worlds.offset
+            seed = [first + i for i in range(self.num_envs)]
         ordered = isinstance(seed, Iterable) and not isinstance(seed, (str, bytes, Set, Mapping))
         seeds: list[Any] = list(seed) if ordered else self.num_envs * [seed]  # type: ignore[arg-type]
         if len(seeds) != self.num_envs:
@@ -424,6 +431,7 @@ class MyoWarpEnv(gym.Env):
             "copy",
             "max_episode_steps",
             "render_worlds",
+            "rank",
         )
         for option in many:
             if option in options:

@@ -54,6 +54,31 @@ def in_place(path: Path) -> Iterator[Path]:
         raise
 
 
+@contextlib.contextmanager
+def locked(path: Path, *, wait: bool) -> Iterator[None]:
+    """Hold a lock file during the block; the system lets go of it when a process dies.
+
+    Args:
+        path: The file; it is made if it does not exist, and stays.
+        wait: Whether to wait for another process that holds it.
+
+    Raises:
+        ValueError: Another process holds it.
+        OSError: The file cannot be written.
+    """
+    import fcntl  # not on Windows
+
+    with path.open("a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            raise ValueError(
+                f"folder {str(path.parent)!r} is in use by another process; wait for it, or choose another "
+                "--output"
+            ) from None
+        yield
+
+
 def check_folder(folder: Path) -> None:
     """Raise a clear error now if files could not be written into a folder, which may not exist yet.
 

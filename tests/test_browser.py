@@ -12,17 +12,28 @@ import numpy as np
 import pytest
 import viser
 import zstandard
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from myowarp.apps.commands.view import View, policies_for
 from myowarp.spec.task import TASKS
-from myowarp.tasks.variants import find_variant
 from myowarp.view.browser import live as live_module
 from myowarp.view.browser.live import Live
-from myowarp.view.browser.server import Gate, check_port, close_server, open_server
-from myowarp.view.browser.session import Choices
+from myowarp.view.browser.server import Gate, address_of, check_port, close_server, open_server
 
 KEY = "myoElbowPose1D6MRandom-v0"
+OWN_POLICY = """
+import numpy as np
+
+def bend(obs):
+    return np.ones((len(obs), 1), dtype=np.float32)
+"""
+OWN_MODEL = """
+<mujoco><worldbody><body name="arm" pos="0 0 1">
+  <joint name="elbow" axis="0 1 0" range="-1 1" limited="true"/>
+  <geom name="bone" type="capsule" fromto="0 0 0 0 0 -0.3" size="0.03"/>
+</body></worldbody><actuator><motor name="torque" joint="elbow" ctrlrange="-1 1"/></actuator></mujoco>
+"""
 CAMERA = {
     "type": "ViewerCameraMessage",
     **{"wxyz": [1.0, 0.0, 0.0, 0.0], "position": [1.0, 0.0, 0.0], "look_at": [0.0, 0.0, 0.0]},
@@ -99,12 +110,18 @@ def until(condition, seconds=60.0):
 
 
 @pytest.fixture(scope="module")
-def page():
-    command = View(task=KEY, worlds=2)
-    session = command._open(KEY, find_variant(KEY), "random")
-    choices = Choices([KEY, "myoFingerPoseFixed-v0"], policies_for, command._acting, command._reopen)
+def command(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "bend.py").write_text(OWN_POLICY)
+    (folder / "arm.xml").write_text(OWN_MODEL)
+    return View(model=folder / "arm.xml", policy=f"{folder}/bend.py:bend", worlds=2)
+
+
+@pytest.fixture(scope="module")
+def page(command):
+    session = command._open(KEY, "random")
     server = open_server(0, "test")
-    live = Live(server, session, choices)
+    live = Live(server, session, command._choices())
     thread = threading.Thread(target=live.run, daemon=True)
     thread.start()
     yield live, f"ws://127.0.0.1:{server.get_port()}"
@@ -272,50 +289,98 @@ def test_traffic_is_bounded(page, client, monkeypatch):
     assert rates[1] < 1.5e5
 
 
-def test_another_task_is_shown(page, client):
+def test_other_tasks_are_shown_and_the_users_own_again(page, client, command):
+    """Its model and its policy stay in the lists, wherever the page has been in between."""
     live = page[0]
-    client.set("task", "myoFingerPoseFixed-v0")
-    until(lambda: live.session.title == "myoFingerPoseFixed-v0", 240.0)
-    until(lambda: steps(live) > 3)
-    assert live.session.sim.scene.spec.key == "myoFingerPoseFixed-v0"
-    client.set("task", KEY)
-    until(lambda: live.session.title == KEY, 240.0)
-    until(lambda: client.status() and steps(live) > 3)
+    model, policy = str(command.model), command.policy
+    for task in ("myoFingerPoseFixed-v0", model, KEY):
+        client.set("task", task)
+        until(lambda task=task: live.session.title == task, 240.0)
+        until(lambda: steps(live) > 3)
+        if task == model:
+            client.set("policy", policy)
+            until(lambda: live.session.policy == policy)
+            halted = steps(live)
+            until(lambda halted=halted: steps(live) > halted + 3)
+            assert (live.session.sim.action.numpy() == 1.0).all()
+            client.set("policy", "random")
+            until(lambda: live.session.policy == "random")
+        else:
+            assert live.session.sim.scene.spec.key == task
+        options = client.parts[client.uuid("task")]["options"]
+        assert options[0] == model
+        assert KEY in options
+        assert policy in client.parts[client.uuid("policy")]["options"]
+    until(client.status)
 
 
-def get(port, path, cookie=""):
+def get(port, path, cookie="", origin=""):
     line = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
-    line.request("GET", path, headers={"Cookie": cookie} if cookie else {})
+    given = {"Cookie": cookie, "Origin": origin}
+    line.request("GET", path, headers={name: value for name, value in given.items() if value})
     answer = line.getresponse()
     return answer.status, answer.headers, answer.read()
 
 
-def test_elsewhere_needs_the_token(page):
-    live = page[0]
-    gate = Gate("127.0.0.1", 0, live.server.get_port(), "secret")
+def admitted(port, cookie="", origin=None):
+    """Whether a socket opens and is spoken to."""
+    given = {"additional_headers": {"Cookie": cookie} if cookie else {}, "origin": origin, "max_size": None}
     try:
-        for path, cookie in (("/", ""), ("/?token=wrong", ""), ("/", "myowarp_token=wrong")):
-            status, _, text = get(gate.port, path, cookie)
-            assert status == 403
-            assert b"needs its token" in text
-        status, headers, _ = get(gate.port, "/?token=secret")
+        with connect(f"ws://127.0.0.1:{port}", subprotocols=[f"viser-v{viser.__version__}"], **given) as line:
+            return bool(line.recv(timeout=60))
+    except InvalidStatus as refused:
+        return refused.response.status_code != 403
+
+
+def test_elsewhere_needs_the_token(page, capfd):
+    inner = page[0].server.get_port()
+    gate, other = Gate("127.0.0.1", 0, inner, "secret"), Gate("127.0.0.1", 0, inner, "other")
+    for path, cookie in (("/", ""), ("/?token=wrong", ""), ("/", f"myowarp_token_{gate.port}=wrong")):
+        status, _, text = get(gate.port, path, cookie)
+        assert status == 403
+        assert b"needs its token" in text
+    cookies = []
+    for at, token in ((gate.port, "secret"), (other.port, "other")):
+        status, headers, _ = get(at, f"/?token={token}")
         assert status == 303
-        cookie = headers["Set-Cookie"].partition(";")[0]
-        status, _, text = get(gate.port, "/", f"other=1; {cookie}")
-        assert status == 200
-        assert b"<html" in text.lower()
-        with pytest.raises(Exception, match="403"):
-            connect(f"ws://127.0.0.1:{gate.port}", subprotocols=[f"viser-v{viser.__version__}"])
-        admitted = connect(
-            f"ws://127.0.0.1:{gate.port}",
-            subprotocols=[f"viser-v{viser.__version__}"],
-            additional_headers={"Cookie": cookie},
-            max_size=None,
-        )
-        assert admitted.recv(timeout=60)
-        admitted.close()
-    finally:
-        gate.close()
+        cookies.append(headers["Set-Cookie"].partition(";")[0])
+    cookie = "; ".join(cookies)  # what a browser sends to both, as they are on one machine
+    status, _, text = get(gate.port, "/", cookie)
+    assert status == 200
+    assert b"<html" in text.lower()
+    assert not admitted(gate.port)
+    assert admitted(gate.port, cookie)
+    half = socket.create_connection(("127.0.0.1", gate.port))
+    half.send(b"GET / HTTP/1.1\r\n")
+    gate.close()
+    other.close()
+    half.close()
+    assert "Traceback" not in "".join(capfd.readouterr())
+
+
+def test_pages_of_other_sites_are_refused(page):
+    inner = page[0].server.get_port()
+    gate = Gate("127.0.0.1", 0, inner, "secret")
+    cookie = f"myowarp_token_{gate.port}=secret"
+    for foreign in (
+        "http://evil.example",
+        f"http://evil.example:{inner}",
+        "http://localhost.evil.example",
+        "null",
+    ):
+        assert not admitted(inner, origin=foreign)
+        assert not admitted(gate.port, cookie, foreign)
+        assert get(gate.port, "/", cookie, foreign)[0] == 403
+    for own in (f"http://localhost:{inner}", "http://127.0.0.1:1", None):
+        assert admitted(inner, origin=own)
+    assert admitted(gate.port, cookie, f"http://127.0.0.1:{gate.port}")
+    gate.close()
+
+
+def test_the_address_is_one_that_a_browser_can_open():
+    assert address_of("192.168.0.7", 80) == "http://192.168.0.7:80"
+    assert address_of("fe80::1", 8080) == "http://[fe80::1]:8080"
+    assert address_of("0.0.0.0", 8080) == f"http://{socket.gethostname()}:8080"
 
 
 def test_a_busy_port_is_one_sentence():
@@ -362,5 +427,8 @@ def test_human_mode_without_a_display_is_a_page(monkeypatch):
 
 
 def test_policies_offered_can_act():
-    assert policies_for(TASKS["myoHandReachFixed-v0"])[0] == "baseline"
-    assert "hold" not in policies_for(TASKS["myoHandReachFixed-v0"])
+    hand, elbow = TASKS["myoHandReachFixed-v0"], TASKS[KEY]
+    assert policies_for(hand, "random")[:2] == ["random", "baseline"]
+    assert "hold" not in policies_for(hand, "hold")
+    assert policies_for(elbow, "hold")[0] == "hold"
+    assert "baselines/myoHandReachFixed-v0" not in policies_for(elbow, "baselines/myoHandReachFixed-v0")

@@ -34,7 +34,8 @@ G = 9.81
 def command(name, folder, **options):
     """Run a command in its quick form, with one seed and few worlds."""
     given = {"seeds": 1, "num_worlds": 4, "device": "cpu"} | options
-    Reproduce(name=name, quick=True, output=folder, **given)()
+    read = {key: value for key, value in given.items() if key not in EXPERIMENTS[name].ignores}
+    Reproduce(name=name, quick=True, output=folder, **read)()
 
 
 @pytest.fixture(scope="module")
@@ -108,6 +109,18 @@ def test_what_is_wrong_is_said_in_a_sentence(arguments, sentence, run, tmp_path)
     status, _, err = run("reproduce", *arguments, "--output", tmp_path, "--device", "cpu")
     assert status == 2
     assert sentence in " ".join(err.split())
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_options_that_an_experiment_does_not_read_are_refused(name, tmp_path):
+    given = {"seeds": 2, "num_worlds": 3, "retrain": True, "models": (tmp_path,), "device": "cpu"}
+    assert EXPERIMENTS[name].ignores
+    for option in EXPERIMENTS[name].ignores:
+        with pytest.raises(
+            ValueError, match=f"{name}' does not read --{option.replace('_', '-')}; leave it out"
+        ):
+            Reproduce(name=name, output=tmp_path / "out", **{option: given[option]})()
+    assert not (tmp_path / "out").exists()
 
 
 def test_list_names_every_experiment(run):

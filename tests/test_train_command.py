@@ -143,7 +143,7 @@ def test_a_video_is_refused_before_the_training(run, no_simulation, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("algorithm", ["trpo", "sac"])
+@pytest.mark.parametrize("algorithm", ["trpo", "sac", "flashsac"])
 def test_the_elbow_learns_with_other_algorithms(algorithm, run, tmp_path):
     options = ("--algorithm", algorithm, "--stop-success", 0.95, "--samples", 120_000, "--device", "cpu")
     status, _, err = run("train", ELBOW, "--output", tmp_path / "run", *options)
@@ -245,7 +245,7 @@ def test_presets_are_of_tasks_and_within_bounds(name):
         (("--learning-rate", "nan"), "--learning-rate must be at least 0.0, got nan"),
         (("--discount", 1.5), "--discount must be from 0.0 to 1.0, got 1.5"),
         (("--save-seconds", -1), "--save-seconds must be at least 0, got -1.0"),
-        (("--replay", 64), "ppo has no setting --replay; it belongs to sac"),
+        (("--replay", 64), "ppo has no setting --replay; it belongs to sac and flashsac"),
         (("--physics", "quick"), "--physics 'quick' unknown; available: parity, fast"),
         (
             ("--num-worlds", 8, "--rollout-steps", 8, "--minibatches", 7),

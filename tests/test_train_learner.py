@@ -98,8 +98,9 @@ def test_truncated_episodes_bootstrap_from_the_observation_they_ended_with(algor
     assert np.abs(seen["without"] - seen["right"]).max() > 10 * FLOAT32
 
 
-def test_sac_keeps_the_observation_that_an_episode_ended_with():
-    run = make_run("sac", replay=60, batch_size=30, gradient_steps=1, random_steps=0)
+@pytest.mark.parametrize("algorithm", ["sac", "flashsac"])
+def test_sac_keeps_the_observation_that_an_episode_ended_with(algorithm):
+    run = make_run(algorithm, replay=60, batch_size=30, gradient_steps=1, random_steps=0)
     rows = record(run)
     run.iterate()
     kept = run.agent.memory.get_tensor_by_name("next_observations")[:STEPS].numpy()
@@ -120,9 +121,9 @@ def test_a_loss_that_is_not_finite_stops_the_run():
         run.iterate()
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "trpo", "sac"])
+@pytest.mark.parametrize("algorithm", ["ppo", "trpo", "sac", "flashsac"])
 def test_an_agent_made_anew_from_arrays_is_the_same(algorithm):
-    small = {"replay": 60, "batch_size": 30} if algorithm == "sac" else {"minibatches": 2}
+    small = {"replay": 60, "batch_size": 30} if algorithm.endswith("sac") else {"minibatches": 2}
     run = make_run(algorithm, **small)
     run.iterate()
     policy, learner = agents.policy_arrays(run.agent), agents.learner_arrays(run.agent)

@@ -31,7 +31,7 @@ CONTRACT = {
 }
 
 
-@pytest.fixture(params=[("ppo", "elu"), ("trpo", "tanh"), ("sac", "relu")])
+@pytest.fixture(params=[("ppo", "elu"), ("trpo", "tanh"), ("sac", "relu"), ("flashsac", "elu")])
 def trained(request):
     """Return an agent with weights and a normaliser far from the start, and its checkpoint's content."""
     algorithm, activation = request.param

@@ -17,6 +17,10 @@ ALGORITHMS = {
     "ppo": ("--minibatches", 2, "--epochs", 2),
     "trpo": ("--minibatches", 2, "--epochs", 2),
     "sac": ("--replay", 2048, "--batch-size", 64, "--gradient-steps", 1, "--random-steps", 4),
+    "flashsac": (
+        *("--replay", 2048, "--batch-size", 64, "--gradient-steps", 1, "--random-steps", 4),
+        *("--critic-width", 16, "--atoms", 21),
+    ),
 }
 SAMPLES = 8 * 16 * 30  # thirty iterations, five episodes a world
 PATIENCE = 120.0  # s

@@ -39,13 +39,16 @@ class LearnedPolicy:
         squashed: Whether actions are the hyperbolic tangent of the first half of the last layer.
     """
 
-    def __init__(self, checkpoint: Checkpoint, *, sampled: bool = False, seed: int = 0) -> None:
+    def __init__(
+        self, checkpoint: Checkpoint, *, sampled: bool = False, seed: int = 0, rank: tuple[int, int] = (0, 1)
+    ) -> None:
         """Arrange the arrays.
 
         Args:
             checkpoint: What `load_checkpoint` returns.
             sampled: Whether actions are drawn, as in training; otherwise they are the means.
             seed: Seed of what is drawn.
+            rank: Which of how many ranks this is; each draws for the worlds of all, and takes its own.
         """
         self.checkpoint, arrays, form = checkpoint, checkpoint.policy, checkpoint.manifest["policy"]
         numbers = sorted({int(name.split(".")[1]) for name in arrays if name.startswith("net.")})
@@ -55,6 +58,7 @@ class LearnedPolicy:
         self.clip, self.activation = form["clip"], form["activation"]
         self.squashed = "log_std" not in arrays
         self._log_std, self._bounds = arrays.get("log_std"), form["log_std_bounds"]
+        self._rank = rank
         self._rng = np.random.default_rng(seed) if sampled else None
 
     @property
@@ -87,7 +91,9 @@ class LearnedPolicy:
         if self._rng is None:
             return mean
         std = np.exp(np.clip(log_std, *self._bounds))
-        return mean + std * self._rng.standard_normal(mean.shape, dtype=np.float32)
+        (rank, size), (rows, columns) = self._rank, mean.shape
+        drawn = self._rng.standard_normal((size, rows, columns), dtype=np.float32)[rank]
+        return mean + std * drawn
 
 
 def read_policy(name: str, folder: Path, spec: TaskSpec) -> Checkpoint:

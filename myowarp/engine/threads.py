@@ -26,11 +26,15 @@ FREE = PYFUNCTYPE(None, c_void_p)(("PyThread_free_lock", pythonapi))
 YIELD = PYFUNCTYPE(c_int)(("sched_yield", pythonapi)) if os.name == "posix" else None
 
 
+CORES = "MYOWARP_CORES"
+"""Environment variable: most cores that a process uses, where several share a machine."""
+
+
 def num_cores() -> int:
     """Return how many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    most = os.environ.get(CORES, "")
+    return max(1, min(found, int(most))) if most.isdecimal() else found
 
 
 class Team:

@@ -90,6 +90,7 @@ class Simulation:
         stages: Iterable[str] | None = None,
         progress: bool = True,
         adjustable: bool = False,
+        rank: tuple[int, int] = (0, 1),
     ) -> None:
         """Compile scene and kernels, and capture the step; kernels are compiled once for all parts.
 
@@ -110,11 +111,14 @@ class Simulation:
             stages: Names in `engine.stage.STAGES` to use where they apply; None: all.
             progress: Whether to show progress bars while kernels compile and random starts are found.
             adjustable: Whether conditions can be changed later, as `myowarp.sim.patient` does.
+            rank: Which of how many equal ranks of one numbered set of worlds: rank r of R has worlds
+                r num_worlds to (r + 1) num_worlds - 1, and their rows of parameters that are given per world
+                for all R num_worlds.
 
         Raises:
             ValueError: An argument is out of its range.
         """
-        worlds = Worlds.all(checked_num_worlds(num_worlds), adjustable)
+        worlds = Worlds.all(checked_num_worlds(num_worlds), adjustable, _checked_rank(rank))
         check_choice("autoreset", autoreset, AUTORESET)
         for name, flag in (("graph", graph), ("deterministic", deterministic), ("progress", progress)):
             check_flag(name, flag)
@@ -253,13 +257,31 @@ def _checked_shards(shards: int | None, num_worlds: int, device: wp.Device) -> i
     """
     if shards is None:
         return max(1, min(num_cores(), num_worlds // LEAST_WORLDS)) if device.is_cpu else 1
-    if isinstance(shards, bool) or not isinstance(shards, (int, np.integer)) or not 1 <= shards <= num_worlds:
+    if not _is_integer(shards) or not 1 <= shards <= num_worlds:
         raise ValueError(
             f"shards must be an integer from 1 to the number of worlds, {num_worlds}, got {shards!r}"
         )
     if shards > 1 and not device.is_cpu:
         raise ValueError(f"shards are for the CPU; leave them out on device {device.alias!r}, got {shards}")
     return int(shards)
+
+
+def _checked_rank(rank: tuple[int, int]) -> tuple[int, int]:
+    """Return which of how many ranks this is, as plain integers.
+
+    Raises:
+        ValueError: It is no pair (r, R) with 0 <= r < R.
+    """
+    if not (isinstance(rank, (tuple, list)) and len(rank) == 2 and all(map(_is_integer, rank))):
+        raise ValueError(f"rank must be a pair of integers (r, R), got {rank!r}")
+    if not 0 <= rank[0] < rank[1]:
+        raise ValueError(f"rank (r, R) must have 0 <= r < R, got {tuple(rank)}")
+    return int(rank[0]), int(rank[1])
+
+
+def _is_integer(value: object) -> bool:
+    """Whether it is an integer and no truth value."""
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
 def _joined(scene: Scene, worlds: Worlds) -> Scene:

@@ -113,8 +113,8 @@ class MuscleTable:
         """
         own = {}
         for name, value in self.parameters.items():
-            array = self._array(name, value, names, worlds.total)
-            own[name] = array if len(array) == 1 else array[worlds.own]
+            array = self._array(name, value, names, worlds.everywhere)
+            own[name] = array if len(array) == 1 else array[worlds.given]
         return own
 
     def _array(self, name: str, value: Any, names: Sequence[str], total: int) -> np.ndarray:

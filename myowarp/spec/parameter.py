@@ -212,7 +212,7 @@ class Parameter:
         """Return what is not drawn, shape (1 or num_worlds, 1 or num_muscles)."""
         numbers = self._by_name(value) if isinstance(value, Mapping) and self.names else self._numbers(value)
         self._check_range(numbers)
-        return numbers if len(numbers) == 1 else numbers[self.worlds.own]
+        return numbers if len(numbers) == 1 else numbers[self.worlds.given]
 
     def _before_draws(self, value: Uniform) -> np.ndarray:
         """Return zeros, shape (num_worlds, 1 or num_muscles), where `sample` is to fill in what is drawn."""
@@ -225,7 +225,7 @@ class Parameter:
 
     def _numbers(self, value: object, worlds: int | None = None) -> np.ndarray:
         """Return numbers as (1 or num_worlds, 1 or num_muscles)."""
-        worlds = self.worlds.total if worlds is None else worlds
+        worlds = self.worlds.everywhere if worlds is None else worlds
         try:
             numbers = np.asarray("none" if value is None else value, dtype=np.float64)  # NumPy makes it nan
         except (TypeError, ValueError):

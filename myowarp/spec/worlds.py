@@ -2,12 +2,15 @@
 
 On many cores the worlds are parts of one whole (`myowarp.sim.simulation`). A part has arrays of its own, but
 for what is written and read from outside: state, actions, results. These are rows of arrays over all worlds.
+
+The whole may itself be one of several equal ranks, each in a process of its own: then worlds are numbered
+through all ranks, and parameters are given for all of their worlds.
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import warp as wp
@@ -20,10 +23,11 @@ class Worlds:
     Attributes:
         first: The first of them, counted among all.
         number: How many there are.
-        total: How many there are in all parts.
+        total: How many there are in all parts of this process.
         whole: Arrays over all worlds by name, the same dictionary in every part.
         adjustable: Whether parameters of conditions have an entry for each world and muscle even where all
             agree, so that `Parameter.set` can change one while the worlds are stepped.
+        rank: Which of how many ranks this process is: (r, n), r from 0 to n - 1.
     """
 
     first: int
@@ -31,19 +35,35 @@ class Worlds:
     total: int
     whole: dict[str, wp.array] = field(default_factory=dict, repr=False)
     adjustable: bool = False
+    rank: tuple[int, int] = (0, 1)
 
     @classmethod
-    def all(cls, number: int, adjustable: bool = False) -> Worlds:
+    def all(cls, number: int, adjustable: bool = False, rank: tuple[int, int] = (0, 1)) -> Worlds:
         """Return the worlds of a simulation that steps them all."""
-        return cls(0, number, number, adjustable=adjustable)
+        return cls(0, number, number, adjustable=adjustable, rank=rank)
 
     def split(self, parts: int) -> list[Worlds]:
         """Return parts that differ by one world at most."""
         ends = [self.number * i // parts for i in range(parts + 1)]
         return [
-            Worlds(self.first + begin, end - begin, self.total, self.whole, self.adjustable)
+            replace(self, first=self.first + begin, number=end - begin)
             for begin, end in itertools.pairwise(ends)
         ]
+
+    @property
+    def offset(self) -> int:
+        """Number of this process's first world among those of all ranks."""
+        return self.rank[0] * self.total
+
+    @property
+    def everywhere(self) -> int:
+        """How many there are in all ranks."""
+        return self.rank[1] * self.total
+
+    @property
+    def given(self) -> slice:
+        """Which rows of a parameter over the worlds of all ranks are theirs."""
+        return slice(self.offset + self.first, self.offset + self.first + self.number)
 
     @property
     def own(self) -> slice:

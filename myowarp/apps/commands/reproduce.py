@@ -62,6 +62,10 @@ class Reproduce:
         if self.name is None:
             raise ValueError(f"reproduce needs an experiment; available: {', '.join(EXPERIMENTS)}")
         experiment = EXPERIMENTS[self.name]
+        for option in experiment.ignores:
+            if getattr(self, option) not in (None, False, ()):
+                flag = "--" + option.replace("_", "-")
+                raise ValueError(f"experiment {self.name!r} does not read {flag}; leave it out")
         seeds = self.seeds if self.seeds is not None else QUICK_SEEDS if self.quick else SEEDS
         worlds = self.num_worlds if self.num_worlds is not None else QUICK_WORLDS if self.quick else WORLDS
         check_least(1, seeds=seeds, num_worlds=worlds)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from myowarp.sim.simulation import Simulation
     from myowarp.spec.task import TaskSpec
     from myowarp.tasks.variants import Variant
-    from myowarp.view.browser.session import Act, Session
+    from myowarp.view.browser.session import Act, Choices, Session
 
 TOKEN_BYTES = 16
 
@@ -60,58 +60,75 @@ class View:
             )
         from myowarp.apps.rollout import find_policy
         from myowarp.spec.task import TASKS
-        from myowarp.tasks.from_file import task_or_model
-        from myowarp.tasks.variants import variants
         from myowarp.view.browser.live import Live
         from myowarp.view.browser.server import (
             LOCAL,
             LOCAL_NAMES,
             Gate,
+            address_of,
             check_port,
             close_server,
             open_server,
         )
-        from myowarp.view.browser.session import Choices
 
         check_least(1, worlds=self.worlds)
         check_least(0, seed=self.seed)
-        variant = task_or_model(self.task, self.model)
-        find_policy(self.policy, TASKS[variant.task])
+        find_policy(self.policy, TASKS[self._find(self._title).task])
         local = self.host in LOCAL_NAMES
         check_port(LOCAL if local else self.host, self.port)
-        title = str(self.task).removeprefix("MyoWarp/") if self.task else str(self.model)
-        session = self._open(title, variant, self.policy)
-        choices = Choices(
-            tasks=[env_id.removeprefix("MyoWarp/") for env_id in variants()],
-            policies=policies_for,
-            acting=self._acting,
-            open=self._reopen,
-        )
+        session, choices = self._open(self._title, self.policy), self._choices()
         console = Console(stderr=True, highlight=False, soft_wrap=True)
         server = open_server(self.port if local else 0, "MyoWarp")
         with contextlib.ExitStack() as stack:
             stack.callback(close_server, server)
-            address = f"http://localhost:{server.get_port()}"
+            address = address_of("localhost", server.get_port())
             if not local:
                 token = secrets.token_urlsafe(TOKEN_BYTES)
                 gate = Gate(self.host, self.port, server.get_port(), token)
                 stack.callback(gate.close)
-                address = f"http://{self.host}:{gate.port}/?token={token}"
+                address = f"{address_of(self.host, gate.port)}/?token={token}"
             live = Live(server, session, choices)
             console.print(f"Open {address}   (Ctrl-C ends)")
             with contextlib.suppress(KeyboardInterrupt):
                 live.run()
 
-    def _open(self, title: str, variant: Variant, policy: str) -> Session:
-        """Return the session of a task."""
+    @property
+    def _title(self) -> str:
+        """What the page calls the task of the command."""
+        return str(self.task).removeprefix("MyoWarp/") if self.task else str(self.model)
+
+    def _find(self, title: str) -> Variant:
+        """Return the task of the command, or another one by its id."""
+        from myowarp.tasks.from_file import task_or_model
+
+        own = title == self._title
+        return task_or_model(self.task if own else title, self.model if own else None)
+
+    def _choices(self) -> Choices:
+        """Return what can be chosen; the task and the policy of the command come first."""
+        from myowarp.tasks.variants import variants
+        from myowarp.view.browser.session import Choices
+
+        ids = (env_id.removeprefix("MyoWarp/") for env_id in variants())
+        return Choices(
+            tasks=list(dict.fromkeys((self._title, *ids))),
+            policies=lambda spec: policies_for(spec, self.policy),
+            acting=self._acting,
+            open=self._open,
+        )
+
+    def _open(self, title: str, policy: str) -> Session:
+        """Return the session of a task; a policy that cannot act there gives way to the best that can."""
         from myowarp.spec.task import TASKS
         from myowarp.view.browser.session import Session
 
+        variant = self._find(title)
+        offered = policies_for(TASKS[variant.task], self.policy)
         return Session(
             title,
             TASKS[variant.task],
             self.worlds,
-            policy,
+            policy if policy in offered else offered[0],
             self._acting,
             conditions=(*variant.conditions, *self.conditions),
             device=self.device,
@@ -119,16 +136,6 @@ class View:
             reset=self.reset or variant.reset,
             seed=self.seed,
         )
-
-    def _reopen(self, task: str, policy: str) -> Session:
-        """Return the session of another task, with the same policy if it can act there."""
-        from myowarp.spec.task import TASKS
-        from myowarp.tasks.from_file import task_or_model
-
-        is_own = task == str(self.model)
-        variant = task_or_model(None, self.model) if is_own else task_or_model(task, None)
-        offered = policies_for(TASKS[variant.task])
-        return self._open(task, variant, policy if policy in offered else offered[0])
 
     def _acting(self, name: str, sim: Simulation) -> Act:
         """Return what acts, with the errors of a user's policy as one sentence."""
@@ -145,13 +152,13 @@ class View:
         return guarded
 
 
-def policies_for(spec: TaskSpec) -> list[str]:
-    """Return the names of the policies of the package that can act in a task, the best first."""
+def policies_for(spec: TaskSpec, own: str) -> list[str]:
+    """Return the names of the policies that can act in a task: the user's own, then those of the package."""
     from myowarp.apps.baselines import OWN, PREFIX, baseline_tasks
     from myowarp.apps.rollout import BUILT_IN, find_policy
 
     found = []
-    for name in (OWN, *(f"{PREFIX}{task}" for task in baseline_tasks()), *BUILT_IN):
+    for name in dict.fromkeys((own, OWN, *(f"{PREFIX}{task}" for task in baseline_tasks()), *BUILT_IN)):
         with contextlib.suppress(ValueError):
             find_policy(name, spec)
             found.append(name)

@@ -220,4 +220,5 @@ EXPERIMENT = Experiment(
     "A cohort with exoskeletons: the assistance that each of 1,000 patients needs",
     "beyond the paper, which has one patient a simulation.",
     run,
+    ignores=("num_worlds", "models"),
 )

@@ -37,12 +37,14 @@ class Experiment:
         title: One line.
         paper: Where the paper has it and what it says there, or that it goes beyond the paper.
         run: Runs the protocol.
+        ignores: Options of `myowarp reproduce` that the protocol does not read.
     """
 
     name: str
     title: str
     paper: str
     run: Callable[[Lab], Findings]
+    ignores: tuple[str, ...] = ("models",)
 
 
 @dataclass

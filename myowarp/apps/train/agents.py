@@ -7,21 +7,34 @@ the next update depends on is listed once, as arrays and plain numbers.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
+from skrl import config
 from skrl.agents.torch import Agent
 from skrl.agents.torch.ppo import PPO, PPO_CFG
 from skrl.agents.torch.sac import SAC, SAC_CFG
 from skrl.agents.torch.trpo import TRPO, TRPO_CFG
 from skrl.memories.torch import RandomMemory
+from skrl.models.torch import Model
 from skrl.resources.preprocessors.torch import RunningStandardScaler
 from skrl.resources.schedulers.torch import KLAdaptiveLR
 
+from myowarp.apps.train.flash_sac import CategoricalCritic, FlashSAC
 from myowarp.apps.train.networks import GAUSSIAN_LOG_STD, LOG_STD, GaussianPolicy, SquashedPolicy, Value
-from myowarp.apps.train.settings import OnPolicy, PPOSettings, SACSettings, Settings, TRPOSettings
+from myowarp.apps.train.ranks import merged_moments
+from myowarp.apps.train.settings import (
+    FlashSACSettings,
+    OffPolicy,
+    OnPolicy,
+    PPOSettings,
+    SACSettings,
+    Settings,
+    TRPOSettings,
+)
 
 Arrays = dict[str, np.ndarray]
 TRACKED = {
@@ -33,9 +46,19 @@ TRACKED = {
     "Coefficient / Entropy coefficient": "entropy_weight",
 }
 """What of skrl's figures is kept, and its name in `progress.csv`."""
+CRITICS = ("critic_1", "critic_2", "target_critic_1", "target_critic_2")
 SCALER_CLIP, SCALER_EPSILON = 5.0, 1e-8  # of normalised observations; of their standard deviation
 SCALER = {"clip_threshold": SCALER_CLIP, "epsilon": SCALER_EPSILON}
 QUIET = {"write_interval": 0, "checkpoint_interval": 0}  # skrl writes no files: we do
+
+
+class MergedScaler(RunningStandardScaler):
+    """Normaliser whose moments are those of the samples of all ranks; skrl's are each rank's own."""
+
+    def _parallel_variance(self, input_mean: torch.Tensor, input_var: torch.Tensor, input_count: int) -> None:
+        if config.torch.is_distributed:
+            input_mean, input_var, input_count = merged_moments(input_mean, input_var, input_count)
+        super()._parallel_variance(input_mean, input_var, input_count)
 
 
 class TrackedSAC(SAC):
@@ -59,10 +82,9 @@ def make_agent(settings: Settings, observation: Any, action: Any, device: str) -
         models = {"policy": GaussianPolicy(*shape, settings.initial_std), "value": Value(*shape)}
         rows, replacement = settings.rollout_steps, False
     else:
-        assert isinstance(settings, SACSettings)
-        critics = ("critic_1", "critic_2", "target_critic_1", "target_critic_2")
+        assert isinstance(settings, OffPolicy)
         models = {"policy": SquashedPolicy(*shape)}
-        models |= {name: Value(*shape, of_actions=True) for name in critics}
+        models |= {name: _critic(settings, spaces, device) for name in CRITICS}
         rows, replacement = settings.replay // settings.num_worlds, True
     memory = RandomMemory(
         memory_size=rows, num_envs=settings.num_worlds, device=device, replacement=replacement
@@ -74,19 +96,27 @@ def make_agent(settings: Settings, observation: Any, action: Any, device: str) -
     return agent
 
 
-def _configuration(settings: Settings, observation: Any, action: Any, device: str) -> tuple[type[Agent], Any]:
+def _critic(settings: OffPolicy, spaces: dict[str, Any], device: str) -> Model:
+    """Return a critic of actions."""
+    if isinstance(settings, FlashSACSettings):
+        sizes = settings.critic_width, settings.critic_blocks, settings.atoms
+        return CategoricalCritic(spaces, device, *sizes)
+    return Value(spaces, device, settings.hidden, settings.activation, of_actions=True)
+
+
+def _configuration(
+    settings: Settings, observation: Any, action: Any, device: str
+) -> tuple[Callable[..., Agent], Any]:
     """Return skrl's class and configuration."""
     common: dict[str, Any] = {
         "discount_factor": settings.discount,
         "learning_rate": settings.learning_rate,
-        "observation_preprocessor": RunningStandardScaler,
+        "observation_preprocessor": MergedScaler,
         "observation_preprocessor_kwargs": {"size": observation, "device": device, **SCALER},
         "experiment": QUIET,
     }
-    if isinstance(settings, SACSettings):
-        scale = settings.reward_scale
-        return TrackedSAC, SAC_CFG(
-            **common,
+    if isinstance(settings, OffPolicy):
+        common |= dict(
             batch_size=settings.batch_size,
             gradient_steps=settings.gradient_steps,
             polyak=settings.target_rate,
@@ -94,8 +124,13 @@ def _configuration(settings: Settings, observation: Any, action: Any, device: st
             learning_starts=max(settings.random_steps, math.ceil(settings.batch_size / settings.num_worlds)),
             initial_entropy_value=settings.temperature,
             target_entropy=settings.target_entropy * action.shape[0],
-            rewards_shaper=lambda rewards, *_: rewards * scale,
         )
+        if isinstance(settings, FlashSACSettings):
+            own = {name: getattr(settings, name) for name in ("num_worlds", "policy_every", "precision")}
+            return partial(FlashSAC, **own), SAC_CFG(**common)
+        assert isinstance(settings, SACSettings)
+        scale = settings.reward_scale
+        return TrackedSAC, SAC_CFG(**common, rewards_shaper=lambda rewards, *_: rewards * scale)
     assert isinstance(settings, OnPolicy)
     common |= {
         "rollouts": settings.rollout_steps,
@@ -103,7 +138,7 @@ def _configuration(settings: Settings, observation: Any, action: Any, device: st
         "mini_batches": settings.minibatches,
         "gae_lambda": settings.trace_decay,
         "grad_norm_clip": settings.gradient_norm,
-        "value_preprocessor": RunningStandardScaler,
+        "value_preprocessor": MergedScaler,
         "value_preprocessor_kwargs": {"size": 1, "device": device},
         "time_limit_bootstrap": True,  # else advantages leak from one episode into the one before
     }
@@ -129,7 +164,7 @@ def _configuration(settings: Settings, observation: Any, action: Any, device: st
 
 def policy_form(settings: Settings) -> dict[str, Any]:
     """Return what the arrays of a policy leave open, for `myowarp.apps.learned`."""
-    bounds = LOG_STD if isinstance(settings, SACSettings) else GAUSSIAN_LOG_STD
+    bounds = LOG_STD if isinstance(settings, OffPolicy) else GAUSSIAN_LOG_STD
     return {
         "activation": settings.activation,
         "clip": SCALER_CLIP,

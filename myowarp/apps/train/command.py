@@ -26,13 +26,14 @@ from myowarp.disk import in_place, plain
 
 if TYPE_CHECKING:
     from myowarp.apps.train.loop import Run
+    from myowarp.apps.train.progress import Progress
 
 REPORT = "report.json"
 
 
 @dataclass
 class TrainCommand(TrainOptions):
-    """Train a policy: PPO, TRPO or SAC, with a preset for the task.
+    """Train a policy: PPO, TRPO, SAC or FlashSAC, with a preset for the task.
 
     Writes a folder with the last checkpoint, progress.csv, TensorBoard events, curve.png and report.json.
     Ctrl-C finishes the iteration and saves; a run that was stopped or killed goes on with --resume, bit for
@@ -49,9 +50,13 @@ class TrainCommand(TrainOptions):
         """Check everything, train and report."""
         watch, console = Stopwatch(), Console(stderr=True, highlight=False, soft_wrap=True)
         job = plan(self)
-        run = start(job)
-        reason = train(job, run, console, self.save_seconds, self.wandb)
-        run.env.close()
+        console.quiet = not job.ranks.leads
+        with job.ranks.together(job.ranks.device(job.settings.device)):
+            run = start(job)
+            reason = train(job, run, console, self.save_seconds, self.wandb)
+            run.env.close()
+        if not job.ranks.leads:
+            return
         _report(job, run, reason, watch, console)
         if self.video:
             _film(job, self.video)
@@ -69,12 +74,12 @@ def start(job: Job) -> Run:
     from myowarp.apps.train.loop import Run
     from myowarp.bridge_gym import MyoWarpVectorEnv
 
-    settings, variant = job.settings, job.variant
+    settings, variant, ranks = job.settings, job.variant, job.ranks
     torch.set_num_threads(settings.threads)
     env = MyoWarpVectorEnv(
         variant.task,
-        settings.num_worlds,
-        device=settings.device or None,
+        ranks.share("--num-worlds", settings.num_worlds),
+        device=ranks.device(settings.device) or None,
         physics=settings.physics,
         muscle=settings.muscle,
         reset=settings.reset or variant.reset,
@@ -82,10 +87,11 @@ def start(job: Job) -> Run:
         autoreset_mode="disabled",
         output="torch",
         copy=False,
+        rank=ranks.part,
     )
     if job.parent is not None:
         check_contract(job.parent, env.sim)
-    run = Run(env, settings, job.parent, job.start)
+    run = Run(env, settings, job.parent, job.start, ranks)
     if job.checkpoint is not None:
         check_contract(job.checkpoint, env.sim, learning=True)
         try:
@@ -108,26 +114,24 @@ def train(
         OSError: A checkpoint or figures could not be written; the last good checkpoint is there.
     """
     from myowarp.apps.train.loop import DivergedError
-    from myowarp.apps.train.progress import Progress
 
-    settings = job.settings
+    settings, ranks = job.settings, job.ranks
     job.folder.mkdir(parents=True, exist_ok=True)
     _note_versions(job, console)
     if job.checkpoint is None:
         _save(job, run)  # whatever happens from here on, the run can go on
+    over = f" over {ranks.size} ranks" if ranks.size > 1 else ""
     console.print(
-        f"{job.task}: {job.algorithm}, {settings.num_worlds} worlds under {settings.physics} physics"
+        f"{job.task}: {job.algorithm}, {settings.num_worlds} worlds{over} under {settings.physics} physics"
         f"{f', from {settings.parent}' if settings.parent else ''}, into {job.folder}"
     )
     saved = time.monotonic()
-    with (
-        _stop_asked() as asked,
-        Progress(job.folder, settings.samples, console, after=run.samples) as progress,
-    ):
-        if wandb:
-            progress.start_wandb(job.folder.name, dataclasses.asdict(settings))
+    with _stop_asked() as asked, _progress(job, run, console, wandb) as progress:
         while True:
-            if asked():
+            due = time.monotonic() - saved >= save_seconds
+            # Signals and clocks differ from rank to rank; what to do may not.
+            stop, save = map(any, zip(*ranks.everyones((asked(), due)), strict=True))
+            if stop:
                 reason = "stopped by a signal"
             elif run.tally.reached(settings.stop_success, settings.stop_rule):
                 reason = f"{100 * settings.stop_success:.1f} % {SUCCESSES[settings.stop_rule]}"
@@ -135,8 +139,9 @@ def train(
                 reason = "all samples"
             else:
                 reason = ""
-            if reason or time.monotonic() - saved >= save_seconds:
-                progress.flush()
+            if reason or save:
+                if progress:
+                    progress.flush()
                 _save(job, run)
                 saved = time.monotonic()
             if reason:
@@ -147,7 +152,22 @@ def train(
                 raise DivergedError(
                     f"{error}; the last good checkpoint is in {job.folder}, try a lower --learning-rate"
                 ) from error
-            progress.add(run.row())
+            if progress:
+                progress.add(run.row())
+
+
+@contextmanager
+def _progress(job: Job, run: Run, console: Console, wandb: bool) -> Iterator[Progress | None]:
+    """Open the files and the live line of a run, on the rank that logs."""
+    from myowarp.apps.train.progress import Progress
+
+    if not job.ranks.leads:
+        yield None
+        return
+    with Progress(job.folder, job.settings.samples, console, after=run.samples) as progress:
+        if wandb:
+            progress.start_wandb(job.folder.name, dataclasses.asdict(job.settings))
+        yield progress
 
 
 @contextmanager
@@ -192,7 +212,7 @@ def _note_versions(job: Job, console: Console) -> None:
 
 
 def _save(job: Job, run: Run) -> None:
-    """Write a checkpoint.
+    """Write a checkpoint, with the worlds of all ranks.
 
     Raises:
         OSError: It cannot be written; the one before is still there.
@@ -212,8 +232,11 @@ def _save(job: Job, run: Run) -> None:
         "files_read": job.files_read,
         **run.manifest(),
     }
+    arrays = run.arrays()
+    if not job.ranks.leads:
+        return
     try:
-        checkpoint.save_checkpoint(job.folder, run.samples, plain(manifest), *run.arrays())
+        checkpoint.save_checkpoint(job.folder, run.samples, plain(manifest), *arrays)
     except OSError as error:
         raise OSError(
             f"checkpoint after {run.samples} samples could not be written ({error.strerror or error}); the "
@@ -242,6 +265,7 @@ def _report(job: Job, run: Run, reason: str, watch: Stopwatch, console: Console)
         "task": job.task,
         "algorithm": job.algorithm,
         "seed": settings.seed,
+        "ranks": job.ranks.size,
         "physics": settings.physics,
         "ended": reason,
         "samples": run.samples,

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from myowarp.apps.options import Device, Physics, check_least, optional
+from myowarp.apps.train.ranks import Ranks
 from myowarp.apps.train.settings import SUCCESSES, success_text
 from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.registry import check_choice
@@ -63,6 +64,8 @@ class Eval:
     def __call__(self) -> None:
         """Check, run and print."""
         head, results = self.figures()
+        if not Ranks.started().leads:
+            return
         if self.json:
             print(json.dumps({**head, **results}, indent=1))
         else:
@@ -79,16 +82,21 @@ class Eval:
         from myowarp.apps.train.evaluate import evaluate
         from myowarp.bridge_gym import MyoWarpVectorEnv
 
-        checkpoint, variant, options = self._plan()
+        checkpoint, variant, options = self.plan()
         modes = MODES if self.mode == "both" else (self.mode,)
-        env = MyoWarpVectorEnv(variant.task, self.episodes, autoreset_mode="same_step", **options)
-        check_contract(checkpoint, env.sim)
-        console = Console(stderr=True)
+        ranks = Ranks.started()
+        number, device = ranks.share("--episodes", self.episodes), ranks.device(self.device or "")
+        console = Console(stderr=True, quiet=not ranks.leads)
+        options |= {"rank": ranks.part, "device": device or None}
         results = {}
-        for mode in modes:
-            act = LearnedPolicy(checkpoint, sampled=mode == "sampled", seed=self.seed)
-            results[mode] = dataclasses.asdict(evaluate(env, act, self.seed, title=mode, console=console))
-        env.close()
+        with ranks.together(device, learning=False):
+            env = MyoWarpVectorEnv(variant.task, number, autoreset_mode="same_step", **options)
+            check_contract(checkpoint, env.sim)
+            for mode in modes:
+                act = LearnedPolicy(checkpoint, sampled=mode == "sampled", seed=self.seed, rank=ranks.part)
+                figures = evaluate(env, act, self.seed, title=mode, console=console, ranks=ranks)
+                results[mode] = dataclasses.asdict(figures)
+            env.close()
         head = {"task": TASKS[variant.task].env_id, "checkpoint": str(checkpoint.folder), "seed": self.seed}
         head |= {name: options[name] for name in ("physics", "muscle", "reset")}
         head |= {"conditions": list(options["conditions"]), "device": str(env.sim.scene.device)}
@@ -98,7 +106,7 @@ class Eval:
         }
         return head, results
 
-    def _plan(self) -> tuple[Checkpoint, Variant, dict[str, Any]]:
+    def plan(self) -> tuple[Checkpoint, Variant, dict[str, Any]]:
         """Return checkpoint, task and options of the environment.
 
         Raises:

@@ -14,6 +14,7 @@ import numpy as np
 from rich.console import Console
 
 from myowarp.apps.audit.targets import in_reach
+from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import SUCCESSES
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.progress import progress_bar
@@ -72,6 +73,7 @@ def evaluate(
     *,
     title: str = "Evaluating",
     console: Console | None = None,
+    ranks: Ranks = ALONE,
 ) -> Evaluation:
     """Run one episode in every world.
 
@@ -81,6 +83,7 @@ def evaluate(
         seed: World i resets with seed + i.
         title: What the progress bar says.
         console: Where it is drawn.
+        ranks: This process among those that share the episodes; each gets the figures of all.
     """
     sim, n = env.sim, env.num_envs
     horizon = sim.horizon
@@ -117,6 +120,11 @@ def evaluate(
             running &= ~ended
             before = after
             bar.advance(task)
+    parts = ranks.everyones((solved, sums, faults, reachable))
+    solved = {name: np.concatenate([part[0][name] for part in parts]) for name in solved}
+    sums = {name: np.concatenate([part[1][name] for part in parts]) for name in sums}
+    faults = sum(part[2] for part in parts)
+    reachable = None if reachable is None else np.concatenate([part[3] for part in parts])
     figures = _figures(solved, sums, faults, sim.scene.control_dt if len(muscles.names) else None)
     return figures if reachable is None else _of_reachable(figures, solved["success"], reachable)
 

@@ -17,10 +17,16 @@ import torch
 
 from myowarp.apps.train import agents
 from myowarp.apps.train.checkpoint import Checkpoint
+from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import Settings
 from myowarp.apps.train.tally import Tally
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.sim.state import State
+
+GENERATORS = ("agent.torch_generator", "agent.cuda_generator")
+"""Arrays of which every rank has one of its own."""
+
+RANK_SEEDS = 1_000_003  # from the seed of one rank's actions to that of the next
 
 INHERITED_STEPS = 32
 """Control steps of every world as which all that a parent's normaliser has seen counts."""
@@ -76,30 +82,35 @@ class Run:
         settings: Settings,
         parent: Checkpoint | None = None,
         start: State | None = None,
+        ranks: Ranks = ALONE,
     ) -> None:
         """Seed everything and make the agent.
 
         Args:
-            env: Environment.
-            settings: Settings.
+            env: Environment, with this rank's worlds.
+            settings: Settings of all ranks together.
             parent: Whose policy the run starts from; None: networks are drawn.
             start: States that episodes start in, world i in the i-th, over and over; None: resets.
+            ranks: This process among those of the run.
         """
-        self.env, self.settings = env, settings
+        self.env, self.settings, self.ranks = env, settings, ranks
         self.device = str(env.sim.scene.device)
         torch.manual_seed(settings.seed)
         observation, action = env.single_observation_space, env.single_action_space
-        self.agent = agents.make_agent(settings, observation, action, self.device)
+        own = dataclasses.replace(settings, num_worlds=env.num_envs)
+        self.agent = agents.make_agent(own, observation, action, self.device)
         if parent is not None:
             count = settings.parent_samples or settings.num_worlds * INHERITED_STEPS
             agents.inherit(self.agent, parent.policy, parent.manifest["samples"], count)
+        if not ranks.leads:
+            torch.manual_seed(settings.seed + RANK_SEEDS * ranks.rank)  # one policy, but actions of its own
         self.tally = Tally(env.num_envs, self.device)
         self.clock = Clock()
         self.steps = self.updates = 0
         self.losses: dict[str, float] = {}
         self._start = None
         if start is not None:
-            rows = np.arange(env.num_envs) % len(start)
+            rows = (env.sim.scene.worlds.offset + np.arange(env.num_envs)) % len(start)
             # Each episode has random numbers of its own, and draws its patients and noise anew.
             kept = {name: array for name, array in start.arrays.items() if not name.startswith("keys.")}
             self._start = State(start.task, {name: array[rows] for name, array in kept.items()})
@@ -110,8 +121,8 @@ class Run:
 
     @property
     def samples(self) -> int:
-        """Control steps of all worlds so far."""
-        return self.steps * self.env.num_envs
+        """Control steps of all worlds so far, those of other ranks included."""
+        return self.steps * self.settings.num_worlds
 
     def iterate(self) -> None:
         """Do one iteration: control steps, and the updates that belong to them.
@@ -128,13 +139,21 @@ class Run:
             # A policy that follows a value function which has seen nothing forgets what it could.
             self.agent.policy.load_state_dict(before)
         self.updates += 1
-        self.losses = agents.losses(self.agent)
+        self._exchange()
         self.clock.total += time.perf_counter() - begin
         self.clock.cpu += time.process_time() - cpu
         wrong = [name for name, value in self.losses.items() if not math.isfinite(value)]
         if wrong or not agents.is_finite(self.agent):
             what = wrong[0].replace("_", " ") if wrong else "a weight"
             raise DivergedError(f"{what} was not finite in update {self.updates}")
+
+    def _exchange(self) -> None:
+        """Let all ranks have the episodes that ended on any, and the mean of their losses."""
+        episodes, losses = zip(
+            *self.ranks.everyones((self.tally.take(), agents.losses(self.agent))), strict=True
+        )
+        self.tally.keep(np.concatenate(episodes))
+        self.losses = {name: float(np.mean([own[name] for own in losses])) for name in losses[0]}
 
     def row(self) -> dict[str, float]:
         """Return the figures of the last iteration."""
@@ -150,16 +169,20 @@ class Run:
             "samples": self.samples,
             "steps": self.steps,
             "updates": self.updates,
+            "ranks": self.ranks.size,
             "clock": dataclasses.asdict(self.clock),
             "figures": self.tally.figures(),
             "policy": agents.policy_form(self.settings),
         }
 
     def arrays(self) -> tuple[agents.Arrays, agents.Arrays]:
-        """Return the arrays of a checkpoint: those of the policy, and all others."""
+        """Return the arrays of a checkpoint: those of the policy, and all others; on the rank that saves."""
         state = {f"agent.{name}": array for name, array in agents.learner_arrays(self.agent).items()}
-        state |= {f"world.{name}": array for name, array in self.env.get_state().arrays.items()}
-        state |= {"observation": self._obs.cpu().numpy().copy()} | self.tally.arrays()
+        rows = {f"world.{name}": array for name, array in self.env.get_state().arrays.items()}
+        rows |= {"observation": self._obs.cpu().numpy().copy()} | self.tally.rows()
+        if self.ranks.size > 1:
+            rows |= {name: state.pop(name)[None] for name in GENERATORS if name in state}
+        state |= self.ranks.rows(rows) | self.tally.arrays()
         return agents.policy_arrays(self.agent), state
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -171,6 +194,10 @@ class Run:
             ValueError: An array of the environment does not fit.
         """
         state, manifest = checkpoint.state(), checkpoint.manifest
+        own = ("world.", "observation", *self.tally.rows())
+        state = {name: self.ranks.own(a) if name.startswith(own) else a for name, a in state.items()}
+        if self.ranks.size > 1:
+            state |= {name: self.ranks.own(state[name])[0] for name in GENERATORS if name in state}
         worlds = {name.removeprefix("world."): a for name, a in state.items() if name.startswith("world.")}
         learner = {name.removeprefix("agent."): a for name, a in state.items() if name.startswith("agent.")}
         self.env.set_state(State(self.env.sim.scene.spec.key, worlds))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import importlib.util
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -13,7 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 
 from myowarp.apps.options import Model, OptionalTask, optional
-from myowarp.apps.train.settings import ALGORITHMS, Settings, all_settings, choose, restore
+from myowarp.apps.train.ranks import ALONE, Ranks
+from myowarp.apps.train.settings import (
+    ALGORITHMS,
+    OnPolicy,
+    PPOSettings,
+    Settings,
+    all_settings,
+    choose,
+    restore,
+)
 from myowarp.disk import check_folder, check_output
 from myowarp.sim.state import State
 from myowarp.spec.condition import Condition, resolve
@@ -35,7 +43,9 @@ class TrainOptions:
 
     task: OptionalTask = None
     model: Model = None
-    algorithm: Annotated[Literal["ppo", "trpo", "sac"] | None, optional("{ppo,trpo,sac}")] = None
+    algorithm: Annotated[
+        Literal["ppo", "trpo", "sac", "flashsac"] | None, optional("{ppo,trpo,sac,flashsac}")
+    ] = None
     """Algorithm; by default ppo."""
     output: Annotated[Path | None, optional("FOLDER")] = None
     """New folder of the run; by default runs/<task>_<algorithm>_<seed>."""
@@ -60,6 +70,7 @@ class Job:
         algorithm: Key in `ALGORITHMS`.
         settings: Settings.
         folder: Folder of the run.
+        ranks: This process among those of the run.
         checkpoint: What is resumed; None: nothing.
         parent: Whose policy a new run starts from; None: networks are drawn.
         conditions: Conditions with parameters of their own, besides those that are named.
@@ -74,6 +85,7 @@ class Job:
     algorithm: str
     settings: Settings
     folder: Path
+    ranks: Ranks = ALONE
     checkpoint: Checkpoint | None = None
     parent: Checkpoint | None = None
     conditions: tuple[Condition, ...] = ()
@@ -97,8 +109,7 @@ def plan(command: TrainOptions) -> Job:
         ImportError: A package is not installed.
     """
     check_packages()
-    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
-        raise ValueError("training runs in one process; start it without torchrun (WORLD_SIZE is above 1)")
+    ranks = Ranks.started()
     if not 0.0 <= command.save_seconds < float("inf"):
         raise ValueError(f"--save-seconds must be at least 0, got {command.save_seconds}")
     check_output(command.video, ".mp4")
@@ -111,7 +122,7 @@ def plan(command: TrainOptions) -> Job:
     given = {name: getattr(command, name) for name in all_settings()}
     given = {name: value for name, value in given.items() if value is not None}
     if command.resume is not None:
-        return _plan_resume(command, given)
+        return _plan_resume(command, given, ranks)
     variant = task_or_model(command.task, command.model)
     algorithm = command.algorithm or "ppo"
     settings = choose(TASKS[variant.task].name, algorithm, given)
@@ -119,13 +130,26 @@ def plan(command: TrainOptions) -> Job:
     name = f"{TASKS[variant.task].key}_{algorithm}_{settings.seed}"
     folder = command.output or Path("runs") / name
     check_folder(folder)
-    if folder.exists() and any(folder.iterdir()):
+    if ranks.restarts and was_saved(folder):
+        return _plan_resume(dataclasses.replace(command, resume=folder), given, ranks)
+    if folder.exists() and any(folder.iterdir()) and not ranks.restarts:
         raise ValueError(
             f"output {str(folder)!r} is not empty; choose a new folder, or go on with --resume {folder}"
         )
     parent = _parent(settings, algorithm, TASKS[variant.task]) if settings.parent else None
-    job = Job(task, command.model is not None, variant, algorithm, settings, folder, parent=parent)
+    model = command.model is not None
+    job = Job(task, model, variant, algorithm, settings, folder, ranks=ranks, parent=parent)
     return _with_files(job)
+
+
+def was_saved(folder: Path) -> bool:
+    """Whether the folder of a run holds a checkpoint."""
+    from myowarp.apps.train.checkpoint import CheckpointError, find_folder
+
+    try:
+        return bool(find_folder(folder))
+    except CheckpointError:
+        return False
 
 
 def _with_files(job: Job) -> Job:
@@ -136,6 +160,7 @@ def _with_files(job: Job) -> Job:
         ImportError: A package is not installed.
     """
     settings, spec = job.settings, TASKS[job.variant.task]
+    _check_ranks(job)
     patients: tuple[Condition, ...] = ()
     if settings.cohort:
         from myowarp.apps.cohort.columns import conditions_of
@@ -160,6 +185,25 @@ def _with_files(job: Job) -> Job:
     return dataclasses.replace(job, patients=patients, start=start, files_read=_digests(settings))
 
 
+def _check_ranks(job: Job) -> None:
+    """Raise ValueError if a run cannot be divided among its ranks."""
+    ranks, settings = job.ranks, job.settings
+    if ranks.size == 1:
+        return
+    if not isinstance(settings, PPOSettings):
+        # skrl's TRPO does not average its step over ranks, its SAC not the entropy weight.
+        raise ValueError(
+            f"training over {ranks.size} ranks is for ppo; start {job.algorithm} without torchrun"
+        )
+    rows = ranks.share("--num-worlds", settings.num_worlds) * settings.rollout_steps
+    if rows % settings.minibatches:
+        raise ValueError(
+            f"--minibatches must divide the samples of a rank and iteration, {settings.num_worlds} worlds / "
+            f"{ranks.size} ranks x {settings.rollout_steps} steps = {rows}, got {settings.minibatches}"
+        )
+    ranks.device(settings.device)
+
+
 def _digests(settings: Settings) -> dict[str, str]:
     """Return checksums of the files that a run reads."""
     paths = {"cohort": settings.cohort, "start": settings.start}
@@ -181,7 +225,7 @@ def _parent(settings: Settings, algorithm: str, spec: TaskSpec) -> Checkpoint:
         raise ValueError(f"--parent {settings.parent!r} must be a run's folder, baseline or baselines/<id>")
     parent = read_policy(settings.parent, folder, spec)
     theirs = parent.manifest["settings"]
-    if ("log_std" in parent.policy) != (algorithm != "sac"):
+    if ("log_std" in parent.policy) != issubclass(ALGORITHMS[algorithm], OnPolicy):
         raise CheckpointError(
             f"--parent {settings.parent!r} was trained by {parent.manifest['algorithm']}, whose policies "
             f"{algorithm} cannot train"
@@ -195,7 +239,7 @@ def _parent(settings: Settings, algorithm: str, spec: TaskSpec) -> Checkpoint:
     return parent
 
 
-def _plan_resume(command: TrainOptions, given: dict[str, Any]) -> Job:
+def _plan_resume(command: TrainOptions, given: dict[str, Any], ranks: Ranks) -> Job:
     """Return the run that goes on; see `plan`."""
     from myowarp.apps.train.checkpoint import STATE, CheckpointError, load_checkpoint
 
@@ -204,6 +248,11 @@ def _plan_resume(command: TrainOptions, given: dict[str, Any]) -> Job:
     manifest = checkpoint.manifest
     if STATE not in manifest["files"]:
         raise CheckpointError(f"checkpoint {str(folder)!r} holds a policy alone and cannot be resumed")
+    if (before := manifest.get("ranks", 1)) != ranks.size:
+        raise ValueError(
+            f"run {str(folder)!r} goes on with the number of ranks that it began with, {before}, got "
+            f"{ranks.size}"
+        )
     recorded = manifest["settings"]
     task = command.task and command.task.removeprefix("MyoWarp/")
     wanted = {"task": task, "model": command.model, "algorithm": command.algorithm, "output": command.output}
@@ -230,7 +279,7 @@ def _plan_resume(command: TrainOptions, given: dict[str, Any]) -> Job:
             f"the task of the run is in the file {task!r}, which --resume opens if you name it, too"
         )
     variant = task_or_model(None if is_model else task, Path(task) if is_model else None)
-    job = _with_files(Job(task, is_model, variant, algorithm, settings, folder, checkpoint))
+    job = _with_files(Job(task, is_model, variant, algorithm, settings, folder, ranks, checkpoint))
     if (now := job.files_read) != (then := manifest.get("files_read", {})):
         changed = next(name for name in now if now[name] != then.get(name))
         raise ValueError(f"--{changed} {getattr(settings, changed)!r} has changed since the run began")

@@ -24,6 +24,7 @@ SUCCESSES = {
     "success_last": "solved on the last step",
     "success_any": "solved at any step",
 }
+PRECISIONS = ("bfloat16", "float32")
 ACTIVATIONS = ("elu", "tanh", "relu")
 
 
@@ -147,8 +148,8 @@ class TRPOSettings(OnPolicy):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SACSettings(Settings):
-    """Soft actor-critic."""
+class OffPolicy(Settings):
+    """What SAC and FlashSAC share."""
 
     batch_size: int = setting(512, "Samples of a gradient step.", least=1)
     gradient_steps: int = setting(4, "Gradient steps after each control step of the worlds.", least=1)
@@ -157,10 +158,37 @@ class SACSettings(Settings):
     target_rate: float = setting(0.01, "Rate at which target networks follow.", least=0.0, most=1.0)
     temperature: float = setting(0.05, "Weight of the entropy at the start; it is learned.", least=1e-9)
     target_entropy: float = setting(-0.5, "Entropy that the weight aims at, for each action.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SACSettings(OffPolicy):
+    """Soft actor-critic."""
+
     reward_scale: float = setting(0.05, "Factor of rewards.", least=0.0)
 
 
-ALGORITHMS: dict[str, type[Settings]] = {"ppo": PPOSettings, "trpo": TRPOSettings, "sac": SACSettings}
+@dataclass(frozen=True, kw_only=True)
+class FlashSACSettings(OffPolicy):
+    """Soft actor-critic with categorical critics and repeated noise."""
+
+    temperature: float = setting(0.002, "Weight of the entropy at the start; it is learned.", least=1e-9)
+    critic_width: int = setting(256, "Width of the critics' residual blocks.", least=1)
+    critic_blocks: int = setting(2, "Residual blocks of a critic.", least=1)
+    atoms: int = setting(101, "Values whose probabilities a critic learns.", least=2)
+    policy_every: int = setting(2, "Gradient steps of the critics for one of the policy.", least=1)
+    precision: str = setting(
+        "bfloat16",
+        "Of products of matrices; on a CPU without bfloat16, float32 is faster.",
+        choices=PRECISIONS,
+    )
+
+
+ALGORITHMS: dict[str, type[Settings]] = {
+    "ppo": PPOSettings,
+    "trpo": TRPOSettings,
+    "sac": SACSettings,
+    "flashsac": FlashSACSettings,
+}
 RECORDED = TypeVar("RECORDED", bound=Settings)
 
 
@@ -269,7 +297,7 @@ def _check_together(settings: Settings) -> None:
         raise ValueError(
             f"--least-rate must be at most --largest-rate, {settings.largest_rate}, got {settings.least_rate}"
         )
-    if isinstance(settings, SACSettings):
+    if isinstance(settings, OffPolicy):
         if settings.replay % settings.num_worlds:
             raise ValueError(
                 f"--replay must be a multiple of the {settings.num_worlds} worlds, got {settings.replay}"

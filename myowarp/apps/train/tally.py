@@ -25,6 +25,7 @@ class Tally:
         self._return = torch.zeros(num_worlds, dtype=torch.float64, device=device)
         self._length = torch.zeros(num_worlds, dtype=torch.float64, device=device)
         self._any = torch.zeros(num_worlds, dtype=torch.bool, device=device)
+        self._new: list[np.ndarray] = []
         self._last: deque[np.ndarray] = deque(maxlen=WINDOW)
         self.episodes = 0
 
@@ -36,12 +37,21 @@ class Tally:
         if not any_ended:
             return
         columns = (self._return, self._length, info["success"], info["solved"], self._any)
-        rows = torch.stack([column[ended].double() for column in columns], dim=1).cpu().numpy()
-        self._last.extend(rows)
-        self.episodes += len(rows)
+        self._new.append(torch.stack([column[ended].double() for column in columns], dim=1).cpu().numpy())
         self._return[ended] = 0.0
         self._length[ended] = 0.0
         self._any[ended] = False
+
+    def take(self) -> np.ndarray:
+        """Return the episodes that ended since the last call, shape (episodes, columns)."""
+        rows = np.concatenate([np.empty((0, len(COLUMNS))), *self._new])
+        self._new.clear()
+        return rows
+
+    def keep(self, rows: np.ndarray) -> None:
+        """Count episodes, those of other ranks too, shape (episodes, columns)."""
+        self._last.extend(rows)
+        self.episodes += len(rows)
 
     def figures(self) -> dict[str, float]:
         """Return means over the last episodes, NaN before the first one ended."""
@@ -52,12 +62,17 @@ class Tally:
         """Return whether this share of a full window succeeded, by one of the rules `SUCCESSES`."""
         return len(self._last) == WINDOW and self.figures()[rule] >= share
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return all numbers."""
+    def rows(self) -> dict[str, np.ndarray]:
+        """Return the numbers of the worlds."""
         return {
             "tally.return": self._return.cpu().numpy().copy(),
             "tally.length": self._length.cpu().numpy().copy(),
             "tally.any": self._any.cpu().numpy().copy(),
+        }
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the numbers of the episodes that ended."""
+        return {
             "tally.last": np.array(self._last, dtype=np.float64).reshape(-1, len(COLUMNS)),
             "tally.episodes": np.array([self.episodes]),
         }

@@ -85,7 +85,7 @@ def check_apart(*both: Parameter) -> None:
     begin, end = np.stack([_affected_time(p) for p in both], axis=1)
     overlap = np.flatnonzero(begin.max(axis=0) < end.min(axis=0))
     if overlap.size:
-        world = both[0].worlds.first + overlap[0]
+        world = both[0].worlds.given.start + overlap[0]
         raise ValueError(
             f"world {world} cannot have both 'reafferentation' and 'tendon_transfer'; "
             "set affected of one of them to 0 there, with one entry per world"

@@ -106,9 +106,9 @@ class Panel:
         drive.on_click(lambda _: live.ask("drive", lambda: self._drive(drive.value)))
         speed = gui.add_slider("speed / real time", SLOWEST, FASTEST, 0.05, live.speed)
         self._on("speed", speed, self._set_speed, lambda: live.speed)
-        tasks = dict.fromkeys((session.title, *live.choices.tasks))
+        tasks = live.choices.tasks
         self._choose("task", tasks, session.title, lambda task: live.open(task, session.policy))
-        policies = dict.fromkeys((session.policy, *live.choices.policies(session.sim.scene.spec)))
+        policies = live.choices.policies(session.sim.scene.spec)
         self._choose("policy", policies, lambda: session.policy, session.act)
         worlds = [str(world) for world in range(session.twin)]
         if len(worlds) > 1:

@@ -1,28 +1,37 @@
 """The web server of a page: on this machine alone, or open to others behind a token.
 
-viser knows no passwords. It listens on this machine only; what comes from elsewhere meets a gate, which lets
-a connection through that brings the token, once in the address and from then on in a cookie.
+viser knows no passwords. It listens on this machine only, and refuses pages of other sites. What comes from
+elsewhere meets a gate, which lets a connection through that brings the token, once in the address and from
+then on in a cookie.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import hmac
 import io
 import logging
+import re
 import socket
 import threading
+from unittest import mock
 from urllib.parse import parse_qs, urlsplit
 
 import viser
+import websockets.asyncio.server
 
 LOCAL = "127.0.0.1"
 LOCAL_NAMES = (LOCAL, "localhost", "::1")
+EVERYWHERE = ("0.0.0.0", "::", "")
+ORIGINS = (None, re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?"))
+"""Sites whose pages may use the socket; None: what is no browser."""
 COOKIE = "myowarp_token"
 HEAD_BYTES, HEAD_SECONDS = 65536, 10.0  # of a request
 PIECE = 65536  # bytes passed on at a time
 REFUSED = "This page needs its token: open the whole address that `myowarp view` has printed.\n"
+ELSEWHERE = "A page of another site may not use this one.\n"
 
 
 class _LocalServer(viser.ViserServer):
@@ -46,7 +55,11 @@ def open_server(port: int, title: str) -> viser.ViserServer:
     # What a browser sends that cannot be read, and browsers that leave, are no errors of ours.
     for name in ("websockets.server", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    with contextlib.redirect_stdout(io.StringIO()):
+    serve = functools.partial(websockets.asyncio.server.serve, origins=ORIGINS)  # viser passes none
+    with (
+        contextlib.redirect_stdout(io.StringIO()),
+        mock.patch.object(websockets.asyncio.server, "serve", serve),
+    ):
         server = _LocalServer(LOCAL, port, title, verbose=False)
     server.get_event_loop().set_exception_handler(lambda loop, context: None)
     server.scene.configure_default_lights(cast_shadow=False)
@@ -57,6 +70,12 @@ def close_server(server: viser.ViserServer) -> None:
     """Stop a server; pages that are open say so."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
+
+
+def address_of(host: str, port: int) -> str:
+    """Return the address of a page for a browser; what listens everywhere goes by the machine's name."""
+    name = socket.gethostname() if host in EVERYWHERE else f"[{host}]" if ":" in host else host
+    return f"http://{name}:{port}"
 
 
 def check_port(host: str, port: int) -> None:
@@ -102,20 +121,31 @@ class Gate:
         opening = asyncio.start_server(self._serve, host, port, limit=HEAD_BYTES)
         self._server = asyncio.run_coroutine_threadsafe(opening, self._loop).result()
         self.port: int = self._server.sockets[0].getsockname()[1]
+        self._cookie = f"{COOKIE}_{self.port}"  # a browser gives a cookie to all ports of a machine
 
     def close(self) -> None:
-        """Stop listening."""
-        self._loop.call_soon_threadsafe(self._server.close)
+        """Stop listening, and end what is connected."""
+        asyncio.run_coroutine_threadsafe(self._end(), self._loop).result()
         self._loop.call_soon_threadsafe(self._loop.stop)
+
+    async def _end(self) -> None:
+        """Let all connections go, so that none is left to complain."""
+        self._server.close()
+        tasks = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Answer a connection."""
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_SECONDS)
-            if self._is_right(_cookie(head)):
-                await self._pass_on(head, reader, writer)
+            if not _is_from_here(head):
+                await _answer(writer, "403 Forbidden", ELSEWHERE)
+            elif self._is_right(_cookie(head, self._cookie)):
+                await self._pass_on(_without_origin(head), reader, writer)
             elif self._is_right(_query(head)):
-                cookie = f"{COOKIE}={self._token}; HttpOnly; SameSite=Lax; Path=/"
+                cookie = f"{self._cookie}={self._token}; HttpOnly; SameSite=Lax; Path=/"
                 await _answer(writer, "303 See Other", "", f"Location: /\r\nSet-Cookie: {cookie}\r\n")
             else:
                 await _answer(writer, "403 Forbidden", REFUSED)
@@ -157,15 +187,32 @@ async def _answer(writer: asyncio.StreamWriter, status: str, text: str, headers:
     await writer.drain()
 
 
-def _cookie(head: bytes) -> str:
-    """Return the token in a request's cookies, "" for none."""
+def _header(head: bytes, wanted: str) -> str:
+    """Return a header of a request, "" for none."""
     for line in head.decode("latin-1").split("\r\n")[1:]:
         name, _, value = line.partition(":")
-        if name.strip().lower() == "cookie":
-            for part in value.split(";"):
-                key, _, token = part.strip().partition("=")
-                if key == COOKIE:
-                    return token
+        if name.strip().lower() == wanted:
+            return value.strip()
+    return ""
+
+
+def _is_from_here(head: bytes) -> bool:
+    """Say whether a request comes from a page of the same address, or from no page."""
+    origin = _header(head, "origin")
+    return not origin or urlsplit(origin).netloc == _header(head, "host")
+
+
+def _without_origin(head: bytes) -> bytes:
+    """Return a request that viser takes for one from this machine."""
+    return b"\r\n".join(line for line in head.split(b"\r\n") if not line.lower().startswith(b"origin:"))
+
+
+def _cookie(head: bytes, wanted: str) -> str:
+    """Return a request's cookie of a name, "" for none."""
+    for part in _header(head, "cookie").split(";"):
+        key, _, token = part.strip().partition("=")
+        if key == wanted:
+            return token
     return ""
 
 

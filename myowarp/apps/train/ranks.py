@@ -1,0 +1,195 @@
+"""Ranks: processes that torchrun started, each with worlds of its own; they share one policy.
+
+    torchrun --nproc-per-node 2 -m myowarp train myoElbowPose1D6MRandom-v0
+
+Rank r of R owns worlds r n to (r + 1) n - 1 of one numbered set, n = --num-worlds / R. Every rank has the
+same weights: skrl averages gradients over ranks, and the KL divergence that sets the learning rate; moments
+of normalisers are merged (`agents.MergedScaler`). Gloo carries what is on the host, NCCL what is on CUDA.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from myowarp.engine.threads import CORES, num_cores
+
+if TYPE_CHECKING:
+    import torch
+
+
+class LostRankError(RuntimeError):
+    """Another rank ended."""
+
+
+@dataclass(frozen=True)
+class Ranks:
+    """This process among those of a run.
+
+    Attributes:
+        rank: Its number, from 0.
+        size: How many there are.
+        local: Its number among those of this machine.
+        local_size: How many there are on this machine.
+        restarts: How often torchrun has started them again.
+    """
+
+    rank: int = 0
+    size: int = 1
+    local: int = 0
+    local_size: int = 1
+    restarts: int = 0
+
+    @classmethod
+    def started(cls) -> Ranks:
+        """Return what torchrun says in the environment; without it, a run of one process."""
+        names = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE", "TORCHELASTIC_RESTART_COUNT")
+        return cls(*(int(os.environ.get(name, "01010"[i])) for i, name in enumerate(names)))
+
+    @property
+    def part(self) -> tuple[int, int]:
+        """Rank and number of ranks, as an environment takes them."""
+        return self.rank, self.size
+
+    @property
+    def leads(self) -> bool:
+        """Whether this rank logs and saves."""
+        return self.rank == 0
+
+    def share(self, option: str, number: int) -> int:
+        """Return this rank's share of a number.
+
+        Raises:
+            ValueError: It cannot be divided by the number of ranks.
+        """
+        if number % self.size:
+            raise ValueError(f"{option} must be a multiple of the {self.size} ranks, got {number}")
+        return number // self.size
+
+    def device(self, wanted: str) -> str:
+        """Return the Warp device of this rank, "" for the usual one: one CUDA device a rank.
+
+        Raises:
+            ValueError: There are fewer devices than ranks on this machine, or one is asked for by number.
+        """
+        if self.size == 1 or wanted == "cpu":
+            return wanted
+        import warp as wp
+
+        number = wp.get_cuda_device_count()
+        if wanted not in ("", "cuda"):
+            raise ValueError(f"--device of {self.size} ranks must be cpu, cuda or left out, got {wanted!r}")
+        if not number and not wanted:
+            return "cpu"
+        if number < self.local_size:
+            raise ValueError(
+                f"{self.local_size} ranks of one machine need as many CUDA devices, got {number}; start "
+                "fewer ranks, or pass --device cpu"
+            )
+        return f"cuda:{self.local}"
+
+    @contextmanager
+    def together(self, device: str, *, learning: bool = True) -> Iterator[None]:
+        """Meet the other ranks, and part from them after the block.
+
+        Args:
+            device: Warp device of this rank.
+            learning: Whether skrl is to average over them.
+
+        Raises:
+            LostRankError: Another rank ended.
+        """
+        if self.size == 1:
+            yield
+            return
+        import torch
+
+        self._join(device)
+        if learning:
+            self._teach_skrl()
+        try:
+            yield
+        except RuntimeError as error:
+            if type(error).__module__.startswith(__package__):
+                raise
+            reason = str(error).strip().splitlines()[0]
+            raise LostRankError(
+                f"rank {self.rank} cannot go on with the others of {self.size} ({reason}); with "
+                "--max-restarts torchrun goes on from the last checkpoint"
+            ) from error
+        torch.distributed.destroy_process_group()
+
+    def _join(self, device: str) -> None:
+        """Meet the other ranks."""
+        import torch
+
+        os.environ.setdefault(CORES, str(max(1, num_cores() // self.local_size)))
+        on_cuda = device.startswith("cuda")
+        if on_cuda:
+            torch.cuda.set_device(device)
+        torch.distributed.init_process_group("cpu:gloo,cuda:nccl" if on_cuda else "gloo")
+
+    def _teach_skrl(self) -> None:
+        """Let skrl average over the ranks; if it sees them when it is imported, it starts NCCL by itself."""
+        size = os.environ.pop("WORLD_SIZE")
+        try:
+            from skrl import config
+        finally:
+            os.environ["WORLD_SIZE"] = size
+        config.torch._is_distributed, config.torch._world_size = True, self.size
+        logging.getLogger("skrl").setLevel(logging.WARNING)  # else each rank says what it broadcasts
+
+    def everyones(self, value: Any) -> list[Any]:
+        """Return the values of all ranks, in their order."""
+        if self.size == 1:
+            return [value]
+        import torch
+
+        values: list[Any] = [None] * self.size
+        torch.distributed.all_gather_object(values, value)
+        return values
+
+    def rows(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return the arrays of the worlds of all ranks, in their order; none but on the rank that saves."""
+        if self.size == 1:
+            return arrays
+        import torch
+
+        parts: list[Any] | None = [None] * self.size if self.leads else None
+        torch.distributed.gather_object(arrays, parts)
+        return {name: np.concatenate([part[name] for part in parts]) for name in arrays} if parts else {}
+
+    def own(self, rows: np.ndarray) -> np.ndarray:
+        """Return this rank's rows of an array over the worlds of all."""
+        number = len(rows) // self.size
+        return rows[self.rank * number : (self.rank + 1) * number]
+
+
+ALONE = Ranks()
+
+
+def merged_moments(
+    mean: torch.Tensor, variance: torch.Tensor, count: int
+) -> tuple[torch.Tensor, torch.Tensor, int]:
+    """Return mean, variance and number of the samples of all ranks, each with as many.
+
+    With n samples, mean m and unbiased variance v in each of R ranks:
+    v_all = (sum (n - 1) v + sum n (m - m_all)^2) / (R n - 1).
+    Source: Chan, Golub and LeVeque 1983, The American Statistician 37:242.
+    """
+    import torch
+
+    own = torch.stack((mean, variance)).double()
+    size = torch.distributed.get_world_size()
+    moments = [torch.empty_like(own) for _ in range(size)]
+    torch.distributed.all_gather(moments, own)
+    means, variances = torch.stack(moments).unbind(1)
+    whole = means.mean(0)
+    squares = (count - 1) * variances.sum(0) + count * (means - whole).square().sum(0)
+    return whole, squares / (size * count - 1), size * count

@@ -1,0 +1,89 @@
+"""What each rank does in `test_ranks.py`: `torchrun tests/rank_work.py FOLDER` writes FOLDER/rank_<r>.npz."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from myowarp.apps.train.ranks import Ranks, merged_moments
+from myowarp.apps.train.settings import choose
+from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.models.conditions import MotorNoise, Sarcopenia, Uniform
+
+TASK = "myoElbowPose1D6MRandom-v0"
+ALL_WORLDS, STEPS, SEED = 10, 12, 5
+SETTINGS = {"num_worlds": 8, "rollout_steps": 16, "minibatches": 4, "hidden": [16, 16], "device": "cpu"}
+ITERATIONS = 8  # past the first end of an episode, at 100 steps
+
+
+def moved(rank=(0, 1)):
+    """Return what worlds show under the same actions: patients of every kind, resets in between."""
+    rng = np.random.default_rng(1)
+    actions = rng.uniform(-1.0, 1.0, (STEPS, ALL_WORLDS, 6)).astype(np.float32)
+    again = rng.random((STEPS, ALL_WORLDS)) < 0.2
+    number = ALL_WORLDS // rank[1]
+    own = slice(rank[0] * number, (rank[0] + 1) * number)
+    patients = (
+        Sarcopenia(np.linspace(0.3, 1.0, ALL_WORLDS)),
+        MotorNoise(signal=Uniform(0.0, 0.2), constant=np.arange(ALL_WORLDS) / 100),
+    )
+    env = MyoWarpVectorEnv(
+        TASK, number, rank=rank, conditions=patients, device="cpu", autoreset_mode="disabled", progress=False
+    )
+    seen = [env.reset(seed=SEED)[0]]
+    for action, mask in zip(actions[:, own], again[:, own], strict=True):
+        obs, reward, *_ = env.step(action)
+        seen += [obs, reward[:, None]]
+        if mask.any():
+            seen.append(env.reset(options={"reset_mask": mask})[0])
+        else:
+            seen.append(obs)
+    env.close()
+    return np.concatenate(seen, axis=1)
+
+
+def learned(ranks):
+    """Return everything that a learner holds after a few iterations."""
+    from myowarp.apps.train import agents
+    from myowarp.apps.train.command import start
+    from myowarp.apps.train.plan import Job
+    from myowarp.tasks.variants import Variant
+
+    settings = choose(TASK.removesuffix("-v0"), "ppo", SETTINGS)
+    run = start(Job(TASK, False, Variant(TASK), "ppo", settings, Path(), ranks))
+    for _ in range(ITERATIONS):
+        run.iterate()
+    arrays = agents.policy_arrays(run.agent) | agents.learner_arrays(run.agent)
+    arrays["actions"] = run.agent.memory.get_tensor_by_name("actions").numpy()
+    arrays["figures"] = np.array(list(run.tally.figures().values()))
+    run.env.close()
+    return arrays
+
+
+def main():
+    """Do the work of a rank."""
+    import torch
+
+    ranks = Ranks.started()
+    with ranks.together("cpu"):
+        samples = torch.from_numpy(batch()[ranks.rank])
+        mean, variance, count = merged_moments(samples.mean(0), samples.var(0), len(samples))
+        arrays = {f"learned.{name}": array for name, array in learned(ranks).items()}
+    arrays |= {"moved": moved(ranks.part), "mean": mean, "variance": variance, "count": count}
+    np.savez(Path(sys.argv[1]) / f"rank_{ranks.rank}.npz", **arrays)
+
+
+def batch():
+    """Return samples of two ranks whose means lie ten standard deviations apart, shape (2, 40, 3)."""
+    rng = np.random.default_rng(2)
+    return rng.normal(size=(2, 40, 3)) * [1.0, 0.1, 5.0] + np.array([0.0, 10.0])[:, None, None]
+
+
+def alone():
+    """Return the moments of the samples of both, by NumPy."""
+    both = np.concatenate(batch())
+    return both.mean(axis=0), both.var(axis=0, ddof=1), len(both)
+
+
+if __name__ == "__main__":
+    main()
