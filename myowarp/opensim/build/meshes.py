@@ -56,7 +56,7 @@ def add_shapes(build: Build, folders: Sequence[Path]) -> dict[str, bytes]:
             _add_geom(build, shape, None)
     if missing:
         named = ", ".join(dict.fromkeys(missing))
-        rule = f"{len(missing)} mesh files are not found, given with --meshes: {named}"
+        rule = f"{len(missing)} mesh files are not found; --meshes names their folder: {named}"
         build.notes.append(Note("/meshes", rule, "0: for looking at only"))
     return files
 

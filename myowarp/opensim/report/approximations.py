@@ -5,11 +5,15 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from myowarp.opensim.check.gates import ARM, LENGTH
 from myowarp.opensim.check.muscles import MomentArmError, Motion, MuscleError
 from myowarp.opensim.elements import ConditionalPathPoint, Path
 from myowarp.opensim.fitted import Fits
 from myowarp.opensim.model import Model, Note, pulling
 from myowarp.opensim.tendon.path import TendonPath, Via
+
+BEYOND = f"beyond {ARM[0]:g} mm of moment arm or {LENGTH[0]:g} mm of length, root mean square"
+"""What the gates of the worst muscle refuse."""
 
 
 def approximations(
@@ -20,7 +24,7 @@ def approximations(
     arms: Sequence[MomentArmError],
     muscles: Sequence[MuscleError],
 ) -> list[Note]:
-    """Return a note for every path that is not a row of fixed points, and for every muscle's force.
+    """Return notes: paths that are no row of fixed points, muscles beyond the gates and why, all forces.
 
     Args:
         model: What was converted.
@@ -40,10 +44,37 @@ def approximations(
         bound = f"length {1e3 * off.max():.2g} mm at most, moment arms {1e3 * worst:.2g} mm root mean square"
         notes.append(Note(f"/forceset/{name}", rule, bound))
     for muscle in muscles:
+        own = [pair for pair in arms if pair.muscle == muscle.muscle]
+        arm = max((pair.error.rms for pair in own), default=0.0)
+        if not (1e3 * arm <= ARM[0] and 1e3 * muscle.length.rms <= LENGTH[0]):
+            rule = f"{BEYOND}: {_reason(paths[muscle.muscle], fits.paths()[muscle.muscle].tendon, own)}"
+            bound = (
+                f"moment arms {1e3 * arm:.2g} mm, length {1e3 * muscle.length.rms:.2g} mm root mean square"
+            )
+            notes.append(Note(f"/forceset/{muscle.muscle}", rule, bound))
         bound = f"{100 * muscle.force.worst:.2g} % of max_isometric_force at most, at rest"
         rule = f"{model.muscles[muscle.muscle].type} became MuJoCo's muscle, its tendon rigid"
         notes.append(Note(f"/forceset/{muscle.muscle}", rule, bound))
     return notes
+
+
+def _reason(path: Path, tendon: TendonPath, pairs: Sequence[MomentArmError]) -> str:
+    """Return what of a path MuJoCo has no equal for."""
+    said = []
+    if switched := [point for point in path.points if isinstance(point, ConditionalPathPoint)]:
+        coordinates = ", ".join(dict.fromkeys(point.coordinate for point in switched))
+        said.append(
+            f"OpenSim switches {len(switched)} of its points on and off by {coordinates}; no surface does"
+        )
+    bare = {wrap.object.replace("/", "-") for wrap in path.wraps} - {over.name for over in tendon.surfaces}
+    if bare:
+        named = ", ".join(sorted(bare))
+        said.append(f"no surface stands for {named}: MuJoCo takes one between two points")
+    if share := max((pair.inconsistent for pair in pairs), default=0.0):
+        said.append(
+            f"in up to {100 * share:.0f} % of the poses OpenSim's moment arm is not the slope of its length"
+        )
+    return "; ".join(said) or "the best surfaces come no nearer, MuJoCo has spheres and cylinders only"
 
 
 def _rule(tendon: TendonPath, path: Path) -> str:
