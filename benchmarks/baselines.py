@@ -150,6 +150,7 @@ def _training_table(found: list[Baseline]) -> str:
             rows.append(
                 [
                     f"`myowarp baselines run {baseline.task}{seed}`",
+                    training["algorithm"],
                     training["physics"],
                     f"{training['samples'] / 1e6:.2f}",
                     "-" if training.get("resumed_after") else f"{training['seconds']:.0f}",
@@ -159,7 +160,16 @@ def _training_table(found: list[Baseline]) -> str:
                     training["ended"],
                 ]
             )
-    columns = ["command", "physics", "samples [million]", "wall [s]", "training [s]", "CPU [s]", "busy cores"]
+    columns = [
+        "command",
+        "algorithm",
+        "physics",
+        "samples [million]",
+        "wall [s]",
+        "training [s]",
+        "CPU [s]",
+        "busy cores",
+    ]
     return _table([*columns, "ended by"], rows)
 
 
@@ -176,7 +186,7 @@ def _published_table(found: list[Baseline], published: dict[str, Any]) -> str:
         for task, theirs in published["tasks"].items()
     ]
     heads = {"npg": "the paper's NPG", "ppo": "MyoSuite 3, PPO on a GPU", "off_policy": "FlashSAC"}
-    table = _table(["task", "MyoWarp, PPO", *(heads[name] for name in sources)], rows)
+    table = _table(["task", "MyoWarp", *(heads[name] for name in sources)], rows)
     return table + "\n" + "".join(f"* {heads[name]}. {text}\n" for name, text in sources.items())
 
 

@@ -205,7 +205,7 @@ def test_easy_tasks_are_learned_first(found):
     result, _ = found("baselines")
     assert all(claim["holds"] for claim in result["claims"]), holds(result)
     needed = ours(result, "samples to 90 %")
-    assert needed["myoElbowPose1D6MFixed-v0, PPO"] < needed["myoElbowPose1D6MRandom-v0, PPO"]
+    assert needed["myoElbowPose1D6MFixed-v0, preset"] < needed["myoElbowPose1D6MRandom-v0, preset"]
     assert len([name for name in needed if name.endswith("TRPO")]) >= 4
 
 

@@ -602,7 +602,11 @@ def test_a_missing_package_is_named(package, arguments, sentence, run, no_simula
 def test_a_preset_chooses_the_algorithm(run, no_simulation, tmp_path):
     task = next(name.removesuffix(".toml") for name in PRESETS if preset_algorithm(name[:-5]) == "flashsac")
     options = ("--output", tmp_path / "new", "--num-worlds", 48)
-    assert said(run("train", f"{task}-v0", *options)).startswith("--replay must be a multiple of the 48 worlds")
+    assert said(run("train", f"{task}-v0", *options)).startswith(
+        "--replay must be a multiple of the 48 worlds"
+    )
     sentence = "flashsac has no setting --epochs; it belongs to ppo and trpo"
     assert said(run("train", f"{task}-v0", *options, "--epochs", 4)) == sentence
-    assert said(run("train", f"{task}-v0", *options, "--algorithm", "ppo", "--epochs", 0)).startswith("--epochs")
+    assert said(run("train", f"{task}-v0", *options, "--algorithm", "ppo", "--epochs", 0)).startswith(
+        "--epochs"
+    )

@@ -7,11 +7,12 @@ Baoding needed more than 70 million samples and worked in one seed of five.
 Open in the paper, and chosen here:
 
 * Algorithm. TRPO is the natural gradient with a line search; the paper's NPG takes a step of fixed size
-  without one. Beside it stands PPO, the trainer's default, with the presets of `myowarp train`.
+  without one. Beside it stands "preset", the algorithm and settings that `myowarp train` chooses for the task:
+  PPO, and FlashSAC where `algorithm` in `apps/train/presets` says so.
 * Success: more than 5 solved steps, sampled actions, the last 256 episodes of the training; a training ends
   when the preset's share is reached, and counts as holding it from there on.
-* Seeds. TRPO as many as there are (`trpo_curves.json`, or trained anew with --retrain); PPO one, the
-  package's.
+* Seeds. TRPO as many as there are (`trpo_curves.json`, or trained anew with --retrain); the preset
+  one, the package's.
 * The paper's numbers are those of the authors' logs that MyoSuite 2.12.2 ships: three seeds, up to 19 million
   samples.
 """
@@ -83,7 +84,7 @@ def trpo(lab: Lab) -> dict[str, list[Curve]]:
     return found
 
 
-def ppo() -> dict[str, list[Curve]]:
+def preset() -> dict[str, list[Curve]]:
     """Return the curves of the package's policies."""
     return {task: [read_curve(FOLDER / task / CURVE)] for task in baseline_tasks() if task in PAPER}
 
@@ -106,7 +107,7 @@ def samples_to(curve: Curve, share: float = LEARNED) -> float:
 
 def run(lab: Lab) -> Findings:
     """Read or make the curves."""
-    return findings({"TRPO": trpo(lab), "PPO": ppo()})
+    return findings({"TRPO": trpo(lab), "preset": preset()})
 
 
 def findings(curves: dict[str, dict[str, list[Curve]]]) -> Findings:
@@ -150,7 +151,7 @@ def final(curves: dict[str, list[Curve]], kind: str) -> dict[str, float]:
 
 def claims(curves: dict[str, dict[str, list[Curve]]]) -> tuple[Claim, ...]:
     """Return the paper's conclusions, and whether ours agree."""
-    natural, default = curves["TRPO"], curves["PPO"]
+    natural, default = curves["TRPO"], curves["preset"]
     early = {task: max(samples_to(curve) for curve in runs) for task, runs in default.items() if EASY in task}
     both = [task for task in natural if task in default]
     # A task's fixed variant beside its random one, where both were trained.
@@ -186,9 +187,9 @@ def text(curves: dict[str, dict[str, list[Curve]]]) -> str:
     """Return where ours differs from the paper, and why."""
     missing = ", ".join(task for task in PAPER if task not in curves["TRPO"])
     ratios = [
-        samples_to(curves["PPO"][task][0]) / np.nanmean([samples_to(curve) for curve in runs])
+        samples_to(curves["preset"][task][0]) / np.nanmean([samples_to(curve) for curve in runs])
         for task, runs in curves["TRPO"].items()
-        if task in curves["PPO"]
+        if task in curves["preset"]
     ]
     least, most = min(ratios), max(ratios)
     return f"""
@@ -221,7 +222,7 @@ def draw(figure: Figure, curves: dict[str, dict[str, list[Curve]]]) -> None:
     ]
     figure.set_figheight(1.9 * len(families) + 0.6)
     panels = figure.subplots(len(families), 2, sharey=True, squeeze=False)
-    styles = {"TRPO": ("#b3362b", "-"), "PPO": ("#1f5fa8", "-")}
+    styles = {"TRPO": ("#b3362b", "-"), "preset": ("#1f5fa8", "-")}
     for row, family in zip(panels, families, strict=True):
         for axes, kind in zip(row, (EASY, HARD), strict=True):
             task = family.format(kind)
@@ -261,7 +262,7 @@ def _band(axes: Any, runs: list[Curve], name: str, color: str, style: str) -> No
 
 EXPERIMENT = Experiment(
     "baselines",
-    "Success over samples of the easy and the hard tasks: TRPO and PPO beside the paper's NPG",
+    "Success over samples of the easy and the hard tasks: TRPO and the trainer's presets beside the paper's NPG",
     "Figure of success over up to 5 million samples: NPG learns elbow, finger and the easy hand tasks; the "
     "hard hand tasks hardly. Baoding took more than 70 million samples and worked in 1 seed of 5.",
     run,
