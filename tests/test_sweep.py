@@ -6,26 +6,20 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from clusters import PATIENCE, fill_store, replace_node, start, wait_until, working
 
 from myowarp.apps.sweep.report import measures, summary
 from myowarp.apps.sweep.study import read_study
 from myowarp.apps.sweep.work import RESULT, finished
 
-ray = pytest.importorskip("ray")
-cluster_utils = pytest.importorskip("ray.cluster_utils")
-
 ELBOW = "myoElbowPose1D6MRandom-v0"
 TINY = {"num_worlds": 8, "rollout_steps": 16, "minibatches": 2, "epochs": 1, "hidden": [16, 16]}
 TRAIN = {"kind": "train", "tasks": [ELBOW], "episodes": 8}
 EVAL = {"kind": "eval", "tasks": [ELBOW], "policies": ["baseline"], "episodes": 8}
-PATIENCE = 1800.0  # s
-STORE = 80 * 2**20  # bytes of a node's object store, little more than the least
 
 
 def study(path, **entries):
@@ -42,8 +36,7 @@ def train_study(path, seeds, iterations):
 
 def sweep(path, output, *options):
     """Start a sweep in a process of its own."""
-    command = [sys.executable, "-m", "myowarp", "sweep", str(path), "--output", str(output), *options]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    return start("sweep", path, "--output", output, *options)
 
 
 def results(output):
@@ -51,74 +44,20 @@ def results(output):
     return {path.parent.name: path for path in output.glob(f"*/{RESULT}")}
 
 
-def wait_for(number, output, process):
-    """Wait until so many runs are done."""
-    begin = time.monotonic()
-    while len(results(output)) < number:
-        assert process.poll() is None, process.stdout.read()
-        assert time.monotonic() - begin < PATIENCE
-        time.sleep(0.1)
-
-
-@pytest.fixture
-def cluster():
-    """Yield a cluster of three nodes on this machine; the head does no work."""
-    head = {"num_cpus": 0, "object_store_memory": STORE, "include_dashboard": False}
-    cluster = cluster_utils.Cluster(initialize_head=True, head_node_args=head)
-    cluster.workers = [cluster.add_node(num_cpus=1, object_store_memory=STORE) for _ in range(2)]
-    yield cluster
-    cluster.shutdown()
-
-
-def workers_of(cluster):
-    """Return the processes that run tasks."""
-    raylets = {str(info.process.pid) for node in cluster.list_all_nodes() for info in raylet(node)}
-    found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            called = (folder / "cmdline").read_text()
-            parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
-        except OSError:
-            continue
-        if parent in raylets and called.startswith("ray::") and "IDLE" not in called:
-            found.append(int(folder.name))
-    return found
-
-
-def raylet(node):
-    """Return the raylet process of a node."""
-    return node.all_processes.get("raylet", [])
-
-
-FULL = """
-import sys, ray
-ray.init(sys.argv[1], log_to_driver=False)
-import numpy as np
-held = [ray.put(np.ones(2**17)) for _ in range(160)]  # twice what a node's store holds
-print("full", flush=True)
-sys.stdin.read()
-"""
-
-
 @pytest.mark.scale
 def test_every_run_of_a_study_ends_once_whatever_dies(cluster, tmp_path):
     path, output = train_study(tmp_path / "study.yaml", 12, 12), tmp_path / "out"
     address = cluster.address
-    filling = [sys.executable, "-c", FULL, address]
-    with subprocess.Popen(filling, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as full:
-        assert full.stdout.readline() == "full\n"
-        first = sweep(path, output, "--address", address)
-        wait_for(2, output, first)
-        victims = workers_of(cluster)
-        assert victims
-        os.kill(victims[0], signal.SIGKILL)
-        wait_for(5, output, first)
-        cluster.remove_node(cluster.workers[0], allow_graceful=False)
-        cluster.add_node(num_cpus=1, object_store_memory=STORE)
-        wait_for(9, output, first)
-        first.kill()  # the driver
-        first.communicate()
-        full.stdin.close()
+    full = fill_store(cluster)
+    first = sweep(path, output, "--address", address)
+    wait_until(lambda: len(results(output)) >= 2 and working(cluster), first)
+    os.kill(working(cluster)[0], signal.SIGKILL)
+    wait_until(lambda: len(results(output)) >= 5, first)
+    replace_node(cluster)
+    wait_until(lambda: len(results(output)) >= 9, first)
+    first.kill()  # the driver
+    first.communicate()
+    full.communicate()
     before = {name: (path.stat().st_ino, path.read_bytes()) for name, path in results(output).items()}
     assert 9 <= len(before) < 24
     second = sweep(path, output, "--address", address)
