@@ -1,6 +1,5 @@
 """Clusters of several nodes on this machine, and what can be done to them."""
 
-import os
 import subprocess
 import sys
 import time
@@ -8,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-os.environ.setdefault("RAY_raylet_start_wait_time_s", "180")  # on busy cores
 PATIENCE = 1800.0  # s
 STORE = 80 * 2**20  # bytes of a node's object store, little more than the least
 FULL = """

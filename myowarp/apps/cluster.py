@@ -20,7 +20,6 @@ from myowarp.engine.threads import CORES, num_cores
 
 RETRIES = 10  # of a piece whose worker or node died
 PATIENCE = 60.0  # s that a node has to answer
-START = 180  # s that a node has to start, on busy cores
 REACH = 5.0  # s that a cluster has to accept a connection
 LOOK = 0.5  # s between two looks at what is done
 
@@ -46,7 +45,6 @@ def connected(address: str | None, folder: Path) -> Iterator[None]:
 
     if address is not None and address != "auto":
         _check_address(address)
-    os.environ.setdefault("RAY_raylet_start_wait_time_s", str(START))
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
     if address is None:
         options |= {"num_cpus": num_cores(), "include_dashboard": False}
