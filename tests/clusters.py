@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 PATIENCE = 1800.0  # s
+TRIES = 4
 STORE = 80 * 2**20  # bytes of a node's object store, little more than the least
 FULL = """
 import sys, ray
@@ -24,15 +25,26 @@ def cluster():
     """Yield a cluster of three nodes; the head does no work."""
     utilities = pytest.importorskip("ray.cluster_utils")
     head = {"num_cpus": 0, "object_store_memory": STORE, "include_dashboard": False}
-    cluster = utilities.Cluster(initialize_head=True, head_node_args=head)
+    cluster = started(lambda: utilities.Cluster(initialize_head=True, head_node_args=head))
     cluster.workers = [add_node(cluster) for _ in range(2)]
     yield cluster
     cluster.shutdown()
 
 
+def started(start):
+    """Return what is started; Ray gives a node 30 s, which busy cores may not be enough for."""
+    for _ in range(TRIES - 1):
+        try:
+            return start()
+        except Exception as error:
+            if "timed out during startup" not in str(error):
+                raise
+    return start()
+
+
 def add_node(cluster):
     """Add a node with one core."""
-    return cluster.add_node(num_cpus=1, object_store_memory=STORE)
+    return started(lambda: cluster.add_node(num_cpus=1, object_store_memory=STORE))
 
 
 def replace_node(cluster):

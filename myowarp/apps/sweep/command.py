@@ -102,12 +102,13 @@ def _seconds(run: Run, runs: list[Run], results: dict[str, dict[str, Any]]) -> f
     if run.kind != "train":
         return None
     from myowarp.apps.train.checkpoint import MANIFEST
-    from myowarp.apps.train.settings import choose
+    from myowarp.apps.train.settings import choose, preset_algorithm
 
     spec = TASKS[find_task(run.task).task]
     if spec.key not in baseline_tasks():
         return None
     manifest = json.loads((baseline_folder(spec.key) / MANIFEST).read_text())
     options = {name: value for name, value in run.options.items() if name != "algorithm"}
-    settings = choose(spec.name, run.options.get("algorithm") or "ppo", options)
+    algorithm = run.options.get("algorithm") or preset_algorithm(spec.name)
+    settings = choose(spec.name, algorithm, options)
     return float(settings.samples * manifest["clock"]["total"] / manifest["samples"])
