@@ -3,6 +3,7 @@
 import sys
 
 import pytest
+from clusters import cluster  # noqa: F401 (a fixture)
 
 from myowarp.apps import cli
 

@@ -19,6 +19,7 @@ from myowarp.apps.commands.plot import Plot
 from myowarp.apps.commands.record import Record
 from myowarp.apps.commands.reproduce import Reproduce
 from myowarp.apps.commands.rollout import Rollout
+from myowarp.apps.commands.sweep import Sweep
 from myowarp.apps.commands.tasks import Tasks
 from myowarp.apps.commands.view import View
 from myowarp.apps.commands.warmup import Warmup
@@ -42,6 +43,7 @@ COMMANDS: dict[str, type[Callable[[], None]]] = {
     "eval": Eval,
     "baselines": Baselines,
     "reproduce": Reproduce,
+    "sweep": Sweep,
     "export": Export,
     "convert": Convert,
     "warmup": Warmup,

@@ -3,12 +3,12 @@
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 
-from myowarp.apps.options import Device, Overwrite, Physics, Policy, Steps, Task, optional
+from myowarp.apps.options import Device, Overwrite, Physics, Policy, Steps, Task, check_least, optional
 from myowarp.spec.task import RESETS
 
 
@@ -45,12 +45,36 @@ class Cohort:
     format: Literal["parquet", "csv"] = "parquet"
     """Format of the results."""
     overwrite: Overwrite = False
+    ray: bool = False
+    """Simulate chunk by chunk over a Ray cluster, into a Parquet dataset; the same command goes on."""
+    address: Annotated[str | None, optional("HOST:PORT")] = None
+    """With --ray: head of a cluster, or auto; by default this machine alone."""
+    chunk: int = 4096
+    """With --ray: patients that are simulated together."""
+    cpus: int = 1
+    """With --ray: cores of each chunk."""
 
     def __call__(self) -> None:
         """Check, run, write."""
         from myowarp.apps.cohort import command
 
         settings = dataclasses.asdict(self)
+        over = {name: settings.pop(name) for name in ("address", "chunk", "cpus")}
+        if settings.pop("ray"):
+            self._in_chunks(settings, over)
+            return
         table, output, suffix = settings.pop("table"), settings.pop("output"), settings.pop("format")
         console, overwrite = Console(stderr=True, highlight=False, soft_wrap=True), settings.pop("overwrite")
         command.run(table, output, f".{suffix}", console, overwrite, **settings)
+
+    def _in_chunks(self, settings: dict[str, Any], over: dict[str, Any]) -> None:
+        """Check, and run over a cluster."""
+        from myowarp.apps.cohort import chunks
+
+        check_least(1, chunk=self.chunk, cpus=self.cpus)
+        if settings.pop("format") != "parquet" or settings.pop("overwrite"):
+            raise ValueError(
+                "--ray writes parquet and goes on with what is there; leave out --format and --overwrite"
+            )
+        console = Console(stderr=True, highlight=False, soft_wrap=True)
+        chunks.run(settings.pop("table"), settings.pop("output"), console, **over, **settings)

@@ -194,7 +194,8 @@ def _check_ranks(job: Job) -> None:
     if not isinstance(settings, PPOSettings):
         # skrl's TRPO does not average its step over ranks, its SAC not the entropy weight.
         raise ValueError(
-            f"training over {ranks.size} ranks is for ppo; start {job.algorithm} without torchrun"
+            f"training over {ranks.size} ranks is for ppo; start {job.algorithm} without torchrun, or pass "
+            "--algorithm ppo"
         )
     rows = ranks.share("--num-worlds", settings.num_worlds) * settings.rollout_steps
     if rows % settings.minibatches:

@@ -133,7 +133,11 @@ class Ranks:
         on_cuda = device.startswith("cuda")
         if on_cuda:
             torch.cuda.set_device(device)
-        torch.distributed.init_process_group("cpu:gloo,cuda:nccl" if on_cuda else "gloo")
+        # After a restart torchrun's store still holds the addresses of the processes before.
+        store, rank, size = next(torch.distributed.rendezvous("env://"))
+        store = torch.distributed.PrefixStore(f"attempt {self.restarts}", store)
+        backend = "cpu:gloo,cuda:nccl" if on_cuda else "gloo"
+        torch.distributed.init_process_group(backend, store=store, rank=rank, world_size=size)
 
     def _teach_skrl(self) -> None:
         """Let skrl average over the ranks; if it sees them when it is imported, it starts NCCL by itself."""

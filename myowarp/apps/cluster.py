@@ -1,0 +1,156 @@
+"""A Ray cluster: started or reached, its nodes checked, and work given to it piece by piece.
+
+Ray starts a piece again where its worker or its node died. What a piece leaves behind is written in one move
+(`myowarp.disk.in_place`), so that a piece that was done twice is there once.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import os
+import socket
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from myowarp.apps.train.checkpoint import versions
+from myowarp.engine.threads import CORES, num_cores
+
+RETRIES = 10  # of a piece whose worker or node died
+PATIENCE = 60.0  # s that a node has to answer
+REACH = 5.0  # s that a cluster has to accept a connection
+LOOK = 0.5  # s between two looks at what is done
+
+
+def check_ray(what: str) -> None:
+    """Raise ImportError if Ray is not installed; `what` needs it."""
+    if importlib.util.find_spec("ray") is None:
+        raise ImportError(f'{what} needs ray, which is not installed; run `pip install "myowarp[ray]"`')
+
+
+@contextmanager
+def connected(address: str | None, folder: Path) -> Iterator[None]:
+    """Reach a cluster, or start a local one, and let it go after the block.
+
+    Args:
+        address: Host and port of its head, or "auto"; None starts one on this machine.
+        folder: Folder that every node must see.
+
+    Raises:
+        ValueError: There is no cluster, or a node does not fit.
+    """
+    import ray
+
+    if address is not None and address != "auto":
+        _check_address(address)
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+    if address is None:
+        options |= {"num_cpus": num_cores(), "include_dashboard": False}
+    try:
+        ray.init(address or "local", **options)
+    except Exception as error:  # of that very class where a node starts too slowly
+        reason = " ".join(str(error).split())
+        raise ValueError(f"Ray cluster {address or 'local'!r} cannot be used: {reason}") from error
+    try:
+        if address is not None:
+            _check_nodes(folder)
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _check_address(address: str) -> None:
+    """Raise ValueError if nothing listens at an address."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        socket.create_connection((host, int(port)), REACH).close()
+    except (OSError, ValueError, OverflowError) as error:
+        raise ValueError(
+            f"--address {address!r} has no Ray cluster ({error}); start its head with `ray start --head` and "
+            "give HOST:6379, or leave it out"
+        ) from error
+
+
+def _check_nodes(folder: Path) -> None:
+    """Raise ValueError if a node has other versions than this process, or does not see the folder."""
+    import ray
+    from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+    nodes = {node["NodeID"]: node["NodeManagerAddress"] for node in ray.nodes() if node["Alive"]}
+    ask = ray.remote(num_cpus=0, max_retries=0)(_seen)
+    answers = {
+        node: ask.options(scheduling_strategy=NodeAffinitySchedulingStrategy(node, soft=False)).remote(folder)
+        for node in nodes
+    }
+    here = versions()
+    for node, answer in answers.items():
+        try:
+            there, sees = ray.get(answer, timeout=PATIENCE)
+        except ray.exceptions.RayError as error:
+            reason = str(error).strip().splitlines()[-1]
+            raise ValueError(
+                f"node {nodes[node]} cannot run MyoWarp ({reason}); install the same there"
+            ) from error
+        for name in sorted(here.keys() | there.keys()):
+            if here.get(name) != there.get(name):
+                raise ValueError(
+                    f"node {nodes[node]} has {name} {there.get(name)}, this machine has {here.get(name)}; "
+                    "install the same on both"
+                )
+        if not sees:
+            raise ValueError(
+                f"node {nodes[node]} cannot write {str(folder)!r}; every node needs the folder at the same "
+                "path"
+            )
+
+
+def _seen(folder: Path) -> tuple[dict[str, str], bool]:
+    """Return versions of packages, and whether a folder can be written; on a node."""
+    return versions(), os.access(folder, os.W_OK)
+
+
+def each(
+    work: Callable[..., Any],
+    pieces: Iterable[tuple[str, tuple[Any, ...]]],
+    *,
+    cpus: int,
+    gpus: float = 0.0,
+) -> Iterator[tuple[str, Any, str]]:
+    """Do pieces of work on a cluster, as many at once as it has room for.
+
+    Args:
+        work: Function of a module.
+        pieces: Name and arguments of each; few are held at a time.
+        cpus: Cores that a piece uses.
+        gpus: CUDA devices that a piece uses.
+
+    Yields:
+        Name, what the work returned, and in one sentence why it failed, "" if it did not; as they end.
+    """
+    import ray
+
+    sent = ray.remote(num_cpus=cpus, num_gpus=gpus, max_retries=RETRIES)(_bounded)
+    waiting = iter(pieces)
+    pending: dict[Any, str] = {}
+    while True:
+        room = 2 * max(1, int(ray.cluster_resources().get("CPU", 1)) // cpus)
+        while len(pending) < room and (piece := next(waiting, None)) is not None:
+            pending[sent.remote(work, cpus, *piece[1])] = piece[0]
+        if not pending:
+            return
+        for ready in ray.wait(list(pending), timeout=LOOK)[0]:
+            name = pending.pop(ready)
+            try:
+                yield name, ray.get(ready), ""
+            except ray.exceptions.RayTaskError as error:
+                yield name, None, " ".join(str(error.cause or error).split())
+            except ray.exceptions.RayError as error:
+                yield name, None, f"{type(error).__name__}: {str(error).strip().splitlines()[0]}"
+
+
+def _bounded(work: Callable[..., Any], cpus: int, *arguments: Any) -> Any:
+    """Do a piece of work on no more cores than it has asked for; on a node."""
+    os.environ[CORES] = str(cpus)
+    return work(*arguments)
