@@ -7,8 +7,8 @@ Baoding needed more than 70 million samples and worked in one seed of five.
 Open in the paper, and chosen here:
 
 * Algorithm. TRPO is the natural gradient with a line search; the paper's NPG takes a step of fixed size
-  without one. Beside it stands "preset", the algorithm and settings that `myowarp train` chooses for the task:
-  PPO, and FlashSAC where `algorithm` in `apps/train/presets` says so.
+  without one. Beside it stands "preset", the algorithm and settings that `myowarp train` chooses: PPO,
+  and FlashSAC where `algorithm` in `apps/train/presets` says so.
 * Success: more than 5 solved steps, sampled actions, the last 256 episodes of the training; a training ends
   when the preset's share is reached, and counts as holding it from there on.
 * Seeds. TRPO as many as there are (`trpo_curves.json`, or trained anew with --retrain); the preset
@@ -262,7 +262,7 @@ def _band(axes: Any, runs: list[Curve], name: str, color: str, style: str) -> No
 
 EXPERIMENT = Experiment(
     "baselines",
-    "Success over samples of the easy and the hard tasks: TRPO and the trainer's presets beside the paper's NPG",
+    "Success over samples of easy and hard tasks: TRPO and the trainer's presets beside the paper's NPG",
     "Figure of success over up to 5 million samples: NPG learns elbow, finger and the easy hand tasks; the "
     "hard hand tasks hardly. Baoding took more than 70 million samples and worked in 1 seed of 5.",
     run,
