@@ -126,11 +126,17 @@ def each(
         cpus: Cores that a piece uses.
         gpus: CUDA devices that a piece uses.
 
+    Raises:
+        ValueError: No node has so many cores or devices.
+
     Yields:
         Name, what the work returned, and in one sentence why it failed, "" if it did not; as they end.
     """
     import ray
 
+    nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+    if not any(node.get("CPU", 0) >= cpus and node.get("GPU", 0) >= gpus for node in nodes):
+        raise ValueError(f"no node of the cluster has {cpus} cores and {gpus:g} CUDA devices; ask for fewer")
     sent = ray.remote(num_cpus=cpus, num_gpus=gpus, max_retries=RETRIES)(_bounded)
     waiting = iter(pieces)
     pending: dict[Any, str] = {}
