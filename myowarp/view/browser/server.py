@@ -16,7 +16,6 @@ import logging
 import re
 import socket
 import threading
-from unittest import mock
 from urllib.parse import parse_qs, urlsplit
 
 import viser
@@ -55,12 +54,14 @@ def open_server(port: int, title: str) -> viser.ViserServer:
     # What a browser sends that cannot be read, and browsers that leave, are no errors of ours.
     for name in ("websockets.server", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    serve = functools.partial(websockets.asyncio.server.serve, origins=ORIGINS)  # viser passes none
-    with (
-        contextlib.redirect_stdout(io.StringIO()),
-        mock.patch.object(websockets.asyncio.server, "serve", serve),
-    ):
-        server = _LocalServer(LOCAL, port, title, verbose=False)
+    sockets = websockets.asyncio.server
+    serve = sockets.serve
+    sockets.serve = functools.partial(serve, origins=ORIGINS)  # type: ignore[misc, assignment]  # viser has no setting
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server = _LocalServer(LOCAL, port, title, verbose=False)
+    finally:
+        sockets.serve = serve  # type: ignore[misc]
     server.get_event_loop().set_exception_handler(lambda loop, context: None)
     server.scene.configure_default_lights(cast_shadow=False)
     return server
