@@ -237,6 +237,32 @@ def test_energy_stays(tmp_path):
     assert np.abs(4 * lost[1] - lost[0]).max() / 3 < 0.05 * np.abs(lost[0]).max()
 
 
+def test_phantoms_stop_beyond_the_range(tmp_path):
+    """Inside they follow the quartics of model.xml; beyond, quartics of quartics would run away."""
+    converted, path = motorised(tmp_path, "gait10dof18musc")
+    spec = mujoco.MjSpec.from_file(str(path))
+    ask(spec, converted.exact.as_json())
+    model = spec.compile()
+    quartics, found = {d.joint: d for d in converted.coordinates.dependents}, 0
+    for tie in couplings(model):
+        name, low_high = model.joint(tie.joint).name, model.joint(tie.driver).range
+        if "phantom" not in name:
+            continue
+        chain = [quartics[name]]
+        while chain[0].of in quartics:
+            chain.insert(0, quartics[chain[0].of])
+        wanted = np.linspace(*low_high, 9)
+        values, _, _ = tie.derivatives(wanted)
+        for quartic in chain:
+            wanted = np.polyval(quartic.polynomial[::-1], wanted)
+        np.testing.assert_allclose(values, wanted, rtol=0, atol=1e-9)
+        beyond, slopes, _ = tie.derivatives(low_high + np.array([-5.0, 5.0]))
+        np.testing.assert_allclose(beyond, wanted[[0, -1]], rtol=0, atol=1e-9)
+        assert not slopes.any()
+        found += 1
+    assert found == 14
+
+
 def test_limits_and_contacts_act_along_coordinates(tmp_path):
     """M_r u'' = forces_r + (row J)' f, with f = -D (row q'' - aref) >= 0 of each row."""
     sim = simulation(leg(tmp_path, contact="enable", limited="true", upper="-.2"), 37)

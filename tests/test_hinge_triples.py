@@ -7,7 +7,7 @@ import warp as wp
 from converted import simulation
 
 from myowarp.engine.stages.free_coordinates import FreeCoordinates
-from myowarp.engine.stages.hinge_triples import triples_of
+from myowarp.engine.stages.hinge_triples import NEAR, RETURN, triples_of
 from myowarp.models.couplings import Exact, couplings
 
 ARM = """
@@ -29,9 +29,9 @@ ARM = """
   <actuator>{motors}</actuator>
 </mujoco>
 """
-HINGES = """<joint name="a" axis=".6 .8 0" pos=".01 0 .02" ref="{0}"/>
+HINGES = """<joint name="a" axis=".6 .8 0" pos=".01 0 .02" ref="{0}" {outer}/>
       <joint name="b" axis="0 0 1" pos=".01 0 .02" ref="{1}" {limit}/>
-      <joint name="c" axis="{lean}" pos=".01 0 .02"/>"""
+      <joint name="c" axis="{lean}" pos=".01 0 .02" {outer}/>"""
 NAMES = ("a", "b", "c", "elbow")
 PHANTOM = (
     '<body name="phantom"><joint name="ghost"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
@@ -44,11 +44,11 @@ ACCELERATION = 1e-3  # of the largest; at 1e-3 rad from a pole a rounding of b a
 MOTORS = "".join(f'<motor joint="{name}" ctrlrange="-9 9"/>' for name in NAMES)
 
 
-def arm(lean=0.0, timestep=0.002, integrator="Euler", tied=True, limit="", joints=None):
+def arm(lean=0.0, timestep=0.002, integrator="Euler", tied=True, limit="", outer="", joints=None):
     """Return the text of an arm, with a massless phantom that follows the elbow or without."""
     first, second = np.array([0.6, 0.8, 0.0]), np.array([0.0, 0.0, 1.0])
     axis = np.cos(lean) * np.cross(first, second) + np.sin(lean) * first
-    hinges = HINGES.format(0.3, -0.2, lean=" ".join(map(repr, axis.tolist())), limit=limit)
+    hinges = HINGES.format(0.3, -0.2, lean=" ".join(map(repr, axis.tolist())), limit=limit, outer=outer)
     return ARM.format(
         joints=joints or hinges,
         timestep=timestep,
@@ -157,6 +157,34 @@ def test_motion_runs_through_a_pole(tmp_path, lean):
                 mujoco.mj_objectVelocity(model, of, mujoco.mjtObj.mjOBJ_XBODY, number, twist, 0)
                 both.append(twist[:3])
             assert np.linalg.norm(both[0] - both[1]) < 0.05 * np.linalg.norm(both[1])
+
+
+def test_limits_take_no_turns_for_a_way_back(tmp_path):
+    """Away from a pole, around which two angles gathered turns: limits add no energy but that of RETURN."""
+    outer = 'limited="true" range="-1.5 1.5"'
+    sim = simulated(tmp_path, 3, outer=outer)
+    model = mujoco.MjModel.from_xml_string(arm(tied=False))
+    data, pole = mujoco.MjData(model), np.pi / 2 - 0.2
+    q = np.array([[a, pole - 0.45, c, 0.5] for a, c in ((60, -63.3), (3.3, -2.8), (0.2, 0.3))])
+    put(sim, q, np.array([[0.0, -3.0, 0.2, 0.0]] * 3), 0 * q)
+    energy, M, away = [], np.zeros((4, 4)), np.zeros(3)
+    for _ in range(150):
+        step(sim)
+        state = zip(sim.scene.data.qpos.numpy(), sim.scene.data.qvel.numpy(), strict=True)
+        energy.append([])
+        for position, speed in state:
+            data.qpos, data.qvel = position[:4], speed[:4]
+            mujoco.mj_forward(model, data)
+            mujoco.mj_energyPos(model, data)
+            mujoco.mj_energyVel(model, data)
+            energy[-1].append(data.energy.sum())
+        away = np.maximum(away, np.abs(np.cos(sim.scene.data.qpos.numpy()[:, 1] + 0.2)))
+    mujoco.mj_fullM(model, data, M)
+    # Two limits, each of which sends its angle back at RETURN, on top of the 3 rad/s of the start.
+    added = 0.5 * (3.0 + 2.0 * RETURN) ** 2 * np.linalg.eigvalsh(M)[-1]
+    assert (away**2 > NEAR).all()
+    assert (np.max(energy, axis=0) - energy[0] < added).all()
+    assert (np.abs(sim.scene.data.qpos.numpy()[:, [0, 2]]) < np.pi).all()
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,8 @@ class Triples:
         coordinate: Numbers of the three coordinates among the free ones, shape (num_triples, 3).
         joint: Ids of the three joints, shape (num_triples, 3).
         zero: Angles at which the third axis is normal to the others, shape (num_triples, 3).
+        middle: Of the range of each angle, shape (num_triples, 3).
+        limited: 1 where that range limits the first or the third angle to less than a turn, else 0.
         entry: Number in M of each entry in a row or column of these joints, shape (num_entries,).
         row: Of each such entry, shape (num_entries,).
         column: Of each such entry, shape (num_entries,).
@@ -48,6 +50,8 @@ class Triples:
     coordinate: wp.array2d[int]
     joint: wp.array2d[int]
     zero: wp.array2d[float]
+    middle: wp.array2d[float]
+    limited: wp.array2d[float]
     entry: wp.array[int]
     row: wp.array[int]
     column: wp.array[int]
@@ -203,7 +207,8 @@ def straighten_rows(
     """row_e = row A^-1, of constraints and of moment arms, in place.
 
     Near a pole a small turn moves the first and the third angle far beyond their limits, and tells nothing of
-    where the body is: these limits fade within 30 degrees from it, and send an angle back at RETURN at most.
+    where the body is: these limits fade within 30 degrees from it. There an angle gets far beyond its limit,
+    which sends it back at RETURN at most.
     """
     worldid = wp.tid()
     h = timestep[batched(worldid, timestep.shape[0])]
@@ -218,9 +223,8 @@ def straighten_rows(
             if outer and rows.type[worldid, row] == LIMIT:
                 away = wp.min(wp.length_sq(before) / wp.length_sq(after) / NEAR, 1.0)
                 rows.D[worldid, row] = rows.D[worldid, row] * away * away * away
-                if away < 1.0:
-                    most = wp.max(RETURN - rows.vel[worldid, row], 0.0) / h
-                    rows.aref[worldid, row] = wp.min(rows.aref[worldid, row], most)
+                most = wp.max(RETURN - rows.vel[worldid, row], 0.0) / h
+                rows.aref[worldid, row] = wp.min(rows.aref[worldid, row], most)
         for row in range(actuator_moment.shape[1]):
             arms = three(actuator_moment[worldid], row, at)
             put(actuator_moment[worldid], row, at, forces_along(tilt, arms))
@@ -247,7 +251,8 @@ def turn_triples(
 ):
     """R <- exp(h w) R, R = X(a) Y(b) Z(c); angles, rates A^-1 w and accelerations A^-1 w' from along e.
 
-    With the rates before the step, w changes by h A' u' besides what the solver has added.
+    With the rates before the step, w changes by h A' u' besides what the solver has added. Around a pole the
+    first and the third angle gather whole turns, which no limit may take for a way to go back.
     """
     worldid, triple = wp.tid()
     joint, at = numbers(triples.joint, triple), numbers(triples.coordinate, triple)
@@ -276,7 +281,10 @@ def turn_triples(
     column, row = wp.quat_rotate(rest, z), wp.quat_rotate_inv(rest, y)
     b = nearest(wp.atan2(column[0], column[2]), angle[1])
     c_new = nearest(wp.atan2(row[0], row[1]), angle[2])
-    put(positions, worldid, at, zero + wp.vec3(a, b, c_new))
+    angles = zero + wp.vec3(a, b, c_new)
+    for k in range(3):
+        turns = wp.round((angles[k] - triples.middle[triple, k]) / (2.0 * wp.pi))
+        positions[worldid, at[k]] = angles[k] - 2.0 * wp.pi * turns * triples.limited[triple, k]
     put(speeds, worldid, at, rates_of(b, wp.quat_rotate_inv(wp.quat_from_axis_angle(x, a), w)))
 
 
@@ -324,6 +332,10 @@ def triple_tables(
     triples = Triples()
     triples.joint, triples.coordinate = wp.array(joint, dtype=int), wp.array(coordinate[joint], dtype=int)
     triples.zero = wp.array(zero, dtype=float)
+    ranges = model.jnt_range[joint]
+    limited = model.jnt_limited[joint].astype(bool) & (np.ptp(ranges, axis=2) < 2 * np.pi)
+    triples.middle = wp.array(ranges.mean(axis=2), dtype=float)
+    triples.limited = wp.array(limited & [True, False, True], dtype=float)
     triples.entry = wp.array(np.flatnonzero(touched), dtype=int)
     triples.row = wp.array(rows[touched], dtype=int)
     triples.column = wp.array(model.M_colind[touched], dtype=int)

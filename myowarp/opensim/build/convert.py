@@ -113,7 +113,7 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     build.spec.add_key(name=KEYFRAME, qpos=coordinates.qpos(compiled, {})[0])
     bodies = {name: body.name for name, body in build.bodies.items()}
     notes = (*model.notes, *build.notes)
-    return Converted(model, build.spec, bodies, coordinates, exact(build), moving, meshes, notes)
+    return Converted(model, build.spec, bodies, coordinates, exact(build, coordinates), moving, meshes, notes)
 
 
 def _skeleton(

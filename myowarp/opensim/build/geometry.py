@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from myowarp.models.couplings import Exact, line
+from myowarp.models.couplings import Exact, Pieces, line
 from myowarp.opensim.build.quartics import Quartic, fit_all
 from myowarp.opensim.elements import Pose
 from myowarp.opensim.functions import IDENTITY, Composed, Constant, Function, Multiplier, affine, curves
@@ -342,15 +342,34 @@ def starts_of(coordinates: CoordinateMap) -> dict[str, float]:
     return values
 
 
-def exact(build: Build) -> Exact:
-    """Return what the document says of joints that follow, and of bodies that are lighter there."""
-    said = {}
+def exact(build: Build, coordinates: CoordinateMap) -> Exact:
+    """Return what the document says of joints that follow, and of bodies that are lighter there.
+
+    Phantoms whose quartics nothing needs then stay at their ends beyond the range of the coordinate: there
+    quartics of quartics, of degree 16, would turn them by 1e6 rad/s while the coordinate turns by 10.
+    """
+    said: dict[str, tuple[str | None, tuple[Pieces, ...]]] = {}
+    needed = set()
     for demand in build.demands:
         chain = curves(demand.function)
-        if chain is not None:  # else the equality is all there is
-            joint, scale = build.carriers[demand.coordinate]
+        joint, scale = build.carriers[demand.coordinate]
+        if chain is None:  # the equality is all there is
+            needed.add(joint)
+        else:
             said[demand.joint] = joint, chain if scale == 1 else (line(1 / scale), *chain)
+    ranges = {c.joint: sorted(c.scale * end for end in c.range) for c in coordinates.coordinates if c.joint}
+    followed = {joint for joint, _ in build.carriers.values()} - needed
+    for dependent in coordinates.dependents:
+        if dependent.joint not in said and dependent.of in followed:
+            said[dependent.joint] = dependent.of, (_held(dependent.polynomial, *ranges[dependent.of]),)
     return Exact(said, build.light)
+
+
+def _held(polynomial: Sequence[float], low: float, high: float) -> Pieces:
+    """Return a polynomial from `low` to `high`, and its values there beyond."""
+    inside = Polynomial(polynomial)(Polynomial([low, 1.0]))
+    ends = (float(inside(0.0)),), (float(inside(high - low)),)
+    return Pieces((low, low, high), (ends[0], tuple(inside.coef.tolist()), ends[1]))
 
 
 def _tied(build: Build, name: str, demands: Sequence[Demand]) -> list[Dependent]:
