@@ -3,6 +3,7 @@
 #   make test PYTEST="-k fatigue"    more arguments for pytest
 #   make rivals RIVALS=--quick       three families and two rounds instead of all
 #   make learning LEARNING=--quick   the elbow alone
+#   make test-view MINUTES=10        watch the memory for ten minutes instead of one
 #   make opensim OPENSIM=--quick     one model and two rounds instead of all
 
 SHELL := bash
@@ -13,6 +14,7 @@ PYTEST ?=
 RIVALS ?=
 LEARNING ?=
 OPENSIM ?=
+MINUTES ?= 1
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
@@ -63,7 +65,7 @@ scale: $(TEST_STAMP) ## Kill ranks, workers, nodes and drivers, and compare with
 test-view: $(TEST_STAMP) ## Test the page of `myowarp view` in a headless Chromium, which is installed where apt-get is
 	@command -v chromium >/dev/null || apt-get install --yes --no-install-recommends chromium || { \
 	  echo "Install Chromium first (Debian: apt-get install chromium)" >&2; exit 1; }
-	$(BIN)/python -m pytest -m view $(PYTEST)
+	MYOWARP_VIEW_MINUTES=$(MINUTES) $(BIN)/python -m pytest -m view -rP $(PYTEST)
 
 lint: $(TEST_STAMP) ## Check format, lint and types
 	$(BIN)/ruff format --check .

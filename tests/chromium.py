@@ -48,6 +48,11 @@ class Chromium:
                 assert "error" not in answer, answer
                 return answer["result"]
 
+    def before_opening(self, script):
+        """Have a script run in the page before its own."""
+        self.call("Page.enable")
+        self.call("Page.addScriptToEvaluateOnNewDocument", source=script)
+
     def open(self, url):
         self.call("Page.navigate", url=url)
 

@@ -1,8 +1,10 @@
 """Films: frames of equal steps, what differs side by side from the same state, captions, bad input."""
 
 import imageio_ffmpeg
+import msgspec
 import numpy as np
 import pytest
+import zstandard
 
 from myowarp.apps.cli import main
 from myowarp.apps.commands.record import film_worlds
@@ -68,6 +70,23 @@ def test_films_stand_side_by_side(films, tmp_path):
     assert about["fps"] == pytest.approx(1.0 / films[0].sim.scene.control_dt)
     about = next(imageio_ffmpeg.read_frames(str(tmp_path / "a.gif")))
     assert about["size"] == (2 * 64 + 2, 48)
+
+
+def test_what_the_reader_turns_holds_every_body_at_every_step(films, tmp_path):
+    """Viser's own format: size, then compressed the length of the messages, messages with times, arrays."""
+    write(tmp_path / "a.viser", films)
+    unpacked = zstandard.ZstdDecompressor().decompress((tmp_path / "a.viser").read_bytes()[8:])
+    length = int.from_bytes(unpacked[:8], "little")
+    scene = msgspec.msgpack.decode(unpacked[8 : 8 + length])
+    dt = films[0].sim.scene.control_dt
+    assert scene["durationSeconds"] == pytest.approx((STEPS + 1) * dt)
+    shown = {at for at, message in scene["messages"] if "return" in str(message)}
+    every = np.arange(0, STEPS + 1, 2)  # 50 steps a second: every other one is kept
+    np.testing.assert_allclose(sorted(shown), dt * every, atol=1e-9)
+    names = str([message.get("name") for _, message in scene["messages"]])
+    assert all(f"/{row}_{column}/" in names for row in range(WORLDS) for column in range(len(films)))
+    write(tmp_path / "a.html", films[:1])
+    assert "__VISER_EMBED_DATA__" in (tmp_path / "a.html").read_text()
 
 
 def run(capsys, monkeypatch, *arguments):

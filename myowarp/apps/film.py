@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.console import Console
 
+from myowarp.disk import in_place
 from myowarp.progress import progress_bar
+from myowarp.spec.body import BODIES
 from myowarp.view.pictures import Pictures
 from myowarp.view.render import tiled
 from myowarp.view.snapshot import Snapshot
@@ -25,8 +27,11 @@ from myowarp.view.video import PICTURES, VIDEOS, write_picture, write_video
 
 if TYPE_CHECKING:
     from myowarp.sim.simulation import Simulation
+    from myowarp.view.browser.playback import Take
 
-SUFFIXES = (*VIDEOS, *PICTURES)
+PLAYBACKS = (".viser", ".html")
+"""Endings of films that the reader turns while they play; they need no OpenGL."""
+SUFFIXES = (*VIDEOS, *PICTURES, *PLAYBACKS)
 """Endings of what `write` makes; a picture is the last frame."""
 
 
@@ -38,6 +43,7 @@ class Film:
         worlds: Numbers of the worlds.
         frames: What each world looked like, by step.
         captions: Lines of text on each world's picture, by step.
+        color: What the colour of a muscle shows.
     """
 
     def __init__(
@@ -67,6 +73,7 @@ class Film:
         self.sim, self.worlds = sim, list(worlds)
         self.frames: list[list[Snapshot]] = []
         self.captions: list[list[list[str]]] = []
+        self.color = color
         self._title, self._legend = title, legend
         self._pictures = Pictures(size, camera, color, legend)
         self._pictures.attach(sim)
@@ -127,6 +134,14 @@ class Film:
                 for index, (seen, lines) in enumerate(zip(row, captions, strict=True))
             ]
 
+    def takes(self) -> list[Take]:
+        """Return what each world looked like, for `myowarp.view.browser.playback`."""
+        from myowarp.view.browser.playback import Take
+
+        tips = BODIES[self.sim.scene.spec.body].tips
+        shown = zip(zip(*self.frames, strict=True), zip(*self.captions, strict=True), strict=True)
+        return [Take(self.sim.full_model, tips, frames, captions) for frames, captions in shown]
+
     def _caption(self, index: int, success: bool) -> list[str]:
         """Return the lines on the picture of a world."""
         world = f"world {self.worlds[index]}  " if len(self.worlds) > 1 else ""
@@ -146,7 +161,7 @@ def write(
     """Draw films and write them, side by side if there are several; the frames are those of equal steps.
 
     Args:
-        path: File to write, ending in .mp4, .gif, or .png for the last frame alone.
+        path: File to write, ending in .mp4, .gif, .viser, .html, or .png for the last frame alone.
         films: Films of the same number of steps.
         console: Where to draw the progress bar.
         fps: Frames per second; None: real time.
@@ -156,6 +171,14 @@ def write(
         OSError: The file cannot be written.
     """
     rate = fps or 1.0 / films[0].sim.scene.control_dt
+    if path.suffix.lower() in PLAYBACKS:
+        from myowarp.view.browser.playback import write_playback
+
+        takes = [film.takes() for film in films]
+        rows = list(zip(*takes, strict=True)) if len(films) > 1 else takes
+        with in_place(path) as scratch:
+            write_playback(scratch, rows, films[0].color, rate)
+        return
     if path.suffix.lower() in PICTURES:
         for film in films:
             film.frames, film.captions = film.frames[-1:], film.captions[-1:]

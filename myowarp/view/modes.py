@@ -22,6 +22,12 @@ def render_modes() -> tuple[str, ...]:
     return ("human", "rgb_array") if shows else ("rgb_array",)
 
 
+def check_viser(what: str) -> None:
+    """Raise ImportError if the package that draws pages is not installed."""
+    if importlib.util.find_spec("viser") is None:
+        raise ImportError(f'{what} needs viser, which is not installed; run `pip install "myowarp[view]"`')
+
+
 def check_render_mode(mode: str | None) -> None:
     """Raise if there is no such render mode.
 

@@ -48,7 +48,8 @@ class Record:
     task: OptionalTask = None
     model: Model = None
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/film.mp4")
-    """File to write: .mp4, .gif, or .png for the last frame alone."""
+    """File to write: .mp4, .gif, .png for the last frame alone, .html for a page where the reader turns the
+    bodies, or .viser for what that page plays."""
     policy: Policy = "random"
     worlds: int = 1
     """Worlds, as tiles."""
@@ -73,7 +74,7 @@ class Record:
 
     def __call__(self) -> None:
         """Check, run, draw."""
-        from myowarp.apps.film import SUFFIXES, Film, write
+        from myowarp.apps.film import PLAYBACKS, SUFFIXES, Film, write
         from myowarp.apps.rollout import acting, find_policy
         from myowarp.bridge_gym import MyoWarpVectorEnv
         from myowarp.disk import check_folder, check_output, check_overwrite
@@ -81,6 +82,7 @@ class Record:
         from myowarp.spec.registry import check_choice
         from myowarp.spec.task import TASKS
         from myowarp.tasks.from_file import task_or_model
+        from myowarp.view.modes import check_viser
         from myowarp.view.render import check_size
 
         variant = task_or_model(self.task, self.model)
@@ -95,6 +97,11 @@ class Record:
         for name in (*self.conditions, *changed):
             check_choice("condition", name, tuple(CONDITIONS))
         policy = find_policy(self.policy, spec)
+        turned = self.output.suffix.lower() in PLAYBACKS
+        if turned:
+            check_viser(f"output {str(self.output)!r}")
+            if self.camera is not None:
+                raise ValueError(f"output {str(self.output)!r} is turned by its reader; leave out --camera")
         check_folder(self.output.parent)
         self.output.parent.mkdir(parents=True, exist_ok=True)
         check_output(self.output, *SUFFIXES)
@@ -111,7 +118,8 @@ class Record:
             for env, title in zip(envs, titles, strict=True)
         ]
         for film in films:
-            film.open()
+            if not turned:
+                film.open()
         acts = [acting(policy, env.sim, self.seed) for env in envs]
         console = Console(stderr=True, highlight=False, soft_wrap=True)
         film_worlds(envs, films, acts, steps, self.seed, console)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import secrets
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
@@ -54,10 +53,9 @@ class View:
 
     def __call__(self) -> None:
         """Check, build, serve."""
-        if importlib.util.find_spec("viser") is None:
-            raise ImportError(
-                'myowarp view needs viser, which is not installed; run `pip install "myowarp[view]"`'
-            )
+        from myowarp.view.modes import check_viser
+
+        check_viser("myowarp view")
         from myowarp.apps.rollout import find_policy
         from myowarp.spec.task import TASKS
         from myowarp.view.browser.live import Live

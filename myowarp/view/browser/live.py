@@ -17,10 +17,9 @@ from myowarp.spec.body import BODIES
 from myowarp.view import style as look
 from myowarp.view.browser.controls import ERRORS, Controls
 from myowarp.view.browser.panel import Panel
-from myowarp.view.browser.scene import Figure
+from myowarp.view.browser.scene import SPACING, Figure, add_floor
 from myowarp.view.browser.session import Choices, Session
 from myowarp.view.framing import Framing, view_axes
-from myowarp.view.scenery import floor_height, has_plane
 
 FRAME = 1.0 / 30.0
 """Least time between two frames [s]."""
@@ -30,8 +29,6 @@ READING = 0.2
 """Time between two readings and plots [s]."""
 LATE = 0.25
 """s: who is later than that does not catch up, but says that it is slower than real time."""
-SPACING = 2.3
-"""Distance of the twin, in units of the framed radius."""
 ASPECT = 1.0
 """Of the picture beside the panel, about."""
 
@@ -102,7 +99,8 @@ class Live(Controls):
 
     def draw(self, now: float) -> None:
         """Send what is new."""
-        self._drawn = now
+        in_time = now < self._drawn + 2.0 * self._frame
+        self._drawn = self._drawn + self._frame if in_time else now
         session = self.session
         with self.server.atomic():
             self._place("/world", self._figure_shown, session.world, np.zeros(3))
@@ -157,8 +155,7 @@ class Live(Controls):
             name: scene.add_label(f"{name}_label", text, position=above + shift, visible=False)
             for name, text, shift in (("/world", "changed", 0.0), ("/twin", "before", self._side))
         }
-        if not has_plane(model):
-            self._add_floor(floor_height(model))
+        add_floor(self.server, "/world/floor", model, self._framing.radius)
         self._panel = Panel(self)
         self._set_up_view()
 
@@ -173,21 +170,6 @@ class Live(Controls):
         sim = self.session.sim
         tips = BODIES[sim.scene.spec.body].tips
         return Figure(self.server, f"{name}/body", sim.full_model, self._framing.radius, tips)
-
-    def _add_floor(self, height: float) -> None:
-        """Draw squares on the floor, which move as the body does."""
-        power = 10.0 ** np.floor(np.log10(self._framing.radius))
-        side = 20.0 * self._framing.radius
-        self.server.scene.add_grid(
-            "/world/floor",
-            side,
-            side,
-            position=(0.0, 0.0, height),
-            cell_size=power,
-            section_size=5 * power,
-            cell_color=(225, 228, 232),
-            section_color=(190, 195, 200),
-        )
 
     def _place(self, name: str, figure: Figure, world: int, aside: np.ndarray) -> None:
         """Show a world; the body stays in the middle, and the floor goes by."""

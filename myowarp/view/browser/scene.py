@@ -18,11 +18,12 @@ import viser
 from myowarp.view import style as look
 from myowarp.view.muscles import QUANTITIES, TENDON_RGB, TENDON_TINT, Muscles
 from myowarp.view.render import GHOST_ALPHA, LINK_RADIUS, MARKER_RADIUS, coarsen
+from myowarp.view.scenery import floor_height, has_plane
 from myowarp.view.skeleton import Skeleton
 from myowarp.view.snapshot import Snapshot
 
-CELL = 1 / 250
-"""What is smaller in a mesh is not sent, in units of the framed radius."""
+CELL, GHOST_CELL = 1 / 150, 1 / 80
+"""What is smaller in a mesh is not sent, in units of the framed radius: some browsers draw in software."""
 SIDES = 10
 """Faces around a tube."""
 OVERLAP = 0.45
@@ -37,6 +38,8 @@ BODY_BYTES = 120
 """Messages that place a body."""
 PLANE_REACH = 20.0
 """Half a side of a plane without end, in units of the framed radius."""
+SPACING = 2.3
+"""Distance from body to body, in units of the framed radius."""
 
 
 class Figure:
@@ -69,7 +72,7 @@ class Figure:
         self._server, self._name, self._radius, self._is_ghost = server, name, radius, ghost
         self._root = server.scene.add_frame(name, show_axes=False)
         self._model = copy.copy(model)
-        coarsen(self._model, CELL * radius)
+        coarsen(self._model, (GHOST_CELL if ghost else CELL) * radius)
         self._data = mujoco.MjData(self._model)
         self._nominal: dict[tuple[str, str], np.ndarray] = {}
         self._given = model
@@ -156,7 +159,7 @@ class Figure:
                 *_joined(pieces),
                 color=tuple(look.TARGET_RGB if self._is_ghost else rgba[:3]),
                 opacity=GHOST_ALPHA if self._is_ghost else rgba[3] if rgba[3] < 1.0 else None,
-                side="double",
+                side="front" if self._is_ghost else "double",
                 cast_shadow=False,
                 receive_shadow=False,
             )
@@ -207,6 +210,23 @@ class Figure:
                 name = f"{self._name}/ghost"
                 self._ghost = Figure(self._server, name, self._given, self._radius, ghost=True)
             self._ghost.show(Snapshot(wanted), hidden=hidden)
+
+
+def add_floor(server: viser.ViserServer, name: str, model: mujoco.MjModel, radius: float) -> None:
+    """Draw squares on the floor, which move as their node does, unless the model has a floor of its own."""
+    if has_plane(model):
+        return
+    power, side = 10.0 ** np.floor(np.log10(radius)), PLANE_REACH * radius
+    server.scene.add_grid(
+        name,
+        side,
+        side,
+        position=(0.0, 0.0, floor_height(model)),
+        cell_size=power,
+        section_size=5 * power,
+        cell_color=(225, 228, 232),
+        section_color=(190, 195, 200),
+    )
 
 
 class _Batch:
