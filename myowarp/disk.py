@@ -12,6 +12,7 @@ import logging
 import math
 import os
 import secrets
+import socket
 import stat
 import sys
 import sysconfig
@@ -59,23 +60,34 @@ def locked(path: Path, *, wait: bool) -> Iterator[None]:
     """Hold a lock file during the block; the system lets go of it when a process dies.
 
     Args:
-        path: The file; it is made if it does not exist, and stays.
+        path: The file; it is made if it does not exist, says which process holds it or did, and stays.
         wait: Whether to wait for another process that holds it.
 
     Raises:
         ValueError: Another process holds it.
         OSError: The file cannot be written.
     """
-    import fcntl  # not on Windows
-
-    with path.open("a") as file:
+    try:
+        import fcntl
+    except ImportError:  # Windows has other locks
+        yield
+        return
+    with path.open("a+") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError:
+            file.seek(0)
             raise ValueError(
-                f"folder {str(path.parent)!r} is in use by another process; wait for it, or choose another "
-                "--output"
+                f"folder {str(path.parent)!r} is in use by {file.read() or 'another process'}; wait for it, "
+                "or choose another --output"
             ) from None
+        except OSError as error:  # some network file systems have no locks
+            logger.warning(
+                "folder %s cannot be locked (%s); start nothing else in it", path.parent, error.strerror
+            )
+        file.truncate(0)
+        file.write(f"process {os.getpid()} on {socket.gethostname()}")
+        file.flush()
         yield
 
 

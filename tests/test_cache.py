@@ -1,6 +1,9 @@
 """The disk cache: what a key distinguishes, and what happens to damaged files and bad folders."""
 
+import errno
 import os
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -14,6 +17,7 @@ from myowarp.disk import (
     array_from_bytes,
     cache_dir,
     cached,
+    locked,
     model_bytes,
     model_from_bytes,
     writable_folder,
@@ -210,3 +214,38 @@ def test_failure_to_make_is_not_hidden(folder):
 
     with pytest.raises(OSError, match="a model file is missing"):
         cached(("key",), make, array_bytes, array_from_bytes)
+
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from myowarp.disk import locked
+with locked(Path(sys.argv[1]), wait=False):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_the_lock_of_a_killed_process_is_taken_over(tmp_path):
+    path = tmp_path / ".lock"
+    command = [sys.executable, "-c", HOLDER, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout.readline() == "held\n"
+        with (
+            pytest.raises(ValueError, match=f"is in use by process {holder.pid} on"),
+            locked(path, wait=False),
+        ):
+            pass
+        holder.kill()
+    with locked(path, wait=False):
+        assert path.read_text().startswith(f"process {os.getpid()} on ")
+
+
+def test_a_file_system_without_locks(tmp_path, monkeypatch, caplog):
+    def none(file, operation):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("fcntl.flock", none)
+    with locked(tmp_path / ".lock", wait=False):
+        pass
+    assert "cannot be locked (No locks available); start nothing else in it" in caplog.text

@@ -114,4 +114,4 @@ def test_what_is_refused(run, tmp_path):
         process = start(*command(table, output))
         said, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2
-    assert "is in use by another process" in " ".join(said.split())
+    assert f"is in use by process {os.getpid()} on" in " ".join(said.split())

@@ -155,7 +155,7 @@ def test_two_sweeps_in_one_folder(run, tmp_path):
         process = sweep(path, output)
         said, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2
-    assert "is in use by another process" in " ".join(said.split())
+    assert f"is in use by process {os.getpid()} on" in " ".join(said.split())
 
 
 def test_a_finished_run_of_other_settings_is_kept(run, tmp_path):

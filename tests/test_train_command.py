@@ -17,7 +17,7 @@ from myowarp.apps.commands.rollout import Rollout
 from myowarp.apps.train import checkpoint as checkpoints
 from myowarp.apps.train import command
 from myowarp.apps.train.evaluate import evaluate, wilson
-from myowarp.apps.train.plan import plan
+from myowarp.apps.train.plan import held, plan
 from myowarp.apps.train.settings import ALGORITHMS, choose, preset_algorithm
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
@@ -276,6 +276,49 @@ def test_a_folder_that_holds_something_is_left_alone(tiny, run, no_simulation):
     assert said(run("train", ELBOW, "--output", tiny)) == (
         f"output {str(tiny)!r} is not empty; choose a new folder, or go on with --resume {tiny}"
     )
+
+
+def test_one_training_one_folder(run, tmp_path, monkeypatch):
+    """Who comes second, anew or to go on, is told who is there, and touches nothing."""
+    from myowarp.apps.train.loop import Run
+
+    iterate, folder = Run.iterate, tmp_path / "run"
+    new, again = command.Train(task=ELBOW, output=folder, device="cpu"), command.Train(resume=folder)
+
+    def files():
+        return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+    def disturbed(self):
+        before = files()
+        for other in (new, again):
+            with pytest.raises(ValueError, match=f"is in use by process {os.getpid()} on .*; wait for it"):
+                other()
+        assert files() == before
+        iterate(self)
+
+    monkeypatch.setattr(Run, "iterate", disturbed)
+    status, _, err = run("train", ELBOW, "--output", folder, *TINY, "--samples", 128, "--save-seconds", 0)
+    assert status == 0, err
+    assert json.loads((folder / "report.json").read_text())["samples"] == 128
+
+
+def test_a_run_that_went_on_meanwhile_is_left_alone(tiny):
+    job = plan(command.Train(resume=tiny))
+    older = dataclasses.replace(job.checkpoint, folder=tiny / "checkpoints" / "000000000064")
+    for other in (None, older):
+        with (
+            pytest.raises(ValueError, match="has a new checkpoint, which another process wrote just now"),
+            held(dataclasses.replace(job, checkpoint=other)),
+        ):
+            pass
+    with held(job):
+        pass
+
+
+def test_a_killed_start_does_not_occupy_its_folder(run, tmp_path):
+    (tmp_path / ".lock").write_text("process 1 on elsewhere")
+    status, _, err = run("train", ELBOW, "--output", tmp_path, *TINY, "--samples", 64)
+    assert status == 0, err
 
 
 @pytest.mark.parametrize(

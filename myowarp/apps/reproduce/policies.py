@@ -83,11 +83,11 @@ def retrained(
         device: Warp device; None: the GPU if there is one.
 
     Raises:
-        ValueError: The folder holds another run.
+        ValueError: The folder holds another run, or another process trains in it.
         ImportError: torch or skrl is not installed.
     """
     from myowarp.apps.train.command import start, train
-    from myowarp.apps.train.plan import Job, check_packages
+    from myowarp.apps.train.plan import Job, check_packages, held, occupied
     from myowarp.apps.train.settings import choose
     from myowarp.spec.task import TASKS
     from myowarp.tasks.variants import Variant
@@ -99,7 +99,7 @@ def retrained(
         training.algorithm,
         given | {"device": device or ""} | dict(training.settings),
     )
-    checkpoint = load_checkpoint(folder) if folder.is_dir() and any(folder.iterdir()) else None
+    checkpoint = load_checkpoint(folder) if occupied(folder) else None
     if checkpoint is not None:
         _check_same(checkpoint, training, settings.seed)
         if checkpoint.manifest["samples"] >= settings.samples:
@@ -119,9 +119,10 @@ def retrained(
         parent=parent,
         conditions=training.conditions(),
     )
-    run = start(job)
-    reason = train(job, run, console)
-    run.env.close()
+    with held(job):
+        run = start(job)
+        reason = train(job, run, console)
+        run.env.close()
     if reason.startswith("stopped"):
         raise RuntimeError(f"training of policy {training.name!r} was {reason}; the same command goes on")
     return load_checkpoint(folder)

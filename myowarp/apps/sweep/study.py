@@ -230,17 +230,17 @@ def _plain(value: Any) -> Any:
 def training(run: Run, folder: Path) -> Any:
     """Return the command that trains a run within its folder; one that was broken off goes on."""
     from myowarp.apps.train.command import Train
-    from myowarp.apps.train.plan import was_saved
+    from myowarp.apps.train.plan import last_saved
 
     home = folder / POLICY
-    return Train(task=run.task, **run.options, **{"resume" if was_saved(home) else "output": home})
+    return Train(task=run.task, **run.options, **{"resume" if last_saved(home) else "output": home})
 
 
 def _check_training(run: Run, folder: Path) -> None:
     """Raise ValueError if a run cannot be trained."""
-    from myowarp.apps.train.plan import plan, was_saved
+    from myowarp.apps.train.plan import last_saved, plan
 
-    if not was_saved(folder / POLICY):
+    if last_saved(folder / POLICY) is None:
         folder = folder / "new"  # what was killed before its first checkpoint starts again
     job = plan(training(run, folder))
     resolve((*job.variant.conditions, *job.settings.conditions), TASKS[job.variant.task])

@@ -66,10 +66,10 @@ def _train(run: Run, folder: Path) -> dict[str, Any]:
     """Train a policy and evaluate it."""
     from myowarp.apps.train.command import REPORT
     from myowarp.apps.train.eval_command import Eval
-    from myowarp.apps.train.plan import was_saved
+    from myowarp.apps.train.plan import last_saved
 
     home = folder / POLICY
-    if not was_saved(home):
+    if last_saved(home) is None:
         shutil.rmtree(home, ignore_errors=True)
     training(run, folder)()
     report = json.loads((home / REPORT).read_text())

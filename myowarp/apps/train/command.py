@@ -20,7 +20,7 @@ from rich.console import Console
 from myowarp.apps.commands.rollout import Rollout
 from myowarp.apps.machine import Stopwatch, processor
 from myowarp.apps.train.eval_command import EVALUATION_SEED
-from myowarp.apps.train.plan import SAVE_SECONDS, Job, TrainOptions, plan, shown
+from myowarp.apps.train.plan import SAVE_SECONDS, Job, TrainOptions, held, plan, shown
 from myowarp.apps.train.settings import ALGORITHMS, SUCCESSES, all_settings
 from myowarp.disk import in_place, plain
 
@@ -51,14 +51,14 @@ class TrainCommand(TrainOptions):
         watch, console = Stopwatch(), Console(stderr=True, highlight=False, soft_wrap=True)
         job = plan(self)
         console.quiet = not job.ranks.leads
-        with job.ranks.together(job.ranks.device(job.settings.device)):
-            run = start(job)
-            reason = train(job, run, console, self.save_seconds, self.wandb)
-            run.env.close()
-        if not job.ranks.leads:
-            return
-        _report(job, run, reason, watch, console)
-        if self.video:
+        with held(job):
+            with job.ranks.together(job.ranks.device(job.settings.device)):
+                run = start(job)
+                reason = train(job, run, console, self.save_seconds, self.wandb)
+                run.env.close()
+            if job.ranks.leads:
+                _report(job, run, reason, watch, console)
+        if self.video and job.ranks.leads:
             _film(job, self.video)
 
 
@@ -116,7 +116,6 @@ def train(
     from myowarp.apps.train.loop import DivergedError
 
     settings, ranks = job.settings, job.ranks
-    job.folder.mkdir(parents=True, exist_ok=True)
     _note_versions(job, console)
     if job.checkpoint is None:
         _save(job, run)  # whatever happens from here on, the run can go on

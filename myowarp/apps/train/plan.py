@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import importlib.util
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -23,7 +25,7 @@ from myowarp.apps.train.settings import (
     preset_algorithm,
     restore,
 )
-from myowarp.disk import check_folder, check_output
+from myowarp.disk import check_folder, check_output, locked
 from myowarp.sim.state import State
 from myowarp.spec.condition import Condition, resolve
 from myowarp.spec.registry import check_choice
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from myowarp.apps.train.checkpoint import Checkpoint
 
 SAVE_SECONDS = 30.0  # from one checkpoint to the next
+LOCK = ".lock"
 NEEDS = ("torch", "skrl", "safetensors", "tensorboard")
 
 
@@ -131,9 +134,9 @@ def plan(command: TrainOptions) -> Job:
     name = f"{TASKS[variant.task].key}_{algorithm}_{settings.seed}"
     folder = command.output or Path("runs") / name
     check_folder(folder)
-    if ranks.restarts and was_saved(folder):
+    if ranks.restarts and last_saved(folder):
         return _plan_resume(dataclasses.replace(command, resume=folder), given, ranks)
-    if folder.exists() and any(folder.iterdir()) and not ranks.restarts:
+    if ranks.leads and not ranks.restarts and occupied(folder):
         raise ValueError(
             f"output {str(folder)!r} is not empty; choose a new folder, or go on with --resume {folder}"
         )
@@ -143,14 +146,47 @@ def plan(command: TrainOptions) -> Job:
     return _with_files(job)
 
 
-def was_saved(folder: Path) -> bool:
-    """Whether the folder of a run holds a checkpoint."""
+def occupied(folder: Path) -> bool:
+    """Whether the folder of a run, which may not exist yet, holds anything.
+
+    Raises:
+        ValueError: Another process trains in it.
+    """
+    if (folder / LOCK).exists():
+        with locked(folder / LOCK, wait=False):
+            pass
+    return folder.is_dir() and any(file.name != LOCK for file in folder.iterdir())
+
+
+@contextmanager
+def held(job: Job) -> Iterator[None]:
+    """Keep the folder of a run from all other processes during the block; of ranks the one that saves does.
+
+    Raises:
+        ValueError: Another process holds it, or has trained in it since the run was planned.
+        OSError: It cannot be written.
+    """
+    if not job.ranks.leads:
+        yield
+        return
+    job.folder.mkdir(parents=True, exist_ok=True)
+    with locked(job.folder / LOCK, wait=False):
+        if last_saved(job.folder) != (job.checkpoint and job.checkpoint.folder):
+            raise ValueError(
+                f"folder {str(job.folder)!r} has a new checkpoint, which another process wrote just now; go "
+                f"on with --resume {job.folder}"
+            )
+        yield
+
+
+def last_saved(folder: Path) -> Path | None:
+    """Return the last checkpoint in the folder of a run; None if there is none."""
     from myowarp.apps.train.checkpoint import CheckpointError, find_folder
 
     try:
-        return bool(find_folder(folder))
+        return find_folder(folder)
     except CheckpointError:
-        return False
+        return None
 
 
 def _with_files(job: Job) -> Job:
