@@ -7,6 +7,7 @@ import importlib.util
 import json
 import os
 import pickle
+import re
 import signal
 from importlib import resources
 
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from myowarp.apps.commands.rollout import Rollout
+from myowarp.apps.learned import LearnedPolicy, read_policy
 from myowarp.apps.train import checkpoint as checkpoints
 from myowarp.apps.train import command
 from myowarp.apps.train.evaluate import evaluate, wilson
@@ -518,14 +520,23 @@ def test_a_damaged_state_is_refused_when_a_run_goes_on(copy, run):
     assert "state.safetensors does not have its checksum" in said(run("train", "--resume", copy))
 
 
+def wide(policy, name, array):
+    policy[name] = np.asarray(array, np.float32)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda policy: policy["net.2.bias"].fill(np.nan), "has net.2.bias that is not finite"),
-        (
-            lambda policy: policy.update({"net.0.weight": np.ones((16, 4), np.float32)}),
-            "own contract: net.0.weight",
-        ),
+        (lambda p: p["net.2.bias"].fill(np.nan), "has net.2.bias that is not finite"),
+        (lambda p: wide(p, "net.0.weight", np.ones((16, 4))), "own contract: net.0.weight has shape (16, 4)"),
+        (lambda p: wide(p, "net.2.weight", np.ones((6, 8))), "net.2.weight has shape (6, 8), (6, 16) is"),
+        (lambda p: p.pop("net.2.weight"), "net.2.weight has shape none, (6, 16) is needed"),
+        (lambda p: p.pop("observation_variance"), "observation_variance has shape none, (9,) is needed"),
+        (lambda p: wide(p, "net.x.weight", np.ones(1)), "net.x.weight has shape (1,), none is needed"),
+        (lambda p: p.update({"log_std": np.zeros(6, int)}), "has log_std of type int64; floating-point"),
+        (lambda p: wide(p, "observation_variance", -np.ones(9)), "observation_variance that is no variance"),
+        (lambda p: p.update({"observation_mean": np.full(9, 1e300)}), "observation_mean that is not finite"),
+        (lambda p: p["net.2.weight"].fill(3e38), "has weights so large that actions are not finite"),
     ],
 )
 def test_weights_that_cannot_act_are_refused(change, words, tiny, tmp_path):
@@ -535,17 +546,87 @@ def test_weights_that_cannot_act_are_refused(change, words, tiny, tmp_path):
     checkpoints.save_checkpoint(
         tmp_path, 1, {k: v for k, v in whole.manifest.items() if k != "files"}, policy, {}
     )
-    with pytest.raises(checkpoints.CheckpointError, match=words):
+    with pytest.raises(checkpoints.CheckpointError, match=re.escape(words)):
         checkpoints.load_checkpoint(tmp_path)
 
 
+@pytest.mark.parametrize("kind", ["BF16", "F8_E4M3"])
+def test_numbers_that_no_run_writes_are_refused(kind, copy, monkeypatch):
+    header = json.dumps({"a": {"dtype": kind, "shape": [4], "data_offsets": [0, 8 if kind == "BF16" else 4]}})
+    content = len(header).to_bytes(8, "little") + header.encode() + bytes(8 if kind == "BF16" else 4)
+    (copy / checkpoints.POLICY).write_bytes(content)
+    rewrite(
+        copy, lambda manifest: manifest["files"].update({checkpoints.POLICY: checkpoints._entry(content)})
+    )
+    with pytest.raises(
+        checkpoints.CheckpointError, match=f"with numbers of type {kind}, which no run writes"
+    ):
+        checkpoints.load_checkpoint(copy)
+
+
+def rewrite(folder, change):
+    """Change a manifest, with the digest of what it then says."""
+    path = folder / checkpoints.MANIFEST
+    manifest = json.loads(path.read_text())
+    del manifest["digest"]
+    change(manifest)
+    path.write_text(json.dumps(manifest | {"digest": checkpoints._digest(manifest)}))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("[]", "has a manifest.json that is no entries by name"),
+        ("[" * 100_000, "has no readable manifest.json (maximum recursion depth exceeded"),
+    ],
+)
+def test_what_is_no_manifest_is_refused(content, words, copy, run, no_simulation):
+    (copy / checkpoints.MANIFEST).write_text(content)
+    assert words in said(run("eval", copy))
+
+
+@pytest.mark.parametrize("value", [None, 5, -1, 1e308, float("nan"), "x", [], {}, True, [[["a"]]], [None]])
+def test_no_entry_of_a_manifest_is_trusted(value, copy):
+    """Whatever stands in the place of an entry, all that is raised is a sentence about the checkpoint."""
+    original = (copy / checkpoints.MANIFEST).read_text()
+    whole, refused = json.loads(original), 0
+    places = [(key,) for key in whole if key != "digest"]
+    places += [(key, inner) for key in whole if isinstance(whole[key], dict) for inner in whole[key]]
+
+    def put(manifest, *keys):
+        for key in keys[:-1]:
+            manifest = manifest[key]
+        manifest[keys[-1]] = value
+
+    for place in places:
+        (copy / checkpoints.MANIFEST).write_text(original)
+        rewrite(copy, lambda manifest, place=place: put(manifest, *place))
+        try:
+            LearnedPolicy(read_policy("x", copy, TASKS[ELBOW]))(np.zeros((2, 9), np.float32))
+        except checkpoints.CheckpointError:
+            refused += 1
+    assert refused > 20
+
+
+def test_a_manifest_without_an_entry_is_refused(copy):
+    original = (copy / checkpoints.MANIFEST).read_text()
+    for name in ("contract", "policy", "files", "settings", "clock"):
+        (copy / checkpoints.MANIFEST).write_text(original)
+        rewrite(copy, lambda manifest: manifest.pop(name))  # noqa: B023
+        with pytest.raises(checkpoints.CheckpointError, match=f"is not what a run writes: it has no {name}"):
+            checkpoints.load_checkpoint(copy)
+    (copy / checkpoints.MANIFEST).write_text(original)
+    rewrite(copy, lambda manifest: manifest["contract"]["columns"].append(["more", -1, "1"]))
+    with pytest.raises(checkpoints.CheckpointError, match=r"contract.columns\[4\]\[1\] must be a count"):
+        checkpoints.load_checkpoint(copy)
+
+
 @pytest.mark.parametrize("call", range(1, 7))
-def test_a_full_disk_keeps_the_checkpoint_before(call, tmp_path, monkeypatch):
+def test_a_full_disk_keeps_the_checkpoint_before(call, tiny, tmp_path, monkeypatch):
     """Whatever write or flush of a save fails, what was there is still there, whole and alone."""
-    arrays = {"net.0.weight": np.ones((2, 3), np.float32), "net.0.bias": np.ones(2, np.float32)}
-    arrays |= {"observation_mean": np.zeros(3), "observation_variance": np.ones(3), "log_std": np.zeros(2)}
-    contract = {"columns": [["x", 3, "1"]], "actuators": ["a", "b"]}
-    checkpoints.save_checkpoint(tmp_path, 1, {"contract": contract}, arrays, arrays)
+    whole = checkpoints.load_checkpoint(tiny)
+    arrays, manifest = whole.policy, {k: v for k, v in whole.manifest.items() if k != "files"}
+    checkpoints.save_checkpoint(tmp_path, 1, manifest, arrays, arrays)
     calls, fsync = [], os.fsync
 
     def full(handle):
@@ -556,7 +637,7 @@ def test_a_full_disk_keeps_the_checkpoint_before(call, tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", full)
     try:
-        checkpoints.save_checkpoint(tmp_path, 2, {"contract": contract}, arrays, arrays)
+        checkpoints.save_checkpoint(tmp_path, 2, manifest, arrays, arrays)
         assert call == 6  # there are five
     except OSError:
         pass

@@ -1,5 +1,6 @@
 """A policy played without torch is the one that was trained."""
 
+import dataclasses
 import importlib.util
 import json
 import subprocess
@@ -15,6 +16,7 @@ from onnx.reference import ReferenceEvaluator
 from myowarp.apps.learned import LearnedPolicy
 from myowarp.apps.train import agents
 from myowarp.apps.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from myowarp.apps.train.loop import Clock
 from myowarp.apps.train.settings import ALGORITHMS, choose
 from myowarp.disk import plain
 
@@ -28,7 +30,19 @@ CONTRACT = {
     "columns": [["qpos", 4, "rad"], ["act", 3, "1"]],
     "actuators": ["a", "b", "c"],
     "action": "",
+    "reward": [],
+    "control_dt": 0.02,
+    "success": "",
 }
+REST = {
+    "task": "myoTest-v0",
+    "model": False,
+    "reset": "task",
+    "conditions": [],
+    "versions": {},
+    "figures": {},
+}
+REST |= {"samples": 12, "steps": 3, "updates": 1, "clock": dataclasses.asdict(Clock())}
 
 
 @pytest.fixture(params=[("ppo", "elu"), ("trpo", "tanh"), ("sac", "relu"), ("flashsac", "elu")])
@@ -43,7 +57,8 @@ def trained(request):
         for parameter in agent.policy.parameters():
             parameter += 0.3 * torch.randn_like(parameter)
     agent._observation_preprocessor(10.0 + 3.0 * torch.randn(500, NUM_OBS), train=True)
-    return agent, {"policy": agents.policy_form(settings), "contract": CONTRACT}
+    own = {"algorithm": algorithm, "settings": dataclasses.asdict(settings), "contract": CONTRACT}
+    return agent, REST | own | {"policy": agents.policy_form(settings)}
 
 
 def observations():

@@ -17,7 +17,7 @@ import json
 import os
 import platform
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -27,6 +27,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from myowarp.apps.train.form import check_manifest, check_policy
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TaskSpec
@@ -215,7 +216,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     try:
         manifest = _read_manifest(folder)
         policy = _read_arrays(folder, POLICY, manifest)
-        _check_policy(folder, manifest, policy)
+        _agreed(folder, check_policy, manifest, policy)
     except CheckpointError:
         if find_folder(path) == folder:
             raise
@@ -224,24 +225,39 @@ def load_checkpoint(path: Path) -> Checkpoint:
 
 
 def _read_manifest(folder: Path) -> dict[str, Any]:
-    """Return the manifest, checked against its own digest."""
+    """Return the manifest, checked against its own digest, and in its form."""
     try:
         manifest = json.loads((folder / MANIFEST).read_bytes())
-        digest = manifest.pop("digest")
-    except (OSError, ValueError, KeyError, AttributeError) as error:
+        digest = manifest.pop("digest", None) if isinstance(manifest, dict) else None
+        wanted = _digest(manifest)
+    except (OSError, ValueError, RecursionError) as error:
         raise CheckpointError(f"checkpoint {str(folder)!r} has no readable {MANIFEST} ({error})") from error
+    if not isinstance(manifest, dict):
+        raise CheckpointError(f"checkpoint {str(folder)!r} has a {MANIFEST} that is no entries by name")
     if manifest.get("format") != FORMAT:
         raise CheckpointError(
             f"checkpoint {str(folder)!r} has format {manifest.get('format')!r}; this version reads {FORMAT}"
         )
-    if digest != _digest(manifest):
+    if digest != wanted:
         raise CheckpointError(f"checkpoint {str(folder)!r} was changed: {MANIFEST} does not have its digest")
+    _agreed(folder, check_manifest, manifest)
     return dict(manifest)
+
+
+def _agreed(folder: Path, check: Callable[..., None], *parts: Any) -> None:
+    """Raise CheckpointError with the reason that a check of `myowarp.apps.train.form` gives."""
+    try:
+        check(*parts)
+    except ValueError as error:
+        raise CheckpointError(f"checkpoint {str(folder)!r} {error}") from error
 
 
 def _read_arrays(folder: Path, name: str, manifest: dict[str, Any]) -> dict[str, np.ndarray]:
     """Return the arrays of a file that has the checksum of the manifest."""
-    wanted = manifest["files"][name]
+    if (wanted := manifest["files"].get(name)) is None:
+        raise CheckpointError(
+            f"checkpoint {str(folder)!r} lacks {name}, of which its {MANIFEST} says nothing"
+        )
     try:
         content = (folder / name).read_bytes()
     except OSError as error:
@@ -257,28 +273,10 @@ def _read_arrays(folder: Path, name: str, manifest: dict[str, Any]) -> dict[str,
         return dict(load(content))
     except SafetensorError as error:
         raise CheckpointError(f"checkpoint {str(folder)!r} has {name} that is no safetensors file") from error
-
-
-def _check_policy(folder: Path, manifest: dict[str, Any], policy: dict[str, np.ndarray]) -> None:
-    """Raise CheckpointError if the policy's arrays are not finite or not of the contract's sizes."""
-    contract = manifest["contract"]
-    inputs, outputs = sum(size for _, size, _ in contract["columns"]), len(contract["actuators"])
-    spread = 1 if "log_std" in policy else 2
-    last = max(int(name.split(".")[1]) for name in policy if name.startswith("net."))
-    sizes = {
-        "net.0.weight": (1, inputs),
-        f"net.{last}.bias": (0, spread * outputs),
-        "observation_mean": (0, inputs),
-    }
-    for name, (axis, size) in sizes.items():
-        if policy[name].shape[axis] != size:
-            raise CheckpointError(
-                f"checkpoint {str(folder)!r} does not fit its own contract: {name} has shape "
-                f"{policy[name].shape}, {size} entries are needed"
-            )
-    for name, array in policy.items():
-        if not np.isfinite(array).all():
-            raise CheckpointError(f"checkpoint {str(folder)!r} has {name} that is not finite")
+    except KeyError as error:  # a type that NumPy does not have
+        raise CheckpointError(
+            f"checkpoint {str(folder)!r} has {name} with numbers of type {error.args[0]}, which no run writes"
+        ) from error
 
 
 def _packed(arrays: Mapping[str, np.ndarray]) -> bytes:

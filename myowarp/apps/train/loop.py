@@ -204,7 +204,7 @@ class Run:
         self._obs.copy_(torch.from_numpy(state["observation"].copy()))
         self.tally.restore(state)
         self.steps, self.updates = manifest["steps"], manifest["updates"]
-        self.clock = Clock(**manifest["clock"])
+        self.clock = Clock(**{f.name: manifest["clock"][f.name] for f in dataclasses.fields(Clock)})
         agents.restore_agent(self.agent, checkpoint.policy, learner)
 
     def _restart(self, mask: np.ndarray) -> torch.Tensor:
