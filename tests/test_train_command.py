@@ -8,6 +8,7 @@ import json
 import os
 import pickle
 import re
+import shlex
 import signal
 from importlib import resources
 
@@ -19,7 +20,7 @@ from myowarp.apps.learned import LearnedPolicy, read_policy
 from myowarp.apps.train import checkpoint as checkpoints
 from myowarp.apps.train import command
 from myowarp.apps.train.evaluate import evaluate, wilson
-from myowarp.apps.train.plan import held, plan
+from myowarp.apps.train.plan import eval_command, held, plan, resume_command
 from myowarp.apps.train.settings import ALGORITHMS, choose, preset_algorithm
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
@@ -276,7 +277,7 @@ def test_settings_are_refused_before_anything_is_built(arguments, sentence, run,
 
 def test_a_folder_that_holds_something_is_left_alone(tiny, run, no_simulation):
     assert said(run("train", ELBOW, "--output", tiny)) == (
-        f"output {str(tiny)!r} is not empty; choose a new folder, or go on with --resume {tiny}"
+        f"output {str(tiny)!r} is not empty; choose a new folder, or go on with myowarp train --resume {tiny}"
     )
 
 
@@ -681,6 +682,55 @@ def test_ctrl_c_leaves_a_checkpoint_and_a_report(run, tmp_path, monkeypatch):
     assert json.loads((tmp_path / "run" / "report.json").read_text())["updates"] == 3
     assert checkpoints.load_checkpoint(tmp_path / "run").manifest["samples"] == 3 * 64
     assert signal.getsignal(signal.SIGINT) is before
+
+
+OWN_TASK = """
+import myowarp
+thrifty = myowarp.extend("myoElbowPose1D6MRandom-v0", "thriftyTrain-v0", rewards={"act_reg": 5.0})
+"""
+
+
+def test_printed_commands_work_for_a_task_from_a_file(run, tmp_path, monkeypatch):
+    from myowarp.apps.train.loop import Run
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my tasks.py").write_text(OWN_TASK)
+    iterate = Run.iterate
+
+    def interrupted(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        iterate(self)
+
+    def printed(text, start):
+        (line,) = [line for line in text.splitlines() if line.startswith(start)]
+        return line.removeprefix(start)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Run, "iterate", interrupted)
+        options = ("--output", "runs/thrifty", *TINY, "--samples", 128)
+        status, _, err = run("train", "my tasks.py:thrifty", *options)
+    assert status == 0, err
+    again = printed(err, "Go on: ")
+    assert again == "myowarp train 'my tasks.py:thrifty' --resume runs/thrifty"
+    judge = printed(err, "Evaluate: ")
+    assert judge == "myowarp eval runs/thrifty --task 'my tasks.py:thrifty'"
+    assert said(run("train", "--resume", "runs/thrifty")).endswith(f"go on with {again}")
+    assert said(run("eval", "runs/thrifty")).endswith(f"try {judge}")
+    assert "is not empty" in (sentence := said(run("train", "my tasks.py:thrifty", *options)))
+    assert sentence.endswith(again)
+    status, _, err = run(*shlex.split(again)[1:])
+    assert status == 0, err
+    assert json.loads((tmp_path / "runs" / "thrifty" / "report.json").read_text())["samples"] == 128
+    status, out, err = run(*shlex.split(judge)[1:], "--episodes", 4, "--device", "cpu")
+    assert status == 0, err
+    assert "thriftyTrain-v0" in out
+
+
+def test_printed_commands_name_model_and_ranks():
+    assert eval_command("a b.xml", True, "runs/x") == "myowarp eval runs/x --model 'a b.xml'"
+    assert resume_command("a.xml", True, "runs/x", 1) == "myowarp train --model a.xml --resume runs/x"
+    ranks = "torchrun --nproc-per-node 2 -m myowarp train --resume runs/x"
+    assert resume_command(ELBOW, False, "runs/x", 2) == ranks
 
 
 def test_a_diverged_run_keeps_the_last_good_checkpoint(run, tmp_path, monkeypatch):

@@ -20,7 +20,7 @@ from rich.console import Console
 from myowarp.apps.commands.rollout import Rollout
 from myowarp.apps.machine import Stopwatch, processor
 from myowarp.apps.train.eval_command import EVALUATION_SEED
-from myowarp.apps.train.plan import SAVE_SECONDS, Job, TrainOptions, held, plan, shown
+from myowarp.apps.train.plan import SAVE_SECONDS, Job, TrainOptions, eval_command, held, plan, shown
 from myowarp.apps.train.settings import ALGORITHMS, SUCCESSES, all_settings
 from myowarp.disk import in_place, plain
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from myowarp.apps.train.progress import Progress
 
 REPORT = "report.json"
+STOPPED = "stopped by a signal"
 
 
 @dataclass
@@ -131,7 +132,7 @@ def train(
             # Signals and clocks differ from rank to rank; what to do may not.
             stop, save = map(any, zip(*ranks.everyones((asked(), due)), strict=True))
             if stop:
-                reason = "stopped by a signal"
+                reason = STOPPED
             elif run.tally.reached(settings.stop_success, settings.stop_rule):
                 reason = f"{100 * settings.stop_success:.1f} % {SUCCESSES[settings.stop_rule]}"
             elif run.samples >= settings.samples:
@@ -239,7 +240,7 @@ def _save(job: Job, run: Run) -> None:
     except OSError as error:
         raise OSError(
             f"checkpoint after {run.samples} samples could not be written ({error.strerror or error}); the "
-            f"one before is in {job.folder}, go on with --resume {job.folder}"
+            f"one before is in {job.folder}, go on with {job.resume_command}"
         ) from error
 
 
@@ -287,7 +288,9 @@ def _report(job: Job, run: Run, reason: str, watch: Stopwatch, console: Console)
         f"{share} succeeded, sampled actions under {settings.physics} physics"
     )
     console.print(f"Saved {job.folder}" + (f" and {curve}" if curve else ""))
-    console.print(f"Evaluate: myowarp eval {job.folder}")
+    if reason == STOPPED:
+        console.print(f"Go on: {job.resume_command}")
+    console.print(f"Evaluate: {eval_command(job.task, job.model, job.folder)}")
 
 
 def _film(job: Job, video: Path) -> None:

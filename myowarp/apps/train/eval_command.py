@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from myowarp.apps.options import Device, Physics, check_least, optional
+from myowarp.apps.train.plan import eval_command, is_file
 from myowarp.apps.train.ranks import Ranks
 from myowarp.apps.train.settings import SUCCESSES, success_text
 from myowarp.spec.muscle import MUSCLES
@@ -123,11 +124,11 @@ class Eval:
         manifest = checkpoint.manifest
         trained = manifest["settings"]
         other = self.task is not None or self.model is not None
-        if not other and (manifest["model"] or ":" in manifest["task"]):
-            option = "--model" if manifest["model"] else "--task"
+        if not other and is_file(manifest["task"], manifest["model"]):
+            whole = eval_command(manifest["task"], manifest["model"], self.checkpoint)
             raise CheckpointError(
-                f"checkpoint {str(self.checkpoint)!r} was trained with the file {manifest['task']!r}; "
-                f"name it with {option}, because a checkpoint opens no files"
+                f"checkpoint {str(self.checkpoint)!r} was trained in a task from a file, which a checkpoint "
+                f"does not open by itself; try {whole}"
             )
         variant = task_or_model(self.task if other else manifest["task"], self.model)
         conditions = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import importlib.util
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -97,6 +98,29 @@ class Job:
     start: State | None = None
     files_read: dict[str, str] = field(default_factory=dict)
 
+    @property
+    def resume_command(self) -> str:
+        """What a shell is told to go on with the run."""
+        return resume_command(self.task, self.model, self.folder, self.ranks.size)
+
+
+def is_file(task: str, model: bool) -> bool:
+    """Whether a task is from a file, which a checkpoint does not open by itself."""
+    return model or ":" in task
+
+
+def resume_command(task: str, model: bool, folder: Path, ranks: int) -> str:
+    """Return what a shell is told to go on with a run, which its checkpoint says."""
+    start = f"torchrun --nproc-per-node {ranks} -m myowarp" if ranks > 1 else "myowarp"
+    file = [*(["--model"] if model else []), task] if is_file(task, model) else []
+    return f"{start} {shlex.join(['train', *file, '--resume', str(folder)])}"
+
+
+def eval_command(task: str, model: bool, folder: Path | str) -> str:
+    """Return what a shell is told to evaluate a policy, of which its checkpoint says the task."""
+    file = ["--model" if model else "--task", task] if is_file(task, model) else []
+    return f"myowarp {shlex.join(['eval', str(folder), *file])}"
+
 
 def check_packages() -> None:
     """Raise ImportError if a package that training needs is not installed."""
@@ -138,7 +162,8 @@ def plan(command: TrainOptions) -> Job:
         return _plan_resume(dataclasses.replace(command, resume=folder), given, ranks)
     if ranks.leads and not ranks.restarts and occupied(folder):
         raise ValueError(
-            f"output {str(folder)!r} is not empty; choose a new folder, or go on with --resume {folder}"
+            f"output {str(folder)!r} is not empty; choose a new folder, or go on with "
+            f"{resume_command(task, command.model is not None, folder, ranks.size)}"
         )
     parent = _parent(settings, algorithm, TASKS[variant.task]) if settings.parent else None
     model = command.model is not None
@@ -174,7 +199,7 @@ def held(job: Job) -> Iterator[None]:
         if last_saved(job.folder) != (job.checkpoint and job.checkpoint.folder):
             raise ValueError(
                 f"folder {str(job.folder)!r} has a new checkpoint, which another process wrote just now; go "
-                f"on with --resume {job.folder}"
+                f"on with {job.resume_command}"
             )
         yield
 
@@ -292,10 +317,19 @@ def _plan_resume(command: TrainOptions, given: dict[str, Any], ranks: Ranks) -> 
             f"{ranks.size}"
         )
     recorded = manifest["settings"]
-    task = command.task and command.task.removeprefix("MyoWarp/")
-    wanted = {"task": task, "model": command.model, "algorithm": command.algorithm, "output": command.output}
-    name = manifest["task"].removeprefix("MyoWarp/")
-    same = {"task": name, "model": name, "algorithm": manifest["algorithm"], "output": folder}
+    task, model, algorithm = manifest["task"], manifest["model"], manifest["algorithm"]
+    wanted: dict[str, Any] = {"algorithm": command.algorithm, "output": command.output}
+    same = {"algorithm": algorithm, "output": folder}
+    if not is_file(task, model):
+        same |= dict.fromkeys(("task", "model"), task.removeprefix("MyoWarp/"))
+        wanted |= {"task": command.task and command.task.removeprefix("MyoWarp/"), "model": command.model}
+    elif (command.task, command.model) == (None, None):
+        raise ValueError(
+            f"run {str(folder)!r} is of a task from a file, which a checkpoint does not open by itself; go "
+            f"on with {resume_command(task, model, folder, ranks.size)}"
+        )
+    else:  # its path may be another one; whether it is the same task, its contract tells
+        task, model = command.task or str(command.model), command.model is not None
     for what, value in wanted.items():
         if value is not None and str(value) != str(same[what]):
             raise ValueError(
@@ -309,15 +343,10 @@ def _plan_resume(command: TrainOptions, given: dict[str, Any], ranks: Ranks) -> 
                 f"--resume goes on with the settings of its run, where {flag} is {recorded.get(name)!r}, "
                 f"got {value!r}; leave it out, or start a new run"
             )
-    check_choice("algorithm", manifest["algorithm"], ALGORITHMS)
-    settings = restore(ALGORITHMS[manifest["algorithm"]], recorded | given)
-    task, is_model, algorithm = manifest["task"], manifest["model"], manifest["algorithm"]
-    if (is_model or ":" in task) and command.task is None and command.model is None:
-        raise ValueError(
-            f"the task of the run is in the file {task!r}, which --resume opens if you name it, too"
-        )
-    variant = task_or_model(None if is_model else task, Path(task) if is_model else None)
-    job = _with_files(Job(task, is_model, variant, algorithm, settings, folder, ranks, checkpoint))
+    check_choice("algorithm", algorithm, ALGORITHMS)
+    settings = restore(ALGORITHMS[algorithm], recorded | given)
+    variant = task_or_model(None if model else task, Path(task) if model else None)
+    job = _with_files(Job(task, model, variant, algorithm, settings, folder, ranks, checkpoint))
     if (now := job.files_read) != (then := manifest.get("files_read", {})):
         changed = next(name for name in now if now[name] != then.get(name))
         raise ValueError(f"--{changed} {getattr(settings, changed)!r} has changed since the run began")
