@@ -1,6 +1,7 @@
 """What each rank does in `test_ranks.py`: `torchrun tests/rank_work.py FOLDER` writes FOLDER/rank_<r>.npz."""
 
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,14 @@ from myowarp.models.conditions import MotorNoise, Sarcopenia, Uniform
 
 TASK = "myoElbowPose1D6MRandom-v0"
 ALL_WORLDS, STEPS, SEED = 10, 12, 5
-SETTINGS = {"num_worlds": 8, "rollout_steps": 16, "minibatches": 4, "hidden": [16, 16], "device": "cpu"}
+SETTINGS = {
+    "num_worlds": 8,
+    "rollout_steps": 16,
+    "minibatches": 4,
+    "epochs": 3,
+    "hidden": [16, 16],
+    "device": "cpu",
+}
 ITERATIONS = 8  # past the first end of an episode, at 100 steps
 
 
@@ -60,15 +68,34 @@ def learned(ranks):
     return arrays
 
 
+@contextmanager
+def counted():
+    """Count the sums over ranks while the block lasts."""
+    import torch
+
+    reduce, calls = torch.distributed.all_reduce, []
+    torch.distributed.all_reduce = lambda *of, **options: calls.append(1) or reduce(*of, **options)
+    try:
+        yield calls
+    finally:
+        torch.distributed.all_reduce = reduce
+
+
 def main():
     """Do the work of a rank."""
     import torch
 
     ranks = Ranks.started()
     with ranks.together("cpu"):
+        from myowarp.apps.train import agents  # not before: skrl would start NCCL
+
         samples = torch.from_numpy(batch()[ranks.rank])
         mean, variance, count = merged_moments(samples.mean(0), samples.var(0), len(samples))
-        arrays = {f"learned.{name}": array for name, array in learned(ranks).items()}
+        with counted() as calls:
+            arrays = {f"learned.{name}": array for name, array in learned(ranks).items()}
+        arrays["sums"] = np.array(len(calls))
+        agents.average_together = lambda policy, value: None
+        arrays |= {f"by skrl.{name}": array for name, array in learned(ranks).items()}
     arrays |= {"moved": moved(ranks.part), "mean": mean, "variance": variance, "count": count}
     np.savez(Path(sys.argv[1]) / f"rank_{ranks.rank}.npz", **arrays)
 

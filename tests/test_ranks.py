@@ -55,6 +55,16 @@ def test_ranks_act_differently_and_learn_the_same(ranks):
     assert one["learned.figures"][-1] == 8  # episodes, of both
 
 
+def test_gradients_of_both_networks_go_in_one_message(ranks):
+    """They are those of skrl, which sends two, bit for bit: a sum of two has no order."""
+    epochs, minibatches = rank_work.SETTINGS["epochs"], rank_work.SETTINGS["minibatches"]
+    for rank in ranks:
+        assert rank["sums"] == rank_work.ITERATIONS * (epochs * minibatches + epochs)  # and a divergence each
+        for name in (name for name in rank if name.startswith("learned.")):
+            other = rank[name.replace("learned", "by skrl", 1)]
+            np.testing.assert_array_equal(rank[name], other, err_msg=name)
+
+
 def test_start_states_and_seeds_go_on_through_ranks():
     one = MyoWarpVectorEnv(ELBOW, 4, device="cpu", progress=False)
     other = MyoWarpVectorEnv(ELBOW, 2, rank=(1, 2), device="cpu", progress=False)

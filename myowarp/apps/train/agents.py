@@ -22,6 +22,7 @@ from skrl.memories.torch import RandomMemory
 from skrl.models.torch import Model
 from skrl.resources.preprocessors.torch import RunningStandardScaler
 from skrl.resources.schedulers.torch import KLAdaptiveLR
+from torch import distributed
 
 from myowarp.apps.train.flash_sac import CategoricalCritic, FlashSAC
 from myowarp.apps.train.networks import GAUSSIAN_LOG_STD, LOG_STD, GaussianPolicy, SquashedPolicy, Value
@@ -90,10 +91,26 @@ def make_agent(settings: Settings, observation: Any, action: Any, device: str) -
         memory_size=rows, num_envs=settings.num_worlds, device=device, replacement=replacement
     )
     kind, cfg = _configuration(settings, observation, action, device)
+    if config.torch.is_distributed:
+        average_together(**models)
     agent = kind(models=models, memory=memory, cfg=cfg, device=device, **spaces)
     agent.init()
     agent.enable_training_mode(True)
     return agent
+
+
+def average_together(policy: Model, value: Model) -> None:
+    """Let ranks average the gradients of both networks in one message; skrl sends one for each."""
+    parameters = [*policy.parameters(), *value.parameters()]
+
+    def average() -> None:
+        gradients = torch.cat([p.grad.view(-1) for p in parameters])
+        distributed.all_reduce(gradients)
+        gradients /= distributed.get_world_size()
+        for parameter, mean in zip(parameters, gradients.split([p.numel() for p in parameters]), strict=True):
+            parameter.grad.copy_(mean.view_as(parameter))
+
+    policy.reduce_parameters, value.reduce_parameters = average, lambda: None
 
 
 def _critic(settings: OffPolicy, spaces: dict[str, Any], device: str) -> Model:
