@@ -20,7 +20,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from myowarp.kernels.episode import EpisodeState, Transition, describe_fault
+from myowarp.kernels.episode import EpisodeState, Transition
 from myowarp.sim.interop import ActionInput, Output
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import State, Worlds, get_state, place, rows_of, set_state, start_arrays
@@ -426,7 +426,7 @@ class MyoWarpVectorEnv(VectorEnv):
             return
         self._warned = True
         world = int(np.flatnonzero(fault)[0])
-        reason = describe_fault(fault[world])
+        reason = self.sim.describe_fault(world)
         gym.logger.warn(f"world {world} was reset after a fault ({reason}); later ones show in info['fault']")
 
 
