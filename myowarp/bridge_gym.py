@@ -20,7 +20,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from myowarp.kernels.episode import Transition, describe_fault
+from myowarp.kernels.episode import EpisodeState, Transition
 from myowarp.sim.interop import ActionInput, Output
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import State, Worlds, get_state, place, rows_of, set_state, start_arrays
@@ -29,6 +29,7 @@ from myowarp.spec.muscle_table import MuscleTable
 from myowarp.spec.registry import check_choice, check_flag
 from myowarp.spec.task import TASKS, TaskSpec
 from myowarp.tasks.variants import Variant, find_variant, paper_variants, variants_of
+from myowarp.view.captions import Captions
 from myowarp.view.modes import check_render_mode, render_modes
 from myowarp.view.pictures import Pictures
 
@@ -38,6 +39,7 @@ RESULTS = ("obs", "reward", "terminated", "truncated")
 ENTRIES = ("success", "solved", "fault", "terms")
 RESET_OPTIONS = ("reset_mask", "qpos", "qvel", "state")
 SEEN = ("terminated", "truncated", "fault")
+SCORED = ("reward", "success")  # what is written on pictures
 NO_HORIZON = 2**31 - 1  # steps; a single environment leaves truncation to Gymnasium's TimeLimit
 AUTORESET_NAMES = {
     AutoresetMode.DISABLED: "disabled",
@@ -88,6 +90,7 @@ class MyoWarpVectorEnv(VectorEnv):
         camera: str | None = None,
         render_worlds: Sequence[int] | None = None,
         muscle_color: str = "activation",
+        render_text: bool = False,
         deterministic: bool = False,
         progress: bool = True,
         rank: tuple[int, int] = (0, 1),
@@ -113,6 +116,8 @@ class MyoWarpVectorEnv(VectorEnv):
             render_worlds: Worlds of which `render` returns pictures, in this order; None: all, as Gymnasium's
                 vector environments do. Human mode shows the first.
             muscle_color: What the colour of a muscle shows, a name in `myowarp.view.muscles.QUANTITIES`.
+            render_text: Whether `render` writes time, return and success on pictures, counted since the
+                episode began or its state was set; every step then waits for a CUDA device.
             deterministic: Whether a run gives the same bits every time on CUDA, which is slower.
             progress: Whether to show a progress bar while kernels compile.
             rank: Which of how many equal ranks, each a process of its own: rank r of R has worlds r num_envs
@@ -125,7 +130,7 @@ class MyoWarpVectorEnv(VectorEnv):
         """
         self._made_with = {name: value for name, value in locals().items() if name != "self"}  # for pickle
         check_render_mode(render_mode)
-        flags = {"deterministic": deterministic, "progress": progress}
+        flags = {"deterministic": deterministic, "progress": progress, "render_text": render_text}
         for name, flag in (flags if copy is None else flags | {"copy": copy}).items():
             check_flag(name, flag)
         mode = _autoreset_mode(autoreset_mode)
@@ -141,6 +146,7 @@ class MyoWarpVectorEnv(VectorEnv):
         if render_mode is not None:
             self._pictures.attach(self.sim)
         self._rendered = list(range(self.sim.num_worlds)) if rendered is None else rendered
+        self._text = Captions(self._rendered, self.sim.scene.control_dt) if render_text else None
         self._set_up(mode)
         self._wrap(given)
 
@@ -166,7 +172,7 @@ class MyoWarpVectorEnv(VectorEnv):
         """Choose the arrays that `reset` and `step` return, and those that they look at."""
         sim = self.sim
 
-        def arrays(transition: Transition, *names: str) -> dict[str, wp.array]:
+        def arrays(transition: Transition | EpisodeState, *names: str) -> dict[str, wp.array]:
             return {name: getattr(transition, name) for name in names}
 
         self._act = ActionInput(sim.action)
@@ -174,7 +180,9 @@ class MyoWarpVectorEnv(VectorEnv):
         self._results = output.of(arrays(sim.transition, *RESULTS))
         self._given = output.of(arrays(sim.transition, *ENTRIES) | sim.info)
         self._given_final = output.of(arrays(sim.final, "obs", *ENTRIES))
-        self._seen = Output("numpy", copy=False).of(arrays(sim.transition, *SEEN))
+        on_host = Output("numpy", copy=False)
+        self._seen = on_host.of(arrays(sim.transition, *SEEN))
+        self._scored = on_host.of(arrays(sim.transition, *SCORED) | arrays(sim.episode, "step_count"))
         self._terms = tuple(f"terms/{term.name}" for term in sim.terms)
         self._masks = tuple(f"_{key}" for key in self._entries(self._given))
 
@@ -223,6 +231,8 @@ class MyoWarpVectorEnv(VectorEnv):
             place(self.sim, {name: rows[mask] for name, rows in start.items()}, np.flatnonzero(mask))
         self._was_reset = self._was_reset or bool(mask.all())
         self._ended[mask] = self._resetting[mask] = False
+        if self._text is not None:
+            self._text.begin(mask)
         self._show()
         return self._obs()["obs"], {}
 
@@ -249,6 +259,7 @@ class MyoWarpVectorEnv(VectorEnv):
         self.sim.step()
         info = self._entries(self._given)
         self._complete(info)
+        self._count_on_pictures()
         self._show()
         obs, reward, terminated, truncated = self._results().values()
         return obs, reward, terminated, truncated, info
@@ -289,6 +300,8 @@ class MyoWarpVectorEnv(VectorEnv):
         ended = self.sim.episode.ended.numpy()[rows]
         self._ended[rows] = ended & (self._autoreset == AutoresetMode.DISABLED)
         self._resetting[rows] = ended & (self._autoreset == AutoresetMode.NEXT_STEP)
+        if self._text is not None:
+            self._text.begin(np.isin(np.arange(self.num_envs), rows))
         self._show()
         return self._obs()["obs"]
 
@@ -316,12 +329,22 @@ class MyoWarpVectorEnv(VectorEnv):
         if self.render_mode == "human":
             self._show()
             return None
-        return tuple(self._pictures.frame(self.sim, world) for world in self._rendered)
+        captions = [()] * len(self._rendered) if self._text is None else self._text.lines()
+        shown = zip(self._rendered, captions, strict=True)
+        return tuple(self._pictures.frame(self.sim, world, lines) for world, lines in shown)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close windows and drawing contexts, and end all threads."""
         self._pictures.close()
         self.sim.close()
+
+    def _count_on_pictures(self) -> None:
+        """Count a step in the text on pictures; it begins anew where the step was, or led to, a reset."""
+        if self._text is None:
+            return
+        reward, success, step_count = self._scored().values()
+        self._text.add(reward, success)
+        self._text.begin(step_count == 0)
 
     def _show(self) -> None:
         """Update the window of human mode."""
@@ -403,7 +426,7 @@ class MyoWarpVectorEnv(VectorEnv):
             return
         self._warned = True
         world = int(np.flatnonzero(fault)[0])
-        reason = describe_fault(fault[world])
+        reason = self.sim.describe_fault(world)
         gym.logger.warn(f"world {world} was reset after a fault ({reason}); later ones show in info['fault']")
 
 

@@ -268,3 +268,41 @@ def test_environment_draws_chosen_worlds():
     env.close()
     with pytest.raises(ValueError, match="worlds must be different numbers from 0 to 3"):
         MyoWarpVectorEnv(key, 4, render_worlds=[4], **options)
+
+
+@pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
+def test_environment_writes_the_episode_on_pictures(mode):
+    options = {"render_mode": "rgb_array", "render_size": (320, 120), "device": "cpu", "progress": False}
+    options |= {"max_episode_steps": 3, "autoreset_mode": mode, "render_worlds": [1]}
+    key = "myoElbowPose1D6MRandom-v0"
+    env = MyoWarpVectorEnv(key, 2, render_text=True, **options)
+    plain = MyoWarpVectorEnv(key, 2, **options)
+    for each in (env, plain):
+        each.reset(seed=0)
+    time = total = 0.0
+    actions = np.random.default_rng(0).uniform(-1, 1, (8, 2, 6)).astype(np.float32)
+    for action in actions:
+        if mode == "disabled" and time > 0.05:
+            for each in (env, plain):
+                each.reset(options={"reset_mask": np.array([True, True])})
+            time = total = 0.0
+        resets = mode == "next_step" and time > 0.05
+        _, reward, _, truncated, info = env.step(action)
+        plain.step(action)
+        time, total = (0.0, 0.0) if resets else (time + env.sim.scene.control_dt, total + reward[1])
+        if mode == "same_step" and truncated[1]:
+            time = total = 0.0
+        success = "  success" if info["success"][1] and time else ""
+        assert env._text.lines() == [[f"{time:.2f} s  return {total:.1f}{success}"]]
+        try:
+            (written,), (drawn,) = env.render(), plain.render()
+        except NoGraphicsError as error:
+            pytest.skip(str(error))
+        differs = np.abs(written.astype(int) - drawn).max(axis=2) > 20
+        assert differs[:40].sum() > 100
+        assert not differs[40:].any()
+    state = env.get_state()
+    env.set_state(state)
+    assert env._text.lines() == [["0.00 s  return 0.0"]]
+    env.close()
+    plain.close()

@@ -2,16 +2,20 @@
 
 import copy
 import dataclasses
+import io
 import pickle
 import re
 import subprocess
 import sys
+import zipfile
 
 import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
 import warp as wp
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from test_conditions import NAMES, host_of
 
 from myowarp.models.conditions import Fatigue3CCR, Sarcopenia, TendonTear, Uniform
@@ -351,17 +355,69 @@ def test_bad_states(tmp_path):
     with pytest.raises(ValueError, match=r"^state is one of task 'reach-v0'; this one is 'myoHandObjHold"):
         env.set_state(State("reach-v0", state.arrays))
     for wrong, reason in (
-        (np.full((2, 30), np.nan), "must be finite, got NaN or infinity"),
+        (np.full((2, 30), np.nan), "must be finite in float32, got NaN, infinity or too large a number"),
+        (np.full((2, 30), 1e300), "must be finite in float32, got NaN, infinity or too large a number"),
         (np.zeros((2, 3)), r"must have shape \(2, 30\), got \(2, 3\)"),
         (np.array([["a"] * 30] * 2), "must be of type float32, got <U1"),
     ):
         with pytest.raises(ValueError, match=f"^state 'data.qpos' {reason}$"):
             env.set_state(State(state.task, state.arrays | {"data.qpos": wrong}))
+    for count in (-1, 2**31 - 1, 2**40):
+        with pytest.raises(
+            ValueError, match=r"^state 'episode.step_count' must be from 0 to 2147483646, got"
+        ):
+            env.set_state(State(state.task, state.arrays | {"episode.step_count": np.full(2, count)}))
+    for arrays in (
+        {},
+        None,
+        {"data.qpos": [0.0]},
+        {"data.qpos": np.float32(1)},
+        {"a": np.ones(2), "b": np.ones(3)},
+    ):
+        with pytest.raises(
+            ValueError, match=r"^arrays of a State must be NumPy arrays by name, each with a row"
+        ):
+            State(state.task, arrays)
+    for wrong, name in (
+        ({name: array for name, array in state.arrays.items() if name != "data.ctrl"}, "data.ctrl"),
+        (state.arrays | {"more": np.zeros(2)}, "more"),
+    ):
+        for conditions in (True, False):
+            with pytest.raises(
+                ValueError, match=f"^state must have the arrays .* they differ in {name}; take"
+            ):
+                env.set_state(State(state.task, wrong), conditions=conditions)
     fresh = gym.make_vec(ID, num_envs=1, device="cpu", progress=False)
     with pytest.raises(gym.error.ResetNeeded, match=r"^get_state needs an environment that was reset"):
         fresh.get_state()
     with pytest.raises(ValueError, match=r"^reset option 'state' is all that a world is; leave out seed"):
         env.reset(seed=1, options={"state": state})
+
+
+def test_a_state_of_other_physics_is_said(tmp_path, caplog):
+    env = gym.make_vec(ID, num_envs=2, device="cpu", progress=False)
+    env.reset(seed=0)
+    path = tmp_path / "state.npz"
+    env.get_state().save(path)
+    state = State.load(path)
+    assert state.physics == state[0].physics == "parity"
+    env.set_state(state)
+    env.set_state(State(state.task, state.arrays))  # not known
+    assert not caplog.messages
+    fast = gym.make_vec(ID, num_envs=2, device="cpu", progress=False, physics="fast")
+    fast.set_state(state)
+    (message,) = caplog.messages
+    assert message.startswith("a state of physics 'parity' goes on under 'fast': what follows is not")
+
+
+def test_files_of_the_version_before_are_read(tmp_path):
+    """They do not say under which physics."""
+    state = hold().get_state()
+    np.savez(tmp_path / "old.npz", task=np.array(state.task), **state.arrays)
+    old = State.load(tmp_path / "old.npz")
+    assert (old.task, old.physics) == (state.task, "")
+    for name, array in state.arrays.items():
+        np.testing.assert_array_equal(old.arrays[name], array)
 
 
 def test_bad_files(tmp_path):
@@ -378,7 +434,61 @@ def test_bad_files(tmp_path):
     np.savez(path, task=np.array("x"), harm=np.array([print], dtype=object))
     with pytest.raises(ValueError, match=r"must be an \.npz file of State\.save\(\), undamaged"):
         State.load(path)
-    for size in (0, 10, len(whole) // 2, len(whole) - 1):
-        path.write_bytes(whole[:size])
-        with pytest.raises(ValueError, match=r"must be an \.npz file of State\.save\(\), undamaged"):
+    damaged = [whole[:size] for size in (0, 10, len(whole) // 2, len(whole) - 1)]
+    central = whole.find(b"PK\1\2")
+    for method in (1, 8, 14, 99):
+        damaged.append(with_bytes(whole, {8: method, central + 10: method}))
+    damaged.append(with_bytes(whole, {6: 1, central + 8: 1}))  # encrypted
+    for rows in (10**15, 2**70, -5):
+        damaged.append(with_head(whole, rows))
+    np.savez_compressed(path, task=np.array("x"), qpos=np.zeros((4, 2**20)))
+    damaged.append(path.read_bytes())
+    for content in damaged:
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=r"must be an \.npz file of State\.save\(\), undamaged \(.+\)$"):
             State.load(path)
+    with pytest.raises(
+        ValueError, match=r"must be an \.npz file of State\.save\(\), undamaged \(.*[Dd]irectory"
+    ):
+        State.load(tmp_path)
+
+
+def with_bytes(content, changes):
+    """Content with other values at some places."""
+    changed = bytearray(content)
+    for place, value in changes.items():
+        changed[place] = value
+    return bytes(changed)
+
+
+def with_head(content, rows):
+    """A state whose array says that it has so many rows; the file's sums are right."""
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": "<f4", "fortran_order": False, "shape": (rows, 30)})
+    changed = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(content)) as old, zipfile.ZipFile(changed, "w") as new:
+        for entry in old.infolist():
+            is_qpos = entry.filename == "data.qpos.npy"
+            new.writestr(entry.filename, head.getvalue() + bytes(240) if is_qpos else old.read(entry))
+    return changed.getvalue()
+
+
+@given(
+    places=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 7)), min_size=1, max_size=3)
+)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_files_with_flipped_bits(tmp_path, places):
+    """They are refused, or hold what they held."""
+    path, state = tmp_path / "state.npz", hold().get_state()
+    state.save(path)
+    content = bytearray(path.read_bytes())
+    for place, bit in places:
+        content[int(place * len(content))] ^= 1 << bit
+    path.write_bytes(content)
+    try:
+        read = State.load(path)
+    except ValueError as error:
+        assert "must be an .npz file of State.save(), undamaged" in str(error)  # noqa: PT017 (or it is read)
+        return
+    for name, array in read.arrays.items():
+        np.testing.assert_array_equal(array, state.arrays[name])

@@ -20,6 +20,7 @@ from rich.console import Console
 from myowarp.disk import in_place
 from myowarp.progress import progress_bar
 from myowarp.spec.body import BODIES
+from myowarp.view.captions import Captions
 from myowarp.view.pictures import Pictures
 from myowarp.view.render import tiled
 from myowarp.view.snapshot import Snapshot
@@ -74,11 +75,10 @@ class Film:
         self.frames: list[list[Snapshot]] = []
         self.captions: list[list[list[str]]] = []
         self.color = color
-        self._title, self._legend = title, legend
+        self._legend = legend
         self._pictures = Pictures(size, camera, color, legend)
         self._pictures.attach(sim)
-        self._returns = np.zeros(len(self.worlds))
-        self._times = np.zeros(len(self.worlds))
+        self._text = Captions(self.worlds, sim.scene.control_dt, title)
 
     def add(
         self,
@@ -94,18 +94,15 @@ class Film:
             seen: What the worlds look like, where it is known already.
         """
         if reward is not None:
-            self._returns += reward[self.worlds]
-            self._times += self.sim.scene.control_dt
+            self._text.add(reward, success)
         self.frames.append(list(seen or (self._pictures.snapshot(self.sim, world) for world in self.worlds)))
         if len(self.frames) == 2:  # conditions weaken muscles in a step, not in a reset
             self.frames[0] = [_as_strong(*pair) for pair in zip(*self.frames, strict=True)]
-        solved = np.zeros(len(self.worlds), dtype=bool) if success is None else success[self.worlds]
-        self.captions.append([self._caption(index, bool(solved[index])) for index in range(len(self.worlds))])
+        self.captions.append(self._text.lines())
 
     def begin(self, ended: np.ndarray) -> None:
         """Start time and return anew in the worlds of a mask (num_worlds,) bool, whose episodes ended."""
-        self._returns[ended[self.worlds]] = 0.0
-        self._times[ended[self.worlds]] = 0.0
+        self._text.begin(ended)
 
     def open(self) -> None:
         """Open what draws, so that it fails before anything is simulated.
@@ -141,12 +138,6 @@ class Film:
         tips = BODIES[self.sim.scene.spec.body].tips
         shown = zip(zip(*self.frames, strict=True), zip(*self.captions, strict=True), strict=True)
         return [Take(self.sim.full_model, tips, frames, captions) for frames, captions in shown]
-
-    def _caption(self, index: int, success: bool) -> list[str]:
-        """Return the lines on the picture of a world."""
-        world = f"world {self.worlds[index]}  " if len(self.worlds) > 1 else ""
-        line = f"{world}{self._times[index]:.2f} s  return {self._returns[index]:.1f}"
-        return [*([self._title] if self._title else []), line + ("  success" if success else "")]
 
 
 def _as_strong(seen: Snapshot, after: Snapshot) -> Snapshot:

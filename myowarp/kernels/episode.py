@@ -4,17 +4,22 @@ import warp as wp
 from mujoco_warp import OverflowType
 
 from myowarp.kernels.action import FAULT_ACTION
+from myowarp.kernels.observe import pack
 from myowarp.kernels.random import RandomKeys
 
 FAULT_NONFINITE = wp.constant(1)
 FAULT_ROWS = wp.constant(2)
 FAULT_CONTACTS = wp.constant(4)
+FAULT_OBSERVATION = wp.constant(16)
+FAULT_REWARD = wp.constant(32)
 
 FAULTS = {
     int(FAULT_NONFINITE): "state not finite",
     int(FAULT_ROWS): "more constraint rows than allocated",
     int(FAULT_CONTACTS): "more contacts than allocated",
     int(FAULT_ACTION): "action not finite",
+    int(FAULT_OBSERVATION): "observation not finite",
+    int(FAULT_REWARD): "reward not finite",
 }
 """Meaning of the bits of a fault."""
 
@@ -25,6 +30,7 @@ def describe_fault(bits: int) -> str:
 
 
 STATE_LIMIT = wp.constant(1.0e10)  # largest state entry that MuJoCo accepts, mjMAXVAL
+LARGEST = wp.constant(3.4028234663852886e38)  # finite float32
 SUCCESS_STEPS = wp.constant(5)  # an episode succeeds with more solved steps than this; MyoSuite
 
 ROW_BITS = wp.constant(int(OverflowType.NEFC | OverflowType.NJMAX_NNZ))
@@ -74,6 +80,7 @@ class Transition:
         terminated: The episode ended by failure or fault.
         truncated: The episode ended by its horizon.
         fault: Bits of `FAULTS`.
+        fault_index: Where the bit for reward or observation is set: the term or column that is not finite.
     """
 
     obs: wp.array2d[float]
@@ -85,6 +92,7 @@ class Transition:
     terminated: wp.array[bool]
     truncated: wp.array[bool]
     fault: wp.array[int]
+    fault_index: wp.array[int]
 
 
 @wp.struct
@@ -92,7 +100,7 @@ class Masks:
     """Which worlds the later kernels of a step act on; all arrays (num_worlds,).
 
     Attributes:
-        live: Stepped and healthy: observe the state reached.
+        live: Stepped and healthy: observe and score the state reached.
         renew: A new episode opens now.
         reset: Its state is reset now.
         fresh: A new episode opens now, and is to be observed.
@@ -120,6 +128,7 @@ def new_transition(num_worlds: int, obs_size: int, num_terms: int) -> Transition
     transition.terms = wp.zeros((num_worlds, num_terms), dtype=float)
     transition.reward = wp.zeros(num_worlds, dtype=float)
     transition.fault = wp.zeros(num_worlds, dtype=int)
+    transition.fault_index = wp.zeros(num_worlds, dtype=int)
     for flag in ("solved", "failed", "success", "terminated", "truncated"):
         setattr(transition, flag, wp.zeros(num_worlds, dtype=bool))
     return transition
@@ -161,12 +170,19 @@ def detect_faults(
     # Data in:
     qpos_in: wp.array2d[float],
     qvel_in: wp.array2d[float],
+    # In:
+    ended: wp.array[bool],
+    autoreset: int,
     # Data out:
     overflow_out: wp.array[int],
     # Out:
     fault: wp.array[int],
+    live: wp.array[bool],
 ):
-    """Add fault bits for states that are not finite and for capacities that overflowed."""
+    """Add fault bits for states that are not finite and for capacities that overflowed; note who is live.
+
+    Last of the checks of the state: a world is live that no check has marked and that is not only renewed.
+    """
     worldid = wp.tid()
     bits = fault[worldid]
     if beyond(qpos_in, worldid, STATE_LIMIT) or beyond(qvel_in, worldid, STATE_LIMIT):
@@ -177,6 +193,7 @@ def detect_faults(
         bits |= FAULT_CONTACTS
     overflow_out[worldid] = 0
     fault[worldid] = bits
+    live[worldid] = bits == 0 and (not ended[worldid] or autoreset == RESET_DISABLED)
 
 
 @wp.kernel(enable_backward=False)
@@ -193,6 +210,40 @@ def detect_state_faults(
 
 
 @wp.kernel(enable_backward=False)
+def publish_observation(
+    # In:
+    mask: wp.array[bool],
+    draft: wp.array2d[float],
+    # Out:
+    obs: wp.array2d[float],
+    fault: wp.array[int],
+    fault_index: wp.array[int],
+):
+    """obs = draft in the worlds of the mask where draft is finite; others keep theirs, with a fault bit."""
+    worldid = wp.tid()
+    if mask[worldid]:
+        if beyond(draft, worldid, LARGEST):
+            fault[worldid] = fault[worldid] | FAULT_OBSERVATION
+            column = int(0)
+            while wp.isfinite(draft[worldid, column]):
+                column += 1
+            fault_index[worldid] = column
+        else:
+            pack(obs, worldid, 0, draft, 1.0)
+
+
+@wp.func
+def first_not_finite(weights: wp.array[float], terms: wp.array2d[float], worldid: int) -> int:
+    """Least k for which the sum of weights . terms up to k is not finite."""
+    total = float(0.0)
+    for k in range(weights.shape[0]):
+        total += weights[k] * terms[worldid, k]
+        if not wp.isfinite(total):
+            return k
+    return -1
+
+
+@wp.kernel(enable_backward=False)
 def advance_episode(
     # Params:
     weights: wp.array[float],
@@ -206,21 +257,26 @@ def advance_episode(
 ):
     """reward = weights . terms; decide what ends, what is reset and what is observed.
 
-    A world that had ended is only renewed: reset, unless states carry over (`keep_state`). A faulty world
-    ends with reward 0, keeps its last observation and is reset at once, in every mode.
+    A world that had ended is only renewed: reset, unless states carry over (`keep_state`). A faulty world -
+    one whose reward is not finite is another - ends with reward 0, keeps its last healthy observation and is
+    reset at once, in every mode.
     """
     worldid = wp.tid()
     had_ended = episode.ended[worldid] and autoreset != RESET_DISABLED
     if had_ended:
         transition.fault[worldid] = 0
+    reward = float(0.0)
+    if not had_ended and transition.fault[worldid] == 0:
+        for k in range(weights.shape[0]):
+            reward += weights[k] * transition.terms[worldid, k]
+        if not wp.isfinite(reward):
+            reward = 0.0
+            transition.fault[worldid] = FAULT_REWARD
+            transition.fault_index[worldid] = first_not_finite(weights, transition.terms, worldid)
     faulty = transition.fault[worldid] != 0
     live = not had_ended and not faulty
-
-    reward = float(0.0)
-    for k in range(weights.shape[0]):
-        if live:
-            reward += weights[k] * transition.terms[worldid, k]
-        else:
+    if not live:
+        for k in range(weights.shape[0]):
             transition.terms[worldid, k] = 0.0
     solved = live and transition.solved[worldid]
     if solved:
@@ -262,6 +318,7 @@ def keep_final(
     final.solved[worldid] = ended and transition.solved[worldid]
     final.success[worldid] = ended and transition.success[worldid]
     final.fault[worldid] = wp.where(ended, transition.fault[worldid], 0)
+    final.fault_index[worldid] = transition.fault_index[worldid]
     transition.solved[worldid] = transition.solved[worldid] and not ended
     transition.success[worldid] = transition.success[worldid] and not ended
 

@@ -36,6 +36,7 @@ from myowarp.kernels.episode import (
     new_masks,
     new_transition,
     open_episode,
+    publish_observation,
 )
 from myowarp.kernels.random import seed_worlds
 from myowarp.kernels.reset import place_start, reset_worlds
@@ -162,6 +163,7 @@ class Part:
         self.transition, self.final, self.masks = new_transition(*sizes), new_transition(*sizes), new_masks(n)
         for owner in ("transition", "final", "masks"):
             scene.adopt(owner, getattr(self, owner), state=False)
+        self._draft = wp.zeros_like(self.transition.obs)  # observations, checked before anyone sees them
         self.action = scene.worlds.rows("action", wp.zeros((n, scene.num_actions), dtype=float))
         self.shown = {name: array for effect in self.effects for name, array in effect.info.items()}
         self.info = {name: scene.worlds.rows(f"info.{name}", array) for name, array in self.shown.items()}
@@ -185,7 +187,6 @@ class Part:
         wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
         self.program.advance(self.episode.step_count)
         self.launch_scoring()
-        self._launch_observation(self.masks.live)
         self._launch_probes(None)
         if self.autoreset == AUTORESET["same_step"]:
             wp.launch(keep_final, dim=self.num_worlds, outputs=[self.transition, self.final])
@@ -199,12 +200,18 @@ class Part:
 
     def _launch_observation(self, mask: wp.array) -> None:
         """Observe the worlds of a mask: the task, then the conditions that show something."""
-        obs = self.transition.obs
-        self.program.observe(mask, obs)
-        column = obs.shape[1]
+        transition, draft = self.transition, self._draft
+        self.program.observe(mask, draft)
+        column = draft.shape[1]
         for effect in reversed(self.effects):
             column -= sum(block.size for block in effect.columns)
-            effect.observe(mask, obs, column)
+            effect.observe(mask, draft, column)
+        wp.launch(
+            publish_observation,
+            dim=self.num_worlds,
+            inputs=[mask, draft],
+            outputs=[transition.obs, transition.fault, transition.fault_index],
+        )
 
     def launch_conditions(self) -> None:
         """Let the conditions change excitations, muscles and body, for one control step."""
@@ -229,14 +236,8 @@ class Part:
         )
 
     def launch_scoring(self) -> None:
-        """Judge the present state: faults, reward terms, reward, and what ends."""
+        """Judge the present state: faults, reward terms, observation, reward, and what ends."""
         data, transition = self.scene.data, self.transition
-        wp.launch(
-            detect_faults,
-            dim=self.num_worlds,
-            inputs=[data.qpos, data.qvel],
-            outputs=[data.overflow, transition.fault],
-        )
         for state in self.scene.muscles.state.values():
             wp.launch(
                 detect_state_faults,
@@ -244,12 +245,19 @@ class Part:
                 inputs=[as_rows(state)],
                 outputs=[transition.fault],
             )
+        wp.launch(
+            detect_faults,
+            dim=self.num_worlds,
+            inputs=[data.qpos, data.qvel, self.episode.ended, self.autoreset],
+            outputs=[data.overflow, transition.fault, self.masks.live],
+        )
         column = len(self.scene.spec.reward_terms())
         terms = transition.terms[:, :column]
         self.program.score(self.episode.step_count, terms, transition.solved, transition.failed)
         for effect in self.effects:
             effect.score(transition.terms, column)
             column += len(effect.terms)
+        self._launch_observation(self.masks.live)
         wp.launch(
             advance_episode,
             dim=self.num_worlds,

@@ -24,7 +24,15 @@ from myowarp.engine.graph import Graph, Replay
 from myowarp.engine.stage import STAGES
 from myowarp.engine.threads import Team, num_cores
 from myowarp.engine.turn import in_turn
-from myowarp.kernels.episode import AUTORESET, EpisodeState, Masks, Transition
+from myowarp.kernels.episode import (
+    AUTORESET,
+    FAULT_OBSERVATION,
+    FAULT_REWARD,
+    EpisodeState,
+    Masks,
+    Transition,
+    describe_fault,
+)
 from myowarp.kernels.random import RandomKeys
 from myowarp.progress import patient_bar
 from myowarp.sim.build import (
@@ -60,6 +68,7 @@ class Simulation:
         scene: The compiled task. Over several parts it holds names, sizes, settings and the state of all
             worlds; what does not belong to a single world, such as contacts, or only to the engine is with
             the parts, and None here.
+        physics: Name of the physics preset.
         columns: Blocks of the observation.
         terms: Reward terms.
         horizon: Control steps in an episode.
@@ -150,6 +159,7 @@ class Simulation:
                     advance(1)
         self.parts, (first, *others) = tuple(parts), parts
         self.scene = _joined(first.scene, worlds) if others else first.scene
+        self.physics = physics
         self.columns, self.terms = first.columns, first.terms
         self.action = worlds.whole["action"]
         self.transition = worlds.join("transition", Transition())
@@ -201,6 +211,18 @@ class Simulation:
             self.parts[0].reset_asked()
         else:
             self._at_once(Part.reset_asked, [part.reset_graph for part in self.parts])
+
+    def describe_fault(self, world: int) -> str:
+        """Return what was wrong in a world in the last step, empty if nothing was; waits for the device."""
+        transition = self.transition
+        bits, index = (int(array.numpy()[world]) for array in (transition.fault, transition.fault_index))
+        text = describe_fault(bits)
+        if bits & int(FAULT_REWARD):
+            text += f": term {self.terms[index].name!r}"
+        if bits & int(FAULT_OBSERVATION):
+            ends = np.cumsum([column.size for column in self.columns])
+            text += f": column {index}, of {self.columns[np.searchsorted(ends, index, 'right')].name!r}"
+        return text
 
     def close(self) -> None:
         """Let the threads end, once no step is under way; the next would start new ones."""

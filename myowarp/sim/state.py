@@ -15,6 +15,8 @@ a row for each world, which a task or a condition of one's own has allocated, ar
 
 from __future__ import annotations
 
+import io
+import logging
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -26,12 +28,14 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from myowarp.disk import check_output, in_place, is_ours
+from myowarp.disk import array_from_bytes, check_output, in_place, is_ours
 from myowarp.kernels.write import write
 
 if TYPE_CHECKING:
     from myowarp.sim.part import Part
     from myowarp.sim.simulation import Simulation
+
+logger = logging.getLogger("myowarp")
 
 Worlds = int | Sequence[int] | npt.NDArray[np.integer] | npt.NDArray[np.bool_] | None
 """Which worlds: None for all, a number, numbers, or a mask (num_worlds,) bool."""
@@ -39,8 +43,16 @@ Worlds = int | Sequence[int] | npt.NDArray[np.integer] | npt.NDArray[np.bool_] |
 CONDITION = "condition."  # begin of the names of what belongs to conditions
 UNLISTED = "unlisted."  # begin of the names of what is only taken for state
 CTRL = "data.ctrl"
+COUNTER = "episode."  # begin of the names of counters
+MOST_COUNTED = 2**31 - 2  # one step later still an int32
 UNIT = 1e-3  # how far from 1 the length of a given quaternion may be
-TASK = "task"  # entry of a file that names the task
+TASK, PHYSICS = "task", "physics"  # entries of a file that name these
+ENCRYPTED = 1  # bit of an entry of a zip file
+DAMAGES = (
+    *(ValueError, TypeError, KeyError, EOFError, MemoryError, OverflowError),
+    *(NotImplementedError, IsADirectoryError, zipfile.BadZipFile),
+)
+"""What reading a damaged file can raise: of zipfile, and of NumPy for the head of an array."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +62,28 @@ class State:
     Attributes:
         task: Name and version of the task.
         arrays: Arrays (num_worlds, ...) by name, such as `data.qpos` or `task.target`; copies.
+        physics: The physics under which they were so, a name in `PHYSICS`; empty: not known.
     """
 
     task: str
     arrays: dict[str, np.ndarray]
+    physics: str = ""
+
+    def __post_init__(self) -> None:
+        """Check that there is a row for each world.
+
+        Raises:
+            ValueError: There are no arrays, or they are of different numbers of worlds.
+        """
+        arrays = self.arrays if isinstance(self.arrays, dict) else {}
+        numbers = {
+            len(array) if isinstance(array, np.ndarray) and array.ndim else None for array in arrays.values()
+        }
+        if len(numbers) != 1 or None in numbers:
+            raise ValueError(
+                "arrays of a State must be NumPy arrays by name, each with a row for every world, got "
+                f"{str(self.arrays)[:40]!r} with {', '.join(map(str, numbers)) or 'no'} rows"
+            )
 
     def __len__(self) -> int:
         """Number of worlds."""
@@ -66,7 +96,7 @@ class State:
             ValueError: There are no such worlds.
         """
         rows = rows_of(worlds, len(self))
-        return State(self.task, {name: array[rows] for name, array in self.arrays.items()})
+        return State(self.task, {name: array[rows] for name, array in self.arrays.items()}, self.physics)
 
     def save(self, path: str | Path) -> None:
         """Write an .npz file, whole or not at all.
@@ -78,7 +108,8 @@ class State:
         path = Path(path)
         check_output(path, ".npz")
         with in_place(path) as scratch, scratch.open("wb") as file:
-            np.savez(file, **{TASK: np.array(self.task)}, **self.arrays)  # type: ignore[arg-type]
+            names = {TASK: np.array(self.task), PHYSICS: np.array(self.physics)}
+            np.savez(file, **names, **self.arrays)  # type: ignore[arg-type]
 
     @classmethod
     def load(cls, path: str | Path) -> State:
@@ -89,17 +120,18 @@ class State:
             ValueError: The file is damaged, or holds something else.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-            task = str(arrays.pop(TASK)[()])
-            if len({len(array) for array in arrays.values()}) != 1:
-                raise ValueError("its arrays are of different numbers of worlds")
-        except (ValueError, TypeError, KeyError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+            with zipfile.ZipFile(io.BytesIO(Path(path).read_bytes())) as file:
+                entries = file.infolist()
+                if any(e.compress_type != zipfile.ZIP_STORED or e.flag_bits & ENCRYPTED for e in entries):
+                    raise ValueError("it is compressed or encrypted")  # a small file could fill the memory
+                arrays = {e.filename.removesuffix(".npy"): array_from_bytes(file.read(e)) for e in entries}
+            task, physics = str(arrays.pop(TASK)[()]), str(arrays.pop(PHYSICS, np.array(""))[()])
+            return cls(task, arrays, physics)
+        except DAMAGES as error:
             reason = " ".join(str(error).split())
             raise ValueError(
                 f"state {str(path)!r} must be an .npz file of State.save(), undamaged ({reason})"
             ) from error
-        return cls(task, arrays)
 
 
 def rows_of(worlds: Worlds, num_worlds: int) -> np.ndarray:
@@ -151,7 +183,7 @@ def get_state(sim: Simulation, worlds: Worlds = None) -> State:
     parts = [{name: array.numpy() for name, array in _state_of(part).items()} for part in sim.parts]
     names = [name for name in parts[0] if all(name in part for part in parts)]
     arrays = {name: np.concatenate([part[name] for part in parts])[rows] for name in names}
-    return State(sim.scene.spec.key, arrays)
+    return State(sim.scene.spec.key, arrays, sim.physics)
 
 
 def set_state(sim: Simulation, state: State, worlds: Worlds = None, *, conditions: bool = True) -> np.ndarray:
@@ -181,6 +213,12 @@ def set_state(sim: Simulation, state: State, worlds: Worlds = None, *, condition
     own = _state_of(sim.parts[0])
     # What only one of them takes for state, unlisted, is as long as worlds are many by chance: a constant.
     differ = {name for name in state.arrays.keys() ^ own.keys() if not name.startswith(UNLISTED)}
+    unlike = {name for name in differ if not name.startswith(CONDITION)}
+    if unlike:
+        raise ValueError(
+            "state must have the arrays that get_state() returns, they differ in "
+            f"{', '.join(sorted(unlike))}; take it from an environment of this task and muscle model"
+        )
     arrays = {name: array for name, array in state.arrays.items() if name in own}
     if not conditions:
         arrays = _body_alone(arrays, own)
@@ -188,6 +226,11 @@ def set_state(sim: Simulation, state: State, worlds: Worlds = None, *, condition
         raise ValueError(
             "state and environment must have the same conditions, they differ in "
             f"{', '.join(sorted(differ))}; pass conditions=False to leave the environment's as they are"
+        )
+    if state.physics not in ("", sim.physics):
+        logger.warning(
+            "a state of physics %r goes on under %r: what follows is not, bit for bit, what followed there",
+            *(state.physics, sim.physics),
         )
     place(sim, arrays, rows)
     return rows
@@ -287,6 +330,17 @@ def _fitting(name: str, array: np.ndarray, own: np.ndarray, number: int) -> np.n
         raise ValueError(f"state {name!r} must be of type {own.dtype}, got {array.dtype}")
     if array.shape not in (shape, (1, *shape[1:])):
         raise ValueError(f"state {name!r} must have shape {shape}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"state {name!r} must be finite, got NaN or infinity")
-    return np.broadcast_to(array, shape)
+    with np.errstate(over="ignore"):
+        values = array.astype(own.dtype)
+    if not np.isfinite(values).all():
+        raise ValueError(
+            f"state {name!r} must be finite in {own.dtype}, got NaN, infinity or too large a number"
+        )
+    if values.dtype.kind in "iu":
+        limits = np.iinfo(values.dtype)
+        least, most = (0, MOST_COUNTED) if name.startswith(COUNTER) else (limits.min, limits.max)
+        if (array < least).any() or (array > most).any():
+            raise ValueError(
+                f"state {name!r} must be from {least} to {most}, got {array.min()} to {array.max()}"
+            )
+    return np.broadcast_to(values, shape)
