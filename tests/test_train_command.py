@@ -754,6 +754,37 @@ def test_a_diverged_run_keeps_the_last_good_checkpoint(run, tmp_path, monkeypatc
     assert checkpoints.load_checkpoint(folder).manifest["samples"] == 2 * 64
 
 
+FAULTY_TASK = """
+import myowarp
+import warp as wp
+
+@wp.func
+def root(qpos: wp.array[float]) -> float:
+    return wp.sqrt({inside})
+
+rooted = myowarp.extend("myoElbowPose1D6MRandom-v0", "{name}-v0", rewards={{"root": (1.0, root)}})
+"""
+
+
+def test_a_fault_in_training_names_term_and_task(run, tmp_path):
+    (tmp_path / "task.py").write_text(FAULTY_TASK.format(inside="1.5 - qpos[0]", name="rootSometimes"))
+    task = f"{tmp_path / 'task.py'}:rooted"
+    status, _, err = run("train", task, "--output", tmp_path / "run", *TINY, "--samples", 8 * 160)
+    assert status == 0, err
+    sentence = f"worlds of {task} ended by a fault, with reward 0: reward not finite: term 'root'"
+    assert err.count(sentence) == err.count("a fault") == 1
+
+
+def test_a_task_whose_worlds_all_have_faults_ends_the_training(run, tmp_path):
+    (tmp_path / "task.py").write_text(FAULTY_TASK.format(inside="-1.0", name="rootNever"))
+    task = f"{tmp_path / 'task.py'}:rooted"
+    sentence = said(run("train", task, "--output", tmp_path / "run", *TINY))
+    assert sentence == (
+        "every world of 'rootNever-v0' had a fault in each of 50 control steps (reward not finite: term "
+        "'root'); nothing can be learned before the task is mended"
+    )
+
+
 def test_settings_are_all_in_the_manifest(tiny):
     recorded = checkpoints.load_checkpoint(tiny).manifest["settings"]
     assert set(recorded) == {f.name for f in dataclasses.fields(ALGORITHMS["ppo"])}

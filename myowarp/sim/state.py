@@ -42,6 +42,7 @@ Worlds = int | Sequence[int] | npt.NDArray[np.integer] | npt.NDArray[np.bool_] |
 
 CONDITION = "condition."  # begin of the names of what belongs to conditions
 UNLISTED = "unlisted."  # begin of the names of what is only taken for state
+KEYS = "keys."  # begin of the names of random keys; worlds keep theirs where a state has none
 CTRL = "data.ctrl"
 COUNTER = "episode."  # begin of the names of counters
 MOST_COUNTED = 2**31 - 2  # one step later still an int32
@@ -212,7 +213,8 @@ def set_state(sim: Simulation, state: State, worlds: Worlds = None, *, condition
         raise ValueError(f"state must have 1 or {len(rows)} worlds, as many as are set, got {len(state)}")
     own = _state_of(sim.parts[0])
     # What only one of them takes for state, unlisted, is as long as worlds are many by chance: a constant.
-    differ = {name for name in state.arrays.keys() ^ own.keys() if not name.startswith(UNLISTED)}
+    needed = {name for name in own if name in state.arrays or not name.startswith(KEYS)}
+    differ = {name for name in state.arrays.keys() ^ needed if not name.startswith(UNLISTED)}
     unlike = {name for name in differ if not name.startswith(CONDITION)}
     if unlike:
         raise ValueError(

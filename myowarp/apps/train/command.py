@@ -8,6 +8,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -112,6 +113,7 @@ def train(
 
     Raises:
         DivergedError: A loss or a weight was not finite; the last good checkpoint is there.
+        FaultyTaskError: No world of the task can be stepped.
         OSError: A checkpoint or figures could not be written; the last good checkpoint is there.
     """
     from myowarp.apps.train.loop import DivergedError
@@ -126,7 +128,12 @@ def train(
         f"{f', from {settings.parent}' if settings.parent else ''}, into {job.folder}"
     )
     saved = time.monotonic()
-    with _stop_asked() as asked, _progress(job, run, console, wandb) as progress:
+    with (
+        _stop_asked() as asked,
+        _progress(job, run, console, wandb) as progress,
+        warnings.catch_warnings(),
+    ):
+        warnings.filterwarnings("ignore", ".* was reset after a fault")  # the environment's; see below
         while True:
             due = time.monotonic() - saved >= save_seconds
             # Signals and clocks differ from rank to rank; what to do may not.
@@ -146,12 +153,16 @@ def train(
                 saved = time.monotonic()
             if reason:
                 return reason
+            said = len(run.faults)
             try:
                 run.iterate()
             except DivergedError as error:
+                advice = "mend the task" if run.faults else "try a lower --learning-rate"
                 raise DivergedError(
-                    f"{error}; the last good checkpoint is in {job.folder}, try a lower --learning-rate"
+                    f"{error}; the last good checkpoint is in {job.folder}, {advice}"
                 ) from error
+            for kind in run.faults[said:]:
+                console.print(f"worlds of {job.task} ended by a fault, with reward 0: {kind}", style="yellow")
             if progress:
                 progress.add(run.row())
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -32,8 +33,16 @@ INHERITED_STEPS = 32
 """Control steps of every world as which all that a parent's normaliser has seen counts."""
 
 
+FAULTY_STEPS = 50
+"""Control steps in a row in which every world has a fault, after which none will ever be without."""
+
+
 class DivergedError(RuntimeError):
     """A loss or a weight is not finite."""
+
+
+class FaultyTaskError(RuntimeError):
+    """No world of the task can be stepped."""
 
 
 @dataclasses.dataclass
@@ -74,6 +83,7 @@ class Run:
         steps: Control steps of every world so far.
         updates: Iterations so far.
         losses: What the last update tracked.
+        faults: Kinds of faults that worlds of any rank had in this process, in words.
     """
 
     def __init__(
@@ -108,6 +118,9 @@ class Run:
         self.clock = Clock()
         self.steps = self.updates = 0
         self.losses: dict[str, float] = {}
+        self.faults: list[str] = []
+        self._kinds: dict[int, str] = {}  # of this rank, by bits
+        self._faulty_steps = 0
         self._start = None
         if start is not None:
             rows = (env.sim.scene.worlds.offset + np.arange(env.num_envs)) % len(start)
@@ -129,6 +142,7 @@ class Run:
 
         Raises:
             DivergedError: A loss or a weight is not finite.
+            FaultyTaskError: All worlds have had faults for a while.
         """
         begin, cpu = time.perf_counter(), time.process_time()
         alone = self.updates < getattr(self.settings, "value_first", 0)
@@ -148,10 +162,10 @@ class Run:
             raise DivergedError(f"{what} was not finite in update {self.updates}")
 
     def _exchange(self) -> None:
-        """Let all ranks have the episodes that ended on any, and the mean of their losses."""
-        episodes, losses = zip(
-            *self.ranks.everyones((self.tally.take(), agents.losses(self.agent))), strict=True
-        )
+        """Let all ranks have the episodes that ended on any, the mean of their losses, and the faults."""
+        own = self.tally.take(), agents.losses(self.agent), [*self._kinds.values()]
+        episodes, losses, kinds = zip(*self.ranks.everyones(own), strict=True)
+        self.faults = list(dict.fromkeys(chain(self.faults, *kinds)))
         self.tally.keep(np.concatenate(episodes))
         self.losses = {name: float(np.mean([own[name] for own in losses])) for name in losses[0]}
 
@@ -214,6 +228,22 @@ class Run:
             obs = self.env.set_state(self._start[mask], mask, conditions=False)
         return obs
 
+    def _note_faults(self, bits: np.ndarray) -> None:
+        """Remember what kinds of faults worlds had in the last step.
+
+        Raises:
+            FaultyTaskError: All worlds have had one for a while.
+        """
+        for kind in set(bits[bits != 0].tolist()) - self._kinds.keys():
+            self._kinds[kind] = self.env.sim.describe_fault(int(np.argmax(bits == kind)))
+        self._faulty_steps = self._faulty_steps + 1 if bits.all() else 0
+        if self._faulty_steps >= FAULTY_STEPS:
+            raise FaultyTaskError(
+                f"every world of {self.env.sim.scene.spec.key!r} had a fault in each of {FAULTY_STEPS} "
+                f"control steps ({'; '.join(self._kinds.values())}); nothing can be learned before the task "
+                "is mended"
+            )
+
     def _step(self) -> None:
         """One control step of all worlds."""
         env, agent, clock = self.env, self.agent, self.clock
@@ -243,7 +273,10 @@ class Run:
         agent.post_interaction(**at)
         learned = time.perf_counter()
         if any_ended:
+            self._note_faults(info["fault"].cpu().numpy())
             obs = self._restart(ended.cpu().numpy())
+        else:
+            self._faulty_steps = 0
         self._obs.copy_(obs)
         self.steps += 1
         clock.simulation += stepped - acted + time.perf_counter() - learned
