@@ -95,13 +95,32 @@ def check_folder(folder: Path) -> None:
     """Raise a clear error now if files could not be written into a folder, which may not exist yet.
 
     Raises:
-        ValueError: It is a file, or there is no permission.
+        ValueError: It is a file, or there is no permission, or no system takes such a name.
     """
-    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not existing.is_dir() or not os.access(existing, os.W_OK):
+    try:
+        existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        right = existing.is_dir() and os.access(existing, os.W_OK)
+    except OSError:  # such as a name that is too long
+        right = False
+    if not right:
         raise ValueError(
             f"output {str(folder)!r} cannot be written; it must be a folder, or a new one, and writable"
         )
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those in which it lies, where they do not exist.
+
+    Raises:
+        ValueError: It cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(
+            f"output {str(folder)!r} cannot be made ({error.strerror}); it must be a folder, or a new one, "
+            "and writable"
+        ) from error
 
 
 def check_output(path: Path | None, *suffixes: str) -> None:

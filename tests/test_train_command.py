@@ -664,6 +664,48 @@ def test_a_full_disk_ends_the_run_with_one_sentence(run, tmp_path, monkeypatch):
     assert checkpoints.load_checkpoint(folder).manifest["samples"] == 0
 
 
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such limit")
+def test_files_that_may_not_grow_end_the_run_with_one_sentence(run, tmp_path):
+    import resource
+
+    folder, before = tmp_path / "run", resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, before[1]))
+    try:
+        result = run("train", ELBOW, "--output", folder, *TINY, "--stop-success", 2)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert "Traceback" not in result[2]
+    assert said(result) == (
+        f"figures could not be written (File too large); the last checkpoint is in {folder}, go on with "
+        f"myowarp train --resume {folder}"
+    )
+    status, _, err = run("train", "--resume", folder, "--samples", 128)
+    assert status == 0, err
+    assert len((folder / "progress.csv").read_text().splitlines()) == 3
+
+
+def test_tensorboard_reads_the_events(tiny):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(tiny)).Reload()
+    with (tiny / "progress.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    scalars = events.Scalars("action_std")
+    assert [scalar.step for scalar in scalars] == [int(row["samples"]) for row in rows] == [64, 128]
+    np.testing.assert_allclose([s.value for s in scalars], [float(r["action_std"]) for r in rows], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("folder", "words"),
+    [
+        ("/proc/x", "output '/proc/x' cannot be "),  # made, or written by who is not root
+        ("a" * 300, f"output {'a' * 300!r} cannot be written; it must be a folder"),
+    ],
+)
+def test_a_folder_that_cannot_be_made_is_refused_first(folder, words, run, no_simulation):
+    assert said(run("train", ELBOW, "--output", folder)).startswith(words)
+
+
 def test_ctrl_c_leaves_a_checkpoint_and_a_report(run, tmp_path, monkeypatch):
     from myowarp.apps.train.loop import Run
 

@@ -21,7 +21,16 @@ from rich.console import Console
 from myowarp.apps.commands.rollout import Rollout
 from myowarp.apps.machine import Stopwatch, processor
 from myowarp.apps.train.eval_command import EVALUATION_SEED
-from myowarp.apps.train.plan import SAVE_SECONDS, Job, TrainOptions, eval_command, held, plan, shown
+from myowarp.apps.train.plan import (
+    SAVE_SECONDS,
+    Job,
+    TrainOptions,
+    eval_command,
+    held,
+    last_saved,
+    plan,
+    shown,
+)
 from myowarp.apps.train.settings import ALGORITHMS, SUCCESSES, all_settings
 from myowarp.disk import in_place, plain
 
@@ -59,7 +68,8 @@ class TrainCommand(TrainOptions):
                 reason = train(job, run, console, self.save_seconds, self.wandb)
                 run.env.close()
             if job.ranks.leads:
-                _report(job, run, reason, watch, console)
+                with _written(job, "report"):
+                    _report(job, run, reason, watch, console)
         if self.video and job.ranks.leads:
             _film(job, self.video)
 
@@ -130,6 +140,7 @@ def train(
     saved = time.monotonic()
     with (
         _stop_asked() as asked,
+        _written(job, "figures"),
         _progress(job, run, console, wandb) as progress,
         warnings.catch_warnings(),
     ):
@@ -246,12 +257,26 @@ def _save(job: Job, run: Run) -> None:
     arrays = run.arrays()
     if not job.ranks.leads:
         return
-    try:
+    with _written(job, f"checkpoint after {run.samples} samples"):
         checkpoint.save_checkpoint(job.folder, run.samples, plain(manifest), *arrays)
+
+
+@contextmanager
+def _written(job: Job, what: str) -> Iterator[None]:
+    """Let what cannot be written end the run with a sentence.
+
+    Raises:
+        OSError: Something could not be written; the last good checkpoint is there.
+    """
+    try:
+        yield
     except OSError as error:
+        if error.errno is None:  # it is a sentence already
+            raise
+        further = f"the last checkpoint is in {job.folder}, go on with {job.resume_command}"
         raise OSError(
-            f"checkpoint after {run.samples} samples could not be written ({error.strerror or error}); the "
-            f"one before is in {job.folder}, go on with {job.resume_command}"
+            f"{what} could not be written ({error.strerror}); "
+            f"{further if last_saved(job.folder) else f'choose another --output than {job.folder}'}"
         ) from error
 
 

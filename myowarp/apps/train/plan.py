@@ -26,7 +26,7 @@ from myowarp.apps.train.settings import (
     preset_algorithm,
     restore,
 )
-from myowarp.disk import check_folder, check_output, locked
+from myowarp.disk import check_folder, check_output, locked, make_folder
 from myowarp.sim.state import State
 from myowarp.spec.condition import Condition, resolve
 from myowarp.spec.registry import check_choice
@@ -194,7 +194,7 @@ def held(job: Job) -> Iterator[None]:
     if not job.ranks.leads:
         yield
         return
-    job.folder.mkdir(parents=True, exist_ok=True)
+    make_folder(job.folder)
     with locked(job.folder / LOCK, wait=False):
         if last_saved(job.folder) != (job.checkpoint and job.checkpoint.folder):
             raise ValueError(

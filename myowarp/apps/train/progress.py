@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import importlib.util
+import os
+import socket
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,6 +31,42 @@ def check_wandb() -> None:
         raise ImportError("--wandb needs wandb, which is not installed; run `pip install wandb`")
 
 
+class _Events:
+    """A file of TensorBoard's; torch writes one in a thread, whose errors nobody catches."""
+
+    def __init__(self, folder: Path, after: int) -> None:
+        """Open a file in a folder; from the step after `after` on, it replaces what others say."""
+        from tensorboard.compat.proto.event_pb2 import SessionLog
+        from tensorboard.summary.writer.record_writer import RecordWriter
+
+        name = f"events.out.tfevents.{int(time.time())}.{socket.gethostname()}.{os.getpid()}"
+        self._records = RecordWriter((folder / name).open("wb"))
+        self._write(file_version="brain.Event:2")
+        if after:
+            self._write(step=after + 1, session_log=SessionLog(status=SessionLog.START))
+
+    def add(self, row: Mapping[str, float], step: int) -> None:
+        """Write the numbers of a row that are none of NaN."""
+        from tensorboard.compat.proto.summary_pb2 import Summary
+
+        values = [Summary.Value(tag=n, simple_value=v) for n, v in row.items() if n != "samples" and v == v]
+        self._write(step=step, summary=Summary(value=values))
+
+    def flush(self) -> None:
+        """Hand over what was written."""
+        self._records.flush()
+
+    def close(self) -> None:
+        """Hand over what was written, and close the file."""
+        self._records.close()
+
+    def _write(self, **entries: Any) -> None:
+        """Write an event."""
+        from tensorboard.compat.proto.event_pb2 import Event
+
+        self._records.write(Event(wall_time=time.time(), **entries).SerializeToString())
+
+
 class Progress:
     """Files and live line of a run; use it as a context."""
 
@@ -43,11 +82,9 @@ class Progress:
         Raises:
             OSError: The files cannot be written.
         """
-        from torch.utils.tensorboard import SummaryWriter
-
         self.folder, self.total, self.console = folder, total, console
         kept = _rows_until(folder / CSV, after)
-        self._writer = SummaryWriter(str(folder), purge_step=after + 1 if after else None)
+        self._events = _Events(folder, after)
         self._file = (folder / CSV).open("w", newline="")
         self._rows: csv.DictWriter[str] | None = None
         for row in kept:
@@ -73,8 +110,10 @@ class Progress:
     ) -> None:
         if self._live.is_started:
             self._live.stop()
-        self._file.close()
-        self._writer.close()
+        again = () if error is None else (OSError,)  # a full disk refuses the rest of a buffer once more
+        with contextlib.suppress(*again):
+            self._file.close()
+            self._events.close()
         if self._wandb is not None:
             self._wandb.finish()
 
@@ -89,9 +128,7 @@ class Progress:
         """
         self._write_row(row)
         step = int(row["samples"])
-        for name, value in row.items():
-            if name != "samples" and value == value:
-                self._writer.add_scalar(name, value, step)
+        self._events.add(row, step)
         if self._wandb is not None:
             self._wandb.log(dict(row), step=step)
         now, every = time.monotonic(), REFRESH if self.console.is_terminal else LINE_EVERY
@@ -112,7 +149,7 @@ class Progress:
             OSError: It cannot be written.
         """
         self._file.flush()
-        self._writer.flush()
+        self._events.flush()
 
     def _write_row(self, row: Mapping[str, Any]) -> None:
         """Append a row; the first one names the columns."""
