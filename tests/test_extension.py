@@ -16,6 +16,9 @@ import numpy as np
 import pytest
 
 import myowarp
+from myowarp.apps.audit.targets import in_reach
+from myowarp.apps.audit.targets import measure as measure_targets
+from myowarp.apps.train.evaluate import evaluate
 from myowarp.disk import code_digest, is_ours
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.sim.build import oracle_model
@@ -237,6 +240,33 @@ def test_body_with_a_free_root(folder):
             foot = data.site("foot").xpos
             np.testing.assert_allclose(row[where["tip_pos"]], foot, atol=ENGINE)
             np.testing.assert_allclose(row[where["reach_err"]], (0.3, 0.0, 1.4) - foot, atol=ENGINE)
+
+
+def test_a_policy_on_a_free_root_is_evaluated(folder, caplog):
+    """Which points its foot reaches is not judged, which one line says; the rest is."""
+    key = key_of(folder, "free_root.py:reach")
+    env = myowarp.make_vec(
+        key, 3, device="cpu", progress=False, autoreset_mode="SameStep", max_episode_steps=4
+    )
+    found = evaluate(env, lambda obs: np.zeros(env.action_space.shape, np.float32), seed=0)
+    assert (found.episodes, found.length_mean, found.reachable, found.success_reachable) == (3, 4, None, None)
+    assert caplog.messages == [
+        f"success over reachable targets of {key} is left out: joint 'root' is no hinge; only hinges are "
+        "solved for"
+    ]
+    targets = measure_targets(env.sim)
+    assert targets.solvable is None
+    assert targets.why == "the tips' reach is not known: joint 'root' is no hinge; only hinges are solved for"
+    env.close()
+
+
+def test_a_joint_without_range_has_every_angle(folder):
+    """The hip has one, the knee has none."""
+    path = folder / "free_root.xml"
+    path.write_text(path.read_text().replace(' range="-120 0"', ""))
+    task = myowarp.from_mjcf(path, "outsideNoRange-v0")
+    rows = np.array([(0.5, 9.0), (2.0, 0.0), (0.5, -0.1)])
+    np.testing.assert_array_equal(in_reach(task, oracle_model(task), rows), [True, False, True])
 
 
 def test_own_mjcf(folder):
