@@ -135,7 +135,7 @@ def _check(model: mujoco.MjModel, tips: tuple[str, ...], targets: np.ndarray) ->
 
 
 def unsolved(model: mujoco.MjModel) -> str:
-    """Return why the joints of a model are not solved for, "" where they are: hinges with ranges, not coupled."""
+    """Return why the joints of a model are not solved for; "": they are hinges with ranges, not coupled."""
     for joint in map(model.joint, range(model.njnt)):
         if joint.type[0] != mujoco.mjtJoint.mjJNT_HINGE:
             return f"joint {joint.name!r} is no hinge; only hinges are solved for"
