@@ -190,8 +190,10 @@ class TaskSpec(abc.ABC):
         """Check what needs no model.
 
         Raises:
-            ValueError: A number is NaN, or steps or start are not as described.
+            ValueError: A number is NaN, or steps, start or text are not as described.
         """
+        if not isinstance(self.doc, str):
+            raise ValueError(f"doc must be a sentence, got {self.doc!r}")
         steps = self.num_substeps
         if (
             isinstance(steps, bool)

@@ -75,6 +75,9 @@ def extend(
     before = fields.pop("extension", Extension())
     if unknown := changes.keys() - fields.keys():
         raise ValueError(f"task {base.key!r} has no {min(unknown)!r}; it has {', '.join(fields)}")
+    for what, given in (("rewards", rewards), ("observations", observations)):
+        if given is not None and not isinstance(given, Mapping):
+            raise ValueError(f"{what} must be a mapping from names, got {given!r}")
     terms, weights = _rewards(base, before, rewards or {})
     blocks = _observations(base, before, observations or {})
     seen = dict.fromkeys((*before.sites, *((sites,) if isinstance(sites, str) else sites)))
