@@ -2,7 +2,11 @@
 
 import dataclasses
 import inspect
+import os
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import gymnasium as gym
 import mujoco
@@ -16,6 +20,7 @@ from myowarp.sim.simulation import Simulation
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 REACH = "myoFingerReachRandom-v0"
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(myowarp.__file__).parents[1]), "CUDA_VISIBLE_DEVICES": ""}
 FLOAT32 = 2e-6  # relative
 NEWTON = 1e-2  # N of some hundred: velocities are read back from float32
 METER = 2e-6  # m
@@ -443,6 +448,30 @@ def test_without_private_names_of_warp(monkeypatch, caplog):
         myowarp.extend(ELBOW, f"testUnchecked-v{version}", rewards={"a": (1.0, meddling)})
     (said,) = caplog.messages
     assert said.startswith("Warp has changed, functions of tasks are checked only when they are compiled: ")
+
+
+FAR_OFF = """
+import warp as wp
+from myowarp.engine.world_function import kernel_around
+@wp.func
+def far_off(qpos: wp.array[float]) -> float:
+    return qpos[50]
+wp.config.mode = "debug"
+mask, qpos, out = wp.ones(1, dtype=bool), wp.zeros((1, 3), dtype=float), wp.zeros((1, 1), dtype=float)
+wp.launch(kernel_around(far_off, 1), dim=1, inputs=[mask, qpos, 0, out])
+print("went on")
+"""
+
+
+@pytest.mark.slow
+def test_indices_are_checked_in_debug_mode(tmp_path):
+    """As the documentation says: Warp ends the process at an index out of range."""
+    (tmp_path / "far_off.py").write_text(FAR_OFF)
+    command = [sys.executable, tmp_path / "far_off.py"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=ENVIRONMENT)
+    assert done.returncode != 0
+    assert "Assertion failed" in done.stdout + done.stderr
+    assert "went on" not in done.stdout
 
 
 def test_units_and_meanings():

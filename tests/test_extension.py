@@ -397,7 +397,7 @@ BAD = {
         ("(-0.3, -0.1)", "0.3"),
         "target of joint 'knee' must be two numbers, low and",
     ),
-    "near": ("mjcf.py:knee", ("near=0.05", "near=-1"), "near must be positive, got -1"),
+    "near": ("mjcf.py:knee", ("near=0.05", "near=-1"), "near must be a positive number, got -1"),
     "horizon": (
         "mjcf.py:pose",
         ("horizon=20", "horizon=2.5"),

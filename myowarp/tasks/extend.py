@@ -12,6 +12,9 @@
 The name of a parameter says what it is: one of `QUANTITIES`, or an array of the task's program with a row or
 a value for each world, such as `target` of pose and reach. What belongs to a step belongs to the state that
 the step led to; a kernel around the function is part of the step's graph.
+
+Indices are not checked, as in all of Warp: `qpos[-50]` reads what lies there. With `wp.config.mode = "debug"`
+before an environment is made, the first index out of range ends the process, with a line that says so.
 """
 
 from __future__ import annotations
