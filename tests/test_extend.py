@@ -383,6 +383,8 @@ def test_again():
         ({"rewards": {"a": (1.0, height)}}, "task 'testBad-v0' reads site_xpos; name the sites"),
         ({"rewards": {"pose": 10**400}}, "weight of reward 'pose' must be a finite number, got 1000"),
         ({"rewards": {"pose": 1e39}}, "weight of reward 'pose' must be a finite number, got 1e+39"),
+        ({"sites": 5}, "sites must be names of sites, got 5"),
+        ({"observations": {5: "qpos"}}, "observations must be a mapping from names, got {5: 'qpos'}"),
         ({"near": np.nan}, "near must hold numbers, got nan"),
         ({"target_low": (np.nan,)}, "target_low must hold numbers, got (nan,)"),
         (

@@ -316,6 +316,11 @@ BAD = {
         ("import myowarp", "import myowarp\n\nspeed = 1 / 0"),
         "variant.py cannot be imported: line 7: ZeroDivisionError: division by zero",
     ),
+    "end": (
+        "variant.py:near",
+        ("import myowarp", "import myowarp\n\nraise SystemExit(3)"),
+        "variant.py cannot be imported: line 7: SystemExit: 3",
+    ),
     "no import": (
         "variant.py:near",
         ("import myowarp", "import myowarp\nimport nothing_of_the_kind"),

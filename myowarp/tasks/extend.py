@@ -79,11 +79,14 @@ def extend(
     if unknown := changes.keys() - fields.keys():
         raise ValueError(f"task {base.key!r} has no {min(unknown)!r}; it has {', '.join(fields)}")
     for what, given in (("rewards", rewards), ("observations", observations)):
-        if given is not None and not isinstance(given, Mapping):
+        if given is not None and not (isinstance(given, Mapping) and all(isinstance(n, str) for n in given)):
             raise ValueError(f"{what} must be a mapping from names, got {given!r}")
+    sites = (sites,) if isinstance(sites, str) else sites
+    if not isinstance(sites, Iterable):
+        raise ValueError(f"sites must be names of sites, got {sites!r}")
     terms, weights = _rewards(base, before, rewards or {})
     blocks = _observations(base, before, observations or {})
-    seen = dict.fromkeys((*before.sites, *((sites,) if isinstance(sites, str) else sites)))
+    seen = dict.fromkeys((*before.sites, *sites))
     if not seen and any("site_xpos" in reads(block.source) for block in (*terms, *blocks)):
         raise ValueError(f"task {key!r} reads site_xpos; name the sites, such as sites=('tip',)")
     family = type(base).__mro__[2] if isinstance(base, Extended) else type(base)

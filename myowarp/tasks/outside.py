@@ -91,11 +91,11 @@ def load(source: str) -> ModuleType:
         if not is_file and error.name and f"{source}.".startswith(f"{error.name}."):
             raise ValueError(f"module {source!r} does not exist; a file ends in .py") from error
         raise ValueError(f"{source} cannot be imported: {_reason(error)}") from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(f"{source} cannot be imported: {_reason(error)}") from error
 
 
-def _reason(error: Exception) -> str:
+def _reason(error: Exception | SystemExit) -> str:
     """Return where and why a module failed: its own last line on the way to the error."""
     if isinstance(error, SyntaxError):
         return f"line {error.lineno}: {error.msg}" if error.lineno else str(error.msg)
