@@ -248,16 +248,16 @@ def code_digest(*definers: object) -> str:
         files[name] = path = Path(getattr(module, "__file__", None) or "")
         if not path.is_file():
             return secrets.token_hex()
-        if not _is_users(path):
+        if not is_users(path):
             continue
         for other in _modules(vars(module).values()):
             file = getattr(sys.modules.get(other), "__file__", None)
-            if file is not None and _is_users(Path(file)):
+            if file is not None and is_users(Path(file)):
                 waiting.add(other)
     return files_digest(sorted(files.values()))
 
 
-def _is_users(path: Path) -> bool:
+def is_users(path: Path) -> bool:
     """Whether a file belongs to neither this package nor another installed one."""
     installed = [Path(__file__).parent, *map(Path, sysconfig.get_paths().values())]
     return path.suffix == ".py" and not any(folder in path.parents for folder in installed)

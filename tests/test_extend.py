@@ -1,6 +1,12 @@
 """Reward terms and observations on top of a task, against MuJoCo C and NumPy."""
 
+import dataclasses
+import inspect
+import os
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import gymnasium as gym
 import mujoco
@@ -9,10 +15,12 @@ import pytest
 import warp as wp
 
 import myowarp
+from myowarp.engine.said import say_once
 from myowarp.sim.simulation import Simulation
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 REACH = "myoFingerReachRandom-v0"
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(myowarp.__file__).parents[1]), "CUDA_VISIBLE_DEVICES": ""}
 FLOAT32 = 2e-6  # relative
 NEWTON = 1e-2  # N of some hundred: velocities are read back from float32
 METER = 2e-6  # m
@@ -21,6 +29,7 @@ SPEED = 2e-5  # m/s
 
 @wp.func
 def effort(excitation: wp.array[float]) -> float:
+    """Sum of squared excitations."""
     total = float(0.0)
     for muscle in range(excitation.shape[0]):
         total += excitation[muscle] * excitation[muscle]
@@ -70,6 +79,66 @@ def no_type(qpos) -> float:
 @wp.func
 def a_matrix(qpos: wp.array[float]) -> wp.mat33:
     return wp.identity(3, float)
+
+
+@wp.func
+def undefined_symbol(qpos: wp.array[float]) -> float:
+    return something(qpos)  # noqa: F821
+
+
+@wp.func
+def of_undefined(qpos: wp.array[float]) -> float:
+    return undefined_symbol(qpos)
+
+
+@wp.func
+def an_int(qpos: wp.array[float]) -> float:
+    return 1
+
+
+@wp.func
+def on_one_way(qpos: wp.array[float]) -> float:
+    if qpos[0] > 0.0:
+        return 1.0
+
+
+@wp.func
+def endless(qpos: wp.array[float]) -> float:
+    return endless(qpos)
+
+
+@wp.func
+def a_double(qpos: wp.array[float]) -> wp.vec3d:
+    return wp.vec3d(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0))
+
+
+@wp.func
+def overwrite(values: wp.array[float]):
+    values[0] = 1.0
+
+
+@wp.func
+def meddling(qpos: wp.array[float]) -> float:
+    overwrite(qpos)
+    return 0.0
+
+
+@wp.func
+def adding(activation: wp.array[float]) -> float:
+    wp.atomic_add(activation, 0, 1.0)
+    return 0.0
+
+
+@wp.func
+def of_own(qpos: wp.array[float]) -> wp.vec2:
+    """Two numbers,
+    of which the second is made here.
+
+    This is for those who read the code.
+    """
+    total = wp.vec2(qpos[0], 0.0)
+    total[1] += 2.0
+    return total
 
 
 @pytest.fixture(autouse=True)
@@ -312,6 +381,23 @@ def test_again():
         ),
         ({"observations": {"a": 3}}, "'a' must be a function under @wp.func, got int"),
         ({"rewards": {"a": (1.0, height)}}, "task 'testBad-v0' reads site_xpos; name the sites"),
+        ({"rewards": {"pose": 10**400}}, "weight of reward 'pose' must be a finite number, got 1000"),
+        ({"rewards": {"pose": 1e39}}, "weight of reward 'pose' must be a finite number, got 1e+39"),
+        ({"sites": 5}, "sites must be names of sites, got 5"),
+        ({"observations": {5: "qpos"}}, "observations must be a mapping from names, got {5: 'qpos'}"),
+        ({"near": np.nan}, "near must hold numbers, got nan"),
+        ({"target_low": (np.nan,)}, "target_low must hold numbers, got (nan,)"),
+        (
+            {"target_low": (2.0,), "target_high": (1.0,)},
+            "target_low must not be above its upper bound, got 2 > 1 at 0",
+        ),
+        (
+            {"start_pose": (np.inf,)},
+            "physics_dt must be positive, and start_pose finite, got 0.002 and (inf,)",
+        ),
+        ({"physics_dt": 0.0}, "physics_dt must be positive, and start_pose finite, got 0.0 and ()"),
+        ({"num_substeps": 0}, "num_substeps must be an integer from 1 to 10000, got 0"),
+        ({"num_substeps": 1.5}, "num_substeps must be an integer from 1 to 10000, got 1.5"),
     ],
 )
 def test_wrong(options, message):
@@ -320,6 +406,104 @@ def test_wrong(options, message):
     with pytest.raises(ValueError, match="^" + re.escape(message)):
         myowarp.extend(**given)
     assert list(myowarp.TASKS) == before
+
+
+@pytest.mark.parametrize(
+    ("function", "reason"),
+    [
+        (undefined_symbol, "Referencing undefined symbol: something"),
+        (of_undefined, "Referencing undefined symbol: something"),
+        (
+            an_int,
+            "The function `an_int` has its return type annotated as `float` but the code returns a value",
+        ),
+        (on_one_way, "on_one_way must return a value on every way through it"),
+        (endless, "endless calls itself, which Warp does not translate"),
+        (
+            a_double,
+            "Warp does not translate a_double: array_store() value argument type (float64) must be of",
+        ),
+        (meddling, "meddling writes to 'qpos', which it may only read"),
+        (adding, "adding writes to 'activation', which it may only read"),
+    ],
+)
+def test_a_function_that_cannot_be_computed(function, reason):
+    """It is said in a line where it is named, with the place; nothing is compiled for that."""
+    before = list(myowarp.TASKS)
+    with pytest.raises(ValueError, match=r"^'a' cannot be computed: ") as raised:
+        myowarp.extend(ELBOW, "testBad-v0", observations={"a": function})
+    said = str(raised.value)
+    assert reason in said
+    assert "\n" not in said
+    if reason.startswith(("Ref", "The")):
+        name = "an_int" if function is an_int else "undefined_symbol"
+        line = inspect.getsourcelines(globals()[name].func)[1] + 2
+        assert f"Warp does not translate line {line} of test_extend.py, {name}: " in said
+    assert list(myowarp.TASKS) == before
+
+
+def test_without_private_names_of_warp(monkeypatch, caplog):
+    """A function is then checked when it is compiled; one line says so."""
+    monkeypatch.delattr("warp._src.context.ModuleBuilder")
+    say_once.cache_clear()
+    for version in range(2):
+        myowarp.extend(ELBOW, f"testUnchecked-v{version}", rewards={"a": (1.0, meddling)})
+    (said,) = caplog.messages
+    assert said.startswith("Warp has changed, functions of tasks are checked only when they are compiled: ")
+
+
+FAR_OFF = """
+import warp as wp
+from myowarp.engine.world_function import kernel_around
+@wp.func
+def far_off(qpos: wp.array[float]) -> float:
+    return qpos[50]
+wp.config.mode = "debug"
+mask, qpos, out = wp.ones(1, dtype=bool), wp.zeros((1, 3), dtype=float), wp.zeros((1, 1), dtype=float)
+wp.launch(kernel_around(far_off, 1), dim=1, inputs=[mask, qpos, 0, out])
+print("went on")
+"""
+
+
+@pytest.mark.slow
+def test_indices_are_checked_in_debug_mode(tmp_path):
+    """As the documentation says: Warp ends the process at an index out of range."""
+    (tmp_path / "far_off.py").write_text(FAR_OFF)
+    command = [sys.executable, tmp_path / "far_off.py"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=ENVIRONMENT)
+    assert done.returncode != 0
+    assert "Assertion failed" in done.stdout + done.stderr
+    assert "went on" not in done.stdout
+
+
+def test_units_and_meanings():
+    """The family's stay; a function's docstring says what it returns, a quantity has its own."""
+    task = myowarp.extend(
+        ELBOW,
+        "testSaid-v0",
+        rewards={"effort": (-0.1, effort, "1"), "bonus": 2.0},
+        observations={"own": ("rad", of_own), "tension": "tension"},
+    )
+    base = {term.name: term for term in myowarp.TASKS[ELBOW].reward_terms()}
+    terms = {term.name: term for term in task.reward_terms()}
+    assert base["bonus"].unit
+    assert base["bonus"].doc
+    assert terms["bonus"] == dataclasses.replace(base["bonus"], weight=2.0)
+    assert terms["pose"] == base["pose"]
+    assert (terms["effort"].unit, terms["effort"].doc) == ("1", "Sum of squared excitations.")
+    columns = {column.name: column for column in task.columns(1, 1, 6)}
+    assert (columns["own"].unit, columns["own"].doc) == (
+        "rad",
+        "Two numbers, of which the second is made here.",
+    )
+    assert (columns["tension"].unit, columns["tension"].doc[:5]) == ("N", "force")
+
+
+def test_joints_that_are_not_there():
+    task = myowarp.extend(ELBOW, "testBad-v0", joints=(99,))
+    message = r"^joints of task 'testBad-v0' must be ids of hinges and slides, of \[0\], got \(99,\)$"
+    with pytest.raises(ValueError, match=message):
+        Simulation(task, 1, device="cpu", progress=False)
 
 
 @pytest.mark.parametrize(

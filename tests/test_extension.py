@@ -16,6 +16,9 @@ import numpy as np
 import pytest
 
 import myowarp
+from myowarp.apps.audit.targets import in_reach
+from myowarp.apps.audit.targets import measure as measure_targets
+from myowarp.apps.train.evaluate import evaluate
 from myowarp.disk import code_digest, is_ours
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.sim.build import oracle_model
@@ -239,6 +242,33 @@ def test_body_with_a_free_root(folder):
             np.testing.assert_allclose(row[where["reach_err"]], (0.3, 0.0, 1.4) - foot, atol=ENGINE)
 
 
+def test_a_policy_on_a_free_root_is_evaluated(folder, caplog):
+    """Which points its foot reaches is not judged, which one line says; the rest is."""
+    key = key_of(folder, "free_root.py:reach")
+    env = myowarp.make_vec(
+        key, 3, device="cpu", progress=False, autoreset_mode="SameStep", max_episode_steps=4
+    )
+    found = evaluate(env, lambda obs: np.zeros(env.action_space.shape, np.float32), seed=0)
+    assert (found.episodes, found.length_mean, found.reachable, found.success_reachable) == (3, 4, None, None)
+    assert caplog.messages == [
+        f"success over reachable targets of {key} is left out: joint 'root' is no hinge; only hinges are "
+        "solved for"
+    ]
+    targets = measure_targets(env.sim)
+    assert targets.solvable is None
+    assert targets.why == "the tips' reach is not known: joint 'root' is no hinge; only hinges are solved for"
+    env.close()
+
+
+def test_a_joint_without_range_has_every_angle(folder):
+    """The hip has one, the knee has none."""
+    path = folder / "free_root.xml"
+    path.write_text(path.read_text().replace(' range="-120 0"', ""))
+    task = myowarp.from_mjcf(path, "outsideNoRange-v0")
+    rows = np.array([(0.5, 9.0), (2.0, 0.0), (0.5, -0.1)])
+    np.testing.assert_array_equal(in_reach(task, oracle_model(task), rows), [True, False, True])
+
+
 def test_own_mjcf(folder):
     """Episodes start from the keyframe; targets are within the ranges, and within reach."""
     env, obs, _ = rolled(key_of(folder, "mjcf.py:pose"), steps=30)
@@ -285,6 +315,11 @@ BAD = {
         "variant.py:near",
         ("import myowarp", "import myowarp\n\nspeed = 1 / 0"),
         "variant.py cannot be imported: line 7: ZeroDivisionError: division by zero",
+    ),
+    "end": (
+        "variant.py:near",
+        ("import myowarp", "import myowarp\n\nraise SystemExit(3)"),
+        "variant.py cannot be imported: line 7: SystemExit: 3",
     ),
     "no import": (
         "variant.py:near",
@@ -367,7 +402,7 @@ BAD = {
         ("(-0.3, -0.1)", "0.3"),
         "target of joint 'knee' must be two numbers, low and",
     ),
-    "near": ("mjcf.py:knee", ("near=0.05", "near=-1"), "near must be positive, got -1"),
+    "near": ("mjcf.py:knee", ("near=0.05", "near=-1"), "near must be a positive number, got -1"),
     "horizon": (
         "mjcf.py:pose",
         ("horizon=20", "horizon=2.5"),

@@ -1,6 +1,7 @@
 """Models from files: `myowarp rollout --model`, what its task asks for, and how bad files are refused."""
 
 import json
+import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -9,17 +10,19 @@ import mujoco
 import numpy as np
 import pytest
 
+from myowarp.engine.said import say_once
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.models.couplings import couplings, follow
 from myowarp.models.slim import slim
 from myowarp.opensim.build.convert import convert
 from myowarp.opensim.build.mjcf import mjcf
 from myowarp.opensim.read.model import read_model
+from myowarp.sim import build
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.starts import posture_joints
 from myowarp.spec.body import BODIES
 from myowarp.spec.task import TASKS
-from myowarp.tasks.from_file import pose_task
+from myowarp.tasks.from_file import from_mjcf, pose_task
 from myowarp.view.framing import Framing
 from myowarp.view.style import pose
 
@@ -255,6 +258,31 @@ BAD = {
 }
 
 
+MOTOR = (
+    '<mujoco model="x"><option timestep="{step}"/><worldbody><body><joint name="j" range="-60 60"/>'
+    '<geom size=".1" mass="{mass}"/></body></worldbody><actuator><motor joint="j" gear="{gear}"/></actuator>'
+    '<keyframe><key qpos="{start}"/></keyframe></mujoco>'
+)
+USUAL = {"step": "0.005", "mass": "1", "gear": "1", "start": "0"}
+NUMBERS = {
+    "step of zero": ({"step": "0"}, "must have a time step above 0 s, got 0 s"),
+    "step back": ({"step": "-1"}, "must have a time step above 0 s, got -1 s"),
+    "step NaN": ({"step": "nan"}, "must have a time step above 0 s, got nan s"),
+    "mass": (
+        {"mass": "inf"},
+        "must have numbers that are finite in float32; in actuator_acc0, body_inertia, body",
+    ),
+    "mass in float32": ({"mass": "1e39"}, "must have numbers that are finite in float32; in body_"),
+    "gear": (
+        {"gear": "nan"},
+        "must have numbers that are finite in float32; in actuator_acc0, actuator_gear, ",
+    ),
+    "start": ({"start": "nan"}, "must have numbers that are finite in float32; in key_qpos they are not"),
+}
+for case, (numbers, sentence) in NUMBERS.items():
+    BAD[case] = MOTOR.format(**USUAL | numbers), sentence
+
+
 @pytest.mark.parametrize("case", BAD)
 def test_bad_file(run, tmp_path, case):
     text, sentence = BAD[case]
@@ -262,6 +290,65 @@ def test_bad_file(run, tmp_path, case):
     if text is not None:
         path.write_text(text)
     assert_refused(run("--model", path, "--device", "cpu"), f"myowarp: model '{path}' ", sentence)
+
+
+def test_another_encoding(tmp_path):
+    path = tmp_path / "model.xml"
+    text = MOTOR.format(**USUAL).replace('model="x"', 'model="\xe9"')
+    path.write_bytes(b'<?xml version="1.0" encoding="latin-1"?>' + text.encode("latin-1"))
+    with pytest.raises(ValueError, match=r"^model '.*model.xml' must be written in UTF-8; save it as that$"):
+        from_mjcf(path)
+    path.write_text(text, encoding="utf-8")
+    from_mjcf(path)
+
+
+ARGUMENTS = [
+    ({"path": None}, "path must be that of an MJCF file, got None"),
+    ({"targets": 5}, "targets must be names of joints or sites, got 5"),
+    ({"targets": [["j"]]}, "targets must be names of joints or sites, got [['j']]"),
+    ({"horizon": "x"}, "horizon must be a positive number, got 'x'"),
+    ({"control_dt": "x"}, "control_dt must be a positive number, got 'x'"),
+    ({"far": np.nan}, "far must be a positive number, got nan"),
+    (
+        {"control_dt": 1e9},
+        "control_dt must be at most 10000 of the file's time steps, 0.005 s each, got 1e+09 s",
+    ),
+    ({"rewards": 5}, "rewards must be a mapping from names, got 5"),
+    ({"doc": 5}, "doc must be a sentence, got 5"),
+]
+
+
+@pytest.mark.parametrize(("options", "message"), ARGUMENTS)
+def test_wrong_arguments(tmp_path, options, message):
+    path = tmp_path / "model.xml"
+    path.write_text(MOTOR.format(**USUAL))
+    before = list(TASKS)
+    with pytest.raises(ValueError, match="^" + re.escape(message) + "$"):
+        from_mjcf(**{"path": path} | options)
+    assert list(TASKS) == before
+
+
+def test_a_step_of_a_billionth(tmp_path):
+    """A control step would take ten million of it."""
+    path = tmp_path / "model.xml"
+    path.write_text(MOTOR.format(**USUAL | {"step": "1e-9"}))
+    message = "control_dt must be at most 10000 of the file's time steps, 1e-09 s each, got 0.02 s"
+    with pytest.raises(ValueError, match="^" + re.escape(message) + "$"):
+        from_mjcf(path)
+
+
+def test_a_large_model_is_announced(plain, monkeypatch, caplog):
+    """Before what takes long, and once."""
+    monkeypatch.setattr(build, "MANY_DOFS", 10)
+    monkeypatch.setattr(build, "calibrate", lambda *_: pytest.fail(caplog.text))
+    say_once.cache_clear()
+    task = pose_task(plain)
+    for _ in range(2):
+        with pytest.raises(
+            pytest.fail.Exception, match=r"6 bodies, 10 degrees of freedom\): its first start takes"
+        ):
+            build.compile_scene(task, 1, "cpu")
+    assert len(caplog.messages) == 1
 
 
 @pytest.mark.parametrize("arguments", [(), ("myoElbowPose1D6MRandom-v0", "--model", "a.xml")])

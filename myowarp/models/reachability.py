@@ -39,7 +39,7 @@ def reachable(
     one does not depend on the others.
 
     Args:
-        model: The body, full or slim. Every joint must be a hinge with a range.
+        model: The body, full or slim; see `unsolved`.
         tips: Names of tip sites.
         targets: Target points [m], world coordinates, shape (num_targets, 3 num_tips).
         iterations: Iterations of each of the two solves.
@@ -50,9 +50,8 @@ def reachable(
         [rad], shape (num_targets, nq).
 
     Raises:
-        ValueError: A tip does not exist, a joint has no range, or the targets have a wrong shape or
-            are not finite.
-        NotImplementedError: A joint is no hinge, or an equality constraint couples joints.
+        ValueError: A tip does not exist, or the targets have a wrong shape or are not finite.
+        NotImplementedError: `unsolved` says why.
     """
     targets = np.asarray(targets, dtype=np.float64)
     _check(model, tips, targets)
@@ -131,13 +130,20 @@ def _check(model: mujoco.MjModel, tips: tuple[str, ...], targets: np.ndarray) ->
             f"targets must be finite with shape (num_targets, {3 * len(tips)}), three columns a tip; "
             f"got shape {targets.shape}"
         )
+    if why := unsolved(model):
+        raise NotImplementedError(why)
+
+
+def unsolved(model: mujoco.MjModel) -> str:
+    """Return why the joints of a model are not solved for; "": they are hinges with ranges, not coupled."""
     for joint in map(model.joint, range(model.njnt)):
         if joint.type[0] != mujoco.mjtJoint.mjJNT_HINGE:
-            raise NotImplementedError(f"joint {joint.name!r} is no hinge; only hinges are solved for")
+            return f"joint {joint.name!r} is no hinge; only hinges are solved for"
         if not model.jnt_limited[joint.id]:
-            raise ValueError(f"joint {joint.name!r} has no range to search in; give it one")
+            return f"joint {joint.name!r} has no range to search in"
     if (model.eq_type == mujoco.mjtEq.mjEQ_JOINT).any():
-        raise NotImplementedError("an equality constraint couples joints; remove it or weld a joint")
+        return "an equality constraint couples joints"
+    return ""
 
 
 def _solve(

@@ -12,6 +12,7 @@ import warp as wp
 
 from myowarp.disk import cached, files_digest, is_ours, model_bytes, model_from_bytes
 from myowarp.engine.kernel_cache import start_warp
+from myowarp.engine.said import say_once
 from myowarp.engine.turn import in_turn
 from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import new_keys
@@ -49,6 +50,7 @@ poses of all sites: it would be old.
 """
 
 MOST_STEPS = 2**31 - 1  # in an episode: the device counts in int32
+MANY_DOFS = 200  # of a model that is slow: chains of 300 bodies and 100 loose spheres took 70 s to start
 ROUNDING = 1e-6  # of a physics step; control steps are no exact multiples in binary
 
 
@@ -243,6 +245,11 @@ def compile_scene(
     oracle, stepped = oracle_model(spec, conditions), _cached_model(spec, conditions, stateless_model)
     num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped))
     start = settled(oracle, spec.start(oracle))
+    if oracle.nv >= MANY_DOFS:
+        say_once(
+            f"task {spec.key!r} is large ({oracle.nbody} bodies, {oracle.nv} degrees of freedom): its first "
+            "start takes a minute or more, and each physics step up to a tenth of a second"
+        )
     capacity = calibrate(oracle, start)
 
     def make_data(number: int) -> mjw.Data:

@@ -7,7 +7,7 @@ in the tests, which run over everything registered.
 import difflib
 import itertools
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -29,6 +29,13 @@ def check_choice(name: str, value: object, choices: Iterable[object]) -> None:
     """Raise ValueError if `value` is none of `choices`."""
     if value not in choices:
         raise ValueError(f"{name} {value!r} unknown; available: {', '.join(map(str, choices))}")
+
+
+def check_bounds(name: str, low: Sequence[float], high: Sequence[float]) -> None:
+    """Raise ValueError if a lower bound is above its upper one; as many as there are of both are compared."""
+    for i, (bottom, top) in enumerate(zip(low, high, strict=False)):
+        if bottom > top:
+            raise ValueError(f"{name} must not be above its upper bound, got {bottom:g} > {top:g} at {i}")
 
 
 def number_in(cell: str) -> float:

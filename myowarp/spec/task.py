@@ -154,6 +154,9 @@ class PhysicsPreset:
     coarse: bool
 
 
+MOST_SUBSTEPS = 10_000  # physics steps in a control step: one that lasts seconds is a mistake
+
+
 @dataclass(frozen=True, kw_only=True)
 class TaskSpec(abc.ABC):
     """A task, complete but for the number of worlds and the device.
@@ -182,6 +185,32 @@ class TaskSpec(abc.ABC):
     physics_dt: float = 0.002
     integrator: str = "EULER"
     start_pose: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check what needs no model.
+
+        Raises:
+            ValueError: A number is NaN, or steps, start or text are not as described.
+        """
+        if not isinstance(self.doc, str):
+            raise ValueError(f"doc must be a sentence, got {self.doc!r}")
+        steps = self.num_substeps
+        if (
+            isinstance(steps, bool)
+            or not isinstance(steps, (int, np.integer))
+            or not 0 < steps <= MOST_SUBSTEPS
+        ):
+            raise ValueError(f"num_substeps must be an integer from 1 to {MOST_SUBSTEPS}, got {steps!r}")
+        if not self.physics_dt > 0.0 or not np.isfinite([self.physics_dt, *self.start_pose]).all():
+            raise ValueError(
+                "physics_dt must be positive, and start_pose finite, "
+                f"got {self.physics_dt!r} and {self.start_pose!r}"
+            )
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            for number in value if isinstance(value, tuple) else (value,):
+                if isinstance(number, float) and np.isnan(number):
+                    raise ValueError(f"{field.name} must hold numbers, got {value!r}")
 
     @property
     def key(self) -> str:

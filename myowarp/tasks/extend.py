@@ -12,25 +12,31 @@
 The name of a parameter says what it is: one of `QUANTITIES`, or an array of the task's program with a row or
 a value for each world, such as `target` of pose and reach. What belongs to a step belongs to the state that
 the step led to; a kernel around the function is part of the step's graph.
+
+Indices are not checked, as in all of Warp: `qpos[-50]` reads what lies there. With `wp.config.mode = "debug"`
+before an environment is made, the first index out of range ends the process, with a line that says so.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
-import math
 import typing
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeAlias
 
+import numpy as np
 import warp as wp
 
+from myowarp.engine.world_function import check_function
 from myowarp.spec.registry import check_choice
 from myowarp.spec.task import TASKS, TaskSpec, register, split_key
 from myowarp.tasks.extended import Block, Extended, Extension, check_type, extended_family, reads
 from myowarp.tasks.quantities import QUANTITIES
 
-Reward: TypeAlias = float | tuple[float, Any]
+MOST = float(np.finfo(np.float32).max)  # what the device calls finite
+
+Reward: TypeAlias = float | tuple[float, Any] | tuple[float, Any, str]
 Observation: TypeAlias = Any  # str | wp.Function | tuple[str, wp.Function], which mypy does not see
 
 
@@ -50,10 +56,11 @@ def extend(
     Args:
         task: Task, or its id.
         key: Id of the new task, name and version.
-        rewards: By name a weight and a Warp function that returns a float; or for a term that the task has,
-            a new weight alone.
+        rewards: By name a weight and a Warp function that returns a float, if wanted with its unit after
+            it; or for a term that the task has, a new weight alone.
         observations: By name a Warp function that returns a float, a vector or a quaternion, if wanted with
-            its unit before it; or the name of a quantity in `QUANTITIES`, all of which is observed.
+            its unit before it; or the name of a quantity in `QUANTITIES`, all of which is observed. What
+            `myowarp describe` says of a function is the first paragraph of its docstring.
         sites: Names of the sites whose positions functions read as `site_xpos`.
         doc: One sentence: what the new task asks for; "": as the task's.
         replace: Whether it may take the place of a task that is registered.
@@ -71,9 +78,15 @@ def extend(
     before = fields.pop("extension", Extension())
     if unknown := changes.keys() - fields.keys():
         raise ValueError(f"task {base.key!r} has no {min(unknown)!r}; it has {', '.join(fields)}")
+    for what, given in (("rewards", rewards), ("observations", observations)):
+        if given is not None and not (isinstance(given, Mapping) and all(isinstance(n, str) for n in given)):
+            raise ValueError(f"{what} must be a mapping from names, got {given!r}")
+    sites = (sites,) if isinstance(sites, str) else sites
+    if not isinstance(sites, Iterable):
+        raise ValueError(f"sites must be names of sites, got {sites!r}")
     terms, weights = _rewards(base, before, rewards or {})
     blocks = _observations(base, before, observations or {})
-    seen = dict.fromkeys((*before.sites, *((sites,) if isinstance(sites, str) else sites)))
+    seen = dict.fromkeys((*before.sites, *sites))
     if not seen and any("site_xpos" in reads(block.source) for block in (*terms, *blocks)):
         raise ValueError(f"task {key!r} reads site_xpos; name the sites, such as sites=('tip',)")
     family = type(base).__mro__[2] if isinstance(base, Extended) else type(base)
@@ -94,13 +107,19 @@ def _rewards(
     weights = dict(before.weights)
     for name, given in rewards.items():
         pair = given if isinstance(given, tuple) else (given, None)
-        if len(pair) != 2 or (pair[1] is None and name not in (*own, *terms)):
+        unit = pair[2] if len(pair) == 3 else ""
+        if (
+            len(pair) not in (2, 3)
+            or not isinstance(unit, str)
+            or (pair[1] is None and name not in (*own, *terms))
+        ):
             raise ValueError(
                 f"reward {name!r} must be a weight and a function, got {given!r}; "
                 f"terms of which the weight alone can be given: {', '.join((*own, *terms))}"
             )
-        weight, function = pair
-        if isinstance(weight, bool) or not isinstance(weight, (int, float)) or not math.isfinite(weight):
+        weight, function, *_ = pair
+        is_number = isinstance(weight, (int, float)) and not isinstance(weight, bool)
+        if not is_number or not abs(weight) <= MOST:  # NaN is not
             raise ValueError(f"weight of reward {name!r} must be a finite number, got {weight!r}")
         if function is None and name in own:
             weights[name] = float(weight)
@@ -111,7 +130,7 @@ def _rewards(
                 f"reward {name!r} is a term of {base.key!r}; give its weight alone, or rename yours"
             )
         else:
-            terms[name] = _block(name, function, weight=float(weight))
+            terms[name] = _block(name, function, unit, weight=float(weight))
             if terms[name].size != 1:
                 raise ValueError(f"reward {name!r} must return a float, got {terms[name].size} numbers")
     return tuple(terms.values()), tuple(weights.items())
@@ -129,13 +148,14 @@ def _observations(
         unit, source = observed if isinstance(observed, tuple) and len(observed) == 2 else ("", observed)
         if isinstance(source, str):
             check_choice(f"quantity of observation {name!r}", source, QUANTITIES)
-            blocks[name] = Block(name, source, None, QUANTITIES[source].unit)
+            quantity = QUANTITIES[source]
+            blocks[name] = Block(name, source, None, quantity.unit, quantity.meaning)
         else:
-            blocks[name] = _block(name, source, unit=str(unit))
+            blocks[name] = _block(name, source, str(unit))
     return tuple(blocks.values())
 
 
-def _block(name: str, function: Any, **given: Any) -> Block:
+def _block(name: str, function: Any, unit: str, weight: float = 0.0) -> Block:
     """Return the block of a function whose parameters and result we can serve.
 
     Raises:
@@ -155,7 +175,12 @@ def _block(name: str, function: Any, **given: Any) -> Block:
             f"{name!r} must have parameters with types, such as qpos: wp.array[float]; "
             f"available: {', '.join(QUANTITIES)}"
         )
-    block = Block(name, function, int(shape[0]), **given)
+    doc = " ".join((inspect.getdoc(function.func) or "").partition("\n\n")[0].split())
+    block = Block(name, function, int(shape[0]), unit, doc, weight)
     for parameter in QUANTITIES.keys() & parameters.keys():
         check_type(block, parameter, QUANTITIES[parameter].dtype, 2)
+    try:
+        check_function(function, block.size or 1)
+    except ValueError as error:
+        raise ValueError(f"{name!r} cannot be computed: {error}") from error
     return block

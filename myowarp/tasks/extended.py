@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import inspect
 import typing
-import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from myowarp.engine.world_function import kernel_around, parameter_type
 from myowarp.kernels.launch import launch
 from myowarp.kernels.observe import masked_observe
 from myowarp.spec.program import Program
@@ -29,7 +29,8 @@ class Block:
         name: Name of the block.
         source: The function; or a name in `QUANTITIES`, all of which is observed.
         size: Number of columns; None: as many as the quantity has.
-        unit: Unit of an observation.
+        unit: Unit of its numbers.
+        doc: What they are.
         weight: Weight of a reward.
     """
 
@@ -37,6 +38,7 @@ class Block:
     source: wp.Function | str
     size: int | None = 1
     unit: str = ""
+    doc: str = ""
     weight: float = 0.0
 
 
@@ -77,7 +79,7 @@ class Extended(TaskSpec):
         """The family's blocks, then the extension's."""
         sizes = {"qpos": nq, "qvel": nv, "site_xpos": 3 * len(self.extension.sites)}
         added = (
-            Column(b.name, sizes.get(str(b.source), num_muscles) if b.size is None else b.size, b.unit)
+            Column(b.name, sizes.get(str(b.source), num_muscles) if b.size is None else b.size, b.unit, b.doc)
             for b in self.extension.observations
         )
         return (*super().columns(nq, nv, num_muscles), *added)  # type: ignore[safe-super]
@@ -86,8 +88,8 @@ class Extended(TaskSpec):
         """The family's terms, under new weights where there are such, then the extension's."""
         weights = dict(self.extension.weights)
         own = super().reward_terms()  # type: ignore[safe-super]
-        terms = (RewardTerm(term.name, weights.get(term.name, term.weight)) for term in own)
-        return (*terms, *(RewardTerm(b.name, b.weight) for b in self.extension.rewards))
+        terms = (replace(term, weight=weights.get(term.name, term.weight)) for term in own)
+        return (*terms, *(RewardTerm(b.name, b.weight, b.unit, b.doc) for b in self.extension.rewards))
 
 
 class ExtendedProgram(Program):
@@ -142,9 +144,7 @@ class ExtendedProgram(Program):
                 values = wp.array(ptr=values.ptr, dtype=float, shape=shape, device=values.device)
             return lambda mask, out: masked_observe(mask, values, column, out)
         arrays = {name: self._array(block, name) for name in reads(block.source)}
-        kernel = _kernel(
-            block.source, tuple((n, a.dtype, a.ndim) for n, a in arrays.items()), block.size or 1
-        )
+        kernel = kernel_around(block.source, block.size or 1)
 
         def write(mask: wp.array, out: wp.array) -> None:
             launch(kernel, self.scene.num_worlds, mask=mask, column=column, out=out, **arrays)
@@ -183,51 +183,17 @@ def reads(source: wp.Function | str) -> tuple[str, ...]:
 
 def check_type(block: Block, name: str, dtype: type, ndim: int) -> None:
     """Raise ValueError if a parameter is annotated with another type than a world's part of an array has."""
-    annotation = typing.get_type_hints(typing.cast(Any, block.source).func)[name]
-    entry = getattr(annotation, "dtype", annotation)
-    entry = wp.float32 if entry is float else entry
-    if (entry, getattr(annotation, "ndim", 0)) != (dtype, ndim - 1):
+    function = typing.cast(Any, block.source)
+    if parameter_type(function, name) != (dtype, ndim - 1):
         kind = NAMES.get(dtype, dtype.__name__)
         wanted = f"wp.array[{kind}]" if ndim == 2 else kind
+        annotation = typing.get_type_hints(function.func)[name]
         got = getattr(annotation, "__name__", str(annotation))
         raise ValueError(f"parameter {name!r} of {block.name!r} must be of type {wanted}, got {got}")
 
 
 NAMES = {wp.float32: "float", wp.vec3f: "wp.vec3", wp.quatf: "wp.quat", wp.int32: "int", wp.bool: "bool"}
 """How types are written."""
-
-_MODULES: set[str] = set()  # names of the modules of the kernels below
-
-
-@cache
-def _kernel(function: wp.Function, reads: tuple[tuple[str, type, int], ...], size: int) -> wp.Kernel:
-    """Return the kernel around a function; its text is written here, for its arguments are the function's."""
-    parameters = [f"{name}: wp.array(dtype=dtypes[{i}], ndim={n})" for i, (name, _, n) in enumerate(reads)]
-    value = f"function({', '.join(f'{name}[worldid]' for name, *_ in reads)})"
-    lines = (
-        f"def extension(mask: wp.array[bool], {', '.join([*parameters, 'column: int'])}, "
-        "out: wp.array2d[float]):",
-        "    worldid = wp.tid()",
-        "    if mask[worldid]:",
-        f"        value = {value}",
-        *(f"        out[worldid, column + {i}] = value{f'[{i}]' if size > 1 else ''}" for i in range(size)),
-    )
-    source = "\n".join(lines) + "\n"
-    scope: dict[str, Any] = {"wp": wp, "function": function, "dtypes": [dtype for _, dtype, _ in reads]}
-    exec(compile(source, "<myowarp extension>", "exec", dont_inherit=True), scope)
-    code = zlib.crc32(inspect.getsource(function.func).encode())
-    name = f"myowarp_extension.{function.key}_{code:08x}"
-    while name in _MODULES:
-        name += "_"
-    _MODULES.add(name)
-    scope["extension"].__module__ = name
-    return wp.Kernel(
-        scope["extension"],
-        key=f"extend_{function.key}",
-        module=wp.get_module(name),
-        options={"enable_backward": False},
-        source=source,
-    )
 
 
 @cache

@@ -6,7 +6,7 @@ follow, exactly if `couplings.json` lies beside the file, and a root that nothin
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -20,7 +20,7 @@ from myowarp.models.reachability import tip_positions
 from myowarp.sim.build import checked_horizon, full_model
 from myowarp.spec.body import BODIES, Body
 from myowarp.spec.registry import check_choice
-from myowarp.spec.task import TaskSpec, register, split_key
+from myowarp.spec.task import MOST_SUBSTEPS, TaskSpec, register, split_key
 from myowarp.tasks.extend import Reward, extend
 from myowarp.tasks.outside import find_task
 from myowarp.tasks.pose import PoseTask
@@ -74,6 +74,9 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
             if actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE and not np.any(actuator.ctrlrange):
                 actuator.ctrlrange = (-1.0, 1.0)
         model = spec.compile()
+        model.names.decode()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"model {str(path)!r} must be written in UTF-8; save it as that") from error
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"model {str(path)!r} must be an MJCF file; MuJoCo says: {reason}") from error
@@ -95,6 +98,13 @@ def _check(model: mujoco.MjModel, path: Path) -> None:
     """Raise ValueError if the model has nothing to act with, or something that we cannot step."""
     if not model.nu:
         raise ValueError(f"model {str(path)!r} has no actuators; a policy needs muscles or motors")
+    if not model.opt.timestep > 0.0:
+        raise ValueError(f"model {str(path)!r} must have a time step above 0 s, got {model.opt.timestep:g} s")
+    if wrong := [name for name, values in _numbers(model) if not np.isfinite(values).all()]:
+        raise ValueError(
+            f"model {str(path)!r} must have numbers that are finite in float32; "
+            f"in {', '.join(wrong)} they are not"
+        )
     integrator = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_")
     if integrator not in STEPPED:
         raise ValueError(
@@ -118,6 +128,16 @@ def _check(model: mujoco.MjModel, path: Path) -> None:
                 f"model {str(path)!r} has actuator {name!r} with a state that is no MuJoCo muscle; what runs "
                 "are MuJoCo's muscles, and actuators without state"
             )
+
+
+def _numbers(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the names of a model's real numbers, and what they are in float32."""
+    for owner in (model, model.opt):
+        for name in dir(owner):
+            values = None if name.startswith("_") else getattr(owner, name)
+            if isinstance(values, np.ndarray) and values.dtype.kind == "f":
+                with np.errstate(over="ignore"):
+                    yield name, values.astype(np.float32)
 
 
 def pose_task(path: Path) -> PoseTask:
@@ -167,17 +187,22 @@ def from_mjcf(
     Raises:
         ValueError: The file is unsuitable, or an argument is not as described; nothing was registered.
     """
+    if not isinstance(path, (str, Path)):
+        raise ValueError(f"path must be that of an MJCF file, got {path!r}")
     path = Path(path)
     check_choice("kind", kind, KINDS)
     if isinstance(targets, str):
         targets = (targets,)
-    bounds = dict(targets) if isinstance(targets, Mapping) else dict.fromkeys(targets)
+    names = list(targets) if isinstance(targets, Iterable) else [targets]
+    if not all(isinstance(name, str) for name in names):
+        raise ValueError(f"targets must be names of joints or sites, got {targets!r}")
+    for what, value in (("horizon", horizon), ("near", near), ("far", far), ("control_dt", control_dt)):
+        if value is not None and not (_is_number(value) and 0 < value < np.inf):
+            raise ValueError(f"{what} must be a positive number, got {value!r}")
+    bounds = dict(targets) if isinstance(targets, Mapping) else dict.fromkeys(names)
     body = read_body(path, tuple(bounds) if kind == "reach" else ())
     model = BODIES[body].build().compile()
     name, version = split_key(key) if key is not None else (body if kind == "pose" else f"{body}_{kind}", 0)
-    for what, value in (("horizon", horizon), ("near", near), ("far", far), ("control_dt", control_dt)):
-        if value is not None and (isinstance(value, bool) or not value > 0 or not np.isfinite(value)):
-            raise ValueError(f"{what} must be positive, got {value!r}")
     start = _start(model, path, keyframe)
     common: dict[str, Any] = {
         "name": name,
@@ -196,6 +221,11 @@ def from_mjcf(
     return register(task, replace=replace)
 
 
+def _is_number(value: object) -> bool:
+    """Whether it is a number and no truth value."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+
+
 def _start(model: mujoco.MjModel, path: Path, keyframe: str | None) -> np.ndarray:
     """Return the configuration from which episodes start, (nq,)."""
     names = [model.key(k).name for k in range(model.nkey)]
@@ -209,6 +239,11 @@ def _start(model: mujoco.MjModel, path: Path, keyframe: str | None) -> np.ndarra
 
 def _substeps(physics_dt: float, control_dt: float | None) -> int:
     """Return the physics steps in a control step."""
+    if (asked := control_dt or CONTROL_DT) > MOST_SUBSTEPS * physics_dt:
+        raise ValueError(
+            f"control_dt must be at most {MOST_SUBSTEPS} of the file's time steps, {physics_dt:g} s each, "
+            f"got {asked:g} s"
+        )
     if control_dt is None:
         return max(1, round(CONTROL_DT / physics_dt))
     number = round(control_dt / physics_dt)

@@ -1,22 +1,18 @@
 """Tasks from files and modules of the user's: `my_task.py:reach`, `package.module:reach`.
 
-The file is run once, as Python runs a script: files beside it can be imported. What it registers, or holds
-as a `TaskSpec`, is what it offers.
+The file is run once, as Python runs a script: files beside it can be imported, also where files of another
+folder have the same names (`neighbours`). What it registers, or holds as a `TaskSpec`, is what it offers.
 """
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import re
-import sys
 import traceback
-import zlib
-from functools import cache
 from pathlib import Path
 from types import ModuleType
 
 from myowarp.spec.task import TASKS, TaskSpec, register
+from myowarp.tasks.neighbours import import_beside, import_file
 from myowarp.tasks.variants import Variant, find_variant, variants_of
 
 
@@ -89,39 +85,17 @@ def load(source: str) -> ModuleType:
     is_file = source.endswith(".py")
     if is_file and not path.is_file():
         raise ValueError(f"file {source!r} does not exist")
-    folder = str(path.absolute().parent) if is_file else str(Path.cwd())
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
     try:
-        if is_file:
-            return _run(path.absolute(), path.read_bytes())
-        return importlib.import_module(source)
+        return import_file(path.absolute()) if is_file else import_beside(Path.cwd(), source)
     except ModuleNotFoundError as error:
         if not is_file and error.name and f"{source}.".startswith(f"{error.name}."):
             raise ValueError(f"module {source!r} does not exist; a file ends in .py") from error
         raise ValueError(f"{source} cannot be imported: {_reason(error)}") from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(f"{source} cannot be imported: {_reason(error)}") from error
 
 
-@cache
-def _run(path: Path, content: bytes) -> ModuleType:
-    """Run a file as a module of its own, once until it is edited; one that fails is forgotten."""
-    name = path.stem if path.stem not in sys.modules else f"{path.stem}_{zlib.crc32(bytes(path)):x}"
-    definition = importlib.util.spec_from_file_location(name, path)
-    if definition is None or definition.loader is None:
-        raise ImportError(f"{path} is no Python file")
-    module = importlib.util.module_from_spec(definition)
-    sys.modules[name] = module  # where dataclasses and Warp look for it
-    try:
-        definition.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
-
-
-def _reason(error: Exception) -> str:
+def _reason(error: Exception | SystemExit) -> str:
     """Return where and why a module failed: its own last line on the way to the error."""
     if isinstance(error, SyntaxError):
         return f"line {error.lineno}: {error.msg}" if error.lineno else str(error.msg)

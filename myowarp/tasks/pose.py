@@ -26,6 +26,7 @@ from myowarp.sim.build import full_model
 from myowarp.spec.body import BODIES
 from myowarp.spec.entries import ACTIVATION, COORDINATES, VELOCITIES, Entry, of_joints
 from myowarp.spec.program import Program
+from myowarp.spec.registry import check_bounds
 from myowarp.spec.scene import Scene
 from myowarp.spec.task import Column, Draw, RewardTerm, TaskSpec, blocks, weighted
 from myowarp.tasks.carried_weight import BATCHED, CarriedWeight
@@ -230,6 +231,10 @@ class PoseTask(TaskSpec):
     weight: tuple[float, ...] = ()
     joints: tuple[int, ...] = ()
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_bounds("target_low", self.target_low, self.target_high)
+
     @property
     def batched(self) -> tuple[str, ...]:
         """What follows from the weight, where one is drawn."""
@@ -275,8 +280,18 @@ class PoseTask(TaskSpec):
         return tuple(found)
 
     def target_joints(self, model: mujoco.MjModel) -> np.ndarray:
-        """Return the ids of the joints that have a target, in its order."""
-        return np.array(self.joints or np.flatnonzero(np.isin(model.jnt_type, POINT_JOINTS)))
+        """Return the ids of the joints that have a target, in its order.
+
+        Raises:
+            ValueError: One of `joints` is no hinge or slide of the model.
+        """
+        possible = np.flatnonzero(np.isin(model.jnt_type, POINT_JOINTS))
+        if not set(self.joints) <= set(possible.tolist()):
+            raise ValueError(
+                f"joints of task {self.key!r} must be ids of hinges and slides, of {possible.tolist()}, "
+                f"got {self.joints!r}"
+            )
+        return np.array(self.joints or possible)
 
     def target_entries(self, model: mujoco.MjModel) -> tuple[Entry, ...]:
         """Return names and units of the joints that have a target, in its order."""

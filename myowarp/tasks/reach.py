@@ -24,6 +24,7 @@ from myowarp.kernels.reward import EFFORT, activation_effort, indicator
 from myowarp.spec.body import BODIES
 from myowarp.spec.entries import ACTIVATION, COORDINATES, VELOCITIES, axes
 from myowarp.spec.program import Program
+from myowarp.spec.registry import check_bounds
 from myowarp.spec.scene import Scene
 from myowarp.spec.task import Column, Draw, RewardTerm, TaskSpec, blocks, weighted
 from myowarp.tasks.markers import add_tip_targets
@@ -197,6 +198,10 @@ class ReachTask(TaskSpec):
     far_per_tip: float
     near_per_tip: float = NEAR_PER_TIP
     table: Callable[..., np.ndarray] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_bounds("low", self.low, self.high)
 
     @property
     def tips(self) -> tuple[str, ...]:

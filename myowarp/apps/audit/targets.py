@@ -13,7 +13,8 @@ import numpy as np
 import warp as wp
 
 from myowarp.apps.audit.objects import host_model, object_bodies, overlaps, place
-from myowarp.models.reachability import reachable
+from myowarp.engine.said import say_once
+from myowarp.models.reachability import reachable, unsolved
 from myowarp.sim.simulation import Simulation
 from myowarp.spec.body import BODIES
 from myowarp.spec.task import TaskSpec
@@ -80,8 +81,12 @@ def in_reach(spec: TaskSpec, model: mujoco.MjModel, rows: np.ndarray) -> np.ndar
         rows: Its `task.target`, shape (num_targets, size).
 
     Returns:
-        None where the targets are neither joint angles nor points of tips.
+        None where the targets are neither joint angles nor points of tips, or, which a line says, points of
+        a body for which reach is not solved.
     """
+    if isinstance(spec, ReachTask) and (why := unsolved(model)):
+        say_once(f"success over reachable targets of {spec.key} is left out: {why}")
+        return None
     for kind, judge in JUDGES.items():
         if isinstance(spec, kind):
             different, number = np.unique(rows.astype(float), axis=0, return_inverse=True)
@@ -91,7 +96,8 @@ def in_reach(spec: TaskSpec, model: mujoco.MjModel, rows: np.ndarray) -> np.ndar
 
 def _judge_pose(spec: PoseTask, model: mujoco.MjModel, rows: np.ndarray) -> Judgement:
     """Target angles against the joint ranges."""
-    low, high = model.jnt_range[spec.target_joints(model)].T
+    joints = spec.target_joints(model)
+    low, high = np.where(model.jnt_limited[joints, None] > 0, model.jnt_range[joints], (-np.inf, np.inf)).T
     beyond = rows - np.clip(rows, low, high)
     miss = np.linalg.norm(beyond, axis=1)
     return miss < spec.near, np.abs(beyond).max(axis=1) <= ON_THE_BOUND, miss
@@ -174,6 +180,8 @@ def _reach(sim: Simulation) -> Targets:
     spec, program = sim.scene.spec, sim.parts[0].program
     assert isinstance(spec, ReachTask)
     assert isinstance(program, ReachProgram)
+    if why := unsolved(sim.scene.oracle):
+        return _none(f"the tips' reach is not known: {why}")
     rule = (
         f"solvable: some posture within the joint ranges brings the tips closer than {1e3 * spec.near:.3g} "
         f"mm, norm over all tips as the task scores it; exact: closer than {1e3 * EXACT:.0f} mm"

@@ -38,8 +38,8 @@ class Evaluation:
         mean_activation: Activation [1], mean over muscles and the steps of an episode, then over episodes.
         activation_rate: Mean of |da/dt| [1/s], likewise.
         faults: Episodes that a fault ended.
-        reachable: Episodes whose target the joint ranges allow to meet exactly; None: the task's targets are
-            neither joint angles nor points of tips.
+        reachable: Episodes whose target the joint ranges allow to meet exactly; None: `in_reach` does
+            not judge the task's targets.
         success_reachable: Share of these with more than 5 solved steps; its interval is among `intervals`.
     """
 
