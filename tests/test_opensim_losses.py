@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from myowarp.opensim import command
+from myowarp.opensim.model import Note
 from myowarp.opensim.read.components import READERS
 from myowarp.opensim.read.model import read_model
 
@@ -41,7 +42,7 @@ PENDULUM = """<OpenSimDocument Version="40000"><Model name="pendulum"><gravity>0
  </coupled_coordinates_function><independent_coordinate_names>bend</independent_coordinate_names>
  <dependent_coordinate_name>hidden</dependent_coordinate_name></CoordinateCouplerConstraint>
  {constraint}</objects></ConstraintSet>
-<ForceSet><objects>{force}</objects></ForceSet></Model></OpenSimDocument>"""
+<ForceSet><objects>{force}</objects></ForceSet>{more}</Model></OpenSimDocument>"""
 
 BUSHING = """<BushingForce name="lost">
 <socket_frame1>/ground</socket_frame1><socket_frame2>{frame}</socket_frame2>
@@ -49,9 +50,9 @@ BUSHING = """<BushingForce name="lost">
 </translational_stiffness></BushingForce>"""
 
 
-def written(tmp_path, force="", constraint=""):
+def written(tmp_path, force="", constraint="", more=""):
     path = tmp_path / "pendulum.osim"
-    path.write_text(PENDULUM.format(force=force, constraint=constraint))
+    path.write_text(PENDULUM.format(force=force, constraint=constraint, more=more))
     return path
 
 
@@ -95,6 +96,43 @@ def test_what_acts_where_no_joint_is_is_a_loss(kind, force, tmp_path):
     path = written(tmp_path, f'<{kind} name="lost">{force}</{kind}>')
     assert f"--accept-losses {kind} " in converted(path, tmp_path)
     assert converted(path, tmp_path, accept_losses=(kind,)) == ""
+
+
+CONTROLLERS = "<ControllerSet><objects>{}</objects></ControllerSet>"
+ON = {
+    "PrescribedController": CONTROLLERS.format('<PrescribedController name="on"/>'),
+    "MyReflex": CONTROLLERS.format('<MyReflex name="on"><enabled>true</enabled></MyReflex>'),
+    "ControlSetController": CONTROLLERS.format(
+        "<ControlSetController><controls_file>c.xml</controls_file></ControlSetController>"
+    ),
+    "ToyReflexController": '<ComponentSet><objects><ToyReflexController name="on"/></objects></ComponentSet>',
+    "ControllerSet": '<ControllerSet file="controllers.xml"/>',
+}
+
+
+@pytest.mark.parametrize("code", ON)
+def test_controllers_that_are_on_are_losses(code, tmp_path, capsys):
+    """They act in OpenSim; a set of them may be in another file."""
+    path = written(tmp_path, more=ON[code])
+    assert converted(path, tmp_path).endswith(f"--accept-losses {code} accepts them")
+    assert f"left out: {code}, 1, control, size unknown:" in capsys.readouterr().out
+    assert converted(path, tmp_path, accept_losses=(code,)) == ""
+
+
+def test_what_is_off_or_records_is_no_loss(tmp_path):
+    """By the switches of OpenSim 4 and 3, of classes that nobody reads, too."""
+    off = ("enabled>false</enabled", "isDisabled>true</isDisabled")
+    controllers = "".join(
+        f'<ReflexController name="{n}"><{text}></ReflexController>' for n, text in enumerate(off)
+    )
+    force = '<HuntCrossleyForce name="off"><appliesForce>false</appliesForce></HuntCrossleyForce>'
+    probes = (
+        '<ProbeSet><objects><JointInternalPowerProbe name="p"/></objects></ProbeSet><MarkerSet file="m.xml"/>'
+    )
+    notes = read_model(written(tmp_path, force, more=CONTROLLERS.format(controllers) + probes)).notes
+    assert [type(note) for note in notes] == [Note] * 5
+    assert [note.rule for note in notes].count("switched off in the file; left out") == 3
+    assert {note.error_bound for note in notes} == {"0", "0: records, and does not act"}
 
 
 def test_nothing_is_lost_of_a_pendulum(tmp_path, capsys):

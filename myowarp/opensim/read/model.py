@@ -121,6 +121,9 @@ def _components(model: Element) -> list[tuple[str, Element]]:
     """Return all components with their paths, those inside joints and frames left out."""
     listed = []
     for tag, name in SETS:
+        whole = model.find(tag)
+        if whole is not None and "file" in whole.attributes:
+            listed.append((name, whole))
         for element in model.objects(tag):
             listed.append((name, element))
             if tag == "BodySet" and (inside := element.own("Joint")) is not None:

@@ -39,8 +39,8 @@ STRUCTURE = ("GeometryPath", "path", "components", "appliesForce", "isDisabled",
 
 
 def is_on(element: Element) -> bool:
-    """Return whether a force or constraint is switched on; before 4.0: not `isDisabled`."""
-    on = element.flag("appliesForce", "isEnforced", default=True)
+    """Return whether a force, constraint or controller is switched on; before 4.0: not `isDisabled`."""
+    on = element.flag("appliesForce", "isEnforced", "enabled", default=True)
     return on and not element.flag("isDisabled", default=False)
 
 
