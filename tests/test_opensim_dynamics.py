@@ -74,10 +74,9 @@ TOP = """<OpenSimDocument Version="40000"><Model name="top"><gravity>0 -9.8 0</g
  <coordinates><Coordinate name="a"/><Coordinate name="b"/><Coordinate name="c"/></coordinates>
 </GimbalJoint></objects></JointSet></Model></OpenSimDocument>"""
 VALUES, SPEEDS = np.array([[0.3, -0.4, 0.5]]), np.array([[1.0, -2.0, 0.7]])
-TOPS = {
-    ".05 .01 .012 .002 -.003 .001": (4.278684060804071, -4.87044483038205, -17.38324704167728),
-}
-"""Accelerations of OpenSim 4.6 there, of inertias that no solid has."""
+FLAT = ".05 .01 .012 .002 -.003 .001"
+FLAT_TURNS = 4.278684060804071, -4.87044483038205, -17.38324704167728
+"""Moments that break A + B >= C, and OpenSim 4.6's accelerations there."""
 
 
 def top(folder, inertia):
@@ -88,19 +87,30 @@ def top(folder, inertia):
     return model, convert(model)
 
 
-@pytest.mark.parametrize("inertia", TOPS)
-def test_model_mjb_has_inertias_that_no_solid_has(inertia, tmp_path):
+def test_model_mjb_has_moments_that_no_solid_has(tmp_path):
     """MuJoCo's compiler wants greater ones, and with these the top would turn otherwise."""
-    model, converted = top(tmp_path, inertia)
+    model, converted = top(tmp_path, FLAT)
     compiled = converted.spec.compile()
     true = stiff(compiled, converted.exact)
     states = States(VALUES, SPEEDS, np.zeros((1, 3)))
     found, raised = (
         PlainMuJoCo(converted.coordinates, host).accelerations(states)[0] for host in (true, compiled)
     )
-    np.testing.assert_allclose(found, TOPS[inertia], rtol=1e-9)
+    np.testing.assert_allclose(found, FLAT_TURNS, rtol=1e-9)
     assert np.abs(raised - found).max() > 0.1 * np.abs(found).max()
     # What MuJoCo derives from inertias when it compiles is derived again.
     M, _ = equations(model, dict(zip("abc", np.zeros((3, 1)), strict=True)), np.zeros((1, 3)))
     np.testing.assert_allclose(true.dof_M0, np.diag(M[0]), rtol=1e-9)
     np.testing.assert_allclose(true.dof_invweight0, np.diag(np.linalg.inv(M[0])), rtol=1e-9)
+
+
+def test_a_negative_moment_that_lets_nothing_move_is_zero(tmp_path):
+    """OpenSim loads the file; forces would accelerate the top against themselves."""
+    _, converted = top(tmp_path, ".05 .05 -5 0 0 0")
+    assert converted.exact.bodies["top"] == (1.0, (0.0, 0.05, 0.05))
+    (note,) = converted.notes
+    assert note.rule.endswith(
+        "in model.xml and model.mjb, and to 0 in couplings.json: no accelerations follow from them"
+    )
+    assert note.error_bound == "5 kg m^2"
+    assert stiff(converted.spec.compile(), converted.exact).body_inertia.min(axis=1)[-1] > 0

@@ -219,3 +219,17 @@ def test_actuators_of_locked_coordinates_are_no_loss(tmp_path):
     assert {note["error_bound"] for note in report["notes"] if note["path"] == "/forceset/idle"} == {
         "0: the coordinate is locked"
     }
+
+
+def test_a_negative_moment_is_as_in_the_document(tmp_path):
+    """In MyoWarp's step; MuJoCo C has joints that follow as joints of their own, and needs a repaired one."""
+    path = written(tmp_path)
+    old = "<mass_center>0 -.1 0</mass_center><inertia>.1 .1 .1 0 0 0<"
+    path.write_text(path.read_text().replace(old, old.replace(".1 .1 .1", ".1 .1 -.001")))
+    report = command.run(path, tmp_path / "out")
+    errors = {key: engine["accelerations"] for key, engine in report["dynamics"]["engines"].items()}
+    assert errors["step"]["worst"] < 1e-4
+    assert errors["mjb"]["median"] > 1e-3
+    (note,) = (note for note in report["notes"] if note["path"] == "/bodyset/bob")
+    assert note["rule"].endswith("not positive; least moments were raised in model.xml and model.mjb")
+    assert note["error_bound"] == "0.001 kg m^2"

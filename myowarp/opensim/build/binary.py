@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from myowarp.models.couplings import Exact, couplings
+from myowarp.opensim.build.geometry import positive
 
 LIGHTER = 1e-3
 """Masses of bodies that weigh nothing in the document, as a share of those in MJCF."""
@@ -32,7 +33,7 @@ def stiff(model: mujoco.MjModel, said: Exact) -> mujoco.MjModel:
         return model
     for body, (mass, inertia) in bodies.items():
         if mass > 0:
-            model.body_inertia[body] = inertia
+            model.body_inertia[body] = positive(np.array(inertia), mass)
         else:
             model.body_mass[body] *= LIGHTER
             model.body_inertia[body] *= LIGHTER

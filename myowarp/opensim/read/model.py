@@ -179,10 +179,6 @@ def _body(element: Element) -> Body:
         inertia = np.array(
             [element.number(f"inertia_{ij}", default=0.0) for ij in ["xx", "yy", "zz", "xy", "xz", "yz"]]
         )
-    if (inertia[:3] < 0).any():
-        raise element.error(
-            f"must have moments of inertia of at least 0, got {' '.join(f'{i:g}' for i in inertia[:3])}"
-        )
     return Body(element.name, mass, element.numbers("mass_center", default=(0.0, 0.0, 0.0), count=3), inertia)
 
 
