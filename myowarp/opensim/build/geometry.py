@@ -259,7 +259,7 @@ def _moving_masses(model: Model) -> dict[str, float]:
 
 
 def positive(moments: Array, mass: float) -> Array:
-    """Return principal moments (3,) of a body, raised if one is not positive: a joint may be there."""
+    """Return principal moments (3,), raised if one is not positive: a joint may turn about that axis."""
     return moments if moments.min() >= LEAST_INERTIA else np.maximum(moments, MIN_INERTIA * min(1.0, mass))
 
 
