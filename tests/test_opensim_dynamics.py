@@ -6,7 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.opensim.check.engines import OurStep, States
+from myowarp.opensim.build.binary import stiff
+from myowarp.opensim.build.convert import convert
+from myowarp.opensim.check.engines import OurStep, PlainMuJoCo, States
 from myowarp.opensim.check.oracle import opensim_equations
 from myowarp.opensim.dynamics import equations
 from myowarp.opensim.kinematics import independent, random_poses
@@ -62,3 +64,53 @@ def test_step_of_more_joints_than_a_dense_jacobian_holds():
     still, forces = np.zeros((2, number)), np.arange(2.0 * number).reshape(2, number)
     found = step.accelerations(States(still, still, forces, gravity=False))
     np.testing.assert_allclose(found, forces / mass, rtol=1e-6)
+
+
+TOP = """<OpenSimDocument Version="40000"><Model name="top"><gravity>0 -9.8 0</gravity>
+<BodySet><objects><Body name="top"><mass>1</mass><mass_center>.02 -.1 .03</mass_center>
+ <inertia>{inertia}</inertia></Body></objects></BodySet>
+<JointSet><objects><GimbalJoint name="point"><socket_parent_frame>/ground</socket_parent_frame>
+ <socket_child_frame>/bodyset/top</socket_child_frame>
+ <coordinates><Coordinate name="a"/><Coordinate name="b"/><Coordinate name="c"/></coordinates>
+</GimbalJoint></objects></JointSet></Model></OpenSimDocument>"""
+VALUES, SPEEDS = np.array([[0.3, -0.4, 0.5]]), np.array([[1.0, -2.0, 0.7]])
+FLAT = ".05 .01 .012 .002 -.003 .001"
+FLAT_TURNS = 4.278684060804071, -4.87044483038205, -17.38324704167728
+"""Moments that break A + B >= C, and OpenSim 4.6's accelerations there."""
+
+
+def top(folder, inertia):
+    """Return the document of a top with this inertia, and its conversion."""
+    path = folder / "top.osim"
+    path.write_text(TOP.format(inertia=inertia))
+    model = read_model(path)
+    return model, convert(model)
+
+
+def test_model_mjb_has_moments_that_no_solid_has(tmp_path):
+    """MuJoCo's compiler wants greater ones, and with these the top would turn otherwise."""
+    model, converted = top(tmp_path, FLAT)
+    compiled = converted.spec.compile()
+    true = stiff(compiled, converted.exact)
+    states = States(VALUES, SPEEDS, np.zeros((1, 3)))
+    found, raised = (
+        PlainMuJoCo(converted.coordinates, host).accelerations(states)[0] for host in (true, compiled)
+    )
+    np.testing.assert_allclose(found, FLAT_TURNS, rtol=1e-9)
+    assert np.abs(raised - found).max() > 0.1 * np.abs(found).max()
+    # What MuJoCo derives from inertias when it compiles is derived again.
+    M, _ = equations(model, dict(zip("abc", np.zeros((3, 1)), strict=True)), np.zeros((1, 3)))
+    np.testing.assert_allclose(true.dof_M0, np.diag(M[0]), rtol=1e-9)
+    np.testing.assert_allclose(true.dof_invweight0, np.diag(np.linalg.inv(M[0])), rtol=1e-9)
+
+
+def test_a_negative_moment_that_lets_nothing_move_is_zero(tmp_path):
+    """OpenSim loads the file; forces would accelerate the top against themselves."""
+    _, converted = top(tmp_path, ".05 .05 -5 0 0 0")
+    assert converted.exact.bodies["top"] == (1.0, (0.0, 0.05, 0.05))
+    (note,) = converted.notes
+    assert note.rule.endswith(
+        "in model.xml and model.mjb, and to 0 in couplings.json: no accelerations follow from them"
+    )
+    assert note.error_bound == "5 kg m^2"
+    assert stiff(converted.spec.compile(), converted.exact).body_inertia.min(axis=1)[-1] > 0

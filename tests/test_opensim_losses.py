@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from myowarp.opensim import command
+from myowarp.opensim.model import Note
 from myowarp.opensim.read.components import READERS
 from myowarp.opensim.read.model import read_model
 
@@ -41,7 +42,7 @@ PENDULUM = """<OpenSimDocument Version="40000"><Model name="pendulum"><gravity>0
  </coupled_coordinates_function><independent_coordinate_names>bend</independent_coordinate_names>
  <dependent_coordinate_name>hidden</dependent_coordinate_name></CoordinateCouplerConstraint>
  {constraint}</objects></ConstraintSet>
-<ForceSet><objects>{force}</objects></ForceSet></Model></OpenSimDocument>"""
+<ForceSet><objects>{force}</objects></ForceSet>{more}</Model></OpenSimDocument>"""
 
 BUSHING = """<BushingForce name="lost">
 <socket_frame1>/ground</socket_frame1><socket_frame2>{frame}</socket_frame2>
@@ -49,9 +50,9 @@ BUSHING = """<BushingForce name="lost">
 </translational_stiffness></BushingForce>"""
 
 
-def written(tmp_path, force="", constraint=""):
+def written(tmp_path, force="", constraint="", more=""):
     path = tmp_path / "pendulum.osim"
-    path.write_text(PENDULUM.format(force=force, constraint=constraint))
+    path.write_text(PENDULUM.format(force=force, constraint=constraint, more=more))
     return path
 
 
@@ -95,6 +96,43 @@ def test_what_acts_where_no_joint_is_is_a_loss(kind, force, tmp_path):
     path = written(tmp_path, f'<{kind} name="lost">{force}</{kind}>')
     assert f"--accept-losses {kind} " in converted(path, tmp_path)
     assert converted(path, tmp_path, accept_losses=(kind,)) == ""
+
+
+CONTROLLERS = "<ControllerSet><objects>{}</objects></ControllerSet>"
+ON = {
+    "PrescribedController": CONTROLLERS.format('<PrescribedController name="on"/>'),
+    "MyReflex": CONTROLLERS.format('<MyReflex name="on"><enabled>true</enabled></MyReflex>'),
+    "ControlSetController": CONTROLLERS.format(
+        "<ControlSetController><controls_file>c.xml</controls_file></ControlSetController>"
+    ),
+    "ToyReflexController": '<ComponentSet><objects><ToyReflexController name="on"/></objects></ComponentSet>',
+    "ControllerSet": '<ControllerSet file="controllers.xml"/>',
+}
+
+
+@pytest.mark.parametrize("code", ON)
+def test_controllers_that_are_on_are_losses(code, tmp_path, capsys):
+    """They act in OpenSim; a set of them may be in another file."""
+    path = written(tmp_path, more=ON[code])
+    assert converted(path, tmp_path).endswith(f"--accept-losses {code} accepts them")
+    assert f"left out: {code}, 1, control, size unknown:" in capsys.readouterr().out
+    assert converted(path, tmp_path, accept_losses=(code,)) == ""
+
+
+def test_what_is_off_or_records_is_no_loss(tmp_path):
+    """By the switches of OpenSim 4 and 3, of classes that nobody reads, too."""
+    off = ("enabled>false</enabled", "isDisabled>true</isDisabled")
+    controllers = "".join(
+        f'<ReflexController name="{n}"><{text}></ReflexController>' for n, text in enumerate(off)
+    )
+    force = '<HuntCrossleyForce name="off"><appliesForce>false</appliesForce></HuntCrossleyForce>'
+    probes = (
+        '<ProbeSet><objects><JointInternalPowerProbe name="p"/></objects></ProbeSet><MarkerSet file="m.xml"/>'
+    )
+    notes = read_model(written(tmp_path, force, more=CONTROLLERS.format(controllers) + probes)).notes
+    assert [type(note) for note in notes] == [Note] * 5
+    assert [note.rule for note in notes].count("switched off in the file; left out") == 3
+    assert {note.error_bound for note in notes} == {"0", "0: records, and does not act"}
 
 
 def test_nothing_is_lost_of_a_pendulum(tmp_path, capsys):
@@ -181,3 +219,17 @@ def test_actuators_of_locked_coordinates_are_no_loss(tmp_path):
     assert {note["error_bound"] for note in report["notes"] if note["path"] == "/forceset/idle"} == {
         "0: the coordinate is locked"
     }
+
+
+def test_a_negative_moment_is_as_in_the_document(tmp_path):
+    """In MyoWarp's step; MuJoCo C has joints that follow as joints of their own, and needs a repaired one."""
+    path = written(tmp_path)
+    old = "<mass_center>0 -.1 0</mass_center><inertia>.1 .1 .1 0 0 0<"
+    path.write_text(path.read_text().replace(old, old.replace(".1 .1 .1", ".1 .1 -.001")))
+    report = command.run(path, tmp_path / "out")
+    errors = {key: engine["accelerations"] for key, engine in report["dynamics"]["engines"].items()}
+    assert errors["step"]["worst"] < 1e-4
+    assert errors["mjb"]["median"] > 1e-3
+    (note,) = (note for note in report["notes"] if note["path"] == "/bodyset/bob")
+    assert note["rule"].endswith("not positive; least moments were raised in model.xml and model.mjb")
+    assert note["error_bound"] == "0.001 kg m^2"

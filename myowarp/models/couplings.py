@@ -24,6 +24,9 @@ POINT_JOINTS = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.v
 TEXT = "couplings"
 """Name of the model's text that says how its joints follow each other exactly."""
 
+REGULAR = 1e-9
+"""Least `regularity` of a mass matrix along free coordinates with which float32 finds accelerations."""
+
 
 @dataclass(frozen=True)
 class Pieces:

@@ -46,7 +46,7 @@ class Convert:
     """
 
     model: Annotated[Path, tyro.conf.Positional]
-    """The model, .osim of OpenSim 3.0 to 4.6 (document versions 30000 to 40600)."""
+    """The model, .osim of OpenSim 2.1 to 4.6 (document versions 20101 to 40600)."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/model")
     """Folder for the result."""
     meshes: tuple[Path, ...] = ()

@@ -213,7 +213,7 @@ class Model:
     name: str
     source: FilePath
     version: int
-    """Of the document: 30000 to 40600."""
+    """Of the document: 20101 to 40600."""
     credits: str
     publications: str
     length_units: str

@@ -39,6 +39,7 @@ from myowarp.kernels.launch import launch
 from myowarp.models.couplings import (
     NOTHING,
     POINT_JOINTS,
+    REGULAR,
     Coupling,
     Exact,
     couplings,
@@ -48,7 +49,6 @@ from myowarp.models.couplings import (
 )
 from myowarp.spec.scene import Scene
 
-REGULAR = 1e-9  # least eigenvalue of M_r, its diagonal scaled to 1, below which coordinates lack mass
 SAME_MASS = 1e-9  # relative; a body that has taken in others, or was made heavier, keeps its mass
 
 

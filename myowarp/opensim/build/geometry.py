@@ -14,11 +14,12 @@ import mujoco
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from myowarp.models.couplings import Exact, Pieces, line
+from myowarp.models.couplings import REGULAR, Exact, Pieces, line, regularity
 from myowarp.opensim.build.quartics import Quartic, fit_all
+from myowarp.opensim.dynamics import equations
 from myowarp.opensim.elements import Pose
 from myowarp.opensim.functions import IDENTITY, Composed, Constant, Function, Multiplier, affine, curves
-from myowarp.opensim.kinematics import about, sampling_range
+from myowarp.opensim.kinematics import about, independent, sampling_range
 from myowarp.opensim.mapping import CoordinateMap, Dependent, MappedCoordinate
 from myowarp.opensim.model import GROUND, Joint, Model, Move, Note
 
@@ -28,6 +29,7 @@ HINGE, SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 
 MIN_MASS = 1e-3  # kg, of a moving body that has none
 MIN_INERTIA = 1e-6  # kg m^2
+LEAST_INERTIA = 1e-12  # kg m^2, below which a principal moment is none
 ROUNDING = 1e-6  # relative; MuJoCo refuses A + B >= C that its own rounding breaks
 MAX_JOINTS = 6  # of one body, in MuJoCo
 PHANTOM_INERTIA = 1e-3  # kg m^2, of a phantom whose angle runs over about 2 rad
@@ -256,6 +258,19 @@ def _moving_masses(model: Model) -> dict[str, float]:
     return total
 
 
+def positive(moments: Array, mass: float) -> Array:
+    """Return principal moments (3,), raised if one is not positive: a joint may turn about that axis."""
+    return moments if moments.min() >= LEAST_INERTIA else np.maximum(moments, MIN_INERTIA * min(1.0, mass))
+
+
+def _regular(model: Model) -> bool:
+    """Return whether forces determine accelerations in the default pose, with the document's inertias."""
+    free = independent(model)
+    start = {name: np.array([model.coordinates[name].default]) for name in free}
+    M, _ = equations(model, start, np.zeros((1, len(free))))
+    return not free or regularity(M[0]) >= REGULAR
+
+
 def _add_inertia(build: Build, name: str, body: mujoco.MjsBody, floor: bool) -> None:
     """Give a body its mass and inertia, repaired where MuJoCo would refuse them."""
     source = build.model.bodies[name]
@@ -272,12 +287,14 @@ def _add_inertia(build: Build, name: str, body: mujoco.MjsBody, floor: bool) -> 
                 f"{MIN_MASS:g} kg, {MIN_INERTIA:g} kg m^2",
             )
         )
-    elif mass > 0 and values[0] < 1e-12:
-        lift = np.maximum(values, MIN_INERTIA * min(1.0, mass))
+    elif mass > 0 and values[0] < LEAST_INERTIA:
+        lift = positive(values, mass)
         bound = f"{float((lift - values).max()):.3g} kg m^2"
-        build.notes.append(
-            Note(f"/bodyset/{name}", "its inertia is not positive; least moments were raised", bound)
-        )
+        rule = "its inertia is not positive; least moments were raised in model.xml and model.mjb"
+        if values[0] < 0 and not _regular(build.model):
+            stated = mass, tuple(np.maximum(values, 0.0).tolist())
+            rule += ", and to 0 in couplings.json: no accelerations follow from them"
+        build.notes.append(Note(f"/bodyset/{name}", rule, bound))
         values = lift
     lack = values[2] - values[0] - values[1]
     if mass > 0 and lack > -ROUNDING * values[2]:
@@ -287,7 +304,7 @@ def _add_inertia(build: Build, name: str, body: mujoco.MjsBody, floor: bool) -> 
             build.notes.append(
                 Note(
                     f"/bodyset/{name}",
-                    "its moments of inertia break A + B >= C; the lesser ones were raised",
+                    "its moments of inertia break A + B >= C; the lesser ones were raised in model.xml",
                     f"{lift:.3g} kg m^2",
                 )
             )

@@ -50,10 +50,13 @@ CONTACT = ("HuntCrossleyForce", "ElasticFoundationForce", "SmoothSphereHalfSpace
 
 def unread(path: str, element: Element) -> Note:
     """Return what is said of a component that nobody reads."""
-    rule = f"{element.tag} has no counterpart; left out"
+    why = "is in another file, which is not read" if "file" in element.attributes else "has no counterpart"
+    rule = f"{element.tag} {why}; left out"
     where = path.split("/")[1]
-    if where in ("controllerset", "probeset"):
-        return Note(path, rule, "0: commands or records, and is no part of the body")
+    if where in ("markerset", "probeset"):
+        return Note(path, rule, "0: records, and does not act")
+    if where == "controllerset" or element.tag.endswith("Controller"):
+        return Loss(path, rule, code=element.tag, effect="control")
     if element.tag in CONTACT:
         return Loss(path, rule, code=element.tag, effect="contact")
     constraint = where == "constraintset" or element.tag.endswith("Constraint")
@@ -64,28 +67,30 @@ def read_components(components: list[tuple[str, Element]], scope: Scope) -> dict
     """Return the fields of `Model` that `READERS` fills; what nobody reads gets a note."""
     found: dict[str, dict[str, Any]] = {field: {} for field in FIELDS}
     for path, element in components:
-        if element.tag in READERS:
-            field, read = READERS[element.tag]
-            if field != "muscles" and not read_muscles.is_on(element):
-                scope.notes.append(Note(path, "switched off in the file; left out", "0"))
-                continue
-            item = read(element, scope)
-            key = item.dependent if isinstance(item, Coupler) else item.name
-            if key in found[field]:
-                # Names of markers need not differ, and two couplers may want one coordinate.
-                if field == "couplers":
-                    raise element.error(f"drives coordinate {key!r}, as {found[field][key].name!r} does")
-                again = f"a second {element.tag} of that name; left out"
-                scope.notes.append(
-                    Note(path, again) if field == "markers" else Loss(path, again, code=element.tag)
-                )
-                continue
-            found[field][key] = item
-            if element.tag == "ActivationCoordinateActuator":
-                rule = "its activation dynamics are left out; it acts at once"
-                scope.notes.append(Loss(path, rule, code=element.tag, effect="control"))
-        elif element.tag not in (*INERT, *JOINTS, *read_forces.SHAPES):
+        if element.tag in (*INERT, *JOINTS, *read_forces.SHAPES):
+            continue
+        if element.tag not in DEFAULTS and not read_muscles.is_on(element):
+            scope.notes.append(Note(path, "switched off in the file; left out", "0"))
+            continue
+        if element.tag not in READERS:
             scope.notes.append(unread(path, element))
+            continue
+        field, read = READERS[element.tag]
+        item = read(element, scope)
+        key = item.dependent if isinstance(item, Coupler) else item.name
+        if key in found[field]:
+            # Names of markers need not differ, and two couplers may want one coordinate.
+            if field == "couplers":
+                raise element.error(f"drives coordinate {key!r}, as {found[field][key].name!r} does")
+            again = f"a second {element.tag} of that name; left out"
+            scope.notes.append(
+                Note(path, again) if field == "markers" else Loss(path, again, code=element.tag)
+            )
+            continue
+        found[field][key] = item
+        if element.tag == "ActivationCoordinateActuator":
+            rule = "its activation dynamics are left out; it acts at once"
+            scope.notes.append(Loss(path, rule, code=element.tag, effect="control"))
     _refuse_cycles(found["couplers"], components)
     return {
         field: MappingProxyType(items) if field in MAPPINGS else tuple(items.values())

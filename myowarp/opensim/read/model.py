@@ -1,4 +1,4 @@
-"""Read an .osim file, documents 30000 to 40600, without OpenSim.
+"""Read an .osim file, documents 20101 to 40600, without OpenSim.
 
 What the file cannot say legally is an error that names file, line and element; what is legal but has no
 counterpart here is skipped with a `Note`. Documents before 4.0 keep joints inside their child bodies
@@ -17,10 +17,30 @@ from myowarp.opensim.read.components import READERS, read_components, read_shape
 from myowarp.opensim.read.document import Element, parse
 from myowarp.opensim.read.frames import Frames
 from myowarp.opensim.read.joints import JOINTS, in_order, read_coordinate, read_joint
+from myowarp.opensim.read.muscle_defaults import DEFAULTS
 from myowarp.opensim.read.paths import Scope, read_wraps
 
-VERSIONS = (30000, 40699)
+VERSIONS = (20101, 40699)
 """First and last version of a document that is read; the later ones of 4.6 add nothing."""
+
+RENAMED = {
+    "ActuatorSet": "ForceSet",
+    "MusclePointSet": "PathPointSet",
+    "MusclePoint": "PathPoint",
+    "MuscleViaPoint": "ConditionalPathPoint",
+    "MovingMusclePoint": "MovingPathPoint",
+    "MuscleWrapSet": "PathWrapSet",
+    "MuscleWrap": "PathWrap",
+    "GeneralizedForce": "CoordinateActuator",
+    "Force": "PointActuator",
+    "Torque": "TorqueActuator",
+    "Schutte1993Muscle": "Schutte1993Muscle_Deprecated",
+    "Delp1990Muscle": "Delp1990Muscle_Deprecated",
+}
+"""Classes and sets of documents before 30000, and what OpenSim 4.6 reads them as."""
+
+STATED = 30513
+"""First version in which a muscle's `min_control` of 0 counts; OpenSim 4.6 drops that of earlier ones."""
 
 MAX_BODIES = 400  # published models have up to about 100; a chain of bodies is walked recursively
 
@@ -106,6 +126,12 @@ def _checked(root: Element) -> tuple[Element, int]:
             f"has version {version[:60]!r}; documents {VERSIONS[0]} to {VERSIONS[1]} are read, "
             "older ones after saving them with OpenSim"
         )
+    for element in root.walk():
+        if int(version) < 30000:
+            element.tag = RENAMED.get(element.tag, element.tag)
+        if int(version) < STATED and element.tag in DEFAULTS and (control := element.own("min_control")):
+            if not control.parsed(finite=False).any():
+                element.children.remove(control)
     classes: dict[str, Element] = {}
     for place in (root, root.own("Model")):
         block = None if place is None else place.own("defaults")
@@ -121,6 +147,9 @@ def _components(model: Element) -> list[tuple[str, Element]]:
     """Return all components with their paths, those inside joints and frames left out."""
     listed = []
     for tag, name in SETS:
+        whole = model.find(tag)
+        if whole is not None and "file" in whole.attributes:
+            listed.append((name, whole))
         for element in model.objects(tag):
             listed.append((name, element))
             if tag == "BodySet" and (inside := element.own("Joint")) is not None:
@@ -175,10 +204,6 @@ def _body(element: Element) -> Body:
     else:
         inertia = np.array(
             [element.number(f"inertia_{ij}", default=0.0) for ij in ["xx", "yy", "zz", "xy", "xz", "yz"]]
-        )
-    if (inertia[:3] < 0).any():
-        raise element.error(
-            f"must have moments of inertia of at least 0, got {' '.join(f'{i:g}' for i in inertia[:3])}"
         )
     return Body(element.name, mass, element.numbers("mass_center", default=(0.0, 0.0, 0.0), count=3), inertia)
 

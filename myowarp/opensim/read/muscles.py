@@ -35,12 +35,24 @@ ABOVE = {
 }
 """What further parameters must be greater than, in the classes that have them."""
 
-STRUCTURE = ("GeometryPath", "path", "components", "appliesForce", "isDisabled", "connectors")
+OTHERS = {name for defaults in DEFAULTS.values() for name in defaults}
+"""Parameters that some class has always; optional ones of a class are not among them."""
+
+STRUCTURE = (
+    "PathPointSet",
+    "PathWrapSet",
+    "GeometryPath",
+    "path",
+    "components",
+    "appliesForce",
+    "isDisabled",
+    "connectors",
+)
 
 
 def is_on(element: Element) -> bool:
-    """Return whether a force or constraint is switched on; before 4.0: not `isDisabled`."""
-    on = element.flag("appliesForce", "isEnforced", default=True)
+    """Return whether a force, constraint or controller is switched on; before 4.0: not `isDisabled`."""
+    on = element.flag("appliesForce", "isEnforced", "enabled", default=True)
     return on and not element.flag("isDisabled", default=False)
 
 
@@ -97,7 +109,9 @@ def read_muscle(element: Element, scope: Scope) -> Muscle:
     for name in ("max_isometric_force", "optimal_fiber_length", "tendon_slack_length"):
         if (found := element.find(name)) is not None and name not in given:
             raise found.error(f"must be one number, got {found.text.strip()[:60]!r}")
-    values = {**COMMON, **DEFAULTS.get(element.tag, {}), **given}
+    own = {**COMMON, **DEFAULTS[element.tag]}
+    # OpenSim ignores parameters of other classes, such as a damping that a Thelen2003Muscle had before 3.0.
+    values = {**own, **{name: given[name] for name in given if name in own or name not in OTHERS}}
     for name, low, high in (
         ("max_isometric_force", 0.0, math.inf),
         ("optimal_fiber_length", 1e-6, math.inf),

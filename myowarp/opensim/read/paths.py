@@ -110,6 +110,8 @@ def read_path(owner: Element, scope: Scope) -> Path:
     if element is None:
         inner = owner.find("path")
         element = inner.find("GeometryPath") if inner is not None else None
+    if element is None and owner.find("PathPointSet") is not None:
+        element = owner  # as in documents before 20302
     if element is None:
         other = next((child for child in owner.children if "Path" in child.tag), owner)
         raise other.unsupported("is no <GeometryPath>; other kinds of path are not supported")

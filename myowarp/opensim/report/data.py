@@ -244,7 +244,9 @@ def left_out(losses: list[dict[str, Any]]) -> list[tuple[str, str, str, str]]:
     rows: list[tuple[str, str, str, str]] = []
     for code, group in sorted(groups.items(), key=lambda item: (item[1][0]["accepted"], -len(item[1]))):
         known = [loss for loss in group if loss["largest"] is not None]
-        size = "size unknown; OpenSim, if installed, measures it"
+        size = "size unknown"
+        if group[0]["effect"] != "control":
+            size += "; OpenSim, if installed, measures it"
         if known:
             most = max(known, key=lambda loss: loss["largest"])
             size = f"up to {most['largest']:.3g} {most['unit']}"
