@@ -64,7 +64,7 @@ def run(
             with connected(address, output), progress_bar("Simulating", "chunks", console) as bar:
                 task = bar.add_task("", total=len(starts), completed=len(starts) - len(missing))
                 pieces = _pieces(population, chunk, missing, output, settings)
-                for name, _, why in each(simulate, pieces, cpus=cpus):
+                for name, _, why in each(simulate, pieces, folder=output, cpus=cpus):
                     if why:
                         failures[name] = why
                     else:
