@@ -1,6 +1,7 @@
 """Scenes: from a task to a compiled model with all arrays allocated."""
 
 import math
+import re
 from collections.abc import Callable, Iterable
 from functools import lru_cache
 from pathlib import Path
@@ -49,6 +50,8 @@ poses of all sites: it would be old.
 """
 
 MOST_STEPS = 2**31 - 1  # in an episode: the device counts in int32
+MOST_WORLDS = 2**31 - 1  # likewise
+DEVICE = re.compile(r"cpu|cuda(:[0-9]{1,3})?")
 ROUNDING = 1e-6  # of a physics step; control steps are no exact multiples in binary
 
 
@@ -171,10 +174,12 @@ def checked_num_worlds(num_worlds: int) -> int:
     """Return the number of worlds as a plain integer.
 
     Raises:
-        ValueError: It is no positive integer.
+        ValueError: It is no positive integer, or more than the device counts.
     """
     if isinstance(num_worlds, bool) or not isinstance(num_worlds, (int, np.integer)) or num_worlds < 1:
         raise ValueError(f"num_envs must be a positive integer, got {num_worlds!r}")
+    if num_worlds > MOST_WORLDS:
+        raise ValueError(f"num_envs must be at most {MOST_WORLDS}, got {num_worlds}")
     return int(num_worlds)
 
 
@@ -292,6 +297,12 @@ def _adopt_arrays(scene: Scene, batched: set[str], individual: bool) -> None:
 
 
 @in_turn
+def check_device_name(device: object) -> None:
+    """Raise ValueError if no machine has a Warp device called `device`; None and "" are the preferred one."""
+    if device not in (None, "") and not DEVICE.fullmatch(str(device)):
+        raise ValueError(f"device must be cpu, cuda or cuda:N, got {device!r}")
+
+
 def resolve_device(device: str | None) -> wp.Device:
     """Return the Warp device called `device`, the preferred one for None.
 
