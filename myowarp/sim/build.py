@@ -174,12 +174,10 @@ def checked_num_worlds(num_worlds: int) -> int:
     """Return the number of worlds as a plain integer.
 
     Raises:
-        ValueError: It is no positive integer, or more than the device counts.
+        ValueError: It is no positive integer.
     """
     if isinstance(num_worlds, bool) or not isinstance(num_worlds, (int, np.integer)) or num_worlds < 1:
         raise ValueError(f"num_envs must be a positive integer, got {num_worlds!r}")
-    if num_worlds > MOST_WORLDS:
-        raise ValueError(f"num_envs must be at most {MOST_WORLDS}, got {num_worlds}")
     return int(num_worlds)
 
 
