@@ -240,6 +240,17 @@ def test_files_read_back(five, tmp_path):
     assert array.shape == (10, STEPS)
 
 
+def test_names_are_no_formulas_in_spreadsheets(tmp_path):
+    """As OWASP has it: a single quote in front; a name that has one gets another."""
+    names = ["=cmd|' /C calc'!A0", "'=cmd|' /C calc'!A0", "+1", "-1", "@sum", "Ada", "'Ada", "a=b"]
+    found = cohort(pd.DataFrame({"patient": names, "strength": 1.0}), steps=1)
+    found.save(tmp_path, ".csv")
+    safe = ["'=cmd|' /C calc'!A0", "''=cmd|' /C calc'!A0", "'+1", "'-1", "'@sum", "Ada", "'Ada", "a=b"]
+    for file in ("results.csv", "summary.csv"):
+        assert pd.read_csv(tmp_path / file)["patient"].tolist() == safe
+    assert found.summary["patient"].tolist() == names
+
+
 @pytest.mark.parametrize(
     ("columns", "blocks", "unit"),
     [

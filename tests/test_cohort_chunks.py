@@ -1,5 +1,6 @@
 """A cohort in chunks over a cluster is that of one process, bit for bit, whatever dies meanwhile."""
 
+import contextlib
 import json
 import os
 import signal
@@ -11,7 +12,7 @@ from clusters import PATIENCE, fill_store, replace_node, start, wait_until, work
 pd = pytest.importorskip("pandas")
 dataset = pytest.importorskip("pyarrow.dataset")
 
-from myowarp.apps.cohort import run_cohort  # noqa: E402
+from myowarp.apps.cohort import chunks, run_cohort  # noqa: E402
 from myowarp.disk import locked  # noqa: E402
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
@@ -92,6 +93,42 @@ def test_ten_thousand_patients_once_each_whatever_dies(cluster, tmp_path):
     assert before.items() <= after.items()
     assert "10,000 rows of 10,000 patients" in said
     check_same(output, table)
+
+
+def test_damaged_chunks_are_simulated_again(run, tmp_path, monkeypatch):
+    """Without Ray: the chunks are simulated here, one after the other."""
+    simulated = []
+
+    def each(work, pieces, **options):
+        for name, arguments in pieces:
+            simulated.append(name)
+            yield name, work(*arguments), ""
+
+    monkeypatch.setattr(chunks, "each", each)
+    monkeypatch.setattr(chunks, "connected", lambda address, folder: contextlib.nullcontext())
+    table, output = patients(tmp_path / "patients.csv", 12), tmp_path / "out"
+    words = command(table, output, "--chunk", 2)
+    assert run(*words)[0] == 0
+    assert simulated == [f"chunk {i}" for i in range(6)]
+    summary, results = (sorted((output / folder).iterdir()) for folder in ("summary", "results"))
+    summary[0].write_bytes(b"")
+    summary[1].write_bytes(summary[1].read_bytes()[:100])
+    results[2].write_bytes(b"")
+    results[3].unlink()
+    summary[4].write_bytes(summary[5].read_bytes())
+    simulated.clear()
+    status, _, err = run(*words)
+    assert (status, f"5 damaged chunks in {output} are simulated again" in " ".join(err.split())) == (0, True)
+    assert simulated == [f"chunk {i}" for i in range(5)]
+    check_same(output, table)
+    simulated.clear()
+    assert run(*words)[0] == 0
+    assert simulated == []
+    for content in ("{", "[]", "[5]", None):
+        path = output / "settings.json"
+        path.unlink(missing_ok=True) if content is None else path.write_text(content)
+        status, _, err = run(*words)
+        assert (status, "holds a cohort whose settings.json is damaged or missing (" in err) == (2, True)
 
 
 def test_what_is_refused(run, tmp_path):

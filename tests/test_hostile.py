@@ -248,9 +248,13 @@ def test_numbers_that_python_takes_or_nobody(cell):
             number_in(cell)
 
 
-@pytest.mark.parametrize("name", ["an\x00na", "\x1b[31mred", "a\x7f"])
+@pytest.mark.parametrize(
+    "name", ["an\x00na", "\x1b[31mred", "a\x7f", "\u202eanna", "an\u200bna", "an\u2028na"]
+)
 def test_names_of_patients(tmp_path, name):
     table = tmp_path / "patients.csv"
+    table.write_text("patient,strength\nعلی\u200cرضا,1\n")
+    assert read_population(table, MUSCLES).patients == ("علی\u200cرضا",)
     table.write_text(f"patient,strength\n{name},1\n")
     with pytest.raises(ValueError, match=r"^cohort row 1, column 'patient': a name is printable text, got"):
         read_population(table, MUSCLES)

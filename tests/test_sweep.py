@@ -19,6 +19,7 @@ from myowarp.apps.sweep.work import RESULT, finished
 ELBOW = "myoElbowPose1D6MRandom-v0"
 TINY = {"num_worlds": 8, "rollout_steps": 16, "minibatches": 2, "epochs": 1, "hidden": [16, 16]}
 TRAIN = {"kind": "train", "tasks": [ELBOW], "episodes": 8}
+EXO = {"kind": "reproduce", "tasks": ["exo1"]}
 EVAL = {"kind": "eval", "tasks": [ELBOW], "policies": ["baseline"], "episodes": 8}
 
 
@@ -110,6 +111,39 @@ def test_two_nodes_do_a_study(tmp_path, cluster):
         (EVAL | {"policies": ["nowhere"]}, "nowhere"),
         (EVAL | {"conditions": ["tendon_transfer"]}, "tendon_transfer"),
         ({"kind": "reproduce", "tasks": ["exo9"]}, "exo9"),
+        (TRAIN | {"settings": {"hidden": ["x"]}}, "--hidden must be integers, got 'x'"),
+        (TRAIN | {"settings": {"hidden": [1.5]}}, "--hidden must be integers, got 1.5"),
+        (TRAIN | {"settings": {"hidden": [True]}}, "--hidden must be integers, got True"),
+        (
+            TRAIN | {"settings": {"hidden": [10**9, 10**9]}},
+            "--hidden must be from 1 to 16384, got 1000000000",
+        ),
+        (TRAIN | {"settings": {"samples": None}}, "setting 'samples' must have a value, got None"),
+        (TRAIN | {"settings": {"threads": 10**6}}, "--threads must be from 1 to 1024, got 1000000"),
+        (TRAIN | {"settings": {"device": "../x"}}, "device must be cpu, cuda or cuda:N, got '../x'"),
+        (
+            TRAIN | {"settings": {"learning_rate": "1e-4x"}},
+            "--learning-rate must be of type float, got '1e-4x'",
+        ),
+        (TRAIN | {"settings": []}, "settings must have names and values, got []"),
+        (
+            TRAIN | {"seeds": [2**64]},
+            "--seed must be from 0 to 9223372036854775807, got 18446744073709551616",
+        ),
+        (TRAIN | {"seeds": 10**9}, "must have at most 10,000 runs, got 1,000,000,000; make several studies"),
+        (TRAIN | {"seeds": 10**30}, "must have at most 10,000 runs"),
+        (TRAIN | {"episodes": 10**20}, "--episodes must be at most 2147483647, got 100000000000000000000"),
+        (EVAL | {"policies": [5]}, "'5' holds no checkpoint"),
+        (EVAL | {"policies": [None]}, "'None' holds no checkpoint"),
+        (EVAL | {"settings": {"mode": "x"}}, "mode 'x' unknown; available: both, deterministic, sampled"),
+        (EVAL | {"settings": {"reset": 5}}, "reset 5 unknown; available: task, fixed, random, none"),
+        (EVAL | {"settings": {"muscle": 5}}, "muscle 5 unknown; available: "),
+        (EVAL | {"settings": {"physics": [[["fast"]]]}}, "physics (['fast'],) unknown; available: "),
+        (EVAL | {"settings": {"device": 5}}, "device must be cpu, cuda or cuda:N, got 5"),
+        (EXO | {"settings": {"quick": 5}}, "quick must be True or False, got 5"),
+        (EXO | {"settings": {"retrain": "x"}}, "retrain must be True or False, got 'x'"),
+        (EXO | {"settings": {"seeds": 10**12}}, "--seeds must be at most 10000, got 1000000000000"),
+        (EXO | {"settings": {"num_worlds": "x"}}, "--num-worlds must be an integer, got 'x'"),
     ],
 )
 def test_an_impossible_study_is_refused_before_anything_starts(entries, message, run, tmp_path):
@@ -125,6 +159,7 @@ def test_what_else_is_refused(run, tmp_path, monkeypatch):
     good = study(tmp_path / "study.yaml", **EVAL)
     for arguments, message in {
         (tmp_path / "none.yaml",): "does not exist",
+        (tmp_path,): "Is a directory",
         (good, "--address", "127.0.0.1:9"): "has no Ray cluster",
         (good, "--address", "nonsense"): "has no Ray cluster",
         (good, "--cpus", 0): "--cpus must be at least 1, got 0",
@@ -132,9 +167,16 @@ def test_what_else_is_refused(run, tmp_path, monkeypatch):
         status, _, err = run("sweep", *arguments, "--output", tmp_path / "out")
         assert status == 2
         assert message in err
-    (tmp_path / "study.yaml").write_text("kind: [train")
-    status, _, err = run("sweep", good, "--output", tmp_path / "out")
-    assert (status, "is no YAML file" in err) == (2, True)
+    for text, message in (
+        ("kind: [train", "is no YAML file"),
+        (200_001 * "#", "must have at most 200,000 characters, got 200,001; make several studies"),
+        (20_000 * "[", "must be nested at most 10 deep"),
+        ("kind: train\ntasks: " + 900 * "[" + 900 * "]", "must be nested at most 10 deep"),
+        ("kind: train\ntasks: &a [*a]", "has an alias, *a; write out what it stands for"),
+    ):
+        (tmp_path / "study.yaml").write_text(text)
+        status, _, err = run("sweep", good, "--output", tmp_path / "out")
+        assert (status, message in err, err.count("\n")) == (2, True, 1)
 
 
 def test_a_dry_run_counts_and_starts_nothing(run, tmp_path):

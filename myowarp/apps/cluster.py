@@ -18,6 +18,8 @@ from typing import Any
 from myowarp.apps.train.checkpoint import versions
 from myowarp.engine.threads import CORES, num_cores
 
+logger = logging.getLogger("myowarp")
+
 RETRIES = 10  # of a piece whose worker or node died
 PATIENCE = 60.0  # s that a node has to answer
 REACH = 5.0  # s that a cluster has to accept a connection
@@ -74,47 +76,71 @@ def _check_address(address: str) -> None:
 
 
 def _check_nodes(folder: Path) -> None:
-    """Raise ValueError if a node has other versions than this process, or does not see the folder."""
+    """Raise ValueError if a node has other versions than this process, or does not see the folder.
+
+    Ray lists a node for a while after it has died. Such a node gets no work; one that comes back, or a new
+    one, is checked before each piece of work.
+    """
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-    nodes = {node["NodeID"]: node["NodeManagerAddress"] for node in ray.nodes() if node["Alive"]}
-    ask = ray.remote(num_cpus=0, max_retries=0)(_seen)
+    nodes = {node["NodeID"]: node["NodeManagerAddress"] for node in _alive()}
+    ask = ray.remote(num_cpus=0, max_retries=RETRIES)(_misfit)
     answers = {
-        node: ask.options(scheduling_strategy=NodeAffinitySchedulingStrategy(node, soft=False)).remote(folder)
+        node: ask.options(scheduling_strategy=NodeAffinitySchedulingStrategy(node, soft=False)).remote(
+            versions(), folder
+        )
         for node in nodes
     }
-    here = versions()
     for node, answer in answers.items():
         try:
-            there, sees = ray.get(answer, timeout=PATIENCE)
+            misfit = ray.get(answer, timeout=PATIENCE)
         except ray.exceptions.RayError as error:
             reason = str(error).strip().splitlines()[-1]
+            lost = isinstance(error, ray.exceptions.TaskUnschedulableError)
+            if lost or node not in {other["NodeID"] for other in _alive()}:
+                logger.warning("node %s is gone and left out until it comes back (%s)", nodes[node], reason)
+                continue
             raise ValueError(
                 f"node {nodes[node]} cannot run MyoWarp ({reason}); install the same there"
             ) from error
-        for name in sorted(here.keys() | there.keys()):
-            if here.get(name) != there.get(name):
-                raise ValueError(
-                    f"node {nodes[node]} has {name} {there.get(name)}, this machine has {here.get(name)}; "
-                    "install the same on both"
-                )
-        if not sees:
-            raise ValueError(
-                f"node {nodes[node]} cannot write {str(folder)!r}; every node needs the folder at the same "
-                "path"
+        if misfit:
+            raise ValueError(misfit)
+
+
+def _alive() -> list[dict[str, Any]]:
+    """Return the nodes that Ray takes to be alive."""
+    import ray
+
+    return [node for node in ray.nodes() if node["Alive"]]
+
+
+def _misfit(here: dict[str, str], folder: Path) -> str:
+    """Return in one sentence why a node must not work, "" if it may; on the node.
+
+    Args:
+        here: Versions of packages on the machine that gives the work.
+        folder: Folder that the node must see.
+    """
+    import ray
+
+    there, address = versions(), ray.util.get_node_ip_address()
+    for name in sorted(here.keys() | there.keys()):
+        if here.get(name) != there.get(name):
+            return (
+                f"node {address} has {name} {there.get(name)}, this machine has {here.get(name)}; "
+                "install the same on both"
             )
-
-
-def _seen(folder: Path) -> tuple[dict[str, str], bool]:
-    """Return versions of packages, and whether a folder can be written; on a node."""
-    return versions(), os.access(folder, os.W_OK)
+    if not os.access(folder, os.W_OK):
+        return f"node {address} cannot write {str(folder)!r}; every node needs the folder at the same path"
+    return ""
 
 
 def each(
     work: Callable[..., Any],
     pieces: Iterable[tuple[str, tuple[Any, ...]]],
     *,
+    folder: Path,
     cpus: int,
     gpus: float = 0.0,
 ) -> Iterator[tuple[str, Any, str]]:
@@ -123,6 +149,7 @@ def each(
     Args:
         work: Function of a module.
         pieces: Name and arguments of each; few are held at a time.
+        folder: Folder that every node must see.
         cpus: Cores that a piece uses.
         gpus: CUDA devices that a piece uses.
 
@@ -134,7 +161,7 @@ def each(
     """
     import ray
 
-    nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+    nodes = [node["Resources"] for node in _alive()]
     if not any(node.get("CPU", 0) >= cpus and node.get("GPU", 0) >= gpus for node in nodes):
         raise ValueError(f"no node of the cluster has {cpus} cores and {gpus:g} CUDA devices; ask for fewer")
     sent = ray.remote(num_cpus=cpus, num_gpus=gpus, max_retries=RETRIES)(_bounded)
@@ -143,7 +170,7 @@ def each(
     while True:
         room = 2 * max(1, int(ray.cluster_resources().get("CPU", 1)) // cpus)
         while len(pending) < room and (piece := next(waiting, None)) is not None:
-            pending[sent.remote(work, cpus, *piece[1])] = piece[0]
+            pending[sent.remote(work, cpus, versions(), folder, *piece[1])] = piece[0]
         if not pending:
             return
         for ready in ray.wait(list(pending), timeout=LOOK)[0]:
@@ -156,7 +183,9 @@ def each(
                 yield name, None, f"{type(error).__name__}: {str(error).strip().splitlines()[0]}"
 
 
-def _bounded(work: Callable[..., Any], cpus: int, *arguments: Any) -> Any:
-    """Do a piece of work on no more cores than it has asked for; on a node."""
+def _bounded(work: Callable[..., Any], cpus: int, here: dict[str, str], folder: Path, *arguments: Any) -> Any:
+    """Do a piece of work on no more cores than it has asked for, if the node fits; on a node."""
+    if misfit := _misfit(here, folder):
+        raise ValueError(misfit)
     os.environ[CORES] = str(cpus)
     return work(*arguments)

@@ -1,6 +1,7 @@
 """Scenes: from a task to a compiled model with all arrays allocated."""
 
 import math
+import re
 from collections.abc import Callable, Iterable
 from functools import lru_cache
 from pathlib import Path
@@ -50,7 +51,9 @@ poses of all sites: it would be old.
 """
 
 MOST_STEPS = 2**31 - 1  # in an episode: the device counts in int32
+MOST_WORLDS = 2**31 - 1  # likewise
 MANY_DOFS = 200  # of a model that is slow: chains of 300 bodies and 100 loose spheres took 70 s to start
+DEVICE = re.compile(r"cpu|cuda(:[0-9]{1,3})?")
 ROUNDING = 1e-6  # of a physics step; control steps are no exact multiples in binary
 
 
@@ -299,6 +302,12 @@ def _adopt_arrays(scene: Scene, batched: set[str], individual: bool) -> None:
 
 
 @in_turn
+def check_device_name(device: object) -> None:
+    """Raise ValueError if no machine has a Warp device called `device`; None and "" are the preferred one."""
+    if device not in (None, "") and not DEVICE.fullmatch(str(device)):
+        raise ValueError(f"device must be cpu, cuda or cuda:N, got {device!r}")
+
+
 def resolve_device(device: str | None) -> wp.Device:
     """Return the Warp device called `device`, the preferred one for None.
 

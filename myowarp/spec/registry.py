@@ -27,8 +27,9 @@ MOST_LISTED = 30  # names in an error message
 
 def check_choice(name: str, value: object, choices: Iterable[object]) -> None:
     """Raise ValueError if `value` is none of `choices`."""
-    if value not in choices:
-        raise ValueError(f"{name} {value!r} unknown; available: {', '.join(map(str, choices))}")
+    known = tuple(choices)  # a list that was given as `value` has no hash
+    if value not in known:
+        raise ValueError(f"{name} {value!r} unknown; available: {', '.join(map(str, known))}")
 
 
 def check_bounds(name: str, low: Sequence[float], high: Sequence[float]) -> None:

@@ -58,13 +58,16 @@ def run(
     output = output.resolve()
     with locked(output / LOCK, wait=False):
         _agree(output, {"table": files_digest([table]), "patients": total, "chunk": chunk, **settings})
+        patients = [name for name in population.patients for _ in range(settings["trials"])]
+        if damaged := _remove_damaged(output, patients, chunk * settings["trials"]):
+            console.print(f"{damaged} damaged chunks in {output} are simulated again", style="yellow")
         missing = [i for i in range(len(starts)) if not part(output, SUMMARY, i).exists()]
         failures: dict[str, str] = {}
         if missing:
             with connected(address, output), progress_bar("Simulating", "chunks", console) as bar:
                 task = bar.add_task("", total=len(starts), completed=len(starts) - len(missing))
                 pieces = _pieces(population, chunk, missing, output, settings)
-                for name, _, why in each(simulate, pieces, cpus=cpus):
+                for name, _, why in each(simulate, pieces, folder=output, cpus=cpus):
                     if why:
                         failures[name] = why
                     else:
@@ -92,8 +95,14 @@ def _agree(output: Path, settings: dict[str, Any]) -> None:
     """
     wanted = {"myowarp": version("myowarp"), **settings}
     path = output / SETTINGS
-    if path.exists() and any((output / SUMMARY).iterdir()):
-        recorded = json.loads(path.read_text())
+    if any((output / SUMMARY).iterdir()):
+        try:
+            recorded = {**json.loads(path.read_text())}
+        except (OSError, ValueError, TypeError) as error:
+            raise ValueError(
+                f"folder {str(output)!r} holds a cohort whose {SETTINGS} is damaged or missing ({error}); "
+                "choose another --output"
+            ) from error
         for name in wanted.keys() | recorded.keys():
             if recorded.get(name) != wanted.get(name):
                 raise ValueError(
@@ -102,6 +111,32 @@ def _agree(output: Path, settings: dict[str, Any]) -> None:
                 )
     with in_place(path) as scratch:
         scratch.write_text(json.dumps(wanted, indent=1) + "\n")
+
+
+def _remove_damaged(output: Path, patients: list[str], size: int) -> int:
+    """Remove the summaries of chunks whose parts cannot be read or are another's; return how many.
+
+    Args:
+        output: Folder of the dataset.
+        patients: The patient of each row of the whole summary.
+        size: Rows of a chunk.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    damaged = 0
+    for index, begin in enumerate(range(0, len(patients), size)):
+        if not (path := part(output, SUMMARY, index)).exists():
+            continue
+        try:
+            parquet.read_metadata(part(output, RESULTS, index))
+            found = parquet.ParquetFile(path).read([PATIENT])[PATIENT].to_pylist()
+        except (OSError, KeyError, pa.ArrowException):
+            found = []
+        if found != patients[begin : begin + size]:
+            path.unlink()
+            damaged += 1
+    return damaged
 
 
 def _pieces(

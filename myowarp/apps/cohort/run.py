@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 SETTLED = 0.75  # of an episode; `final_error` is the mean from there on
 FORMATS = (".parquet", ".csv")
+FORMULA = re.compile(r"^'*[=+\-@]")  # how a formula of a spreadsheet begins, or one that was made harmless
 
 UNITS = {"time": "s", "total_force": "N", "time_to_solve": "s", "duration": "s"}
 """Units of results but for the tracking error's, which is the task's; the others are pure numbers."""
@@ -72,6 +74,8 @@ class CohortResult:
     def save(self, folder: Path, suffix: str = ".parquet") -> list[Path]:
         """Write results, summary.csv and settings.json into a folder, each in place in one move.
 
+        In .csv a name that a spreadsheet would take for a formula gets a single quote in front.
+
         Args:
             folder: Folder; it is made if it does not exist.
             suffix: Format of the samples: .parquet or .csv.
@@ -88,14 +92,20 @@ class CohortResult:
         paths = [folder / name for name in result_files(suffix)]
         with in_place(paths[0]) as scratch:
             if suffix == ".csv":
-                self.samples.to_csv(scratch, index=False)
+                _for_spreadsheets(self.samples).to_csv(scratch, index=False)
             else:
                 self.samples.to_parquet(scratch, index=False)
         with in_place(paths[1]) as scratch:
-            self.summary.to_csv(scratch, index=False)
+            _for_spreadsheets(self.summary).to_csv(scratch, index=False)
         with in_place(paths[2]) as scratch:
             scratch.write_text(json.dumps(self.settings, indent=1) + "\n")
         return paths
+
+
+def _for_spreadsheets(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table with patients' names that no spreadsheet takes for formulas; different ones stay so."""
+    names = table["patient"].cat.rename_categories(lambda name: FORMULA.sub(r"'\g<0>", name))
+    return table.assign(patient=names)
 
 
 def result_files(suffix: str) -> tuple[str, ...]:

@@ -21,6 +21,8 @@ PATIENT = "patient"
 
 TABLES = (".csv", ".parquet")
 DELIMITERS = ",;\t"
+INVISIBLE = ("Cc", "Cf", "Cs", "Zl", "Zp")  # categories of Unicode: they change how other text is shown
+JOINERS = "\u200c\u200d"  # of Persian and Indic names
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,7 @@ def _patients(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> tuple[str
         name = "" if _is_missing(row[index]) else str(row[index]).strip()
         if not name:
             raise ValueError(f"cohort row {i + 1}, column 'patient': needs a name, got nothing")
-        if any(unicodedata.category(character) == "Cc" for character in name):
+        if any(unicodedata.category(c) in INVISIBLE and c not in JOINERS for c in name):
             raise ValueError(f"cohort row {i + 1}, column 'patient': a name is printable text, got {name!r}")
         if name in found:
             raise ValueError(

@@ -49,7 +49,7 @@ def run(study: Path, output: Path, address: str | None, cpus: int, gpus: float, 
                 Live(console=console, auto_refresh=False, transient=True) as live,
             ):
                 pieces = [(run.name, (run, output)) for run in missing]
-                for name, result, why in each(work.do, pieces, cpus=cpus, gpus=gpus):
+                for name, result, why in each(work.do, pieces, folder=output, cpus=cpus, gpus=gpus):
                     if why:
                         failures[name] = why
                     else:

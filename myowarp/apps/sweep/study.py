@@ -14,18 +14,24 @@ Its runs are tasks x conditions x seeds x settings; `reproduce` has experiments 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import importlib.util
 import itertools
+import math
 import re
-from collections.abc import Callable, Mapping
+import sys
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from myowarp.apps.options import check_least
+from myowarp.sim.build import MOST_WORLDS
 from myowarp.spec.condition import resolve
-from myowarp.spec.registry import check_choice
+from myowarp.spec.registry import check_choice, number_in
 from myowarp.spec.task import TASKS
 
 KINDS = ("train", "eval", "reproduce")
@@ -34,6 +40,9 @@ EVAL_SETTINGS = ("physics", "muscle", "reset", "mode", "device")
 REPRODUCE_SETTINGS = ("quick", "seeds", "num_worlds", "retrain", "device")
 EPISODES = 256
 LONGEST_NAME = 200  # of a folder
+LONGEST_TEXT = 200_000  # of a file; seconds to read
+DEEPEST = 10  # brackets in brackets
+MOST_RUNS = 10_000
 POLICY = "policy"  # folder of what a run trains, in its own
 
 
@@ -85,14 +94,33 @@ def _read(path: Path) -> dict[str, Any]:
     import yaml
 
     try:
-        study = yaml.safe_load(path.read_text())
+        text = path.read_text()
+        _check_text(text, f"study {str(path)!r}")
+        study = yaml.safe_load(text)
     except FileNotFoundError:
         raise ValueError(f"study {str(path)!r} does not exist") from None
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
+    except (UnicodeDecodeError, OSError, yaml.YAMLError) as error:
         raise ValueError(f"study {str(path)!r} is no YAML file: {' '.join(str(error).split())}") from error
     if not isinstance(study, dict):
         raise ValueError(f"study {str(path)!r} must have the keys kind and tasks, got {study!r:.80}")
     return study
+
+
+def _check_text(text: str, where: str) -> None:
+    """Raise ValueError for text that takes long to read or cannot be a study: aliases may be cycles."""
+    import yaml
+
+    if len(text) > LONGEST_TEXT:
+        raise ValueError(
+            f"{where} must have at most {LONGEST_TEXT:,} characters, got {len(text):,}; make several studies"
+        )
+    depth = 0
+    for event in yaml.parse(text, yaml.SafeLoader):
+        if isinstance(event, yaml.AliasEvent):
+            raise ValueError(f"{where} has an alias, *{event.anchor}; write out what it stands for")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEEPEST:
+            raise ValueError(f"{where} must be nested at most {DEEPEST} deep; leave out brackets")
 
 
 def _runs(study: Mapping[str, Any], where: str, output: Path) -> list[Run]:
@@ -106,9 +134,12 @@ def _runs(study: Mapping[str, Any], where: str, output: Path) -> list[Run]:
     conditions = [_conditions(entry, where) for entry in _axis(study, "conditions", where, ["none"])]
     seeds = _seeds(study.get("seeds", 1), where)
     episodes = study.get("episodes", EPISODES)
-    if type(episodes) is not int or episodes < 1:
-        raise ValueError(f"{where}: episodes must be an integer >= 1, got {episodes!r}")
-    axes = _settings(study.get("settings") or {}, kind, where)
+    axes = _settings(study.get("settings", {}), kind, where)
+    number = math.prod(map(len, (tasks, policies, conditions, *axes.values(), seeds)))
+    if number > MOST_RUNS:
+        raise ValueError(
+            f"{where} must have at most {MOST_RUNS:,} runs, got {number:,}; make several studies"
+        )
     product = itertools.product(
         tasks, policies if kind == "eval" else [""], conditions, itertools.product(*axes.values()), seeds
     )
@@ -120,17 +151,18 @@ def _runs(study: Mapping[str, Any], where: str, output: Path) -> list[Run]:
         cell |= {name: _word(value) for name, value in settings.items()}
         options = settings if kind == "reproduce" else {**settings, "conditions": names, "seed": seed}
         if kind == "eval":
-            options |= {"checkpoint": Path(policy)}
+            options |= {"checkpoint": Path(str(policy))}
         own = None if kind == "reproduce" else seed
         words = [f"{k}={v}" if k in axes else v for k, v in cell.items()]
         name = _folder("__".join([*words, *([] if own is None else [f"seed={own}"])]))
         run = Run(name, kind, str(task), cell, own, options, episodes)
         try:
+            check_least(1, MOST_WORLDS, episodes=episodes)
             CHECKS[kind](run, output / name)
         except (ValueError, TypeError) as error:
             raise ValueError(f"{where}: run {name!r} is impossible: {error}") from error
         runs.append(run)
-    if twice := {run.name for run in runs if sum(other.name == run.name for other in runs) > 1}:
+    if twice := [name for name, times in Counter(run.name for run in runs).items() if times > 1]:
         raise ValueError(f"{where}: runs of one name, {min(twice)!r}; leave out what is there twice")
     return runs
 
@@ -170,14 +202,15 @@ def _conditions(entry: Any, where: str) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _seeds(seeds: Any, where: str) -> list[int]:
+def _seeds(seeds: Any, where: str) -> Sequence[int]:
     """Return the seeds of a study: so many from 0 on, or those of a list."""
-    found = list(range(seeds)) if type(seeds) is int else seeds
-    if not isinstance(found, list) or not found or any(type(s) is not int or s < 0 for s in found):
+    if type(seeds) is int and seeds > 0:
+        return range(min(seeds, sys.maxsize))  # the most that has a length
+    if not isinstance(seeds, list) or not seeds or any(type(s) is not int or s < 0 for s in seeds):
         raise ValueError(
             f"{where}: seeds must be a number of seeds or a list of integers >= 0, got {seeds!r}"
         )
-    return found
+    return seeds
 
 
 def _settings(settings: Any, kind: str, where: str) -> dict[str, list[Any]]:
@@ -196,8 +229,8 @@ def _settings(settings: Any, kind: str, where: str) -> dict[str, list[Any]]:
         is_list = kind == "train" and name in fields and type(fields[name].default) is tuple
         several = isinstance(value, list) and (not is_list or (value and isinstance(value[0], list)))
         axes[name] = [_typed(v, fields, name) for v in (value if several else [value])]
-        if not axes[name]:
-            raise ValueError(f"{where}: setting {name!r} must have at least one value")
+        if not axes[name] or None in axes[name]:
+            raise ValueError(f"{where}: setting {name!r} must have a value, got {value!r}; or leave it out")
     return axes
 
 
@@ -205,7 +238,8 @@ def _typed(value: Any, fields: Mapping[str, Any], name: str) -> Any:
     """Return a value in the type of its setting, as far as YAML hides it: 1e-4 is text there."""
     kind = type(fields[name].default) if name in fields else None
     if kind is float and isinstance(value, str):
-        return float(value)
+        with contextlib.suppress(ValueError):
+            return number_in(value)
     return tuple(value) if isinstance(value, list) else value
 
 
@@ -260,14 +294,15 @@ def evaluation(run: Run) -> Any:
 
 
 def _check_reproduce(run: Run, folder: Path) -> None:
-    """Raise ValueError if there is no such experiment."""
-    from myowarp.apps.reproduce.catalog import EXPERIMENTS
+    """Raise ValueError if an experiment cannot be run."""
+    experiment(run, folder).plan()
 
-    EXPERIMENTS[run.task]
-    for name in ("seeds", "num_worlds"):
-        number = run.options.get(name, 1)
-        if type(number) is not int or number < 1:
-            raise ValueError(f"{name} must be an integer >= 1, got {number!r}")
+
+def experiment(run: Run, folder: Path) -> Any:
+    """Return the command that runs an experiment of the paper."""
+    from myowarp.apps.commands.reproduce import Reproduce
+
+    return Reproduce(run.task, output=folder / "experiment", **run.options)
 
 
 CHECKS: dict[str, Callable[[Run, Path], None]] = {

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from myowarp.apps.sweep.study import POLICY, Run, evaluation, training
+from myowarp.apps.sweep.study import POLICY, Run, evaluation, experiment, training
 from myowarp.disk import in_place, locked, plain
 
 RESULT, LOCK = "result.json", ".lock"
@@ -86,11 +86,9 @@ def _eval(run: Run, folder: Path) -> dict[str, Any]:
 
 def _reproduce(run: Run, folder: Path) -> dict[str, Any]:
     """Run an experiment of the paper."""
-    from myowarp.apps.commands.reproduce import Reproduce
-
-    home = folder / "experiment"
-    Reproduce(run.task, output=home, **run.options)()
-    return {"merits": json.loads((home / "result.json").read_text())["merits"]}
+    command = experiment(run, folder)
+    command()
+    return {"merits": json.loads((command.output / "result.json").read_text())["merits"]}
 
 
 DO: dict[str, Callable[[Run, Path], dict[str, Any]]] = {

@@ -15,7 +15,8 @@ from rich.table import Table
 from myowarp.apps.options import Device, Physics, check_least, optional
 from myowarp.apps.train.plan import eval_command, is_file
 from myowarp.apps.train.ranks import Ranks
-from myowarp.apps.train.settings import SUCCESSES, success_text
+from myowarp.apps.train.settings import MOST_SEED, SUCCESSES, success_text
+from myowarp.sim.build import MOST_WORLDS, check_device_name
 from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.registry import check_choice
 from myowarp.spec.task import PHYSICS, RESETS, TASKS
@@ -116,9 +117,15 @@ class Eval:
         from myowarp.apps.baselines import policy_folder
         from myowarp.apps.train.checkpoint import CheckpointError, load_checkpoint
 
-        check_least(1, episodes=self.episodes)
-        check_least(0, seed=self.seed)
+        check_least(1, MOST_WORLDS, episodes=self.episodes)
+        check_least(0, MOST_SEED, seed=self.seed)
         check_choice("physics", self.physics, PHYSICS)
+        check_choice("mode", self.mode, ("both", *MODES))
+        if self.muscle is not None:
+            check_choice("muscle", self.muscle, MUSCLES)
+        if self.reset is not None:
+            check_choice("reset", self.reset, RESETS)
+        check_device_name(self.device)
         own = self.task and self.task.removeprefix("MyoWarp/")
         checkpoint = load_checkpoint(policy_folder(str(self.checkpoint), own) or self.checkpoint)
         manifest = checkpoint.manifest

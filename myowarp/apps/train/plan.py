@@ -27,6 +27,7 @@ from myowarp.apps.train.settings import (
     restore,
 )
 from myowarp.disk import check_folder, check_output, locked, make_folder
+from myowarp.sim.build import check_device_name
 from myowarp.sim.state import State
 from myowarp.spec.condition import Condition, resolve
 from myowarp.spec.registry import check_choice
@@ -154,6 +155,7 @@ def plan(command: TrainOptions) -> Job:
     variant = task_or_model(command.task, command.model)
     algorithm = command.algorithm or preset_algorithm(TASKS[variant.task].name)
     settings = choose(TASKS[variant.task].name, algorithm, given)
+    check_device_name(settings.device)
     task = command.task or str(command.model)
     name = f"{TASKS[variant.task].key}_{algorithm}_{settings.seed}"
     folder = command.output or Path("runs") / name

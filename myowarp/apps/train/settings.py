@@ -26,6 +26,7 @@ SUCCESSES = {
 }
 PRECISIONS = ("bfloat16", "float32")
 ACTIVATIONS = ("elu", "tanh", "relu")
+MOST_SEED = 2**63 - 1  # world i has seed + i, a uint64
 
 
 def success_text(figures: Mapping[str, Any], rule: str) -> str:
@@ -74,7 +75,9 @@ class Settings:
         choices=SUCCESSES,
         free=True,
     )
-    seed: int = setting(0, "Seed of networks, actions and worlds (world i: seed + i).", least=0)
+    seed: int = setting(
+        0, "Seed of networks, actions and worlds (world i: seed + i).", least=0, most=MOST_SEED
+    )
     num_worlds: int = setting(256, "Worlds simulated together.", least=1)
     rollout_steps: int = setting(24, "Control steps of every world in an iteration.", least=1)
     physics: str = setting("fast", "Physics preset of the training.", choices=PHYSICS)
@@ -98,11 +101,15 @@ class Settings:
     device: str = setting("", "Warp device, such as cpu or cuda:0; empty: the GPU if there is one.")
     # On two idle cores, two threads take 3.5 us a sample and pass (two networks 2 x 128), one 5.9.
     # When another process wants a core they take 10 to 60 times as long: they wait at every barrier.
-    threads: int = setting(1, "Threads of torch on the CPU; more pay on idle cores alone.", least=1)
+    threads: int = setting(
+        1, "Threads of torch on the CPU; more pay on idle cores alone.", least=1, most=1024
+    )
     discount: float = setting(
         0.97, "Discount of rewards from one control step to the next.", least=0.0, most=1.0
     )
-    hidden: tuple[int, ...] = setting((128, 128), "Widths of the hidden layers of every network.", least=1)
+    hidden: tuple[int, ...] = setting(
+        (128, 128), "Widths of the hidden layers of every network.", least=1, most=16384
+    )
     activation: str = setting("elu", "Function between the layers.", choices=ACTIVATIONS)
     learning_rate: float = setting(3e-4, "Learning rate of Adam, the first one if it adapts.", least=0.0)
 
@@ -276,6 +283,8 @@ def _checked(entry: dataclasses.Field[Any], value: Any) -> Any:
     for item in value if isinstance(value, tuple) else (value,):
         if bounds["choices"]:
             check_choice(flag, item, bounds["choices"])
+        elif kind is tuple and type(item) is not int:
+            raise ValueError(f"{flag} must be integers, got {item!r}")
         elif isinstance(item, int | float):
             _check_bounds(flag, item, bounds["least"], bounds["most"])
     return value
