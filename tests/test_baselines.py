@@ -14,8 +14,11 @@ from benchmarks.baselines import DOCS, MOST_BYTES, add, page
 from myowarp.apps import baselines
 from myowarp.apps.learned import LearnedPolicy, read_policy
 from myowarp.apps.train import checkpoint as checkpoints
+from myowarp.apps.train.checkpoint import check_contract
 from myowarp.apps.train.eval_command import Eval
 from myowarp.apps.train.settings import ALGORITHMS, preset, restore
+from myowarp.engine.said import say_once
+from myowarp.sim.simulation import Simulation
 from myowarp.spec.task import TASKS
 
 NAMES = baselines.baseline_tasks()
@@ -164,6 +167,39 @@ def test_a_run_becomes_a_baseline(run, tmp_path, monkeypatch):
     assert (baseline.checkpoint.folder / "curve.csv").read_text().startswith("samples,return,success,")
 
 
+@pytest.mark.parametrize("name", ["myoHandReachRandom-v1", "myoHandReachFixed-v1"])
+def test_a_version_without_a_baseline_takes_that_of_another(name, run, caplog, tmp_path):
+    other = name.replace("-v1", "-v0")
+    sentence = f"task {name!r} has no baseline; that of another version acts, baselines/{other}"
+    options = ("--device", "cpu", "--json")
+    returns = []
+    for policy in ("baseline", f"baselines/{other}"):
+        say_once.cache_clear()
+        caplog.clear()
+        status, out, err = run(
+            "rollout", name, "--policy", policy, "--num-worlds", 4, "--steps", 100, *options
+        )
+        assert status == 0, err
+        returns.append(json.loads(out)["return_mean"])
+        assert [record.getMessage() for record in caplog.records] == [sentence] * (policy == "baseline")
+    assert returns[0] == returns[1]
+    say_once.cache_clear()
+    status, out, err = run("eval", "baseline", "--task", name, "--episodes", 4, *options)
+    assert status == 0, err
+    assert json.loads(out)["checkpoint"].endswith(other)
+    assert sentence in caplog.text
+
+
+@pytest.mark.slow  # a simulation of every task that has a baseline
+def test_all_versions_share_the_contract():
+    """Whoever takes the baseline of another version can act with it."""
+    for name in NAMES:
+        for task in (task for task in TASKS if task.rpartition("-")[0] == name.rpartition("-")[0]):
+            assert baselines.policy_folder("baseline", task).name == name
+            sim = Simulation(TASKS[task], 1, device="cpu", graph=False, progress=False)
+            check_contract(baselines.load_baseline(name).checkpoint, sim)
+
+
 def test_the_demo_shows_a_baseline():
     makefile = (DOCS.parent / "Makefile").read_text()
     task, policy = re.search(r"rollout MyoWarp/(\S+) .*--policy (\S+).* --video", makefile).groups()
@@ -260,7 +296,7 @@ def test_what_is_not_there_is_said(copies, run, no_simulation):
         ("baselines", "list", "myoHandPoseRandom-v1"),
     ):
         assert said(run(*arguments)) == none
-    other = copies.name.replace("-v0", "-v1")
+    other = copies.name.replace("-v0", "-v1")  # of which `baseline` alone is another name
     assert said(run("eval", f"baselines/{other}")) == (
         f"task {other!r} has no baseline; that of another version is baselines/{copies.name}"
     )

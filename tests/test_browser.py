@@ -133,9 +133,12 @@ def test_a_slider_weakens_the_chosen_muscle_beside_its_twin(page, client):
     ("label", "value", "says"),
     [
         ("strength", float("nan"), "sarcopenia strength must be"),
-        ("strength", -5.0, "sarcopenia strength must be"),
-        ("transmission", 1e9, "tendon_tear transmission of"),
-        ("speed / real time", 1e300, "speed must be from"),
+        ("strength", -5.0, "sarcopenia strength must be from 0 to 2, got -5"),
+        ("strength", 3.0, "sarcopenia strength must be from 0 to 2, got 3"),
+        ("forearm mass", 1e308, "exoskeleton forearm_mass must be from 0 to 2, got 1e+308"),
+        ("assistance", 9.2e18, "exoskeleton assistance must be from 0 to 1, got 9.2e+18"),
+        ("transmission", 1e9, "tendon_tear transmission must be from 0 to 1, got 1e+09"),
+        ("speed / real time", 1e300, "speed must be from 0.05 to 10, got 1e+300"),
         ("muscles", "no such muscle", "muscles 'no such muscle' unknown"),
         ("color", "<script>", "unknown; available"),
         ("policy", "hold it", "policy 'hold it' unknown"),
@@ -161,6 +164,8 @@ def test_what_is_no_message_changes_nothing(page, client, capfd, caplog):
         uuid = rude.uuid("strength") if until(rude.status) else ""
         rude.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": "much"}})
         rude.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"nothing": 1}})
+        private = {"update_cb": 5, "removed": True, "is_button": True, "value": 0.5}
+        rude.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": private})
         rude.send({"type": "ShareUrlRequest"})
         rude.send({"type": "no such type"})
         rude._socket.close_socket() if hasattr(rude._socket, "close_socket") else rude.leave()
@@ -173,6 +178,65 @@ def test_what_is_no_message_changes_nothing(page, client, capfd, caplog):
     said = "".join(capfd.readouterr())
     assert "Traceback" not in said + caplog.text
     assert not client.done
+    knob = live.session.patient.knobs["sarcopenia strength"]
+    slider = live._panel._sliders[knob]
+    assert slider.value == 1.0
+    assert not slider._impl.removed
+    for value in (0.75, 1.0):
+        client.set("strength", value)
+        until(lambda value=value: live._panel._value(knob) == value)
+
+
+def test_reset_recovers_whatever_happened(page, client):
+    """An infinite mass, which no slider gives, leaves a state that no reset of the worlds makes finite."""
+    live = page[0]
+    session = live.session
+    knob = session.patient.knobs["exoskeleton forearm_mass"]
+    start = knob.parameter.curve.start
+    start.assign(np.full(start.shape, np.inf, dtype=np.float32))
+    until(lambda: not live.playing)
+    assert "must be finite" in live.message
+    buttons = client.uuid("")
+    client.press("Reset")
+    until(lambda: client.uuid("") != buttons)
+    assert "the task is opened anew, without changes to the patient" in live.message
+    client.press("Play / Pause")
+    frames = client.frames
+    until(lambda: client.frames > frames + 3)
+    assert live.playing
+    assert live.session.patient.value(live.session.patient.knobs[knob.name], 0) == 0.0
+
+
+def test_sliders_without_effect_say_why(client):
+
+    def hints():
+        return [
+            p["visible"] for p in list(client.parts.values()) if "No effect while" in p.get("_markdown", "")
+        ]
+
+    assert until(hints) == [True]
+    client.set("affected", 0.5)
+    until(lambda: hints() == [False])
+    client.set("affected", 0.0)
+    until(lambda: hints() == [True])
+
+
+def test_plots_stay_when_the_twin_is_shown(client):
+    """A browser that is behind does updates after removals, and complains that what they are for is gone."""
+    until(lambda: len([p for p in list(client.parts.values()) if "series" in p]) == 2)
+    removed = client.types["GuiRemoveMessage"]
+
+    def curves():
+        return [(len(p["series"]), len(p["data"])) for p in list(client.parts.values()) if "series" in p]
+
+    assert curves() == [(2, 2), (2, 2)]
+    client.set("beside: the same without the change", True)
+    until(lambda: curves() == [(3, 3), (3, 3)])
+    client.set("beside: the same without the change", False)
+    until(lambda: curves() == [(2, 2), (2, 2)])
+    client.send({"type": "GuiUpdateMessage", "uuid": client.uuid("Clear"), "updates": {"value": True}})
+    until(lambda: [p["visible"] for p in list(client.parts.values()) if "series" in p].count(False) == 1)
+    assert client.types["GuiRemoveMessage"] == removed
 
 
 def test_two_pages_show_the_same_and_one_may_leave(page, client, capfd):
@@ -350,6 +414,27 @@ def test_human_mode_without_a_display_is_a_page(monkeypatch):
     until(lambda: {"MeshMessage", "BatchedMeshesMessage"} <= page.types.keys())
     env.close()
     until(lambda: page.done)
+
+
+@pytest.mark.parametrize(
+    ("task", "policy", "starts"),
+    [
+        ("myoHandReachRandom-v1", "baseline", "baseline"),
+        ("myoHandReachRandom-v1", "baselines/myoHandReachFixed-v0", "baseline"),
+        ("myoHandKeyTurnRandom-v1", "hold", "random"),
+        ("myoHandPoseRandom-v1", "baseline", "random"),
+        (KEY, "hold", "hold"),
+    ],
+)
+def test_a_page_starts_no_policy_of_another_task(task, policy, starts, monkeypatch):
+    monkeypatch.setattr("myowarp.view.browser.session.Session", lambda *args, **options: args[3])
+    assert View(task=KEY)._open(task, policy) == starts
+
+
+def test_a_policy_that_was_asked_for_acts(monkeypatch):
+    monkeypatch.setattr("myowarp.view.browser.session.Session", lambda *args, **options: args[3])
+    policy = "baselines/myoHandReachFixed-v0"
+    assert View(task="myoHandReachRandom-v1", policy=policy)._open("myoHandReachRandom-v1", policy) == policy
 
 
 def test_policies_offered_can_act():

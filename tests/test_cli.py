@@ -456,3 +456,27 @@ def test_error_of_a_process_of_its_own(tmp_path):
     done = shell("rollout", ELBOW, "--device", "cuda:77", cwd=tmp_path)
     result = (done.returncode, done.stdout, done.stderr)
     assert_one_sentence(result, "device 'cuda:77' is not available; available: ")
+
+
+@pytest.mark.parametrize("arguments", [("tasks",), ("view", "--help")])
+def test_a_reader_that_has_left_ends_the_command_silently(arguments):
+    """As `myowarp tasks | head` does; the status is what a shell reports of tools that a signal ends."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "myowarp", *arguments]
+    done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True)
+    os.close(writing)
+    assert done.returncode == 141
+    assert not re.search(r"Traceback|[Pp]ipe|Exception", done.stderr)
+
+
+def test_a_model_without_a_task_has_no_success(run, tmp_path):
+    driven = PENDULUM.replace('type="hinge"', 'name="hinge" range="-1 1" limited="true"')
+    motor = '<actuator><motor joint="hinge" ctrlrange="-1 1"/></actuator></mujoco>'
+    (tmp_path / "arm.xml").write_text(driven.replace("</mujoco>", motor))
+    options = ("--model", tmp_path / "arm.xml", "--num-worlds", 2, "--steps", 101, "--device", "cpu")
+    status, out, err = run("rollout", *options)
+    assert status == 0, err
+    assert "episodes" in out
+    assert "uccess" not in out
+    assert json.loads(run("rollout", *options, "--json")[1])["success_percent"] is None

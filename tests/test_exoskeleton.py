@@ -279,6 +279,10 @@ def test_other_bodies_cannot_wear_it(body):
             r"^exoskeleton max_torque must be a finite number >= 0, got nan$",
         ),
         (
+            {"motor": True, "max_torque": 1e39},
+            r"^exoskeleton max_torque must be a finite number >= 0, got 1e\+39$",
+        ),
+        (
             {"motor": True, "effort_weight": "high"},
             r"^exoskeleton effort_weight must be a finite number >= 0, got 'high'$",
         ),

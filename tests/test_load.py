@@ -294,7 +294,7 @@ def test_bad_mass(options, message):
         loaded(ELBOW, **options)
 
 
-@pytest.mark.parametrize("radius", [0.0, -1.0, np.inf, "big"])
+@pytest.mark.parametrize("radius", [0.0, -1.0, np.inf, 1e39, "big"])
 def test_bad_radius(radius):
     with pytest.raises(ValueError, match=r".") as error:
         Load(radius=radius)

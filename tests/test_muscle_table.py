@@ -56,6 +56,7 @@ def test_values_of_every_shape():
         ({"max_isometric_force": -1.0}, "must be finite and from 0 to inf, got -1.0"),
         ({"max_isometric_force": "strong"}, "must be finite and from 0 to inf, got strong"),
         ({"max_isometric_force": np.nan}, "must be finite and from 0 to inf, got nan"),
+        ({"max_isometric_force": 1e39}, "must be finite and from 0 to inf, got 1e+39"),
         (
             {"max_isometric_force": np.ones(4)},
             "shape (1 or 4, 1 or 3) or a mapping from muscles, got shape (4,)",

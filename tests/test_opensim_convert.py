@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import mujoco
@@ -228,12 +230,14 @@ def test_charts():
     assert picture[16:24] == bytes([0, 0, 0, 3, 0, 0, 0, 2])
 
 
-def test_without_scipy_the_geometry_is_converted(tmp_path, monkeypatch):
-    find = command.importlib.util.find_spec
-    monkeypatch.setattr(
-        command.importlib.util, "find_spec", lambda name: None if name == "scipy" else find(name)
-    )
-    report = command.run(OSIM / "Tug_of_War.osim", tmp_path)
+def test_without_scipy_the_geometry_is_converted(tmp_path):
+    """In a process of its own, where nothing has imported SciPy before."""
+    code = 'import sys; sys.modules["scipy"] = None; from myowarp.apps import cli; cli.main()'
+    arguments = ("convert", OSIM / "Tug_of_War.osim", "--output", tmp_path)
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert command.NO_FITS in done.stdout
+    report = json.loads((tmp_path / "report.json").read_text())
     assert [(loss["code"], loss["rule"]) for loss in report["left_out"]] == [("fits", command.NO_FITS)]
     assert report["moment_arms"]["pairs"] == []
     assert (

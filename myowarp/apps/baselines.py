@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from myowarp.apps.train.checkpoint import Checkpoint, CheckpointError, load_checkpoint
+from myowarp.engine.said import say_once
 
 FOLDER = Path(__file__).parents[1] / "baselines"
 RESULT, CURVE = "result.json", "curve.csv"
@@ -62,11 +63,18 @@ def baseline_folder(task: str) -> Path:
         ValueError: There is none.
     """
     if task not in (available := baseline_tasks()):
-        versions = [other for other in available if other.rpartition("-")[0] == task.rpartition("-")[0]]
-        listed = f"available: {', '.join(available)}"
-        others = f"that of another version is {PREFIX}{versions[0]}" if versions else listed
+        other = _other_version(task)
+        others = (
+            f"that of another version is {PREFIX}{other}" if other else f"available: {', '.join(available)}"
+        )
         raise ValueError(f"task {task!r} has no baseline; {others}")
     return FOLDER / task
+
+
+def _other_version(task: str) -> str | None:
+    """Return another version of a task that has a baseline, None where there is none."""
+    name = task.rpartition("-")[0]
+    return next((other for other in baseline_tasks() if other.rpartition("-")[0] == name), None)
 
 
 def load_baseline(task: str) -> Baseline:
@@ -89,6 +97,8 @@ def load_baseline(task: str) -> Baseline:
 def policy_folder(name: str, task: str | None) -> Path | None:
     """Return the folder of a trained policy; None where the name is that of no folder and no baseline.
 
+    "baseline" is that of another version of the task, and says so, where the task has none of its own.
+
     Args:
         name: "baseline", "baselines/<task>" or a path.
         task: Key of the task in which it is to act; None if it is not known.
@@ -99,6 +109,9 @@ def policy_folder(name: str, task: str | None) -> Path | None:
     if name == OWN:
         if task is None:
             raise ValueError(f"policy {OWN!r} needs a task; name it, or a policy {PREFIX}<task>")
+        if task not in baseline_tasks() and (other := _other_version(task)):
+            say_once(f"task {task!r} has no baseline; that of another version acts, {PREFIX}{other}")
+            task = other
         return baseline_folder(task)
     if name.startswith(PREFIX) and not Path(name).is_dir():
         return baseline_folder(name.removeprefix(PREFIX).removeprefix("MyoWarp/"))

@@ -1,6 +1,8 @@
 """The command `myowarp`: its subcommands, and how an error ends it."""
 
 import gc
+import os
+import signal
 import sys
 from collections.abc import Callable
 from importlib.metadata import version
@@ -62,7 +64,14 @@ def _subcommand(name: str) -> object:
 def command() -> None:
     """Entry point of the command, in a process of its own."""
     gc.freeze()  # half a million objects of Warp's stay to the end; not looking through them saves a second
-    main()
+    try:
+        try:
+            main()
+        finally:
+            sys.stdout.flush()  # not at the end of the interpreter, which complains
+    except BrokenPipeError:  # who reads has left, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(128 + signal.SIGPIPE)  # what a shell reports of other tools
 
 
 def main() -> None:
@@ -79,6 +88,8 @@ def main() -> None:
     )
     try:
         chosen()
+    except BrokenPipeError:
+        raise
     except (ValueError, OSError, RuntimeError, ImportError, MemoryError) as error:
         Console(stderr=True, highlight=False, soft_wrap=True).print(
             f"myowarp: {error}", style="red", markup=False

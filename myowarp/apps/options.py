@@ -75,7 +75,8 @@ Policy = Annotated[
     _option(
         "NAME",
         "random, zero, hold (pose tasks: proportional control of the joints), baseline (the trained policy"
-        " of the package for the task; `myowarp baselines list`), baselines/ID (that of another task),"
+        " of the package for the task, or for another version of it; `myowarp baselines list`), baselines/ID"
+        " (that of another task),"
         " the folder of a trained policy, excitations over time (.sto, .mot, .csv; a column for each muscle),"
         " package.module:function or file.py:function: a function from observations (num_worlds, n) to"
         " actions (num_worlds, m) in [-1, 1].",

@@ -1,4 +1,4 @@
-"""What the engine room says once: that something is slower than it could be, and why."""
+"""What is said once in a process, such as that something is slower than it could be, and why."""
 
 import logging
 from functools import cache

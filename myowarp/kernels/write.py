@@ -1,7 +1,17 @@
 """Values from the host into arrays of the simulation."""
 
 import numpy as np
+import numpy.typing as npt
 import warp as wp
+
+
+def is_finite(numbers: npt.ArrayLike) -> np.ndarray:
+    """Say which numbers are finite in float32, as arrays of the simulation hold them: 1e300 is not."""
+    try:
+        with np.errstate(over="ignore"):
+            return np.isfinite(np.asarray(numbers, dtype=np.float64).astype(np.float32))
+    except OverflowError:  # an integer beyond float64
+        return np.zeros(np.shape(numbers), dtype=bool)
 
 
 def write(array: wp.array, values: np.ndarray | wp.array) -> None:

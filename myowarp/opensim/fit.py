@@ -22,9 +22,9 @@ from myowarp.opensim.check.oracle import opensim_references
 from myowarp.opensim.fitted import Expected, Fits, MuscleFit, PathOnly
 from myowarp.opensim.kinematics import independent, random_poses, sampling_range
 from myowarp.opensim.model import Model, pulling
-from myowarp.opensim.muscle.force import ACTIVATIONS, fit_force
 from myowarp.opensim.muscle.force import Method as ForceMethod
-from myowarp.opensim.muscle.hill import HillMuscle, known
+from myowarp.opensim.muscle.force import fit_force
+from myowarp.opensim.muscle.hill import ACTIVATIONS, HillMuscle, known
 from myowarp.opensim.tendon.choice import fit_path
 from myowarp.opensim.tendon.fit import Method as PathMethod
 from myowarp.opensim.wrap.moment_arm import Poses, crossed, own_reference, poses_of

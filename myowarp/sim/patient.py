@@ -50,7 +50,7 @@ class Knob:
         field: Name of the parameter in it.
         parameter: The parameter.
         low: Least value.
-        high: Greatest value of a slider; more may be allowed.
+        high: Greatest value of a slider; `Patient.set` takes more where the parameter does.
     """
 
     condition: str

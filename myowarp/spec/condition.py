@@ -48,11 +48,13 @@ class Condition(abc.ABC):
         WRITES: Names of the quantities that it sets. No two conditions of an environment may set the same.
             What only multiplies (strength, transmission) is not listed: factors compose.
         NEUTRAL: Parameters with which it changes nothing, bit for bit.
+        NEEDS: Parameter at whose neutral value all others change nothing; "": there is none.
     """
 
     STAGE: ClassVar[Stage]
     WRITES: ClassVar[tuple[str, ...]] = ()
     NEUTRAL: ClassVar[dict[str, float]]
+    NEEDS: ClassVar[str] = ""
 
     @property
     def name(self) -> str:

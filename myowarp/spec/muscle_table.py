@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from myowarp.kernels.write import is_finite
 from myowarp.spec.muscle import MUSCLES
 from myowarp.spec.parameter import muscle_index
 from myowarp.spec.registry import check_choice, number_in
@@ -146,7 +147,7 @@ class MuscleTable:
             array = np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError):
             array = np.full(1, np.nan)
-        outside = ~((array >= low) & (array <= high) & np.isfinite(array))
+        outside = ~((array >= low) & (array <= high) & is_finite(array))
         if outside.any():
             got = array[outside].flat[0] if np.isfinite(array).any() else value
             raise ValueError(f"{what} must be finite and from {low:g} to {high:g}, got {got}")

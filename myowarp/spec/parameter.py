@@ -19,7 +19,7 @@ import numpy.typing as npt
 import warp as wp
 
 from myowarp.kernels.random import RandomKeys, open_stream
-from myowarp.kernels.write import write
+from myowarp.kernels.write import is_finite, write
 from myowarp.spec.registry import check_choice
 
 if TYPE_CHECKING:
@@ -204,7 +204,7 @@ class Parameter:
 
     def _finite(self, what: str, number: float) -> float:
         """Return a duration, checked."""
-        if not (isinstance(number, (int, float)) and 0.0 <= number < np.inf):
+        if not (isinstance(number, (int, float)) and number >= 0.0 and is_finite(number)):
             raise ValueError(f"{self.name} {what} must be a finite time >= 0 s, got {number!r}")
         return float(number)
 
@@ -228,7 +228,7 @@ class Parameter:
         worlds = self.worlds.everywhere if worlds is None else worlds
         try:
             numbers = np.asarray("none" if value is None else value, dtype=np.float64)  # NumPy makes it nan
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise ValueError(f"{self.name} must be numbers, got {value!r}") from None
         columns = len(self.names)
         if numbers.ndim == 0:
@@ -253,11 +253,12 @@ class Parameter:
     def _check_range(self, numbers: np.ndarray) -> None:
         """Raise if a number is out of range."""
         low, high = self.bounds
-        wrong = numbers[~((numbers >= low) & (numbers <= high) & np.isfinite(numbers))]
+        wrong = numbers[~((numbers >= low) & (numbers <= high) & is_finite(numbers))]
         if wrong.size:
-            span = f"in {low:g}..{high:g}" if high < np.inf else "finite"
+            finite = "finite in float32" if np.isfinite(wrong[0]) else "finite"
+            span = f"in {low:g}..{high:g}" if high < np.inf else finite
             if high == np.inf and low > -np.inf:
-                span = f">= {low:g}" if np.isfinite(wrong[0]) else f"finite and >= {low:g}"
+                span = f">= {low:g}" if wrong[0] < low else f"{finite} and >= {low:g}"
             raise ValueError(f"{self.name} must be {span}, got {wrong[0]:g}")
 
     def values(self, world: int) -> np.ndarray:

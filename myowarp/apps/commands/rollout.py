@@ -120,6 +120,8 @@ class Rollout:
                 recorder=recorder,
                 console=console,
             )
+        if self.model:  # its poses are no task that somebody has set
+            summary = dataclasses.replace(summary, success_percent=None)
         _report(dataclasses.asdict(summary), spec, self.json)
         if self.save:
             rollout.save_recording(self.save, env, kept)

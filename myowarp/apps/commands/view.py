@@ -117,16 +117,20 @@ class View:
 
     def _open(self, title: str, policy: str) -> Session:
         """Return the session of a task; a policy that cannot act there gives way to the best that can."""
+        from myowarp.apps.baselines import OWN, PREFIX
         from myowarp.spec.task import TASKS
         from myowarp.view.browser.session import Session
 
         variant = self._find(title)
         offered = policies_for(TASKS[variant.task], self.policy)
+        if policy.startswith(PREFIX) and (title, policy) != (self._title, self.policy):
+            policy = OWN  # the baseline of this task, whichever it was before
+        best = next(name for name in offered if not name.startswith(PREFIX))
         return Session(
             title,
             TASKS[variant.task],
             self.worlds,
-            policy if policy in offered else offered[0],
+            policy if policy in offered else best,
             self._acting,
             conditions=(*variant.conditions, *self.conditions),
             device=self.device,

@@ -14,7 +14,6 @@ With `motor` the policy commands the torque itself: one more action, the last, t
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -22,6 +21,7 @@ import mujoco
 import warp as wp
 
 from myowarp.kernels.reset import masked_fill
+from myowarp.kernels.write import is_finite
 from myowarp.models.conditions.added_mass import BATCHED, AddedMass, HungMass, Part
 from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
 from myowarp.spec.muscle import BiasParams
@@ -75,7 +75,7 @@ class Exoskeleton(Condition):
     def __post_init__(self) -> None:
         """Check what is one number for all worlds."""
         for name, number in (("max_torque", self.max_torque), ("effort_weight", self.effort_weight)):
-            if not (isinstance(number, (int, float)) and 0.0 <= number < math.inf):
+            if not (isinstance(number, (int, float)) and number >= 0.0 and is_finite(number)):
                 raise ValueError(f"exoskeleton {name} must be a finite number >= 0, got {number!r}")
         if self.effort_weight and not self.motor:
             raise ValueError("exoskeleton effort_weight is for a motor; give motor=True or leave it out")

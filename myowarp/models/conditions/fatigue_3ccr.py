@@ -118,6 +118,7 @@ class Fatigue3CCR(Condition):
     STAGE = Stage.FATIGUE
     WRITES = ("fatigue",)
     NEUTRAL: ClassVar = {"affected": 0.0}
+    NEEDS = "affected"
 
     affected: Value = 1.0
     fatigue_rate: Value | None = None

@@ -9,13 +9,13 @@ arXiv:2205.13600, loads in the tests of the exoskeleton.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import mujoco
 import warp as wp
 
+from myowarp.kernels.write import is_finite
 from myowarp.models.conditions.added_mass import BATCHED, AddedMass, HungMass, Part, Triple
 from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
 from myowarp.spec.parameter import Clock, Value
@@ -54,7 +54,7 @@ class Load(Condition):
 
     def __post_init__(self) -> None:
         """Check the radius."""
-        if not (isinstance(self.radius, (int, float)) and 0.0 < self.radius < math.inf):
+        if not (isinstance(self.radius, (int, float)) and self.radius > 0.0 and is_finite(self.radius)):
             raise ValueError(f"load radius must be a finite length > 0 m, got {self.radius!r}")
 
     @property

@@ -14,7 +14,7 @@ import numpy as np
 
 from myowarp.opensim.build.convert import Converted
 from myowarp.opensim.fitted import Fits, MuscleFit
-from myowarp.opensim.muscle.force import ACTIVATIONS
+from myowarp.opensim.muscle.hill import ACTIVATIONS
 from myowarp.opensim.wrap.moment_arm import PRESENT, Poses, Reference
 
 Array = np.ndarray

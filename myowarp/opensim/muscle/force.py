@@ -27,13 +27,10 @@ from scipy import optimize
 
 from myowarp.opensim.model import Note
 from myowarp.opensim.muscle.activation import activation_dynamics
-from myowarp.opensim.muscle.hill import HillMuscle, known
+from myowarp.opensim.muscle.hill import ACTIVATIONS, HillMuscle, known
 
 Array = np.ndarray
 Method = Literal["least_squares", "differential_evolution"]
-
-ACTIVATIONS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-"""Of the force map."""
 
 SPEEDS = np.array([-1.0, -0.75, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 0.75, 1.0])
 """Velocities of the second fit [max_contraction_velocity]."""

@@ -45,6 +45,9 @@ CLASSES = (
 FORCE_TOLERANCE = 1e-11
 """Residual at which the equilibrium counts as found [max_isometric_force]; OpenSim stops at 1e-8."""
 
+ACTIVATIONS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+"""Of a force map: activations at which a muscle is compared with its fit."""
+
 MAX_STEPS = 100
 """Of which the first 50 alone bring a bracket to 1e-15 of its width by bisection."""
 

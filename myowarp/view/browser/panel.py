@@ -12,6 +12,7 @@ import viser
 from viser import uplot
 
 from myowarp.sim.patient import Knob
+from myowarp.spec.condition import CONDITIONS
 from myowarp.spec.registry import check_choice
 from myowarp.view.browser.controls import ERRORS, Controls
 from myowarp.view.muscles import QUANTITIES, Quantity
@@ -96,7 +97,16 @@ class Panel:
         elif button == STEP:
             self._live.single_step()
         else:
-            self._session.restart()
+            self._reset()
+
+    def _reset(self) -> None:
+        """Begin new episodes; a session that no reset heals is opened anew, as its patient was at first."""
+        session, live = self._session, self._live
+        try:
+            session.restart()
+        except ValueError as error:
+            live.complain(f"{error}; the task is opened anew, without changes to the patient")
+            live.open(session.title, session.policy)
 
     def _add_run(self) -> None:
         """Add readings, what drives, and what is chosen."""
@@ -104,8 +114,10 @@ class Panel:
         self._status = gui.add_html(status(live))
         drive = gui.add_button_group("", BUTTONS)
         drive.on_click(lambda _: live.ask("drive", lambda: self._drive(drive.value)))
-        speed = gui.add_slider("speed / real time", SLOWEST, FASTEST, 0.05, live.speed)
-        self._on("speed", speed, self._set_speed, lambda: live.speed)
+        label, ends = "speed / real time", (SLOWEST, FASTEST)
+        self._slide(
+            "speed", label, ends, 0.05, lambda: live.speed, lambda value: setattr(live, "speed", value)
+        )
         tasks = live.choices.tasks
         self._choose("task", tasks, session.title, lambda task: live.open(task, session.policy))
         policies = live.choices.policies(session.sim.scene.spec)
@@ -132,23 +144,31 @@ class Panel:
         gui.add_button("Undo all changes").on_click(lambda _: live.ask("undo", self._undo))
         self._before = {knob: knob.parameter.values(0).copy() for knob in patient.knobs.values()}
         self._sliders: dict[Knob, Any] = {}
+        self._hints: dict[Knob, viser.GuiMarkdownHandle] = {}
         for condition in dict.fromkeys(knob.condition for knob in patient.knobs.values()):
             with gui.add_folder(condition.replace("_", " ")):
+                self._add_hint(condition)
                 for knob in patient.knobs.values():
                     if knob.condition == condition:
                         self._add_slider(knob)
+        self._show_hints()
+
+    def _add_hint(self, condition: str) -> None:
+        """Add what says why the sliders of a condition change nothing yet."""
+        kind = CONDITIONS[condition]
+        if knob := self._session.patient.knobs.get(f"{condition} {kind.NEEDS}"):
+            text = f"No effect while *{kind.NEEDS}* is {kind.NEUTRAL[kind.NEEDS]:g}."
+            self._hints[knob] = self._gui.add_markdown(text)
 
     def _add_slider(self, knob: Knob) -> None:
         """Add the slider of a knob."""
-        slider = self._gui.add_slider(
-            knob.field.replace("_", " "), knob.low, knob.high, knob.step, self._value(knob)
-        )
-        self._sliders[knob] = slider
 
         def turn(value: float) -> None:
             self._session.turn(knob, value, self._session.patient.groups[self._muscles])
+            self._show_hints()
 
-        self._on(knob.name, slider, turn, lambda: self._value(knob))
+        label, ends = knob.field.replace("_", " "), (knob.low, knob.high)
+        self._sliders[knob] = self._slide(knob.name, label, ends, knob.step, lambda: self._value(knob), turn)
 
     def _value(self, knob: Knob) -> float:
         """Return what the chosen muscles have."""
@@ -171,18 +191,39 @@ class Panel:
         """Move the sliders to what there is."""
         for knob, slider in self._sliders.items():
             slider.value = self._value(knob)
+        self._show_hints()
 
-    def _set_speed(self, speed: float) -> None:
-        """Change the speed."""
-        if not SLOWEST <= speed <= FASTEST:
-            raise ValueError(f"speed must be from {SLOWEST:g} to {FASTEST:g}, got {speed:g}")
-        self._live.speed = speed
+    def _show_hints(self) -> None:
+        """Show the hints that hold for the chosen muscles."""
+        for knob, hint in self._hints.items():
+            hint.visible = self._value(knob) == CONDITIONS[knob.condition].NEUTRAL[knob.field]
 
     def _set_color(self, color: str) -> None:
         """Change what the colour of a muscle shows."""
         self._live.color = color
         self._legend.content = legend(QUANTITIES[color])
         self._muscle_traces.clear()
+
+    def _slide(
+        self,
+        key: str,
+        label: str,
+        ends: tuple[float, float],
+        step: float,
+        now: Callable[[], float],
+        do: Callable[[float], object],
+    ) -> viser.GuiSliderHandle[float]:
+        """Add a slider; who does not use a browser may send what lies outside of its ends."""
+        low, high = ends
+        handle = self._gui.add_slider(label, low, high, step, now())
+
+        def check(value: float) -> None:
+            if not low <= value <= high:
+                raise ValueError(f"{key} must be from {low:g} to {high:g}, got {value:g}")
+            do(value)
+
+        self._on(key, handle, check, now)
+        return handle
 
     def _choose(
         self, label: str, options: Any, now: str | Callable[[], str], do: Callable[[str], object]
@@ -252,9 +293,9 @@ class Traces:
             return
         beside = self._live.session.beside
         shown = (tuple(self._chosen), beside, self._label)
-        if shown != self._drawn and self._plot is not None:
-            self._plot.remove()
-            self._plot = None
+        if self._plot is not None:
+            # Never removed: a browser does updates after removals, of what it got between two pictures.
+            self._plot.visible = bool(self._chosen)
         if not self._chosen or len(self._times) < 2:
             return
         columns = [self._names.index(name) for name in self._chosen]
@@ -265,9 +306,11 @@ class Traces:
                 self._plot = self._gui.add_uplot(
                     data, self._series(beside), title=self._label, aspect=1.4, scales={"x": {"time": False}}
                 )
-            self._drawn = shown
+        elif shown != self._drawn:
+            self._plot.series, self._plot.title, self._plot.data = self._series(beside), self._label, data
         elif not np.array_equal(self._plot.data[0], data[0]):
             self._plot.data = data
+        self._drawn = shown
 
     def _series(self, beside: bool) -> tuple[uplot.Series, ...]:
         """Return names and looks of the curves."""

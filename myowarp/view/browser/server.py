@@ -20,6 +20,8 @@ from urllib.parse import parse_qs, urlsplit
 
 import viser
 import websockets.asyncio.server
+from viser._messages import GuiUpdateMessage
+from viser.infra import ClientId
 
 LOCAL = "127.0.0.1"
 LOCAL_NAMES = (LOCAL, "localhost", "::1")
@@ -63,8 +65,21 @@ def open_server(port: int, title: str) -> viser.ViserServer:
     finally:
         sockets.serve = serve  # type: ignore[misc]
     server.get_event_loop().set_exception_handler(lambda loop, context: None)
+    _take_values_alone(server)
     server.scene.configure_default_lights(cast_shadow=False)
     return server
+
+
+def _take_values_alone(server: viser.ViserServer) -> None:
+    """Refuse messages that set more of a control than its value; viser sets whatever attribute they name."""
+    gui, sockets = server.gui, server._websock_server
+
+    async def update(client: ClientId, message: GuiUpdateMessage) -> None:
+        if message.updates.keys() == {"value"}:
+            await gui._handle_gui_updates(client, message)
+
+    sockets.unregister_handler(GuiUpdateMessage, gui._handle_gui_updates)
+    sockets.register_handler(GuiUpdateMessage, update)
 
 
 def close_server(server: viser.ViserServer) -> None:
