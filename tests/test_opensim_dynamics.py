@@ -104,6 +104,14 @@ def test_model_mjb_has_moments_that_no_solid_has(tmp_path):
     np.testing.assert_allclose(true.dof_invweight0, np.diag(np.linalg.inv(M[0])), rtol=1e-9)
 
 
+def test_the_step_has_moments_that_no_solid_has(tmp_path):
+    """Also without joints that follow others; there is no spring that could hold them."""
+    _, converted = top(tmp_path, FLAT)
+    step = OurStep(converted.coordinates, converted.spec, converted.exact.as_json())
+    found = step.accelerations(States(VALUES, SPEEDS, np.zeros((1, 3))))[0]
+    np.testing.assert_allclose(found, FLAT_TURNS, rtol=1e-5)
+
+
 def test_a_negative_moment_that_lets_nothing_move_is_zero(tmp_path):
     """OpenSim loads the file; forces would accelerate the top against themselves."""
     _, converted = top(tmp_path, ".05 .05 -5 0 0 0")

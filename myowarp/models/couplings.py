@@ -2,7 +2,7 @@
 
 MuJoCo has a joint equality for that, one quartic, held by a spring. A model may carry better: a text named
 `couplings` (what `myowarp convert` writes as `couplings.json` beside `model.xml`) with the document's own
-functions, and with the masses that its light bodies have in the document. Such a model asks for coordinates
+functions, and with the masses and moments of inertia that MuJoCo refuses. Such a model asks for coordinates
 that follow exactly (`engine.stages.free_coordinates`); a text without functions asks so for its equalities.
 
 Source: MuJoCo documentation, *XML reference, equality/joint*: q_i - q0_i = sum_k c_k (q_j - q0_j)^k, k <= 4.
@@ -114,6 +114,11 @@ class Exact:
 
     curves: Mapping[str, tuple[str | None, tuple[Pieces, ...]]]
     bodies: Mapping[str, tuple[float, tuple[float, ...]]]
+
+    @property
+    def turns_otherwise(self) -> bool:
+        """Whether a body with a mass has other moments of inertia than in the model."""
+        return any(mass > 0 for mass, _ in self.bodies.values())
 
     def as_json(self) -> str:
         """Return the text."""

@@ -185,7 +185,8 @@ def run(
         converted.spec, comment=f"{model.name}. {LACKS if converted.exact.curves else ''}{model.credits}"
     )
     compiled = mujoco.MjModel.from_xml_string(text, {**converted.meshes})
-    said = converted.exact.as_json() if converted.exact.curves else ""
+    asks = converted.exact.curves or converted.exact.turns_otherwise
+    said = converted.exact.as_json() if asks else ""
     stiffer = stiff(compiled, converted.exact)
     coordinates = converted.coordinates
     engines: dict[str, Engine] = {}

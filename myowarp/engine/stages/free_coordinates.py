@@ -462,7 +462,8 @@ class FreeCoordinates(Stage):
     @classmethod
     def obstacle(cls, scene: Scene) -> str | None:
         """Return why joints follow by equalities here; a line is logged where the model asks for more."""
-        if exact(scene.oracle) is None or not couplings(scene.oracle):
+        said = exact(scene.oracle)
+        if said is None or not (couplings(scene.oracle) or said.turns_otherwise):
             return "the model does not ask for it"
         reason = super().obstacle(scene)
         if reason is not None:
