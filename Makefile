@@ -59,7 +59,7 @@ test: lint ## Check format, lint and types, then run the fast tests (what CI run
 test-slow: $(TEST_STAMP) ## Run the tests marked slow
 	$(BIN)/python -m pytest -m "slow and not scale" $(PYTEST)
 
-scale: $(TEST_STAMP) ## Kill ranks, workers, nodes and drivers, and compare with undisturbed runs (half an hour)
+scale: $(TEST_STAMP) ## Kill ranks, workers, nodes and drivers, and compare with undisturbed runs (5 to 15 minutes)
 	$(BIN)/python -m pytest -m scale $(PYTEST)
 
 test-view: $(TEST_STAMP) ## Test the page of `myowarp view` in a headless Chromium, which is installed where apt-get is

@@ -1,5 +1,8 @@
 """Clusters of several nodes on this machine, and what can be done to them."""
 
+import contextlib
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -67,6 +70,15 @@ def working(cluster):
         if parent in raylets and called.startswith("ray::_bounded"):  # others are the node's own agents
             found.append(int(folder.name))
     return found
+
+
+def kill_worker(cluster):
+    """Kill a process that is at work; return whether there was one."""
+    for pid in working(cluster):
+        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+            os.kill(pid, signal.SIGKILL)
+            return True
+    return False
 
 
 def fill_store(cluster):

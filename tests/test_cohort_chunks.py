@@ -2,12 +2,10 @@
 
 import contextlib
 import json
-import os
-import signal
 
 import numpy as np
 import pytest
-from clusters import PATIENCE, fill_store, replace_node, start, wait_until, working
+from clusters import PATIENCE, fill_store, kill_worker, replace_node, start, wait_until
 
 pd = pytest.importorskip("pandas")
 dataset = pytest.importorskip("pyarrow.dataset")
@@ -76,8 +74,7 @@ def test_ten_thousand_patients_once_each_whatever_dies(cluster, tmp_path):
     words = command(table, output, "--chunk", 250, "--address", cluster.address)
     full = fill_store(cluster)
     first = start(*words)
-    wait_until(lambda: finished(output) >= 4 and working(cluster), first)
-    os.kill(working(cluster)[0], signal.SIGKILL)
+    wait_until(lambda: finished(output) >= 4 and kill_worker(cluster), first)
     wait_until(lambda: finished(output) >= 10, first)
     replace_node(cluster)
     wait_until(lambda: finished(output) >= 18, first)

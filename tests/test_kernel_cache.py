@@ -10,7 +10,9 @@ import warp as wp
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from benchmarks.cold_starts import first_starts
 from myowarp.disk import writable_folder
+from myowarp.engine import compile as compile_
 from myowarp.engine import kernel_cache
 from myowarp.engine.compile import compile_kernels, quiet
 
@@ -175,3 +177,41 @@ def test_machine_without_gpu():
     out, err = start()
     assert "CUDA" not in "".join(err)
     assert out[-1] == f"device 'cuda:0' is not available; available: cpu ({kernel_cache.NO_DRIVER})"
+
+
+def test_each_process_begins_with_other_modules(monkeypatch):
+    """So that processes which start at once take from disk what another has compiled."""
+    began = []
+    monkeypatch.setattr(compile_, "load_module", lambda module, *_: began.append(module))
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)  # one after the other
+
+    def kernel(number):
+        @wp.kernel(enable_backward=False, module=f"{__name__}.{number}")
+        def nothing(values: wp.array[float]):
+            values[wp.tid()] = 0.0
+
+        return nothing
+
+    kernels = [kernel(number) for number in range(12)]
+
+    def launch():
+        for each in kernels:
+            wp.launch(each, dim=3, outputs=[wp.zeros(3, dtype=float, device="cpu")], device="cpu")
+
+    orders = set()
+    for _ in range(4):
+        began.clear()
+        assert compile_kernels(launch, wp.get_device("cpu")) == tuple(each.module for each in kernels)
+        assert sorted(module.name for module in began) == sorted(each.module.name for each in kernels)
+        orders.add(tuple(began))
+    assert len(orders) == 4
+
+
+@pytest.mark.scale
+def test_first_starts_at_once_share_the_work():
+    """Three on an empty cache, one of them killed; processor times say it on busy cores, too."""
+    alone = first_starts("myoElbowPose1D6MRandom-v0", 1, None)
+    together = first_starts("myoElbowPose1D6MRandom-v0", 3, min(8.0, alone["seconds"][0] / 2))
+    assert len(together["seconds"]) == 2
+    assert max(together["seconds"]) <= 2 * alone["seconds"][0]
+    assert max(together["cpu_seconds"]) <= 0.85 * alone["cpu_seconds"][0]

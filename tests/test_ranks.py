@@ -19,6 +19,7 @@ from myowarp.bridge_gym import MyoWarpVectorEnv
 TORCHRUN = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2"]
 ELBOW, FINGER = "myoElbowPose1D6MRandom-v0", "myoFingerPoseRandom-v0"
 PATIENCE = 240.0  # s
+SAMPLES = 8 * 16 * 150  # of a run that is killed
 ROUNDING = 1e-12  # of float64, over eighty samples
 
 
@@ -134,12 +135,19 @@ def children(pid):
     return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """The folder of a run of which nothing was killed."""
+    folder = tmp_path_factory.mktemp("ranks") / "undisturbed"
+    subprocess.run([*TORCHRUN, "-m", "myowarp", *small(folder, SAMPLES)], check=True, capture_output=True)
+    return folder
+
+
 @pytest.mark.scale
 @pytest.mark.parametrize("victim", [0, 1])
-def test_a_killed_rank_ends_where_an_undisturbed_run_ends(victim, tmp_path):
-    samples = 8 * 16 * 150
-    killed, undisturbed = tmp_path / "killed", tmp_path / "undisturbed"
-    command = [*TORCHRUN, "--max-restarts", "1", "-m", "myowarp", *small(killed, samples)]
+def test_a_killed_rank_ends_where_an_undisturbed_run_ends(victim, undisturbed, tmp_path):
+    killed = tmp_path / "killed"
+    command = [*TORCHRUN, "--max-restarts", "1", "-m", "myowarp", *small(killed, SAMPLES)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         begin = time.monotonic()
         while saved(killed) < 8 * 16 * 5:
@@ -148,11 +156,8 @@ def test_a_killed_rank_ends_where_an_undisturbed_run_ends(victim, tmp_path):
             time.sleep(0.01)
         os.kill(sorted(children(process.pid))[victim], signal.SIGKILL)
         assert process.wait(PATIENCE) == 0
-    subprocess.run(
-        [*TORCHRUN, "-m", "myowarp", *small(undisturbed, samples)], check=True, capture_output=True
-    )
     report = json.loads((killed / "report.json").read_text())
-    assert 8 * 16 * 5 <= report["resumed_after"] < samples == report["samples"]
+    assert 8 * 16 * 5 <= report["resumed_after"] < SAMPLES == report["samples"]
     one, other = load_checkpoint(killed), load_checkpoint(undisturbed)
     for before, after in ((one.policy, other.policy), (one.state(), other.state())):
         assert before.keys() == after.keys()

@@ -2,15 +2,13 @@
 
 import csv
 import json
-import os
-import signal
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 import yaml
-from clusters import PATIENCE, fill_store, replace_node, start, wait_until, working
+from clusters import PATIENCE, fill_store, kill_worker, replace_node, start, wait_until
 
 from myowarp.apps.sweep.report import measures, summary
 from myowarp.apps.sweep.study import read_study
@@ -51,8 +49,7 @@ def test_every_run_of_a_study_ends_once_whatever_dies(cluster, tmp_path):
     address = cluster.address
     full = fill_store(cluster)
     first = sweep(path, output, "--address", address)
-    wait_until(lambda: len(results(output)) >= 2 and working(cluster), first)
-    os.kill(working(cluster)[0], signal.SIGKILL)
+    wait_until(lambda: len(results(output)) >= 2 and kill_worker(cluster), first)
     wait_until(lambda: len(results(output)) >= 5, first)
     replace_node(cluster)
     wait_until(lambda: len(results(output)) >= 9, first)

@@ -7,6 +7,7 @@ silence for a hand. Here the launches are first only listed, then their modules 
 import contextlib
 import logging
 import os
+import random
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import cache
@@ -87,7 +88,9 @@ def compile_kernels(
     with recorded() as found:
         launches()
     # CUDA's machine code is made for one number of threads, the CPU's serves all.
-    wanted = dict.fromkeys((module, 1 if device.is_cpu else block_dim) for module, block_dim in found)
+    wanted = list(dict.fromkeys((module, 1 if device.is_cpu else block_dim) for module, block_dim in found))
+    # Processes that start at once take from disk what another has compiled: each begins with other modules.
+    random.Random().shuffle(wanted)
     damaged: list[Path] = []
     with (
         patient_bar("Compiling kernels", "modules", len(wanted), patience=PATIENCE, show=show) as advance,
@@ -104,7 +107,7 @@ def compile_kernels(
             "compiled kernels were damaged or changed on disk and are compiled anew: %d modules in %s",
             *(len(damaged), damaged[0].parent),
         )
-    return tuple(dict.fromkeys(module for module, _ in wanted))
+    return tuple(dict.fromkeys(module for module, _ in found))
 
 
 @cache
