@@ -13,7 +13,7 @@ from myowarp.apps.commands.reproduce import Reproduce
 from myowarp.apps.reproduce import arm, cohort_exo, endurance, exo2, recovery
 from myowarp.apps.reproduce.catalog import EXPERIMENTS
 from myowarp.apps.reproduce.policies import FOLDER, Training, committed, retrained
-from myowarp.apps.reproduce.report import FILES
+from myowarp.apps.reproduce.report import FILES, output_folder
 from myowarp.apps.reproduce.result import Merit, t_quantile
 from myowarp.apps.train.checkpoint import CheckpointError
 from myowarp.models.conditions import Exoskeleton, Load
@@ -319,3 +319,14 @@ def test_the_page_is_that_of_the_committed_results():
         result = json.loads((experiments.RESULTS / name / "result.json").read_text())
         assert not result["quick"]
         assert f"experiments/{name}/figure.png" in experiments.PAGE.read_text()
+
+
+def test_other_runs_have_other_folders():
+    """What `--retrain` measures has other policies than what is there without it."""
+    switches = [(quick, retrain) for quick in (False, True) for retrain in (False, True)]
+    assert [output_folder("exo1", *both).name for both in switches] == [
+        "exo1",
+        "exo1-retrain",
+        "exo1-quick",
+        "exo1-quick-retrain",
+    ]

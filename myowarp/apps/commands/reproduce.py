@@ -45,7 +45,8 @@ class Reproduce:
     num_worlds: Annotated[int | None, optional("INT")] = None
     """Worlds of each seed and condition; by default 64; with --quick 4."""
     output: Annotated[Path | None, optional("FOLDER")] = None
-    """Folder of the results; by default out/reproduce/NAME, with --quick out/reproduce/NAME-quick."""
+    """Folder of the results; by default out/reproduce/NAME, with -quick and -retrain where these were
+    chosen."""
     overwrite: bool = False
     """Measure again what the folder holds with other settings, or damaged."""
     models: tuple[Path, ...] = ()
@@ -106,6 +107,6 @@ class Reproduce:
             raise ValueError(f"--models {str(missing[0])!r} is no file; give the path of an .osim file")
         if importlib.util.find_spec("matplotlib") is None:
             raise ImportError('reproduce draws with matplotlib; run `pip install "myowarp[plot]"`')
-        folder = self.output or report.output_folder(self.name, self.quick)
+        folder = self.output or report.output_folder(self.name, self.quick, self.retrain)
         check_folder(folder)
         return experiment, folder, seeds, worlds

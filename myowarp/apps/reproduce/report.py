@@ -154,6 +154,6 @@ def print_list(experiments: dict[str, Experiment], console: Console) -> None:
     console.print(table)
 
 
-def output_folder(name: str, quick: bool) -> Path:
-    """Return the folder into which an experiment writes if none is named."""
-    return Path("out/reproduce") / (f"{name}-quick" if quick else name)
+def output_folder(name: str, quick: bool, retrain: bool) -> Path:
+    """Return the folder into which an experiment writes if none is named; other runs have other folders."""
+    return Path("out/reproduce") / (name + "-quick" * quick + "-retrain" * retrain)
