@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.apps.cli import COMMANDS
+from myowarp.apps.cli import COMMANDS, command
 from myowarp.apps.options import longer_steps
 from myowarp.sim.build import oracle_model, set_physics
 from myowarp.spec.task import PHYSICS, TASKS
@@ -468,6 +468,20 @@ def test_a_reader_that_has_left_ends_the_command_silently(arguments):
     os.close(writing)
     assert done.returncode == 141
     assert not re.search(r"Traceback|[Pp]ipe|Exception", done.stderr)
+
+
+def test_ctrl_c_ends_the_command_without_a_traceback(monkeypatch):
+    """Wherever it comes; the status is what a shell reports of tools that a signal ends."""
+
+    def interrupted(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(COMMANDS["tasks"], "__call__", interrupted)
+    monkeypatch.setattr("gc.freeze", lambda: None)
+    monkeypatch.setattr(sys, "argv", ["myowarp", "tasks"])
+    with pytest.raises(SystemExit) as ended:
+        command()
+    assert ended.value.code == 130
 
 
 def test_a_model_without_a_task_has_no_success(run, tmp_path):

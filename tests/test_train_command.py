@@ -305,6 +305,14 @@ def test_one_training_one_folder(run, tmp_path, monkeypatch):
     assert json.loads((folder / "report.json").read_text())["samples"] == 128
 
 
+def test_a_checkpoint_is_not_gone_on_with_in_place_of_its_run(run, tiny):
+    """The run would delete the folder that the other one writes into."""
+    last = max((tiny / "checkpoints").iterdir())
+    status, _, err = run("train", "--resume", last)
+    assert status == 2
+    assert "is a checkpoint in a run; name the run's folder" in " ".join(err.split())
+
+
 def test_a_run_that_went_on_meanwhile_is_left_alone(tiny):
     job = plan(command.Train(resume=tiny))
     older = dataclasses.replace(job.checkpoint, folder=tiny / "checkpoints" / "000000000064")

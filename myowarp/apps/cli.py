@@ -69,6 +69,8 @@ def command() -> None:
             main()
         finally:
             sys.stdout.flush()  # not at the end of the interpreter, which complains
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
     except BrokenPipeError:  # who reads has left, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)  # what a shell reports of other tools

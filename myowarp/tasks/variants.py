@@ -61,7 +61,10 @@ def find_variant(name: str) -> Variant:
     Raises:
         ValueError: No such id; the message lists the close ones.
     """
+    name, found = name.removeprefix("MyoWarp/"), variants()
+    if (variant := found.get(f"MyoWarp/{name}")) is not None:
+        return variant
     known: Registry[Variant] = Registry("task", listed_by=LISTED_BY)
-    for env_id, variant in variants().items():
+    for env_id, variant in found.items():
         known.add(env_id.removeprefix("MyoWarp/"), variant)
-    return known[name.removeprefix("MyoWarp/")]
+    return known[name]

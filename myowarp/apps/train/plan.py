@@ -313,6 +313,8 @@ def _plan_resume(command: TrainOptions, given: dict[str, Any], ranks: Ranks) -> 
     manifest = checkpoint.manifest
     if STATE not in manifest["files"]:
         raise CheckpointError(f"checkpoint {str(folder)!r} holds a policy alone and cannot be resumed")
+    if checkpoint.folder == folder:
+        raise CheckpointError(f"--resume {str(folder)!r} is a checkpoint in a run; name the run's folder")
     if (before := manifest.get("ranks", 1)) != ranks.size:
         raise ValueError(
             f"run {str(folder)!r} goes on with the number of ranks that it began with, {before}, got "
