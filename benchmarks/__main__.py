@@ -25,9 +25,9 @@ from rich.progress import Progress
 from rich.table import Table
 
 from benchmarks.machine import processor
+from myowarp.definitions.task import TASKS
 from myowarp.sim.build import full_spec
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 CONTACT_TASKS = (
     "myoHandKeyTurnRandom-v0",

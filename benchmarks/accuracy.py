@@ -22,9 +22,9 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from myowarp.definitions.task import PHYSICS, TASKS
 from myowarp.progress import progress_bar
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import PHYSICS, TASKS
 from tests.reference.mujoco_muscle import activation_after, gain
 
 FAMILIES = {

@@ -16,15 +16,15 @@ import json
 from pathlib import Path
 from typing import Any
 
-from myowarp.apps import baselines
-from myowarp.apps.baselines import CURVE, RESULT, Baseline, load_baseline
-from myowarp.apps.train.checkpoint import load_checkpoint, save_policy
-from myowarp.apps.train.command import REPORT
-from myowarp.apps.train.eval_command import Eval
+from myowarp.apps.policies import baselines
+from myowarp.apps.policies.baselines import CURVE, RESULT, Baseline, load_baseline
+from myowarp.apps.policies.checkpoint import load_checkpoint, save_policy
+from myowarp.apps.train.evaluation import Eval
 from myowarp.apps.train.progress import CSV
+from myowarp.apps.train.run import REPORT
 from myowarp.apps.train.settings import SUCCESSES, success_text
+from myowarp.definitions.task import TASKS
 from myowarp.disk import in_place
-from myowarp.spec.task import TASKS
 
 DOCS = Path(__file__).parents[1] / "docs"
 PUBLISHED = Path(__file__).with_name("published_success.json")

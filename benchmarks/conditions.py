@@ -25,10 +25,10 @@ from rich.table import Table
 from benchmarks.__main__ import PACKAGES, Timed
 from benchmarks.machine import processor
 from benchmarks.soak import suited
+from myowarp.definitions.condition import CONDITIONS, Condition
+from myowarp.definitions.task import TASKS
 from myowarp.progress import progress_bar
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.condition import CONDITIONS, Condition
-from myowarp.spec.task import TASKS
 
 CLOCKS = {"thread": time.thread_time, "wall": time.perf_counter}
 

@@ -125,8 +125,8 @@ class MujocoC:
         from mujoco.rollout import Rollout
 
         import myowarp.tasks  # noqa: F401 (it registers the tasks)
+        from myowarp.definitions.task import TASKS
         from myowarp.sim.build import full_spec
-        from myowarp.spec.task import TASKS
 
         spec = TASKS[task]
         model = full_spec(spec).compile()

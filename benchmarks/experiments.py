@@ -7,9 +7,9 @@ python -m benchmarks.experiments
 import json
 from pathlib import Path
 
-from myowarp.apps.reproduce.catalog import EXPERIMENTS
-from myowarp.apps.reproduce.report import cells
-from myowarp.apps.reproduce.result import Merit
+from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
+from myowarp.apps.studies.reproduce.report import cells
+from myowarp.apps.studies.reproduce.result import Merit
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE, RESULTS = DOCS / "experiments.md", DOCS / "experiments"

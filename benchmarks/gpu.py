@@ -26,11 +26,11 @@ from rich.table import Table
 from benchmarks.__main__ import PACKAGES
 from benchmarks.gpu_cases import HAND, Options, agreement, first_line, rates, repeats
 from benchmarks.machine import processor
+from myowarp.definitions.task import TASKS
 from myowarp.disk import in_place
 from myowarp.engine.compile import quiet
 from myowarp.progress import progress_bar
 from myowarp.sim.build import resolve_device
-from myowarp.spec.task import TASKS
 
 ENGINE_SHARE = 0.9  # of the engine's rate that the environment is to keep
 HAND_WORLDS, HAND_RATE = 8192, 150_000.0  # environment steps/s that the hand is to reach with so many worlds

@@ -23,13 +23,13 @@ import tyro
 import warp as wp
 
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.scene import Scene
+from myowarp.definitions.task import TASKS
 from myowarp.engine.compile import compile_kernels, quiet, recorded
 from myowarp.engine.repeat import repeat
 from myowarp.sim.build import resolve_device
 from myowarp.sim.part import Part
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.scene import Scene
-from myowarp.spec.task import TASKS
 
 CONTROLS = 8  # sets of random controls of the engine, used in turn
 WARMUP = 5  # control steps

@@ -23,8 +23,8 @@ from benchmarks.contestant import cpu_seconds
 from myowarp.apps.train.loop import Run
 from myowarp.apps.train.settings import PPOSettings, choose
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.task import TASKS
 from myowarp.kernels.episode import SUCCESS_STEPS
-from myowarp.spec.task import TASKS
 
 
 class ServedEnv:

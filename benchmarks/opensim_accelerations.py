@@ -24,9 +24,9 @@ import warp as wp
 
 from myowarp.engine.stages.free_coordinates import document_model, inertia_of
 from myowarp.models.couplings import couplings, follow, jacobian
-from myowarp.opensim.build.convert import convert
-from myowarp.opensim.build.mjcf import mjcf
-from myowarp.opensim.model import Model
+from myowarp.opensim.compose.convert import convert
+from myowarp.opensim.compose.mjcf import mjcf
+from myowarp.opensim.model.model import Model
 from myowarp.opensim.read.model import read_model
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import pose_task

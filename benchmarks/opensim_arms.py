@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import opensim
 
-OUTPUT = Path(__file__).parents[1] / "myowarp/apps/reproduce/opensim_arms.json"
+OUTPUT = Path(__file__).parents[1] / "myowarp/apps/studies/reproduce/opensim_arms.json"
 POINTS = 21
 ACTIVATIONS = (0.5, 1.0)
 STEP = 1e-5  # rad

@@ -164,7 +164,7 @@ def measure_model(source: Path, duration: float, options: Options, log: Any, bar
     """Return the figures of one model for all numbers of copies."""
     folder = options.output.parent / source.stem
     bar(f"{source.stem}: converting", 0)
-    command = [sys.executable, "-m", "myowarp.apps.cli", "convert", str(source), "-o", str(folder)]
+    command = [sys.executable, "-m", "myowarp.apps.cli.main", "convert", str(source), "-o", str(folder)]
     subprocess.run(command, check=True, stdout=log, stderr=log)
     coordinates = json.loads((folder / "coordinates.json").read_text())["coordinates"]
     rows: dict[str, Any] = {}

@@ -26,10 +26,10 @@ from rich.table import Table
 from benchmarks.__main__ import CONTACT_TASKS, PACKAGES
 from benchmarks.machine import processor
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.task import PHYSICS
 from myowarp.engine.compile import quiet
 from myowarp.engine.graph import Graph
 from myowarp.engine.repeat import repeat
-from myowarp.spec.task import PHYSICS
 
 STATE = ("qpos", "qvel", "qacc_warmstart", "time")
 

@@ -31,9 +31,9 @@ from benchmarks.__main__ import PACKAGES
 from benchmarks.machine import disturbances, least_disturbed, processor, timed_here
 from benchmarks.rivals import FAMILIES
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.task import PHYSICS
 from myowarp.engine.threads import num_cores
 from myowarp.progress import progress_bar
-from myowarp.spec.task import PHYSICS
 
 QUIETED = {"numpy": {"OPENBLAS_NUM_THREADS": "1"}, "torch": {"OMP_WAIT_POLICY": "PASSIVE"}}
 WIDTH = 256  # of a hidden layer

@@ -18,7 +18,7 @@ from benchmarks.machine import processor
 from myowarp.apps.train.plan import Job
 from myowarp.apps.train.ranks import Ranks
 from myowarp.apps.train.settings import choose
-from myowarp.spec.task import TASKS
+from myowarp.definitions.task import TASKS
 from myowarp.tasks.variants import Variant
 
 
@@ -41,7 +41,7 @@ def main() -> None:
     settings = choose(TASKS[options.task].name, "ppo", given)
     with ranks.together("cpu"):
         from myowarp.apps.train import agents  # not before: skrl would start NCCL
-        from myowarp.apps.train.command import start
+        from myowarp.apps.train.run import start
 
         ways: dict[str, Callable[[Any, Any], None]] = {
             "a message for each network (skrl)": lambda policy, value: None,

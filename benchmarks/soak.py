@@ -19,13 +19,13 @@ from pathlib import Path
 
 from rich.console import Console
 
-from myowarp.apps.audit.runs import Run
+from myowarp.apps.studies.audit.runs import Run
+from myowarp.definitions.condition import CONDITIONS, Condition, resolve
+from myowarp.definitions.task import TASKS, TaskSpec
 from myowarp.models.conditions import TendonTear
 from myowarp.progress import progress_bar
 from myowarp.sim.build import oracle_model
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.condition import CONDITIONS, Condition, resolve
-from myowarp.spec.task import TASKS, TaskSpec
 from myowarp.tasks.paper import FAMILIES, grid
 
 STEPS = 10_000  # environment steps of a run

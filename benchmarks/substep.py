@@ -29,13 +29,13 @@ from rich.table import Column, Table
 
 from benchmarks.__main__ import CONTACT_TASKS, PACKAGES
 from benchmarks.machine import processor
+from myowarp.definitions.task import TASKS
 from myowarp.engine.compile import quiet
 from myowarp.engine.graph import Graph
 from myowarp.engine.idle import idle_kernels
 from myowarp.engine.stage import STAGES, applicable_stages
 from myowarp.engine.step import physics_step
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 ALL, BY_WARP, ENGINE, ENGINE_IDLE, MUJOCO_C = (
     "all",

@@ -32,9 +32,9 @@ from benchmarks.__main__ import PACKAGES
 from benchmarks.machine import disturbances, least_disturbed, processor, timed_here
 from benchmarks.rivals import FAMILIES
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.task import PHYSICS, TASKS
 from myowarp.progress import progress_bar
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import PHYSICS, TASKS
 
 PARTS = {"environment": "", "simulation": "sim_", "one core": "core_"}  # prefixes of their figures
 SHORTEST = 0.5  # s, a measurement: who uses the cores is known in steps of 0.01 s

@@ -11,10 +11,10 @@ from typing import Any
 from sphinx.application import Sphinx
 from sphinx.util.display import status_iterator
 
-from myowarp.apps import baselines
-from myowarp.apps.describe import describe
-from myowarp.apps.describe_text import sections
-from myowarp.spec.task import TASKS
+from myowarp.apps.policies import baselines
+from myowarp.apps.reports.describe import describe
+from myowarp.apps.reports.describe_text import sections
+from myowarp.definitions.task import TASKS
 
 DOCS = Path(__file__).parent
 PAGES = DOCS / "tasks"

@@ -18,6 +18,14 @@ with quick_import():
     import myowarp.models.muscles
     import myowarp.tasks  # noqa: F401  (these register themselves)
     from myowarp.bridge_gym import make, make_vec, register_all
+    from myowarp.definitions.body import BODIES, Body, CoarseStep
+    from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+    from myowarp.definitions.muscle import MUSCLES, Anatomy, BiasParams, MuscleModel, affine_bias
+    from myowarp.definitions.muscle_table import MuscleTable
+    from myowarp.definitions.parameter import Clock, Curve, Parameter, value_of
+    from myowarp.definitions.program import Program
+    from myowarp.definitions.scene import Scene
+    from myowarp.definitions.task import TASKS, Column, RewardTerm, TaskSpec, blocks, register, task, weighted
     from myowarp.kernels.batching import batched
     from myowarp.kernels.episode import FAULTS
     from myowarp.kernels.launch import launch
@@ -39,14 +47,6 @@ with quick_import():
     from myowarp.models.muscles.mujoco import MujocoMuscle
     from myowarp.sim.signals import Signals
     from myowarp.sim.state import State
-    from myowarp.spec.body import BODIES, Body, CoarseStep
-    from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
-    from myowarp.spec.muscle import MUSCLES, Anatomy, BiasParams, MuscleModel, affine_bias
-    from myowarp.spec.muscle_table import MuscleTable
-    from myowarp.spec.parameter import Clock, Curve, Parameter, value_of
-    from myowarp.spec.program import Program
-    from myowarp.spec.scene import Scene
-    from myowarp.spec.task import TASKS, Column, RewardTerm, TaskSpec, blocks, register, task, weighted
     from myowarp.tasks.pose import PoseTask
     from myowarp.tasks.reach import ReachTask
 

@@ -20,16 +20,16 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from myowarp.definitions.condition import Condition
+from myowarp.definitions.muscle_table import MuscleTable
+from myowarp.definitions.registry import check_choice, check_flag
+from myowarp.definitions.task import TASKS, TaskSpec
 from myowarp.kernels.episode import EpisodeState, Transition
 from myowarp.sim.interop import ActionInput, Output
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import State, Worlds, get_state, place, rows_of, set_state, start_arrays
-from myowarp.spec.condition import Condition
-from myowarp.spec.muscle_table import MuscleTable
-from myowarp.spec.registry import check_choice, check_flag
-from myowarp.spec.task import TASKS, TaskSpec
 from myowarp.tasks.variants import Variant, find_variant, paper_variants, variants_of
-from myowarp.view.captions import Captions
+from myowarp.view.drawing.captions import Captions
 from myowarp.view.modes import check_render_mode, render_modes
 from myowarp.view.pictures import Pictures
 
@@ -103,9 +103,9 @@ class MyoWarpVectorEnv(VectorEnv):
             max_episode_steps: Steps after which an episode is truncated; None: the task's horizon.
             device: Warp device, such as "cpu" or "cuda:0"; None: the first CUDA device, else the CPU.
             shards: Threads that share the worlds on the CPU; None: all cores. It changes no result.
-            physics: "parity" (MyoSuite's integrator and step) or "fast" (`myowarp.spec.task.PHYSICS`).
-            muscle: Muscle model, a name in `myowarp.spec.muscle.MUSCLES`, or a `MuscleTable` with parameters.
-            reset: What episodes start from: "task", "fixed", "random" or "none" (`myowarp.spec.task.RESETS`).
+            physics: "parity" (MyoSuite's integrator and step) or "fast" (`myowarp.definitions.task.PHYSICS`).
+            muscle: Muscle model, a name in `myowarp.definitions.muscle.MUSCLES`, or a `MuscleTable` with parameters.
+            reset: What episodes start from: "task", "fixed", "random" or "none" (`myowarp.definitions.task.RESETS`).
             conditions: Muscle conditions: names in `CONDITIONS`, or `Condition` objects with parameters.
             autoreset_mode: When a finished world starts its next episode.
             output: Arrays of this library: "numpy", "torch" or "warp".
@@ -115,7 +115,7 @@ class MyoWarpVectorEnv(VectorEnv):
             camera: Name of a camera of the model; None frames the limb, tips, targets and objects.
             render_worlds: Worlds of which `render` returns pictures, in this order; None: all, as Gymnasium's
                 vector environments do. Human mode shows the first.
-            muscle_color: What the colour of a muscle shows, a name in `myowarp.view.muscles.QUANTITIES`.
+            muscle_color: What the colour of a muscle shows, a name in `myowarp.view.drawing.muscles.QUANTITIES`.
             render_text: Whether `render` writes time, return and success on pictures, counted since the
                 episode began or its state was set; every step then waits for a CUDA device.
             deterministic: Whether a run gives the same bits every time on CUDA, which is slower.
@@ -322,7 +322,7 @@ class MyoWarpVectorEnv(VectorEnv):
 
         Raises:
             ValueError: The environment was made without a render mode.
-            myowarp.view.render.NoGraphicsError: No OpenGL was found.
+            myowarp.view.drawing.render.NoGraphicsError: No OpenGL was found.
         """
         if self.render_mode is None:
             raise ValueError("render needs a render mode; pass render_mode='rgb_array' to make_vec")

@@ -5,7 +5,7 @@ import sys
 import pytest
 from clusters import cluster  # noqa: F401 (a fixture)
 
-from myowarp.apps import cli
+from myowarp.apps.cli import main as cli
 
 
 @pytest.fixture

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from myowarp.opensim.build.convert import convert
-from myowarp.opensim.build.mjcf import mjcf
+from myowarp.opensim.compose.convert import convert
+from myowarp.opensim.compose.mjcf import mjcf
 from myowarp.opensim.read.model import read_model
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import pose_task

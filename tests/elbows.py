@@ -3,8 +3,8 @@
 import mujoco
 import numpy as np
 
+from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 KEY = "myoElbowPose1D6MRandom-v0"
 NUM_WORLDS = 256

@@ -6,8 +6,8 @@ from configurations import configurations
 from stepping import forward, step
 
 import myowarp.tasks.variants  # noqa: F401  (registers the tasks)
+from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 HAND, CONTACT_HAND, ELBOW = "myoHandReachFixed-v0", "myoHandKeyTurnFixed-v0", "myoElbowPose1D6MFixed-v0"
 HANDS = (HAND, CONTACT_HAND)

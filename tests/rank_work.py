@@ -53,8 +53,8 @@ def moved(rank=(0, 1)):
 def learned(ranks):
     """Return everything that a learner holds after a few iterations."""
     from myowarp.apps.train import agents
-    from myowarp.apps.train.command import start
     from myowarp.apps.train.plan import Job
+    from myowarp.apps.train.run import start
     from myowarp.tasks.variants import Variant
 
     settings = choose(TASK.removesuffix("-v0"), "ppo", SETTINGS)

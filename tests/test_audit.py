@@ -7,12 +7,13 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 
-from myowarp.apps.audit import audit, objects, runs, targets
-from myowarp.apps.audit.figures import findings
+from myowarp.apps.rollouts import objects, targets
+from myowarp.apps.studies.audit import audit, runs
+from myowarp.apps.studies.audit.figures import findings
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.task import TASKS
 from myowarp.models.reachability import tip_positions
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 ELBOW, REACH = "myoElbowPose1D6MRandom-v0", "myoHandReachFixed-v0"
 WORLDS = 3
@@ -34,7 +35,7 @@ def simulation(spec, num_worlds=WORLDS, **options):
 def few_probes():
     """Random starts take long to find, so no audit here looks for them unless it says so."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("myowarp.apps.audit.measure.PROBED_RESETS", ("task",))
+        patch.setattr("myowarp.apps.studies.audit.measure.PROBED_RESETS", ("task",))
         yield
 
 
@@ -175,7 +176,7 @@ def test_a_reset_without_starts_says_why(monkeypatch):
         raise ValueError("too few random starts")
 
     monkeypatch.setattr("myowarp.sim.simulation.find_starts", none_found)
-    monkeypatch.setattr("myowarp.apps.audit.measure.PROBED_RESETS", ("task", "fixed", "random"))
+    monkeypatch.setattr("myowarp.apps.studies.audit.measure.PROBED_RESETS", ("task", "fixed", "random"))
     found = audit(TASKS[ELBOW], 1, device="cpu")
     assert found.early_failure == {"task": 0.0, "fixed": 0.0, "random": None}
     assert found.early_failure_why == {"random": "too few random starts"}

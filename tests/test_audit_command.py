@@ -9,11 +9,12 @@ from functools import partial
 import pytest
 from rich.console import Console
 
-from myowarp.apps.audit import audit, command, runs
-from myowarp.apps.audit.figures import FIGURES, changes, findings
-from myowarp.apps.audit.page import COLORS, Page, draw
+from myowarp.apps.studies.audit import audit, runs
+from myowarp.apps.studies.audit import tasks as command
+from myowarp.apps.studies.audit.figures import FIGURES, changes, findings
+from myowarp.apps.studies.audit.page import COLORS, Page, draw
+from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 ELBOW, REACH = "myoElbowPose1D6MRandom-v0", "myoHandReachFixed-v0"
 MAX_ID_BYTES = 50_000  # of the page for each id, so that 60 ids make 3 MB
@@ -23,7 +24,7 @@ MAX_ID_BYTES = 50_000  # of the page for each id, so that 60 ids make 3 MB
 def few_probes():
     """Random starts take long to find, so no audit here looks for them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("myowarp.apps.audit.measure.PROBED_RESETS", ("task",))
+        patch.setattr("myowarp.apps.studies.audit.measure.PROBED_RESETS", ("task",))
         yield
 
 

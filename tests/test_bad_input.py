@@ -11,7 +11,7 @@ from gymnasium.error import NameNotFound, ResetNeeded
 
 from myowarp.bridge_gym import MyoWarpEnv, MyoWarpVectorEnv
 from myowarp.kernels.episode import FAULTS
-from myowarp.view.snapshot import snapshot
+from myowarp.view.drawing.snapshot import snapshot
 
 TASK = "myoElbowPose1D6MRandom-v0"
 ID = f"MyoWarp/{TASK}"

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from benchmarks.baselines import DOCS, MOST_BYTES, add, page
-from myowarp.apps import baselines
-from myowarp.apps.learned import LearnedPolicy, read_policy
-from myowarp.apps.train import checkpoint as checkpoints
-from myowarp.apps.train.checkpoint import check_contract
-from myowarp.apps.train.eval_command import Eval
+from myowarp.apps.policies import baselines
+from myowarp.apps.policies import checkpoint as checkpoints
+from myowarp.apps.policies.checkpoint import check_contract
+from myowarp.apps.policies.learned import LearnedPolicy, read_policy
+from myowarp.apps.train.evaluation import Eval
 from myowarp.apps.train.settings import ALGORITHMS, preset, restore
+from myowarp.definitions.task import TASKS
 from myowarp.engine.said import say_once
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 NAMES = baselines.baseline_tasks()
 REACHED = ("myoElbowPose1D6MRandom-v0", "myoFingerReachFixed-v0")
@@ -243,8 +243,8 @@ def test_listing_and_playing_import_no_torch():
     code = f"""
 import sys
 sys.modules["torch"] = sys.modules["skrl"] = None
-from myowarp.apps.commands.baselines import Baselines
-from myowarp.apps.commands.rollout import Rollout
+from myowarp.apps.cli.baselines import Baselines
+from myowarp.apps.cli.rollout import Rollout
 Baselines("list")()
 Rollout("{REACHED[0]}", policy="baseline", num_worlds=2, device="cpu", steps=2)()
 """

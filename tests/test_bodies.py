@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.spec.body import BODIES
+from myowarp.definitions.body import BODIES
 
 DATA = Path(__file__).parent / "data" / "myosuite"
 

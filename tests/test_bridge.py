@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from myowarp.bridge_gym import NO_HORIZON, MyoWarpEnv, MyoWarpVectorEnv
-from myowarp.spec.task import TASKS
+from myowarp.definitions.task import TASKS
 
 SCENES = sorted({TASKS[key].scene_key: key for key in TASKS}.values())
 ELBOW = "MyoWarp/myoElbowPose1D6MRandom-v0"

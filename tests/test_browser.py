@@ -14,8 +14,8 @@ from socket_client import Client, until
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from myowarp.apps.commands.view import View, policies_for
-from myowarp.spec.task import TASKS
+from myowarp.apps.cli.view import View, policies_for
+from myowarp.definitions.task import TASKS
 from myowarp.view.browser import live as live_module
 from myowarp.view.browser.live import Live
 from myowarp.view.browser.server import Gate, address_of, check_port, close_server, open_server

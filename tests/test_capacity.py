@@ -10,9 +10,9 @@ from configurations import configurations
 
 import myowarp.sim.capacity as capacity_module
 import myowarp.tasks  # noqa: F401
+from myowarp.definitions.task import PHYSICS, TASKS
 from myowarp.sim.build import compile_scene
 from myowarp.sim.capacity import MARGIN, calibrate
-from myowarp.spec.task import PHYSICS, TASKS
 
 NUM_POSES = 200
 NUM_STEPS = 300

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.body import BODIES
-from myowarp.spec.task import TASKS
 
 DATA = Path(__file__).parent / "data/myosuite"
 RANDOM = "myoElbowPose1D6MExoRandom-v0"

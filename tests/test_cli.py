@@ -12,12 +12,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.apps.cli import COMMANDS, command
-from myowarp.apps.options import longer_steps
+from myowarp.apps.cli.main import COMMANDS, command
+from myowarp.apps.cli.options import longer_steps
+from myowarp.definitions.task import PHYSICS, TASKS
 from myowarp.sim.build import oracle_model, set_physics
-from myowarp.spec.task import PHYSICS, TASKS
 from myowarp.tasks.paper import grid
-from myowarp.view.render import NoGraphicsError, WorldRenderer
+from myowarp.view.drawing.render import NoGraphicsError, WorldRenderer
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 SCENES = sorted({TASKS[key].scene_key: key for key in TASKS}.values())
@@ -157,7 +157,7 @@ def test_help_says_what_fast_is():
 
 
 def test_version_and_module(tmp_path):
-    for module in ("myowarp", "myowarp.apps.cli"):
+    for module in ("myowarp", "myowarp.apps.cli.main"):
         command = [sys.executable, "-m", module, "--version"]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
         assert done.stdout.startswith(f"myowarp {version('myowarp')} (mujoco {mujoco.__version__}, ")
@@ -436,7 +436,7 @@ def test_rollout_without_graphics(rollout, monkeypatch, tmp_path):
 
 
 def shell(*arguments, cwd, **environment):
-    command = [sys.executable, "-m", "myowarp.apps.cli", *arguments]
+    command = [sys.executable, "-m", "myowarp.apps.cli.main", *arguments]
     return subprocess.run(
         command, cwd=cwd, env=os.environ | environment, capture_output=True, text=True, check=False
     )

@@ -4,9 +4,9 @@ import logging
 
 import pytest
 
-from myowarp.apps import cluster
-from myowarp.apps.cluster import each
-from myowarp.apps.train.checkpoint import versions
+from myowarp.apps.policies.checkpoint import versions
+from myowarp.apps.studies import cluster
+from myowarp.apps.studies.cluster import each
 
 ray = pytest.importorskip("ray")
 

@@ -6,7 +6,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from myowarp.apps.policies import Hold
+from myowarp.apps.policies.hold import Hold
+from myowarp.definitions.task import TASKS, Column
 from myowarp.models.conditions.exoskeleton import Exoskeleton
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
 from myowarp.models.conditions.load import Load
@@ -16,12 +17,14 @@ from myowarp.models.conditions.tendon_tear import TendonTear
 from myowarp.models.conditions.tendon_transfer import TendonTransfer
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS, Column
 
 pd = pytest.importorskip("pandas")
 pytest.importorskip("pyarrow")
 
-from myowarp.apps.cohort import run, run_cohort  # noqa: E402
+from myowarp.apps.studies.cohort import (
+    run,
+    run_cohort,
+)
 
 ELBOW, HAND, REACH = "myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1", "myoHandReachFixed-v0"
 STEPS = 8
@@ -344,7 +347,7 @@ def test_an_output_that_is_a_file(command, tmp_path, monkeypatch):
 def test_groups_of_patients():
     """Quarters of equal size; few entries and names by entry."""
     pytest.importorskip("matplotlib")
-    from myowarp.apps.cohort.plot import group_patients
+    from myowarp.apps.studies.cohort.plot import group_patients
 
     quarters = group_patients(pd.Series(np.random.default_rng(0).permutation(101) / 100))
     assert quarters.members.sum(axis=1).tolist() == [25, 25, 25, 26]
@@ -362,7 +365,7 @@ def test_groups_of_patients():
 def test_pictures_of_any_cohort(five, tmp_path, columns):
     """One patient, no varied column, more columns than panels."""
     pytest.importorskip("matplotlib")
-    from myowarp.apps.cohort.plot import draw_cohort
+    from myowarp.apps.studies.cohort.plot import draw_cohort
 
     entries = [name for name in columns if name != "patient"]
     result = dataclasses.replace(five, settings=five.settings | {"columns": entries})

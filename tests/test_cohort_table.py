@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from myowarp.definitions.condition import CONDITIONS
+from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.condition import CONDITIONS
-from myowarp.spec.task import TASKS
 
 pd = pytest.importorskip("pandas")
 pytest.importorskip("pyarrow")
 
-from myowarp.apps.cohort import COLUMNS, plan, run, run_cohort  # noqa: E402
-from myowarp.apps.cohort.columns import conditions_of  # noqa: E402
-from myowarp.apps.cohort.table import read_population  # noqa: E402
+from myowarp.apps.studies.cohort import COLUMNS, plan, run, run_cohort  # noqa: E402
+from myowarp.sim.patient_columns import conditions_of  # noqa: E402
+from myowarp.sim.patient_table import read_population  # noqa: E402
 
 ELBOW, HAND, REACH = "myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1", "myoHandReachFixed-v0"
 ELBOW_MUSCLES = ("TRIlong", "TRIlat", "TRImed", "BIClong", "BICshort", "BRA")

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import warp as wp
 
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage, resolve
+from myowarp.definitions.parameter import Clock, Curve, Parameter, Ramp, Uniform, value_of
+from myowarp.definitions.task import TASKS
+from myowarp.definitions.worlds import Worlds
 from myowarp.models.conditions.sarcopenia import Sarcopenia
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage, resolve
-from myowarp.spec.parameter import Clock, Curve, Parameter, Ramp, Uniform, value_of
-from myowarp.spec.task import TASKS
-from myowarp.spec.worlds import Worlds
 
 NAMES = sorted(CONDITIONS)
 HOSTS = ("myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1")  # the elbow's conditions, the hand's

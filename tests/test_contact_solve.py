@@ -12,9 +12,9 @@ from mujoco_warp._src import solver
 from mujoco_warp._src.types import DisableBit
 from reference.constraint_newton import acceleration, imbalance, row_forces
 
+from myowarp.definitions.task import TASKS
 from myowarp.engine.stages.contact_solve import MAX_DOFS, MAX_ROWS, ContactSolve, launch_solve
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 CLOSE = 2e-4  # of a world's largest; float32 rows of D up to 1e5
 REFERENCE = 1e-9  # MuJoCo C against the reference, both float64 and exact

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import warp as wp
 
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.task import TASKS
 from myowarp.engine.idle import idle_kernels
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.body import BODIES
-from myowarp.spec.task import TASKS
 
 KEYS = sorted(TASKS)
 SCENES = sorted({TASKS[key].scene_key: key for key in KEYS}.values())

@@ -13,8 +13,8 @@ import pytest
 import warp as wp
 from configurations import configurations
 
+from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 from myowarp.tasks.baoding import BaodingProgram
 from myowarp.tasks.baoding_orbits import OrbitRanges
 

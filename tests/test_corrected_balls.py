@@ -10,9 +10,9 @@ import pytest
 from configurations import configurations
 from stepping import forward, step
 
+from myowarp.definitions.task import TASKS
 from myowarp.sim.build import full_spec
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 KEY = "myoHandBaodingRandom-v1"
 NUM_WORLDS = 40

@@ -11,13 +11,13 @@ import warp as wp
 
 import myowarp
 from benchmarks.gpu_cases import Environment, random_actions, trajectory
+from myowarp.definitions.task import TASKS
 from myowarp.engine import repeat
 from myowarp.engine.compile import recorded
 from myowarp.engine.stages.contact_solve import solver_kernel
 from myowarp.engine.stages.primitive_contacts import CLOSED_FORMS, touch_kernel
 from myowarp.engine.verify import is_same_step
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 ARCHITECTURE = 90  # compute capability 9.0, without a meaning of its own
 THREADS = 2  # cores that CI has

@@ -15,17 +15,17 @@ import numpy as np
 import pytest
 import test_draws
 
-from myowarp.apps.describe import attributes_of, describe
-from myowarp.apps.describe_text import as_text
+from myowarp.apps.reports.describe import attributes_of, describe
+from myowarp.apps.reports.describe_text import as_text
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.condition import CONDITIONS
+from myowarp.definitions.registry import Registry
+from myowarp.definitions.task import PHYSICS, RESETS, TASKS, Column, weighted
 from myowarp.kernels.action import excitation
 from myowarp.models.conditions.exoskeleton import Exoskeleton
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
 from myowarp.sim.build import full_model, num_substeps_of
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.body import BODIES
-from myowarp.spec.condition import CONDITIONS
-from myowarp.spec.registry import Registry
-from myowarp.spec.task import PHYSICS, RESETS, TASKS, Column, weighted
 from myowarp.tasks import pose
 from myowarp.tasks.pose import PoseTask
 from myowarp.tasks.variants import variants
@@ -461,7 +461,7 @@ def test_resets_draw_what_is_said(key, reset):
 
 def test_random_actions_pass_through_the_elbows_target():
     """The yardstick that a rollout prints."""
-    from myowarp.apps.commands.rollout import RANDOM_ELBOW, RANDOM_ELBOW_ID
+    from myowarp.apps.cli.rollout import RANDOM_ELBOW, RANDOM_ELBOW_ID
 
     env = gym.make_vec(f"MyoWarp/{RANDOM_ELBOW_ID}", num_envs=1024, device="cpu", autoreset_mode="disabled")
     env.reset(seed=0)

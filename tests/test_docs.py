@@ -17,8 +17,8 @@ import pytest
 from socket_client import Client, until
 
 import myowarp
-from myowarp.apps import cli
-from myowarp.apps.audit import command as audit_command
+from myowarp.apps.cli import main as cli
+from myowarp.apps.studies.audit import tasks as audit_command
 from myowarp.tasks.outside import find_task
 from myowarp.view.browser.live import Live
 

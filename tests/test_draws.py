@@ -11,8 +11,8 @@ import pytest
 import warp as wp
 from test_random import KOLMOGOROV, uniform_distance
 
+from myowarp.definitions.task import TASKS
 from myowarp.sim.build import compile_scene
-from myowarp.spec.task import TASKS
 from myowarp.tasks.hand_poses import DIGITS
 
 PI = np.pi

@@ -10,12 +10,12 @@ from elbows import KEY, NUM_WORLDS, States, in_c, worn
 from reference import exoskeleton as reference
 from reference.load import gravity_torque
 
+from myowarp.definitions.condition import resolve
+from myowarp.definitions.parameter import Ramp, Uniform
+from myowarp.definitions.task import PHYSICS, TASKS
 from myowarp.models.conditions.exoskeleton import CUFF, Exoskeleton
 from myowarp.models.conditions.load import Load
 from myowarp.sim.build import full_spec
-from myowarp.spec.condition import resolve
-from myowarp.spec.parameter import Ramp, Uniform
-from myowarp.spec.task import PHYSICS, TASKS
 
 ASSISTANCE = np.linspace(0.0, 1.5, NUM_WORLDS)  # one a world
 MAX_TORQUE = 8.5  # N m

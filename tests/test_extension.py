@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 import myowarp
-from myowarp.apps.audit.targets import in_reach
-from myowarp.apps.audit.targets import measure as measure_targets
+from myowarp.apps.rollouts.targets import in_reach
+from myowarp.apps.rollouts.targets import measure as measure_targets
 from myowarp.apps.train.evaluate import evaluate
 from myowarp.disk import code_digest, is_ours
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.sim.build import oracle_model
 from myowarp.tasks.outside import find_task, load
-from myowarp.view.render import NoGraphicsError
+from myowarp.view.drawing.render import NoGraphicsError
 
 OUTSIDE = Path(__file__).parent / "outside"
 REGISTRIES = (myowarp.TASKS, myowarp.BODIES, myowarp.CONDITIONS, myowarp.MUSCLES)

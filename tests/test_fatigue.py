@@ -6,12 +6,12 @@ import warp as wp
 from reference import fatigue_3ccr, fatigue_ma2009
 
 import myowarp.tasks  # noqa: F401
+from myowarp.definitions.parameter import Ramp, Uniform
+from myowarp.definitions.task import TASKS
 from myowarp.models.conditions.fatigue_3ccr import RATES, Fatigue3CCR, rates_of
 from myowarp.models.conditions.fatigue_ma2009 import FatigueMa2009
 from myowarp.models.conditions.sarcopenia import Sarcopenia
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.parameter import Ramp, Uniform
-from myowarp.spec.task import TASKS
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 MODELS = (Fatigue3CCR, FatigueMa2009)

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from myowarp.engine.stage import applicable_stages
 from myowarp.engine.stages.free_coordinates import FreeCoordinates
 from myowarp.models.couplings import Exact, Pieces, ask, couplings, exact, follow, jacobian, read
-from myowarp.opensim.build.binary import binary, stiff
+from myowarp.opensim.compose.binary import binary, stiff
 
 RECORDED = Path(__file__).parent / "data" / "opensim"
 

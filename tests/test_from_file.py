@@ -10,21 +10,21 @@ import mujoco
 import numpy as np
 import pytest
 
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.task import TASKS
 from myowarp.engine.said import say_once
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.models.couplings import couplings, follow
 from myowarp.models.slim import slim
-from myowarp.opensim.build.convert import convert
-from myowarp.opensim.build.mjcf import mjcf
+from myowarp.opensim.compose.convert import convert
+from myowarp.opensim.compose.mjcf import mjcf
 from myowarp.opensim.read.model import read_model
 from myowarp.sim import build
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.starts import posture_joints
-from myowarp.spec.body import BODIES
-from myowarp.spec.task import TASKS
 from myowarp.tasks.from_file import from_mjcf, pose_task
-from myowarp.view.framing import Framing
-from myowarp.view.style import pose
+from myowarp.view.drawing.framing import Framing
+from myowarp.view.drawing.style import pose
 
 OSIM = Path(__file__).parent / "data" / "osim"
 

@@ -20,8 +20,8 @@ from benchmarks.gpu_cases import (
     repeats,
     trajectory,
 )
+from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 OPTIONS = Options(

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from myowarp.apps import policies as hold
+from myowarp.apps.policies import hold
+from myowarp.definitions.task import TASKS
 from myowarp.models.conditions.load import Load
 from myowarp.models.conditions.sarcopenia import Sarcopenia
 from myowarp.sim.build import oracle_model
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 

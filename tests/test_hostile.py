@@ -18,14 +18,14 @@ from gymnasium.utils.env_checker import check_env
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from myowarp.apps.cohort.columns import COLUMNS, CohortColumn
-from myowarp.apps.cohort.table import read_population
+from myowarp.definitions.condition import CONDITIONS, resolve
+from myowarp.definitions.muscle_table import MuscleTable
+from myowarp.definitions.registry import number_in
+from myowarp.definitions.task import TASKS
 from myowarp.models.conditions.exoskeleton import Exoskeleton
 from myowarp.sim import memory, simulation
-from myowarp.spec.condition import CONDITIONS, resolve
-from myowarp.spec.muscle_table import MuscleTable
-from myowarp.spec.registry import number_in
-from myowarp.spec.task import TASKS
+from myowarp.sim.patient_columns import COLUMNS, CohortColumn
+from myowarp.sim.patient_table import read_population
 from myowarp.tasks.variants import variants
 from myowarp.view import modes
 

@@ -13,9 +13,9 @@ from mujoco_warp._src import forward
 from mujoco_warp._src.types import DisableBit, IntegratorType
 from stepping import launch_place, step
 
+from myowarp.definitions.task import TASKS
 from myowarp.engine.stages.integrate import MAX_DOFS, MAX_ENTRIES, Integrate
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 NUM_WORLDS = 17
 ROUNDING = 2e-6  # of the largest acceleration; condition numbers below 200

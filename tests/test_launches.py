@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import warp as wp
 
+from myowarp.definitions.task import TASKS
 from myowarp.engine.compile import recorded
 from myowarp.engine.patch import engine_kernels_alone, exchanged
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 KEYS = ("myoElbowPose1D6MFixed-v0", "myoHandObjHoldFixed-v0")
 NUM_WORLDS = 3

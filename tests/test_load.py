@@ -11,14 +11,14 @@ import warp as wp
 from configurations import configurations
 from reference import load as reference
 
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.condition import resolve
+from myowarp.definitions.parameter import Ramp, Uniform
+from myowarp.definitions.task import TASKS
 from myowarp.models.conditions.load import PALMS, Load
 from myowarp.models.slim import slim
 from myowarp.sim.build import full_spec, oracle_model
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.body import BODIES
-from myowarp.spec.condition import resolve
-from myowarp.spec.parameter import Ramp, Uniform
-from myowarp.spec.task import TASKS
 
 NUM_WORLDS = 33
 MASSES = np.linspace(0.0, 6.0, NUM_WORLDS)  # kg, one a world

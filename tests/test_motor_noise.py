@@ -8,10 +8,10 @@ import pytest
 from reference import motor_noise as reference
 
 import myowarp.tasks.variants  # noqa: F401  (registers the tasks)
+from myowarp.definitions.parameter import Uniform
+from myowarp.definitions.task import TASKS
 from myowarp.models.conditions.motor_noise import MotorNoise
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.parameter import Uniform
-from myowarp.spec.task import TASKS
 
 ELBOW, HAND, MOTOR = "myoElbowPose1D6MRandom-v0", "myoHandReachFixed-v0", "myoElbowPose1D6MExoFixed-v0"
 SIGNAL, CONSTANT = 0.103, 0.185  # MyoSuite's preset

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import warp as wp
 
+from myowarp.definitions.body import BODIES
 from myowarp.engine.stage import first_reason
 from myowarp.engine.stages.muscle_path import PATH_OBSTACLES, MusclePaths
-from myowarp.spec.body import BODIES
 
 LENGTH = 1e-6
 """m; positions in float32 are good to 1e-7 m at 1 m from the origin, and a path adds up ten of them."""

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 import myowarp
+from myowarp.definitions.muscle import MUSCLES
+from myowarp.definitions.muscle_table import MuscleTable
+from myowarp.definitions.task import TASKS
+from myowarp.definitions.worlds import Worlds
 from myowarp.models.muscles.mujoco import MujocoMuscle
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.muscle import MUSCLES
-from myowarp.spec.muscle_table import MuscleTable
-from myowarp.spec.task import TASKS
-from myowarp.spec.worlds import Worlds
 from myowarp.tasks.outside import load
 
 TASK = "myoElbowPose1D6MRandom-v0"
@@ -137,7 +137,7 @@ def test_gymnasium_takes_a_table():
 
 
 def test_command_lists_the_choices():
-    command = [sys.executable, "-m", "myowarp.apps.cli", "rollout", "--help"]
+    command = [sys.executable, "-m", "myowarp.apps.cli.main", "rollout", "--help"]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert "--muscle {" in text
     assert all(name in text for name in MUSCLES)

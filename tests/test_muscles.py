@@ -12,11 +12,11 @@ from configurations import configurations
 from reference import mujoco_muscle as reference
 
 import myowarp.tasks  # noqa: F401
+from myowarp.definitions.muscle import MUSCLES
+from myowarp.definitions.task import PHYSICS, TASKS
 from myowarp.models.muscles.mujoco import MujocoMuscle, MujocoMuscleParams
 from myowarp.models.muscles.mujoco_native import NativeMujocoMuscle
 from myowarp.sim.build import compile_scene, slim_model, stateless_model
-from myowarp.spec.muscle import MUSCLES
-from myowarp.spec.task import PHYSICS, TASKS
 
 NUM_WORLDS = 250  # no multiple of 32
 

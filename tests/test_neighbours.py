@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+from myowarp.definitions.task import TASKS
 from myowarp.disk import code_digest
-from myowarp.spec.task import TASKS
 from myowarp.tasks.outside import find_task, load
 
 FILES = {

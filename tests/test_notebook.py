@@ -17,7 +17,7 @@ def shell(line):
     """Run a command of a cell; `myowarp` is ours."""
     program, *arguments = shlex.split(line)
     assert program == "myowarp"
-    command = [sys.executable, "-m", "myowarp.apps.cli", *arguments]
+    command = [sys.executable, "-m", "myowarp.apps.cli.main", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if "drawing needs OpenGL" in done.stderr:
         pytest.skip("drawing needs OpenGL")

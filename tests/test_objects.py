@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import warp as wp
 
+from myowarp.definitions.task import TASKS
 from myowarp.sim.build import full_spec
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 NUM_WORLDS = 33
 SINGLE = 2e-6  # relative, float32

@@ -12,12 +12,12 @@ import pytest
 
 pytest.importorskip("scipy")
 
-from myowarp.opensim import command
-from myowarp.opensim import fit as muscle_fit
+from myowarp.opensim import convert as command
 from myowarp.opensim.muscle.hill import HillMuscle
 from myowarp.opensim.muscle.table import read_muscles
 from myowarp.opensim.read.model import read_model
 from myowarp.opensim.report.charts import Line, chart, colors, png
+from myowarp.opensim.tendon import fits as muscle_fit
 
 OSIM = Path(__file__).parent / "data" / "osim"
 

@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.opensim.build.binary import stiff
-from myowarp.opensim.build.convert import convert
 from myowarp.opensim.check.engines import OurStep, PlainMuJoCo, States
 from myowarp.opensim.check.oracle import opensim_equations
-from myowarp.opensim.dynamics import equations
-from myowarp.opensim.kinematics import independent, random_poses
-from myowarp.opensim.mapping import CoordinateMap, MappedCoordinate
+from myowarp.opensim.compose.binary import stiff
+from myowarp.opensim.compose.convert import convert
+from myowarp.opensim.model.dynamics import equations
+from myowarp.opensim.model.kinematics import independent, random_poses
+from myowarp.opensim.model.mapping import CoordinateMap, MappedCoordinate
 from myowarp.opensim.read.model import read_model
 
 DATA = Path(__file__).parent / "data"

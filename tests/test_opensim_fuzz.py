@@ -13,8 +13,8 @@ pytest.importorskip("scipy")
 if not hasattr(signal, "setitimer"):
     pytest.skip("needs a timer of processor time", allow_module_level=True)
 
-from myowarp.opensim import command
-from myowarp.opensim import fit as muscle_fit
+from myowarp.opensim import convert as command
+from myowarp.opensim.tendon import fits as muscle_fit
 
 OSIM = Path(__file__).parent / "data" / "osim"
 SMALL = ("Tug_of_War", "joints", "old", "arm26")

@@ -11,15 +11,15 @@ import pytest
 from converted import OSIM
 
 from myowarp.disk import plain
-from myowarp.opensim import fit as muscle_fit
-from myowarp.opensim.build.convert import Options, Stages, convert
-from myowarp.opensim.build.mjcf import mjcf
 from myowarp.opensim.check.dynamics import dynamics
 from myowarp.opensim.check.engines import PlainMuJoCo
 from myowarp.opensim.check.gates import COORDINATES, arm_gates, dynamics_gates, muscle_gates
 from myowarp.opensim.check.muscles import Spread, _pair, moment_arm_errors, motion, muscle_errors
-from myowarp.opensim.fitted import Fits
+from myowarp.opensim.compose.convert import Options, Stages, convert
+from myowarp.opensim.compose.mjcf import mjcf
 from myowarp.opensim.read.model import read_model
+from myowarp.opensim.tendon import fits as muscle_fit
+from myowarp.opensim.tendon.fitted import Fits
 from myowarp.opensim.wrap.moment_arm import Reference
 
 FOLDER = Path(os.environ.get("MYOWARP_OSIM_DIR", Path(__file__).parents[1] / ".." / "shared" / "osim"))

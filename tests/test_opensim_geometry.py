@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from myowarp.models.couplings import couplings, follow
-from myowarp.opensim.build.convert import Options, convert
-from myowarp.opensim.build.mjcf import mjcf
-from myowarp.opensim.build.passive import onset, rising
-from myowarp.opensim.build.quartics import fit_all
 from myowarp.opensim.check.frames import kinematics_error
-from myowarp.opensim.command import run, write
-from myowarp.opensim.functions import SimmSpline
+from myowarp.opensim.compose.convert import Options, convert
+from myowarp.opensim.compose.mjcf import mjcf
+from myowarp.opensim.compose.passive import onset, rising
+from myowarp.opensim.compose.quartics import fit_all
+from myowarp.opensim.convert import run, write
+from myowarp.opensim.model.functions import SimmSpline
 from myowarp.opensim.read.model import read_model
 
 DATA = Path(__file__).parent / "data"

@@ -7,7 +7,7 @@ import pytest
 from opensim_muscles import DATA, load
 from reference import hill as reference
 
-from myowarp.opensim.model import Muscle
+from myowarp.opensim.model.model import Muscle
 from myowarp.opensim.muscle.hill import HillMuscle, known
 from myowarp.opensim.muscle.spline_tables import PASSIVE, SPLINES
 from myowarp.opensim.muscle.table import read_muscles, write_muscles

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.opensim.functions import (
+from myowarp.opensim.model.functions import (
     GCVSpline,
     Multiplier,
     PiecewiseLinear,
@@ -18,7 +18,7 @@ from myowarp.opensim.functions import (
     ToeThenLine,
     affine,
 )
-from myowarp.opensim.kinematics import (
+from myowarp.opensim.model.kinematics import (
     complete,
     forward,
     independent,

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.opensim import command
-from myowarp.opensim.model import Note
+from myowarp.opensim import convert as command
+from myowarp.opensim.model.model import Note
 from myowarp.opensim.read.components import READERS
 from myowarp.opensim.read.model import read_model
 

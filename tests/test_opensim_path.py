@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.opensim.kinematics import complete, forward
+from myowarp.opensim.model.kinematics import complete, forward
 from myowarp.opensim.read.model import read_model
 from myowarp.opensim.wrap.cylinder import MANDATORY, wrap_cylinder
 from myowarp.opensim.wrap.ellipsoid import wrap_ellipsoid

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.opensim.elements import ConditionalPathPoint, MovingPathPoint, PathPoint
-from myowarp.opensim.functions import Constant, Linear, SimmSpline
+from myowarp.opensim.model.elements import ConditionalPathPoint, MovingPathPoint, PathPoint
+from myowarp.opensim.model.functions import Constant, Linear, SimmSpline
 from myowarp.opensim.read.document import MAX_DEPTH, parse
 from myowarp.opensim.read.model import read_model
 

@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.opensim.build.convert import Stages, convert
 from myowarp.opensim.check.muscles import motion
-from myowarp.opensim.kinematics import independent, random_poses
+from myowarp.opensim.compose.convert import Stages, convert
+from myowarp.opensim.model.kinematics import independent, random_poses
 from myowarp.opensim.read.model import read_model
 from myowarp.opensim.tendon.choice import fit_path
 from myowarp.opensim.tendon.fit import PathProblem, fit_surfaces, turn_sides

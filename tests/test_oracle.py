@@ -14,8 +14,8 @@ import pytest
 import warp as wp
 from stepping import step
 
+from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parent / "data/myosuite"))
 UPSTREAM = sorted(

@@ -12,8 +12,8 @@ import pytest
 import warp as wp
 from contact_oracle import object_ids
 
+from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 from myowarp.tasks.variants import PREFIXES, variants
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parent / "data/myosuite"))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from contact_oracle import ALIASES, KEYS, NUM_WORLDS, object_ids, padded, recorded, simulation, written
 
-from myowarp.spec.task import TASKS
+from myowarp.definitions.task import TASKS
 
 NUM_HAND = 23
 
@@ -180,7 +180,7 @@ DRAWN = {
         "ball_friction": ((0.8, 0.004, 0.00008), (1.2, 0.006, 0.00012)),
     },
 }
-"""What episodes draw, lowest and highest; spec/tasks.md, section 3."""
+"""What episodes draw, lowest and highest; definitions/tasks.md, section 3."""
 
 
 def tilt(quat):

@@ -9,7 +9,7 @@ import pytest
 from contact_oracle import KEYS, NUM_WORLDS, oracle_data, padded, recorded, simulation, write_episodes
 from stepping import forward, step
 
-from myowarp.spec.task import TASKS
+from myowarp.definitions.task import TASKS
 
 ACTIVATION_TOLERANCE = 1e-6
 MODEL_ROUNDING = 1e-9  # of a field's largest value; masses and poses go through long products

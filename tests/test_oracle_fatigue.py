@@ -10,9 +10,9 @@ import pytest
 from reference import fatigue_3ccr
 
 import myowarp  # noqa: F401  (registers the ids)
+from myowarp.definitions.task import TASKS
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parent / "data/myosuite"))
 RECORDED = {

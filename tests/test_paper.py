@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import myowarp  # noqa: F401
-from myowarp.spec.task import RESETS, TASKS
+from myowarp.definitions.task import RESETS, TASKS
 from myowarp.tasks.paper import grid
 
 GRID = grid()

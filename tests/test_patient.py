@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from myowarp.definitions.task import TASKS
 from myowarp.sim.patient import Patient, every_condition
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 STEPS = 30
 KEYS = ("myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v0")

@@ -5,17 +5,17 @@ import numpy as np
 import pytest
 
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.task import TASKS
 from myowarp.models.muscles.mujoco import peak_force
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.body import BODIES
-from myowarp.spec.task import TASKS
-from myowarp.view import style as look
-from myowarp.view.framing import Framing, view_axes
-from myowarp.view.muscles import QUANTITIES, RELAXED_RGB, TENSED_RGB, UNKNOWN_RGB, Muscles
+from myowarp.view.drawing import style as look
+from myowarp.view.drawing.framing import Framing, view_axes
+from myowarp.view.drawing.muscles import QUANTITIES, RELAXED_RGB, TENSED_RGB, UNKNOWN_RGB, Muscles
+from myowarp.view.drawing.render import NoGraphicsError, WorldRenderer
+from myowarp.view.drawing.skeleton import Skeleton
+from myowarp.view.drawing.snapshot import snapshot
 from myowarp.view.pictures import Pictures
-from myowarp.view.render import NoGraphicsError, WorldRenderer
-from myowarp.view.skeleton import Skeleton
-from myowarp.view.snapshot import snapshot
 
 ASPECT = 4 / 3
 SPHERE = mujoco.mjtGeom.mjGEOM_SPHERE

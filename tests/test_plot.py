@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.apps import figures
-from myowarp.apps.cli import main
+from myowarp.apps.cli.main import main
+from myowarp.apps.reports import figures
+from myowarp.definitions.task import TASKS
 from myowarp.models.couplings import couplings
 from myowarp.sim.build import oracle_model
-from myowarp.spec.task import TASKS
 
 pytest.importorskip("matplotlib")
 ELBOW = "myoElbowPose1D6MRandom-v0"
@@ -82,7 +82,7 @@ def test_force_curves_are_those_of_mujoco(elbow, what):
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory):
     """The same run as .npz, .parquet and .csv: two worlds, two episodes."""
-    from myowarp.apps.recording import recording
+    from myowarp.apps.rollouts.recording import recording
     from myowarp.bridge_gym import MyoWarpVectorEnv
 
     folder = tmp_path_factory.mktemp("recordings")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import rank_work
 
-from myowarp.apps.train.checkpoint import find_folder, load_checkpoint
+from myowarp.apps.policies.checkpoint import find_folder, load_checkpoint
 from myowarp.apps.train.ranks import Ranks
 from myowarp.bridge_gym import MyoWarpVectorEnv
 

@@ -8,12 +8,12 @@ import pytest
 import warp as wp
 from hands import EIP, ELBOW, EPL, HAND, act, simulation, state
 
+from myowarp.definitions.condition import resolve
+from myowarp.definitions.parameter import Parameter, Ramp, Uniform
+from myowarp.definitions.task import TASKS
+from myowarp.definitions.worlds import Worlds
 from myowarp.models.conditions.reafferentation import Reafferentation, check_apart
 from myowarp.models.conditions.tendon_transfer import TendonTransfer
-from myowarp.spec.condition import resolve
-from myowarp.spec.parameter import Parameter, Ramp, Uniform
-from myowarp.spec.task import TASKS
-from myowarp.spec.worlds import Worlds
 from myowarp.tasks.variants import variants
 
 CTRL = 1e-6  # excitations of order one in float32

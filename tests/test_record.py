@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import zstandard
 
-from myowarp.apps.cli import main
-from myowarp.apps.commands.record import film_worlds
-from myowarp.apps.film import Film, write
+from myowarp.apps.cli.main import main
+from myowarp.apps.cli.record import film_worlds
+from myowarp.apps.rollouts.film import Film, write
 from myowarp.bridge_gym import MyoWarpVectorEnv
-from myowarp.view.render import NoGraphicsError
+from myowarp.view.drawing.render import NoGraphicsError
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 WORLDS, STEPS, HORIZON = 2, 7, 5

@@ -3,10 +3,10 @@
 import pytest
 
 import myowarp.tasks  # noqa: F401
-from myowarp.spec.body import BODIES
-from myowarp.spec.muscle import MUSCLES
-from myowarp.spec.registry import Registry
-from myowarp.spec.task import TASKS
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.muscle import MUSCLES
+from myowarp.definitions.registry import Registry
+from myowarp.definitions.task import TASKS
 
 
 @pytest.fixture

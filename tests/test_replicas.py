@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.replicas import MujocoC, replicate
-from myowarp.opensim.build.convert import convert
-from myowarp.opensim.build.mjcf import mjcf
+from myowarp.opensim.compose.convert import convert
+from myowarp.opensim.compose.mjcf import mjcf
 from myowarp.opensim.read.model import read_model
 
 OSIM = Path(__file__).parent / "data" / "osim"

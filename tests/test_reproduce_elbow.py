@@ -9,13 +9,13 @@ import pytest
 from rich.console import Console
 
 from benchmarks import experiments
-from myowarp.apps.commands.reproduce import Reproduce
-from myowarp.apps.reproduce import arm, cohort_exo, endurance, exo2, recovery
-from myowarp.apps.reproduce.catalog import EXPERIMENTS
-from myowarp.apps.reproduce.policies import FOLDER, Training, committed, retrained
-from myowarp.apps.reproduce.report import FILES, output_folder
-from myowarp.apps.reproduce.result import Merit, t_quantile
-from myowarp.apps.train.checkpoint import CheckpointError
+from myowarp.apps.cli.reproduce import Reproduce
+from myowarp.apps.policies.checkpoint import CheckpointError
+from myowarp.apps.studies.reproduce import arm, cohort_exo, endurance, exo2, recovery
+from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
+from myowarp.apps.studies.reproduce.policies import FOLDER, Training, committed, retrained
+from myowarp.apps.studies.reproduce.report import FILES, output_folder
+from myowarp.apps.studies.reproduce.result import Merit, t_quantile
 from myowarp.models.conditions import Exoskeleton, Load
 from myowarp.models.conditions.fatigue_3ccr import ELBOW_EXTENSOR, ELBOW_FLEXOR
 from myowarp.sim.signals import Signals

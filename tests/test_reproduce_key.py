@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from myowarp.apps.commands.reproduce import Reproduce
-from myowarp.apps.reproduce import baselines, speed, tear, transfer, validation
-from myowarp.apps.reproduce.catalog import EXPERIMENTS
-from myowarp.apps.reproduce.policies import Training, retrained
-from myowarp.apps.reproduce.report import FILES
-from myowarp.apps.train.checkpoint import load_checkpoint
-from myowarp.spec.body import BODIES
+from myowarp.apps.cli.reproduce import Reproduce
+from myowarp.apps.policies.checkpoint import load_checkpoint
+from myowarp.apps.studies.reproduce import baselines, speed, tear, transfer, validation
+from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
+from myowarp.apps.studies.reproduce.policies import Training, retrained
+from myowarp.apps.studies.reproduce.report import FILES
+from myowarp.definitions.body import BODIES
 
 pytest.importorskip("matplotlib").use("agg")
 
@@ -65,7 +65,7 @@ def test_tears_hurt_in_the_papers_order(found):
 
 def test_a_finished_tear_is_not_run_again(found, monkeypatch):
     result, folder = found("tear")
-    monkeypatch.setattr("myowarp.apps.reproduce.key.MyoWarpVectorEnv", None)
+    monkeypatch.setattr("myowarp.apps.studies.reproduce.key.MyoWarpVectorEnv", None)
     Reproduce(name="tear", quick=True, output=folder, seeds=1, num_worlds=2, device="cpu")()
     assert json.loads((folder / "result.json").read_text())["merits"] == result["merits"]
 

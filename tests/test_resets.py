@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.starts import posture_joints
-from myowarp.spec.task import TASKS
 
 SCENES = sorted({TASKS[key].scene_key: key for key in TASKS if "Random" in key or "P2" in key}.values())
 NUM_WORLDS = 24

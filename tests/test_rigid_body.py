@@ -9,9 +9,9 @@ import pytest
 import warp as wp
 from stepping import forward
 
+from myowarp.definitions.task import TASKS
 from myowarp.engine.stages.rigid_body import RigidBody
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 NUM_WORLDS = 8
 ROUNDING = 5e-6  # of the largest entry of a field; float32

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from myowarp.apps import rollout
-from myowarp.apps.film import Film
+from myowarp.apps.rollouts import rollout
+from myowarp.apps.rollouts.film import Film
 from myowarp.bridge_gym import MyoWarpVectorEnv
-from myowarp.spec.task import TASKS
-from myowarp.view.snapshot import snapshot
+from myowarp.definitions.task import TASKS
+from myowarp.view.drawing.snapshot import snapshot
 
 TASK = "myoElbowPose1D6MRandom-v0"
 

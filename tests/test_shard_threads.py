@@ -15,10 +15,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from myowarp.definitions.task import TASKS
 from myowarp.engine import graph
 from myowarp.engine.said import say_once
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 NUM_WORLDS = 7

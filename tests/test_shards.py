@@ -9,6 +9,9 @@ import pytest
 import warp as wp
 from gymnasium.error import ResetNeeded
 
+from myowarp.definitions.parameter import Parameter
+from myowarp.definitions.task import TASKS
+from myowarp.definitions.worlds import Worlds
 from myowarp.kernels.episode import Transition
 from myowarp.models.conditions import Fatigue3CCR, Load, MotorNoise, Ramp, Sarcopenia, Uniform
 from myowarp.models.conditions.reafferentation import check_apart
@@ -16,10 +19,7 @@ from myowarp.sim import simulation as module
 from myowarp.sim.build import RESULT_FIELDS, STATE_FIELDS
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.parameter import Parameter
-from myowarp.spec.task import TASKS
-from myowarp.spec.worlds import Worlds
-from myowarp.view.snapshot import snapshot
+from myowarp.view.drawing.snapshot import snapshot
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 FAMILIES = sorted({(TASKS[key].family, TASKS[key].body): key for key in TASKS if "Random" in key}.values())

@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from myowarp.apps import recording as record
-from myowarp.apps import rollout
-from myowarp.apps.recording import recording, sample_of
+from myowarp.apps.rollouts import recording as record
+from myowarp.apps.rollouts import rollout
+from myowarp.apps.rollouts.recording import recording, sample_of
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.task import TASKS
 from myowarp.sim.signals import JOINT_UNITS, UNITS
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 

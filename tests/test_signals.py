@@ -6,6 +6,7 @@ import pytest
 from configurations import configurations
 from reference import mujoco_muscle as reference
 
+from myowarp.definitions.task import PHYSICS, TASKS
 from myowarp.models.conditions.sarcopenia import Sarcopenia
 from myowarp.models.conditions.tendon_tear import TendonTear
 from myowarp.models.conditions.tendon_transfer import ACTUATOR, TendonTransfer
@@ -13,7 +14,6 @@ from myowarp.sim.build import oracle_model
 from myowarp.sim.muscle_groups import GROUPS, group_of
 from myowarp.sim.signals import UNITS, Signals
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import PHYSICS, TASKS
 
 ELBOW, HAND, OBJECT = "myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1", "myoHandObjHoldRandom-v0"
 NUM_WORLDS = 9

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from myowarp.definitions.scene import Capacity
+from myowarp.definitions.task import PHYSICS, TASKS
 from myowarp.kernels.episode import FAULTS
 from myowarp.sim import build as scene_module
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.scene import Capacity
-from myowarp.spec.task import PHYSICS, TASKS
 
 ROWS_FAULT = next(bit for bit, text in FAULTS.items() if "rows" in text)
 ACTION_FAULT = next(bit for bit, text in FAULTS.items() if "action" in text)

@@ -8,9 +8,9 @@ import pytest
 from configurations import configurations
 
 import myowarp.tasks  # noqa: F401
+from myowarp.definitions.task import TASKS
 from myowarp.models.slim import colliding_geoms, colliding_pairs, slim
 from myowarp.sim.build import full_spec, slim_model, stateless_model
-from myowarp.spec.task import TASKS
 
 NUM_STATES = 200
 NUM_STEPS = 10

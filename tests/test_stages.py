@@ -17,17 +17,17 @@ import pytest
 import warp as wp
 from stepping import step
 
+from myowarp.definitions.task import TASKS
 from myowarp.engine import stage as stage_module
 from myowarp.engine.said import say_once
 from myowarp.engine.stage import STAGES, Stage, applicable_stages, load, logger
 from myowarp.engine.stages.muscle_path import MusclePath, MusclePaths
 from myowarp.engine.step import ORDER, uncovered
 from myowarp.engine.verify import verified_stages
-from myowarp.opensim.build.convert import convert
-from myowarp.opensim.build.mjcf import mjcf
+from myowarp.opensim.compose.convert import convert
+from myowarp.opensim.compose.mjcf import mjcf
 from myowarp.opensim.read.model import read_model
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 from myowarp.tasks.from_file import pose_task
 
 OSIM = Path(__file__).parent / "data" / "osim"

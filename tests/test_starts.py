@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.task import TASKS
 from myowarp.sim import starts
 from myowarp.sim.build import oracle_model
 from myowarp.sim.palm import Palm, coordinates, joint_address
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.starts import FAIL_STEPS, PENETRATION, posture_joints, start_address
-from myowarp.spec.body import BODIES
-from myowarp.spec.task import TASKS
 
 SCENES = sorted({TASKS[key].scene_key: key for key in TASKS if "Random" in key or "P2" in key}.values())
 TOUCHING = [key for key in SCENES if TASKS[key].body == "contact_hand"]

@@ -18,12 +18,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_conditions import NAMES, host_of
 
+from myowarp.definitions.condition import CONDITIONS
+from myowarp.definitions.task import TASKS
 from myowarp.models.conditions import Fatigue3CCR, Sarcopenia, TendonTear, Uniform
 from myowarp.sim.signals import UNITS, Signals
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import State, get_state, set_state
-from myowarp.spec.condition import CONDITIONS
-from myowarp.spec.task import TASKS
 
 ELBOW, HAND = "myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1"
 ID = f"MyoWarp/{ELBOW}"

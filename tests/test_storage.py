@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from myowarp.apps.recording import recording
-from myowarp.apps.rollout import acting, find_policy, run
-from myowarp.apps.storage import Storage, read_storage, write_storage
+from myowarp.apps.rollouts.recording import recording
+from myowarp.apps.rollouts.rollout import acting, find_policy, run
 from myowarp.bridge_gym import MyoWarpVectorEnv
-from myowarp.spec.task import TASKS
+from myowarp.definitions.task import TASKS
+from myowarp.motion.storage import Storage, read_storage, write_storage
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 # As OpenSim 4.6 writes a table, and as OpenSim 3 wrote a motion.

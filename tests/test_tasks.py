@@ -11,9 +11,9 @@ import pytest
 import warp as wp
 
 import myowarp.tasks
+from myowarp.definitions.body import BODIES, CAUTIOUS_STEP, CoarseStep
+from myowarp.definitions.task import TASKS, blocks, task, weighted
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.body import BODIES, CAUTIOUS_STEP, CoarseStep
-from myowarp.spec.task import TASKS, blocks, task, weighted
 from myowarp.tasks.from_file import read_body
 from myowarp.tasks.pose import PoseTask, observe_pose, score_pose
 from myowarp.tasks.reach import ReachTask

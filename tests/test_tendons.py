@@ -25,13 +25,13 @@ from hands import (
 )
 from reference import tendon_tear, tendon_transfer
 
+from myowarp.definitions.condition import resolve
+from myowarp.definitions.parameter import Ramp, Uniform
+from myowarp.definitions.task import PHYSICS, TASKS
 from myowarp.models.conditions.tendon_tear import TendonTear
 from myowarp.models.conditions.tendon_transfer import TENDON, TendonTransfer, path_range
 from myowarp.sim.build import full_spec, set_physics
-from myowarp.spec.condition import resolve
-from myowarp.spec.parameter import Ramp, Uniform
-from myowarp.spec.task import PHYSICS, TASKS
-from myowarp.view.snapshot import snapshot
+from myowarp.view.drawing.snapshot import snapshot
 
 MOVED = 39  # the actuator that a transfer adds
 

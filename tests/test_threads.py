@@ -10,10 +10,10 @@ import pytest
 import warp as wp
 
 import myowarp  # noqa: F401  (registers the ids)
+from myowarp.definitions.task import TASKS
 from myowarp.engine.turn import TURN, replaced
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
 
 TASK = "myoElbowPose1D6MRandom-v0"
 NUM_WORLDS, NUM_STEPS, NUM_THREADS = 8, 8, 6

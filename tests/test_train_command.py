@@ -15,17 +15,17 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from myowarp.apps.commands.rollout import Rollout
-from myowarp.apps.learned import LearnedPolicy, read_policy
-from myowarp.apps.train import checkpoint as checkpoints
-from myowarp.apps.train import command
+from myowarp.apps.cli.rollout import Rollout
+from myowarp.apps.policies import checkpoint as checkpoints
+from myowarp.apps.policies.learned import LearnedPolicy, read_policy
+from myowarp.apps.train import run as command
 from myowarp.apps.train.evaluate import evaluate, wilson
 from myowarp.apps.train.plan import eval_command, held, plan, resume_command
 from myowarp.apps.train.settings import ALGORITHMS, choose, preset_algorithm
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.task import TASKS
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
 from myowarp.sim.state import State
-from myowarp.spec.task import TASKS
 
 ELBOW, OTHER = "myoElbowPose1D6MRandom-v0", "myoElbowPose1D6MFixed-v0"
 TINY = ("--num-worlds", 8, "--rollout-steps", 8, "--minibatches", 2, "--hidden", 16, "--device", "cpu")

@@ -13,9 +13,9 @@ import torch
 from gymnasium.spaces import Box
 from onnx.reference import ReferenceEvaluator
 
-from myowarp.apps.learned import LearnedPolicy
+from myowarp.apps.policies.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from myowarp.apps.policies.learned import LearnedPolicy
 from myowarp.apps.train import agents
-from myowarp.apps.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from myowarp.apps.train.loop import Clock
 from myowarp.apps.train.settings import ALGORITHMS, choose
 from myowarp.disk import plain
@@ -179,8 +179,8 @@ sys.modules["torch"] = sys.modules["skrl"] = None
 from pathlib import Path
 import numpy as np
 import myowarp.apps.train.evaluate
-from myowarp.apps.learned import LearnedPolicy
-from myowarp.apps.train.checkpoint import load_checkpoint
+from myowarp.apps.policies.learned import LearnedPolicy
+from myowarp.apps.policies.checkpoint import load_checkpoint
 print(LearnedPolicy(load_checkpoint(Path({str(tmp_path)!r})))(np.ones((2, 7))).shape)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

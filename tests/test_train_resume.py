@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from myowarp.apps.train.checkpoint import FOLDER, MANIFEST, find_folder, load_checkpoint
+from myowarp.apps.policies.checkpoint import FOLDER, MANIFEST, find_folder, load_checkpoint
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 ALGORITHMS = {
@@ -39,7 +39,7 @@ def arguments(algorithm, samples=SAMPLES):
 def killed(tmp_path_factory):
     """Start a long run of each algorithm, kill each at a random moment; return their folders."""
     root = tmp_path_factory.mktemp("killed")
-    command = [sys.executable, "-m", "myowarp.apps.cli"]
+    command = [sys.executable, "-m", "myowarp.apps.cli.main"]
     running = {
         name: subprocess.Popen(
             [*command, *arguments(name, 10**7), "--output", str(root / name)],

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from myowarp.definitions.task import TASKS
 from myowarp.engine.idle import idle_kernels
 from myowarp.engine.verify import Verdict
 from myowarp.engine.verify import _cached_verdict as cached_verdict
 from myowarp.models.conditions import Sarcopenia
 from myowarp.sim.build import compile_scene
-from myowarp.spec.task import TASKS
 from myowarp.tasks.outside import load
 
 KEY = "myoElbowPose1D6MRandom-v0"

@@ -6,14 +6,14 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 
+from myowarp.definitions.task import TASKS
 from myowarp.sim.build import full_spec
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.task import TASKS
-from myowarp.view import style as look
+from myowarp.view.drawing import style as look
+from myowarp.view.drawing.render import NoGraphicsError, WorldRenderer
+from myowarp.view.drawing.snapshot import Snapshot, snapshot
+from myowarp.view.drawing.video import write_picture, write_video
 from myowarp.view.human import HumanViewer
-from myowarp.view.render import NoGraphicsError, WorldRenderer
-from myowarp.view.snapshot import Snapshot, snapshot
-from myowarp.view.video import write_picture, write_video
 
 SIZE = (160, 120)
 BODIES = {TASKS[key].body: key for key in TASKS}

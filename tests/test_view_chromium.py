@@ -20,7 +20,7 @@ import pytest
 from chromium import NAME, Chromium
 from socket_client import Client, until
 
-from myowarp.apps.commands.view import View
+from myowarp.apps.cli.view import View
 from myowarp.view.browser.live import Live
 from myowarp.view.browser.server import close_server, open_server
 

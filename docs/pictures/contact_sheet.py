@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from myowarp.apps.film import Film
+from myowarp.apps.rollouts.film import Film
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.task import TASKS
 from myowarp.progress import progress_bar
-from myowarp.spec.task import TASKS
-from myowarp.view.render import tiled
-from myowarp.view.video import write_picture
+from myowarp.view.drawing.render import tiled
+from myowarp.view.drawing.video import write_picture
 
 SIZE = (400, 300)  # px of a tile
 COLUMNS = 4

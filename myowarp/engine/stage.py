@@ -18,8 +18,8 @@ from typing import ClassVar
 import mujoco_warp as mjw
 import warp as wp
 
+from myowarp.definitions.scene import Scene
 from myowarp.engine.said import say_once
-from myowarp.spec.scene import Scene
 
 logger = logging.getLogger("myowarp")
 

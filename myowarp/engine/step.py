@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterable
 import mujoco_warp as mjw
 import warp as wp
 
+from myowarp.definitions.scene import Scene
 from myowarp.engine.idle import pruned
 from myowarp.engine.patch import engine_kernels_alone, one_thread
 from myowarp.engine.stage import INNER, Launches, Obstacles, Stage, first_reason
 from myowarp.kernels.launch import launch
-from myowarp.spec.scene import Scene
 
 
 @wp.kernel(enable_backward=False)

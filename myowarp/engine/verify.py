@@ -15,14 +15,14 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.condition import Condition
+from myowarp.definitions.scene import Scene
 from myowarp.disk import cached, code_digest, files_digest, is_ours, model_digest, version
 from myowarp.engine.compile import compile_kernels
 from myowarp.engine.idle import idle_kernels
 from myowarp.engine.stage import Stage, applicable_stages, not_exact
 from myowarp.engine.step import physics_step, uncovered
 from myowarp.models.couplings import POINT_JOINTS, exact
-from myowarp.spec.condition import Condition
-from myowarp.spec.scene import Scene
 
 logger = logging.getLogger("myowarp")
 

@@ -11,6 +11,14 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.body import BODIES, Body
+from myowarp.definitions.condition import Condition
+from myowarp.definitions.muscle import MUSCLES, MuscleModel
+from myowarp.definitions.muscle_table import MuscleTable
+from myowarp.definitions.registry import check_choice
+from myowarp.definitions.scene import Scene
+from myowarp.definitions.task import PHYSICS, RESETS, PhysicsPreset, TaskSpec
+from myowarp.definitions.worlds import Worlds
 from myowarp.disk import cached, files_digest, is_ours, model_bytes, model_from_bytes
 from myowarp.engine.kernel_cache import start_warp
 from myowarp.engine.said import say_once
@@ -21,14 +29,6 @@ from myowarp.models.couplings import settled
 from myowarp.models.slim import slim
 from myowarp.sim.capacity import calibrate
 from myowarp.sim.memory import check_memory
-from myowarp.spec.body import BODIES, Body
-from myowarp.spec.condition import Condition
-from myowarp.spec.muscle import MUSCLES, MuscleModel
-from myowarp.spec.muscle_table import MuscleTable
-from myowarp.spec.registry import check_choice
-from myowarp.spec.scene import Scene
-from myowarp.spec.task import PHYSICS, RESETS, PhysicsPreset, TaskSpec
-from myowarp.spec.worlds import Worlds
 
 STATE_FIELDS = (
     *("time", "qpos", "qvel", "act", "history", "plastic", "qacc_warmstart", "ctrl", "qfrc_applied"),
@@ -100,7 +100,7 @@ def full_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco
 def source_digest(more: Iterable[Path] = ()) -> str:
     """Return a digest of our code that a scene depends on, and of more files: an edit renews what is kept."""
     package = Path(__file__).parents[1]
-    files = [Path(__file__), package / "models/slim.py", package / "spec/parameter.py", *more]
+    files = [Path(__file__), package / "models/slim.py", package / "definitions/parameter.py", *more]
     files += [*sorted(package.glob("tasks/*.py")), *sorted(package.glob("models/bodies/*.py"))]
     files += sorted(package.glob("models/conditions/*.py"))
     return files_digest(files)

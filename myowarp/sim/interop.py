@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.registry import check_choice
 from myowarp.engine.turn import in_turn
 from myowarp.kernels.write import write
-from myowarp.spec.registry import check_choice
 
 OUTPUTS = ("numpy", "torch", "warp")
 

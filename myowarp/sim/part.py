@@ -13,6 +13,12 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.condition import Condition, Effect
+from myowarp.definitions.condition import Stage as ConditionStage
+from myowarp.definitions.muscle import restore_anatomy
+from myowarp.definitions.parameter import Clock
+from myowarp.definitions.program import Program
+from myowarp.definitions.scene import Scene, Starts
 from myowarp.engine.compile import compile_kernels, quiet, renew_code
 from myowarp.engine.graph import Graph, replay_nothing
 from myowarp.engine.idle import pruned
@@ -41,12 +47,6 @@ from myowarp.kernels.episode import (
 from myowarp.kernels.random import seed_worlds
 from myowarp.kernels.reset import place_start, reset_worlds
 from myowarp.kernels.write import write
-from myowarp.spec.condition import Condition, Effect
-from myowarp.spec.condition import Stage as ConditionStage
-from myowarp.spec.muscle import restore_anatomy
-from myowarp.spec.parameter import Clock
-from myowarp.spec.program import Program
-from myowarp.spec.scene import Scene, Starts
 
 
 class Part:

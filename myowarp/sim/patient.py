@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from myowarp.definitions.condition import CONDITIONS, Condition, resolve
+from myowarp.definitions.parameter import Parameter, muscle_index
+from myowarp.definitions.task import TaskSpec
 from myowarp.sim.muscle_groups import group_of
 from myowarp.sim.simulation import Simulation
-from myowarp.spec.condition import CONDITIONS, Condition, resolve
-from myowarp.spec.parameter import Parameter, muscle_index
-from myowarp.spec.task import TaskSpec
 
 STEPS = 200  # of a slider
 

@@ -30,9 +30,9 @@ from myowarp.models.couplings import POINT_JOINTS
 from myowarp.sim.muscle_groups import group_of
 
 if TYPE_CHECKING:
+    from myowarp.definitions.scene import Scene
     from myowarp.sim.part import Part
     from myowarp.sim.simulation import Simulation
-    from myowarp.spec.scene import Scene
 
 UNITS = {
     "activation": "1",

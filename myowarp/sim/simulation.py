@@ -19,6 +19,13 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.condition import Condition, resolve
+from myowarp.definitions.muscle import Anatomy
+from myowarp.definitions.muscle_table import MuscleTable
+from myowarp.definitions.registry import check_choice, check_flag
+from myowarp.definitions.scene import Scene
+from myowarp.definitions.task import TaskSpec
+from myowarp.definitions.worlds import Worlds
 from myowarp.engine.compile import can_renew_code, quiet
 from myowarp.engine.graph import Graph, Replay
 from myowarp.engine.stage import STAGES
@@ -44,13 +51,6 @@ from myowarp.sim.build import (
 )
 from myowarp.sim.part import Part
 from myowarp.sim.starts import find_starts
-from myowarp.spec.condition import Condition, resolve
-from myowarp.spec.muscle import Anatomy
-from myowarp.spec.muscle_table import MuscleTable
-from myowarp.spec.registry import check_choice, check_flag
-from myowarp.spec.scene import Scene
-from myowarp.spec.task import TaskSpec
-from myowarp.spec.worlds import Worlds
 
 LEAST_WORLDS = 4  # in a part, by default: fewer are not worth the time that a part takes to build
 NUM_GRAPHS = 2  # of a part: step and reset

@@ -22,6 +22,9 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.scene import Starts
+from myowarp.definitions.task import TaskSpec
 from myowarp.disk import array_bytes, array_from_bytes, cached, code_digest, model_digest
 from myowarp.engine.compile import quiet
 from myowarp.engine.turn import in_turn
@@ -30,9 +33,6 @@ from myowarp.progress import patient_bar
 from myowarp.sim import palm
 from myowarp.sim.build import compile_scene, oracle_model, source_digest
 from myowarp.sim.part import Part
-from myowarp.spec.body import BODIES
-from myowarp.spec.scene import Starts
-from myowarp.spec.task import TaskSpec
 
 NUM_STARTS = 1024
 BATCH = 256  # starts on trial together

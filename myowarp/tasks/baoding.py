@@ -23,14 +23,14 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.body import CoarseStep
+from myowarp.definitions.entries import ACTIVATION, COORDINATES, XYZ
+from myowarp.definitions.program import Program
+from myowarp.definitions.scene import Scene
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, Weighted, blocks, weighted
 from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.reward import EFFORT, activation_effort, indicator
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, SOFT, add_object
-from myowarp.spec.body import CoarseStep
-from myowarp.spec.entries import ACTIVATION, COORDINATES, XYZ
-from myowarp.spec.program import Program
-from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, Draw, RewardTerm, TaskSpec, Weighted, blocks, weighted
 from myowarp.tasks.baoding_balls import BATCHED, BATCHED_INERTIA, BallRanges, sample_balls, weigh_balls
 from myowarp.tasks.baoding_orbits import (
     OrbitRanges,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from myowarp.spec.task import task
+from myowarp.definitions.task import task
 from myowarp.tasks.baoding import BaodingTask
 from myowarp.tasks.baoding_balls import BallRanges
 from myowarp.tasks.baoding_orbits import OrbitRanges

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.entries import XYZ
+from myowarp.definitions.task import Draw
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
-from myowarp.spec.entries import XYZ
-from myowarp.spec.task import Draw
 
 if TYPE_CHECKING:
-    from myowarp.spec.scene import Scene
+    from myowarp.definitions.scene import Scene
 
 ELLIPSE_CENTER = wp.constant(wp.vec3(-0.0125, -0.07, -0.02))  # m, frame of the trapezium
 TWO_PI = wp.constant(2.0 * np.pi)

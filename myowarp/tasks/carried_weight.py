@@ -13,13 +13,13 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.parameter import Parameter, Uniform
 from myowarp.kernels.body_mass import MASS_FIELDS, WeighedBody, set_body_mass, weighed_body
 from myowarp.kernels.launch import launch
 from myowarp.models.bodies.elbow_exo import WEIGHT
-from myowarp.spec.parameter import Parameter, Uniform
 
 if TYPE_CHECKING:
-    from myowarp.spec.scene import Scene
+    from myowarp.definitions.scene import Scene
 
 BATCHED = (*MASS_FIELDS, "body_inertia", "dof_invweight0")
 """Names of the model's fields that `weigh_ball` writes per world."""

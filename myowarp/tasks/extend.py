@@ -28,9 +28,9 @@ from typing import Any, TypeAlias
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.registry import check_choice
+from myowarp.definitions.task import TASKS, TaskSpec, register, split_key
 from myowarp.engine.world_function import check_function
-from myowarp.spec.registry import check_choice
-from myowarp.spec.task import TASKS, TaskSpec, register, split_key
 from myowarp.tasks.extended import Block, Extended, Extension, check_type, extended_family, reads
 from myowarp.tasks.quantities import QUANTITIES
 

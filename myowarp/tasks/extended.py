@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.program import Program
+from myowarp.definitions.scene import Scene
+from myowarp.definitions.task import Column, RewardTerm, TaskSpec
 from myowarp.engine.world_function import kernel_around, parameter_type
 from myowarp.kernels.launch import launch
 from myowarp.kernels.observe import masked_observe
-from myowarp.spec.program import Program
-from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, RewardTerm, TaskSpec
 from myowarp.tasks.quantities import QUANTITIES, Present
 
 

@@ -14,13 +14,13 @@ from typing import Any, NamedTuple, cast
 import mujoco
 import numpy as np
 
+from myowarp.definitions.body import BODIES, Body
+from myowarp.definitions.registry import check_choice
+from myowarp.definitions.task import MOST_SUBSTEPS, TaskSpec, register, split_key
 from myowarp.disk import model_digest
 from myowarp.models.couplings import POINT_JOINTS, ask, couplings, exact, follow, settled
 from myowarp.models.reachability import tip_positions
 from myowarp.sim.build import checked_horizon, full_model
-from myowarp.spec.body import BODIES, Body
-from myowarp.spec.registry import check_choice
-from myowarp.spec.task import MOST_SUBSTEPS, TaskSpec, register, split_key
 from myowarp.tasks.extend import Reward, extend
 from myowarp.tasks.outside import find_task
 from myowarp.tasks.pose import PoseTask

@@ -16,15 +16,15 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.body import CoarseStep
+from myowarp.definitions.entries import ACTIVATION, COORDINATES, VELOCITIES, XYZ
+from myowarp.definitions.program import Program
+from myowarp.definitions.scene import Scene
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, blocks, task, weighted
 from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
 from myowarp.kernels.reward import EFFORT, activation_effort, indicator
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
-from myowarp.spec.body import CoarseStep
-from myowarp.spec.entries import ACTIVATION, COORDINATES, VELOCITIES, XYZ
-from myowarp.spec.program import Program
-from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, Draw, RewardTerm, TaskSpec, blocks, task, weighted
 from myowarp.tasks.held_object import BATCHED_MASS, BATCHED_SIZE, DENSITY, resize_object, weigh_object
 from myowarp.tasks.markers import add_tip_targets
 

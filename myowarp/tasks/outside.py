@@ -11,7 +11,7 @@ import traceback
 from pathlib import Path
 from types import ModuleType
 
-from myowarp.spec.task import TASKS, TaskSpec, register
+from myowarp.definitions.task import TASKS, TaskSpec, register
 from myowarp.tasks.neighbours import import_beside, import_file
 from myowarp.tasks.variants import Variant, find_variant, variants_of
 

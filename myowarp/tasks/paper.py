@@ -10,7 +10,7 @@ that upstream has keep upstream's meaning.
 from dataclasses import dataclass
 from itertools import product
 
-from myowarp.spec.task import TASKS
+from myowarp.definitions.task import TASKS
 
 HAND_CONDITIONS = ("none", "sarcopenia", "fatigue", "tendon_transfer")
 ELBOW_CONDITIONS = ("none", "sarcopenia", "fatigue", "exoskeleton")

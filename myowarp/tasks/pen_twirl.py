@@ -17,15 +17,15 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.body import CoarseStep
+from myowarp.definitions.entries import ACTIVATION, COORDINATES, FREE_RATES, XYZ
+from myowarp.definitions.program import Program
+from myowarp.definitions.scene import Scene
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, blocks, task, weighted
 from myowarp.kernels.observe import pack, pack_range, pack_vec3
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
 from myowarp.kernels.reward import EFFORT, activation_effort, indicator
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
-from myowarp.spec.body import CoarseStep
-from myowarp.spec.entries import ACTIVATION, COORDINATES, FREE_RATES, XYZ
-from myowarp.spec.program import Program
-from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, Draw, RewardTerm, TaskSpec, blocks, task, weighted
 from myowarp.tasks.markers import add_tip_targets
 
 DROPPED = wp.constant(0.075)  # m, distance from the start beyond which the pen is lost

@@ -18,17 +18,17 @@ import numpy as np
 import warp as wp
 from mujoco_warp import JointType
 
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.entries import ACTIVATION, COORDINATES, VELOCITIES, Entry, of_joints
+from myowarp.definitions.program import Program
+from myowarp.definitions.registry import check_bounds
+from myowarp.definitions.scene import Scene
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, blocks, weighted
 from myowarp.kernels.observe import pack, pack_difference
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
 from myowarp.kernels.reward import EFFORT, activation_effort, indicator, squared_distance
 from myowarp.models.couplings import POINT_JOINTS, follow
 from myowarp.sim.build import full_model
-from myowarp.spec.body import BODIES
-from myowarp.spec.entries import ACTIVATION, COORDINATES, VELOCITIES, Entry, of_joints
-from myowarp.spec.program import Program
-from myowarp.spec.registry import check_bounds
-from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, Draw, RewardTerm, TaskSpec, blocks, weighted
 from myowarp.tasks.carried_weight import BATCHED, CarriedWeight
 from myowarp.tasks.markers import add_tip_targets
 

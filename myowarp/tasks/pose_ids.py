@@ -6,7 +6,7 @@ Hand poses are a relaxed posture, the ten digits of American Sign Language, and 
 
 from dataclasses import replace
 
-from myowarp.spec.task import task
+from myowarp.definitions.task import task
 from myowarp.tasks.hand_poses import DIGITS, RELAXED, as_in_myosuite_3, bounds
 from myowarp.tasks.pose import PoseTask
 

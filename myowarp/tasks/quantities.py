@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from myowarp.definitions.scene import Scene
 from myowarp.engine.patch import engine_kernels_alone
 from myowarp.sim.signals import present_muscles
-from myowarp.spec.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -18,15 +18,15 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.entries import ACTIVATION, COORDINATES, VELOCITIES, axes
+from myowarp.definitions.program import Program
+from myowarp.definitions.registry import check_bounds
+from myowarp.definitions.scene import Scene
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, blocks, weighted
 from myowarp.kernels.observe import pack, pack_vec3
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
 from myowarp.kernels.reward import EFFORT, activation_effort, indicator
-from myowarp.spec.body import BODIES
-from myowarp.spec.entries import ACTIVATION, COORDINATES, VELOCITIES, axes
-from myowarp.spec.program import Program
-from myowarp.spec.registry import check_bounds
-from myowarp.spec.scene import Scene
-from myowarp.spec.task import Column, Draw, RewardTerm, TaskSpec, blocks, weighted
 from myowarp.tasks.markers import add_tip_targets
 
 NEAR_PER_TIP = 0.0125  # m; MyoSuite 3.0.0

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from myowarp.spec.task import task
+from myowarp.definitions.task import task
 from myowarp.tasks import reach_targets
 from myowarp.tasks.reach import ReachTask
 

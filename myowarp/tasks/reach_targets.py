@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from myowarp.definitions.task import TaskSpec
 from myowarp.disk import array_bytes, array_from_bytes, cached
 from myowarp.models.reachability import tip_positions
 from myowarp.sim.build import full_model
-from myowarp.spec.task import TaskSpec
 
 NUM_CONFIGURATIONS = 100_000  # MyoSuite 3.0.0
 HAND_TABLE = Path(__file__).with_name("hand_reach_targets.npy")

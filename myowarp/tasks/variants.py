@@ -6,8 +6,8 @@ MyoSuite names a condition by a prefix: `myoSarc...` and `myoFati...` exist for 
 
 from dataclasses import dataclass
 
-from myowarp.spec.registry import Registry
-from myowarp.spec.task import LISTED_BY, TASKS
+from myowarp.definitions.registry import Registry
+from myowarp.definitions.task import LISTED_BY, TASKS
 from myowarp.tasks.paper import grid
 
 PREFIXES = {

@@ -17,12 +17,12 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
-from myowarp.view import style as look
-from myowarp.view.framing import Framing, view_axes
+from myowarp.view.drawing import style as look
+from myowarp.view.drawing.framing import Framing, view_axes
+from myowarp.view.drawing.muscles import QUANTITIES, RELAXED_RGB
+from myowarp.view.drawing.render import NoGraphicsError
+from myowarp.view.drawing.snapshot import Snapshot
 from myowarp.view.modes import NEEDED
-from myowarp.view.muscles import QUANTITIES, RELAXED_RGB
-from myowarp.view.render import NoGraphicsError
-from myowarp.view.snapshot import Snapshot
 
 Backend = Literal["gl", "null"]
 LINE_PX = 4.0

@@ -5,7 +5,7 @@ import os
 import platform
 from typing import Literal
 
-from myowarp.spec.registry import check_choice
+from myowarp.definitions.registry import check_choice
 
 NEEDED = {"gl": ("newton", "pyglet", "imgui_bundle"), "viser": ("viser",), "null": ("newton",)}
 """Packages of each kind of viewer."""

@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.registry import check_choice
 from myowarp.sim.signals import Signals
-from myowarp.spec.body import BODIES
-from myowarp.spec.registry import check_choice
+from myowarp.view.drawing.muscles import QUANTITIES
+from myowarp.view.drawing.snapshot import Snapshot, snapshot
+from myowarp.view.drawing.style import LARGEST
 from myowarp.view.modes import live_viewer
-from myowarp.view.muscles import QUANTITIES
-from myowarp.view.snapshot import Snapshot, snapshot
-from myowarp.view.style import LARGEST
 
 if TYPE_CHECKING:
     from myowarp.sim.simulation import Simulation
     from myowarp.view.browser.page import Page
+    from myowarp.view.drawing.render import WorldRenderer
     from myowarp.view.human import HumanViewer
-    from myowarp.view.render import WorldRenderer
 
 
 class Pictures:
@@ -37,7 +37,7 @@ class Pictures:
         Args:
             size: Width and height of a picture [px].
             camera: Name of a camera of the model; None frames the limb, tips, targets and objects.
-            color: What the colour of a muscle shows, a name in `myowarp.view.muscles.QUANTITIES`.
+            color: What the colour of a muscle shows, a name in `myowarp.view.drawing.muscles.QUANTITIES`.
             legend: Whether to draw what the colours mean.
 
         Raises:
@@ -67,10 +67,10 @@ class Pictures:
         """Return the renderer of the simulation's worlds; opened once.
 
         Raises:
-            myowarp.view.render.NoGraphicsError: No OpenGL was found.
+            myowarp.view.drawing.render.NoGraphicsError: No OpenGL was found.
         """
         if self._renderer is None:
-            from myowarp.view.render import WorldRenderer
+            from myowarp.view.drawing.render import WorldRenderer
 
             tips = BODIES[sim.scene.spec.body].tips
             self._renderer = WorldRenderer(

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from myowarp.definitions.task import TASKS
 from myowarp.models.reachability import reachable_targets
 from myowarp.sim.build import oracle_model
-from myowarp.spec.task import TASKS
 from myowarp.tasks.reach_targets import HAND_TABLE
 
 ROWS = 4096

@@ -180,7 +180,7 @@ def _configuration(
 
 
 def policy_form(settings: Settings) -> dict[str, Any]:
-    """Return what the arrays of a policy leave open, for `myowarp.apps.learned`."""
+    """Return what the arrays of a policy leave open, for `myowarp.apps.policies.learned`."""
     bounds = LOG_STD if isinstance(settings, OffPolicy) else GAUSSIAN_LOG_STD
     return {
         "activation": settings.activation,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from myowarp.apps.audit.targets import in_reach
+from myowarp.apps.rollouts.targets import in_reach
 from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import SUCCESSES
 from myowarp.bridge_gym import MyoWarpVectorEnv

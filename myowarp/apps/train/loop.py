@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.train import agents
-from myowarp.apps.train.checkpoint import Checkpoint
 from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import Settings
 from myowarp.apps.train.tally import Tally

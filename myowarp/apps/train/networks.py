@@ -1,7 +1,7 @@
 """Policies and value functions: plain multilayer perceptrons in the form that skrl's agents ask for.
 
 A policy's tensors are `net.<i>.weight`, `net.<i>.bias` and, with one spread for all states, `log_std`;
-`myowarp.apps.policies` repeats the forward pass in NumPy.
+`myowarp.apps.policies.hold` repeats the forward pass in NumPy.
 """
 
 from __future__ import annotations

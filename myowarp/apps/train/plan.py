@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 
-from myowarp.apps.options import Model, OptionalTask, optional
+from myowarp.apps.cli.options import Model, OptionalTask, optional
 from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import (
     ALGORITHMS,
@@ -26,17 +26,17 @@ from myowarp.apps.train.settings import (
     preset_algorithm,
     restore,
 )
+from myowarp.definitions.condition import Condition, resolve
+from myowarp.definitions.registry import check_choice
+from myowarp.definitions.task import TASKS, TaskSpec
 from myowarp.disk import check_folder, check_output, locked, make_folder
 from myowarp.sim.build import check_device_name
 from myowarp.sim.state import State
-from myowarp.spec.condition import Condition, resolve
-from myowarp.spec.registry import check_choice
-from myowarp.spec.task import TASKS, TaskSpec
 from myowarp.tasks.from_file import task_or_model
 from myowarp.tasks.variants import Variant
 
 if TYPE_CHECKING:
-    from myowarp.apps.train.checkpoint import Checkpoint
+    from myowarp.apps.policies.checkpoint import Checkpoint
 
 SAVE_SECONDS = 30.0  # from one checkpoint to the next
 LOCK = ".lock"
@@ -208,7 +208,7 @@ def held(job: Job) -> Iterator[None]:
 
 def last_saved(folder: Path) -> Path | None:
     """Return the last checkpoint in the folder of a run; None if there is none."""
-    from myowarp.apps.train.checkpoint import CheckpointError, find_folder
+    from myowarp.apps.policies.checkpoint import CheckpointError, find_folder
 
     try:
         return find_folder(folder)
@@ -227,8 +227,8 @@ def _with_files(job: Job) -> Job:
     _check_ranks(job)
     patients: tuple[Condition, ...] = ()
     if settings.cohort:
-        from myowarp.apps.cohort.columns import conditions_of
-        from myowarp.apps.cohort.plan import population_of
+        from myowarp.apps.studies.cohort.plan import population_of
+        from myowarp.sim.patient_columns import conditions_of
 
         population = population_of(settings.cohort, spec)
         number = len(population.patients)
@@ -281,9 +281,9 @@ def _parent(settings: Settings, algorithm: str, spec: TaskSpec) -> Checkpoint:
     Raises:
         ValueError: There is none, or its policy is not one that the run can train.
     """
-    from myowarp.apps.baselines import policy_folder
-    from myowarp.apps.learned import read_policy
-    from myowarp.apps.train.checkpoint import CheckpointError
+    from myowarp.apps.policies.baselines import policy_folder
+    from myowarp.apps.policies.checkpoint import CheckpointError
+    from myowarp.apps.policies.learned import read_policy
 
     folder = policy_folder(settings.parent, spec.key)
     if folder is None:
@@ -306,7 +306,7 @@ def _parent(settings: Settings, algorithm: str, spec: TaskSpec) -> Checkpoint:
 
 def _plan_resume(command: TrainOptions, given: dict[str, Any], ranks: Ranks) -> Job:
     """Return the run that goes on; see `plan`."""
-    from myowarp.apps.train.checkpoint import STATE, CheckpointError, load_checkpoint
+    from myowarp.apps.policies.checkpoint import STATE, CheckpointError, load_checkpoint
 
     folder = Path(str(command.resume))
     checkpoint = load_checkpoint(folder)

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any, TypeVar
 
-from myowarp.spec.condition import CONDITIONS
-from myowarp.spec.muscle import MUSCLES
-from myowarp.spec.registry import check_choice
-from myowarp.spec.task import PHYSICS, RESETS
+from myowarp.definitions.condition import CONDITIONS
+from myowarp.definitions.muscle import MUSCLES
+from myowarp.definitions.registry import check_choice
+from myowarp.definitions.task import PHYSICS, RESETS
 
 SUCCESSES = {
     "success": "more than 5 solved steps",  # the paper's rule

@@ -6,6 +6,7 @@ import mujoco_warp as mjw
 import warp as wp
 from mujoco_warp import DeterminismType, DisableBit
 
+from myowarp.definitions.scene import Scene
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import ConstraintRows as Rows
 from myowarp.engine.stages.arrays import ContactPool, any_of, filled
@@ -14,7 +15,6 @@ from myowarp.engine.stages.joint_rows import JointConstraints, JointState, write
 from myowarp.engine.stages.row_places import RowPlaces
 from myowarp.kernels.batching import num_threads
 from myowarp.kernels.launch import launch
-from myowarp.spec.scene import Scene
 
 KINDS = DisableBit.CONSTRAINT | DisableBit.EQUALITY | DisableBit.FRICTIONLOSS | DisableBit.LIMIT
 

@@ -22,6 +22,7 @@ import numpy as np
 import warp as wp
 from mujoco_warp import IntegratorType
 
+from myowarp.definitions.scene import Scene
 from myowarp.engine.stage import Launches, Stage, not_exact
 from myowarp.engine.stages.arrays import InertiaRows, any_of, filled
 from myowarp.engine.stages.hinge_triples import (
@@ -47,7 +48,6 @@ from myowarp.models.couplings import (
     jacobian,
     regularity,
 )
-from myowarp.spec.scene import Scene
 
 SAME_MASS = 1e-9  # relative; a body that has taken in others, or was made heavier, keeps its mass
 

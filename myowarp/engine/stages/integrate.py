@@ -19,11 +19,11 @@ from mujoco_warp._src.forward import _advance, implicit_free_body
 from mujoco_warp._src.math import quat_integrate
 from mujoco_warp._src.types import vec10
 
+from myowarp.definitions.scene import Scene
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import InertiaRows, any_of, filled
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
-from myowarp.spec.scene import Scene
 
 MAX_DOFS, MAX_ENTRIES = 512, 8192  # 36 KB of stack
 SOURCE = f"""

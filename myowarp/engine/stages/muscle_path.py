@@ -8,6 +8,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.scene import Scene
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import any_of, filled
 from myowarp.engine.stages.muscle_path_kernel import (
@@ -23,7 +24,6 @@ from myowarp.engine.stages.wrap import CYLINDER, SPHERE, STRAIGHT
 from myowarp.kernels.batching import num_threads
 from myowarp.kernels.launch import launch
 from myowarp.models.couplings import POINT_JOINTS
-from myowarp.spec.scene import Scene
 
 _WRAP = mujoco.mjtWrap
 _KINDS = {_WRAP.mjWRAP_SPHERE.value: int(SPHERE), _WRAP.mjWRAP_CYLINDER.value: int(CYLINDER)}

@@ -16,11 +16,11 @@ import warp as wp
 from mujoco_warp import DisableBit, JointType
 from mujoco_warp._src.types import vec10
 
+from myowarp.definitions.scene import Scene
 from myowarp.engine.stage import Launches, Stage
 from myowarp.engine.stages.arrays import any_of, filled
 from myowarp.kernels.batching import num_threads
 from myowarp.kernels.launch import launch
-from myowarp.spec.scene import Scene
 
 SOURCE = Path(__file__).with_name("rigid_body.cpp").read_text()
 

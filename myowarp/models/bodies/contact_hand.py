@@ -10,8 +10,8 @@ import mujoco
 import warp as wp
 from myo_sim.build.compose import apply_inertia_floor
 
+from myowarp.definitions.body import BODIES, Body
 from myowarp.models.bodies.hand import hand
-from myowarp.spec.body import BODIES, Body
 
 ROOT_POS = (-0.025203285253, 0.071449974504, 1.392442909705)  # m
 ROOT_QUAT = (0.521702295767, 0.469732569517, -0.478718760568, -0.527263099417)  # w, x, y, z

@@ -6,7 +6,7 @@ Source: myo-sim 0.2.3, legacy elbow model, unchanged.
 import mujoco
 from myo_sim import MODELS_DIR
 
-from myowarp.spec.body import BODIES, Body, CoarseStep
+from myowarp.definitions.body import BODIES, Body, CoarseStep
 
 
 def elbow() -> mujoco.MjSpec:

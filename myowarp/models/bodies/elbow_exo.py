@@ -9,7 +9,7 @@ that can follow the muscles is the condition `exoskeleton` on the plain elbow.
 import mujoco
 from myo_sim import MODELS_DIR
 
-from myowarp.spec.body import BODIES, Body, CoarseStep
+from myowarp.definitions.body import BODIES, Body, CoarseStep
 
 WEIGHT = "carry_weight"  # name of the weight's body
 

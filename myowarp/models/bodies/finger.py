@@ -7,7 +7,7 @@ the file, with which upstream made the motor twins of the finger tasks solvable.
 import mujoco
 from myo_sim import MODELS_DIR
 
-from myowarp.spec.body import BODIES, Body, CoarseStep
+from myowarp.definitions.body import BODIES, Body, CoarseStep
 
 MOTOR_GEARS = {"extn": 80.0, "adabR": 20.0, "adabL": 20.0, "mflx": 40.0, "dflx": 40.0}  # N per unit
 

@@ -7,7 +7,7 @@ its hand pose and hand reach tasks. Everything proximal to the radius is welded 
 import mujoco
 from myo_sim.build.compose import build_right_hand_from_arm_spec
 
-from myowarp.spec.body import BODIES, Body, CoarseStep
+from myowarp.definitions.body import BODIES, Body, CoarseStep
 
 ROOT_POS = (-0.02525155, 0.07146933, 1.39249298)  # m
 ROOT_QUAT = (0.52167746, 0.46981366, -0.47875126, -0.52718591)  # w, x, y, z

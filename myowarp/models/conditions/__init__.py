@@ -3,6 +3,8 @@
 gymnasium.make_vec("MyoWarp/myoHandPoseRandom-v1", 256, conditions=("sarcopenia", TendonTear("FPL")))
 """
 
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage, resolve
+from myowarp.definitions.parameter import Ramp, Uniform
 from myowarp.models.conditions.exoskeleton import Exoskeleton
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
 from myowarp.models.conditions.fatigue_ma2009 import FatigueMa2009
@@ -12,8 +14,6 @@ from myowarp.models.conditions.reafferentation import Reafferentation
 from myowarp.models.conditions.sarcopenia import Sarcopenia
 from myowarp.models.conditions.tendon_tear import TendonTear
 from myowarp.models.conditions.tendon_transfer import TendonTransfer
-from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage, resolve
-from myowarp.spec.parameter import Ramp, Uniform
 
 __all__ = [
     "CONDITIONS",

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING
 import mujoco
 import warp as wp
 
+from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
 from myowarp.kernels.body_mass import MASS_FIELDS, WeighedBody, set_body_mass, weighed_body
-from myowarp.spec.parameter import Clock, Curve, Parameter, Value, value_of
 
 if TYPE_CHECKING:
-    from myowarp.spec.scene import Scene
+    from myowarp.definitions.scene import Scene
 
 BATCHED = (*MASS_FIELDS, "body_inertia")
 """Names of the model's fields that an added mass sets per world."""

@@ -20,17 +20,17 @@ from typing import TYPE_CHECKING, ClassVar
 import mujoco
 import warp as wp
 
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.muscle import BiasParams
+from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
+from myowarp.definitions.task import RewardTerm
 from myowarp.kernels.reset import masked_fill
 from myowarp.kernels.write import is_finite
 from myowarp.models.conditions.added_mass import BATCHED, AddedMass, HungMass, Part
-from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
-from myowarp.spec.muscle import BiasParams
-from myowarp.spec.parameter import Clock, Curve, Parameter, Value, value_of
-from myowarp.spec.task import RewardTerm
 
 if TYPE_CHECKING:
-    from myowarp.spec.scene import Scene
-    from myowarp.spec.task import TaskSpec
+    from myowarp.definitions.scene import Scene
+    from myowarp.definitions.task import TaskSpec
 
 NAME = "exoskeleton"  # of the actuator
 EXO_EFFORT = ("1", "minus the square of the motor's torque over its largest")

@@ -27,12 +27,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 import warp as wp
 
-from myowarp.kernels.accumulate import add_compensated
-from myowarp.kernels.batching import of_world
-from myowarp.kernels.observe import masked_observe
-from myowarp.kernels.random import RandomKeys, open_stream
-from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
-from myowarp.spec.parameter import (
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.parameter import (
     Clock,
     Curve,
     Fixed,
@@ -43,10 +39,14 @@ from myowarp.spec.parameter import (
     muscle_index,
     value_of,
 )
-from myowarp.spec.task import Column
+from myowarp.definitions.task import Column
+from myowarp.kernels.accumulate import add_compensated
+from myowarp.kernels.batching import of_world
+from myowarp.kernels.observe import masked_observe
+from myowarp.kernels.random import RandomKeys, open_stream
 
 if TYPE_CHECKING:
-    from myowarp.spec.scene import Scene
+    from myowarp.definitions.scene import Scene
 
 REST_LOAD = wp.constant(0.01)  # a muscle rests up to this target load [1]; MyoSuite 3.0.0
 FAST = 2.0  # 1/s: a hundred times what is measured, so that a viewer need not wait for minutes

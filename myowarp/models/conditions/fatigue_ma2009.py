@@ -21,15 +21,15 @@ from typing import TYPE_CHECKING, ClassVar
 
 import warp as wp
 
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
+from myowarp.definitions.task import Column
 from myowarp.kernels.accumulate import add_compensated
 from myowarp.kernels.observe import masked_observe
 from myowarp.kernels.random import RandomKeys
-from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
-from myowarp.spec.parameter import Clock, Curve, Parameter, Value, value_of
-from myowarp.spec.task import Column
 
 if TYPE_CHECKING:
-    from myowarp.spec.scene import Scene
+    from myowarp.definitions.scene import Scene
 
 MINUTE = wp.constant(60.0)  # s
 LARGEST_START = 0.99  # a muscle that starts with no force at all would be a torn one

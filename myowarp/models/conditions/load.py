@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, ClassVar
 import mujoco
 import warp as wp
 
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.parameter import Clock, Value
 from myowarp.kernels.write import is_finite
 from myowarp.models.conditions.added_mass import BATCHED, AddedMass, HungMass, Part, Triple
-from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
-from myowarp.spec.parameter import Clock, Value
 
 if TYPE_CHECKING:
-    from myowarp.spec.scene import Scene
-    from myowarp.spec.task import TaskSpec
+    from myowarp.definitions.scene import Scene
+    from myowarp.definitions.task import TaskSpec
 
 _ELBOW = ("r_ulna_radius_hand", (0.05, -0.35, 0.07))
 _HAND = ("trapezium_r", (-0.011, -0.06, -0.03))

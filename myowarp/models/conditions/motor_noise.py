@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, ClassVar
 
 import warp as wp
 
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
 from myowarp.kernels.random import RandomKeys, normal_pair, open_step_stream
-from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
-from myowarp.spec.parameter import Clock, Curve, Parameter, Value, value_of
 
 if TYPE_CHECKING:
-    from myowarp.spec.scene import Scene
+    from myowarp.definitions.scene import Scene
 
 STREAM = wp.constant(zlib.crc32(b"motor_noise") & 0x7FFFFFFF)
 

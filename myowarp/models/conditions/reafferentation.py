@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, muscle_index
 from myowarp.models.conditions.tendon_transfer import (
     DONOR,
     LOST,
@@ -23,12 +25,10 @@ from myowarp.models.conditions.tendon_transfer import (
     check_hand,
     is_affected,
 )
-from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
-from myowarp.spec.parameter import Clock, Curve, Parameter, Value, muscle_index
 
 if TYPE_CHECKING:
-    from myowarp.spec.scene import Scene
-    from myowarp.spec.task import TaskSpec
+    from myowarp.definitions.scene import Scene
+    from myowarp.definitions.task import TaskSpec
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 import warp as wp
 
-from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
-from myowarp.spec.parameter import Clock, Curve, Parameter, Value, value_of
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
 
 if TYPE_CHECKING:
-    from myowarp.spec.scene import Scene
+    from myowarp.definitions.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)

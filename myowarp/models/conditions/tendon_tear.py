@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, ClassVar
 import mujoco
 import warp as wp
 
-from myowarp.spec.body import BODIES
-from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
-from myowarp.spec.parameter import SPANS, Clock, Curve, Parameter, Value, muscle_index, value_of
-from myowarp.spec.registry import check_choice
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.parameter import SPANS, Clock, Curve, Parameter, Value, muscle_index, value_of
+from myowarp.definitions.registry import check_choice
 
 if TYPE_CHECKING:
-    from myowarp.spec.scene import Scene
-    from myowarp.spec.task import TaskSpec
+    from myowarp.definitions.scene import Scene
+    from myowarp.definitions.task import TaskSpec
 
 ROUNDING = wp.constant(1.0 + 4.0e-7)
 """A tear at 0.2 s comes with the step that begins at 10 x 0.02 s, whichever is larger in float32, where their

@@ -19,13 +19,13 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from myowarp.spec.condition import CONDITIONS, Condition, Effect, Stage
-from myowarp.spec.muscle import Anatomy, BiasParams, affine_bias
-from myowarp.spec.parameter import Clock, Curve, Parameter, Value, muscle_index, value_of
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.muscle import Anatomy, BiasParams, affine_bias
+from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, muscle_index, value_of
 
 if TYPE_CHECKING:
-    from myowarp.spec.scene import Scene
-    from myowarp.spec.task import TaskSpec
+    from myowarp.definitions.scene import Scene
+    from myowarp.definitions.task import TaskSpec
 
 DONOR, LOST = "EIP", "EPL"
 HANDS = ("hand", "contact_hand")

@@ -19,9 +19,9 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.muscle import MUSCLES, Anatomy, BiasParams, MuscleModel, MuscleResults, affine_bias
 from myowarp.kernels.batching import batched, num_threads, of_world
 from myowarp.kernels.launch import launch
-from myowarp.spec.muscle import MUSCLES, Anatomy, BiasParams, MuscleModel, MuscleResults, affine_bias
 
 
 @wp.struct

@@ -9,11 +9,11 @@ from pathlib import Path
 import mujoco_warp as mjw
 import warp as wp
 
+from myowarp.definitions.muscle import MUSCLES, Anatomy, BiasParams, MuscleResults
 from myowarp.kernels.batching import batched
 from myowarp.kernels.decay import DECAY
 from myowarp.kernels.launch import launch
 from myowarp.models.muscles.mujoco import MujocoMuscle, MujocoMuscleParams
-from myowarp.spec.muscle import MUSCLES, Anatomy, BiasParams, MuscleResults
 
 
 @wp.func_native(DECAY + Path(__file__).with_suffix(".cpp").read_text())

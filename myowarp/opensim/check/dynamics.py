@@ -20,9 +20,9 @@ import numpy as np
 from myowarp.models.couplings import regularity
 from myowarp.opensim.check.engines import Engine, States
 from myowarp.opensim.check.oracle import opensim_equations, speaks_of_dynamics
-from myowarp.opensim.dynamics import equations
-from myowarp.opensim.kinematics import independent, sampling_range
-from myowarp.opensim.model import Model
+from myowarp.opensim.model.dynamics import equations
+from myowarp.opensim.model.kinematics import independent, sampling_range
+from myowarp.opensim.model.model import Model
 
 Array = np.ndarray
 Equations = Callable[[Array, Array], tuple[Array, Array]]

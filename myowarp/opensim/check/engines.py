@@ -11,16 +11,16 @@ from typing import ClassVar, Protocol
 import mujoco
 import numpy as np
 
+from myowarp.definitions.body import BODIES, Body
+from myowarp.definitions.task import Column, RewardTerm, TaskSpec
 from myowarp.disk import model_digest
 from myowarp.engine.compile import compile_kernels, quiet
 from myowarp.engine.stage import applicable_stages
 from myowarp.engine.stages.free_coordinates import FreeCoordinates
 from myowarp.engine.step import physics_step
 from myowarp.models.couplings import ask, couplings
-from myowarp.opensim.mapping import CoordinateMap
+from myowarp.opensim.model.mapping import CoordinateMap
 from myowarp.sim.build import compile_scene
-from myowarp.spec.body import BODIES, Body
-from myowarp.spec.task import Column, RewardTerm, TaskSpec
 
 Array = np.ndarray
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from myowarp.opensim.build.convert import Converted
-from myowarp.opensim.kinematics import forward, random_poses, station
-from myowarp.opensim.model import GROUND
+from myowarp.opensim.compose.convert import Converted
+from myowarp.opensim.model.kinematics import forward, random_poses, station
+from myowarp.opensim.model.model import GROUND
 
 POSES = 200
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from myowarp.opensim.check.oracle import opened
-from myowarp.opensim.elements import Bushing
-from myowarp.opensim.kinematics import Frames, forward, independent, random_poses
-from myowarp.opensim.model import Loss, Model, Note
+from myowarp.opensim.model.elements import Bushing
+from myowarp.opensim.model.kinematics import Frames, forward, independent, random_poses
+from myowarp.opensim.model.model import Loss, Model, Note
 
 Array = np.ndarray
 

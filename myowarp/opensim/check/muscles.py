@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from myowarp.opensim.build.convert import Converted
-from myowarp.opensim.fitted import Fits, MuscleFit
+from myowarp.opensim.compose.convert import Converted
 from myowarp.opensim.muscle.hill import ACTIVATIONS
+from myowarp.opensim.tendon.fitted import Fits, MuscleFit
 from myowarp.opensim.wrap.moment_arm import PRESENT, Poses, Reference
 
 Array = np.ndarray

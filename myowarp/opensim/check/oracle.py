@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from myowarp.opensim.functions import derivatives
-from myowarp.opensim.kinematics import complete, independent
-from myowarp.opensim.model import Model
+from myowarp.opensim.model.functions import derivatives
+from myowarp.opensim.model.kinematics import complete, independent
+from myowarp.opensim.model.model import Model
 from myowarp.opensim.wrap.moment_arm import STEP, Poses, Reference
 
 Array = np.ndarray

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from myowarp.opensim.model import Note
+from myowarp.opensim.model.model import Note
 from myowarp.opensim.muscle.hill import HillMuscle
 
 SWITCH_SLOPE = 1.875

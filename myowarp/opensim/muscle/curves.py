@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from myowarp.opensim.functions import Function
+from myowarp.opensim.model.functions import Function
 
 Array = np.ndarray
 Curve = tuple[Array, Array]

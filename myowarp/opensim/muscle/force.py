@@ -25,7 +25,7 @@ from typing import Literal
 import numpy as np
 from scipy import optimize
 
-from myowarp.opensim.model import Note
+from myowarp.opensim.model.model import Note
 from myowarp.opensim.muscle.activation import activation_dynamics
 from myowarp.opensim.muscle.hill import ACTIVATIONS, HillMuscle, known
 

@@ -3,7 +3,7 @@
 `Schutte1993Muscle_Deprecated`, `Delp1990Muscle_Deprecated` and `RigidTendonMuscle` share them.
 """
 
-from myowarp.opensim.functions import Function, SimmSpline
+from myowarp.opensim.model.functions import Function, SimmSpline
 
 
 def _spline(x: str, y: str) -> SimmSpline:

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from myowarp.disk import in_place
-from myowarp.opensim import functions
-from myowarp.opensim.functions import Function
+from myowarp.opensim.model import functions
+from myowarp.opensim.model.functions import Function
 from myowarp.opensim.muscle.hill import HillMuscle
 
 UNITS = {

@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from myowarp.opensim.elements import Shape
-from myowarp.opensim.model import Coupler, Loss, Note
+from myowarp.opensim.model.elements import Shape
+from myowarp.opensim.model.model import Coupler, Loss, Note
 from myowarp.opensim.read import forces as read_forces
 from myowarp.opensim.read import muscles as read_muscles
 from myowarp.opensim.read.document import Element

@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from myowarp.opensim.elements import (
+from myowarp.opensim.model.elements import (
     BodyActuator,
     Bushing,
     CoordinateActuator,
@@ -14,8 +14,8 @@ from myowarp.opensim.elements import (
     Pose,
     Shape,
 )
-from myowarp.opensim.functions import IDENTITY, Multiplier
-from myowarp.opensim.model import GROUND, Constraint, Coupler, Marker
+from myowarp.opensim.model.functions import IDENTITY, Multiplier
+from myowarp.opensim.model.model import GROUND, Constraint, Coupler, Marker
 from myowarp.opensim.read.document import Element
 from myowarp.opensim.read.frames import Frames, euler_xyz, pose_of, socket
 from myowarp.opensim.read.functions import function_in

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from myowarp.opensim.elements import Pose
-from myowarp.opensim.model import GROUND
+from myowarp.opensim.model.elements import Pose
+from myowarp.opensim.model.model import GROUND
 from myowarp.opensim.read.document import Element
 
 MAX_CHAIN = 100  # offset frames on offset frames

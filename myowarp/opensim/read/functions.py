@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from myowarp.opensim.functions import (
+from myowarp.opensim.model.functions import (
     Constant,
     Function,
     GCVSpline,

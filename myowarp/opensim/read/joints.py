@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from myowarp.opensim.elements import Pose
-from myowarp.opensim.functions import IDENTITY, Constant, Multiplier, affine
-from myowarp.opensim.model import GROUND, Coordinate, Joint, Move, Note
+from myowarp.opensim.model.elements import Pose
+from myowarp.opensim.model.functions import IDENTITY, Constant, Multiplier, affine
+from myowarp.opensim.model.model import GROUND, Coordinate, Joint, Move, Note
 from myowarp.opensim.read.document import Element
 from myowarp.opensim.read.frames import Frames, pose_of
 from myowarp.opensim.read.functions import function_in

@@ -11,8 +11,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from myowarp.opensim.elements import Pose
-from myowarp.opensim.model import GROUND, Body, Constraint, Coordinate, Joint, Loss, Model, Note
+from myowarp.opensim.model.elements import Pose
+from myowarp.opensim.model.model import GROUND, Body, Constraint, Coordinate, Joint, Loss, Model, Note
 from myowarp.opensim.read.components import READERS, read_components, read_shapes
 from myowarp.opensim.read.document import Element, parse
 from myowarp.opensim.read.frames import Frames

@@ -2,9 +2,9 @@
 
 import math
 
-from myowarp.opensim.elements import Ligament, PathActuator
-from myowarp.opensim.functions import Constant, Function, Linear, Multiplier, ToeThenLine
-from myowarp.opensim.model import Muscle
+from myowarp.opensim.model.elements import Ligament, PathActuator
+from myowarp.opensim.model.functions import Constant, Function, Linear, Multiplier, ToeThenLine
+from myowarp.opensim.model.model import Muscle
 from myowarp.opensim.read.document import Element
 from myowarp.opensim.read.functions import READERS, function_in, read_function
 from myowarp.opensim.read.muscle_defaults import DEFAULTS

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from myowarp.opensim.elements import (
+from myowarp.opensim.model.elements import (
     ConditionalPathPoint,
     MovingPathPoint,
     Path,
@@ -12,8 +12,8 @@ from myowarp.opensim.elements import (
     PathWrap,
     Point,
 )
-from myowarp.opensim.functions import Constant, Function, affine
-from myowarp.opensim.model import Coordinate, Note, WrapObject
+from myowarp.opensim.model.functions import Constant, Function, affine
+from myowarp.opensim.model.model import Coordinate, Note, WrapObject
 from myowarp.opensim.read.document import Element
 from myowarp.opensim.read.frames import Frames, pose_of, socket
 from myowarp.opensim.read.functions import function_in

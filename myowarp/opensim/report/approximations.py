@@ -7,9 +7,9 @@ import numpy as np
 
 from myowarp.opensim.check.gates import ARM, LENGTH
 from myowarp.opensim.check.muscles import MomentArmError, Motion, MuscleError
-from myowarp.opensim.elements import ConditionalPathPoint, Path
-from myowarp.opensim.fitted import Fits
-from myowarp.opensim.model import Model, Note, pulling
+from myowarp.opensim.model.elements import ConditionalPathPoint, Path
+from myowarp.opensim.model.model import Model, Note, pulling
+from myowarp.opensim.tendon.fitted import Fits
 from myowarp.opensim.tendon.path import TendonPath, Via
 
 BEYOND = f"beyond {ARM[0]:g} mm of moment arm or {LENGTH[0]:g} mm of length, root mean square"

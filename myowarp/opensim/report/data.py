@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 
 from myowarp.disk import plain
-from myowarp.opensim.build.convert import Converted
 from myowarp.opensim.check.dynamics import QUANTITIES, Dynamics
 from myowarp.opensim.check.frames import KinematicsError, kinematics_error
 from myowarp.opensim.check.gates import (
@@ -23,13 +22,14 @@ from myowarp.opensim.check.gates import (
     frame_gates,
     muscle_gates,
 )
-from myowarp.opensim.model import Loss, Note
+from myowarp.opensim.compose.convert import Converted
+from myowarp.opensim.model.model import Loss, Note
 from myowarp.opensim.wrap.moment_arm import CONSISTENT
 
 if TYPE_CHECKING:
     from myowarp.opensim.check.muscles import MomentArmError, MuscleError
-    from myowarp.opensim.fit import Samples
-    from myowarp.opensim.fitted import Fits
+    from myowarp.opensim.tendon.fits import Samples
+    from myowarp.opensim.tendon.fitted import Fits
 
 
 REFERENCES = {

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from myowarp.opensim.build.convert import Converted
-from myowarp.opensim.build.visible_body import bones
 from myowarp.opensim.check.dynamics import Dynamics
+from myowarp.opensim.compose.convert import Converted
+from myowarp.opensim.compose.visible_body import bones
 from myowarp.opensim.report.charts import Line, chart, colored_map, colors, legible, outline
 from myowarp.opensim.report.data import alike, left_out
 from myowarp.opensim.report.dynamics import dynamics_section, engines_table
 
 if TYPE_CHECKING:
-    from myowarp.opensim.fit import Samples
-    from myowarp.opensim.fitted import Fits, MuscleFit
+    from myowarp.opensim.tendon.fits import Samples
+    from myowarp.opensim.tendon.fitted import Fits, MuscleFit
 
 MAIN = 3
 """Coordinates of a muscle whose moment arms are drawn, greatest first."""

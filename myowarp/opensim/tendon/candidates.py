@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from myowarp.opensim.elements import ConditionalPathPoint, Path
-from myowarp.opensim.kinematics import Frames
-from myowarp.opensim.model import Model, WrapObject
+from myowarp.opensim.model.elements import ConditionalPathPoint, Path
+from myowarp.opensim.model.kinematics import Frames
+from myowarp.opensim.model.model import Model, WrapObject
 from myowarp.opensim.tendon.path import Over
 from myowarp.opensim.tendon.surface import Surface
 from myowarp.opensim.wrap.cylinder import dot, unit

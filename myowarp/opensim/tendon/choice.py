@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from myowarp.opensim.elements import Path
-from myowarp.opensim.model import Model
+from myowarp.opensim.model.elements import Path
+from myowarp.opensim.model.model import Model
 from myowarp.opensim.tendon.candidates import always, sometimes, surfaces
 from myowarp.opensim.tendon.fit import Method, PathProblem, fit_surfaces, turn_sides
 from myowarp.opensim.tendon.path import Over, TendonPath, Via, lengths

@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 from scipy import optimize
 
-from myowarp.opensim.elements import Path
-from myowarp.opensim.model import Model
+from myowarp.opensim.model.elements import Path
+from myowarp.opensim.model.model import Model
 from myowarp.opensim.tendon.candidates import TINY, Observed
 from myowarp.opensim.tendon.path import TendonPath, lengths
 from myowarp.opensim.tendon.surface import Surface

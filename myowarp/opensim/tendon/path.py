@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from myowarp.opensim.elements import MovingPathPoint, Path
-from myowarp.opensim.kinematics import Frames
-from myowarp.opensim.model import GROUND
+from myowarp.opensim.model.elements import MovingPathPoint, Path
+from myowarp.opensim.model.kinematics import Frames
+from myowarp.opensim.model.model import GROUND
 from myowarp.opensim.tendon.surface import Surface, over_surface
 
 GEOM_GROUP = 4

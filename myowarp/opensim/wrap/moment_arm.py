@@ -11,9 +11,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from myowarp.opensim.elements import ConditionalPathPoint, MovingPathPoint, Path
-from myowarp.opensim.kinematics import Frames, complete, forward
-from myowarp.opensim.model import GROUND, Model
+from myowarp.opensim.model.elements import ConditionalPathPoint, MovingPathPoint, Path
+from myowarp.opensim.model.kinematics import Frames, complete, forward
+from myowarp.opensim.model.model import GROUND, Model
 from myowarp.opensim.wrap.path import Solution, locations, solve
 
 STEP = 1e-5

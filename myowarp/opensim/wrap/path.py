@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from myowarp.opensim.elements import ConditionalPathPoint, MovingPathPoint, Path, PathWrap
-from myowarp.opensim.kinematics import Frames
-from myowarp.opensim.model import Model, WrapObject
+from myowarp.opensim.model.elements import ConditionalPathPoint, MovingPathPoint, Path, PathWrap
+from myowarp.opensim.model.kinematics import Frames
+from myowarp.opensim.model.model import Model, WrapObject
 from myowarp.opensim.wrap.cylinder import INSIDE, MANDATORY, NONE, WRAPPED, Wrap, wrap_cylinder
 from myowarp.opensim.wrap.ellipsoid import wrap_ellipsoid
 from myowarp.opensim.wrap.sphere import wrap_sphere, wrap_torus

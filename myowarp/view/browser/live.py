@@ -13,13 +13,13 @@ from collections import deque
 import numpy as np
 import viser
 
-from myowarp.spec.body import BODIES
-from myowarp.view import style as look
+from myowarp.definitions.body import BODIES
 from myowarp.view.browser.controls import ERRORS, Controls
 from myowarp.view.browser.panel import Panel
 from myowarp.view.browser.scene import SPACING, Figure, add_floor
 from myowarp.view.browser.session import Choices, Session
-from myowarp.view.framing import Framing, view_axes
+from myowarp.view.drawing import style as look
+from myowarp.view.drawing.framing import Framing, view_axes
 
 FRAME = 1.0 / 30.0
 """Least time between two frames [s]."""

@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 from rich.console import Console
 
-from myowarp.view import style as look
 from myowarp.view.browser.scene import Figure
 from myowarp.view.browser.server import close_server, open_server
-from myowarp.view.framing import Framing, view_axes
-from myowarp.view.snapshot import Snapshot
+from myowarp.view.drawing import style as look
+from myowarp.view.drawing.framing import Framing, view_axes
+from myowarp.view.drawing.snapshot import Snapshot
 
 
 class Page:

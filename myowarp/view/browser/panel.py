@@ -11,11 +11,11 @@ import numpy as np
 import viser
 from viser import uplot
 
+from myowarp.definitions.condition import CONDITIONS
+from myowarp.definitions.registry import check_choice
 from myowarp.sim.patient import Knob
-from myowarp.spec.condition import CONDITIONS
-from myowarp.spec.registry import check_choice
 from myowarp.view.browser.controls import ERRORS, Controls
-from myowarp.view.muscles import QUANTITIES, Quantity
+from myowarp.view.drawing.muscles import QUANTITIES, Quantity
 
 FASTEST, SLOWEST = 10.0, 0.05
 """Speeds over real time that can be chosen."""

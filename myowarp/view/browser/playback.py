@@ -13,11 +13,11 @@ import mujoco
 import numpy as np
 import viser
 
-from myowarp.view import style as look
 from myowarp.view.browser.scene import SPACING, Figure, add_floor
 from myowarp.view.browser.server import close_server, open_server
-from myowarp.view.framing import Framing, view_axes
-from myowarp.view.snapshot import Snapshot
+from myowarp.view.drawing import style as look
+from myowarp.view.drawing.framing import Framing, view_axes
+from myowarp.view.drawing.snapshot import Snapshot
 
 FASTEST = 30.0
 """1/s: of more pictures some are left out."""
@@ -70,7 +70,7 @@ def write_playback(path: Path, takes: Sequence[Sequence[Take]], color: str, fps:
     Args:
         path: File to write, `.viser` or `.html`.
         takes: Rows of worlds with the same number of frames.
-        color: What the colour of a muscle shows, a name in `myowarp.view.muscles.QUANTITIES`.
+        color: What the colour of a muscle shows, a name in `myowarp.view.drawing.muscles.QUANTITIES`.
         fps: Frames per second.
     """
     server = open_server(0, "MyoWarp")

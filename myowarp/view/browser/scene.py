@@ -15,12 +15,12 @@ import numpy as np
 import trimesh
 import viser
 
-from myowarp.view import style as look
-from myowarp.view.muscles import QUANTITIES, TENDON_RGB, TENDON_TINT, Muscles
-from myowarp.view.render import GHOST_ALPHA, LINK_RADIUS, MARKER_RADIUS, coarsen
-from myowarp.view.scenery import floor_height, has_plane
-from myowarp.view.skeleton import Skeleton
-from myowarp.view.snapshot import Snapshot
+from myowarp.view.drawing import style as look
+from myowarp.view.drawing.muscles import QUANTITIES, TENDON_RGB, TENDON_TINT, Muscles
+from myowarp.view.drawing.render import GHOST_ALPHA, LINK_RADIUS, MARKER_RADIUS, coarsen
+from myowarp.view.drawing.scenery import floor_height, has_plane
+from myowarp.view.drawing.skeleton import Skeleton
+from myowarp.view.drawing.snapshot import Snapshot
 
 CELL, GHOST_CELL = 1 / 150, 1 / 80
 """What is smaller in a mesh is not sent, in units of the framed radius: some browsers draw in software."""

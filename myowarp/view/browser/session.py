@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from myowarp.definitions.task import TaskSpec
 from myowarp.kernels.write import write
 from myowarp.sim.build import full_spec
 from myowarp.sim.patient import Knob, Patient, every_condition
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import get_state, set_state
-from myowarp.spec.task import TaskSpec
-from myowarp.view.snapshot import Snapshot, snapshot
+from myowarp.view.drawing.snapshot import Snapshot, snapshot
 
 Act = Callable[[np.ndarray], np.ndarray]
 """Observations (num_worlds, obs_size) to actions (num_worlds, num_actions) in [-1, 1]."""

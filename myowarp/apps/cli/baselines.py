@@ -1,0 +1,125 @@
+"""The command `myowarp baselines`: trained policies that come with the package."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from myowarp.apps.cli.options import Device, OptionalTask, optional
+from myowarp.apps.train.settings import SUCCESSES, success_text
+
+if TYPE_CHECKING:
+    from myowarp.apps.policies.baselines import Baseline
+
+
+@dataclass
+class Baselines:
+    """List the trained policies that come with the package, or remake one and compare it with its table.
+
+    Example: myowarp rollout myoFingerReachFixed-v0 --policy baseline --video finger.mp4
+
+    Or: myowarp baselines run myoElbowPose1D6MRandom-v0
+    """
+
+    action: Annotated[Literal["list", "run"], tyro.conf.Positional]
+    """list: all baselines, or the one of a task. run: train it again with its settings (needs
+    "myowarp[train]"), evaluate 256 episodes under parity, and compare."""
+    task: OptionalTask = None
+    output: Annotated[Path | None, optional("FOLDER")] = None
+    """run: new folder; by default runs/baseline_<task>_<seed>."""
+    seed: Annotated[int | None, optional("INT")] = None
+    """run: another seed than that of the baseline."""
+    device: Device = None
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def __call__(self) -> None:
+        """Check, then list or run."""
+        from myowarp.apps.policies import baselines
+
+        task = self.task and self.task.removeprefix("MyoWarp/")
+        if self.action == "list":
+            names = [task] if task else baselines.baseline_tasks()
+            _list([baselines.load_baseline(name) for name in names], self.json)
+            return
+        if task is None:
+            raise ValueError(f"baselines run needs a task: {', '.join(baselines.baseline_tasks())}")
+        baseline = baselines.load_baseline(task)
+        settings = baseline.settings(self.seed) | ({"device": self.device} if self.device else {})
+        output = self.output or Path("runs") / f"baseline_{task}_{settings['seed']}"
+        now = _remake(baseline, output, settings)
+        self._report(baseline, now, output)
+
+    def _report(self, baseline: Baseline, now: dict[str, Any], output: Path) -> None:
+        """Print both sets of figures.
+
+        Raises:
+            RuntimeError: The baseline was not reached.
+        """
+        from myowarp.apps.policies.baselines import shortfall
+        from myowarp.apps.policies.checkpoint import POLICY, load_checkpoint
+
+        before = {mode: baseline.runs[0]["evaluation"][mode] for mode in now}
+        remade = load_checkpoint(output).manifest["files"][POLICY]
+        same = remade == baseline.checkpoint.manifest["files"][POLICY]
+        if self.json:
+            print(json.dumps({"task": baseline.task, "remade": now, "same_policy": same}, indent=1))
+        else:
+            console, table = Console(highlight=False), Table("", "baseline", "remade")
+            for mode in now:
+                for rule, text in SUCCESSES.items():
+                    table.add_row(
+                        f"{mode}: {text}", success_text(before[mode], rule), success_text(now[mode], rule)
+                    )
+            console.print(table)
+            console.print(f"The policies are {'equal bit for bit' if same else 'not equal bit for bit'}.")
+        if short := shortfall(now, before):
+            raise RuntimeError(f"baseline {baseline.task!r} was not reached: {short}")
+
+
+def _remake(baseline: Baseline, output: Path, values: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Train a baseline again and evaluate it like the committed policy.
+
+    Args:
+        baseline: What is remade.
+        output: New folder of the run.
+        values: Settings, such as `Baseline.settings`.
+
+    Returns:
+        Figures of each mode.
+    """
+    from myowarp.apps.train.evaluation import Eval
+    from myowarp.apps.train.run import Train
+    from myowarp.apps.train.settings import ALGORITHMS, restore
+
+    algorithm = baseline.checkpoint.manifest["algorithm"]
+    settings = restore(ALGORITHMS[algorithm], values)
+    given = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
+    Train(task=baseline.task, algorithm=algorithm, output=output, **given)()
+    return Eval(checkpoint=output, device=settings.device or None).figures()[1]
+
+
+def _list(found: list[Baseline], as_json: bool) -> None:
+    """Print baselines."""
+    if as_json:
+        print(json.dumps({baseline.task: {"runs": baseline.runs} for baseline in found}, indent=1))
+        return
+    table, modes = Table("task", "samples", "deterministic", "sampled"), ("deterministic", "sampled")
+    table.columns[0].no_wrap = True
+    for baseline in found:
+        run = baseline.runs[0]
+        shares = (f"{100 * run['evaluation'][mode]['success']:.1f} %" for mode in modes)
+        table.add_row(baseline.task, f"{run['training']['samples'] / 1e6:.2f} M", *shares)
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(table)
+    console.print(
+        f"Episodes with {SUCCESSES['success']}, of 256 with deterministic and 256 with sampled actions under "
+        "parity physics; --json has intervals and two more rules."
+    )

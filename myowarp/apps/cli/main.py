@@ -1,0 +1,103 @@
+"""The command `myowarp`: its subcommands, and how an error ends it."""
+
+import gc
+import os
+import signal
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+from typing import Annotated, Union
+
+import tyro
+import warp as wp
+from rich.console import Console
+
+from myowarp.apps.cli.audit import Audit
+from myowarp.apps.cli.baselines import Baselines
+from myowarp.apps.cli.cohort import Cohort
+from myowarp.apps.cli.describe import Describe
+from myowarp.apps.cli.export import Export
+from myowarp.apps.cli.plot import Plot
+from myowarp.apps.cli.record import Record
+from myowarp.apps.cli.reproduce import Reproduce
+from myowarp.apps.cli.rollout import Rollout
+from myowarp.apps.cli.sweep import Sweep
+from myowarp.apps.cli.tasks import Tasks
+from myowarp.apps.cli.view import View
+from myowarp.apps.cli.warmup import Warmup
+from myowarp.apps.train.evaluation import Eval
+from myowarp.apps.train.run import Train
+from myowarp.opensim.convert import Convert
+
+ABOUT = """Musculoskeletal motor control, simulated in thousands of worlds at once.
+
+COMMAND --help explains a command; --version prints versions."""
+COMMANDS: dict[str, type[Callable[[], None]]] = {
+    "tasks": Tasks,
+    "describe": Describe,
+    "rollout": Rollout,
+    "record": Record,
+    "view": View,
+    "plot": Plot,
+    "cohort": Cohort,
+    "audit": Audit,
+    "train": Train,
+    "eval": Eval,
+    "baselines": Baselines,
+    "reproduce": Reproduce,
+    "sweep": Sweep,
+    "export": Export,
+    "convert": Convert,
+    "warmup": Warmup,
+}
+VERSIONS = ("mujoco", "mujoco-warp", "warp-lang", "myo-sim")
+"""Packages that numbers depend on, besides ours."""
+
+
+def _subcommand(name: str) -> object:
+    """Return a command as tyro has it: with its whole help if it is asked for, else with one sentence."""
+    kind = COMMANDS[name]
+    brief = None if name in sys.argv[1:2] else (kind.__doc__ or "").splitlines()[0]
+    return Annotated[kind, tyro.conf.subcommand(name=name, description=brief, prefix_name=False)]
+
+
+def command() -> None:
+    """Entry point of the command, in a process of its own."""
+    gc.freeze()  # half a million objects of Warp's stay to the end; not looking through them saves a second
+    try:
+        try:
+            main()
+        finally:
+            sys.stdout.flush()  # not at the end of the interpreter, which complains
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
+    except BrokenPipeError:  # who reads has left, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(128 + signal.SIGPIPE)  # what a shell reports of other tools
+
+
+def main() -> None:
+    """Run the command; errors are one sentence and exit status 2."""
+    if sys.argv[1:] == ["--version"]:
+        print(f"myowarp {version('myowarp')} ({', '.join(f'{name} {version(name)}' for name in VERSIONS)})")
+        return
+    wp.config.log_level = wp.LOG_ERROR
+    chosen: Callable[[], None] = tyro.cli(  # type: ignore[call-overload]  # the checker cannot know the union
+        Union[tuple(map(_subcommand, COMMANDS))],  # noqa: UP007
+        prog="myowarp",
+        description=ABOUT,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+    try:
+        chosen()
+    except BrokenPipeError:
+        raise
+    except (ValueError, OSError, RuntimeError, ImportError, MemoryError) as error:
+        Console(stderr=True, highlight=False, soft_wrap=True).print(
+            f"myowarp: {error}", style="red", markup=False
+        )
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    command()

@@ -1,0 +1,104 @@
+"""The command `myowarp plot`: what muscles did, what they can do, and how a policy learned."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich.console import Console
+
+from myowarp.apps.cli.options import Overwrite, check_least, optional
+
+if TYPE_CHECKING:
+    import mujoco
+
+BODY = ("moment-arms", "force-length", "force-velocity")
+LEARNING = "learning"
+
+
+@dataclass
+class Plot:
+    """Draw a figure to a .png or .pdf.
+
+    Of a recording of `myowarp rollout --signals`, over time: activation, excitation, force, length, velocity
+    or power of muscles, and what conditions show, such as fatigue.
+    myowarp plot activation run.parquet --muscles BIClong BRA
+
+    Of a body, by task id or MJCF file: moment-arms over a joint's range; force-length and force-velocity.
+    myowarp plot moment-arms myoElbowPose1D6MRandom-v0 --joint r_elbow_flex
+
+    Of one or several trainings, CSV files with a column `samples`: learning.
+    myowarp plot learning runs/a/progress.csv runs/b/progress.csv --columns return
+    """
+
+    what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="WHAT")]
+    """A signal, such as activation or fatigue; moment-arms, force-length, force-velocity; or learning."""
+    sources: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE ...")]
+    """A recording (.parquet, .npz), a task id or MJCF file, or CSV files."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/plot.png")
+    """File to write, .png or .pdf."""
+    muscles: Annotated[tuple[str, ...], optional("[NAME ...]")] = ()
+    """Muscles to show; by default the twelve that do most."""
+    joint: Annotated[str | None, optional("NAME")] = None
+    """Joint over whose range moment arms are shown; by default the first that the muscles move."""
+    world: int = 0
+    """World of the recording."""
+    episode: Annotated[int | None, optional("INT")] = None
+    """Episode of that world; by default its first in the recording."""
+    columns: Annotated[tuple[str, ...], optional("[NAME ...]")] = ()
+    """Columns of the CSV files; by default those with `return` or `success` in their name."""
+    overwrite: Overwrite = False
+
+    def __call__(self) -> None:
+        """Check, read, draw."""
+        from myowarp.disk import check_folder, check_output, check_overwrite, in_place
+
+        if importlib.util.find_spec("matplotlib") is None:
+            raise ImportError(
+                'plot needs matplotlib, which is not installed; run `pip install "myowarp[plot]"`'
+            )
+        check_folder(self.output.parent)
+        self.output.parent.mkdir(parents=True, exist_ok=True)
+        check_output(self.output, ".png", ".pdf")
+        check_overwrite((self.output,), self.overwrite)
+        figure = self._draw()
+        with in_place(self.output) as scratch:
+            figure.savefig(scratch, dpi=150)
+        Console(stderr=True, highlight=False, soft_wrap=True).print(f"Saved {self.output}")
+
+    def _draw(self):
+        """Return the figure."""
+        from myowarp.apps.reports import figures
+
+        if self.what == LEARNING:
+            return figures.learning([Path(source) for source in self.sources], self.columns)
+        if len(self.sources) != 1:
+            raise ValueError(f"plot {self.what} shows one recording or body, got {len(self.sources)}")
+        source = self.sources[0]
+        if self.what in BODY:
+            model, title = find_model(source)
+            if self.what == "moment-arms":
+                return figures.moment_arms(model, title, self.joint, self.muscles)
+            return figures.contraction(model, title, self.what, self.muscles)
+        check_least(0, world=self.world)
+        course = figures.read_course(Path(source), self.what, self.world, self.episode)
+        return figures.over_time(course, self.muscles)
+
+
+def find_model(source: str) -> tuple[mujoco.MjModel, str]:
+    """Return the model of a task id or of an MJCF file, and a name for it.
+
+    Raises:
+        ValueError: It is neither.
+    """
+    from myowarp.definitions.task import TASKS
+    from myowarp.sim.build import oracle_model
+    from myowarp.tasks.from_file import task_or_model
+
+    is_file = Path(source).suffix.lower() == ".xml"
+    variant = task_or_model(None, Path(source)) if is_file else task_or_model(source, None)
+    spec = TASKS[variant.task]
+    return oracle_model(spec), source if is_file else spec.body

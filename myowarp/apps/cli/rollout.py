@@ -1,0 +1,171 @@
+"""The command `myowarp rollout`: a policy in many worlds."""
+
+import dataclasses
+import json
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from rich.console import Console
+from rich.table import Table
+
+from myowarp.apps.cli.options import (
+    Conditions,
+    Device,
+    Model,
+    Muscle,
+    OptionalTask,
+    Overwrite,
+    Physics,
+    Policy,
+    Reset,
+    Steps,
+    check_least,
+    optional,
+)
+from myowarp.definitions.muscle_table import MuscleTable
+from myowarp.definitions.task import TASKS, TaskSpec
+from myowarp.kernels.episode import SUCCESS_RULE
+
+TILE = (320, 240)  # px of one world in a video
+RANDOM_ELBOW_ID = "myoElbowPose1D6MRandom-v0"
+RANDOM_ELBOW = 56
+"""How many episodes of that id random actions succeed in [%]; a yardstick for a percentage of success."""
+
+
+@dataclass
+class Rollout:
+    """Run a policy in many worlds, print statistics, and save data and video.
+
+    Example: myowarp rollout MyoWarp/myoHandReachRandom-v1 --num-worlds 256 --video hand.mp4
+    """
+
+    task: OptionalTask = None
+    model: Model = None
+    num_worlds: int = 64
+    """Worlds simulated together."""
+    steps: Steps = None
+    policy: Policy = "random"
+    seed: int = 0
+    """Seed of resets and of the random policy."""
+    device: Device = None
+    physics: Physics = "parity"
+    muscle: Muscle = "mujoco"
+    muscle_parameters: Annotated[Path | None, optional("FILE")] = None
+    """Muscle parameters in place of the model's, .csv: column `muscle`, and one for each parameter."""
+    reset: Reset = None
+    conditions: Conditions = ()
+    save: Annotated[Path | None, optional("FILE")] = None
+    """Write observations, actions, rewards and endings of all steps to this .npz."""
+    video: Annotated[Path | None, optional("FILE")] = None
+    """Write a video of some worlds to this .mp4 or .gif."""
+    video_worlds: int = 6
+    """Worlds in the video."""
+    signals: Annotated[Path | None, optional("FILE")] = None
+    """Write muscle signals and joint angles: .parquet or .csv (tidy tables), .npz, .sto (one world)."""
+    signals_every: int = 1
+    """Control steps from one sample of the signals to the next."""
+    overwrite: Overwrite = False
+    json: bool = False
+    """Print the statistics as JSON."""
+
+    def __call__(self) -> None:
+        """Run and report."""
+        from myowarp.apps.rollouts import rollout
+        from myowarp.apps.rollouts.film import VIDEOS, Film, write
+        from myowarp.apps.rollouts.recording import check_recording, recording, recording_files
+        from myowarp.bridge_gym import MyoWarpVectorEnv
+        from myowarp.disk import check_output, check_overwrite
+        from myowarp.tasks.from_file import task_or_model
+        from myowarp.view.drawing.render import NoGraphicsError
+
+        variant = task_or_model(self.task, self.model)
+        spec = TASKS[variant.task]
+        steps = spec.horizon if self.steps is None else self.steps
+        self._check_numbers(steps)
+        policy = rollout.find_policy(self.policy, spec)
+        check_output(self.save, ".npz")
+        check_output(self.video, *VIDEOS)
+        check_recording(self.signals, self.num_worlds)
+        check_overwrite((self.save, self.video, *recording_files(self.signals)), self.overwrite)
+        muscle = MuscleTable.read(self.muscle, self.muscle_parameters)
+        console, reset = Console(stderr=True), self.reset or variant.reset
+        env = MyoWarpVectorEnv(
+            spec.key,
+            self.num_worlds,
+            device=self.device,
+            physics=self.physics,
+            muscle=muscle,
+            reset=reset,
+            conditions=(*variant.conditions, *self.conditions),
+            # A film ends with the last state of an episode; reset-free ones go on from there.
+            autoreset_mode="disabled" if self.video and reset != "none" else "same_step",
+        )
+        film = None
+        if self.video:
+            film = Film(env.sim, range(min(self.video_worlds, self.num_worlds)), TILE)
+        with (
+            recording(env.sim, self.signals, self.signals_every)
+            if self.signals
+            else nullcontext() as recorder
+        ):
+            summary, kept = rollout.run(
+                env,
+                policy,
+                steps,
+                self.seed,
+                record=self.save is not None,
+                film=film,
+                recorder=recorder,
+                console=console,
+            )
+        if self.model:  # its poses are no task that somebody has set
+            summary = dataclasses.replace(summary, success_percent=None)
+        _report(dataclasses.asdict(summary), spec, self.json)
+        if self.save:
+            rollout.save_recording(self.save, env, kept)
+            console.print(f"Saved {self.save}")
+        for path in recording_files(self.signals):
+            console.print(f"Saved {path}")
+        if self.video and film is not None:
+            try:
+                write(self.video, [film], console)
+                console.print(f"Saved {self.video}")
+            except NoGraphicsError as error:
+                console.print(f"No video: {error}", style="yellow")
+        env.close()
+
+    def _check_numbers(self, steps: int) -> None:
+        """Raise ValueError if a number is out of its range."""
+        check_least(1, steps=steps, video_worlds=self.video_worlds, signals_every=self.signals_every)
+        if self.signals and self.signals_every > steps:
+            raise ValueError(f"--signals-every must be at most --steps, {steps}, got {self.signals_every}")
+        most = 2**64 - max(self.num_worlds, 1)  # world i has seed + i
+        if not 0 <= self.seed <= most:
+            raise ValueError(f"--seed must be from 0 to {most}, got {self.seed}")
+
+
+def _report(figures: dict[str, object], spec: TaskSpec, as_json: bool) -> None:
+    """Print the statistics of a rollout, and what success is."""
+    if as_json:
+        print(json.dumps(figures, indent=1))
+        return
+    console = Console(highlight=False)
+    console.print(figures["task"], style="bold")
+    table = Table(show_header=False)
+    for name, value in figures.items():
+        if name == "task" or value is None:
+            continue
+        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        if name.endswith("_per_s"):
+            text = f"{value:,.0f}"
+        table.add_row(name.replace("_per_s", "/s").replace("_", " "), text)
+    console.print(table)
+    if figures["success_percent"] is not None:
+        solved = f" A step is solved where {spec.solved_when}." if spec.solved_when else ""
+        console.print(
+            f"Success: {SUCCESS_RULE}.{solved} It is enough to pass through: random actions on the elbow "
+            f"({RANDOM_ELBOW_ID}) succeed in about {RANDOM_ELBOW} % of the episodes.",
+            markup=False,
+        )

@@ -1,0 +1,1 @@
+"""What acts: trained policies, baselines, controls from a file, hold."""

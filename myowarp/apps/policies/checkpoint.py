@@ -1,0 +1,311 @@
+"""A checkpoint: a folder with `manifest.json` and tensors, written whole or not at all, read without torch.
+
+    runs/x/checkpoints/000000614400/
+        manifest.json          what it is: task contract, settings, versions, checksums
+        policy.safetensors     what acts: weights and normaliser
+        state.safetensors      what a resumed run needs besides
+
+It is written under a temporary name, flushed to the disk and renamed; only then the one before is deleted. So
+the last good one survives a kill at any moment and a full disk. Reading runs no code: JSON and plain arrays,
+whose checksums are in the manifest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from myowarp.apps.policies.form import check_manifest, check_policy
+from myowarp.definitions.task import TaskSpec
+from myowarp.kernels.action import CENTER, STEEPNESS
+from myowarp.sim.simulation import Simulation
+
+FORMAT = 1
+MANIFEST, POLICY, STATE = "manifest.json", "policy.safetensors", "state.safetensors"
+FOLDER, TEMPORARY = "checkpoints", ".part"
+ACTING = ("family", "body", "columns", "actuators", "action")  # entries of a contract that a policy needs
+PACKAGES = ("myowarp", "mujoco", "mujoco-warp", "warp-lang", "myo-sim", "numpy", "torch", "skrl")
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that cannot be used."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What a folder holds.
+
+    Attributes:
+        folder: Where it is.
+        manifest: What it is.
+        policy: Arrays of the policy by name.
+    """
+
+    folder: Path
+    manifest: dict[str, Any]
+    policy: dict[str, np.ndarray]
+
+    @property
+    def task(self) -> str:
+        """Key of the task it was trained in."""
+        return str(self.manifest["contract"]["task"])
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return what a resumed run needs besides the policy.
+
+        Raises:
+            CheckpointError: It is damaged.
+        """
+        return _read_arrays(self.folder, STATE, self.manifest)
+
+
+def task_contract(sim: Simulation) -> dict[str, Any]:
+    """Return what a policy is tied to: observation, action mapping and reward of a task."""
+    scene = sim.scene
+    spec: TaskSpec = scene.spec
+    names = [scene.oracle.actuator(i).name for i in range(scene.num_actions)]
+    return {
+        "task": spec.key,
+        "family": spec.family,
+        "body": spec.body,
+        "columns": [[column.name, column.size, column.unit] for column in sim.columns],
+        "actuators": names,
+        "action": f"clip(a, -1, 1); muscles 1 / (1 + exp(-{STEEPNESS} (a - {CENTER}))), motors linear",
+        "reward": [[term.name, term.weight] for term in sim.terms],
+        "control_dt": scene.control_dt,
+        "success": "more than 5 solved steps",
+    }
+
+
+def check_contract(checkpoint: Checkpoint, sim: Simulation, *, learning: bool = False) -> None:
+    """Raise CheckpointError if a policy cannot act in a simulation, or not go on to learn in it."""
+    present = json.loads(json.dumps(task_contract(sim)))
+    recorded = checkpoint.manifest["contract"]
+    for key in present if learning else ACTING:
+        if recorded.get(key) != present[key]:
+            does = "learn" if learning else "act"
+            raise CheckpointError(
+                f"checkpoint {str(checkpoint.folder)!r} was trained in {recorded['task']!r} and cannot "
+                f"{does} in {present['task']!r}: {_difference(key, recorded.get(key), present[key])}"
+            )
+
+
+def _difference(key: str, recorded: Any, present: Any) -> str:
+    """Return how an entry of two contracts differs, in a few words."""
+    if not isinstance(recorded, list):
+        return f"{key} is {recorded!r} there and {present!r} here"
+    pairs = [(a, b) for a, b in zip(recorded, present, strict=False) if a != b]
+    if pairs:
+        return f"{key} have {pairs[0][0]} there and {pairs[0][1]} here"
+    return f"{key} have {len(recorded)} entries there and {len(present)} here"
+
+
+def versions() -> dict[str, str]:
+    """Return versions of Python and of the packages that numbers depend on."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def save_checkpoint(
+    run: Path,
+    samples: int,
+    manifest: Mapping[str, Any],
+    policy: Mapping[str, np.ndarray],
+    state: Mapping[str, np.ndarray],
+) -> Path:
+    """Write a checkpoint of a run, and delete the ones before; returns its folder.
+
+    Args:
+        run: Folder of the run.
+        samples: Samples so far; the folder's name.
+        manifest: What it is; format and checksums are added.
+        policy: Arrays of the policy.
+        state: Arrays that a resumed run needs besides.
+
+    Raises:
+        OSError: It cannot be written; the one before is still there.
+    """
+    root = run / FOLDER
+    root.mkdir(parents=True, exist_ok=True)
+    final, part = root / f"{samples:012d}", root / f"{samples:012d}{TEMPORARY}"
+    if final.exists():  # a resumed run that ends before its first step
+        return final
+    shutil.rmtree(part, ignore_errors=True)
+    try:
+        part.mkdir()
+        for name, content in _contents(manifest, {POLICY: policy, STATE: state}).items():
+            _write(part / name, content)
+        _flush_folder(part)
+        part.rename(final)
+        _flush_folder(root)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+    for other in root.iterdir():
+        if other != final:
+            shutil.rmtree(other, ignore_errors=True)
+    return final
+
+
+def save_policy(folder: Path, checkpoint: Checkpoint) -> None:
+    """Write what acts of a checkpoint: manifest and policy; such a run cannot be resumed.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    manifest = {name: entry for name, entry in checkpoint.manifest.items() if name not in ("format", "files")}
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in _contents(manifest, {POLICY: checkpoint.policy}).items():
+        _write(folder / name, content)
+
+
+def _contents(manifest: Mapping[str, Any], files: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, bytes]:
+    """Return the contents of a checkpoint's files: arrays, and the manifest with their checksums."""
+    contents = {name: _packed(arrays) for name, arrays in files.items()}
+    entries = {name: _entry(content) for name, content in contents.items()}
+    whole = {"format": FORMAT, **manifest, "files": entries}
+    contents[MANIFEST] = json.dumps(whole | {"digest": _digest(whole)}, indent=1).encode()
+    return contents
+
+
+def find_folder(path: Path) -> Path:
+    """Return the folder of a checkpoint, or the last one of a run's folder.
+
+    Raises:
+        CheckpointError: There is none.
+    """
+    if (path / MANIFEST).is_file():
+        return path
+    root = path / FOLDER
+    found = (
+        [f for f in root.iterdir() if (f / MANIFEST).is_file() and not f.name.endswith(TEMPORARY)]
+        if root.is_dir()
+        else []
+    )
+    if not found:
+        raise CheckpointError(
+            f"{str(path)!r} holds no checkpoint; a run's folder has {FOLDER}/<samples>/{MANIFEST}"
+        )
+    return max(found, key=lambda folder: folder.name)
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """Read a checkpoint, or the last one of a run.
+
+    Raises:
+        CheckpointError: There is none, it is damaged, or another version wrote it.
+    """
+    folder = find_folder(path)
+    try:
+        manifest = _read_manifest(folder)
+        policy = _read_arrays(folder, POLICY, manifest)
+        _agreed(folder, check_policy, manifest, policy)
+    except CheckpointError:
+        if find_folder(path) == folder:
+            raise
+        return load_checkpoint(path)  # the run goes on, and has replaced it meanwhile
+    return Checkpoint(folder, manifest, policy)
+
+
+def _read_manifest(folder: Path) -> dict[str, Any]:
+    """Return the manifest, checked against its own digest, and in its form."""
+    try:
+        manifest = json.loads((folder / MANIFEST).read_bytes())
+        digest = manifest.pop("digest", None) if isinstance(manifest, dict) else None
+        wanted = _digest(manifest)
+    except (OSError, ValueError, RecursionError) as error:
+        raise CheckpointError(f"checkpoint {str(folder)!r} has no readable {MANIFEST} ({error})") from error
+    if not isinstance(manifest, dict):
+        raise CheckpointError(f"checkpoint {str(folder)!r} has a {MANIFEST} that is no entries by name")
+    if manifest.get("format") != FORMAT:
+        raise CheckpointError(
+            f"checkpoint {str(folder)!r} has format {manifest.get('format')!r}; this version reads {FORMAT}"
+        )
+    if digest != wanted:
+        raise CheckpointError(f"checkpoint {str(folder)!r} was changed: {MANIFEST} does not have its digest")
+    _agreed(folder, check_manifest, manifest)
+    return dict(manifest)
+
+
+def _agreed(folder: Path, check: Callable[..., None], *parts: Any) -> None:
+    """Raise CheckpointError with the reason that a check of `myowarp.apps.policies.form` gives."""
+    try:
+        check(*parts)
+    except ValueError as error:
+        raise CheckpointError(f"checkpoint {str(folder)!r} {error}") from error
+
+
+def _read_arrays(folder: Path, name: str, manifest: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Return the arrays of a file that has the checksum of the manifest."""
+    if (wanted := manifest["files"].get(name)) is None:
+        raise CheckpointError(
+            f"checkpoint {str(folder)!r} lacks {name}, of which its {MANIFEST} says nothing"
+        )
+    try:
+        content = (folder / name).read_bytes()
+    except OSError as error:
+        raise CheckpointError(f"checkpoint {str(folder)!r} lacks {name} ({error.strerror})") from error
+    if len(content) != wanted["bytes"]:
+        raise CheckpointError(
+            f"checkpoint {str(folder)!r} is damaged: {name} has {len(content)} bytes, its manifest says "
+            f"{wanted['bytes']}"
+        )
+    if _entry(content) != wanted:
+        raise CheckpointError(f"checkpoint {str(folder)!r} was changed: {name} does not have its checksum")
+    try:
+        return dict(load(content))
+    except SafetensorError as error:
+        raise CheckpointError(f"checkpoint {str(folder)!r} has {name} that is no safetensors file") from error
+    except KeyError as error:  # a type that NumPy does not have
+        raise CheckpointError(
+            f"checkpoint {str(folder)!r} has {name} with numbers of type {error.args[0]}, which no run writes"
+        ) from error
+
+
+def _packed(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """Return arrays as the content of a safetensors file."""
+    return bytes(save({name: np.ascontiguousarray(array) for name, array in arrays.items()}))
+
+
+def _entry(content: bytes) -> dict[str, Any]:
+    """Return what the manifest says of a file."""
+    return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+
+
+def _digest(manifest: Mapping[str, Any]) -> str:
+    """Return the digest of a manifest."""
+    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file and wait until it is on the disk."""
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _flush_folder(folder: Path) -> None:
+    """Wait until the names in a folder are on the disk."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,113 @@
+"""Trained policies as ONNX and TorchScript: the forward pass of `myowarp.apps.policies.learned`, with the normaliser.
+
+ONNX is written node by node from the arrays, which needs the package onnx alone; TorchScript needs torch.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from myowarp.apps.policies.checkpoint import Checkpoint
+from myowarp.apps.policies.learned import LearnedPolicy
+
+OPSET = 17  # of ONNX; 2022, every runtime in use reads it
+IR_VERSION = 8  # of the file; the one that came with that opset
+OBS, ACTION = "obs", "action"
+
+
+def write_onnx(checkpoint: Checkpoint, path: Path) -> None:
+    """Write the deterministic policy of a checkpoint as an ONNX model.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    policy = LearnedPolicy(checkpoint)
+    nodes: list[Any] = []
+    constants: dict[str, np.ndarray] = {}
+
+    def add(operator: str, inputs: list[str], **attributes: Any) -> str:
+        """Append a node; returns the name of its output."""
+        nodes.append(helper.make_node(operator, inputs, [f"x{len(nodes)}"], **attributes))
+        return f"x{len(nodes) - 1}"
+
+    def constant(name: str, value: Any) -> str:
+        """Keep an array of the model; returns its name."""
+        constants[name] = np.asarray(value, dtype=np.float32)
+        return name
+
+    x = add("Sub", [OBS, constant("mean", policy.mean)])
+    x = add("Div", [x, constant("spread", policy.spread)])
+    x = add("Clip", [x, constant("low", -policy.clip), constant("high", policy.clip)])
+    for index, (weight, bias) in enumerate(policy.layers):
+        x = add("Gemm", [x, constant(f"weight{index}", weight), constant(f"bias{index}", bias)])
+        if index < len(policy.layers) - 1:
+            x = add(policy.activation.capitalize(), [x])
+    if policy.squashed:
+        nodes.append(helper.make_node("Split", [x], ["means", "log_std"], axis=1))
+        x = add("Tanh", ["means"])
+    else:
+        x = add("Clip", [x, constant("least", -1.0), constant("most", 1.0)])
+    nodes[-1].output[0] = ACTION
+
+    def tensor(name: str, size: int) -> Any:
+        return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["num_worlds", size])
+
+    graph = helper.make_graph(
+        nodes,
+        checkpoint.task,
+        [tensor(OBS, policy.obs_size)],
+        [tensor(ACTION, policy.num_actions)],
+        [numpy_helper.from_array(array, name) for name, array in constants.items()],
+    )
+    opset = helper.make_opsetid("", OPSET)
+    model = helper.make_model(graph, opset_imports=[opset], ir_version=IR_VERSION, producer_name="myowarp")
+    helper.set_model_props(model, {"contract": json.dumps(checkpoint.manifest["contract"])})
+    onnx.checker.check_model(model, full_check=True)
+    path.write_bytes(model.SerializeToString())
+
+
+def write_torchscript(checkpoint: Checkpoint, path: Path) -> None:
+    """Write the deterministic policy of a checkpoint as TorchScript.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    import torch
+    from torch import nn
+
+    policy = LearnedPolicy(checkpoint)
+
+    class Module(nn.Module):
+        """Observations to actions."""
+
+        mean: torch.Tensor
+        spread: torch.Tensor
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.register_buffer("mean", torch.from_numpy(policy.mean))
+            self.register_buffer("spread", torch.from_numpy(policy.spread))
+            for index, (weight, bias) in enumerate(policy.layers):
+                self.register_buffer(f"weight{index}", torch.from_numpy(weight))
+                self.register_buffer(f"bias{index}", torch.from_numpy(bias))
+
+        def forward(self, obs: torch.Tensor) -> torch.Tensor:
+            """Return actions (num_worlds, num_actions) for observations (num_worlds, obs_size)."""
+            x = ((obs - self.mean) / self.spread).clamp(-policy.clip, policy.clip)
+            for index in range(len(policy.layers)):
+                x = x @ getattr(self, f"weight{index}") + getattr(self, f"bias{index}")
+                if index < len(policy.layers) - 1:
+                    x = getattr(nn.functional, policy.activation)(x)
+            return x[:, : policy.num_actions].tanh() if policy.squashed else x.clamp(-1.0, 1.0)
+
+    with torch.no_grad():
+        script = torch.jit.trace(Module(), torch.zeros(2, policy.obs_size))
+    contract = json.dumps(checkpoint.manifest["contract"])
+    torch.jit.save(script, str(path), _extra_files={"contract": contract})

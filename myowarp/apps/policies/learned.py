@@ -1,0 +1,128 @@
+"""A trained policy from a checkpoint, in NumPy: playing one needs neither torch nor skrl.
+
+    x = clip((obs - mean) / (sqrt(variance) + eps), -c, c)
+    x = f(W x + b)  for every hidden layer
+    a = clip(W x + b, -1, 1)                 one standard deviation for all states (PPO, TRPO)
+    a = tanh(first half of W x + b)          the second half is its logarithm (SAC)
+
+The forward pass equals torch's to 1e-6 (tests/test_train_policy.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, check_contract, load_checkpoint
+from myowarp.definitions.task import TaskSpec
+from myowarp.sim.simulation import Simulation
+
+ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "elu": lambda x: np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0))),
+    "tanh": np.tanh,
+    "relu": lambda x: np.maximum(x, 0.0),
+}
+
+
+class LearnedPolicy:
+    """Observations (rows, obs_size) to actions (rows, num_actions) in [-1, 1].
+
+    Attributes:
+        checkpoint: What it was read from.
+        mean: Mean that observations are normalised with, shape (obs_size,).
+        spread: Their standard deviation, shape (obs_size,).
+        clip: Bound of normalised observations.
+        layers: Weights (inputs, outputs) and biases (outputs,).
+        activation: Function between the layers, key in `ACTIVATIONS`.
+        squashed: Whether actions are the hyperbolic tangent of the first half of the last layer.
+    """
+
+    def __init__(
+        self, checkpoint: Checkpoint, *, sampled: bool = False, seed: int = 0, rank: tuple[int, int] = (0, 1)
+    ) -> None:
+        """Arrange the arrays.
+
+        Args:
+            checkpoint: What `load_checkpoint` returns.
+            sampled: Whether actions are drawn, as in training; otherwise they are the means.
+            seed: Seed of what is drawn.
+            rank: Which of how many ranks this is; each draws for the worlds of all, and takes its own.
+        """
+        self.checkpoint, arrays, form = checkpoint, checkpoint.policy, checkpoint.manifest["policy"]
+        numbers = sorted({int(name.split(".")[1]) for name in arrays if name.startswith("net.")})
+        self.layers = [(arrays[f"net.{i}.weight"].T.copy(), arrays[f"net.{i}.bias"]) for i in numbers]
+        self.mean = arrays["observation_mean"].astype(np.float32)
+        self.spread = np.sqrt(arrays["observation_variance"].astype(np.float32)) + np.float32(form["epsilon"])
+        self.clip, self.activation = form["clip"], form["activation"]
+        self.squashed = "log_std" not in arrays
+        self._log_std, self._bounds = arrays.get("log_std"), form["log_std_bounds"]
+        self._rank = rank
+        self._rng = np.random.default_rng(seed) if sampled else None
+
+    @property
+    def obs_size(self) -> int:
+        """Entries of an observation."""
+        return len(self.mean)
+
+    @property
+    def num_actions(self) -> int:
+        """Entries of an action."""
+        return len(self.layers[-1][1]) // (2 if self.squashed else 1)
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        """Return actions."""
+        x, function = (
+            np.clip((obs - self.mean) / self.spread, -self.clip, self.clip),
+            ACTIVATIONS[self.activation],
+        )
+        for weight, bias in self.layers[:-1]:
+            x = function(x @ weight + bias)
+        weight, bias = self.layers[-1]
+        x = x @ weight + bias
+        if self._log_std is not None:
+            return np.clip(self._drawn(x, self._log_std), -1.0, 1.0).astype(np.float32)
+        mean, log_std = np.split(x, 2, axis=1)
+        return np.tanh(self._drawn(mean, log_std)).astype(np.float32)
+
+    def _drawn(self, mean: np.ndarray, log_std: np.ndarray) -> np.ndarray:
+        """Return a draw, or the mean of a deterministic policy."""
+        if self._rng is None:
+            return mean
+        std = np.exp(np.clip(log_std, *self._bounds))
+        (rank, size), (rows, columns) = self._rank, mean.shape
+        drawn = self._rng.standard_normal((size, rows, columns), dtype=np.float32)[rank]
+        return mean + std * drawn
+
+
+def read_policy(name: str, folder: Path, spec: TaskSpec) -> Checkpoint:
+    """Return the checkpoint of a folder, checked as far as a task alone can tell.
+
+    Args:
+        name: How the user called it.
+        folder: Where it is.
+        spec: The task in which it is to act.
+
+    Raises:
+        CheckpointError: There is none, it is damaged, or it belongs to another family or body.
+    """
+    checkpoint = load_checkpoint(folder)
+    contract = checkpoint.manifest["contract"]
+    there = f"{contract['task']!r} ({contract['family']} with {contract['body']})"
+    if (contract["family"], contract["body"]) != (spec.family, spec.body):
+        raise CheckpointError(
+            f"policy {name!r} was trained in {there} and cannot act in {spec.key!r} "
+            f"({spec.family} with {spec.body})"
+        )
+    return checkpoint
+
+
+def bind(checkpoint: Checkpoint, sim: Simulation) -> LearnedPolicy:
+    """Return the deterministic policy of a checkpoint for a simulation.
+
+    Raises:
+        CheckpointError: Observations or actuators are other ones.
+    """
+    check_contract(checkpoint, sim)
+    return LearnedPolicy(checkpoint)

@@ -1,0 +1,87 @@
+"""A policy from a file: excitations over time, as OpenSim, SCONE or `myowarp rollout --signals` write them.
+
+    myowarp rollout --model arm.xml --policy controls.sto
+
+A muscle's column is called like the muscle, with or without `.excitation` behind it and `/forceset/` before
+it. Between two rows the excitation changes linearly; before the first row and after the last one it keeps
+that row's value. A control step holds the value of its end, so a recording of every step replays itself.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from myowarp.kernels.action import action_of, excitation
+from myowarp.motion.storage import SUFFIXES, Storage
+
+if TYPE_CHECKING:
+    from myowarp.sim.simulation import Simulation
+
+logger = logging.getLogger("myowarp")
+
+
+def is_replay(name: str) -> bool:
+    """Return whether a policy's name is a file of excitations."""
+    return Path(name).suffix.lower() in SUFFIXES
+
+
+class Replay:
+    """Actions that give the muscles the excitations of a file, in each world by the time of its episode."""
+
+    def __init__(self, name: str, storage: Storage, sim: Simulation) -> None:
+        """Find the columns of the muscles.
+
+        Args:
+            name: What the file is called.
+            storage: What `read_storage` returns.
+            sim: The simulation whose muscles are excited.
+
+        Raises:
+            ValueError: A muscle has no column, or an excitation is outside of 0 to 1.
+        """
+        scene = sim.scene
+        names = scene.muscles.names
+        if not names:
+            raise ValueError(f"policy {name!r} excites muscles; the body of task {scene.spec.key!r} has none")
+        columns = np.array([_column(storage, muscle, name) for muscle in names])
+        values = storage.values[:, columns]
+        if (outside := (values < 0.0) | (values > 1.0)).any():
+            row, muscle = np.argwhere(outside)[0]
+            raise ValueError(
+                f"excitations of {name!r} must be from 0 to 1; {names[muscle]} has {values[row, muscle]:g} "
+                f"at {storage.time[row]:g} s"
+            )
+        if values.max() > excitation(1.0):
+            most = excitation(1.0)
+            logger.warning("excitations of %s above %.3f become %.3f: actions give no more", name, most, most)
+        self._time, self._values = storage.time, values
+        self._sim, self._actuator_id = sim, scene.muscles.actuator_id
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        """Return actions (num_worlds, num_actions) of the step that comes; 0 for motors."""
+        scene = self._sim.scene
+        action = np.zeros((len(obs), scene.num_actions), dtype=np.float32)
+        time = (self._sim.episode.step_count.numpy() + 1) * scene.control_dt
+        for muscle, actuator in enumerate(self._actuator_id):
+            action[:, actuator] = action_of(np.interp(time, self._time, self._values[:, muscle]))
+        return action
+
+
+def _column(storage: Storage, muscle: str, name: str) -> int:
+    """Return the column of a muscle's excitation.
+
+    Raises:
+        ValueError: There is none.
+    """
+    labels = (muscle, f"{muscle}.excitation", f"/forceset/{muscle}", f"/forceset/{muscle}.excitation")
+    for label in labels:
+        if label in storage.labels:
+            return storage.labels.index(label)
+    raise ValueError(
+        f"policy {name!r} has no excitation of muscle {muscle!r}; it needs a column {muscle!r} or "
+        f"'{muscle}.excitation' for every muscle"
+    )

@@ -1,0 +1,1 @@
+"""Policies at work in worlds: what they do, measured, filmed and recorded."""

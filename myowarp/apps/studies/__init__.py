@@ -1,0 +1,1 @@
+"""Many runs, one result: the paper's experiments, audits, cohorts, sweeps."""

@@ -1,0 +1,180 @@
+"""A cohort in chunks of patients over a Ray cluster: a partitioned Parquet dataset, each patient once.
+
+    out/cohort/settings.json             what the results depend on
+    out/cohort/results/part-00000.parquet
+    out/cohort/summary/part-00000.parquet    written last: its chunk is done
+
+A patient's rows are those of the same cohort in one process, bit for bit: they depend on the patient and on
+the seed alone. No process holds the results of more than one chunk.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from myowarp.apps.studies.cluster import check_ray, connected, each
+from myowarp.apps.studies.cohort.plan import plan_cohort
+from myowarp.apps.studies.cohort.run import run_plan
+from myowarp.disk import check_folder, files_digest, in_place, locked, version
+from myowarp.progress import progress_bar
+from myowarp.sim.patient_table import PATIENT, Population
+
+SETTINGS, RESULTS, SUMMARY, LOCK = "settings.json", "results", "summary", ".lock"
+TEXTS = {"patient": "string", "fault": "string"}  # columns that would have another type in each part
+
+
+def run(
+    table: Path, output: Path, console: Console, address: str | None, chunk: int, cpus: int, **settings: Any
+) -> None:
+    """Do what is missing of a cohort, chunk by chunk.
+
+    Args:
+        table: Patient table.
+        output: Folder of the dataset, which every node must see.
+        console: Where progress is shown.
+        address: Head of a cluster; None: this machine alone.
+        chunk: Patients that are simulated together.
+        cpus: Cores of each chunk.
+        **settings: As in `myowarp.apps.studies.cohort.run.run_cohort`.
+
+    Raises:
+        ValueError: An argument is wrong, or the folder holds another cohort; nothing was started.
+        ImportError: A package is not installed.
+        RuntimeError: Chunks failed; all others are done.
+        OSError: The output cannot be written.
+    """
+    check_folder(output)
+    population = plan_cohort(table, **settings).population
+    check_ray("a cohort in chunks")
+    total = len(population.patients)
+    starts = range(0, total, chunk)
+    for folder in (RESULTS, SUMMARY):
+        (output / folder).mkdir(parents=True, exist_ok=True)
+    output = output.resolve()
+    with locked(output / LOCK, wait=False):
+        _agree(output, {"table": files_digest([table]), "patients": total, "chunk": chunk, **settings})
+        patients = [name for name in population.patients for _ in range(settings["trials"])]
+        if damaged := _remove_damaged(output, patients, chunk * settings["trials"]):
+            console.print(f"{damaged} damaged chunks in {output} are simulated again", style="yellow")
+        missing = [i for i in range(len(starts)) if not part(output, SUMMARY, i).exists()]
+        failures: dict[str, str] = {}
+        if missing:
+            with connected(address, output), progress_bar("Simulating", "chunks", console) as bar:
+                task = bar.add_task("", total=len(starts), completed=len(starts) - len(missing))
+                pieces = _pieces(population, chunk, missing, output, settings)
+                for name, _, why in each(simulate, pieces, folder=output, cpus=cpus):
+                    if why:
+                        failures[name] = why
+                    else:
+                        bar.advance(task)
+    if failures:
+        name, why = next(iter(failures.items()))
+        failed = f"{len(failures)} of {len(starts)} chunks failed, such as {name}: {why}"
+        raise RuntimeError(f"{failed}; the same command does them again")
+    rows = _rows(output, total * settings["trials"])
+    console.print(
+        f"Saved {rows:,} rows of {total:,} patients in {output / SUMMARY}, samples in {output / RESULTS}"
+    )
+
+
+def part(output: Path, folder: str, index: int) -> Path:
+    """Return the file of a chunk."""
+    return output / folder / f"part-{index:05d}.parquet"
+
+
+def _agree(output: Path, settings: dict[str, Any]) -> None:
+    """Keep what the results depend on.
+
+    Raises:
+        ValueError: Results of other settings are there.
+    """
+    wanted = {"myowarp": version("myowarp"), **settings}
+    path = output / SETTINGS
+    if any((output / SUMMARY).iterdir()):
+        try:
+            recorded = {**json.loads(path.read_text())}
+        except (OSError, ValueError, TypeError) as error:
+            raise ValueError(
+                f"folder {str(output)!r} holds a cohort whose {SETTINGS} is damaged or missing ({error}); "
+                "choose another --output"
+            ) from error
+        for name in wanted.keys() | recorded.keys():
+            if recorded.get(name) != wanted.get(name):
+                raise ValueError(
+                    f"folder {str(output)!r} holds a cohort of other settings ({name} is "
+                    f"{recorded.get(name)!r} there and {wanted.get(name)!r} here); choose another --output"
+                )
+    with in_place(path) as scratch:
+        scratch.write_text(json.dumps(wanted, indent=1) + "\n")
+
+
+def _remove_damaged(output: Path, patients: list[str], size: int) -> int:
+    """Remove the summaries of chunks whose parts cannot be read or are another's; return how many.
+
+    Args:
+        output: Folder of the dataset.
+        patients: The patient of each row of the whole summary.
+        size: Rows of a chunk.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    damaged = 0
+    for index, begin in enumerate(range(0, len(patients), size)):
+        if not (path := part(output, SUMMARY, index)).exists():
+            continue
+        try:
+            parquet.read_metadata(part(output, RESULTS, index))
+            found = parquet.ParquetFile(path).read([PATIENT])[PATIENT].to_pylist()
+        except (OSError, KeyError, pa.ArrowException):
+            found = []
+        if found != patients[begin : begin + size]:
+            path.unlink()
+            damaged += 1
+    return damaged
+
+
+def _pieces(
+    population: Population, chunk: int, missing: list[int], output: Path, settings: dict[str, Any]
+) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Yield the chunks that are missing, one at a time."""
+    for index in missing:
+        own = slice(index * chunk, (index + 1) * chunk)
+        columns: dict[str, list[Any]] = {PATIENT: list(population.patients[own])}
+        for name, entries in population.entries.items():
+            columns[name] = ["+".join(e) if isinstance(e, tuple) else e for e in entries[own]]
+        yield f"chunk {index}", (columns, output, index, settings)
+
+
+def simulate(columns: dict[str, list[Any]], output: Path, index: int, settings: dict[str, Any]) -> None:
+    """Simulate a chunk and write its parts; on a node."""
+    import pandas as pd
+
+    if part(output, SUMMARY, index).exists():
+        return
+    result = run_plan(plan_cohort(pd.DataFrame(columns), **settings), Console(quiet=True))
+    for folder, frame in ((RESULTS, result.samples), (SUMMARY, result.summary)):
+        texts = {name: kind for name, kind in TEXTS.items() if name in frame}
+        with in_place(part(output, folder, index)) as scratch:
+            frame.astype(texts).to_parquet(scratch, index=False)
+
+
+def _rows(output: Path, expected: int) -> int:
+    """Return the number of rows of the summary.
+
+    Raises:
+        RuntimeError: There are more or fewer than patients and trials.
+    """
+    from pyarrow import dataset
+
+    rows = int(dataset.dataset(output / SUMMARY).count_rows())
+    if rows != expected:
+        raise RuntimeError(
+            f"dataset {str(output / SUMMARY)!r} must have {expected} rows, got {rows}; delete it"
+        )
+    return rows

@@ -1,0 +1,65 @@
+"""What `myowarp cohort` does."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from myowarp.apps.studies.cohort.plan import plan_cohort
+from myowarp.apps.studies.cohort.run import CohortResult, result_files, run_plan
+from myowarp.disk import check_folder, check_overwrite
+
+PLOT = "plot.png"
+
+
+def run(table: Path, output: Path, suffix: str, console: Console, overwrite: bool, **settings: Any) -> None:
+    """Check everything, run the cohort, write results and plot into `output`, and print figures.
+
+    Raises:
+        ValueError: An argument or an entry of the table is wrong; nothing was built or written.
+        ImportError: pandas or pyarrow is not installed.
+        OSError: The files cannot be written.
+    """
+    check_folder(output)
+    check_overwrite((output / name for name in (*result_files(suffix), PLOT)), overwrite)
+    plan = plan_cohort(table, **settings)
+    result = run_plan(plan, console)
+    paths = result.save(output, suffix)
+    if importlib.util.find_spec("matplotlib") is None:
+        console.print('No plot: it needs matplotlib; run `pip install "myowarp[plot]"`', style="yellow")
+    else:
+        from myowarp.apps.studies.cohort.plot import draw_cohort
+
+        paths.append(output / PLOT)
+        draw_cohort(result, paths[-1])
+    Console().print(figures(result))
+    for path in paths:
+        console.print(f"Saved {path}")
+
+
+def figures(result: CohortResult) -> Table:
+    """Return the main figures as a table."""
+    summary, settings = result.summary, result.settings
+    rows = {
+        "patients": f"{settings['patients']:,}",
+        "task": settings["task"],
+        "policy": settings["policy"],
+        "trials of each": str(settings["trials"]),
+        "control steps": str(settings["steps"]),
+        "conditions": ", ".join(settings["conditions"]) or "none",
+        "successful": f"{100 * summary['success'].mean():.1f} %",
+    }
+    if "final_error" in summary:
+        low, middle, high = summary["final_error"].quantile([0.25, 0.5, 0.75])
+        unit = settings["units"]["final_error"]
+        rows["error in the last quarter"] = f"{middle:.3g} {unit} (middle half {low:.3g} to {high:.3g})"
+    rows["mean activation"] = f"{summary['mean_activation'].mean():.3f}"
+    rows["faults"] = str(summary["fault"].notna().sum())
+    table = Table(show_header=False)
+    for name, value in rows.items():
+        table.add_row(name, value)
+    return table

@@ -1,0 +1,176 @@
+"""What an experiment is, and the lab in which it runs: seeds, worlds, policies, finished runs."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+
+from myowarp.apps.policies.checkpoint import POLICY, Checkpoint
+from myowarp.apps.studies.reproduce.policies import Training, committed, retrained
+from myowarp.apps.studies.reproduce.result import Findings
+from myowarp.disk import in_place, plain, version
+from myowarp.progress import progress_bar
+
+RUNS, POLICIES = "runs", "policies"
+"""Folders within the output: finished runs, and policies that were trained again."""
+
+SETTINGS = "settings"  # entry of a run's file
+
+Tick = Callable[[float], None]
+"""Takes the share of a run that is done, 0..1."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """An experiment of the paper, or one beyond it.
+
+    Attributes:
+        name: What `myowarp reproduce` calls it.
+        title: One line.
+        paper: Where the paper has it and what it says there, or that it goes beyond the paper.
+        run: Runs the protocol.
+        ignores: Options of `myowarp reproduce` that the protocol does not read.
+    """
+
+    name: str
+    title: str
+    paper: str
+    run: Callable[[Lab], Findings]
+    ignores: tuple[str, ...] = ("models",)
+
+
+@dataclass
+class Lab:
+    """What the user asked for, and what is done already.
+
+    Attributes:
+        folder: Output folder; it exists.
+        seeds: Seeds; each has a policy of its own, trained with that seed.
+        num_worlds: Worlds of each seed and condition.
+        quick: Whether a first look is enough: shorter protocols, coarser grids.
+        retrain: Whether policies are trained here instead of taken from the package.
+        overwrite: Whether runs with other settings are replaced instead of refused.
+        device: Warp device; None: the GPU if there is one.
+        models: OpenSim models that the user has.
+        console: Where progress is shown.
+    """
+
+    folder: Path
+    seeds: tuple[int, ...]
+    num_worlds: int
+    quick: bool = False
+    retrain: bool = False
+    overwrite: bool = False
+    device: str | None = None
+    models: tuple[Path, ...] = ()
+    console: Console = field(default_factory=lambda: Console(stderr=True, highlight=False, soft_wrap=True))
+
+    def __post_init__(self) -> None:
+        self._expected = self._done = 0
+        self._bar: Progress | None = None
+
+    def policy(self, training: Training, seed: int) -> Checkpoint:
+        """Return a trained policy: the package's, or one that is trained here, which goes on if broken off.
+
+        Raises:
+            ValueError: The package has none of this name and seed, or it is damaged.
+            ImportError: It is to be trained, and torch or skrl is not installed.
+        """
+        if not self.retrain:
+            return committed(training, seed)
+        self.close()  # the training has a bar of its own
+        folder = self.folder / POLICIES / training.name / str(seed)
+        return retrained(training, seed, folder, self.console, quick=self.quick, device=self.device)
+
+    def expect(self, runs: int) -> None:
+        """Say how many runs there will be, for the progress bar."""
+        self._expected += runs
+
+    def kept(
+        self,
+        name: str,
+        settings: Mapping[str, Any],
+        measure: Callable[[Tick], dict[str, np.ndarray]],
+        *policies: Checkpoint,
+    ) -> dict[str, np.ndarray]:
+        """Return the arrays of a run: those in the output folder if it was done before, else measured now.
+
+        Args:
+            name: Name of the run, unique in the experiment; that of its file.
+            settings: All that the result depends on besides the version of the package: seed, worlds,
+                conditions, durations; plain values.
+            measure: Makes the arrays; it may say how far it is.
+            policies: Policies that act; their weights belong to the settings.
+
+        Raises:
+            ValueError: The file of this name is damaged, or has other settings and may not be replaced.
+            OSError: The file cannot be written.
+        """
+        digests = [checkpoint.manifest["files"][POLICY]["sha256"][:16] for checkpoint in policies]
+        whole = plain({"myowarp": version("myowarp"), **settings, "weights": digests})
+        key = json.dumps(whole, sort_keys=True)
+        path = self.folder / RUNS / f"{name}.npz"
+        try:
+            found = _read(path, key)
+        except ValueError:
+            if not self.overwrite:
+                raise
+            found = None
+        if found is None:
+            self._show(name, 0.0)
+            found = measure(lambda share: self._show(name, share))
+            path.parent.mkdir(exist_ok=True)
+            with in_place(path) as scratch, scratch.open("wb") as file:
+                np.savez_compressed(file, **{SETTINGS: np.array(key)}, **found)  # type: ignore[arg-type]
+        self._done += 1
+        self._show(name, 0.0)
+        return found
+
+    def _show(self, name: str, share: float) -> None:
+        """Show the progress: finished runs and the share of the present one."""
+        if self._bar is None:
+            self._bar = progress_bar("Running", "runs  {task.description}", self.console)
+            self._bar.add_task("", total=self._expected)
+            self._bar.start()
+        total = max(self._expected, self._done)
+        self._bar.update(self._bar.task_ids[0], completed=self._done + share, total=total, description=name)
+
+    def close(self) -> None:
+        """Take the progress bar away; the next run brings it back."""
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+
+def _read(path: Path, key: str) -> dict[str, np.ndarray] | None:
+    """Return the arrays of a finished run; None if there is none.
+
+    Raises:
+        ValueError: It is damaged, or has other settings.
+    """
+    if not path.exists():
+        return None
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        recorded = json.loads(str(arrays.pop(SETTINGS)[()]))
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(
+            f"run {str(path)!r} is damaged ({' '.join(str(error).split())}); delete it, or pass --overwrite"
+        ) from error
+    wanted = json.loads(key)
+    for entry in wanted.keys() | recorded.keys():
+        if recorded.get(entry) != wanted.get(entry):
+            raise ValueError(
+                f"run {str(path)!r} was made with other settings ({entry} is {recorded.get(entry)!r} there "
+                f"and {wanted.get(entry)!r} here); choose another --output, or pass --overwrite"
+            )
+    return arrays

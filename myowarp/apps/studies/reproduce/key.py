@@ -1,0 +1,167 @@
+"""Patients turn the key: one episode of key turn in every world, groups of worlds side by side.
+
+Open in the paper, and chosen here for `tear` and `transfer`:
+
+* Repetitions. The task starts the same way every time, so that ten repetitions without noise would be one.
+  Actions are drawn as in the training; one world of each group takes the policy's means instead.
+* Rotation: the greatest angle of the key in an episode. Success at a threshold: more than 5 steps beyond it,
+  the paper's rule.
+* Seeds are those of the actions. They share the policy of the package; with --retrain each has its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from myowarp.apps.policies.baselines import load_baseline
+from myowarp.apps.policies.checkpoint import Checkpoint, check_contract
+from myowarp.apps.policies.learned import LearnedPolicy
+from myowarp.apps.studies.reproduce.experiment import Lab, Tick
+from myowarp.apps.studies.reproduce.policies import Training
+from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.condition import Condition
+
+TASK = "myoHandKeyTurnFixed-v0"
+INTACT = Training("key_turn", TASK, samples=841_728)
+HORIZON, CONTROL_DT = 200, 0.02  # steps, s
+THRESHOLDS = (126.0, 160.0)  # deg
+LEAST_STEPS = 5  # beyond a threshold, more than this is success
+COLORS = ("#222222", "#c2452d", "#e09f3e", "#2a6f97", "#6a994e", "#7b5ea7", "#999999")
+
+
+@dataclass(frozen=True)
+class Turns:
+    """Key turns of one seed: G groups of N worlds with drawn actions, T steps, M muscles.
+
+    Attributes:
+        rotation: Greatest angle of the key [deg], shape (G, N).
+        success: Whether the angle exceeded a threshold for more than 5 steps, shape (2, G, N).
+        activation: Mean over a group's worlds that still run, shape (T, G, M).
+        effort: Mean of activation over an episode, shape (G, N, M).
+        mean_rotation: As `rotation`, with the policy's means as actions, shape (G,).
+        mean_activation: As `activation`, of these worlds, shape (T, G, M).
+        muscles: Names without the suffix of the side.
+    """
+
+    rotation: np.ndarray
+    success: np.ndarray
+    activation: np.ndarray
+    effort: np.ndarray
+    mean_rotation: np.ndarray
+    mean_activation: np.ndarray
+    muscles: tuple[str, ...]
+
+    def beside(self, other: Turns) -> Turns:
+        """Return the groups of both."""
+        axes = {"rotation": 0, "success": 1, "activation": 1, "effort": 0, "mean_rotation": 0}
+        axes["mean_activation"] = 1
+        both = {n: np.concatenate((getattr(self, n), getattr(other, n)), axis) for n, axis in axes.items()}
+        return Turns(muscles=self.muscles, **both)
+
+    def of(self, muscle: str) -> int:
+        """Return the place of a muscle."""
+        return self.muscles.index(muscle)
+
+
+def intact(lab: Lab, seed: int) -> Checkpoint:
+    """Return a policy trained with all muscles: the package's, or this seed's with --retrain."""
+    return lab.policy(INTACT, seed) if lab.retrain else load_baseline(TASK).checkpoint
+
+
+def distinct(values: np.ndarray) -> tuple[float, ...]:
+    """Return the values of seeds that differ: with mean actions, seeds that share a policy are one."""
+    return tuple(np.unique(values).tolist())
+
+
+def turn(
+    lab: Lab,
+    name: str,
+    seed: int,
+    groups: Sequence[str],
+    policies: Sequence[Checkpoint],
+    conditions: Callable[[Callable[[str], np.ndarray]], Sequence[Condition]],
+) -> Turns:
+    """Return the key turns of a seed.
+
+    Args:
+        lab: Where finished runs are kept.
+        name: Name of the run.
+        seed: Of the actions and worlds.
+        groups: Names.
+        policies: The policy of each group.
+        conditions: Returns conditions; what it is given returns where a group is, 1 in its worlds and 0 in
+            the others.
+    """
+    worlds = lab.num_worlds + 1  # the last one of a group takes the policy's means
+
+    def mask(group: str) -> np.ndarray:
+        return np.repeat([float(name == group) for name in groups], worlds)
+
+    def measure(tick: Tick) -> dict[str, np.ndarray]:
+        return _measure(lab, seed, worlds, policies, conditions(mask), tick)
+
+    settings = {"seed": seed, "num_worlds": lab.num_worlds, "groups": list(groups)}
+    found = lab.kept(f"{name}_{seed}", settings, measure, *policies)
+    return Turns(muscles=tuple(found.pop("muscles").tolist()), **found)
+
+
+def _measure(
+    lab: Lab,
+    seed: int,
+    worlds: int,
+    policies: Sequence[Checkpoint],
+    conditions: Sequence[Condition],
+    tick: Tick,
+) -> dict[str, np.ndarray]:
+    """Run one episode in every world; see `Turns`."""
+    groups, n = len(policies), len(policies) * worlds
+    env = MyoWarpVectorEnv(
+        TASK, n, device=lab.device, conditions=conditions, autoreset_mode="disabled", progress=False
+    )
+    for policy in policies:
+        check_contract(policy, env.sim)
+    drawn = [LearnedPolicy(p, sampled=True, seed=seed * groups + g) for g, p in enumerate(policies)]
+    meant = [LearnedPolicy(policy) for policy in policies]
+    muscles = [name.removesuffix("_r") for name in env.muscle_names]
+    angle_column = [c.name for c in env.sim.columns].index("key_qpos")
+    angle_column = sum(c.size for c in env.sim.columns[:angle_column])
+    rotation, running = np.full(n, -np.inf), np.ones(n, dtype=bool)
+    steps, beyond = np.zeros(n), np.zeros((len(THRESHOLDS), n), dtype=int)
+    effort, course = np.zeros((n, len(muscles))), []
+    obs, _ = env.reset(seed=1_000_000 + 1000 * seed)
+    for step in range(HORIZON):
+        rows = obs.reshape(groups, worlds, -1)
+        action = [np.vstack((d(r[:-1]), m(r[-1:]))) for d, m, r in zip(drawn, meant, rows, strict=True)]
+        obs, _, terminated, truncated, _ = env.step(np.concatenate(action))
+        angle, activation = np.degrees(obs[:, angle_column]), obs[:, -len(muscles) :]
+        rotation = np.where(running, np.maximum(rotation, angle), rotation)
+        beyond += running & (angle > np.array(THRESHOLDS)[:, None])
+        effort += np.where(running[:, None], activation, 0.0)
+        steps += running
+        course.append(np.where(running[:, None], activation, np.nan).reshape(groups, worlds, -1))
+        running &= ~(terminated | truncated)
+        if (ended := terminated | truncated).any():  # their episode counts as far as it went
+            obs, _ = env.reset(options={"reset_mask": ended})
+        tick((step + 1) / HORIZON)
+    env.close()
+    effort /= steps[:, None]
+    angles, success = rotation.reshape(groups, worlds), (beyond > LEAST_STEPS).reshape(-1, groups, worlds)
+    activations = np.array(course, dtype=float)
+    return {
+        "rotation": angles[:, :-1],
+        "success": success[:, :, :-1],
+        "activation": _mean(activations[:, :, :-1]),
+        "effort": effort.reshape(groups, worlds, -1)[:, :-1],
+        "mean_rotation": angles[:, -1],
+        "mean_activation": activations[:, :, -1],
+        "muscles": np.array(muscles),
+    }
+
+
+def _mean(course: np.ndarray) -> np.ndarray:
+    """Return the mean over the worlds of a group that still run, NaN where none does."""
+    count = np.isfinite(course).sum(axis=2)
+    return np.where(count > 0, np.nansum(course, axis=2) / np.maximum(count, 1), np.nan)

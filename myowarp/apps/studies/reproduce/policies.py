@@ -1,0 +1,139 @@
+"""The policies that the experiments use: how they are trained, and where they are.
+
+    myowarp/apps/studies/reproduce/policies/<name>/<seed>/   manifest.json, policy.safetensors
+
+`myowarp reproduce NAME --retrain --device cpu` makes them anew, bit for bit, in the folder `policies` of its
+output. A new one comes into the package by `checkpoint.save_policy`, without the state of its training.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, load_checkpoint
+from myowarp.definitions.condition import Condition
+
+FOLDER = Path(__file__).parent / "policies"
+QUICK = 10  # times fewer samples in a training for a first look
+NEVER = 2.0  # share of successful episodes at which a training stops early
+
+
+@dataclass(frozen=True)
+class Training:
+    """How a policy is trained.
+
+    Attributes:
+        name: Its name, that of its folder.
+        task: Key of its task.
+        conditions: Returns the conditions under which it is trained.
+        samples: Control steps of all worlds together.
+        settings: Settings of `myowarp train` besides its preset for the task.
+        algorithm: Key in `ALGORITHMS`.
+        parent: The training whose policy this one starts from; None: networks are drawn.
+    """
+
+    name: str
+    task: str
+    conditions: Callable[[], tuple[Condition, ...]] = tuple
+    samples: int = 1_000_000
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    algorithm: str = "ppo"
+    parent: Training | None = None
+
+
+def committed(training: Training, seed: int) -> Checkpoint:
+    """Return a policy of the package.
+
+    Raises:
+        ValueError: There is none of this name and seed, or it is damaged.
+    """
+    folder = FOLDER / training.name / str(seed)
+    if not folder.is_dir():
+        home = FOLDER / training.name
+        seeds = sorted(int(path.name) for path in home.iterdir()) if home.is_dir() else []
+        which = f"seeds {', '.join(map(str, seeds))}" if seeds else "no seed"
+        raise ValueError(
+            f"policy {training.name!r} of seed {seed} does not come with the package, which has {which}; "
+            "train it with --retrain"
+        )
+    checkpoint = load_checkpoint(folder)
+    if checkpoint.task != training.task:
+        raise CheckpointError(
+            f"policy {str(folder)!r} was trained in {checkpoint.task!r}, {training.task!r} is needed"
+        )
+    return checkpoint
+
+
+def retrained(
+    training: Training, seed: int, folder: Path, console: Console, *, quick: bool, device: str | None
+) -> Checkpoint:
+    """Return a policy that is trained into a folder; a finished one is taken, one broken off goes on.
+
+    Args:
+        training: How.
+        seed: Seed of networks, actions and worlds.
+        folder: Folder of the run.
+        console: Where progress is shown.
+        quick: Whether to train with a tenth of the samples.
+        device: Warp device; None: the GPU if there is one.
+
+    Raises:
+        ValueError: The folder holds another run, or another process trains in it.
+        ImportError: torch or skrl is not installed.
+    """
+    from myowarp.apps.train.plan import Job, check_packages, held, occupied
+    from myowarp.apps.train.run import start, train
+    from myowarp.apps.train.settings import choose
+    from myowarp.definitions.task import TASKS
+    from myowarp.tasks.variants import Variant
+
+    check_packages()
+    given = {"samples": training.samples // (QUICK if quick else 1), "stop_success": NEVER, "seed": seed}
+    settings = choose(
+        TASKS[training.task].name,
+        training.algorithm,
+        given | {"device": device or ""} | dict(training.settings),
+    )
+    checkpoint = load_checkpoint(folder) if occupied(folder) else None
+    if checkpoint is not None:
+        _check_same(checkpoint, training, settings.seed)
+        if checkpoint.manifest["samples"] >= settings.samples:
+            return checkpoint
+    parent = None
+    if training.parent is not None and checkpoint is None:
+        home = folder.parents[1] / training.parent.name / str(seed)
+        parent = retrained(training.parent, seed, home, console, quick=quick, device=device)
+    job = Job(
+        task=training.task,
+        model=False,
+        variant=Variant(training.task),
+        algorithm=training.algorithm,
+        settings=settings,
+        folder=folder,
+        checkpoint=checkpoint,
+        parent=parent,
+        conditions=training.conditions(),
+    )
+    with held(job):
+        run = start(job)
+        reason = train(job, run, console)
+        run.env.close()
+    if reason.startswith("stopped"):
+        raise RuntimeError(f"training of policy {training.name!r} was {reason}; the same command goes on")
+    return load_checkpoint(folder)
+
+
+def _check_same(checkpoint: Checkpoint, training: Training, seed: int) -> None:
+    """Raise CheckpointError if a folder holds another training."""
+    manifest = checkpoint.manifest
+    found = manifest["task"], manifest["algorithm"], manifest["settings"]["seed"]
+    if found != (training.task, training.algorithm, seed):
+        raise CheckpointError(
+            f"checkpoint {str(checkpoint.folder)!r} is of {found[1]} in {found[0]!r} with seed {found[2]}, "
+            f"{training.algorithm} in {training.task!r} with seed {seed} is needed; choose another --output"
+        )

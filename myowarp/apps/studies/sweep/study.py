@@ -1,0 +1,312 @@
+"""A study: what its YAML file says, as runs that were checked before the first one starts.
+
+    kind: train                     # train, eval or reproduce
+    tasks: [myoElbowPose1D6MRandom-v0, myoFingerPoseRandom-v0]
+    conditions: [none, sarcopenia, [sarcopenia, fatigue_3ccr]]
+    seeds: 3                        # 0, 1, 2; or a list
+    episodes: 256                   # of each evaluation
+    settings:                       # options of the command; a list is tried one by one
+      samples: 300_000
+      learning_rate: [1e-4, 3e-4]
+
+Its runs are tasks x conditions x seeds x settings; `reproduce` has experiments as tasks and seeds of its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import importlib.util
+import itertools
+import math
+import re
+import sys
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from myowarp.apps.cli.options import check_least
+from myowarp.definitions.condition import resolve
+from myowarp.definitions.registry import check_choice, number_in
+from myowarp.definitions.task import TASKS
+from myowarp.sim.build import MOST_WORLDS
+
+KINDS = ("train", "eval", "reproduce")
+KEYS = ("kind", "tasks", "policies", "conditions", "seeds", "episodes", "settings")
+EVAL_SETTINGS = ("physics", "muscle", "reset", "mode", "device")
+REPRODUCE_SETTINGS = ("quick", "seeds", "num_worlds", "retrain", "device")
+EPISODES = 256
+LONGEST_NAME = 200  # of a folder
+LONGEST_TEXT = 200_000  # of a file; seconds to read
+DEEPEST = 10  # brackets in brackets
+MOST_RUNS = 10_000
+POLICY = "policy"  # folder of what a run trains, in its own
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run of a study.
+
+    Attributes:
+        name: Its folder.
+        kind: One of `KINDS`.
+        task: Task id, or experiment.
+        cell: What it shares with the runs of other seeds, by axis, in words.
+        seed: Its seed; None: it has seeds of its own.
+        options: Arguments of the command.
+        episodes: Episodes of each evaluation.
+    """
+
+    name: str
+    kind: str
+    task: str
+    cell: dict[str, str]
+    seed: int | None
+    options: dict[str, Any]
+    episodes: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON holds it."""
+        return {**dataclasses.asdict(self), "options": _plain(self.options)}
+
+
+def read_study(path: Path, output: Path) -> list[Run]:
+    """Return the runs of a study, each checked.
+
+    Args:
+        path: The YAML file.
+        output: Folder of the study, in which some may have been done already.
+
+    Raises:
+        ValueError: The file is no study, or one of its runs is impossible; nothing was started.
+        ImportError: A package is not installed.
+    """
+    return _runs(_read(path), f"study {str(path)!r}", output)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Return what a YAML file holds."""
+    if importlib.util.find_spec("yaml") is None:
+        raise ImportError('a study needs PyYAML, which is not installed; run `pip install "myowarp[ray]"`')
+    import yaml
+
+    try:
+        text = path.read_text()
+        _check_text(text, f"study {str(path)!r}")
+        study = yaml.safe_load(text)
+    except FileNotFoundError:
+        raise ValueError(f"study {str(path)!r} does not exist") from None
+    except (UnicodeDecodeError, OSError, yaml.YAMLError) as error:
+        raise ValueError(f"study {str(path)!r} is no YAML file: {' '.join(str(error).split())}") from error
+    if not isinstance(study, dict):
+        raise ValueError(f"study {str(path)!r} must have the keys kind and tasks, got {study!r:.80}")
+    return study
+
+
+def _check_text(text: str, where: str) -> None:
+    """Raise ValueError for text that takes long to read or cannot be a study: aliases may be cycles."""
+    import yaml
+
+    if len(text) > LONGEST_TEXT:
+        raise ValueError(
+            f"{where} must have at most {LONGEST_TEXT:,} characters, got {len(text):,}; make several studies"
+        )
+    depth = 0
+    for event in yaml.parse(text, yaml.SafeLoader):
+        if isinstance(event, yaml.AliasEvent):
+            raise ValueError(f"{where} has an alias, *{event.anchor}; write out what it stands for")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEEPEST:
+            raise ValueError(f"{where} must be nested at most {DEEPEST} deep; leave out brackets")
+
+
+def _runs(study: Mapping[str, Any], where: str, output: Path) -> list[Run]:
+    """Return the runs of a study."""
+    for key in study:
+        check_choice(f"{where}: key", key, KEYS)
+    kind = str(study.get("kind"))
+    check_choice(f"{where}: kind", kind, KINDS)
+    _check_keys(study, kind, where)
+    tasks, policies = _axis(study, "tasks", where), _axis(study, "policies", where, ["baseline"])
+    conditions = [_conditions(entry, where) for entry in _axis(study, "conditions", where, ["none"])]
+    seeds = _seeds(study.get("seeds", 1), where)
+    episodes = study.get("episodes", EPISODES)
+    axes = _settings(study.get("settings", {}), kind, where)
+    number = math.prod(map(len, (tasks, policies, conditions, *axes.values(), seeds)))
+    if number > MOST_RUNS:
+        raise ValueError(
+            f"{where} must have at most {MOST_RUNS:,} runs, got {number:,}; make several studies"
+        )
+    product = itertools.product(
+        tasks, policies if kind == "eval" else [""], conditions, itertools.product(*axes.values()), seeds
+    )
+    runs = []
+    for task, policy, names, values, seed in product:
+        settings = dict(zip(axes, values, strict=True))
+        cell = {"task": str(task)} | ({"policy": str(policy)} if kind == "eval" else {})
+        cell |= {} if kind == "reproduce" else {"conditions": "+".join(names) or "none"}
+        cell |= {name: _word(value) for name, value in settings.items()}
+        options = settings if kind == "reproduce" else {**settings, "conditions": names, "seed": seed}
+        if kind == "eval":
+            options |= {"checkpoint": Path(str(policy))}
+        own = None if kind == "reproduce" else seed
+        words = [f"{k}={v}" if k in axes else v for k, v in cell.items()]
+        name = _folder("__".join([*words, *([] if own is None else [f"seed={own}"])]))
+        run = Run(name, kind, str(task), cell, own, options, episodes)
+        try:
+            check_least(1, MOST_WORLDS, episodes=episodes)
+            CHECKS[kind](run, output / name)
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{where}: run {name!r} is impossible: {error}") from error
+        runs.append(run)
+    if twice := [name for name, times in Counter(run.name for run in runs).items() if times > 1]:
+        raise ValueError(f"{where}: runs of one name, {min(twice)!r}; leave out what is there twice")
+    return runs
+
+
+def _folder(words: str) -> str:
+    """Return what a run is called: its words, or, where they are too many, some and a digest."""
+    name = re.sub(r"[^\w.=+-]", "_", words)
+    digest = hashlib.sha256(words.encode()).hexdigest()[:12]
+    return name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}__{digest}"
+
+
+def _check_keys(study: Mapping[str, Any], kind: str, where: str) -> None:
+    """Raise ValueError for keys that a kind of study does not have."""
+    foreign = {
+        "train": ("policies",),
+        "eval": (),
+        "reproduce": ("policies", "conditions", "seeds", "episodes"),
+    }
+    for key in foreign[kind]:
+        if key in study:
+            raise ValueError(f"{where}: {kind} has no {key}; leave it out")
+
+
+def _axis(study: Mapping[str, Any], key: str, where: str, otherwise: list[Any] | None = None) -> list[Any]:
+    """Return the entries of a list of a study."""
+    entries = study.get(key, otherwise)
+    if not isinstance(entries, list) or not entries:
+        raise ValueError(f"{where}: {key} must be a list with at least one entry, got {entries!r}")
+    return entries
+
+
+def _conditions(entry: Any, where: str) -> tuple[str, ...]:
+    """Return the conditions of an entry: none, a name or a list of names."""
+    names = [] if entry in ("none", None) else entry if isinstance(entry, list) else [entry]
+    if not all(isinstance(name, str) for name in names):
+        raise ValueError(f"{where}: conditions must be none, a name or a list of names, got {entry!r}")
+    return tuple(names)
+
+
+def _seeds(seeds: Any, where: str) -> Sequence[int]:
+    """Return the seeds of a study: so many from 0 on, or those of a list."""
+    if type(seeds) is int and seeds > 0:
+        return range(min(seeds, sys.maxsize))  # the most that has a length
+    if not isinstance(seeds, list) or not seeds or any(type(s) is not int or s < 0 for s in seeds):
+        raise ValueError(
+            f"{where}: seeds must be a number of seeds or a list of integers >= 0, got {seeds!r}"
+        )
+    return seeds
+
+
+def _settings(settings: Any, kind: str, where: str) -> dict[str, list[Any]]:
+    """Return the values of each setting; where a setting is itself a list, a list of lists has several."""
+    from myowarp.apps.train.settings import all_settings
+
+    if not isinstance(settings, Mapping):
+        raise ValueError(f"{where}: settings must have names and values, got {settings!r}")
+    fields = all_settings()
+    own = {"seed", "conditions"}
+    known = ("algorithm", *(name for name in fields if name not in own)) if kind == "train" else ()
+    known = known or (EVAL_SETTINGS if kind == "eval" else REPRODUCE_SETTINGS)
+    axes = {}
+    for name, value in settings.items():
+        check_choice(f"{where}: setting", name, known)
+        is_list = kind == "train" and name in fields and type(fields[name].default) is tuple
+        several = isinstance(value, list) and (not is_list or (value and isinstance(value[0], list)))
+        axes[name] = [_typed(v, fields, name) for v in (value if several else [value])]
+        if not axes[name] or None in axes[name]:
+            raise ValueError(f"{where}: setting {name!r} must have a value, got {value!r}; or leave it out")
+    return axes
+
+
+def _typed(value: Any, fields: Mapping[str, Any], name: str) -> Any:
+    """Return a value in the type of its setting, as far as YAML hides it: 1e-4 is text there."""
+    kind = type(fields[name].default) if name in fields else None
+    if kind is float and isinstance(value, str):
+        with contextlib.suppress(ValueError):
+            return number_in(value)
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _word(value: Any) -> str:
+    """Return a value as a word."""
+    return "x".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON gives it back."""
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    return (
+        [_plain(v) for v in value]
+        if isinstance(value, tuple | list)
+        else str(value)
+        if isinstance(value, Path)
+        else value
+    )
+
+
+def training(run: Run, folder: Path) -> Any:
+    """Return the command that trains a run within its folder; one that was broken off goes on."""
+    from myowarp.apps.train.plan import last_saved
+    from myowarp.apps.train.run import Train
+
+    home = folder / POLICY
+    return Train(task=run.task, **run.options, **{"resume" if last_saved(home) else "output": home})
+
+
+def _check_training(run: Run, folder: Path) -> None:
+    """Raise ValueError if a run cannot be trained."""
+    from myowarp.apps.train.plan import last_saved, plan
+
+    if last_saved(folder / POLICY) is None:
+        folder = folder / "new"  # what was killed before its first checkpoint starts again
+    job = plan(training(run, folder))
+    resolve((*job.variant.conditions, *job.settings.conditions), TASKS[job.variant.task])
+
+
+def _check_eval(run: Run, folder: Path) -> None:
+    """Raise ValueError if a run cannot be evaluated."""
+    _, variant, options = evaluation(run).plan()
+    resolve(options["conditions"], TASKS[variant.task])
+
+
+def evaluation(run: Run) -> Any:
+    """Return the command that evaluates a policy."""
+    from myowarp.apps.train.evaluation import Eval
+
+    return Eval(task=run.task, episodes=run.episodes, **run.options)
+
+
+def _check_reproduce(run: Run, folder: Path) -> None:
+    """Raise ValueError if an experiment cannot be run."""
+    experiment(run, folder).plan()
+
+
+def experiment(run: Run, folder: Path) -> Any:
+    """Return the command that runs an experiment of the paper."""
+    from myowarp.apps.cli.reproduce import Reproduce
+
+    return Reproduce(run.task, output=folder / "experiment", **run.options)
+
+
+CHECKS: dict[str, Callable[[Run, Path], None]] = {
+    "train": _check_training,
+    "eval": _check_eval,
+    "reproduce": _check_reproduce,
+}

@@ -1,0 +1,98 @@
+"""What one run of a study does, wherever it is sent: train, evaluate, and write its result in one move."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from myowarp.apps.studies.sweep.study import POLICY, Run, evaluation, experiment, training
+from myowarp.disk import in_place, locked, plain
+
+RESULT, LOCK = "result.json", ".lock"
+
+
+def finished(run: Run, output: Path) -> dict[str, Any] | None:
+    """Return the result of a run that was done before; None if it was not.
+
+    Raises:
+        ValueError: It was done with other settings, or its result is damaged.
+    """
+    path = output / run.name / RESULT
+    try:
+        found = json.loads(path.read_text())
+        recorded = found["run"]
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"result {str(path)!r} is damaged ({error}); delete it") from error
+    wanted = run.as_dict()
+    here, there = ({**of["options"], "episodes": of["episodes"]} for of in (wanted, recorded))
+    for name in sorted(here.keys() | there.keys()):
+        if here.get(name) != there.get(name):
+            raise ValueError(
+                f"result {str(path)!r} was made with other settings ({name} is {there.get(name)!r} there and "
+                f"{here.get(name)!r} here); choose another --output"
+            )
+    return dict(found)
+
+
+def do(run: Run, output: Path) -> dict[str, Any]:
+    """Do a run, or what is left of it, and return its result; one that is done is not done again.
+
+    Raises:
+        ValueError: It cannot be done.
+        OSError: It cannot be written.
+        RuntimeError: It diverged, or was stopped.
+    """
+    folder = output / run.name
+    folder.mkdir(parents=True, exist_ok=True)
+    with locked(folder / LOCK, wait=True):  # a process that was given up may still be at it
+        if (found := finished(run, output)) is not None:
+            return found
+        begin = time.monotonic()
+        figures = DO[run.kind](run, folder)
+        result = {"run": run.as_dict(), "seconds": time.monotonic() - begin, "node": socket.gethostname()}
+        with in_place(folder / RESULT) as scratch:
+            scratch.write_text(json.dumps(plain(result | {"figures": figures}), indent=1) + "\n")
+    return {**result, "figures": figures}
+
+
+def _train(run: Run, folder: Path) -> dict[str, Any]:
+    """Train a policy and evaluate it."""
+    from myowarp.apps.train.evaluation import Eval
+    from myowarp.apps.train.plan import last_saved
+    from myowarp.apps.train.run import REPORT
+
+    home = folder / POLICY
+    if last_saved(home) is None:
+        shutil.rmtree(home, ignore_errors=True)
+    training(run, folder)()
+    report = json.loads((home / REPORT).read_text())
+    if report["ended"].startswith("stopped"):
+        raise RuntimeError(f"run {run.name!r} was {report['ended']}; the same command goes on")
+    _, figures = Eval(home, episodes=run.episodes, device=run.options.get("device") or None).figures()
+    return {"training": report, **figures}
+
+
+def _eval(run: Run, folder: Path) -> dict[str, Any]:
+    """Evaluate a policy."""
+    return evaluation(run).figures()[1]
+
+
+def _reproduce(run: Run, folder: Path) -> dict[str, Any]:
+    """Run an experiment of the paper."""
+    command = experiment(run, folder)
+    command()
+    return {"merits": json.loads((command.output / "result.json").read_text())["merits"]}
+
+
+DO: dict[str, Callable[[Run, Path], dict[str, Any]]] = {
+    "train": _train,
+    "eval": _eval,
+    "reproduce": _reproduce,
+}

@@ -1,0 +1,185 @@
+"""What makes one patient's body differ from another's, and today's from yesterday's: muscle conditions.
+
+A condition is described on the host by a `Condition`, whose parameters may differ between worlds, be drawn
+at random and change over time (`Parameter`), and acts on the device as an `Effect`. What acts when follows
+from the stages, never from the order in which conditions are named:
+
+    action -> excitation -> [NOISE -> FATIGUE -> ROUTING] -> muscles x [STRENGTH, TRANSMISSION] -> physics
+"""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import enum
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from myowarp.definitions.parameter import Clock
+from myowarp.definitions.registry import Registry, check_flag
+from myowarp.definitions.scene import Scene
+from myowarp.definitions.task import Column, RewardTerm, TaskSpec
+
+if TYPE_CHECKING:
+    import mujoco
+    import warp as wp
+
+
+class Stage(enum.IntEnum):
+    """Where in a control step a condition acts, in this order.
+
+    The first three change excitations once per control step; `STRENGTH` scales the active force of the
+    muscles, `TRANSMISSION` what their tendons pass on, `BODY` masses and what else moves the joints.
+    """
+
+    NOISE = 0
+    FATIGUE = 1
+    ROUTING = 2
+    STRENGTH = 3
+    TRANSMISSION = 4
+    BODY = 5
+
+
+class Condition(abc.ABC):
+    """A condition on the host: parameters, checked; subclasses are dataclasses, frozen, compared by identity.
+
+    Attributes:
+        STAGE: Where it acts.
+        WRITES: Names of the quantities that it sets. No two conditions of an environment may set the same.
+            What only multiplies (strength, transmission) is not listed: factors compose.
+        NEUTRAL: Parameters with which it changes nothing, bit for bit.
+        NEEDS: Parameter at whose neutral value all others change nothing; "": there is none.
+    """
+
+    STAGE: ClassVar[Stage]
+    WRITES: ClassVar[tuple[str, ...]] = ()
+    NEUTRAL: ClassVar[dict[str, float]]
+    NEEDS: ClassVar[str] = ""
+
+    @property
+    def name(self) -> str:
+        """Name in `CONDITIONS`."""
+        return next(name for name in CONDITIONS if CONDITIONS[name] is type(self))
+
+    @classmethod
+    def neutral(cls, spec: TaskSpec) -> Condition:
+        """Return one that changes nothing in the body of a task, until its parameters are set.
+
+        Raises:
+            ValueError: The body cannot have it.
+        """
+        condition = cls(**cls.NEUTRAL)
+        condition.check(spec)
+        return condition
+
+    @property
+    def scene_key(self) -> tuple[object, ...]:
+        """What `edit` makes of a model, hashable; empty where it leaves the model alone."""
+        return ()
+
+    @property
+    def batched(self) -> tuple[str, ...]:
+        """Names of the model's fields that it sets per world."""
+        return ()
+
+    @property
+    def undriven(self) -> tuple[str, ...]:
+        """Names of actuators that it adds, at the end, and that the policy does not command."""
+        return ()
+
+    def check(self, spec: TaskSpec) -> None:  # noqa: B027 (most conditions suit every body)
+        """Raise ValueError, in one sentence, if the body of a task cannot have this condition."""
+
+    def edit(self, spec: mujoco.MjSpec) -> None:  # noqa: B027 (most conditions leave the model alone)
+        """Add what it needs to the task's full `MjSpec`, in place."""
+
+    def muscle_names(self, scene: Scene) -> tuple[str, ...]:
+        """Return the names of the muscles that it acts on.
+
+        Raises:
+            ValueError: The body has none.
+        """
+        if not scene.muscles.names:
+            raise ValueError(f"{self.name} is about muscles; the body of task {scene.spec.key!r} has none")
+        return scene.muscles.names
+
+    @abc.abstractmethod
+    def bind(self, scene: Scene, clock: Clock) -> Effect:
+        """Resolve names and allocate its arrays in a compiled scene.
+
+        Raises:
+            ValueError: A parameter does not fit the muscles or the number of worlds.
+        """
+
+
+class Effect:
+    """A condition bound to the arrays of a scene. Every method only launches kernels; most do nothing.
+
+    Attributes:
+        columns: Blocks that it appends to the observation.
+        terms: Reward terms that it appends.
+        info: Arrays (num_worlds, ...) of the condition's state by name, shown in the environment's `info`.
+    """
+
+    columns: tuple[Column, ...] = ()
+    terms: tuple[RewardTerm, ...] = ()
+    info: dict[str, wp.array] = {}  # noqa: RUF012 (replaced, never changed)
+
+    def check_beside(self, effects: Sequence[Effect]) -> None:
+        """Raise ValueError, in one sentence, if it cannot act beside the other effects of the scene."""
+
+    def sample(self, renew: wp.array) -> None:
+        """Draw parameters in the worlds of `renew` (num_worlds,) bool, which open an episode."""
+
+    def reset(self, mask: wp.array) -> None:
+        """Put its state to rest in the worlds of `mask` (num_worlds,) bool, whose states are reset."""
+
+    def act(self) -> None:
+        """Act on excitations, strength, transmission or body, once per control step, before physics."""
+
+    def act_in_substep(self) -> None:
+        """Act in every physics step, right after the muscles."""
+
+    def observe(self, mask: wp.array, obs: wp.array, column: int) -> None:
+        """Write its columns of `obs`, from `column` on, in the worlds of `mask`."""
+
+    def score(self, terms: wp.array, column: int) -> None:
+        """Write its reward terms, from `column` on."""
+
+
+CONDITIONS: Registry[type[Condition]] = Registry("condition")
+
+
+def resolve(conditions: str | Condition | Iterable[str | Condition], spec: TaskSpec) -> tuple[Condition, ...]:
+    """Return conditions, in the order in which they act.
+
+    Args:
+        conditions: One or several, each a name in `CONDITIONS` or a `Condition`.
+        spec: The task whose body is to have them.
+
+    Raises:
+        ValueError: A name is unknown, the body cannot have a condition, or two set the same quantity.
+    """
+    if isinstance(conditions, (str, Condition)) or not isinstance(conditions, Iterable):
+        conditions = (conditions,)
+    found = []
+    for entry in conditions:
+        if not isinstance(entry, (str, Condition)):
+            known = ", ".join(CONDITIONS)
+            raise ValueError(
+                f"conditions must be names or Condition objects, got {entry!r}; available: {known}"
+            )
+        found.append(CONDITIONS[entry]() if isinstance(entry, str) else entry)
+    writer: dict[str, str] = {}
+    for condition in found:
+        fields: Iterable[Any] = dataclasses.fields(condition) if dataclasses.is_dataclass(condition) else ()
+        for field in fields:
+            if isinstance(field.default, bool):
+                check_flag(f"{condition.name} {field.name}", getattr(condition, field.name))
+        condition.check(spec)
+        for quantity in condition.WRITES:
+            if quantity in writer:
+                both = f"{writer[quantity]!r} and {condition.name!r}"
+                raise ValueError(f"conditions {both} both set {quantity}; leave one out")
+            writer[quantity] = condition.name
+    return tuple(sorted(found, key=lambda condition: (condition.STAGE, condition.name)))

@@ -1,0 +1,162 @@
+"""Parameters of muscles beside a compiled model: what is measured in a person, or drawn for every world.
+
+strengths = np.random.default_rng(0).uniform(300.0, 700.0, (256, 1))
+muscle = MuscleTable("mujoco", {"max_isometric_force": strengths})
+muscle = MuscleTable.read("mujoco", "patient.csv")  # a row for each muscle
+env = gymnasium.make_vec("MyoWarp/myoElbowPose1D6MRandom-v0", num_envs=256, muscle=muscle)
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from myowarp.definitions.muscle import MUSCLES
+from myowarp.definitions.parameter import muscle_index
+from myowarp.definitions.registry import check_choice, number_in
+from myowarp.definitions.worlds import Worlds
+from myowarp.kernels.write import is_finite
+
+
+@dataclass(frozen=True, eq=False)
+class MuscleTable:
+    """A muscle model with parameters that differ from those of the compiled model.
+
+    A tendon transfer fits the lengths of the muscle that it reroutes anew, whatever is given here.
+
+    Attributes:
+        model: Name in `MUSCLES`.
+        parameters: By name in the model's `PARAMETERS`: an array, shape (1 or num_worlds, 1 or num_muscles),
+            one number, or a mapping from muscle names to a number or (num_worlds,) numbers each; the side
+            suffix `_r` may be left out, and a muscle that is not named keeps the compiled model's.
+    """
+
+    model: str = "mujoco"
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if there is no such model, or it has no such parameter."""
+        known = MUSCLES[self.model].PARAMETERS
+        for name in self.parameters:
+            check_choice(f"parameter of muscle model {self.model!r}", name, known)
+
+    @classmethod
+    def by_muscle(cls, model: str, rows: Mapping[str, Mapping[str, Any]]) -> MuscleTable:
+        """Return a table from parameters by muscle: {"BIClong": {"max_isometric_force": 400.0}}.
+
+        Raises:
+            ValueError: As for `MuscleTable`.
+        """
+        parameters: dict[str, dict[str, Any]] = {}
+        for muscle, row in rows.items():
+            for name, value in row.items():
+                parameters.setdefault(name, {})[muscle] = value
+        return cls(model, parameters)
+
+    @classmethod
+    def read(cls, model: str, path: str | Path | None) -> MuscleTable:
+        """Return a table from a .csv: column `muscle`, and one for each parameter, empty where none is given.
+
+        Without a file every parameter is the compiled model's.
+
+        Raises:
+            ValueError: The file is no such table.
+            OSError: The file cannot be read.
+        """
+        if path is None:
+            return cls(model)
+        try:
+            return cls._read(model, path)
+        except csv.Error as error:
+            raise ValueError(f"{path} is no CSV file ({error})") from error
+
+    @classmethod
+    def _read(cls, model: str, path: str | Path) -> MuscleTable:
+        """Return the table in a file."""
+        with Path(path).open(newline="") as file:
+            lines = csv.DictReader(file, restval="")
+            columns = lines.fieldnames or ()
+            if "muscle" not in columns:
+                raise ValueError(f"{path} must have a column 'muscle', got {', '.join(columns) or 'none'}")
+            rows: dict[str, dict[str, float]] = {}
+            for line in lines:
+                muscle = line.pop("muscle")
+                if muscle in rows:
+                    raise ValueError(f"{path} must have one row for each muscle, got two of {muscle!r}")
+                rows[muscle] = {}
+                for name, cell in line.items():
+                    if not isinstance(cell, str) or name is None:
+                        raise ValueError(f"{path} must have {len(columns)} cells in each row, got more")
+                    if cell.strip():
+                        rows[muscle][name] = _number(f"{path}: {name} of muscle {muscle!r}", cell)
+        for name in columns:
+            if name != "muscle":
+                check_choice(f"parameter of muscle model {model!r}", name, MUSCLES[model].PARAMETERS)
+        return cls.by_muscle(model, rows)
+
+    def of(self, names: Sequence[str], worlds: Worlds) -> dict[str, np.ndarray]:
+        """Return the parameters of some worlds, shape (1 or their number, num_muscles) each.
+
+        Args:
+            names: The muscles.
+            worlds: The worlds; arrays are given for all of which they are a part.
+
+        Returns:
+            Arrays by parameter, NaN where nothing is given.
+
+        Raises:
+            ValueError: A value has a wrong shape, is out of its range, or names an unknown muscle.
+        """
+        own = {}
+        for name, value in self.parameters.items():
+            array = self._array(name, value, names, worlds.everywhere)
+            own[name] = array if len(array) == 1 else array[worlds.given]
+        return own
+
+    def _array(self, name: str, value: Any, names: Sequence[str], total: int) -> np.ndarray:
+        """Return a parameter of all worlds, shape (1 or total, num_muscles)."""
+        if not isinstance(value, Mapping):
+            array = self._checked(name, value)
+            rows, columns = {1, total}, {1, len(names)}
+            if array.ndim and not (array.ndim == 2 and array.shape[0] in rows and array.shape[1] in columns):
+                raise ValueError(
+                    f"{name} must be a number, an array of shape (1 or {total}, 1 or {len(names)}) or a "
+                    f"mapping from muscles, got shape {array.shape}"
+                )
+            return np.broadcast_to(array, (len(array) if array.ndim else 1, len(names)))
+        given = np.full((total, len(names)), np.nan)
+        for muscle, number in value.items():
+            column = self._checked(f"{name} of muscle {muscle!r}", number, name)
+            if column.shape not in ((), (total,)):
+                raise ValueError(
+                    f"{name} of muscle {muscle!r} must be a number or one for each of {total} worlds, "
+                    f"got shape {column.shape}"
+                )
+            given[:, muscle_index(muscle, names)] = column
+        return given if any(np.ndim(number) for number in value.values()) else given[:1]
+
+    def _checked(self, what: str, value: Any, name: str | None = None) -> np.ndarray:
+        """Return a value as float64 numbers within the range of parameter `name`."""
+        low, high = MUSCLES[self.model].PARAMETERS[name or what]
+        try:
+            array = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            array = np.full(1, np.nan)
+        outside = ~((array >= low) & (array <= high) & is_finite(array))
+        if outside.any():
+            got = array[outside].flat[0] if np.isfinite(array).any() else value
+            raise ValueError(f"{what} must be finite and from {low:g} to {high:g}, got {got}")
+        return array
+
+
+def _number(what: str, cell: str) -> float:
+    """Return a cell of a table as a number."""
+    try:
+        return number_in(cell)
+    except ValueError:
+        raise ValueError(f"{what} must be a number, got {cell!r}") from None

@@ -1,0 +1,1 @@
+"""What an OpenSim model is: elements, functions, coordinates, equations of motion."""

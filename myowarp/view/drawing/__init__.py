@@ -1,0 +1,1 @@
+"""How bodies look, and MuJoCo's renderer that draws them."""

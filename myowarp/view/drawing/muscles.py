@@ -1,0 +1,241 @@
+"""Muscles as tubes: a belly and a tendon, as wide as they are strong, in the colour of what they do.
+
+The belly is as long as the fibers are, keeps its volume, and lies nearer to the trunk, with the longer part
+of the tendon beyond it. Its cross section is proportional to the peak force; the scale is the picture's, so
+that muscles of a finger and of a leg are both readable. `QUANTITIES` are what colours can show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from myowarp.models.muscles.mujoco import length_scale, peak_force
+from myowarp.view.drawing import style as look
+
+RELAXED_RGB = np.array((0.43, 0.52, 0.66))
+"""Blue-grey of a muscle at rest."""
+TENSED_RGB = np.array((0.80, 0.06, 0.10))
+"""Red of a muscle at full activation."""
+UNKNOWN_RGB = np.array((0.60, 0.57, 0.54))
+"""Muscle or motor of which nothing is known."""
+TENDON_RGB = np.array((0.80, 0.76, 0.68))
+TENDON_TINT = 0.35
+"""Share of the belly's colour in the tendon's."""
+
+WIDEST = 0.08
+"""Radius of the strongest belly in a body with one muscle, in units of the framed radius."""
+CROWDING = 0.3
+"""Bellies get thinner with the number of muscles to this power."""
+TENDON_WIDTH = 0.30
+"""Radius of a tendon over that of its belly."""
+BELLY = (0.5, 0.85)
+"""Least and greatest share of the path that the belly takes."""
+BULGE = (0.8, 1.25)
+"""Least and greatest width of a belly over the one at optimal fiber length."""
+PROXIMAL = 0.35
+"""Share of the tendon on the trunk's side."""
+PIECES = 350
+"""Pieces that all bellies together may have; each is a capsule."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What the colour of a muscle shows.
+
+    Attributes:
+        label: What the legend says.
+        low: Value of the first colour.
+        high: Value of the last colour.
+        colors: Colours in 0..1 from `low` to `high`, evenly spaced, shape (num_colors, 3).
+    """
+
+    label: str
+    low: float
+    high: float
+    colors: tuple[tuple[float, float, float], ...]
+
+    def rgb(self, values: np.ndarray) -> np.ndarray:
+        """Return colours (n, 3) of values (n,); those beyond an end have its colour, NaN `UNKNOWN_RGB`."""
+        share = np.clip((np.asarray(values, dtype=float) - self.low) / (self.high - self.low), 0.0, 1.0)
+        places, colors = np.linspace(0.0, 1.0, len(self.colors)), np.array(self.colors)
+        mixed = np.stack([np.interp(share, places, colors[:, k]) for k in range(3)], axis=-1)
+        return np.where(np.isnan(share)[:, None], UNKNOWN_RGB, mixed)
+
+
+LEVEL = (tuple(RELAXED_RGB), tuple(TENSED_RGB))
+STRETCH = ((0.10, 0.30, 0.75), (0.62, 0.62, 0.64), (0.90, 0.48, 0.05))
+FRACTION = ((0.43, 0.52, 0.66), (0.85, 0.70, 0.20), (0.45, 0.10, 0.45))
+
+QUANTITIES = {
+    "activation": Quantity("activation", 0.0, 1.0, LEVEL),
+    "excitation": Quantity("excitation", 0.0, 1.0, LEVEL),
+    "force": Quantity("force / peak force", 0.0, 1.0, LEVEL),
+    "fiber_length": Quantity("fiber length / optimal", 0.5, 1.5, STRETCH),
+    "fatigue": Quantity("fatigue", 0.0, 1.0, FRACTION),
+}
+
+
+@dataclass(frozen=True)
+class Tubes:
+    """Capsules that make up muscles.
+
+    Attributes:
+        starts: Begin of each [m], shape (n, 3).
+        ends: End of each [m], shape (n, 3).
+        radii: Radius of each [m], shape (n,).
+        owner: Muscle of each, shape (n,).
+        belly: Whether it is part of the belly, shape (n,).
+    """
+
+    starts: np.ndarray
+    ends: np.ndarray
+    radii: np.ndarray
+    owner: np.ndarray
+    belly: np.ndarray
+
+
+class Muscles:
+    """The muscles of a model, as tubes.
+
+    Attributes:
+        tendons: Tendon of each muscle, in actuator order, shape (num_muscles,).
+        peak_force: Peak force of each [N], shape (num_muscles,); motors on tendons: their greatest pull.
+        optimal: Optimal fiber length [m], NaN for motors, shape (num_muscles,).
+        slack: Tendon slack length [m], NaN for motors, shape (num_muscles,).
+    """
+
+    def __init__(self, model: mujoco.MjModel, radius: float) -> None:
+        """Read forces and lengths.
+
+        Args:
+            model: The full model.
+            radius: Framed radius [m], which sets the scale of the widths.
+        """
+        self._model = model
+        on_tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
+        self.tendons = look.muscle_tendons(model)
+        gain, bounds = model.actuator_gainprm[on_tendon], model.actuator_ctrlrange[on_tendon]
+        self._is_muscle = model.actuator_gaintype[on_tendon] == mujoco.mjtGain.mjGAIN_MUSCLE
+        pull = np.abs(bounds).max(axis=1, initial=0.0) * np.abs(
+            gain[:, 0] * model.actuator_gear[on_tendon, 0]
+        )
+        self.peak_force = np.where(self._is_muscle, peak_force(gain, model.actuator_acc0[on_tendon]), pull)
+        optimal, slack = length_scale(gain, model.actuator_lengthrange[on_tendon])
+        self.optimal, self.slack = (np.where(self._is_muscle, own, np.nan) for own in (optimal, slack))
+        number = max(len(self.tendons), 1)
+        self._widest = WIDEST * radius / number**CROWDING
+        self._samples = int(np.clip(PIECES / number, 6, 40))
+        self._away = np.array([self._runs_outwards(tendon) for tendon in self.tendons], dtype=bool)
+
+    @property
+    def any(self) -> bool:
+        """Whether there are muscles, not motors alone."""
+        return bool(self._is_muscle.any())
+
+    def belly_radius(self, strength: np.ndarray | None = None) -> np.ndarray:
+        """Return the radius of each belly at optimal fiber length [m], shape (num_muscles,).
+
+        Args:
+            strength: Peak force of the world's own muscles [N]; None: the model's.
+        """
+        own = self.peak_force if strength is None else np.where(np.isnan(strength), self.peak_force, strength)
+        return self._widest * np.sqrt(np.maximum(own, 0.0) / max(self.peak_force.max(initial=0.0), 1e-9))
+
+    def tubes(self, data: mujoco.MjData, strength: np.ndarray | None = None, thinnest: float = 0.0) -> Tubes:
+        """Return the capsules of all muscles in a pose.
+
+        Args:
+            data: The data, posed, tendons computed.
+            strength: As in `belly_radius`.
+            thinnest: Least radius [m]; one pixel, so that a tendon is seen.
+        """
+        bellies = self.belly_radius(strength)
+        starts, ends, owner = look.tendon_segments(self._model, data, self.tendons)
+        bounds = np.searchsorted(owner, np.arange(len(self.tendons) + 1))
+        parts = []
+        for muscle in range(len(self.tendons)):
+            own = slice(bounds[muscle], bounds[muscle + 1])
+            if bounds[muscle] < bounds[muscle + 1]:
+                first, last, bulge = self._belly(muscle, float(data.ten_length[self.tendons[muscle]]))
+                thick = max(bulge * bellies[muscle], 1.25 * thinnest)
+                thin = max(TENDON_WIDTH * bellies[muscle], thinnest)
+                parts.append(
+                    (*_spindle(starts[own], ends[own], first, last, thick, thin, self._samples), muscle)
+                )
+        if not parts:
+            return Tubes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, int), np.zeros(0, bool))
+        joined = [np.concatenate([part[k] for part in parts]) for k in range(4)]
+        owners = np.concatenate([np.full(len(part[2]), part[4]) for part in parts])
+        return Tubes(joined[0], joined[1], joined[2], owners, joined[3])
+
+    def values(self, quantity: str, known: Mapping[str, np.ndarray], data: mujoco.MjData) -> np.ndarray:
+        """Return what colours show of each muscle, NaN where it is not known, shape (num_muscles,).
+
+        Args:
+            quantity: Name in `QUANTITIES`.
+            known: What a snapshot says of the muscles, by name.
+            data: The data, posed, tendons computed.
+        """
+        if quantity == "fiber_length":
+            slack = known.get("tendon_slack_length", self.slack)
+            return (data.ten_length[self.tendons] - slack) / known.get("optimal_fiber_length", self.optimal)
+        unknown = np.full(len(self.tendons), np.nan)
+        if quantity == "force":
+            return known.get("force", unknown) / np.maximum(known.get("strength", self.peak_force), 1e-9)
+        return known.get(quantity, unknown)
+
+    def _belly(self, muscle: int, length: float) -> tuple[float, float, float]:
+        """Return where the belly begins and ends, as shares of the path, and its width over the usual one."""
+        if not self._is_muscle[muscle] or not length > 0.0:
+            return 0.0, 0.0, 1.0
+        optimal = self.optimal[muscle]
+        fiber = np.clip(length - self.slack[muscle], 0.4 * optimal, 1.7 * optimal)
+        share = float(np.clip(fiber / length, *BELLY))
+        before = (1.0 - share) * (PROXIMAL if self._away[muscle] else 1.0 - PROXIMAL)
+        return before, before + share, float(np.clip(np.sqrt(optimal / fiber), *BULGE))
+
+    def _runs_outwards(self, tendon: int) -> bool:
+        """Say whether the path of a tendon begins nearer to the root than it ends."""
+        model = self._model
+        first, count = model.tendon_adr[tendon], model.tendon_num[tendon]
+        own = slice(first, first + count)
+        sites = model.wrap_objid[own][model.wrap_type[own] == mujoco.mjtWrap.mjWRAP_SITE]
+        if not len(sites):
+            return True
+        begin, end = (_depth(model, int(model.site_bodyid[site])) for site in sites[[0, -1]])
+        return begin <= end
+
+
+def _depth(model: mujoco.MjModel, body: int) -> int:
+    """Return the number of ancestors of a body."""
+    return 0 if body == 0 else 1 + _depth(model, int(model.body_parentid[body]))
+
+
+def _spindle(
+    starts: np.ndarray, ends: np.ndarray, first: float, last: float, thick: float, thin: float, samples: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Cut a path into capsules: radius thin + (thick - thin) sin(pi u) over the belly, thin elsewhere.
+
+    Returns:
+        Begins and ends [m], radii [m], and whether each is part of the belly.
+    """
+    lengths = np.linalg.norm(ends - starts, axis=1)
+    marks = np.concatenate(([0.0], np.cumsum(lengths)))
+    whole = marks[-1]
+    cuts = np.unique(np.concatenate((marks, np.linspace(first, last, samples + 1) * whole)))
+    cuts = cuts[(cuts >= 0.0) & (cuts <= whole)]
+    middle = (cuts[:-1] + cuts[1:]) / 2
+    segment = np.clip(np.searchsorted(marks, middle, side="right") - 1, 0, len(lengths) - 1)
+    along = (ends - starts)[segment] / np.maximum(lengths[segment], 1e-12)[:, None]
+    begins = starts[segment] + (cuts[:-1] - marks[segment])[:, None] * along
+    finishes = starts[segment] + (cuts[1:] - marks[segment])[:, None] * along
+    u = (middle / max(whole, 1e-12) - first) / max(last - first, 1e-12)
+    belly = (u > 0.0) & (u < 1.0) & (last > first)
+    radii = np.where(belly, thin + (thick - thin) * np.sin(np.pi * np.clip(u, 0.0, 1.0)), thin)
+    if last <= first:
+        radii = np.full(len(middle), max(thin, 0.5 * thick))  # a motor's cord
+    return begins, finishes, radii, belly

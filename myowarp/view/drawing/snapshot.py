@@ -1,0 +1,107 @@
+"""Host snapshot of one world, for rendering."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from myowarp.definitions.scene import Scene
+from myowarp.models.muscles.mujoco import MujocoMuscle
+from myowarp.sim.signals import Signals
+from myowarp.sim.simulation import Simulation
+
+SHAPE_FIELDS = ("geom_size", "body_pos")  # of the model, which pictures show and tasks draw
+FLOAT32 = 1e-6  # m, rounding of these fields
+
+
+class Snapshot(NamedTuple):
+    """What a picture of a world shows.
+
+    Attributes:
+        qpos: Joint configuration, shape (nq,).
+        muscles: What is known of the muscles, by name, an entry for each actuator with a tendon, NaN where
+            no muscle pulls it: `activation`, `excitation`, and where they are known `strength` (peak force
+            [N]), `optimal_fiber_length` and `tendon_slack_length` [m], `force` [N] and `fatigue`.
+        goals: World positions of the goal's markers [m] by the names of their sites.
+        shape: What the world has for itself: (field of the model or data, name of geom or body) to values.
+        ghost: Configuration that the goal asks for, shape (nq,); None where it asks for none.
+    """
+
+    qpos: np.ndarray
+    muscles: Mapping[str, np.ndarray] = {}
+    goals: Mapping[str, np.ndarray] = {}
+    shape: Mapping[tuple[str, str], np.ndarray] = {}
+    ghost: np.ndarray | None = None
+
+    @property
+    def activation(self) -> np.ndarray | None:
+        """Activation of each muscle, NaN where none pulls; None if it is not known."""
+        return self.muscles.get("activation")
+
+
+def snapshot(sim: Simulation, world: int, signals: Signals | None = None) -> Snapshot:
+    """Return what a picture of one world shows.
+
+    Args:
+        sim: The simulation.
+        world: Number of the world.
+        signals: Signals of the simulation, for the muscles' forces.
+    """
+    part = next(part for part in reversed(sim.parts) if part.scene.worlds.first <= world)
+    scene, row = part.scene, world - part.scene.worlds.first
+    goals, ghost = part.program.goal_markers(row), part.program.goal_pose(row)
+    qpos = scene.data.qpos.numpy()[row].copy()
+    known = _muscles(scene, row) if scene.muscles.names else {}
+    if signals is not None:
+        known["force"] = signals.muscles.force.numpy()[world]
+    if "fatigue" in part.shown:
+        known["fatigue"] = part.shown["fatigue"].numpy()[row]
+    muscles = {name: _by_tendon(scene, row, values) for name, values in known.items()}
+    return Snapshot(qpos, muscles, goals, _shape(scene, row), ghost)
+
+
+def _row(array: np.ndarray, world: int) -> np.ndarray:
+    """Return the row of a world in an array of which all worlds may share one."""
+    return array[world % len(array)]
+
+
+def _muscles(scene: Scene, world: int) -> dict[str, np.ndarray]:
+    """Return what is known of the muscles of a world, shape (num_muscles,) each."""
+    muscles = scene.muscles
+    known = {
+        "activation": muscles.activation.numpy()[world],
+        "excitation": scene.data.ctrl.numpy()[world, muscles.actuator_id],
+    }
+    if isinstance(muscles, MujocoMuscle):
+        names = ("max_isometric_force", "optimal_fiber_length", "tendon_slack_length")
+        peak, *lengths = (_row(getattr(muscles.params, name).numpy(), world) for name in names)
+        known["strength"] = _row(muscles.anatomy.strength.numpy(), world) * peak
+        known |= dict(zip(names[1:], lengths, strict=True))
+    return known
+
+
+def _by_tendon(scene: Scene, world: int, values: np.ndarray) -> np.ndarray:
+    """Return values of muscles as those of the actuators with a tendon that they pull."""
+    anatomy, oracle = scene.muscles.anatomy, scene.oracle
+    path, transmission = _row(anatomy.path.numpy(), world), _row(anatomy.transmission.numpy(), world)
+    on_tendon = oracle.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
+    spread = np.full(len(on_tendon), np.nan)
+    spread[path] = np.where(transmission > 0.0, values, np.nan)
+    return spread[on_tendon]
+
+
+def _shape(scene: Scene, world: int) -> dict[tuple[str, str], np.ndarray]:
+    """Return `Snapshot.shape` of a world."""
+    model, oracle = scene.model, scene.oracle
+    shape = {}
+    for field in SHAPE_FIELDS:
+        nominal = getattr(oracle, field)
+        own = _row(getattr(model, field).numpy(), world)
+        element = getattr(oracle, field.partition("_")[0])
+        for i in np.flatnonzero(np.abs(own - nominal).max(axis=1) > FLOAT32):
+            shape[field, element(int(i)).name] = own[i].copy()
+    for body in np.flatnonzero(oracle.body_mocapid >= 0):
+        quat = scene.data.mocap_quat.numpy()[world, oracle.body_mocapid[body]]
+        shape["mocap_quat", oracle.body(int(body)).name] = quat.copy()
+    return shape
