@@ -19,7 +19,7 @@ from typing import Any
 from myowarp.apps.policies import baselines
 from myowarp.apps.policies.baselines import CURVE, RESULT, Baseline, load_baseline
 from myowarp.apps.policies.checkpoint import load_checkpoint, save_policy
-from myowarp.apps.train.evaluation import Eval
+from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
 from myowarp.apps.train.progress import CSV
 from myowarp.apps.train.run import REPORT
 from myowarp.apps.train.settings import SUCCESSES, success_text
@@ -83,7 +83,7 @@ def _write_result(folder: Path, runs: list[dict[str, Any]]) -> None:
 
 def _evaluation(run: Path, task: str | None) -> dict[str, Any]:
     """Return the figures of a run's policy in its task, or in another one."""
-    head, figures = Eval(checkpoint=run, task=task).figures()
+    head, figures = evaluate_policy(plan_evaluation(run, task=task))
     return {name: value for name, value in head.items() if name not in LEFT_OUT} | figures
 
 

@@ -104,8 +104,10 @@ class MyoWarpVectorEnv(VectorEnv):
             device: Warp device, such as "cpu" or "cuda:0"; None: the first CUDA device, else the CPU.
             shards: Threads that share the worlds on the CPU; None: all cores. It changes no result.
             physics: "parity" (MyoSuite's integrator and step) or "fast" (`myowarp.definitions.task.PHYSICS`).
-            muscle: Muscle model, a name in `myowarp.definitions.muscle.MUSCLES`, or a `MuscleTable` with parameters.
-            reset: What episodes start from: "task", "fixed", "random" or "none" (`myowarp.definitions.task.RESETS`).
+            muscle: Muscle model, a name in `myowarp.definitions.muscle.MUSCLES`, or a `MuscleTable` with
+                parameters.
+            reset: What episodes start from: "task", "fixed", "random" or "none"
+                (`myowarp.definitions.task.RESETS`).
             conditions: Muscle conditions: names in `CONDITIONS`, or `Condition` objects with parameters.
             autoreset_mode: When a finished world starts its next episode.
             output: Arrays of this library: "numpy", "torch" or "warp".
@@ -115,7 +117,8 @@ class MyoWarpVectorEnv(VectorEnv):
             camera: Name of a camera of the model; None frames the limb, tips, targets and objects.
             render_worlds: Worlds of which `render` returns pictures, in this order; None: all, as Gymnasium's
                 vector environments do. Human mode shows the first.
-            muscle_color: What the colour of a muscle shows, a name in `myowarp.view.drawing.muscles.QUANTITIES`.
+            muscle_color: What the colour of a muscle shows, a name in
+                `myowarp.view.drawing.muscles.QUANTITIES`.
             render_text: Whether `render` writes time, return and success on pictures, counted since the
                 episode began or its state was set; every step then waits for a CUDA device.
             deterministic: Whether a run gives the same bits every time on CUDA, which is slower.

@@ -15,7 +15,7 @@ from myowarp.apps.policies import baselines
 from myowarp.apps.policies import checkpoint as checkpoints
 from myowarp.apps.policies.checkpoint import check_contract
 from myowarp.apps.policies.learned import LearnedPolicy, read_policy
-from myowarp.apps.train.evaluation import Eval
+from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
 from myowarp.apps.train.settings import ALGORITHMS, preset, restore
 from myowarp.definitions.task import TASKS
 from myowarp.engine.said import say_once
@@ -93,7 +93,7 @@ def test_train_remakes_a_baseline_by_its_preset(name):
 def test_a_baseline_reaches_its_table(name):
     evaluation = baselines.load_baseline(name).runs[0]["evaluation"]
     folder = Path(f"{baselines.PREFIX}{name}")
-    head, figures = Eval(checkpoint=folder, seed=evaluation["seed"], device="cpu").figures()
+    head, figures = evaluate_policy(plan_evaluation(folder, seed=evaluation["seed"], device="cpu"))
     assert head["physics"] == "parity"
     assert {mode: entry["episodes"] for mode, entry in figures.items()} == {
         "deterministic": 256,
@@ -108,7 +108,7 @@ def test_a_policy_that_forgot_does_not_reach_it(copies):
     checkpoints.save_policy(copies, checkpoints.Checkpoint(copies, whole.manifest, policy))
     evaluation = baselines.load_baseline(copies.name).runs[0]["evaluation"]
     options = {"mode": "deterministic", "seed": evaluation["seed"], "device": "cpu"}
-    _, figures = Eval(checkpoint=copies, **options).figures()
+    _, figures = evaluate_policy(plan_evaluation(copies, **options))
     assert "% deterministic, at least 98.5 % are needed" in baselines.shortfall(figures, evaluation)
 
 
@@ -160,7 +160,7 @@ def test_a_run_becomes_a_baseline(run, tmp_path, monkeypatch):
     assert [(r["training"]["seed"], r["training"]["samples"]) for r in baseline.runs] == [(1, 192), (3, 128)]
     policy = checkpoints.load_checkpoint(tmp_path / "c").policy
     assert all(np.array_equal(policy[key], array) for key, array in baseline.checkpoint.policy.items())
-    _, figures = Eval(checkpoint=tmp_path / "c", device="cpu").figures()
+    _, figures = evaluate_policy(plan_evaluation(tmp_path / "c", device="cpu"))
     evaluated = baseline.runs[0]["evaluation"]
     assert evaluated["sampled"]["return_mean"] == figures["sampled"]["return_mean"]
     assert str(tmp_path) not in (baseline.checkpoint.folder / "result.json").read_text()

@@ -21,10 +21,7 @@ from myowarp.sim.simulation import Simulation
 pd = pytest.importorskip("pandas")
 pytest.importorskip("pyarrow")
 
-from myowarp.apps.studies.cohort import (
-    run,
-    run_cohort,
-)
+from myowarp.apps.studies.cohort import run, run_cohort  # noqa: E402
 
 ELBOW, HAND, REACH = "myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1", "myoHandReachFixed-v0"
 STEPS = 8

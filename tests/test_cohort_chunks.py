@@ -11,10 +11,7 @@ from clusters import PATIENCE, fill_store, kill_worker, replace_node, start, wai
 pd = pytest.importorskip("pandas")
 dataset = pytest.importorskip("pyarrow.dataset")
 
-from myowarp.apps.studies.cohort import (
-    chunks,
-    run_cohort,
-)
+from myowarp.apps.studies.cohort import chunks, run_cohort  # noqa: E402
 from myowarp.disk import locked  # noqa: E402
 
 ELBOW = "myoElbowPose1D6MRandom-v0"

@@ -25,16 +25,24 @@ ROOMS = (
     "bridge_gym",
     "tasks",
     "view",
+    "motion",
     "opensim",
     "sim",
     "engine",
     "models",
-    "spec",
+    "definitions",
     "kernels",
     "disk",
     "progress",
 )
 """The house from the top floor down; what a room imports, for types too, lies below it."""
+
+FOLDERS = {
+    "apps": ("cli", "studies", "train", "reports", "rollouts", "policies", "adapters"),
+    "opensim": ("convert", "report", "check", "compose", "tendon", "wrap", "muscle", "read", "model"),
+    "view": ("pictures", "human", "modes", "browser", "drawing"),
+}
+"""Folders and files of large rooms, likewise; the faces of packages (`__init__.py`) may import anything."""
 
 
 @lru_cache
@@ -218,6 +226,27 @@ def test_imports_go_down(name):
         package, _, inside = module.partition(".")
         if package == "myowarp" and inside:
             assert ROOMS.index(room_of(inside)) >= floor, f"{name}:{line} imports {module}"
+
+
+def place_of(name):
+    """Return room and folder of a file (`apps/cli/view.py`) or of a module (`apps.cli.view`); None: neither."""
+    room, *inside = re.split(r"[./]", name.removesuffix(".py"))
+    return (room, inside[0]) if room in FOLDERS and inside and inside[0] != "__init__" else None
+
+
+def test_every_folder_has_its_place():
+    for room, folders in FOLDERS.items():
+        assert {place[1] for place in map(place_of, FILES) if place and place[0] == room} == set(folders)
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if place_of(name) and "__init__" not in name])
+def test_imports_go_down_inside_of_rooms(name):
+    room, folder = place_of(name)
+    for line, module in imports(name):
+        there = place_of(module.removeprefix("myowarp.")) if module.startswith("myowarp.") else None
+        if there and there[0] == room:
+            order = FOLDERS[room]
+            assert order.index(there[1]) >= order.index(folder), f"{name}:{line} imports {module}"
 
 
 def modules_of(name):

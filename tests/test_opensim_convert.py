@@ -232,7 +232,7 @@ def test_charts():
 
 def test_without_scipy_the_geometry_is_converted(tmp_path):
     """In a process of its own, where nothing has imported SciPy before."""
-    code = 'import sys; sys.modules["scipy"] = None; from myowarp.apps import cli; cli.main()'
+    code = 'import sys; sys.modules["scipy"] = None; from myowarp.apps.cli.main import main; main()'
     arguments = ("convert", OSIM / "Tug_of_War.osim", "--output", tmp_path)
     done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -15,12 +15,13 @@ from importlib import resources
 import numpy as np
 import pytest
 
+from myowarp.apps.cli import train as command
 from myowarp.apps.cli.rollout import Rollout
 from myowarp.apps.policies import checkpoint as checkpoints
 from myowarp.apps.policies.learned import LearnedPolicy, read_policy
-from myowarp.apps.train import run as command
 from myowarp.apps.train.evaluate import evaluate, wilson
 from myowarp.apps.train.plan import eval_command, held, plan, resume_command
+from myowarp.apps.train.run import start, train
 from myowarp.apps.train.settings import ALGORITHMS, choose, preset_algorithm
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.task import TASKS
@@ -36,7 +37,7 @@ PRESETS = sorted(f.name for f in resources.files("myowarp.apps.train").joinpath(
 def learned(tmp_path_factory):
     """Train an elbow with its preset; return the folder of the run."""
     folder = tmp_path_factory.mktemp("runs") / "elbow"
-    command.Train(task=ELBOW, output=folder, device="cpu", seed=1)()
+    train(plan(ELBOW, output=folder, device="cpu", seed=1))
     return folder
 
 
@@ -45,7 +46,7 @@ def tiny(tmp_path_factory):
     """Return the folder of a run of two iterations."""
     folder = tmp_path_factory.mktemp("runs") / "tiny"
     settings = {"num_worlds": 8, "rollout_steps": 8, "minibatches": 2, "hidden": (16,), "samples": 128}
-    command.Train(task=ELBOW, output=folder, device="cpu", **settings)()
+    train(plan(ELBOW, output=folder, device="cpu", **settings))
     return folder
 
 
@@ -314,7 +315,7 @@ def test_a_checkpoint_is_not_gone_on_with_in_place_of_its_run(run, tiny):
 
 
 def test_a_run_that_went_on_meanwhile_is_left_alone(tiny):
-    job = plan(command.Train(resume=tiny))
+    job = plan(resume=tiny)
     older = dataclasses.replace(job.checkpoint, folder=tiny / "checkpoints" / "000000000064")
     for other in (None, older):
         with (
@@ -389,10 +390,8 @@ def test_a_cohort_learns_together(tmp_path):
     """Worlds of a patient are alike, those of a weaker one are not."""
     (tmp_path / "patients.csv").write_text("patient,strength\nwell,1.0\nweak,0.3\n")
     options = {"num_worlds": 4, "rollout_steps": 8, "minibatches": 2, "device": "cpu"}
-    job = plan(
-        command.Train(task=ELBOW, output=tmp_path / "x", cohort=str(tmp_path / "patients.csv"), **options)
-    )
-    env = command.start(job).env
+    job = plan(ELBOW, output=tmp_path / "x", cohort=str(tmp_path / "patients.csv"), **options)
+    env = start(job).env
     env.reset(seed=[3] * 4)
     for _ in range(10):
         env.step(np.ones((4, 6), np.float32))

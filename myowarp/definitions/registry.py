@@ -6,6 +6,7 @@ in the tests, which run over everything registered.
 
 import difflib
 import itertools
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Generic, TypeVar
@@ -137,3 +138,15 @@ class Registry(Generic[T]):
 
     def __len__(self) -> int:
         return len(self._entries)
+
+
+def check_least(least: int, most: float = math.inf, /, **numbers: int) -> None:
+    """Raise ValueError if an integer, called like its option with `_` for `-`, is not within bounds."""
+    for name, number in numbers.items():
+        flag = f"--{name.replace('_', '-')}"
+        if isinstance(number, bool) or not isinstance(number, (int, np.integer)):
+            raise ValueError(f"{flag} must be an integer, got {number!r}")
+        if number < least:
+            raise ValueError(f"{flag} must be at least {least}, got {number}")
+        if number > most:
+            raise ValueError(f"{flag} must be at most {most}, got {number}")

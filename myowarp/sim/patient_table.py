@@ -11,6 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from myowarp.definitions.task import TaskSpec
+from myowarp.kernels.action import MUSCLE
+from myowarp.sim.build import actuator_kinds, oracle_model
 from myowarp.sim.patient_columns import COLUMNS, EXCLUSIVE, TornMuscles
 
 if TYPE_CHECKING:
@@ -36,6 +41,20 @@ class Population:
 
     patients: tuple[str, ...]
     entries: dict[str, list[Any]]
+
+
+def population_of(table: str | Path | pd.DataFrame, spec: TaskSpec) -> Population:
+    """Return the patients of a table, checked against the muscles of a task.
+
+    Raises:
+        ValueError: An entry is wrong, or the body has no muscles.
+        ImportError: Parquet without pandas and pyarrow.
+    """
+    model = oracle_model(spec)
+    if not model.na:
+        raise ValueError(f"a cohort is about muscles; the body of task {spec.key!r} has none")
+    muscles = tuple(model.actuator(i).name for i in np.flatnonzero(actuator_kinds(model) == int(MUSCLE)))
+    return read_population(table, muscles)
 
 
 def read_population(table: str | Path | pd.DataFrame, muscles: Sequence[str]) -> Population:

@@ -6,7 +6,8 @@ from typing import Annotated
 
 from rich.console import Console
 
-from myowarp.apps.cli.options import Device, Overwrite, Physics, TaskIds, check_least, optional
+from myowarp.apps.cli.options import Device, Overwrite, Physics, TaskIds, optional
+from myowarp.definitions.registry import check_least
 
 
 @dataclass

@@ -95,15 +95,16 @@ def _remake(baseline: Baseline, output: Path, values: dict[str, Any]) -> dict[st
     Returns:
         Figures of each mode.
     """
-    from myowarp.apps.train.evaluation import Eval
-    from myowarp.apps.train.run import Train
+    from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
+    from myowarp.apps.train.plan import plan
+    from myowarp.apps.train.run import train
     from myowarp.apps.train.settings import ALGORITHMS, restore
 
     algorithm = baseline.checkpoint.manifest["algorithm"]
     settings = restore(ALGORITHMS[algorithm], values)
     given = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
-    Train(task=baseline.task, algorithm=algorithm, output=output, **given)()
-    return Eval(checkpoint=output, device=settings.device or None).figures()[1]
+    train(plan(baseline.task, algorithm=algorithm, output=output, **given))
+    return evaluate_policy(plan_evaluation(output, device=settings.device or None))[1]
 
 
 def _list(found: list[Baseline], as_json: bool) -> None:

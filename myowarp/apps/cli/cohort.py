@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
-from myowarp.apps.cli.options import Device, Overwrite, Physics, Policy, Steps, Task, check_least, optional
+from myowarp.apps.cli.options import Device, Overwrite, Physics, Policy, Steps, Task, optional
+from myowarp.definitions.registry import check_least
 from myowarp.definitions.task import RESETS
 
 

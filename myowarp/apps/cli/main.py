@@ -15,7 +15,9 @@ from rich.console import Console
 from myowarp.apps.cli.audit import Audit
 from myowarp.apps.cli.baselines import Baselines
 from myowarp.apps.cli.cohort import Cohort
+from myowarp.apps.cli.convert import Convert
 from myowarp.apps.cli.describe import Describe
+from myowarp.apps.cli.eval import Eval
 from myowarp.apps.cli.export import Export
 from myowarp.apps.cli.plot import Plot
 from myowarp.apps.cli.record import Record
@@ -23,11 +25,9 @@ from myowarp.apps.cli.reproduce import Reproduce
 from myowarp.apps.cli.rollout import Rollout
 from myowarp.apps.cli.sweep import Sweep
 from myowarp.apps.cli.tasks import Tasks
+from myowarp.apps.cli.train import Train
 from myowarp.apps.cli.view import View
 from myowarp.apps.cli.warmup import Warmup
-from myowarp.apps.train.evaluation import Eval
-from myowarp.apps.train.run import Train
-from myowarp.opensim.convert import Convert
 
 ABOUT = """Musculoskeletal motor control, simulated in thousands of worlds at once.
 

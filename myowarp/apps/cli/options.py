@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import tyro
 
 from myowarp.definitions.muscle import MUSCLES
@@ -34,18 +32,6 @@ def longer_steps() -> str:
 def optional(metavar: str) -> object:
     """Return what tyro is told about an option that need not be given, whose field has a docstring."""
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=UNSET)
-
-
-def check_least(least: int, most: float = math.inf, /, **numbers: int) -> None:
-    """Raise ValueError if an integer, called like its option with `_` for `-`, is not within bounds."""
-    for name, number in numbers.items():
-        flag = f"--{name.replace('_', '-')}"
-        if isinstance(number, bool) or not isinstance(number, (int, np.integer)):
-            raise ValueError(f"{flag} must be an integer, got {number!r}")
-        if number < least:
-            raise ValueError(f"{flag} must be at least {least}, got {number}")
-        if number > most:
-            raise ValueError(f"{flag} must be at most {most}, got {number}")
 
 
 def _option(metavar: str, text: str, hint: str | None = None) -> object:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.console import Console
 
-from myowarp.apps.cli.options import Overwrite, check_least, optional
+from myowarp.apps.cli.options import Overwrite, optional
+from myowarp.definitions.registry import check_least
 
 if TYPE_CHECKING:
     import mujoco

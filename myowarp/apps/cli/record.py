@@ -20,9 +20,9 @@ from myowarp.apps.cli.options import (
     Policy,
     Reset,
     Steps,
-    check_least,
     optional,
 )
+from myowarp.definitions.registry import check_least
 from myowarp.view.drawing.muscles import QUANTITIES
 
 if TYPE_CHECKING:

@@ -1,22 +1,14 @@
 """The command `myowarp reproduce`: the paper's experiments."""
 
-import importlib.util
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 from rich.console import Console
 
-from myowarp.apps.cli.options import Device, check_least, optional
-from myowarp.definitions.registry import check_flag
-
-if TYPE_CHECKING:
-    from myowarp.apps.studies.reproduce.experiment import Experiment
-
-SEEDS, WORLDS = 5, 64
-QUICK_SEEDS, QUICK_WORLDS = 2, 4
-MOST_SEEDS = 10_000
+from myowarp.apps.cli.options import Device, optional
 
 
 @dataclass
@@ -58,55 +50,16 @@ class Reproduce:
         """Check everything, run and report."""
         from myowarp.apps.studies.reproduce import report
         from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
-        from myowarp.apps.studies.reproduce.experiment import Lab
-        from myowarp.sim.build import resolve_device
+        from myowarp.apps.studies.reproduce.run import plan_experiment, reproduce
 
+        console = Console(highlight=False)
         if self.list:
-            report.print_list({name: EXPERIMENTS[name] for name in EXPERIMENTS}, Console(highlight=False))
+            report.print_list({name: EXPERIMENTS[name] for name in EXPERIMENTS}, console)
             return
-        experiment, folder, seeds, worlds = self.plan()
-        resolve_device(self.device)
-        folder.mkdir(parents=True, exist_ok=True)
-        size = tuple(range(seeds)), worlds
-        lab = Lab(folder, *size, self.quick, self.retrain, self.overwrite, self.device, self.models)
-        try:
-            findings = experiment.run(lab)
-        finally:
-            lab.close()
-        report.write(experiment, lab, findings)
-        report.print_table(findings, Console(highlight=False))
-        lab.console.print(f"Saved {', '.join(report.FILES)} in {folder}", markup=False)
-
-    def plan(self) -> tuple["Experiment", Path, int, int]:
-        """Return the experiment, its folder, and how many seeds and worlds it has.
-
-        Raises:
-            ValueError: An argument is wrong; nothing was built or written.
-            ImportError: A package is not installed.
-        """
-        from myowarp.apps.studies.reproduce import report
-        from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
-        from myowarp.disk import check_folder
-        from myowarp.sim.build import MOST_WORLDS, check_device_name
-
         if self.name is None:
             raise ValueError(f"reproduce needs an experiment; available: {', '.join(EXPERIMENTS)}")
-        experiment = EXPERIMENTS[self.name]
-        for option in experiment.ignores:
-            if getattr(self, option) not in (None, False, ()):
-                flag = "--" + option.replace("_", "-")
-                raise ValueError(f"experiment {self.name!r} does not read {flag}; leave it out")
-        seeds = self.seeds if self.seeds is not None else QUICK_SEEDS if self.quick else SEEDS
-        worlds = self.num_worlds if self.num_worlds is not None else QUICK_WORLDS if self.quick else WORLDS
-        check_least(1, MOST_SEEDS, seeds=seeds)
-        check_least(1, MOST_WORLDS, num_worlds=worlds)
-        check_flag("quick", self.quick)
-        check_flag("retrain", self.retrain)
-        check_device_name(self.device)
-        if missing := [path for path in self.models if not path.is_file()]:
-            raise ValueError(f"--models {str(missing[0])!r} is no file; give the path of an .osim file")
-        if importlib.util.find_spec("matplotlib") is None:
-            raise ImportError('reproduce draws with matplotlib; run `pip install "myowarp[plot]"`')
-        folder = self.output or report.output_folder(self.name, self.quick, self.retrain)
-        check_folder(folder)
-        return experiment, folder, seeds, worlds
+        asked = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        job = plan_experiment(**{name: value for name, value in asked.items() if name != "list"})
+        report.print_table(reproduce(job), console)
+        said = Console(stderr=True, highlight=False, soft_wrap=True)
+        said.print(f"Saved {', '.join(report.FILES)} in {job.folder}", markup=False)

@@ -21,10 +21,10 @@ from myowarp.apps.cli.options import (
     Policy,
     Reset,
     Steps,
-    check_least,
     optional,
 )
 from myowarp.definitions.muscle_table import MuscleTable
+from myowarp.definitions.registry import check_least
 from myowarp.definitions.task import TASKS, TaskSpec
 from myowarp.kernels.episode import SUCCESS_RULE
 

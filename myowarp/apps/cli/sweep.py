@@ -6,7 +6,8 @@ from typing import Annotated
 
 import tyro
 
-from myowarp.apps.cli.options import check_least, optional
+from myowarp.apps.cli.options import optional
+from myowarp.definitions.registry import check_least
 
 
 @dataclass

@@ -11,16 +11,8 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from myowarp.apps.cli.options import (
-    Conditions,
-    Device,
-    Model,
-    OptionalTask,
-    Physics,
-    Policy,
-    Reset,
-    check_least,
-)
+from myowarp.apps.cli.options import Conditions, Device, Model, OptionalTask, Physics, Policy, Reset
+from myowarp.definitions.registry import check_least
 
 if TYPE_CHECKING:
     from myowarp.definitions.task import TaskSpec

@@ -19,7 +19,7 @@ from typing import Any
 from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, load_checkpoint
 from myowarp.engine.said import say_once
 
-FOLDER = Path(__file__).parents[1] / "baselines"
+FOLDER = Path(__file__).parents[2] / "baselines"
 RESULT, CURVE = "result.json", "curve.csv"
 OWN, PREFIX = "baseline", "baselines/"
 """Names of policies: the baseline of the task that it is to act in, and that of a task that is named."""

@@ -1,4 +1,4 @@
-"""Trained policies as ONNX and TorchScript: the forward pass of `myowarp.apps.policies.learned`, with the normaliser.
+"""Trained policies as ONNX and TorchScript: the forward pass of `learned.py`, with the normaliser.
 
 ONNX is written node by node from the arrays, which needs the package onnx alone; TorchScript needs torch.
 """

@@ -93,9 +93,9 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
     """Return a policy by name; code of the user that defines it is run once.
 
     Args:
-        name: "random", "zero", "hold" (`myowarp.apps.policies.hold`), "baseline", "baselines/<task>"
-            (`myowarp.apps.policies.baselines`), the folder of a trained policy (`myowarp.apps.policies.learned`), a file of
-            excitations (`myowarp.apps.policies.replay`), "package.module:function" or "file.py:function".
+        name: "random", "zero", "hold", "baseline", "baselines/<task>", the folder of a trained policy, a file
+            of excitations (each a file in `myowarp.apps.policies`), "package.module:function" or
+            "file.py:function".
         spec: The task in which it is to act.
 
     Raises:

@@ -10,11 +10,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from myowarp.apps.cli.options import Model, OptionalTask, optional
 from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import (
     ALGORITHMS,
@@ -29,8 +28,10 @@ from myowarp.apps.train.settings import (
 from myowarp.definitions.condition import Condition, resolve
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.task import TASKS, TaskSpec
-from myowarp.disk import check_folder, check_output, locked, make_folder
+from myowarp.disk import check_folder, locked, make_folder
 from myowarp.sim.build import check_device_name
+from myowarp.sim.patient_columns import conditions_of
+from myowarp.sim.patient_table import population_of
 from myowarp.sim.state import State
 from myowarp.tasks.from_file import task_or_model
 from myowarp.tasks.variants import Variant
@@ -41,28 +42,6 @@ if TYPE_CHECKING:
 SAVE_SECONDS = 30.0  # from one checkpoint to the next
 LOCK = ".lock"
 NEEDS = ("torch", "skrl", "safetensors", "tensorboard")
-
-
-@dataclass
-class TrainOptions:
-    """What the command line says besides settings."""
-
-    task: OptionalTask = None
-    model: Model = None
-    algorithm: Annotated[
-        Literal["ppo", "trpo", "sac", "flashsac"] | None, optional("{ppo,trpo,sac,flashsac}")
-    ] = None
-    """Algorithm; by default that of the task's preset, which is ppo but for a few."""
-    output: Annotated[Path | None, optional("FOLDER")] = None
-    """New folder of the run; by default runs/<task>_<algorithm>_<seed>."""
-    resume: Annotated[Path | None, optional("FOLDER")] = None
-    """Folder of a run that is to go on; its settings hold, only --samples and when to stop may change."""
-    video: Annotated[Path | None, optional("FILE")] = None
-    """Write a video of the trained policy to this .mp4: deterministic actions, parity physics."""
-    save_seconds: float = SAVE_SECONDS
-    """Seconds from one checkpoint to the next; 0: after every iteration."""
-    wandb: bool = False
-    """Send the figures to Weights & Biases too."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +62,8 @@ class Job:
         patients: Conditions of the patients of `--cohort`.
         start: States of `--start`.
         files_read: Checksums of the files that these came from, by option.
+        save_seconds: Seconds from one checkpoint to the next; 0: after every iteration.
+        wandb: Whether figures go to Weights & Biases too.
     """
 
     task: str
@@ -98,6 +79,8 @@ class Job:
     patients: tuple[Condition, ...] = ()
     start: State | None = None
     files_read: dict[str, str] = field(default_factory=dict)
+    save_seconds: float = SAVE_SECONDS
+    wandb: bool = False
 
     @property
     def resume_command(self) -> str:
@@ -130,47 +113,61 @@ def check_packages() -> None:
         raise ImportError(f'training needs {", ".join(missing)}; run `pip install "myowarp[train]"`')
 
 
-def plan(command: TrainOptions) -> Job:
-    """Return the run that a command asks for.
+def plan(
+    task: str | None = None,
+    *,
+    model: Path | None = None,
+    algorithm: str | None = None,
+    output: Path | None = None,
+    resume: Path | None = None,
+    save_seconds: float = SAVE_SECONDS,
+    wandb: bool = False,
+    **settings: Any,
+) -> Job:
+    """Return the run that is asked for, checked; nothing is built or written.
+
+    Args:
+        task: Task id, with or without "MyoWarp/", or file.py:name.
+        model: Instead of a task: an MJCF file; random poses of its joints.
+        algorithm: Key in `ALGORITHMS`; None: that of the task's preset.
+        output: New folder of the run; None: runs/<task>_<algorithm>_<seed>.
+        resume: Folder of a run that is to go on.
+        save_seconds: Seconds from one checkpoint to the next; 0: after every iteration.
+        wandb: Whether to send the figures to Weights & Biases too.
+        **settings: Fields of the algorithm's settings; those that are not given are the preset's.
 
     Raises:
-        ValueError: An argument is wrong; nothing was built or written.
+        ValueError: An argument is wrong.
         ImportError: A package is not installed.
     """
     check_packages()
     ranks = Ranks.started()
-    if not 0.0 <= command.save_seconds < float("inf"):
-        raise ValueError(f"--save-seconds must be at least 0, got {command.save_seconds}")
-    check_output(command.video, ".mp4")
-    if command.video is not None and command.video.exists():
-        raise ValueError(f"output {str(command.video)!r} exists; choose another name")
-    if command.wandb:
+    if not 0.0 <= save_seconds < float("inf"):
+        raise ValueError(f"--save-seconds must be at least 0, got {save_seconds}")
+    if wandb:
         from myowarp.apps.train.progress import check_wandb
 
         check_wandb()
-    given = {name: getattr(command, name) for name in all_settings()}
-    given = {name: value for name, value in given.items() if value is not None}
-    if command.resume is not None:
-        return _plan_resume(command, given, ranks)
-    variant = task_or_model(command.task, command.model)
-    algorithm = command.algorithm or preset_algorithm(TASKS[variant.task].name)
-    settings = choose(TASKS[variant.task].name, algorithm, given)
-    check_device_name(settings.device)
-    task = command.task or str(command.model)
-    name = f"{TASKS[variant.task].key}_{algorithm}_{settings.seed}"
-    folder = command.output or Path("runs") / name
+    how: dict[str, Any] = {"ranks": ranks, "save_seconds": save_seconds, "wandb": wandb}
+    asked = {"task": task, "model": model, "algorithm": algorithm, "output": output}
+    if resume is not None:
+        return _plan_resume(resume, asked, settings, how)
+    variant = task_or_model(task, model)
+    algorithm = algorithm or preset_algorithm(TASKS[variant.task].name)
+    chosen = choose(TASKS[variant.task].name, algorithm, settings)
+    check_device_name(chosen.device)
+    folder = output or Path("runs") / f"{TASKS[variant.task].key}_{algorithm}_{chosen.seed}"
     check_folder(folder)
     if ranks.restarts and last_saved(folder):
-        return _plan_resume(dataclasses.replace(command, resume=folder), given, ranks)
+        return _plan_resume(folder, asked, settings, how)
+    name, is_model = task or str(model), model is not None
     if ranks.leads and not ranks.restarts and occupied(folder):
         raise ValueError(
             f"output {str(folder)!r} is not empty; choose a new folder, or go on with "
-            f"{resume_command(task, command.model is not None, folder, ranks.size)}"
+            f"{resume_command(name, is_model, folder, ranks.size)}"
         )
-    parent = _parent(settings, algorithm, TASKS[variant.task]) if settings.parent else None
-    model = command.model is not None
-    job = Job(task, model, variant, algorithm, settings, folder, ranks=ranks, parent=parent)
-    return _with_files(job)
+    parent = _parent(chosen, algorithm, TASKS[variant.task]) if chosen.parent else None
+    return _with_files(Job(name, is_model, variant, algorithm, chosen, folder, parent=parent, **how))
 
 
 def occupied(folder: Path) -> bool:
@@ -227,9 +224,6 @@ def _with_files(job: Job) -> Job:
     _check_ranks(job)
     patients: tuple[Condition, ...] = ()
     if settings.cohort:
-        from myowarp.apps.studies.cohort.plan import population_of
-        from myowarp.sim.patient_columns import conditions_of
-
         population = population_of(settings.cohort, spec)
         number = len(population.patients)
         if settings.num_worlds % number:
@@ -304,12 +298,18 @@ def _parent(settings: Settings, algorithm: str, spec: TaskSpec) -> Checkpoint:
     return parent
 
 
-def _plan_resume(command: TrainOptions, given: dict[str, Any], ranks: Ranks) -> Job:
-    """Return the run that goes on; see `plan`."""
+def _plan_resume(folder: Path, asked: dict[str, Any], given: dict[str, Any], how: dict[str, Any]) -> Job:
+    """Return the run that goes on; see `plan`.
+
+    Args:
+        folder: Its folder.
+        asked: What was said of task, model, algorithm and output; None: nothing.
+        given: Settings that were named.
+        how: Fields of the job that belong to this process.
+    """
     from myowarp.apps.policies.checkpoint import STATE, CheckpointError, load_checkpoint
 
-    folder = Path(str(command.resume))
-    checkpoint = load_checkpoint(folder)
+    checkpoint, ranks = load_checkpoint(folder), how["ranks"]
     manifest = checkpoint.manifest
     if STATE not in manifest["files"]:
         raise CheckpointError(f"checkpoint {str(folder)!r} holds a policy alone and cannot be resumed")
@@ -322,18 +322,18 @@ def _plan_resume(command: TrainOptions, given: dict[str, Any], ranks: Ranks) -> 
         )
     recorded = manifest["settings"]
     task, model, algorithm = manifest["task"], manifest["model"], manifest["algorithm"]
-    wanted: dict[str, Any] = {"algorithm": command.algorithm, "output": command.output}
+    wanted = {name: asked[name] for name in ("algorithm", "output")}
     same = {"algorithm": algorithm, "output": folder}
     if not is_file(task, model):
         same |= dict.fromkeys(("task", "model"), task.removeprefix("MyoWarp/"))
-        wanted |= {"task": command.task and command.task.removeprefix("MyoWarp/"), "model": command.model}
-    elif (command.task, command.model) == (None, None):
+        wanted |= {"task": asked["task"] and asked["task"].removeprefix("MyoWarp/"), "model": asked["model"]}
+    elif (asked["task"], asked["model"]) == (None, None):
         raise ValueError(
             f"run {str(folder)!r} is of a task from a file, which a checkpoint does not open by itself; go "
             f"on with {resume_command(task, model, folder, ranks.size)}"
         )
     else:  # its path may be another one; whether it is the same task, its contract tells
-        task, model = command.task or str(command.model), command.model is not None
+        task, model = asked["task"] or str(asked["model"]), asked["model"] is not None
     for what, value in wanted.items():
         if value is not None and str(value) != str(same[what]):
             raise ValueError(
@@ -350,7 +350,7 @@ def _plan_resume(command: TrainOptions, given: dict[str, Any], ranks: Ranks) -> 
     check_choice("algorithm", algorithm, ALGORITHMS)
     settings = restore(ALGORITHMS[algorithm], recorded | given)
     variant = task_or_model(None if model else task, Path(task) if model else None)
-    job = _with_files(Job(task, model, variant, algorithm, settings, folder, ranks, checkpoint))
+    job = _with_files(Job(task, model, variant, algorithm, settings, folder, checkpoint=checkpoint, **how))
     if (now := job.files_read) != (then := manifest.get("files_read", {})):
         changed = next(name for name in now if now[name] != then.get(name))
         raise ValueError(f"--{changed} {getattr(settings, changed)!r} has changed since the run began")

@@ -1,4 +1,4 @@
-"""What `myowarp train` does."""
+"""A training from its first step to its report: `train(plan("myoElbowPose1D6MRandom-v0"))`."""
 
 from __future__ import annotations
 
@@ -11,27 +11,13 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Any
 
-import tyro
 from rich.console import Console
 
-from myowarp.apps.cli.rollout import Rollout
-from myowarp.apps.train.evaluation import EVALUATION_SEED
 from myowarp.apps.train.machine import Stopwatch, processor
-from myowarp.apps.train.plan import (
-    SAVE_SECONDS,
-    Job,
-    TrainOptions,
-    eval_command,
-    held,
-    last_saved,
-    plan,
-    shown,
-)
-from myowarp.apps.train.settings import ALGORITHMS, SUCCESSES, all_settings
+from myowarp.apps.train.plan import Job, eval_command, held, last_saved
+from myowarp.apps.train.settings import SUCCESSES
 from myowarp.disk import in_place, plain
 
 if TYPE_CHECKING:
@@ -42,36 +28,37 @@ REPORT = "report.json"
 STOPPED = "stopped by a signal"
 
 
-@dataclass
-class TrainCommand(TrainOptions):
-    """Train a policy: PPO, TRPO, SAC or FlashSAC, with a preset for the task.
+def train(job: Job, console: Console | None = None) -> dict[str, Any]:
+    """Train, and write a folder with the last checkpoint, progress.csv, TensorBoard events, curve and report.
 
-    Writes a folder with the last checkpoint, progress.csv, TensorBoard events, curve.png and report.json.
-    Ctrl-C finishes the iteration and saves; a run that was stopped or killed goes on with --resume, bit for
-    bit on the CPU.
+    Ctrl-C finishes the iteration and saves; `plan(resume=folder)` is then the run that goes on.
 
-    Example: myowarp train myoElbowPose1D6MRandom-v0 --output runs/elbow
+    Args:
+        job: What `plan` has checked.
+        console: Where progress is shown; None: the error stream.
 
-    Then: myowarp eval runs/elbow
+    Returns:
+        What report.json says: what ended the run, samples, times, and figures of the last episodes.
 
-    Or: myowarp rollout myoElbowPose1D6MRandom-v0 --policy runs/elbow --video elbow.mp4
+    Raises:
+        DivergedError: A loss or a weight was not finite; the last good checkpoint is there.
+        FaultyTaskError: No world of the task can be stepped.
+        OSError: A checkpoint or figures could not be written; the last good checkpoint is there.
     """
-
-    def __call__(self) -> None:
-        """Check everything, train and report."""
-        watch, console = Stopwatch(), Console(stderr=True, highlight=False, soft_wrap=True)
-        job = plan(self)
-        console.quiet = not job.ranks.leads
-        with held(job):
-            with job.ranks.together(job.ranks.device(job.settings.device)):
-                run = start(job)
-                reason = train(job, run, console, self.save_seconds, self.wandb)
-                run.env.close()
-            if job.ranks.leads:
-                with _written(job, "report"):
-                    _report(job, run, reason, watch, console)
-        if self.video and job.ranks.leads:
-            _film(job, self.video)
+    watch = Stopwatch()
+    console = console or Console(stderr=True, highlight=False, soft_wrap=True)
+    if not job.ranks.leads:
+        console.quiet = True
+    with held(job):
+        with job.ranks.together(job.ranks.device(job.settings.device)):
+            run = start(job)
+            reason = iterate(job, run, console)
+            run.env.close()
+        report = _report(job, run, reason, watch)
+        if job.ranks.leads:
+            with _written(job, "report"):
+                _publish(job, report, console)
+    return report
 
 
 def start(job: Job) -> Run:
@@ -116,9 +103,7 @@ def start(job: Job) -> Run:
     return run
 
 
-def train(
-    job: Job, run: Run, console: Console, save_seconds: float = SAVE_SECONDS, wandb: bool = False
-) -> str:
+def iterate(job: Job, run: Run, console: Console) -> str:
     """Iterate until something ends the run; returns what.
 
     Raises:
@@ -141,12 +126,12 @@ def train(
     with (
         _stop_asked() as asked,
         _written(job, "figures"),
-        _progress(job, run, console, wandb) as progress,
+        _progress(job, run, console) as progress,
         warnings.catch_warnings(),
     ):
         warnings.filterwarnings("ignore", ".* was reset after a fault")  # the environment's; see below
         while True:
-            due = time.monotonic() - saved >= save_seconds
+            due = time.monotonic() - saved >= job.save_seconds
             # Signals and clocks differ from rank to rank; what to do may not.
             stop, save = map(any, zip(*ranks.everyones((asked(), due)), strict=True))
             if stop:
@@ -179,7 +164,7 @@ def train(
 
 
 @contextmanager
-def _progress(job: Job, run: Run, console: Console, wandb: bool) -> Iterator[Progress | None]:
+def _progress(job: Job, run: Run, console: Console) -> Iterator[Progress | None]:
     """Open the files and the live line of a run, on the rank that logs."""
     from myowarp.apps.train.progress import Progress
 
@@ -187,7 +172,7 @@ def _progress(job: Job, run: Run, console: Console, wandb: bool) -> Iterator[Pro
         yield None
         return
     with Progress(job.folder, job.settings.samples, console, after=run.samples) as progress:
-        if wandb:
+        if job.wandb:
             progress.start_wandb(job.folder.name, dataclasses.asdict(job.settings))
         yield progress
 
@@ -292,12 +277,10 @@ def _origin(job: Job) -> dict[str, Any] | None:
     return {"task": job.parent.task, "samples": manifest["samples"], **manifest["files"][POLICY]}
 
 
-def _report(job: Job, run: Run, reason: str, watch: Stopwatch, console: Console) -> None:
-    """Draw the curve, write and print what came out."""
-    from myowarp.apps.train.progress import draw_curve
-
-    settings, spent = job.settings, watch.read()
-    figures: dict[str, Any] = {
+def _report(job: Job, run: Run, reason: str, watch: Stopwatch) -> dict[str, Any]:
+    """Return what came out."""
+    settings = job.settings
+    return {
         "task": job.task,
         "algorithm": job.algorithm,
         "seed": settings.seed,
@@ -307,7 +290,7 @@ def _report(job: Job, run: Run, reason: str, watch: Stopwatch, console: Console)
         "samples": run.samples,
         "updates": run.updates,
         "resumed_after": job.checkpoint.manifest["samples"] if job.checkpoint else 0,
-        **{name: round(value, 2) for name, value in spent.items()},
+        **{name: round(value, 2) for name, value in watch.read().items()},
         "processor": processor(),
         "cores": os.cpu_count(),
         "training_seconds": round(run.clock.total, 1),
@@ -315,61 +298,21 @@ def _report(job: Job, run: Run, reason: str, watch: Stopwatch, console: Console)
         **{name: value for name, value in run.tally.figures().items()},
         **{f"share_{name}": round(share, 3) for name, share in run.clock.shares().items()},
     }
+
+
+def _publish(job: Job, report: dict[str, Any], console: Console) -> None:
+    """Write a report, draw the curve, and print what came out."""
+    from myowarp.apps.train.progress import draw_curve
+
     with in_place(job.folder / REPORT) as scratch:
-        scratch.write_text(json.dumps(plain(figures), indent=1) + "\n")
-    curve = draw_curve(job.folder, f"{job.task}, {job.algorithm}, seed {settings.seed}")
-    share = f"{100 * figures['success']:.1f} %" if figures["episodes"] else "none"
+        scratch.write_text(json.dumps(plain(report), indent=1) + "\n")
+    curve = draw_curve(job.folder, f"{job.task}, {job.algorithm}, seed {job.settings.seed}")
+    share = f"{100 * report['success']:.1f} %" if report["episodes"] else "none"
     console.print(
-        f"Ended after {run.samples:,} samples in {spent['seconds']:.1f} s: {reason}; of the last episodes "
-        f"{share} succeeded, sampled actions under {settings.physics} physics"
+        f"Ended after {report['samples']:,} samples in {report['seconds']:.1f} s: {report['ended']}; of the "
+        f"last episodes {share} succeeded, sampled actions under {job.settings.physics} physics"
     )
     console.print(f"Saved {job.folder}" + (f" and {curve}" if curve else ""))
-    if reason == STOPPED:
+    if report["ended"] == STOPPED:
         console.print(f"Go on: {job.resume_command}")
     console.print(f"Evaluate: {eval_command(job.task, job.model, job.folder)}")
-
-
-def _film(job: Job, video: Path) -> None:
-    """Run the policy that was trained, print what it does, and write a video."""
-    settings = job.settings
-    Rollout(
-        task=None if job.model else job.task,
-        model=Path(job.task) if job.model else None,
-        policy=str(job.folder),
-        seed=EVALUATION_SEED,
-        device=settings.device or None,
-        muscle=settings.muscle,
-        reset=settings.reset or None,
-        conditions=settings.conditions,
-        video=video,
-    )()
-
-
-def _overrides() -> list[tuple[str, Any, Any]]:
-    """Return the settings as fields of the command, each None where it is not given."""
-    fields: list[tuple[str, Any, Any]] = []
-    for name, entry in all_settings().items():
-        kind: Any = type(entry.default)
-        metavar = "{" + ",".join(filter(None, entry.metadata["choices"])) + "}"
-        if kind is tuple:
-            kind, metavar = (
-                (tuple[int, ...], "[INT ...]") if name == "hidden" else (tuple[str, ...], "[NAME ...]")
-            )
-        elif not entry.metadata["choices"]:
-            metavar = {int: "INT", float: "FLOAT"}.get(kind, "NAME")
-        owners = [a for a, k in ALGORITHMS.items() if name in {f.name for f in dataclasses.fields(k)}]
-        only = "" if len(owners) == len(ALGORITHMS) else f" ({', '.join(owners)})"
-        hint = f"(preset, else {shown(entry.default)})"
-        text = entry.metadata["text"] + only
-        fields.append(
-            (
-                name,
-                Annotated[Optional[kind], tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=hint)],  # noqa: UP045
-                dataclasses.field(default=None),
-            )
-        )
-    return fields
-
-
-Train = dataclasses.make_dataclass("Train", _overrides(), bases=(TrainCommand,))
-Train.__doc__ = TrainCommand.__doc__

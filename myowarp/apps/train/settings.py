@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any, TypeVar
 
+from myowarp.apps.policies.form import ACTIVATIONS
 from myowarp.definitions.condition import CONDITIONS
 from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.registry import check_choice
@@ -25,7 +26,6 @@ SUCCESSES = {
     "success_any": "solved at any step",
 }
 PRECISIONS = ("bfloat16", "float32")
-ACTIVATIONS = ("elu", "tanh", "relu")
 MOST_SEED = 2**63 - 1  # world i has seed + i, a uint64
 
 

@@ -4,6 +4,7 @@ Poses are set coordinate by coordinate, couplers evaluated by us: OpenSim would 
 each, which is a hundred times slower and agrees to 1e-7 rad.
 """
 
+import dataclasses
 import importlib.util
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,6 +15,10 @@ import numpy as np
 from myowarp.opensim.model.functions import derivatives
 from myowarp.opensim.model.kinematics import complete, independent
 from myowarp.opensim.model.model import Model
+from myowarp.opensim.muscle.force import ACTIVATIONS
+from myowarp.opensim.muscle.hill import HillMuscle, known
+from myowarp.opensim.tendon.fits import Samples
+from myowarp.opensim.tendon.fitted import Fits
 from myowarp.opensim.wrap.moment_arm import STEP, Poses, Reference
 
 Array = np.ndarray
@@ -154,3 +159,20 @@ def opensim_references(
                 for name in (name for name in along if coordinate in along[name]):
                     slopes[name][coordinate][index] += sign * pulling[name].getLength(state) / (2 * STEP)
     return {name: Reference(lengths[name], arms[name], slopes[name]) for name in along}
+
+
+def against_opensim(source: Path, model: Model, samples: Samples, fits: Fits) -> Fits:
+    """Return the same fits with OpenSim's own lengths and moment arms in the random poses of the check.
+
+    Raises:
+        ValueError: OpenSim is not installed, or does not read the file.
+    """
+    along = {name: list(reference.moment_arm) for name, reference in fits.references().items()}
+    found = opensim_references(source, model, samples.check, along)
+    muscles = []
+    for fit in fits.muscles:
+        hill, _ = known(HillMuscle.of(model.muscles[fit.name]))
+        forces = hill.tendon_force(ACTIVATIONS, found[fit.name].length[:, None])
+        expected = dataclasses.replace(fit.expected, random=found[fit.name], forces=forces)
+        muscles.append(dataclasses.replace(fit, expected=expected))
+    return Fits(muscles, [dataclasses.replace(fit, expected=found[fit.name]) for fit in fits.others])

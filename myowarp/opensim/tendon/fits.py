@@ -18,7 +18,6 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from myowarp.disk import cached, files_digest, version
-from myowarp.opensim.check.oracle import opensim_references
 from myowarp.opensim.model.kinematics import independent, random_poses, sampling_range
 from myowarp.opensim.model.model import Model, pulling
 from myowarp.opensim.muscle.force import Method as ForceMethod
@@ -26,7 +25,7 @@ from myowarp.opensim.muscle.force import fit_force
 from myowarp.opensim.muscle.hill import ACTIVATIONS, HillMuscle, known
 from myowarp.opensim.tendon.choice import fit_path
 from myowarp.opensim.tendon.fit import Method as PathMethod
-from myowarp.opensim.tendon.fitted import Expected, Fits, MuscleFit, PathOnly
+from myowarp.opensim.tendon.fitted import Expected, MuscleFit, PathOnly
 from myowarp.opensim.wrap.moment_arm import Poses, crossed, own_reference, poses_of
 
 Array = np.ndarray
@@ -38,7 +37,7 @@ CHECK_POSES = 200
 """Held-out random poses of the check."""
 SWEEP = 41
 """Points of a curve over the range of a coordinate, the others at their defaults."""
-LATER = ("build", "check", "report", "command.py")
+LATER = ("compose", "check", "report", "convert.py")
 """What uses fits, and no fit depends on."""
 GRID = 33
 """Lengths of a force map."""
@@ -116,23 +115,6 @@ def fit_passive(model: Model, name: str, samples: Samples, methods: Methods = Me
     return PathOnly(name, fitted, own_reference(model, path, samples.check, crossed(model, path)))
 
 
-def against_opensim(source: FilePath, model: Model, samples: Samples, fits: Fits) -> Fits:
-    """Return the same fits with OpenSim's own lengths and moment arms in the random poses of the check.
-
-    Raises:
-        ValueError: OpenSim is not installed, or does not read the file.
-    """
-    along = {name: list(reference.moment_arm) for name, reference in fits.references().items()}
-    found = opensim_references(source, model, samples.check, along)
-    muscles = []
-    for fit in fits.muscles:
-        hill, _ = known(HillMuscle.of(model.muscles[fit.name]))
-        forces = hill.tendon_force(ACTIVATIONS, found[fit.name].length[:, None])
-        expected = dataclasses.replace(fit.expected, random=found[fit.name], forces=forces)
-        muscles.append(dataclasses.replace(fit, expected=expected))
-    return Fits(muscles, [dataclasses.replace(fit, expected=found[fit.name]) for fit in fits.others])
-
-
 def fit_muscles(
     model: Model, samples: Samples, digest: str, methods: Methods, workers: int
 ) -> Iterator[MuscleFit | PathOnly]:
@@ -198,6 +180,6 @@ def _work(name: str) -> MuscleFit | PathOnly:
 
 def _code_digest() -> str:
     """Return a digest of the code and packages that a fit depends on."""
-    room = FilePath(__file__).parent
+    room = FilePath(__file__).parents[1]
     files = sorted(file for file in room.rglob("*.py") if file.relative_to(room).parts[0] not in LATER)
     return f"{files_digest(files)} {version('numpy')} {version('scipy')}"

@@ -13,10 +13,9 @@ from myowarp.apps.rollouts.rollout import Act, Policy, find_policy
 from myowarp.definitions.condition import Condition
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.task import PHYSICS, RESETS, TASKS, TaskSpec
-from myowarp.kernels.action import MUSCLE
-from myowarp.sim.build import MOST_STEPS, actuator_kinds, oracle_model, resolve_device
+from myowarp.sim.build import MOST_STEPS, resolve_device
 from myowarp.sim.patient_columns import conditions_of
-from myowarp.sim.patient_table import Population, read_population
+from myowarp.sim.patient_table import Population, population_of
 from myowarp.tasks.outside import find_task
 from myowarp.tasks.variants import Variant
 
@@ -115,17 +114,3 @@ def plan_cohort(
     population = population_of(table, spec)
     conditions = conditions_of(population.entries, spec, trials)
     return Plan(spec, population, conditions, acts, steps, trials, seed, every, reset, physics, device)
-
-
-def population_of(table: str | Path | pd.DataFrame, spec: TaskSpec) -> Population:
-    """Return the patients of a table, checked against the muscles of a task.
-
-    Raises:
-        ValueError: An entry is wrong, or the body has no muscles.
-        ImportError: Parquet without pandas and pyarrow.
-    """
-    model = oracle_model(spec)
-    if not model.na:
-        raise ValueError(f"a cohort is about muscles; the body of task {spec.key!r} has none")
-    muscles = tuple(model.actuator(i).name for i in np.flatnonzero(actuator_kinds(model) == int(MUSCLE)))
-    return read_population(table, muscles)

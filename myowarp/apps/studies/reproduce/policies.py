@@ -86,8 +86,8 @@ def retrained(
         ValueError: The folder holds another run, or another process trains in it.
         ImportError: torch or skrl is not installed.
     """
-    from myowarp.apps.train.plan import Job, check_packages, held, occupied
-    from myowarp.apps.train.run import start, train
+    from myowarp.apps.train.plan import Job, check_packages, occupied
+    from myowarp.apps.train.run import STOPPED, train
     from myowarp.apps.train.settings import choose
     from myowarp.definitions.task import TASKS
     from myowarp.tasks.variants import Variant
@@ -119,11 +119,7 @@ def retrained(
         parent=parent,
         conditions=training.conditions(),
     )
-    with held(job):
-        run = start(job)
-        reason = train(job, run, console)
-        run.env.close()
-    if reason.startswith("stopped"):
+    if (reason := train(job, console)["ended"]) == STOPPED:
         raise RuntimeError(f"training of policy {training.name!r} was {reason}; the same command goes on")
     return load_checkpoint(folder)
 

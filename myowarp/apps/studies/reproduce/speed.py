@@ -23,7 +23,7 @@ from myowarp.apps.studies.reproduce.result import Claim, Findings, Merit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RESULT = Path(__file__).parents[3] / "benchmarks/results/opensim_speed.json"
+RESULT = Path(__file__).parents[4] / "benchmarks/results/opensim_speed.json"
 PAPER = 60.0, 4000.0  # times as fast as OpenSim, least and greatest
 OPENSIM, MUJOCO = "OpenSim", "MuJoCo C, 1 thread"
 COLORS = ("#6b6b6b", "#7aa6c9", "#1f5fa8", "#0b2f57")

@@ -26,13 +26,17 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from myowarp.apps.cli.options import check_least
 from myowarp.definitions.condition import resolve
-from myowarp.definitions.registry import check_choice, number_in
+from myowarp.definitions.registry import check_choice, check_least, number_in
 from myowarp.definitions.task import TASKS
 from myowarp.sim.build import MOST_WORLDS
+
+if TYPE_CHECKING:
+    from myowarp.apps.studies.reproduce.run import ExperimentJob
+    from myowarp.apps.train.evaluation import EvaluationJob
+    from myowarp.apps.train.plan import Job
 
 KINDS = ("train", "eval", "reproduce")
 KEYS = ("kind", "tasks", "policies", "conditions", "seeds", "episodes", "settings")
@@ -261,48 +265,48 @@ def _plain(value: Any) -> Any:
     )
 
 
-def training(run: Run, folder: Path) -> Any:
-    """Return the command that trains a run within its folder; one that was broken off goes on."""
-    from myowarp.apps.train.plan import last_saved
-    from myowarp.apps.train.run import Train
+def training(run: Run, folder: Path) -> Job:
+    """Return the training of a run within its folder, checked; one that was broken off goes on."""
+    from myowarp.apps.train.plan import last_saved, plan
 
     home = folder / POLICY
-    return Train(task=run.task, **run.options, **{"resume" if last_saved(home) else "output": home})
+    begun = last_saved(home) is not None
+    return plan(run.task, output=None if begun else home, resume=home if begun else None, **run.options)
 
 
 def _check_training(run: Run, folder: Path) -> None:
     """Raise ValueError if a run cannot be trained."""
-    from myowarp.apps.train.plan import last_saved, plan
+    from myowarp.apps.train.plan import last_saved
 
     if last_saved(folder / POLICY) is None:
         folder = folder / "new"  # what was killed before its first checkpoint starts again
-    job = plan(training(run, folder))
+    job = training(run, folder)
     resolve((*job.variant.conditions, *job.settings.conditions), TASKS[job.variant.task])
 
 
 def _check_eval(run: Run, folder: Path) -> None:
     """Raise ValueError if a run cannot be evaluated."""
-    _, variant, options = evaluation(run).plan()
-    resolve(options["conditions"], TASKS[variant.task])
+    job = evaluation(run)
+    resolve(job.options["conditions"], TASKS[job.variant.task])
 
 
-def evaluation(run: Run) -> Any:
-    """Return the command that evaluates a policy."""
-    from myowarp.apps.train.evaluation import Eval
+def evaluation(run: Run) -> EvaluationJob:
+    """Return the evaluation of a policy, checked."""
+    from myowarp.apps.train.evaluation import plan_evaluation
 
-    return Eval(task=run.task, episodes=run.episodes, **run.options)
+    return plan_evaluation(task=run.task, episodes=run.episodes, **run.options)
 
 
 def _check_reproduce(run: Run, folder: Path) -> None:
     """Raise ValueError if an experiment cannot be run."""
-    experiment(run, folder).plan()
+    experiment(run, folder)
 
 
-def experiment(run: Run, folder: Path) -> Any:
-    """Return the command that runs an experiment of the paper."""
-    from myowarp.apps.cli.reproduce import Reproduce
+def experiment(run: Run, folder: Path) -> ExperimentJob:
+    """Return an experiment of the paper, checked."""
+    from myowarp.apps.studies.reproduce.run import plan_experiment
 
-    return Reproduce(run.task, output=folder / "experiment", **run.options)
+    return plan_experiment(run.task, output=folder / "experiment", **run.options)
 
 
 CHECKS: dict[str, Callable[[Run, Path], None]] = {

@@ -64,31 +64,35 @@ def do(run: Run, output: Path) -> dict[str, Any]:
 
 def _train(run: Run, folder: Path) -> dict[str, Any]:
     """Train a policy and evaluate it."""
-    from myowarp.apps.train.evaluation import Eval
+    from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
     from myowarp.apps.train.plan import last_saved
-    from myowarp.apps.train.run import REPORT
+    from myowarp.apps.train.run import train
 
     home = folder / POLICY
     if last_saved(home) is None:
         shutil.rmtree(home, ignore_errors=True)
-    training(run, folder)()
-    report = json.loads((home / REPORT).read_text())
+    report = train(training(run, folder))
     if report["ended"].startswith("stopped"):
         raise RuntimeError(f"run {run.name!r} was {report['ended']}; the same command goes on")
-    _, figures = Eval(home, episodes=run.episodes, device=run.options.get("device") or None).figures()
+    job = plan_evaluation(home, episodes=run.episodes, device=run.options.get("device") or None)
+    _, figures = evaluate_policy(job)
     return {"training": report, **figures}
 
 
 def _eval(run: Run, folder: Path) -> dict[str, Any]:
     """Evaluate a policy."""
-    return evaluation(run).figures()[1]
+    from myowarp.apps.train.evaluation import evaluate_policy
+
+    return evaluate_policy(evaluation(run))[1]
 
 
 def _reproduce(run: Run, folder: Path) -> dict[str, Any]:
     """Run an experiment of the paper."""
-    command = experiment(run, folder)
-    command()
-    return {"merits": json.loads((command.output / "result.json").read_text())["merits"]}
+    from myowarp.apps.studies.reproduce.run import reproduce
+
+    job = experiment(run, folder)
+    reproduce(job)
+    return {"merits": json.loads((job.folder / "result.json").read_text())["merits"]}
 
 
 DO: dict[str, Callable[[Run, Path], dict[str, Any]]] = {

@@ -1,0 +1,91 @@
+"""The command `myowarp eval`; it needs no torch."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from myowarp.apps.cli.options import Device, Physics, optional
+from myowarp.apps.train.evaluation import EVALUATION_SEED, evaluate_policy, plan_evaluation
+from myowarp.apps.train.settings import SUCCESSES, success_text
+from myowarp.definitions.muscle import MUSCLES
+from myowarp.definitions.task import RESETS
+
+
+@dataclass
+class Eval:
+    """Evaluate a trained policy: success by three rules with 95 % intervals, return and effort.
+
+    Every world runs one episode. The physics is parity (MyoSuite's integrator and step) unless you choose
+    another; reset and conditions are those of the training unless you choose others.
+
+    Example: myowarp eval runs/elbow --conditions sarcopenia
+    """
+
+    checkpoint: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
+    """Folder of a run or of a checkpoint, or a policy of the package: baselines/ID."""
+    task: Annotated[str | None, optional("ID")] = None
+    """Another task with the same observation and actuators; by default that of the training."""
+    model: Annotated[Path | None, optional("FILE")] = None
+    """MJCF file of the training, for a policy that was trained with --model."""
+    episodes: int = 256
+    """Episodes of each mode, and worlds simulated together."""
+    mode: Literal["both", "deterministic", "sampled"] = "both"
+    """Whether actions are the policy's means, or drawn as in training."""
+    seed: int = EVALUATION_SEED
+    """World i resets with seed + i."""
+    physics: Physics = "parity"
+    muscle: Annotated[str | None, optional("{" + ",".join(MUSCLES) + "}")] = None
+    """Muscle model; by default that of the training."""
+    reset: Annotated[str | None, optional("{" + ",".join(RESETS) + "}")] = None
+    """What episodes start from; by default as in the training."""
+    conditions: Annotated[tuple[str, ...] | None, optional("[NAME ...]")] = None
+    """Muscle conditions; by default those of the training; without a name: none."""
+    device: Device = None
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def __call__(self) -> None:
+        """Check, run and print."""
+        asked = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        as_json = asked.pop("json")
+        job = plan_evaluation(**asked)
+        head, results = evaluate_policy(job)
+        if not job.ranks.leads:
+            return
+        if as_json:
+            print(json.dumps({**head, **results}, indent=1))
+        else:
+            _print_table(head, results)
+
+
+def _print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> None:
+    """Print figures, a column for each mode."""
+    console = Console(highlight=False)
+    with_conditions = f", conditions {' '.join(head['conditions'])}" if head["conditions"] else ""
+    console.print(
+        f"[bold]{head['task']}[/bold]: {head['physics']} physics{with_conditions}, seed {head['seed']}"
+    )
+    table = Table("", *results)
+    for name, text in SUCCESSES.items():
+        table.add_row(text, *(success_text(figures, name) for figures in results.values()))
+    some = next(iter(results.values()))
+    if some["reachable"] and some["reachable"] < some["episodes"]:
+        text = f"{SUCCESSES['success']}, {some['reachable']} reachable targets"
+        table.add_row(text, *(success_text(figures, "success_reachable") for figures in results.values()))
+    table.add_row("return", *(f"{f['return_mean']:.1f} ± {f['return_std']:.1f}" for f in results.values()))
+    plain = {
+        "length_mean": "length [steps]",
+        "mean_activation": "mean activation",
+        "activation_rate": "activation rate [1/s]",
+    }
+    for name, text in (plain | {"episodes": "episodes", "faults": "faults"}).items():
+        table.add_row(text, *("-" if f[name] is None else f"{f[name]:.4g}" for f in results.values()))
+    console.print(table)

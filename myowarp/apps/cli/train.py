@@ -1,0 +1,109 @@
+"""The command `myowarp train`."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Optional
+
+import tyro
+
+from myowarp.apps.cli.options import Model, OptionalTask, optional
+from myowarp.apps.cli.rollout import Rollout
+from myowarp.apps.train.evaluation import EVALUATION_SEED
+from myowarp.apps.train.plan import SAVE_SECONDS, Job, plan, shown
+from myowarp.apps.train.run import train
+from myowarp.apps.train.settings import ALGORITHMS, all_settings
+from myowarp.disk import check_output
+
+
+@dataclass
+class TrainCommand:
+    """Train a policy: PPO, TRPO, SAC or FlashSAC, with a preset for the task.
+
+    Writes a folder with the last checkpoint, progress.csv, TensorBoard events, curve.png and report.json.
+    Ctrl-C finishes the iteration and saves; a run that was stopped or killed goes on with --resume, bit for
+    bit on the CPU.
+
+    Example: myowarp train myoElbowPose1D6MRandom-v0 --output runs/elbow
+
+    Then: myowarp eval runs/elbow
+
+    Or: myowarp rollout myoElbowPose1D6MRandom-v0 --policy runs/elbow --video elbow.mp4
+    """
+
+    task: OptionalTask = None
+    model: Model = None
+    algorithm: Annotated[
+        Literal["ppo", "trpo", "sac", "flashsac"] | None, optional("{ppo,trpo,sac,flashsac}")
+    ] = None
+    """Algorithm; by default that of the task's preset, which is ppo but for a few."""
+    output: Annotated[Path | None, optional("FOLDER")] = None
+    """New folder of the run; by default runs/<task>_<algorithm>_<seed>."""
+    resume: Annotated[Path | None, optional("FOLDER")] = None
+    """Folder of a run that is to go on; its settings hold, only --samples and when to stop may change."""
+    video: Annotated[Path | None, optional("FILE")] = None
+    """Write a video of the trained policy to this .mp4: deterministic actions, parity physics."""
+    save_seconds: float = SAVE_SECONDS
+    """Seconds from one checkpoint to the next; 0: after every iteration."""
+    wandb: bool = False
+    """Send the figures to Weights & Biases too."""
+
+    def __call__(self) -> None:
+        """Check everything, train and report."""
+        asked = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        video = asked.pop("video")
+        check_output(video, ".mp4")
+        if video is not None and video.exists():
+            raise ValueError(f"output {str(video)!r} exists; choose another name")
+        job = plan(**{name: value for name, value in asked.items() if value is not None})
+        train(job)
+        if video and job.ranks.leads:
+            _film(job, video)
+
+
+def _film(job: Job, video: Path) -> None:
+    """Run the policy that was trained, print what it does, and write a video."""
+    settings = job.settings
+    Rollout(
+        task=None if job.model else job.task,
+        model=Path(job.task) if job.model else None,
+        policy=str(job.folder),
+        seed=EVALUATION_SEED,
+        device=settings.device or None,
+        muscle=settings.muscle,
+        reset=settings.reset or None,
+        conditions=settings.conditions,
+        video=video,
+    )()
+
+
+def _overrides() -> list[tuple[str, Any, Any]]:
+    """Return the settings as fields of the command, each None where it is not given."""
+    fields: list[tuple[str, Any, Any]] = []
+    for name, entry in all_settings().items():
+        kind: Any = type(entry.default)
+        metavar = "{" + ",".join(filter(None, entry.metadata["choices"])) + "}"
+        if kind is tuple:
+            kind, metavar = (
+                (tuple[int, ...], "[INT ...]") if name == "hidden" else (tuple[str, ...], "[NAME ...]")
+            )
+        elif not entry.metadata["choices"]:
+            metavar = {int: "INT", float: "FLOAT"}.get(kind, "NAME")
+        owners = [a for a, k in ALGORITHMS.items() if name in {f.name for f in dataclasses.fields(k)}]
+        only = "" if len(owners) == len(ALGORITHMS) else f" ({', '.join(owners)})"
+        hint = f"(preset, else {shown(entry.default)})"
+        text = entry.metadata["text"] + only
+        fields.append(
+            (
+                name,
+                Annotated[Optional[kind], tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=hint)],  # noqa: UP045
+                dataclasses.field(default=None),
+            )
+        )
+    return fields
+
+
+Train = dataclasses.make_dataclass("Train", _overrides(), bases=(TrainCommand,))
+Train.__doc__ = TrainCommand.__doc__
