@@ -205,7 +205,7 @@ def test_every_snippet_runs(page, tmp_path, monkeypatch, run):
         file = tmp_path / f"snippet_{number}.py"
         file.write_text(re.sub(r"(num_envs=|, )(256|64)\b", r"\g<1>8", snippet))
         names |= runpy.run_path(str(file), names)
-        if "actions" not in names and hasattr(names["env"], "action_space"):
+        if "actions" not in names and hasattr(names.get("env"), "action_space"):
             names["actions"] = names["env"].action_space.sample()
     for name in set(gym.registry) - ids:
         del gym.registry[name]
