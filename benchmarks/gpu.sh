@@ -30,7 +30,7 @@ fi
 run=(env PYTHONPATH="$PWD" PYTHONUNBUFFERED=1 "$environment/bin/python")
 
 # That everything compiles for CUDA is tested without a GPU.
-tests=$(timeout $((time / 4)) "${run[@]}" -m pytest tests/test_cuda.py -q -k "not compile" 2>&1 |
+tests=$(timeout $((time / 4)) "${run[@]}" -m pytest tests/engine/test_cuda.py -q -k "not compile" 2>&1 |
   tee "$out/gpu_tests.log" | tail -n 1) || tests="failed or cut off: $tests"
 echo "Tests: $tests"
 

@@ -2,7 +2,7 @@
 
 Meshes, cameras, lights, sensors, sites that no force acts on, and geoms that can touch nothing go; bodies
 that cannot move are fused into their parents. What remains is the same mechanism: forces and accelerations
-agree with the full model to rounding (tests/test_slim.py), in a third of the memory.
+agree with the full model to rounding (tests/engine/test_slim.py), in a third of the memory.
 """
 
 from collections.abc import Iterable

@@ -4,7 +4,7 @@ Source: MuJoCo documentation, *Modeling, Muscles* (lengths, curves, peak force),
 Activation dynamics* (time constants) and *XML reference, actuator/muscle* (`tausmooth`). One point
 follows the implementation: the documented passive curve is cubic and passes through fpmax at lmax,
 the function `mju_muscleBias` is quadratic and passes through 1.5 fpmax there; MuJoCo computes the
-latter. `tests/test_curves.py` compares every function here with MuJoCo's own.
+latter. `tests/suite/test_curves.py` compares every function here with MuJoCo's own.
 
 Array arguments broadcast; parameter rows `prm` are (range0, range1, force, scale, lmin, lmax, vmax,
 fpmax, fvmax), as in `gainprm` and `biasprm`.

@@ -5,7 +5,7 @@
     a = clip(W x + b, -1, 1)                 one standard deviation for all states (PPO, TRPO)
     a = tanh(first half of W x + b)          the second half is its logarithm (SAC)
 
-The forward pass equals torch's to 1e-6 (tests/test_train_policy.py).
+The forward pass equals torch's to 1e-6 (tests/lab/test_train_policy.py).
 """
 
 from __future__ import annotations

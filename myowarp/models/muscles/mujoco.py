@@ -7,7 +7,7 @@ with the strength s, 1 in a healthy muscle.
 Source: MuJoCo documentation, *Modeling, Actuators, Muscles*. The active and the passive part each have
 their own length scale and peak force, as `gainprm` and `biasprm` do. Given the same length and velocity,
 forces agree with MuJoCo C to 1e-5 of the peak; the engine's lengths, in float32, add up to 7e-5 in short
-muscles of the hand (tests/test_muscles.py).
+muscles of the hand (tests/suite/test_muscles.py).
 """
 
 import math

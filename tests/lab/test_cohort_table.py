@@ -1,0 +1,273 @@
+"""Patient tables: what people write, what is refused and how, and the table of columns."""
+
+import dataclasses
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from myowarp.definitions.condition import CONDITIONS
+from myowarp.definitions.task import TASKS
+from myowarp.sim.simulation import Simulation
+
+pd = pytest.importorskip("pandas")
+pytest.importorskip("pyarrow")
+
+from myowarp.apps.studies.cohort import COLUMNS, plan, run, run_cohort  # noqa: E402
+from myowarp.sim.patient_columns import conditions_of  # noqa: E402
+from myowarp.sim.patient_table import read_population  # noqa: E402
+
+ELBOW, HAND, REACH = "myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1", "myoHandReachFixed-v0"
+ELBOW_MUSCLES = ("TRIlong", "TRIlat", "TRImed", "BIClong", "BICshort", "BRA")
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PATIENTS = pd.DataFrame(
+    {
+        "patient": ["Ada", "Ben", "Cleo", "Dan"],
+        "strength": [1.0, 0.4, 0.7, 0.2],
+        "load_mass": [0, 2, 5, 1],
+        "tendon_tear": ["", "BRA", "BRA+TRIlat", None],
+    }
+)
+
+
+@pytest.fixture
+def nothing_built(monkeypatch):
+    """Whoever builds a simulation fails."""
+
+    def refuse(*args, **options):
+        pytest.fail("a simulation was built")
+
+    monkeypatch.setattr(run, "Simulation", refuse)
+
+
+@pytest.mark.parametrize("name", COLUMNS)
+def test_columns_are_parameters_of_conditions(name):
+    column = COLUMNS[name]
+    fields = {field.name for field in dataclasses.fields(CONDITIONS[column.condition])}
+    assert column.parameter in fields
+
+
+NUMBERS = [name for name in COLUMNS if type(COLUMNS[name]).__name__ == "CohortColumn"]
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_ranges_are_the_conditions_own(name):
+    """What the table refuses at its lower end the condition would refuse too; what it takes, it takes."""
+    column = COLUMNS[name]
+    partner = {"tear_time": {"tendon_tear": [("BRA",)]}}.get(name, {})
+
+    def build(value):
+        conditions = conditions_of({name: [value], **partner}, TASKS[ELBOW])
+        Simulation(TASKS[ELBOW], 1, device="cpu", conditions=conditions, graph=False, progress=False)
+
+    with pytest.raises(ValueError, match=column.parameter):
+        build(column.low - 0.1)
+    build(column.high if column.high < np.inf else 3.0)
+    with pytest.raises(ValueError):  # noqa: PT011 (the message is made of the column's by the reader)
+        column.parse(column.low - 0.1, ())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "patient,strength,tendon_tear\nA,0.5,\nB,1,BRA\n",
+        "﻿patient;strength;tendon_tear\r\nA;0.5;\r\nB;1;BRA\r\n",
+        "patient\tstrength\ttendon_tear\n A \t 0.5 \t\n\nB\t1\t BRA \n",
+        '"patient","strength","tendon_tear"\n"A",0.50,""\n"B",1e0,"BRA+BRA"\n',
+    ],
+)
+def test_tables_that_people_write(tmp_path, text):
+    path = tmp_path / "patients.csv"
+    path.write_text(text, encoding="utf-8")
+    population = read_population(path, ELBOW_MUSCLES)
+    assert population.patients == ("A", "B")
+    assert population.entries == {"strength": [0.5, 1.0], "tendon_tear": [(), ("BRA",)]}
+
+
+def test_parquet_and_frames_are_like_csv(tmp_path):
+    PATIENTS.to_parquet(tmp_path / "patients.parquet")
+    PATIENTS.to_csv(tmp_path / "patients.csv", index=False)
+    tables = [
+        PATIENTS,
+        tmp_path / "patients.parquet",
+        str(tmp_path / "patients.csv"),
+        PATIENTS.convert_dtypes(),
+    ]
+    populations = [read_population(table, ELBOW_MUSCLES) for table in tables]
+    assert all(population == populations[0] for population in populations)
+    nullable = pd.DataFrame({"tendon_transfer": pd.array([True, False]), "strength": np.float32([1, 0.5])})
+    assert read_population(nullable, ()).entries == {"tendon_transfer": [1.0, 0.0], "strength": [1.0, 0.5]}
+
+
+def test_names_of_muscles_may_lack_their_side():
+    names = ("FPL_r", "EPL_r")
+    table = pd.DataFrame({"tendon_tear": ["FPL", "EPL_r + FPL", ""]})
+    assert read_population(table, names).entries["tendon_tear"] == [("FPL_r",), ("EPL_r", "FPL_r"), ()]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "strength\n1\n\n-0.5\n",
+            r"^cohort row 2 \(patient '2'\), column 'strength': needs a number >= 0, got '-0\.5'$",
+        ),
+        (
+            "patient,strength\nA,\n",
+            r"^cohort row 1 \(patient 'A'\), column 'strength': needs a number >= 0, got nothing$",
+        ),
+        (
+            "patient;load_mass\nA;0,5\n",
+            r"^cohort row 1 \(patient 'A'\), column 'load_mass': needs a number >= 0 kg, got '0,5'$",
+        ),
+        (
+            "patient,initial_fatigue\nA,0\nB,1.5\n",
+            r"^cohort row 2 \(patient 'B'\), column 'initial_fatigue': needs a number in 0\.\.1, got '1\.5'$",
+        ),
+        (
+            "patient,fatigue_rate\nA,inf\n",
+            r"^cohort row 1 \(patient 'A'\), column 'fatigue_rate': needs a number in 0\.\.10 1/s, "
+            r"got 'inf'$",
+        ),
+        (
+            "patient,tendon_transfer\nA,yes\n",
+            r"^cohort row 1 \(patient 'A'\), column 'tendon_transfer': needs 0 or 1, got 'yes'$",
+        ),
+        (
+            "patient,tendon_tear\nA,BIC\n",
+            r"^cohort row 1 \(patient 'A'\), column 'tendon_tear': needs the name of a muscle, several "
+            r"joined by \+, or nothing, got 'BIC' \(muscle 'BIC' unknown; "
+            r"did you mean BIClong, BICshort\?\)$",
+        ),
+        ("patient,strenght\nA,1\n", r"^cohort column 'strenght' unknown; did you mean strength\?$"),
+        (
+            "patient,qqq\nA,1\n",
+            r"^cohort column 'qqq' unknown; available: strength, fatigue_rate, .*noise_constant$",
+        ),
+        ("strength,strength\n1,1\n", r"^cohort column 'strength' is there twice; leave one out$"),
+        ("patient,strength\nA,1\nB,1\nA,1\n", r"^cohort rows 1 and 3 are both patient 'A'; names differ$"),
+        ("patient,strength\n ,1\n", r"^cohort row 1, column 'patient': needs a name, got nothing$"),
+        ("patient,strength\nA,1,2\n", r"^cohort row 1 has 3 entries for 2 columns: \['A', '1', '2'\]$"),
+        (
+            "patient,strength\n",
+            r"^cohort table '.*patients\.csv' has no rows; it needs one for every patient$",
+        ),
+        ("", r"^cohort table '.*patients\.csv' has no rows; it needs one for every patient$"),
+        (
+            "tendon_transfer,reafferentation\n1,0\n1,1\n",
+            r"^cohort row 2 \(patient '2'\) has both tendon_transfer and reafferentation; "
+            r"set one of them to 0$",
+        ),
+        ("tear_time\n1\n", r"^cohort column tear_time: it needs column tendon_tear, which says what tears$"),
+        (
+            "strength,fatigue_rate,force_loss_rate\n1,0,0\n",
+            r"^cohort columns strength, fatigue_rate, force_loss_rate: conditions 'fatigue_3ccr' and "
+            r"'fatigue_ma2009' both set fatigue; leave one out$",
+        ),
+        (
+            "tendon_transfer\n1\n",
+            r"^cohort column tendon_transfer: a tendon transfer needs the muscles EIP and EPL; .*$",
+        ),
+    ],
+)
+def test_bad_tables(tmp_path, nothing_built, text, message):
+    path = tmp_path / "patients.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        run_cohort(path, ELBOW)
+
+
+def test_an_exoskeleton_on_a_hand(nothing_built):
+    with pytest.raises(
+        ValueError,
+        match=r"^cohort column exo_assistance: an exoskeleton needs the elbow; body 'hand' of task "
+        r"'myoHandPoseRandom-v1' cannot wear it$",
+    ):
+        run_cohort(pd.DataFrame({"strength": [1], "exo_assistance": [0.5]}), HAND)
+
+
+@pytest.mark.parametrize(
+    ("column", "cell", "got"),
+    [
+        ("strength", None, "nothing"),
+        ("strength", np.nan, "nothing"),
+        ("strength", True, "True"),
+        ("strength", "weak", "'weak'"),
+        ("strength", np.float64(-1), "-1.0"),
+        ("strength", [1], r"\[1\]"),
+    ],
+)
+def test_bad_cells_of_frames(column, cell, got):
+    table = pd.DataFrame({column: pd.Series([cell], dtype=object)})
+    with pytest.raises(
+        ValueError, match=rf"^cohort row 1 \(patient '1'\), column '{column}': needs .*, got {got}$"
+    ):
+        read_population(table, ())
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("none.csv", r"^cohort table 'none\.csv' does not exist$"),
+        ("patients.xlsx", r"^cohort table 'patients\.xlsx' must end in \.csv or \.parquet$"),
+        ([1, 2], r"^a cohort table is a path or a DataFrame, got list$"),
+    ],
+)
+def test_what_is_no_table(table, message):
+    with pytest.raises(ValueError, match=message):
+        read_population(table, ())
+
+
+def test_files_that_are_something_else(tmp_path):
+    for name, message in (("a.parquet", "is no Parquet file"), ("a.csv", "is not UTF-8 text")):
+        (tmp_path / name).write_bytes(b"\xff\xfe\x00PK")
+        with pytest.raises(ValueError, match=rf"^cohort table '.*{name}' {message} \(.*\)$"):
+            read_population(tmp_path / name, ())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"steps": 0}, r"^steps must be an integer >= 1, got 0$"),
+        ({"trials": 1.5}, r"^trials must be an integer >= 1, got 1\.5$"),
+        ({"every": 0}, r"^every must be an integer >= 1, got 0$"),
+        ({"seed": -1}, r"^seed must be an integer >= 0, got -1$"),
+        ({"physics": "slow"}, r"^physics 'slow' unknown; available: parity, fast$"),
+        ({"reset": "never"}, r"^reset 'never' unknown; available: task, fixed, random, none$"),
+        ({"device": "cuda:9"}, r"^device 'cuda:9' is not available; available: .*$"),
+        ({"policy": "best"}, r"^policy 'best' unknown; available: random, zero, hold, .*$"),
+        ({"task": "myoElbow-v0"}, r"^task 'myoElbow-v0' unknown; .*$"),
+        (
+            {"task": REACH},
+            r"^policy 'hold' follows joint errors, which task 'myoHandReachFixed-v0' of family 'reach' does "
+            r"not observe; use it in pose tasks$",
+        ),
+        (
+            {"task": "motorFingerPoseFixed-v0"},
+            r"^a cohort is about muscles; the body of task 'motorFingerPoseFixed-v0' has none$",
+        ),
+    ],
+)
+def test_bad_arguments(nothing_built, options, message):
+    with pytest.raises(ValueError, match=message):
+        run_cohort(PATIENTS, **{"task": ELBOW} | options)
+
+
+def test_without_pandas(monkeypatch):
+    monkeypatch.setattr(plan.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(
+        ImportError,
+        match=r"^a cohort needs pandas, which is not installed; run `pip install \"myowarp\[cohort\]\"`$",
+    ):
+        run_cohort(PATIENTS, ELBOW)
+
+
+def test_example_is_what_its_script_writes(tmp_path):
+    script = tmp_path / "elbow_cohort.py"
+    script.write_text((EXAMPLES / "elbow_cohort.py").read_text())
+    runpy.run_path(str(script))
+    assert (tmp_path / "elbow_cohort.csv").read_text() == (EXAMPLES / "elbow_cohort.csv").read_text()
+    population = read_population(EXAMPLES / "elbow_cohort.csv", ELBOW_MUSCLES)
+    assert len(population.patients) == 1000
+    assert conditions_of(population.entries, TASKS[ELBOW])

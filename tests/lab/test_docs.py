@@ -1,0 +1,245 @@
+"""What README and documentation show: every command and every snippet runs, every link leads.
+
+A command runs smaller than it is written: fewer worlds, steps and samples.
+"""
+
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import gymnasium as gym
+import pytest
+from socket_client import Client, until
+
+import myowarp
+from myowarp.apps.cli import main as cli
+from myowarp.apps.studies.audit import tasks as audit_command
+from myowarp.tasks.outside import find_task
+from myowarp.view.browser.live import Live
+
+ROOT = Path(__file__).parents[2]
+WRITTEN = ROOT / "docs/tasks"  # by docs/task_pages.py
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+PAGES += [page for page in sorted((ROOT / "docs").rglob("*.md")) if page.parent != WRITTEN]
+MOST_LINES = 110  # of README
+
+
+def blocks(page, language):
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(), re.DOTALL)
+
+
+def commands(block):
+    """Return the command lines of `myowarp` in a block, without what starts it on several ranks."""
+    found = (re.fullmatch(r"(?:torchrun .* -m )?(myowarp .*)", line) for line in block.splitlines())
+    return [line[1] for line in found if line]
+
+
+BLOCKS = [
+    (f"{page.relative_to(ROOT)}:{number}", page, commands(block))
+    for page in PAGES
+    for number, block in enumerate(blocks(page, "sh"))
+    if commands(block)
+]
+COMMANDS = [(page.name, line) for _, page, lines in BLOCKS for line in lines]
+SMALL = {
+    "rollout": {"--num-worlds": "2", "--steps": "3", "--video-worlds": "1"},
+    "record": {"--worlds": "1", "--steps": "2"},
+    "view": {"--port": "0"},
+    "cohort": {"--steps": "5"},
+    "audit": {"--num-worlds": "2"},
+    "train": {"--num-worlds": "8", "--rollout-steps": "8", "--minibatches": "2", "--samples": "64"},
+    "eval": {"--episodes": "2"},
+    "reproduce": {"--seeds": "1", "--num-worlds": "2"},
+}
+"""Options that make a command small, and take the place of its own."""
+MARKS = {
+    "myowarp train myoHandReachFixed-v1 --output runs/hand --video": "slow",  # films whole episodes
+    "myowarp export runs/hand": "slow",  # what that has trained
+    "myowarp baselines run": "slow",  # trains an elbow to the end
+    "myowarp reproduce exo1": "slow",  # trains, and measures for minutes
+    "myowarp sweep examples/study.yaml --dry-run": "",  # only says what it would do
+    "myowarp sweep examples/study.yaml": "scale",  # starts a cluster
+    "myowarp cohort examples/elbow_cohort.csv --task myoElbowPose1D6MFixed-v0 --ray": "scale",
+}
+"""Commands, by how they begin, that `make test` leaves to others."""
+SNIPPETS = {
+    page: [block for block in blocks(page, "python") if "import" in block or page.stem == "environments"]
+    for page in PAGES
+    if page.name != "CONTRIBUTING.md"  # its snippets are what tests/outside holds, in pieces
+}
+
+
+def test_readme_is_short():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= MOST_LINES
+    assert len(COMMANDS) > 10
+
+
+@pytest.mark.parametrize(("page", "line"), COMMANDS, ids=[line for _, line in COMMANDS])
+def test_every_command_is_understood(page, line, monkeypatch):
+    """As it is written: its options exist, its task is registered, its files are here."""
+    arguments = shlex.split(line, comments=True)[1:]
+    called = []
+    kind = cli.COMMANDS[arguments[0]]
+    monkeypatch.setattr(kind, "__call__", lambda self: called.append(self))
+    monkeypatch.setattr("sys.argv", ["myowarp", *arguments])
+    monkeypatch.chdir(ROOT)
+    cli.main()
+    (command,) = called
+    task = getattr(command, "task", None)
+    if task is not None and ".py:" not in task:
+        find_task(task)
+    for word in arguments:
+        if word.startswith(("examples/", "tests/")):
+            assert Path(word).exists(), word
+
+
+def runs():
+    """Return what runs for each block and mark: the lines without a mark, and those that have it."""
+    for name, page, lines in BLOCKS:
+        marks = [
+            next((mark for begin, mark in MARKS.items() if line.startswith(begin)), "") for line in lines
+        ]
+        for mark in dict.fromkeys(marks):
+            chosen = [line for line, own in zip(lines, marks, strict=True) if own in ("", mark)]
+            yield pytest.param(
+                page, chosen, id=f"{name}{mark}", marks=[getattr(pytest.mark, mark)] if mark else []
+            )
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """Return the folder of a converted model, which some pages go on with."""
+    pytest.importorskip("scipy")
+    folder = tmp_path_factory.mktemp("converted")
+    cli.COMMANDS["convert"](ROOT / "tests/data/osim/arm26.osim", folder / "arm26")()
+    return folder / "arm26"
+
+
+def prepare(folder, page):
+    """Put into a folder what the commands of a page name; the study is made small."""
+    (folder / "tests").mkdir()
+    (folder / "tests/data").symlink_to(ROOT / "tests/data")
+    shutil.copytree(ROOT / "examples", folder / "examples")
+    study = folder / "examples/study.yaml"
+    study.write_text(re.sub(r"(seeds|episodes): .*", r"\1: 2", study.read_text().replace("300_000", "2048")))
+    shutil.copy(ROOT / "tests/data/osim/arm26.osim", folder)
+    (folder / "my_tasks.py").write_text("".join(blocks(page, "python")))
+
+
+def smaller(line):
+    """Return the words of a command, made small."""
+    words = shlex.split(line, comments=True)[1:]
+    for option, value in SMALL.get(words[0], {}).items():
+        if option in words:
+            at = words.index(option)
+            words[at + 1] = min(words[at + 1], value, key=int)
+        elif "--list" not in words:
+            words += [option, value]
+    return words + ["--quick"] * (words[0] == "reproduce" and not {"--quick", "--list"} & {*words})
+
+
+run_page = Live.run
+
+
+def visited(live):
+    """In place of `Live.run`: serve until a browser has seen the body move."""
+    seen = []
+
+    def visit():
+        try:
+            page = Client(f"ws://127.0.0.1:{live.server.get_port()}")
+            seen.append(until(lambda: page.frames > 2))
+            page.leave()
+        finally:
+            live.stop()
+
+    visitor = threading.Thread(target=visit)
+    visitor.start()
+    run_page(live)
+    visitor.join()
+    assert seen
+
+
+@pytest.mark.parametrize(("page", "lines"), list(runs()))
+def test_every_command_runs(page, lines, tmp_path, monkeypatch, run, request):
+    """Those of a block one after the other, in a folder of their own."""
+    prepare(tmp_path, page)
+    if any("out/arm26" in line for line in lines) and not any("convert" in line for line in lines):
+        shutil.copytree(request.getfixturevalue("arm"), tmp_path / "out/arm26")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(myowarp.TASKS, "_entries", dict(myowarp.TASKS._entries))
+    monkeypatch.setattr(Live, "run", visited)
+    first = audit_command.find_jobs
+    monkeypatch.setattr(audit_command, "find_jobs", lambda *which: first(*which)[:1])
+    ids = set(gym.registry)
+    for line in lines:
+        status, _, err = run(*smaller(line))
+        if status and "drawing needs OpenGL" in err:
+            pytest.skip(err)
+        assert status == 0, f"{line}: {err}"
+    for name in set(gym.registry) - ids:
+        del gym.registry[name]
+
+
+@pytest.mark.parametrize("page", [page for page in SNIPPETS if SNIPPETS[page]], ids=lambda page: page.stem)
+def test_every_snippet_runs(page, tmp_path, monkeypatch, run):
+    """One after the other in a fresh folder, with few worlds; what they register goes again."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(myowarp.TASKS, "_entries", dict(myowarp.TASKS._entries))
+    ids = set(gym.registry)
+    names = {}
+    for number, snippet in enumerate(SNIPPETS[page]):
+        if "run.parquet" in snippet:
+            pytest.importorskip("pyarrow")
+            pytest.importorskip("matplotlib").use("agg")
+            steps = ("--steps", 3, "--num-worlds", 4)
+            assert run("rollout", "myoElbowPose1D6MRandom-v0", *steps, "--signals", "run.parquet")[0] == 0
+        if "Sb3VecEnv" in snippet:
+            pytest.importorskip("stable_baselines3")
+            pytest.importorskip("rsl_rl")
+        file = tmp_path / f"snippet_{number}.py"
+        file.write_text(re.sub(r"(num_envs=|, )(256|64)\b", r"\g<1>8", snippet))
+        names |= runpy.run_path(str(file), names)
+        if "actions" not in names and hasattr(names.get("env"), "action_space"):
+            names["actions"] = names["env"].action_space.sample()
+    for name in set(gym.registry) - ids:
+        del gym.registry[name]
+
+
+def test_reference_lists_what_is_public():
+    named = re.findall(
+        r"^\.\. (?:autoclass|autofunction|data):: (\w+)$", (ROOT / "docs/reference.md").read_text(), re.M
+    )
+    assert sorted(named) == sorted(set(myowarp.__all__) - {"__version__"})
+
+
+def test_version_changelog_and_citation_agree():
+    cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.M).group(1)
+    latest = re.search(r"^## \[(.*?)\]", (ROOT / "CHANGELOG.md").read_text(), re.M).group(1)
+    assert cited == myowarp.__version__
+    assert latest in ("Unreleased", myowarp.__version__)
+
+
+def test_the_site_is_built_without_a_warning(tmp_path):
+    """Every page is in the navigation, every link inside of the site leads, every task has a page."""
+    build = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-d", str(tmp_path / "doctrees")]
+    done = subprocess.run([*build, "docs", str(tmp_path / "site")], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    for key in myowarp.TASKS:
+        page = (tmp_path / f"site/tasks/{key}.html").read_text()
+        assert "Observation:" in page
+        assert f"../audit.html#{key}" in page
+    anchors = (tmp_path / "site/audit.html").read_text()
+    assert all(f'id="{key}"' in anchors for key in myowarp.TASKS)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads(page):
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
+        if not target.startswith("http") and (page.parent / target).resolve().parent != WRITTEN:
+            assert (page.parent / target).exists(), target

@@ -1,0 +1,233 @@
+"""The experiments of the hand, of validation, speed and learning: each runs once in its `--quick` form."""
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from rich.console import Console
+
+from myowarp.apps.cli.reproduce import Reproduce
+from myowarp.apps.policies.checkpoint import load_checkpoint
+from myowarp.apps.studies.reproduce import baselines, speed, tear, transfer, validation
+from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
+from myowarp.apps.studies.reproduce.policies import Training, retrained
+from myowarp.apps.studies.reproduce.report import FILES
+from myowarp.definitions.body import BODIES
+
+pytest.importorskip("matplotlib").use("agg")
+
+ROOT = Path(__file__).parents[2]
+ARM26 = ROOT / "tests/data/osim/arm26.osim"
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """Return the result of an experiment and its folder; it runs when it is first asked for."""
+    done = {}
+
+    def find(name, **options):
+        if name not in done:
+            folder = tmp_path_factory.mktemp(name)
+            given = {"seeds": 1, "num_worlds": 2, "device": "cpu"} | options
+            read = {key: value for key, value in given.items() if key not in EXPERIMENTS[name].ignores}
+            Reproduce(name=name, quick=True, output=folder, **read)()
+            assert all((folder / file).stat().st_size for file in FILES)
+            done[name] = json.loads((folder / "result.json").read_text()), folder
+        return done[name]
+
+    return find
+
+
+def ours(result, quantity):
+    """Return our means of a quantity by condition."""
+    return {row["condition"]: row["ours"] for row in result["merits"] if row["quantity"] == quantity}
+
+
+def holds(result):
+    """Return whether each claim holds, by its first words."""
+    return {claim["claim"][:40]: claim["holds"] for claim in result["claims"]}
+
+
+def test_tears_hurt_in_the_papers_order(found):
+    result, _ = found("tear")
+    rotation = ours(result, "rotation of the key, mean actions")
+    assert rotation["without FPL"] < rotation["without OP"] < tear.THRESHOLDS[1]
+    assert min(rotation[who] for who in ("all muscles", "without EPB", "without APL")) > 180.0
+    assert ours(result, "activation of FPL, mean actions")["without OP"] > 2 * 0.1
+    assert result["claims"][0]["holds"]
+    assert result["claims"][1]["holds"]
+    assert not any(
+        claim["holds"] for claim in result["claims"] if claim["claim"].startswith("As the caption")
+    )
+
+
+def test_a_finished_tear_is_not_run_again(found, monkeypatch):
+    result, folder = found("tear")
+    monkeypatch.setattr("myowarp.apps.studies.reproduce.key.MyoWarpVectorEnv", None)
+    Reproduce(name="tear", quick=True, output=folder, seeds=1, num_worlds=2, device="cpu")()
+    assert json.loads((folder / "result.json").read_text())["merits"] == result["merits"]
+
+
+def test_the_hand_fails_after_a_transfer_until_it_is_retrained(found):
+    result, _ = found("transfer")
+    rotation = ours(result, "rotation of the key, mean actions")
+    assert rotation["intact"] > 180.0
+    for who in ("EPL torn", "transfer", "redirected"):
+        assert rotation[who] < transfer.THRESHOLDS[0], who
+    for who in transfer.AFTER:
+        assert rotation[who] > transfer.THRESHOLDS[1], who
+    assert ours(result, "pairs of muscles recruited in another order")["redirected"] > 0
+
+
+def test_pairs_that_changed_places():
+    first = np.array([0.1, 0.2, 0.3, 0.4])
+    assert transfer.exchanged(first, first + 1.0) == 0
+    assert transfer.exchanged(first, first[::-1]) == 6
+    assert transfer.exchanged(first, np.array([0.2, 0.1, 0.3, 0.4])) == 1
+
+
+# Two bars of lengths a and b on a hinge, a tendon between their ends: l^2 = a^2 + b^2 - 2 a b cos(q - c).
+A, B, C, FMAX = 0.2, 0.05, -0.3, 300.0
+HINGE = f"""
+<mujoco><compiler angle="radian"/><worldbody><site name="a" pos="{A * np.cos(C)} {A * np.sin(C)} 0"/><body>
+<joint name="q" axis="0 0 1"/><geom size="0.01" mass="1"/><site name="b" pos="{B} 0 0"/></body></worldbody>
+<tendon><spatial name="t"><site site="a"/><site site="b"/></spatial></tendon> <actuator><muscle name="m"
+tendon="t" force="{FMAX}" lengthrange="0.15 0.25" range="0.75 1.05" lmin="0.5" lmax="1.6"/>
+</actuator></mujoco>"""
+
+
+def closed_form(angle):
+    """Return length and moment arm of the tendon."""
+    length = np.sqrt(A * A + B * B - 2.0 * A * B * np.cos(angle - C))
+    return length, -A * B * np.sin(angle - C) / length
+
+
+def test_curves_are_those_of_a_crossbow():
+    model = mujoco.MjModel.from_xml_string(HINGE)
+    angle = np.linspace(0.2, 2.6, 15)
+    length, arm, force = validation.curves(model, 0, angle, (0.0, 0.5, 1.0))
+    expected_length, expected_arm = closed_form(angle)
+    np.testing.assert_allclose(length[:, 0], expected_length, atol=1e-12)
+    np.testing.assert_allclose(arm[:, 0], expected_arm, atol=1e-9)
+    # Fibers run from 0.75 to 1.05 of their optimum over 0.1 m; below it the gain is a parabola.
+    norm = 0.75 + 0.3 * (expected_length - 0.15) / 0.1
+    middle = (norm >= 0.75) & (norm <= 1.0)
+    assert middle.sum() >= 5
+    gain = 1.0 - 0.5 * ((1.0 - norm[middle]) / 0.25) ** 2
+    np.testing.assert_allclose(force[middle, :, 0], FMAX * np.outer(gain, (0.0, 0.5, 1.0)), atol=1e-9)
+
+
+def crossbow_record(angle, arm, length, force):
+    """Return a record as OpenSim's, of one muscle."""
+    row = {"muscle": "m", "coordinate": "q", "max_isometric_force": FMAX, "length": length.tolist()}
+    row |= {"moment_arm": arm.tolist(), "slope": arm.tolist(), "force": force.tolist()}
+    return {"ranges": {"q": (angle[0], angle[-1])}, "curves": [row]}
+
+
+def test_differences_are_root_mean_squares():
+    model = mujoco.MjModel.from_xml_string(HINGE)
+    angle = np.linspace(0.2, 2.6, 15)
+    length, arm = closed_form(angle)
+    force = validation.curves(model, 0, angle, (1.0,))[2][:, :, 0]
+    record = crossbow_record(angle, arm + 3e-3 * np.sign(angle - 1.6), length, force + 0.1 * FMAX)
+    (pair,) = validation.pairs(model, record, {"q": ("q", 1.0)}, {"m": "m"}, (1.0,), 15)
+    assert pair.arm_rms == pytest.approx(3.0, rel=1e-5)
+    assert validation.force_rms([pair])["m"] == pytest.approx(10.0, rel=1e-9)
+    assert not validation.pairs(model, record, {"q": ("q", 1.0)}, {}, (1.0,), 15)
+    # A coordinate that counts the other way round has the mirrored curve.
+    record = crossbow_record(-angle[::-1], -arm[::-1], length[::-1], force[::-1])
+    (same,), (other,) = (
+        validation.pairs(model, record, {"q": ("q", sign)}, {"m": "m"}, (1.0,), 15) for sign in (-1.0, 1.0)
+    )
+    assert same.arm_rms < 1e-5
+    assert other.arm_rms > 1.0
+
+
+def test_validation_has_the_sign_and_size_of_the_paper(found):
+    result, _ = found("validation", models=(ARM26,))
+    arms = ours(result, "moment arms, RMS difference")
+    assert arms["elbow"] < 0.1
+    assert arms["arm26, our converter"] < 0.1
+    assert 1.0 < arms["hand"] < sum(validation.PAPER_ARM["MoBL_ARMS"])
+    forces = ours(result, "static force, RMS difference")
+    assert forces["arm26, our converter"] < sum(validation.PAPER_FORCE["arm26"]) < forces["elbow"]
+    assert forces["hand, muscles within their range"] < forces["hand"]
+
+
+def test_the_hands_deviation_is_counted_the_other_way_round():
+    record, model = validation.recorded(), BODIES["hand"].build().compile()
+    names = validation.muscles_of(model, record["models"]["MoBL_ARMS"], "_r")
+    assert names["FDSL"] == "FDS5_r"
+    assert names["FCR"] == "FCR_r"
+    means = []
+    for sign in (-1.0, 1.0):
+        joints = validation.JOINTS | {"deviation": ("deviation_r", sign)}
+        found = validation.pairs(model, record["models"]["MoBL_ARMS"], joints, names, (0.5, 1.0), 21)
+        means.append(np.mean([pair.arm_rms for pair in found if pair.coordinate == "deviation"]))
+    assert means[0] < 0.4 * means[1]
+
+
+def test_validation_refuses_other_models(tmp_path):
+    gait = ROOT / "tests/data/osim/gait10dof18musc.osim"
+    with pytest.raises(
+        ValueError, match=r"--models compares arm26 and MoBL_ARMS, got '.*gait10dof18musc\.osim'"
+    ):
+        Reproduce(name="validation", output=tmp_path, models=(gait,))()
+    with pytest.raises(ValueError, match="is no file; give the path of"):
+        Reproduce(name="validation", output=tmp_path, models=(tmp_path / "none.osim",))()
+
+
+def test_speed_grows_with_the_muscles(found, monkeypatch, tmp_path):
+    result, _ = found("speed")
+    table = json.loads(speed.RESULT.read_text())["models"]["arm26"]["copies"]
+    over = ours(result, "times as fast as OpenSim")
+    for copies, muscles in (("1", 6), ("64", 384)):
+        rounds = [
+            table[copies]["MuJoCo C, 1 thread"]["over_opensim"][key] for key in ("median", "min", "max")
+        ]
+        assert over[f"arm26, {muscles} muscles, MuJoCo C, 1 thread"] == pytest.approx(np.mean(rounds))
+    assert result["claims"][0]["holds"]
+    assert result["claims"][2]["holds"]
+    monkeypatch.setattr(speed, "RESULT", tmp_path / "opensim_speed.json")
+    with pytest.raises(ValueError, match="the installed package does not"):
+        Reproduce(name="speed", output=tmp_path / "out")()
+
+
+def test_samples_until_it_is_learned():
+    curve = np.array([1e6, 2e6, 3e6]), np.array([0.2, 0.95, 0.4])
+    assert baselines.samples_to(curve) == 2.0
+    assert np.isnan(baselines.samples_to(curve, 0.99))
+
+
+def test_easy_tasks_are_learned_first(found):
+    result, _ = found("baselines")
+    assert all(claim["holds"] for claim in result["claims"]), holds(result)
+    needed = ours(result, "samples to 90 %")
+    assert needed["myoElbowPose1D6MFixed-v0, preset"] < needed["myoElbowPose1D6MRandom-v0, preset"]
+    assert len([name for name in needed if name.endswith("TRPO")]) >= 4
+
+
+def test_the_papers_baselines_are_those_of_the_page():
+    published = json.loads((ROOT / "benchmarks/published_success.json").read_text())["tasks"]
+    for task, (success, samples) in baselines.PAPER.items():
+        shown = published[task]["npg"]
+        assert shown.startswith(", ".join(map(str, success))), task
+        assert f"{samples} M)" in shown, task
+
+
+def test_a_policy_is_trained_on_from_its_parent(tmp_path):
+    pytest.importorskip("skrl")
+    small = {"num_worlds": 8, "rollout_steps": 8}
+    parent = Training("parent", "myoElbowPose1D6MFixed-v0", samples=640, settings=small)
+    given = small | {"value_first": 1}
+    child = Training("child", parent.task, samples=640, settings=given, parent=parent)
+    folder = tmp_path / "policies" / "child" / "0"
+    found = retrained(child, 0, folder, Console(stderr=True), quick=True, device="cpu")
+    before = load_checkpoint(tmp_path / "policies" / "parent" / "0")
+    assert found.manifest["parent"]["task"] == parent.task
+    # In the one iteration that it had, the value function alone learned.
+    for name, array in found.policy.items():
+        if name.startswith("net."):
+            np.testing.assert_array_equal(array, before.policy[name])

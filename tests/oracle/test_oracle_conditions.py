@@ -1,0 +1,134 @@
+"""MyoSuite 3.0.0's `myo{Sarc,Fati,Reaf}...` ids against recorded values (tests/data/README.md).
+
+One control step from recorded states, so that conditions, physics and task are compared together.
+"""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+from contact_oracle import object_ids
+
+from myowarp.definitions.task import TASKS
+from myowarp.sim.simulation import Simulation
+from myowarp.tasks.variants import PREFIXES, variants
+
+DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parents[1] / "data/myosuite"))
+IDS = {env_id.removeprefix("MyoWarp/"): variant for env_id, variant in variants().items()}
+RECORDED = sorted(p.stem for p in DATA.glob("*.npz") if p.stem.startswith(tuple(PREFIXES)))
+
+CTRL = 1e-6  # excitations, activations and compartments of order one in float32
+VALUE = 1e-5  # observation and reward, median over states, one control step of physics in float32
+QPOS = 1e-4  # rad and m, median over states, as without a condition
+EFFECT = 10.0
+
+COMPARTMENTS = ("active", "resting", "fatigued")
+
+
+def test_every_condition_is_recorded():
+    """What a file stands for is an id of ours, and no condition of upstream is left out."""
+    assert {IDS[name].conditions for name in RECORDED} == {(c,) for c, _ in PREFIXES.values()}
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_control_step(name, record_property):
+    """Control, activation, compartments, configuration, observation, reward and ending."""
+    variant = IDS[name]
+    with np.load(DATA / f"{name}.npz") as file:
+        record = {field: file[field] for field in file.files}
+    sim = Simulation(
+        TASKS[variant.task],
+        len(record["step_step"]),
+        conditions=variant.conditions,
+        autoreset="disabled",
+        device="cpu",
+        graph=False,
+        progress=False,
+    )
+    step_like(sim, record)
+    np.testing.assert_allclose(sim.scene.data.ctrl.numpy(), record["step_ctrl"], atol=CTRL)
+    np.testing.assert_allclose(sim.scene.muscles.activation.numpy(), record["step_act"], atol=CTRL)
+    for part in COMPARTMENTS if "step_fatigued" in record else ():
+        error = np.abs(
+            getattr(sim.parts[0].effects[0].state, f"{part}_fraction").numpy() - record[f"step_{part}"]
+        )
+        record_property("compartments", float(error.max()))
+        assert error.max() < CTRL
+    qpos = np.abs(sim.scene.data.qpos.numpy() - record["step_qpos"]).max(axis=1)
+    observation, reward = misses(sim, record)
+    for column, values in (("observation", observation), ("reward", reward), ("qpos", qpos)):
+        record_property(f"{column} median", float(np.median(values)))
+        record_property(f"{column} worst", float(values.max()))
+    assert np.median(qpos) < QPOS
+    assert np.median(observation) < VALUE
+    assert np.median(reward) < VALUE
+    np.testing.assert_array_equal(sim.transition.terminated.numpy(), record["step_done"])
+    sim.parts[0].effects = ()
+    sim.scene.muscles.anatomy.strength.fill_(1.0)
+    step_like(sim, record)
+    assert np.median(misses(sim, record)[0]) > EFFECT * VALUE
+
+
+def step_like(sim, record):
+    """Take a recorded control step in every world."""
+    aim(sim, json.loads(str(record["meta"])), record)
+    data = sim.scene.data
+    data.qpos.assign(record["step_qpos_before"])
+    data.qvel.assign(record["step_qvel_before"])
+    sim.scene.muscles.activation.assign(record["step_act_before"])
+    if "step_fatigued" in record and sim.parts[0].effects:
+        for part in COMPARTMENTS:
+            getattr(sim.parts[0].effects[0].state, f"{part}_fraction").assign(record[f"step_{part}_before"])
+    sim.episode.step_count.assign(record["step_step"].astype(np.int32) - 1)
+    sim.episode.ended.zero_()
+    data.qacc_warmstart.zero_()
+    sim.action.assign(record["step_action"])
+    sim.step()
+
+
+def aim(sim, meta, record):
+    """Give the worlds the goals and objects of recorded states."""
+    program, model, task = sim.parts[0].program, sim.scene.model, meta["task"]
+    if task in ("pose", "reach"):
+        program.target.assign(record["step_target"].reshape(sim.num_worlds, -1))
+        if "step_weight" in record:
+            program.weight.mass.assign(record["step_weight"][:, None])
+            program.weight.hang(wp.ones(sim.num_worlds, dtype=bool))
+    elif task == "pen":
+        sim.scene.data.mocap_quat.assign(record["step_target_quat"][:, None])
+    elif task == "key":
+        write(model.body_pos, [sim.scene.oracle.body("key").id], record["step_key_pos"])
+    elif task == "hold":
+        program.goal.assign(record["step_goal_pos"])
+        if "geom_size" in sim.scene.spec.batched:
+            write(model.geom_size, sim.scene.oracle.body("object").geomadr, record["step_object_size"])
+    else:
+        aim_balls(sim, meta, record)
+
+
+def aim_balls(sim, meta, record):
+    """Give the targets their orbits, and the balls their size, mass and friction."""
+    orbits, ids = sim.parts[0].program.orbits, object_ids(sim.scene.oracle, meta)
+    for ours, theirs in {"direction": "sign", "radii": "radii", "period": "period"}.items():
+        getattr(orbits, ours).assign(record[f"step_{theirs}"])
+    orbits.start_angle.assign(record["step_start_angles"][:, 0])
+    for field in sim.scene.spec.batched:
+        values = record["step_" + field.replace("subtreemass", "mass")]
+        write(getattr(sim.scene.model, field), ids[field.split("_")[0]], values)
+
+
+def write(array, columns, values):
+    """Write some columns of a model's field."""
+    host = array.numpy()
+    host[:, columns] = values.reshape(host[:, columns].shape)
+    array.assign(host)
+
+
+def misses(sim, record):
+    """Return the errors of observation and reward in each world; the reward's of its own size."""
+    observation = np.abs(sim.transition.obs.numpy() - record["step_obs"]).max(axis=1)
+    reward = np.abs(sim.transition.reward.numpy() - record["step_reward"])
+    return observation, reward / (1.0 + np.abs(record["step_reward"]))

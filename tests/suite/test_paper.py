@@ -1,0 +1,51 @@
+"""The paper's grid: 204 tasks, all registered, and one cell of every kind runs."""
+
+from collections import Counter
+
+import gymnasium
+import numpy as np
+import pytest
+
+import myowarp  # noqa: F401
+from myowarp.definitions.task import RESETS, TASKS
+from myowarp.tasks.paper import grid
+
+GRID = grid()
+HARD = [row for row in GRID if row.difficulty == "hard"]
+SHOWN = [row for row in HARD if row.condition == "none" or row.reset == "fixed"]
+
+
+def marked(row):
+    """Return a cell, slow where its table of random starts takes half a minute (tests/suite/test_starts.py)."""
+    slow = row.reset == "random" and TASKS[row.task].body == "contact_hand"
+    return pytest.param(row, id=row.id, marks=[pytest.mark.slow] if slow else [])
+
+
+def test_the_grid_is_the_papers():
+    """6 hand families x 2 x 3 x 4, 2 finger families x 2 x 3 x 3, the elbow 2 x 3 x 4."""
+    assert len(GRID) == 204
+    assert len({row.id for row in GRID}) == 204
+    counts = Counter(row.family for row in GRID)
+    assert sorted(counts.values()) == [18, 18] + 7 * [24]
+    assert all(counts[family] == 24 for family in counts if family.startswith(("Hand", "Elbow")))
+    for row in GRID:
+        assert row.task in TASKS
+        assert row.reset in RESETS
+        spec = gymnasium.spec(row.id)
+        assert spec.max_episode_steps == TASKS[row.task].horizon
+        assert (spec.kwargs["task"], spec.kwargs["reset"]) == (row.task, row.reset)
+
+
+@pytest.mark.parametrize("row", [marked(row) for row in SHOWN])
+def test_cells_run(row):
+    env = gymnasium.make_vec(row.id, num_envs=2, device="cpu", progress=False)
+    sim = env.unwrapped.sim
+    assert sim.scene.reset == row.reset
+    assert tuple(condition.name for condition in sim.conditions) == row.conditions
+    assert bool(row.conditions) == (row.condition != "none")
+    obs, _ = env.reset(seed=0)
+    assert obs.std() > 0
+    obs, reward, *_ = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+    assert np.isfinite(obs).all()
+    assert np.isfinite(reward).all()
+    env.close()
