@@ -306,14 +306,14 @@ def _parent(settings: Settings, algorithm: str, spec: TaskSpec) -> Checkpoint:
 
 def _plan_resume(command: TrainOptions, given: dict[str, Any], ranks: Ranks) -> Job:
     """Return the run that goes on; see `plan`."""
-    from myowarp.apps.train.checkpoint import STATE, CheckpointError, load_checkpoint
+    from myowarp.apps.train.checkpoint import FOLDER, STATE, CheckpointError, load_checkpoint
 
     folder = Path(str(command.resume))
     checkpoint = load_checkpoint(folder)
     manifest = checkpoint.manifest
     if STATE not in manifest["files"]:
         raise CheckpointError(f"checkpoint {str(folder)!r} holds a policy alone and cannot be resumed")
-    if checkpoint.folder == folder:
+    if checkpoint.folder == folder and folder.absolute().parent.name == FOLDER:
         raise CheckpointError(f"--resume {str(folder)!r} is a checkpoint in a run; name the run's folder")
     if (before := manifest.get("ranks", 1)) != ranks.size:
         raise ValueError(
