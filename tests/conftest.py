@@ -2,9 +2,11 @@
 
 import sys
 
+import gymnasium as gym
 import pytest
 from clusters import cluster  # noqa: F401 (a fixture)
 
+import myowarp
 from myowarp.apps.cli import main as cli
 
 
@@ -22,3 +24,13 @@ def run(monkeypatch, capsys):
         return status, *capsys.readouterr()
 
     return call
+
+
+@pytest.fixture
+def registered(monkeypatch):
+    """What a test registers goes again."""
+    ids = set(gym.registry)
+    monkeypatch.setattr(myowarp.TASKS, "_entries", dict(myowarp.TASKS._entries))
+    yield
+    for name in set(gym.registry) - ids:
+        del gym.registry[name]

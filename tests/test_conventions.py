@@ -229,7 +229,7 @@ def test_imports_go_down(name):
 
 
 def place_of(name):
-    """Return room and folder of a file (`apps/cli/view.py`) or of a module (`apps.cli.view`); None: neither."""
+    """Return room and folder of a file (`apps/cli/view.py`) or a module (`apps.cli.view`); None: neither."""
     room, *inside = re.split(r"[./]", name.removesuffix(".py"))
     return (room, inside[0]) if room in FOLDERS and inside and inside[0] != "__init__" else None
 

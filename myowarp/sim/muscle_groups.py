@@ -1,7 +1,7 @@
 """What the muscles of our bodies do, by name: each is in the group of its principal anatomical action.
 
-Flexors, extensors and pronators are so by the moment arms of the models too (tests/suite/test_signals.py). Muscles
-of the fingers are abbreviated as in Lee et al. (2015), doi:10.1371/journal.pone.0121712: RI radial
+Flexors, extensors and pronators are so by the moment arms of the models too (tests/suite/test_signals.py).
+Muscles of the fingers are abbreviated as in Lee et al. (2015), doi:10.1371/journal.pone.0121712: RI radial
 interosseous, UI_UB ulnar interosseous, LU_RB lumbrical. Those of the model finger are named after what they
 do.
 """

@@ -1,6 +1,7 @@
 """Nodes of a cluster are checked, and one that Ray still lists after its death is left out."""
 
 import logging
+from pathlib import Path
 
 import pytest
 
@@ -14,7 +15,8 @@ ray = pytest.importorskip("ray")
 @pytest.fixture
 def node():
     """Yield the one node of a small cluster."""
-    ray.init("local", num_cpus=1, include_dashboard=False, log_to_driver=False)
+    seen = {"env_vars": {"PYTHONPATH": str(Path(__file__).parent)}}  # the functions of this file
+    ray.init("local", num_cpus=1, include_dashboard=False, log_to_driver=False, runtime_env=seen)
     yield ray.nodes()[0]
     ray.shutdown()
 

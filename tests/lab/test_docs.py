@@ -26,6 +26,7 @@ ROOT = Path(__file__).parents[2]
 WRITTEN = ROOT / "docs/tasks"  # by docs/task_pages.py
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += [page for page in sorted((ROOT / "docs").rglob("*.md")) if page.parent != WRITTEN]
+IDS = tuple(myowarp.TASKS)  # before tests add some
 MOST_LINES = 110  # of README
 
 
@@ -230,12 +231,12 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     build = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-d", str(tmp_path / "doctrees")]
     done = subprocess.run([*build, "docs", str(tmp_path / "site")], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    for key in myowarp.TASKS:
+    for key in IDS:
         page = (tmp_path / f"site/tasks/{key}.html").read_text()
         assert "Observation:" in page
         assert f"../audit.html#{key}" in page
     anchors = (tmp_path / "site/audit.html").read_text()
-    assert all(f'id="{key}"' in anchors for key in myowarp.TASKS)
+    assert all(f'id="{key}"' in anchors for key in IDS)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

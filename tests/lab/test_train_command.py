@@ -739,6 +739,7 @@ thrifty = myowarp.extend("myoElbowPose1D6MRandom-v0", "thriftyTrain-v0", rewards
 """
 
 
+@pytest.mark.usefixtures("registered")
 def test_printed_commands_work_for_a_task_from_a_file(run, tmp_path, monkeypatch):
     from myowarp.apps.train.loop import Run
 

@@ -18,6 +18,8 @@ import myowarp
 from myowarp.engine.said import say_once
 from myowarp.sim.simulation import Simulation
 
+pytestmark = pytest.mark.usefixtures("registered")
+
 ELBOW = "myoElbowPose1D6MRandom-v0"
 REACH = "myoFingerReachRandom-v0"
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(myowarp.__file__).parents[1]), "CUDA_VISIBLE_DEVICES": ""}
@@ -139,16 +141,6 @@ def of_own(qpos: wp.array[float]) -> wp.vec2:
     total = wp.vec2(qpos[0], 0.0)
     total[1] += 2.0
     return total
-
-
-@pytest.fixture(autouse=True)
-def registered(monkeypatch):
-    """What a test registers goes again."""
-    ids = set(gym.registry)
-    monkeypatch.setattr(myowarp.TASKS, "_entries", dict(myowarp.TASKS._entries))
-    yield
-    for name in set(gym.registry) - ids:
-        del gym.registry[name]
 
 
 def rich(base=ELBOW, key="testRich-v0", sites=("wrist", "r_ulna_radius_hand"), **options):

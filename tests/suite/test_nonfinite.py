@@ -7,6 +7,8 @@ import warp as wp
 
 import myowarp
 
+pytestmark = pytest.mark.usefixtures("registered")
+
 ELBOW = "myoElbowPose1D6MRandom-v0"
 STEPS = 6
 BROKEN = 1  # the world whose first muscle is excited
@@ -38,16 +40,6 @@ def never(qpos: wp.array[float]) -> float:
 def safe(activation: wp.array[float]) -> float:
     """As `root`, where that is finite."""
     return wp.sqrt(wp.max(0.9 - activation[0], 0.0))
-
-
-@pytest.fixture(autouse=True)
-def registered(monkeypatch):
-    """What a test registers goes again."""
-    ids = set(gym.registry)
-    monkeypatch.setattr(myowarp.TASKS, "_entries", dict(myowarp.TASKS._entries))
-    yield
-    for name in set(gym.registry) - ids:
-        del gym.registry[name]
 
 
 def make(key, mode="next_step", output="numpy", **blocks):

@@ -16,7 +16,7 @@ SHOWN = [row for row in HARD if row.condition == "none" or row.reset == "fixed"]
 
 
 def marked(row):
-    """Return a cell, slow where its table of random starts takes half a minute (tests/suite/test_starts.py)."""
+    """Return a cell, slow where its table of random starts takes half a minute (see test_starts.py)."""
     slow = row.reset == "random" and TASKS[row.task].body == "contact_hand"
     return pytest.param(row, id=row.id, marks=[pytest.mark.slow] if slow else [])
 

@@ -307,13 +307,13 @@ def _plan_resume(folder: Path, asked: dict[str, Any], given: dict[str, Any], how
         given: Settings that were named.
         how: Fields of the job that belong to this process.
     """
-    from myowarp.apps.policies.checkpoint import STATE, CheckpointError, load_checkpoint
+    from myowarp.apps.policies.checkpoint import FOLDER, STATE, CheckpointError, load_checkpoint
 
     checkpoint, ranks = load_checkpoint(folder), how["ranks"]
     manifest = checkpoint.manifest
     if STATE not in manifest["files"]:
         raise CheckpointError(f"checkpoint {str(folder)!r} holds a policy alone and cannot be resumed")
-    if checkpoint.folder == folder:
+    if checkpoint.folder == folder and folder.absolute().parent.name == FOLDER:
         raise CheckpointError(f"--resume {str(folder)!r} is a checkpoint in a run; name the run's folder")
     if (before := manifest.get("ranks", 1)) != ranks.size:
         raise ValueError(

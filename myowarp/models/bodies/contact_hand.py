@@ -2,8 +2,8 @@
 
 MyoSuite 3.0.0 simulates objects with an older hand than its pose and reach tasks. myo-sim 0.2.3 does not have
 it; these edits of the composed hand give it: every field that moves it agrees to rounding
-(tests/oracle/test_oracle_contact.py). Collision, inertia floors and masses decide about contact and conditioning;
-the other edits are needed for parity only.
+(tests/oracle/test_oracle_contact.py). Collision, inertia floors and masses decide about contact and
+conditioning; the other edits are needed for parity only.
 """
 
 import mujoco

@@ -4,7 +4,8 @@ A corner runs from one point with slope to the next; its control points lie on t
 share c = 0.1 + 0.8 curviness of the way to where they cross, so that the chain is C2.
 
 Source: Millard, Uchida, Seth, Delp 2013 (doi:10.1115/1.4023390), appendix, with the knots of OpenSim's
-SmoothSegmentedFunctionFactory. All curves agree with OpenSim 4.6 to 1e-13 (tests/converter/test_opensim_hill.py).
+SmoothSegmentedFunctionFactory. All curves agree with OpenSim 4.6 to 1e-13
+(tests/converter/test_opensim_hill.py).
 """
 
 from collections.abc import Mapping
