@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("scipy")
 
+from myowarp.apps.cli.convert import Convert
 from myowarp.opensim import convert as command
 from myowarp.opensim.muscle.hill import HillMuscle
 from myowarp.opensim.muscle.table import read_muscles
@@ -157,7 +158,7 @@ def test_two_processes_give_what_one_gives(arm, tmp_path, monkeypatch):
 def test_strict_fails_on_a_missed_gate(tmp_path, monkeypatch, capsys):
     """Muscles that are stretched to 40 times their force are beyond what MuJoCo's muscle can do."""
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path / "cache"))
-    convert = command.Convert(OSIM / "Tug_of_War.osim", tmp_path / "out", workers=1, strict=True)
+    convert = Convert(OSIM / "Tug_of_War.osim", tmp_path / "out", workers=1, strict=True)
     with pytest.raises(
         ValueError, match=r"Tug_of_War.osim: \d gates of --strict missed: .*force maps, mean RMS"
     ):

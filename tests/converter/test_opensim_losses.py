@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from myowarp.apps.cli.convert import Convert
 from myowarp.opensim import convert as command
 from myowarp.opensim.model.model import Note
 from myowarp.opensim.read.components import READERS
@@ -58,7 +59,7 @@ def written(tmp_path, force="", constraint="", more=""):
 
 def converted(path, tmp_path, **options):
     """Convert strictly; returns what was printed by an error, "" for none."""
-    convert = command.Convert(path, tmp_path / "out", workers=1, strict=True, overwrite=True, **options)
+    convert = Convert(path, tmp_path / "out", workers=1, strict=True, overwrite=True, **options)
     try:
         convert()
     except ValueError as error:

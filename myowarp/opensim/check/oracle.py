@@ -8,18 +8,19 @@ import dataclasses
 import importlib.util
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from myowarp.opensim.model.functions import derivatives
 from myowarp.opensim.model.kinematics import complete, independent
 from myowarp.opensim.model.model import Model
-from myowarp.opensim.muscle.force import ACTIVATIONS
 from myowarp.opensim.muscle.hill import HillMuscle, known
-from myowarp.opensim.tendon.fits import Samples
 from myowarp.opensim.tendon.fitted import Fits
 from myowarp.opensim.wrap.moment_arm import STEP, Poses, Reference
+
+if TYPE_CHECKING:
+    from myowarp.opensim.tendon.fits import Samples
 
 Array = np.ndarray
 
@@ -161,12 +162,14 @@ def opensim_references(
     return {name: Reference(lengths[name], arms[name], slopes[name]) for name in along}
 
 
-def against_opensim(source: Path, model: Model, samples: Samples, fits: Fits) -> Fits:
+def against_opensim(source: Path, model: Model, samples: "Samples", fits: Fits) -> Fits:
     """Return the same fits with OpenSim's own lengths and moment arms in the random poses of the check.
 
     Raises:
         ValueError: OpenSim is not installed, or does not read the file.
     """
+    from myowarp.opensim.muscle.force import ACTIVATIONS  # fits need SciPy, other references do not
+
     along = {name: list(reference.moment_arm) for name, reference in fits.references().items()}
     found = opensim_references(source, model, samples.check, along)
     muscles = []
