@@ -10,13 +10,14 @@ from the stages, never from the order in which conditions are named:
 from __future__ import annotations
 
 import abc
+import ast
 import dataclasses
 import enum
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from myowarp.definitions.parameter import Clock
-from myowarp.definitions.registry import Registry, check_flag
+from myowarp.definitions.parameter import Clock, Ramp, Uniform
+from myowarp.definitions.registry import Registry, check_choice, check_flag
 from myowarp.definitions.scene import Scene
 from myowarp.definitions.task import Column, RewardTerm, TaskSpec
 
@@ -150,11 +151,59 @@ class Effect:
 CONDITIONS: Registry[type[Condition]] = Registry("condition")
 
 
+VALUES: dict[str, type] = {kind.__name__: kind for kind in (Uniform, Ramp)}
+"""Values of parameters that are no plain numbers, by the name that a text has for them."""
+
+
+def condition_from(text: str) -> Condition:
+    """Return the condition that a text stands for: `sarcopenia`, or `sarcopenia(strength=0.3)`.
+
+    Values are written as in Python: numbers, texts, True, tuples, and the classes of `VALUES`, such as
+    `Uniform(0.2, 1.0)`; no code is run.
+
+    Raises:
+        ValueError: It stands for none, or a value is wrong.
+    """
+    name, bracket, _ = text.partition("(")
+    kind = CONDITIONS[name.strip()]
+    if not bracket:
+        return kind()
+    try:
+        call = ast.parse(text.strip(), mode="eval").body
+        if not isinstance(call, ast.Call) or call.args:
+            raise ValueError("it has values without names")
+        values = {str(keyword.arg): _value(keyword.value) for keyword in call.keywords}
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise ValueError(
+            f"condition {text!r:.80} must be a name, or a name with values such as sarcopenia(strength=0.3), "
+            f"got {error}"
+        ) from error
+    known = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    for parameter in values:
+        check_choice(f"{kind.__name__} parameter", parameter, known)
+    return kind(**values)
+
+
+def _value(node: ast.expr) -> Any:
+    """Return what an expression without code stands for.
+
+    Raises:
+        ValueError: It has code.
+    """
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in VALUES:
+        named = {str(keyword.arg): _value(keyword.value) for keyword in node.keywords}
+        try:
+            return VALUES[node.func.id](*map(_value, node.args), **named)
+        except TypeError as error:
+            raise ValueError(str(error)) from error
+    return ast.literal_eval(node)
+
+
 def resolve(conditions: str | Condition | Iterable[str | Condition], spec: TaskSpec) -> tuple[Condition, ...]:
     """Return conditions, in the order in which they act.
 
     Args:
-        conditions: One or several, each a name in `CONDITIONS` or a `Condition`.
+        conditions: One or several, each a text as for `condition_from` or a `Condition`.
         spec: The task whose body is to have them.
 
     Raises:
@@ -169,7 +218,7 @@ def resolve(conditions: str | Condition | Iterable[str | Condition], spec: TaskS
             raise ValueError(
                 f"conditions must be names or Condition objects, got {entry!r}; available: {known}"
             )
-        found.append(CONDITIONS[entry]() if isinstance(entry, str) else entry)
+        found.append(condition_from(entry) if isinstance(entry, str) else entry)
     writer: dict[str, str] = {}
     for condition in found:
         fields: Iterable[Any] = dataclasses.fields(condition) if dataclasses.is_dataclass(condition) else ()

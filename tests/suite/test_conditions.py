@@ -1,6 +1,7 @@
 """What holds for every registered condition, and for parameters, without a condition being named here."""
 
 import dataclasses
+import json
 from functools import lru_cache
 from itertools import combinations
 from types import SimpleNamespace
@@ -9,12 +10,15 @@ import numpy as np
 import pytest
 import warp as wp
 
-from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage, resolve
+import myowarp
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage, condition_from, resolve
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Ramp, Uniform, value_of
 from myowarp.definitions.task import TASKS
 from myowarp.definitions.worlds import Worlds
-from myowarp.models.conditions.sarcopenia import Sarcopenia
+from myowarp.models.conditions import Fatigue3CCR, Sarcopenia, TendonTear
 from myowarp.sim.simulation import Simulation
+
+ELBOW = "myoElbowPose1D6MRandom-v0"
 
 NAMES = sorted(CONDITIONS)
 HOSTS = ("myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1")  # the elbow's conditions, the hand's
@@ -361,3 +365,73 @@ def test_two_writers_of_one_quantity_are_refused(monkeypatch):
         ValueError, match=r"^conditions 'first' and 'second' both set command; leave one out$"
     ):
         resolve((First(), Second()), TASKS[HOSTS[0]])
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("sarcopenia", Sarcopenia()),
+        ("sarcopenia(strength=0.3)", Sarcopenia(strength=0.3)),
+        (" sarcopenia ( strength = 3e-1, ) ", Sarcopenia(strength=0.3)),
+        (
+            "sarcopenia(strength=Uniform(0.2, 0.8, per='life'))",
+            Sarcopenia(strength=Uniform(0.2, 0.8, per="life")),
+        ),
+        (
+            "sarcopenia(strength=Ramp(1.0, Uniform(0.1, 0.2), 0.5))",
+            Sarcopenia(Ramp(1.0, Uniform(0.1, 0.2), 0.5)),
+        ),
+        ("fatigue_3ccr(carry_over=True)", Fatigue3CCR(carry_over=True)),
+        ("tendon_tear(muscles=('BIClong', 'BRA'), time=-0.5)", TendonTear(("BIClong", "BRA"), time=-0.5)),
+    ],
+)
+def test_text_stands_for_a_condition_with_values(text, expected):
+    found = condition_from(text)
+    assert type(found) is type(expected)
+    assert dataclasses.asdict(found) == dataclasses.asdict(expected)
+
+
+def test_every_parameter_can_be_written():
+    for name in CONDITIONS:
+        kind = CONDITIONS[name]
+        for parameter, value in kind.NEUTRAL.items():
+            assert getattr(condition_from(f"{name}({parameter}={value!r})"), parameter) == value
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("sarcopeni(strength=1)", r"^condition 'sarcopeni' unknown"),
+        ("sarcopenia(strenth=1)", r"^Sarcopenia parameter 'strenth' unknown; available: strength"),
+        ("sarcopenia(0.3)", r"^condition 'sarcopenia\(0.3\)' must be a name, or a name with values such as"),
+        ("sarcopenia(strength=0.3", r"^condition 'sarcopenia\(strength=0.3' must be a name, or"),
+        ("sarcopenia(strength=__import__('os'))", r"must be a name, or .*, got malformed node"),
+        ("sarcopenia(strength=Uniform())", r"must be a name, or .*, got .*missing 2 required positional"),
+        ("sarcopenia(**{'strength': 1})", r"^Sarcopenia parameter 'None' unknown"),
+        ("sarcopenia(strength=1)(2)", r"must be a name, or .* without names"),
+        ("sarcopenia(strength=" + "(" * 5000, r"must be a name, or"),
+    ],
+)
+def test_text_that_stands_for_no_condition(text, message):
+    with pytest.raises(ValueError, match=message):
+        resolve(text, TASKS[ELBOW])
+
+
+def test_values_act_wherever_a_name_does(run, tmp_path):
+    """In an environment as the object does; in commands, where the text is what a run remembers."""
+    texts, objects = ("sarcopenia(strength=0.3)", "motor_noise"), (Sarcopenia(strength=0.3), "motor_noise")
+    seen = []
+    for conditions in (texts, objects, ("sarcopenia", "motor_noise")):
+        env = myowarp.make_vec(ELBOW, 2, device="cpu", progress=False, conditions=conditions)
+        env.reset(seed=0)
+        seen.append(np.stack([env.step(np.ones((2, 6), np.float32))[0] for _ in range(5)]))
+        env.close()
+    np.testing.assert_array_equal(seen[0], seen[1])
+    assert np.abs(seen[0] - seen[2]).max() > 0.01
+    tiny = ("--num-worlds", 8, "--rollout-steps", 8, "--minibatches", 2, "--hidden", 8, "--samples", 64)
+    options = ("--output", tmp_path / "run", "--device", "cpu", "--conditions", texts[0])
+    status, _, err = run("train", ELBOW, *tiny, *options)
+    assert status == 0, err
+    status, out, err = run("eval", tmp_path / "run", "--episodes", 2, "--device", "cpu", "--json")
+    assert status == 0, err
+    assert json.loads(out)["conditions"] == [texts[0]]

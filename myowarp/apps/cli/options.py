@@ -87,7 +87,9 @@ Reset = Annotated[
 Conditions = Annotated[
     tuple[str, ...],
     _option(
-        "[NAME ...]", "Muscle conditions, such as sarcopenia fatigue_3ccr, besides those of the id.", UNSET
+        "[NAME ...]",
+        "Muscle conditions besides those of the id, such as fatigue_3ccr 'sarcopenia(strength=0.3)'.",
+        UNSET,
     ),
 ]
 Muscle = Annotated[str, _option("{" + ",".join(MUSCLES) + "}", "Muscle model.")]

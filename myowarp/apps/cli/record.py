@@ -77,8 +77,7 @@ class Record:
         from myowarp.apps.rollouts.film import PLAYBACKS, SUFFIXES, Film, write
         from myowarp.apps.rollouts.rollout import acting, find_policy
         from myowarp.bridge_gym import MyoWarpVectorEnv
-        from myowarp.definitions.condition import CONDITIONS
-        from myowarp.definitions.registry import check_choice
+        from myowarp.definitions.condition import resolve
         from myowarp.definitions.task import TASKS
         from myowarp.disk import check_folder, check_output, check_overwrite
         from myowarp.tasks.from_file import task_or_model
@@ -94,8 +93,8 @@ class Record:
             raise ValueError(f"--fps must be positive, got {self.fps:g}")
         check_size(*self.size)
         changed = () if self.beside == ("none",) else self.beside
-        for name in (*self.conditions, *changed):
-            check_choice("condition", name, tuple(CONDITIONS))
+        for names in (self.conditions, changed):
+            resolve((*variant.conditions, *names), spec)
         policy = find_policy(self.policy, spec)
         turned = self.output.suffix.lower() in PLAYBACKS
         if turned:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any, TypeVar
 
 from myowarp.apps.policies.form import ACTIVATIONS
-from myowarp.definitions.condition import CONDITIONS
+from myowarp.definitions.condition import condition_from
 from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.task import PHYSICS, RESETS
@@ -42,6 +42,7 @@ def setting(
     least: float | None = None,
     most: float | None = None,
     choices: Iterable[str] = (),
+    read: Callable[[str], object] | None = None,
     free: bool = False,
 ) -> Any:
     """Return the field of a setting.
@@ -52,10 +53,11 @@ def setting(
         least: Smallest value that is allowed.
         most: Largest value that is allowed.
         choices: Names that are allowed.
+        read: Raises ValueError for texts that are not allowed.
         free: Whether a run may be resumed with another value, because no number of the run depends on it.
     """
-    metadata = {"text": text, "least": least, "most": most, "choices": tuple(choices), "free": free}
-    return field(default=default, metadata=metadata)
+    bounds = {"least": least, "most": most, "choices": tuple(choices), "read": read}
+    return field(default=default, metadata={"text": text, "free": free, **bounds})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +86,9 @@ class Settings:
     muscle: str = setting("mujoco", "Muscle model.", choices=MUSCLES)
     reset: str = setting("", "What episodes start from; empty: what the id says.", choices=("", *RESETS))
     conditions: tuple[str, ...] = setting(
-        (), "Muscle conditions, besides those of the id.", choices=CONDITIONS
+        (),
+        "Muscle conditions besides those of the id, such as sarcopenia(strength=0.3).",
+        read=condition_from,
     )
     cohort: str = setting("", "Patient table; every patient has as many worlds; empty: one body for all.")
     start: str = setting(
@@ -283,6 +287,10 @@ def _checked(entry: dataclasses.Field[Any], value: Any) -> Any:
     for item in value if isinstance(value, tuple) else (value,):
         if bounds["choices"]:
             check_choice(flag, item, bounds["choices"])
+        elif bounds["read"] is not None:
+            if not isinstance(item, str):
+                raise ValueError(f"{flag} must be texts, got {item!r}")
+            bounds["read"](item)
         elif kind is tuple and type(item) is not int:
             raise ValueError(f"{flag} must be integers, got {item!r}")
         elif isinstance(item, int | float):
