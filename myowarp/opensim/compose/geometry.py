@@ -94,7 +94,8 @@ def begin(model: Model, starts: dict[str, float]) -> Build:
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
     spec.option.timestep = 0.002
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    # Chains of equalities on light bodies keep MuJoCo's sparse solver from converging; dense costs 10 % more.
+    # MuJoCo 4.0.0 factorises sparse Hessians wrongly (mended in 4.0.1), so that its Newton solver does not
+    # converge on chains of equalities; dense costs 10 % more.
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     turn = upright(model.gravity)
     spec.option.gravity = turn @ model.gravity
