@@ -162,7 +162,7 @@ class TaskSpec(abc.ABC):
     """A task, complete but for the number of worlds and the device.
 
     Attributes:
-        program: Subclass of `spec.program.Program`; called with the task and a scene.
+        program: Subclass of `definitions.program.Program`; called with the task and a scene.
         name: Upstream's name of the task, such as `myoHandPoseFixed`; `@task` takes it from the id.
         version: Version of our id, from there too; 0 keeps MyoSuite 3.0.0's semantics.
         body: Name in `BODIES`.

@@ -19,7 +19,7 @@ def activation_effort(activation: wp.array2d[float], worldid: int) -> float:
 
 
 EFFORT = ("1", "minus the effort: Euclidean norm of the activations over their number")
-"""Unit and meaning of `-activation_effort`, the end of an entry of `spec.task.weighted`."""
+"""Unit and meaning of `-activation_effort`, the end of an entry of `definitions.task.weighted`."""
 
 
 @wp.func

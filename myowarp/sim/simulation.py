@@ -109,7 +109,7 @@ class Simulation:
             shards: Parts, each stepped by a thread of its own; None: one for each core that this process may
                 use, but none with fewer than 4 worlds.
             device: Warp device; None: the first CUDA device if there is one, else the CPU.
-            physics: Name in `spec.PHYSICS`.
+            physics: Name in `definitions.task.PHYSICS`.
             muscle: Name in `MUSCLES`, or a `MuscleTable` with parameters.
             reset: What episodes start from, one of `spec.RESETS`.
             conditions: Muscle conditions, each a name in `CONDITIONS` or a `Condition`.

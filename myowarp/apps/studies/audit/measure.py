@@ -131,7 +131,7 @@ def audit(
             only the second episode starts reset-free.
         seed: World i resets with seed + i; the policies draw from it, too.
         device: Warp device; None: the first CUDA device if there is one, else the CPU.
-        physics: Name in `spec.PHYSICS`.
+        physics: Name in `definitions.task.PHYSICS`.
         reset: What episodes start from, one of `spec.RESETS`.
         conditions: Names of muscle conditions in `CONDITIONS`.
         tick: Called on the way.
