@@ -65,7 +65,7 @@ class Scene:
         actuator_kind: MUSCLE or MOTOR for each actuator, shape (nu,).
         capacity: Contacts and constraint rows that the arrays hold.
         state: All that a world is from one step to the next, by name: arrays (num_worlds, ...).
-        parameters: Those of the conditions (`definitions.parameter.Parameter`), in the order of their binding.
+        parameters: Those of the conditions (`Parameter`), in the order of their binding.
     """
 
     spec: TaskSpec
