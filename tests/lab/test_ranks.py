@@ -139,7 +139,9 @@ def children(pid):
 def undisturbed(tmp_path_factory):
     """The folder of a run of which nothing was killed."""
     folder = tmp_path_factory.mktemp("ranks") / "undisturbed"
-    subprocess.run([*TORCHRUN, "-m", "myowarp", *small(folder, SAMPLES)], check=True, capture_output=True)
+    command = [*TORCHRUN, "-m", "myowarp", *small(folder, SAMPLES)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
     return folder
 
 
@@ -148,14 +150,18 @@ def undisturbed(tmp_path_factory):
 def test_a_killed_rank_ends_where_an_undisturbed_run_ends(victim, undisturbed, tmp_path):
     killed = tmp_path / "killed"
     command = [*TORCHRUN, "--max-restarts", "1", "-m", "myowarp", *small(killed, SAMPLES)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+    errors = tmp_path / "errors"
+    with (
+        errors.open("w") as file,
+        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=file) as process,
+    ):
         begin = time.monotonic()
         while saved(killed) < 8 * 16 * 5:
-            assert process.poll() is None
+            assert process.poll() is None, errors.read_text()
             assert time.monotonic() - begin < PATIENCE
             time.sleep(0.01)
         os.kill(sorted(children(process.pid))[victim], signal.SIGKILL)
-        assert process.wait(PATIENCE) == 0
+        assert process.wait(PATIENCE) == 0, errors.read_text()
     report = json.loads((killed / "report.json").read_text())
     assert 8 * 16 * 5 <= report["resumed_after"] < SAMPLES == report["samples"]
     one, other = load_checkpoint(killed), load_checkpoint(undisturbed)
