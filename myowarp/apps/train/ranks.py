@@ -115,6 +115,7 @@ class Ranks:
             self._teach_skrl()
         try:
             yield
+            self.everyones(None)  # nobody leaves while another one still reads
         except RuntimeError as error:
             if type(error).__module__.startswith(__package__):
                 raise
