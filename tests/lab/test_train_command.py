@@ -28,6 +28,8 @@ from myowarp.definitions.task import TASKS
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
 from myowarp.sim.state import State
 
+pytestmark = pytest.mark.usefixtures("registered")
+
 ELBOW, OTHER = "myoElbowPose1D6MRandom-v0", "myoElbowPose1D6MFixed-v0"
 TINY = ("--num-worlds", 8, "--rollout-steps", 8, "--minibatches", 2, "--hidden", 16, "--device", "cpu")
 PRESETS = sorted(f.name for f in resources.files("myowarp.apps.train").joinpath("presets").iterdir())
@@ -739,7 +741,6 @@ thrifty = myowarp.extend("myoElbowPose1D6MRandom-v0", "thriftyTrain-v0", rewards
 """
 
 
-@pytest.mark.usefixtures("registered")
 def test_printed_commands_work_for_a_task_from_a_file(run, tmp_path, monkeypatch):
     from myowarp.apps.train.loop import Run
 

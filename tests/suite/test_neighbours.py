@@ -162,7 +162,7 @@ def test_a_file_is_run_once(folders, monkeypatch):
     assert load(f"{folders}/b/task.py") is imported is not module
     monkeypatch.chdir(folders / "b")
     assert load("task") is imported
-    monkeypatch.syspath_prepend(str(folders / "a"))
+    monkeypatch.setattr(sys, "path", [str(folders / "a"), *sys.path])
     monkeypatch.delitem(sys.modules, "late_helper", raising=False)
     by_python = importlib.import_module("late_helper")
     assert load(f"{folders}/a/deep.py").later()[1] == by_python.W
