@@ -12,7 +12,6 @@ import sys
 import threading
 from pathlib import Path
 
-import gymnasium as gym
 import pytest
 from socket_client import Client, until
 
@@ -166,6 +165,7 @@ def visited(live):
     assert seen
 
 
+@pytest.mark.usefixtures("registered")
 @pytest.mark.parametrize(("page", "lines"), list(runs()))
 def test_every_command_runs(page, lines, tmp_path, monkeypatch, run, request):
     """Those of a block one after the other, in a folder of their own."""
@@ -173,26 +173,21 @@ def test_every_command_runs(page, lines, tmp_path, monkeypatch, run, request):
     if any("out/arm26" in line for line in lines) and not any("convert" in line for line in lines):
         shutil.copytree(request.getfixturevalue("arm"), tmp_path / "out/arm26")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(myowarp.TASKS, "_entries", dict(myowarp.TASKS._entries))
     monkeypatch.setattr(Live, "run", visited)
     first = audit_command.find_jobs
     monkeypatch.setattr(audit_command, "find_jobs", lambda *which: first(*which)[:1])
-    ids = set(gym.registry)
     for line in lines:
         status, _, err = run(*smaller(line))
         if status and "drawing needs OpenGL" in err:
             pytest.skip(err)
         assert status == 0, f"{line}: {err}"
-    for name in set(gym.registry) - ids:
-        del gym.registry[name]
 
 
+@pytest.mark.usefixtures("registered")
 @pytest.mark.parametrize("page", [page for page in SNIPPETS if SNIPPETS[page]], ids=lambda page: page.stem)
 def test_every_snippet_runs(page, tmp_path, monkeypatch, run):
     """One after the other in a fresh folder, with few worlds; what they register goes again."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(myowarp.TASKS, "_entries", dict(myowarp.TASKS._entries))
-    ids = set(gym.registry)
     names = {}
     for number, snippet in enumerate(SNIPPETS[page]):
         if "run.parquet" in snippet:
@@ -208,8 +203,6 @@ def test_every_snippet_runs(page, tmp_path, monkeypatch, run):
         names |= runpy.run_path(str(file), names)
         if "actions" not in names and hasattr(names.get("env"), "action_space"):
             names["actions"] = names["env"].action_space.sample()
-    for name in set(gym.registry) - ids:
-        del gym.registry[name]
 
 
 def test_reference_lists_what_is_public():
