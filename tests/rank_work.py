@@ -96,6 +96,9 @@ def main():
         arrays["sums"] = np.array(len(calls))
         agents.average_together = lambda policy, value: None
         arrays |= {f"by skrl.{name}": array for name, array in learned(ranks).items()}
+    arrays["threads"] = np.array(
+        [path.read_text().strip() for path in Path("/proc/self/task").glob("*/comm")]
+    )
     arrays |= {"moved": moved(ranks.part), "mean": mean, "variance": variance, "count": count}
     np.savez(Path(sys.argv[1]) / f"rank_{ranks.rank}.npz", **arrays)
 

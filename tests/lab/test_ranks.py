@@ -66,6 +66,13 @@ def test_gradients_of_both_networks_go_in_one_message(ranks):
             np.testing.assert_array_equal(rank[name], other, err_msg=name)
 
 
+def test_no_thread_of_the_group_outlives_it(ranks):
+    """Such a thread aborts the process at its end, once in twenty runs."""
+    for rank in ranks:
+        assert len(rank["threads"])
+        assert not [name for name in rank["threads"] if "gloo" in name]
+
+
 def test_start_states_and_seeds_go_on_through_ranks():
     one = MyoWarpVectorEnv(ELBOW, 4, device="cpu", progress=False)
     other = MyoWarpVectorEnv(ELBOW, 2, rank=(1, 2), device="cpu", progress=False)

@@ -130,6 +130,10 @@ class Ranks:
         """Meet the other ranks."""
         import torch
 
+        # Functions of this module keep the group that they find when they are imported, as Adam does later;
+        # its threads would outlive `destroy_process_group` and abort the process at its end.
+        import torch.distributed.nn.functional
+
         os.environ.setdefault(CORES, str(max(1, num_cores() // self.local_size)))
         on_cuda = device.startswith("cuda")
         if on_cuda:
