@@ -23,6 +23,7 @@ from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
 from myowarp.apps.train.progress import CSV
 from myowarp.apps.train.run import REPORT
 from myowarp.apps.train.settings import SUCCESSES, success_text
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 from myowarp.disk import in_place
 
@@ -83,7 +84,7 @@ def _write_result(folder: Path, runs: list[dict[str, Any]]) -> None:
 
 def _evaluation(run: Path, task: str | None) -> dict[str, Any]:
     """Return the figures of a run's policy in its task, or in another one."""
-    head, figures = evaluate_policy(plan_evaluation(run, task=task))
+    head, figures = evaluate_policy(plan_evaluation(run, Setup(task=task)))
     return {name: value for name, value in head.items() if name not in LEFT_OUT} | figures
 
 

@@ -21,8 +21,10 @@ import torch
 
 from benchmarks.contestant import cpu_seconds
 from myowarp.apps.train.loop import Run
-from myowarp.apps.train.settings import PPOSettings, choose
-from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.apps.train.plan import plan
+from myowarp.apps.train.run import start
+from myowarp.apps.train.settings import choose
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 from myowarp.kernels.episode import SUCCESS_STEPS
 
@@ -43,7 +45,7 @@ class ServedEnv:
         box = gymnasium.spaces.Box
         self.single_observation_space = box(-np.inf, np.inf, (self._obs_size,), np.float32)
         self.single_action_space = box(-1.0, 1.0, (sizes["num_actions"],), np.float32)
-        self.sim = SimpleNamespace(scene=SimpleNamespace(device="cpu"))
+        self.sim = SimpleNamespace(scene=SimpleNamespace(device="cpu"), setup=Setup(seed=0))
         self._solved = np.zeros(num_envs, int)
 
     def reset(
@@ -94,20 +96,14 @@ def make_run(kind: str, task: str, python: str, cores: int) -> Run:
 
     AsyncVectorEnv gets one environment a core, for each is a process, and as many more steps an iteration.
     """
-    preset: Any = choose(TASKS[task].name, "ppo", {"device": "cpu"})
-    settings: PPOSettings = preset
-    torch.set_num_threads(settings.threads)
+    job = plan(task, algorithm="ppo", device="cpu", output=Path("unwritten"))
     if kind == "myowarp":
-        n = settings.num_worlds
-        env: Any = MyoWarpVectorEnv(
-            task, n, device="cpu", physics=settings.physics, autoreset_mode="disabled",
-            output="torch", copy=False, progress=False,
-        )  # fmt: skip
-        return Run(env, settings)
+        return start(job)
+    settings = job.settings
+    torch.set_num_threads(settings.threads)
     if kind == "myosuite_async":
         rows = settings.num_worlds * settings.rollout_steps // cores
-        given = {"device": "cpu", "num_worlds": cores, "rollout_steps": rows}
-        settings = choose(TASKS[task].name, "ppo", given)  # type: ignore[assignment]
+        settings = choose(TASKS[task].name, "ppo", {"num_worlds": cores, "rollout_steps": rows})
     return Run(ServedEnv(python, settings.num_worlds, kind=kind, task=task, cores=cores), settings)  # type: ignore[arg-type]
 
 

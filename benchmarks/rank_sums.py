@@ -15,11 +15,8 @@ from typing import Any
 import tyro
 
 from benchmarks.machine import processor
-from myowarp.apps.train.plan import Job
+from myowarp.apps.train.plan import plan
 from myowarp.apps.train.ranks import Ranks
-from myowarp.apps.train.settings import choose
-from myowarp.definitions.task import TASKS
-from myowarp.tasks.variants import Variant
 
 
 @dataclass
@@ -37,8 +34,8 @@ class Options:
 def main() -> None:
     """Measure and print; all ranks do the same work, the first one prints."""
     options, ranks = tyro.cli(Options, description=__doc__), Ranks.started()
-    given = {"num_worlds": options.num_worlds, "device": "cpu"}
-    settings = choose(TASKS[options.task].name, "ppo", given)
+    output = Path("unwritten")  # nothing is saved
+    job = plan(options.task, algorithm="ppo", num_worlds=options.num_worlds, device="cpu", output=output)
     with ranks.together("cpu"):
         from myowarp.apps.train import agents  # not before: skrl would start NCCL
         from myowarp.apps.train.run import start
@@ -47,7 +44,7 @@ def main() -> None:
             "a message for each network (skrl)": lambda policy, value: None,
             "one message": agents.average_together,
         }
-        run = start(Job(options.task, False, Variant(options.task), "ppo", settings, Path(), ranks))
+        run = start(job)
         models = run.agent.policy, run.agent.value
         run.iterate()
         seconds: dict[str, list[float]] = {name: [] for name in ways}

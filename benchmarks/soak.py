@@ -83,7 +83,7 @@ def soak(run: Soaked, num_worlds: int) -> dict[str, object]:
         )
     except ValueError as refusal:
         return {"id": run.id, "refused": str(refusal)}
-    counted = Run(sim, steps, seed=0, horizon=spec.horizon)
+    counted = Run(sim, steps)
     counted.run("random", lambda: None, lambda share: None)
     load = counted.load()
     return {

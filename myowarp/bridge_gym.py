@@ -23,6 +23,7 @@ from gymnasium.vector.utils import batch_space
 from myowarp.definitions.condition import Condition
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.registry import check_choice, check_flag
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS, TaskSpec
 from myowarp.kernels.episode import EpisodeState, Transition
 from myowarp.sim.interop import ActionInput, Output
@@ -72,16 +73,16 @@ class MyoWarpVectorEnv(VectorEnv):
 
     def __init__(
         self,
-        task: str,
+        task: str | Setup,
         num_envs: int = 1,
         *,
         max_episode_steps: int | None = None,
         device: str | None = None,
         shards: int | None = None,
-        physics: str = "parity",
-        muscle: str | MuscleTable = "mujoco",
-        reset: str = "task",
-        conditions: str | Condition | Iterable[str | Condition] = (),
+        physics: str | None = None,
+        muscle: str | MuscleTable | None = None,
+        reset: str | None = None,
+        conditions: str | Condition | Iterable[str | Condition] | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         output: str = "numpy",
         copy: bool | None = None,
@@ -93,21 +94,23 @@ class MyoWarpVectorEnv(VectorEnv):
         render_text: bool = False,
         deterministic: bool = False,
         progress: bool = True,
-        rank: tuple[int, int] = (0, 1),
+        rank: tuple[int, int] | None = None,
     ) -> None:
         """Compile the task and its kernels; half a minute the first time, seconds later.
 
         Args:
-            task: Name with version, such as "myoHandPoseRandom-v1"; `make_vec` fills it in.
+            task: Name with version, such as "myoHandPoseRandom-v1"; `make_vec` fills it in. Or a whole
+                `Setup`, which other arguments are put over.
             num_envs: Worlds stepped together.
             max_episode_steps: Steps after which an episode is truncated; None: the task's horizon.
             device: Warp device, such as "cpu" or "cuda:0"; None: the first CUDA device, else the CPU.
             shards: Threads that share the worlds on the CPU; None: all cores. It changes no result.
-            physics: "parity" (MyoSuite's integrator and step) or "fast" (`myowarp.definitions.task.PHYSICS`).
+            physics: "parity" (MyoSuite's integrator and step) or "fast" (`myowarp.definitions.task.PHYSICS`);
+                None: "parity".
             muscle: Muscle model, a name in `myowarp.definitions.muscle.MUSCLES`, or a `MuscleTable` with
-                parameters.
+                parameters; None: "mujoco".
             reset: What episodes start from: "task", "fixed", "random" or "none"
-                (`myowarp.definitions.task.RESETS`).
+                (`myowarp.definitions.task.RESETS`); None: "task".
             conditions: Muscle conditions: names in `CONDITIONS`, or `Condition` objects with parameters.
             autoreset_mode: When a finished world starts its next episode.
             output: Arrays of this library: "numpy", "torch" or "warp".
@@ -141,11 +144,19 @@ class MyoWarpVectorEnv(VectorEnv):
         self.output, given = output, Output(output, self.copy)
         self.render_mode, self._pictures = render_mode, Pictures(render_size, camera, muscle_color)
         rendered = None if render_worlds is None else rows_of(list(render_worlds), num_envs).tolist()
-        options: dict[str, Any] = {"physics": physics, "muscle": muscle, "reset": reset, "shards": shards}
-        options |= {"device": device, "conditions": conditions, "horizon": max_episode_steps}
-        options |= {"autoreset": AUTORESET_NAMES[mode], "deterministic": deterministic, "progress": progress}
-        options["rank"] = rank
-        self.sim = Simulation(TASKS[task], num_envs, **options)
+        said = Setup(
+            physics=physics,
+            muscle=muscle,
+            reset=reset,
+            conditions=conditions,  # type: ignore[arg-type]  # which makes a tuple of it
+            horizon=max_episode_steps,
+            device=device,
+            shards=shards,
+            rank=rank,
+        )
+        options: dict[str, Any] = {"deterministic": deterministic, "progress": progress}
+        options["autoreset"] = AUTORESET_NAMES[mode]
+        self.sim = Simulation(said.over(Setup.of(task)), num_envs, **options)
         if render_mode is not None:
             self._pictures.attach(self.sim)
         self._rendered = list(range(self.sim.num_worlds)) if rendered is None else rendered

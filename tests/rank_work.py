@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from myowarp.apps.train.ranks import Ranks, merged_moments
-from myowarp.apps.train.settings import choose
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.models.conditions import MotorNoise, Sarcopenia, Uniform
 
@@ -53,12 +52,10 @@ def moved(rank=(0, 1)):
 def learned(ranks):
     """Return everything that a learner holds after a few iterations."""
     from myowarp.apps.train import agents
-    from myowarp.apps.train.plan import Job
+    from myowarp.apps.train.plan import plan
     from myowarp.apps.train.run import start
-    from myowarp.tasks.variants import Variant
 
-    settings = choose(TASK.removesuffix("-v0"), "ppo", SETTINGS)
-    run = start(Job(TASK, False, Variant(TASK), "ppo", settings, Path(), ranks))
+    run = start(plan(TASK, algorithm="ppo", output=Path("unwritten"), **SETTINGS))
     for _ in range(ITERATIONS):
         run.iterate()
     arrays = agents.policy_arrays(run.agent) | agents.learner_arrays(run.agent)

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from myowarp.definitions.setup import OPTIONS
+
 PACKAGE = Path(__file__).parents[1] / "myowarp"
 FILES = {str(path.relative_to(PACKAGE)): path for path in sorted(PACKAGE.rglob("*.py"))}
 
@@ -232,6 +234,58 @@ def place_of(name):
     """Return room and folder of a file (`apps/cli/view.py`) or a module (`apps.cli.view`); None: neither."""
     room, *inside = re.split(r"[./]", name.removesuffix(".py"))
     return (room, inside[0]) if room in FOLDERS and inside and inside[0] != "__init__" else None
+
+
+NOT_OPTIONS = {
+    # In these files the words are torch's, skrl's and torchrun's.
+    "apps/train/agents.py": {"device"},
+    "apps/train/flash_sac.py": {"device"},
+    "apps/train/networks.py": {"device"},
+    "apps/train/tally.py": {"device"},
+    "apps/train/ranks.py": {"device", "rank"},
+    "apps/adapters/rsl_rl.py": {"seed"},
+    # Here they are what a result says of how it was made, or where it is kept.
+    "apps/policies/baselines.py": {"task", "seed"},
+    "apps/studies/sweep/study.py": {"task", "seed"},
+    "apps/rollouts/rollout.py": {"task", "device"},
+    "apps/studies/audit/measure.py": {"task", "reset", "conditions", "physics", "device", "horizon", "seed"},
+}
+"""Words of `Setup` that mean something else; file: words."""
+
+
+PROTOCOLS = {"task", "muscle", "conditions", "seed"}
+"""In the paper's experiments: what a protocol itself sets, one muscle's name, the seed of a repetition."""
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name.startswith("apps/")])
+def test_an_option_of_an_environment_is_declared_once(name):
+    """No field or parameter of the apps bears the name of a field of `Setup`; they take it whole."""
+    found = set()
+    for node in ast.walk(tree(name)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            arguments = node.args
+            every = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
+            found |= {argument.arg for argument in every}
+        elif isinstance(node, ast.ClassDef):
+            found |= {part.target.id for part in node.body if isinstance(part, ast.AnnAssign)}
+    meant = PROTOCOLS if name.startswith("apps/studies/reproduce/") else NOT_OPTIONS.get(name, set())
+    assert found & OPTIONS.keys() <= meant
+
+
+def test_worlds_are_stepped_in_one_loop():
+    """The trainer and other libraries' adapters have theirs; optimisers and plots have steps of their own."""
+    loops = set()
+    for name in (name for name in FILES if name.startswith("apps/")):
+        for node in ast.walk(tree(name)):
+            if (
+                isinstance(node, ast.Call)
+                and isinstance(node.func, ast.Attribute)
+                and node.func.attr == "step"
+            ):
+                if not ast.unparse(node.func.value).endswith(("optimizer", "axes")):
+                    loops.add(name)
+    own = {name for name in loops if name.startswith("apps/adapters/")}
+    assert loops == own | {"apps/rollouts/run.py", "apps/train/loop.py"}
 
 
 def test_every_folder_has_its_place():

@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Iterable
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import mujoco_warp as mjw
@@ -12,12 +13,12 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.body import BODIES, Body
-from myowarp.definitions.condition import Condition
+from myowarp.definitions.condition import Condition, resolve
 from myowarp.definitions.muscle import MUSCLES, MuscleModel
 from myowarp.definitions.muscle_table import MuscleTable
-from myowarp.definitions.registry import check_choice
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import PHYSICS, RESETS, PhysicsPreset, TaskSpec
+from myowarp.definitions.setup import DEFAULTS, Setup
+from myowarp.definitions.task import PHYSICS, PhysicsPreset, TaskSpec
 from myowarp.definitions.worlds import Worlds
 from myowarp.disk import cached, files_digest, is_ours, model_bytes, model_from_bytes
 from myowarp.engine.kernel_cache import start_warp
@@ -216,34 +217,22 @@ def _put_model(spec: TaskSpec, stepped: mujoco.MjModel, batch_sizes: dict[str, i
     return model
 
 
-def compile_scene(
-    spec: TaskSpec,
-    num_worlds: int | Worlds,
-    device: str | None = None,
-    physics: str = "parity",
-    muscle: str | MuscleTable = "mujoco",
-    reset: str = "task",
-    conditions: tuple[Condition, ...] = (),
-) -> Scene:
+def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: Any) -> Scene:
     """Build everything that a task needs on a device.
 
     Args:
-        spec: The task.
+        setup: What the worlds are; shards, rank, horizon and seed are not the scene's.
         num_worlds: Number of worlds to step together, >= 1, or those of a part of them.
-        device: Warp device such as "cpu" or "cuda:0"; None: the first CUDA device if there is one.
-        physics: Name in `PHYSICS`.
-        muscle: Name in `MUSCLES`, or a `MuscleTable` with parameters.
-        reset: What episodes start from, one of `spec.RESETS`.
-        conditions: Muscle conditions, as `resolve` returns them.
+        **fields: Fields of `Setup`, in place of those of `setup`.
 
     Raises:
         ValueError: An argument is out of its range, or the device does not exist.
     """
+    setup = Setup.of(setup, **fields).over(DEFAULTS)
+    setup.check()
+    spec, physics, conditions = setup.spec, str(setup.physics), resolve(setup.conditions or (), setup.spec)
     worlds = num_worlds if isinstance(num_worlds, Worlds) else Worlds.all(checked_num_worlds(num_worlds))
-    check_choice("physics", physics, PHYSICS)
-    check_choice("reset", reset, RESETS)
-    table = muscle if isinstance(muscle, MuscleTable) else MuscleTable(muscle)
-    where = resolve_device(device)
+    where = resolve_device(setup.device)
 
     oracle, stepped = oracle_model(spec, conditions), _cached_model(spec, conditions, stateless_model)
     num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped))
@@ -263,7 +252,7 @@ def compile_scene(
         batched = {"actuator_biasprm", *spec.batched}.union(*(c.batched for c in conditions))
         model = _put_model(spec, stepped, dict.fromkeys(sorted(batched), worlds.number))
         data = make_data(worlds.number)
-        muscles = new_muscles(table, oracle, worlds, spec, PHYSICS[physics])
+        muscles = new_muscles(setup.muscles, oracle, worlds, spec, PHYSICS[physics])
         if conditions:
             muscles.individualize()
         scene = Scene(
@@ -277,7 +266,7 @@ def compile_scene(
             muscles=muscles,
             keys=new_keys(worlds.number),
             qpos_start=wp.array(start, dtype=float),
-            reset=reset,
+            reset=str(setup.reset),
             actuator_kind=wp.array(actuator_kinds(oracle), dtype=int),
             capacity=capacity,
             device=where,

@@ -14,16 +14,17 @@ import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cached_property, lru_cache, partial
+from typing import Any
 
 import mujoco
 import numpy as np
 import warp as wp
 
-from myowarp.definitions.condition import Condition, resolve
+from myowarp.definitions.condition import resolve
 from myowarp.definitions.muscle import Anatomy
-from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.registry import check_choice, check_flag
 from myowarp.definitions.scene import Scene
+from myowarp.definitions.setup import DEFAULTS, Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.definitions.worlds import Worlds
 from myowarp.engine.compile import can_renew_code, quiet
@@ -68,7 +69,8 @@ class Simulation:
         scene: The compiled task. Over several parts it holds names, sizes, settings and the state of all
             worlds; what does not belong to a single world, such as contacts, or only to the engine is with
             the parts, and None here.
-        physics: Name of the physics preset.
+        setup: What the worlds are.
+        autoreset: Gymnasium's mode, a key of `AUTORESET`.
         columns: Blocks of the observation.
         terms: Reward terms.
         horizon: Control steps in an episode.
@@ -83,65 +85,54 @@ class Simulation:
     @in_turn
     def __init__(
         self,
-        spec: TaskSpec,
+        setup: Setup | TaskSpec,
         num_worlds: int,
         *,
-        shards: int | None = 1,
-        device: str | None = None,
-        physics: str = "parity",
-        muscle: str | MuscleTable = "mujoco",
-        reset: str = "task",
-        conditions: str | Condition | Iterable[str | Condition] = (),
         autoreset: str = "next_step",
-        horizon: int | None = None,
         graph: bool = True,
         deterministic: bool = False,
         stages: Iterable[str] | None = None,
         progress: bool = True,
         adjustable: bool = False,
-        rank: tuple[int, int] = (0, 1),
+        **fields: Any,
     ) -> None:
         """Compile scene and kernels, and capture the step; kernels are compiled once for all parts.
 
         Args:
-            spec: The task.
+            setup: What the worlds are; a task alone is stepped by one thread unless `shards` says otherwise.
             num_worlds: Worlds to step together.
-            shards: Parts, each stepped by a thread of its own; None: one for each core that this process may
-                use, but none with fewer than 4 worlds.
-            device: Warp device; None: the first CUDA device if there is one, else the CPU.
-            physics: Name in `definitions.task.PHYSICS`.
-            muscle: Name in `MUSCLES`, or a `MuscleTable` with parameters.
-            reset: What episodes start from, one of `spec.RESETS`.
-            conditions: Muscle conditions, each a name in `CONDITIONS` or a `Condition`.
             autoreset: Gymnasium's mode, a key of `AUTORESET`.
-            horizon: Control steps in an episode; None: the task's.
             graph: Whether to capture the step as a graph.
             deterministic: Whether a run gives the same bits every time on CUDA, which is slower.
             stages: Names in `engine.stage.STAGES` to use where they apply; None: all.
             progress: Whether to show progress bars while kernels compile and random starts are found.
             adjustable: Whether conditions can be changed later, as `myowarp.sim.patient` does.
-            rank: Which of how many equal ranks of one numbered set of worlds: rank r of R has worlds
-                r num_worlds to (r + 1) num_worlds - 1, and their rows of parameters that are given per world
-                for all R num_worlds.
+            **fields: Fields of `Setup`, in place of those of `setup`. Rank r of R has worlds r num_worlds to
+                (r + 1) num_worlds - 1 of one numbered set, and their rows of parameters that are given per
+                world for all R num_worlds.
 
         Raises:
             ValueError: An argument is out of its range.
         """
-        worlds = Worlds.all(checked_num_worlds(num_worlds), adjustable, _checked_rank(rank))
+        alone = {} if isinstance(setup, Setup) else {"shards": 1}
+        setup = Setup.of(setup, **alone | fields).over(DEFAULTS)
+        self.setup, self.autoreset, spec = setup, autoreset, setup.spec
+        rank = _checked_rank(setup.rank)
+        worlds = Worlds.all(checked_num_worlds(num_worlds), adjustable, rank)
         check_choice("autoreset", autoreset, AUTORESET)
         for name, flag in (("graph", graph), ("deterministic", deterministic), ("progress", progress)):
             check_flag(name, flag)
-        self.horizon = checked_horizon(spec.horizon if horizon is None else horizon)
+        self.horizon = checked_horizon(spec.horizon if setup.horizon is None else setup.horizon)
         stages = tuple(STAGES if stages is None else stages)
         parts: list[Part] = []
         with quiet():
-            where = resolve_device(device)
-            shards = _checked_shards(shards, worlds.total, where)
-            self.conditions = resolve(conditions, spec)
+            where = resolve_device(setup.device)
+            shards = _checked_shards(setup.shards, worlds.total, where)
+            self.conditions = resolve(setup.conditions or (), spec)
             show = progress and shards > 1
             with patient_bar("Preparing cores", "shards", shards, patience=PATIENCE, show=show) as advance:
                 for own in worlds.split(shards):
-                    scene = compile_scene(spec, own, where.alias, physics, muscle, reset, self.conditions)
+                    scene = compile_scene(setup, own, device=where.alias, conditions=self.conditions)
                     # Sums on the CPU have one order anyway.
                     scene.model.opt.deterministic = bool(deterministic) and not where.is_cpu
                     part = Part(
@@ -159,7 +150,6 @@ class Simulation:
                     advance(1)
         self.parts, (first, *others) = tuple(parts), parts
         self.scene = _joined(first.scene, worlds) if others else first.scene
-        self.physics = physics
         self.columns, self.terms = first.columns, first.terms
         self.action = worlds.whole["action"]
         self.transition = worlds.join("transition", Transition())
@@ -288,7 +278,7 @@ def _checked_shards(shards: int | None, num_worlds: int, device: wp.Device) -> i
     return int(shards)
 
 
-def _checked_rank(rank: tuple[int, int]) -> tuple[int, int]:
+def _checked_rank(rank: object) -> tuple[int, int]:
     """Return which of how many ranks this is, as plain integers.
 
     Raises:

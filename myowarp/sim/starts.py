@@ -102,7 +102,7 @@ def _find(spec: TaskSpec, progress: bool) -> np.ndarray:
     """Search until there are enough."""
     found: list[np.ndarray] = []
     with quiet():
-        part = Part(compile_scene(spec, BATCH, "cpu", reset="fixed"), progress=progress)
+        part = Part(compile_scene(spec, BATCH, device="cpu", reset="fixed"), progress=progress)
     with (
         quiet(),
         wp.ScopedDevice("cpu"),

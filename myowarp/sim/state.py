@@ -184,7 +184,7 @@ def get_state(sim: Simulation, worlds: Worlds = None) -> State:
     parts = [{name: array.numpy() for name, array in _state_of(part).items()} for part in sim.parts]
     names = [name for name in parts[0] if all(name in part for part in parts)]
     arrays = {name: np.concatenate([part[name] for part in parts])[rows] for name in names}
-    return State(sim.scene.spec.key, arrays, sim.physics)
+    return State(sim.scene.spec.key, arrays, str(sim.setup.physics))
 
 
 def set_state(sim: Simulation, state: State, worlds: Worlds = None, *, conditions: bool = True) -> np.ndarray:
@@ -229,10 +229,10 @@ def set_state(sim: Simulation, state: State, worlds: Worlds = None, *, condition
             "state and environment must have the same conditions, they differ in "
             f"{', '.join(sorted(differ))}; pass conditions=False to leave the environment's as they are"
         )
-    if state.physics not in ("", sim.physics):
+    if state.physics not in ("", sim.setup.physics):
         logger.warning(
             "a state of physics %r goes on under %r: what follows is not, bit for bit, what followed there",
-            *(state.physics, sim.physics),
+            *(state.physics, sim.setup.physics),
         )
     place(sim, arrays, rows)
     return rows

@@ -22,11 +22,9 @@ from myowarp.models.couplings import POINT_JOINTS, ask, couplings, exact, follow
 from myowarp.models.reachability import tip_positions
 from myowarp.sim.build import checked_horizon, full_model
 from myowarp.tasks.extend import Reward, extend
-from myowarp.tasks.outside import find_task
 from myowarp.tasks.pose import PoseTask
 from myowarp.tasks.pose_ids import ELBOW_NEAR
 from myowarp.tasks.reach import NEAR_PER_TIP, ReachTask
-from myowarp.tasks.variants import Variant
 
 CONTROL_DT = 0.02  # s, about, as in upstream's tasks
 EPISODE_STEPS = 100
@@ -38,18 +36,6 @@ STEP_ROUNDING = 1e-6  # of a time step
 KINDS = ("pose", "reach")
 COUPLINGS = "couplings.json"  # beside the model's file; see `myowarp.models.couplings`
 STEPPED = ("EULER", "IMPLICITFAST")  # integrators; others call the muscles more than once in a step
-
-
-def task_or_model(task: str | None, model: Path | None) -> Variant:
-    """Return what an id stands for, or the pose task of a model's file.
-
-    Raises:
-        ValueError: Both are given or neither is, there is no such id, or the file is unsuitable.
-    """
-    if (task is None) == (model is None):
-        got = "neither" if task is None else f"{task!r} and {str(model)!r}"
-        raise ValueError(f"what to run is a task id or --model with an MJCF file, one of them; got {got}")
-    return find_task(task) if task is not None else Variant(pose_task(Path(str(model))).key)
 
 
 def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:

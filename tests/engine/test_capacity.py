@@ -26,7 +26,7 @@ SCENES = {spec.key: spec for spec in {TASKS[key].scene_key: TASKS[key] for key i
 @lru_cache
 def scene_of(name, physics):
     """Return a compiled scene of a few worlds."""
-    return compile_scene(SCENES[name], 33, "cpu", physics)
+    return compile_scene(SCENES[name], 33, device="cpu", physics=physics)
 
 
 def poses(scene, count):

@@ -21,7 +21,7 @@ KEY = "myoElbowPose1D6MRandom-v0"
 def counted(tmp_path, monkeypatch):
     """Return a scene, a verdict about it, and a function that counts how often it was asked for."""
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path))
-    scene = compile_scene(TASKS[KEY], 1, "cpu")
+    scene = compile_scene(TASKS[KEY], 1, device="cpu")
     verdict = Verdict(idle_kernels(scene.oracle), frozenset())
     assert verdict.idle
     calls = []

@@ -67,19 +67,21 @@ def test_a_finding_has_a_sentence(figure):
 
 def test_jobs_are_every_id_with_versions_together():
     jobs = command.find_jobs((), paper=False)
-    assert sorted(job.spec.key for job in jobs) == sorted(TASKS)
-    names = [job.spec.name for job in jobs]
+    assert sorted(job.setup.spec.key for job in jobs) == sorted(TASKS)
+    names = [job.setup.spec.name for job in jobs]
     assert sum(a != b for a, b in itertools.pairwise(names)) == len(set(names)) - 1
     for one, other in itertools.pairwise(jobs):
-        assert one.spec.name != other.spec.name or one.spec.version < other.spec.version
+        assert (
+            one.setup.spec.name != other.setup.spec.name or one.setup.spec.version < other.setup.spec.version
+        )
 
 
 def test_paper_jobs_are_the_grid():
     jobs = command.find_jobs((), paper=True)
     assert len(jobs) == 204
-    assert {job.reset for job in jobs} == {"fixed", "random", "none"}
+    assert {job.setup.reset for job in jobs} == {"fixed", "random", "none"}
     (one,) = command.find_jobs(("MyoWarp/paperElbowPoseHardNSarc-v0",), paper=False)
-    assert (one.spec.key, one.reset, one.conditions) == (ELBOW, "none", ("sarcopenia",))
+    assert (one.setup.spec.key, one.setup.reset, one.setup.conditions) == (ELBOW, "none", ("sarcopenia",))
 
 
 @pytest.fixture
@@ -119,8 +121,8 @@ def test_bad_input_is_refused_before_anything_runs(run, monkeypatch, tmp_path, a
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"steps": 0}, "steps must be an integer of at least 1, got 0"),
-        ({"seed": -1}, "seed must be an integer of at least 0, got -1"),
+        ({"steps": 0}, "--steps must be at least 1, got 0"),
+        ({"seed": -1}, "--seed must be at least 0, got -1"),
         ({"num_worlds": 0}, "num_envs must be a positive integer, got 0"),
         ({"reset": "maybe"}, "reset 'maybe' unknown; available: task, fixed, random, none"),
     ],
@@ -166,8 +168,8 @@ def test_without_matplotlib_json_and_table_come(run, monkeypatch, tmp_path):
 
 
 def test_interruption_loses_nothing(tmp_path, reach):
-    def measure(spec, reset, tick, **options):
-        if spec.key == ELBOW:
+    def measure(setup, tick, **options):
+        if setup.spec.key == ELBOW:
             raise KeyboardInterrupt
         tick(0.5, "half")
         return reach

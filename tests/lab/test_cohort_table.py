@@ -229,10 +229,10 @@ def test_files_that_are_something_else(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"steps": 0}, r"^steps must be an integer >= 1, got 0$"),
-        ({"trials": 1.5}, r"^trials must be an integer >= 1, got 1\.5$"),
-        ({"every": 0}, r"^every must be an integer >= 1, got 0$"),
-        ({"seed": -1}, r"^seed must be an integer >= 0, got -1$"),
+        ({"steps": 0}, r"^--steps must be at least 1, got 0$"),
+        ({"trials": 1.5}, r"^--trials must be an integer, got 1\.5$"),
+        ({"every": 0}, r"^--every must be at least 1, got 0$"),
+        ({"seed": -1}, r"^--seed must be at least 0, got -1$"),
         ({"physics": "slow"}, r"^physics 'slow' unknown; available: parity, fast$"),
         ({"reset": "never"}, r"^reset 'never' unknown; available: task, fixed, random, none$"),
         ({"device": "cuda:9"}, r"^device 'cuda:9' is not available; available: .*$"),
@@ -251,7 +251,7 @@ def test_files_that_are_something_else(tmp_path):
 )
 def test_bad_arguments(nothing_built, options, message):
     with pytest.raises(ValueError, match=message):
-        run_cohort(PATIENTS, **{"task": ELBOW} | options)
+        run_cohort(PATIENTS, **{"what": ELBOW} | options)
 
 
 def test_without_pandas(monkeypatch):

@@ -7,9 +7,11 @@ import pytest
 import zstandard
 
 from myowarp.apps.cli.main import main
-from myowarp.apps.cli.record import film_worlds
+from myowarp.apps.rollouts.beside import Beside
 from myowarp.apps.rollouts.film import Film, write
-from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.apps.rollouts.run import run as roll
+from myowarp.definitions.task import TASKS
+from myowarp.sim.simulation import Simulation
 from myowarp.view.drawing.render import NoGraphicsError
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
@@ -19,16 +21,16 @@ WORLDS, STEPS, HORIZON = 2, 7, 5
 @pytest.fixture(scope="module")
 def films():
     """A healthy and a weak elbow over one episode and a bit."""
-    options = {"device": "cpu", "progress": False, "autoreset_mode": "disabled", "max_episode_steps": HORIZON}
+    options = {"device": "cpu", "progress": False, "autoreset": "disabled", "horizon": HORIZON, "seed": 3}
     sets = ((), ("sarcopenia",))
-    envs = [MyoWarpVectorEnv(ELBOW, WORLDS, conditions=conditions, **options) for conditions in sets]
-    made = [Film(env.sim, range(WORLDS), (64, 48), title=name) for env, name in zip(envs, "ab", strict=True)]
+    sims = [Simulation(TASKS[ELBOW], WORLDS, conditions=conditions, **options) for conditions in sets]
+    made = [Film(sim, range(WORLDS), (64, 48), title=name) for sim, name in zip(sims, "ab", strict=True)]
     full = np.ones((WORLDS, 6), dtype=np.float32)
-    film_worlds(envs, made, [lambda obs: full, lambda obs: full], STEPS, seed=3)
+    roll(sims[0], lambda obs: full, STEPS, made[0], Beside(*sims, lambda obs: full, made[1]))
     yield made
-    for env, film in zip(envs, made, strict=True):
+    for sim, film in zip(sims, made, strict=True):
         film.close()
-        env.close()
+        sim.close()
 
 
 def test_worlds_start_from_the_same_state_and_part(films):

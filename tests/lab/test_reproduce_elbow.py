@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from benchmarks import experiments
+from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.reproduce import Reproduce
 from myowarp.apps.policies.checkpoint import CheckpointError
 from myowarp.apps.studies.reproduce import arm, cohort_exo, endurance, exo2, recovery
@@ -16,6 +17,7 @@ from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
 from myowarp.apps.studies.reproduce.policies import FOLDER, Training, committed, retrained
 from myowarp.apps.studies.reproduce.report import FILES, output_folder
 from myowarp.apps.studies.reproduce.result import Merit, t_quantile
+from myowarp.definitions.setup import Setup
 from myowarp.models.conditions import Exoskeleton, Load
 from myowarp.models.conditions.fatigue_3ccr import ELBOW_EXTENSOR, ELBOW_FLEXOR
 from myowarp.sim.signals import Signals
@@ -35,7 +37,8 @@ def command(name, folder, **options):
     """Run a command in its quick form, with one seed and few worlds."""
     given = {"seeds": 1, "num_worlds": 4, "device": "cpu"} | options
     read = {key: value for key, value in given.items() if key not in EXPERIMENTS[name].ignores}
-    Reproduce(name=name, quick=True, output=folder, **read)()
+    setup = Setup(device=read.pop("device", None))
+    Reproduce(Said(setup), name=name, quick=True, output=folder, **read)()
 
 
 @pytest.fixture(scope="module")
@@ -113,13 +116,14 @@ def test_what_is_wrong_is_said_in_a_sentence(arguments, sentence, run, tmp_path)
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_options_that_an_experiment_does_not_read_are_refused(name, tmp_path):
-    given = {"seeds": 2, "num_worlds": 3, "retrain": True, "models": (tmp_path,), "device": "cpu"}
+    given = {"seeds": 2, "num_worlds": 3, "retrain": True, "models": (tmp_path,)}
     assert EXPERIMENTS[name].ignores
     for option in EXPERIMENTS[name].ignores:
-        with pytest.raises(
-            ValueError, match=f"{name}' does not read --{option.replace('_', '-')}; leave it out"
-        ):
-            Reproduce(name=name, output=tmp_path / "out", **{option: given[option]})()
+        said = Setup(device="cpu" if option == "device" else None)
+        read = {key: value for key, value in given.items() if key == option}
+        flag = option.replace("_", "-")
+        with pytest.raises(ValueError, match=f"{name}' does not read --{flag}; leave it out"):
+            Reproduce(Said(said), name=name, output=tmp_path / "out", **read)()
     assert not (tmp_path / "out").exists()
 
 
@@ -161,7 +165,7 @@ def test_a_policy_is_trained_again(tmp_path):
     training = Training("x", arm.TASK, arm.ASSISTED.conditions, 2560, settings)
 
     def train(seed):
-        return retrained(training, seed, tmp_path, console, quick=True, device="cpu")
+        return retrained(training, Setup(seed=seed, device="cpu"), tmp_path, console, quick=True)
 
     first = train(3)
     assert first.manifest["samples"] == 256
@@ -191,7 +195,7 @@ def gravity_torque(model, angle, masses):
 def test_a_hold_carries_the_moment_of_the_load():
     """Muscles and exoskeleton together, (1 + 1 / a) times its torque, balance m g l sin of all that hangs."""
     loads, assistance = np.repeat([0.0, 1.0, 2.0], 2), np.tile([0.5, 1.0], 3)
-    sim = arm.arms((Load(loads), Exoskeleton(assistance)), 6, "cpu")
+    sim = arm.arms((Load(loads), Exoskeleton(assistance)), 6, Setup(device="cpu"))
     policies = [(committed(arm.ASSISTED, 0), slice(None))]
     trace = arm.follow(Signals(sim), policies, np.arange(6), np.array([[60.0]]), 8.0)
     angle, torque = np.radians(trace.angle[-1]), trace.shown["exo_torque"][-1]

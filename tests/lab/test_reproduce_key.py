@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.reproduce import Reproduce
 from myowarp.apps.policies.checkpoint import load_checkpoint
 from myowarp.apps.studies.reproduce import baselines, speed, tear, transfer, validation
@@ -15,6 +16,7 @@ from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
 from myowarp.apps.studies.reproduce.policies import Training, retrained
 from myowarp.apps.studies.reproduce.report import FILES
 from myowarp.definitions.body import BODIES
+from myowarp.definitions.setup import Setup
 
 pytest.importorskip("matplotlib").use("agg")
 
@@ -32,7 +34,8 @@ def found(tmp_path_factory):
             folder = tmp_path_factory.mktemp(name)
             given = {"seeds": 1, "num_worlds": 2, "device": "cpu"} | options
             read = {key: value for key, value in given.items() if key not in EXPERIMENTS[name].ignores}
-            Reproduce(name=name, quick=True, output=folder, **read)()
+            setup = Setup(device=read.pop("device", None))
+            Reproduce(Said(setup), name=name, quick=True, output=folder, **read)()
             assert all((folder / file).stat().st_size for file in FILES)
             done[name] = json.loads((folder / "result.json").read_text()), folder
         return done[name]
@@ -66,7 +69,7 @@ def test_tears_hurt_in_the_papers_order(found):
 def test_a_finished_tear_is_not_run_again(found, monkeypatch):
     result, folder = found("tear")
     monkeypatch.setattr("myowarp.apps.studies.reproduce.key.MyoWarpVectorEnv", None)
-    Reproduce(name="tear", quick=True, output=folder, seeds=1, num_worlds=2, device="cpu")()
+    Reproduce(Said(Setup(device="cpu")), name="tear", quick=True, output=folder, seeds=1, num_worlds=2)()
     assert json.loads((folder / "result.json").read_text())["merits"] == result["merits"]
 
 
@@ -174,9 +177,9 @@ def test_validation_refuses_other_models(tmp_path):
     with pytest.raises(
         ValueError, match=r"--models compares arm26 and MoBL_ARMS, got '.*gait10dof18musc\.osim'"
     ):
-        Reproduce(name="validation", output=tmp_path, models=(gait,))()
+        Reproduce(Said(Setup()), name="validation", output=tmp_path, models=(gait,))()
     with pytest.raises(ValueError, match="is no file; give the path of"):
-        Reproduce(name="validation", output=tmp_path, models=(tmp_path / "none.osim",))()
+        Reproduce(Said(Setup()), name="validation", output=tmp_path, models=(tmp_path / "none.osim",))()
 
 
 def test_speed_grows_with_the_muscles(found, monkeypatch, tmp_path):
@@ -192,7 +195,7 @@ def test_speed_grows_with_the_muscles(found, monkeypatch, tmp_path):
     assert result["claims"][2]["holds"]
     monkeypatch.setattr(speed, "RESULT", tmp_path / "opensim_speed.json")
     with pytest.raises(ValueError, match="the installed package does not"):
-        Reproduce(name="speed", output=tmp_path / "out")()
+        Reproduce(Said(Setup()), name="speed", output=tmp_path / "out")()
 
 
 def test_samples_until_it_is_learned():
@@ -224,7 +227,7 @@ def test_a_policy_is_trained_on_from_its_parent(tmp_path):
     given = small | {"value_first": 1}
     child = Training("child", parent.task, samples=640, settings=given, parent=parent)
     folder = tmp_path / "policies" / "child" / "0"
-    found = retrained(child, 0, folder, Console(stderr=True), quick=True, device="cpu")
+    found = retrained(child, Setup(seed=0, device="cpu"), folder, Console(stderr=True), quick=True)
     before = load_checkpoint(tmp_path / "policies" / "parent" / "0")
     assert found.manifest["parent"]["task"] == parent.task
     # In the one iteration that it had, the value function alone learned.

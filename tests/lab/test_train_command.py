@@ -11,11 +11,13 @@ import re
 import shlex
 import signal
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from myowarp.apps.cli import train as command
+from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.rollout import Rollout
 from myowarp.apps.policies import checkpoint as checkpoints
 from myowarp.apps.policies.learned import LearnedPolicy, read_policy
@@ -24,8 +26,10 @@ from myowarp.apps.train.plan import eval_command, held, plan, resume_command
 from myowarp.apps.train.run import start, train
 from myowarp.apps.train.settings import ALGORITHMS, choose, preset_algorithm
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
+from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import State
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -125,19 +129,19 @@ def test_a_cohort_is_driven_by_it(learned, run, tmp_path):
 def test_a_training_ends_with_a_video(run, tmp_path, monkeypatch):
     """The trained policy acts in it, or a word says what is missing."""
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    film, asked = tmp_path / "film.mp4", []
+    film, filmed = tmp_path / "film.mp4", []
 
-    def short(**options):
-        asked.append(options)
-        return Rollout(**options, steps=3, num_worlds=2, video_worlds=1)
+    def short(asked, **options):
+        filmed.append(options)
+        return Rollout(asked, **options, steps=3, num_worlds=2, video_worlds=1)
 
     monkeypatch.setattr(command, "Rollout", short)
     _, out, err = run("train", ELBOW, "--output", tmp_path / "run", *TINY, "--samples", 64, "--video", film)
     assert f"MyoWarp/{ELBOW}" in out
-    assert asked[0]["policy"] == str(tmp_path / "run")
+    assert filmed[0]["policy"] == str(tmp_path / "run")
     if "No video" in err:
         pytest.skip("drawing needs OpenGL")
-    assert imageio_ffmpeg.count_frames_and_secs(film)[0] == 3
+    assert imageio_ffmpeg.count_frames_and_secs(film)[0] == 4
 
 
 def test_a_video_is_refused_before_the_training(run, no_simulation, tmp_path):
@@ -198,7 +202,7 @@ def test_wilson():
 
 def test_evaluation_counts_each_world_once(monkeypatch):
     """The figures are those of a plain loop over a world that stops when its episode ends."""
-    env = MyoWarpVectorEnv(ELBOW, 6, device="cpu", autoreset_mode="same_step", max_episode_steps=30)
+    sim = Simulation(TASKS[ELBOW], 6, device="cpu", autoreset="same_step", horizon=30, seed=7)
     gains = np.linspace(-1.0, 1.0, 6)
 
     def act(obs):
@@ -206,7 +210,7 @@ def test_evaluation_counts_each_world_once(monkeypatch):
 
     in_reach = np.arange(6) % 2 == 0
     monkeypatch.setattr("myowarp.apps.train.evaluate.in_reach", lambda *of: in_reach)
-    got = evaluate(env, act, 7)
+    got = evaluate(sim, act)
     returns, solved, success, effort, rate = [], [], [], [], []
     for world in range(6):
         one = MyoWarpVectorEnv(ELBOW, 1, device="cpu", autoreset_mode="disabled", max_episode_steps=30)
@@ -253,7 +257,7 @@ def test_presets_are_of_tasks_and_within_bounds(name):
         (("--discount", 1.5), "--discount must be from 0.0 to 1.0, got 1.5"),
         (("--save-seconds", -1), "--save-seconds must be at least 0, got -1.0"),
         (("--replay", 64), "ppo has no setting --replay; it belongs to sac and flashsac"),
-        (("--physics", "quick"), "--physics 'quick' unknown; available: parity, fast"),
+        (("--physics", "quick"), "physics 'quick' unknown; available: parity, fast"),
         (
             ("--num-worlds", 8, "--rollout-steps", 8, "--minibatches", 7),
             "--minibatches must divide the samples of an iteration, 8 worlds x 8 steps = 64, got 7",
@@ -289,7 +293,8 @@ def test_one_training_one_folder(run, tmp_path, monkeypatch):
     from myowarp.apps.train.loop import Run
 
     iterate, folder = Run.iterate, tmp_path / "run"
-    new, again = command.Train(task=ELBOW, output=folder, device="cpu"), command.Train(resume=folder)
+    begun = (Setup(task=ELBOW, device="cpu"), folder, None), (Setup(), None, folder)
+    new, again = (command.Train(Said(setup), output=path, resume=old) for setup, path, old in begun)
 
     def files():
         return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
@@ -778,10 +783,13 @@ def test_printed_commands_work_for_a_task_from_a_file(run, tmp_path, monkeypatch
 
 
 def test_printed_commands_name_model_and_ranks():
-    assert eval_command("a b.xml", True, "runs/x") == "myowarp eval runs/x --model 'a b.xml'"
-    assert resume_command("a.xml", True, "runs/x", 1) == "myowarp train --model a.xml --resume runs/x"
+    assert eval_command(Setup(task=Path("a b.xml")), "runs/x") == "myowarp eval runs/x --model 'a b.xml'"
+    assert (
+        resume_command(Setup(task=Path("a.xml")), "runs/x", 1)
+        == "myowarp train --model a.xml --resume runs/x"
+    )
     ranks = "torchrun --nproc-per-node 2 -m myowarp train --resume runs/x"
-    assert resume_command(ELBOW, False, "runs/x", 2) == ranks
+    assert resume_command(Setup(task=ELBOW), "runs/x", 2) == ranks
 
 
 def test_a_diverged_run_keeps_the_last_good_checkpoint(run, tmp_path, monkeypatch):
@@ -838,7 +846,7 @@ def test_a_task_whose_worlds_all_have_faults_ends_the_training(run, tmp_path):
 
 def test_settings_are_all_in_the_manifest(tiny):
     recorded = checkpoints.load_checkpoint(tiny).manifest["settings"]
-    assert set(recorded) == {f.name for f in dataclasses.fields(ALGORITHMS["ppo"])}
+    assert recorded.keys() == Setup().plain().keys() | {f.name for f in dataclasses.fields(ALGORITHMS["ppo"])}
     assert recorded["num_worlds"] == 8
 
 

@@ -18,6 +18,7 @@ from myowarp.apps.policies.learned import LearnedPolicy
 from myowarp.apps.train import agents
 from myowarp.apps.train.loop import Clock
 from myowarp.apps.train.settings import ALGORITHMS, choose
+from myowarp.definitions.setup import Setup
 from myowarp.disk import plain
 
 NUM_OBS, NUM_ACTIONS, ROWS = 7, 3, 400
@@ -119,11 +120,11 @@ def test_drawn_actions_have_the_spread_of_torch(trained, tmp_path):
         torch.manual_seed(0)
         inputs = {"observations": agent._observation_preprocessor(torch.from_numpy(obs))}
         expected = agent.policy.act(inputs, role="policy")[0].clamp(-1.0, 1.0).numpy()
-    got = LearnedPolicy(checkpoint, sampled=True, seed=1)(obs)
+    got = LearnedPolicy(checkpoint, Setup(seed=1))(obs)
     assert expected.std(axis=0).min() > 0.05
     np.testing.assert_allclose(got.mean(axis=0), expected.mean(axis=0), atol=0.02)  # 5 standard errors
     np.testing.assert_allclose(got.std(axis=0), expected.std(axis=0), atol=0.02)
-    again = LearnedPolicy(checkpoint, sampled=True, seed=1)(obs)
+    again = LearnedPolicy(checkpoint, Setup(seed=1))(obs)
     np.testing.assert_array_equal(got, again)
 
 

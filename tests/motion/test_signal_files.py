@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from myowarp.apps.policies.find import Policy
 from myowarp.apps.rollouts import recording as record
-from myowarp.apps.rollouts import rollout
 from myowarp.apps.rollouts.recording import recording, sample_of
+from myowarp.apps.rollouts.rollout import roll_out
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.task import TASKS
 from myowarp.sim.signals import JOINT_UNITS, UNITS
@@ -154,7 +155,7 @@ def test_rollout_records(tmp_path):
     path = tmp_path / "run.npz"
     env = MyoWarpVectorEnv(ELBOW, 2, device="cpu", autoreset_mode="same_step", max_episode_steps=4)
     with recording(env.sim, path) as recorder:
-        rollout.run(env, rollout.Policy("random"), 6, 0, recorder=recorder)
+        roll_out(env.sim, Policy("random"), 6, recorder)
     with np.load(path) as saved:
         np.testing.assert_allclose(saved["time"][:, 0], 0.02 * np.array([1, 2, 3, 4, 1, 2]))
         assert saved["episode"][:, 1].tolist() == [1, 1, 1, 1, 2, 2]

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from myowarp.apps.policies.find import acting, find_policy
 from myowarp.apps.rollouts.recording import recording
-from myowarp.apps.rollouts.rollout import acting, find_policy, run
+from myowarp.apps.rollouts.rollout import roll_out
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.task import TASKS
 from myowarp.motion.storage import Storage, read_storage, write_storage
@@ -130,7 +131,7 @@ def test_a_recording_plays_itself(elbow, tmp_path):
     for policy in ("random", str(tmp_path / "random.sto")):
         path = tmp_path / f"{policy if policy == 'random' else 'again'}.sto"
         with recording(env.sim, path) as recorder:
-            run(env, find_policy(policy, TASKS["myoElbowPose1D6MRandom-v0"]), 60, 3, recorder=recorder)
+            roll_out(env.sim, find_policy(policy, TASKS["myoElbowPose1D6MRandom-v0"]), 60, recorder)
         angles.append(read_storage(path.with_suffix(".mot")).values[:, 0])
     assert np.ptp(angles[0]) > 0.1
     np.testing.assert_allclose(angles[1], angles[0], atol=1e-4)
@@ -142,7 +143,7 @@ def test_excitations_between_the_rows(elbow, tmp_path):
     names, path = env.muscle_names, tmp_path / "controls.csv"
     rows = [[0.02, *[0.1] * 6], [0.08, *[0.4] * 6], [0.1, *[1.0] * 6]]
     path.write_text("\n".join([",".join(("time", *names)), *(",".join(map(str, row)) for row in rows)]))
-    act = acting(find_policy(str(path), TASKS["myoElbowPose1D6MRandom-v0"]), env.sim, 0)
+    act = acting(find_policy(str(path), TASKS["myoElbowPose1D6MRandom-v0"]), env.sim)
     most = 1.0 / (1.0 + np.exp(-2.5))
     obs, _ = env.reset(seed=0)
     for expected in (0.1, 0.2, 0.3, 0.4, most, most):
@@ -164,7 +165,7 @@ def test_excitations_that_do_not_fit(elbow, tmp_path, text, message):
     env, path = elbow(), tmp_path / "controls.csv"
     path.write_text(text.format(names=",".join(env.muscle_names), values=",".join(["0.1"] * 5)))
     with pytest.raises(ValueError, match=message):
-        acting(find_policy(str(path), TASKS["myoElbowPose1D6MRandom-v0"]), env.sim, 0)
+        acting(find_policy(str(path), TASKS["myoElbowPose1D6MRandom-v0"]), env.sim)
 
 
 def test_a_recording_for_opensim_without_a_sample_is_refused(elbow, tmp_path):

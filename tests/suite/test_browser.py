@@ -14,7 +14,9 @@ from socket_client import Client, until
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.view import View, policies_for
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 from myowarp.view.browser import live as live_module
 from myowarp.view.browser.live import Live
@@ -40,7 +42,7 @@ def command(tmp_path_factory):
     folder = tmp_path_factory.mktemp("own")
     (folder / "bend.py").write_text(OWN_POLICY)
     (folder / "arm.xml").write_text(OWN_MODEL)
-    return View(model=folder / "arm.xml", policy=f"{folder}/bend.py:bend", worlds=2)
+    return View(Said(Setup(task=folder / "arm.xml")), policy=f"{folder}/bend.py:bend", worlds=2)
 
 
 @pytest.fixture(scope="module")
@@ -381,7 +383,7 @@ def test_a_busy_port_is_one_sentence():
         with pytest.raises(OSError, match=rf"^port {port} of 127.0.0.1 cannot be used .*--port 0"):
             check_port("127.0.0.1", port)
         with pytest.raises(OSError, match=rf"^port {port} of 127.0.0.1 cannot be used"):
-            View(task=KEY, port=port)()
+            View(Said(Setup(task=KEY)), port=port)()
 
 
 @pytest.mark.parametrize(
@@ -402,7 +404,7 @@ def test_a_wrong_argument_is_one_sentence(arguments, says):
 def test_without_viser_it_says_what_to_install(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r'needs viser.*pip install "myowarp\[view\]"'):
-        View(task=KEY)()
+        View(Said(Setup(task=KEY)))()
 
 
 def test_human_mode_without_a_display_is_a_page(monkeypatch):
@@ -428,13 +430,16 @@ def test_human_mode_without_a_display_is_a_page(monkeypatch):
 )
 def test_a_page_starts_no_policy_of_another_task(task, policy, starts, monkeypatch):
     monkeypatch.setattr("myowarp.view.browser.session.Session", lambda *args, **options: args[3])
-    assert View(task=KEY)._open(task, policy) == starts
+    assert View(Said(Setup(task=KEY)))._open(task, policy) == starts
 
 
 def test_a_policy_that_was_asked_for_acts(monkeypatch):
     monkeypatch.setattr("myowarp.view.browser.session.Session", lambda *args, **options: args[3])
     policy = "baselines/myoHandReachFixed-v0"
-    assert View(task="myoHandReachRandom-v1", policy=policy)._open("myoHandReachRandom-v1", policy) == policy
+    assert (
+        View(Said(Setup(task="myoHandReachRandom-v1")), policy=policy)._open("myoHandReachRandom-v1", policy)
+        == policy
+    )
 
 
 def test_policies_offered_can_act():

@@ -114,7 +114,7 @@ def test_sizes_and_weights_are_those_of_the_environment(key):
 def test_ids_with_conditions(env_id):
     """What a condition adds is described too; the sizes are those of the simulation."""
     variant = VARIANTS[env_id]
-    facts = describe(TASKS[variant.task], env_id=env_id, reset=variant.reset, conditions=variant.conditions)
+    facts = describe(TASKS[variant.task], env_id, reset=variant.reset, conditions=variant.conditions)
     assert facts["id"] == env_id
     assert facts["task"] == TASKS[variant.task].env_id
     assert facts["resets"]["own"] == variant.reset

@@ -128,7 +128,7 @@ def program_of(key, num_worlds=NUM_WORLDS):
     """Return a task bound to a scene."""
     with wp.ScopedDevice("cpu"):
         spec = TASKS[key]
-        return spec.program(spec, compile_scene(spec, num_worlds, "cpu"))
+        return spec.program(spec, compile_scene(spec, num_worlds, device="cpu"))
 
 
 def drawn(key, seeds, episode, mask=None):

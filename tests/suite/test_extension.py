@@ -248,7 +248,7 @@ def test_a_policy_on_a_free_root_is_evaluated(folder, caplog):
     env = myowarp.make_vec(
         key, 3, device="cpu", progress=False, autoreset_mode="SameStep", max_episode_steps=4
     )
-    found = evaluate(env, lambda obs: np.zeros(env.action_space.shape, np.float32), seed=0)
+    found = evaluate(env.sim, lambda obs: np.zeros(env.action_space.shape, np.float32))
     assert (found.episodes, found.length_mean, found.reachable, found.success_reachable) == (3, 4, None, None)
     assert caplog.messages == [
         f"success over reachable targets of {key} is left out: joint 'root' is no hinge; only hinges are "

@@ -347,7 +347,7 @@ def test_a_large_model_is_announced(plain, monkeypatch, caplog):
         with pytest.raises(
             pytest.fail.Exception, match=r"6 bodies, 10 degrees of freedom\): its first start takes"
         ):
-            build.compile_scene(task, 1, "cpu")
+            build.compile_scene(task, 1, device="cpu")
     assert len(caplog.messages) == 1
 
 

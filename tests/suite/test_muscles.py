@@ -54,7 +54,7 @@ BODY_TASKS = {spec.body: spec for spec in _tasks_with_muscles()}
 
 def muscle_scene(body, num_worlds, physics, muscle):
     """Return a scene in which nothing touches: muscles alone move the joints, in the engine and in C."""
-    scene = compile_scene(BODY_TASKS[body], num_worlds, "cpu", physics, muscle)
+    scene = compile_scene(BODY_TASKS[body], num_worlds, device="cpu", physics=physics, muscle=muscle)
     scene.model.callback.control = scene.muscles.launch
     scene.oracle.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     scene.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)

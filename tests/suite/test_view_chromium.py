@@ -20,7 +20,9 @@ import pytest
 from chromium import NAME, Chromium
 from socket_client import Client, until
 
+from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.view import View
+from myowarp.definitions.setup import Setup
 from myowarp.view.browser.live import Live
 from myowarp.view.browser.server import close_server, open_server
 
@@ -209,7 +211,7 @@ def signals_of(session):
 def test_each_slider_moves_a_signal_of_the_muscles(tmp_path):
     """Each slider of the page to its far end, beside the twin that it does not move."""
     (tmp_path / "effort.py").write_text(EFFORT)
-    command = View(task=ELBOW, policy=f"{tmp_path}/effort.py:effort", device="cpu")
+    command = View(Said(Setup(task=ELBOW, device="cpu")), policy=f"{tmp_path}/effort.py:effort")
     server = open_server(0, "test")
     live = Live(server, command._open(ELBOW, command.policy), command._choices())
     live.playing = False

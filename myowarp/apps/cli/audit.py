@@ -6,7 +6,7 @@ from typing import Annotated
 
 from rich.console import Console
 
-from myowarp.apps.cli.options import Device, Overwrite, Physics, TaskIds, optional
+from myowarp.apps.cli.options import Asked, Overwrite, TaskIds, environment, optional
 from myowarp.definitions.registry import check_least
 
 
@@ -26,6 +26,7 @@ class Audit:
     The paper's grid, each id with its reset: myowarp audit --paper
     """
 
+    asked: Annotated[Asked, environment(leave_out=("task", "shards"))]
     tasks: TaskIds = ()
     paper: bool = False
     """Audit the grid of the MyoSuite paper, each id with its reset."""
@@ -33,10 +34,6 @@ class Audit:
     """Worlds simulated together: episodes seen for each policy."""
     steps: Annotated[int | None, optional("INT")] = None
     """Control steps of each policy; by default, and at least, one horizon of the task (reset-free: two)."""
-    seed: int = 0
-    """World i resets with seed + i."""
-    device: Device = None
-    physics: Physics = "parity"
     output: Path = Path("out/audit")
     """Folder for audit.json, written after every id, and index.html with plots (needs matplotlib)."""
     overwrite: Overwrite = False
@@ -46,16 +43,13 @@ class Audit:
     def __call__(self) -> None:
         """Check everything, then audit and report."""
         from myowarp.apps.studies.audit import tasks as command
-        from myowarp.definitions.registry import check_choice
-        from myowarp.definitions.task import PHYSICS
         from myowarp.disk import check_folder, check_overwrite
         from myowarp.sim.build import resolve_device
 
-        jobs = command.find_jobs(self.tasks, self.paper)
+        asked = self.asked.setup
+        jobs = command.find_jobs(self.tasks, self.paper, asked)
         check_least(1, num_worlds=self.num_worlds, steps=1 if self.steps is None else self.steps)
-        check_least(0, seed=self.seed)
-        check_choice("physics", self.physics, PHYSICS)
-        resolve_device(self.device)
+        resolve_device(asked.device)
         check_folder(self.output)
         check_overwrite((self.output / name for name in command.FILES), self.overwrite)
         self.output.mkdir(parents=True, exist_ok=True)
@@ -66,9 +60,6 @@ class Audit:
             console,
             num_worlds=self.num_worlds,
             steps=self.steps,
-            seed=self.seed,
-            device=self.device,
-            physics=self.physics,
         )
         if self.json:
             print(command.as_json(audits))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +11,9 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from myowarp.apps.cli.options import Device, OptionalTask, optional
-from myowarp.apps.train.settings import SUCCESSES, success_text
+from myowarp.apps.cli.options import Asked, environment, optional
+from myowarp.apps.train.settings import SUCCESSES, divided, success_text
+from myowarp.definitions.setup import Setup
 
 if TYPE_CHECKING:
     from myowarp.apps.policies.baselines import Baseline
@@ -31,12 +31,9 @@ class Baselines:
     action: Annotated[Literal["list", "run"], tyro.conf.Positional]
     """list: all baselines, or the one of a task. run: train it again with its settings (needs
     "myowarp[train]"), evaluate 256 episodes under parity, and compare."""
-    task: OptionalTask = None
+    asked: Annotated[Asked, environment(only=("task", "device", "seed"))]
     output: Annotated[Path | None, optional("FOLDER")] = None
     """run: new folder; by default runs/baseline_<task>_<seed>."""
-    seed: Annotated[int | None, optional("INT")] = None
-    """run: another seed than that of the baseline."""
-    device: Device = None
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -44,7 +41,8 @@ class Baselines:
         """Check, then list or run."""
         from myowarp.apps.policies import baselines
 
-        task = self.task and self.task.removeprefix("MyoWarp/")
+        asked = self.asked.setup
+        task = str(asked.task).removeprefix("MyoWarp/") if asked.task else None
         if self.action == "list":
             names = [task] if task else baselines.baseline_tasks()
             _list([baselines.load_baseline(name) for name in names], self.json)
@@ -52,9 +50,10 @@ class Baselines:
         if task is None:
             raise ValueError(f"baselines run needs a task: {', '.join(baselines.baseline_tasks())}")
         baseline = baselines.load_baseline(task)
-        settings = baseline.settings(self.seed) | ({"device": self.device} if self.device else {})
-        output = self.output or Path("runs") / f"baseline_{task}_{settings['seed']}"
-        now = _remake(baseline, output, settings)
+        setup, settings = divided(baseline.settings(asked.seed))
+        setup = asked.over(setup)
+        output = self.output or Path("runs") / f"baseline_{task}_{setup.seed}"
+        now = _remake(baseline, output, setup, settings)
         self._report(baseline, now, output)
 
     def _report(self, baseline: Baseline, now: dict[str, Any], output: Path) -> None:
@@ -84,13 +83,16 @@ class Baselines:
             raise RuntimeError(f"baseline {baseline.task!r} was not reached: {short}")
 
 
-def _remake(baseline: Baseline, output: Path, values: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def _remake(
+    baseline: Baseline, output: Path, setup: Setup, settings: dict[str, Any]
+) -> dict[str, dict[str, Any]]:
     """Train a baseline again and evaluate it like the committed policy.
 
     Args:
         baseline: What is remade.
         output: New folder of the run.
-        values: Settings, such as `Baseline.settings`.
+        setup: In what.
+        settings: Settings, such as those of `Baseline.settings`.
 
     Returns:
         Figures of each mode.
@@ -98,13 +100,10 @@ def _remake(baseline: Baseline, output: Path, values: dict[str, Any]) -> dict[st
     from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
     from myowarp.apps.train.plan import plan
     from myowarp.apps.train.run import train
-    from myowarp.apps.train.settings import ALGORITHMS, restore
 
     algorithm = baseline.checkpoint.manifest["algorithm"]
-    settings = restore(ALGORITHMS[algorithm], values)
-    given = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
-    train(plan(baseline.task, algorithm=algorithm, output=output, **given))
-    return evaluate_policy(plan_evaluation(output, device=settings.device or None))[1]
+    train(plan(setup, algorithm=algorithm, output=output, **settings))
+    return evaluate_policy(plan_evaluation(output, Setup(device=setup.device)))[1]
 
 
 def _list(found: list[Baseline], as_json: bool) -> None:

@@ -8,9 +8,8 @@ from typing import Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
-from myowarp.apps.cli.options import Device, Overwrite, Physics, Policy, Steps, Task, optional
+from myowarp.apps.cli.options import Asked, Overwrite, Policy, Steps, environment, optional
 from myowarp.definitions.registry import check_least
-from myowarp.definitions.task import RESETS
 
 
 @dataclass
@@ -28,21 +27,15 @@ class Cohort:
 
     table: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TABLE")]
     """Patients, .csv or .parquet."""
-    task: Task
+    asked: Annotated[Asked, environment(flag=True, leave_out=("horizon",))]
     policy: Policy = "hold"
     output: Path = Path("out/cohort")
     """Folder for results, summary.csv, settings.json and plot.png."""
     steps: Steps = None
     trials: int = 1
     """Episodes of each patient; trial k has the same start, goal and noise for all."""
-    seed: int = 0
-    """Seed of the first trial."""
     every: Annotated[int | None, optional("INT")] = None
     """Control steps from one row of the results to the next; by default steps / 100."""
-    reset: Annotated[str, tyro.conf.arg(metavar="{" + ",".join(RESETS) + "}")] = "task"
-    """What episodes start from."""
-    physics: Physics = "parity"
-    device: Device = None
     format: Literal["parquet", "csv"] = "parquet"
     """Format of the results."""
     overwrite: Overwrite = False
@@ -59,7 +52,8 @@ class Cohort:
         """Check, run, write."""
         from myowarp.apps.studies.cohort import job as command
 
-        settings = dataclasses.asdict(self)
+        settings = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        settings["what"] = settings.pop("asked").setup
         over = {name: settings.pop(name) for name in ("address", "chunk", "cpus")}
         if settings.pop("ray"):
             self._in_chunks(settings, over)

@@ -3,12 +3,12 @@
 import json
 import sys
 from dataclasses import dataclass
+from typing import Annotated
 
 from rich.console import Console
 
-from myowarp.apps.cli.options import Conditions, Model, OptionalTask, Reset
-from myowarp.definitions.task import TASKS
-from myowarp.tasks.from_file import task_or_model
+from myowarp.apps.cli.options import Asked, environment
+from myowarp.tasks.setups import complete
 
 WIDTH, WIDEST = 80, 100  # characters: in a file, in a terminal
 
@@ -20,10 +20,7 @@ class Describe:
     Example: myowarp describe myoHandReachRandom-v1
     """
 
-    task: OptionalTask = None
-    model: Model = None
-    reset: Reset = None
-    conditions: Conditions = ()
+    asked: Annotated[Asked, environment(leave_out=("device", "shards", "seed"))]
     json: bool = False
     """Print JSON instead of text."""
 
@@ -32,14 +29,9 @@ class Describe:
         from myowarp.apps.reports.describe import describe
         from myowarp.apps.reports.describe_text import as_text
 
-        variant = task_or_model(self.task, self.model)
-        spec = TASKS[variant.task]
-        env_id = spec.env_id if self.task is None else f"MyoWarp/{self.task.removeprefix('MyoWarp/')}"
-        facts = describe(
-            spec,
-            env_id=env_id,
-            reset=self.reset or variant.reset,
-            conditions=(*variant.conditions, *self.conditions),
-        )
+        asked = self.asked.setup
+        setup = complete(asked)
+        name = asked.task.removeprefix("MyoWarp/") if isinstance(asked.task, str) else setup.spec.key
+        facts = describe(setup, f"MyoWarp/{name}")
         width = min(Console().width, WIDEST) if sys.stdout.isatty() else WIDTH
         print(json.dumps(facts, indent=1) if self.json else as_text(facts, width))

@@ -12,11 +12,9 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from myowarp.apps.cli.options import Device, Physics, optional
-from myowarp.apps.train.evaluation import EVALUATION_SEED, evaluate_policy, plan_evaluation
+from myowarp.apps.cli.options import Asked, environment
+from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
 from myowarp.apps.train.settings import SUCCESSES, success_text
-from myowarp.definitions.muscle import MUSCLES
-from myowarp.definitions.task import RESETS
 
 
 @dataclass
@@ -31,32 +29,19 @@ class Eval:
 
     checkpoint: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
     """Folder of a run or of a checkpoint, or a policy of the package: baselines/ID."""
-    task: Annotated[str | None, optional("ID")] = None
-    """Another task with the same observation and actuators; by default that of the training."""
-    model: Annotated[Path | None, optional("FILE")] = None
-    """MJCF file of the training, for a policy that was trained with --model."""
+    asked: Annotated[Asked, environment(flag=True)]
     episodes: int = 256
     """Episodes of each mode, and worlds simulated together."""
     mode: Literal["both", "deterministic", "sampled"] = "both"
     """Whether actions are the policy's means, or drawn as in training."""
-    seed: int = EVALUATION_SEED
-    """World i resets with seed + i."""
-    physics: Physics = "parity"
-    muscle: Annotated[str | None, optional("{" + ",".join(MUSCLES) + "}")] = None
-    """Muscle model; by default that of the training."""
-    reset: Annotated[str | None, optional("{" + ",".join(RESETS) + "}")] = None
-    """What episodes start from; by default as in the training."""
-    conditions: Annotated[tuple[str, ...] | None, optional("[NAME ...]")] = None
-    """Muscle conditions; by default those of the training; without a name: none."""
-    device: Device = None
     json: bool = False
     """Print JSON instead of a table."""
 
     def __call__(self) -> None:
         """Check, run and print."""
         asked = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        as_json = asked.pop("json")
-        job = plan_evaluation(**asked)
+        as_json, setup = asked.pop("json"), asked.pop("asked").setup
+        job = plan_evaluation(asked.pop("checkpoint"), setup, **asked)
         head, results = evaluate_policy(job)
         if not job.ranks.leads:
             return

@@ -1,32 +1,24 @@
-"""Options that several commands have, each described once; a field of a command names one as its type."""
+"""Options that several commands have, each described once; a field of a command names one as its type.
+
+Those of an environment are the fields of `Setup`: a command has `asked: Environment`, or says what it leaves
+out, `asked: Annotated[Asked, environment(leave_out=...)]`, and calls `self.asked.setup`.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import typing
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Protocol
 
 import tyro
 
-from myowarp.definitions.muscle import MUSCLES
-from myowarp.definitions.task import PHYSICS, RESETS, TASKS
-from myowarp.sim.build import num_substeps_of
+from myowarp.definitions.setup import OPTIONS, Setup
 
 UNSET = ""
 """What is said of a default that the help text itself explains."""
-
-
-def longer_steps() -> str:
-    """Return by what factor `fast` makes physics steps longer, body by body."""
-    factors: dict[str, set[float]] = {}
-    for key in TASKS:
-        spec = TASKS[key]
-        factor = spec.num_substeps / num_substeps_of(spec, PHYSICS["fast"])
-        factors.setdefault(spec.body, set()).add(factor)
-    parts = []
-    for body, found in factors.items():
-        low, high = f"{min(found):.2g}", f"{max(found):.2g}"
-        parts.append(f"{body} {low}" if low == high else f"{body} {low} to {high}")
-    return ", ".join(parts)
 
 
 def optional(metavar: str) -> object:
@@ -39,22 +31,78 @@ def _option(metavar: str, text: str, hint: str | None = None) -> object:
     return tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=hint)
 
 
-TASK = 'Task id, with or without "MyoWarp/" (`myowarp tasks` lists them), or file.py:name for your own.'
-Task = Annotated[str, _option("ID", TASK)]
-OptionalTask = Annotated[
-    str | None,
-    tyro.conf.Positional,
-    _option("ID", TASK, UNSET),
-]
-Model = Annotated[
-    Path | None,
-    _option(
-        "FILE",
-        "Instead of a task: an MJCF file, such as `myowarp convert` writes; random poses of its joints."
-        " Physics parity is then the file's own integrator and step.",
-        UNSET,
-    ),
-]
+class Asked(Protocol):
+    """What a user said of an environment."""
+
+    @property
+    def setup(self) -> Setup:
+        """What was said, as a setup.
+
+        Raises:
+            ValueError: Both a task and a model's file are given.
+        """
+
+
+@dataclass(frozen=True)
+class Said:
+    """An `Asked` for a command that another one calls."""
+
+    setup: Setup
+
+
+MODEL = _option(
+    "FILE",
+    "Instead of a task: an MJCF file, such as `myowarp convert` writes; random poses of its joints."
+    " Physics parity is then the file's own integrator and step.",
+    UNSET,
+)
+
+
+def environment(*, flag: bool = False, only: Iterable[str] = OPTIONS, leave_out: Iterable[str] = ()) -> Any:
+    """Return what tyro is told about the options of an environment, all that `Setup` has.
+
+    Args:
+        flag: Whether the task is an option, `--task ID`, in place of the first argument.
+        only: Fields that a command has.
+        leave_out: Fields that a command does not have.
+    """
+    kinds = typing.get_type_hints(Setup)
+    fields: list[tuple[str, Any, Any]] = []
+    for name, option in OPTIONS.items():
+        choices = ",".join(option.metadata["choices"])
+        form = f"{{{choices}}}" if choices else option.metadata["form"]
+        if not form or name not in only or name in leave_out:
+            continue
+        kind = COMMAND_LINE.get(name, kinds[name])
+        told: list[object] = [_option(form, option.metadata["text"], UNSET)]
+        if name == "task" and not flag:
+            told.append(tyro.conf.Positional)
+        fields.append((name, Annotated[(kind, *told)], dataclasses.field(default=None)))
+        if name == "task":
+            fields.append(("model", Annotated[Path | None, MODEL], dataclasses.field(default=None)))
+    made = dataclasses.make_dataclass(
+        "Environment", fields, kw_only=True, namespace={"setup": property(_setup)}
+    )
+    return tyro.conf.arg(name="", constructor=made)
+
+
+COMMAND_LINE = {"task": str | None, "muscle": str | None, "conditions": tuple[str, ...] | None}
+"""Types of what a command line can say, where a setup takes more."""
+
+
+def _setup(self: Any) -> Setup:
+    """Return the setup of an `Asked`."""
+    said = vars(self).copy()
+    model = said.pop("model", None)
+    if model is not None and said["task"] is not None:
+        raise ValueError(
+            "what to run is a task id or --model with an MJCF file, one of them; got "
+            f"{said['task']!r} and {str(model)!r}"
+        )
+    return Setup(**said if model is None else said | {"task": model})
+
+
+Environment = Annotated[Asked, environment()]
 Steps = Annotated[int | None, _option("INT", "Control steps; by default one episode of the task.", UNSET)]
 Policy = Annotated[
     str,
@@ -68,31 +116,6 @@ Policy = Annotated[
         " actions (num_worlds, m) in [-1, 1].",
     ),
 ]
-Device = Annotated[
-    str | None,
-    _option("NAME", "Warp device, such as cpu or cuda:0; by default the GPU if there is one.", UNSET),
-]
-Physics = Annotated[
-    str,
-    _option(
-        "{" + ",".join(PHYSICS) + "}",
-        "parity: MyoSuite's integrator and step. fast: implicit integrator, muscles integrated exactly, and a"
-        f" longer step, by a factor that depends on the body: {longer_steps()}.",
-    ),
-]
-Reset = Annotated[
-    str | None,
-    _option("{" + ",".join(RESETS) + "}", "What episodes start from; by default what the id says.", UNSET),
-]
-Conditions = Annotated[
-    tuple[str, ...],
-    _option(
-        "[NAME ...]",
-        "Muscle conditions besides those of the id, such as fatigue_3ccr 'sarcopenia(strength=0.3)'.",
-        UNSET,
-    ),
-]
-Muscle = Annotated[str, _option("{" + ",".join(MUSCLES) + "}", "Muscle model.")]
 Overwrite = Annotated[bool, _option("", "Replace output files that exist.")]
 TaskIds = Annotated[
     tuple[str, ...],

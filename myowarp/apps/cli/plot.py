@@ -95,11 +95,9 @@ def find_model(source: str) -> tuple[mujoco.MjModel, str]:
     Raises:
         ValueError: It is neither.
     """
-    from myowarp.definitions.task import TASKS
     from myowarp.sim.build import oracle_model
-    from myowarp.tasks.from_file import task_or_model
+    from myowarp.tasks.setups import complete
 
     is_file = Path(source).suffix.lower() == ".xml"
-    variant = task_or_model(None, Path(source)) if is_file else task_or_model(source, None)
-    spec = TASKS[variant.task]
+    spec = complete(Path(source) if is_file else source).spec
     return oracle_model(spec), source if is_file else spec.body

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from myowarp.apps.cli.options import Device, optional
+from myowarp.apps.cli.options import Asked, environment, optional
 
 
 @dataclass
@@ -22,6 +22,7 @@ class Reproduce:
     Example: myowarp reproduce exo1 --quick
     """
 
+    asked: Annotated[Asked, environment(only=("device", "muscle", "muscle_parameters", "shards"))]
     name: Annotated[
         str | None, tyro.conf.Positional, tyro.conf.arg(metavar="NAME", help_behavior_hint="")
     ] = None
@@ -44,7 +45,6 @@ class Reproduce:
     models: tuple[Path, ...] = ()
     """OpenSim models that `validation` converts, too: arm26.osim (github.com/opensim-org/opensim-models) and
     MoBL_ARMS.osim (simtk.org/projects/upexdyn)."""
-    device: Device = None
 
     def __call__(self) -> None:
         """Check everything, run and report."""
@@ -58,8 +58,9 @@ class Reproduce:
             return
         if self.name is None:
             raise ValueError(f"reproduce needs an experiment; available: {', '.join(EXPERIMENTS)}")
-        asked = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        job = plan_experiment(**{name: value for name, value in asked.items() if name != "list"})
+        options = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        setup = options.pop("asked").setup
+        job = plan_experiment(setup=setup, **{k: value for k, value in options.items() if k != "list"})
         report.print_table(reproduce(job), console)
         said = Console(stderr=True, highlight=False, soft_wrap=True)
         said.print(f"Saved {', '.join(report.FILES)} in {job.folder}", markup=False)

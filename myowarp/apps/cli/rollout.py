@@ -10,22 +10,9 @@ from typing import Annotated
 from rich.console import Console
 from rich.table import Table
 
-from myowarp.apps.cli.options import (
-    Conditions,
-    Device,
-    Model,
-    Muscle,
-    OptionalTask,
-    Overwrite,
-    Physics,
-    Policy,
-    Reset,
-    Steps,
-    optional,
-)
-from myowarp.definitions.muscle_table import MuscleTable
+from myowarp.apps.cli.options import Environment, Overwrite, Policy, Steps, optional
 from myowarp.definitions.registry import check_least
-from myowarp.definitions.task import TASKS, TaskSpec
+from myowarp.definitions.task import TaskSpec
 from myowarp.kernels.episode import SUCCESS_RULE
 
 TILE = (320, 240)  # px of one world in a video
@@ -41,21 +28,11 @@ class Rollout:
     Example: myowarp rollout MyoWarp/myoHandReachRandom-v1 --num-worlds 256 --video hand.mp4
     """
 
-    task: OptionalTask = None
-    model: Model = None
+    asked: Environment
     num_worlds: int = 64
     """Worlds simulated together."""
     steps: Steps = None
     policy: Policy = "random"
-    seed: int = 0
-    """Seed of resets and of the random policy."""
-    device: Device = None
-    physics: Physics = "parity"
-    muscle: Muscle = "mujoco"
-    muscle_parameters: Annotated[Path | None, optional("FILE")] = None
-    """Muscle parameters in place of the model's, .csv: column `muscle`, and one for each parameter."""
-    reset: Reset = None
-    conditions: Conditions = ()
     save: Annotated[Path | None, optional("FILE")] = None
     """Write observations, actions, rewards and endings of all steps to this .npz."""
     video: Annotated[Path | None, optional("FILE")] = None
@@ -72,59 +49,40 @@ class Rollout:
 
     def __call__(self) -> None:
         """Run and report."""
-        from myowarp.apps.rollouts import rollout
+        from myowarp.apps.policies.find import find_policy
+        from myowarp.apps.rollouts.episodes import Trace
         from myowarp.apps.rollouts.film import VIDEOS, Film, write
         from myowarp.apps.rollouts.recording import check_recording, recording, recording_files
-        from myowarp.bridge_gym import MyoWarpVectorEnv
+        from myowarp.apps.rollouts.rollout import roll_out, save_trace
         from myowarp.disk import check_output, check_overwrite
-        from myowarp.tasks.from_file import task_or_model
+        from myowarp.sim.simulation import Simulation
+        from myowarp.tasks.setups import complete
         from myowarp.view.drawing.render import NoGraphicsError
 
-        variant = task_or_model(self.task, self.model)
-        spec = TASKS[variant.task]
-        steps = spec.horizon if self.steps is None else self.steps
+        asked = self.asked.setup
+        setup = complete(asked)
+        spec = setup.spec
+        steps = (setup.horizon or spec.horizon) if self.steps is None else self.steps
         self._check_numbers(steps)
-        policy = rollout.find_policy(self.policy, spec)
+        policy = find_policy(self.policy, spec)
         check_output(self.save, ".npz")
         check_output(self.video, *VIDEOS)
         check_recording(self.signals, self.num_worlds)
         check_overwrite((self.save, self.video, *recording_files(self.signals)), self.overwrite)
-        muscle = MuscleTable.read(self.muscle, self.muscle_parameters)
-        console, reset = Console(stderr=True), self.reset or variant.reset
-        env = MyoWarpVectorEnv(
-            spec.key,
-            self.num_worlds,
-            device=self.device,
-            physics=self.physics,
-            muscle=muscle,
-            reset=reset,
-            conditions=(*variant.conditions, *self.conditions),
-            # A film ends with the last state of an episode; reset-free ones go on from there.
-            autoreset_mode="disabled" if self.video and reset != "none" else "same_step",
-        )
-        film = None
-        if self.video:
-            film = Film(env.sim, range(min(self.video_worlds, self.num_worlds)), TILE)
-        with (
-            recording(env.sim, self.signals, self.signals_every)
-            if self.signals
-            else nullcontext() as recorder
-        ):
-            summary, kept = rollout.run(
-                env,
-                policy,
-                steps,
-                self.seed,
-                record=self.save is not None,
-                film=film,
-                recorder=recorder,
-                console=console,
-            )
-        if self.model:  # its poses are no task that somebody has set
+        console = Console(stderr=True)
+        # A film ends with the last state of an episode; reset-free ones go on from there.
+        autoreset = "disabled" if self.video and setup.reset != "none" else "same_step"
+        sim = Simulation(setup, self.num_worlds, autoreset=autoreset)
+        trace = Trace() if self.save else None
+        film = Film(sim, range(min(self.video_worlds, self.num_worlds)), TILE) if self.video else None
+        with recording(sim, self.signals, self.signals_every) if self.signals else nullcontext() as recorder:
+            watchers = [watcher for watcher in (trace, recorder, film) if watcher is not None]
+            summary = roll_out(sim, policy, steps, *watchers, console=console)
+        if isinstance(asked.task, Path):  # its poses are no task that somebody has set
             summary = dataclasses.replace(summary, success_percent=None)
         _report(dataclasses.asdict(summary), spec, self.json)
-        if self.save:
-            rollout.save_recording(self.save, env, kept)
+        if self.save and trace is not None:
+            save_trace(self.save, sim, trace)
             console.print(f"Saved {self.save}")
         for path in recording_files(self.signals):
             console.print(f"Saved {path}")
@@ -134,16 +92,14 @@ class Rollout:
                 console.print(f"Saved {self.video}")
             except NoGraphicsError as error:
                 console.print(f"No video: {error}", style="yellow")
-        env.close()
+            film.close()
+        sim.close()
 
     def _check_numbers(self, steps: int) -> None:
         """Raise ValueError if a number is out of its range."""
         check_least(1, steps=steps, video_worlds=self.video_worlds, signals_every=self.signals_every)
         if self.signals and self.signals_every > steps:
             raise ValueError(f"--signals-every must be at most --steps, {steps}, got {self.signals_every}")
-        most = 2**64 - max(self.num_worlds, 1)  # world i has seed + i
-        if not 0 <= self.seed <= most:
-            raise ValueError(f"--seed must be from 0 to {most}, got {self.seed}")
 
 
 def _report(figures: dict[str, object], spec: TaskSpec, as_json: bool) -> None:

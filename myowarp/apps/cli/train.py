@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Optional
 
 import tyro
 
-from myowarp.apps.cli.options import Model, OptionalTask, optional
+from myowarp.apps.cli.options import Environment, Said, optional
 from myowarp.apps.cli.rollout import Rollout
 from myowarp.apps.train.evaluation import EVALUATION_SEED
 from myowarp.apps.train.plan import SAVE_SECONDS, Job, plan, shown
@@ -33,8 +33,7 @@ class TrainCommand:
     Or: myowarp rollout myoElbowPose1D6MRandom-v0 --policy runs/elbow --video elbow.mp4
     """
 
-    task: OptionalTask = None
-    model: Model = None
+    asked: Environment
     algorithm: Annotated[
         Literal["ppo", "trpo", "sac", "flashsac"] | None, optional("{ppo,trpo,sac,flashsac}")
     ] = None
@@ -53,11 +52,11 @@ class TrainCommand:
     def __call__(self) -> None:
         """Check everything, train and report."""
         asked = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        video = asked.pop("video")
+        video, setup = asked.pop("video"), asked.pop("asked").setup
         check_output(video, ".mp4")
         if video is not None and video.exists():
             raise ValueError(f"output {str(video)!r} exists; choose another name")
-        job = plan(**{name: value for name, value in asked.items() if value is not None})
+        job = plan(setup, **{name: value for name, value in asked.items() if value is not None})
         train(job)
         if video and job.ranks.leads:
             _film(job, video)
@@ -65,18 +64,8 @@ class TrainCommand:
 
 def _film(job: Job, video: Path) -> None:
     """Run the policy that was trained, print what it does, and write a video."""
-    settings = job.settings
-    Rollout(
-        task=None if job.model else job.task,
-        model=Path(job.task) if job.model else None,
-        policy=str(job.folder),
-        seed=EVALUATION_SEED,
-        device=settings.device or None,
-        muscle=settings.muscle,
-        reset=settings.reset or None,
-        conditions=settings.conditions,
-        video=video,
-    )()
+    asked = dataclasses.replace(job.asked, physics=None, seed=EVALUATION_SEED)
+    Rollout(Said(asked), policy=str(job.folder), video=video)()
 
 
 def _overrides() -> list[tuple[str, Any, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import secrets
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
@@ -11,13 +12,13 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from myowarp.apps.cli.options import Conditions, Device, Model, OptionalTask, Physics, Policy, Reset
+from myowarp.apps.cli.options import Environment, Policy
 from myowarp.definitions.registry import check_least
 
 if TYPE_CHECKING:
+    from myowarp.definitions.setup import Setup
     from myowarp.definitions.task import TaskSpec
     from myowarp.sim.simulation import Simulation
-    from myowarp.tasks.variants import Variant
     from myowarp.view.browser.session import Act, Choices, Session
 
 TOKEN_BYTES = 16
@@ -36,17 +37,10 @@ class View:
     A converted model: myowarp view --model out/arm26/model.xml
     """
 
-    task: OptionalTask = None
-    model: Model = None
+    asked: Environment
     policy: Policy = "random"
     worlds: int = 1
     """Worlds to choose from."""
-    conditions: Conditions = ()
-    reset: Reset = None
-    physics: Physics = "parity"
-    device: Device = None
-    seed: int = 0
-    """Seed of the first reset and of the random policy."""
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
     """Address to listen at. Elsewhere than on this machine, the printed address holds a token."""
     port: int = 8080
@@ -57,8 +51,7 @@ class View:
         from myowarp.view.modes import check_viser
 
         check_viser("myowarp view")
-        from myowarp.apps.rollouts.rollout import find_policy
-        from myowarp.definitions.task import TASKS
+        from myowarp.apps.policies.find import find_policy
         from myowarp.view.browser.live import Live
         from myowarp.view.browser.server import (
             LOCAL,
@@ -71,8 +64,7 @@ class View:
         )
 
         check_least(1, worlds=self.worlds)
-        check_least(0, seed=self.seed)
-        find_policy(self.policy, TASKS[self._find(self._title).task])
+        find_policy(self.policy, self._find(self._title).spec)
         local = self.host in LOCAL_NAMES
         check_port(LOCAL if local else self.host, self.port)
         session, choices = self._open(self._title, self.policy), self._choices()
@@ -94,14 +86,14 @@ class View:
     @property
     def _title(self) -> str:
         """What the page calls the task of the command."""
-        return str(self.task).removeprefix("MyoWarp/") if self.task else str(self.model)
+        return str(self.asked.setup.task).removeprefix("MyoWarp/")
 
-    def _find(self, title: str) -> Variant:
-        """Return the task of the command, or another one by its id."""
-        from myowarp.tasks.from_file import task_or_model
+    def _find(self, title: str) -> Setup:
+        """Return the setup of the command, or the same with another task, by its id."""
+        from myowarp.tasks.setups import complete
 
-        own = title == self._title
-        return task_or_model(self.task if own else title, self.model if own else None)
+        asked = self.asked.setup
+        return complete(asked if title == self._title else dataclasses.replace(asked, task=title))
 
     def _choices(self) -> Choices:
         """Return what can be chosen; the task and the policy of the command come first."""
@@ -119,32 +111,20 @@ class View:
     def _open(self, title: str, policy: str) -> Session:
         """Return the session of a task; a policy that cannot act there gives way to the best that can."""
         from myowarp.apps.policies.baselines import OWN, PREFIX
-        from myowarp.definitions.task import TASKS
         from myowarp.view.browser.session import Session
 
-        variant = self._find(title)
-        offered = policies_for(TASKS[variant.task], self.policy)
+        setup = self._find(title)
+        offered = policies_for(setup.spec, self.policy)
         if policy.startswith(PREFIX) and (title, policy) != (self._title, self.policy):
             policy = OWN  # the baseline of this task, whichever it was before
         best = next(name for name in offered if not name.startswith(PREFIX))
-        return Session(
-            title,
-            TASKS[variant.task],
-            self.worlds,
-            policy if policy in offered else best,
-            self._acting,
-            conditions=(*variant.conditions, *self.conditions),
-            device=self.device,
-            physics=self.physics,
-            reset=self.reset or variant.reset,
-            seed=self.seed,
-        )
+        return Session(title, setup, self.worlds, policy if policy in offered else best, self._acting)
 
     def _acting(self, name: str, sim: Simulation) -> Act:
         """Return what acts, with the errors of a user's policy as one sentence."""
-        from myowarp.apps.rollouts.rollout import PolicyError, acting, find_policy
+        from myowarp.apps.policies.find import PolicyError, acting, find_policy
 
-        act = acting(find_policy(name, sim.scene.spec), sim, self.seed)
+        act = acting(find_policy(name, sim.scene.spec), sim)
 
         def guarded(obs: np.ndarray) -> np.ndarray:
             try:
@@ -158,7 +138,7 @@ class View:
 def policies_for(spec: TaskSpec, own: str) -> list[str]:
     """Return the names of the policies that can act in a task: the user's own, then those of the package."""
     from myowarp.apps.policies.baselines import OWN, PREFIX, baseline_tasks
-    from myowarp.apps.rollouts.rollout import BUILT_IN, find_policy
+    from myowarp.apps.policies.find import BUILT_IN, find_policy
 
     found = []
     for name in dict.fromkeys((own, OWN, *(f"{PREFIX}{task}" for task in baseline_tasks()), *BUILT_IN)):

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, check_contract, load_checkpoint
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.sim.simulation import Simulation
 
@@ -39,16 +40,13 @@ class LearnedPolicy:
         squashed: Whether actions are the hyperbolic tangent of the first half of the last layer.
     """
 
-    def __init__(
-        self, checkpoint: Checkpoint, *, sampled: bool = False, seed: int = 0, rank: tuple[int, int] = (0, 1)
-    ) -> None:
+    def __init__(self, checkpoint: Checkpoint, sampled: Setup | None = None) -> None:
         """Arrange the arrays.
 
         Args:
             checkpoint: What `load_checkpoint` returns.
-            sampled: Whether actions are drawn, as in training; otherwise they are the means.
-            seed: Seed of what is drawn.
-            rank: Which of how many ranks this is; each draws for the worlds of all, and takes its own.
+            sampled: With whose seed actions are drawn, as in training; each of its ranks draws for the worlds
+                of all, and takes its own. None: actions are the means.
         """
         self.checkpoint, arrays, form = checkpoint, checkpoint.policy, checkpoint.manifest["policy"]
         numbers = sorted({int(name.split(".")[1]) for name in arrays if name.startswith("net.")})
@@ -58,8 +56,8 @@ class LearnedPolicy:
         self.clip, self.activation = form["clip"], form["activation"]
         self.squashed = "log_std" not in arrays
         self._log_std, self._bounds = arrays.get("log_std"), form["log_std_bounds"]
-        self._rank = rank
-        self._rng = np.random.default_rng(seed) if sampled else None
+        self._rank = (sampled.rank if sampled else None) or (0, 1)
+        self._rng = np.random.default_rng(sampled.seed) if sampled else None
 
     @property
     def obs_size(self) -> int:

@@ -71,17 +71,17 @@ class Replay:
         return action
 
 
-def _column(storage: Storage, muscle: str, name: str) -> int:
+def _column(storage: Storage, own: str, name: str) -> int:
     """Return the column of a muscle's excitation.
 
     Raises:
         ValueError: There is none.
     """
-    labels = (muscle, f"{muscle}.excitation", f"/forceset/{muscle}", f"/forceset/{muscle}.excitation")
+    labels = (own, f"{own}.excitation", f"/forceset/{own}", f"/forceset/{own}.excitation")
     for label in labels:
         if label in storage.labels:
             return storage.labels.index(label)
     raise ValueError(
-        f"policy {name!r} has no excitation of muscle {muscle!r}; it needs a column {muscle!r} or "
-        f"'{muscle}.excitation' for every muscle"
+        f"policy {name!r} has no excitation of muscle {own!r}; it needs a column {own!r} or "
+        f"'{own}.excitation' for every muscle"
     )

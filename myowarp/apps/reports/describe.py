@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -21,8 +21,8 @@ from myowarp.definitions.body import BODIES
 from myowarp.definitions.condition import Condition, Effect, resolve
 from myowarp.definitions.entries import entries, of_joints
 from myowarp.definitions.muscle import MuscleModel
-from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.scene import Scene
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import PHYSICS, RESETS, TASKS, Draw, TaskSpec
 from myowarp.engine.compile import quiet
 from myowarp.kernels.action import EXCITATION, MUSCLE, excitation
@@ -45,29 +45,21 @@ MUSCLE_PARAMETERS = {"max_isometric_force": "N", "optimal_fiber_length": "m", "t
 """What is shown of a muscle, where its model has it, with units."""
 
 
-def describe(
-    spec: TaskSpec,
-    *,
-    env_id: str | None = None,
-    reset: str = "task",
-    conditions: str | Condition | Iterable[str | Condition] = (),
-    muscle: str | MuscleTable = "mujoco",
-) -> dict[str, Any]:
+def describe(what: Setup | TaskSpec, env_id: str | None = None, **fields: Any) -> dict[str, Any]:
     """Return all that a user of a task has to know, as plain dictionaries, lists, texts and numbers.
 
     Args:
-        spec: The task, registered or not.
+        what: A setup that is complete, or a task alone, registered or not.
         env_id: Id to show; None: the task's.
-        reset: What its episodes start from, one of `spec.RESETS`.
-        conditions: Its muscle conditions.
-        muscle: Its muscle model.
+        **fields: Fields of `Setup`, in place of those of `what`.
 
     Raises:
         ValueError: The task does not fit its body, or a condition does not fit the task.
     """
-    found = resolve(conditions, spec)
+    setup = Setup.of(what, **fields)
+    spec, found = setup.spec, resolve(setup.conditions or (), setup.spec)
     with quiet(), wp.ScopedDevice("cpu"):
-        scene = compile_scene(spec, 1, "cpu", "parity", muscle, reset, found)
+        scene = compile_scene(setup, 1, device="cpu", conditions=found)
         spec.program(spec, scene)
         _, effects = bind_conditions(scene, found)
     return {

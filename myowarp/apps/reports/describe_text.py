@@ -244,9 +244,9 @@ def _muscles(muscles: dict[str, Any]) -> Iterator[str]:
     yield from _rows(rows)
 
 
-def _conditions(conditions: list[dict[str, Any]]) -> Iterator[str]:
+def _conditions(given: list[dict[str, Any]]) -> Iterator[str]:
     """Say what the conditions are."""
-    for condition in conditions:
+    for condition in given:
         yield f"{condition['name']}: {condition['doc']}"
         yield from _rows([(f"{p['name']} = {p['value']}", p["doc"]) for p in condition["parameters"]])
         if condition["info"]:

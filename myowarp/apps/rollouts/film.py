@@ -1,10 +1,7 @@
 """Films of worlds: what they looked like step by step, kept while they move and drawn afterwards.
 
-film = Film(env.sim, worlds=[0, 3])
-env.reset()
-film.add()
-...
-    film.add(reward, success)  # after every step
+film = Film(sim, worlds=[0, 3])
+run(sim, act, 100, film)
 write(Path("run.mp4"), [film])
 """
 
@@ -17,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.console import Console
 
+from myowarp.apps.rollouts.run import Step, Watcher
 from myowarp.definitions.body import BODIES
 from myowarp.disk import in_place
 from myowarp.progress import progress_bar
@@ -36,7 +34,7 @@ SUFFIXES = (*VIDEOS, *PICTURES, *PLAYBACKS)
 """Endings of what `write` makes; a picture is the last frame."""
 
 
-class Film:
+class Film(Watcher):
     """Snapshots of some worlds of a simulation, a row a step.
 
     Attributes:
@@ -103,6 +101,17 @@ class Film:
     def begin(self, ended: np.ndarray) -> None:
         """Start time and return anew in the worlds of a mask (num_worlds,) bool, whose episodes ended."""
         self._text.begin(ended)
+
+    def start(self, mask: np.ndarray) -> None:
+        """Keep how the worlds begin; later, only start time and return anew."""
+        if self.frames:
+            self.begin(mask)
+        else:
+            self.add()
+
+    def see(self, step: Step) -> None:
+        """Keep what the worlds look like after a step."""
+        self.add(step.reward, step.success)
 
     def open(self) -> None:
         """Open what draws, so that it fails before anything is simulated.

@@ -1,9 +1,9 @@
 """Signals of a rollout on disk: every n-th control step of every world.
 
-    with recording(env.sim, Path("run.parquet"), every=5) as recorder:
-        ...
-            env.step(actions)
-            recorder.add()
+    with recording(sim, Path("run.parquet"), every=5) as recorder:
+        run(sim, act, 500, recorder)
+
+or, in a loop of one's own, `recorder.add()` after every step.
 
 `.parquet`: two tidy tables, `run.parquet` with a row for every world, time and muscle, and
 `run_joints.parquet` with one for every world, time and joint; names are categories. Worlds that were not
@@ -42,6 +42,7 @@ from myowarp.apps.rollouts.recording_formats import (
     open_parquet,
     open_storage,
 )
+from myowarp.apps.rollouts.run import Step, Watcher
 from myowarp.disk import check_output
 from myowarp.sim.signals import JOINT_UNITS, UNITS, Signals
 
@@ -113,7 +114,7 @@ def recording(
         recorder.flush()
 
 
-class SignalRecorder:
+class SignalRecorder(Watcher):
     """Samples signals; `recording` makes one.
 
     Attributes:
@@ -136,6 +137,10 @@ class SignalRecorder:
         num_worlds, num_muscles = self.signals.muscles.force.shape
         if len(self._held) * num_worlds * max(num_muscles, len(self.signals.joint_names)) >= CHUNK:
             self.flush()
+
+    def see(self, step: Step) -> None:
+        """Count a step of a run."""
+        self.add()
 
     def flush(self) -> None:
         """Hand what is held to the file."""

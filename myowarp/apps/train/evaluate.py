@@ -6,18 +6,19 @@ Every world runs one episode from its first reset on, so that short episodes cou
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from rich.console import Console
 
+from myowarp.apps.rollouts.episodes import Episodes
+from myowarp.apps.rollouts.run import Act, Each, Step, Watcher, run, seeds_of
 from myowarp.apps.rollouts.targets import in_reach
 from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import SUCCESSES
-from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.progress import progress_bar
+from myowarp.sim.simulation import Simulation
+from myowarp.sim.state import get_state
 
 Z = 1.959963984540054  # quantile of the normal distribution for 95 %
 
@@ -66,10 +67,34 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     return max(0.0, (middle - half) / (1.0 + z2)), min(1.0, (middle + half) / (1.0 + z2))
 
 
+class Effort(Watcher):
+    """Activation and its rate in the first episode of every world, from where the worlds are now.
+
+    Attributes:
+        sums: Sums over the steps of an episode of the means over muscles: `effort` [1] and `rate` [1], from
+            one step to the next, shape (num_worlds,).
+    """
+
+    def __init__(self, sim: Simulation) -> None:
+        self._muscles = sim.scene.muscles
+        self._running = np.ones(sim.num_worlds, dtype=bool)
+        self._before = self._muscles.activation.numpy().copy()
+        self.sums = {name: np.zeros(sim.num_worlds) for name in ("effort", "rate")}
+
+    def see(self, step: Step) -> None:
+        """Count a step; where it ends an episode, its activation is that of the next one already."""
+        after = self._muscles.activation.numpy().copy()
+        self._running &= ~step.ended
+        if after.shape[1]:
+            alive = self._running
+            self.sums["effort"] += np.where(alive, after.mean(axis=1), 0.0)
+            self.sums["rate"] += np.where(alive, np.abs(after - self._before).mean(axis=1), 0.0)
+        self._before = after
+
+
 def evaluate(
-    env: MyoWarpVectorEnv,
-    act: Callable[[np.ndarray], np.ndarray],
-    seed: int,
+    sim: Simulation,
+    act: Act,
     *,
     title: str = "Evaluating",
     console: Console | None = None,
@@ -78,55 +103,25 @@ def evaluate(
     """Run one episode in every world.
 
     Args:
-        env: Environment with NumPy output and autoreset in the same step.
-        act: Observations (num_worlds, obs_size) to actions (num_worlds, num_actions).
-        seed: World i resets with seed + i.
+        sim: The worlds, with autoreset in the same step.
+        act: Function from observations (num_worlds, obs_size) to actions (num_worlds, num_actions).
         title: What the progress bar says.
         console: Where it is drawn.
         ranks: This process among those that share the episodes; each gets the figures of all.
     """
-    sim, n = env.sim, env.num_envs
-    horizon = sim.horizon
-    muscles = sim.scene.muscles
-    running, sums = (
-        np.ones(n, dtype=bool),
-        {name: np.zeros(n) for name in ("return", "length", "effort", "rate")},
-    )
-    solved = {name: np.zeros(n, dtype=bool) for name in SUCCESSES}
-    faults = 0
-    obs, _ = env.reset(seed=seed)
-    target = env.get_state().arrays.get("task.target")
+    sim.reset(seeds=seeds_of(sim))
+    target = get_state(sim).arrays.get("task.target")
     reachable = None if target is None else in_reach(sim.scene.spec, sim.scene.oracle, target)
-    before = muscles.activation.numpy().copy()
+    episodes, effort = Episodes(sim.num_worlds), Effort(sim)
     with progress_bar(title, "steps", console) as bar:
-        task = bar.add_task("", total=horizon)
-        while running.any():
-            obs, reward, terminated, truncated, info = env.step(act(obs))
-            after = muscles.activation.numpy().copy()
-            ended = running & (terminated | truncated)
-            now = _with_final(info, ended)
-            alive = (
-                running & ~ended
-            )  # where a world was reset in this step, its activation is the next episode's
-            sums["return"] += np.where(running, reward, 0.0)
-            sums["length"] += running
-            if after.shape[1]:
-                sums["effort"] += np.where(alive, after.mean(axis=1), 0.0)
-                sums["rate"] += np.where(alive, np.abs(after - before).mean(axis=1), 0.0)
-            solved["success_any"] |= running & now["solved"]
-            solved["success"] |= ended & now["success"]
-            solved["success_last"] |= ended & now["solved"]
-            faults += int(np.count_nonzero(info["fault"][ended]))
-            running &= ~ended
-            before = after
-            bar.advance(task)
-    parts = ranks.everyones((solved, sums, faults, reachable))
-    solved = {name: np.concatenate([part[0][name] for part in parts]) for name in solved}
-    sums = {name: np.concatenate([part[1][name] for part in parts]) for name in sums}
-    faults = sum(part[2] for part in parts)
-    reachable = None if reachable is None else np.concatenate([part[3] for part in parts])
-    figures = _figures(solved, sums, faults, sim.scene.control_dt if len(muscles.names) else None)
-    return figures if reachable is None else _of_reachable(figures, solved["success"], reachable)
+        task = bar.add_task("", total=sim.horizon)
+        watchers = effort, episodes, Each(lambda step: bar.advance(task))
+        run(sim, act, sim.horizon, *watchers, fresh=False, until=lambda: bool(episodes.ended_once.all()))
+    own = episodes.first() | effort.sums | ({} if reachable is None else {"reachable": reachable})
+    parts = ranks.everyones(own)
+    found = {name: np.concatenate([part[name] for part in parts]) for name in own}
+    figures = _figures(found, sim.scene.control_dt if len(sim.scene.muscles.names) else None)
+    return figures if reachable is None else _of_reachable(figures, found["success"], found["reachable"])
 
 
 def _of_reachable(figures: Evaluation, success: np.ndarray, reachable: np.ndarray) -> Evaluation:
@@ -138,32 +133,22 @@ def _of_reachable(figures: Evaluation, success: np.ndarray, reachable: np.ndarra
     return replace(figures, reachable=trials, success_reachable=successes / trials, intervals=intervals)
 
 
-def _with_final(info: dict[str, Any], ended: np.ndarray) -> dict[str, np.ndarray]:
-    """Return `success` and `solved` of the present step, of what ended too."""
-    if "final_info" not in info:
-        return {name: info[name] for name in ("success", "solved")}
-    final = info["final_info"]
-    return {name: np.where(ended, final[name], info[name]) for name in ("success", "solved")}
-
-
-def _figures(
-    solved: dict[str, np.ndarray], sums: dict[str, np.ndarray], faults: int, control_dt: float | None
-) -> Evaluation:
+def _figures(found: dict[str, np.ndarray], control_dt: float | None) -> Evaluation:
     """Return the figures of finished episodes; without muscles (`control_dt` None) there is no effort."""
-    n = len(sums["return"])
-    steps = np.maximum(sums["length"] - 1.0, 1.0)  # activation is not seen in the step that ends an episode
-    effort = None if control_dt is None else float((sums["effort"] / steps).mean())
-    rate = None if control_dt is None else float((sums["rate"] / steps).mean() / control_dt)
+    n = len(found["return"])
+    steps = np.maximum(found["length"] - 1.0, 1.0)  # activation is not seen in the step that ends an episode
+    effort = None if control_dt is None else float((found["effort"] / steps).mean())
+    rate = None if control_dt is None else float((found["rate"] / steps).mean() / control_dt)
     return Evaluation(
         episodes=n,
-        success=float(solved["success"].mean()),
-        success_last=float(solved["success_last"].mean()),
-        success_any=float(solved["success_any"].mean()),
-        intervals={name: wilson(int(np.count_nonzero(solved[name])), n) for name in SUCCESSES},
-        return_mean=float(sums["return"].mean()),
-        return_std=float(sums["return"].std()),
-        length_mean=float(sums["length"].mean()),
+        success=float(found["success"].mean()),
+        success_last=float(found["success_last"].mean()),
+        success_any=float(found["success_any"].mean()),
+        intervals={name: wilson(int(np.count_nonzero(found[name])), n) for name in SUCCESSES},
+        return_mean=float(found["return"].mean()),
+        return_std=float(found["return"].std()),
+        length_mean=float(found["length"].mean()),
         mean_activation=effort,
         activation_rate=rate,
-        faults=faults,
+        faults=int(np.count_nonzero(found["fault"])),
     )

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from myowarp.apps.train.plan import eval_command, is_file
+from myowarp.apps.train.plan import eval_command, is_file, trained_setup
 from myowarp.apps.train.ranks import Ranks
-from myowarp.apps.train.settings import MOST_SEED
-from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.registry import check_choice, check_least
-from myowarp.definitions.task import PHYSICS, RESETS, TASKS
+from myowarp.definitions.setup import Setup
 from myowarp.sim.build import MOST_WORLDS, check_device_name
-from myowarp.tasks.from_file import task_or_model
-from myowarp.tasks.variants import Variant
+from myowarp.tasks.setups import complete
 
 if TYPE_CHECKING:
     from myowarp.apps.policies.checkpoint import Checkpoint
@@ -33,53 +29,36 @@ class EvaluationJob:
 
     Attributes:
         checkpoint: What is evaluated.
-        variant: Its task, with reset and conditions of its id.
+        setup: In what.
         episodes: Episodes of each mode, over all ranks.
         modes: Of `MODES`.
-        seed: World i resets with seed + i.
-        device: Warp device; empty: the GPU if there is one.
-        options: Physics, muscle, reset and conditions of the environment.
         ranks: This process among those that share the episodes.
     """
 
     checkpoint: Checkpoint
-    variant: Variant
+    setup: Setup
     episodes: int
     modes: tuple[str, ...]
-    seed: int
-    device: str
-    options: dict[str, Any]
     ranks: Ranks
 
 
 def plan_evaluation(
     checkpoint: Path,
+    what: Setup | str = Setup(),
     *,
-    task: str | None = None,
-    model: Path | None = None,
     episodes: int = 256,
     mode: str = "both",
-    seed: int = EVALUATION_SEED,
-    physics: str = "parity",
-    muscle: str | None = None,
-    reset: str | None = None,
-    conditions: Sequence[str] | None = None,
-    device: str | None = None,
+    **fields: Any,
 ) -> EvaluationJob:
     """Return the evaluation that is asked for, checked; nothing is built.
 
     Args:
         checkpoint: Folder of a run or of a checkpoint, or a policy of the package, baselines/<task>.
-        task: Another task with the same observation and actuators; None: that of the training.
-        model: MJCF file of the training, for a policy that was trained with one.
+        what: Where it is evaluated: task (one with the same observation and actuators), muscle, reset and
+            conditions are those of the training where it says nothing; physics is "parity" then.
         episodes: Episodes of each mode, and worlds simulated together.
         mode: One of `MODES`, or "both".
-        seed: World i resets with seed + i.
-        physics: Name in `PHYSICS`.
-        muscle: Muscle model; None: that of the training.
-        reset: What episodes start from; None: as in the training.
-        conditions: Names of conditions; None: those of the training.
-        device: Warp device; None: the GPU if there is one.
+        **fields: Fields of `Setup`, in place of those of `what`.
 
     Raises:
         ValueError: An argument is wrong.
@@ -87,35 +66,24 @@ def plan_evaluation(
     from myowarp.apps.policies.baselines import policy_folder
     from myowarp.apps.policies.checkpoint import CheckpointError, load_checkpoint
 
+    asked = Setup.of(what, **fields)
+    asked.check()
+    check_device_name(asked.device)
     check_least(1, MOST_WORLDS, episodes=episodes)
-    check_least(0, MOST_SEED, seed=seed)
-    check_choice("physics", physics, PHYSICS)
     check_choice("mode", mode, ("both", *MODES))
-    if muscle is not None:
-        check_choice("muscle", muscle, MUSCLES)
-    if reset is not None:
-        check_choice("reset", reset, RESETS)
-    check_device_name(device)
-    own = task and task.removeprefix("MyoWarp/")
+    own = asked.task.removeprefix("MyoWarp/") if isinstance(asked.task, str) else None
     loaded = load_checkpoint(policy_folder(str(checkpoint), own) or checkpoint)
-    manifest = loaded.manifest
-    trained = manifest["settings"]
-    other = task is not None or model is not None
-    if not other and is_file(manifest["task"], manifest["model"]):
-        whole = eval_command(manifest["task"], manifest["model"], checkpoint)
+    trained = trained_setup(loaded.manifest)
+    if asked.task is None and is_file(trained):
         raise CheckpointError(
             f"checkpoint {str(checkpoint)!r} was trained in a task from a file, which a checkpoint does not "
-            f"open by itself; try {whole}"
+            f"open by itself; try {eval_command(trained, checkpoint)}"
         )
-    variant = task_or_model(task if other else manifest["task"], model)
-    options = {
-        "physics": physics,
-        "muscle": muscle or trained["muscle"],
-        "reset": reset or trained["reset"] or variant.reset,
-        "conditions": (*variant.conditions, *(trained["conditions"] if conditions is None else conditions)),
-    }
+    inherited = dataclasses.replace(trained, physics=None, device=None, seed=EVALUATION_SEED)
+    if asked.task is not None:
+        inherited = dataclasses.replace(inherited, task=None)
     modes = MODES if mode == "both" else (mode,)
-    return EvaluationJob(loaded, variant, episodes, modes, seed, device or "", options, ranks=Ranks.started())
+    return EvaluationJob(loaded, complete(asked.over(inherited)), episodes, modes, Ranks.started())
 
 
 def evaluate_policy(job: EvaluationJob) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
@@ -130,29 +98,27 @@ def evaluate_policy(job: EvaluationJob) -> tuple[dict[str, Any], dict[str, dict[
     from myowarp.apps.policies.checkpoint import check_contract
     from myowarp.apps.policies.learned import LearnedPolicy
     from myowarp.apps.train.evaluate import evaluate
-    from myowarp.bridge_gym import MyoWarpVectorEnv
+    from myowarp.sim.simulation import Simulation
 
     checkpoint, ranks, results = job.checkpoint, job.ranks, {}
-    number, device = ranks.share("--episodes", job.episodes), ranks.device(job.device)
+    number, device = ranks.share("--episodes", job.episodes), ranks.device(job.setup.device)
     console = Console(stderr=True, quiet=not ranks.leads)
+    setup = dataclasses.replace(job.setup, device=device, rank=ranks.part)
     with ranks.together(device, learning=False):
-        env = MyoWarpVectorEnv(
-            job.variant.task,
-            number,
-            autoreset_mode="same_step",
-            rank=ranks.part,
-            device=device or None,
-            **job.options,
-        )
-        check_contract(checkpoint, env.sim)
+        sim = Simulation(setup, number, autoreset="same_step")
+        check_contract(checkpoint, sim)
         for mode in job.modes:
-            act = LearnedPolicy(checkpoint, sampled=mode == "sampled", seed=job.seed, rank=ranks.part)
-            figures = evaluate(env, act, job.seed, title=mode, console=console, ranks=ranks)
+            act = LearnedPolicy(checkpoint, setup if mode == "sampled" else None)
+            figures = evaluate(sim, act, title=mode, console=console, ranks=ranks)
             results[mode] = dataclasses.asdict(figures)
-        env.close()
-    head = {"task": TASKS[job.variant.task].env_id, "checkpoint": str(checkpoint.folder), "seed": job.seed}
-    head |= {name: job.options[name] for name in ("physics", "muscle", "reset")}
-    head |= {"conditions": list(job.options["conditions"]), "device": str(env.sim.scene.device)}
+        sim.close()
+    head: dict[str, Any] = {
+        "task": setup.spec.env_id,
+        "checkpoint": str(checkpoint.folder),
+        "seed": setup.seed,
+    }
+    head |= {"physics": setup.physics, "muscle": setup.muscles.model, "reset": setup.reset}
+    head |= {"conditions": list(map(str, setup.conditions or ())), "device": str(sim.scene.device)}
     trained = checkpoint.manifest
     head |= {"trained_under": trained["settings"]["physics"], "samples": trained["samples"]}
     return head, results

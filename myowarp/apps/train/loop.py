@@ -97,15 +97,15 @@ class Run:
         """Seed everything and make the agent.
 
         Args:
-            env: Environment, with this rank's worlds.
+            env: Environment, with this rank's worlds; its seed is that of networks and actions, too.
             settings: Settings of all ranks together.
             parent: Whose policy the run starts from; None: networks are drawn.
             start: States that episodes start in, world i in the i-th, over and over; None: resets.
             ranks: This process among those of the run.
         """
         self.env, self.settings, self.ranks = env, settings, ranks
-        self.device = str(env.sim.scene.device)
-        torch.manual_seed(settings.seed)
+        self.device, seed = str(env.sim.scene.device), env.sim.setup.seed or 0
+        torch.manual_seed(seed)
         observation, action = env.single_observation_space, env.single_action_space
         own = dataclasses.replace(settings, num_worlds=env.num_envs)
         self.agent = agents.make_agent(own, observation, action, self.device)
@@ -113,7 +113,7 @@ class Run:
             count = settings.parent_samples or settings.num_worlds * INHERITED_STEPS
             agents.inherit(self.agent, parent.policy, parent.manifest["samples"], count)
         if not ranks.leads:
-            torch.manual_seed(settings.seed + RANK_SEEDS * ranks.rank)  # one policy, but actions of its own
+            torch.manual_seed(seed + RANK_SEEDS * ranks.rank)  # one policy, but actions of its own
         self.tally = Tally(env.num_envs, self.device)
         self.clock = Clock()
         self.steps = self.updates = 0
@@ -127,7 +127,7 @@ class Run:
             # Each episode has random numbers of its own, and draws its patients and noise anew.
             kept = {name: array for name, array in start.arrays.items() if not name.startswith("keys.")}
             self._start = State(start.task, {name: array[rows] for name, array in kept.items()})
-        obs, _ = env.reset(seed=settings.seed)
+        obs, _ = env.reset(seed=seed)
         if self._start is not None:
             obs = env.set_state(self._start, conditions=False)
         self._obs = obs.clone()  # what is acted on; `obs` is overwritten by the next step

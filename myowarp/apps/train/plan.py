@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import importlib.util
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,24 +17,26 @@ import numpy as np
 from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import (
     ALGORITHMS,
+    TRAINING,
     OnPolicy,
     PPOSettings,
     Settings,
     all_settings,
     choose,
+    divided,
+    preset,
     preset_algorithm,
     restore,
 )
-from myowarp.definitions.condition import Condition, resolve
+from myowarp.definitions.condition import resolve
 from myowarp.definitions.registry import check_choice
-from myowarp.definitions.task import TASKS, TaskSpec
+from myowarp.definitions.setup import OPTIONS, Setup
+from myowarp.definitions.task import TaskSpec
 from myowarp.disk import check_folder, locked, make_folder
-from myowarp.sim.build import check_device_name
 from myowarp.sim.patient_columns import conditions_of
 from myowarp.sim.patient_table import population_of
 from myowarp.sim.state import State
-from myowarp.tasks.from_file import task_or_model
-from myowarp.tasks.variants import Variant
+from myowarp.tasks.setups import complete
 
 if TYPE_CHECKING:
     from myowarp.apps.policies.checkpoint import Checkpoint
@@ -49,34 +51,28 @@ class Job:
     """A run that was checked and is ready to be built.
 
     Attributes:
-        task: What the user called the task: an id, or the path of a model's file.
-        model: Whether it is the path of a model's file.
-        variant: What its id stands for.
+        asked: What the user said of the environment, with the preset; its manifest says so.
+        setup: What that stands for, with the patients' conditions.
         algorithm: Key in `ALGORITHMS`.
         settings: Settings.
         folder: Folder of the run.
         ranks: This process among those of the run.
         checkpoint: What is resumed; None: nothing.
         parent: Whose policy a new run starts from; None: networks are drawn.
-        conditions: Conditions with parameters of their own, besides those that are named.
-        patients: Conditions of the patients of `--cohort`.
         start: States of `--start`.
         files_read: Checksums of the files that these came from, by option.
         save_seconds: Seconds from one checkpoint to the next; 0: after every iteration.
         wandb: Whether figures go to Weights & Biases too.
     """
 
-    task: str
-    model: bool
-    variant: Variant
+    asked: Setup
+    setup: Setup
     algorithm: str
     settings: Settings
     folder: Path
     ranks: Ranks = ALONE
     checkpoint: Checkpoint | None = None
     parent: Checkpoint | None = None
-    conditions: tuple[Condition, ...] = ()
-    patients: tuple[Condition, ...] = ()
     start: State | None = None
     files_read: dict[str, str] = field(default_factory=dict)
     save_seconds: float = SAVE_SECONDS
@@ -85,25 +81,33 @@ class Job:
     @property
     def resume_command(self) -> str:
         """What a shell is told to go on with the run."""
-        return resume_command(self.task, self.model, self.folder, self.ranks.size)
+        return resume_command(self.asked, self.folder, self.ranks.size)
 
 
-def is_file(task: str, model: bool) -> bool:
+def is_file(asked: Setup) -> bool:
     """Whether a task is from a file, which a checkpoint does not open by itself."""
-    return model or ":" in task
+    return isinstance(asked.task, Path) or ":" in str(asked.task)
 
 
-def resume_command(task: str, model: bool, folder: Path, ranks: int) -> str:
+def resume_command(asked: Setup, folder: Path, ranks: int) -> str:
     """Return what a shell is told to go on with a run, which its checkpoint says."""
     start = f"torchrun --nproc-per-node {ranks} -m myowarp" if ranks > 1 else "myowarp"
-    file = [*(["--model"] if model else []), task] if is_file(task, model) else []
+    flag = ["--model"] if isinstance(asked.task, Path) else []
+    file = [*flag, str(asked.task)] if is_file(asked) else []
     return f"{start} {shlex.join(['train', *file, '--resume', str(folder)])}"
 
 
-def eval_command(task: str, model: bool, folder: Path | str) -> str:
+def eval_command(asked: Setup, folder: Path | str) -> str:
     """Return what a shell is told to evaluate a policy, of which its checkpoint says the task."""
-    file = ["--model" if model else "--task", task] if is_file(task, model) else []
+    flag = "--model" if isinstance(asked.task, Path) else "--task"
+    file = [flag, str(asked.task)] if is_file(asked) else []
     return f"myowarp {shlex.join(['eval', str(folder), *file])}"
+
+
+def trained_setup(manifest: Mapping[str, Any]) -> Setup:
+    """Return what a checkpoint's policy was trained in, as its user said it."""
+    task = Path(manifest["task"]) if manifest["model"] else manifest["task"]
+    return Setup(task=task).over(divided(manifest["settings"])[0])
 
 
 def check_packages() -> None:
@@ -114,9 +118,8 @@ def check_packages() -> None:
 
 
 def plan(
-    task: str | None = None,
+    what: Setup | str = Setup(),
     *,
-    model: Path | None = None,
     algorithm: str | None = None,
     output: Path | None = None,
     resume: Path | None = None,
@@ -127,21 +130,23 @@ def plan(
     """Return the run that is asked for, checked; nothing is built or written.
 
     Args:
-        task: Task id, with or without "MyoWarp/", or file.py:name.
-        model: Instead of a task: an MJCF file; random poses of its joints.
+        what: The environment, or a task alone; what it leaves open is the preset's, at last `TRAINING`.
         algorithm: Key in `ALGORITHMS`; None: that of the task's preset.
         output: New folder of the run; None: runs/<task>_<algorithm>_<seed>.
         resume: Folder of a run that is to go on.
         save_seconds: Seconds from one checkpoint to the next; 0: after every iteration.
         wandb: Whether to send the figures to Weights & Biases too.
-        **settings: Fields of the algorithm's settings; those that are not given are the preset's.
+        **settings: Fields of the algorithm's settings, those that are not given are the preset's; and fields
+            of `Setup`, in place of those of `what`.
 
     Raises:
         ValueError: An argument is wrong.
         ImportError: A package is not installed.
     """
     check_packages()
-    ranks = Ranks.started()
+    fields = {name: settings.pop(name) for name in settings.keys() & OPTIONS.keys()}
+    ranks, said = Ranks.started(), Setup.of(what, **fields)
+    said.check()
     if not 0.0 <= save_seconds < float("inf"):
         raise ValueError(f"--save-seconds must be at least 0, got {save_seconds}")
     if wandb:
@@ -149,25 +154,23 @@ def plan(
 
         check_wandb()
     how: dict[str, Any] = {"ranks": ranks, "save_seconds": save_seconds, "wandb": wandb}
-    asked = {"task": task, "model": model, "algorithm": algorithm, "output": output}
     if resume is not None:
-        return _plan_resume(resume, asked, settings, how)
-    variant = task_or_model(task, model)
-    algorithm = algorithm or preset_algorithm(TASKS[variant.task].name)
-    chosen = choose(TASKS[variant.task].name, algorithm, settings)
-    check_device_name(chosen.device)
-    folder = output or Path("runs") / f"{TASKS[variant.task].key}_{algorithm}_{chosen.seed}"
+        return _plan_resume(resume, said, {"algorithm": algorithm, "output": output}, settings, how)
+    spec = complete(Setup(task=said.task)).spec
+    algorithm = algorithm or preset_algorithm(spec.name)
+    chosen = choose(spec.name, algorithm, settings)
+    asked = said.over(divided(preset(spec.name, algorithm))[0]).over(TRAINING)
+    folder = output or Path("runs") / f"{spec.key}_{algorithm}_{asked.seed}"
     check_folder(folder)
     if ranks.restarts and last_saved(folder):
-        return _plan_resume(folder, asked, settings, how)
-    name, is_model = task or str(model), model is not None
+        return _plan_resume(folder, said, {"algorithm": algorithm, "output": output}, settings, how)
     if ranks.leads and not ranks.restarts and occupied(folder):
         raise ValueError(
             f"output {str(folder)!r} is not empty; choose a new folder, or go on with "
-            f"{resume_command(name, is_model, folder, ranks.size)}"
+            f"{resume_command(asked, folder, ranks.size)}"
         )
-    parent = _parent(chosen, algorithm, TASKS[variant.task]) if chosen.parent else None
-    return _with_files(Job(name, is_model, variant, algorithm, chosen, folder, parent=parent, **how))
+    parent = _parent(chosen, algorithm, spec) if chosen.parent else None
+    return _with_files(Job(asked, complete(asked), algorithm, chosen, folder, parent=parent, **how))
 
 
 def occupied(folder: Path) -> bool:
@@ -220,9 +223,8 @@ def _with_files(job: Job) -> Job:
         ValueError: A file is wrong, or does not fit to the run.
         ImportError: A package is not installed.
     """
-    settings, spec = job.settings, TASKS[job.variant.task]
+    settings, spec, setup = job.settings, job.setup.spec, job.setup
     _check_ranks(job)
-    patients: tuple[Condition, ...] = ()
     if settings.cohort:
         population = population_of(settings.cohort, spec)
         number = len(population.patients)
@@ -232,7 +234,8 @@ def _with_files(job: Job) -> Job:
                 f"{settings.num_worlds}"
             )
         patients = conditions_of(population.entries, spec, settings.num_worlds // number)
-        resolve((*job.variant.conditions, *settings.conditions, *patients), spec)
+        setup = dataclasses.replace(setup, conditions=(*(setup.conditions or ()), *patients))
+        resolve(setup.conditions or (), spec)
     if settings.start and not Path(settings.start).is_file():
         raise ValueError(f"--start {settings.start!r} does not exist")
     start = State.load(settings.start) if settings.start else None
@@ -240,7 +243,7 @@ def _with_files(job: Job) -> Job:
         raise ValueError(f"--start {settings.start!r} holds states of {start.task!r}, not of {spec.key!r}")
     if start is not None and start.arrays.get("episode.ended", np.zeros(1)).any():
         raise ValueError(f"--start {settings.start!r} holds episodes that have ended; save others")
-    return dataclasses.replace(job, patients=patients, start=start, files_read=_digests(settings))
+    return dataclasses.replace(job, setup=setup, start=start, files_read=_digests(job))
 
 
 def _check_ranks(job: Job) -> None:
@@ -260,12 +263,13 @@ def _check_ranks(job: Job) -> None:
             f"--minibatches must divide the samples of a rank and iteration, {settings.num_worlds} worlds / "
             f"{ranks.size} ranks x {settings.rollout_steps} steps = {rows}, got {settings.minibatches}"
         )
-    ranks.device(settings.device)
+    ranks.device(job.setup.device)
 
 
-def _digests(settings: Settings) -> dict[str, str]:
+def _digests(job: Job) -> dict[str, str]:
     """Return checksums of the files that a run reads."""
-    paths = {"cohort": settings.cohort, "start": settings.start}
+    paths = {"cohort": job.settings.cohort, "start": job.settings.start}
+    paths["muscle_parameters"] = str(job.asked.muscle_parameters or "")
     return {k: hashlib.sha256(Path(path).read_bytes()).hexdigest() for k, path in paths.items() if path}
 
 
@@ -298,12 +302,15 @@ def _parent(settings: Settings, algorithm: str, spec: TaskSpec) -> Checkpoint:
     return parent
 
 
-def _plan_resume(folder: Path, asked: dict[str, Any], given: dict[str, Any], how: dict[str, Any]) -> Job:
+def _plan_resume(
+    folder: Path, said: Setup, asked: dict[str, Any], given: dict[str, Any], how: dict[str, Any]
+) -> Job:
     """Return the run that goes on; see `plan`.
 
     Args:
         folder: Its folder.
-        asked: What was said of task, model, algorithm and output; None: nothing.
+        said: What was said of the environment.
+        asked: What was said of algorithm and output; None: nothing.
         given: Settings that were named.
         how: Fields of the job that belong to this process.
     """
@@ -320,40 +327,39 @@ def _plan_resume(folder: Path, asked: dict[str, Any], given: dict[str, Any], how
             f"run {str(folder)!r} goes on with the number of ranks that it began with, {before}, got "
             f"{ranks.size}"
         )
-    recorded = manifest["settings"]
-    task, model, algorithm = manifest["task"], manifest["model"], manifest["algorithm"]
-    wanted = {name: asked[name] for name in ("algorithm", "output")}
-    same = {"algorithm": algorithm, "output": folder}
-    if not is_file(task, model):
-        same |= dict.fromkeys(("task", "model"), task.removeprefix("MyoWarp/"))
-        wanted |= {"task": asked["task"] and asked["task"].removeprefix("MyoWarp/"), "model": asked["model"]}
-    elif (asked["task"], asked["model"]) == (None, None):
-        raise ValueError(
-            f"run {str(folder)!r} is of a task from a file, which a checkpoint does not open by itself; go "
-            f"on with {resume_command(task, model, folder, ranks.size)}"
-        )
-    else:  # its path may be another one; whether it is the same task, its contract tells
-        task, model = asked["task"] or str(asked["model"]), asked["model"] is not None
-    for what, value in wanted.items():
-        if value is not None and str(value) != str(same[what]):
+    began, settings = trained_setup(manifest), divided(manifest["settings"])[1]
+    if is_file(began):
+        if said.task is None:
             raise ValueError(
-                f"--resume goes on with {what} {str(same[what])!r}, got {str(value)!r}; leave it out"
+                f"run {str(folder)!r} is of a task from a file, which a checkpoint does not open by itself; "
+                f"go on with {resume_command(began, folder, ranks.size)}"
             )
-    fields = all_settings()
-    for name, value in given.items():
-        if name not in recorded or (not fields[name].metadata["free"] and _listed(value) != recorded[name]):
+        # Its path may be another one; whether it is the same task, its contract tells.
+        began = dataclasses.replace(began, task=said.task)
+    wanted = asked | {"task": said.task and str(said.task).removeprefix("MyoWarp/")}
+    same = {"algorithm": manifest["algorithm"], "output": folder}
+    for name, value in wanted.items():
+        there = same.get(name, str(began.task).removeprefix("MyoWarp/"))
+        if value is not None and str(value) != str(there):
+            raise ValueError(f"--resume goes on with {name} {str(there)!r}, got {str(value)!r}; leave it out")
+    fields, recorded = all_settings(), settings | began.plain()
+    own = {name: value for name, value in said.plain().items() if getattr(said, name) is not None}
+    for name, value in (given | own).items():
+        free = name in fields and fields[name].metadata["free"]
+        if name not in recorded or (not free and _listed(value) != recorded[name]):
             flag = "--" + name.replace("_", "-")
             raise ValueError(
                 f"--resume goes on with the settings of its run, where {flag} is {recorded.get(name)!r}, "
                 f"got {value!r}; leave it out, or start a new run"
             )
-    check_choice("algorithm", algorithm, ALGORITHMS)
-    settings = restore(ALGORITHMS[algorithm], recorded | given)
-    variant = task_or_model(None if model else task, Path(task) if model else None)
-    job = _with_files(Job(task, model, variant, algorithm, settings, folder, checkpoint=checkpoint, **how))
+    check_choice("algorithm", manifest["algorithm"], ALGORITHMS)
+    chosen = restore(ALGORITHMS[manifest["algorithm"]], settings | given)
+    setup = complete(began)
+    job = _with_files(Job(began, setup, manifest["algorithm"], chosen, folder, checkpoint=checkpoint, **how))
     if (now := job.files_read) != (then := manifest.get("files_read", {})):
         changed = next(name for name in now if now[name] != then.get(name))
-        raise ValueError(f"--{changed} {getattr(settings, changed)!r} has changed since the run began")
+        file = getattr(chosen, changed, "") or str(began.muscle_parameters)
+        raise ValueError(f"--{changed.replace('_', '-')} {file!r} has changed since the run began")
     return job
 
 

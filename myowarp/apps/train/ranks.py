@@ -72,8 +72,8 @@ class Ranks:
             raise ValueError(f"{option} must be a multiple of the {self.size} ranks, got {number}")
         return number // self.size
 
-    def device(self, wanted: str) -> str:
-        """Return the Warp device of this rank, "" for the usual one: one CUDA device a rank.
+    def device(self, wanted: str | None) -> str | None:
+        """Return the Warp device of this rank, None for the usual one: one CUDA device a rank.
 
         Raises:
             ValueError: There are fewer devices than ranks on this machine, or one is asked for by number.
@@ -83,7 +83,7 @@ class Ranks:
         import warp as wp
 
         number = wp.get_cuda_device_count()
-        if wanted not in ("", "cuda"):
+        if wanted not in (None, "cuda"):
             raise ValueError(f"--device of {self.size} ranks must be cpu, cuda or left out, got {wanted!r}")
         if not number and not wanted:
             return "cpu"
@@ -95,7 +95,7 @@ class Ranks:
         return f"cuda:{self.local}"
 
     @contextmanager
-    def together(self, device: str, *, learning: bool = True) -> Iterator[None]:
+    def together(self, device: str | None, *, learning: bool = True) -> Iterator[None]:
         """Meet the other ranks, and part from them after the block.
 
         Args:
@@ -126,7 +126,7 @@ class Ranks:
             ) from error
         torch.distributed.destroy_process_group()
 
-    def _join(self, device: str) -> None:
+    def _join(self, device: str | None) -> None:
         """Meet the other ranks."""
         import torch
 
@@ -135,7 +135,7 @@ class Ranks:
         import torch.distributed.nn.functional
 
         os.environ.setdefault(CORES, str(max(1, num_cores() // self.local_size)))
-        on_cuda = device.startswith("cuda")
+        on_cuda = str(device).startswith("cuda")
         if on_cuda:
             torch.cuda.set_device(device)
         # After a restart torchrun's store still holds the addresses of the processes before.

@@ -11,6 +11,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -18,7 +19,9 @@ from rich.console import Console
 from myowarp.apps.train.machine import Stopwatch, processor
 from myowarp.apps.train.plan import Job, eval_command, held, last_saved
 from myowarp.apps.train.settings import SUCCESSES
+from myowarp.definitions.condition import Condition
 from myowarp.disk import in_place, plain
+from myowarp.tasks.setups import variant_of
 
 if TYPE_CHECKING:
     from myowarp.apps.train.loop import Run
@@ -50,7 +53,7 @@ def train(job: Job, console: Console | None = None) -> dict[str, Any]:
     if not job.ranks.leads:
         console.quiet = True
     with held(job):
-        with job.ranks.together(job.ranks.device(job.settings.device)):
+        with job.ranks.together(job.ranks.device(job.setup.device)):
             run = start(job)
             reason = iterate(job, run, console)
             run.env.close()
@@ -73,21 +76,11 @@ def start(job: Job) -> Run:
     from myowarp.apps.train.loop import Run
     from myowarp.bridge_gym import MyoWarpVectorEnv
 
-    settings, variant, ranks = job.settings, job.variant, job.ranks
+    settings, ranks = job.settings, job.ranks
     torch.set_num_threads(settings.threads)
-    env = MyoWarpVectorEnv(
-        variant.task,
-        ranks.share("--num-worlds", settings.num_worlds),
-        device=ranks.device(settings.device) or None,
-        physics=settings.physics,
-        muscle=settings.muscle,
-        reset=settings.reset or variant.reset,
-        conditions=(*variant.conditions, *settings.conditions, *job.conditions, *job.patients),
-        autoreset_mode="disabled",
-        output="torch",
-        copy=False,
-        rank=ranks.part,
-    )
+    setup = dataclasses.replace(job.setup, device=ranks.device(job.setup.device), rank=ranks.part)
+    number = ranks.share("--num-worlds", settings.num_worlds)
+    env = MyoWarpVectorEnv(setup, number, autoreset_mode="disabled", output="torch", copy=False)
     if job.parent is not None:
         check_contract(job.parent, env.sim)
     run = Run(env, settings, job.parent, job.start, ranks)
@@ -119,7 +112,8 @@ def iterate(job: Job, run: Run, console: Console) -> str:
         _save(job, run)  # whatever happens from here on, the run can go on
     over = f" over {ranks.size} ranks" if ranks.size > 1 else ""
     console.print(
-        f"{job.task}: {job.algorithm}, {settings.num_worlds} worlds{over} under {settings.physics} physics"
+        f"{job.asked.task}: {job.algorithm}, {settings.num_worlds} worlds{over} under {job.setup.physics} "
+        "physics"
         f"{f', from {settings.parent}' if settings.parent else ''}, into {job.folder}"
     )
     saved = time.monotonic()
@@ -158,7 +152,9 @@ def iterate(job: Job, run: Run, console: Console) -> str:
                     f"{error}; the last good checkpoint is in {job.folder}, {advice}"
                 ) from error
             for kind in run.faults[said:]:
-                console.print(f"worlds of {job.task} ended by a fault, with reward 0: {kind}", style="yellow")
+                console.print(
+                    f"worlds of {job.asked.task} ended by a fault, with reward 0: {kind}", style="yellow"
+                )
             if progress:
                 progress.add(run.row())
 
@@ -173,7 +169,7 @@ def _progress(job: Job, run: Run, console: Console) -> Iterator[Progress | None]
         return
     with Progress(job.folder, job.settings.samples, console, after=run.samples) as progress:
         if job.wandb:
-            progress.start_wandb(job.folder.name, dataclasses.asdict(job.settings))
+            progress.start_wandb(job.folder.name, _settings(job))
         yield progress
 
 
@@ -218,6 +214,11 @@ def _note_versions(job: Job, console: Console) -> None:
             )
 
 
+def _settings(job: Job) -> dict[str, Any]:
+    """Return the settings and what was said of the environment, side by side; the other way: `divided`."""
+    return dataclasses.asdict(job.settings) | job.asked.plain()
+
+
 def _save(job: Job, run: Run) -> None:
     """Write a checkpoint, with the worlds of all ranks.
 
@@ -226,14 +227,16 @@ def _save(job: Job, run: Run) -> None:
     """
     from myowarp.apps.policies import checkpoint
 
+    variant, asked = variant_of(job.asked), job.asked.conditions or ()
+    objects = [condition.name for condition in asked if isinstance(condition, Condition)]
     manifest = {
-        "task": job.task,
-        "model": job.model,
-        "reset": job.variant.reset,
-        "conditions": [*job.variant.conditions, *(condition.name for condition in job.conditions)],
+        "task": str(job.asked.task),
+        "model": isinstance(job.asked.task, Path),
+        "reset": variant.reset,
+        "conditions": [*variant.conditions, *objects],
         "algorithm": job.algorithm,
         "contract": checkpoint.task_contract(run.env.sim),
-        "settings": dataclasses.asdict(job.settings),
+        "settings": _settings(job),
         "versions": checkpoint.versions(),
         "parent": _origin(job),
         "files_read": job.files_read,
@@ -279,13 +282,12 @@ def _origin(job: Job) -> dict[str, Any] | None:
 
 def _report(job: Job, run: Run, reason: str, watch: Stopwatch) -> dict[str, Any]:
     """Return what came out."""
-    settings = job.settings
     return {
-        "task": job.task,
+        "task": str(job.asked.task),
         "algorithm": job.algorithm,
-        "seed": settings.seed,
+        "seed": job.setup.seed,
         "ranks": job.ranks.size,
-        "physics": settings.physics,
+        "physics": job.setup.physics,
         "ended": reason,
         "samples": run.samples,
         "updates": run.updates,
@@ -306,13 +308,13 @@ def _publish(job: Job, report: dict[str, Any], console: Console) -> None:
 
     with in_place(job.folder / REPORT) as scratch:
         scratch.write_text(json.dumps(plain(report), indent=1) + "\n")
-    curve = draw_curve(job.folder, f"{job.task}, {job.algorithm}, seed {job.settings.seed}")
+    curve = draw_curve(job.folder, f"{job.asked.task}, {job.algorithm}, seed {job.setup.seed}")
     share = f"{100 * report['success']:.1f} %" if report["episodes"] else "none"
     console.print(
         f"Ended after {report['samples']:,} samples in {report['seconds']:.1f} s: {report['ended']}; of the "
-        f"last episodes {share} succeeded, sampled actions under {job.settings.physics} physics"
+        f"last episodes {share} succeeded, sampled actions under {job.setup.physics} physics"
     )
     console.print(f"Saved {job.folder}" + (f" and {curve}" if curve else ""))
     if report["ended"] == STOPPED:
         console.print(f"Go on: {job.resume_command}")
-    console.print(f"Evaluate: {eval_command(job.task, job.model, job.folder)}")
+    console.print(f"Evaluate: {eval_command(job.asked, job.folder)}")

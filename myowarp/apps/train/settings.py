@@ -9,16 +9,14 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any, TypeVar
 
 from myowarp.apps.policies.form import ACTIVATIONS
-from myowarp.definitions.condition import condition_from
-from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.registry import check_choice
-from myowarp.definitions.task import PHYSICS, RESETS
+from myowarp.definitions.setup import OPTIONS, Setup
 
 SUCCESSES = {
     "success": "more than 5 solved steps",  # the paper's rule
@@ -26,7 +24,7 @@ SUCCESSES = {
     "success_any": "solved at any step",
 }
 PRECISIONS = ("bfloat16", "float32")
-MOST_SEED = 2**63 - 1  # world i has seed + i, a uint64
+TRAINING = Setup(physics="fast", muscle="mujoco", seed=0)  # unless the preset of a task says otherwise
 
 
 def success_text(figures: Mapping[str, Any], rule: str) -> str:
@@ -42,7 +40,6 @@ def setting(
     least: float | None = None,
     most: float | None = None,
     choices: Iterable[str] = (),
-    read: Callable[[str], object] | None = None,
     free: bool = False,
 ) -> Any:
     """Return the field of a setting.
@@ -53,10 +50,9 @@ def setting(
         least: Smallest value that is allowed.
         most: Largest value that is allowed.
         choices: Names that are allowed.
-        read: Raises ValueError for texts that are not allowed.
         free: Whether a run may be resumed with another value, because no number of the run depends on it.
     """
-    bounds = {"least": least, "most": most, "choices": tuple(choices), "read": read}
+    bounds = {"least": least, "most": most, "choices": tuple(choices)}
     return field(default=default, metadata={"text": text, "free": free, **bounds})
 
 
@@ -77,19 +73,8 @@ class Settings:
         choices=SUCCESSES,
         free=True,
     )
-    seed: int = setting(
-        0, "Seed of networks, actions and worlds (world i: seed + i).", least=0, most=MOST_SEED
-    )
     num_worlds: int = setting(256, "Worlds simulated together.", least=1)
     rollout_steps: int = setting(24, "Control steps of every world in an iteration.", least=1)
-    physics: str = setting("fast", "Physics preset of the training.", choices=PHYSICS)
-    muscle: str = setting("mujoco", "Muscle model.", choices=MUSCLES)
-    reset: str = setting("", "What episodes start from; empty: what the id says.", choices=("", *RESETS))
-    conditions: tuple[str, ...] = setting(
-        (),
-        "Muscle conditions besides those of the id, such as sarcopenia(strength=0.3).",
-        read=condition_from,
-    )
     cohort: str = setting("", "Patient table; every patient has as many worlds; empty: one body for all.")
     start: str = setting(
         "", "State file (`State.save`): episodes start in its worlds, with their goals; empty: resets."
@@ -102,7 +87,6 @@ class Settings:
         "Samples as which the parent's normaliser of observations counts; 0: 32 steps of all worlds.",
         least=0,
     )
-    device: str = setting("", "Warp device, such as cpu or cuda:0; empty: the GPU if there is one.")
     # On two idle cores, two threads take 3.5 us a sample and pass (two networks 2 x 128), one 5.9.
     # When another process wants a core they take 10 to 60 times as long: they wait at every barrier.
     threads: int = setting(
@@ -222,6 +206,12 @@ def preset(name: str, algorithm: str) -> dict[str, Any]:
     return shared | own
 
 
+def divided(values: Mapping[str, Any]) -> tuple[Setup, dict[str, Any]]:
+    """Return the setup and the settings of plain values, which presets and checkpoints have side by side."""
+    settings = {name: value for name, value in values.items() if name not in OPTIONS}
+    return Setup.from_plain(values), settings
+
+
 def preset_algorithm(name: str) -> str:
     """Return the algorithm of a task's preset, ppo where it names none."""
     return str(_preset_table(name).get("algorithm", "ppo"))
@@ -251,7 +241,7 @@ def choose(name: str, algorithm: str, given: Mapping[str, Any]) -> Settings:
                 else f"available: {', '.join(sorted(known))}"
             )
             raise ValueError(f"{algorithm} has no setting {_flag(key)}; {where}")
-    return restore(kind, preset(name, algorithm) | dict(given))
+    return restore(kind, divided(preset(name, algorithm))[1] | dict(given))
 
 
 def restore(kind: type[RECORDED], values: Mapping[str, Any]) -> RECORDED:
@@ -287,10 +277,6 @@ def _checked(entry: dataclasses.Field[Any], value: Any) -> Any:
     for item in value if isinstance(value, tuple) else (value,):
         if bounds["choices"]:
             check_choice(flag, item, bounds["choices"])
-        elif bounds["read"] is not None:
-            if not isinstance(item, str):
-                raise ValueError(f"{flag} must be texts, got {item!r}")
-            bounds["read"](item)
         elif kind is tuple and type(item) is not int:
             raise ValueError(f"{flag} must be integers, got {item!r}")
         elif isinstance(item, int | float):

@@ -169,7 +169,7 @@ class OurStep:
             integrator="IMPLICITFAST",
         )
         with quiet():
-            self.scene = compile_scene(task, WORLDS, "cpu")
+            self.scene = compile_scene(task, WORLDS, device="cpu")
             stages = applicable_stages(self.scene, ("free_coordinates",))
             self.step: Callable[[], None] = physics_step(self.scene, stages)
             compile_kernels(self.step, self.scene.device)

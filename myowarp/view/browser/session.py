@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.kernels.write import write
 from myowarp.sim.build import full_spec
@@ -63,42 +64,31 @@ class Session:
     def __init__(
         self,
         title: str,
-        spec: TaskSpec,
+        setup: Setup,
         worlds: int,
         policy: str,
         acting: Callable[[str, Simulation], Act],
-        conditions: Sequence[str] = (),
-        device: str | None = None,
-        physics: str = "parity",
-        reset: str = "task",
-        seed: int = 0,
     ) -> None:
         """Build the simulation, and reset it.
 
         Args:
             title: What it is called.
-            spec: The task.
+            setup: What runs; the patient has its conditions from the beginning.
             worlds: Worlds to choose from.
             policy: Name of what acts.
             acting: As in `Choices`.
-            conditions: Names of conditions that the patient has from the beginning.
-            device: Warp device.
-            physics: Name in `PHYSICS`.
-            reset: What episodes start from, one of `RESETS`.
-            seed: Seed of the first reset.
 
         Raises:
             ValueError: An argument is wrong.
         """
+        spec, conditions = setup.spec, setup.conditions or ()
         plain = full_spec(spec)
         muscles = any(actuator.dyntype == mujoco.mjtDyn.mjDYN_MUSCLE for actuator in plain.actuators)
         self.sim = Simulation(
-            spec,
+            setup,
             worlds + 1,
-            device=device,
-            physics=physics,
-            reset=reset,
             conditions=every_condition(spec, conditions) if muscles or conditions else (),
+            shards=1,
             autoreset="disabled",
             adjustable=True,
         )
@@ -109,7 +99,7 @@ class Session:
         self._own = {body.name for body in plain.bodies}
         self.returns, self.steps = np.zeros(worlds + 1), 0
         self.act(policy)
-        self._seeds: np.ndarray | None = seed + np.arange(worlds + 1)
+        self._seeds: np.ndarray | None = (setup.seed or 0) + np.arange(worlds + 1)
         self.restart()
 
     @property

@@ -1,13 +1,13 @@
 """One task measured: rollouts, targets and objects put together."""
 
-from collections.abc import Callable, Iterable
+import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from myowarp.apps.rollouts import objects, targets
 from myowarp.apps.rollouts.objects import Gimbal, Objects
+from myowarp.apps.rollouts.run import seeds_of
 from myowarp.apps.rollouts.targets import Targets
 from myowarp.apps.studies.audit.runs import (
     POLICIES,
@@ -19,10 +19,12 @@ from myowarp.apps.studies.audit.runs import (
     TermRange,
     early_failures,
 )
-from myowarp.definitions.condition import Condition
+from myowarp.definitions.registry import check_least
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS, TaskSpec
 from myowarp.engine.compile import quiet
 from myowarp.sim.simulation import Simulation
+from myowarp.tasks.setups import complete
 
 NUM_WORLDS = 64
 PROBED_RESETS = ("task", "fixed", "random")  # reset-free episodes have no start of their own
@@ -111,52 +113,49 @@ def upstream_of(spec: TaskSpec) -> str:
 
 
 def audit(
-    spec: TaskSpec,
+    what: Setup | TaskSpec | str,
     num_worlds: int = NUM_WORLDS,
     steps: int | None = None,
-    seed: int = 0,
-    device: str | None = None,
-    physics: str = "parity",
-    reset: str = "task",
-    conditions: tuple[str, ...] = (),
     *,
     tick: Tick = lambda done, stage: None,
+    **fields: Any,
 ) -> Audit:
     """Measure a task.
 
     Args:
-        spec: The task.
+        what: What is audited; its policies draw from its seed, too.
         num_worlds: Worlds simulated together, >= 1.
         steps: Control steps of each policy; None, and at least: a horizon, or two with reset "none", where
             only the second episode starts reset-free.
-        seed: World i resets with seed + i; the policies draw from it, too.
-        device: Warp device; None: the first CUDA device if there is one, else the CPU.
-        physics: Name in `definitions.task.PHYSICS`.
-        reset: What episodes start from, one of `spec.RESETS`.
-        conditions: Names of muscle conditions in `CONDITIONS`.
         tick: Called on the way.
+        **fields: Fields of `Setup`, in place of those of `what`.
 
     Raises:
         ValueError: An argument is out of its range.
     """
-    steps = _steps(spec, steps, seed, reset)
+    # One thread has the contacts of all worlds in one place.
+    setup = dataclasses.replace(complete(Setup.of(what, **fields)), shards=1)
+    if steps is not None:
+        check_least(1, steps=steps)
+    horizon = setup.horizon or setup.spec.horizon
+    steps = max(horizon * (2 if setup.reset == "none" else 1), int(steps or 0))
     with quiet():
         tick(0.0, "building")
-        sim = _simulation(spec, num_worlds, device, physics, reset, conditions)
-        gimbal, run = Gimbal(sim), Run(sim, steps, seed, spec.horizon)
+        sim = _simulation(setup, num_worlds)
+        gimbal, run = Gimbal(sim), Run(sim, steps)
         for i, policy in enumerate(POLICIES):
             run.run(policy, gimbal.look, _part(tick, 0.3 * i, 0.3, policy))
         tick(0.9, "targets")
-        sim.reset(seeds=seed + np.arange(num_worlds))
+        sim.reset(seeds=seeds_of(sim))
         goals, things = targets.measure(sim), objects.measure(sim, gimbal.worst)
         tick(0.95, "starts")
-        early, early_why = _early(sim, physics, seed)
+        early, early_why = _early(sim)
     columns, terms = run.columns(), run.terms()
     return Audit(
         **_identity(sim),
-        physics=physics,
+        physics=str(setup.physics),
         steps=steps,
-        seed=int(seed),
+        seed=setup.seed or 0,
         scores={policy: run.score(policy) for policy in POLICIES},
         early_failure=early,
         early_failure_why=early_why,
@@ -187,16 +186,8 @@ def _identity(sim: Simulation) -> dict[str, Any]:
         "conditions": tuple(condition.name for condition in sim.conditions),
         "device": str(sim.scene.device),
         "num_worlds": sim.num_worlds,
-        "horizon": spec.horizon,
+        "horizon": sim.horizon,
     }
-
-
-def _steps(spec: TaskSpec, steps: int | None, seed: int, reset: str) -> int:
-    """Return the control steps of each policy, after a check of the numbers."""
-    for name, number, least in (("seed", seed, 0), ("steps", 1 if steps is None else steps, 1)):
-        if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < least:
-            raise ValueError(f"{name} must be an integer of at least {least}, got {number!r}")
-    return max(spec.horizon * (2 if reset == "none" else 1), int(steps or 0))
 
 
 def _part(tick: Tick, begin: float, share: float, stage: str) -> Callable[[float], None]:
@@ -204,41 +195,24 @@ def _part(tick: Tick, begin: float, share: float, stage: str) -> Callable[[float
     return lambda done: tick(begin + share * done, stage)
 
 
-def _simulation(
-    spec: TaskSpec,
-    num_worlds: int,
-    device: str | None,
-    physics: str,
-    reset: str,
-    conditions: Iterable[str | Condition],
-) -> Simulation:
+def _simulation(setup: Setup, num_worlds: int) -> Simulation:
     """Return a simulation that resets a world in the step that ends its episode."""
-    return Simulation(
-        spec,
-        num_worlds,
-        device=device,
-        physics=physics,
-        reset=reset,
-        conditions=conditions,
-        autoreset="same_step",
-        progress=False,
-    )
+    return Simulation(setup, num_worlds, autoreset="same_step", progress=False)
 
 
-def _early(sim: Simulation, physics: str, seed: int) -> tuple[dict[str, float | None], dict[str, str]]:
+def _early(sim: Simulation) -> tuple[dict[str, float | None], dict[str, str]]:
     """Return `Audit.early_failure` and `Audit.early_failure_why`."""
     shares: dict[str, float | None] = {}
     why: dict[str, str] = {}
-    scene = sim.scene
     for reset in PROBED_RESETS:
         shares[reset] = None
-        if reset == scene.reset:
-            shares[reset] = early_failures(sim, seed)
+        if reset == sim.scene.reset:
+            shares[reset] = early_failures(sim)
             continue
         try:
-            probe = _simulation(scene.spec, sim.num_worlds, str(scene.device), physics, reset, sim.conditions)
+            probe = _simulation(dataclasses.replace(sim.setup, reset=reset), sim.num_worlds)
         except ValueError as error:  # too few random starts
             why[reset] = str(error)
             continue
-        shares[reset] = early_failures(probe, seed)
+        shares[reset] = early_failures(probe)
     return shares, why

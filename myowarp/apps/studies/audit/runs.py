@@ -3,11 +3,14 @@
 Zero, random and extreme actions show what a task does to whom it meets first: an untrained policy.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import repeat
 
 import numpy as np
 
+from myowarp.apps.rollouts.episodes import Episodes
+from myowarp.apps.rollouts.run import Each, Step, Watcher, run, seeds_of
 from myowarp.kernels.episode import FAULTS
 from myowarp.sim.simulation import Simulation
 
@@ -15,52 +18,35 @@ EARLY_STEPS = 5  # control steps within which a failure is none of the policy's
 HOLD_STEPS = 10  # control steps for which an extreme action is held
 RESETS_PROBED = 5  # of every world, with zero actions
 
-Policy = Callable[[int], np.ndarray | None]
-"""Step of the run, from 0, to actions in [-1, 1], shape (num_worlds, num_actuators); None: the last ones."""
+Actions = Iterator[np.ndarray | None]
+"""Actions in [-1, 1], shape (num_worlds, num_actuators), step by step; None: the last ones."""
 
 
-def _zero(shape: tuple[int, ...], rng: np.random.Generator) -> Policy:
+def _zero(shape: tuple[int, ...], rng: np.random.Generator) -> Actions:
     """No action."""
-    return lambda step: np.zeros(shape) if step == 0 else None
+    yield np.zeros(shape)
+    yield from repeat(None)
 
 
-def _random(shape: tuple[int, ...], rng: np.random.Generator) -> Policy:
+def _random(shape: tuple[int, ...], rng: np.random.Generator) -> Actions:
     """U(-1, 1) in every step."""
-    return lambda step: rng.uniform(-1.0, 1.0, shape)
+    while True:
+        yield rng.uniform(-1.0, 1.0, shape)
 
 
-def _extreme(shape: tuple[int, ...], rng: np.random.Generator) -> Policy:
+def _extreme(shape: tuple[int, ...], rng: np.random.Generator) -> Actions:
     """-1 or 1, drawn again every `HOLD_STEPS` steps."""
-    return lambda step: rng.choice((-1.0, 1.0), shape) if step % HOLD_STEPS == 0 else None
+    while True:
+        yield rng.choice((-1.0, 1.0), shape)
+        yield from repeat(None, HOLD_STEPS - 1)
 
 
-POLICIES: dict[str, Callable[[tuple[int, ...], np.random.Generator], Policy]] = {
+POLICIES: dict[str, Callable[[tuple[int, ...], np.random.Generator], Actions]] = {
     "zero": _zero,
     "random": _random,
     "extreme": _extreme,
 }
 """The policies of an audit by name."""
-
-
-@dataclass(frozen=True)
-class Episode:
-    """A finished episode.
-
-    Attributes:
-        start: Steps of the run before its first.
-        length: Its steps.
-        total: Its return, the sum of its rewards.
-        success: Whether it counts as a success.
-        failed: Whether the task ended it; neither horizon nor fault.
-        faulty: Whether a fault ended it.
-    """
-
-    start: int
-    length: int
-    total: float
-    success: bool
-    failed: bool
-    faulty: bool
 
 
 @dataclass(frozen=True)
@@ -173,24 +159,22 @@ def mean_or_none(values: Iterable[float]) -> float | None:
     return float(np.mean(held)) if held else None
 
 
-class Run:
+class Run(Watcher):
     """Runs policies one after the other in one simulation and counts.
 
     Attributes:
-        episodes: Finished episodes that are counted, by policy.
+        episodes: What is known of the finished episodes that are counted, by policy (`Episodes.arrays`).
     """
 
-    def __init__(self, sim: Simulation, steps: int, seed: int, horizon: int) -> None:
+    def __init__(self, sim: Simulation, steps: int) -> None:
         """Start counting.
 
         Args:
-            sim: Simulation with autoreset "same_step".
+            sim: Simulation with autoreset "same_step"; the policies draw from its setup's seed.
             steps: Control steps of each policy.
-            seed: World i resets with seed + i; the policies draw from it, too.
-            horizon: Control steps in an episode.
         """
-        self.sim, self.steps, self.seed, self.horizon = sim, steps, seed, horizon
-        self.episodes: dict[str, list[Episode]] = {}
+        self.sim, self.steps = sim, steps
+        self.episodes: dict[str, dict[str, np.ndarray]] = {}
         size, terms = sim.transition.obs.shape[1], len(sim.terms)
         self._low, self._high = np.full(size, np.inf), np.full(size, -np.inf)
         self._term_low, self._term_high = np.full(terms, np.inf), np.full(terms, -np.inf)
@@ -199,6 +183,7 @@ class Run:
         self._rewards = {True: np.zeros(2), False: np.zeros(2)}  # failing or not: sum, number
         self._fault_bits = dict.fromkeys(FAULTS, 0)
         self._peak = np.zeros(3, dtype=int)
+        self._policy = ""
 
     def run(self, name: str, watch: Callable[[], None], tick: Callable[[float], None]) -> None:
         """Run a policy from fresh episodes.
@@ -208,74 +193,60 @@ class Run:
             watch: Called after the resets and after every step, to look at the state.
             tick: Called with the share of the steps done.
         """
-        sim, n = self.sim, self.sim.num_worlds
-        rng = np.random.default_rng((self.seed, list(POLICIES).index(name)))
-        act = POLICIES[name](sim.action.shape, rng)
-        sim.reset(seeds=self.seed + np.arange(n))
-        self._see(sim.transition.obs.numpy())
-        watch()
-        finished: list[Episode] = []
-        self._term_sum[name], self._healthy[name] = np.zeros(len(sim.terms)), 0
-        start, total = np.zeros(n, dtype=int), np.zeros(n)
-        for step in range(self.steps):
-            if (action := act(step)) is not None:
-                sim.action.assign(action.astype(np.float32))
-            sim.step()
-            watch()
-            tick((step + 1) / self.steps)
-            ended, failed, faulty = self._count(name)
-            total += sim.transition.reward.numpy()
-            success = sim.final.success.numpy()
-            for w in np.flatnonzero(ended):
-                length = step + 1 - int(start[w])
-                flags = bool(success[w]), bool(failed[w]), bool(faulty[w])
-                finished.append(Episode(int(start[w]), length, float(total[w]), *flags))
-            start[ended], total[ended] = step + 1, 0.0
-        last = self.steps - self.horizon
-        self.episodes[name] = [episode for episode in finished if episode.start <= last]
+        rng = np.random.default_rng((self.sim.setup.seed or 0, list(POLICIES).index(name)))
+        actions = POLICIES[name](self.sim.action.shape, rng)
+        self._policy = name
+        self._term_sum[name], self._healthy[name] = np.zeros(len(self.sim.terms)), 0
+        episodes, look = Episodes(self.sim.num_worlds), _Look(watch)
+        told = Each(lambda step: tick(step.number / self.steps))
+        run(self.sim, lambda obs: next(actions), self.steps, look, told, self, episodes)
+        found = episodes.arrays()
+        counted = found["begin"] <= self.steps - self.sim.horizon
+        self.episodes[name] = {key: array[counted] for key, array in found.items()}
+
+    def start(self, mask: np.ndarray) -> None:
+        """See what worlds observe where they start."""
+        self._see(self.sim.transition.obs.numpy()[mask])
 
     def _see(self, obs: np.ndarray) -> None:
         """Widen the ranges of the observation by rows that may be none."""
         self._low = np.fmin(self._low, np.fmin.reduce(obs, axis=0, initial=np.inf))
         self._high = np.fmax(self._high, np.fmax.reduce(obs, axis=0, initial=-np.inf))
 
-    def _count(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Count the step just made; returns which worlds ended, failed, and had a fault."""
+    def see(self, step: Step) -> None:
+        """Count a step."""
         transition, final, data = self.sim.transition, self.sim.final, self.sim.scene.data
-        fault = transition.fault.numpy()
-        faulty, terminated = fault != 0, transition.terminated.numpy()
-        ended, failed = terminated | transition.truncated.numpy(), terminated & ~faulty
+        faulty, ended = step.fault != 0, step.ended
+        failed = step.terminated & ~faulty
         self._see(transition.obs.numpy())
         self._see(final.obs.numpy()[ended & ~faulty])
         terms = np.where(ended[:, None], final.terms.numpy(), transition.terms.numpy())[~faulty]
         self._term_low = np.minimum(self._term_low, terms.min(axis=0, initial=np.inf))
         self._term_high = np.maximum(self._term_high, terms.max(axis=0, initial=-np.inf))
-        self._term_sum[name] += terms.sum(axis=0, dtype=float)
-        self._healthy[name] += len(terms)
-        reward = transition.reward.numpy()
+        self._term_sum[self._policy] += terms.sum(axis=0, dtype=float)
+        self._healthy[self._policy] += len(terms)
         for failing, where in ((True, failed), (False, ~failed & ~faulty)):
-            self._rewards[failing] += reward[where].sum(dtype=float), np.count_nonzero(where)
+            self._rewards[failing] += step.reward[where].sum(dtype=float), np.count_nonzero(where)
         for bit in self._fault_bits:
-            self._fault_bits[bit] += int(np.count_nonzero(fault & bit))
+            self._fault_bits[bit] += int(np.count_nonzero(step.fault & bit))
         peak = (data.nacon.numpy().max(), data.ncollision.numpy().max(), data.nefc.numpy().max())
         self._peak = np.maximum(self._peak, peak)
-        return ended, failed, faulty
 
     def score(self, name: str) -> Score:
         """Return what a policy got."""
         episodes = self.episodes[name]
-        returns = np.array([episode.total for episode in episodes])
-        lengths = np.array([episode.length for episode in episodes if episode.failed], dtype=int)
+        returns, failed = episodes["return"], episodes["failed"]
+        lengths = episodes["length"][failed]
         return Score(
-            episodes=len(episodes),
+            episodes=len(returns),
             return_mean=mean_or_none(returns),
             return_std=float(returns.std()) if len(returns) else None,
-            success=mean_or_none(episode.success for episode in episodes),
-            failed=mean_or_none(episode.failed for episode in episodes),
-            failed_early=mean_or_none(e.failed and e.length <= EARLY_STEPS for e in episodes),
-            length_mean=mean_or_none(episode.length for episode in episodes),
+            success=mean_or_none(episodes["success"]),
+            failed=mean_or_none(failed),
+            failed_early=mean_or_none(failed & (episodes["length"] <= EARLY_STEPS)),
+            length_mean=mean_or_none(episodes["length"]),
             returns=tuple(returns.tolist()),
-            failures=tuple(np.bincount(lengths, minlength=self.horizon + 1)[1:].tolist()),
+            failures=tuple(np.bincount(lengths, minlength=self.sim.horizon + 1)[1:].tolist()),
         )
 
     def columns(self) -> tuple[ColumnRange, ...]:
@@ -304,18 +275,21 @@ class Run:
 
     def failing(self) -> Failing:
         """Return what failing brings."""
-        every = [episode for episodes in self.episodes.values() for episode in episodes]
-        lasted = [e.total for e in every if not (e.failed or e.faulty)]
+        every = {
+            name: np.concatenate([episodes[name] for episodes in self.episodes.values()])
+            for name in ("return", "failed", "fault")
+        }
+        lasted = ~every["failed"] & (every["fault"] == 0)
         (dead, num_dead), (alive, num_alive) = self._rewards[True], self._rewards[False]
         failing = float(dead / num_dead) if num_dead else None
         living = float(alive / num_alive) if num_alive else None
         both = failing is not None and living is not None
         return Failing(
-            return_failed=mean_or_none(e.total for e in every if e.failed),
-            return_lasted=mean_or_none(lasted),
+            return_failed=mean_or_none(every["return"][every["failed"]]),
+            return_lasted=mean_or_none(every["return"][lasted]),
             living_reward=living,
             failing_reward=failing,
-            failure_gain=failing - living * self.horizon if both else None,  # type: ignore[operator]
+            failure_gain=failing - living * self.sim.horizon if both else None,  # type: ignore[operator]
         )
 
     def faults(self) -> dict[str, int]:
@@ -330,17 +304,27 @@ class Run:
         return Load(contacts, candidates, pool, free, rows, allocated, 100.0 * (1.0 - rows / allocated))
 
 
-def early_failures(sim: Simulation, seed: int) -> float:
+class _Look(Watcher):
+    """Calls a function where episodes start and after every step."""
+
+    def __init__(self, look: Callable[[], None]) -> None:
+        self._look = look
+
+    def start(self, mask: np.ndarray) -> None:
+        """Look."""
+        self._look()
+
+    def see(self, step: Step) -> None:
+        """Look."""
+        self._look()
+
+
+def early_failures(sim: Simulation) -> float:
     """Return the share of starts from which zero actions fail within `EARLY_STEPS` steps."""
-    sim.action.zero_()
-    lost = 0
+    lost, rest = 0, np.zeros(sim.action.shape)
     for again in range(RESETS_PROBED):
-        sim.reset(seeds=seed + np.arange(sim.num_worlds) if again == 0 else None)
-        first = np.ones(sim.num_worlds, dtype=bool)  # still in the episode that began with the reset
-        for _ in range(EARLY_STEPS):
-            sim.step()
-            transition = sim.transition
-            terminated = transition.terminated.numpy()
-            lost += int(np.count_nonzero(first & terminated & (transition.fault.numpy() == 0)))
-            first &= ~(terminated | transition.truncated.numpy())
+        sim.reset(seeds=seeds_of(sim) if again == 0 else None)
+        episodes = Episodes(sim.num_worlds)
+        run(sim, lambda obs: rest, EARLY_STEPS, episodes, fresh=False)
+        lost += int(np.count_nonzero(episodes.first()["failed"]))
     return float(lost / (RESETS_PROBED * sim.num_worlds))

@@ -14,11 +14,12 @@ from rich.table import Column, Table
 
 from myowarp.apps.studies.audit.figures import FIGURES, Figure, changes, findings
 from myowarp.apps.studies.audit.measure import Audit, audit
-from myowarp.definitions.task import TASKS, TaskSpec
+from myowarp.definitions.setup import Setup
+from myowarp.definitions.task import TASKS
 from myowarp.disk import in_place, plain
 from myowarp.progress import progress_bar
-from myowarp.tasks.outside import find_task
 from myowarp.tasks.paper import grid
+from myowarp.tasks.setups import complete
 
 GUTTER = 2  # characters between columns: a line and a space
 NO_PAGE = "No page: it needs matplotlib; pip install 'myowarp[plot]'"
@@ -30,15 +31,11 @@ class Job:
 
     Attributes:
         id: Gymnasium id.
-        spec: The task.
-        reset: What its episodes start from.
-        conditions: Names of its muscle conditions.
+        setup: What it stands for.
     """
 
     id: str
-    spec: TaskSpec
-    reset: str = "task"
-    conditions: tuple[str, ...] = ()
+    setup: Setup
 
 
 FILES = "audit.json", "index.html"
@@ -46,28 +43,30 @@ QUANTILES = (0, 5, 25, 50, 75, 95, 100)  # %, of returns, in the JSON
 """What `audit_all` writes into a folder."""
 
 
-def find_jobs(names: Iterable[str], paper: bool) -> list[Job]:
+def find_jobs(names: Iterable[str], paper: bool, setup: Setup = Setup()) -> list[Job]:
     """Return what to audit, versions of a task side by side.
 
     Args:
         names: Ids with or without "MyoWarp/"; none: every task in `TASKS`.
         paper: Every id of the paper's grid instead.
+        setup: What all have in common.
 
     Raises:
-        ValueError: An id is unknown, or names came with `paper`.
+        ValueError: An id is unknown, names came with `paper`, or an id cannot have what all shall have.
     """
     names = list(dict.fromkeys(name.removeprefix("MyoWarp/") for name in names))
     if paper and names:
         raise ValueError(f"--paper audits the whole grid; leave it or {names[0]!r} away")
     if paper:
-        return [Job(row.id, TASKS[row.task], row.reset, row.conditions) for row in grid()]
+        names = [row.id.removeprefix("MyoWarp/") for row in grid()]
     chosen = []
     for name in names or TASKS:
-        variant = find_task(name)
-        env_id = TASKS[variant.task].env_id if ":" in name else f"MyoWarp/{name}"
-        chosen.append(Job(env_id, TASKS[variant.task], variant.reset, variant.conditions))
-    first = {name: i for i, name in reversed(list(enumerate(job.spec.name for job in chosen)))}
-    return sorted(chosen, key=lambda job: (first[job.spec.name], job.spec.version))
+        whole = complete(dataclasses.replace(setup, task=name))
+        chosen.append(Job(whole.spec.env_id if ":" in name else f"MyoWarp/{name}", whole))
+    if paper:
+        return chosen
+    first = {name: i for i, name in reversed(list(enumerate(job.setup.spec.name for job in chosen)))}
+    return sorted(chosen, key=lambda job: (first[job.setup.spec.name], job.setup.spec.version))
 
 
 def audit_all(
@@ -109,7 +108,7 @@ def audit_all(
                 where = f"{job.id.removeprefix('MyoWarp/')}: {stage}"
                 bar.update(task, completed=index + share, stage=where)
 
-            found = measure(job.spec, reset=job.reset, conditions=job.conditions, tick=tick, **options)
+            found = measure(job.setup, tick=tick, **options)
             done.append(found if job.id == found.id else found.named(job.id))
             with in_place(folder / "audit.json") as scratch:
                 scratch.write_text(as_json(done))

@@ -20,6 +20,7 @@ from rich.console import Console
 from myowarp.apps.studies.cluster import check_ray, connected, each
 from myowarp.apps.studies.cohort.plan import plan_cohort
 from myowarp.apps.studies.cohort.run import run_plan
+from myowarp.definitions.setup import DEFAULTS
 from myowarp.disk import check_folder, files_digest, in_place, locked, version
 from myowarp.progress import progress_bar
 from myowarp.sim.patient_table import PATIENT, Population
@@ -57,7 +58,9 @@ def run(
         (output / folder).mkdir(parents=True, exist_ok=True)
     output = output.resolve()
     with locked(output / LOCK, wait=False):
-        _agree(output, {"table": files_digest([table]), "patients": total, "chunk": chunk, **settings})
+        own = {name: value for name, value in settings.items() if name != "what"}
+        recorded = {"task": str(settings["what"].task), **settings["what"].over(DEFAULTS).plain(), **own}
+        _agree(output, {"table": files_digest([table]), "patients": total, "chunk": chunk, **recorded})
         patients = [name for name in population.patients for _ in range(settings["trials"])]
         if damaged := _remove_damaged(output, patients, chunk * settings["trials"]):
             console.print(f"{damaged} damaged chunks in {output} are simulated again", style="yellow")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from myowarp.apps.rollouts.rollout import Act, Policy, find_policy
-from myowarp.definitions.condition import Condition
-from myowarp.definitions.registry import check_choice
-from myowarp.definitions.task import PHYSICS, RESETS, TASKS, TaskSpec
+from myowarp.apps.policies.find import Act, Policy, find_policy
+from myowarp.definitions.condition import resolve
+from myowarp.definitions.registry import check_least
+from myowarp.definitions.setup import Setup
 from myowarp.sim.build import MOST_STEPS, resolve_device
 from myowarp.sim.patient_columns import conditions_of
 from myowarp.sim.patient_table import Population, population_of
-from myowarp.tasks.outside import find_task
+from myowarp.tasks.setups import complete, variant_of
 from myowarp.tasks.variants import Variant
 
 if TYPE_CHECKING:
@@ -31,49 +32,35 @@ class Plan:
     """A cohort that was checked and can be run.
 
     Attributes:
-        spec: The task.
+        setup: What all have in common, with the patients' conditions, one parameter a world.
         population: The patients.
-        conditions: Their conditions, one parameter a world.
         policy: What acts.
         steps: Control steps.
         trials: Worlds of each patient.
-        seed: Seed of the first trial.
         every: Control steps from one sample to the next.
-        reset: What episodes start from, one of `RESETS`.
-        physics: Name in `PHYSICS`.
-        device: Warp device.
     """
 
-    spec: TaskSpec
+    setup: Setup
     population: Population
-    conditions: tuple[Condition, ...]
     policy: Policy
     steps: int
     trials: int
-    seed: int
     every: int
-    reset: str
-    physics: str
-    device: str | None
 
     @property
     def seeds(self) -> np.ndarray:
         """Seed of every world: trial k of every patient has seed + k."""
-        return np.tile(self.seed + np.arange(self.trials), len(self.population.patients))
+        return np.tile((self.setup.seed or 0) + np.arange(self.trials), len(self.population.patients))
 
 
 def plan_cohort(
     table: str | Path | pd.DataFrame,
-    task: str,
+    what: Setup | str,
     policy: str | Act = "hold",
     steps: int | None = None,
-    seed: int = 0,
     *,
     trials: int = 1,
     every: int | None = None,
-    reset: str = "task",
-    physics: str = "parity",
-    device: str | None = None,
 ) -> Plan:
     """Check everything about a cohort; nothing is built. Arguments as in `run_cohort`.
 
@@ -86,31 +73,25 @@ def plan_cohort(
             raise ImportError(
                 f'a cohort needs {package}, which is not installed; run `pip install "myowarp[cohort]"`'
             )
-    variant = find_task(task)
-    if variant != Variant(variant.task):
+    setup = Setup.of(what)
+    if (variant := variant_of(setup)) != Variant(variant.task):
         raise ValueError(
-            f"a cohort sets conditions and reset itself; give task {variant.task!r} in place of {task!r}"
+            f"a cohort sets conditions and reset itself; give task {variant.task!r} in place of "
+            f"{setup.task!r}"
         )
-    spec = TASKS[variant.task]
+    setup = complete(setup)
+    spec = setup.spec
     steps = spec.horizon if steps is None else steps
     every = max(1, steps // SAMPLES) if every is None else every
-    for name, number, least, most in (
-        ("steps", steps, 1, MOST_STEPS),
-        ("trials", trials, 1, MOST_TRIALS),
-        ("every", every, 1, MOST_STEPS),
-        ("seed", seed, 0, 2**63 - 1 - MOST_TRIALS),
-    ):
-        if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < least:
-            raise ValueError(f"{name} must be an integer >= {least}, got {number!r}")
-        if number > most:
-            raise ValueError(f"{name} must be at most {most}, got {number}")
-    check_choice("reset", reset, RESETS)
-    check_choice("physics", physics, PHYSICS)
-    resolve_device(device)
+    check_least(1, MOST_STEPS, steps=steps, every=every)
+    check_least(1, MOST_TRIALS, trials=trials)
+    resolve_device(setup.device)
     if isinstance(policy, str):
         acts = find_policy(policy, spec)
     else:
         acts = Policy(getattr(policy, "__name__", type(policy).__name__), policy)
     population = population_of(table, spec)
-    conditions = conditions_of(population.entries, spec, trials)
-    return Plan(spec, population, conditions, acts, steps, trials, seed, every, reset, physics, device)
+    conditions = (*(setup.conditions or ()), *conditions_of(population.entries, spec, trials))
+    resolve(conditions, spec)
+    whole = dataclasses.replace(setup, conditions=conditions, horizon=steps)
+    return Plan(whole, population, acts, steps, trials, every)

@@ -12,14 +12,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from myowarp.apps.rollouts.rollout import Act, acting
+from myowarp.apps.policies.find import Act, acting
+from myowarp.apps.rollouts.episodes import Episodes
+from myowarp.apps.rollouts.run import Each, Step, Watcher, run
 from myowarp.apps.studies.cohort.plan import Plan, plan_cohort
 from myowarp.definitions.registry import check_choice
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import Column
 from myowarp.disk import in_place, version
 from myowarp.kernels.episode import describe_fault
 from myowarp.progress import progress_bar
-from myowarp.sim.interop import ActionInput
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 
@@ -115,13 +117,14 @@ def result_files(suffix: str) -> tuple[str, ...]:
 
 def run_cohort(
     table: str | Path | pd.DataFrame,
-    task: str,
+    what: Setup | str,
     policy: str | Act = "hold",
     steps: int | None = None,
-    seed: int = 0,
     *,
     console: Console | None = None,
-    **options: Any,
+    trials: int = 1,
+    every: int | None = None,
+    **fields: Any,
 ) -> CohortResult:
     """Run one episode of every patient, all at once.
 
@@ -130,52 +133,40 @@ def run_cohort(
 
     Args:
         table: Patient table: a .csv or .parquet file or a DataFrame, see `myowarp.sim.patient_columns`.
-        task: Task id, with or without "MyoWarp/".
+        what: What all have in common: a setup, or a task id alone, with or without "MyoWarp/".
         policy: A function of the observations (num_worlds, obs_size) that returns actions (num_worlds,
-            num_actions) in [-1, 1], its name as in `myowarp.apps.rollouts.rollout.find_policy`, or "hold".
+            num_actions) in [-1, 1], its name as in `myowarp.apps.policies.find.find_policy`, or "hold".
         steps: Control steps; None: the task's horizon.
-        seed: Seed of the first trial.
         console: Where to draw the progress bar.
-        **options: `trials` (worlds of each patient, default 1), `every` (control steps from one sample to the
-            next, default steps / 100), `reset`, `physics` and `device` as in an environment.
+        trials: Worlds of each patient.
+        every: Control steps from one sample to the next; None: steps / 100.
+        **fields: Fields of `Setup`, in place of those of `what`.
 
     Raises:
         ValueError: An argument or an entry of the table is wrong; nothing was built.
         ImportError: pandas or pyarrow is not installed.
     """
-    return run_plan(plan_cohort(table, task, policy, steps, seed, **options), console)
+    plan = plan_cohort(table, Setup.of(what, **fields), policy, steps, trials=trials, every=every)
+    return run_plan(plan, console)
 
 
 def run_plan(plan: Plan, console: Console | None = None) -> CohortResult:
     """Run a checked cohort; see `run_cohort`."""
-    sim = Simulation(
-        plan.spec,
-        len(plan.seeds),
-        shards=None,
-        device=plan.device,
-        physics=plan.physics,
-        reset=plan.reset,
-        conditions=plan.conditions,
-        autoreset="disabled",
-        horizon=plan.steps,
-    )
+    sim = Simulation(plan.setup, len(plan.seeds), autoreset="disabled")
     tally = _Tally(plan, sim)
-    act, take = _policy(plan, sim), ActionInput(sim.action)
-    sim.reset(seeds=plan.seeds)
     unit = f"steps of {len(plan.population.patients):,} patients"
     with progress_bar("Simulating", unit, console) as bar:
-        for step in bar.track(range(1, plan.steps + 1)):
-            take(np.array(act(sim.transition.obs.numpy().copy())))
-            sim.step()
-            tally.add(step)
+        task = bar.add_task("", total=plan.steps)
+        told = Each(lambda step: bar.advance(task))
+        run(sim, _policy(plan, sim), plan.steps, tally, told, seeds=plan.seeds, again=False)
     return CohortResult(tally.samples(), tally.summary(), tally.settings())
 
 
 def _policy(plan: Plan, sim: Simulation) -> Act:
     """Return the function that acts; random actions are a trial's, the same for every patient."""
     if plan.policy.act is not None or plan.policy.name != "random":
-        return acting(plan.policy, sim, plan.seed)
-    draws = [np.random.default_rng(plan.seed + trial) for trial in range(plan.trials)]
+        return acting(plan.policy, sim)
+    draws = [np.random.default_rng((plan.setup.seed or 0) + trial) for trial in range(plan.trials)]
     patients, num_actions = len(plan.population.patients), sim.scene.num_actions
 
     def act(obs: np.ndarray) -> np.ndarray:
@@ -185,11 +176,12 @@ def _policy(plan: Plan, sim: Simulation) -> Act:
     return act
 
 
-class _Tally:
+class _Tally(Watcher):
     """Gathers results step by step, each patient's up to the end of the episode."""
 
     def __init__(self, plan: Plan, sim: Simulation) -> None:
         self._plan, self._sim, self._signals = plan, sim, Signals(sim)
+        self._episodes = Episodes(sim.num_worlds)
         self._blocks, self._unit = tracking_blocks(sim.columns)
         n = sim.num_worlds
         self._alive = np.ones(n, dtype=bool)
@@ -197,9 +189,6 @@ class _Tally:
         self._late_steps = np.zeros(n, dtype=int)
         self._late_error = np.zeros(n)
         self._solved_at = np.full(n, np.nan)
-        self._fault = np.zeros(n, dtype=int)
-        self._failed = np.zeros(n, dtype=bool)
-        self._success = np.zeros(n, dtype=bool)
         self._sums: dict[str, np.ndarray] = {}
         self._last: dict[str, np.ndarray] = {}
         self._rows: list[dict[str, np.ndarray]] = []
@@ -221,29 +210,26 @@ class _Tally:
             values[name] = shown.mean(axis=1) if shown.ndim == 2 else shown.copy()
         return values
 
-    def add(self, step: int) -> None:
+    def see(self, step: Step) -> None:
         """Count a step of all worlds."""
-        transition, values = self._sim.transition, self._values()
-        fault = transition.fault.numpy()
-        valid = self._alive & (fault == 0)
-        self._fault[self._alive] = fault[self._alive]
+        self._episodes.see(step)
+        values, control_dt = self._values(), self._sim.scene.control_dt
+        valid = self._alive & (step.fault == 0)
         self._steps += valid
         for name, value in values.items():
             total = self._sums.setdefault(name, np.zeros(len(valid)))
             total[valid] += value[valid]
             self._last.setdefault(name, np.full(len(valid), np.nan))[valid] = value[valid]
-        late = valid & (step > SETTLED * self._plan.steps)
+        late = valid & (step.number > SETTLED * self._plan.steps)
         self._late_steps += late
         if self._blocks:
             self._late_error[late] += values["tracking_error"][late]
         first = valid & values["solved"] & np.isnan(self._solved_at)
-        self._solved_at[first] = step * self._plan.spec.control_dt
-        self._success[valid] = transition.success.numpy()[valid]
-        self._failed |= valid & transition.terminated.numpy()
-        self._alive &= ~(transition.terminated.numpy() | transition.truncated.numpy())
-        if step % self._plan.every == 0:
+        self._solved_at[first] = step.number * control_dt
+        self._alive &= ~step.ended
+        if step.number % self._plan.every == 0:
             world = np.flatnonzero(valid)
-            time = np.full(len(world), step * self._plan.spec.control_dt)
+            time = np.full(len(world), step.number * control_dt)
             self._rows.append({"world": world, "time": time} | {k: v[valid] for k, v in values.items()})
 
     def _keys(self, world: np.ndarray) -> dict[str, Any]:
@@ -269,13 +255,13 @@ class _Tally:
         """Return one row per patient and trial."""
         import pandas as pd
 
-        plan, steps = self._plan, np.maximum(self._steps, 1)
+        plan, steps, episode = self._plan, np.maximum(self._steps, 1), self._episodes.first()
         world = np.arange(len(steps))
         table: dict[str, Any] = self._keys(world)
         for name, entries in plan.population.entries.items():
             written = ["+".join(entry) if isinstance(entry, tuple) else entry for entry in entries]
             table[name] = np.repeat(np.array(written), plan.trials)
-        table |= {"success": self._success, "failed": self._failed, "return": self._sums["reward"]}
+        table |= {name: episode[name] for name in ("success", "failed", "return")}
         table |= {"time_to_solve": self._solved_at, "solved_share": self._sums["solved"] / steps}
         if self._blocks:
             late = np.divide(
@@ -286,8 +272,8 @@ class _Tally:
         for name in ("mean_activation", "total_force"):
             table[name] = self._sums[name] / steps
         table |= {name: self._last[name] for name in self._signals.info}
-        table["duration"] = self._steps * plan.spec.control_dt
-        table["fault"] = [describe_fault(bits) or None for bits in self._fault]
+        table["duration"] = self._steps * self._sim.scene.control_dt
+        table["fault"] = [describe_fault(bits) or None for bits in episode["fault"]]
         return pd.DataFrame(table)
 
     def settings(self) -> dict[str, Any]:
@@ -298,15 +284,16 @@ class _Tally:
         )
         return {
             "myowarp": version("myowarp"),
-            "task": plan.spec.env_id,
+            "task": scene.spec.env_id,
             "policy": plan.policy.name,
             "patients": len(plan.population.patients),
             "trials": plan.trials,
-            "seed": plan.seed,
+            "seed": plan.setup.seed,
             "steps": plan.steps,
-            "control_dt": plan.spec.control_dt,
-            "reset": plan.reset,
-            "physics": plan.physics,
+            "control_dt": scene.control_dt,
+            "reset": plan.setup.reset,
+            "physics": plan.setup.physics,
+            "muscle": plan.setup.muscles.model,
             "device": str(scene.device),
             "conditions": [condition.name for condition in self._sim.conditions],
             "columns": list(plan.population.entries),

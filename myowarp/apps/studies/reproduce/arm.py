@@ -19,11 +19,12 @@ import numpy as np
 
 from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.learned import bind
+from myowarp.apps.rollouts.run import Each, Step, run
 from myowarp.apps.studies.reproduce.experiment import Lab, Tick
 from myowarp.apps.studies.reproduce.policies import Training
 from myowarp.definitions.condition import Condition
 from myowarp.definitions.parameter import Uniform
-from myowarp.definitions.task import TASKS
+from myowarp.definitions.setup import Setup
 from myowarp.models.conditions import Exoskeleton, FatigueMa2009, Sarcopenia
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
@@ -76,17 +77,10 @@ class Trace:
         return np.abs(self.angle - self.target)
 
 
-def arms(conditions: Sequence[Condition], num_worlds: int, device: str | None) -> Simulation:
+def arms(conditions: Sequence[Condition], num_worlds: int, setup: Setup) -> Simulation:
     """Return elbows without an end of episodes, each world a patient of its own."""
-    return Simulation(
-        TASKS[TASK],
-        num_worlds,
-        shards=None,
-        device=device,
-        conditions=conditions,
-        autoreset="disabled",
-        horizon=NO_END,
-    )
+    own = Setup(task=TASK, conditions=tuple(conditions), horizon=NO_END).over(setup)
+    return Simulation(own, num_worlds, autoreset="disabled")
 
 
 def follow(
@@ -109,35 +103,36 @@ def follow(
     """
     sim = signals.sim
     acting = [(bind(checkpoint, sim), worlds) for checkpoint, worlds in policies]
-    everyone = np.arange(sim.num_worlds)
     if seeds is not None:
         sim.reset(seeds=seeds)
-    steps = round(seconds / CONTROL_DT)
-    total, shape = len(targets) * steps, (len(targets) * steps, sim.num_worlds)
-    angle, target = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    activation, force = (np.empty((*shape, len(MUSCLES)), np.float32) for _ in range(2))
+    steps, num_worlds = round(seconds / CONTROL_DT), sim.num_worlds
+    total = len(targets) * steps
+    kept = {"angle": (), "target": (), "activation": (len(MUSCLES),), "force": (len(MUSCLES),)}
+    arrays = {name: np.empty((total, num_worlds, *more), np.float32) for name, more in kept.items()}
     shown = {name: np.empty((total, *array.shape), np.float32) for name, array in signals.info.items()}
     action = np.zeros(sim.action.shape, np.float32)
-    t = 0
-    for phase in targets:
-        goal = np.broadcast_to(np.radians(phase), sim.num_worlds).astype(np.float32)
-        place(sim, {"task.target": goal[:, None]}, everyone)
-        for _ in range(steps):
-            obs = sim.transition.obs.numpy()
-            for act, worlds in acting:
-                action[worlds] = act(obs[worlds])
-            sim.action.assign(action)
-            sim.step()
-            angle[t] = np.degrees(sim.transition.obs.numpy()[:, 0])
-            target[t] = np.degrees(goal)
-            activation[t] = signals.muscles.activation.numpy()
-            force[t] = signals.muscles.force.numpy()
-            for name, array in signals.info.items():
-                shown[name][t] = array.numpy()
-            t += 1
-            if t % 50 == 0:
-                tick(t / total)
-    return Trace(angle, target, activation, force, shown)
+
+    def act(obs: np.ndarray) -> np.ndarray:
+        for one, worlds in acting:
+            action[worlds] = one(obs[worlds])
+        return action
+
+    def keep(step: Step, phase: int, goal: np.ndarray) -> None:
+        t = phase * steps + step.number - 1
+        arrays["angle"][t] = np.degrees(sim.transition.obs.numpy()[:, 0])
+        arrays["target"][t] = np.degrees(goal)
+        arrays["activation"][t] = signals.muscles.activation.numpy()
+        arrays["force"][t] = signals.muscles.force.numpy()
+        for name, array in signals.info.items():
+            shown[name][t] = array.numpy()
+        if (t + 1) % 50 == 0:
+            tick((t + 1) / total)
+
+    for phase, angles in enumerate(targets):
+        goal = np.broadcast_to(np.radians(angles), num_worlds).astype(np.float32)
+        place(sim, {"task.target": goal[:, None]}, np.arange(num_worlds))
+        run(sim, act, steps, Each(partial(keep, phase=phase, goal=goal)), fresh=False, again=False)
+    return Trace(**arrays, shown=shown)
 
 
 def world_seeds(seed: int, num_worlds: int, groups: int) -> np.ndarray:
@@ -208,7 +203,7 @@ def run_groups(
 
     def measure(tick: Tick, seed: int) -> dict[str, np.ndarray]:
         if not built:
-            built.append(Signals(arms(conditions(), number * n, lab.device)))
+            built.append(Signals(arms(conditions(), number * n, lab.setup)))
         acting = [
             (policies[seed][training.name], slice(g * n, (g + 1) * n)) for g, training in enumerate(trainings)
         ]

@@ -70,7 +70,7 @@ def hold(lab: Lab, seed: int, number: int, policy: Checkpoint, tick: Tick) -> di
         Load(LOAD),
         Exoskeleton(assistance, forearm_mass=np.where(assistance > 0.0, CUFF, 0.0)),
     )
-    sim = arms(conditions, len(everyone), lab.device)
+    sim = arms(conditions, len(everyone), lab.setup)
     seeds = 1000 * (seed + 1) + everyone  # a patient starts from the same angle at every level
     trace = follow(Signals(sim), [(policy, slice(None))], seeds, np.array([[ANGLE]]), HOLD, tick)
     last = slice(-round(LAST / CONTROL_DT), None)

@@ -16,6 +16,7 @@ import math
 
 import numpy as np
 
+from myowarp.apps.rollouts.run import Each, Step, run
 from myowarp.apps.studies.reproduce.arm import CONTROL_DT, MUSCLES, arms
 from myowarp.apps.studies.reproduce.experiment import Lab, Tick
 from myowarp.kernels.action import action_of
@@ -55,18 +56,21 @@ def simulated(lab: Lab) -> np.ndarray:
 
 def _hold(lab: Lab, longest: float, tick: Tick) -> dict[str, np.ndarray]:
     """Drive all muscles at each load until the active fraction falls short of it."""
-    sim = arms((Fatigue3CCR(),), len(LOADS), lab.device)
-    sim.reset(seeds=np.zeros(len(LOADS), dtype=int))
+    sim = arms((Fatigue3CCR(),), len(LOADS), lab.setup)
     loads = np.array(LOADS)[:, None]
-    sim.action.assign(np.tile(action_of(loads), (1, len(MUSCLES))).astype(np.float32))
+    held = np.tile(action_of(loads), (1, len(MUSCLES))).astype(np.float32)
     seconds = np.full((len(LOADS), len(MUSCLES)), np.nan)
     steps = round(longest / CONTROL_DT)
-    for step in range(1, steps + 1):
-        sim.step()
-        if step % 50 == 0:
-            # Motor units that are neither active nor tired are the reserve; without it the load is not held.
-            reserve = 1.0 - loads - sim.info["fatigue"].numpy()
-            short = (reserve < FELL_SHORT * loads) & np.isnan(seconds)
-            seconds[short] = step * CONTROL_DT
-            tick(step / steps)
+
+    def look(step: Step) -> None:
+        if step.number % 50:
+            return
+        # Motor units that are neither active nor tired are the reserve; without it the load is not held.
+        reserve = 1.0 - loads - sim.info["fatigue"].numpy()
+        short = (reserve < FELL_SHORT * loads) & np.isnan(seconds)
+        seconds[short] = step.number * CONTROL_DT
+        tick(step.number / steps)
+
+    same = np.zeros(len(LOADS), dtype=int)
+    run(sim, lambda obs: held, steps, Each(look), seeds=same, again=False)
     return {"seconds": seconds}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import zipfile
 from collections.abc import Callable, Mapping
@@ -16,6 +17,7 @@ from rich.progress import Progress
 from myowarp.apps.policies.checkpoint import POLICY, Checkpoint
 from myowarp.apps.studies.reproduce.policies import Training, committed, retrained
 from myowarp.apps.studies.reproduce.result import Findings
+from myowarp.definitions.setup import Setup
 from myowarp.disk import in_place, plain, version
 from myowarp.progress import progress_bar
 
@@ -58,7 +60,7 @@ class Lab:
         quick: Whether a first look is enough: shorter protocols, coarser grids.
         retrain: Whether policies are trained here instead of taken from the package.
         overwrite: Whether runs with other settings are replaced instead of refused.
-        device: Warp device; None: the GPU if there is one.
+        setup: What the environments have in common, such as device and muscle model.
         models: OpenSim models that the user has.
         console: Where progress is shown.
     """
@@ -69,7 +71,7 @@ class Lab:
     quick: bool = False
     retrain: bool = False
     overwrite: bool = False
-    device: str | None = None
+    setup: Setup = Setup()
     models: tuple[Path, ...] = ()
     console: Console = field(default_factory=lambda: Console(stderr=True, highlight=False, soft_wrap=True))
 
@@ -88,7 +90,8 @@ class Lab:
             return committed(training, seed)
         self.close()  # the training has a bar of its own
         folder = self.folder / POLICIES / training.name / str(seed)
-        return retrained(training, seed, folder, self.console, quick=self.quick, device=self.device)
+        setup = dataclasses.replace(self.setup, seed=seed)
+        return retrained(training, setup, folder, self.console, quick=self.quick)
 
     def expect(self, runs: int) -> None:
         """Say how many runs there will be, for the progress bar."""
@@ -115,7 +118,8 @@ class Lab:
             OSError: The file cannot be written.
         """
         digests = [checkpoint.manifest["files"][POLICY]["sha256"][:16] for checkpoint in policies]
-        whole = plain({"myowarp": version("myowarp"), **settings, "weights": digests})
+        muscle = {k: v for k, v in self.setup.plain().items() if v and k in ("muscle", "muscle_parameters")}
+        whole = plain({"myowarp": version("myowarp"), **settings, **muscle, "weights": digests})
         key = json.dumps(whole, sort_keys=True)
         path = self.folder / RUNS / f"{name}.npz"
         try:

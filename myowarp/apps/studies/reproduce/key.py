@@ -19,10 +19,12 @@ import numpy as np
 from myowarp.apps.policies.baselines import load_baseline
 from myowarp.apps.policies.checkpoint import Checkpoint, check_contract
 from myowarp.apps.policies.learned import LearnedPolicy
+from myowarp.apps.rollouts.run import Each, Step, run
 from myowarp.apps.studies.reproduce.experiment import Lab, Tick
 from myowarp.apps.studies.reproduce.policies import Training
-from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.condition import Condition
+from myowarp.definitions.setup import Setup
+from myowarp.sim.simulation import Simulation
 
 TASK = "myoHandKeyTurnFixed-v0"
 INTACT = Training("key_turn", TASK, samples=841_728)
@@ -118,35 +120,38 @@ def _measure(
 ) -> dict[str, np.ndarray]:
     """Run one episode in every world; see `Turns`."""
     groups, n = len(policies), len(policies) * worlds
-    env = MyoWarpVectorEnv(
-        TASK, n, device=lab.device, conditions=conditions, autoreset_mode="disabled", progress=False
-    )
+    own = Setup(task=TASK, conditions=tuple(conditions), seed=1_000_000 + 1000 * seed)
+    sim = Simulation(own.over(lab.setup), n, autoreset="disabled", progress=False)
     for policy in policies:
-        check_contract(policy, env.sim)
-    drawn = [LearnedPolicy(p, sampled=True, seed=seed * groups + g) for g, p in enumerate(policies)]
+        check_contract(policy, sim)
+    drawn = [LearnedPolicy(p, Setup(seed=seed * groups + g)) for g, p in enumerate(policies)]
     meant = [LearnedPolicy(policy) for policy in policies]
-    muscles = [name.removesuffix("_r") for name in env.muscle_names]
-    angle_column = [c.name for c in env.sim.columns].index("key_qpos")
-    angle_column = sum(c.size for c in env.sim.columns[:angle_column])
+    muscles = [name.removesuffix("_r") for name in sim.scene.muscles.names]
+    angle_column = [c.name for c in sim.columns].index("key_qpos")
+    angle_column = sum(c.size for c in sim.columns[:angle_column])
     rotation, running = np.full(n, -np.inf), np.ones(n, dtype=bool)
     steps, beyond = np.zeros(n), np.zeros((len(THRESHOLDS), n), dtype=int)
     effort, course = np.zeros((n, len(muscles))), []
-    obs, _ = env.reset(seed=1_000_000 + 1000 * seed)
-    for step in range(HORIZON):
+
+    def act(obs: np.ndarray) -> np.ndarray:
         rows = obs.reshape(groups, worlds, -1)
         action = [np.vstack((d(r[:-1]), m(r[-1:]))) for d, m, r in zip(drawn, meant, rows, strict=True)]
-        obs, _, terminated, truncated, _ = env.step(np.concatenate(action))
+        return np.concatenate(action)
+
+    def look(step: Step) -> None:
+        nonlocal beyond, effort, steps
+        obs = sim.transition.obs.numpy()
         angle, activation = np.degrees(obs[:, angle_column]), obs[:, -len(muscles) :]
-        rotation = np.where(running, np.maximum(rotation, angle), rotation)
+        rotation[running] = np.maximum(rotation, angle)[running]
         beyond += running & (angle > np.array(THRESHOLDS)[:, None])
         effort += np.where(running[:, None], activation, 0.0)
         steps += running
         course.append(np.where(running[:, None], activation, np.nan).reshape(groups, worlds, -1))
-        running &= ~(terminated | truncated)
-        if (ended := terminated | truncated).any():  # their episode counts as far as it went
-            obs, _ = env.reset(options={"reset_mask": ended})
-        tick((step + 1) / HORIZON)
-    env.close()
+        running[step.ended] = False  # their episode counts as far as it went
+        tick(step.number / HORIZON)
+
+    run(sim, act, HORIZON, Each(look))
+    sim.close()
     effort /= steps[:, None]
     angles, success = rotation.reshape(groups, worlds), (beyond > LEAST_STEPS).reshape(-1, groups, worlds)
     activations = np.array(course, dtype=float)

@@ -17,6 +17,7 @@ from rich.console import Console
 
 from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, load_checkpoint
 from myowarp.definitions.condition import Condition
+from myowarp.definitions.setup import Setup
 
 FOLDER = Path(__file__).parent / "policies"
 QUICK = 10  # times fewer samples in a training for a first look
@@ -69,18 +70,15 @@ def committed(training: Training, seed: int) -> Checkpoint:
     return checkpoint
 
 
-def retrained(
-    training: Training, seed: int, folder: Path, console: Console, *, quick: bool, device: str | None
-) -> Checkpoint:
+def retrained(training: Training, setup: Setup, folder: Path, console: Console, *, quick: bool) -> Checkpoint:
     """Return a policy that is trained into a folder; a finished one is taken, one broken off goes on.
 
     Args:
         training: How.
-        seed: Seed of networks, actions and worlds.
+        setup: With which seed, and what the environments of all experiments have in common.
         folder: Folder of the run.
         console: Where progress is shown.
         quick: Whether to train with a tenth of the samples.
-        device: Warp device; None: the GPU if there is one.
 
     Raises:
         ValueError: The folder holds another run, or another process trains in it.
@@ -88,48 +86,47 @@ def retrained(
     """
     from myowarp.apps.train.plan import Job, check_packages, occupied
     from myowarp.apps.train.run import STOPPED, train
-    from myowarp.apps.train.settings import choose
+    from myowarp.apps.train.settings import TRAINING, choose, divided, preset
     from myowarp.definitions.task import TASKS
-    from myowarp.tasks.variants import Variant
+    from myowarp.tasks.setups import complete
 
     check_packages()
-    given = {"samples": training.samples // (QUICK if quick else 1), "stop_success": NEVER, "seed": seed}
-    settings = choose(
-        TASKS[training.task].name,
-        training.algorithm,
-        given | {"device": device or ""} | dict(training.settings),
-    )
+    name = TASKS[training.task].name
+    own, given = divided(training.settings)
+    given = {"samples": training.samples // (QUICK if quick else 1), "stop_success": NEVER} | given
+    settings = choose(name, training.algorithm, given)
+    asked = Setup(task=training.task, conditions=training.conditions()).over(own)
+    asked = setup.over(asked).over(divided(preset(name, training.algorithm))[0]).over(TRAINING)
     checkpoint = load_checkpoint(folder) if occupied(folder) else None
     if checkpoint is not None:
-        _check_same(checkpoint, training, settings.seed)
+        _check_same(checkpoint, training, asked)
         if checkpoint.manifest["samples"] >= settings.samples:
             return checkpoint
     parent = None
     if training.parent is not None and checkpoint is None:
-        home = folder.parents[1] / training.parent.name / str(seed)
-        parent = retrained(training.parent, seed, home, console, quick=quick, device=device)
+        home = folder.parents[1] / training.parent.name / str(asked.seed)
+        parent = retrained(training.parent, setup, home, console, quick=quick)
     job = Job(
-        task=training.task,
-        model=False,
-        variant=Variant(training.task),
+        asked=asked,
+        setup=complete(asked),
         algorithm=training.algorithm,
         settings=settings,
         folder=folder,
         checkpoint=checkpoint,
         parent=parent,
-        conditions=training.conditions(),
     )
     if (reason := train(job, console)["ended"]) == STOPPED:
         raise RuntimeError(f"training of policy {training.name!r} was {reason}; the same command goes on")
     return load_checkpoint(folder)
 
 
-def _check_same(checkpoint: Checkpoint, training: Training, seed: int) -> None:
+def _check_same(checkpoint: Checkpoint, training: Training, asked: Setup) -> None:
     """Raise CheckpointError if a folder holds another training."""
     manifest = checkpoint.manifest
     found = manifest["task"], manifest["algorithm"], manifest["settings"]["seed"]
-    if found != (training.task, training.algorithm, seed):
+    if found != (training.task, training.algorithm, asked.seed):
         raise CheckpointError(
             f"checkpoint {str(checkpoint.folder)!r} is of {found[1]} in {found[0]!r} with seed {found[2]}, "
-            f"{training.algorithm} in {training.task!r} with seed {seed} is needed; choose another --output"
+            f"{training.algorithm} in {training.task!r} with seed {asked.seed} is needed; choose "
+            "another --output"
         )

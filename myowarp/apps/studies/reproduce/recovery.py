@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from myowarp.apps.policies.checkpoint import Checkpoint
+from myowarp.apps.rollouts.run import run as roll
 from myowarp.apps.studies.reproduce.arm import CONTROL_DT, HEALTHY, MUSCLES, arms, follow
 from myowarp.apps.studies.reproduce.experiment import Experiment, Lab, Tick
 from myowarp.apps.studies.reproduce.result import Claim, Findings, Merit
@@ -73,7 +74,7 @@ def live(lab: Lab, seed: int, policy: Checkpoint, rounds: int, tick: Tick) -> di
     n = lab.num_worlds
     slower = np.tile(factors(n), len(LOADS))
     rates = np.outer(slower, [rates_of(muscle).recovery_rate for muscle in MUSCLES])
-    sim = arms((Fatigue3CCR(recovery_rate=rates), Load(np.repeat(LOADS, n))), n * len(LOADS), lab.device)
+    sim = arms((Fatigue3CCR(recovery_rate=rates), Load(np.repeat(LOADS, n))), n * len(LOADS), lab.setup)
     signals = Signals(sim)
     sim.reset(seeds=1000 * (seed + 1) + np.tile(np.arange(n), len(LOADS)))
     rest(sim, rates, 0.0)  # every shift begins with the arm hanging
@@ -139,9 +140,8 @@ def jump_error(signals: Signals, policy: Checkpoint, rates: np.ndarray, targets:
     rest(sim, rates, CHECK)
     jumped = sim.info["fatigue"].numpy().copy()
     set_state(sim, start)
-    sim.action.assign(np.full(sim.action.shape, -1.0, np.float32))
-    for _ in range(round(CHECK / CONTROL_DT)):
-        sim.step()
+    rest_action = np.full(sim.action.shape, -1.0, np.float32)
+    roll(sim, lambda obs: rest_action, round(CHECK / CONTROL_DT), fresh=False, again=False)
     return float(np.abs(sim.info["fatigue"].numpy() - jumped).max())
 
 

@@ -12,6 +12,7 @@ from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
 from myowarp.apps.studies.reproduce.experiment import Experiment, Lab
 from myowarp.apps.studies.reproduce.result import Findings
 from myowarp.definitions.registry import check_flag, check_least
+from myowarp.definitions.setup import Setup
 from myowarp.disk import check_folder
 from myowarp.sim.build import MOST_WORLDS, check_device_name, resolve_device
 
@@ -32,7 +33,7 @@ class ExperimentJob:
         quick: Whether protocols are shorter, for a first look.
         retrain: Whether policies are trained here.
         overwrite: Whether to measure again what the folder holds with other settings, or damaged.
-        device: Warp device; None: the GPU if there is one.
+        setup: What the environments have in common.
         models: OpenSim models that `validation` converts, too.
     """
 
@@ -43,7 +44,7 @@ class ExperimentJob:
     quick: bool
     retrain: bool
     overwrite: bool
-    device: str | None
+    setup: Setup
     models: tuple[Path, ...]
 
 
@@ -57,7 +58,7 @@ def plan_experiment(
     output: Path | None = None,
     overwrite: bool = False,
     models: Sequence[Path] = (),
-    device: str | None = None,
+    setup: Setup = Setup(),
 ) -> ExperimentJob:
     """Return the experiment that is asked for, checked; nothing is built or written.
 
@@ -70,7 +71,7 @@ def plan_experiment(
         output: Folder of the results; None: out/reproduce/<name>, with -quick and -retrain where chosen.
         overwrite: Whether to measure again what the folder holds with other settings, or damaged.
         models: OpenSim models that `validation` converts, too.
-        device: Warp device; None: the GPU if there is one.
+        setup: What the environments of all experiments have in common, such as device and muscle model.
 
     Raises:
         ValueError: An argument is wrong.
@@ -78,8 +79,9 @@ def plan_experiment(
     """
     experiment = EXPERIMENTS[name]
     asked: dict[str, object] = {"quick": quick, "retrain": retrain, "seeds": seeds, "num_worlds": num_worlds}
-    asked |= {"models": tuple(models), "device": device}
-    for option in experiment.ignores:
+    said = {name: value for name, value in setup.plain().items() if value}
+    asked |= {"models": tuple(models), "device": None, **said}
+    for option in (*experiment.ignores, *(said if "device" in experiment.ignores else ())):
         if asked.get(option) not in (None, False, ()):
             flag = "--" + option.replace("_", "-")
             raise ValueError(f"experiment {name!r} does not read {flag}; leave it out")
@@ -89,14 +91,15 @@ def plan_experiment(
     check_least(1, MOST_WORLDS, num_worlds=worlds)
     check_flag("quick", quick)
     check_flag("retrain", retrain)
-    check_device_name(device)
+    setup.check()
+    check_device_name(setup.device)
     if missing := [path for path in models if not path.is_file()]:
         raise ValueError(f"--models {str(missing[0])!r} is no file; give the path of an .osim file")
     if importlib.util.find_spec("matplotlib") is None:
         raise ImportError('reproduce draws with matplotlib; run `pip install "myowarp[plot]"`')
     folder = output or report.output_folder(name, quick, retrain)
     check_folder(folder)
-    return ExperimentJob(experiment, folder, number, worlds, quick, retrain, overwrite, device, tuple(models))
+    return ExperimentJob(experiment, folder, number, worlds, quick, retrain, overwrite, setup, tuple(models))
 
 
 def reproduce(job: ExperimentJob) -> Findings:
@@ -106,11 +109,11 @@ def reproduce(job: ExperimentJob) -> Findings:
         ValueError: The device is not there, or a kept run is another one's.
         OSError: A file cannot be written.
     """
-    resolve_device(job.device)
+    resolve_device(job.setup.device)
     job.folder.mkdir(parents=True, exist_ok=True)
     lab = Lab(
         *(job.folder, tuple(range(job.seeds)), job.num_worlds, job.quick),
-        *(job.retrain, job.overwrite, job.device, job.models),
+        *(job.retrain, job.overwrite, job.setup, job.models),
     )
     try:
         findings = job.experiment.run(lab)

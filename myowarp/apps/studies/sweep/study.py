@@ -28,9 +28,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from myowarp.definitions.condition import resolve
 from myowarp.definitions.registry import check_choice, check_least, number_in
-from myowarp.definitions.task import TASKS
+from myowarp.definitions.setup import OPTIONS, Setup
 from myowarp.sim.build import MOST_WORLDS
 
 if TYPE_CHECKING:
@@ -40,8 +39,10 @@ if TYPE_CHECKING:
 
 KINDS = ("train", "eval", "reproduce")
 KEYS = ("kind", "tasks", "policies", "conditions", "seeds", "episodes", "settings")
-EVAL_SETTINGS = ("physics", "muscle", "reset", "mode", "device")
-REPRODUCE_SETTINGS = ("quick", "seeds", "num_worlds", "retrain", "device")
+OWN = ("task", "conditions", "seed", "rank")  # of a setup, which have keys of their own or none
+SETUP = tuple(name for name in OPTIONS if name not in OWN)
+EVAL_SETTINGS = ("mode", *SETUP)
+REPRODUCE_SETTINGS = ("quick", "seeds", "num_worlds", "retrain", *SETUP)
 EPISODES = 256
 LONGEST_NAME = 200  # of a folder
 LONGEST_TEXT = 200_000  # of a file; seconds to read
@@ -224,8 +225,7 @@ def _settings(settings: Any, kind: str, where: str) -> dict[str, list[Any]]:
     if not isinstance(settings, Mapping):
         raise ValueError(f"{where}: settings must have names and values, got {settings!r}")
     fields = all_settings()
-    own = {"seed", "conditions"}
-    known = ("algorithm", *(name for name in fields if name not in own)) if kind == "train" else ()
+    known = ("algorithm", *fields, *SETUP) if kind == "train" else ()
     known = known or (EVAL_SETTINGS if kind == "eval" else REPRODUCE_SETTINGS)
     axes = {}
     for name, value in settings.items():
@@ -271,7 +271,18 @@ def training(run: Run, folder: Path) -> Job:
 
     home = folder / POLICY
     begun = last_saved(home) is not None
-    return plan(run.task, output=None if begun else home, resume=home if begun else None, **run.options)
+    setup, options = _divided(run)
+    return plan(setup, output=None if begun else home, resume=home if begun else None, **options)
+
+
+def _divided(run: Run) -> tuple[Setup, dict[str, Any]]:
+    """Return what a run says of its environments, and its other options."""
+    own = {name: value for name, value in run.options.items() if name in OPTIONS}
+    if "muscle_parameters" in own:
+        own["muscle_parameters"] = Path(str(own["muscle_parameters"]))
+    return Setup(**own, task=None if run.kind == "reproduce" else run.task), {
+        name: value for name, value in run.options.items() if name not in own
+    }
 
 
 def _check_training(run: Run, folder: Path) -> None:
@@ -280,21 +291,20 @@ def _check_training(run: Run, folder: Path) -> None:
 
     if last_saved(folder / POLICY) is None:
         folder = folder / "new"  # what was killed before its first checkpoint starts again
-    job = training(run, folder)
-    resolve((*job.variant.conditions, *job.settings.conditions), TASKS[job.variant.task])
+    training(run, folder)
 
 
 def _check_eval(run: Run, folder: Path) -> None:
     """Raise ValueError if a run cannot be evaluated."""
-    job = evaluation(run)
-    resolve(job.options["conditions"], TASKS[job.variant.task])
+    evaluation(run)
 
 
 def evaluation(run: Run) -> EvaluationJob:
     """Return the evaluation of a policy, checked."""
     from myowarp.apps.train.evaluation import plan_evaluation
 
-    return plan_evaluation(task=run.task, episodes=run.episodes, **run.options)
+    setup, options = _divided(run)
+    return plan_evaluation(options.pop("checkpoint"), setup, episodes=run.episodes, **options)
 
 
 def _check_reproduce(run: Run, folder: Path) -> None:
@@ -306,7 +316,8 @@ def experiment(run: Run, folder: Path) -> ExperimentJob:
     """Return an experiment of the paper, checked."""
     from myowarp.apps.studies.reproduce.run import plan_experiment
 
-    return plan_experiment(run.task, output=folder / "experiment", **run.options)
+    setup, options = _divided(run)
+    return plan_experiment(run.task, output=folder / "experiment", setup=setup, **options)
 
 
 CHECKS: dict[str, Callable[[Run, Path], None]] = {

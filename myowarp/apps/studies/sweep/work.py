@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from myowarp.apps.studies.sweep.study import POLICY, Run, evaluation, experiment, training
+from myowarp.definitions.setup import Setup
 from myowarp.disk import in_place, locked, plain
 
 RESULT, LOCK = "result.json", ".lock"
@@ -74,7 +75,8 @@ def _train(run: Run, folder: Path) -> dict[str, Any]:
     report = train(training(run, folder))
     if report["ended"].startswith("stopped"):
         raise RuntimeError(f"run {run.name!r} was {report['ended']}; the same command goes on")
-    job = plan_evaluation(home, episodes=run.episodes, device=run.options.get("device") or None)
+    where = Setup(device=run.options.get("device"))
+    job = plan_evaluation(home, where, episodes=run.episodes)
     _, figures = evaluate_policy(job)
     return {"training": report, **figures}
 

@@ -1,0 +1,114 @@
+"""What acts: policies by name, built in, trained, recorded or of the user's own.
+
+A policy is a function of the observations, shape (num_worlds, obs_size), that returns actions in [-1, 1],
+shape (num_worlds, num_actions).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from myowarp.apps.policies.baselines import policy_folder
+from myowarp.apps.policies.checkpoint import Checkpoint
+from myowarp.apps.policies.hold import Hold, check_hold
+from myowarp.apps.policies.learned import bind, read_policy
+from myowarp.apps.policies.replay import Replay, is_replay
+from myowarp.definitions.task import TaskSpec
+from myowarp.motion.storage import Storage, read_storage
+from myowarp.sim.simulation import Simulation
+from myowarp.tasks.outside import load
+
+Act = Callable[[np.ndarray], np.ndarray]
+"""Observations (num_worlds, obs_size) to actions (num_worlds, num_actions) in [-1, 1]."""
+
+BUILT_IN = ("random", "zero", "hold")
+
+
+@dataclass(frozen=True)
+class Policy:
+    """What acts.
+
+    Attributes:
+        name: How the user called it.
+        act: Function of the observations; None for the built-in policies.
+        checkpoint: What was trained; None for all others.
+        excitations: Excitations over time; None for all others.
+    """
+
+    name: str
+    act: Act | None = None
+    checkpoint: Checkpoint | None = None
+    excitations: Storage | None = None
+
+
+class PolicyError(Exception):
+    """A user's policy raised; the cause says where."""
+
+
+def find_policy(name: str, spec: TaskSpec) -> Policy:
+    """Return a policy by name; code of the user that defines it is run once.
+
+    Args:
+        name: "random", "zero", "hold", "baseline", "baselines/<task>", the folder of a trained policy, a file
+            of excitations (each a file in `myowarp.apps.policies`), "package.module:function" or
+            "file.py:function".
+        spec: The task in which it is to act.
+
+    Raises:
+        ValueError: No such policy, or it cannot act in this task.
+        OSError: Its file cannot be read.
+    """
+    if name == "hold":
+        check_hold(spec)
+    if name in BUILT_IN:
+        return Policy(name)
+    if (folder := policy_folder(name, spec.key)) is not None:
+        return Policy(name, checkpoint=read_policy(name, folder, spec))
+    if is_replay(name):
+        return Policy(name, excitations=read_storage(Path(name)))
+    source, colon, attribute = name.rpartition(":")
+    if not colon:
+        raise ValueError(
+            f"policy {name!r} unknown; available: {', '.join(BUILT_IN)}, baseline, "
+            "baselines/<task>, the folder of a trained policy, excitations (.sto, .mot, .csv), "
+            "package.module:function, file.py:function"
+        )
+    try:
+        act = getattr(load(source), attribute, None)
+    except ValueError as error:
+        raise ValueError(f"policy {name!r} not found: {error}") from error
+    if act is None:
+        raise ValueError(f"policy {name!r} not found: {source} has no {attribute!r}")
+    if not callable(act):
+        raise ValueError(f"policy {name!r} must be a function of the observations, got {type(act).__name__}")
+    return Policy(name, act)
+
+
+def acting(policy: Policy, sim: Simulation) -> Act:
+    """Return the function that acts: the user's, with its errors marked as such, or a built-in one.
+
+    Random actions are drawn from the seed of the simulation's setup.
+    """
+    act, scene = policy.act, sim.scene
+    if policy.checkpoint is not None:
+        return bind(policy.checkpoint, sim)
+    if policy.excitations is not None:
+        return Replay(policy.name, policy.excitations, sim)
+    if act is not None:
+
+        def guarded(obs: np.ndarray) -> np.ndarray:
+            try:
+                return act(obs)
+            except (ValueError, OSError, RuntimeError, ImportError) as error:
+                raise PolicyError(f"policy {policy.name!r} failed") from error
+
+        return guarded
+    if policy.name == "hold":
+        return Hold(scene)
+    shape = (scene.num_worlds, scene.num_actions)
+    if policy.name == "zero":
+        return lambda obs: np.zeros(shape, dtype=np.float32)
+    rng = np.random.default_rng(sim.setup.seed)
+    return lambda obs: rng.uniform(-1.0, 1.0, shape).astype(np.float32)

@@ -1,0 +1,186 @@
+"""What an environment is: one description that environments, commands, studies and manifests take whole.
+
+    setup = Setup(task="myoElbowPose1D6MRandom-v0", conditions=("sarcopenia(strength=0.3)",), seed=3)
+
+A new option is a field here, and the place where it acts.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from myowarp.definitions.condition import Condition, condition_from
+from myowarp.definitions.muscle import MUSCLES
+from myowarp.definitions.muscle_table import MuscleTable
+from myowarp.definitions.registry import check_choice, check_least
+from myowarp.definitions.task import PHYSICS, RESETS, TASKS, TaskSpec
+
+MOST_SEED = 2**63 - 1  # world i has seed + i, a uint64
+
+
+def option(
+    text: str,
+    form: str = "",
+    *,
+    choices: Iterable[str] = (),
+    check: Callable[[Any], object] = lambda value: None,
+) -> Any:
+    """Return the field of an option.
+
+    Args:
+        text: Help, a sentence or two.
+        form: What a command line shows of its value where it has no choices; without both no command has it.
+        choices: Texts that are allowed.
+        check: Raises ValueError for a value that is not allowed.
+    """
+    return field(default=None, metadata={"text": text, "form": form, "choices": choices, "check": check})
+
+
+def _check_conditions(conditions: tuple[str | Condition, ...]) -> None:
+    """Raise ValueError if a text stands for no condition."""
+    for condition in conditions:
+        if isinstance(condition, str):
+            condition_from(condition)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """All that an environment is, but for the number of its worlds.
+
+    A field that is None is what `over` puts in its place: what a training was made with, what a task's id
+    says, at last `DEFAULTS`.
+    """
+
+    task: str | Path | TaskSpec | None = option(
+        'Task id, with or without "MyoWarp/" (`myowarp tasks` lists them), or file.py:name for your own.',
+        "ID",
+    )
+    physics: str | None = option(
+        "parity: MyoSuite's integrator and step. fast: implicit integrator, muscles integrated exactly, and a"
+        " longer step, which `myowarp describe ID` says.",
+        choices=PHYSICS,
+    )
+    muscle: str | MuscleTable | None = option("Muscle model.", choices=MUSCLES)
+    muscle_parameters: Path | None = option(
+        "Muscle parameters in place of the model's, .csv: column `muscle`, and one for each parameter.",
+        "FILE",
+    )
+    reset: str | None = option(
+        "What episodes start from; by default what the id says.",
+        choices=RESETS,
+    )
+    conditions: tuple[str | Condition, ...] | None = option(
+        "Muscle conditions besides those of the id, such as fatigue_3ccr 'sarcopenia(strength=0.3)'.",
+        "[NAME ...]",
+        check=_check_conditions,
+    )
+    horizon: int | None = option("Control steps in an episode; by default the task's.", "INT")
+    device: str | None = option(
+        "Warp device, such as cpu or cuda:0; by default the GPU if there is one.", "NAME"
+    )
+    shards: int | None = option(
+        "Threads that share the worlds on the CPU, which changes no result; by default all cores.",
+        "INT",
+        check=lambda shards: check_least(1, shards=shards),
+    )
+    rank: tuple[int, int] | None = option("Which of how many equal ranks, each a process of its own.")
+    seed: int | None = option(
+        "World i resets with seed + i; random policies draw from it, too.",
+        "INT",
+        check=lambda seed: check_least(0, MOST_SEED, seed=seed),
+    )
+
+    def __post_init__(self) -> None:
+        """Take one condition for a tuple of one, and any others for a tuple."""
+        given: Any = self.conditions
+        if given is not None and not isinstance(given, tuple):
+            one = isinstance(given, (str, Condition)) or not isinstance(given, Iterable)
+            object.__setattr__(self, "conditions", (given,) if one else tuple(given))
+
+    @classmethod
+    def of(cls, what: Setup | TaskSpec | str | Path, **fields: Any) -> Setup:
+        """Return a setup: one that is there, or that of a task, with other fields.
+
+        Raises:
+            TypeError: There is no such field.
+        """
+        setup = what if isinstance(what, Setup) else cls(task=what)
+        return dataclasses.replace(setup, **fields)
+
+    @property
+    def spec(self) -> TaskSpec:
+        """The task.
+
+        Raises:
+            ValueError: It is not registered.
+        """
+        return self.task if isinstance(self.task, TaskSpec) else TASKS[str(self.task)]
+
+    @property
+    def muscles(self) -> MuscleTable:
+        """The muscle model and its parameters.
+
+        Raises:
+            ValueError: There is no such model, or its file of parameters is wrong.
+            OSError: The file cannot be read.
+        """
+        if not isinstance(self.muscle, MuscleTable):
+            return MuscleTable.read(self.muscle or str(DEFAULTS.muscle), self.muscle_parameters)
+        if self.muscle_parameters is not None:
+            raise ValueError("muscle is a table of parameters already; leave muscle_parameters out")
+        return self.muscle
+
+    def over(self, other: Setup) -> Setup:
+        """Return another setup with all that is said here in its place."""
+        said = {f.name: getattr(self, f.name) for f in dataclasses.fields(Setup)}
+        return dataclasses.replace(
+            other, **{name: value for name, value in said.items() if value is not None}
+        )
+
+    def check(self) -> None:
+        """Raise ValueError, in one sentence, for a value that no task allows."""
+        for option in dataclasses.fields(Setup):
+            value = getattr(self, option.name)
+            if value is None:
+                continue
+            if option.metadata["choices"] and not isinstance(value, MuscleTable):
+                check_choice(option.name, value, option.metadata["choices"])
+            option.metadata["check"](value)
+
+    def plain(self) -> dict[str, Any]:
+        """Return it as JSON holds it, but for the task and what only this process is; "" is an open text.
+
+        Conditions that are no texts are left to whoever has them, and so are parameters of muscles that are
+        in no file.
+        """
+        muscle = self.muscle.model if isinstance(self.muscle, MuscleTable) else self.muscle
+        texts = {"physics": self.physics, "muscle": muscle, "muscle_parameters": self.muscle_parameters}
+        texts |= {"reset": self.reset, "device": self.device}
+        conditions = [condition for condition in self.conditions or () if isinstance(condition, str)]
+        found = {name: "" if value is None else str(value) for name, value in texts.items()}
+        return found | {"conditions": conditions, "horizon": self.horizon, "seed": self.seed}
+
+    @classmethod
+    def from_plain(cls, recorded: Mapping[str, Any]) -> Setup:
+        """Return what `plain` returned, or what earlier versions wrote: an empty text is nothing said."""
+        names = cls().plain()
+        said = {name: recorded[name] for name in names if recorded.get(name) not in ("", None)}
+        if "conditions" in said:
+            said["conditions"] = tuple(said["conditions"])
+        if "muscle_parameters" in said:
+            said["muscle_parameters"] = Path(said["muscle_parameters"])
+        return cls(**said)
+
+
+DEFAULTS = Setup(physics="parity", muscle="mujoco", reset="task", conditions=(), rank=(0, 1), seed=0)
+
+OPTIONS = {option.name: option for option in dataclasses.fields(Setup)}
+Setup.__doc__ = (
+    f"{Setup.__doc__}".rstrip()
+    + "\n\n    Attributes:"
+    + "".join(f"\n        {name}: {option.metadata['text']}" for name, option in OPTIONS.items())
+)
