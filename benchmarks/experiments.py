@@ -7,9 +7,9 @@ python -m benchmarks.experiments
 import json
 from pathlib import Path
 
+from myowarp.apps.reports.result import Merit
+from myowarp.apps.reports.table import markdown
 from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
-from myowarp.apps.studies.reproduce.report import cells
-from myowarp.apps.studies.reproduce.result import Merit
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE, RESULTS = DOCS / "experiments.md", DOCS / "experiments"
@@ -25,7 +25,7 @@ def merits(name: str) -> list[Merit]:
             row["quantity"],
             row["unit"],
             row["condition"],
-            tuple(float("nan") if value is None else value for value in row["values"]),
+            [float("nan") if value is None else value for value in row["values"]],
             row["paper"],
             row["paper_spread"],
         )
@@ -35,21 +35,14 @@ def merits(name: str) -> list[Merit]:
 
 def table() -> str:
     """Return all figures of merit that the paper has, too."""
-    rows = [HEADS, ("---",) * len(HEADS)]
+    rows = []
     for name in EXPERIMENTS:
         if not (RESULTS / name / "result.json").exists():
             continue
         for merit in merits(name):
             if merit.paper is not None:
-                rows.append(
-                    (
-                        f"`{name}`",
-                        merit.quantity + (f" [{merit.unit}]" if merit.unit else ""),
-                        merit.condition,
-                        *cells(merit),
-                    )
-                )
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows) + "\n"
+                rows.append((f"`{name}`", merit.label, merit.condition, *merit.cells()))
+    return markdown(HEADS, rows) + "\n"
 
 
 def page() -> str:

@@ -1,7 +1,7 @@
 """The wheel at work: python tests/try_wheel.py dist/myowarp-0.1.0-py3-none-any.whl
 
 Installs it into an empty environment and runs there, away from the repository, what a stranger would: the
-first Python snippet of the README, a rollout with a policy of the package, and a converted model.
+first Python snippet of the README, a rollout with a policy of the package, a result, and a converted model.
 """
 
 import re
@@ -19,6 +19,9 @@ NEEDED = (
     "myowarp/kernels/action.cpp",
     "/policy.safetensors",
     "/presets/myoHandReachFixed.toml",
+    "/reproduce/exo1.md",
+    "/audit/figures.md",
+    "/audit/page.html",
 )
 
 
@@ -41,7 +44,7 @@ def main() -> None:
             print("$", *command, flush=True)
             subprocess.run([str(word) for word in command], cwd=here, check=True)
 
-        run(bin_ / "pip", "install", "--quiet", "--disable-pip-version-check", f"{wheel}[convert]")
+        run(bin_ / "pip", "install", "--quiet", "--disable-pip-version-check", f"{wheel}[convert,plot]")
         (here / "snippet.py").write_text(
             re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)[0]
         )
@@ -50,6 +53,7 @@ def main() -> None:
         run(
             bin_ / "myowarp", "rollout", task, "--policy", f"baselines/{task}", "--num-worlds", "16", "--json"
         )
+        run(bin_ / "myowarp", "reproduce", "speed", "--output", "speed")
         run(bin_ / "myowarp", "convert", ROOT / "tests/data/osim/arm26.osim", "--output", "arm26")
         run(
             bin_ / "myowarp",

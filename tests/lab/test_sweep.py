@@ -126,7 +126,7 @@ def test_two_nodes_do_a_study(tmp_path, cluster):
         (TRAIN | {"settings": []}, "settings must have names and values, got []"),
         (
             TRAIN | {"seeds": [2**64]},
-            "--seed must be from 0 to 9223372036854775807, got 18446744073709551616",
+            "--seed must be at most 9223372036854775807, got 18446744073709551616",
         ),
         (TRAIN | {"seeds": 10**9}, "must have at most 10,000 runs, got 1,000,000,000; make several studies"),
         (TRAIN | {"seeds": 10**30}, "must have at most 10,000 runs"),

@@ -21,7 +21,8 @@ from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.rollout import Rollout
 from myowarp.apps.policies import checkpoint as checkpoints
 from myowarp.apps.policies.learned import LearnedPolicy, read_policy
-from myowarp.apps.train.evaluate import evaluate, wilson
+from myowarp.apps.reports.intervals import wilson
+from myowarp.apps.train.evaluate import evaluate
 from myowarp.apps.train.plan import eval_command, held, plan, resume_command
 from myowarp.apps.train.run import start, train
 from myowarp.apps.train.settings import ALGORITHMS, choose, preset_algorithm
@@ -190,14 +191,6 @@ def test_conditions_weaken_it(learned, run):
     weak = json.loads(run("eval", learned, *options, "--conditions", "sarcopenia")[1])
     assert weak["conditions"] == ["sarcopenia"]
     assert weak["deterministic"]["return_mean"] != healthy["return_mean"]
-
-
-def test_wilson():
-    # Newcombe 1998, Statistics in Medicine 17:857, table I, method 3.
-    np.testing.assert_allclose(wilson(81, 263), (0.2553, 0.3662), atol=5e-5)
-    np.testing.assert_allclose(wilson(15, 148), (0.0624, 0.1605), atol=5e-5)
-    np.testing.assert_allclose(wilson(0, 20), (0.0, 0.1611), atol=5e-5)
-    np.testing.assert_allclose(wilson(1, 29), (0.0061, 0.1718), atol=5e-5)
 
 
 def test_evaluation_counts_each_world_once(monkeypatch):

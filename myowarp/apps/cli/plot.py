@@ -55,7 +55,8 @@ class Plot:
 
     def __call__(self) -> None:
         """Check, read, draw."""
-        from myowarp.disk import check_folder, check_output, check_overwrite, in_place
+        from myowarp.apps.reports import panel
+        from myowarp.disk import check_folder, check_output, check_overwrite
 
         if importlib.util.find_spec("matplotlib") is None:
             raise ImportError(
@@ -65,9 +66,8 @@ class Plot:
         self.output.parent.mkdir(parents=True, exist_ok=True)
         check_output(self.output, ".png", ".pdf")
         check_overwrite((self.output,), self.overwrite)
-        figure = self._draw()
-        with in_place(self.output) as scratch:
-            figure.savefig(scratch, dpi=150)
+        with panel.style(10.0):
+            panel.save(self._draw(), self.output, dpi=150)
         Console(stderr=True, highlight=False, soft_wrap=True).print(f"Saved {self.output}")
 
     def _draw(self):

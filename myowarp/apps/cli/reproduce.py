@@ -61,6 +61,6 @@ class Reproduce:
         options = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         setup = options.pop("asked").setup
         job = plan_experiment(setup=setup, **{k: value for k, value in options.items() if k != "list"})
-        report.print_table(reproduce(job), console)
+        report.print_table(job.experiment, reproduce(job), console)
         said = Console(stderr=True, highlight=False, soft_wrap=True)
         said.print(f"Saved {', '.join(report.FILES)} in {job.folder}", markup=False)

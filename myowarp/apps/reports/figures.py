@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 import warp as wp
 
+from myowarp.apps.reports import panel
+from myowarp.apps.reports.table import read_numbers
 from myowarp.definitions.parameter import muscle_index
 from myowarp.definitions.registry import check_choice
 from myowarp.models.couplings import POINT_JOINTS, couplings, follow
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST = 12
+WIDTH = 8.0  # inches
+MOST = len(panel.COLORS)
 """Lines in a figure where none were chosen."""
 POINTS = 201
 STEP = 1e-4
@@ -32,12 +34,6 @@ NORM_LENGTHS = (0.4, 1.7)
 NORM_VELOCITIES = (-1.1, 1.1)
 LEAST_ARM = 1e-4
 """m: a muscle with less about a joint is not shown where none were chosen."""
-INK = "#222222"
-COLORS = (
-    *("#2f76b5", "#d9822b", "#3f9b63", "#b5446e", "#7d5ba6", "#7f7f7f"),
-    *("#0d3d6e", "#8a4b08", "#12603a", "#e59ab5", "#b9a3d6", "#bdb76b"),
-)
-"""As many as `MOST`, so that no two lines look alike."""
 
 
 @dataclass(frozen=True)
@@ -271,7 +267,10 @@ def learning(paths: Sequence[Path], columns: Sequence[str] = ()) -> Figure:
     """
     if not paths:
         raise ValueError("plot learning needs at least one CSV file, got none")
-    tables = [read_progress(path) for path in paths]
+    tables = [read_numbers(path) for path in paths]
+    for path, table in zip(paths, tables, strict=True):
+        if "samples" not in table:
+            raise ValueError(f"{str(path)!r} must be a CSV with a column 'samples' and at least one row")
     common = [name for name in tables[0] if name != "samples" and all(name in table for table in tables)]
     usual = [name for name in common if "return" in name or "success" in name] or common[:4]
     for name in columns:
@@ -279,36 +278,13 @@ def learning(paths: Sequence[Path], columns: Sequence[str] = ()) -> Figure:
     shown = list(columns) or usual
     if not shown:
         raise ValueError(f"{str(paths[0])!r} has no column of numbers besides samples")
-    figure = _figure(3.0 * len(shown) + 0.8)
+    figure = panel.blank(WIDTH, 3.0 * len(shown) + 0.8)
     panels = figure.subplots(len(shown), 1, squeeze=False, sharex=True)[:, 0]
     for name, axes in zip(shown, panels, strict=True):
         for path, table in zip(paths, tables, strict=True):
             axes.plot(table["samples"], table[name], label=path.parent.name or path.stem)
         _finish(axes, "Samples" if name == shown[-1] else "", name.replace("_", " "), 0)
     return figure
-
-
-def read_progress(path: Path) -> dict[str, np.ndarray]:
-    """Return the columns of numbers of a CSV with a column `samples`; cells without a number are NaN.
-
-    Raises:
-        ValueError: It has no column `samples`, or no rows.
-        OSError: It cannot be read.
-    """
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file, restval=""))
-    if not rows or "samples" not in rows[0]:
-        raise ValueError(f"{str(path)!r} must be a CSV with a column 'samples' and at least one row")
-    columns = {name: np.array([_number(row[name]) for row in rows]) for name in rows[0] if name is not None}
-    return {name: values for name, values in columns.items() if not np.isnan(values).all()}
-
-
-def _number(cell: Any) -> float:
-    """Return a cell as a number, NaN if it is none."""
-    try:
-        return float(cell)
-    except (TypeError, ValueError):
-        return float("nan")
 
 
 def _pullers(model: mujoco.MjModel) -> np.ndarray:
@@ -325,21 +301,12 @@ def _chosen(names: tuple[str, ...], muscles: Sequence[str], size: np.ndarray) ->
     return sorted(largest.tolist()), len(known) - len(largest)
 
 
-def _figure(height: float) -> Figure:
-    """Return an empty figure, 8 inches wide."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, height))
-    figure.set_layout_engine("constrained")
-    return figure
-
-
 def _axes(title: str) -> tuple[Figure, Axes]:
     """Return a figure with one panel."""
-    figure = _figure(4.8)
+    figure = panel.blank(WIDTH, 4.8)
     axes = figure.subplots()
-    axes.set_title(title, fontsize=11, color=INK, loc="left")
-    axes.set_prop_cycle(color=COLORS)
+    axes.set_title(title, color=panel.INK)
+    axes.set_prop_cycle(color=panel.COLORS)
     return figure, axes
 
 
@@ -347,8 +314,6 @@ def _finish(axes: Axes, x_label: str, y_label: str, left_out: int) -> None:
     """Label a panel; the legend stands beside the lines, not on them."""
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.25)
     axes.margins(x=0.0)
     note = f"{left_out} more, see --muscles" if left_out else None
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8.5, title=note)
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5, title=note)

@@ -5,12 +5,12 @@ Every world runs one episode from its first reset on, so that short episodes cou
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from rich.console import Console
 
+from myowarp.apps.reports.intervals import wilson
 from myowarp.apps.rollouts.episodes import Episodes
 from myowarp.apps.rollouts.run import Act, Each, Step, Watcher, run, seeds_of
 from myowarp.apps.rollouts.targets import in_reach
@@ -19,8 +19,6 @@ from myowarp.apps.train.settings import SUCCESSES
 from myowarp.progress import progress_bar
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import get_state
-
-Z = 1.959963984540054  # quantile of the normal distribution for 95 %
 
 
 @dataclass(frozen=True)
@@ -57,14 +55,6 @@ class Evaluation:
     faults: int
     reachable: int | None = None
     success_reachable: float | None = None
-
-
-def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a proportion. Source: Wilson 1927, JASA 22:209."""
-    share, z2 = successes / trials, Z * Z / trials
-    middle = share + z2 / 2.0
-    half = Z * math.sqrt(share * (1.0 - share) / trials + z2 / (4.0 * trials))
-    return max(0.0, (middle - half) / (1.0 + z2)), min(1.0, (middle + half) / (1.0 + z2))
 
 
 class Effort(Watcher):

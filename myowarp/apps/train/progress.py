@@ -13,10 +13,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from myowarp.apps.reports import panel
+from myowarp.apps.reports.table import read_numbers
 from myowarp.apps.train.settings import SUCCESSES
 
 CSV, CURVE = "progress.csv", "curve.png"
@@ -187,21 +190,20 @@ def draw_curve(folder: Path, title: str) -> Path | None:
     """Draw return and success over samples into the run's folder; None without matplotlib or episodes."""
     if importlib.util.find_spec("matplotlib") is None:
         return None
-    from matplotlib.figure import Figure
-
-    with (folder / CSV).open(newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["return"] not in ("", "nan")]
-    if not rows:
+    columns = read_numbers(folder / CSV)
+    if "return" not in columns:
         return None
-    samples = [float(row["samples"]) / 1e6 for row in rows]
-    figure = Figure(figsize=(8, 3.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    left.plot(samples, [float(row["return"]) for row in rows], color="tab:blue")
-    left.set(xlabel="samples [million]", ylabel="return")
-    for name, rule in SUCCESSES.items():
-        right.plot(samples, [100 * float(row[name]) for row in rows], label=rule)
-    right.set(xlabel="samples [million]", ylabel="success [%]", ylim=(-2, 102))
-    right.legend(fontsize="small", frameon=False)
-    figure.suptitle(title, fontsize="medium")
-    figure.savefig(folder / CURVE, dpi=150)
+    known = np.isfinite(columns["return"])
+    samples = columns["samples"][known] / 1e6
+    with panel.style(10.0):
+        figure = panel.blank(8.0, 3.2)
+        left, right = figure.subplots(1, 2)
+        left.plot(samples, columns["return"][known])
+        left.set(xlabel="samples [million]", ylabel="return")
+        for name, rule in SUCCESSES.items():
+            right.plot(samples, 100.0 * columns[name][known], label=rule)
+        right.set(xlabel="samples [million]", ylabel="success [%]", ylim=(-2, 102))
+        right.legend(fontsize="small")
+        figure.suptitle(title, fontsize="medium")
+        panel.save(figure, folder / CURVE, dpi=150)
     return folder / CURVE

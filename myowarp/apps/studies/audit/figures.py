@@ -2,10 +2,13 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
+from myowarp.apps.reports.essay import sections
 from myowarp.apps.studies.audit.measure import Audit
 from myowarp.apps.studies.audit.runs import EARLY_STEPS
 
+TEXTS = Path(__file__).with_suffix(".md")
 Value = float | None
 
 
@@ -16,23 +19,33 @@ def _percent(share: Value) -> Value:
 
 @dataclass(frozen=True)
 class Figure:
-    """A column of the table.
+    """A column of the table; its texts are below its heading in figures.md.
 
     Attributes:
         head: Heading; the part after a comma is the unit.
-        meaning: What it says, one sentence.
         read: Takes it from an audit; None: nothing to say.
         digits: Decimals shown.
         bad: Whether a value is a finding.
-        finding: The finding as a sentence with a field for the value as it is shown.
     """
 
     head: str
-    meaning: str
     read: Callable[[Audit], Value]
     digits: int = 0
     bad: Callable[[float], bool] = lambda value: False
-    finding: str = ""
+
+    @property
+    def meaning(self) -> str:
+        """What it says, one sentence."""
+        return self._texts[0].format(early_steps=EARLY_STEPS)
+
+    def finding(self, value: str) -> str:
+        """Return the finding as a sentence with the value as it is shown."""
+        return self._texts[1].format(value, early_steps=EARLY_STEPS)
+
+    @property
+    def _texts(self) -> list[str]:
+        """Meaning and, where a value can be one, finding."""
+        return sections(TEXTS)[self.head].split("\n\n")
 
     @property
     def name(self) -> str:
@@ -74,118 +87,29 @@ def _margin(audit: Audit) -> Value:
 
 
 FIGURES = (
-    Figure(
-        "targets solvable, %",
-        "Targets that geometry lets be met well enough to be solved.",
-        lambda a: _percent(a.targets.solvable),
-        bad=lambda value: value < 95.0,
-        finding="Only {}% of the targets can be solved at all.",
-    ),
-    Figure(
-        "targets exact, %",
-        "Targets that geometry lets be met exactly.",
-        lambda a: _percent(a.targets.exact),
-    ),
+    Figure("targets solvable, %", lambda a: _percent(a.targets.solvable), bad=lambda value: value < 95.0),
+    Figure("targets exact, %", lambda a: _percent(a.targets.exact)),
     Figure(
         "thumb off, mm",
-        "Largest distance of the thumb tip in a target posture from where it was published.",
         lambda a: None if a.targets.thumb_off is None else 1e3 * a.targets.thumb_off,
         digits=1,
         bad=lambda value: value > 1.0,
-        finding="Target postures are not those published: the thumb tip is {} mm off.",
     ),
-    Figure(
-        "fails early, %",
-        f"Starts from which zero actions fail within {EARLY_STEPS} steps, in the worst reset.",
-        lambda a: _percent(_early(a)),
-        digits=1,
-        bad=lambda value: value > 5.0,
-        finding=f"From {{}}% of the starts of a reset the task fails within {EARLY_STEPS} steps.",
-    ),
-    Figure(
-        "failed zero, %",
-        "Episodes that end by failure with zero actions.",
-        lambda a: _percent(a.scores["zero"].failed),
-        bad=lambda value: value > 50.0,
-        finding="{}% of the episodes fail when nothing is done.",
-    ),
-    Figure(
-        "failed random, %",
-        "Episodes that end by failure with random actions.",
-        lambda a: _percent(a.scores["random"].failed),
-    ),
-    Figure(
-        "success zero, %",
-        "Episodes that succeed with zero actions.",
-        lambda a: _percent(a.scores["zero"].success),
-        bad=lambda value: value > 50.0,
-        finding="{}% of the episodes succeed when nothing is done.",
-    ),
-    Figure(
-        "success random, %",
-        "Episodes that succeed with random actions.",
-        lambda a: _percent(a.scores["random"].success),
-    ),
-    Figure("return zero", "Mean return with zero actions.", lambda a: a.scores["zero"].return_mean),
-    Figure("return random", "Mean return with random actions.", lambda a: a.scores["random"].return_mean),
-    Figure(
-        "gain of failing",
-        "Reward of a failing step less that of living on for a horizon.",
-        lambda a: a.failing.failure_gain,
-        bad=lambda value: value > 0.0,
-        finding="Failing in the first step earns {} more than living to the horizon does.",
-    ),
-    Figure(
-        "constant columns",
-        "Observation columns that never changed.",
-        lambda a: len(a.constant_columns),
-        bad=lambda value: value > 0,
-        finding="Observation columns that never change: {}.",
-    ),
-    Figure(
-        "silent terms",
-        "Reward terms with a weight that never left 0.",
-        lambda a: len(_weighted_silent(a)),
-        bad=lambda value: value > 0,
-        finding="Reward terms that never leave 0: {}.",
-    ),
-    Figure(
-        "faults",
-        "Steps of a world with a fault.",
-        lambda a: sum(a.faults.values()),
-        bad=lambda value: value > 0,
-        finding="{} steps had a fault.",
-    ),
-    Figure(
-        "margin, %",
-        "Room left for contacts, or constraint rows if less.",
-        _margin,
-        bad=lambda value: value < 10.0,
-        finding="Contacts or constraint rows leave a margin of {}%.",
-    ),
-    Figure(
-        "inertia",
-        "Largest ratio of an object's inertia to that of the solid of its mass and shape.",
-        lambda a: a.objects.inertia_ratio,
-        digits=1,
-        bad=lambda value: abs(value - 1.0) > 0.05,
-        finding="An object's inertia is {} times that of a solid of its mass and shape.",
-    ),
-    Figure(
-        "friction, %",
-        "Drawn friction coefficients that a contact has, too.",
-        lambda a: _percent(a.objects.friction_effective),
-        bad=lambda value: value < 99.0,
-        finding="Only {}% of the drawn friction coefficients have an effect.",
-    ),
-    Figure(
-        "gimbal",
-        "Worst condition number of the map from an object's joint rates to its angular velocity.",
-        lambda a: a.objects.gimbal,
-        digits=1,
-        bad=lambda value: value > 10.0,
-        finding="An object's rotational joints come close to gimbal lock, condition number {}.",
-    ),
+    Figure("fails early, %", lambda a: _percent(_early(a)), digits=1, bad=lambda value: value > 5.0),
+    Figure("failed zero, %", lambda a: _percent(a.scores["zero"].failed), bad=lambda value: value > 50.0),
+    Figure("failed random, %", lambda a: _percent(a.scores["random"].failed)),
+    Figure("success zero, %", lambda a: _percent(a.scores["zero"].success), bad=lambda value: value > 50.0),
+    Figure("success random, %", lambda a: _percent(a.scores["random"].success)),
+    Figure("return zero", lambda a: a.scores["zero"].return_mean),
+    Figure("return random", lambda a: a.scores["random"].return_mean),
+    Figure("gain of failing", lambda a: a.failing.failure_gain, bad=lambda value: value > 0.0),
+    Figure("constant columns", lambda a: len(a.constant_columns), bad=lambda value: value > 0),
+    Figure("silent terms", lambda a: len(_weighted_silent(a)), bad=lambda value: value > 0),
+    Figure("faults", lambda a: sum(a.faults.values()), bad=lambda value: value > 0),
+    Figure("margin, %", _margin, bad=lambda value: value < 10.0),
+    Figure("inertia", lambda a: a.objects.inertia_ratio, digits=1, bad=lambda value: abs(value - 1.0) > 0.05),
+    Figure("friction, %", lambda a: _percent(a.objects.friction_effective), bad=lambda value: value < 99.0),
+    Figure("gimbal", lambda a: a.objects.gimbal, digits=1, bad=lambda value: value > 10.0),
 )
 """The columns of the table, in order."""
 
@@ -197,7 +121,7 @@ def findings(audit: Audit) -> list[str]:
         "silent terms": _shortened(_weighted_silent(audit)),
     }
     bad = [figure for figure in FIGURES if figure.is_bad(audit)]
-    return [figure.finding.format(named.get(figure.head, figure.text(audit))) for figure in bad]
+    return [figure.finding(named.get(figure.head, figure.text(audit))) for figure in bad]
 
 
 def _shortened(names: tuple[str, ...], most: int = 8) -> str:

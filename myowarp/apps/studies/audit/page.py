@@ -1,16 +1,16 @@
 """Audits as one page that needs nothing else: a table, then a row of plots for each id."""
 
 import base64
-import io
 import re
 from html import escape
+from pathlib import Path
+from string import Template
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Canvas
 
+from myowarp.apps.reports import panel
 from myowarp.apps.studies.audit.figures import FIGURES, changes, findings
 from myowarp.apps.studies.audit.measure import Audit
 
@@ -25,43 +25,9 @@ SHORTER: tuple[tuple[re.Pattern[str], Any], ...] = (
     (re.compile(r"\s*\n\s*"), "\n"),
 )
 """Makes an SVG of matplotlib's a third smaller: coordinates to a tenth of a point, one font, no indents."""
-RED = "#b3261e"  # of findings, here and in `STYLE`
+RED = "#b3261e"  # of findings, here and in page.html
 NEVER = " (never fires)"
-RC: Any = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "myowarp",
-    "font.size": 8.0,
-    "axes.titlesize": 9.0,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.frameon": False,
-    "font.family": "sans-serif",
-}
-LEGEND = (
-    "Red is a finding. Bold differs from the version with MyoSuite's semantics, which stands above it; the "
-    "value there stands below in grey."
-)
-STYLE = """
-body { font: 14px/1.45 system-ui, sans-serif; color: #1d2129; max-width: 1500px; margin: 2rem auto;
- padding: 0 1rem }
-h1 { font-size: 1.5rem }
-h2 { font-size: 1.15rem; margin: 2.2rem 0 .3rem; border-top: 1px solid #d7dbe0; padding-top: 1rem }
-h3 { font-size: 1rem; margin: 1rem 0 .2rem }
-p { margin: .2rem 0 .5rem; max-width: 75rem }
-.wide { overflow-x: auto }
-table { border-collapse: collapse; font-size: 11.5px; font-variant-numeric: tabular-nums }
-th { text-align: right; vertical-align: bottom; font-weight: 600; padding: .25rem .28rem; max-width: 4.4rem }
-th:first-child, td:first-child { text-align: left; position: sticky; left: 0; background: #fff;
- white-space: nowrap; max-width: none }
-td { text-align: right; padding: .15rem .28rem; white-space: nowrap }
-tr.first td { border-top: 1px solid #d7dbe0 } tr.corrected td:first-child { padding-left: 1.6rem }
-td.bad { color: #b3261e; background: #fdecea } td.changed { font-weight: 700 }
-td.changed small { display: block; font-weight: 400; color: #70757d }
-ul { margin: .2rem 0 .5rem; padding-left: 1.2rem } .bad { color: #b3261e } .note { color: #70757d }
-img { width: 100%; height: auto } a { color: inherit }
-"""
+TEMPLATE = Path(__file__).with_suffix(".html")
 
 
 class Page:
@@ -92,14 +58,13 @@ class Page:
             before = audit.name
         heads = "".join(f'<th title="{escape(f.meaning)}">{escape(f.head)}</th>' for f in FIGURES)
         meanings = "".join(f"<li><b>{escape(f.head)}</b> {escape(f.meaning)}</li>" for f in FIGURES)
-        table = f"<table><tr><th>MyoWarp/...</th>{heads}</tr>{''.join(rows)}</table>"
-        return (
-            '<!doctype html><html lang="en"><meta charset="utf-8"><title>MyoWarp audit</title>'
-            f"<style>{STYLE}</style><h1>Audit of {len(self._audits)} MyoWarp tasks</h1>"
-            f"<p>{_settings(self._audits)} {LEGEND}</p>"
-            f'<div class="wide">{table}</div>'
-            f"<details><summary>What the columns say</summary><ul>{meanings}</ul></details>"
-            f"{''.join(sections)}</html>"
+        return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
+            number=len(self._audits),
+            settings=_settings(self._audits),
+            heads=heads,
+            rows="".join(rows),
+            meanings=meanings,
+            sections="".join(sections),
         )
 
 
@@ -149,17 +114,15 @@ def _section(audit: Audit, upstream: Audit | None, picture: str) -> str:
 
 def draw(audit: Audit, form: str) -> bytes:
     """Return the row of plots of an audit as a picture in a format of matplotlib's, such as svg or png."""
-    with matplotlib.rc_context(RC):
-        canvas = Canvas(figsize=SIZE, layout="constrained")
+    with panel.style(8.0, **{"axes.titleweight": "bold", "axes.grid": False}):
+        figure = panel.blank(*SIZE)
         widths = {"width_ratios": (1.0, 0.9, 1.3, 1.9)}
-        returns, alive, terms, columns = canvas.subplots(1, 4, gridspec_kw=widths)
+        returns, alive, terms, columns = figure.subplots(1, 4, gridspec_kw=widths)
         _draw_returns(returns, audit)
         _draw_alive(alive, audit)
         _draw_terms(terms, audit)
         _draw_columns(columns, audit)
-        buffer = io.BytesIO()
-        canvas.savefig(buffer, format=form, dpi=110, metadata={"Date": None} if form == "svg" else None)
-    return buffer.getvalue()
+        return panel.picture(figure, form)
 
 
 def _draw_returns(axes: Axes, audit: Audit) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from myowarp.apps.reports.table import terminal
 from myowarp.apps.studies.cohort.plan import plan_cohort
 from myowarp.apps.studies.cohort.run import CohortResult, result_files, run_plan
 from myowarp.disk import check_folder, check_overwrite
@@ -59,7 +60,4 @@ def figures(result: CohortResult) -> Table:
         rows["error in the last quarter"] = f"{middle:.3g} {unit} (middle half {low:.3g} to {high:.3g})"
     rows["mean activation"] = f"{summary['mean_activation'].mean():.3f}"
     rows["faults"] = str(summary["fault"].notna().sum())
-    table = Table(show_header=False)
-    for name, value in rows.items():
-        table.add_row(name, value)
-    return table
+    return terminal((), rows.items())

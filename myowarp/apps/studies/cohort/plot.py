@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from myowarp.apps.reports.panel import COLORS, INK, band, blank, quarters, save, style
 from myowarp.apps.studies.cohort.run import CohortResult
-from myowarp.disk import in_place
 from myowarp.sim.patient_columns import COLUMNS
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 MAX_PANELS = 6
 FEW = 6  # different entries that are shown one by one
@@ -34,8 +35,9 @@ ORDERED = {  # from low to high: light to dark
     5: ("#b7d7ec", "#7fb6dc", "#4a90c8", "#2263a3", "#0d3d6e"),
     6: ("#b7d7ec", "#86badf", "#5a9ccf", "#377dbb", "#1f5c99", "#0d3d6e"),
 }
-NAMED = ("#2f76b5", "#d9822b", "#3f9b63", "#b5446e", "#7d5ba6", "#7f7f7f")
-INK, PALE = "#222222", "#666666"
+PALE = "#666666"
+PADS = "figure.constrained_layout."
+LOOK = {"axes.grid": False, PADS + "h_pad": 0.08, PADS + "w_pad": 0.06}
 CAPTION = (
     "Top: share of successful episodes (more than 5 control steps within the goal), n patients. "
     "Middle: each dot is a patient; median and middle half of tenths of the patients, or of those with "
@@ -72,7 +74,7 @@ def group_patients(entries: pd.Series) -> Groups:
         values = [value for value in values if value in common]
     if len(values) <= FEW:
         labels = [f"{value:g}" if numeric else value or "none" for value in values]
-        colors = ORDERED[len(values)] if numeric else NAMED[: len(values)]
+        colors = ORDERED[len(values)] if numeric else COLORS[: len(values)]
         return Groups(labels, np.array([entries == value for value in values]), True, colors)
     counts = entries.value_counts()
     tied = [value for value in counts.index if counts[value] >= 0.25 * len(entries)]
@@ -94,32 +96,32 @@ def draw_cohort(result: CohortResult, path: Path) -> None:
         ImportError: matplotlib is not installed.
         OSError: The file cannot be written.
     """
-    from matplotlib.figure import Figure
+    with style(10.0, **LOOK):
+        save(_drawn(result), path, dpi=130)
 
+
+def _drawn(result: CohortResult) -> Figure:
+    """Return the figure of a cohort."""
     summary = _by_patient(result)
     varied = [name for name in result.settings["columns"] if summary[name].nunique() > 1]
     names = varied[:MAX_PANELS] or [""]
     left_out = f" Not shown: {', '.join(varied[MAX_PANELS:])}." if varied[MAX_PANELS:] else ""
     width = max(1.2 + 3.3 * len(names), 5.5)  # inches
-    figure = Figure(figsize=(width, 9.2))
-    figure.set_layout_engine("constrained", h_pad=0.08, w_pad=0.06)
+    figure = blank(width, 9.2)
     rows = figure.subplots(3, len(names), squeeze=False, sharey="row", height_ratios=(0.7, 1.15, 1.15))
     for name, axes in zip(names, rows.T, strict=True):
         groups = group_patients(summary[name] if name else 0.0 * summary["success"])
-        axes[0].set_title(_label(name), fontsize=11, color=INK, pad=10)
+        axes[0].set_title(_label(name), loc="center", color=INK, pad=10)
         _draw_success(axes[0], summary, groups)
         _draw_outcome(axes[1], summary, name, groups, result)
         _draw_course(axes[2], summary, groups, result)
-        for ax in axes:
-            ax.spines[["top", "right"]].set_visible(False)
     for ax in rows[:, 1:].flat:
         ax.set_ylabel("")
     title = textwrap.fill(_title(result, summary), int(width / 0.12))
     caption = textwrap.fill(CAPTION + left_out, int(width / 0.075))
     figure.suptitle(title, fontsize=13, color=INK)
     figure.supxlabel(caption, x=0.01, ha="left", fontsize=8.5, color=PALE)
-    with in_place(path) as scratch:
-        figure.savefig(scratch, dpi=130)
+    return figure
 
 
 def _by_patient(result: CohortResult) -> pd.DataFrame:
@@ -187,15 +189,14 @@ def _draw_outcome(ax: Axes, summary: pd.DataFrame, name: str, groups: Groups, re
     ax.scatter(
         x[shown], outcome[shown], s=8, c=np.array(groups.colors)[group[shown]], alpha=0.45, linewidths=0
     )
-    low, middle, high = np.array([np.quantile(outcome[m], (0.25, 0.5, 0.75)) for m in members]).T
+    low, middle, high = edges = np.array([quarters(outcome[member]) for member in members]).T
     if groups.exact:
         spans = (middle - low, high - middle)
         ax.errorbar(centers, middle, spans, fmt="_", ms=30, mew=2.2, color=INK, capsize=5, elinewidth=1.6)
         ax.set_xticks(centers, groups.labels)
         ax.set_xlim(-0.6, len(centers) - 0.4)
     else:
-        ax.fill_between(centers, low, high, color=INK, alpha=0.13, linewidth=0)
-        ax.plot(centers, middle, color=INK, linewidth=2.2)
+        band(ax, centers, edges, color=INK, alpha=0.13, linewidth=2.2)
     ax.set(xlabel=_label(name), ylabel=label, ylim=(min(0.0, 1.05 * outcome.min()), None))
 
 
@@ -208,16 +209,14 @@ def _draw_course(ax: Axes, summary: pd.DataFrame, groups: Groups, result: Cohort
     patient = wide.columns.get_level_values("patient")
     for color, label, member in zip(groups.colors, groups.labels, groups.members, strict=True):
         chosen = factor * wide.loc[:, patient.isin(summary.index[member])]
-        low, middle, high = (chosen.quantile(q, axis=1) for q in (0.25, 0.5, 0.75))
-        ax.fill_between(wide.index, low, high, color=color, alpha=0.2, linewidth=0)
-        ax.plot(wide.index, middle, color=color, linewidth=2.0, label=label)
+        edges = chosen.quantile((0.25, 0.5, 0.75), axis=1)
+        band(ax, wide.index, edges, color=color, linewidth=2.0, label=label)
     ax.set(xlabel="Time [s]", ylabel=f"Tracking error [{unit}]" if key == "tracking_error" else "Reward")
     ax.set(ylim=(0.0 if key == "tracking_error" else None, None), xlim=(0.0, wide.index.max()))
     if len(groups.labels) > 1:
         columns = 2 if max(map(len, groups.labels)) > 8 else len(groups.labels)
         ax.legend(
             fontsize=8,
-            frameon=False,
             loc="lower center",
             bbox_to_anchor=(0.5, 0.99),
             ncols=columns,

@@ -1,25 +1,7 @@
-"""Baselines: success over samples of the tasks with fixed and random targets.
-
-Paper: natural policy gradient (NPG), 5 million samples, easy (fixed) and hard (random) variants of every
-task, resets that are always the same. Elbow, finger and the easy hands are learned; the hard hands hardly.
-Baoding needed more than 70 million samples and worked in one seed of five.
-
-Open in the paper, and chosen here:
-
-* Algorithm. TRPO is the natural gradient with a line search; the paper's NPG takes a step of fixed size
-  without one. Beside it stands "preset", the algorithm and settings that `myowarp train` chooses: PPO,
-  and FlashSAC where `algorithm` in `apps/train/presets` says so.
-* Success: more than 5 solved steps, sampled actions, the last 256 episodes of the training; a training ends
-  when the preset's share is reached, and counts as holding it from there on.
-* Seeds. TRPO as many as there are (`trpo_curves.json`, or trained anew with --retrain); the preset
-  one, the package's.
-* The paper's numbers are those of the authors' logs that MyoSuite 2.12.2 ships: three seeds, up to 19 million
-  samples.
-"""
+"""Baselines: success over samples of the tasks with fixed and random targets."""
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 from functools import cache
@@ -29,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from myowarp.apps.policies.baselines import CURVE, FOLDER, baseline_tasks, load_baseline
-from myowarp.apps.studies.reproduce.experiment import Experiment, Lab
+from myowarp.apps.reports.intervals import student
+from myowarp.apps.reports.result import Merit
+from myowarp.apps.reports.table import read_numbers
+from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.apps.studies.reproduce.policies import Training
-from myowarp.apps.studies.reproduce.result import Claim, Findings, Merit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -96,11 +80,9 @@ def algorithm(task: str) -> str:
 
 def read_curve(path: Path) -> Curve:
     """Return a curve from a CSV file, from the first finished episode on."""
-    with path.open(newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["success"] not in ("", "nan")]
-    return np.array([float(row["samples"]) for row in rows]), np.array(
-        [float(row["success"]) for row in rows]
-    )
+    columns = read_numbers(path)
+    known = np.isfinite(columns["success"])
+    return columns["samples"][known], columns["success"][known]
 
 
 def samples_to(curve: Curve, share: float = LEARNED) -> float:
@@ -117,48 +99,27 @@ def run(lab: Lab) -> Findings:
 
 def findings(curves: dict[str, dict[str, list[Curve]]]) -> Findings:
     """Return figures of merit, claims and figure."""
-    merits = []
+    rows = []
     for task, (paper, samples) in PAPER.items():
         for name, found in curves.items():
-            runs = found.get(task)
+            runs, who = found.get(task), f"{task}, {name}"
             if not runs:
                 continue
             most = max(curve[0][-1] for curve in runs) / 1e6
             note = f"ours after at most {most:.2f} M samples, the paper's after {samples:g} M"
-            success = tuple(100.0 * float(curve[1][-1]) for curve in runs)
-            merits.append(
-                Merit(
-                    "success",
-                    "%",
-                    f"{task}, {name}",
-                    success,
-                    float(np.mean(paper)),
-                    float(np.std(paper)),
-                    note,
-                )
-            )
-            needed = tuple(samples_to(curve) for curve in runs)
+            success = [100.0 * curve[1][-1] for curve in runs]
+            known = float(np.mean(paper)), float(np.std(paper))
+            rows.append(Merit("success", "%", who, success, *known, note))
+            needed = [samples_to(curve) for curve in runs]
             if np.isfinite(needed).any():
-                merits.append(Merit(f"samples to {100 * LEARNED:.0f} %", "M", f"{task}, {name}", needed))
-    return Findings(
-        tuple(merits), claims(curves), text(curves), lambda figure: draw(figure, curves), over="trainings"
-    )
-
-
-def final(curves: dict[str, list[Curve]], kind: str) -> dict[str, float]:
-    """Return the mean success at the end of the tasks of a kind."""
-    return {
-        task: float(np.mean([curve[1][-1] for curve in runs]))
-        for task, runs in curves.items()
-        if f"{kind}-" in task
-    }
-
-
-def claims(curves: dict[str, dict[str, list[Curve]]]) -> tuple[Claim, ...]:
-    """Return the paper's conclusions, and whether ours agree."""
+                rows.append(Merit(f"samples to {100 * LEARNED:.0f} %", "M", who, needed))
+    ratios = [
+        samples_to(curves["preset"][task][0]) / np.nanmean([samples_to(curve) for curve in runs])
+        for task, runs in curves["TRPO"].items()
+        if task in curves["preset"]
+    ]
     natural, default = curves["TRPO"], curves["preset"]
-    early = {task: max(samples_to(curve) for curve in runs) for task, runs in default.items() if EASY in task}
-    both = [task for task in natural if task in default]
+    early = [max(samples_to(curve) for curve in runs) for task, runs in default.items() if EASY in task]
     # A task's fixed variant beside its random one, where one algorithm learned both.
     variants = [(easy, easy.replace(EASY, HARD)) for easy in default if EASY in easy]
     pairs = [
@@ -166,59 +127,31 @@ def claims(curves: dict[str, dict[str, list[Curve]]]) -> tuple[Claim, ...]:
         for easy, hard in variants
         if hard in default and algorithm(easy) == algorithm(hard)
     ]
-    elbows = [task for task in natural if "Elbow" in task]
-    reached = min(float(c[1].max()) for task in elbows for c in natural[task])
-    return (
-        Claim(
-            "Every easy task that was trained is learned within the paper's 5 million samples, by PPO.",
-            all(value <= SAMPLES / 1e6 for value in early.values()),
-            f"{len(early)} tasks; 90 % after {min(early.values()):.2f} to {max(early.values()):.2f} M.",
-        ),
-        Claim(
-            "The hard variant of a task takes longer than the easy one.",
-            all(not a >= b for a, b in pairs),
-            f"{len(pairs)} tasks of which one algorithm learned both.",
-        ),
-        Claim(
-            "The natural gradient learns the elbow, easy and hard, in every seed.",
-            reached >= LEARNED,
-            f"{len(elbows)} tasks, {sum(len(natural[task]) for task in elbows)} trainings.",
-        ),
-        Claim(
-            "Both algorithms come to the same success where both were trained to their end.",
-            all(abs(np.mean([c[1][-1] for c in natural[t]]) - default[t][0][1][-1]) < 0.1 for t in both),
-        ),
-    )
-
-
-def text(curves: dict[str, dict[str, list[Curve]]]) -> str:
-    """Return where ours differs from the paper, and why."""
-    missing = ", ".join(task for task in PAPER if task not in curves["TRPO"])
-    ratios = [
-        samples_to(curves["preset"][task][0]) / np.nanmean([samples_to(curve) for curve in runs])
-        for task, runs in curves["TRPO"].items()
-        if task in curves["preset"]
+    elbows = [runs for task, runs in natural.items() if "Elbow" in task]
+    ends = [
+        np.mean([curve[1][-1] for curve in runs]) - default[task][0][1][-1]
+        for task, runs in natural.items()
+        if task in default
     ]
-    least, most = min(ratios), max(ratios)
-    return f"""
-**Fewer samples than the paper's NPG.** What the authors trained with up to 19 million samples is learned here
-with 0.03 to 3 million where it is easy. Their iteration has 96 whole trajectories, one step of fixed size and
-a discount of 0.995; ours takes pieces of 24 to 32 steps of 64 to 256 worlds, several passes over them, and a
-discount of 0.95 to 0.97. Which of these saves the samples was not separated.
-
-**TRPO and PPO** need about the same: PPO takes {least:.1f} to {most:.1f} times the samples of TRPO until 90 %
-succeed, over {len(ratios)} tasks.
-
-**What limits TRPO here.** Not trained with it: {missing}. The trainings shared two cores with others, where a
-hand takes hours. `myowarp reproduce baselines --retrain` trains five seeds of each task that has a policy in
-the package, 5 million samples at most.
-
-**Finger reach, hard.** The paper's NPG ends at 15, 14 and 33 %: 45 % of the box of targets cannot be reached
-within 12.5 mm, which today's table of targets leaves out, so that those numbers do not compare.
-
-**Baoding.** The paper needed more than 70 million samples, and one seed of five succeeded. It was not
-trained.
-"""
+    holds = {
+        "easy": max(early) <= SAMPLES / 1e6,
+        "hard": all(not a >= b for a, b in pairs),
+        "natural gradient": min(curve[1].max() for runs in elbows for curve in runs) >= LEARNED,
+        "same end": all(abs(end) < 0.1 for end in ends),
+    }
+    measured = {
+        "easy": len(early),
+        "first": min(early),
+        "last": max(early),
+        "pairs": len(pairs),
+        "elbows": len(elbows),
+        "trainings": sum(map(len, elbows)),
+        "least": min(ratios),
+        "most": max(ratios),
+        "number": len(ratios),
+        "missing": ", ".join(task for task in PAPER if task not in natural),
+    }
+    return Findings(rows, holds, lambda figure: draw(figure, curves), measured, over="trainings")
 
 
 def draw(figure: Figure, curves: dict[str, dict[str, list[Curve]]]) -> None:
@@ -263,16 +196,8 @@ def _band(axes: Any, runs: list[Curve], name: str, color: str, style: str) -> No
     values = 100.0 * np.array([np.interp(grid, samples, success) for samples, success in runs])
     axes.plot(grid / 1e6, values.mean(axis=0), style, color=color, label=name)
     if len(runs) > 1:
-        merits = [Merit("", "", "", tuple(column)) for column in values.T]
-        low, high = np.clip(np.array([merit.interval for merit in merits]).T, 0.0, 100.0)
+        low, high = np.clip(student(values), 0.0, 100.0)
         axes.fill_between(grid / 1e6, low, high, color=color, alpha=0.2, linewidth=0)
 
 
-EXPERIMENT = Experiment(
-    "baselines",
-    "Success over samples of easy and hard tasks: TRPO and the trainer's presets beside the paper's NPG",
-    "Figure of success over up to 5 million samples: NPG learns elbow, finger and the easy hand tasks; the "
-    "hard hand tasks hardly. Baoding took more than 70 million samples and worked in 1 seed of 5.",
-    run,
-    ignores=("num_worlds", "models"),
-)
+EXPERIMENT = Experiment("baselines", run, ignores=("num_worlds", "models"))

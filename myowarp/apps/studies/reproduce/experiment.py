@@ -1,25 +1,29 @@
-"""What an experiment is, and the lab in which it runs: seeds, worlds, policies, finished runs."""
+"""What an experiment is and finds, and the lab in which it runs: seeds, worlds, policies, finished runs."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
 from myowarp.apps.policies.checkpoint import POLICY, Checkpoint
+from myowarp.apps.reports.essay import sections
+from myowarp.apps.reports.result import Merit
 from myowarp.apps.studies.reproduce.policies import Training, committed, retrained
-from myowarp.apps.studies.reproduce.result import Findings
 from myowarp.definitions.setup import Setup
 from myowarp.disk import in_place, plain, version
 from myowarp.progress import progress_bar
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 RUNS, POLICIES = "runs", "policies"
 """Folders within the output: finished runs, and policies that were trained again."""
@@ -31,22 +35,54 @@ Tick = Callable[[float], None]
 
 
 @dataclass(frozen=True)
+class Findings:
+    """What an experiment returns.
+
+    Attributes:
+        merits: Rows of the table.
+        holds: Whether our numbers bear out each of the essay's conclusions, by its key.
+        draw: Draws into an empty matplotlib figure 8 inches wide; the height may be set.
+        measured: Values for the fields of the essay.
+        over: What the values of the figures of merit are over, and the intervals with them.
+        in_worlds: Whether each seed had the number of worlds that was asked for; the protocol says else.
+    """
+
+    merits: Sequence[Merit]
+    holds: Mapping[str, bool | np.bool_]
+    draw: Callable[[Figure], None]
+    measured: Mapping[str, Any] = field(default_factory=dict)
+    over: str = "seeds"
+    in_worlds: bool = True
+
+
+@dataclass(frozen=True)
 class Experiment:
-    """An experiment of the paper, or one beyond it.
+    """An experiment of the paper, or one beyond it; its essay is the Markdown file of its name.
 
     Attributes:
         name: What `myowarp reproduce` calls it.
-        title: One line.
-        paper: Where the paper has it and what it says there, or that it goes beyond the paper.
         run: Runs the protocol.
         ignores: Options of `myowarp reproduce` that the protocol does not read.
     """
 
     name: str
-    title: str
-    paper: str
     run: Callable[[Lab], Findings]
     ignores: tuple[str, ...] = ("models",)
+
+    @property
+    def essay(self) -> dict[str, str]:
+        """Title, "The paper", "Conclusions", "Where we differ, and why" and "Protocol"; texts by heading."""
+        return sections(Path(__file__).with_name(f"{self.name.replace('-', '_')}.md"))
+
+    @property
+    def title(self) -> str:
+        """One line."""
+        return next(iter(self.essay))
+
+    @property
+    def paper(self) -> str:
+        """Where the paper has it and what it says there, or that it goes beyond the paper."""
+        return " ".join(self.essay["The paper"].split())
 
 
 @dataclass

@@ -13,18 +13,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from myowarp.apps.policies.baselines import load_baseline
 from myowarp.apps.policies.checkpoint import Checkpoint, check_contract
 from myowarp.apps.policies.learned import LearnedPolicy
+from myowarp.apps.reports.result import Merit, merits
 from myowarp.apps.rollouts.run import Each, Step, run
 from myowarp.apps.studies.reproduce.experiment import Lab, Tick
 from myowarp.apps.studies.reproduce.policies import Training
 from myowarp.definitions.condition import Condition
 from myowarp.definitions.setup import Setup
 from myowarp.sim.simulation import Simulation
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 TASK = "myoHandKeyTurnFixed-v0"
 INTACT = Training("key_turn", TASK, samples=841_728)
@@ -73,9 +78,9 @@ def intact(lab: Lab, seed: int) -> Checkpoint:
     return lab.policy(INTACT, seed) if lab.retrain else load_baseline(TASK).checkpoint
 
 
-def distinct(values: np.ndarray) -> tuple[float, ...]:
-    """Return the values of seeds that differ: with mean actions, seeds that share a policy are one."""
-    return tuple(np.unique(values).tolist())
+def distinct(values: np.ndarray) -> list[np.ndarray]:
+    """Return for each group the values, (seeds, groups), that differ: seeds that share a policy are one."""
+    return [np.unique(own) for own in values.T]
 
 
 def turn(
@@ -170,3 +175,41 @@ def _mean(course: np.ndarray) -> np.ndarray:
     """Return the mean over the worlds of a group that still run, NaN where none does."""
     count = np.isfinite(course).sum(axis=2)
     return np.where(count > 0, np.nansum(course, axis=2) / np.maximum(count, 1), np.nan)
+
+
+def success(turns: Sequence[Turns]) -> np.ndarray:
+    """Return the share of successes [%], shape (seeds, 2, G)."""
+    return 100.0 * np.array([t.success.mean(axis=2) for t in turns])
+
+
+def rotations(turns: Sequence[Turns]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean rotation with drawn actions, and that with mean actions [deg], shapes (seeds, G)."""
+    return np.array([t.rotation.mean(axis=1) for t in turns]), np.array([t.mean_rotation for t in turns])
+
+
+def course(turns: Sequence[Turns], muscle: str) -> np.ndarray:
+    """Return a muscle's activation with mean actions over time, a mean over seeds, shape (T, G)."""
+    return np.nanmean([t.mean_activation[..., t.of(muscle)] for t in turns], axis=0)
+
+
+def turn_merits(turns: Sequence[Turns], who: Sequence[str], how: str = "") -> list[Merit]:
+    """Return rows of success, with what `how` adds to its name, and of rotation."""
+    (drawn, meant), shares = rotations(turns), success(turns)
+    rows = []
+    for i, threshold in enumerate(THRESHOLDS):
+        rows += merits(who, (f"success at {threshold:.0f}°{how}", "%", shares[:, i].T))
+    rows += merits(who, ("rotation of the key, drawn actions", "°", drawn.T))
+    return rows + merits(who, ("rotation of the key, mean actions", "°", distinct(meant)))
+
+
+def draw_rotations(axes: Axes, turns: Sequence[Turns], names: Sequence[str], size: float) -> None:
+    """Draw the greatest angles of the key: a dot for each episode, a bar of a size [pt] for mean actions."""
+    for g, color in zip(range(len(names)), COLORS, strict=False):
+        angles = np.concatenate([t.rotation[g] for t in turns])
+        places = g + np.linspace(-0.25, 0.25, len(angles))
+        axes.plot(places, angles, ".", color=color, markersize=3, alpha=0.5)
+        axes.plot(g, np.mean([t.mean_rotation[g] for t in turns]), "_", color="k", markersize=size)
+    for threshold in THRESHOLDS:
+        axes.axhline(threshold, color="0.5", linewidth=0.8, linestyle=":")
+    axes.set_xticks(range(len(names)), names)
+    axes.set_ylabel("angle [°]")

@@ -1,15 +1,4 @@
-"""Recovery: three days of work with fatigue that is carried over, for patients who recover slower and slower.
-
-Beyond the paper, whose fatigue never recovers. Every world is a patient of its own whose motor units (3CC-r)
-recover at the published rate or slower, down to a thousandth, evenly in its logarithm.
-
-* A day has three shifts, at 8, 12 and 16 o'clock. In a shift the arm moves 4 kg between 30 and 90 degrees,
-  2 s at each, for 40 s (4 s with --quick). It is simulated in full, with the healthy policy.
-* Between shifts and at night the arm hangs and rests. A resting muscle's M_A is 0 and its M_F shrinks by the
-  factor 1 - r R dt in every control step, so that a pause of n steps is one multiplication by its n-th power:
-  the state is taken, M_F multiplied, and set. A pause of 20 s is simulated, too, and compared.
-* The same patients, with a load of 2 kg, show whether the conclusion hangs on the load.
-"""
+"""Recovery: three days of work with fatigue that is carried over, in patients who recover ever slower."""
 
 from __future__ import annotations
 
@@ -18,10 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from myowarp.apps.policies.checkpoint import Checkpoint
+from myowarp.apps.reports import panel
+from myowarp.apps.reports.result import Merit, merits
 from myowarp.apps.rollouts.run import run as roll
 from myowarp.apps.studies.reproduce.arm import CONTROL_DT, HEALTHY, MUSCLES, arms, follow
-from myowarp.apps.studies.reproduce.experiment import Experiment, Lab, Tick
-from myowarp.apps.studies.reproduce.result import Claim, Findings, Merit
+from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
 from myowarp.models.conditions import Fatigue3CCR, Load
 from myowarp.models.conditions.fatigue_3ccr import ELBOW_FLEXOR, rates_of
 from myowarp.sim.signals import Signals
@@ -149,64 +139,34 @@ def findings(results: list[dict[str, np.ndarray]], slower: np.ndarray) -> Findin
     """Return figures of merit, claims and figure."""
     before, after, error = (np.array([r[name] for r in results]) for name in ("before", "after", "error"))
     morning = (DAYS - 1) * len(SHIFTS)
-    merits = []
+    rows = []
     for factor in SHOWN:
         p = int(np.abs(np.log(slower / factor)).argmin())
-        for w, load in enumerate(LOADS):
-            who = f"recovery at {factor:g} of the rate, {load:g} kg"
-            merits.append(
-                Merit("fatigued fraction, third morning", "%", who, tuple(100.0 * before[:, morning, w, p]))
-            )
-            merits.append(
-                Merit("fatigued fraction, last evening", "%", who, tuple(100.0 * after[:, -1, w, p]))
-            )
-            grown = error[:, -1, w, p] - error[:, 0, w, p]
-            merits.append(Merit("growth of the error, first to last shift", "°", who, tuple(grown)))
-    half = np.log(2.0) / (ELBOW_FLEXOR.rest_recovery_factor * ELBOW_FLEXOR.recovery_rate)
-    note = "closed form, ln 2 / (r R)"
-    merits.append(
-        Merit("half-life of fatigue at rest", "s", "flexors, published rates", (half,), None, None, note)
-    )
-    jump = tuple(float(r["jump"]) for r in results)
-    merits.append(Merit("M_F after 20 s of rest: jump against simulation", "1", "largest difference", jump))
-    carried = before[:, morning].mean(axis=0)  # (loads, patients)
-    threshold = [slower[np.flatnonzero(one > 0.01)[0]] if (one > 0.01).any() else np.nan for one in carried]
-    merits.append(
-        Merit(
-            "fastest recovery that leaves 1 % for the third morning",
-            "1",
-            "4 kg",
-            (float(threshold[0]),),
-            None,
-            None,
-            "factor of the published rate; mean over seeds",
+        rows += merits(
+            [f"recovery at {factor:g} of the rate, {load:g} kg" for load in LOADS],
+            ("fatigued fraction, third morning", "%", 100.0 * before[:, morning, :, p].T),
+            ("fatigued fraction, last evening", "%", 100.0 * after[:, -1, :, p].T),
+            ("growth of the error, first to last shift", "°", (error[:, -1, :, p] - error[:, 0, :, p]).T),
         )
-    )
-    claims = (
-        Claim(
-            "At the published rates nothing is carried over from one shift to the next.",
-            bool(before[:, 1:, :, 0].max() < 1e-3),
-        ),
-        Claim(
-            "The slower the recovery, the more fatigue is there in the third morning, with either load.",
-            bool((np.diff(carried, axis=1) >= -1e-6).all()),
-        ),
-        Claim(
-            "At a thousandth of the rate every evening is worse than the one before, in every seed.",
-            bool((np.diff(after[:, len(SHIFTS) - 1 :: len(SHIFTS), :, -1], axis=1) > 0.0).all()),
-        ),
-        Claim("A pause in one jump is the pause that is simulated, to 0.002 of M_F.", max(jump) < CLOSE),
-    )
-    return Findings(tuple(merits), claims, TEXT, lambda figure: draw(figure, before, after, error, slower))
-
-
-TEXT = """
-The paper has nothing to compare with; its model of fatigue never recovers, so that a day in it has no
-second shift. In 3CC-r with the published rates the flexors' fatigue halves within half a minute of rest: an
-hour's pause erases everything, and days do not add up. Fatigue that lasts for hours or days, as after
-eccentric work or in post-viral disease, is outside of what these rates were fitted to. The map says how
-much slower recovery must be before a night is too short: about a hundred to a thousand times.
-"""
+    half = np.log(2.0) / (ELBOW_FLEXOR.rest_recovery_factor * ELBOW_FLEXOR.recovery_rate)
+    who, note = "flexors, published rates", "closed form, ln 2 / (r R)"
+    rows.append(Merit("half-life of fatigue at rest", "s", who, [half], note=note))
+    jump = [float(r["jump"]) for r in results]
+    rows.append(Merit("M_F after 20 s of rest: jump against simulation", "1", "largest difference", jump))
+    carried = before[:, morning].mean(axis=0)  # (loads, patients)
+    lasting = carried[0] > 0.01
+    threshold = slower[lasting.argmax()] if lasting.any() else np.nan
+    what = "fastest recovery that leaves 1 % for the third morning"
+    note = "factor of the published rate; mean over seeds"
+    rows.append(Merit(what, "1", "4 kg", [threshold], note=note))
+    evenings = after[:, len(SHIFTS) - 1 :: len(SHIFTS), :, -1]
+    holds = {
+        "published": before[:, 1:, :, 0].max() < 1e-3,
+        "slower": (np.diff(carried, axis=1) >= -1e-6).all(),
+        "slowest": (np.diff(evenings, axis=1) > 0.0).all(),
+        "jump": max(jump) < CLOSE,
+    }
+    return Findings(rows, holds, lambda figure: draw(figure, before, after, error, slower))
 
 
 def draw(
@@ -214,7 +174,7 @@ def draw(
 ) -> None:
     """Draw fatigue over three days, and what recovery does to fatigue and error."""
     figure.set_size_inches(8.0, 3.6)
-    axes = figure.subplots(1, 3, gridspec_kw={"width_ratios": (1.5, 1.0, 1.0)})
+    days, tired, errors = figure.subplots(1, 3, gridspec_kw={"width_ratios": (1.5, 1.0, 1.0)})
     hours = np.array([24.0 * day + hour for day in range(DAYS) for hour in SHIFTS])
     colors = ("#3f9b63", "#4a90c8", "#d9822b", "#b5446e")
     for factor, color in zip(SHOWN, colors, strict=True):
@@ -222,39 +182,29 @@ def draw(
         rate = ELBOW_FLEXOR.rest_recovery_factor * ELBOW_FLEXOR.recovery_rate * slower[p] * 3600.0
         for i, begin in enumerate(hours):
             end = hours[i + 1] if i + 1 < len(hours) else 24.0 * DAYS
-            rest_hours = np.concatenate(([0.0], np.geomspace(1e-3, end - begin, 60)))
-            peak = after[:, i, 0, p].mean()
-            axes[0].plot([begin, begin], [100.0 * before[:, i, 0, p].mean(), 100.0 * peak], color=color)
+            resting = np.concatenate(([0.0], np.geomspace(1e-3, end - begin, 60)))
+            low, peak = (100.0 * values[:, i, 0, p].mean() for values in (before, after))
+            days.plot([begin, begin], [low, peak], color=color)
             label = f"recovery x {factor:g}" if i == 0 else None
-            axes[0].plot(
-                begin + rest_hours, 100.0 * peak * np.exp(-rate * rest_hours), color=color, label=label
-            )
-    axes[0].set(title="4 kg: fatigued motor units, flexors", xlabel="hour", ylabel="%")
-    axes[0].set_xticks(range(0, 24 * DAYS + 1, 12))
-    axes[0].legend(fontsize=7)
+            days.plot(begin + resting, peak * np.exp(-rate * resting), color=color, label=label)
+    days.set(title="4 kg: fatigued motor units, flexors", xlabel="hour", ylabel="%")
+    days.set_xticks(range(0, 24 * DAYS + 1, 12))
     morning = (DAYS - 1) * len(SHIFTS)
     for w, (load, color) in enumerate(zip(LOADS, ("#b5446e", "#4a90c8"), strict=True)):
         for values, style, label in (
             (before[:, morning, w], "-", f"{load:g} kg, third morning"),
             (after[:, -1, w], "--", f"{load:g} kg, last evening"),
         ):
-            axes[1].plot(slower, 100.0 * values.mean(axis=0), style, color=color, label=label)
-        grown = error[:, -1, w] - error[:, 0, w]
-        axes[2].plot(slower, grown.mean(axis=0), color=color, label=f"{load:g} kg")
-        axes[2].fill_between(
-            slower, grown.min(axis=0), grown.max(axis=0), color=color, alpha=0.2, linewidth=0
-        )
-    for panel in axes[1:]:
-        panel.set(xlabel="recovery, times the published rate", xscale="log")
-        panel.invert_xaxis()
-        panel.legend(fontsize=7)
-    axes[1].set(title="fatigued motor units", ylabel="%")
-    axes[2].set(title="error, last minus first shift", ylabel="°")
+            tired.plot(slower, 100.0 * values.mean(axis=0), style, color=color, label=label)
+        grown = panel.extent(error[:, -1, w] - error[:, 0, w])
+        panel.band(errors, slower, grown, color=color, label=f"{load:g} kg")
+    for axes in (tired, errors):
+        axes.set(xlabel="recovery, times the published rate", xscale="log")
+        axes.invert_xaxis()
+    for axes in (days, tired, errors):
+        axes.legend(fontsize=7)
+    tired.set(title="fatigued motor units", ylabel="%")
+    errors.set(title="error, last minus first shift", ylabel="°")
 
 
-EXPERIMENT = Experiment(
-    "recovery",
-    "Recovery: three days of work with fatigue that is carried over",
-    "beyond the paper, whose fatigue does not recover.",
-    run,
-)
+EXPERIMENT = Experiment("recovery", run)

@@ -2,36 +2,24 @@
 
 from __future__ import annotations
 
-import csv
-import inspect
 import json
-import math
-import sys
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column
 
 from myowarp.apps.policies.checkpoint import versions
-from myowarp.apps.studies.reproduce.experiment import Experiment, Lab
-from myowarp.apps.studies.reproduce.result import Findings, Merit
+from myowarp.apps.reports import panel, table
+from myowarp.apps.reports.result import Claim, read_claims
+from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.disk import in_place, plain
 
 FIGURES = ("figure.png", "figure.pdf")
 FILES = ("result.json", "table.csv", "page.md", *FIGURES)
-WIDTH, HEIGHT, DPI = 8.0, 5.0, 110
-RC: Any = {
-    "font.size": 8.5,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.alpha": 0.25,
-    "legend.frameon": False,
-    "pdf.fonttype": 42,
-}
+WIDTH, HEIGHT = 8.0, 5.0
+HEADS = ("condition", "paper", "ours (95 % interval)", "difference")
+DIFFERENCES = "Where we differ, and why"
 
 
 def write(experiment: Experiment, lab: Lab, findings: Findings) -> None:
@@ -40,21 +28,12 @@ def write(experiment: Experiment, lab: Lab, findings: Findings) -> None:
     Raises:
         OSError: One cannot be written.
     """
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(RC):
-        figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+    with panel.style():
+        figure = panel.blank(WIDTH, HEIGHT)
         findings.draw(figure)
         for name in FIGURES:
-            dates: Any = {"CreationDate": None} if name.endswith("pdf") else None
-            with in_place(lab.folder / name) as scratch:
-                figure.savefig(scratch, dpi=DPI, format=scratch.suffix[1:], metadata=dates)
-    rows = [merit.as_dict() for merit in findings.merits]
-    with in_place(lab.folder / "table.csv") as scratch, scratch.open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+            panel.save(figure, lab.folder / name)
+    table.save_csv(lab.folder / "table.csv", [merit.as_dict() for merit in findings.merits])
     with in_place(lab.folder / "page.md") as scratch:
         scratch.write_text(page(experiment, lab, findings))
     with in_place(lab.folder / "result.json") as scratch:
@@ -76,29 +55,29 @@ def as_dict(experiment: Experiment, lab: Lab, findings: Findings) -> dict[str, A
         "merits": [
             merit.as_dict() | {"values": [float(v) for v in merit.values]} for merit in findings.merits
         ],
-        "claims": [{"claim": c.text, "holds": bool(c.holds), "why": c.why} for c in findings.claims],
-        "text": findings.text,
+        "claims": [{"claim": c.text, "holds": c.holds, "why": c.why} for c in claims(experiment, findings)],
+        "text": differences(experiment, findings),
     }
 
 
-def protocol(experiment: Experiment) -> str:
-    """Return the docstring of the experiment's file."""
-    return inspect.getdoc(sys.modules[experiment.run.__module__]) or ""
+def differences(experiment: Experiment, findings: Findings) -> str:
+    """Return where ours differs from the paper, and why; measured values are in it."""
+    return experiment.essay[DIFFERENCES].format(**findings.measured)
+
+
+def claims(experiment: Experiment, findings: Findings) -> list[Claim]:
+    """Return the conclusions, and whether ours agree."""
+    return read_claims(experiment.essay["Conclusions"].format(**findings.measured), findings.holds)
 
 
 def page(experiment: Experiment, lab: Lab, findings: Findings) -> str:
     """Return the page: figure, table, claims, where we differ, and the protocol."""
     size = f"{len(lab.seeds)} seeds, {lab.num_worlds} worlds for each seed and condition. "
     size = size if findings.over == "seeds" and findings.in_worlds else ""
-    heads = ("quantity", "condition", "paper", "ours (95 % interval)", "difference", "note")
-    rows = [
-        (f"{m.quantity}{f' [{m.unit}]' if m.unit else ''}", m.condition, *cells(m), m.note)
-        for m in findings.merits
-    ]
-    lines = ["| " + " | ".join(row) + " |" for row in (heads, ("---",) * len(heads), *rows)]
-    claims = [
+    rows = [(merit.label, merit.condition, *merit.cells(), merit.note) for merit in findings.merits]
+    conclusions = [
         f"* {'Agrees' if c.holds else '**Differs**'}: {c.text}{f' {c.why}' if c.why else ''}"
-        for c in findings.claims
+        for c in claims(experiment, findings)
     ]
     parts = (
         f"# {experiment.title}",
@@ -107,51 +86,30 @@ def page(experiment: Experiment, lab: Lab, findings: Findings) -> str:
         f"**The paper:** {experiment.paper}",
         "![Figure](figure.png)",
         "## Conclusions",
-        "\n".join(claims),
+        "\n".join(conclusions),
         "## Figures of merit",
-        "\n".join(lines),
-        "## Where we differ, and why",
-        findings.text.strip(),
+        table.markdown(("quantity", *HEADS, "note"), rows),
+        f"## {DIFFERENCES}",
+        differences(experiment, findings),
         "## Protocol",
-        protocol(experiment),
+        experiment.essay["Protocol"],
     )
     return "\n\n".join(parts) + "\n"
 
 
-def number(value: float | None) -> str:
-    """Return a number as a table shows it, with three digits."""
-    if value is None or not math.isfinite(value):
-        return "-"
-    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
-
-
-def cells(merit: Merit) -> tuple[str, str, str]:
-    """Return the paper's value, ours and their difference."""
-    paper = number(merit.paper) + ("" if merit.spread is None else f" ± {number(merit.spread)}")
-    low, high = merit.interval
-    ours = number(merit.mean) + (f" ({number(low)} to {number(high)})" if math.isfinite(low) else "")
-    return paper, ours, number(merit.difference)
-
-
-def print_table(findings: Findings, console: Console) -> None:
+def print_table(experiment: Experiment, findings: Findings, console: Console) -> None:
     """Print figures of merit and claims."""
-    table = Table("figure of merit", "condition", "paper", "ours (95 % interval)", "difference")
-    for merit in findings.merits:
-        unit = f" \\[{merit.unit}]" if merit.unit else ""
-        table.add_row(f"{merit.quantity}{unit}", merit.condition, *cells(merit))
-    console.print(table)
-    for claim in findings.claims:
+    rows = [(merit.label.replace("[", "\\["), merit.condition, *merit.cells()) for merit in findings.merits]
+    console.print(table.terminal(("figure of merit", *HEADS), rows))
+    for claim in claims(experiment, findings):
         style = "green" if claim.holds else "red"
         console.print(f"{'agrees' if claim.holds else 'differs'}: {claim.text}", style=style, markup=False)
 
 
 def print_list(experiments: dict[str, Experiment], console: Console) -> None:
     """Print names and titles."""
-    table = Table("name", "experiment")
-    table.columns[0].no_wrap = True
-    for name, experiment in experiments.items():
-        table.add_row(name, experiment.title)
-    console.print(table)
+    rows = [(name, experiment.title) for name, experiment in experiments.items()]
+    console.print(table.terminal((Column("name", no_wrap=True), "experiment"), rows))
 
 
 def output_folder(name: str, quick: bool, retrain: bool) -> Path:

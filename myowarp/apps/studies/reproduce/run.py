@@ -9,8 +9,7 @@ from pathlib import Path
 
 from myowarp.apps.studies.reproduce import report
 from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
-from myowarp.apps.studies.reproduce.experiment import Experiment, Lab
-from myowarp.apps.studies.reproduce.result import Findings
+from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.definitions.registry import check_flag, check_least
 from myowarp.definitions.setup import Setup
 from myowarp.disk import check_folder
@@ -95,8 +94,9 @@ def plan_experiment(
     check_device_name(setup.device)
     if missing := [path for path in models if not path.is_file()]:
         raise ValueError(f"--models {str(missing[0])!r} is no file; give the path of an .osim file")
-    if importlib.util.find_spec("matplotlib") is None:
-        raise ImportError('reproduce draws with matplotlib; run `pip install "myowarp[plot]"`')
+    for package in ("matplotlib", "scipy"):
+        if importlib.util.find_spec(package) is None:
+            raise ImportError(f'reproduce needs {package}; run `pip install "myowarp[plot]"`')
     folder = output or report.output_folder(name, quick, retrain)
     check_folder(folder)
     return ExperimentJob(experiment, folder, number, worlds, quick, retrain, overwrite, setup, tuple(models))

@@ -1,13 +1,4 @@
-"""Speed: forward simulation beside OpenSim's, with 1 to 64 times the muscles.
-
-Paper: the elbow with its six muscles, each replicated; MuJoCo is 60 to 4,000 times faster than OpenSim, and
-the more so the more muscles there are.
-
-Open in the paper, and chosen here: accuracy and step of OpenSim, the duration of an episode and the
-excitation. The benchmark (`make opensim`, `benchmarks/opensim_speed.py`) says its own and what else differs.
-It needs OpenSim and the models; this command draws what it measured, `opensim_speed.json`, which is
-committed.
-"""
+"""Speed: forward simulation beside OpenSim's, with 1 to 64 times the muscles."""
 
 from __future__ import annotations
 
@@ -17,29 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from myowarp.apps.studies.reproduce.experiment import Experiment, Lab
-from myowarp.apps.studies.reproduce.result import Claim, Findings, Merit
+from myowarp.apps.reports.result import Merit
+from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RESULT = Path(__file__).parents[4] / "benchmarks/results/opensim_speed.json"
+RECORD = Path(__file__).with_name("opensim_speed.json")
 PAPER = 60.0, 4000.0  # times as fast as OpenSim, least and greatest
 OPENSIM, MUJOCO = "OpenSim", "MuJoCo C, 1 thread"
 COLORS = ("#6b6b6b", "#7aa6c9", "#1f5fa8", "#0b2f57")
 
 
 def run(lab: Lab) -> Findings:
-    """Read what the benchmark measured.
-
-    Raises:
-        ValueError: The result is not there.
-    """
-    if not RESULT.is_file():
-        raise ValueError(
-            f"speed draws {RESULT.name}: a checkout of the repository has it, the installed package does not"
-        )
-    return findings(json.loads(RESULT.read_text()))
+    """Read what the benchmark measured."""
+    return findings(json.loads(RECORD.read_text()))
 
 
 def contestants(model: dict[str, Any]) -> list[str]:
@@ -56,64 +39,39 @@ def ratios(model: dict[str, Any], name: str) -> tuple[np.ndarray, np.ndarray]:
 
 def findings(report: dict[str, Any]) -> Findings:
     """Return figures of merit, claims and figure."""
-    merits, grows = [], []
+    rows, grows = [], []
     for name, model in report["models"].items():
         for who in contestants(model):
             muscles, rounds = ratios(model, who)
+            # Median, least and greatest are all there is of three rounds.
+            rounds = rounds if report["rounds"] == 3 else rounds[:1]
             for place, paper in ((0, PAPER[0]), (-1, PAPER[1])):
                 condition = f"{name}, {muscles[place]} muscles, {who}"
                 known = paper if name == "arm26" else None
-                # Median, least and greatest are all there is of three rounds.
-                values = rounds[:, place] if report["rounds"] == 3 else rounds[:1, place]
-                merits.append(Merit("times as fast as OpenSim", "", condition, tuple(values), known))
+                rows.append(Merit("times as fast as OpenSim", "", condition, rounds[:, place], known))
             grows.append(float(rounds[0, -1] / rounds[0, 0]))
-    arm = {
-        who: ratios(report["models"]["arm26"], who)[1][0] for who in contestants(report["models"]["arm26"])
+    model = report["models"]["arm26"]
+    arm = {who: ratios(model, who)[1][0] for who in contestants(model)}
+    batches = [ratio.min() for who, ratio in arm.items() if who != MUJOCO]
+    holds = {
+        "grows": min(grows) > 1.0,
+        "one world, 60": arm[MUJOCO].min() >= PAPER[0],
+        "batch, 60": min(batches) >= PAPER[0],
+        "one world, 4000": arm[MUJOCO].max() >= PAPER[1],
     }
-    claims = (
-        Claim(
-            "The advantage over OpenSim grows with the number of muscles, for every contestant and model.",
-            min(grows) > 1.0,
-            f"From 1 to 64 times the muscles by a factor of {min(grows):.1f} to {max(grows):.1f}.",
-        ),
-        Claim(
-            "One world in MuJoCo is at least 60 times as fast on arm26.", bool(arm[MUJOCO].min() >= PAPER[0])
-        ),
-        Claim(
-            "A batch of worlds is at least 60 times as fast on arm26.",
-            bool(min(ratio.min() for who, ratio in arm.items() if who != MUJOCO) >= PAPER[0]),
-        ),
-        Claim("One world in MuJoCo comes to 4,000 times on arm26.", bool(arm[MUJOCO].max() >= PAPER[1])),
-    )
-    return Findings(
-        tuple(merits),
-        claims,
-        text(report, arm),
-        lambda figure: draw(figure, report),
-        over="rounds of the benchmark",
-    )
-
-
-def text(report: dict[str, Any], arm: dict[str, np.ndarray]) -> str:
-    """Return where ours differs from the paper, and why."""
-    rate = {
-        n: list(report["models"]["arm26"]["copies"].values())[n][OPENSIM]["rate"]["median"] for n in (0, -1)
-    }
+    rates = [row[OPENSIM]["rate"]["median"] for row in model["copies"].values()]
     last = list(arm)[-1]
-    notes = "\n".join(f"* {key}: {value}" for key, value in report["differences"].items())
-    return f"""
-**Less than the paper's 60 to 4,000.** One world of MuJoCo is {arm[MUJOCO][0]:.0f} times as fast as OpenSim
-with six muscles and {arm[MUJOCO][-1]:.0f} times with 384; {report["models"]["arm26"]["duration"]:g} s of
-arm26, {rate[0]:g} and {rate[-1]:g} simulated seconds a second in OpenSim {report["versions"]["opensim"]}. The
-sign and the growth are the paper's. The size depends on what is asked of OpenSim, and the paper gives neither
-the accuracy of its integrator nor its release. What a user of MyoWarp gains is the batch: {arm[last][0]:.0f}
-to {arm[last][-1]:.0f} times ({last}).
-
-{notes}
-
-Measured on {report["processor"]}, {report["cores"]} cores; `cores_busy_with_others` in the JSON says who else
-used them. The benchmark took {report["rounds"]} rounds.
-"""
+    measured = {
+        "report": report,
+        "grows": (min(grows), max(grows)),
+        "single": arm[MUJOCO][[0, -1]],
+        "rate": (rates[0], rates[-1]),
+        "batch": arm[last][[0, -1]],
+        "last": last,
+        "notes": "\n".join(f"* {key}: {value}" for key, value in report["differences"].items()),
+    }
+    over = "rounds of the benchmark"
+    return Findings(rows, holds, lambda figure: draw(figure, report), measured, over)
 
 
 def draw(figure: Figure, report: dict[str, Any]) -> None:
@@ -135,10 +93,4 @@ def draw(figure: Figure, report: dict[str, Any]) -> None:
     figure.axes[0].legend(loc="upper left")
 
 
-EXPERIMENT = Experiment(
-    "speed",
-    "Forward simulation beside OpenSim's, with 1 to 64 times the muscles",
-    "Figure of speed: MuJoCo is 60 to 4,000 times as fast as OpenSim, growing with the number of muscles.",
-    run,
-    ignores=("seeds", "num_worlds", "retrain", "models", "device"),
-)
+EXPERIMENT = Experiment("speed", run, ignores=("seeds", "num_worlds", "retrain", "models", "device"))

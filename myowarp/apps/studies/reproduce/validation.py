@@ -1,21 +1,4 @@
-"""Validation: moment arms and static forces of elbow and hand beside OpenSim's.
-
-Paper: muscle by muscle, root mean square differences of moment arms and of static forces from the OpenSim
-models that the bodies come from, and their mean and standard deviation: the elbow from OpenSim's 2-joint,
-6-muscle arm, the hand from MoBL-ARMS and "a 2nd hand model".
-
-Open in the paper, and chosen here:
-
-* Reference: OpenSim 4.6 itself, recorded in `opensim_arms.json` (`benchmarks/opensim_arms.py`): arm26 over
-  the elbow, MoBL-ARMS over pronation, deviation and flexion of the wrist, 21 angles each, all else at its
-  default. The second model, of the fingers, is not public; what crosses fingers alone is not compared.
-* Moment arms: one difference for each pair of muscle and coordinate. OpenSim's solver and the slope of its
-  own length differ in places, by jumps of a path; the angles where they do by more than 0.1 mm are left out.
-* Forces: one difference for each muscle, at activation 0.5 and 1 and zero velocity over all these angles, in
-  shares of OpenSim's maximum isometric force.
-* Our converter's result on the same files is measured in the same way, where `--models` names them, over the
-  coordinates that a file does not lock (MoBL-ARMS: pronation).
-"""
+"""Validation: moment arms and static forces of elbow and hand beside OpenSim's."""
 
 from __future__ import annotations
 
@@ -29,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from myowarp.apps.studies.reproduce.experiment import Experiment, Lab, Tick
-from myowarp.apps.studies.reproduce.result import Claim, Findings, Merit
+from myowarp.apps.reports.result import Merit
+from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
 from myowarp.definitions.body import BODIES
 from myowarp.models.couplings import follow
 
@@ -38,10 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RECORD = Path(__file__).with_name("opensim_arms.json")
-SOURCES = {
-    "arm26": "github.com/opensim-org/opensim-models, Models/Arm26",
-    "MoBL_ARMS": "simtk.org/projects/upexdyn",
-}
 BODY = {"arm26": "elbow", "MoBL_ARMS": "hand"}
 PAPER_ARM = {"arm26": (0.44, 0.9), "MoBL_ARMS": (3.8, 5.7)}  # mm; printed: 0.044 +- 0.09, 0.38 +- 0.57 %
 PAPER_FORCE = {"arm26": (2.2, 1.4), "MoBL_ARMS": (4.1, 2.0)}  # % of maximum isometric force
@@ -241,109 +220,71 @@ def _converted(lab: Lab, path: Path) -> tuple[mujoco.MjModel, dict[str, tuple[st
 
 def findings(bodies: dict[str, list[Pair]], converted: dict[str, list[Pair]]) -> Findings:
     """Return figures of merit, claims and figure."""
-    merits = []
+    rows = []
+    what, fmax = "static force, RMS difference", "% Fmax"
+
+    def compare(name: str, who: str, found: list[Pair]) -> dict[str, float]:
+        by_muscle, arms = force_rms(found), [pair.arm_rms for pair in found]
+        rows.append(Merit("moment arms, RMS difference", "mm", who, arms, *PAPER_ARM[name], AS_CM))
+        rows.append(Merit(what, fmax, who, list(by_muscle.values()), *PAPER_FORCE[name]))
+        return by_muscle
+
     for name, found in bodies.items():
-        body, arms, by_muscle = BODY[name], tuple(p.arm_rms for p in found), force_rms(found)
-        merits.append(Merit("moment arms, RMS difference", "mm", body, arms, *PAPER_ARM[name], AS_CM))
-        merits.append(
-            Merit(
-                "static force, RMS difference", "% Fmax", body, tuple(by_muscle.values()), *PAPER_FORCE[name]
-            )
-        )
-        merits.append(
-            Merit(
-                "median of the muscles' forces", "% Fmax", body, (float(np.median(list(by_muscle.values()))),)
-            )
-        )
-        fitted = tuple(force_rms(found, only_fitted=True).values())
-        merits.append(
-            Merit(
-                "static force, RMS difference",
-                "% Fmax",
-                f"{body}, muscles within their range",
-                fitted,
-                *PAPER_FORCE[name],
-                f"{len(fitted)} of {len(by_muscle)} muscles",
-            )
-        )
+        by_muscle, body = compare(name, BODY[name], found), BODY[name]
+        median = float(np.median(list(by_muscle.values())))
+        rows.append(Merit("median of the muscles' forces", fmax, body, [median]))
+        fitted = list(force_rms(found, only_fitted=True).values())
+        who, note = f"{body}, muscles within their range", f"{len(fitted)} of {len(by_muscle)} muscles"
+        rows.append(Merit(what, fmax, who, fitted, *PAPER_FORCE[name], note))
     for name, found in converted.items():
-        who = f"{name}, our converter"
-        arms, forces = tuple(p.arm_rms for p in found), tuple(force_rms(found).values())
-        merits.append(Merit("moment arms, RMS difference", "mm", who, arms, *PAPER_ARM[name], AS_CM))
-        merits.append(Merit("static force, RMS difference", "% Fmax", who, forces, *PAPER_FORCE[name]))
-    first = [
-        Claim(
-            f"The {body}'s moment arms differ from OpenSim's by less than the paper's mean plus one spread.",
-            bool(np.nanmean([pair.arm_rms for pair in bodies[name]]) < sum(PAPER_ARM[name])),
-        )
-        for name, body in BODY.items()
-    ]
-    second = [
-        Claim(
-            f"The {body}'s forces differ from OpenSim's by less than the paper's mean plus one spread.",
-            bool(np.mean(list(force_rms(bodies[name]).values())) < sum(PAPER_FORCE[name])),
-            "See below.",
-        )
-        for name, body in BODY.items()
-    ]
+        compare(name, f"{name}, our converter", found)
+    holds = {}
+    for name, found in bodies.items():
+        holds[f"{BODY[name]}, moment arms"] = mean_arm(found) < sum(PAPER_ARM[name])
+        holds[f"{BODY[name]}, forces"] = mean_force(found) < sum(PAPER_FORCE[name])
     return Findings(
-        tuple(merits),
-        (*first, *second),
-        text(bodies, converted),
+        rows,
+        holds,
         lambda figure: draw(figure, bodies, converted),
+        measured(bodies, converted),
         over="pairs of muscle and coordinate, or muscles",
     )
 
 
-def text(bodies: dict[str, list[Pair]], converted: dict[str, list[Pair]]) -> str:
-    """Return where ours differs from the paper, and why."""
+def mean_arm(found: list[Pair]) -> float:
+    """Return the mean over all pairs of their moment arms' RMS difference [mm]."""
+    return float(np.nanmean([pair.arm_rms for pair in found]))
+
+
+def mean_force(found: list[Pair]) -> float:
+    """Return the mean over all muscles of their forces' RMS difference [%]."""
+    return float(np.mean(list(force_rms(found).values())))
+
+
+def measured(bodies: dict[str, list[Pair]], converted: dict[str, list[Pair]]) -> dict[str, Any]:
+    """Return the values of the essay."""
     elbow, hand = bodies["arm26"], bodies["MoBL_ARMS"]
     forces = force_rms(hand)
     largest = sorted(forces, key=lambda name: -forces[name])[:6]
-    worst = ", ".join(f"{name} {forces[name]:.0f} %" for name in largest)
-    unfit = ", ".join(sorted({p.muscle for p in hand if not p.fitted}))
-    left_out = sum(int((~p.kept).sum()) for p in hand)
-    per = {
-        c: np.nanmean([p.arm_rms for p in hand if p.coordinate == c]) for c in {p.coordinate for p in hand}
-    }
-    ours = np.array([[p.force[0][k, -1] for k in (0, -1)] for p in elbow])
-    theirs = np.array([[p.force[1][k, -1] for k in (0, -1)] for p in elbow])
+    unfit = sorted({p.muscle for p in hand if not p.fitted})
+    ours, theirs = (np.array([[p.force[i][k, -1] for k in (0, -1)] for p in elbow]) for i in range(2))
     short = [(i, int(np.argmin(row))) for i, row in enumerate(ours)]
-    ends = "; ".join(f"{elbow[i].muscle} {theirs[i, k]:.2f} and {ours[i, k]:.2f}" for i, k in short)
-    where = "\n".join(f"* `{name}.osim`: {url}" for name, url in SOURCES.items())
-    fits = [
-        f"{name}: {np.nanmean([p.arm_rms for p in found]):.2g} mm and "
-        f"{np.mean(list(force_rms(found).values())):.2g} % of Fmax"
+    fits = "; ".join(
+        f"{name}: {mean_arm(found):.2g} mm and {mean_force(found):.2g} % of Fmax"
         for name, found in converted.items()
-    ]
-    after = f"The same muscles by our converter: {'; '.join(fits)}." if fits else "`--models` measures it."
-    return f"""
-**The unit of the moment arms.** The paper prints 0.044 ± 0.09 % and 0.38 ± 0.57 %. The converter that it
-describes reports 0.0457 ± 0.0861 *centimetres* for arm26, so that we read the paper's numbers as centimetres.
-
-**Elbow, moment arms.** Ours are {np.nanmean([p.arm_rms for p in elbow]):.3f} mm off, the paper's 0.44 mm. The
-converter's report covers the shoulder, too, where moment arms are hardest; the elbow of the tasks has none.
-
-**Elbow, forces.** The released elbow does not reproduce the paper's 2.2 %. Its parameters let the force fall
-too early where muscles are short. Of Fmax at full activation, at the end where ours is least, OpenSim and
-ours: {ends}. We keep the released parameters, since policies and tasks hang on them. {after}
-
-**Hand, moment arms.** By coordinate: pronation {per["pro_sup"]:.1f}, deviation {per["deviation"]:.1f},
-flexion {per["flexion"]:.1f} mm. In MoBL-ARMS the wrist's two rows of carpal bones share a rotation, in the
-hand one hinge does it all. The hand's deviation counts radial as positive and OpenSim's ulnar, yet both have
-the range -10° to 25°: the hand's range is mirrored, it deviates 25° to the thumb and 10° away from it. We
-compare equal postures. {left_out} of {sum(p.kept.size for p in hand)} angles are left out, where OpenSim's
-moment arm is not the slope of its own length.
-
-**Hand, forces.** {unfit.count(",") + 1} of {len(forces)} muscles carry parameters that do not fit the muscle:
-its length leaves the `lengthrange` for which they were made, or Fmax is not MoBL-ARMS's, or MoBL-ARMS
-overstretches it ({unfit}). EDCL pulls with 139.4 N in the hand and with 39.4 N in MoBL-ARMS. The worst:
-{worst}. The table has the others on their own. MyoSuite ships these numbers.
-
-**Where the models are.** They are no part of this package:
-
-{where}
-"""
+    )
+    return {
+        "elbow": mean_arm(elbow),
+        "ends": "; ".join(f"{elbow[i].muscle} {theirs[i, k]:.2f} and {ours[i, k]:.2f}" for i, k in short),
+        "after": f"The same muscles by our converter: {fits}." if fits else "`--models` measures it.",
+        "per": {c: mean_arm([p for p in hand if p.coordinate == c]) for c in {p.coordinate for p in hand}},
+        "left_out": sum(int((~p.kept).sum()) for p in hand),
+        "angles": sum(p.kept.size for p in hand),
+        "number_unfit": len(unfit),
+        "number": len(forces),
+        "unfit": ", ".join(unfit),
+        "worst": ", ".join(f"{name} {forces[name]:.0f} %" for name in largest),
+    }
 
 
 def draw(figure: Figure, bodies: dict[str, list[Pair]], converted: dict[str, list[Pair]]) -> None:
@@ -377,11 +318,4 @@ def draw(figure: Figure, bodies: dict[str, list[Pair]], converted: dict[str, lis
     bottom[0].legend(loc="center left", bbox_to_anchor=(0.5, 0.8))
 
 
-EXPERIMENT = Experiment(
-    "validation",
-    "Moment arms and static forces of elbow and hand beside OpenSim's",
-    "Table of model validation: root mean square differences of moment arms 0.044 ± 0.09 (elbow) and "
-    "0.38 ± 0.57 (hand), printed as %, and of forces 2.2 ± 1.4 and 4.1 ± 2.0 % of peak force.",
-    run,
-    ignores=("seeds", "num_worlds", "retrain", "device"),
-)
+EXPERIMENT = Experiment("validation", run, ignores=("seeds", "num_worlds", "retrain", "device"))

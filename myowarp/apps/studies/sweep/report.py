@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-import csv
 import importlib.util
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from myowarp.apps.studies.reproduce.result import Merit
+from myowarp.apps.reports import panel, table
+from myowarp.apps.reports.result import Merit
 from myowarp.apps.studies.sweep.study import Run
-from myowarp.disk import in_place
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 RUNS, TABLE, PLOT = "runs.csv", "table.csv", "study.png"
-ROW, WIDTH, DPI = 0.32, 3.4, 110  # inches of a cell, of a panel; dots an inch
+ROW, WIDTH = 0.32, 3.4  # inches of a cell, of a panel
+COLOR = panel.COLORS[0]
 Results = Mapping[str, Mapping[str, Any]]
 
 
@@ -26,9 +29,9 @@ def measures(result: Mapping[str, Any]) -> dict[str, tuple[float, float, float]]
     found: dict[str, tuple[float, float, float]] = {}
     for merit in figures.get("merits", ()):
         name = ", ".join(filter(None, (merit["quantity"], merit["condition"])))
-        unit = f" [{merit['unit']}]" if merit["unit"] else ""
+        label = Merit(name, merit["unit"], "", ()).label
         ours, low, high = (math.nan if merit[k] is None else merit[k] for k in ("ours", "low", "high"))
-        found[name + unit] = ours, low, high
+        found[label] = ours, low, high
     for mode in ("deterministic", "sampled"):
         if mode in figures:
             low, high = figures[mode]["intervals"]["success"]
@@ -61,40 +64,35 @@ def summary(runs: Iterable[Run], results: Results) -> list[dict[str, Any]]:
         done = [measures(results[run.name]) for run in members if run.name in results]
         for name in dict.fromkeys(name for one in done for name in one):
             values = [one[name] for one in done if name in one]
-            merit = Merit(name, "", "", tuple(value[0] for value in values))
+            merit = Merit(name, "", "", [value[0] for value in values])
             low, high = merit.interval if len(values) > 1 else values[0][1:]
-            rows.append(
-                {
-                    "cell": cell,
-                    "measure": name,
-                    "mean": merit.mean,
-                    "low": low,
-                    "high": high,
-                    "n": len(values),
-                }
-            )
+            row = {"cell": cell, "measure": name, "mean": merit.mean, "low": low, "high": high}
+            rows.append(row | {"n": len(values)})
     return rows
 
 
 def live_table(runs: Iterable[Run], results: Results, failures: Mapping[str, str]) -> Table:
     """Return how far each cell is."""
-    table = Table("", "done", "failed", "left", "mean of the first measure")
-    rows = {row["cell"]: row for row in reversed(summary(runs, results))}
+    first, lines = {row["cell"]: row for row in reversed(summary(runs, results))}, []
     for cell, members in cells(runs).items():
         done = sum(run.name in results for run in members)
         failed = sum(run.name in failures for run in members)
-        text = f"{rows[cell]['mean']:.4g} {rows[cell]['measure']}" if cell in rows else ""
-        table.add_row(cell, str(done), str(failed), str(len(members) - done - failed), text)
-    return table
+        text = f"{first[cell]['mean']:.4g} {first[cell]['measure']}" if cell in first else ""
+        lines.append((cell, str(done), str(failed), str(len(members) - done - failed), text))
+    return table.terminal(("", "done", "failed", "left", "mean of the first measure"), lines)
 
 
 def final_table(rows: Iterable[Mapping[str, Any]]) -> Table:
     """Return means with intervals, a row for each cell and measure."""
-    table = Table("", "", "mean", "95 % interval", "seeds")
-    for row in rows:
-        span = "" if math.isnan(row["low"]) else f"{row['low']:.4g} to {row['high']:.4g}"
-        table.add_row(row["cell"], row["measure"], f"{row['mean']:.4g}", span, str(row["n"]))
-    return table
+    lines = [
+        (
+            *(row["cell"], row["measure"], f"{row['mean']:.4g}"),
+            "" if math.isnan(row["low"]) else f"{row['low']:.4g} to {row['high']:.4g}",
+            str(row["n"]),
+        )
+        for row in rows
+    ]
+    return table.terminal(("", "", "mean", "95 % interval", "seeds"), lines)
 
 
 def write(output: Path, runs: list[Run], results: Results) -> list[Path]:
@@ -112,40 +110,32 @@ def write(output: Path, runs: list[Run], results: Results) -> list[Path]:
         each.append(head | values)
     rows = summary(runs, results)
     for name, lines in ((RUNS, each), (TABLE, rows)):
-        with in_place(output / name) as scratch, scratch.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(dict.fromkeys(k for line in lines for k in line)))
-            writer.writeheader()
-            writer.writerows(lines)
+        table.save_csv(output / name, lines)
     if importlib.util.find_spec("matplotlib") is None or not rows:
         return [output / RUNS, output / TABLE]
-    _draw(output / PLOT, rows)
+    with panel.style(10.0):
+        panel.save(_drawn(rows), output / PLOT)
     return [output / RUNS, output / TABLE, output / PLOT]
 
 
-def _draw(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Draw a panel for each measure: a point with its interval for each cell."""
-    from matplotlib.figure import Figure
-
+def _drawn(rows: list[dict[str, Any]]) -> Figure:
+    """Return a figure with a panel for each measure: a point with its interval for each cell."""
     names = list(dict.fromkeys(row["measure"] for row in rows))
     places = {cell: i for i, cell in enumerate(dict.fromkeys(row["cell"] for row in rows))}
     columns = min(3, len(names))
     lines = math.ceil(len(names) / columns)
-    size = WIDTH * columns + 2.0, lines * (1.0 + ROW * len(places))
-    figure = Figure(figsize=size, layout="constrained")
+    figure = panel.blank(WIDTH * columns + 2.0, lines * (1.0 + ROW * len(places)))
     panels = figure.subplots(lines, columns, sharey=True, squeeze=False).ravel()
-    for panel, name in zip(panels, names, strict=False):
+    for axes, name in zip(panels, names, strict=False):
         for row in rows:
             if row["measure"] == name:
-                place = places[row["cell"]]
-                panel.plot(
-                    [row["low"], row["high"]], [place, place], color="tab:blue", linewidth=3, alpha=0.4
-                )
-                panel.plot(row["mean"], place, "o", color="tab:blue", markersize=5)
-        panel.set(xlabel=name, yticks=list(places.values()), yticklabels=list(places))
-        panel.grid(axis="x", alpha=0.3)
-    for panel in panels[len(names) :]:
-        panel.set_axis_off()
+                place, span = places[row["cell"]], (row["low"], row["high"])
+                axes.plot(span, (place, place), color=COLOR, linewidth=3, alpha=0.4)
+                axes.plot(row["mean"], place, "o", color=COLOR, markersize=5)
+        axes.set(xlabel=name, yticks=list(places.values()), yticklabels=list(places))
+        axes.grid(visible=False, axis="y")
+    for axes in panels[len(names) :]:
+        axes.set_axis_off()
     panels[0].invert_yaxis()
     figure.suptitle("Mean over seeds and its 95 % interval", fontsize="medium")
-    with in_place(path) as scratch:
-        figure.savefig(scratch, dpi=DPI)
+    return figure

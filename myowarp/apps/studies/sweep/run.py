@@ -13,6 +13,7 @@ from myowarp.apps.policies.baselines import baseline_folder, baseline_tasks
 from myowarp.apps.studies.cluster import check_ray, connected, each
 from myowarp.apps.studies.sweep import report, work
 from myowarp.apps.studies.sweep.study import Run, read_study
+from myowarp.definitions.setup import OPTIONS
 from myowarp.definitions.task import TASKS
 from myowarp.disk import check_folder, locked
 from myowarp.engine.threads import num_cores
@@ -108,7 +109,7 @@ def _seconds(run: Run, runs: list[Run], results: dict[str, dict[str, Any]]) -> f
     if spec.key not in baseline_tasks():
         return None
     manifest = json.loads((baseline_folder(spec.key) / MANIFEST).read_text())
-    options = {name: value for name, value in run.options.items() if name != "algorithm"}
+    options = {n: value for n, value in run.options.items() if n != "algorithm" and n not in OPTIONS}
     algorithm = run.options.get("algorithm") or preset_algorithm(spec.name)
     settings = choose(spec.name, algorithm, options)
     return float(settings.samples * manifest["clock"]["total"] / manifest["samples"])

@@ -1,30 +1,17 @@
-"""What an experiment finds: figures of merit beside the paper's, claims, and how sure we are."""
+"""What a study finds: figures of merit beside those of a paper, claims, and how sure we are."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-CONFIDENCE = 0.95
-POINTS = 20_001  # at which a density is summed; good to 1e-4
-
-
-def t_quantile(degrees: int) -> float:
-    """Return what Student's t stays within, up and down, with probability 0.95.
-
-    With t = sqrt(n) tan(angle) for n degrees of freedom, the density of the angle is cos(angle)^(n - 1).
-    """
-    angle = np.linspace(0.0, 0.5 * math.pi, POINTS)
-    density = np.cos(angle) ** (degrees - 1)
-    below = np.concatenate(([0.0], np.cumsum(density[1:] + density[:-1])))
-    return math.sqrt(degrees) * math.tan(float(np.interp(CONFIDENCE, below / below[-1], angle)))
+from myowarp.apps.reports.intervals import student
+from myowarp.apps.reports.table import number
 
 
 @dataclass(frozen=True)
@@ -44,7 +31,7 @@ class Merit:
     quantity: str
     unit: str
     condition: str
-    values: tuple[float, ...]
+    values: Sequence[float] | np.ndarray
     paper: float | None = None
     spread: float | None = None
     note: str = ""
@@ -70,8 +57,13 @@ class Merit:
         """95 % interval of the mean over seeds, from Student's t; NaN with fewer than two."""
         if self.n < 2:
             return math.nan, math.nan
-        half = t_quantile(self.n - 1) * float(self._known.std(ddof=1)) / math.sqrt(self.n)
-        return self.mean - half, self.mean + half
+        low, high = student(self._known)
+        return float(low), float(high)
+
+    @property
+    def label(self) -> str:
+        """Quantity and unit."""
+        return f"{self.quantity} [{self.unit}]" if self.unit else self.quantity
 
     @property
     def difference(self) -> float | None:
@@ -95,6 +87,27 @@ class Merit:
             "note": self.note,
         }
 
+    def cells(self) -> tuple[str, str, str]:
+        """Return the paper's value, ours and their difference as a table shows them."""
+        paper = number(self.paper) + ("" if self.spread is None else f" ± {number(self.spread)}")
+        low, high = self.interval
+        ours = number(self.mean) + (f" ({number(low)} to {number(high)})" if math.isfinite(low) else "")
+        return paper, ours, number(self.difference)
+
+
+def merits(
+    groups: Sequence[str], *quantities: tuple[str, str, Sequence[np.ndarray] | np.ndarray]
+) -> list[Merit]:
+    """Return a row for each condition and, within it, each quantity.
+
+    Args:
+        groups: In whom.
+        quantities: What was measured, its unit, and ours, for each condition the values of the seeds.
+    """
+    return [
+        Merit(name, unit, who, values[c]) for c, who in enumerate(groups) for name, unit, values in quantities
+    ]
+
 
 @dataclass(frozen=True)
 class Claim:
@@ -111,22 +124,18 @@ class Claim:
     why: str = ""
 
 
-@dataclass(frozen=True)
-class Findings:
-    """What an experiment returns.
+def read_claims(text: str, holds: Mapping[str, bool | np.bool_]) -> list[Claim]:
+    """Return claims, one for each point of a list in Markdown.
 
-    Attributes:
-        merits: Rows of the table.
-        claims: Conclusions.
-        text: Paragraphs (Markdown) of the page: where we differ from the paper, and why.
-        draw: Draws into an empty matplotlib figure 8 inches wide; the height may be set.
-        over: What the values of the figures of merit are over, and the intervals with them.
-        in_worlds: Whether each seed had the number of worlds that was asked for; the protocol says else.
+    Args:
+        text: Points of the form "* key: claim"; an indented line below one says why.
+        holds: Whether each claim holds, by its key; no key is left over.
+
+    Raises:
+        ValueError: The keys are not those of the list.
     """
-
-    merits: tuple[Merit, ...]
-    claims: tuple[Claim, ...]
-    text: str
-    draw: Callable[[Figure], None]
-    over: str = "seeds"
-    in_worlds: bool = True
+    points = re.findall(r"^\* (.+?): (.+)$(?:\n  (.+)$)?", text, flags=re.MULTILINE)
+    keys = [key for key, _, _ in points]
+    if sorted(keys) != sorted(holds):
+        raise ValueError(f"claims must have the keys of the essay, {keys}, got {list(holds)}")
+    return [Claim(claim, bool(holds[key]), why) for key, claim, why in points]

@@ -1,0 +1,34 @@
+"""95 % intervals: Student's of a mean, Wilson's of a proportion."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+CONFIDENCE = 0.95
+Z = 1.959963984540054  # quantile of the normal distribution for 95 %
+
+
+def student(values: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Return Student's 95 % interval of the mean over the first axis, NaN with fewer than two values."""
+    from scipy import stats
+
+    values = np.asarray(values, dtype=float)
+    if (n := len(values)) < 2:
+        return (np.full(values.shape[1:], np.nan),) * 2
+    mean = values.mean(axis=0)
+    half = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, n - 1) * values.std(axis=0, ddof=1) / math.sqrt(n)
+    return mean - half, mean + half
+
+
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a proportion. Source: Wilson 1927, JASA 22:209.
+
+    Written out, because `myowarp eval` runs where SciPy is not installed.
+    """
+    share, z2 = successes / trials, Z * Z / trials
+    middle = share + z2 / 2.0
+    half = Z * math.sqrt(share * (1.0 - share) / trials + z2 / (4.0 * trials))
+    return max(0.0, (middle - half) / (1.0 + z2)), min(1.0, (middle + half) / (1.0 + z2))

@@ -1,0 +1,135 @@
+"""Figures and their panels: one style, and the marks that studies share."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from myowarp.disk import in_place
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+INK = "#222222"
+COLORS = (
+    *("#2f76b5", "#d9822b", "#3f9b63", "#b5446e", "#7d5ba6", "#7f7f7f"),
+    *("#0d3d6e", "#8a4b08", "#12603a", "#e59ab5", "#b9a3d6", "#bdb76b"),
+)
+"""Of lines in one panel: no two look alike."""
+DPI = 110
+
+
+@contextmanager
+def style(size: float = 8.5, **settings: Any) -> Iterator[None]:
+    """Draw and save in the house's style.
+
+    Args:
+        size: Size of the font [pt]; titles have one more.
+        settings: Settings of matplotlib's that differ.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
+    import matplotlib
+
+    common: Any = {
+        "font.size": size,
+        "axes.titlesize": size + 1.0,
+        "axes.titlelocation": "left",
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "grid.alpha": 0.25,
+        "legend.frameon": False,
+        "pdf.fonttype": 42,
+        "svg.fonttype": "none",
+        "svg.hashsalt": "myowarp",
+    }
+    with matplotlib.rc_context(common | settings):
+        yield
+
+
+def blank(width: float, height: float) -> Figure:
+    """Return an empty figure of a size in inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def picture(figure: Figure, form: str, dpi: float = DPI) -> bytes:
+    """Return a figure in a format of matplotlib's, such as png, svg or pdf; no date is in it."""
+    date = {"svg": "Date", "pdf": "CreationDate"}.get(form)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=form, dpi=dpi, metadata=date and {date: None})
+    return buffer.getvalue()
+
+
+def save(figure: Figure, path: Path, dpi: float = DPI) -> None:
+    """Write a figure in the format of the path's suffix, whole or not at all.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    with in_place(path) as scratch:
+        scratch.write_bytes(picture(figure, path.suffix[1:].lower(), dpi))
+
+
+def extent(values: ArrayLike) -> np.ndarray:
+    """Return least, mean and greatest value over the first axis."""
+    values = np.asarray(values)
+    return np.array((values.min(axis=0), values.mean(axis=0), values.max(axis=0)))
+
+
+def quarters(values: ArrayLike) -> np.ndarray:
+    """Return lower quartile, median and upper quartile over the first axis."""
+    return np.quantile(np.asarray(values), (0.25, 0.5, 0.75), axis=0)
+
+
+def band(
+    axes: Axes,
+    x: ArrayLike,
+    lines: ArrayLike,
+    form: str = "-",
+    *,
+    color: str,
+    alpha: float = 0.2,
+    **line: Any,
+) -> None:
+    """Draw a line within a band.
+
+    Args:
+        axes: The panel.
+        x: Where, shape (n,).
+        lines: Lower edge, line and upper edge, as `extent` returns them, shape (3, n).
+        form: Format of the line.
+        color: Of both.
+        alpha: Opacity of the band.
+        line: What else `Axes.plot` takes.
+    """
+    low, middle, high = np.asarray(lines)
+    axes.fill_between(x, low, high, color=color, alpha=alpha, linewidth=0)
+    axes.plot(x, middle, form, color=color, **line)
+
+
+def bars(
+    axes: Axes, places: ArrayLike, values: np.ndarray, width: float, dots: str | None = None, **bar: Any
+) -> None:
+    """Draw the mean over seeds as bars and every seed as a dot.
+
+    Args:
+        axes: The panel.
+        places: Middles of the bars, shape (n,).
+        values: Of seeds, shape (seeds, n).
+        width: Of a bar.
+        dots: Label of the dots.
+        bar: What else `Axes.bar` takes.
+    """
+    axes.bar(places, values.mean(axis=0), width, **bar)
+    axes.plot(np.tile(places, len(values)), values.ravel(), "k.", markersize=4, label=dots)

@@ -1,0 +1,121 @@
+"""What studies report with: intervals, tables, claims, essays and figures."""
+
+import string
+
+import numpy as np
+import pytest
+
+from myowarp.apps.reports import panel, table
+from myowarp.apps.reports.essay import sections
+from myowarp.apps.reports.intervals import student, wilson
+from myowarp.apps.reports.result import Merit, merits, read_claims
+from myowarp.apps.studies.audit import figures
+from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
+
+# t that Student's distribution stays below with probability 0.975, from any printed table.
+STUDENT = {1: 12.706, 2: 4.303, 4: 2.776, 9: 2.262, 30: 2.042}
+
+
+@pytest.mark.parametrize(("degrees", "quantile"), STUDENT.items())
+def test_students_interval_is_that_of_the_tables(degrees, quantile):
+    values = np.random.default_rng(degrees).normal(size=(degrees + 1, 3))
+    low, high = student(values)
+    error = values.std(axis=0, ddof=1) / np.sqrt(degrees + 1)
+    np.testing.assert_allclose((high - values.mean(axis=0)) / error, quantile, atol=5e-4)
+    np.testing.assert_allclose(0.5 * (low + high), values.mean(axis=0), atol=1e-12)
+
+
+def test_one_value_has_no_interval_and_equal_ones_have_an_empty_one():
+    assert np.isnan(student([3.0])).all()
+    assert student([3.0, 3.0]) == (3.0, 3.0)
+
+
+def test_wilsons_interval_is_the_published_one():
+    # Newcombe 1998, Statistics in Medicine 17:857, table I, method 3.
+    np.testing.assert_allclose(wilson(81, 263), (0.2553, 0.3662), atol=5e-5)
+    np.testing.assert_allclose(wilson(15, 148), (0.0624, 0.1605), atol=5e-5)
+    np.testing.assert_allclose(wilson(0, 20), (0.0, 0.1611), atol=5e-5)
+    np.testing.assert_allclose(wilson(1, 29), (0.0061, 0.1718), atol=5e-5)
+    stats = pytest.importorskip("scipy.stats")
+    for successes in (0, 7, 50):
+        known = stats.binomtest(successes, 50).proportion_ci(method="wilson")
+        np.testing.assert_allclose(wilson(successes, 50), known, atol=1e-12)
+
+
+def test_merits_stand_beside_the_papers():
+    numbers = (1.0, 2.5, 2.0, 4.0, np.nan)
+    merit = Merit("x", "mm", "y", numbers, paper=2.0, spread=0.5)
+    half = 3.182 * np.std(numbers[:4], ddof=1) / 2  # of a printed table, 3 degrees of freedom
+    assert merit.interval == pytest.approx((2.375 - half, 2.375 + half), rel=1e-3)
+    assert (merit.n, merit.difference, merit.label) == (4, pytest.approx(0.375), "x [mm]")
+    assert merit.cells() == ("2 ± 0.5", "2.38 (0.386 to 4.36)", "0.375")
+    assert Merit("x", "", "y", (1.0,)).cells() == ("-", "1", "-")
+    rows = merits(("a", "b"), ("x", "", np.array([[1.0], [2.0]])), ("z", "°", np.array([[3.0], [4.0]])))
+    assert [(m.condition, m.label, m.mean) for m in rows] == [
+        ("a", "x", 1.0),
+        ("a", "z [°]", 3.0),
+        ("b", "x", 2.0),
+        ("b", "z [°]", 4.0),
+    ]
+
+
+def test_claims_have_the_keys_of_their_essay():
+    text = "* a: First: it holds.\n  For a reason.\n* b, c: Second."
+    first, second = read_claims(text, {"b, c": np.bool_(False), "a": True})
+    assert (first.text, first.holds, first.why) == ("First: it holds.", True, "For a reason.")
+    assert (second.text, second.holds, second.why) == ("Second.", False, "")
+    with pytest.raises(ValueError, match=r"must have the keys of the essay, \['a', 'b, c'\], got \['a'\]"):
+        read_claims(text, {"a": True})
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_an_essay_has_all_sections(name):
+    essay = EXPERIMENTS[name].essay
+    title, *rest = essay
+    assert (EXPERIMENTS[name].title, essay[title]) == (title, "")
+    assert rest == ["The paper", "Conclusions", "Where we differ, and why", "Protocol"]
+    assert all(essay[heading] for heading in rest)
+    for heading in ("The paper", "Protocol"):  # nothing is filled in there
+        assert not [field for _, field, _, _ in string.Formatter().parse(essay[heading]) if field]
+
+
+def test_the_audits_texts_are_those_of_its_columns():
+    _, *heads = sections(figures.TEXTS)
+    assert heads == [figure.head for figure in figures.FIGURES]
+
+
+def test_a_table_is_written_and_read(tmp_path):
+    table.save_csv(tmp_path / "table.csv", [{"x": 1.5, "who": "a"}, {"x": float("nan"), "more": 2}])
+    assert (tmp_path / "table.csv").read_bytes() == b"x,who,more\n1.5,a,\nnan,,2\n"
+    columns = table.read_numbers(tmp_path / "table.csv")
+    assert list(columns) == ["x", "more"]
+    np.testing.assert_array_equal(columns["x"], (1.5, np.nan))
+    np.testing.assert_array_equal(columns["more"], (np.nan, 2.0))
+    (tmp_path / "empty.csv").touch()
+    assert table.read_numbers(tmp_path / "empty.csv") == {}
+    assert table.markdown(("a", "b"), [("1", "2")]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"
+
+
+def test_marks_show_seeds_and_figures_have_no_date(tmp_path):
+    pytest.importorskip("matplotlib")
+    values = np.array([[1.0, 4.0], [3.0, 8.0], [2.0, 3.0]])  # (seeds, places)
+    np.testing.assert_array_equal(panel.extent(values), ((1.0, 3.0), (2.0, 5.0), (3.0, 8.0)))
+    np.testing.assert_array_equal(panel.quarters(values), ((1.5, 3.5), (2.0, 4.0), (2.5, 6.0)))
+    with panel.style():
+        figure = panel.blank(3.0, 2.0)
+        axes = figure.subplots()
+        panel.band(axes, (0.0, 1.0), panel.extent(values), color=panel.COLORS[0])
+        panel.bars(axes, np.arange(2), values, 0.5)
+        line, dots = axes.lines
+        np.testing.assert_array_equal(line.get_ydata(), (2.0, 5.0))
+        np.testing.assert_array_equal(dots.get_ydata(), values.ravel())
+        np.testing.assert_array_equal(dots.get_xdata(), (0.0, 1.0) * 3)
+        assert [bar.get_height() for bar in axes.patches] == [2.0, 5.0]
+        (edges,) = (path.vertices for path in axes.collections[0].get_paths())
+        assert (edges[:, 1].min(), edges[:, 1].max()) == (1.0, 8.0)
+        for form in ("pdf", "svg"):
+            panel.save(figure, tmp_path / f"a.{form}")
+            picture = (tmp_path / f"a.{form}").read_bytes()
+            assert picture.startswith(b"%PDF" if form == "pdf" else b"<?xml")
+            assert b"dc:date" not in picture
+            assert b"CreationDate" not in picture
