@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from myowarp.apps.train.ranks import Ranks, merged_moments
+from myowarp.apps.train.ranks import Ranks
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.models.conditions import MotorNoise, Sarcopenia, Uniform
 
@@ -84,10 +84,10 @@ def main():
 
     ranks = Ranks.started()
     with ranks.together("cpu"):
-        from myowarp.apps.train import agents  # not before: skrl would start NCCL
+        from myowarp.apps.train import agents, skrl_names  # not before: skrl would start NCCL
 
         samples = torch.from_numpy(batch()[ranks.rank])
-        mean, variance, count = merged_moments(samples.mean(0), samples.var(0), len(samples))
+        mean, variance, count = skrl_names.merged_moments(samples.mean(0), samples.var(0), len(samples))
         with counted() as calls:
             arrays = {f"learned.{name}": array for name, array in learned(ranks).items()}
         arrays["sums"] = np.array(len(calls))

@@ -126,7 +126,8 @@ class Scene:
             ValueError: The name of a state is taken.
         """
         take = self._keep if state else self.worlds.rows
-        for name in holder._cls.vars if names is None else names:
+        arrays = (name for name, value in vars(holder).items() if isinstance(value, wp.array))
+        for name in tuple(arrays) if names is None else names:
             setattr(holder, name, take(f"{owner}.{name}", getattr(holder, name)))
 
     def _keep(self, name: str, array: wp.array) -> wp.array:

@@ -17,11 +17,22 @@ import warp as wp
 
 if TYPE_CHECKING:
     import newton
+    from newton import ik
 
 NUM_STARTS = 4  # mid-range and 3 random ones; of 1000 poses of the hand one start misses 4, four miss 1
 NUM_ITERATIONS = 25  # a solve; p95 of the excess over the minimum is then below 0.1 mm for the hand
 POSITION_WEIGHT = 10.0  # 1/m; keeps the solver's absolute floor, 1e-8 of cost, below 10 micrometres
 LIMIT_WEIGHTS = (1.0, 10.0)  # 1/rad; soft limits to pass through in the first solve, stiff in the second
+SLIDE_WEIGHT = 10.0  # rad/m; a slide's limit over a hinge's, so that it is as stiff to a tip 0.1 m away
+HINGE, SLIDE, BALL, FREE = (
+    kind.value
+    for kind in (
+        mujoco.mjtJoint.mjJNT_HINGE,
+        mujoco.mjtJoint.mjJNT_SLIDE,
+        mujoco.mjtJoint.mjJNT_BALL,
+        mujoco.mjtJoint.mjJNT_FREE,
+    )
+)
 ROWS_TOGETHER = 2048  # targets times starts; 25 MB for the hand, and more rows are no faster
 MAX_DRAWS = 100  # for a row of `reachable_targets`
 
@@ -46,8 +57,8 @@ def reachable(
         num_starts: Starts of the search for each target; the first one is mid-range.
 
     Returns:
-        Smallest residual norm found [m], shape (num_targets,), and the joint angles that attain it
-        [rad], shape (num_targets, nq).
+        Smallest residual norm found [m], shape (num_targets,), and the configurations that attain it,
+        shape (num_targets, nq).
 
     Raises:
         ValueError: A tip does not exist, or the targets have a wrong shape or are not finite.
@@ -55,15 +66,16 @@ def reachable(
     """
     targets = np.asarray(targets, dtype=np.float64)
     _check(model, tips, targets)
-    low, high = model.jnt_range.T
+    low, high = _search_box(model)
     starts = np.random.default_rng(0).uniform(low, high, (num_starts, model.nq))
     starts[0] = (low + high) / 2.0
+    starts = _within_ranges(model, starts)
     residual, qpos = np.empty(len(targets)), np.empty((len(targets), model.nq))
     step = max(1, ROWS_TOGETHER // num_starts)
     for chunk in (slice(first, first + step) for first in range(0, len(targets), step)):
         wanted = np.repeat(targets[chunk], num_starts, axis=0)
         angles = np.tile(starts, (len(targets[chunk]), 1))
-        angles = np.clip(_solve(model, tips, wanted, angles, iterations), low, high)
+        angles = _within_ranges(model, _solve(model, tips, wanted, angles, iterations))
         distance = np.linalg.norm(tip_positions(model, tips, angles) - wanted, axis=1)
         best = np.nanargmin(distance.reshape(-1, num_starts), axis=1)
         rows = np.arange(0, len(wanted), num_starts) + best
@@ -135,15 +147,43 @@ def _check(model: mujoco.MjModel, tips: tuple[str, ...], targets: np.ndarray) ->
 
 
 def unsolved(model: mujoco.MjModel) -> str:
-    """Return why the joints of a model are not solved for; "": they are hinges with ranges, not coupled."""
-    for joint in map(model.joint, range(model.njnt)):
-        if joint.type[0] != mujoco.mjtJoint.mjJNT_HINGE:
-            return f"joint {joint.name!r} is no hinge; only hinges are solved for"
-        if not model.jnt_limited[joint.id]:
-            return f"joint {joint.name!r} has no range to search in"
-    if (model.eq_type == mujoco.mjtEq.mjEQ_JOINT).any():
-        return "an equality constraint couples joints"
-    return ""
+    """Return why the joints of a model are not solved for; "": none follows another."""
+    return "an equality constraint couples joints" if (model.eq_type == mujoco.mjtEq.mjEQ_JOINT).any() else ""
+
+
+def _search_box(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return between what each entry of a configuration starts, shape (nq,) each."""
+    low, high = np.full(model.nq, -1.0), np.full(model.nq, 1.0)  # quaternions, to be normalised
+    for joint, kind in enumerate(model.jnt_type):
+        at, range_ = model.jnt_qposadr[joint], model.jnt_range[joint]
+        if kind == FREE:
+            place = slice(at, at + 3)
+            low[place], high[place] = model.qpos0[place] + model.stat.extent * np.array(((-1.0,), (1.0,)))
+        elif kind != BALL:
+            half = np.pi if kind == HINGE else model.stat.extent
+            usual = model.qpos0[at] + half * np.array((-1.0, 1.0))
+            low[at], high[at] = range_ if model.jnt_limited[joint] else usual
+    return low, high
+
+
+def _within_ranges(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """Return configurations (num, nq) with joints moved into their ranges, and quaternions normalised."""
+    qpos = qpos.copy()
+    for joint, kind in enumerate(model.jnt_type):
+        at, (low, high) = model.jnt_qposadr[joint], model.jnt_range[joint]
+        if kind in (BALL, FREE):
+            first = at + 3 * (kind == FREE)
+            turn = qpos[:, first : first + 4]
+            turn *= np.where(turn[:, :1] < 0.0, -1.0, 1.0)
+            sine = np.linalg.norm(turn[:, 1:], axis=1, keepdims=True)
+            half = np.arctan2(sine, turn[:, :1])
+            if kind == BALL and model.jnt_limited[joint]:
+                half = np.minimum(half, high / 2.0)
+            turn[:, 1:] *= np.sin(half) / np.maximum(sine, mujoco.mjMINVAL)
+            turn[:, :1] = np.cos(half)
+        elif model.jnt_limited[joint]:
+            qpos[:, at] = np.clip(qpos[:, at], low, high)
+    return qpos
 
 
 def _solve(
@@ -153,7 +193,7 @@ def _solve(
     starts: np.ndarray,
     iterations: int,
 ) -> np.ndarray:
-    """Return the joint angles found from each start [rad], perhaps slightly out of range."""
+    """Return the configurations found from each start, perhaps slightly out of range."""
     from newton import ik  # takes a second to import, paid only by those who solve
 
     chain, links = _newton_chain(model)
@@ -164,19 +204,55 @@ def _solve(
         offset = wp.transform_point(frame, wp.vec3(*model.site(tip).pos))
         aim = wp.array(points[:, k], dtype=wp.vec3, device="cpu")
         objectives.append(ik.IKObjectivePosition(link, offset, aim, weight=POSITION_WEIGHT))
-    limit = ik.IKObjectiveJointLimit(chain.joint_limit_lower, chain.joint_limit_upper)
-    solver = ik.IKSolver(chain, len(targets), [*objectives, limit], jacobian_mode="analytic")
-    angles = wp.array(starts - model.qpos0, dtype=wp.float32, device="cpu")
+    limits = _limits(model)
+    solver = ik.IKSolver(
+        chain, len(targets), [*objectives, *(limit for limit, _ in limits)], jacobian_mode="analytic"
+    )
+    places, zero = _newton_order(model)
+    coordinates = wp.array((starts - zero)[:, places], dtype=wp.float32, device="cpu")
     for weight in LIMIT_WEIGHTS:
-        limit.weight = weight
-        solver.step(angles, angles, iterations)
-    return angles.numpy() + model.qpos0
+        for limit, scale in limits:
+            limit.weight = scale * weight
+        solver.step(coordinates, coordinates, iterations)
+    found = np.empty_like(starts)
+    found[:, places] = coordinates.numpy()
+    return found + zero
+
+
+def _limits(model: mujoco.MjModel) -> list[tuple["ik.IKObjectiveJointLimit", float]]:
+    """Return what keeps joints in their ranges, hinges and slides apart, and how stiff each is."""
+    from newton import ik
+
+    limits = []
+    for kind, scale in ((HINGE, 1.0), (SLIDE, SLIDE_WEIGHT)):
+        bounds = np.tile((-np.inf, np.inf), (model.nv, 1))
+        joints = np.flatnonzero((model.jnt_type == kind) & (model.jnt_limited > 0))
+        zero = model.qpos0[model.jnt_qposadr[joints], None]
+        bounds[model.jnt_dofadr[joints]] = model.jnt_range[joints] - zero
+        if len(joints):
+            arrays = (wp.array(bound, dtype=wp.float32, device="cpu") for bound in bounds.T)
+            limits.append((ik.IKObjectiveJointLimit(*arrays), scale))
+    return limits
+
+
+def _newton_order(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return where Newton's coordinates are in MuJoCo's, and what they are counted from, shape (nq,) each.
+
+    Newton's quaternions end with their real part; its hinges and slides are 0 at `qpos0`.
+    """
+    places, zero = np.arange(model.nq), model.qpos0.copy()
+    for joint in np.flatnonzero(np.isin(model.jnt_type, (BALL, FREE))):
+        at = model.jnt_qposadr[joint]
+        last = at + (4 if model.jnt_type[joint] == BALL else 7)
+        zero[at:last] = 0.0
+        places[last - 4 : last] = last - 4 + np.array((1, 2, 3, 0))
+    return places, zero
 
 
 def _newton_chain(
     model: mujoco.MjModel,
 ) -> tuple["newton.Model", dict[int, tuple[int, wp.transform]]]:
-    """Build the joints of a body for Newton, one link a hinge, angle 0 at `qpos0`.
+    """Build the joints of a body for Newton, one link a joint.
 
     From the compiled model and not by Newton's MJCF import: joints keep their order, no file is needed,
     and nothing of the geometry.
@@ -193,14 +269,24 @@ def _newton_chain(
         w, x, y, z = model.body_quat[body]
         frame = frame * wp.transform(wp.vec3(*model.body_pos[body]), wp.quat(x, y, z, w))
         for j in model.body_jntadr[body] + np.arange(model.body_jntnum[body]):
-            anchor = wp.transform(wp.vec3(*model.jnt_pos[j]), wp.quat_identity())
-            low, high = (model.jnt_range[j] - model.qpos0[j]).tolist()
-            axis = wp.vec3(*model.jnt_axis[j])
             parent, link = link, builder.add_link(mass=1.0, inertia=wp.mat33(np.eye(3)))
-            frames = {"parent_xform": frame * anchor, "child_xform": anchor}
-            limits = {"limit_lower": low, "limit_upper": high}
-            joints.append(builder.add_joint_revolute(parent, link, axis=axis, **limits, **frames))
+            joints.append(_add_joint(builder, model, j, parent, link, frame))
             frame = wp.transform()
         links[body] = (link, frame)
     builder.add_articulation(joints)
     return builder.finalize(device="cpu"), links
+
+
+def _add_joint(
+    builder: "newton.ModelBuilder", model: mujoco.MjModel, j: int, parent: int, link: int, frame: wp.transform
+) -> int:
+    """Add a joint whose child is at `frame` in its parent at `qpos0`; return its number."""
+    kind = model.jnt_type[j]
+    if kind == FREE:
+        return builder.add_joint_free(link, parent=parent)
+    anchor = wp.transform(wp.vec3(*model.jnt_pos[j]), wp.quat_identity())
+    frames = {"parent_xform": frame * anchor, "child_xform": anchor}
+    if kind == BALL:
+        return builder.add_joint_ball(parent, link, **frames)
+    add = builder.add_joint_revolute if kind == HINGE else builder.add_joint_prismatic
+    return add(parent, link, axis=wp.vec3(*model.jnt_axis[j]), **frames)

@@ -161,8 +161,8 @@ def _state_of(part: Part) -> dict[str, wp.array]:
     listed = {array.ptr for array in state.values()}
     for owner in (owner for owner in (part.program, *part.effects) if not is_ours(type(owner))):
         for attribute, value in vars(owner).items():
-            struct = getattr(value, "_cls", None)
-            fields = {name: getattr(value, name) for name in struct.vars} if struct else {"": value}
+            is_struct = hasattr(value, "__ctype__") and not isinstance(value, wp.array)
+            fields = vars(value) if is_struct else {"": value}
             for name, array in fields.items():
                 is_array = isinstance(array, wp.array) and array.ndim > 0
                 if is_array and array.shape[0] == num_worlds and array.ptr not in listed:

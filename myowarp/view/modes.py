@@ -1,24 +1,26 @@
-"""The ways to show worlds, and what has to be installed for each."""
+"""The ways to show worlds, and what they need."""
 
 import importlib.util
 import os
 import platform
-from typing import Literal
 
 from myowarp.definitions.registry import check_choice
 
-NEEDED = {"gl": ("newton", "pyglet", "imgui_bundle"), "viser": ("viser",), "null": ("newton",)}
-"""Packages of each kind of viewer."""
 
+def has_display() -> bool:
+    """Return whether a window may open: on Linux with a display, on macOS under MuJoCo's `mjpython`.
 
-def live_viewer() -> Literal["gl", "viser"]:
-    """Return the kind of viewer for this machine: a window; on Linux without a display, a browser page."""
-    return "gl" if platform.system() != "Linux" or os.environ.get("DISPLAY") else "viser"
+    Whether the display answers, and has OpenGL, is found out by opening the window.
+    """
+    if platform.system() == "Darwin":
+        return "MJPYTHON_BIN" in os.environ
+    named = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return platform.system() != "Linux" or bool(named)
 
 
 def render_modes() -> tuple[str, ...]:
-    """Return Gymnasium's names of the ways to show worlds, without those that need what is not installed."""
-    shows = all(map(importlib.util.find_spec, NEEDED[live_viewer()]))
+    """Return Gymnasium's names of the ways to show worlds, without those that need what is not there."""
+    shows = has_display() or importlib.util.find_spec("viser") is not None
     return ("human", "rgb_array") if shows else ("rgb_array",)
 
 
@@ -33,12 +35,8 @@ def check_render_mode(mode: str | None) -> None:
 
     Raises:
         ValueError: It is unknown.
-        ImportError: Its viewer is not installed.
+        ImportError: What shows it is not installed.
     """
     check_choice("render_mode", mode, (None, "human", "rgb_array"))
-    if mode == "human" and mode not in render_modes():
-        packages = " and ".join(NEEDED[live_viewer()])
-        raise ImportError(
-            f'render_mode="human" needs {packages}, got an installation without; run '
-            '`pip install "myowarp[view]"`'
-        )
+    if mode == "human" and not has_display():
+        check_viser('render_mode="human" without a display')

@@ -5,21 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.registry import check_choice
+from myowarp.engine.said import say_once
 from myowarp.sim.signals import Signals
 from myowarp.view.drawing.muscles import QUANTITIES
 from myowarp.view.drawing.snapshot import Snapshot, snapshot
 from myowarp.view.drawing.style import LARGEST
-from myowarp.view.modes import live_viewer
+from myowarp.view.modes import check_viser, has_display
 
 if TYPE_CHECKING:
     from myowarp.sim.simulation import Simulation
     from myowarp.view.browser.page import Page
     from myowarp.view.drawing.render import WorldRenderer
-    from myowarp.view.human import HumanViewer
+    from myowarp.view.window import Window
 
 
 class Pictures:
@@ -52,7 +54,7 @@ class Pictures:
         self._size, self._camera, self._color, self._legend = size, camera, color, legend
         self._signals: Signals | None = None
         self._renderer: WorldRenderer | None = None
-        self._viewer: HumanViewer | Page | None = None
+        self._viewer: Window | Page | None = None
 
     def attach(self, sim: Simulation) -> None:
         """Have the simulation compute what the colours show, if it does not yet; before it is stepped."""
@@ -83,18 +85,29 @@ class Pictures:
         return self.renderer(sim).frame(self.snapshot(sim, world), caption)
 
     def show(self, sim: Simulation, world: int = 0) -> None:
-        """Show a world in the live viewer."""
+        """Show a world in a window, or in a page where none opens."""
         if self._viewer is None:
-            tips = BODIES[sim.scene.spec.body].tips
-            if live_viewer() == "gl":
-                from myowarp.view.human import HumanViewer
+            self._viewer = self._open_viewer(sim.full_model, BODIES[sim.scene.spec.body].tips)
+        self._viewer.show(self.snapshot(sim, world))
 
-                self._viewer = HumanViewer(sim.full_model, tips=tips)
-            else:
-                from myowarp.view.browser.page import Page
+    def _open_viewer(self, model: mujoco.MjModel, tips: tuple[str, ...]) -> Window | Page:
+        """Open a window, or a page where none opens.
 
-                self._viewer = Page(sim.full_model, tips)
-        self._viewer.show(snapshot(sim, world))
+        Raises:
+            ImportError: No window opens, and the package that draws pages is not installed.
+        """
+        if has_display():
+            from myowarp.view.drawing.render import NoGraphicsError
+            from myowarp.view.window import Window
+
+            try:
+                return Window(model, tips, self._color)
+            except NoGraphicsError as error:
+                say_once(f"{error}; a page in the browser takes its place")
+        check_viser('render_mode="human" without a window')
+        from myowarp.view.browser.page import Page
+
+        return Page(model, tips, self._color)
 
     def close(self) -> None:
         """Close what is open."""

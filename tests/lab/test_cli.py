@@ -406,11 +406,11 @@ def test_video(rollout, tmp_path):
 def test_rollout_without_graphics(rollout, monkeypatch, tmp_path):
     """No OpenGL: data and figures come all the same, and what to install is said."""
 
-    def no_renderer(*args, **options):
+    def no_context(*args):
         raise RuntimeError("no EGL device")
 
     monkeypatch.setenv("MUJOCO_GL", "egl")
-    monkeypatch.setattr(mujoco, "Renderer", no_renderer)
+    monkeypatch.setattr(mujoco, "GLContext", no_context)
     video, data = tmp_path / "film.mp4", tmp_path / "data.npz"
     figures, err = rollout("--video", video, "--save", data, "--steps", 2, "--policy", "zero")
     assert figures["steps"] == 2

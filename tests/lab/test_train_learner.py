@@ -1,10 +1,13 @@
 """The learner beside our own arithmetic: bootstrap at truncation, finite weights, arrays there and back."""
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 
-from myowarp.apps.train import agents
+from myowarp.apps.train import agents, skrl_names
 from myowarp.apps.train.loop import DivergedError, Run
 from myowarp.apps.train.settings import choose
 from myowarp.bridge_gym import MyoWarpVectorEnv
@@ -137,3 +140,24 @@ def test_an_agent_made_anew_from_arrays_is_the_same(algorithm):
         assert before.keys() == after.keys()
         for name, array in before.items():
             np.testing.assert_array_equal(array, after[name], err_msg=name)
+
+
+def test_what_skrl_no_longer_has_is_one_sentence(monkeypatch):
+    torch_config, scaler = skrl_names.config.torch, skrl_names.RunningStandardScaler
+    for name in ("_is_distributed", "_world_size"):
+        monkeypatch.setattr(torch_config, name, getattr(torch_config, name))
+    skrl_names.average_over_ranks(3)
+    assert torch_config.is_distributed
+    assert torch_config.world_size == 3
+    monkeypatch.delattr(scaler, "_parallel_variance")
+    ending = rf"; run `pip install skrl=={skrl_names.PINNED}`$"
+    with pytest.raises(
+        RuntimeError, match=r"^skrl .* has changed, and ranks would learn each for itself" + ending
+    ):
+        skrl_names.average_over_ranks(2)
+    with pytest.raises(
+        RuntimeError, match=r"^skrl .* has changed, and SAC keeps the weight of the.*" + ending
+    ):
+        skrl_names.set_temperature(SimpleNamespace(), torch.ones(1))
+    requirements = (Path(__file__).parents[2] / "pyproject.toml").read_text()
+    assert f'"skrl=={skrl_names.PINNED}"' in requirements

@@ -1,10 +1,12 @@
 """The page of `myowarp view`, by a client on its socket: what it gets, may ask for, and cannot break."""
 
-import http.client
+import contextlib
 import logging
 import socket
 import threading
 import time
+from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
@@ -18,9 +20,11 @@ from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.view import View, policies_for
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
+from myowarp.engine.said import say_once
 from myowarp.view.browser import live as live_module
 from myowarp.view.browser.live import Live
-from myowarp.view.browser.server import Gate, address_of, check_port, close_server, open_server
+from myowarp.view.browser.server import check_port, close_server, open_server
+from myowarp.view.browser.updates import take_values_alone
 
 KEY = "myoElbowPose1D6MRandom-v0"
 OWN_POLICY = """
@@ -306,17 +310,9 @@ def test_other_tasks_are_shown_and_the_users_own_again(page, client, command):
     until(client.status)
 
 
-def get(port, path, cookie="", origin=""):
-    line = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
-    given = {"Cookie": cookie, "Origin": origin}
-    line.request("GET", path, headers={name: value for name, value in given.items() if value})
-    answer = line.getresponse()
-    return answer.status, answer.headers, answer.read()
-
-
-def admitted(port, cookie="", origin=None):
+def admitted(port, origin=None):
     """Whether a socket opens and is spoken to."""
-    given = {"additional_headers": {"Cookie": cookie} if cookie else {}, "origin": origin, "max_size": None}
+    given = {"origin": origin, "max_size": None}
     try:
         with connect(f"ws://127.0.0.1:{port}", subprotocols=[f"viser-v{viser.__version__}"], **given) as line:
             return bool(line.recv(timeout=60))
@@ -324,55 +320,44 @@ def admitted(port, cookie="", origin=None):
         return refused.response.status_code != 403
 
 
-def test_elsewhere_needs_the_token(page, capfd):
-    inner = page[0].server.get_port()
-    gate, other = Gate("127.0.0.1", 0, inner, "secret"), Gate("127.0.0.1", 0, inner, "other")
-    for path, cookie in (("/", ""), ("/?token=wrong", ""), ("/", f"myowarp_token_{gate.port}=wrong")):
-        status, _, text = get(gate.port, path, cookie)
-        assert status == 403
-        assert b"needs its token" in text
-    cookies = []
-    for at, token in ((gate.port, "secret"), (other.port, "other")):
-        status, headers, _ = get(at, f"/?token={token}")
-        assert status == 303
-        cookies.append(headers["Set-Cookie"].partition(";")[0])
-    cookie = "; ".join(cookies)  # what a browser sends to both, as they are on one machine
-    status, _, text = get(gate.port, "/", cookie)
-    assert status == 200
-    assert b"<html" in text.lower()
-    assert not admitted(gate.port)
-    assert admitted(gate.port, cookie)
-    half = socket.create_connection(("127.0.0.1", gate.port))
-    half.send(b"GET / HTTP/1.1\r\n")
-    gate.close()
-    other.close()
-    half.close()
-    assert "Traceback" not in "".join(capfd.readouterr())
-
-
 def test_pages_of_other_sites_are_refused(page):
-    inner = page[0].server.get_port()
-    gate = Gate("127.0.0.1", 0, inner, "secret")
-    cookie = f"myowarp_token_{gate.port}=secret"
+    port = page[0].server.get_port()
     for foreign in (
         "http://evil.example",
-        f"http://evil.example:{inner}",
+        f"http://evil.example:{port}",
         "http://localhost.evil.example",
         "null",
     ):
-        assert not admitted(inner, origin=foreign)
-        assert not admitted(gate.port, cookie, foreign)
-        assert get(gate.port, "/", cookie, foreign)[0] == 403
-    for own in (f"http://localhost:{inner}", "http://127.0.0.1:1", None):
-        assert admitted(inner, origin=own)
-    assert admitted(gate.port, cookie, f"http://127.0.0.1:{gate.port}")
-    gate.close()
+        assert not admitted(port, foreign)
+    for own in (f"http://localhost:{port}", "http://127.0.0.1:1", None):
+        assert admitted(port, own)
 
 
-def test_the_address_is_one_that_a_browser_can_open():
-    assert address_of("192.168.0.7", 80) == "http://192.168.0.7:80"
-    assert address_of("fe80::1", 8080) == "http://[fe80::1]:8080"
-    assert address_of("0.0.0.0", 8080) == f"http://{socket.gethostname()}:8080"
+def test_other_machines_are_not_listened_to(page):
+    """The socket is bound to the loopback address alone."""
+    table = Path("/proc/net/tcp").read_text() + Path("/proc/net/tcp6").read_text()
+    listening = {line.split()[1] for line in table.splitlines() if line.split()[3] == "0A"}
+    suffix = f":{page[0].server.get_port():04X}"
+    assert {address for address in listening if address.endswith(suffix)} == {f"0100007F{suffix}"}
+
+
+def test_a_viser_that_admits_other_sites_serves_no_page(monkeypatch):
+    """As if it called another function of websockets than the one that is exchanged."""
+    monkeypatch.setattr("myowarp.view.browser.server.refusing_other_sites", contextlib.nullcontext)
+    before = threading.active_count()
+    with pytest.raises(
+        RuntimeError, match=r"^viser [\d.]+ has changed, so that pages of other sites could use"
+    ):
+        open_server(0, "test")
+    until(lambda: threading.active_count() <= before, 10.0)
+
+
+def test_a_viser_without_its_private_names_is_told_of_once(caplog):
+    say_once.cache_clear()
+    for _ in range(2):
+        take_values_alone(SimpleNamespace(gui=None))
+    (line,) = [record.message for record in caplog.records]
+    assert line.startswith(f"viser {viser.__version__} has changed, a browser may set more than values: ")
 
 
 def test_a_busy_port_is_one_sentence():
@@ -380,9 +365,9 @@ def test_a_busy_port_is_one_sentence():
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(OSError, match=rf"^port {port} of 127.0.0.1 cannot be used .*--port 0"):
-            check_port("127.0.0.1", port)
-        with pytest.raises(OSError, match=rf"^port {port} of 127.0.0.1 cannot be used"):
+        with pytest.raises(OSError, match=rf"^port {port} cannot be used .*--port 0"):
+            check_port(port)
+        with pytest.raises(OSError, match=rf"^port {port} cannot be used"):
             View(Said(Setup(task=KEY)), port=port)()
 
 
@@ -407,8 +392,12 @@ def test_without_viser_it_says_what_to_install(monkeypatch):
         View(Said(Setup(task=KEY)))()
 
 
-def test_human_mode_without_a_display_is_a_page(monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
+@pytest.mark.parametrize("display", ["", ":4711"])
+def test_human_mode_without_a_display_is_a_page(monkeypatch, display, caplog):
+    """None is named, or one that does not answer, which one line says."""
+    say_once.cache_clear()
+    monkeypatch.setenv("DISPLAY", display)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     env = gym.make_vec(f"MyoWarp/{KEY}", num_envs=2, device="cpu", render_mode="human")
     env.reset(seed=0)
     page = Client(f"ws://127.0.0.1:{env.unwrapped._pictures._viewer.server.get_port()}")
@@ -416,6 +405,9 @@ def test_human_mode_without_a_display_is_a_page(monkeypatch):
     until(lambda: {"MeshMessage", "BatchedMeshesMessage"} <= page.types.keys())
     env.close()
     until(lambda: page.done)
+    said = [record.message for record in caplog.records if "a page in the browser" in record.message]
+    assert len(said) == bool(display)
+    assert all(line.startswith("a window needs a display with OpenGL, got none at ':4711'") for line in said)
 
 
 @pytest.mark.parametrize(

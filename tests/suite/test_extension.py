@@ -243,20 +243,16 @@ def test_body_with_a_free_root(folder):
 
 
 def test_a_policy_on_a_free_root_is_evaluated(folder, caplog):
-    """Which points its foot reaches is not judged, which one line says; the rest is."""
+    """Which points its foot reaches is judged, too: with a free root every point."""
     key = key_of(folder, "free_root.py:reach")
     env = myowarp.make_vec(
         key, 3, device="cpu", progress=False, autoreset_mode="SameStep", max_episode_steps=4
     )
     found = evaluate(env.sim, lambda obs: np.zeros(env.action_space.shape, np.float32))
-    assert (found.episodes, found.length_mean, found.reachable, found.success_reachable) == (3, 4, None, None)
-    assert caplog.messages == [
-        f"success over reachable targets of {key} is left out: joint 'root' is no hinge; only hinges are "
-        "solved for"
-    ]
+    assert (found.episodes, found.length_mean, found.reachable, found.success_reachable) == (3, 4, 3, 0.0)
+    assert caplog.messages == []
     targets = measure_targets(env.sim)
-    assert targets.solvable is None
-    assert targets.why == "the tips' reach is not known: joint 'root' is no hinge; only hinges are solved for"
+    assert (targets.solvable, targets.exact, targets.why) == (1.0, 1.0, "")
     env.close()
 
 

@@ -282,12 +282,21 @@ def test_gymnasium_checks_what_can_be_shown(monkeypatch):
     """Its checker makes an environment in each render mode that is listed."""
     lists = "human" in gym.make(ID, device="cpu").unwrapped.metadata["render_modes"]
     assert lists == ("human" in modes.render_modes())
-    usual, viewers = modes.importlib.util.find_spec, {"newton", "pyglet", "viser"}
+    usual = modes.importlib.util.find_spec
     monkeypatch.setattr(
-        modes.importlib.util, "find_spec", lambda name: None if name in viewers else usual(name)
+        modes.importlib.util, "find_spec", lambda name: None if name == "viser" else usual(name)
     )
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert modes.render_modes() == ("human", "rgb_array")  # MuJoCo's window comes with MuJoCo
+    monkeypatch.delenv("DISPLAY")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     assert modes.render_modes() == ("rgb_array",)
-    hint = r'^render_mode="human" needs (newton|viser).*; run `pip install "myowarp\[view\]"`$'
+    with monkeypatch.context() as on_macos:
+        on_macos.setattr(modes.platform, "system", lambda: "Darwin")
+        assert modes.render_modes() == ("rgb_array",)
+        on_macos.setenv("MJPYTHON_BIN", "mjpython")  # only this opens windows there
+        assert modes.render_modes() == ("human", "rgb_array")
+    hint = r'^render_mode="human" without a display needs viser.*; run `pip install "myowarp\[view\]"`$'
     with pytest.raises(ImportError, match=hint):
         gym.make_vec(ID, num_envs=2, device="cpu", render_mode="human")
 

@@ -223,7 +223,7 @@ def test_every_family_is_drawn_with_tips_ghosts_and_captions(sim):
     try:
         with WorldRenderer(sim.full_model, 200, 150, tips=tips) as renderer:
             plain = renderer.frame(seen)
-            scene = renderer._renderer.scene
+            scene = renderer._canvas.scene
             balls = np.array([g.pos for g in scene.geoms[: scene.ngeom] if g.type == SPHERE])
             written = renderer.frame(seen, ["0.10 s"])
             legend = renderer.frame(seen, legend=True)

@@ -15,20 +15,37 @@ FINGER_BOX = (np.array([0.1, -0.1, 0.1]), np.array([0.27, 0.1, 0.3]))  # m; MyoS
 
 TWO_LINKS = """
 <mujoco><compiler angle="radian"/><worldbody><body pos=".1 .2 .3" euler="0 0 1"><body pos="0 .1 0">
-  <joint name="first" axis="0 0 1" pos=".05 0 0" range="-1 1" ref=".25" limited="{limited}"/>
-  <joint name="second" type="{type}" axis="0 1 0" pos=".05 0 0" range="-.5 .5" ref="-.25"/>
+  <joint name="first" axis="0 0 1" pos=".05 0 0" range="-1 1" ref=".25" limited="true"/>
+  <joint name="second" axis="0 1 0" pos=".05 0 0" range="-.5 .5" ref="-.25"/>
   <geom size=".01"/>
   <body pos=".35 0 0" euler=".5 0 0"><site name="tip" pos="0 0 0"/></body></body></body>
-</worldbody></mujoco>
+</worldbody>{tied}</mujoco>
 """  # 0.3 m from the axes to the tip, both joints in one body, the tip on a welded one
+
+
+TIED = '<equality><joint joint1="first" joint2="second"/></equality>'
+KINDS = {
+    "hinge without range": '<joint axis="0 0 1" pos="0 .02 0"/>',
+    "slide": '<joint type="slide" axis="1 1 0" range="-.2 .1" ref=".05" limited="true"/>',
+    "slide without range": '<joint type="slide" axis="0 1 1"/>',
+    "ball": '<joint type="ball" pos="0 .02 0"/>',
+    "ball in a cone": '<joint type="ball" range="0 1" limited="true"/>',
+    "free": "<freejoint/>",
+}
+ARM = """
+<mujoco><compiler angle="radian"/><worldbody><body pos=".1 .2 .3" euler="0 0 1">{joint}
+  <geom size=".01"/><site name="near" pos="0 .1 .05"/><body pos=".15 0 0" euler=".5 0 0">
+  <joint axis="0 1 0" range="-1 1" limited="true"/><geom size=".01"/><site name="far" pos=".2 0 .05"/>
+</body></body></worldbody></mujoco>
+"""
 
 
 def full_model(body):
     return BODIES[body].build().compile(), BODIES[body].tips
 
 
-def two_links(limited="true", type="hinge"):
-    return mujoco.MjModel.from_xml_string(TWO_LINKS.format(limited=limited, type=type))
+def two_links(tied=""):
+    return mujoco.MjModel.from_xml_string(TWO_LINKS.format(tied=tied))
 
 
 def tips_of(model, tips, qpos):
@@ -111,6 +128,51 @@ def test_offset_joints_of_one_body_have_a_closed_form():
     np.testing.assert_allclose(qpos[0, 0], 1.0)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_joint_is_solved_for(kind):
+    """Poses are found again that MuJoCo makes of random velocities, which know each kind of joint."""
+    model, tips = mujoco.MjModel.from_xml_string(ARM.format(joint=KINDS[kind])), ("near", "far")
+    rng = np.random.default_rng(9)
+    truth = np.tile(model.qpos0, (50, 1))
+    for row in truth:
+        size = 0.15 if kind.startswith("slide") else 0.45  # within cone and ranges, after all
+        mujoco.mj_integratePos(model, row, rng.uniform(-size, size, model.nv), 1.0)
+    limited = np.flatnonzero(model.jnt_limited & (model.jnt_type >= mujoco.mjtJoint.mjJNT_SLIDE.value))
+    columns, (low, high) = model.jnt_qposadr[limited], model.jnt_range[limited].T
+    truth[:, columns] = truth[:, columns].clip(low, high)
+    targets = tips_of(model, tips, truth)
+    residual, qpos = reachable(model, tips, targets)
+    assert residual.max() < FOUND
+    np.testing.assert_allclose(
+        residual, np.linalg.norm(tips_of(model, tips, qpos) - targets, axis=1), atol=1e-9
+    )
+    assert ((qpos[:, columns] >= low) & (qpos[:, columns] <= high)).all()
+    assert np.median(np.linalg.norm(targets - tips_of(model, tips, [model.qpos0]), axis=1)) > 10 * FOUND
+
+
+def test_ranges_of_slides_and_cones_of_balls_hold():
+    """Targets half a metre past a slide's end, half a radian past a cone's edge, wider than a body."""
+    world = '<mujoco><compiler angle="radian"/><worldbody>{}</worldbody></mujoco>'
+    body = world.format('<body>{}<geom size=".01"/>{}</body>')
+    tip = '<site name="tip" pos=".3 0 0"/>'
+    slide = body.format('<joint type="slide" axis="1 0 0" range="-.2 .1" limited="true"/>', tip)
+    ball = body.format('<joint type="ball" range="0 1" limited="true"/>', tip)
+    turned = 0.3 * np.array((np.cos(1.5), np.sin(1.5), 0.0))
+    free = body.format("<freejoint/>", tip + '<site name="other" pos="-.3 0 0"/>')
+    both = body.format(
+        '<joint type="slide" axis="1 0 0" range="-.1 .1" limited="true"/><joint axis="0 0 1"/>', tip
+    )
+    for text, tips, target, expected in (
+        (both, ("tip",), (0.6, 0.2, 0.0), np.hypot(0.5, 0.2) - 0.3),  # the hinge turns towards the target
+        (slide, ("tip",), (0.9, 0.0, 0.0), 0.5),
+        (ball, ("tip",), turned, 2 * 0.3 * np.sin(0.25)),
+        (free, ("tip", "other"), (3.0, 1.0, 0.0, 3.0, 2.0, 0.0), 0.4 / np.sqrt(2.0)),
+    ):
+        model = mujoco.MjModel.from_xml_string(text)
+        residual, _ = reachable(model, tips, np.array([target]))
+        np.testing.assert_allclose(residual, expected, atol=1e-5)
+
+
 def test_answers_do_not_depend_on_the_batch():
     model, tips = full_model("finger")
     targets = np.random.default_rng(8).uniform(*FINGER_BOX, (600, 3))
@@ -143,8 +205,7 @@ def test_drawn_targets_are_reachable_and_fill_the_box():
         (two_links(), "top", np.zeros((1, 3)), ValueError, "site 'top' unknown"),
         (two_links(), "tip", np.zeros((1, 6)), ValueError, r"shape \(num_targets, 3\)"),
         (two_links(), "tip", np.full((1, 3), np.nan), ValueError, "finite"),
-        (two_links(limited="false"), "tip", np.zeros((1, 3)), NotImplementedError, "'first' has no range"),
-        (two_links(type="slide"), "tip", np.zeros((1, 3)), NotImplementedError, "'second' is no hinge"),
+        (two_links(tied=TIED), "tip", np.zeros((1, 3)), NotImplementedError, "constraint couples joints"),
     ],
 )
 def test_refusals_say_why(model, tip, targets, error, message):

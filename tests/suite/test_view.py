@@ -13,7 +13,6 @@ from myowarp.view.drawing import style as look
 from myowarp.view.drawing.render import NoGraphicsError, WorldRenderer
 from myowarp.view.drawing.snapshot import Snapshot, snapshot
 from myowarp.view.drawing.video import write_picture, write_video
-from myowarp.view.human import HumanViewer
 
 SIZE = (160, 120)
 BODIES = {TASKS[key].body: key for key in TASKS}
@@ -123,17 +122,6 @@ def test_worlds_are_drawn_with_their_own_objects(key):
 def test_unknown_camera_lists_the_known(model):
     with pytest.raises(ValueError, match="camera 'nowhere' unknown; available: "):
         WorldRenderer(model, *SIZE, camera="nowhere")
-
-
-def test_window_takes_a_world(model):
-    """Newton's null viewer accepts everything a window would draw."""
-    num_muscles = len(look.muscle_tendons(model))
-    with HumanViewer(model, backend="null") as viewer:
-        for _ in range(2):
-            activation = {"activation": np.linspace(0, 1, num_muscles)}
-            viewer.show(Snapshot(middle(model), activation, {"goal": np.zeros(3)}))
-        with pytest.raises(ValueError, match="qpos"):
-            viewer.show(Snapshot(np.zeros(model.nq + 1)))
 
 
 def frames(count):

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import secrets
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import numpy as np
-import tyro
 from rich.console import Console
 
 from myowarp.apps.cli.options import Environment, Policy
@@ -20,8 +18,6 @@ if TYPE_CHECKING:
     from myowarp.definitions.task import TaskSpec
     from myowarp.sim.simulation import Simulation
     from myowarp.view.browser.session import Act, Choices, Session
-
-TOKEN_BYTES = 16
 
 
 @dataclass
@@ -41,10 +37,8 @@ class View:
     policy: Policy = "random"
     worlds: int = 1
     """Worlds to choose from."""
-    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Address to listen at. Elsewhere than on this machine, the printed address holds a token."""
     port: int = 8080
-    """Port of the page; 0 for any that is free."""
+    """Port of the page on this machine, 0 for a free one; from another one: ssh -L 8080:localhost:8080."""
 
     def __call__(self) -> None:
         """Check, build, serve."""
@@ -53,35 +47,21 @@ class View:
         check_viser("myowarp view")
         from myowarp.apps.policies.find import find_policy
         from myowarp.view.browser.live import Live
-        from myowarp.view.browser.server import (
-            LOCAL,
-            LOCAL_NAMES,
-            Gate,
-            address_of,
-            check_port,
-            close_server,
-            open_server,
-        )
+        from myowarp.view.browser.server import check_port, close_server, open_server
 
         check_least(1, worlds=self.worlds)
         find_policy(self.policy, self._find(self._title).spec)
-        local = self.host in LOCAL_NAMES
-        check_port(LOCAL if local else self.host, self.port)
+        check_port(self.port)
         session, choices = self._open(self._title, self.policy), self._choices()
         console = Console(stderr=True, highlight=False, soft_wrap=True)
-        server = open_server(self.port if local else 0, "MyoWarp")
-        with contextlib.ExitStack() as stack:
-            stack.callback(close_server, server)
-            address = address_of("localhost", server.get_port())
-            if not local:
-                token = secrets.token_urlsafe(TOKEN_BYTES)
-                gate = Gate(self.host, self.port, server.get_port(), token)
-                stack.callback(gate.close)
-                address = f"{address_of(self.host, gate.port)}/?token={token}"
+        server = open_server(self.port, "MyoWarp")
+        try:
             live = Live(server, session, choices)
-            console.print(f"Open {address}   (Ctrl-C ends)")
+            console.print(f"Open http://localhost:{server.get_port()}   (Ctrl-C ends)")
             with contextlib.suppress(KeyboardInterrupt):
                 live.run()
+        finally:
+            close_server(server)
 
     @property
     def _title(self) -> str:

@@ -20,13 +20,11 @@ from skrl.agents.torch.sac import SAC, SAC_CFG
 from skrl.agents.torch.trpo import TRPO, TRPO_CFG
 from skrl.memories.torch import RandomMemory
 from skrl.models.torch import Model
-from skrl.resources.preprocessors.torch import RunningStandardScaler
 from skrl.resources.schedulers.torch import KLAdaptiveLR
 from torch import distributed
 
 from myowarp.apps.train.flash_sac import CategoricalCritic, FlashSAC
 from myowarp.apps.train.networks import GAUSSIAN_LOG_STD, LOG_STD, GaussianPolicy, SquashedPolicy, Value
-from myowarp.apps.train.ranks import merged_moments
 from myowarp.apps.train.settings import (
     FlashSACSettings,
     OffPolicy,
@@ -36,6 +34,7 @@ from myowarp.apps.train.settings import (
     Settings,
     TRPOSettings,
 )
+from myowarp.apps.train.skrl_names import MergedScaler, set_temperature
 
 Arrays = dict[str, np.ndarray]
 TRACKED = {
@@ -51,15 +50,6 @@ CRITICS = ("critic_1", "critic_2", "target_critic_1", "target_critic_2")
 SCALER_CLIP, SCALER_EPSILON = 5.0, 1e-8  # of normalised observations; of their standard deviation
 SCALER = {"clip_threshold": SCALER_CLIP, "epsilon": SCALER_EPSILON}
 QUIET = {"write_interval": 0, "checkpoint_interval": 0}  # skrl writes no files: we do
-
-
-class MergedScaler(RunningStandardScaler):
-    """Normaliser whose moments are those of the samples of all ranks; skrl's are each rank's own."""
-
-    def _parallel_variance(self, input_mean: torch.Tensor, input_var: torch.Tensor, input_count: int) -> None:
-        if config.torch.is_distributed:
-            input_mean, input_var, input_count = merged_moments(input_mean, input_var, input_count)
-        super()._parallel_variance(input_mean, input_var, input_count)
 
 
 class TrackedSAC(SAC):
@@ -209,7 +199,7 @@ def is_finite(agent: Agent) -> bool:
 
 def policy_arrays(agent: Agent) -> Arrays:
     """Return what acts: the policy's weights and the normaliser of observations."""
-    scaler = agent._observation_preprocessor
+    scaler = agent.checkpoint_modules["observation_preprocessor"]
     tensors = dict(agent.policy.state_dict())
     tensors |= {"observation_mean": scaler.running_mean, "observation_variance": scaler.running_variance}
     return {name: _array(tensor) for name, tensor in tensors.items()}
@@ -255,7 +245,7 @@ def restore_agent(agent: Agent, policy: Mapping[str, np.ndarray], learner: Mappi
     if isinstance(agent, SAC):
         with torch.no_grad():
             agent.log_entropy_coefficient.copy_(_tensor(learner["log_entropy_coefficient"]))
-        agent._entropy_coefficient = torch.exp(agent.log_entropy_coefficient.detach())
+        set_temperature(agent, torch.exp(agent.log_entropy_coefficient.detach()))
         memory = agent.memory
         memory.memory_index, memory.filled = (int(n) for n in learner["memory_index"])
         memory.filled = bool(memory.filled)
@@ -284,7 +274,7 @@ def inherit(agent: Agent, parent: Mapping[str, np.ndarray], samples: int, count:
     unseen = variance * samples < 1.01 * (1.0 + mean * mean)
     with torch.no_grad():
         agent.policy.net[0].weight[:, torch.from_numpy(unseen)] = 0.0
-    scaler = agent._observation_preprocessor
+    scaler = agent.checkpoint_modules["observation_preprocessor"]
     scaler.running_mean.copy_(_tensor(mean))
     scaler.running_variance.copy_(_tensor(variance))
     scaler.current_count.fill_(count)

@@ -21,10 +21,14 @@ from skrl.agents.torch.sac import SAC
 from skrl.models.torch import DeterministicMixin, Model
 from torch import nn
 
+from myowarp.apps.train.skrl_names import set_temperature, temperature
+
 BOUND = 5.0  # outermost atom; rewards are scaled so that no discounted sum of them is larger
 EXPANSION = 4  # of a residual block's inner layer
 REPEATS = 16  # largest number of control steps for which noise stays
 DECAY = 1e-4  # of the critics' weights, a step, over the learning rate
+SAMPLED = ("observations", "actions", "rewards", "next_observations", "terminated")
+"""What an update needs of skrl's memory."""
 
 
 class Residual(nn.Module):
@@ -140,8 +144,6 @@ def project(values: torch.Tensor, probabilities: torch.Tensor, atoms: torch.Tens
 class FlashSAC(SAC):
     """skrl's SAC with another critic, another noise and rewards on a scale of their own."""
 
-    _entropy_coefficient: torch.Tensor | float
-
     def __init__(self, *, num_worlds: int, policy_every: int, precision: str, **kwargs: Any) -> None:
         """Make the optimisers and what a checkpoint holds besides.
 
@@ -152,6 +154,7 @@ class FlashSAC(SAC):
             kwargs: What skrl's SAC takes.
         """
         super().__init__(**kwargs)
+        self.normalise = self.checkpoint_modules["observation_preprocessor"]
         self.policy_every, self.bfloat16 = policy_every, precision == "bfloat16"
         self.noise = RepeatedNoise(num_worlds, self.policy.num_actions).to(self.device)
         self.reward_scale = RewardScale(num_worlds, self.cfg.discount_factor).to(self.device)
@@ -170,7 +173,7 @@ class FlashSAC(SAC):
         self, observations: torch.Tensor, states: torch.Tensor | None, *, timestep: int, timesteps: int
     ) -> tuple[torch.Tensor, dict[str, Any]]:
         """Return actions of all worlds, with noise that stays for a while."""
-        inputs = {"observations": self._observation_preprocessor(observations)}
+        inputs = {"observations": self.normalise(observations)}
         if timestep < self.cfg.random_timesteps:
             return self.policy.random_act(inputs, role="policy")
         mean, outputs = self.policy.compute(inputs, role="policy")
@@ -178,7 +181,7 @@ class FlashSAC(SAC):
 
     def record_transition(self, **kwargs: Any) -> None:
         """Record a control step; rewards as they are, since their scale changes."""
-        self._observation_preprocessor(kwargs["observations"], train=True)
+        self.normalise(kwargs["observations"], train=True)
         self.reward_scale.see(kwargs["rewards"], kwargs["terminated"] | kwargs["truncated"])
         super().record_transition(**kwargs)
 
@@ -187,11 +190,10 @@ class FlashSAC(SAC):
         scale = self.reward_scale.value()
         first = timestep * self.cfg.gradient_steps
         for step in range(first, first + self.cfg.gradient_steps):
-            observations, _, actions, rewards, after, _, terminated = self.memory.sample(
-                self._tensors_names, batch_size=self.cfg.batch_size
-            )[0]
-            inputs = {"observations": self._observation_preprocessor(observations)}
-            after = {"observations": self._observation_preprocessor(after)}
+            batch = self.memory.sample(SAMPLED, batch_size=self.cfg.batch_size)[0]
+            observations, actions, rewards, after, terminated = batch
+            inputs = {"observations": self.normalise(observations)}
+            after = {"observations": self.normalise(after)}
             self._update_critics({**inputs, "taken_actions": actions}, rewards / scale, after, terminated)
             if step % self.policy_every == 0:
                 self._update_policy(inputs)
@@ -200,7 +202,7 @@ class FlashSAC(SAC):
 
     def _logits(self, inputs: dict[str, Any], *critics: Model) -> torch.Tensor:
         """Return the logits of two critics, shape (2, rows, atoms)."""
-        with torch.autocast(self._device_type, torch.bfloat16, enabled=self.bfloat16):
+        with torch.autocast(torch.device(self.device).type, torch.bfloat16, enabled=self.bfloat16):
             return torch.stack([critic.compute(inputs)[0] for critic in critics]).float()
 
     def _update_critics(
@@ -214,7 +216,7 @@ class FlashSAC(SAC):
             )
             both = logits.softmax(dim=-1)
             first = ((both[0] - both[1]) @ self.atoms < 0.0)[:, None]
-            value = self.atoms - self._entropy_coefficient * outputs["log_prob"]
+            value = self.atoms - temperature(self) * outputs["log_prob"]
             value = rewards + self.cfg.discount_factor * terminated.logical_not() * value
             target = project(value, torch.where(first, both[0], both[1]), self.atoms)
         logits = self._logits(inputs, self.critic_1, self.critic_2)
@@ -232,16 +234,17 @@ class FlashSAC(SAC):
         actions, outputs = self.policy.act(inputs, role="policy")
         probabilities = self._logits({**inputs, "taken_actions": actions}, *critics).softmax(dim=-1)
         worth = (probabilities @ self.atoms).amin(dim=0)[:, None]
-        loss = (self._entropy_coefficient * outputs["log_prob"] - worth).mean()
+        loss = (temperature(self) * outputs["log_prob"] - worth).mean()
         self.policy_optimizer.zero_grad()
         loss.backward()
         self.policy_optimizer.step()
         for critic in critics:
             critic.requires_grad_(True)
-        lack = (outputs["log_prob"].detach() + self._target_entropy).mean()
+        lack = (outputs["log_prob"].detach() + self.cfg.target_entropy).mean()
         self.entropy_optimizer.zero_grad()
         (-self.log_entropy_coefficient * lack).backward()
         self.entropy_optimizer.step()
-        self._entropy_coefficient = weight = self.log_entropy_coefficient.detach().exp()
+        weight = self.log_entropy_coefficient.detach().exp()
+        set_temperature(self, weight)
         self.track_data("Loss / Policy loss", loss.item())
         self.track_data("Coefficient / Entropy coefficient", weight.item())

@@ -4,7 +4,7 @@
 
 Rank r of R owns worlds r n to (r + 1) n - 1 of one numbered set, n = --num-worlds / R. Every rank has the
 same weights: skrl averages gradients over ranks, and the KL divergence that sets the learning rate; moments
-of normalisers are merged (`agents.MergedScaler`). Gloo carries what is on the host, NCCL what is on CUDA.
+of normalisers are merged (`skrl_names.MergedScaler`). Gloo carries what is on the host, NCCL what is on CUDA.
 """
 
 from __future__ import annotations
@@ -14,14 +14,11 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from myowarp.engine.threads import CORES, num_cores
-
-if TYPE_CHECKING:
-    import torch
 
 
 class LostRankError(RuntimeError):
@@ -148,10 +145,10 @@ class Ranks:
         """Let skrl average over the ranks; if it sees them when it is imported, it starts NCCL by itself."""
         size = os.environ.pop("WORLD_SIZE")
         try:
-            from skrl import config
+            from myowarp.apps.train.skrl_names import average_over_ranks
         finally:
             os.environ["WORLD_SIZE"] = size
-        config.torch._is_distributed, config.torch._world_size = True, self.size
+        average_over_ranks(self.size)
         logging.getLogger("skrl").setLevel(logging.WARNING)  # else each rank says what it broadcasts
 
     def everyones(self, value: Any) -> list[Any]:
@@ -181,24 +178,3 @@ class Ranks:
 
 
 ALONE = Ranks()
-
-
-def merged_moments(
-    mean: torch.Tensor, variance: torch.Tensor, count: int
-) -> tuple[torch.Tensor, torch.Tensor, int]:
-    """Return mean, variance and number of the samples of all ranks, each with as many.
-
-    With n samples, mean m and unbiased variance v in each of R ranks:
-    v_all = (sum (n - 1) v + sum n (m - m_all)^2) / (R n - 1).
-    Source: Chan, Golub and LeVeque 1983, The American Statistician 37:242.
-    """
-    import torch
-
-    own = torch.stack((mean, variance)).double()
-    size = torch.distributed.get_world_size()
-    moments = [torch.empty_like(own) for _ in range(size)]
-    torch.distributed.all_gather(moments, own)
-    means, variances = torch.stack(moments).unbind(1)
-    whole = means.mean(0)
-    squares = (count - 1) * variances.sum(0) + count * (means - whole).square().sum(0)
-    return whole, squares / (size * count - 1), size * count

@@ -1,4 +1,4 @@
-"""A page without a panel: what `render_mode="human"` opens where there is no display."""
+"""A page without a panel: what `render_mode="human"` opens where no window opens."""
 
 from __future__ import annotations
 
@@ -20,13 +20,15 @@ class Page:
         server: The page's server.
     """
 
-    def __init__(self, model: mujoco.MjModel, tips: tuple[str, ...] = ()) -> None:
+    def __init__(self, model: mujoco.MjModel, tips: tuple[str, ...] = (), color: str = "activation") -> None:
         """Open it at a free port, and say where.
 
         Args:
             model: The full model.
             tips: Names of the sites at the ends of the limb.
+            color: What the colour of a muscle shows, a name in `myowarp.view.drawing.muscles.QUANTITIES`.
         """
+        self._color = color
         framing = Framing(model, tips)
         self.server = open_server(0, "MyoWarp")
         self._figure = Figure(self.server, "/world", model, framing.radius, tips)
@@ -43,7 +45,7 @@ class Page:
             ValueError: A position is not finite.
         """
         with self.server.atomic():
-            self._figure.show(seen)
+            self._figure.show(seen, self._color)
 
     def close(self) -> None:
         """Stop serving."""

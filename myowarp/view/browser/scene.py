@@ -17,10 +17,11 @@ import viser
 
 from myowarp.view.drawing import style as look
 from myowarp.view.drawing.muscles import QUANTITIES, TENDON_RGB, TENDON_TINT, Muscles
-from myowarp.view.drawing.render import GHOST_ALPHA, LINK_RADIUS, MARKER_RADIUS, coarsen
+from myowarp.view.drawing.render import coarsen
 from myowarp.view.drawing.scenery import floor_height, has_plane
 from myowarp.view.drawing.skeleton import Skeleton
 from myowarp.view.drawing.snapshot import Snapshot
+from myowarp.view.drawing.world import GHOST_ALPHA, LINK_RADIUS, MARKER_RADIUS
 
 CELL, GHOST_CELL = 1 / 150, 1 / 80
 """What is smaller in a mesh is not sent, in units of the framed radius: some browsers draw in software."""
