@@ -25,12 +25,12 @@ with quick_import():
     from myowarp.definitions.parameter import Clock, Curve, Parameter, value_of
     from myowarp.definitions.program import Program
     from myowarp.definitions.scene import Scene
-    from myowarp.definitions.task import TASKS, Column, RewardTerm, TaskSpec, blocks, register, task, weighted
+    from myowarp.definitions.task import TASKS, Column, Draw, RewardTerm, TaskSpec, register, task
     from myowarp.kernels.batching import batched
     from myowarp.kernels.episode import FAULTS
     from myowarp.kernels.launch import launch
-    from myowarp.kernels.observe import pack, pack_difference, pack_vec3
     from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
+    from myowarp.kernels.world_function import Row
     from myowarp.models.conditions import (
         Exoskeleton,
         Fatigue3CCR,
@@ -104,14 +104,11 @@ __all__ = [  # noqa: RUF022 (by what they are for)
     # Families, bodies, conditions and muscle models of one's own
     "TaskSpec",
     "Column",
+    "Row",
     "RewardTerm",
-    "blocks",
-    "weighted",
+    "Draw",
     "Program",
     "launch",
-    "pack",
-    "pack_vec3",
-    "pack_difference",
     "RandomKeys",
     "open_stream",
     "GOAL",

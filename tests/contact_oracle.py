@@ -13,6 +13,7 @@ import warp as wp
 
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
+from myowarp.tasks.variants import find_variant
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parent / "data/myosuite"))
 ALIASES = {
@@ -21,12 +22,16 @@ ALIASES = {
 }
 """Ids under a second name: recorded under the first."""
 
-OURS = {"myoHandBaodingSwap-v0"}
-"""Ids of version 0 that upstream does not have."""
 
-UPSTREAM = {key for key in TASKS if TASKS[key].body == "contact_hand" and TASKS[key].version == 0} - OURS
-KEYS = sorted({ALIASES.get(key, key) for key in UPSTREAM})
-"""Ids of upstream; each has to have a recording."""
+def recorded_ids(folder):
+    """Return the ids without a condition that were recorded; each has to be there under upstream's name."""
+    names = sorted(path.stem for path in folder.glob("*.npz"))
+    assert names, f"no recordings in {folder}"
+    return [name for name in names if not find_variant(name).conditions]
+
+
+KEYS = [key for key in recorded_ids(DATA) if TASKS[key].body == "contact_hand"]
+"""Ids of upstream, those that were recorded."""
 
 NUM_WORLDS = 200
 

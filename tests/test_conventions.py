@@ -330,6 +330,7 @@ def test_no_file_imports_itself_by_way_of_others():
 LIBRARIES = ("warp", "mujoco_warp", "mujoco", "skrl", "viser", "websockets")
 GUARDED = {
     "engine/": "Warp and mujoco-warp",
+    "kernels/world_function.py": "text that becomes a kernel",
     "apps/train/skrl_names.py": "skrl",
     "view/browser/origins.py": "websockets",
     "view/browser/updates.py": "viser",

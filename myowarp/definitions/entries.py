@@ -1,6 +1,6 @@
 """What the single numbers of a vector are called and measured in, by the names in a model.
 
-Blocks that most tasks observe are here as (unit, meaning, names), the end of an entry of `task.blocks`.
+Blocks that most tasks observe are here as (unit, meaning, names, source), the end of a `task.Column`.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
+
+from myowarp.kernels.world_function import Row
 
 if TYPE_CHECKING:
     from mujoco import MjModel
@@ -91,6 +93,11 @@ def of_joints(model: MjModel, joints: Iterable[int]) -> tuple[Entry, ...]:
     return _of_joints(model, _COORDINATES, map(int, joints))
 
 
-COORDINATES = ("rad", "position of each joint (hinge: angle)", coordinates)
-VELOCITIES = (f"rad {PER_STEP}", "velocity of each joint times the control step", velocities)
-ACTIVATION = ("1", "activation of each muscle, 0 to 1", muscles)
+COORDINATES = ("rad", "position of each joint (hinge: angle)", coordinates, Row("qpos"))
+VELOCITIES = (
+    f"rad {PER_STEP}",
+    "velocity of each joint times the control step",
+    velocities,
+    Row("qvel", factor="control_dt"),
+)
+ACTIVATION = ("1", "activation of each muscle, 0 to 1", muscles, Row("activation"))

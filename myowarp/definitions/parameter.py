@@ -9,7 +9,6 @@ after the change the value is exactly start and end.
 from __future__ import annotations
 
 import difflib
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -19,7 +18,7 @@ import numpy.typing as npt
 import warp as wp
 
 from myowarp.definitions.registry import check_choice
-from myowarp.kernels.random import RandomKeys, open_stream
+from myowarp.kernels.random import RandomKeys, open_stream, stream_of
 from myowarp.kernels.write import is_finite, write
 
 if TYPE_CHECKING:
@@ -195,7 +194,7 @@ class Parameter:
         for number, (end, array) in enumerate(zip(ends, numbers, strict=True)):
             if isinstance(end, Uniform):
                 values = scene.zeros(f"condition.{name.replace(' ', '.')}.{len(self.draws)}", shape[1])
-                self.draws.append((end, values, zlib.crc32(f"{name} {number}".encode()) & 0x7FFFFFFF))
+                self.draws.append((end, values, stream_of(f"{name} {number}")))
             else:
                 values = wp.array(np.broadcast_to(array, shape).copy(), dtype=float)
             arrays.append(values)

@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
-import abc
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
-from myowarp.kernels.launch import launch
+from myowarp.kernels.launch import find, launch
+from myowarp.kernels.random import stream_of
+from myowarp.kernels.reset import sample_uniform
+from myowarp.kernels.world_function import (
+    GIVEN,
+    Measures,
+    Source,
+    num_counted,
+    parameter_type,
+    parameters,
+    world_kernels,
+)
 
 if TYPE_CHECKING:
     from myowarp.definitions.scene import Scene
-    from myowarp.definitions.task import TaskSpec
+    from myowarp.definitions.task import Draw, TaskSpec
 
 
-class Program(abc.ABC):
-    """A task bound to the arrays of a scene; a family subclasses it and names it as `TaskSpec.program`.
+class Program:
+    """A task bound to the arrays of a scene; a family may subclass it and name it as `TaskSpec.program`.
 
-    Its methods only launch kernels, so that a whole environment step can be captured as one graph.
+    Its methods only launch kernels, so that a whole environment step can be captured as one graph. A subclass
+    allocates what the task's functions read by name; what the task draws is allocated here, as
+    `scene.zeros("task.<array>")`.
 
     Attributes:
         spec: The task.
@@ -31,8 +44,26 @@ class Program(abc.ABC):
     def __init__(self, spec: TaskSpec, scene: Scene) -> None:
         """Resolve names, allocate arrays on Warp's current device."""
         self.spec, self.scene = spec, scene
-        columns = spec.columns(scene.oracle.nq, scene.oracle.nv, len(scene.muscles.names))
-        self.first = wp.array(np.cumsum([0, *(column.size for column in columns[:-1])]), dtype=int)
+        self.columns = spec.columns(scene.oracle.nq, scene.oracle.nv, len(scene.muscles.names))
+        self.first = wp.array(np.cumsum([0, *(column.size for column in self.columns[:-1])]), dtype=int)
+        self._count = wp.array(
+            [num_counted(column.source, column.size) for column in self.columns], dtype=int
+        )
+        self._drawn = [self._allocate(draw) for draw in spec.draws if draw.array]
+
+    def _allocate(self, draw: Draw) -> tuple[str, dict[str, Any]]:
+        """Make the array that a draw fills; return when it is drawn, and the arguments of its kernel."""
+        drawn = self.scene.zeros(f"task.{draw.array}", draw.size)
+        setattr(self, draw.array, drawn)
+        bounds = {name: wp.array(getattr(draw, name), dtype=float) for name in ("low", "high", "choices")}
+        stream = stream_of(draw.name) if draw.stream is None else draw.stream
+        return draw.when, {"drawn": drawn, "stream": stream, **bounds}
+
+    @property
+    def owners(self) -> tuple[object, ...]:
+        """Whose attributes are the arguments of kernels, and what functions read."""
+        scene = self.scene
+        return self, self.spec, scene, scene.data, scene.model, scene.muscles
 
     def launch(self, kernel: wp.Kernel, **given: Any) -> None:
         """Launch a kernel with a thread for each world.
@@ -40,18 +71,23 @@ class Program(abc.ABC):
         An argument that is not given by name is an attribute of that name: the program's, the task's, the
         scene's, or that of the scene's data, model or muscles.
         """
-        scene = self.scene
-        owners = (self, self.spec, scene, scene.data, scene.model, scene.muscles)
-        launch(kernel, scene.num_worlds, *owners, **given)
+        launch(kernel, self.scene.num_worlds, *self.owners, **given)
+
+    def _sample(self, when: str, mask: wp.array) -> None:
+        for drawn_at, arguments in self._drawn:
+            if drawn_at == when:
+                self.launch(sample_uniform, mask=mask, **arguments)
 
     def sample_start(self, mask: wp.array) -> None:
         """Draw what an episode starts from, in the worlds of `mask` (num_worlds,) bool.
 
         The common start configuration is in place; objects, and their properties, are drawn here.
         """
+        self._sample("start", mask)
 
     def sample_goal(self, mask: wp.array) -> None:
         """Draw what the episode asks for, in the worlds of `mask` (num_worlds,) bool."""
+        self._sample("goal", mask)
 
     def advance(self, step_count: wp.array) -> None:
         """Move what moves by itself to a step of the episode, before the step is scored and observed.
@@ -60,16 +96,52 @@ class Program(abc.ABC):
             step_count: Steps of the episode, the present one included, shape (num_worlds,).
         """
 
-    @abc.abstractmethod
+    @cached_property
+    def _kernels(self) -> tuple[wp.Kernel, wp.Kernel]:
+        """What writes observation and reward by the functions that the task names."""
+        terms = tuple(term.source for term in self.spec.reward_terms())
+        sources = tuple(column.source for column in self.columns)
+        return self.around(sources, tuple(self.spec.measures.items()), terms)
+
+    def around(
+        self,
+        sources: tuple[Source | None, ...],
+        measures: Measures,
+        terms: tuple[wp.Function | None, ...],
+    ) -> tuple[wp.Kernel, wp.Kernel]:
+        """Return `world_kernels` around functions; they get rows of what has a dimension more than they read.
+
+        Raises:
+            TypeError: Nothing has the name of a parameter.
+            ValueError: What has such rows has not one for each world.
+        """
+        functions = [f for f in (*sources, *terms, *dict(measures).values()) if isinstance(f, wp.Function)]
+        rows = {"step_count"}
+        reader = f"task {self.spec.key!r}"
+        for function, name in ((f, name) for f in functions for name in parameters(f)):
+            if name in (*rows, *GIVEN, *dict(measures)):
+                continue
+            array = find(name, self.owners, reader)
+            if getattr(array, "ndim", 0) <= parameter_type(function, name)[1]:
+                continue
+            if array.shape[0] != self.scene.num_worlds:
+                raise ValueError(
+                    f"{reader} reads {name!r} world by world, of which there is one for all; a field of the "
+                    "model needs to be among the task's `batched`"
+                )
+            rows.add(name)
+        return world_kernels(self.spec.family, sources, measures, terms, frozenset(rows))
+
     def observe(self, mask: wp.array, obs: wp.array) -> None:
         """Write `obs` (num_worlds, obs_size) in the worlds of `mask`."""
+        self.launch(self._kernels[0], mask=mask, count=self._count, obs=obs)
 
-    @abc.abstractmethod
     def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
         """Write the raw reward terms (num_worlds, num_terms), and whether a world is solved, failed.
 
         It changes nothing else. `step_count` is that of `advance`.
         """
+        self.launch(self._kernels[1], step_count=step_count, terms=terms, solved=solved, failed=failed)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
         """Return world positions [m] of the goal's markers in one world by site name; host, for pictures."""

@@ -1,8 +1,8 @@
 """What a task is, before any array exists: frozen, hashable, checked on the host.
 
 A task family (`tasks/<family>.py`) subclasses `TaskSpec` once; a function under `@task` returns the instance
-of each id. From its tables (`columns`, `reward_terms`) follow the spaces, the info keys, the documentation
-and the tests.
+of each id. From its tables (`columns`, `reward_terms`, `draws`) follow the kernels, the spaces, the info
+keys, the documentation and the tests.
 """
 
 from __future__ import annotations
@@ -10,16 +10,17 @@ from __future__ import annotations
 import abc
 import dataclasses
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 import numpy as np
+import warp as wp
 
 from myowarp.definitions.body import BODIES, CoarseStep
 from myowarp.definitions.entries import Entry, Names, entries
 from myowarp.definitions.registry import Registry
+from myowarp.kernels.world_function import Source
 
 if TYPE_CHECKING:
     import mujoco
@@ -35,6 +36,8 @@ class Column:
         unit: Their unit; "1" for none.
         doc: What they are.
         names: What each is called; () where they are only counted.
+        source: What is copied there, or a function of one world that returns a number or a vector
+            (`kernels.world_function`); None: the program's own `observe` writes it.
     """
 
     name: str
@@ -42,6 +45,7 @@ class Column:
     unit: str
     doc: str = ""
     names: Names = ()
+    source: Source | None = None
 
     def entries(self, model: mujoco.MjModel) -> tuple[Entry, ...]:
         """Return name and unit of each of its numbers, which are the first ones that `names` finds.
@@ -64,12 +68,14 @@ class RewardTerm:
         weight: Its weight.
         unit: Unit of the term before weighting; "1" for none.
         doc: What it is.
+        source: A function of one world that returns the term; None: the program's own `score` writes it.
     """
 
     name: str
     weight: float
     unit: str = ""
     doc: str = ""
+    source: wp.Function | None = None
 
 
 @dataclass(frozen=True)
@@ -86,6 +92,12 @@ class Draw:
         when: "goal": in every episode; "start": where the state is reset, which reset "none" does not;
             "posture": under reset "task" only.
         choices: Values that are equally likely, in place of bounds.
+        array: Name of the program's array (num_worlds, n) to draw it into, state `task.<array>`; "": the
+            program's own `sample_start` or `sample_goal` draws it.
+        stream: Its stream of random numbers; None: one of its own, which follows from its name.
+
+    Raises:
+        ValueError: It has an array, but neither bounds in pairs nor choices, or another `when`.
     """
 
     name: str
@@ -96,46 +108,28 @@ class Draw:
     names: Names = ()
     when: str = "goal"
     choices: tuple[float, ...] = ()
+    array: str = ""
+    stream: int | None = None
+
+    def __post_init__(self) -> None:
+        """Check what can be drawn."""
+        if self.array and not (self.choices or 0 < len(self.low) == len(self.high)):
+            raise ValueError(
+                f"draw {self.name!r} must have as many lower as upper bounds, or choices, "
+                f"got {self.low!r} and {self.high!r}"
+            )
+        if self.array and self.when not in ("goal", "start"):
+            raise ValueError(f"draw {self.name!r} must be drawn at 'goal' or 'start', got {self.when!r}")
+
+    @property
+    def size(self) -> int:
+        """How many numbers it is."""
+        return len(self.low) or 1
 
     @property
     def varies(self) -> bool:
         """Whether episodes differ in it."""
         return len(self.choices) > 1 if self.choices else not self.low or self.low != self.high
-
-
-Columns = TypeVar("Columns", bound=IntEnum)
-Block = tuple[int, str] | tuple[int, str, str] | tuple[int, str, str, Names]
-Weighted = float | tuple[float, str, str]
-
-
-def blocks(sizes: Mapping[Columns, Block]) -> tuple[Column, ...]:
-    """Return the columns of an observation.
-
-    Args:
-        sizes: Size and unit of each block, and what `myowarp describe` says of it: meaning and names. The
-            keys are the enum by which the kernel finds its columns.
-    """
-    _check_order(sizes)
-    return tuple(Column(block.name, *size) for block, size in sizes.items())
-
-
-def weighted(weights: Mapping[Columns, Weighted]) -> tuple[RewardTerm, ...]:
-    """Return the terms of a reward.
-
-    Args:
-        weights: Weight of each term, alone or with its unit and meaning; the keys are the enum by which the
-            kernel finds its columns, or the first members of it.
-    """
-    _check_order(weights)
-    rows = {term: given if isinstance(given, tuple) else (given,) for term, given in weights.items()}
-    return tuple(RewardTerm(term.name, float(weight), *said) for term, (weight, *said) in rows.items())
-
-
-def _check_order(members: Iterable[IntEnum]) -> None:
-    """Raise ValueError if the members do not count from 0 on, which would give columns the wrong names."""
-    numbers = [int(member) for member in members]
-    if numbers != list(range(len(numbers))):
-        raise ValueError(f"columns must be given in their order, 0 to {len(numbers) - 1}, got {numbers}")
 
 
 @dataclass(frozen=True)
@@ -162,7 +156,9 @@ class TaskSpec(abc.ABC):
     """A task, complete but for the number of worlds and the device.
 
     Attributes:
-        program: Subclass of `definitions.program.Program`; called with the task and a scene.
+        program: `definitions.program.Program`, or its subclass; called with the task and a scene.
+        measures: Functions of one world whose values others read by these names, such as an error; `solved`
+            and `failed` among them say when a world is solved, and when its episode fails.
         name: Upstream's name of the task, such as `myoHandPoseFixed`; `@task` takes it from the id.
         version: Version of our id, from there too; 0 keeps MyoSuite 3.0.0's semantics.
         body: Name in `BODIES`.
@@ -175,6 +171,7 @@ class TaskSpec(abc.ABC):
     """
 
     program: ClassVar[type]
+    measures: ClassVar[Mapping[str, wp.Function]] = {}
 
     name: str = ""
     version: int = 0

@@ -33,14 +33,24 @@ def launch(kernel: wp.Kernel, dim: int | tuple[int, ...], *owners: object, **giv
     names = _arguments(kernel)
     if surplus := given.keys() - set(names):
         raise TypeError(f"kernel {kernel.key} takes {', '.join(names)}, got {', '.join(sorted(surplus))} too")
-    wp.launch(kernel, dim=dim, inputs=[_argument(kernel, name, owners, given) for name in names])
+    reader = f"kernel {kernel.key}"
+    inputs = [given[name] if name in given else find(name, owners, reader) for name in names]
+    wp.launch(kernel, dim=dim, inputs=inputs)
 
 
-def _argument(kernel: wp.Kernel, name: str, owners: tuple[object, ...], given: dict[str, Any]) -> Any:
-    if name in given:
-        return given[name]
+def find(name: str, owners: tuple[object, ...], reader: str) -> Any:
+    """Return the attribute of the first owner that has it.
+
+    Args:
+        name: Its name.
+        owners: Objects that may have it.
+        reader: What needs it, for the message.
+
+    Raises:
+        TypeError: None has it.
+    """
     for owner in owners:
         if hasattr(owner, name):
             return getattr(owner, name)
     kinds = ", ".join(type(owner).__name__ for owner in owners)
-    raise TypeError(f"kernel {kernel.key} needs {name!r}; it is not given, and no attribute of {kinds}")
+    raise TypeError(f"{reader} needs {name!r}; it is not given, and no attribute of {kinds}")

@@ -1,7 +1,4 @@
-"""Packing of state into the columns of an observation row.
-
-Each function writes one block from a column on, so that the kernel of a task reads like its table of columns.
-"""
+"""Packing of state into the columns of an observation row."""
 
 import warp as wp
 
@@ -29,27 +26,6 @@ def pack_range(
 def pack(obs: wp.array2d[float], worldid: int, column: int, values: wp.array2d[float], scale: float):
     """Write `scale * values[worldid]`."""
     pack_range(obs, worldid, column, values, 0, values.shape[1], scale)
-
-
-@wp.func
-def pack_difference(
-    obs: wp.array2d[float],
-    worldid: int,
-    column: int,
-    target: wp.array2d[float],
-    values: wp.array2d[float],
-    address: wp.array[int],
-):
-    """Write `target[worldid] - values[worldid, address]`."""
-    for i in range(target.shape[1]):
-        obs[worldid, column + i] = target[worldid, i] - values[worldid, address[i]]
-
-
-@wp.func
-def pack_vec3(obs: wp.array2d[float], worldid: int, column: int, vector: wp.vec3):
-    """Write a position or other three-vector."""
-    for i in range(3):
-        obs[worldid, column + i] = vector[i]
 
 
 @wp.kernel(enable_backward=False)

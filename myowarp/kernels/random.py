@@ -4,6 +4,7 @@ No generator state is stored: a world draws the same numbers for any number of w
 any device, in eager mode and in a replayed graph.
 """
 
+import zlib
 from collections.abc import Iterable
 
 import numpy as np
@@ -49,6 +50,11 @@ def seed_worlds(keys: RandomKeys, mask: np.ndarray, seeds: Iterable[int]) -> Non
     folded = (folded ^ (folded >> np.uint64(32))).astype(np.uint32).view(np.int32)
     write(keys.seed, np.where(mask, folded, keys.seed.numpy()))
     write(keys.episode, np.where(mask, 0, keys.episode.numpy()).astype(np.int32))
+
+
+def stream_of(name: str) -> int:
+    """Return the number of the stream that a name has for its own."""
+    return zlib.crc32(name.encode()) & 0x7FFFFFFF
 
 
 @wp.func

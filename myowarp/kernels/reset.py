@@ -1,4 +1,4 @@
-"""Masked reset of world state; nothing here allocates or reads back."""
+"""Masked reset of world state, and draws of an episode; nothing here allocates or reads back."""
 
 from typing import Any
 
@@ -119,3 +119,27 @@ def place_start(
     row = wp.randi(state, 0, starts.shape[0])
     for i in range(start_address.shape[0]):
         qpos_out[worldid, start_address[i]] = starts[row, i]
+
+
+@wp.kernel(enable_backward=False)
+def sample_uniform(
+    # In:
+    low: wp.array[float],
+    high: wp.array[float],
+    choices: wp.array[float],
+    stream: int,
+    keys: RandomKeys,
+    mask: wp.array[bool],
+    # Out:
+    drawn: wp.array2d[float],
+):
+    """drawn ~ U(low, high); or one of the choices, where there are such."""
+    worldid = wp.tid()
+    if not mask[worldid]:
+        return
+    state = open_stream(keys, worldid, stream)
+    for i in range(drawn.shape[1]):
+        if choices.shape[0] > 0:
+            drawn[worldid, i] = choices[wp.randi(state, 0, choices.shape[0])]
+        else:
+            drawn[worldid, i] = wp.randf(state, low[i], high[i])

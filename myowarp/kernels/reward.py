@@ -1,4 +1,4 @@
-"""Reward primitives that several task families share."""
+"""Terms of the reward, and endings, that several task families share: functions of one world."""
 
 import warp as wp
 
@@ -10,25 +10,43 @@ def indicator(condition: bool) -> float:
 
 
 @wp.func
-def activation_effort(activation: wp.array2d[float], worldid: int) -> float:
-    """Norm of the activations divided by their number, MyoSuite's `act_mag`; 0 without muscles."""
+def minus_effort(activation: wp.array[float]) -> float:
+    """Minus the norm of the activations divided by their number, MyoSuite's `act_mag`; 0 without muscles."""
     total = float(0.0)
-    for i in range(activation.shape[1]):
-        total += activation[worldid, i] * activation[worldid, i]
-    return wp.sqrt(total) / wp.max(float(activation.shape[1]), 1.0)
+    for i in range(activation.shape[0]):
+        total += activation[i] * activation[i]
+    return -(wp.sqrt(total) / wp.max(float(activation.shape[0]), 1.0))
 
 
-EFFORT = ("1", "minus the effort: Euclidean norm of the activations over their number")
-"""Unit and meaning of `-activation_effort`, the end of an entry of `definitions.task.weighted`."""
+EFFORT = ("1", "minus the effort: Euclidean norm of the activations over their number", minus_effort)
+"""The end of a `definitions.task.RewardTerm`: unit, meaning, source."""
 
 
 @wp.func
-def squared_distance(
-    target: wp.array2d[float], values: wp.array2d[float], address: wp.array[int], worldid: int
-) -> float:
-    """Sum of squared differences of `target[worldid]` and `values[worldid, address]`."""
-    total = float(0.0)
-    for i in range(target.shape[1]):
-        difference = target[worldid, i] - values[worldid, address[i]]
-        total += difference * difference
-    return total
+def minus_error(error: float) -> float:
+    """-error."""
+    return -error
+
+
+@wp.func
+def near_bonus(error: float, near: float, wider: float) -> float:
+    """1[error < near] + 1[error < wider near]."""
+    return indicator(error < near) + indicator(error < wider * near)
+
+
+@wp.func
+def is_near(error: float, near: float) -> bool:
+    """Error < near."""
+    return error < near
+
+
+@wp.func
+def is_far(error: float, far: float) -> bool:
+    """Error > far."""
+    return error > far
+
+
+@wp.func
+def minus_failed(failed: bool) -> float:
+    """-1[failed]."""
+    return -indicator(failed)

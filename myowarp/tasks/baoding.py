@@ -16,7 +16,6 @@ the wrist, so that no stillness is asked for. Corrected balls are those of `baod
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum
 from typing import ClassVar
 
 import mujoco
@@ -27,9 +26,9 @@ from myowarp.definitions.body import CoarseStep
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, XYZ
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, Weighted, blocks, weighted
-from myowarp.kernels.observe import pack, pack_range, pack_vec3
-from myowarp.kernels.reward import EFFORT, activation_effort, indicator
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec
+from myowarp.kernels.reward import EFFORT, indicator, minus_failed
+from myowarp.kernels.world_function import Row
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, SOFT, add_object
 from myowarp.tasks.baoding_balls import BATCHED, BATCHED_INERTIA, BallRanges, sample_balls, weigh_balls
 from myowarp.tasks.baoding_orbits import (
@@ -43,7 +42,7 @@ from myowarp.tasks.baoding_orbits import (
 from myowarp.tasks.markers import add_tip_targets
 
 BALL_QPOS = wp.constant(wp.vec2i(23, 30))  # where the free joints start in qpos
-BALL_QVEL = wp.constant(wp.vec2i(23, 29))
+BALL_QVEL = (23, 29)
 NEAR = wp.constant(0.015)  # m, distance of each ball within which the task is solved
 BOTH_BONUS = wp.constant(4.0)  # what both balls at their targets add to the 1 of each
 DROPPED = wp.constant(1.25)  # m, height of a ball's centre below which the episode fails
@@ -60,103 +59,92 @@ DROP_WEIGHT = 500.0
 their targets as the hand reaches, 0.19 m: 200 (10 * 0.19 + 0.16) = 412."""
 
 
-Obs = IntEnum(
-    "Obs",
-    "hand_pos object1_pos object1_velp object2_pos object2_velp target1_pos"
-    " target2_pos target1_err target2_err act",
-    start=0,
-)
-"""Blocks of the observation, in the order of their columns."""
-
-Term = IntEnum("Term", "pos_dist_1 pos_dist_2 act_reg sparse drop bonus", start=0)
-"""Terms of the reward, in the order of their columns."""
+@wp.func
+def ball_position(qpos: wp.array[float], ball: int) -> wp.vec3:
+    """Centre of ball 0 or 1 in the world [m]."""
+    first = BALL_QPOS[ball]
+    return wp.vec3(qpos[first], qpos[first + 1], qpos[first + 2])
 
 
 @wp.func
-def position_of(qpos: wp.array2d[float], worldid: int, ball: int) -> wp.vec3:
-    """Centre of ball 0 or 1 in the world [m]."""
-    first = BALL_QPOS[ball]
-    return wp.vec3(qpos[worldid, first], qpos[worldid, first + 1], qpos[worldid, first + 2])
+def palm_place(site_xpos: wp.array[wp.vec3], palm_site: int) -> wp.vec3:
+    """Origin of the frame in which the targets move."""
+    return site_xpos[palm_site]
 
 
-@wp.kernel(enable_backward=False)
-def observe_baoding(
-    # Params:
-    first: wp.array[int],
-    palm_site: int,
-    # Data in:
-    qpos_in: wp.array2d[float],
-    qvel_in: wp.array2d[float],
-    site_xpos_in: wp.array2d[wp.vec3],
-    site_xmat_in: wp.array2d[wp.mat33],
-    # In:
-    target: wp.array2d[wp.vec3],
-    activation: wp.array2d[float],
-    control_dt: float,
-    mask: wp.array[bool],
-    # Out:
-    obs: wp.array2d[float],
-):
-    """obs = [hand qpos, p1, v1 dt, p2, v2 dt, t1, t2, t1 - p1, t2 - p2, activation]."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    palm, frame = site_xpos_in[worldid, palm_site], site_xmat_in[worldid, palm_site]
-    target1, target2 = palm + frame * target[worldid, 0], palm + frame * target[worldid, 1]
-    pack_range(obs, worldid, first[Obs.hand_pos], qpos_in, 0, HAND_JOINTS, 1.0)
-    pack_range(obs, worldid, first[Obs.object1_pos], qpos_in, BALL_QPOS[0], 3, 1.0)
-    pack_range(obs, worldid, first[Obs.object1_velp], qvel_in, BALL_QVEL[0], 3, control_dt)
-    pack_range(obs, worldid, first[Obs.object2_pos], qpos_in, BALL_QPOS[1], 3, 1.0)
-    pack_range(obs, worldid, first[Obs.object2_velp], qvel_in, BALL_QVEL[1], 3, control_dt)
-    pack_vec3(obs, worldid, first[Obs.target1_pos], target1)
-    pack_vec3(obs, worldid, first[Obs.target2_pos], target2)
-    pack_vec3(obs, worldid, first[Obs.target1_err], target1 - position_of(qpos_in, worldid, 0))
-    pack_vec3(obs, worldid, first[Obs.target2_err], target2 - position_of(qpos_in, worldid, 1))
-    pack(obs, worldid, first[Obs.act], activation, 1.0)
+@wp.func
+def palm_frame(site_xmat: wp.array[wp.mat33], palm_site: int) -> wp.mat33:
+    """Its axes."""
+    return site_xmat[palm_site]
 
 
-@wp.kernel(enable_backward=False)
-def score_baoding(
-    # Params:
-    palm_site: int,
-    # Data in:
-    qpos_in: wp.array2d[float],
-    site_xpos_in: wp.array2d[wp.vec3],
-    site_xmat_in: wp.array2d[wp.mat33],
-    # In:
-    target: wp.array2d[wp.vec3],
-    activation: wp.array2d[float],
-    orbits: Orbits,
-    control_dt: float,
-    step_count: wp.array[int],
-    # Out:
-    terms: wp.array2d[float],
-    solved: wp.array[bool],
-    failed: wp.array[bool],
-):
-    """Terms pos_dist_1, pos_dist_2, act_reg, sparse, and corrected drop, bonus.
+@wp.func
+def target_1(palm: wp.vec3, frame: wp.mat33, target: wp.array[wp.vec3]) -> wp.vec3:
+    """Target of ball 1 in the world."""
+    return palm + frame * target[0]
 
-    Targets that jump have to be met after their first jump.
-    """
-    worldid = wp.tid()
-    palm, frame = site_xpos_in[worldid, palm_site], site_xmat_in[worldid, palm_site]
-    fallen = bool(False)
-    total, met = float(0.0), float(0.0)
-    for i in range(2):
-        position = position_of(qpos_in, worldid, i)
-        distance = wp.length(palm + frame * target[worldid, i] - position)
-        terms[worldid, Term.pos_dist_1 + i] = -distance
-        total += distance
-        met += indicator(distance < NEAR)
-        fallen = fallen or position[2] < DROPPED
-    terms[worldid, Term.act_reg] = -activation_effort(activation, worldid)
-    terms[worldid, Term.sparse] = -total
-    if terms.shape[1] > Term.drop:
-        terms[worldid, Term.drop] = -indicator(fallen)
-        terms[worldid, Term.bonus] = met + BOTH_BONUS * indicator(met == 2.0)
-    begun = orbits.jumps == 0 or orbit_turns(orbits, worldid, control_dt, step_count[worldid]) > 0.0
-    solved[worldid] = met == 2.0 and begun and not fallen
-    failed[worldid] = fallen
+
+@wp.func
+def target_2(palm: wp.vec3, frame: wp.mat33, target: wp.array[wp.vec3]) -> wp.vec3:
+    """Target of ball 2 in the world."""
+    return palm + frame * target[1]
+
+
+@wp.func
+def error_1(target_1: wp.vec3, qpos: wp.array[float]) -> wp.vec3:
+    """From ball 1 to its target."""
+    return target_1 - ball_position(qpos, 0)
+
+
+@wp.func
+def error_2(target_2: wp.vec3, qpos: wp.array[float]) -> wp.vec3:
+    """From ball 2 to its target."""
+    return target_2 - ball_position(qpos, 1)
+
+
+@wp.func
+def minus_distance_1(error_1: wp.vec3) -> float:
+    """-d1."""
+    return -wp.length(error_1)
+
+
+@wp.func
+def minus_distance_2(error_2: wp.vec3) -> float:
+    """-d2."""
+    return -wp.length(error_2)
+
+
+@wp.func
+def minus_distances(pos_dist_1: float, pos_dist_2: float) -> float:
+    """-(d1 + d2)."""
+    return pos_dist_1 + pos_dist_2
+
+
+@wp.func
+def num_met(pos_dist_1: float, pos_dist_2: float) -> float:
+    """1[d1 < 0.015] + 1[d2 < 0.015]."""
+    return indicator(-pos_dist_1 < NEAR) + indicator(-pos_dist_2 < NEAR)
+
+
+@wp.func
+def met_bonus(met: float) -> float:
+    """What balls at their targets earn."""
+    return met + BOTH_BONUS * indicator(met == 2.0)
+
+
+@wp.func
+def is_fallen(qpos: wp.array[float]) -> bool:
+    """Whether a ball is below 1.25 m."""
+    return ball_position(qpos, 0)[2] < DROPPED or ball_position(qpos, 1)[2] < DROPPED
+
+
+@wp.func
+def is_met(
+    met: float, failed: bool, orbits: Orbits, control_dt: float, step_count: int, worldid: int
+) -> bool:
+    """Whether both balls are at their targets; those that jump have to be met after their first jump."""
+    begun = orbits.jumps == 0 or orbit_turns(orbits, worldid, control_dt, step_count) > 0.0
+    return met == 2.0 and begun and not failed
 
 
 class BaodingProgram(Program):
@@ -181,22 +169,18 @@ class BaodingProgram(Program):
 
     def sample_start(self, mask: wp.array) -> None:
         """Draw the balls where they differ."""
+        super().sample_start(mask)
         if self.ball_bounds is not None:
             self.launch(sample_balls, mask=mask)
             if self.spec.corrected:
                 self.launch(weigh_balls, mask=mask)
 
     def sample_goal(self, mask: wp.array) -> None:
+        super().sample_goal(mask)
         self.launch(sample_orbit, mask=mask)
 
     def advance(self, step_count: wp.array) -> None:
         self.launch(move_targets, step_count=step_count)
-
-    def observe(self, mask: wp.array, obs: wp.array) -> None:
-        self.launch(observe_baoding, mask=mask, obs=obs)
-
-    def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
-        self.launch(score_baoding, step_count=step_count, terms=terms, solved=solved, failed=failed)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
         """Where the balls have to be."""
@@ -219,6 +203,19 @@ class BaodingTask(TaskSpec):
     """
 
     program: ClassVar[type] = BaodingProgram
+    measures: ClassVar = {
+        "palm": palm_place,
+        "frame": palm_frame,
+        "target_1": target_1,
+        "target_2": target_2,
+        "error_1": error_1,
+        "error_2": error_2,
+        "pos_dist_1": minus_distance_1,
+        "pos_dist_2": minus_distance_2,
+        "met": num_met,
+        "solved": is_met,
+        "failed": is_fallen,
+    }
     coarse_step = CoarseStep(0.005, 0.35)
 
     body: str = "contact_hand"
@@ -297,31 +294,32 @@ class BaodingTask(TaskSpec):
         add_tip_targets(spec, BALLS)
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
-        velocity = "velocity of ball {} times the control step, world"
-        return blocks(
-            {
-                Obs.hand_pos: (HAND_JOINTS, *COORDINATES),
-                Obs.object1_pos: (3, "m", "position of ball 1, world", XYZ),
-                Obs.object1_velp: (3, "m per control step", velocity.format(1), XYZ),
-                Obs.object2_pos: (3, "m", "position of ball 2, world", XYZ),
-                Obs.object2_velp: (3, "m per control step", velocity.format(2), XYZ),
-                Obs.target1_pos: (3, "m", "target of ball 1, world", XYZ),
-                Obs.target2_pos: (3, "m", "target of ball 2, world", XYZ),
-                Obs.target1_err: (3, "m", "from ball 1 to its target, world", XYZ),
-                Obs.target2_err: (3, "m", "from ball 2 to its target, world", XYZ),
-                Obs.act: (num_muscles, *ACTIVATION),
-            }
+        unit, velocity = "m per control step", "velocity of ball {} times the control step, world"
+        (qpos_1, qpos_2), (qvel_1, qvel_2) = BALL_QPOS, BALL_QVEL
+        rates = Row("qvel", qvel_1, "control_dt"), Row("qvel", qvel_2, "control_dt")
+        return (
+            Column("hand_pos", HAND_JOINTS, *COORDINATES),
+            Column("object1_pos", 3, "m", "position of ball 1, world", XYZ, Row("qpos", qpos_1)),
+            Column("object1_velp", 3, unit, velocity.format(1), XYZ, rates[0]),
+            Column("object2_pos", 3, "m", "position of ball 2, world", XYZ, Row("qpos", qpos_2)),
+            Column("object2_velp", 3, unit, velocity.format(2), XYZ, rates[1]),
+            Column("target1_pos", 3, "m", "target of ball 1, world", XYZ, target_1),
+            Column("target2_pos", 3, "m", "target of ball 2, world", XYZ, target_2),
+            Column("target1_err", 3, "m", "from ball 1 to its target, world", XYZ, error_1),
+            Column("target2_err", 3, "m", "from ball 2 to its target, world", XYZ, error_2),
+            Column("act", num_muscles, *ACTIVATION),
         )
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
-        weights: dict[IntEnum, Weighted] = {
-            Term.pos_dist_1: (5.0, "m", "minus the distance of ball 1 from its target"),
-            Term.pos_dist_2: (5.0, "m", "minus the distance of ball 2 from its target"),
-            Term.act_reg: (float(self.corrected), *EFFORT),
-            Term.sparse: (0.0, "m", "minus the sum of both distances"),
-        }
-        if self.corrected:
-            met = f"1 for each ball within {NEAR:g} m of its target, and {BOTH_BONUS:g} more for both"
-            weights[Term.drop] = (DROP_WEIGHT, "1", "-1 where the episode fails")
-            weights[Term.bonus] = (1.0, "1", met)
-        return weighted(weights)
+        away = "minus the distance of ball {} from its target"
+        met = f"1 for each ball within {NEAR:g} m of its target, and {BOTH_BONUS:g} more for both"
+        terms = (
+            RewardTerm("pos_dist_1", 5.0, "m", away.format(1), minus_distance_1),
+            RewardTerm("pos_dist_2", 5.0, "m", away.format(2), minus_distance_2),
+            RewardTerm("act_reg", float(self.corrected), *EFFORT),
+            RewardTerm("sparse", 0.0, "m", "minus the sum of both distances", minus_distances),
+        )
+        if not self.corrected:
+            return terms
+        drop = RewardTerm("drop", DROP_WEIGHT, "1", "-1 where the episode fails", minus_failed)
+        return (*terms, drop, RewardTerm("bonus", 1.0, "1", met, met_bonus))

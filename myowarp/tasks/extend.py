@@ -29,10 +29,11 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.registry import check_choice
-from myowarp.definitions.task import TASKS, TaskSpec, register, split_key
+from myowarp.definitions.task import TASKS, Column, RewardTerm, TaskSpec, register, split_key
 from myowarp.engine.world_function import check_function
-from myowarp.tasks.extended import Block, Extended, Extension, check_type, extended_family, reads
-from myowarp.tasks.quantities import QUANTITIES
+from myowarp.kernels.world_function import Row, num_numbers
+from myowarp.tasks.extended import Extended, Extension, check_type, extended_family, reads
+from myowarp.tasks.quantities import QUANTITIES, SITES
 
 MOST = float(np.finfo(np.float32).max)  # what the device calls finite
 
@@ -87,7 +88,7 @@ def extend(
     terms, weights = _rewards(base, before, rewards or {})
     blocks = _observations(base, before, observations or {})
     seen = dict.fromkeys((*before.sites, *sites))
-    if not seen and any("site_xpos" in reads(block.source) for block in (*terms, *blocks)):
+    if not seen and {"site_xpos", SITES} & set(reads(*terms, *blocks)):
         raise ValueError(f"task {key!r} reads site_xpos; name the sites, such as sites=('tip',)")
     family = type(base).__mro__[2] if isinstance(base, Extended) else type(base)
     fields |= {"name": name, "version": version, "doc": doc or base.doc} | changes
@@ -100,7 +101,7 @@ Weights: TypeAlias = tuple[tuple[str, float], ...]
 
 def _rewards(
     base: TaskSpec, before: Extension, rewards: Mapping[str, Reward]
-) -> tuple[tuple[Block, ...], Weights]:
+) -> tuple[tuple[RewardTerm, ...], Weights]:
     """Return the new terms of an extension, and the new weights of the task's own."""
     terms = {block.name: block for block in before.rewards}
     own = [term.name for term in base.reward_terms() if term.name not in terms]
@@ -130,15 +131,16 @@ def _rewards(
                 f"reward {name!r} is a term of {base.key!r}; give its weight alone, or rename yours"
             )
         else:
-            terms[name] = _block(name, function, unit, weight=float(weight))
-            if terms[name].size != 1:
-                raise ValueError(f"reward {name!r} must return a float, got {terms[name].size} numbers")
+            block = _block(name, function, unit)
+            if block.size != 1:
+                raise ValueError(f"reward {name!r} must return a float, got {block.size} numbers")
+            terms[name] = RewardTerm(name, float(weight), unit, block.doc, function)
     return tuple(terms.values()), tuple(weights.items())
 
 
 def _observations(
     base: TaskSpec, before: Extension, observations: Mapping[str, Observation]
-) -> tuple[Block, ...]:
+) -> tuple[Column, ...]:
     """Return the new blocks of an extension."""
     blocks = {block.name: block for block in before.observations}
     taken = {column.name for column in base.columns(1, 1, 1)} - set(blocks)
@@ -149,13 +151,14 @@ def _observations(
         if isinstance(source, str):
             check_choice(f"quantity of observation {name!r}", source, QUANTITIES)
             quantity = QUANTITIES[source]
-            blocks[name] = Block(name, source, None, quantity.unit, quantity.meaning)
+            row = Row(SITES if source == "site_xpos" else source)
+            blocks[name] = Column(name, 0, quantity.unit, quantity.meaning, source=row)
         else:
             blocks[name] = _block(name, source, str(unit))
     return tuple(blocks.values())
 
 
-def _block(name: str, function: Any, unit: str, weight: float = 0.0) -> Block:
+def _block(name: str, function: Any, unit: str) -> Column:
     """Return the block of a function whose parameters and result we can serve.
 
     Raises:
@@ -165,8 +168,8 @@ def _block(name: str, function: Any, unit: str, weight: float = 0.0) -> Block:
         raise ValueError(f"{name!r} must be a function under @wp.func, got {type(function).__name__}")
     types = typing.get_type_hints(function.func)
     result = types.get("return")
-    shape: tuple[int, ...] = (1,) if result in (float, wp.float32) else getattr(result, "_shape_", ())
-    if len(shape) != 1:
+    size = num_numbers(function)
+    if not size:
         got = getattr(result, "__name__", result)
         raise ValueError(f"{name!r} must say what it returns, -> float, wp.vec3 or wp.quat; got {got}")
     parameters = inspect.signature(function.func).parameters
@@ -176,11 +179,11 @@ def _block(name: str, function: Any, unit: str, weight: float = 0.0) -> Block:
             f"available: {', '.join(QUANTITIES)}"
         )
     doc = " ".join((inspect.getdoc(function.func) or "").partition("\n\n")[0].split())
-    block = Block(name, function, int(shape[0]), unit, doc, weight)
+    block = Column(name, size, unit, doc, source=function)
     for parameter in QUANTITIES.keys() & parameters.keys():
         check_type(block, parameter, QUANTITIES[parameter].dtype, 2)
     try:
-        check_function(function, block.size or 1)
+        check_function(function)
     except ValueError as error:
         raise ValueError(f"{name!r} cannot be computed: {error}") from error
     return block

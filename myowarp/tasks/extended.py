@@ -2,44 +2,24 @@
 
 from __future__ import annotations
 
-import inspect
 import typing
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
-import numpy as np
 import warp as wp
 
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
 from myowarp.definitions.task import Column, RewardTerm, TaskSpec
-from myowarp.engine.world_function import kernel_around, parameter_type
-from myowarp.kernels.launch import launch
-from myowarp.kernels.observe import masked_observe
-from myowarp.tasks.quantities import QUANTITIES, Present
-
-
-@dataclass(frozen=True)
-class Block:
-    """Columns that an extension adds to the observation or to the terms of the reward.
-
-    Attributes:
-        name: Name of the block.
-        source: The function; or a name in `QUANTITIES`, all of which is observed.
-        size: Number of columns; None: as many as the quantity has.
-        unit: Unit of its numbers.
-        doc: What they are.
-        weight: Weight of a reward.
-    """
-
-    name: str
-    source: wp.Function | str
-    size: int | None = 1
-    unit: str = ""
-    doc: str = ""
-    weight: float = 0.0
+from myowarp.kernels.world_function import (
+    Row,
+    num_counted,
+    parameter_type,
+    parameters,
+    world_kernels,
+)
+from myowarp.tasks.quantities import QUANTITIES, SITES, Present
 
 
 @dataclass(frozen=True)
@@ -48,20 +28,23 @@ class Extension:
 
     Attributes:
         rewards: New terms of the reward.
-        observations: New blocks of the observation.
+        observations: New blocks of the observation; one of size 0 shows all of a quantity.
         weights: New weights of the family's terms, name and weight.
         sites: Names of the sites whose positions `site_xpos` holds.
     """
 
-    rewards: tuple[Block, ...] = ()
-    observations: tuple[Block, ...] = ()
+    rewards: tuple[RewardTerm, ...] = ()
+    observations: tuple[Column, ...] = ()
     weights: tuple[tuple[str, float], ...] = ()
     sites: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Extended(TaskSpec):
-    """What an extended task adds to that of its family, of which it is a subclass."""
+    """What an extended task adds to that of its family, of which it is a subclass.
+
+    Its additions show no source here: `ExtendedProgram` writes them, whose `site_xpos` is another one.
+    """
 
     extension: Extension
 
@@ -77,9 +60,9 @@ class Extended(TaskSpec):
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
         """The family's blocks, then the extension's."""
-        sizes = {"qpos": nq, "qvel": nv, "site_xpos": 3 * len(self.extension.sites)}
+        sizes = {"qpos": nq, "qvel": nv, SITES: 3 * len(self.extension.sites)}
         added = (
-            Column(b.name, sizes.get(str(b.source), num_muscles) if b.size is None else b.size, b.unit, b.doc)
+            replace(b, size=b.size or sizes.get(reads(b)[0], num_muscles), source=None)
             for b in self.extension.observations
         )
         return (*super().columns(nq, nv, num_muscles), *added)  # type: ignore[safe-super]
@@ -89,7 +72,7 @@ class Extended(TaskSpec):
         weights = dict(self.extension.weights)
         own = super().reward_terms()  # type: ignore[safe-super]
         terms = (replace(term, weight=weights.get(term.name, term.weight)) for term in own)
-        return (*terms, *(RewardTerm(b.name, b.weight, b.unit, b.doc) for b in self.extension.rewards))
+        return (*terms, *(replace(term, source=None) for term in self.extension.rewards))
 
 
 class ExtendedProgram(Program):
@@ -105,53 +88,40 @@ class ExtendedProgram(Program):
         """
         super().__init__(spec, scene)
         rewards, observations = spec.extension.rewards, spec.extension.observations
-        names = [name for block in (*rewards, *observations) for name in reads(block.source)]
+        names = reads(*rewards, *observations)
         self._present = Present(scene, names, spec.extension.sites)
         self._is_updated = False
-        self._every = wp.ones(scene.num_worlds, dtype=bool)
-        columns = spec.columns(scene.oracle.nq, scene.oracle.nv, len(scene.muscles.names))
-        ends = np.cumsum([column.size for column in columns]).tolist()
-        firsts = [0, *ends][len(columns) - len(observations) : -1]
-        first_term = len(spec.reward_terms()) - len(rewards)
-        self._observers = [
-            self._writer(block, column) for block, column in zip(observations, firsts, strict=True)
-        ]
-        self._scorers = [self._writer(block, first_term + k) for k, block in enumerate(rewards)]
+        self._scored, self._observed = (
+            {name: self._array(block, name) for block in blocks for name in reads(block)}
+            for blocks in (rewards, observations)
+        )
+        sources = (None,) * (len(self.columns) - len(observations)) + tuple(b.source for b in observations)
+        terms = (None,) * (len(spec.reward_terms()) - len(rewards)) + tuple(term.source for term in rewards)
+        sizes = zip(sources, self.columns, strict=True)
+        self._added_count = wp.array(
+            [num_counted(source, column.size) for source, column in sizes], dtype=int
+        )
+        self._added = world_kernels(f"{spec.family}_extension", sources, (), terms, frozenset(names))
 
     def observe(self, mask: wp.array, obs: wp.array) -> None:
         """Write the family's columns, then the extension's."""
-        super().observe(mask, obs)  # type: ignore[safe-super]
+        super().observe(mask, obs)
         if not self._is_updated:
             self._present.update()
         self._is_updated = False
-        for write in self._observers:
-            write(mask, obs)
+        if self._observed:
+            self.launch(self._added[0], mask=mask, count=self._added_count, obs=obs, **self._observed)
 
     def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
         """Write the family's terms, then the extension's; the next observation is of the same state."""
-        super().score(step_count, terms, solved, failed)  # type: ignore[safe-super]
+        super().score(step_count, terms, solved, failed)
         self._present.update()
         self._is_updated = True
-        for write in self._scorers:
-            write(self._every, terms)
+        if self._scored:
+            flags = {"solved": solved, "failed": failed}
+            self.launch(self._added[1], step_count=step_count, terms=terms, **flags, **self._scored)
 
-    def _writer(self, block: Block, column: int) -> Callable[[wp.array, wp.array], None]:
-        """Return what launches the columns of a block into the rows of a mask."""
-        if isinstance(block.source, str):
-            values = self._present.arrays[block.source]
-            if values.dtype is wp.vec3f:
-                shape = (values.shape[0], 3 * values.shape[1])
-                values = wp.array(ptr=values.ptr, dtype=float, shape=shape, device=values.device)
-            return lambda mask, out: masked_observe(mask, values, column, out)
-        arrays = {name: self._array(block, name) for name in reads(block.source)}
-        kernel = kernel_around(block.source, block.size or 1)
-
-        def write(mask: wp.array, out: wp.array) -> None:
-            launch(kernel, self.scene.num_worlds, mask=mask, column=column, out=out, **arrays)
-
-        return write
-
-    def _array(self, block: Block, name: str) -> wp.array:
+    def _array(self, block: Column | RewardTerm, name: str) -> wp.array:
         """Return the array behind a parameter, (num_worlds, ...).
 
         Raises:
@@ -172,18 +142,21 @@ class ExtendedProgram(Program):
                 f"{block.name!r} reads {name!r}, which task {self.spec.key!r} has not; "
                 f"available: {', '.join(dict.fromkeys([*QUANTITIES, *own]))}"
             )
-        check_type(block, name, arrays[name].dtype, arrays[name].ndim)
+        if not isinstance(block.source, Row):
+            check_type(block, name, arrays[name].dtype, arrays[name].ndim)
         return arrays[name]
 
 
-def reads(source: wp.Function | str) -> tuple[str, ...]:
-    """Return the names of what a block reads."""
-    return (source,) if isinstance(source, str) else tuple(inspect.signature(source.func).parameters)
+def reads(*blocks: Column | RewardTerm) -> tuple[str, ...]:
+    """Return the names of what blocks read."""
+    sources = [block.source for block in blocks]
+    names = ((source.array,) if isinstance(source, Row) else parameters(source) for source in sources)
+    return tuple(name for read in names for name in read)
 
 
-def check_type(block: Block, name: str, dtype: type, ndim: int) -> None:
+def check_type(block: Column | RewardTerm, name: str, dtype: type, ndim: int) -> None:
     """Raise ValueError if a parameter is annotated with another type than a world's part of an array has."""
-    function = typing.cast(Any, block.source)
+    function: wp.Function = block.source
     if parameter_type(function, name) != (dtype, ndim - 1):
         kind = NAMES.get(dtype, dtype.__name__)
         wanted = f"wp.array[{kind}]" if ndim == 2 else kind

@@ -20,7 +20,7 @@ def resize_object(
     # Params:
     object_geom: int,
     # In:
-    object_size: wp.array[wp.vec3],
+    object_size: wp.array2d[float],
     mask: wp.array[bool],
     # Out:
     geom_size: wp.array2d[wp.vec3],
@@ -31,7 +31,7 @@ def resize_object(
     worldid = wp.tid()
     if not mask[worldid]:
         return
-    size = object_size[worldid]
+    size = wp.vec3(object_size[worldid, 0], object_size[worldid, 1], object_size[worldid, 2])
     geom_size[worldid, object_geom] = size
     geom_rbound[worldid, object_geom] = wp.max(size)
     geom_aabb[worldid, object_geom, 1] = size
@@ -43,7 +43,7 @@ def weigh_object(
     object_body: int,
     density: float,
     # In:
-    object_size: wp.array[wp.vec3],
+    object_size: wp.array2d[float],
     mask: wp.array[bool],
     # Out:
     body_mass: wp.array2d[float],
@@ -55,7 +55,7 @@ def weigh_object(
     worldid = wp.tid()
     if not mask[worldid]:
         return
-    size = object_size[worldid]
+    size = wp.vec3(object_size[worldid, 0], object_size[worldid, 1], object_size[worldid, 2])
     mass = 4.0 / 3.0 * wp.pi * density * size[0] * size[1] * size[2]
     square = wp.cw_mul(size, size)
     inertia = 0.2 * mass * wp.vec3(square[1] + square[2], square[0] + square[2], square[0] + square[1])

@@ -14,7 +14,6 @@ and 0.03 ms without, both below the physics step.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import ClassVar
 
 import mujoco
@@ -25,10 +24,10 @@ from myowarp.definitions.body import CoarseStep
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, VELOCITIES, XYZ
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, Weighted, blocks, task, weighted
-from myowarp.kernels.observe import pack, pack_range, pack_vec3
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
-from myowarp.kernels.reward import EFFORT, activation_effort, indicator
+from myowarp.kernels.reward import EFFORT, indicator
+from myowarp.kernels.world_function import Row
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
 
 KEY = wp.constant(23)  # joint of the key, after the hand's
@@ -43,13 +42,6 @@ KEY_TILT = 2.2  # rad about the vertical
 ALIVE_WEIGHT = 60.0
 """What a step without failure earns, more than the 58.4 that it can cost: penalties 2 * 25, distances of at
 most 0.1 m 2 * 1, effort 1 / sqrt(39) = 0.16, and a key turned the wrong way by a revolution 6.28."""
-
-
-Obs = IntEnum("Obs", "hand_qpos hand_qvel key_qpos key_qvel IFtip_approach THtip_approach act", start=0)
-"""Blocks of the observation, in the order of their columns."""
-
-Term = IntEnum("Term", "key_turn IFtip_approach THtip_approach act_reg bonus penalty sparse alive", start=0)
-"""Terms of the reward, in the order of their columns."""
 
 
 @wp.kernel(enable_backward=False)
@@ -81,73 +73,64 @@ def sample_key(
     body_pos[worldid, key_body] = key_pos + wp.vec3(x, y, z)
 
 
-@wp.kernel(enable_backward=False)
-def observe_key(
-    # Params:
-    first: wp.array[int],
-    key_site: int,
-    index_site: int,
-    thumb_site: int,
-    # Data in:
-    qpos_in: wp.array2d[float],
-    qvel_in: wp.array2d[float],
-    site_xpos_in: wp.array2d[wp.vec3],
-    # In:
-    activation: wp.array2d[float],
-    control_dt: float,
-    mask: wp.array[bool],
-    # Out:
-    obs: wp.array2d[float],
-):
-    """obs = [hand qpos, hand qvel dt, key qpos, key qvel dt, head - index, head - thumb, activation]."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    head = site_xpos_in[worldid, key_site]
-    pack_range(obs, worldid, first[Obs.hand_qpos], qpos_in, 0, HAND_JOINTS, 1.0)
-    pack_range(obs, worldid, first[Obs.hand_qvel], qvel_in, 0, HAND_JOINTS, control_dt)
-    pack_range(obs, worldid, first[Obs.key_qpos], qpos_in, KEY, 1, 1.0)
-    pack_range(obs, worldid, first[Obs.key_qvel], qvel_in, KEY, 1, control_dt)
-    pack_vec3(obs, worldid, first[Obs.IFtip_approach], head - site_xpos_in[worldid, index_site])
-    pack_vec3(obs, worldid, first[Obs.THtip_approach], head - site_xpos_in[worldid, thumb_site])
-    pack(obs, worldid, first[Obs.act], activation, 1.0)
+@wp.func
+def index_approach(site_xpos: wp.array[wp.vec3], key_site: int, index_site: int) -> wp.vec3:
+    """From the index tip to the key head."""
+    return site_xpos[key_site] - site_xpos[index_site]
 
 
-@wp.kernel(enable_backward=False)
-def score_key(
-    # Params:
-    key_site: int,
-    index_site: int,
-    thumb_site: int,
-    goal_angle: float,
-    # Data in:
-    qpos_in: wp.array2d[float],
-    site_xpos_in: wp.array2d[wp.vec3],
-    # In:
-    activation: wp.array2d[float],
-    # Out:
-    terms: wp.array2d[float],
-    solved: wp.array[bool],
-    failed: wp.array[bool],
-):
-    """Terms key_turn, IFtip_approach, THtip_approach, act_reg, bonus, penalty, sparse, alive if weighted."""
-    worldid = wp.tid()
-    head = site_xpos_in[worldid, key_site]
-    a = wp.abs(wp.length(head - site_xpos_in[worldid, index_site]) - GRIP)
-    b = wp.abs(wp.length(head - site_xpos_in[worldid, thumb_site]) - GRIP)
-    q = qpos_in[worldid, KEY]
-    terms[worldid, Term.key_turn] = q
-    terms[worldid, Term.IFtip_approach] = -a
-    terms[worldid, Term.THtip_approach] = -b
-    terms[worldid, Term.act_reg] = -activation_effort(activation, worldid)
-    terms[worldid, Term.bonus] = indicator(q > QUARTER_TURN) + indicator(q > HALF_TURN)
-    terms[worldid, Term.penalty] = -indicator(a > LOOSE) - indicator(b > LOOSE)
-    terms[worldid, Term.sparse] = q
-    lost = a > LOST or b > LOST
-    if terms.shape[1] > Term.alive:
-        terms[worldid, Term.alive] = indicator(not lost)
-    solved[worldid] = q > goal_angle
-    failed[worldid] = lost
+@wp.func
+def thumb_approach(site_xpos: wp.array[wp.vec3], key_site: int, thumb_site: int) -> wp.vec3:
+    """From the thumb tip to the key head."""
+    return site_xpos[key_site] - site_xpos[thumb_site]
+
+
+@wp.func
+def index_off(index_approach: wp.vec3) -> float:
+    """-a = -| |head - index| - 30 mm |."""
+    return -wp.abs(wp.length(index_approach) - GRIP)
+
+
+@wp.func
+def thumb_off(thumb_approach: wp.vec3) -> float:
+    """-b = -| |head - thumb| - 30 mm |."""
+    return -wp.abs(wp.length(thumb_approach) - GRIP)
+
+
+@wp.func
+def key_angle(qpos: wp.array[float]) -> float:
+    """q."""
+    return qpos[KEY]
+
+
+@wp.func
+def turn_bonus(angle: float) -> float:
+    """1[q > pi/2] + 1[q > pi]."""
+    return indicator(angle > QUARTER_TURN) + indicator(angle > HALF_TURN)
+
+
+@wp.func
+def minus_loose(index_off: float, thumb_off: float) -> float:
+    """-1[a > 0.05] - 1[b > 0.05]."""
+    return -indicator(-index_off > LOOSE) - indicator(-thumb_off > LOOSE)
+
+
+@wp.func
+def is_alive(failed: bool) -> float:
+    """1[not failed]."""
+    return indicator(not failed)
+
+
+@wp.func
+def is_turned(angle: float, goal_angle: float) -> bool:
+    """q > goal."""
+    return angle > goal_angle
+
+
+@wp.func
+def is_lost(index_off: float, thumb_off: float) -> bool:
+    """a > 0.1 m or b > 0.1 m."""
+    return -index_off > LOST or -thumb_off > LOST
 
 
 class KeyTurnProgram(Program):
@@ -160,13 +143,8 @@ class KeyTurnProgram(Program):
         self.key_site, self.index_site, self.thumb_site = map(scene.site_id, spec.sites)
 
     def sample_start(self, mask: wp.array) -> None:
+        super().sample_start(mask)
         self.launch(sample_key, mask=mask)
-
-    def observe(self, mask: wp.array, obs: wp.array) -> None:
-        self.launch(observe_key, mask=mask, obs=obs)
-
-    def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
-        self.launch(score_key, terms=terms, solved=solved, failed=failed)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
         """Where the key head is."""
@@ -186,6 +164,15 @@ class KeyTurnTask(TaskSpec):
     """
 
     program: ClassVar[type] = KeyTurnProgram
+    measures: ClassVar = {
+        "index_approach": index_approach,
+        "thumb_approach": thumb_approach,
+        "index_off": index_off,
+        "thumb_off": thumb_off,
+        "angle": key_angle,
+        "solved": is_turned,
+        "failed": is_lost,
+    }
     coarse_step = CoarseStep(0.004, 0.35)
 
     body: str = "contact_hand"
@@ -248,42 +235,34 @@ class KeyTurnTask(TaskSpec):
         key.add_site(name="keyhead", size=(0.005, 0.005, 0.005))
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
-        return blocks(
-            {
-                Obs.hand_qpos: (HAND_JOINTS, *COORDINATES),
-                Obs.hand_qvel: (HAND_JOINTS, *VELOCITIES),
-                Obs.key_qpos: (1, "rad", "angle of the key", ("keyjoint",)),
-                Obs.key_qvel: (
-                    1,
-                    "rad per control step",
-                    "velocity of the key times the control step",
-                    ("keyjoint",),
-                ),
-                Obs.IFtip_approach: (3, "m", "from the index tip to the key head, world", XYZ),
-                Obs.THtip_approach: (3, "m", "from the thumb tip to the key head, world", XYZ),
-                Obs.act: (num_muscles, *ACTIVATION),
-            }
+        hinge = ("keyjoint",)
+        to_head = "from the {} tip to the key head, world"
+        speed = "rad per control step", "velocity of the key times the control step"
+        return (
+            Column("hand_qpos", HAND_JOINTS, *COORDINATES),
+            Column("hand_qvel", HAND_JOINTS, *VELOCITIES),
+            Column("key_qpos", 1, "rad", "angle of the key", hinge, Row("qpos", KEY)),
+            Column("key_qvel", 1, *speed, hinge, Row("qvel", KEY, "control_dt")),
+            Column("IFtip_approach", 3, "m", to_head.format("index"), XYZ, index_approach),
+            Column("THtip_approach", 3, "m", to_head.format("thumb"), XYZ, thumb_approach),
+            Column("act", num_muscles, *ACTIVATION),
         )
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
         off = f"minus |distance of the {{}} tip from the key head - {GRIP:g} m|"
         turns = f"1 where the key's angle exceeds {QUARTER_TURN:.4g} rad, 2 beyond {HALF_TURN:.4g} rad"
-        weights: dict[IntEnum, Weighted] = {
-            Term.key_turn: (1.0, "rad", "angle of the key"),
-            Term.IFtip_approach: (10.0, "m", off.format("index")),
-            Term.THtip_approach: (10.0, "m", off.format("thumb")),
-            Term.act_reg: (1.0, *EFFORT),
-            Term.bonus: (4.0, "1", turns),
-            Term.penalty: (
-                25.0,
-                "1",
-                f"-1 for each tip whose distance differs from {GRIP:g} m by more than {LOOSE:g} m",
-            ),
-            Term.sparse: (0.0, "rad", "angle of the key"),
-        }
-        if self.alive_weight:
-            weights[Term.alive] = (self.alive_weight, "1", "1 where the episode does not fail")
-        return weighted(weights)
+        loose = f"-1 for each tip whose distance differs from {GRIP:g} m by more than {LOOSE:g} m"
+        alive = RewardTerm("alive", self.alive_weight, "1", "1 where the episode does not fail", is_alive)
+        return (
+            RewardTerm("key_turn", 1.0, "rad", "angle of the key", key_angle),
+            RewardTerm("IFtip_approach", 10.0, "m", off.format("index"), index_off),
+            RewardTerm("THtip_approach", 10.0, "m", off.format("thumb"), thumb_off),
+            RewardTerm("act_reg", 1.0, *EFFORT),
+            RewardTerm("bonus", 4.0, "1", turns, turn_bonus),
+            RewardTerm("penalty", 25.0, "1", loose, minus_loose),
+            RewardTerm("sparse", 0.0, "rad", "angle of the key", key_angle),
+            *((alive,) if self.alive_weight else ()),
+        )
 
 
 LIVING_PAYS = (

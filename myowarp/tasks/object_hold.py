@@ -9,7 +9,6 @@ MyoSuite 3.0.0, family ObjHold (paper: Caggiano et al. 2022, arXiv:2205.13600).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import ClassVar
 
 import mujoco
@@ -20,150 +19,67 @@ from myowarp.definitions.body import CoarseStep
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, VELOCITIES, XYZ
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, blocks, task, weighted
-from myowarp.kernels.observe import pack, pack_range, pack_vec3
-from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
-from myowarp.kernels.reward import EFFORT, activation_effort, indicator
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
+from myowarp.kernels.random import GOAL, START
+from myowarp.kernels.reward import EFFORT, is_far, is_near, minus_error, minus_failed, near_bonus
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
 from myowarp.tasks.held_object import BATCHED_MASS, BATCHED_SIZE, DENSITY, resize_object, weigh_object
 from myowarp.tasks.markers import add_tip_targets
 
 OBJECT = wp.constant(23)  # first of the object's seven coordinates, after the hand's
-NEAR = wp.constant(0.01)  # m, error below which the task counts as solved
-WIDER = wp.constant(2.0)  # times NEAR: where the first bonus begins
-FAR = wp.constant(0.3)  # m, error beyond which the object is lost
 
 NOMINAL_SIZE = (0.025, 0.036, 0.03)  # m, semi-axes
 PALM_UP = -1.5  # rad, forearm rotation at the start, joint 0
 OBJECT_POS = (-0.235, -0.51, 1.45)  # m, world; on the palm
 
 
-Obs = IntEnum("Obs", "hand_qpos hand_qvel obj_pos obj_err act", start=0)
-"""Blocks of the observation, in the order of their columns."""
-
-Term = IntEnum("Term", "goal_dist bonus act_reg penalty sparse", start=0)
-"""Terms of the reward, in the order of their columns."""
-
-
-@wp.kernel(enable_backward=False)
-def sample_box(
-    # In:
-    low: wp.vec3,
-    high: wp.vec3,
-    stream: int,
-    keys: RandomKeys,
-    mask: wp.array[bool],
-    # Out:
-    drawn: wp.array[wp.vec3],
-):
-    """drawn ~ U(low, high)."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    state = open_stream(keys, worldid, stream)
-    values = wp.vec3()
-    for i in range(3):
-        values[i] = wp.randf(state, low[i], high[i])
-    drawn[worldid] = values
+@wp.func
+def object_position(qpos: wp.array[float]) -> wp.vec3:
+    """Position of the free object [m]."""
+    return wp.vec3(qpos[OBJECT], qpos[OBJECT + 1], qpos[OBJECT + 2])
 
 
 @wp.func
-def object_position(qpos: wp.array2d[float], worldid: int) -> wp.vec3:
-    """Return the position of the free object [m]."""
-    return wp.vec3(qpos[worldid, OBJECT], qpos[worldid, OBJECT + 1], qpos[worldid, OBJECT + 2])
+def goal_error(qpos: wp.array[float], goal: wp.array[float]) -> wp.vec3:
+    """Goal - object."""
+    return wp.vec3(goal[0], goal[1], goal[2]) - object_position(qpos)
 
 
-@wp.kernel(enable_backward=False)
-def observe_hold(
-    # Params:
-    first: wp.array[int],
-    # Data in:
-    qpos_in: wp.array2d[float],
-    qvel_in: wp.array2d[float],
-    # In:
-    activation: wp.array2d[float],
-    goal: wp.array[wp.vec3],
-    control_dt: float,
-    mask: wp.array[bool],
-    # Out:
-    obs: wp.array2d[float],
-):
-    """obs = [hand qpos, hand qvel dt, object, goal - object, activation]."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    position = object_position(qpos_in, worldid)
-    pack_range(obs, worldid, first[Obs.hand_qpos], qpos_in, 0, HAND_JOINTS, 1.0)
-    pack_range(obs, worldid, first[Obs.hand_qvel], qvel_in, 0, HAND_JOINTS, control_dt)
-    pack_vec3(obs, worldid, first[Obs.obj_pos], position)
-    pack_vec3(obs, worldid, first[Obs.obj_err], goal[worldid] - position)
-    pack(obs, worldid, first[Obs.act], activation, 1.0)
-
-
-@wp.kernel(enable_backward=False)
-def score_hold(
-    # Data in:
-    qpos_in: wp.array2d[float],
-    # In:
-    activation: wp.array2d[float],
-    goal: wp.array[wp.vec3],
-    # Out:
-    terms: wp.array2d[float],
-    solved: wp.array[bool],
-    failed: wp.array[bool],
-):
-    """Terms goal_dist, bonus, act_reg, penalty, sparse from x = |goal - object|."""
-    worldid = wp.tid()
-    x = wp.length(goal[worldid] - object_position(qpos_in, worldid))
-    terms[worldid, Term.goal_dist] = -x
-    terms[worldid, Term.bonus] = indicator(x < WIDER * NEAR) + indicator(x < NEAR)
-    terms[worldid, Term.act_reg] = -activation_effort(activation, worldid)
-    terms[worldid, Term.penalty] = -indicator(x > FAR)
-    terms[worldid, Term.sparse] = -x
-    solved[worldid] = x < NEAR
-    failed[worldid] = x > FAR
+@wp.func
+def goal_distance(qpos: wp.array[float], goal: wp.array[float]) -> float:
+    """x = |goal - object|."""
+    return wp.length(goal_error(qpos, goal))
 
 
 class ObjectHoldProgram(Program):
     """An object hold task bound to a scene.
 
     Attributes:
-        goal: Where the object's centre should be [m], world, shape (num_worlds,) of vec3.
-        object_size: Semi-axes of the object [m], shape (num_worlds,) of vec3; after writing them call
+        goal: Where the object's centre should be [m], world, shape (num_worlds, 3).
+        object_size: Semi-axes of the object [m], shape (num_worlds, 3); after writing them call
             `shape_object`.
     """
 
     spec: ObjectHoldTask
+    goal: wp.array
+    object_size: wp.array
 
     def __init__(self, spec: ObjectHoldTask, scene: Scene) -> None:
-        """Allocate goal and size."""
+        """Resolve the object."""
         super().__init__(spec, scene)
         self.object_geom = scene.oracle.geom("object").id
         self.object_body = scene.oracle.body("object").id
-        self.goal = scene.zeros("task.goal", dtype=wp.vec3)
-        self.object_size = scene.zeros("task.object_size", dtype=wp.vec3)
 
     def sample_start(self, mask: wp.array) -> None:
         """Draw sizes, and give the objects their sizes."""
-        low, high = wp.vec3(*self.spec.size_low), wp.vec3(*self.spec.size_high)
-        self.launch(sample_box, low=low, high=high, stream=START, mask=mask, drawn=self.object_size)
+        super().sample_start(mask)
         self.shape_object(mask)
-
-    def sample_goal(self, mask: wp.array) -> None:
-        low, high = wp.vec3(*self.spec.goal_low), wp.vec3(*self.spec.goal_high)
-        self.launch(sample_box, low=low, high=high, stream=GOAL, mask=mask, drawn=self.goal)
 
     def shape_object(self, mask: wp.array) -> None:
         """Write into the model what follows from `object_size` in the worlds of `mask`."""
         self.launch(resize_object, mask=mask)
         if self.spec.true_inertia:
             self.launch(weigh_object, density=DENSITY, mask=mask)
-
-    def observe(self, mask: wp.array, obs: wp.array) -> None:
-        self.launch(observe_hold, mask=mask, obs=obs)
-
-    def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
-        self.launch(score_hold, terms=terms, solved=solved, failed=failed)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
         return {"object_target": self.goal.numpy()[world].copy()}
@@ -183,6 +99,10 @@ class ObjectHoldTask(TaskSpec):
     """
 
     program: ClassVar[type] = ObjectHoldProgram
+    measures: ClassVar = {"error": goal_distance, "solved": is_near, "failed": is_far}
+    near: ClassVar[float] = 0.01  # m, error below which the task counts as solved
+    wider: ClassVar[float] = 2.0  # times `near`: where the first bonus begins
+    far: ClassVar[float] = 0.3  # m, error beyond which the object is lost
     coarse_step = CoarseStep(0.005, 0.5)
 
     body: str = "contact_hand"
@@ -219,18 +139,20 @@ class ObjectHoldTask(TaskSpec):
 
     @property
     def solved_when(self) -> str:
-        return f"the error, the distance of the object from the goal, is below {NEAR:g} m"
+        return f"the error, the distance of the object from the goal, is below {self.near:g} m"
 
     @property
     def failed_when(self) -> str:
-        return f"the error exceeds {FAR:g} m"
+        return f"the error exceeds {self.far:g} m"
 
     @property
     def draws(self) -> tuple[Draw, ...]:
+        goal = "where the object should be, world"
         size = "semi-axes of the object, an ellipsoid"
+        goals, sizes = (self.goal_low, self.goal_high), (self.size_low, self.size_high)
         return (
-            Draw("goal", "m", self.goal_low, self.goal_high, "where the object should be, world", XYZ),
-            Draw("object size", "m", self.size_low, self.size_high, size, XYZ, when="start"),
+            Draw("goal", "m", *goals, goal, XYZ, array="goal", stream=int(GOAL)),
+            Draw("object size", "m", *sizes, size, XYZ, "start", array="object_size", stream=int(START)),
         )
 
     def start(self, model: mujoco.MjModel) -> np.ndarray:
@@ -251,29 +173,23 @@ class ObjectHoldTask(TaskSpec):
         add_tip_targets(spec, ("object",))
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
-        return blocks(
-            {
-                Obs.hand_qpos: (HAND_JOINTS, *COORDINATES),
-                Obs.hand_qvel: (HAND_JOINTS, *VELOCITIES),
-                Obs.obj_pos: (3, "m", "position of the object, world", XYZ),
-                Obs.obj_err: (3, "m", "from the object to the goal, world", XYZ),
-                Obs.act: (num_muscles, *ACTIVATION),
-            }
+        return (
+            Column("hand_qpos", HAND_JOINTS, *COORDINATES),
+            Column("hand_qvel", HAND_JOINTS, *VELOCITIES),
+            Column("obj_pos", 3, "m", "position of the object, world", XYZ, object_position),
+            Column("obj_err", 3, "m", "from the object to the goal, world", XYZ, goal_error),
+            Column("act", num_muscles, *ACTIVATION),
         )
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
-        return weighted(
-            {
-                Term.goal_dist: (100.0, "m", "minus the error, the distance of the object from the goal"),
-                Term.bonus: (
-                    4.0,
-                    "1",
-                    f"1 where the error is below {WIDER * NEAR:g} m, 2 below {NEAR:g} m",
-                ),
-                Term.act_reg: (0.0, *EFFORT),
-                Term.penalty: (10.0, "1", f"-1 where the error exceeds {FAR:g} m"),
-                Term.sparse: (0.0, "m", "minus the error"),
-            }
+        error = "minus the error, the distance of the object from the goal"
+        bonus = f"1 where the error is below {self.wider * self.near:g} m, 2 below {self.near:g} m"
+        return (
+            RewardTerm("goal_dist", 100.0, "m", error, minus_error),
+            RewardTerm("bonus", 4.0, "1", bonus, near_bonus),
+            RewardTerm("act_reg", 0.0, *EFFORT),
+            RewardTerm("penalty", 10.0, "1", f"-1 where the error exceeds {self.far:g} m", minus_failed),
+            RewardTerm("sparse", 0.0, "m", "minus the error", minus_error),
         )
 
 

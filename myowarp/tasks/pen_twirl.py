@@ -10,7 +10,6 @@ arXiv:2205.13600).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import ClassVar
 
 import mujoco
@@ -21,10 +20,10 @@ from myowarp.definitions.body import CoarseStep
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, FREE_RATES, XYZ
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, blocks, task, weighted
-from myowarp.kernels.observe import pack, pack_range, pack_vec3
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
-from myowarp.kernels.reward import EFFORT, activation_effort, indicator
+from myowarp.kernels.reward import EFFORT, indicator, is_far, minus_error, minus_failed
+from myowarp.kernels.world_function import Row
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
 from myowarp.tasks.markers import add_tip_targets
 
@@ -60,13 +59,6 @@ def add_pen(body: mujoco.MjsBody, name: str, density: float, rgba: tuple[float, 
         part.rgba = (0.2, 0.22, 0.28, rgba[3])
 
 
-Obs = IntEnum("Obs", "hand_jnt obj_pos obj_vel obj_rot obj_des_rot obj_err_pos obj_err_rot act", start=0)
-"""Blocks of the observation, in the order of their columns."""
-
-Term = IntEnum("Term", "pos_align rot_align act_reg drop bonus sparse", start=0)
-"""Terms of the reward, in the order of their columns."""
-
-
 @wp.kernel(enable_backward=False)
 def sample_pen(
     # Params:
@@ -95,79 +87,78 @@ def long_axis(frame: wp.mat33) -> wp.vec3:
     return wp.vec3(frame[0, 2], frame[1, 2], frame[2, 2])
 
 
-@wp.kernel(enable_backward=False)
-def observe_pen(
-    # Params:
-    pen_body: int,
-    target_body: int,
-    free: bool,
-    first: wp.array[int],
-    # Data in:
-    qpos_in: wp.array2d[float],
-    qvel_in: wp.array2d[float],
-    xpos_in: wp.array2d[wp.vec3],
-    xmat_in: wp.array2d[wp.mat33],
-    # In:
-    activation: wp.array2d[float],
-    control_dt: float,
-    mask: wp.array[bool],
-    # Out:
-    obs: wp.array2d[float],
-):
-    """obs = [hand qpos, pen, pen rates dt, axis, wanted axis, pen - start, axis - wanted, activation].
-
-    Rates of a free pen: linear and angular velocity in the world; else those of its six joints.
-    """
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    position = xpos_in[worldid, pen_body]
-    frame = xmat_in[worldid, pen_body]
-    axis = long_axis(frame)
-    wanted = long_axis(xmat_in[worldid, target_body])
-    pack_range(obs, worldid, first[Obs.hand_jnt], qpos_in, 0, HAND_JOINTS, 1.0)
-    pack_vec3(obs, worldid, first[Obs.obj_pos], position)
-    pack_range(obs, worldid, first[Obs.obj_vel], qvel_in, HAND_JOINTS, 6, control_dt)
-    if free:
-        rates = qvel_in[worldid]
-        spin = wp.vec3(rates[HAND_JOINTS + 3], rates[HAND_JOINTS + 4], rates[HAND_JOINTS + 5])
-        pack_vec3(obs, worldid, first[Obs.obj_vel] + 3, control_dt * (frame @ spin))
-    pack_vec3(obs, worldid, first[Obs.obj_rot], axis)
-    pack_vec3(obs, worldid, first[Obs.obj_des_rot], wanted)
-    pack_vec3(obs, worldid, first[Obs.obj_err_pos], position - PEN_START)
-    pack_vec3(obs, worldid, first[Obs.obj_err_rot], axis - wanted)
-    pack(obs, worldid, first[Obs.act], activation, 1.0)
+@wp.func
+def pen_position(xpos: wp.array[wp.vec3], pen_body: int) -> wp.vec3:
+    """Centre of the pen."""
+    return xpos[pen_body]
 
 
-@wp.kernel(enable_backward=False)
-def score_pen(
-    # Params:
-    pen_body: int,
-    target_body: int,
-    # Data in:
-    xpos_in: wp.array2d[wp.vec3],
-    xmat_in: wp.array2d[wp.mat33],
-    # In:
-    activation: wp.array2d[float],
-    # Out:
-    terms: wp.array2d[float],
-    solved: wp.array[bool],
-    failed: wp.array[bool],
-):
-    """Terms pos_align, rot_align, act_reg, drop, bonus, sparse from p and c."""
-    worldid = wp.tid()
-    p = wp.length(xpos_in[worldid, pen_body] - PEN_START)
-    c = wp.dot(long_axis(xmat_in[worldid, pen_body]), long_axis(xmat_in[worldid, target_body]))
-    terms[worldid, Term.pos_align] = -p
-    terms[worldid, Term.rot_align] = c
-    terms[worldid, Term.act_reg] = -activation_effort(activation, worldid)
-    terms[worldid, Term.drop] = -indicator(p > DROPPED)
-    terms[worldid, Term.bonus] = (indicator(c > CLOSE) + ALIGNED_BONUS * indicator(c > ALIGNED)) * indicator(
-        p < DROPPED
+@wp.func
+def pen_axis(xmat: wp.array[wp.mat33], pen_body: int) -> wp.vec3:
+    """Axis of the pen."""
+    return long_axis(xmat[pen_body])
+
+
+@wp.func
+def wanted_axis(xmat: wp.array[wp.mat33], target_body: int) -> wp.vec3:
+    """Axis of the wanted pen."""
+    return long_axis(xmat[target_body])
+
+
+@wp.func
+def free_rates(
+    qvel: wp.array[float], xmat: wp.array[wp.mat33], pen_body: int, control_dt: float
+) -> wp.spatial_vector:
+    """Linear and angular velocity of a free pen in the world, times the control step."""
+    v = HAND_JOINTS
+    spin = control_dt * (xmat[pen_body] @ wp.vec3(qvel[v + 3], qvel[v + 4], qvel[v + 5]))
+    return wp.spatial_vector(
+        control_dt * qvel[v], control_dt * qvel[v + 1], control_dt * qvel[v + 2], spin[0], spin[1], spin[2]
     )
-    terms[worldid, Term.sparse] = c - p
-    solved[worldid] = c > ALIGNED and p <= DROPPED
-    failed[worldid] = p > DROPPED
+
+
+@wp.func
+def from_start(position: wp.vec3) -> wp.vec3:
+    """From the pen's start to its centre."""
+    return position - PEN_START
+
+
+@wp.func
+def axis_error(axis: wp.vec3, wanted: wp.vec3) -> wp.vec3:
+    """Axis minus wanted axis."""
+    return axis - wanted
+
+
+@wp.func
+def pen_distance(position: wp.vec3) -> float:
+    """p = |pen - start|."""
+    return wp.length(position - PEN_START)
+
+
+@wp.func
+def pen_cosine(axis: wp.vec3, wanted: wp.vec3) -> float:
+    """c = axis . wanted."""
+    return wp.dot(axis, wanted)
+
+
+@wp.func
+def aligned_bonus(error: float, cosine: float) -> float:
+    """(1[c > 0.9] + 5 1[c > 0.95]) 1[p < 0.075]."""
+    return (indicator(cosine > CLOSE) + ALIGNED_BONUS * indicator(cosine > ALIGNED)) * indicator(
+        error < DROPPED
+    )
+
+
+@wp.func
+def both_aligned(error: float, cosine: float) -> float:
+    """c - p."""
+    return cosine - error
+
+
+@wp.func
+def is_aligned(error: float, cosine: float) -> bool:
+    """c > 0.95 and p <= 0.075."""
+    return cosine > ALIGNED and error <= DROPPED
 
 
 class PenTwirlProgram(Program):
@@ -186,13 +177,8 @@ class PenTwirlProgram(Program):
         self.target_quat = scene.data.mocap_quat
 
     def sample_goal(self, mask: wp.array) -> None:
+        super().sample_goal(mask)
         self.launch(sample_pen, mask=mask)
-
-    def observe(self, mask: wp.array, obs: wp.array) -> None:
-        self.launch(observe_pen, mask=mask, obs=obs)
-
-    def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
-        self.launch(score_pen, terms=terms, solved=solved, failed=failed)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
         """Where the top of the pen should be, its centre being where it started."""
@@ -211,6 +197,16 @@ class PenTwirlTask(TaskSpec):
     """
 
     program: ClassVar[type] = PenTwirlProgram
+    measures: ClassVar = {
+        "position": pen_position,
+        "axis": pen_axis,
+        "wanted": wanted_axis,
+        "error": pen_distance,
+        "cosine": pen_cosine,
+        "solved": is_aligned,
+        "failed": is_far,
+    }
+    far: ClassVar[float] = float(DROPPED)
     coarse_step = CoarseStep(0.005, 0.5)
 
     body: str = "contact_hand"
@@ -271,39 +267,32 @@ class PenTwirlTask(TaskSpec):
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
         frame = "world" if self.free else "of three slides and three hinges along the pen's own axes"
-        return blocks(
-            {
-                Obs.hand_jnt: (HAND_JOINTS, *COORDINATES),
-                Obs.obj_pos: (3, "m", "position of the pen's centre, world", XYZ),
-                Obs.obj_vel: (
-                    6,
-                    "m, rad per control step",
-                    f"velocities of the pen, {frame}, times the control step",
-                    FREE_RATES,
-                ),
-                Obs.obj_rot: (3, "1", "unit vector along the pen, to its top, world", XYZ),
-                Obs.obj_des_rot: (3, "1", "unit vector along the wanted pen, world", XYZ),
-                Obs.obj_err_pos: (3, "m", "from the pen's start to its centre, world", XYZ),
-                Obs.obj_err_rot: (3, "1", "obj_rot minus obj_des_rot", XYZ),
-                Obs.act: (num_muscles, *ACTIVATION),
-            }
+        velocities = f"velocities of the pen, {frame}, times the control step"
+        rates = free_rates if self.free else Row("qvel", HAND_JOINTS, "control_dt")
+        return (
+            Column("hand_jnt", HAND_JOINTS, *COORDINATES),
+            Column("obj_pos", 3, "m", "position of the pen's centre, world", XYZ, pen_position),
+            Column("obj_vel", 6, "m, rad per control step", velocities, FREE_RATES, rates),
+            Column("obj_rot", 3, "1", "unit vector along the pen, to its top, world", XYZ, pen_axis),
+            Column("obj_des_rot", 3, "1", "unit vector along the wanted pen, world", XYZ, wanted_axis),
+            Column("obj_err_pos", 3, "m", "from the pen's start to its centre, world", XYZ, from_start),
+            Column("obj_err_rot", 3, "1", "obj_rot minus obj_des_rot", XYZ, axis_error),
+            Column("act", num_muscles, *ACTIVATION),
         )
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
-        return weighted(
-            {
-                Term.pos_align: (1.0, "m", "minus the distance of the pen's centre from its start"),
-                Term.rot_align: (1.0, "1", "cosine between pen and wanted pen"),
-                Term.act_reg: (5.0, *EFFORT),
-                Term.drop: (5.0, "1", "-1 where the pen is lost"),
-                Term.bonus: (
-                    10.0,
-                    "1",
-                    f"1 where the cosine exceeds {CLOSE:g}, {1 + ALIGNED_BONUS:g} beyond {ALIGNED:g};"
-                    " 0 where the pen is lost",
-                ),
-                Term.sparse: (0.0, "1", "rot_align plus pos_align"),
-            }
+        distance = "minus the distance of the pen's centre from its start"
+        bonus = (
+            f"1 where the cosine exceeds {CLOSE:g}, {1 + ALIGNED_BONUS:g} beyond {ALIGNED:g};"
+            " 0 where the pen is lost"
+        )
+        return (
+            RewardTerm("pos_align", 1.0, "m", distance, minus_error),
+            RewardTerm("rot_align", 1.0, "1", "cosine between pen and wanted pen", pen_cosine),
+            RewardTerm("act_reg", 5.0, *EFFORT),
+            RewardTerm("drop", 5.0, "1", "-1 where the pen is lost", minus_failed),
+            RewardTerm("bonus", 10.0, "1", bonus, aligned_bonus),
+            RewardTerm("sparse", 0.0, "1", "rot_align plus pos_align", both_aligned),
         )
 
 

@@ -9,7 +9,6 @@ MyoSuite 3.0.0, families FingerPose, ElbowPose1D6M, HandPose (paper: Caggiano et
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import cached_property
 from typing import ClassVar
 
@@ -23,42 +22,29 @@ from myowarp.definitions.entries import ACTIVATION, COORDINATES, VELOCITIES, Ent
 from myowarp.definitions.program import Program
 from myowarp.definitions.registry import check_bounds
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, blocks, weighted
-from myowarp.kernels.observe import pack, pack_difference
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
-from myowarp.kernels.reward import EFFORT, activation_effort, indicator, squared_distance
+from myowarp.kernels.reward import EFFORT, is_far, is_near, minus_error, minus_failed, near_bonus
 from myowarp.models.couplings import POINT_JOINTS, follow
 from myowarp.sim.build import full_model
 from myowarp.tasks.carried_weight import BATCHED, CarriedWeight
 from myowarp.tasks.markers import add_tip_targets
 
-WIDER = wp.constant(1.5)  # times `near`: where the first bonus begins
 
-Obs = IntEnum("Obs", "qpos qvel pose_err act", start=0)
-"""Blocks of the observation, in the order of their columns."""
-
-Term = IntEnum("Term", "pose bonus penalty act_reg sparse", start=0)
-"""Terms of the reward, in the order of their columns."""
+@wp.func
+def joint_error(qpos: wp.array[float], target: wp.array[float], address: wp.array[int], i: int) -> float:
+    """target - qpos[address], of joint i."""
+    return target[i] - qpos[address[i]]
 
 
-@wp.kernel(enable_backward=False)
-def sample_pose(
-    # Params:
-    target_low: wp.array[float],
-    target_high: wp.array[float],
-    # In:
-    keys: RandomKeys,
-    mask: wp.array[bool],
-    # Out:
-    target: wp.array2d[float],
-):
-    """target ~ U(low, high)."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    goal = open_stream(keys, worldid, GOAL)
-    for i in range(target.shape[1]):
-        target[worldid, i] = wp.randf(goal, target_low[i], target_high[i])
+@wp.func
+def pose_error(qpos: wp.array[float], target: wp.array[float], address: wp.array[int]) -> float:
+    """d = |target - qpos[address]|."""
+    total = float(0.0)
+    for i in range(target.shape[0]):
+        difference = joint_error(qpos, target, address, i)
+        total += difference * difference
+    return wp.sqrt(total)
 
 
 @wp.kernel(enable_backward=False)
@@ -84,59 +70,6 @@ def sample_configuration(
             qpos_out[worldid, jnt_qposadr[i]] = wp.randf(start, limits[0], limits[1])
 
 
-@wp.kernel(enable_backward=False)
-def observe_pose(
-    # Params:
-    first: wp.array[int],
-    # Data in:
-    qpos_in: wp.array2d[float],
-    qvel_in: wp.array2d[float],
-    # In:
-    activation: wp.array2d[float],
-    target: wp.array2d[float],
-    address: wp.array[int],
-    control_dt: float,
-    mask: wp.array[bool],
-    # Out:
-    obs: wp.array2d[float],
-):
-    """obs = [qpos, qvel dt, target - qpos[address], activation]."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    pack(obs, worldid, first[Obs.qpos], qpos_in, 1.0)
-    pack(obs, worldid, first[Obs.qvel], qvel_in, control_dt)
-    pack_difference(obs, worldid, first[Obs.pose_err], target, qpos_in, address)
-    pack(obs, worldid, first[Obs.act], activation, 1.0)
-
-
-@wp.kernel(enable_backward=False)
-def score_pose(
-    # Data in:
-    qpos_in: wp.array2d[float],
-    # In:
-    activation: wp.array2d[float],
-    target: wp.array2d[float],
-    address: wp.array[int],
-    near: float,
-    far: float,
-    # Out:
-    terms: wp.array2d[float],
-    solved: wp.array[bool],
-    failed: wp.array[bool],
-):
-    """Terms pose, bonus, penalty, act_reg, sparse from d = |target - qpos[address]|."""
-    worldid = wp.tid()
-    d = wp.sqrt(squared_distance(target, qpos_in, address, worldid))
-    terms[worldid, Term.pose] = -d
-    terms[worldid, Term.bonus] = indicator(d < near) + indicator(d < WIDER * near)
-    terms[worldid, Term.penalty] = -indicator(d > far)
-    terms[worldid, Term.act_reg] = -activation_effort(activation, worldid)
-    terms[worldid, Term.sparse] = -d
-    solved[worldid] = d < near
-    failed[worldid] = d > far
-
-
 class PoseProgram(Program):
     """A pose task bound to a scene.
 
@@ -146,41 +79,31 @@ class PoseProgram(Program):
     """
 
     spec: PoseTask
+    target: wp.array
 
     def __init__(self, spec: PoseTask, scene: Scene) -> None:
-        """Allocate targets.
+        """Find the joints with a target.
 
         Raises:
             ValueError: The targets do not have one entry a joint.
         """
-        super().__init__(spec, scene)
         address = scene.oracle.jnt_qposadr[spec.target_joints(scene.oracle)]
         if not len(spec.target_low) == len(spec.target_high) == len(address):
             raise ValueError(
                 f"task {spec.key!r} needs one target angle for each of the {len(address)} joints, "
                 f"got {len(spec.target_low)} and {len(spec.target_high)}"
             )
-        self.target = scene.zeros("task.target", len(address))
+        super().__init__(spec, scene)
         self.address = wp.array(address, dtype=int)
-        self.target_low = wp.array(spec.target_low, dtype=float)
-        self.target_high = wp.array(spec.target_high, dtype=float)
         self.weight = CarriedWeight(scene, *spec.weight) if spec.weight else None
 
     def sample_start(self, mask: wp.array) -> None:
         """Draw weights, and configurations where the task's own start is random."""
+        super().sample_start(mask)
         if self.weight is not None:
             self.weight.sample(mask)
         if self.spec.random_start and self.scene.reset == "task":
             self.launch(sample_configuration, mask=mask)
-
-    def sample_goal(self, mask: wp.array) -> None:
-        self.launch(sample_pose, mask=mask)
-
-    def observe(self, mask: wp.array, obs: wp.array) -> None:
-        self.launch(observe_pose, mask=mask, obs=obs)
-
-    def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
-        self.launch(score_pose, terms=terms, solved=solved, failed=failed)
 
     @cached_property
     def _full(self) -> mujoco.MjModel:
@@ -219,6 +142,8 @@ class PoseTask(TaskSpec):
     """
 
     program: ClassVar[type] = PoseProgram
+    measures: ClassVar = {"error": pose_error, "solved": is_near, "failed": is_far}
+    wider: ClassVar[float] = 1.5  # times `near`: where the first bonus begins
 
     num_substeps: int = 10
     horizon: int = 100
@@ -260,7 +185,8 @@ class PoseTask(TaskSpec):
     @property
     def draws(self) -> tuple[Draw, ...]:
         bounds = self.target_low, self.target_high
-        found = [Draw("target", "rad", *bounds, "target of each joint", self.target_entries)]
+        doc = "target of each joint"
+        found = [Draw("target", "rad", *bounds, doc, self.target_entries, array="target", stream=int(GOAL))]
         if self.random_start:
             found.append(
                 Draw(
@@ -302,31 +228,21 @@ class PoseTask(TaskSpec):
         add_tip_targets(spec, BODIES[self.body].tips)
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
-        return blocks(
-            {
-                Obs.qpos: (nq, *COORDINATES),
-                Obs.qvel: (nv, *VELOCITIES),
-                Obs.pose_err: (
-                    len(self.target_low),
-                    "rad",
-                    "joint error: target minus position",
-                    self.target_entries,
-                ),
-                Obs.act: (num_muscles, *ACTIVATION),
-            }
+        error = "joint error: target minus position"
+        return (
+            Column("qpos", nq, *COORDINATES),
+            Column("qvel", nv, *VELOCITIES),
+            Column("pose_err", len(self.target_low), "rad", error, self.target_entries, joint_error),
+            Column("act", num_muscles, *ACTIVATION),
         )
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
-        return weighted(
-            {
-                Term.pose: (1.0, "rad", "minus the error, the norm of all joint errors"),
-                Term.bonus: (
-                    4.0,
-                    "1",
-                    f"1 where the error is below {WIDER * self.near:.4g} rad, 2 below {self.near:.4g} rad",
-                ),
-                Term.penalty: (50.0, "1", f"-1 where the error exceeds {self.far:.4g} rad"),
-                Term.act_reg: (self.effort_weight, *EFFORT),
-                Term.sparse: (0.0, "rad", "minus the error"),
-            }
+        near, wide, far = (f"{limit:.4g} rad" for limit in (self.near, self.wider * self.near, self.far))
+        bonus = f"1 where the error is below {wide}, 2 below {near}"
+        return (
+            RewardTerm("pose", 1.0, "rad", "minus the error, the norm of all joint errors", minus_error),
+            RewardTerm("bonus", 4.0, "1", bonus, near_bonus),
+            RewardTerm("penalty", 50.0, "1", f"-1 where the error exceeds {far}", minus_failed),
+            RewardTerm("act_reg", self.effort_weight, *EFFORT),
+            RewardTerm("sparse", 0.0, "rad", "minus the error", minus_error),
         )

@@ -40,6 +40,7 @@ QUANTITIES = {
 }
 """What every task offers: parameters of the type `wp.array[float]`, of `site_xpos` `wp.array[wp.vec3]`."""
 
+SITES = "site_numbers"  # all coordinates of `site_xpos` in a row, to be observed
 OF_STATE = ("qpos", "qvel", "ctrl")
 OF_MUSCLES = ("tension", "length", "velocity")  # they are computed anew for the present state
 
@@ -94,7 +95,11 @@ class Present:
         self.position = wp.zeros((scene.num_worlds, len(self.site_id)), dtype=wp.vec3)
         self.arrays = {name: getattr(scene.data, name) for name in OF_STATE}
         self.arrays |= {name: getattr(scene.muscles, name) for name in ("activation", *OF_MUSCLES)}
-        self.arrays |= {"excitation": self.excitation, "site_xpos": self.position}
+        self.arrays |= {
+            "excitation": self.excitation,
+            "site_xpos": self.position,
+            SITES: _flat(self.position),
+        }
         self._compute_muscles = present_muscles(scene)
 
     def update(self) -> None:
@@ -110,10 +115,16 @@ class Present:
                 inputs=[self.actuator_id, data.ctrl],
                 outputs=[self.excitation],
             )
-        if "site_xpos" in self.names:
+        if self.names & {"site_xpos", SITES}:
             wp.launch(
                 pick_sites,
                 dim=self.position.shape,
                 inputs=[self.site_id, data.site_xpos],
                 outputs=[self.position],
             )
+
+
+def _flat(points: wp.array) -> wp.array:
+    """Return points (num_worlds, n) as the same memory, (num_worlds, 3 n) of floats."""
+    shape = (points.shape[0], 3 * points.shape[1])
+    return wp.array(ptr=points.ptr, dtype=float, shape=shape, device=points.device)

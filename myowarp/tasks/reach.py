@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import ClassVar
 
 import mujoco
@@ -23,22 +22,13 @@ from myowarp.definitions.entries import ACTIVATION, COORDINATES, VELOCITIES, axe
 from myowarp.definitions.program import Program
 from myowarp.definitions.registry import check_bounds
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, blocks, weighted
-from myowarp.kernels.observe import pack, pack_vec3
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
-from myowarp.kernels.reward import EFFORT, activation_effort, indicator
+from myowarp.kernels.reward import EFFORT, is_near, minus_error, minus_failed, near_bonus
 from myowarp.tasks.markers import add_tip_targets
 
 NEAR_PER_TIP = 0.0125  # m; MyoSuite 3.0.0
-WIDER = wp.constant(2.0)  # times `near`: where the first bonus begins
 FIRST_FAILING_STEP = wp.constant(2)  # upstream tests data.time > 2 dt, which rounding makes true at step 2
-
-
-Obs = IntEnum("Obs", "qpos qvel tip_pos reach_err act", start=0)
-"""Blocks of the observation, in the order of their columns."""
-
-Term = IntEnum("Term", "reach bonus penalty act_reg sparse", start=0)
-"""Terms of the reward, in the order of their columns."""
 
 
 @wp.kernel(enable_backward=False)
@@ -64,76 +54,32 @@ def sample_reach(
 
 
 @wp.func
-def reach_error(target: wp.array2d[float], worldid: int, tip: int, position: wp.vec3) -> wp.vec3:
-    """Vector from a tip to its target [m]."""
-    i = 3 * tip
-    point = wp.vec3(target[worldid, i], target[worldid, i + 1], target[worldid, i + 2])
-    return point - position
+def tip_position(site_xpos: wp.array[wp.vec3], tip_site: wp.array[int], i: int) -> wp.vec3:
+    """Where tip i is [m]."""
+    return site_xpos[tip_site[i]]
 
 
-@wp.kernel(enable_backward=False)
-def observe_reach(
-    # Params:
-    first: wp.array[int],
-    tip_site: wp.array[int],
-    # Data in:
-    qpos_in: wp.array2d[float],
-    qvel_in: wp.array2d[float],
-    site_xpos_in: wp.array2d[wp.vec3],
-    # In:
-    activation: wp.array2d[float],
-    target: wp.array2d[float],
-    control_dt: float,
-    mask: wp.array[bool],
-    # Out:
-    obs: wp.array2d[float],
-):
-    """obs = [qpos, qvel dt, tips, targets - tips, activation]."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    pack(obs, worldid, first[Obs.qpos], qpos_in, 1.0)
-    pack(obs, worldid, first[Obs.qvel], qvel_in, control_dt)
-    for tip in range(tip_site.shape[0]):
-        position = site_xpos_in[worldid, tip_site[tip]]
-        pack_vec3(obs, worldid, first[Obs.tip_pos] + 3 * tip, position)
-        error = reach_error(target, worldid, tip, position)
-        pack_vec3(obs, worldid, first[Obs.reach_err] + 3 * tip, error)
-    pack(obs, worldid, first[Obs.act], activation, 1.0)
+@wp.func
+def tip_error(
+    site_xpos: wp.array[wp.vec3], tip_site: wp.array[int], target: wp.array[float], i: int
+) -> wp.vec3:
+    """From tip i to its target [m]."""
+    return wp.vec3(target[3 * i], target[3 * i + 1], target[3 * i + 2]) - site_xpos[tip_site[i]]
 
 
-@wp.kernel(enable_backward=False)
-def score_reach(
-    # Params:
-    tip_site: wp.array[int],
-    # Data in:
-    site_xpos_in: wp.array2d[wp.vec3],
-    # In:
-    activation: wp.array2d[float],
-    target: wp.array2d[float],
-    near: float,
-    far: float,
-    step_count: wp.array[int],
-    # Out:
-    terms: wp.array2d[float],
-    solved: wp.array[bool],
-    failed: wp.array[bool],
-):
-    """Terms reach, bonus, penalty, act_reg, sparse from x = |targets - tips|."""
-    worldid = wp.tid()
+@wp.func
+def reach_error(site_xpos: wp.array[wp.vec3], tip_site: wp.array[int], target: wp.array[float]) -> float:
+    """x = |targets - tips|."""
     total = float(0.0)
-    for tip in range(tip_site.shape[0]):
-        position = site_xpos_in[worldid, tip_site[tip]]
-        total += wp.length_sq(reach_error(target, worldid, tip, position))
-    x = wp.sqrt(total)
-    lost = x > far and step_count[worldid] >= FIRST_FAILING_STEP
-    terms[worldid, Term.reach] = -x
-    terms[worldid, Term.bonus] = indicator(x < WIDER * near) + indicator(x < near)
-    terms[worldid, Term.penalty] = -indicator(lost)
-    terms[worldid, Term.act_reg] = -activation_effort(activation, worldid)
-    terms[worldid, Term.sparse] = -x
-    solved[worldid] = x < near
-    failed[worldid] = lost
+    for i in range(tip_site.shape[0]):
+        total += wp.length_sq(tip_error(site_xpos, tip_site, target, i))
+    return wp.sqrt(total)
+
+
+@wp.func
+def is_far_later(error: float, far: float, step_count: int) -> bool:
+    """Error > far, from the first failing step on."""
+    return error > far and step_count >= FIRST_FAILING_STEP
 
 
 class ReachProgram(Program):
@@ -160,13 +106,8 @@ class ReachProgram(Program):
         self.tip_site = wp.array([scene.site_id(name) for name in spec.tips], dtype=int)
 
     def sample_goal(self, mask: wp.array) -> None:
+        super().sample_goal(mask)
         self.launch(sample_reach, mask=mask)
-
-    def observe(self, mask: wp.array, obs: wp.array) -> None:
-        self.launch(observe_reach, mask=mask, obs=obs)
-
-    def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
-        self.launch(score_reach, step_count=step_count, terms=terms, solved=solved, failed=failed)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
         """The target points."""
@@ -189,6 +130,8 @@ class ReachTask(TaskSpec):
     """
 
     program: ClassVar[type] = ReachProgram
+    measures: ClassVar = {"error": reach_error, "solved": is_near, "failed": is_far_later}
+    wider: ClassVar[float] = 2.0  # times `near`: where the first bonus begins
 
     num_substeps: int = 10
     horizon: int = 100
@@ -242,32 +185,22 @@ class ReachTask(TaskSpec):
         add_tip_targets(spec, self.tips)
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
-        return blocks(
-            {
-                Obs.qpos: (nq, *COORDINATES),
-                Obs.qvel: (nv, *VELOCITIES),
-                Obs.tip_pos: (3 * len(self.tips), "m", "position of each tip, world", axes(self.tips)),
-                Obs.reach_err: (
-                    3 * len(self.tips),
-                    "m",
-                    "from each tip to its target, world",
-                    axes(self.tips),
-                ),
-                Obs.act: (num_muscles, *ACTIVATION),
-            }
+        size, names = 3 * len(self.tips), axes(self.tips)
+        return (
+            Column("qpos", nq, *COORDINATES),
+            Column("qvel", nv, *VELOCITIES),
+            Column("tip_pos", size, "m", "position of each tip, world", names, tip_position),
+            Column("reach_err", size, "m", "from each tip to its target, world", names, tip_error),
+            Column("act", num_muscles, *ACTIVATION),
         )
 
     def reward_terms(self) -> tuple[RewardTerm, ...]:
-        return weighted(
-            {
-                Term.reach: (1.0, "m", "minus the error, the norm of all distances of tips from targets"),
-                Term.bonus: (
-                    4.0,
-                    "1",
-                    f"1 where the error is below {WIDER * self.near:.4g} m, 2 below {self.near:.4g} m",
-                ),
-                Term.penalty: (50.0, "1", "-1 where the episode fails"),
-                Term.act_reg: (0.0, *EFFORT),
-                Term.sparse: (0.0, "m", "minus the error"),
-            }
+        error = "minus the error, the norm of all distances of tips from targets"
+        bonus = f"1 where the error is below {self.wider * self.near:.4g} m, 2 below {self.near:.4g} m"
+        return (
+            RewardTerm("reach", 1.0, "m", error, minus_error),
+            RewardTerm("bonus", 4.0, "1", bonus, near_bonus),
+            RewardTerm("penalty", 50.0, "1", "-1 where the episode fails", minus_failed),
+            RewardTerm("act_reg", 0.0, *EFFORT),
+            RewardTerm("sparse", 0.0, "m", "minus the error", minus_error),
         )

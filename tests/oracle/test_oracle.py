@@ -12,15 +12,15 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 import warp as wp
+from contact_oracle import recorded_ids
 from stepping import step
 
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parents[1] / "data/myosuite"))
-UPSTREAM = sorted(
-    key for key in TASKS if TASKS[key].version == 0 and TASKS[key].body != "contact_hand"
-)  # tasks with objects: test_oracle_contact.py
+UPSTREAM = [key for key in recorded_ids(DATA) if TASKS[key].body != "contact_hand"]
+"""Ids of upstream, those that were recorded; tasks with objects: test_oracle_contact.py."""
 
 VALUE_TOLERANCE = 1e-5  # observation and reward terms, in their units; float32 against float64
 EDGE = 1e-5  # distances this close to a threshold may fall on either side of it in float32

@@ -1,7 +1,6 @@
 """A body and a task family with an observation and a reward of its own."""
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import ClassVar
 
 import mujoco
@@ -24,82 +23,53 @@ def arm():
 
 myowarp.BODIES.add("outside_arm", myowarp.Body(arm, tips=("tip",)))
 
-Obs = IntEnum("Obs", "qpos target", start=0)
-Term = IntEnum("Term", "error", start=0)
+
+@wp.func
+def arm_error(qpos: wp.array[float], target: wp.array[float]) -> float:
+    """|target - qpos|."""
+    return wp.abs(target[0] - qpos[0])
 
 
-@wp.kernel(enable_backward=False)
-def sample_outside(keys: myowarp.RandomKeys, mask: wp.array[bool], target: wp.array2d[float]):
-    """target ~ U(-1, 1)."""
-    worldid = wp.tid()
-    if mask[worldid]:
-        target[worldid, 0] = wp.randf(myowarp.open_stream(keys, worldid, myowarp.GOAL), -1.0, 1.0)
+@wp.func
+def minus_arm_error(error: float) -> float:
+    return -error
 
 
-@wp.kernel(enable_backward=False)
-def observe_outside(
-    first: wp.array[int],
-    qpos_in: wp.array2d[float],
-    target: wp.array2d[float],
-    mask: wp.array[bool],
-    obs: wp.array2d[float],
-):
-    """obs = [qpos, target]."""
-    worldid = wp.tid()
-    if mask[worldid]:
-        myowarp.pack(obs, worldid, first[Obs.qpos], qpos_in, 1.0)
-        myowarp.pack(obs, worldid, first[Obs.target], target, 1.0)
+@wp.func
+def is_arm_near(error: float, near: float) -> bool:
+    return error < near
 
 
-@wp.kernel(enable_backward=False)
-def score_outside(
-    qpos_in: wp.array2d[float],
-    target: wp.array2d[float],
-    near: float,
-    terms: wp.array2d[float],
-    solved: wp.array[bool],
-    failed: wp.array[bool],
-):
-    """error = -|target - qpos|."""
-    worldid = wp.tid()
-    error = wp.abs(target[worldid, 0] - qpos_in[worldid, 0])
-    terms[worldid, Term.error] = -error
-    solved[worldid] = error < near
-    failed[worldid] = False
-
-
-class ArmProgram(myowarp.Program):
-    def __init__(self, spec, scene):
-        super().__init__(spec, scene)
-        self.target = scene.zeros("task.target", 1)
-
-    def sample_goal(self, mask):
-        self.launch(sample_outside, mask=mask)
-
-    def observe(self, mask, obs):
-        self.launch(observe_outside, mask=mask, obs=obs)
-
-    def score(self, step_count, terms, solved, failed):
-        self.launch(score_outside, terms=terms, solved=solved, failed=failed)
+@wp.func
+def is_arm_lost() -> bool:
+    return False
 
 
 @dataclass(frozen=True, kw_only=True)
 class ArmTask(myowarp.TaskSpec):
     """Bring the arm to an angle."""
 
-    program: ClassVar[type] = ArmProgram
+    program: ClassVar[type] = myowarp.Program
+    measures: ClassVar = {"error": arm_error, "solved": is_arm_near, "failed": is_arm_lost}
     num_substeps: int = 5
     horizon: int = 20
     near: float
+
+    @property
+    def draws(self):
+        return (myowarp.Draw("target", "rad", (-1.0,), (1.0,), "target of the hinge", array="target"),)
 
     def edit(self, spec):
         pass
 
     def columns(self, nq, nv, num_muscles):
-        return myowarp.blocks({Obs.qpos: (nq, "rad"), Obs.target: (1, "rad")})
+        return (
+            myowarp.Column("qpos", nq, "rad", source=myowarp.Row("qpos")),
+            myowarp.Column("target", 1, "rad", source=myowarp.Row("target")),
+        )
 
     def reward_terms(self):
-        return myowarp.weighted({Term.error: 2.0})
+        return (myowarp.RewardTerm("error", 2.0, "rad", source=minus_arm_error),)
 
 
 @myowarp.task("outsideArmRandom-v0")

@@ -20,13 +20,12 @@ from myowarp.apps.reports.describe_text import as_text
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.condition import CONDITIONS
 from myowarp.definitions.registry import Registry
-from myowarp.definitions.task import PHYSICS, RESETS, TASKS, Column, weighted
+from myowarp.definitions.task import PHYSICS, RESETS, TASKS, Column, RewardTerm
 from myowarp.kernels.action import excitation
 from myowarp.models.conditions.exoskeleton import Exoskeleton
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
 from myowarp.sim.build import full_model, num_substeps_of
 from myowarp.sim.simulation import Simulation
-from myowarp.tasks import pose
 from myowarp.tasks.pose import PoseTask
 from myowarp.tasks.variants import variants
 
@@ -383,48 +382,23 @@ def test_physics_steps_are_those_of_the_presets():
     assert sim.scene.num_substeps == facts_of(ELBOW)["episode"]["physics"]["fast"]["steps"] == 2
 
 
-DRAWN = {
-    "target": "target",
-    "goal": "goal",
-    "object size": "object_size",
-    "key angle": "key_angle",
-    "key position": "key_pos",
-    "weight": "carried_mass",
-    "tilt": "tilt",
-    "start angle": "start_angle",
-    "half axes": "radii",
-    "period": "period",
-    "ball mass": "ball_mass",
-    "ball radius": "ball_radius",
-    "ball friction": "ball_friction",
-    "configuration": "qpos",
-}
-"""Described quantity: the one of `test_draws`, where draws are compared with independent numbers."""
-
-
 @pytest.mark.parametrize("key", test_draws.DRAWS)
-def test_described_draws_are_those_that_happen(key):
-    """Bounds agree with those that `test_draws` finds in what episodes draw, and nothing is left out."""
-    expected, found = dict(test_draws.DRAWS[key]), set()
-    expected.pop("row", None)  # of a table; its bounds hold for the target too
-    for draw in facts_of(key)["draws"]:
-        if not draw["varies"]:
+def test_described_draws_are_those_of_upstream(key):
+    """Bounds are the numbers of `test_draws`, of everything that varies."""
+    expected = dict(test_draws.DRAWS[key])
+    expected.pop("row", None)  # of a table
+    varied = {draw["name"]: draw for draw in facts_of(key)["draws"] if draw["varies"]}
+    if "row" in test_draws.DRAWS[key]:
+        assert "row of a table" in varied.pop("target")["doc"]
+    assert set(expected) <= set(varied) <= {*expected, "configuration"}
+    for name, bounds in expected.items():
+        if "choices" in varied[name]:
+            assert set(varied[name]["choices"]) == bounds
             continue
-        if "choices" in draw:
-            assert set(draw["choices"]) == expected["direction"]
-            found.add("direction")
-            continue
-        name = DRAWN[draw["name"]]
-        if name not in expected:
-            assert "row of a table" in draw["doc"] or name == "qpos"
-            continue
-        for end, bounds in zip(("low", "high"), expected[name], strict=True):
-            said = [entry[end] for entry in draw["entries"]]
-            bounds = np.ravel(bounds)
-            said = np.tile(said, len(bounds) // len(said))  # of each ball
-            np.testing.assert_allclose(said, bounds, atol=1e-9)
-        found.add(name)
-    assert found == set(expected)
+        for end, numbers_ in zip(("low", "high"), bounds, strict=True):
+            said = [entry[end] for entry in varied[name]["entries"]]
+            said = np.tile(said, np.size(numbers_) // len(said))  # of each ball
+            np.testing.assert_allclose(said, np.ravel(numbers_), atol=1e-9)
 
 
 @pytest.mark.parametrize("reset", [reset for reset in RESETS if reset != "random"])
@@ -444,8 +418,7 @@ def test_resets_draw_what_is_said(key, reset):
     sim.reset(seeds=np.arange(8))
 
     def state():
-        read = {name: test_draws.READ[DRAWN[name]] for name in said}
-        return {name: np.array(reader(sim.parts[0].program)).copy() for name, reader in read.items()}
+        return {name: test_draws.read(sim.parts[0].program, name).copy() for name in said}
 
     said = [draw["name"] for draw in facts_of(key)["draws"] if draw["varies"]]
     before = state()
@@ -530,10 +503,11 @@ class Silent(PoseTask):
     draws = ()
 
     def columns(self, nq, nv, num_muscles):
-        return tuple(Column(c.name, c.size, c.unit) for c in super().columns(nq, nv, num_muscles))
+        columns = super().columns(nq, nv, num_muscles)
+        return tuple(dataclasses.replace(column, doc="", names=()) for column in columns)
 
     def reward_terms(self):
-        return weighted({getattr(pose.Term, t.name): t.weight for t in super().reward_terms()})
+        return tuple(RewardTerm(t.name, t.weight, source=t.source) for t in super().reward_terms())
 
 
 def test_a_task_that_says_nothing():

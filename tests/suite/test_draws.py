@@ -33,41 +33,41 @@ REACH = (
 DRAWS = {
     "myoFingerPoseRandom-v0": {"target": ((-0.2, -0.4, 0.1, 0.1), (0.2, 1, 1, 1))},
     "motorFingerPoseRandom-v0": {"target": ((-0.2, -0.4, 0.1, 0.1), (0.2, 1, 1, 1))},
-    "myoElbowPose1D6MFixed-v0": {"qpos": (0, 2.26893)},
-    "myoElbowPose1D6MRandom-v0": {"target": (0, 2.27), "qpos": (0, 2.26893)},
-    "myoElbowPose1D6MExoRandom-v0": {"target": (0, 2.27), "carried_mass": (0.1, 2.0)},
+    "myoElbowPose1D6MFixed-v0": {"configuration": (0, 2.26893)},
+    "myoElbowPose1D6MRandom-v0": {"target": (0, 2.27), "configuration": (0, 2.26893)},
+    "myoElbowPose1D6MExoRandom-v0": {"target": (0, 2.27), "weight": (0.1, 2.0)},
     "myoHandPoseRandom-v1": {
         "target": (np.min(DIGITS, axis=0), np.max(DIGITS, axis=0)),
-        "qpos": tuple(np.transpose(HAND_RANGES)),
+        "configuration": tuple(np.transpose(HAND_RANGES)),
     },
     "myoFingerReachRandom-v0": {"row": (0, 57279)},
     "motorFingerReachRandom-v0": {"row": (0, 57279)},
     "myoHandReachRandom-v0": {"target": REACH},
     "myoHandReachRandom-v1": {"row": (0, 4096)},
     "myoHandKeyTurnRandom-v1": {
-        "key_angle": (-PI / 2, PI / 2),
-        "key_pos": ((-0.16, -0.56, 1.415), (-0.14, -0.54, 1.435)),
+        "key angle": (-PI / 2, PI / 2),
+        "key position": ((-0.16, -0.56, 1.415), (-0.14, -0.54, 1.435)),
     },
     "myoHandObjHoldRandom-v0": {
         "goal": ((-0.265, -0.54, 1.42), (-0.205, -0.48, 1.48)),
-        "object_size": (3 * (0.02,), 3 * (0.03,)),
+        "object size": (3 * (0.02,), 3 * (0.03,)),
     },
     "myoHandObjHoldRandom-v1": {
         "goal": ((-0.245, -0.54, 1.455), (-0.205, -0.48, 1.48)),
-        "object_size": (3 * (0.02,), 3 * (0.03,)),
+        "object size": (3 * (0.02,), 3 * (0.03,)),
     },
     "myoHandPenTwirlRandom-v1": {"tilt": ((-1, -1), (1, 1))},
     "myoHandBaodingRandom-v1": {
         "direction": {-1, 0, 1},
-        "start_angle": (0, 2 * PI),
-        "radii": ((0.02, 0.022), (0.03, 0.032)),
+        "start angle": (0, 2 * PI),
+        "half axes": ((0.02, 0.022), (0.03, 0.032)),
         "period": (4, 6),
-        "ball_mass": (2 * (0.03,), 2 * (0.3,)),
-        "ball_radius": (2 * (0.018,), 2 * (0.024,)),
-        "ball_friction": (2 * (0.8, 0.004, 0.00008), 2 * (1.2, 0.006, 0.00012)),
+        "ball mass": (2 * (0.03,), 2 * (0.3,)),
+        "ball radius": (2 * (0.018,), 2 * (0.024,)),
+        "ball friction": (2 * (0.8, 0.004, 0.00008), 2 * (1.2, 0.006, 0.00012)),
     },
 }
-"""Id: quantity: uniform between two bounds, or one of a set; rows of tables are counted from 0."""
+"""Id of MyoSuite, or its correction: draw: upstream's bounds or values; rows of tables count from 0."""
 
 NUM_WORLDS = 4096
 OTHER_SIZE = 37
@@ -104,23 +104,51 @@ def of_balls(program, name):
 
 
 READ = {
-    "target": lambda program: program.target.numpy(),
-    "qpos": lambda program: program.scene.data.qpos.numpy(),
+    "configuration": lambda program: program.scene.data.qpos.numpy(),
     "row": row_of,
-    "key_angle": lambda program: program.scene.data.qpos.numpy()[:, 23],
-    "key_pos": lambda program: program.scene.model.body_pos.numpy()[:, program.key_body],
-    "goal": lambda program: program.goal.numpy(),
-    "object_size": lambda program: program.object_size.numpy(),
+    "key angle": lambda program: program.scene.data.qpos.numpy()[:, 23],
+    "key position": lambda program: program.scene.model.body_pos.numpy()[:, program.key_body],
     "tilt": tilt,
-    "carried_mass": lambda program: program.weight.mass.numpy(),
-    "ball_mass": lambda program: of_balls(program, "body_mass"),
-    "ball_radius": lambda program: of_balls(program, "geom_size")[:, :, 0],
-    "ball_friction": lambda program: of_balls(program, "geom_friction"),
+    "weight": lambda program: program.weight.mass.numpy(),
+    "ball mass": lambda program: of_balls(program, "body_mass"),
+    "ball radius": lambda program: of_balls(program, "geom_size")[:, :, 0],
+    "ball friction": lambda program: of_balls(program, "geom_friction"),
     "direction": lambda program: program.orbits.direction.numpy(),
-    "start_angle": lambda program: program.orbits.start_angle.numpy(),
-    "radii": lambda program: program.orbits.radii.numpy(),
+    "start angle": lambda program: program.orbits.start_angle.numpy(),
+    "half axes": lambda program: program.orbits.radii.numpy(),
     "period": lambda program: program.orbits.period.numpy(),
 }
+"""Draw: where it ends up, if that is no array of the program of the draw's name."""
+
+
+def read(program, name):
+    """Return what was drawn, shape (num_worlds, ...)."""
+    arrays = {draw.name: draw.array or draw.name for draw in program.spec.draws}
+    return READ[name](program) if name in READ else getattr(program, arrays[name]).numpy()
+
+
+def bounds_of(program):
+    """Return what episodes draw, as the task says it: draw: bounds or values."""
+    found = {}
+    for draw in program.spec.draws:
+        if not draw.varies:
+            continue
+        if "row of a table" in draw.doc:
+            found["row"] = 0, len(program.table)
+        elif draw.choices:
+            found[draw.name] = set(draw.choices)
+        else:
+            found[draw.name] = (draw.low, draw.high) if draw.low else program.scene.oracle.jnt_range.T
+    return found
+
+
+def varied(spec):
+    """Return what tells the draws of two tasks apart."""
+    return spec.family, spec.body, tuple((d.name, d.doc, d.low, d.high) for d in spec.draws if d.varies)
+
+
+DISTINCT = sorted({varied(TASKS[key]): key for key in TASKS if varied(TASKS[key])[2]}.values())
+"""One id for everything that some task draws."""
 
 
 @lru_cache(maxsize=2)
@@ -140,26 +168,27 @@ def drawn(key, seeds, episode, mask=None):
         where = wp.array(np.ones(n, dtype=bool) if mask is None else mask, dtype=bool)
         program.sample_start(where)
         program.sample_goal(where)
-    return {name: READ[name](program).reshape(n, -1).astype(float) for name in DRAWS[key]}
+    return {name: read(program, name).reshape(n, -1).astype(float) for name in bounds_of(program)}
 
 
 SEEDS = SEED + np.arange(NUM_WORLDS)
 
 
-def test_every_family_that_draws_is_here():
-    random = [key for key in TASKS if "Random" in key or "P2" in key]
-    missing = {TASKS[key].family for key in random} - {TASKS[key].family for key in DRAWS}
-    assert not missing, f"add what {', '.join(sorted(missing))} draws to DRAWS"
-    names = {TASKS[key].name for key in random} - {"myoChallengeBaodingP2"}  # as myoHandBaodingRandom
-    assert names <= {TASKS[key].name for key in DRAWS}
+def test_upstream_is_compared():
+    """The bounds of every drawn task of upstream are compared with its own (`test_describe.py`)."""
+    assert {TASKS[key].family for key in DISTINCT} == {TASKS[key].family for key in DRAWS}
 
 
-@pytest.mark.parametrize("key", DRAWS, scope="module")  # both tests of an id share its scene
+@pytest.mark.parametrize("key", DISTINCT, scope="module")  # both tests of an id share its scene
 def test_distribution(key):
+    check_distribution(key)
+
+
+def check_distribution(key):
     """Kolmogorov-Smirnov distance to uniform; counts of values; no column follows from another."""
     first, second = drawn(key, SEEDS, 1), drawn(key, SEEDS, 2)
     varied = []
-    for name, expected in DRAWS[key].items():
+    for name, expected in bounds_of(program_of(key)).items():
         values = first[name]
         if isinstance(expected, set):
             counts = np.array([np.count_nonzero(values == value) for value in expected])
@@ -169,6 +198,7 @@ def test_distribution(key):
             varied += [values, second[name]]
             continue
         low, high = (np.atleast_1d(bound).astype(float) for bound in expected)
+        low, high = (np.tile(bound, values.shape[1] // len(bound)) for bound in (low, high))  # of each ball
         scale = np.maximum(np.abs(low), np.abs(high))
         assert (values >= low - ROUNDING * scale).all(), name
         assert (values <= high + ROUNDING * scale).all(), name
@@ -186,7 +216,7 @@ def test_distribution(key):
     assert np.abs(correlation).max() < SIGMAS / np.sqrt(NUM_WORLDS)
 
 
-@pytest.mark.parametrize("key", DRAWS, scope="module")  # both tests of an id share its scene
+@pytest.mark.parametrize("key", DISTINCT, scope="module")  # both tests of an id share its scene
 def test_draws_depend_on_seed_and_episode_alone(key):
     """Not on a world's place, nor on the number of worlds; where the mask is off nothing is drawn."""
 
@@ -198,7 +228,9 @@ def test_draws_depend_on_seed_and_episode_alone(key):
     first, second = table(SEEDS, 1), table(SEEDS, 2)
     np.testing.assert_array_equal(table(SEEDS[order], 1), first[order])
     np.testing.assert_array_equal(table(SEEDS[:OTHER_SIZE], 1), first[:OTHER_SIZE])
-    assert len(np.unique(first, axis=0)) > (0.6 if "row" in DRAWS[key] else 0.999) * NUM_WORLDS
+    assert (
+        len(np.unique(first, axis=0)) > (0.6 if "row" in bounds_of(program_of(key)) else 0.999) * NUM_WORLDS
+    )
     assert (first != second).any(axis=1).mean() > 0.999
     table(SEEDS, 1)
     np.testing.assert_array_equal(table(SEEDS, 2, mask), np.where(mask[:, None], second, first))

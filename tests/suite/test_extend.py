@@ -446,13 +446,15 @@ def test_without_private_names_of_warp(monkeypatch, caplog):
 
 FAR_OFF = """
 import warp as wp
-from myowarp.engine.world_function import kernel_around
+from myowarp.kernels.world_function import world_kernels
 @wp.func
 def far_off(qpos: wp.array[float]) -> float:
     return qpos[50]
 wp.config.mode = "debug"
 mask, qpos, out = wp.ones(1, dtype=bool), wp.zeros((1, 3), dtype=float), wp.zeros((1, 1), dtype=float)
-wp.launch(kernel_around(far_off, 1), dim=1, inputs=[mask, qpos, 0, out])
+first, count = wp.zeros(1, dtype=int), wp.ones(1, dtype=int)
+observe, _ = world_kernels("far", (far_off,), (), (), frozenset({"qpos"}))
+wp.launch(observe, dim=1, inputs=[qpos, mask, first, count, out])
 print("went on")
 """
 

@@ -14,8 +14,10 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
+import test_draws
 
 import myowarp
+from myowarp.apps.reports.describe import describe
 from myowarp.apps.rollouts.targets import in_reach
 from myowarp.apps.rollouts.targets import measure as measure_targets
 from myowarp.apps.train.evaluate import evaluate
@@ -34,6 +36,7 @@ FILES = {
     # file and name of a task: options of the environment, and of the command
     "variant.py:near": ({}, ()),
     "family.py:wide": ({}, ()),
+    "added.py:paced": ({}, ()),
     "condition.py:fading": ({"conditions": "outside_fading"}, ("--conditions", "outside_fading")),
     "muscle.py:elastic": ({"muscle": "outside_elastic"}, ("--muscle", "outside_elastic")),
     "free_root.py:pose": ({}, ()),
@@ -78,16 +81,38 @@ def rolled(key, steps=25, action=None, **options):
     return env, np.array(seen), infos
 
 
+OWN_PROGRAM = """
+@wp.kernel(enable_backward=False)
+def sample_outside(keys: myowarp.RandomKeys, mask: wp.array[bool], target: wp.array2d[float]):
+    worldid = wp.tid()
+    if mask[worldid]:
+        target[worldid, 0] = wp.randf(myowarp.open_stream(keys, worldid, myowarp.GOAL), -1.0, 1.0)
+
+
+class OwnProgram(myowarp.Program):
+    def __init__(self, spec, scene):
+        super().__init__(spec, scene)
+        self.target = wp.zeros((scene.num_worlds, 1), float)
+
+    def sample_goal(self, mask):
+        self.launch(sample_outside, mask=mask)
+
+
+"""
+"""A program that draws by a kernel of its own, into an array that it does not list as state."""
+
+
 @pytest.mark.parametrize(("name", "listed"), [*((name, True) for name in FILES), ("family.py:wide", False)])
 def test_a_state_goes_on(folder, name, listed):
     """Bit for bit over another number of shards, whether arrays are allocated as state or by Warp alone."""
     if not listed:
         family = folder / "family.py"
         text = family.read_text()
-        family.write_text(
-            text.replace('scene.zeros("task.target", 1)', "wp.zeros((scene.num_worlds, 1), float)")
-        )
-        assert family.read_text() != text
+        own = text.replace('array="target"', 'array=""')
+        own = own.replace("= myowarp.Program\n", "= OwnProgram\n")
+        own = own.replace("@dataclass", OWN_PROGRAM + "@dataclass", 1)
+        assert own.count("OwnProgram") == 2
+        family.write_text(own)
     options = {"num_envs": 5, "device": "cpu", "progress": False} | FILES[name][0]
     one, other = (gym.make_vec(f"MyoWarp/{key_of(folder, name)}", shards=n, **options) for n in (1, 2))
     one.reset(seed=0)
@@ -179,6 +204,43 @@ def test_family(folder):
     np.testing.assert_array_equal([info["solved"] for info in infos], error < 0.3)
     assert len(np.unique(obs[0, :, 1])) == 5
     np.testing.assert_array_equal(rolled(key_of(folder, "family.py:narrow"), steps=15)[1], obs)
+
+
+def test_what_is_added_to_a_family(folder):
+    """A block, a term and a draw, each written once, are in the numbers, their names and the description."""
+    key = key_of(folder, "added.py:paced")
+    env, obs, infos = rolled(key, autoreset_mode="SameStep", steps=15, max_episode_steps=7)
+    where = columns(env)
+    assert env.observation_space.shape[1] == where["speed"].stop == where["act"].stop + 1
+    speed = obs[..., where["speed"]][..., 0]
+    qvel = obs[..., where["qvel"]][..., 0] / myowarp.TASKS[key].control_dt
+    off = -np.abs(np.abs(qvel) - speed)
+    running = np.setdiff1d(np.arange(15), (6, 13))  # not the first observation of the next episode
+    pace = np.array([info["terms/pace"] for info in infos])
+    np.testing.assert_allclose(pace[running], off[1:][running], rtol=1e-5, atol=FLOAT32)
+    names = {name for name in infos[0] if name.startswith("terms/")}
+    assert names == {f"terms/{name}" for name in ("pose", "bonus", "penalty", "act_reg", "sparse", "pace")}
+    weights = {term.name: term.weight for term in env.unwrapped.sim.terms}
+    total = sum(weights[name.removeprefix("terms/")] * infos[0][name] for name in names)
+    np.testing.assert_allclose(infos[0]["reward"], total, rtol=1e-5)
+    assert len(np.unique(speed)) == 5 * 3  # a new one in every episode
+    facts = describe(myowarp.TASKS[key])
+    (block,) = (block for block in facts["observation"]["blocks"] if block["name"] == "speed")
+    assert (block["first"], block["unit"]) == (where["speed"].start, "rad/s")
+    assert facts["reward"]["formula"].endswith(" + 0.5 pace")
+    (draw,) = (draw for draw in facts["draws"] if draw["name"] == "speed")
+    assert [(e["low"], e["high"]) for e in draw["entries"]] == [(0.5, 2.0)]
+    assert test_draws.bounds_of(test_draws.program_of(key)).keys() == {"target", "speed"}
+    test_draws.check_distribution(key)
+    env.close()
+
+
+def test_a_draw_needs_bounds():
+    message = "^draw 'a' must have as many lower as upper bounds, or choices, got \\(0.0,\\) and \\(\\)$"
+    with pytest.raises(ValueError, match=message):
+        myowarp.Draw("a", "1", (0.0,), (), "a number", array="a")
+    with pytest.raises(ValueError, match=r"^draw 'a' must be drawn at 'goal' or 'start', got 'posture'$"):
+        myowarp.Draw("a", "1", (0.0,), (1.0,), "a number", when="posture", array="a")
 
 
 def test_condition(folder):

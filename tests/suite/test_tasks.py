@@ -1,8 +1,6 @@
-"""How tasks are written: ids in full, columns and terms by name, scores that only look, free roots."""
+"""How tasks are written: ids in full, sources of columns and terms, scores that only look, free roots."""
 
 import re
-import sys
-from enum import IntEnum
 from pathlib import Path
 
 import mujoco
@@ -12,10 +10,11 @@ import warp as wp
 
 import myowarp.tasks
 from myowarp.definitions.body import BODIES, CAUTIOUS_STEP, CoarseStep
-from myowarp.definitions.task import TASKS, blocks, task, weighted
+from myowarp.definitions.task import TASKS, task
+from myowarp.kernels.world_function import Row, num_numbers
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import read_body
-from myowarp.tasks.pose import PoseTask, observe_pose, score_pose
+from myowarp.tasks.pose import PoseTask, sample_configuration
 from myowarp.tasks.reach import ReachTask
 
 FILES = Path(myowarp.tasks.__file__).parent.glob("*.py")
@@ -46,13 +45,6 @@ FREE_ROOT = """
 KNEE, WHEEL = 11, 12  # in qpos
 
 
-class Letters(IntEnum):
-    """Columns in an order of their own."""
-
-    b = 0
-    a = 1
-
-
 @pytest.fixture(scope="module")
 def trunk(tmp_path_factory):
     """Return the name of a body with a free root, a ball joint, a hinge with a range and one without."""
@@ -68,24 +60,14 @@ def test_every_id_is_written_in_full():
 
 
 @pytest.mark.parametrize("key", WRITTEN)
-def test_columns_and_terms_are_those_of_the_kernels(key):
-    spec = TASKS[key]
-    family = sys.modules[type(spec).__module__]
-    terms = [term.name for term in spec.reward_terms()]
-    assert terms == [term.name for term in family.Term][: len(terms)]
-    assert [column.name for column in spec.columns(40, 39, 39)] == [block.name for block in family.Obs]
-    for members in (family.Term, family.Obs):
-        assert [int(member) for member in members] == list(range(len(members)))
-
-
-def test_tables_keep_the_order_of_the_columns():
-    assert [column.name for column in blocks({Letters.b: (2, "m"), Letters.a: (1, "1")})] == ["b", "a"]
-    assert [(term.name, term.weight) for term in weighted({Letters.b: 3})] == [("b", 3.0)]
-    message = r"^columns must be given in their order, 0 to 1, got \[1, 0\]$"
-    with pytest.raises(ValueError, match=message):
-        weighted({Letters.a: 1.0, Letters.b: 2.0})
-    with pytest.raises(ValueError, match=message):
-        blocks({Letters.a: (1, "1"), Letters.b: (2, "m")})
+def test_every_block_and_term_has_its_source(key):
+    """A block is a whole number of what its function returns, and a term is one number."""
+    for column in TASKS[key].columns(40, 39, 39):
+        if not isinstance(column.source, Row):
+            assert column.size % num_numbers(column.source) == 0, column.name
+    for term in TASKS[key].reward_terms():
+        assert num_numbers(term.source) == 1, term.name
+    assert {"solved", "failed"} <= TASKS[key].measures.keys()
 
 
 def test_an_id_has_a_version():
@@ -147,14 +129,48 @@ def test_score_only_looks(key):
 
 
 def test_arguments_that_are_not_there():
-    sim = Simulation(TASKS["myoElbowPose1D6MFixed-v0"], 1, device="cpu", graph=False, progress=False)
+    spec = TASKS["myoElbowPose1D6MFixed-v0"]
+    sim = Simulation(spec, 1, device="cpu", graph=False, progress=False)
     message = (
-        "^kernel observe_pose needs 'mask'; it is not given, and no attribute of PoseProgram, PoseTask, Sc"
+        "^kernel sample_configuration needs 'mask'; it is not given, and no attribute of PoseProgram, Po"
     )
     with pytest.raises(TypeError, match=message):
-        sim.parts[0].program.launch(observe_pose, obs=sim.transition.obs)
-    with pytest.raises(TypeError, match=r"^kernel score_pose takes .*, failed, got step_count too$"):
-        sim.parts[0].program.launch(score_pose, step_count=sim.episode.step_count)
+        sim.parts[0].program.launch(sample_configuration)
+    with pytest.raises(TypeError, match=r"^kernel sample_configuration takes .*, qpos, got step_count too$"):
+        sim.parts[0].program.launch(sample_configuration, step_count=sim.episode.step_count)
+    program = sim.parts[0].program
+    message = (
+        f"^task '{spec.key}' needs 'no_such_array'; it is not given, and no attribute of PoseProgram, Po"
+    )
+    with pytest.raises(TypeError, match=message):
+        program.around((of_nothing,), (), ())
+    message = "^measure 'b' must not need its own value, but those that it reads do$"
+    with pytest.raises(ValueError, match=message):
+        program.around((of_a,), (("a", of_b), ("b", of_a)), ())
+    program = Simulation(spec, 2, device="cpu", graph=False, progress=False).parts[0].program
+    message = f"^task '{spec.key}' reads 'body_mass' world by world, of which there is one for all; a field"
+    with pytest.raises(ValueError, match=message):
+        program.around((of_model,), (), ())
+
+
+@wp.func
+def of_a(a: float) -> float:
+    return a
+
+
+@wp.func
+def of_b(b: float) -> float:
+    return b
+
+
+@wp.func
+def of_model(body_mass: wp.array[float]) -> float:
+    return body_mass[0]
+
+
+@wp.func
+def of_nothing(no_such_array: wp.array[float]) -> float:
+    return no_such_array[0]
 
 
 def by_name(sim):

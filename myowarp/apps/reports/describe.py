@@ -45,6 +45,10 @@ MUSCLE_PARAMETERS = {"max_isometric_force": "N", "optimal_fiber_length": "m", "t
 """What is shown of a muscle, where its model has it, with units."""
 
 
+SAID = ("name", "weight", "unit", "doc")
+"""What is shown of a term of the reward."""
+
+
 def describe(what: Setup | TaskSpec, env_id: str | None = None, **fields: Any) -> dict[str, Any]:
     """Return all that a user of a task has to know, as plain dictionaries, lists, texts and numbers.
 
@@ -184,7 +188,7 @@ def _reward(spec: TaskSpec, effects: Sequence[Effect]) -> dict[str, Any]:
         term.name if term.weight == 1.0 else f"{term.weight:g} {term.name}" for term in terms if term.weight
     ]
     formula = "reward = " + " + ".join(parts).replace("+ -", "- ")
-    return {"formula": formula, "terms": [dataclasses.asdict(term) for term in terms]}
+    return {"formula": formula, "terms": [{key: getattr(term, key) for key in SAID} for term in terms]}
 
 
 def _resets(scene: Scene) -> dict[str, Any]:
