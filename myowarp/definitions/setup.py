@@ -61,10 +61,11 @@ class Setup:
     )
     physics: str | None = option(
         "parity: MyoSuite's integrator and step. fast: implicit integrator, muscles integrated exactly, and a"
-        " longer step, which `myowarp describe ID` says.",
+        " longer step, which `myowarp describe ID` says. By default parity; a training has its preset's, else"
+        " fast.",
         choices=PHYSICS,
     )
-    muscle: str | MuscleTable | None = option("Muscle model.", choices=MUSCLES)
+    muscle: str | MuscleTable | None = option("Muscle model; by default mujoco.", choices=MUSCLES)
     muscle_parameters: Path | None = option(
         "Muscle parameters in place of the model's, .csv: column `muscle`, and one for each parameter.",
         "FILE",
@@ -89,7 +90,8 @@ class Setup:
     )
     rank: tuple[int, int] | None = option("Which of how many equal ranks, each a process of its own.")
     seed: int | None = option(
-        "World i resets with seed + i; random policies draw from it, too.",
+        "World i resets with seed + i, and random policies draw from it; by default 0, in `myowarp eval`"
+        " 1000000.",
         "INT",
         check=lambda seed: check_least(0, MOST_SEED, seed=seed),
     )

@@ -10,6 +10,9 @@ from rich.console import Console
 
 from myowarp.apps.cli.options import Asked, environment, optional
 
+PROTOCOLS = ("task", "physics", "reset", "conditions", "horizon", "seed")
+"""Options that the experiments set themselves."""
+
 
 @dataclass
 class Reproduce:
@@ -22,7 +25,7 @@ class Reproduce:
     Example: myowarp reproduce exo1 --quick
     """
 
-    asked: Annotated[Asked, environment(only=("device", "muscle", "muscle_parameters", "shards"))]
+    asked: Annotated[Asked, environment(leave_out=PROTOCOLS)]
     name: Annotated[
         str | None, tyro.conf.Positional, tyro.conf.arg(metavar="NAME", help_behavior_hint="")
     ] = None
