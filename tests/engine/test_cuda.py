@@ -17,6 +17,7 @@ from myowarp.engine.compile import recorded
 from myowarp.engine.stages.contact_solve import solver_kernel
 from myowarp.engine.stages.primitive_contacts import CLOSED_FORMS, touch_kernel
 from myowarp.engine.verify import is_same_step
+from myowarp.sim.build import compile_scene
 from myowarp.sim.simulation import Simulation
 
 ARCHITECTURE = 90  # compute capability 9.0, without a meaning of its own
@@ -40,7 +41,11 @@ def kernel_modules():
         module = importlib.import_module(entry.name)
         kernels = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
         found |= {kernel.module.name: kernel.module for kernel in kernels}
-    modules = (touch_kernel(kind).module for kind in CLOSED_FORMS)
+    modules = [touch_kernel(kind).module for kind in CLOSED_FORMS]
+    for key in {TASKS[key].family: key for key in TASKS}.values():
+        with wp.ScopedDevice("cpu"):
+            program = TASKS[key].program(TASKS[key], compile_scene(TASKS[key], 1, "cpu"))
+        modules += [kernel.module for kernel in program._kernels]
     return found | {module.name: module for module in modules}
 
 

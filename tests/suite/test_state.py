@@ -140,7 +140,8 @@ def test_another_process_goes_on(tmp_path):
 
 def arrays_of(owner, seen):
     """Yield the names of all arrays that an object holds, in its attributes, and in theirs."""
-    if id(owner) in seen or not hasattr(owner, "__dict__"):
+    is_code = isinstance(owner, (wp.Kernel, wp.Function))
+    if id(owner) in seen or is_code or not hasattr(owner, "__dict__"):
         return
     seen.add(id(owner))
     structs = getattr(getattr(owner, "_cls", None), "vars", {})
