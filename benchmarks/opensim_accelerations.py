@@ -22,8 +22,8 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from myowarp.engine.stages.free_coordinates import document_model, inertia_of
-from myowarp.models.couplings import couplings, follow, jacobian
+from myowarp.coordinates.couplings import couplings, follow, jacobian
+from myowarp.coordinates.free_coordinates import document_model, inertia_of
 from myowarp.opensim.compose.convert import convert
 from myowarp.opensim.compose.mjcf import mjcf
 from myowarp.opensim.model.model import Model
@@ -91,7 +91,7 @@ def _double(
     sim: Simulation, q: np.ndarray, speeds: np.ndarray, forces: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Return M_r^-1 J'(forces - c - M a) of one state in float64, and the condition of M_r, scaled."""
-    model, host, ties = sim.scene.oracle, document_model(sim.scene), couplings(sim.scene.oracle)
+    model, host, ties = sim.scene.oracle, document_model(sim.scene.oracle), couplings(sim.scene.oracle)
     data = mujoco.MjData(host)
     follow(model, q)
     reduced, _ = inertia_of(host, ties, q)

@@ -8,7 +8,7 @@ import numpy as np
 
 NUM_WORLDS = 13
 NUM_ROWS = 90
-NUM_CONTACTS = 16
+NUM_CONTACTS = 32
 
 EFC = ("J", "J_rownnz", "J_rowadr", "J_colind", "D", "aref", "frictionloss")
 
@@ -51,8 +51,9 @@ MORE = {
     "dense": ("dense", SLIDER),
     "sparse": ("sparse", BALL.format(x=0, condim=1)),
     "wide": ("sparse", "".join(BALL.format(x=x, condim=3) for x in range(5))),
+    "large": ("sparse", "".join(BALL.format(x=x, condim=1) for x in range(15))),
 }
-"""Name: layout of J, and bodies. J has 13, 16 and 40 columns, more than 32 are never dense."""
+"""Name: layout of J, and bodies. J has 13, 16, 40 and 100 columns, more than 32 are never dense."""
 
 
 @lru_cache

@@ -1,4 +1,4 @@
-"""The physics step of a scene, whole or in part, with some stages of ours."""
+"""The engine's physics step of a scene, whole or in part, with some stages of ours."""
 
 from myowarp.engine.step import stage_launches
 

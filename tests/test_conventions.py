@@ -30,6 +30,7 @@ ROOMS = (
     "motion",
     "opensim",
     "sim",
+    "coordinates",
     "engine",
     "models",
     "definitions",

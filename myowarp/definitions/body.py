@@ -8,6 +8,9 @@ import mujoco
 
 from myowarp.definitions.registry import Registry
 
+POINT_JOINTS = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
+"""Kinds of joints with one coordinate."""
+
 
 @dataclass(frozen=True)
 class CoarseStep:

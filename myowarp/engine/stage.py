@@ -1,6 +1,6 @@
 """What a stage of ours is: kernels in place of a part of the engine's physics step; same results, less work.
 
-A stage depends on the engine's internals. It is therefore imported when a scene is built, and one that cannot
+A stage depends on the engine's internals. It is therefore imported when a step is made, and one that cannot
 be, because a private name of the engine is gone, is left to mujoco-warp and says so once; one whose step
 differs from the engine's is found out by `verify`. A new stage is one file in `stages/` and its name in
 `STAGES`.
@@ -9,26 +9,23 @@ differs from the engine's is found out by `verify`. A new stage is one file in `
 from __future__ import annotations
 
 import abc
+import contextlib
 import importlib
-import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from functools import cache
 from typing import ClassVar
 
 import mujoco_warp as mjw
 import warp as wp
 
-from myowarp.definitions.scene import Scene
 from myowarp.engine.said import say_once
-
-logger = logging.getLogger("myowarp")
+from myowarp.engine.stepped import Stepped
 
 Launches = Callable[[mjw.Model, mjw.Data], None]
-Obstacles = dict[str, Callable[[Scene], bool]]
-"""A reason in words, and whether a scene has it."""
+Obstacles = dict[str, Callable[[Stepped], bool]]
+"""A reason in words, and whether what is stepped has it."""
 
 STAGES = {
-    "free_coordinates": "FreeCoordinates",
     "contact_search": "ContactSearch",
     "contact_solve": "ContactSolve",
     "constraint_rows": "ConstraintRows",
@@ -37,11 +34,12 @@ STAGES = {
     "muscle_path": "MusclePath",
     "rigid_body": "RigidBody",
 }
-"""Name of a file in `stages/` and of its class, in the order in which they are verified: first what makes it
-another step, the solver early, because it makes less of a rounding in what comes before it than theirs."""
+"""Name of a file in `stages/` and of its class, in the order in which they are verified: the solver early,
+because it amplifies rounding less than the engine's."""
 
-INNER = ("acceleration", "solve", "integrate")
-"""Places that a stage with an `inner` scene has step that scene."""
+
+MAX_STACK = 2**20
+"""Bytes of stack that a world may take; threads have 8 MB on Linux, and more on macOS."""
 
 
 class Stage(abc.ABC):
@@ -49,16 +47,13 @@ class Stage(abc.ABC):
 
     Attributes:
         REPLACES: Places in `step.ORDER` that it fills, with one launch in the first.
-        OBSTACLES: What a scene must not have, beside `step.UNCOVERED`.
+        OBSTACLES: What a model must not have, beside `step.UNCOVERED`.
         ON_CUDA: Whether it is worth its launches on CUDA, too.
         TOLERANCE: Largest difference that it makes to a step's change of velocity or of position, as a share
             of the largest such change in the state (float32 sums in another order), beyond
             `verify.ROUNDINGS` of the state.
         replaces: `REPLACES`, or the part of it that applies here.
-        inner: What the places `INNER` step in place of the scene; None: the scene.
     """
-
-    inner: Scene | None = None
 
     REPLACES: ClassVar[tuple[str, ...]]
     OBSTACLES: ClassVar[Obstacles]
@@ -66,19 +61,15 @@ class Stage(abc.ABC):
     TOLERANCE = 1e-4
 
     @classmethod
-    def obstacle(cls, scene: Scene) -> str | None:
-        """Return why this scene cannot use the stage, None if it can."""
-        if not (cls.ON_CUDA or scene.device.is_cpu):
+    def obstacle(cls, stepped: Stepped) -> str | None:
+        """Return why the stage cannot step this, None if it can."""
+        if not (cls.ON_CUDA or stepped.device.is_cpu):
             return "the device is not the CPU"
-        return first_reason(cls.OBSTACLES, scene)
+        return first_reason(cls.OBSTACLES, stepped)
 
-    def __init__(self, scene: Scene) -> None:
-        """Allocate all that the kernels need, on the scene's device."""
+    def __init__(self, stepped: Stepped) -> None:
+        """Allocate all that the kernels need, on the device of what is stepped."""
         self.replaces = self.REPLACES
-
-    def launches(self, replaced: frozenset[str]) -> dict[str, Launches]:
-        """Return what the step launches, place by place, knowing which places of it are ours."""
-        return {self.replaces[0]: self.launcher(replaced)}
 
     def launcher(self, replaced: frozenset[str]) -> Launches:
         """Return what the step launches in the first place, knowing which places of it are ours."""
@@ -93,9 +84,9 @@ class Stage(abc.ABC):
         """Launch our kernels."""
 
 
-def first_reason(obstacles: Obstacles, scene: Scene) -> str | None:
-    """Return the first reason that holds for a scene, None if none does."""
-    return next((reason for reason, holds in obstacles.items() if holds(scene)), None)
+def first_reason(obstacles: Obstacles, stepped: Stepped) -> str | None:
+    """Return the first reason that holds, None if none does."""
+    return next((reason for reason, holds in obstacles.items() if holds(stepped)), None)
 
 
 @cache
@@ -107,46 +98,17 @@ def load(name: str) -> type[Stage] | None:
     """
     if name not in STAGES:
         raise ValueError(f"stage {name!r} unknown; available: {', '.join(STAGES)}")
-    try:
+    with or_the_engines(name):
         module = importlib.import_module(f"myowarp.engine.stages.{name}")
+        kind: type[Stage] = getattr(module, STAGES[name])
+        return kind
+    return None
+
+
+@contextlib.contextmanager
+def or_the_engines(name: str) -> Iterator[None]:
+    """End the block where a name of the engine is gone, and log once that the engine does `name` itself."""
+    try:
+        yield
     except (ImportError, AttributeError) as error:
-        _left_to_the_engine(name, error)
-        return None
-    kind: type[Stage] = getattr(module, STAGES[name])
-    return kind
-
-
-def applicable_stages(scene: Scene, names: Iterable[str] = STAGES) -> tuple[Stage, ...]:
-    """Return the stages of these names that a scene can use, in the order of the names."""
-    found: list[Stage] = []
-    for name in names:
-        kind = load(name)
-        try:
-            if kind is not None and kind.obstacle(stepped(scene, kind, found)) is None:
-                found.append(kind(stepped(scene, kind, found)))
-        except AttributeError as error:  # a field of the engine's model or data is gone
-            _left_to_the_engine(name, error)
-    return tuple(found)
-
-
-def stepped(scene: Scene, kind: type[Stage], before: Iterable[Stage]) -> Scene:
-    """Return what a stage of a kind steps, after others: the scene, or the inner one of another stage."""
-    inner = next((stage.inner for stage in before if stage.inner is not None), None)
-    return scene if inner is None or kind.REPLACES[0] not in INNER else inner
-
-
-def same_stages(scene: Scene, stages: Iterable[Stage]) -> tuple[Stage, ...]:
-    """Return stages of the same kinds for another part of the worlds."""
-    made: list[Stage] = []
-    for stage in stages:
-        made.append(type(stage)(stepped(scene, type(stage), made)))
-    return tuple(made)
-
-
-def not_exact(reason: str) -> None:
-    """Say that joints that should follow others exactly do not, and why."""
-    logger.warning("joints follow others by the engine's springs, not exactly: %s", reason)
-
-
-def _left_to_the_engine(name: str, error: Exception) -> None:
-    say_once(f"{name} is left to mujoco-warp {mjw.__version__}, which has changed: {error}")
+        say_once(f"{name} is left to mujoco-warp {mjw.__version__}, which has changed: {error}")

@@ -1,20 +1,21 @@
 """The physics step as a list of stages, each the engine's function or one of ours.
 
 `ORDER` is `mujoco_warp.step` without what `UNCOVERED` lists: positions, velocities, muscles, forces,
-accelerations, next state (MuJoCo documentation, Computation, "Forward dynamics"), and three places where
-nothing happens but by a stage of ours. `mujoco_warp.step` itself stays the reference; it runs where no stage
-of ours is used, and where a model has what `UNCOVERED` lists.
+accelerations, next state (MuJoCo documentation, Computation, "Forward dynamics"). `mujoco_warp.step` itself
+stays the reference; it runs where no stage of ours is used, and where a model has what `UNCOVERED` lists.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 
+import mujoco
 import mujoco_warp as mjw
 import warp as wp
 
-from myowarp.definitions.scene import Scene
 from myowarp.engine.idle import pruned
 from myowarp.engine.patch import engine_kernels_alone, one_thread
-from myowarp.engine.stage import INNER, Launches, Obstacles, Stage, first_reason
+from myowarp.engine.stage import STAGES, Launches, Obstacles, Stage, first_reason, load, or_the_engines
+from myowarp.engine.stepped import Stepped
 from myowarp.kernels.launch import launch
 
 
@@ -68,13 +69,7 @@ def _integrate(model: mjw.Model, data: mjw.Data) -> None:
     (mjw.euler if model.opt.integrator == mjw.IntegratorType.EULER else mjw.implicit)(model, data)
 
 
-def _nothing(model: mjw.Model, data: mjw.Data) -> None:
-    """Launch nothing: a place for stages that the engine has no counterpart of."""
-
-
-ORDER: dict[str, Launches] = {
-    # Joints that follow others exactly (`stages.free_coordinates`):
-    "follow": _nothing,
+FORCES: dict[str, Launches] = {
     # What follows from positions:
     "kinematics": mjw.kinematics,
     "com_pos": mjw.com_pos,
@@ -91,39 +86,43 @@ ORDER: dict[str, Launches] = {
     "rne": mjw.rne,
     # Muscles, and what conditions do to them:
     "control": _control,
-    # Forces, acceleration, next state:
     "actuation": mjw.fwd_actuation,
-    "reduce": _nothing,
+}
+"""Places that compute all that acts, from the state."""
+
+MOTION: dict[str, Launches] = {
     "acceleration": _acceleration,
     "solve": mjw.solve,
     "integrate": _integrate,
-    "expand": _nothing,
 }
+"""Places that make the next state of it."""
+
+ORDER = FORCES | MOTION
 
 INTEGRATORS = (mjw.IntegratorType.EULER, mjw.IntegratorType.IMPLICIT, mjw.IntegratorType.IMPLICITFAST)
 
 UNCOVERED: Obstacles = {
-    "tendons or actuators have armature": lambda scene: bool(
-        scene.oracle.tendon_armature.any() or scene.oracle.actuator_armature.any()
+    "tendons or actuators have armature": lambda stepped: bool(
+        stepped.oracle.tendon_armature.any() or stepped.oracle.actuator_armature.any()
     ),
-    "there are sensors": lambda scene: scene.oracle.nsensor > 0,
-    "there are flexes": lambda scene: scene.oracle.nflex > 0,
-    "sleeping is on": lambda scene: bool(scene.model.opt.enableflags & mjw.EnableBit.SLEEP),
-    "energy is computed": lambda scene: bool(scene.model.opt.enableflags & mjw.EnableBit.ENERGY),
-    "actuation is off": lambda scene: bool(scene.model.opt.disableflags & mjw.DisableBit.ACTUATION),
-    "the integrator takes several evaluations, or is the discrete one": lambda scene: (
-        scene.model.opt.integrator not in INTEGRATORS
+    "there are sensors": lambda stepped: stepped.oracle.nsensor > 0,
+    "there are flexes": lambda stepped: stepped.oracle.nflex > 0,
+    "sleeping is on": lambda stepped: bool(stepped.model.opt.enableflags & mjw.EnableBit.SLEEP),
+    "energy is computed": lambda stepped: bool(stepped.model.opt.enableflags & mjw.EnableBit.ENERGY),
+    "actuation is off": lambda stepped: bool(stepped.model.opt.disableflags & mjw.DisableBit.ACTUATION),
+    "the integrator takes several evaluations, or is the discrete one": lambda stepped: (
+        stepped.model.opt.integrator not in INTEGRATORS
     ),
-    "the user makes the contacts": lambda scene: not scene.model.opt.run_collision_detection,
-    "the user has sensors": lambda scene: scene.model.callback.sensor is not None,
-    "body accelerations are asked for": lambda scene: bool(scene.model.opt.run_rne_postconstraint),
+    "the user makes the contacts": lambda stepped: not stepped.model.opt.run_collision_detection,
+    "the user has sensors": lambda stepped: stepped.model.callback.sensor is not None,
+    "body accelerations are asked for": lambda stepped: bool(stepped.model.opt.run_rne_postconstraint),
 }
 """What `mujoco_warp.step` does besides `ORDER`."""
 
 
-def uncovered(scene: Scene) -> str | None:
-    """Return why a scene's step cannot be a list of stages, None if it can."""
-    return first_reason(UNCOVERED, scene)
+def uncovered(stepped: Stepped) -> str | None:
+    """Return why a step cannot be a list of stages, None if it can."""
+    return first_reason(UNCOVERED, stepped)
 
 
 def stage_launches(stages: Iterable[Stage]) -> dict[str, Launches]:
@@ -131,36 +130,70 @@ def stage_launches(stages: Iterable[Stage]) -> dict[str, Launches]:
     places, stages = dict(ORDER), tuple(stages)
     replaced = frozenset(place for stage in stages for place in stage.replaces)
     for stage in stages:
-        launches = stage.launches(replaced)
-        for place in set(stage.replaces) - set(launches):
+        first, *others = stage.replaces
+        places[first] = stage.launcher(replaced)
+        for place in others:
             del places[place]
-        places |= launches
-    for inner in (stage.inner for stage in stages if stage.inner is not None):
-        places |= {place: _within(inner, places[place]) for place in INNER if place in places}
     return places
 
 
-def _within(inner: Scene, launch_stage: Launches) -> Launches:
-    """Return launches that step another scene."""
-    return lambda model, data: launch_stage(inner.model, inner.data)
+class Step:
+    """A physics step; stages of ours do some of its places.
 
-
-def physics_step(
-    scene: Scene, stages: Iterable[Stage] = (), idle: frozenset[str] = frozenset()
-) -> Callable[[], None]:
-    """Return a function that launches one physics step of a scene.
-
-    Args:
-        scene: The scene.
-        stages: Stages of ours; without any it is `mujoco_warp.step`.
-        idle: Kernels of the engine's own stages to leave out, by name.
+    Attributes:
+        stepped: What it steps.
     """
-    stages = tuple(stages)
-    launches = tuple(stage_launches(stages).values()) if stages else (mjw.step,)
 
-    def step() -> None:
-        with pruned(idle), one_thread(scene.device), engine_kernels_alone():
-            for launch_stage in launches:
-                launch_stage(scene.model, scene.data)
+    def __init__(self, stepped: Stepped) -> None:
+        self.stepped = stepped
 
-    return step
+    def at(self, place: str) -> Stepped:
+        """Return what a place of `ORDER` steps."""
+        return self.stepped
+
+    def stages(self, names: Iterable[str] = STAGES) -> tuple[Stage, ...]:
+        """Return the stages of these names that the step can use, in the order of the names."""
+        found: list[Stage] = []
+        for name in names if uncovered(self.stepped) is None else ():
+            kind = load(name)
+            with or_the_engines(name):  # a field of its model or data may be gone
+                if kind is not None and kind.obstacle(at := self.at(kind.REPLACES[0])) is None:
+                    found.append(kind(at))
+        return tuple(found)
+
+    def same(self, stages: Iterable[Stage]) -> tuple[Stage, ...]:
+        """Return stages of the kinds that the step of another part of the worlds uses."""
+        return tuple(type(stage)(self.at(stage.REPLACES[0])) for stage in stages)
+
+    def places(self, stages: tuple[Stage, ...]) -> dict[str, Callable[[], None]]:
+        """Return what is launched, place by place; without stages of ours, `mujoco_warp.step`."""
+        return self.bound(stage_launches(stages) if stages else {"step": mjw.step})
+
+    def bound(self, launches: Mapping[str, Launches]) -> dict[str, Callable[[], None]]:
+        """Return launches with what their places step."""
+        return {
+            place: partial(launch_stage, self.at(place).model, self.at(place).data)
+            for place, launch_stage in launches.items()
+        }
+
+    def launches(
+        self, stages: Iterable[Stage] = (), idle: frozenset[str] = frozenset()
+    ) -> Callable[[], None]:
+        """Return a function that launches one physics step.
+
+        Args:
+            stages: Stages of ours, what `stages` or `same` returned.
+            idle: Kernels of the engine's own stages to leave out, by name.
+        """
+        places = tuple(self.places(tuple(stages)).values())
+
+        def step() -> None:
+            with pruned(idle), one_thread(self.stepped.device), engine_kernels_alone():
+                for launch_place in places:
+                    launch_place()
+
+        return step
+
+    def move(self, data: mujoco.MjData, number: int) -> None:
+        """Move a state by so many steps of the physics that this step computes, to states to verify it in."""
+        mujoco.mj_step(self.stepped.oracle, data, number)

@@ -15,18 +15,21 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.body import POINT_JOINTS
 from myowarp.definitions.condition import Condition
-from myowarp.definitions.scene import Scene
 from myowarp.disk import cached, code_digest, files_digest, is_ours, model_digest, version
 from myowarp.engine.compile import compile_kernels
 from myowarp.engine.idle import idle_kernels
-from myowarp.engine.stage import Stage, applicable_stages, not_exact
-from myowarp.engine.step import physics_step, uncovered
-from myowarp.models.couplings import POINT_JOINTS, exact
+from myowarp.engine.stage import Stage
+from myowarp.engine.step import Step
+from myowarp.engine.stepped import Stepped
 
 logger = logging.getLogger("myowarp")
 
-SOURCES = ("engine/**/*.py", "engine/**/*.cpp", "sim/*.py", "kernels/*", "models/muscles/*")
+SOURCES = (
+    *("engine/**/*.py", "engine/**/*.cpp", "coordinates/*.py"),
+    *("sim/*.py", "kernels/*", "models/muscles/*"),
+)
 """Files of the package that decide a verdict."""
 
 NUM_STATES = 16  # compared, at least
@@ -56,7 +59,7 @@ class Verdict(NamedTuple):
 
 
 def choose_stages(
-    scene: Scene,
+    step: Step,
     names: Iterable[str],
     also: Callable[[], None],
     progress: bool,
@@ -65,53 +68,52 @@ def choose_stages(
     """Return which stages of ours to use, and which kernels of the engine to leave out.
 
     Args:
-        scene: The task; its state is overwritten.
+        step: The physics step; the state of what it steps is overwritten.
         names: Stages to use where they apply, names in `STAGES`.
         also: Launches what else is to be compiled.
         progress: Whether to show progress bars.
-        conditions: Conditions of the scene, which may act in a physics step.
+        conditions: Conditions that may act in a physics step.
     """
-    reason = uncovered(scene)
-    if reason is not None and exact(scene.oracle) is not None:
-        not_exact(reason)
-    candidates = () if reason is not None else applicable_stages(scene, names)
+    candidates = step.stages(names)
 
     def verify() -> Verdict:
         def launch_both() -> None:
             also()
             for number in range(len(candidates) + 1):  # what is compared below, one more stage at a time
-                physics_step(scene, candidates[:number])()
+                step.launches(candidates[:number])()
 
-        compile_kernels(launch_both, scene.device, show=progress)
-        trusted = verified_stages(scene, candidates)
-        idle = verified_idle(scene)
+        compile_kernels(launch_both, step.stepped.device, show=progress)
+        trusted = verified_stages(step, candidates)
+        idle = verified_idle(step)
         return Verdict(idle, frozenset(type(stage).__name__ for stage in trusted))
 
-    verdict = _cached_verdict(scene, candidates, verify, conditions)
+    verdict = _cached_verdict(step, candidates, verify, conditions)
     return tuple(stage for stage in candidates if type(stage).__name__ in verdict.stages), verdict.idle
 
 
 def _cached_verdict(
-    scene: Scene,
+    step: Step,
     candidates: Iterable[Stage],
     verify: Callable[[], Verdict],
     conditions: Iterable[Condition] = (),
 ) -> Verdict:
-    """Return what `verify` found for this scene and these candidates, now or in an earlier process."""
+    """Return what `verify` found for this step and these candidates, now or in an earlier process."""
+    stepped = step.stepped
     package = Path(__file__).parents[1]
     files = sorted(
         file for pattern in SOURCES for file in package.glob(pattern) if file.suffix in (".py", ".cpp")
     )
     # Of ours, tests say that they go with every stage.
     theirs = [condition for condition in conditions if not is_ours(type(condition))]
-    code = code_digest(type(scene.muscles), *map(type, theirs))
-    digests = (model_digest(scene.oracle), files_digest(files), code)
+    code = code_digest(type(stepped.muscles), *map(type, theirs))
+    digests = (model_digest(stepped.oracle), files_digest(files), code)
     names = sorted(type(stage).__name__ for stage in candidates)
-    where = (scene.device.alias, scene.device.name, scene.device.arch, platform.machine())
-    muscles, deterministic = type(scene.muscles).__name__, int(scene.model.opt.deterministic)
+    where = (stepped.device.alias, stepped.device.name, stepped.device.arch, platform.machine())
+    muscles, deterministic = type(stepped.muscles).__name__, int(stepped.model.opt.deterministic)
     key = (
         "verdict",
         *digests,
+        type(step).__name__,
         names,
         muscles,
         [(type(condition).__qualname__, condition.batched) for condition in theirs],
@@ -123,7 +125,7 @@ def _cached_verdict(
 
     def load(content: bytes) -> Verdict:
         entry = json.loads(content)
-        known = {"idle": idle_kernels(scene.oracle), "stages": frozenset(names)}
+        known = {"idle": idle_kernels(stepped.oracle), "stages": frozenset(names)}
         if not isinstance(entry, dict) or any(not isinstance(entry.get(part), list) for part in known):
             raise ValueError("it holds no verdict")
         parts = {part: frozenset(map(str, entry[part])) for part in known}
@@ -137,25 +139,22 @@ def _cached_verdict(
     return cached(key, make=verify, save=save, load=load)
 
 
-def verified_stages(scene: Scene, stages: Iterable[Stage]) -> tuple[Stage, ...]:
+def verified_stages(step: Step, stages: Iterable[Stage]) -> tuple[Stage, ...]:
     """Return the stages whose step is the engine's; a line is logged for each that is left out.
 
     Args:
-        scene: The task; its state is overwritten.
-        stages: What `applicable_stages` returned.
+        step: The physics step; the state of what it steps is overwritten.
+        stages: What `step.stages` returned.
     """
-    stages = tuple(stages)
-    # What makes it another step is part of what others are compared with.
-    trusted = tuple(stage for stage in stages if stage.inner is not None)
-    candidates = [stage for stage in stages if stage.inner is None]
+    candidates, trusted = tuple(stages), tuple[Stage, ...]()
     if not candidates:
         return trusted
-    batches = list(_states(scene, trusted))
-    before = _changes(scene, batches, trusted)
+    batches = list(_states(step))
+    before = _changes(step, batches, trusted)
     # The median: single states where a rounding makes or breaks a contact must not count.
-    rounding = float(np.median(_error(_changes(scene, map(_rounded, batches), trusted), before)))
+    rounding = float(np.median(_error(_changes(step, map(_rounded, batches), trusted), before)))
     for stage in candidates:
-        changes = _changes(scene, batches, (*trusted, stage))
+        changes = _changes(step, batches, (*trusted, stage))
         error, allowed = _error(changes, before), stage.TOLERANCE + ROUNDINGS * rounding
         if np.mean(error <= allowed) >= TRUSTED_SHARE:
             trusted, before = (*trusted, stage), changes
@@ -170,13 +169,14 @@ def verified_stages(scene: Scene, stages: Iterable[Stage]) -> tuple[Stage, ...]:
     return trusted
 
 
-def verified_idle(scene: Scene) -> frozenset[str]:
+def verified_idle(step: Step) -> frozenset[str]:
     """Return the kernels to leave out, none if leaving them out changes the state.
 
     Args:
-        scene: The task; its state is overwritten.
+        step: The physics step; the state of what it steps is overwritten.
     """
-    host, data = scene.oracle, scene.data
+    stepped = step.stepped
+    host, data = stepped.oracle, stepped.data
     names = idle_kernels(host)
     rng = np.random.default_rng(0)
     low, high = np.where(host.jnt_limited[:, None], host.jnt_range, (-1.0, 1.0)).T
@@ -184,15 +184,15 @@ def verified_idle(scene: Scene) -> frozenset[str]:
     scalar = np.isin(host.jnt_type, POINT_JOINTS)
     qpos[:, host.jnt_qposadr[scalar]] = rng.uniform(low, high, (data.nworld, host.njnt))[:, scalar]
     qvel = rng.standard_normal((data.nworld, host.nv))
-    muscles = _muscle_state(scene, rng)
+    muscles = _muscle_state(stepped, rng)
     start = np.concatenate([qpos, qvel], axis=1)
     ends = []
     for skipped in (names, frozenset[str]()):
-        _place(scene, (qpos, qvel, np.zeros((data.nworld, host.nu)), muscles))
-        physics_step(scene, idle=skipped)()
+        set_state(stepped, (qpos, qvel, np.zeros((data.nworld, host.nu)), muscles))
+        step.launches(idle=skipped)()
         ends.append(np.concatenate([data.qpos.numpy(), data.qvel.numpy()], axis=1).copy())
     ours, stock = ends
-    return names if is_same_step(start, ours, stock, exact=scene.device.is_cpu) else frozenset()
+    return names if is_same_step(start, ours, stock, exact=stepped.device.is_cpu) else frozenset()
 
 
 def is_same_step(start: np.ndarray, first: np.ndarray, second: np.ndarray, exact: bool) -> bool:
@@ -211,57 +211,40 @@ def is_same_step(start: np.ndarray, first: np.ndarray, second: np.ndarray, exact
     return bool(np.median(np.abs(first - second).max(axis=1) / change) <= ROUNDING)
 
 
-def _states(scene: Scene, stages: Iterable[Stage]) -> Iterator[State]:
-    """Yield states of all worlds, until NUM_STATES are reached: random motion of MuJoCo C or of stages."""
-    host, worlds = scene.oracle, scene.num_worlds
+def _states(step: Step) -> Iterator[State]:
+    """Yield states of all worlds, until NUM_STATES are reached: random motion of the physics."""
+    stepped = step.stepped
+    host, worlds = stepped.oracle, stepped.data.nworld
     data = mujoco.MjData(host)
-    data.qpos[:] = scene.qpos_start.numpy()
+    data.qpos[:] = stepped.qpos_start.numpy()
     rng = np.random.default_rng(0)
     low, high = np.where(host.actuator_ctrllimited[:, None], host.actuator_ctrlrange, (-1.0, 1.0)).T
     motion = []
-    other = physics_step(scene, stages) if stages else None
     for _ in range(NUM_STATES):
         data.ctrl[:] = rng.uniform(low, high)
-        number = scene.num_substeps * int(rng.integers(1, CONTROL_STEPS))
-        if other is None:
-            mujoco.mj_step(host, data, number)
-        else:
-            _move(scene, other, data, number)
+        step.move(data, stepped.num_substeps * int(rng.integers(1, CONTROL_STEPS)))
         motion.append((data.qpos.copy(), data.qvel.copy()))
     for first in range(0, NUM_STATES, worlds):
         chosen = [motion[(first + i) % NUM_STATES] for i in range(worlds)]
         ctrl = rng.uniform(low, high, (worlds, host.nu))
         qpos, qvel = (np.array(values) for values in zip(*chosen, strict=True))
-        yield qpos, qvel, ctrl, _muscle_state(scene, rng)
+        yield qpos, qvel, ctrl, _muscle_state(stepped, rng)
 
 
-def _move(scene: Scene, step: Callable[[], None], data: mujoco.MjData, number: int) -> None:
-    """Let our step move what MuJoCo C cannot: light bodies that are held exactly."""
-    worlds = scene.data.nworld
-    still = {name: np.zeros(array.shape) for name, array in scene.muscles.state.items()}
-    qpos, qvel, ctrl = (np.tile(values, (worlds, 1)) for values in (data.qpos, data.qvel, data.ctrl))
-    _place(scene, (qpos, qvel, ctrl, still))
-    for _ in range(number):
-        step()
-    data.qpos[:], data.qvel[:] = scene.data.qpos.numpy()[0], scene.data.qvel.numpy()[0]
-    if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):  # as MuJoCo C begins again
-        data.qpos[:], data.qvel[:] = scene.qpos_start.numpy(), 0.0
-
-
-def _muscle_state(scene: Scene, rng: np.random.Generator) -> dict[str, np.ndarray]:
+def _muscle_state(stepped: Stepped, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """Return a state of the muscles: all that they remember, at random between 0 and 1."""
-    return {name: rng.uniform(size=array.shape) for name, array in scene.muscles.state.items()}
+    return {name: rng.uniform(size=array.shape) for name, array in stepped.muscles.state.items()}
 
 
-def _place(scene: Scene, state: State) -> None:
+def set_state(stepped: Stepped, state: State) -> None:
     """Put the worlds into a state."""
     qpos, qvel, ctrl, muscles = state
-    scene.data.qpos.assign(qpos)
-    scene.data.qvel.assign(qvel)
-    scene.data.ctrl.assign(ctrl)
-    scene.data.qacc_warmstart.zero_()
+    stepped.data.qpos.assign(qpos)
+    stepped.data.qvel.assign(qvel)
+    stepped.data.ctrl.assign(ctrl)
+    stepped.data.qacc_warmstart.zero_()
     for name, values in muscles.items():
-        scene.muscles.state[name].assign(values)
+        stepped.muscles.state[name].assign(values)
 
 
 def _rounded(state: State) -> State:
@@ -276,20 +259,18 @@ def _rounded(state: State) -> State:
     return beside(qpos), beside(qvel), ctrl, muscles
 
 
-def _changes(
-    scene: Scene, batches: Iterable[State], stages: Iterable[Stage]
-) -> tuple[np.ndarray, np.ndarray]:
+def _changes(step: Step, batches: Iterable[State], stages: Iterable[Stage]) -> tuple[np.ndarray, np.ndarray]:
     """Return what a physics step adds to velocities, (num_states, nv), and to positions, (num_states, nq)."""
-    data, changes = scene.data, []
-    stock, ours = physics_step(scene), physics_step(scene, stages)
+    data, changes = step.stepped.data, []
+    stock, ours = step.launches(), step.launches(stages)
     for state in batches:
-        # What this leaves behind is that of other states: a stage that leaves something out is seen.
+        # Fill Data from another state first, so that a stage that forgets a field is caught.
         data.qpos.assign(np.roll(state[0], 1, axis=0))
         stock()
-        _place(scene, state)
+        set_state(step.stepped, state)
         before = data.qvel.numpy().copy(), data.qpos.numpy().copy()
         ours()
-        wp.synchronize_device(scene.device)
+        wp.synchronize_device(step.stepped.device)
         changes.append((data.qvel.numpy() - before[0], data.qpos.numpy() - before[1]))
     velocities, positions = zip(*changes, strict=True)
     return np.concatenate(velocities), np.concatenate(positions)

@@ -12,6 +12,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.coordinates.couplings import settled
 from myowarp.definitions.body import BODIES, Body
 from myowarp.definitions.condition import Condition, resolve
 from myowarp.definitions.muscle import MUSCLES, MuscleModel
@@ -23,10 +24,10 @@ from myowarp.definitions.worlds import Worlds
 from myowarp.disk import cached, files_digest, is_ours, model_bytes, model_from_bytes
 from myowarp.engine.kernel_cache import start_warp
 from myowarp.engine.said import say_once
+from myowarp.engine.stepped import Stepped
 from myowarp.engine.turn import in_turn
 from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import new_keys
-from myowarp.models.couplings import settled
 from myowarp.models.slim import slim
 from myowarp.sim.capacity import calibrate
 from myowarp.sim.memory import check_memory
@@ -74,9 +75,19 @@ def _slim_spec(spec: TaskSpec, conditions: tuple[Condition, ...], body: Body) ->
     return slim(full_spec(spec, conditions), spec.sites)
 
 
+def _dense(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a model that MuJoCo C steps with a dense Jacobian, which it chooses below 60 degrees of freedom.
+
+    4.0.0 factorises sparse Hessians wrongly (mended in 4.0.1).
+    """
+    if mujoco.mj_isSparse(model):
+        model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    return model
+
+
 def slim_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
     """Return the slim model of a task with MuJoCo's built-in muscles."""
-    return _slim_spec(spec, conditions, BODIES[spec.body]).copy().compile()
+    return _dense(_slim_spec(spec, conditions, BODIES[spec.body]).copy().compile())
 
 
 def stateless_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
@@ -95,7 +106,7 @@ def stateless_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> m
 
 def full_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
     """Return the unslimmed model of a task, for pictures and comparisons."""
-    return full_spec(spec, conditions).compile()
+    return _dense(full_spec(spec, conditions).compile())
 
 
 def source_digest(more: Iterable[Path] = ()) -> str:
@@ -273,6 +284,19 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
         )
         _adopt_arrays(scene, batched, individual=bool(conditions))
     return scene
+
+
+def stepped_of(scene: Scene) -> Stepped:
+    """Return what the physics step of a scene steps."""
+    return Stepped(
+        oracle=scene.oracle,
+        model=scene.model,
+        data=scene.data,
+        muscles=scene.muscles,
+        sites=tuple(scene.site_id(name) for name in scene.spec.sites),
+        qpos_start=scene.qpos_start,
+        num_substeps=scene.num_substeps,
+    )
 
 
 def _adopt_arrays(scene: Scene, batched: set[str], individual: bool) -> None:

@@ -13,6 +13,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.coordinates.step import step_of
 from myowarp.definitions.condition import Condition, Effect
 from myowarp.definitions.condition import Stage as ConditionStage
 from myowarp.definitions.muscle import restore_anatomy
@@ -24,8 +25,8 @@ from myowarp.engine.graph import Graph, replay_nothing
 from myowarp.engine.idle import pruned
 from myowarp.engine.patch import engine_kernels_alone
 from myowarp.engine.repeat import repeat
-from myowarp.engine.stage import STAGES, Stage, same_stages
-from myowarp.engine.step import physics_step
+from myowarp.engine.stage import STAGES, Stage
+from myowarp.engine.step import Step
 from myowarp.engine.turn import TURN, in_turn
 from myowarp.engine.verify import choose_stages
 from myowarp.kernels.action import apply_action
@@ -47,6 +48,7 @@ from myowarp.kernels.episode import (
 from myowarp.kernels.random import seed_worlds
 from myowarp.kernels.reset import place_start, reset_worlds
 from myowarp.kernels.write import write
+from myowarp.sim.build import stepped_of
 
 
 class Part:
@@ -58,7 +60,8 @@ class Part:
         scene: The compiled task.
         program: The task's kernels.
         effects: The conditions' kernels, in the order in which they act.
-        stages: Stages of the physics step that kernels of ours do.
+        physics_step: The physics step.
+        stages: Stages of it that kernels of ours do.
         weights: Weights of the reward terms, shape (num_terms,).
         shown: What conditions show of their state, by name, (num_worlds, ...).
         info: The same after the step, resets included.
@@ -138,17 +141,17 @@ class Part:
     def _choose_kernels(self, names: Iterable[str], progress: bool) -> None:
         """Find out which stages of the physics step are to be ours, and compile all kernels."""
         self.stages, self._idle = choose_stages(
-            self.scene, names, self._launch_all, progress, self.conditions
+            self.physics_step, names, self._launch_all, progress, self.conditions
         )
-        self._launch_physics = physics_step(self.scene, self.stages, self._idle)
+        self._launch_physics = self.physics_step.launches(self.stages, self._idle)
         self._modules = compile_kernels(self._launch_all, self.scene.device, show=progress)
 
     def _take_over(self, like: Part) -> None:
         """Use the kernels and the starts of another part."""
         self.starts, self.start_address = like.starts, like.start_address
         self._modules, self._idle = like._modules, like._idle
-        self.stages = same_stages(self.scene, like.stages)
-        self._launch_physics = physics_step(self.scene, self.stages, self._idle)
+        self.stages = self.physics_step.same(like.stages)
+        self._launch_physics = self.physics_step.launches(self.stages, self._idle)
 
     def _allocate(self, horizon: int) -> None:
         """Allocate every array of the step."""
@@ -170,7 +173,8 @@ class Part:
         self._asked, self._seeded = wp.zeros(n, dtype=bool), False
         self._countdown = wp.zeros(1, dtype=int)
         self._probes: list[Callable[[wp.array | None], None]] = []
-        self._launch_physics = physics_step(scene)
+        self.physics_step: Step = step_of(stepped_of(scene))
+        self._launch_physics = self.physics_step.launches()
 
     def _launch_all(self) -> None:
         """Every launch there is, for the compiler."""

@@ -24,9 +24,9 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.body import POINT_JOINTS
 from myowarp.engine.turn import in_turn
 from myowarp.kernels.reset import masked_copy
-from myowarp.models.couplings import POINT_JOINTS
 from myowarp.sim.muscle_groups import group_of
 
 if TYPE_CHECKING:

@@ -22,13 +22,13 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.definitions.body import BODIES
+from myowarp.coordinates.couplings import couplings, follow
+from myowarp.definitions.body import BODIES, POINT_JOINTS
 from myowarp.definitions.scene import Starts
 from myowarp.definitions.task import TaskSpec
 from myowarp.disk import array_bytes, array_from_bytes, cached, code_digest, model_digest
 from myowarp.engine.compile import quiet
 from myowarp.engine.turn import in_turn
-from myowarp.models.couplings import POINT_JOINTS, couplings, follow
 from myowarp.progress import patient_bar
 from myowarp.sim import palm
 from myowarp.sim.build import compile_scene, oracle_model, source_digest

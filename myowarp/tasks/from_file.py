@@ -14,11 +14,11 @@ from typing import Any, NamedTuple, cast
 import mujoco
 import numpy as np
 
-from myowarp.definitions.body import BODIES, Body
+from myowarp.coordinates.couplings import ask, couplings, exact, follow, settled
+from myowarp.definitions.body import BODIES, POINT_JOINTS, Body
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.task import MOST_SUBSTEPS, TaskSpec, register, split_key
 from myowarp.disk import model_digest
-from myowarp.models.couplings import POINT_JOINTS, ask, couplings, exact, follow, settled
 from myowarp.models.reachability import tip_positions
 from myowarp.sim.build import checked_horizon, full_model
 from myowarp.tasks.extend import Reward, extend
@@ -34,7 +34,7 @@ NUM_POSES = 16  # in which a joint is looked at for moment arms
 NUM_TARGETS = 1024  # points to reach
 STEP_ROUNDING = 1e-6  # of a time step
 KINDS = ("pose", "reach")
-COUPLINGS = "couplings.json"  # beside the model's file; see `myowarp.models.couplings`
+COUPLINGS = "couplings.json"  # beside the model's file; see `myowarp.coordinates.couplings`
 STEPPED = ("EULER", "IMPLICITFAST")  # integrators; others call the muscles more than once in a step
 
 

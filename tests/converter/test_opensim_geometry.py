@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.models.couplings import couplings, follow
+from myowarp.coordinates.couplings import couplings, follow
 from myowarp.opensim.check.frames import kinematics_error
 from myowarp.opensim.compose.convert import Options, convert
 from myowarp.opensim.compose.mjcf import mjcf

@@ -6,9 +6,9 @@ import pytest
 import warp as wp
 from converted import simulation
 
-from myowarp.engine.stages.free_coordinates import FreeCoordinates
-from myowarp.engine.stages.hinge_triples import NEAR, RETURN, triples_of
-from myowarp.models.couplings import Exact, couplings
+from myowarp.coordinates.couplings import Exact, couplings
+from myowarp.coordinates.free_coordinates import FreeCoordinates
+from myowarp.coordinates.hinge_triples import NEAR, RETURN, triples_of
 
 ARM = """
 <mujoco model="arm">
@@ -63,8 +63,8 @@ def simulated(folder, worlds, **settings):
     (folder / "model.xml").write_text(arm(**settings))
     (folder / "couplings.json").write_text(SAID.as_json())
     sim = simulation(folder / "model.xml", worlds)
-    assert isinstance(sim.parts[0].stages[0], FreeCoordinates)
-    assert sim.parts[0].stages[0].triples is not None
+    assert isinstance(sim.parts[0].physics_step, FreeCoordinates)
+    assert sim.parts[0].physics_step.triples is not None
     return sim
 
 

@@ -57,15 +57,8 @@ def stepping(model, num_worlds):
     """Return what a stage needs of a scene."""
     engine = mjw.put_model(model)
     data = mjw.make_data(model, nworld=num_worlds, nconmax=16, njmax=40)
-    spec = SimpleNamespace(sites=("tip",))
-    return SimpleNamespace(
-        oracle=model,
-        model=engine,
-        data=data,
-        spec=spec,
-        device=wp.get_device("cpu"),
-        site_id=lambda name: model.site(name).id,
-    )
+    sites = (model.site("tip").id,)
+    return SimpleNamespace(oracle=model, model=engine, data=data, sites=sites, device=wp.get_device("cpu"))
 
 
 def random_states(model, seed=0):

@@ -9,7 +9,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import ClassVar
 
-import converted
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
@@ -20,13 +19,14 @@ from stepping import step
 from myowarp.definitions.task import TASKS
 from myowarp.engine import stage as stage_module
 from myowarp.engine.said import say_once
-from myowarp.engine.stage import STAGES, Stage, applicable_stages, load, logger
+from myowarp.engine.stage import STAGES, Stage, load
 from myowarp.engine.stages.muscle_path import MusclePath, MusclePaths
 from myowarp.engine.step import ORDER, uncovered
 from myowarp.engine.verify import verified_stages
 from myowarp.opensim.compose.convert import convert
 from myowarp.opensim.compose.mjcf import mjcf
 from myowarp.opensim.read.model import read_model
+from myowarp.sim.build import stepped_of
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import pose_task
 
@@ -78,17 +78,16 @@ def test_all_that_apply_are_used(body, caplog, monkeypatch, tmp_path):
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path))  # no verdict of an earlier run
     with caplog.at_level(logging.WARNING, logger="myowarp"):
         sim = simulation(BODY_TASKS[body])
-    assert kinds(sim.parts[0].stages) == kinds(applicable_stages(sim.scene))
+    assert kinds(sim.parts[0].stages) == kinds(sim.parts[0].physics_step.stages())
     assert sim.parts[0].stages or not sim.scene.muscles.names
     assert not caplog.records
 
 
 @pytest.mark.parametrize("name", STAGES)
-def test_each_applies_somewhere(name, tmp_path):
-    """A stage that no registered task and no converted model can use would be dead code."""
+def test_each_applies_somewhere(name):
+    """A stage that no registered task can use would be dead code."""
     scenes = [simulation(key, 1, stages=()).scene for key in BODY_TASKS.values()]
-    scenes.append(converted.simulation(converted.motorised(tmp_path, "leg6dof9musc")[1], 1, stages=()).scene)
-    obstacles = {load(name).obstacle(scene) for scene in scenes}
+    obstacles = {load(name).obstacle(stepped_of(scene)) for scene in scenes}
     assert None in obstacles
 
 
@@ -120,7 +119,8 @@ def test_steps_are_those_of_the_engine(key):
 def test_a_wrong_stage_is_left_out(wrong, caplog):
     sim = simulation("myoElbowPose1D6MRandom-v0", stages=())
     with caplog.at_level(logging.WARNING, logger="myowarp"):
-        assert verified_stages(sim.scene, (wrong(sim.scene),)) == ()
+        step = sim.parts[0].physics_step
+        assert verified_stages(step, (wrong(step.stepped),)) == ()
     assert f"{wrong.__name__} is left to mujoco-warp" in caplog.text
 
 
@@ -128,11 +128,12 @@ def test_a_wrong_stage_is_left_out(wrong, caplog):
 def test_a_stage_that_computes_nothing_is_left_out(num_worlds, monkeypatch, caplog):
     """Not even where the arrays still hold what the stock step wrote for the same states."""
     sim = simulation("myoElbowPose1D6MRandom-v0", num_worlds, stages=())
-    stages = applicable_stages(sim.scene, ["muscle_path"])
-    assert verified_stages(sim.scene, stages) == stages
+    step = sim.parts[0].physics_step
+    stages = step.stages(["muscle_path"])
+    assert verified_stages(step, stages) == stages
     monkeypatch.setattr(MusclePaths, "launch", lambda self: None)
     with caplog.at_level(logging.WARNING, logger="myowarp"):
-        assert verified_stages(sim.scene, stages) == ()
+        assert verified_stages(step, stages) == ()
     assert "MusclePath is left to mujoco-warp" in caplog.text
 
 
@@ -142,19 +143,20 @@ def test_stiff_equalities_are_no_reason(tmp_path, monkeypatch, caplog):
     path = tmp_path / "model.xml"
     path.write_text(mjcf(convert(read_model(OSIM / "gait10dof18musc.osim")).spec))
     sim = Simulation(pose_task(path), 4, device="cpu", graph=False, progress=False, stages=())
-    stages = applicable_stages(sim.scene)
+    step = sim.parts[0].physics_step
+    stages = step.stages()
     assert len(stages) > 2
     with caplog.at_level(logging.WARNING, logger="myowarp"):
-        assert verified_stages(sim.scene, stages) == stages
+        assert verified_stages(step, stages) == stages
         assert not caplog.records
-        assert verified_stages(sim.scene, (Brake(sim.scene),)) == ()
+        assert verified_stages(step, (Brake(step.stepped),)) == ()
     monkeypatch.setattr("myowarp.engine.verify.ROUNDINGS", 0)
-    assert verified_stages(sim.scene, stages) != stages
+    assert verified_stages(step, stages) != stages
 
 
 def test_none_on_request():
     sim = simulation(BODY_TASKS["elbow"], 1, stages=())
-    assert applicable_stages(sim.scene)
+    assert sim.parts[0].physics_step.stages()
     assert sim.parts[0].stages == ()
 
 
@@ -208,12 +210,12 @@ def test_what_the_list_of_stages_does_not_cover(inside, options, reason):
             assert uncovered(scene) == "the user has sensors"
 
 
-ENGINE = Path(stage_module.__file__).parent
+STAGE_FILES = sorted((Path(stage_module.__file__).parent / "stages").glob("*.py"))
 
 
 def private_names():
-    """Return (file, module, name) of all that our stages and patches import from inside the engine."""
-    for path in sorted(ENGINE.rglob("*.py")):
+    """Return (file, module, name) of all that our stages import from inside the engine."""
+    for path in STAGE_FILES:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("mujoco_warp._src"):
                 yield from ((path, node.module, alias.name) for alias in node.names)
@@ -242,7 +244,7 @@ def test_a_private_name_that_is_gone(path, module, name, monkeypatch, caplog):
     load.cache_clear()
     say_once.cache_clear()
     try:
-        with caplog.at_level(logging.WARNING, logger=logger.name):
+        with caplog.at_level(logging.WARNING, logger="myowarp"):
             left = [stage for stage in STAGES if load(stage) is None]
             assert left == [stage for stage in STAGES if load(stage) is None]
         assert left

@@ -8,10 +8,11 @@ import pytest
 
 from myowarp.definitions.task import TASKS
 from myowarp.engine.idle import idle_kernels
+from myowarp.engine.step import Step
 from myowarp.engine.verify import Verdict
 from myowarp.engine.verify import _cached_verdict as cached_verdict
 from myowarp.models.conditions import Sarcopenia
-from myowarp.sim.build import compile_scene
+from myowarp.sim.build import compile_scene, stepped_of
 from myowarp.tasks.outside import load
 
 KEY = "myoElbowPose1D6MRandom-v0"
@@ -19,10 +20,10 @@ KEY = "myoElbowPose1D6MRandom-v0"
 
 @pytest.fixture
 def counted(tmp_path, monkeypatch):
-    """Return a scene, a verdict about it, and a function that counts how often it was asked for."""
+    """Return a step, a verdict about it, and a function that counts how often it was asked for."""
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path))
-    scene = compile_scene(TASKS[KEY], 1, device="cpu")
-    verdict = Verdict(idle_kernels(scene.oracle), frozenset())
+    step = Step(stepped_of(compile_scene(TASKS[KEY], 1, device="cpu")))
+    verdict = Verdict(idle_kernels(step.stepped.oracle), frozenset())
     assert verdict.idle
     calls = []
 
@@ -30,13 +31,13 @@ def counted(tmp_path, monkeypatch):
         calls.append(1)
         return verdict
 
-    return scene, verdict, verify, calls
+    return step, verdict, verify, calls
 
 
 def test_verified_once(counted):
-    scene, verdict, verify, calls = counted
-    assert cached_verdict(scene, (), verify) == verdict
-    assert cached_verdict(scene, (), verify) == verdict
+    step, verdict, verify, calls = counted
+    assert cached_verdict(step, (), verify) == verdict
+    assert cached_verdict(step, (), verify) == verdict
     assert len(calls) == 1
 
 
@@ -53,34 +54,34 @@ def test_verified_once(counted):
     ],
 )
 def test_a_damaged_entry_is_verified_again(counted, tmp_path, entry):
-    scene, verdict, verify, calls = counted
-    cached_verdict(scene, (), verify)
+    step, verdict, verify, calls = counted
+    cached_verdict(step, (), verify)
     (path,) = (file for file in tmp_path.glob("*.cache") if b'"stages"' in file.read_bytes())
     written = path.read_bytes()
     path.write_bytes(hashlib.sha256(entry.encode()).digest() + entry.encode())  # what an older version kept
-    assert cached_verdict(scene, (), verify) == verdict
+    assert cached_verdict(step, (), verify) == verdict
     assert len(calls) == 2
     assert path.read_bytes() == written
 
 
 def test_another_model_is_another_verdict(counted):
-    scene, _, verify, calls = counted
-    cached_verdict(scene, (), verify)
-    scene.oracle.opt.timestep *= 2
-    cached_verdict(scene, (), verify)
+    step, _, verify, calls = counted
+    cached_verdict(step, (), verify)
+    step.stepped.oracle.opt.timestep *= 2
+    cached_verdict(step, (), verify)
     assert len(calls) == 2
 
 
 def test_an_edited_condition_of_the_users_is_another_verdict(counted, tmp_path):
-    scene, _, verify, calls = counted
+    step, _, verify, calls = counted
     path = tmp_path / "condition.py"
     path.write_text(
         (Path(__file__).parents[1] / "outside" / "condition.py").read_text().split("myowarp.COND")[0]
     )
     fading = load(str(path)).Fading()
     for conditions in ((), (fading,), (fading,), (Sarcopenia(),)):
-        cached_verdict(scene, (), verify, conditions)
+        cached_verdict(step, (), verify, conditions)
     assert len(calls) == 2
     path.write_text(path.read_text().replace("RATE = 2.0", "RATE = 3.0"))
-    cached_verdict(scene, (), verify, (fading,))
+    cached_verdict(step, (), verify, (fading,))
     assert len(calls) == 3

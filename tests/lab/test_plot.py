@@ -6,8 +6,8 @@ import pytest
 
 from myowarp.apps.cli.main import main
 from myowarp.apps.reports import figures
+from myowarp.coordinates.couplings import couplings
 from myowarp.definitions.task import TASKS
-from myowarp.models.couplings import couplings
 from myowarp.sim.build import oracle_model
 
 pytest.importorskip("matplotlib")

@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from myowarp.coordinates.couplings import couplings, follow
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TASKS
 from myowarp.engine.said import say_once
 from myowarp.kernels.action import CENTER, STEEPNESS
-from myowarp.models.couplings import couplings, follow
 from myowarp.models.slim import slim
 from myowarp.opensim.compose.convert import convert
 from myowarp.opensim.compose.mjcf import mjcf

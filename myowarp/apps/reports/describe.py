@@ -17,7 +17,8 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from myowarp.definitions.body import BODIES
+from myowarp.coordinates.couplings import couplings
+from myowarp.definitions.body import BODIES, POINT_JOINTS
 from myowarp.definitions.condition import Condition, Effect, resolve
 from myowarp.definitions.entries import entries, of_joints
 from myowarp.definitions.muscle import MuscleModel
@@ -27,7 +28,6 @@ from myowarp.definitions.task import PHYSICS, RESETS, TASKS, Draw, TaskSpec
 from myowarp.engine.compile import quiet
 from myowarp.kernels.action import EXCITATION, MUSCLE, excitation
 from myowarp.kernels.episode import FAULTS, SUCCESS_RULE
-from myowarp.models.couplings import POINT_JOINTS, couplings
 from myowarp.sim.build import actuator_kinds, compile_scene, num_substeps_of
 from myowarp.sim.muscle_groups import group_of
 from myowarp.sim.part import bind_conditions

@@ -14,9 +14,10 @@ import warp as wp
 
 from myowarp.apps.reports import panel
 from myowarp.apps.reports.table import read_numbers
+from myowarp.coordinates.couplings import couplings, follow
+from myowarp.definitions.body import POINT_JOINTS
 from myowarp.definitions.parameter import muscle_index
 from myowarp.definitions.registry import check_choice
-from myowarp.models.couplings import POINT_JOINTS, couplings, follow
 from myowarp.models.muscles.mujoco import MujocoMuscle, length_scale
 from myowarp.sim.signals import UNITS
 

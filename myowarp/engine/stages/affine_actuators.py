@@ -93,31 +93,33 @@ class AffineActuators(Stage):
 
     REPLACES = ("actuation",)
     OBSTACLES: ClassVar = {
-        "there is no actuator": lambda scene: scene.model.nu == 0,
-        "actuators have states": lambda scene: scene.model.na > 0,
-        "a gain is not a constant": lambda scene: any_of(
-            scene.model.actuator_gaintype.numpy() != GainType.FIXED
+        "there is no actuator": lambda stepped: stepped.model.nu == 0,
+        "actuators have states": lambda stepped: stepped.model.na > 0,
+        "a gain is not a constant": lambda stepped: any_of(
+            stepped.model.actuator_gaintype.numpy() != GainType.FIXED
         ),
-        "a bias is not affine": lambda scene: (
-            not np.isin(scene.model.actuator_biastype.numpy(), (BiasType.NONE, BiasType.AFFINE)).all()
+        "a bias is not affine": lambda stepped: (
+            not np.isin(stepped.model.actuator_biastype.numpy(), (BiasType.NONE, BiasType.AFFINE)).all()
         ),
-        "a bias that is off has parameters": lambda scene: any_of(
-            scene.model.actuator_biasprm.numpy()[:, scene.model.actuator_biastype.numpy() == BiasType.NONE]
+        "a bias that is off has parameters": lambda stepped: any_of(
+            stepped.model.actuator_biasprm.numpy()[
+                :, stepped.model.actuator_biastype.numpy() == BiasType.NONE
+            ]
         ),
-        "an actuator drives neither tendon nor hinge nor slide": lambda scene: (
-            not _drives_scalars(scene.model)
+        "an actuator drives neither tendon nor hinge nor slide": lambda stepped: (
+            not _drives_scalars(stepped.model)
         ),
-        "controls are delayed": lambda scene: scene.model.nhistory > 0,
-        "forces are limited at tendons or joints": lambda scene: any_of(
-            scene.model.tendon_actfrclimited, scene.model.jnt_actfrclimited
+        "controls are delayed": lambda stepped: stepped.model.nhistory > 0,
+        "forces are limited at tendons or joints": lambda stepped: any_of(
+            stepped.model.tendon_actfrclimited, stepped.model.jnt_actfrclimited
         ),
-        "actuators compensate gravity": lambda scene: any_of(scene.model.jnt_actgravcomp),
-        "actuation is off": lambda scene: bool(scene.model.opt.disableflags & DisableBit.ACTUATION),
-        "the user has actuators": lambda scene: any(
+        "actuators compensate gravity": lambda stepped: any_of(stepped.model.jnt_actgravcomp),
+        "actuation is off": lambda stepped: bool(stepped.model.opt.disableflags & DisableBit.ACTUATION),
+        "the user has actuators": lambda stepped: any(
             (
-                scene.model.callback.act_dyn,
-                scene.model.callback.act_gain,
-                scene.model.callback.act_bias,
+                stepped.model.callback.act_dyn,
+                stepped.model.callback.act_gain,
+                stepped.model.callback.act_bias,
             )
         ),
     }

@@ -6,13 +6,13 @@ import mujoco_warp as mjw
 import warp as wp
 from mujoco_warp import DeterminismType, DisableBit
 
-from myowarp.definitions.scene import Scene
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import ConstraintRows as Rows
 from myowarp.engine.stages.arrays import ContactPool, any_of, filled
 from myowarp.engine.stages.contact_rows import KinematicTree, RowOptions, write_contact_rows
 from myowarp.engine.stages.joint_rows import JointConstraints, JointState, write_joint_rows
 from myowarp.engine.stages.row_places import RowPlaces
+from myowarp.engine.stepped import Stepped
 from myowarp.kernels.batching import num_threads
 from myowarp.kernels.launch import launch
 
@@ -24,28 +24,30 @@ class ConstraintRows(Stage):
 
     REPLACES = ("make_constraint",)
     OBSTACLES: ClassVar = {
-        "rows of a kind are off": lambda scene: bool(scene.model.opt.disableflags & KINDS),
-        "the friction cone is not pyramidal": lambda scene: scene.model.opt.cone != mjw.ConeType.PYRAMIDAL,
-        "rows are sorted": lambda scene: bool(scene.model.opt.deterministic & DeterminismType.CONSTRAINT),
-        "there are flexes, adhesion or moving surfaces": lambda scene: bool(
-            scene.model.nflex or scene.model.flg_adhesion or scene.model.flg_surfacevel
+        "rows of a kind are off": lambda stepped: bool(stepped.model.opt.disableflags & KINDS),
+        "the friction cone is not pyramidal": lambda stepped: (
+            stepped.model.opt.cone != mjw.ConeType.PYRAMIDAL
         ),
-        "an equality is not of joints": lambda scene: any(
+        "rows are sorted": lambda stepped: bool(stepped.model.opt.deterministic & DeterminismType.CONSTRAINT),
+        "there are flexes, adhesion or moving surfaces": lambda stepped: bool(
+            stepped.model.nflex or stepped.model.flg_adhesion or stepped.model.flg_surfacevel
+        ),
+        "an equality is not of joints": lambda stepped: any(
             address.size
             for address in (
-                scene.model.eq_connect_adr,
-                scene.model.eq_wld_adr,
-                scene.model.eq_ten_adr,
+                stepped.model.eq_connect_adr,
+                stepped.model.eq_wld_adr,
+                stepped.model.eq_ten_adr,
             )
         ),
-        "a ball joint is limited": lambda scene: scene.model.jnt_limited_ball_adr.size > 0,
-        "tendons have friction": lambda scene: any_of(scene.model.tendon_frictionloss.numpy() > 0),
+        "a ball joint is limited": lambda stepped: stepped.model.jnt_limited_ball_adr.size > 0,
+        "tendons have friction": lambda stepped: any_of(stepped.model.tendon_frictionloss.numpy() > 0),
     }
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, stepped: Stepped) -> None:
         """Allocate the number of entries of each world's J."""
-        super().__init__(scene)
-        self.efc_nnz = wp.zeros(scene.data.nworld, dtype=int, device=scene.device)
+        super().__init__(stepped)
+        self.efc_nnz = wp.zeros(stepped.data.nworld, dtype=int, device=stepped.device)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Write the rows of joints and tendons, give those of contacts their places, then write these."""

@@ -9,7 +9,6 @@ from mujoco_warp import BroadphaseType, DeterminismType, DisableBit, GeomType
 from mujoco_warp._src.collision_core import create_collision_context
 from mujoco_warp._src.collision_driver import MJ_COLLISION_TABLE, CollisionType, convex_narrowphase
 
-from myowarp.definitions.scene import Scene
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import ContactPool, filled
 from myowarp.engine.stages.contact_search_kernel import (
@@ -20,6 +19,7 @@ from myowarp.engine.stages.contact_search_kernel import (
     find_contacts,
 )
 from myowarp.engine.stages.primitive_contacts import CLOSED_FORMS, touch_kernel
+from myowarp.engine.stepped import Stepped
 from myowarp.kernels.batching import num_threads
 from myowarp.kernels.launch import launch
 from myowarp.models.slim import colliding_pairs
@@ -27,10 +27,10 @@ from myowarp.models.slim import colliding_pairs
 Kind = tuple[GeomType, GeomType]
 
 
-def _kinds(scene: Scene) -> set[Kind]:
+def _kinds(stepped: Stepped) -> set[Kind]:
     """Return the kinds of pairs that can touch."""
-    types = scene.oracle.geom_type
-    pairs = (sorted((types[first], types[second])) for first, second in colliding_pairs(scene.oracle))
+    types = stepped.oracle.geom_type
+    pairs = (sorted((types[first], types[second])) for first, second in colliding_pairs(stepped.oracle))
     return {(GeomType(first), GeomType(second)) for first, second in pairs}
 
 
@@ -41,32 +41,34 @@ class ContactSearch(Stage):
     TOLERANCE = 1e-2  # the engine's own normals of deep contacts are off by as much
     ON_CUDA = True
     OBSTACLES: ClassVar = {
-        "no sphere, capsule or ellipsoid can touch another": lambda scene: _kinds(scene).isdisjoint(OURS),
-        "the engine does not compare all pairs": lambda scene: (
-            scene.model.opt.broadphase != BroadphaseType.NXN
+        "no sphere, capsule or ellipsoid can touch another": lambda stepped: _kinds(stepped).isdisjoint(OURS),
+        "the engine does not compare all pairs": lambda stepped: (
+            stepped.model.opt.broadphase != BroadphaseType.NXN
         ),
-        "contacts are sorted": lambda scene: bool(scene.model.opt.deterministic & DeterminismType.CONTACTS),
-        "meshes differ between worlds": lambda scene: scene.model.geom_dataid.shape[0] > 1,
-        "there are distance fields or moving surfaces": lambda scene: bool(
-            scene.model.has_sdf_geom or scene.model.flg_surfacevel
+        "contacts are sorted": lambda stepped: bool(
+            stepped.model.opt.deterministic & DeterminismType.CONTACTS
         ),
-        "the user filters contacts": lambda scene: scene.model.callback.contactfilter is not None,
+        "meshes differ between worlds": lambda stepped: stepped.model.geom_dataid.shape[0] > 1,
+        "there are distance fields or moving surfaces": lambda stepped: bool(
+            stepped.model.has_sdf_geom or stepped.model.flg_surfacevel
+        ),
+        "the user filters contacts": lambda stepped: stepped.model.callback.contactfilter is not None,
     }
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, stepped: Stepped) -> None:
         """Sort the kinds of pairs that are left by who finds their contacts."""
-        super().__init__(scene)
+        super().__init__(stepped)
         table = dict(MJ_COLLISION_TABLE)
-        if scene.model.opt.disableflags & DisableBit.NATIVECCD:
+        if stepped.model.opt.disableflags & DisableBit.NATIVECCD:
             table[GeomType.BOX, GeomType.BOX] = CollisionType.PRIMITIVE
-        others = _kinds(scene) - set(OURS)
+        others = _kinds(stepped) - set(OURS)
         left = [kind for kind in table if kind in others]
         primitive = [kind for kind in left if table[kind] == CollisionType.PRIMITIVE]
         self._convex = [kind for kind in left if table[kind] == CollisionType.CONVEX]
         self._closed = [kind for kind in primitive if kind in CLOSED_FORMS]
         self._primitive = [kind for kind in primitive if kind not in CLOSED_FORMS]
-        with wp.ScopedDevice(scene.device):
-            self._context = create_collision_context(scene.data.naconmax)
+        with wp.ScopedDevice(stepped.device):
+            self._context = create_collision_context(stepped.data.naconmax)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Find the contacts of all worlds, as `mujoco_warp.collision` does."""

@@ -7,7 +7,7 @@ typedef float loose_lanes __attribute__((ext_vector_type(8), aligned(4)));
 typedef float loose_half __attribute__((ext_vector_type(4), aligned(4)));
 typedef double wide __attribute__((ext_vector_type(8)));
 typedef bool bits __attribute__((ext_vector_type(8)));
-constexpr int BLOCKS = WIDTH / 8;
+constexpr int BLOCKS = WIDTH / 8, WORDS = (BLOCKS + 7) / 8;
 const lanes lane_number = {0, 1, 2, 3, 4, 5, 6, 7};
 constexpr float INF = 3.4e38f, TINY = 1e-15f;
 enum { SATISFIED, QUADRATIC, LINEARNEG, LINEARPOS };  // mjtConstraintState
@@ -29,19 +29,19 @@ auto add = [](lanes* to, float factor, const lanes* from, int blocks = BLOCKS) {
     for (int k = 0; k < blocks; ++k)
         to[k] += factor * from[k];
 };
-// The columns below `end` in which a row is not zero, as bits.
-auto nonzeros = [](const lanes* row, int end) {
-    unsigned long long columns = 0;
-    for (int k = 0; k < BLOCKS; ++k) {
-        const auto found = __builtin_convertvector(row[k] != 0.0f, bits);
-        columns |= (unsigned long long)__builtin_bit_cast(unsigned char, found) << 8 * k;
+// Give `use` each column below `end` in which a row is not zero; a bit for each, in words of 64.
+auto for_nonzeros = [](const lanes* row, int end, auto use) {
+    for (int word = 0; word < WORDS; ++word) {
+        unsigned long long columns = 0;
+        for (int k = 0; k < 8 && 8 * word + k < BLOCKS; ++k) {
+            const auto found = __builtin_convertvector(row[8 * word + k] != 0.0f, bits);
+            columns |= (unsigned long long)__builtin_bit_cast(unsigned char, found) << 8 * k;
+        }
+        const int left = wp::max(end - 64 * word, 0);
+        columns &= left < 64 ? (1ull << left) - 1 : ~0ull;
+        for (; columns; columns &= columns - 1)
+            use(64 * word + __builtin_ctzll(columns));
     }
-    return columns & ((1ull << end) - 1);
-};
-auto take_first = [](unsigned long long& columns) {
-    const int first = __builtin_ctzll(columns);
-    columns &= columns - 1;
-    return first;
 };
 auto blocks_up_to = [](int column) { return column / 8 + 1; };
 
@@ -129,10 +129,7 @@ auto copy = [](lanes (*to)[BLOCKS], lanes (*from)[BLOCKS]) {
             to[i][k] = from[i][k];
 };
 auto add_row_to_H = [&](int i, float weight) {
-    for (auto columns = nonzeros(J[i], n); columns;) {
-        const int c = take_first(columns);
-        add(H[c], weight * at(J[i], c), J[i], blocks_up_to(c));
-    }
+    for_nonzeros(J[i], n, [&](int c) { add(H[c], weight * at(J[i], c), J[i], blocks_up_to(c)); });
 };
 // H = L' P L with unit lower L and pivots P, last row first: zeros of the kinematic tree stay zero.
 auto factorize = [&]() __attribute__((noinline)) {
@@ -140,10 +137,7 @@ auto factorize = [&]() __attribute__((noinline)) {
     for (int k = n - 1; k >= 0; --k) {
         const float inverse = 1.0f / wp::max(TINY, at(L[k], k));
         L[k][k / 8] = lane_number < (float)(k % 8) ? L[k][k / 8] : (lanes)0.0f;
-        for (auto columns = nonzeros(L[k], k); columns;) {
-            const int c = take_first(columns);
-            add(L[c], -inverse * at(L[k], c), L[k], blocks_up_to(c));
-        }
+        for_nonzeros(L[k], k, [&](int c) { add(L[c], -inverse * at(L[k], c), L[k], blocks_up_to(c)); });
         for (int b = 0; b < blocks_up_to(k); ++b)
             L[k][b] *= inverse;
         at(inverse_pivot, k) = inverse;

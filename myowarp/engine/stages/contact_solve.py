@@ -16,7 +16,7 @@ import mujoco_warp as mjw
 import warp as wp
 from mujoco_warp import DisableBit, OverflowType
 
-from myowarp.engine.stage import Stage
+from myowarp.engine.stage import MAX_STACK, Stage
 from myowarp.engine.stages.arrays import ConstraintRows, InertiaRows, filled
 from myowarp.kernels.launch import launch
 
@@ -142,8 +142,15 @@ def sum_forces(
         qfrc_smooth_out[worldid, dof] = force
 
 
-MAX_DOFS = 40
-MAX_ROWS = 512  # with MAX_DOFS 100 KB of stack
+def width_of(num_dofs: int) -> int:
+    """Return a number of degrees of freedom in whole vectors."""
+    return -(-num_dofs // VECTOR) * VECTOR
+
+
+def stack_of(num_dofs: int, num_rows: int) -> int:
+    """Return the bytes of stack that a world takes: three matrices, J, and eight vectors of its rows."""
+    width = width_of(num_dofs)
+    return 4 * (3 * width * width + num_rows * (width + 8))
 
 
 class ContactSolve(Stage):
@@ -154,13 +161,17 @@ class ContactSolve(Stage):
 
     REPLACES = ("acceleration", "solve")
     OBSTACLES: ClassVar = {
-        "the solver is not Newton's": lambda scene: scene.model.opt.solver != mjw.SolverType.NEWTON,
-        "the friction cone is not pyramidal": lambda scene: scene.model.opt.cone != mjw.ConeType.PYRAMIDAL,
-        "noslip iterations are on": lambda scene: scene.model.opt.noslip_iterations > 0,
-        "warm starts are off": lambda scene: bool(scene.model.opt.disableflags & DisableBit.WARMSTART),
-        "the solver makes no iterations": lambda scene: scene.model.opt.iterations < 1,
-        f"degrees of freedom are not 1 to {MAX_DOFS}": lambda scene: not 0 < scene.model.nv <= MAX_DOFS,
-        f"constraint rows are not 1 to {MAX_ROWS}": lambda scene: not 0 < scene.data.njmax <= MAX_ROWS,
+        "the solver is not Newton's": lambda stepped: stepped.model.opt.solver != mjw.SolverType.NEWTON,
+        "the friction cone is not pyramidal": lambda stepped: (
+            stepped.model.opt.cone != mjw.ConeType.PYRAMIDAL
+        ),
+        "noslip iterations are on": lambda stepped: stepped.model.opt.noslip_iterations > 0,
+        "warm starts are off": lambda stepped: bool(stepped.model.opt.disableflags & DisableBit.WARMSTART),
+        "the solver makes no iterations": lambda stepped: stepped.model.opt.iterations < 1,
+        "nothing moves, or no row has a place": lambda stepped: not (stepped.model.nv and stepped.data.njmax),
+        "matrices and rows are more than a thread's stack holds": lambda stepped: (
+            stack_of(stepped.model.nv, stepped.data.njmax) > MAX_STACK
+        ),
     }
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
@@ -174,7 +185,7 @@ def launch_solve(model: mjw.Model, data: mjw.Data) -> None:
     result = SolverResult()
     result.niter, result.overflow = data.solver_niter, data.overflow
     result.force, result.state, result.Ma = data.efc.force, data.efc.state, data.efc.Ma
-    solve_constraints = solver_kernel(-(-model.nv // VECTOR) * VECTOR)
+    solve_constraints = solver_kernel(width_of(model.nv))
     launch(
         solve_constraints,
         data.nworld,

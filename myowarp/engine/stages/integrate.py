@@ -19,15 +19,14 @@ from mujoco_warp._src.forward import _advance, implicit_free_body
 from mujoco_warp._src.math import quat_integrate
 from mujoco_warp._src.types import vec10
 
-from myowarp.definitions.scene import Scene
-from myowarp.engine.stage import Stage
+from myowarp.engine.stage import MAX_STACK, Stage
 from myowarp.engine.stages.arrays import InertiaRows, any_of, filled
+from myowarp.engine.stepped import Stepped
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
 
-MAX_DOFS, MAX_ENTRIES = 512, 8192  # 36 KB of stack
 SOURCE = f"""
-constexpr int AFFINE = {int(BiasType.AFFINE)}, MAX_DOFS = {MAX_DOFS}, MAX_ENTRIES = {MAX_ENTRIES};
+constexpr int AFFINE = {int(BiasType.AFFINE)};
 {Path(__file__).with_name("integrate.cpp").read_text()}"""
 
 NEFC_OVERFLOW = wp.constant(int(OverflowType.NEFC))
@@ -200,14 +199,14 @@ def integrate(
         state.overflow[worldid] = state.overflow[worldid] | overflow_bits(usage, worldid)
 
 
-def _is_implicit(scene: Scene) -> bool:
-    return bool(scene.model.opt.integrator == IntegratorType.IMPLICITFAST)
+def _is_implicit(stepped: Stepped) -> bool:
+    return bool(stepped.model.opt.integrator == IntegratorType.IMPLICITFAST)
 
 
-def _has_explicit_forces(scene: Scene) -> bool:
+def _has_explicit_forces(stepped: Stepped) -> bool:
     """Whether damping, or what `implicitfast` takes in of actuators, is switched off."""
-    off = DisableBit.DAMPER | (DisableBit.ACTUATION if _is_implicit(scene) else DisableBit.EULERDAMP)
-    return bool(scene.model.opt.disableflags & off)
+    off = DisableBit.DAMPER | (DisableBit.ACTUATION if _is_implicit(stepped) else DisableBit.EULERDAMP)
+    return bool(stepped.model.opt.disableflags & off)
 
 
 def _rows_begin_alike(model: mjw.Model) -> bool:
@@ -217,9 +216,9 @@ def _rows_begin_alike(model: mjw.Model) -> bool:
     return all(rows[dof] == row[: i + 1] for row in rows for i, dof in enumerate(row))
 
 
-def _where_implicit(holds: Callable[[mjw.Model], bool]) -> Callable[[Scene], bool]:
+def _where_implicit(holds: Callable[[mjw.Model], bool]) -> Callable[[Stepped], bool]:
     """Return a condition on models that counts where forces are integrated implicitly."""
-    return lambda scene: _is_implicit(scene) and holds(scene.model)
+    return lambda stepped: _is_implicit(stepped) and holds(stepped.model)
 
 
 VELOCITY_GAINS = (GainType.AFFINE, GainType.MUSCLE, GainType.DCMOTOR)
@@ -250,29 +249,29 @@ class Integrate(Stage):
 
     REPLACES = ("integrate",)
     OBSTACLES: ClassVar = {
-        "the integrator is neither Euler nor implicitfast": lambda scene: (
-            scene.model.opt.integrator not in (IntegratorType.EULER, IntegratorType.IMPLICITFAST)
+        "the integrator is neither Euler nor implicitfast": lambda stepped: (
+            stepped.model.opt.integrator not in (IntegratorType.EULER, IntegratorType.IMPLICITFAST)
         ),
-        f"degrees of freedom are not 1 to {MAX_DOFS}": lambda scene: not 0 < scene.model.nv <= MAX_DOFS,
-        f"the inertia matrix has more than {MAX_ENTRIES} entries": lambda scene: (
-            scene.data.M.shape[1] > MAX_ENTRIES
+        "nothing moves": lambda stepped: stepped.model.nv == 0,
+        "the inertia matrix is more than a thread's stack holds": lambda stepped: (
+            4 * (stepped.data.M.shape[1] + 2 * stepped.model.nv) > MAX_STACK
         ),
-        "a row of the inertia matrix does not begin with the rows above it": lambda scene: (
-            not _rows_begin_alike(scene.model)
+        "a row of the inertia matrix does not begin with the rows above it": lambda stepped: (
+            not _rows_begin_alike(stepped.model)
         ),
         "forces are integrated explicitly": _has_explicit_forces,
-        "actuators damp joints or tendons": lambda scene: any_of(
-            scene.model.actuator_damping, scene.model.actuator_dampingpoly
+        "actuators damp joints or tendons": lambda stepped: any_of(
+            stepped.model.actuator_damping, stepped.model.actuator_dampingpoly
         ),
-        "there are plastic springs": lambda scene: bool(scene.model.nplastic),
-        "overflows are to be printed": lambda scene: bool(scene.model.opt.warn_overflow),
+        "there are plastic springs": lambda stepped: bool(stepped.model.nplastic),
+        "overflows are to be printed": lambda stepped: bool(stepped.model.opt.warn_overflow),
         **UNKNOWN_SLOPES,
     }
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, stepped: Stepped) -> None:
         """Allocate the accelerations; `Data.qacc` stays the solver's."""
-        super().__init__(scene)
-        self.acceleration = wp.zeros_like(scene.data.qvel)
+        super().__init__(stepped)
+        self.acceleration = wp.zeros_like(stepped.data.qvel)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """End the step of all worlds, as `mujoco_warp.euler` and `mujoco_warp.implicit` do."""

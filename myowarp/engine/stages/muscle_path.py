@@ -8,7 +8,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.definitions.scene import Scene
+from myowarp.definitions.body import POINT_JOINTS
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import any_of, filled
 from myowarp.engine.stages.muscle_path_kernel import (
@@ -21,9 +21,9 @@ from myowarp.engine.stages.muscle_path_kernel import (
     muscle_path,
 )
 from myowarp.engine.stages.wrap import CYLINDER, SPHERE, STRAIGHT
+from myowarp.engine.stepped import Stepped
 from myowarp.kernels.batching import num_threads
 from myowarp.kernels.launch import launch
-from myowarp.models.couplings import POINT_JOINTS
 
 _WRAP = mujoco.mjtWrap
 _KINDS = {_WRAP.mjWRAP_SPHERE.value: int(SPHERE), _WRAP.mjWRAP_CYLINDER.value: int(CYLINDER)}
@@ -32,23 +32,23 @@ _TENDON = mujoco.mjtTrn.mjTRN_TENDON.value
 _JOINT = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
 
 
-def _drives_others(scene: Scene) -> bool:
+def _drives_others(stepped: Stepped) -> bool:
     """Whether an actuator is neither on a tendon nor on a joint."""
-    on_joint = np.isin(scene.oracle.actuator_trntype, _JOINT)
-    return not np.all(on_joint | (scene.oracle.actuator_trntype == _TENDON))
+    on_joint = np.isin(stepped.oracle.actuator_trntype, _JOINT)
+    return not np.all(on_joint | (stepped.oracle.actuator_trntype == _TENDON))
 
 
-def _drives_quaternions(scene: Scene) -> bool:
+def _drives_quaternions(stepped: Stepped) -> bool:
     """Whether an actuator is on a ball or free joint."""
-    model = scene.oracle
+    model = stepped.oracle
     on_joint = np.isin(model.actuator_trntype, _JOINT)
     return not np.all(np.isin(model.jnt_type[model.actuator_trnid[on_joint, 0]], POINT_JOINTS))
 
 
 PATH_OBSTACLES = {
-    "no tendons": lambda scene: not scene.oracle.ntendon,
-    "a tendon that is a sum of joint angles": lambda scene: bool(
-        np.any(scene.oracle.wrap_type == _WRAP.mjWRAP_JOINT)
+    "no tendons": lambda stepped: not stepped.oracle.ntendon,
+    "a tendon that is a sum of joint angles": lambda stepped: bool(
+        np.any(stepped.oracle.wrap_type == _WRAP.mjWRAP_JOINT)
     ),
     "an actuator that is neither on a tendon nor on a joint": _drives_others,
     "an actuator on a ball or free joint": _drives_quaternions,
@@ -175,8 +175,8 @@ class MusclePaths:
         launch(muscle_path, (self._num_worlds, self._threads), self, threads=self._threads)
 
 
-def _has_site_equality(scene: Scene) -> bool:
-    return bool(np.any(scene.oracle.eq_objtype == mujoco.mjtObj.mjOBJ_SITE))
+def _has_site_equality(stepped: Stepped) -> bool:
+    return bool(np.any(stepped.oracle.eq_objtype == mujoco.mjtObj.mjOBJ_SITE))
 
 
 class MusclePath(Stage):
@@ -190,13 +190,13 @@ class MusclePath(Stage):
     ON_CUDA = True
     OBSTACLES: ClassVar = {"an equality between sites": _has_site_equality, **PATH_OBSTACLES}
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, stepped: Stepped) -> None:
         """Write the program of the paths."""
-        super().__init__(scene)
-        if any_of(scene.model.tendon_damping, scene.model.tendon_dampingpoly):
+        super().__init__(stepped)
+        if any_of(stepped.model.tendon_damping, stepped.model.tendon_dampingpoly):
             self.replaces = ("tendon", "transmission")  # damping needs the tendons' own velocities
-        with wp.ScopedDevice(scene.device):
-            self._paths = MusclePaths(scene.oracle, scene.model, scene.data)
+        with wp.ScopedDevice(stepped.device):
+            self._paths = MusclePaths(stepped.oracle, stepped.model, stepped.data)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Follow all paths."""

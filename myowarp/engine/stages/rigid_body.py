@@ -16,9 +16,9 @@ import warp as wp
 from mujoco_warp import DisableBit, JointType
 from mujoco_warp._src.types import vec10
 
-from myowarp.definitions.scene import Scene
 from myowarp.engine.stage import Launches, Stage
 from myowarp.engine.stages.arrays import any_of, filled
+from myowarp.engine.stepped import Stepped
 from myowarp.kernels.batching import num_threads
 from myowarp.kernels.launch import launch
 
@@ -154,9 +154,9 @@ def move_bodies(
     move_worlds(thread, threads, bodies, switches, sites, mask, qpos_in, qvel_in, pose_out, motion_out)
 
 
-def _springy_quaternions(scene: Scene) -> bool:
+def _springy_quaternions(stepped: Stepped) -> bool:
     """Whether a ball or free joint has a spring."""
-    model = scene.model
+    model = stepped.model
     quaternions = np.isin(model.jnt_type.numpy(), (JointType.FREE, JointType.BALL))
     springs = (model.jnt_stiffness, model.jnt_stiffnesspoly)
     return any_of(*(spring.numpy()[:, quaternions] for spring in springs))
@@ -171,22 +171,24 @@ class RigidBody(Stage):
 
     REPLACES = ("kinematics", "com_pos", "crb", "com_vel", "passive", "rne")
     OBSTACLES: ClassVar = {
-        "nothing moves": lambda scene: scene.model.nv == 0,
+        "nothing moves": lambda stepped: stepped.model.nv == 0,
         "a ball or free joint has a spring": _springy_quaternions,
-        "a joint is plastic": lambda scene: any_of(scene.model.jnt_plasticadr.numpy() >= 0),
-        "actuators have armature or damping": lambda scene: any_of(
-            scene.model.actuator_armature, scene.model.actuator_damping, scene.model.actuator_dampingpoly
+        "a joint is plastic": lambda stepped: any_of(stepped.model.jnt_plasticadr.numpy() >= 0),
+        "actuators have armature or damping": lambda stepped: any_of(
+            stepped.model.actuator_armature,
+            stepped.model.actuator_damping,
+            stepped.model.actuator_dampingpoly,
         ),
     }
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, stepped: Stepped) -> None:
         """Note which sites the task reads, and whether joints are all that passive forces come from."""
-        super().__init__(scene)
-        model, sites = scene.model, [scene.site_id(name) for name in scene.spec.sites]
-        self._task_sites = wp.array(sites, dtype=int, device=scene.device)
-        self._all_sites = wp.array(np.arange(model.nsite), dtype=int, device=scene.device)
-        self._no_sites = wp.zeros(0, dtype=int, device=scene.device)
-        self._every = wp.ones(scene.data.nworld, dtype=bool, device=scene.device)
+        super().__init__(stepped)
+        model = stepped.model
+        self._task_sites = wp.array(stepped.sites, dtype=int, device=stepped.device)
+        self._all_sites = wp.array(np.arange(model.nsite), dtype=int, device=stepped.device)
+        self._no_sites = wp.zeros(0, dtype=int, device=stepped.device)
+        self._every = wp.ones(stepped.data.nworld, dtype=bool, device=stepped.device)
         tendons = (
             model.tendon_stiffness,
             model.tendon_stiffnesspoly,

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from myowarp.models.couplings import regularity
+from myowarp.coordinates.couplings import regularity
 from myowarp.opensim.check.engines import Engine, States
 from myowarp.opensim.check.oracle import opensim_equations, speaks_of_dynamics
 from myowarp.opensim.model.dynamics import equations

@@ -11,16 +11,15 @@ from typing import ClassVar, Protocol
 import mujoco
 import numpy as np
 
+from myowarp.coordinates.couplings import ask, couplings
+from myowarp.coordinates.free_coordinates import FreeCoordinates
+from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES, Body
 from myowarp.definitions.task import Column, RewardTerm, TaskSpec
 from myowarp.disk import model_digest
 from myowarp.engine.compile import compile_kernels, quiet
-from myowarp.engine.stage import applicable_stages
-from myowarp.engine.stages.free_coordinates import FreeCoordinates
-from myowarp.engine.step import physics_step
-from myowarp.models.couplings import ask, couplings
 from myowarp.opensim.model.mapping import CoordinateMap
-from myowarp.sim.build import compile_scene
+from myowarp.sim.build import compile_scene, stepped_of
 
 Array = np.ndarray
 
@@ -132,7 +131,7 @@ class Nothing(TaskSpec):
 
 
 class OurStep:
-    """MyoWarp in float32 on the CPU: joints that follow do so exactly (`engine.stages.free_coordinates`).
+    """MyoWarp in float32 on the CPU: joints that follow do so exactly (`coordinates.free_coordinates`).
 
     Attributes:
         exact: Whether they do; else equalities hold them, and a line was logged.
@@ -170,12 +169,12 @@ class OurStep:
         )
         with quiet():
             self.scene = compile_scene(task, WORLDS, device="cpu")
-            stages = applicable_stages(self.scene, ("free_coordinates",))
-            self.step: Callable[[], None] = physics_step(self.scene, stages)
+            step = step_of(stepped_of(self.scene))
+            self.step: Callable[[], None] = step.launches()
             compile_kernels(self.step, self.scene.device)
         self.joints = Joints(coordinates, self.scene.oracle)
-        self.stage = next((stage for stage in stages if isinstance(stage, FreeCoordinates)), None)
-        self.exact = self.stage is not None or not couplings(self.scene.oracle)
+        self.coordinates = step if isinstance(step, FreeCoordinates) else None
+        self.exact = self.coordinates is not None or not couplings(self.scene.oracle)
         self.gravity = self.scene.model.opt.gravity.numpy().copy()  # on the CPU it is the array itself
 
     def accelerations(self, states: States) -> Array:
@@ -211,8 +210,8 @@ class OurStep:
 
     def _inertia(self, qpos: Array) -> Array:
         """Return the mass matrix of the last step, from qpos (WORLDS, nv); shape (WORLDS, free, free)."""
-        if self.stage is not None:
-            packed = self.stage.inner.data.M.numpy().reshape(WORLDS, -1)
+        if self.coordinates is not None:
+            packed = self.coordinates.free.data.M.numpy().reshape(WORLDS, -1)
             number = self.joints.joint.size
             row, column = np.tril_indices(number)
         else:
@@ -222,14 +221,14 @@ class OurStep:
             packed, column = packed[:, : len(row)], model.M_colind.numpy()[: len(row)]
         M = np.zeros((WORLDS, number, number))
         M[:, row, column] = M[:, column, row] = packed[:, : len(row)]
-        triples = None if self.stage is None else self.stage.triples
+        triples = None if self.coordinates is None else self.coordinates.triples
         if triples is None:
             return M
-        # The step has angular velocities w = A u' of these hinges (`engine.stages.hinge_triples`).
+        # The step has angular velocities w = A u' of these hinges (`coordinates.hinge_triples`).
         A = np.tile(np.eye(number), (WORLDS, 1, 1))
-        for (first, _, third), joint, zero in zip(
-            triples.coordinate.numpy(), triples.joint.numpy(), triples.zero.numpy(), strict=True
+        for (first, _, third), address, zero in zip(
+            triples.coordinate.numpy(), triples.address.numpy(), triples.zero.numpy(), strict=True
         ):
-            tilt = qpos[:, joint[1]] - zero[1]
+            tilt = qpos[:, address[1]] - zero[1]
             A[:, first, third], A[:, third, third] = np.sin(tilt), np.cos(tilt)
         return A.transpose(0, 2, 1) @ M @ A

@@ -12,7 +12,7 @@ import copy
 import mujoco
 import numpy as np
 
-from myowarp.models.couplings import Exact, couplings
+from myowarp.coordinates.couplings import Exact, couplings
 from myowarp.opensim.compose.geometry import positive
 
 LIGHTER = 1e-3

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from myowarp.models.couplings import Exact
+from myowarp.coordinates.couplings import Exact
 from myowarp.opensim.compose.geometry import Build, begin, exact, starts_of, tie
 from myowarp.opensim.compose.meshes import add_shapes
 from myowarp.opensim.compose.passive import add_forces, path_tendon

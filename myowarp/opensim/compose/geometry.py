@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from myowarp.models.couplings import REGULAR, Exact, Pieces, line, regularity
+from myowarp.coordinates.couplings import REGULAR, Exact, Pieces, line, regularity
 from myowarp.opensim.compose.quartics import Quartic, fit_all
 from myowarp.opensim.model.dynamics import equations
 from myowarp.opensim.model.elements import Pose

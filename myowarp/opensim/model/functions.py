@@ -19,7 +19,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from myowarp.models.couplings import Pieces, line
+from myowarp.coordinates.couplings import Pieces, line
 
 Array = np.ndarray
 

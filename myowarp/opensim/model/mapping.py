@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from myowarp.models.couplings import couplings
+from myowarp.coordinates.couplings import couplings
 
 Array = np.ndarray
 

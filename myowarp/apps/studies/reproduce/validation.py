@@ -14,8 +14,8 @@ import numpy as np
 
 from myowarp.apps.reports.result import Merit
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
+from myowarp.coordinates.couplings import follow
 from myowarp.definitions.body import BODIES
-from myowarp.models.couplings import follow
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -18,17 +18,17 @@ from collections.abc import Iterable
 import mujoco
 import numpy as np
 import warp as wp
-from mujoco_warp._src.math import inert_vec
-from mujoco_warp._src.types import ConstraintType, vec10
 
+from myowarp.coordinates.couplings import Coupling
+from myowarp.coordinates.reduction import Followers
+from myowarp.engine.inertia import inert_vec, vec10
 from myowarp.kernels.batching import batched
-from myowarp.models.couplings import Coupling
 
 HINGE = mujoco.mjtJoint.mjJNT_HINGE.value
 RIGHT = 1e-6  # cosine between axes that count as at right angles
 NEAR = wp.constant(0.25)  # cos^2 b, from which on limits of the first and the third angle hold as others do
 RETURN = wp.constant(5.0)  # rad/s
-LIMIT = wp.constant(int(ConstraintType.LIMIT_JOINT))
+LIMIT = wp.constant(mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT.value)
 POLE = wp.constant(1e-6)  # least cos b: nearer to a pole rates stay what they are here
 
 
@@ -38,17 +38,23 @@ class Triples:
 
     Attributes:
         coordinate: Numbers of the three coordinates among the free ones, shape (num_triples, 3).
+        position: Places of their positions among the free ones, shape (num_triples, 3).
         joint: Ids of the three joints, shape (num_triples, 3).
+        dof: Their degrees of freedom, shape (num_triples, 3).
+        address: Of their angles in qpos, shape (num_triples, 3).
         zero: Angles at which the third axis is normal to the others, shape (num_triples, 3).
         middle: Of the range of each angle, shape (num_triples, 3).
         limited: 1 where that range limits the first or the third angle to less than a turn, else 0.
-        entry: Number in M of each entry in a row or column of these joints, shape (num_entries,).
+        entry: Number in M of each entry in a row or column of these dofs, shape (num_entries,).
         row: Of each such entry, shape (num_entries,).
         column: Of each such entry, shape (num_entries,).
     """
 
     coordinate: wp.array2d[int]
+    position: wp.array2d[int]
     joint: wp.array2d[int]
+    dof: wp.array2d[int]
+    address: wp.array2d[int]
     zero: wp.array2d[float]
     middle: wp.array2d[float]
     limited: wp.array2d[float]
@@ -140,7 +146,7 @@ def straighten_speeds(
     """w = A u', of speeds and of the accelerations that the solver starts from, in place."""
     worldid, triple = wp.tid()
     at = numbers(triples.coordinate, triple)
-    tilt = positions[worldid, at[1]] - triples.zero[triple, 1]
+    tilt = positions[worldid, triples.position[triple, 1]] - triples.zero[triple, 1]
     put(speeds, worldid, at, along(tilt, three(speeds, worldid, at)))
     put(accelerations, worldid, at, along(tilt, three(accelerations, worldid, at)))
 
@@ -167,13 +173,13 @@ def straighten_dynamics(
     for dof in range(directions.shape[1]):
         directions[worldid, dof] = bodies.cdof[worldid, dof]
     for triple in range(triples.joint.shape[0]):
-        at = numbers(triples.joint, triple)
+        joint, at = numbers(triples.joint, triple), numbers(triples.dof, triple)
         body = bodies.dof_bodyid[at[0]]
-        arm = bodies.subtree_com[worldid, bodies.body_rootid[body]] - bodies.xanchor[worldid, at[0]]
-        first = wp.normalize(bodies.xaxis[worldid, at[0]])
-        third = wp.normalize(wp.cross(first, bodies.xaxis[worldid, at[1]]))
+        arm = bodies.subtree_com[worldid, bodies.body_rootid[body]] - bodies.xanchor[worldid, joint[0]]
+        first = wp.normalize(bodies.xaxis[worldid, joint[0]])
+        third = wp.normalize(wp.cross(first, bodies.xaxis[worldid, joint[1]]))
         e = wp.matrix_from_rows(first, wp.cross(third, first), third)
-        tilt = qpos_in[worldid, at[1]] - triples.zero[triple, 1]
+        tilt = qpos_in[worldid, triples.address[triple, 1]] - triples.zero[triple, 1]
         applied = three(qfrc_applied_in, worldid, at) + three(qfrc_passive_in, worldid, at)
         applied += three(qfrc_actuator_in, worldid, at)
         pushed = forces_along(tilt, applied)
@@ -214,7 +220,7 @@ def straighten_rows(
     h = timestep[batched(worldid, timestep.shape[0])]
     for triple in range(triples.coordinate.shape[0]):
         at = numbers(triples.coordinate, triple)
-        tilt = positions[worldid, at[1]] - triples.zero[triple, 1]
+        tilt = positions[worldid, triples.position[triple, 1]] - triples.zero[triple, 1]
         for row in range(wp.min(nefc_in[worldid], J.shape[1])):
             before = three(J[worldid], row, at)
             after = forces_along(tilt, before)
@@ -255,11 +261,11 @@ def turn_triples(
     first and the third angle gather whole turns, which no limit may take for a way to go back.
     """
     worldid, triple = wp.tid()
-    joint, at = numbers(triples.joint, triple), numbers(triples.coordinate, triple)
+    at, place = numbers(triples.coordinate, triple), numbers(triples.position, triple)
     h = timestep[batched(worldid, timestep.shape[0])]
     zero = wp.vec3(triples.zero[triple, 0], triples.zero[triple, 1], triples.zero[triple, 2])
-    angle = three(qpos_in, worldid, joint) - zero
-    u = three(qvel_in, worldid, joint)
+    angle = three(qpos_in, worldid, numbers(triples.address, triple)) - zero
+    u = three(qvel_in, worldid, numbers(triples.dof, triple))
     s, c = wp.sin(angle[1]), wp.cos(angle[1])
     put(accelerations, worldid, at, rates_of(angle[1], three(accelerations, worldid, at)))
     moving = wp.vec3(u[1] * u[2] * c, -u[0] * u[2] * c, u[1] * (u[0] - u[2] * s))
@@ -284,7 +290,7 @@ def turn_triples(
     angles = zero + wp.vec3(a, b, c_new)
     for k in range(3):
         turns = wp.round((angles[k] - triples.middle[triple, k]) / (2.0 * wp.pi))
-        positions[worldid, at[k]] = angles[k] - 2.0 * wp.pi * turns * triples.limited[triple, k]
+        positions[worldid, place[k]] = angles[k] - 2.0 * wp.pi * turns * triples.limited[triple, k]
     put(speeds, worldid, at, rates_of(b, wp.quat_rotate_inv(wp.quat_from_axis_angle(x, a), w)))
 
 
@@ -292,13 +298,14 @@ def triples_of(model: mujoco.MjModel, ties: Iterable[Coupling]) -> list[tuple[li
     """Return the joints of each triple, and the angle by which its third axis leans out of the normal.
 
     Args:
-        model: The model; its joints have one coordinate each.
+        model: The model.
         ties: Its couplings: a hinge that follows, or is followed, is in no triple; nor is one with damping or
             inertia of its own.
     """
     tied = {joint for tie in ties for joint in (tie.joint, tie.driver)}
-    plain = (model.jnt_type == HINGE) & (model.dof_damping == 0) & (model.dof_armature == 0)
-    plain &= ~model.dof_dampingpoly.any(axis=1)
+    dof = model.jnt_dofadr
+    plain = (model.jnt_type == HINGE) & (model.dof_damping[dof] == 0) & (model.dof_armature[dof] == 0)
+    plain &= ~model.dof_dampingpoly[dof].any(axis=1)
     plain[sorted(tied - {-1})] = False
     found: list[tuple[list[int], float]] = []
     for first in range(model.njnt - 2):
@@ -315,22 +322,26 @@ def triples_of(model: mujoco.MjModel, ties: Iterable[Coupling]) -> list[tuple[li
 
 
 def triple_tables(
-    model: mujoco.MjModel, found: list[tuple[list[int], float]], coordinate: np.ndarray
+    model: mujoco.MjModel, found: list[tuple[list[int], float]], followers: Followers
 ) -> Triples:
     """Return triples on the current Warp device.
 
     Args:
         model: The model.
         found: What `triples_of` returns, not empty.
-        coordinate: Number of each joint's coordinate, shape (nv,).
+        followers: How its degrees of freedom follow the coordinates.
     """
     joint = np.array([joints for joints, _ in found])
-    zero = model.qpos0[joint]
+    dof, address = model.jnt_dofadr[joint], model.jnt_qposadr[joint]
+    zero = model.qpos0[address]
     zero[:, 1] -= [lean for _, lean in found]
     rows = np.repeat(np.arange(model.nv), model.M_rownnz)
-    touched = np.isin(rows, joint) | np.isin(model.M_colind, joint)
+    touched = np.isin(rows, dof) | np.isin(model.M_colind, dof)
     triples = Triples()
-    triples.joint, triples.coordinate = wp.array(joint, dtype=int), wp.array(coordinate[joint], dtype=int)
+    triples.joint, triples.dof = wp.array(joint, dtype=int), wp.array(dof, dtype=int)
+    triples.address = wp.array(address, dtype=int)
+    triples.coordinate = wp.array(followers.coordinate.numpy()[dof], dtype=int)
+    triples.position = wp.array(followers.position.numpy()[dof], dtype=int)
     triples.zero = wp.array(zero, dtype=float)
     ranges = model.jnt_range[joint]
     limited = model.jnt_limited[joint].astype(bool) & (np.ptp(ranges, axis=2) < 2 * np.pi)

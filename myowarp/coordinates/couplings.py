@@ -3,13 +3,13 @@
 MuJoCo has a joint equality for that, one quartic, held by a spring. A model may carry better: a text named
 `couplings` (what `myowarp convert` writes as `couplings.json` beside `model.xml`) with the document's own
 functions, and with the masses and moments of inertia that MuJoCo refuses. Such a model asks for coordinates
-that follow exactly (`engine.stages.free_coordinates`); a text without functions asks so for its equalities.
+that follow exactly (`coordinates.free_coordinates`); a text without functions asks so for its equalities.
 
 Source: MuJoCo documentation, *XML reference, equality/joint*: q_i - q0_i = sum_k c_k (q_j - q0_j)^k, k <= 4.
 """
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import zip_longest
@@ -18,8 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-POINT_JOINTS = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
-"""Joints with one coordinate."""
+from myowarp.definitions.body import POINT_JOINTS
 
 TEXT = "couplings"
 """Name of the model's text that says how its joints follow each other exactly."""
@@ -263,27 +262,28 @@ def settled(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
 
 
 def jacobian(
-    model: mujoco.MjModel, ties: Iterable[Coupling], qpos: np.ndarray
+    model: mujoco.MjModel, ties: Sequence[Coupling], qpos: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return how joints move with those that follow none; all joints have one coordinate each.
+    """Return how degrees of freedom move with those that follow none.
 
     Args:
         model: The model.
         ties: Its `couplings`.
-        qpos: Positions, shape (nv,).
+        qpos: Positions, shape (nq,).
 
     Returns:
-        Ids of the joints that follow none, (n,); dq/du, shape (nv, n); and d2q/du2 of each joint by the one
-        that it follows, shape (nv,).
+        The dofs that follow none, (n,); dq/du, shape (nv, n); and d2q/du2 of each dof by the one that it
+        follows, shape (nv,).
     """
-    followers = {tie.joint for tie in ties}
-    free = np.array([j for j in range(model.njnt) if j not in followers])
+    followers = model.jnt_dofadr[[tie.joint for tie in ties]] if ties else ()
+    free = np.setdiff1d(np.arange(model.nv), followers)
     slopes, bends = np.zeros((model.nv, len(free))), np.zeros(model.nv)
     slopes[free, np.arange(len(free))] = 1.0
     for tie in ties:
         if tie.driver >= 0:
-            _, slope, bends[tie.joint] = tie.derivatives(qpos[tie.driver])
-            slopes[tie.joint, free == tie.driver] = slope
+            dof, driver = model.jnt_dofadr[[tie.joint, tie.driver]]
+            _, slope, bends[dof] = tie.derivatives(qpos[model.jnt_qposadr[tie.driver]])
+            slopes[dof, free == driver] = slope
     return free, slopes, bends
 
 

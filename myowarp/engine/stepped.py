@@ -1,0 +1,37 @@
+"""What a physics step steps: a model and its worlds, whatever they are for."""
+
+from dataclasses import dataclass
+
+import mujoco
+import mujoco_warp as mjw
+import warp as wp
+
+from myowarp.definitions.muscle import MuscleModel
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """A model and the state of all worlds.
+
+    Attributes:
+        oracle: Model with MuJoCo's built-in muscles, host; what our kernels must reproduce.
+        model: Stepped model, stateless actuators.
+        data: State and results of all worlds.
+        muscles: The muscles of all worlds.
+        sites: Ids of the sites whose poses are read outside of the step.
+        qpos_start: Configuration to start from, shape (nq,).
+        num_substeps: Physics steps in a control step.
+    """
+
+    oracle: mujoco.MjModel
+    model: mjw.Model
+    data: mjw.Data
+    muscles: MuscleModel
+    sites: tuple[int, ...]
+    qpos_start: wp.array
+    num_substeps: int
+
+    @property
+    def device(self) -> wp.Device:
+        """Where the worlds are."""
+        return self.data.qpos.device
