@@ -98,10 +98,15 @@ def tables(model: mujoco.MjModel, ties: list[Coupling]) -> Followers:
     ] or [(0.0,)]
     breaks = [place for curve in curves for place in curve.breaks] or [0.0]
     followers = Followers()
-    integers = {"place": places, "dof": free, "coordinate": coordinate, "position": position}
-    integers["address"] = address
-    integers["first_curve"] = np.cumsum([0, *map(len, lists)])
-    integers["first_piece"] = np.cumsum([0, *(len(curve.breaks) for curve in curves)])
+    integers = {
+        "place": places,
+        "dof": free,
+        "coordinate": coordinate,
+        "position": position,
+        "address": address,
+        "first_curve": np.cumsum([0, *map(len, lists)]),
+        "first_piece": np.cumsum([0, *(len(curve.breaks) for curve in curves)]),
+    }
     for name, values in integers.items():
         setattr(followers, name, wp.array(values, dtype=int))
     followers.breaks = wp.array(breaks, dtype=float)
@@ -176,8 +181,11 @@ SHARED = (
     *("ctrl", "act", "act_dot", "actuator_length", "actuator_velocity", "actuator_force"),
 )
 """Arrays of `Data` that all joints and the free coordinates have in common."""
-SHARED_ROWS = ("type", "id", "pos", "margin", "D", "vel", "frictionloss", "force", "state")
-"""The same of `Data.efc`."""
+SHARED_ROWS = (
+    *("type", "id", "pos", "margin", "D", "vel", "frictionloss", "force", "state"),
+    *("jtdaj_adr", "jtdaj_nrow", "jtdaj_nblock"),
+)
+"""The same of `Data.efc`; the last say which neighbours have the same columns, where J is sparse."""
 
 
 def free_part(stepped: Stepped, ties: list[Coupling]) -> Stepped:

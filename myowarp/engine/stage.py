@@ -38,10 +38,6 @@ STAGES = {
 because it amplifies rounding less than the engine's."""
 
 
-MAX_STACK = 2**20
-"""Bytes of stack that a world may take; threads have 8 MB on Linux, and more on macOS."""
-
-
 class Stage(abc.ABC):
     """Kernels of ours for one or more places of the physics step.
 

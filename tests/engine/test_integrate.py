@@ -14,7 +14,7 @@ from mujoco_warp._src.types import DisableBit, IntegratorType
 from stepping import launch_place, step
 
 from myowarp.definitions.task import TASKS
-from myowarp.engine.stages.integrate import Integrate
+from myowarp.engine.stages.integrate import MAX_DOFS, MAX_ENTRIES, Integrate
 from myowarp.sim.simulation import Simulation
 
 NUM_WORLDS = 17
@@ -274,9 +274,9 @@ OBSTACLES = {
     "the integrator is neither Euler nor implicitfast": lambda s: setattr(
         s.model.opt, "integrator", IntegratorType.RK4
     ),
-    "nothing moves": lambda s: setattr(s.model, "nv", 0),
-    "the inertia matrix is more than a thread's stack holds": lambda s: setattr(
-        s.data, "M", wp.zeros((1, 2**18), dtype=float, device="cpu")
+    f"degrees of freedom are not 1 to {MAX_DOFS}": lambda s: setattr(s.model, "nv", MAX_DOFS + 1),
+    f"the inertia matrix has more than {MAX_ENTRIES} entries": lambda s: setattr(
+        s.data, "M", wp.zeros((1, MAX_ENTRIES + 1), dtype=float, device="cpu")
     ),
     "a row of the inertia matrix does not begin with the rows above it": lambda s: s.model.M_colind.fill_(1),
     "forces are integrated explicitly": lambda s: setattr(

@@ -8,7 +8,7 @@ from configurations import configurations
 from converted import simulation
 
 from myowarp.coordinates.couplings import NOTHING, Exact
-from myowarp.coordinates.free_coordinates import FreeCoordinates
+from myowarp.coordinates.free_coordinates import MOST_DENSE, FreeCoordinates
 
 NUM_WORLDS = 11
 CLOSE = 3e-5  # of a world's largest acceleration; float32
@@ -48,6 +48,8 @@ ROOTS = """
 TRIPLE = """<body name="other" pos="0 .1 .2">
   <joint name="a" axis="1 0 0"/><joint name="b" axis="0 1 0" range="-60 60"/><joint name="c" axis="0 0 1"/>
   <inertial pos=".02 0 .1" mass="1" diaginertia=".01 .012 .004"/></body>"""
+FINGER = """<body pos=".1 0 .2"><joint axis=".6 0 .8" damping=".02"/>
+  <inertial pos=".02 0 .03" mass=".05" diaginertia="1e-4 1e-4 1e-4"/></body>"""
 TIE = f'<equality><joint joint1="glide" joint2="knee" polycoef="0 {SLOPE} {BEND} 0 0"/></equality>'
 FREE = '<flag contact="disable" limit="disable"/>'
 INERTIA = (0.02, 0.025, 0.006)  # kg m^2, in the document
@@ -96,13 +98,20 @@ def placed(sim, model):
     return qpos.astype(float), qvel.astype(float), force.astype(float)
 
 
-@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
 @pytest.mark.parametrize("stages", [(), None])
-def test_steps_are_those_of_mujoco_c(tmp_path, integrator, stages):
+@pytest.mark.parametrize(
+    ("integrator", "more"),
+    [("Euler", ""), ("implicitfast", ""), ("Euler", 50 * FINGER)],
+    ids=["Euler", "implicitfast", "63 dofs"],
+)
+def test_steps_are_those_of_mujoco_c(tmp_path, integrator, more, stages):
     """With contacts and limits; in the document a body has other moments of inertia than in the model."""
     said = Exact({}, {"shank": (1.0, INERTIA)})
-    sim = simulated(tmp_path, said, stages, integrator=integrator, inertia=".06 .06 .05")
-    model = mujoco.MjModel.from_xml_string(written(integrator=integrator))
+    sim = simulated(tmp_path, said, stages, integrator=integrator, inertia=".06 .06 .05", more=more)
+    assert not mujoco.mj_isSparse(sim.scene.oracle)
+    model = mujoco.MjModel.from_xml_string(written(integrator=integrator, more=more))
+    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    assert (model.nv > MOST_DENSE) == bool(more)
     qpos, qvel, force = placed(sim, model)
     # Rows of contacts are as soft as the model's masses say, as in any step of ours.
     model.body_invweight0[:] = sim.scene.model.body_invweight0.numpy()[0]

@@ -7,7 +7,7 @@ typedef float loose_lanes __attribute__((ext_vector_type(8), aligned(4)));
 typedef float loose_half __attribute__((ext_vector_type(4), aligned(4)));
 typedef double wide __attribute__((ext_vector_type(8)));
 typedef bool bits __attribute__((ext_vector_type(8)));
-constexpr int BLOCKS = WIDTH / 8, WORDS = (BLOCKS + 7) / 8;
+constexpr int BLOCKS = WIDTH / 8, WORDS = WIDTH / 64 + 1;
 const lanes lane_number = {0, 1, 2, 3, 4, 5, 6, 7};
 constexpr float INF = 3.4e38f, TINY = 1e-15f;
 enum { SATISFIED, QUADRATIC, LINEARNEG, LINEARPOS };  // mjtConstraintState
@@ -37,8 +37,10 @@ auto for_nonzeros = [](const lanes* row, int end, auto use) {
             const auto found = __builtin_convertvector(row[8 * word + k] != 0.0f, bits);
             columns |= (unsigned long long)__builtin_bit_cast(unsigned char, found) << 8 * k;
         }
-        const int left = wp::max(end - 64 * word, 0);
-        columns &= left < 64 ? (1ull << left) - 1 : ~0ull;
+        int left = end - 64 * word;
+        if (WORDS > 1)
+            left = wp::min(wp::max(left, 0), 64);
+        columns &= WORDS == 1 || left < 64 ? (1ull << left) - 1 : ~0ull;
         for (; columns; columns &= columns - 1)
             use(64 * word + __builtin_ctzll(columns));
     }

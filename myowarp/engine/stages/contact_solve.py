@@ -16,11 +16,12 @@ import mujoco_warp as mjw
 import warp as wp
 from mujoco_warp import DisableBit, OverflowType
 
-from myowarp.engine.stage import MAX_STACK, Stage
+from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import ConstraintRows, InertiaRows, filled
 from myowarp.kernels.launch import launch
 
 VECTOR = 8  # floats that one instruction adds
+MAX_STACK = 2**20  # bytes that a world may take; threads have 8 MB on Linux, and more on macOS
 SOURCE = Path(__file__).with_name("contact_solve.cpp").read_text()
 
 

@@ -1,8 +1,7 @@
-// Body of the native function `solve_motion` (integrate.py, which explains the method); AFFINE is
-// defined before it. Rows of M hold the dofs above their own and end with it, so that the beginning of a row
+// Body of the native function `solve_motion` (integrate.py, which explains the method); AFFINE and the sizes
+// are defined before it. Rows of M hold the dofs above their own and end with it, so that the beginning of a row
 // is the row of the dof where it stops.
 
-#pragma clang diagnostic ignored "-Wvla-cxx-extension"
 auto row = [&](const auto& array) {
     return decltype(array.data)((char*)array.data + world % array.shape[0] * array.strides[0]);
 };
@@ -11,7 +10,7 @@ const int *begins = inertia.M_rowadr.data, *sizes = inertia.M_rownnz.data, *colu
 
 // The derivative of forces by velocity, in the pattern of M; then M minus h times it; then its factor.
 // H[-1] takes what has no place in M, whose number is -1.
-float storage[num_entries + 1], x[n], inverse_pivot[n];
+float storage[MAX_ENTRIES + 1], x[MAX_DOFS], inverse_pivot[MAX_DOFS];
 float* H = storage + 1;
 for (int k = 0; k < num_entries; ++k)
     H[k] = 0.0f;

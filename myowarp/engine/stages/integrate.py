@@ -19,14 +19,15 @@ from mujoco_warp._src.forward import _advance, implicit_free_body
 from mujoco_warp._src.math import quat_integrate
 from mujoco_warp._src.types import vec10
 
-from myowarp.engine.stage import MAX_STACK, Stage
+from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import InertiaRows, any_of, filled
 from myowarp.engine.stepped import Stepped
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
 
+MAX_DOFS, MAX_ENTRIES = 512, 2**15  # 132 KB of stack; M of 255 dofs in a row
 SOURCE = f"""
-constexpr int AFFINE = {int(BiasType.AFFINE)};
+constexpr int AFFINE = {int(BiasType.AFFINE)}, MAX_DOFS = {MAX_DOFS}, MAX_ENTRIES = {MAX_ENTRIES};
 {Path(__file__).with_name("integrate.cpp").read_text()}"""
 
 NEFC_OVERFLOW = wp.constant(int(OverflowType.NEFC))
@@ -252,9 +253,9 @@ class Integrate(Stage):
         "the integrator is neither Euler nor implicitfast": lambda stepped: (
             stepped.model.opt.integrator not in (IntegratorType.EULER, IntegratorType.IMPLICITFAST)
         ),
-        "nothing moves": lambda stepped: stepped.model.nv == 0,
-        "the inertia matrix is more than a thread's stack holds": lambda stepped: (
-            4 * (stepped.data.M.shape[1] + 2 * stepped.model.nv) > MAX_STACK
+        f"degrees of freedom are not 1 to {MAX_DOFS}": lambda stepped: not 0 < stepped.model.nv <= MAX_DOFS,
+        f"the inertia matrix has more than {MAX_ENTRIES} entries": lambda stepped: (
+            stepped.data.M.shape[1] > MAX_ENTRIES
         ),
         "a row of the inertia matrix does not begin with the rows above it": lambda stepped: (
             not _rows_begin_alike(stepped.model)
