@@ -4,7 +4,8 @@
 
 Folders are those that `myowarp convert` wrote. All start from one set of states, reached by random
 actions, and are timed in turns, one thread each, so that a round compares what ran at nearly the same time:
-our step in free coordinates, our step without that stage (equality rows hold the joints that follow), and
+our step in free coordinates, our step of the model without couplings.json (equality rows hold the joints that
+follow), and
 `mujoco.mj_step` of model.xml, slim, in float64. Microseconds are CPU time of a world and a step. A ratio is
 the median of the rounds' ratios. Writes benchmarks/results/opensim_steps.json, with the machine's load.
 """
@@ -20,36 +21,21 @@ import numpy as np
 
 from benchmarks.__main__ import PACKAGES
 from benchmarks.machine import processor
-from benchmarks.substep import Options, Physics
-from myowarp.engine.idle import idle_kernels
-from myowarp.engine.stage import STAGES, applicable_stages
+from benchmarks.substep import EQUALITIES, MUJOCO_C, Options, Physics
 from myowarp.tasks.from_file import pose_task
 
 RESULT = Path(__file__).parent / "results" / "opensim_steps.json"
 ROUNDS, WORLDS, WARMUP = 15, 32, 10
-FREE, EQUALITY, MUJOCO_C = "free coordinates", "equalities", "MuJoCo C"
+FREE = "free coordinates"
 
 
 def measure(folder: Path) -> dict[str, Any]:
     """Return microseconds of a world and step, and ratios over those in free coordinates."""
     load = os.getloadavg()[0]
-    physics = Physics(pose_task(folder / "model.xml").key, Options(num_worlds=WORLDS, warmup=WARMUP))
-    if not all(np.isfinite(values).all() for values in physics.state.values()):
-        raise ValueError(f"{folder}: random actions led to a state that is not finite; nothing was timed")
-    used = {type(stage).__name__ for stage in applicable_stages(physics.scene)}
-    names = [name for name, kind in STAGES.items() if kind in used]
-    if "free_coordinates" not in names:
-        raise ValueError(
-            f"{folder} has no joints that follow others exactly; free_coordinates does not apply"
-        )
-    idle = idle_kernels(physics.scene.oracle)
-    free = physics.graph(names, idle)
-    held = physics.graph([name for name in names if name != "free_coordinates"], idle)
-    contestants = {
-        FREE: lambda: physics.run(free.launch),
-        EQUALITY: lambda: physics.run(held.launch),
-        MUJOCO_C: physics.run_mujoco_c,
-    }
+    options = Options(warmup=WARMUP)
+    physics = Physics(pose_task(folder / "model.xml"), WORLDS, options)
+    held = physics.held(folder, options)
+    contestants = {FREE: physics.all_stages(), EQUALITIES: held, MUJOCO_C: physics.run_mujoco_c}
     rounds = np.array([[run() for run in contestants.values()] for _ in range(ROUNDS)])
     ratios = rounds / rounds[:, :1]
     low, middle, high = np.percentile(ratios, (10, 50, 90), axis=0).round(2).tolist()
