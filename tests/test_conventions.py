@@ -213,6 +213,14 @@ def test_gymnasium_only_in_the_bridge(name):
         assert not found
 
 
+@pytest.mark.parametrize("name", [name for name in FILES if name.startswith("engine/")])
+def test_the_engine_knows_no_task(name):
+    """It steps models and worlds, whatever they are for."""
+    assert {module.removeprefix("myowarp.definitions.") for _, module in imports(name)}.isdisjoint(
+        {"scene", "task", "program", "registry"}
+    )
+
+
 def room_of(name):
     """Return the room of a file (`sim/build.py`) or of a module (`sim.build`)."""
     return re.split(r"[./]", name.removesuffix(".py"))[0]
