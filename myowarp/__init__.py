@@ -18,9 +18,17 @@ with quick_import():
     import myowarp.models.muscles
     import myowarp.tasks  # noqa: F401  (these register themselves)
     from myowarp.bridge_gym import make, make_vec, register_all
-    from myowarp.definitions.body import BODIES, Body, CoarseStep
+    from myowarp.definitions.body import BODIES, Body, Brace, CoarseStep, FatigueRates, Place, Transfer
     from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
-    from myowarp.definitions.muscle import MUSCLES, Anatomy, BiasParams, MuscleModel, affine_bias
+    from myowarp.definitions.muscle import (
+        MUSCLES,
+        Anatomy,
+        BiasParams,
+        MuscleGeometry,
+        MuscleModel,
+        MuscleResults,
+        affine_bias,
+    )
     from myowarp.definitions.muscle_table import MuscleTable
     from myowarp.definitions.parameter import Clock, Curve, Parameter, value_of
     from myowarp.definitions.program import Program
@@ -44,7 +52,7 @@ with quick_import():
         TendonTransfer,
         Uniform,
     )
-    from myowarp.models.muscles.mujoco import MujocoMuscle
+    from myowarp.models.muscles.mujoco import MujocoMuscle, MujocoMuscleParams
     from myowarp.sim.signals import Signals
     from myowarp.sim.state import State
     from myowarp.tasks.pose import PoseTask
@@ -116,6 +124,10 @@ __all__ = [  # noqa: RUF022 (by what they are for)
     "BODIES",
     "Body",
     "CoarseStep",
+    "FatigueRates",
+    "Place",
+    "Brace",
+    "Transfer",
     "CONDITIONS",
     "Condition",
     "Effect",
@@ -127,7 +139,10 @@ __all__ = [  # noqa: RUF022 (by what they are for)
     "value_of",
     "MUSCLES",
     "MuscleModel",
+    "MuscleGeometry",
+    "MuscleResults",
     "MujocoMuscle",
+    "MujocoMuscleParams",
     "Anatomy",
     "BiasParams",
     "affine_bias",

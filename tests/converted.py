@@ -1,9 +1,11 @@
-"""Converted models in a folder, as `myowarp convert` leaves them, with motors in place of muscles."""
+"""Converted models in a folder, as `myowarp convert` leaves them, with muscles or motors in their place."""
 
 from pathlib import Path
 
 from myowarp.opensim.compose.convert import convert
 from myowarp.opensim.compose.mjcf import mjcf
+from myowarp.opensim.muscle.hill import HillMuscle
+from myowarp.opensim.muscle.table import write_muscles
 from myowarp.opensim.read.model import read_model
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import pose_task
@@ -29,3 +31,12 @@ def motorised(folder, name):
 def simulation(path, num_worlds, **options):
     settings = {"device": "cpu", "graph": False, "progress": False} | options
     return Simulation(pose_task(path), num_worlds, **settings)
+
+
+def muscled(folder, name):
+    """Write a model with its muscles, not fitted, and their Hill parameters; returns the model's path."""
+    converted = convert(model := read_model(OSIM / f"{name}.osim"))
+    path = folder / "model.xml"
+    path.write_text(mjcf(converted.spec))
+    write_muscles(folder / "muscles.csv", map(HillMuscle.of, model.muscles.values()))
+    return path

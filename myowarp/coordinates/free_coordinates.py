@@ -321,11 +321,12 @@ class FreeCoordinates(Step):
     def move(self, data: mujoco.MjData, number: int) -> None:
         """Move a state by steps of ours: bodies may be too light for MuJoCo C."""
         stepped, step = self.stepped, self.launches()
-        still = {name: np.zeros(array.shape) for name, array in stepped.muscles.state.items()}
+        muscles = stepped.muscles.sample_state(np.random.default_rng(0))
+        muscles["activation"][:] = 0.0
         qpos, qvel, ctrl = (
             np.tile(values, (stepped.data.nworld, 1)) for values in (data.qpos, data.qvel, data.ctrl)
         )
-        set_state(stepped, (qpos, qvel, ctrl, still))
+        set_state(stepped, (qpos, qvel, ctrl, muscles))
         for _ in range(number):
             step()
         data.qpos[:], data.qvel[:] = stepped.data.qpos.numpy()[0], stepped.data.qvel.numpy()[0]

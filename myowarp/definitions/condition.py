@@ -91,8 +91,8 @@ class Condition(abc.ABC):
     def check(self, spec: TaskSpec) -> None:  # noqa: B027 (most conditions suit every body)
         """Raise ValueError, in one sentence, if the body of a task cannot have this condition."""
 
-    def edit(self, spec: mujoco.MjSpec) -> None:  # noqa: B027 (most conditions leave the model alone)
-        """Add what it needs to the task's full `MjSpec`, in place."""
+    def edit(self, spec: mujoco.MjSpec, body: str) -> None:  # noqa: B027 (most leave the model alone)
+        """Add what it needs to the task's full `MjSpec`, in place; `body` is the body's name in `BODIES`."""
 
     def muscle_names(self, scene: Scene) -> tuple[str, ...]:
         """Return the names of the muscles that it acts on.

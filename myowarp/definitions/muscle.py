@@ -5,8 +5,10 @@ path was computed.
 """
 
 import abc
-from collections.abc import Mapping
-from typing import ClassVar
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, NamedTuple
 
 import mujoco_warp as mjw
 import numpy as np
@@ -75,6 +77,24 @@ def restore_anatomy(
     anatomy.transmission[worldid, muscleid] = 1.0
 
 
+class MuscleGeometry(NamedTuple):
+    """What pictures and plots show of muscles; host arrays (1 or num_worlds, num_muscles), NaN: not known.
+
+    Attributes:
+        max_isometric_force: Peak active force of a healthy muscle [N].
+        optimal_fiber_length: Fiber length at which it has it [m].
+        tendon_slack_length: Length of the tendon that no force stretches [m].
+        max_contraction_velocity: Velocity at which the active force ends [optimal fiber lengths / s].
+        tendon_length: Its present length [m], that of a rigid one too; fibers are the rest of the path.
+    """
+
+    max_isometric_force: np.ndarray
+    optimal_fiber_length: np.ndarray
+    tendon_slack_length: np.ndarray
+    max_contraction_velocity: np.ndarray
+    tendon_length: np.ndarray
+
+
 class MuscleModel(abc.ABC):
     """The muscles of a body in all worlds: parameters, state and force.
 
@@ -84,12 +104,15 @@ class MuscleModel(abc.ABC):
     for integrators that are implicit in velocity damping = implicitness dtension/dvelocity.
 
     A model with more state than the activation appends the names of its arrays to `STATE` and allocates them
-    in `__init__`; reset, faults, shards and signals follow from the list.
+    in `__init__`; reset, faults, shards and signals follow from the list. An elastic tendon finds its
+    equilibrium in `settle`; `sample_state`, `coarse_step` and `geometry` are what others then have to know.
 
     Attributes:
         STATE: Names of the attributes that are state: float32 arrays (num_worlds, num_muscles, ...).
         RESULTS: Names of the attributes that `launch` writes anew.
         PARAMETERS: Least and greatest value of every parameter that a `MuscleTable` may set, by name.
+        TAKES_HILL: Whether the Hill parameters of a converted model (`Body.muscles`) are its own, rather than
+            what the compiled model has for MuJoCo's muscle.
         actuator_id: Actuator of each muscle, shape (num_muscles,), host.
         names: Muscle names, in that order.
         activation: State [1], shape (num_worlds, num_muscles); so are the following four.
@@ -97,6 +120,7 @@ class MuscleModel(abc.ABC):
         length: Musculotendon length [m] of the present path.
         velocity: Its rate [m/s], lengthening > 0.
         damping: implicitness dtension/dvelocity [N s/m], >= 0.
+        coarse_step: Longest physics step that it stands [s]; preset `fast` takes none that is longer.
         midstep: Whether forces come from the activation in the middle of a physics step, exactly integrated,
             rather than from the one at its start.
         implicitness: Share of dtension/dvelocity in `damping`, 0 for explicit integrators.
@@ -110,7 +134,9 @@ class MuscleModel(abc.ABC):
     STATE: ClassVar[tuple[str, ...]] = ("activation",)
     RESULTS: ClassVar[tuple[str, ...]] = ("tension", "length", "velocity", "damping")
     PARAMETERS: ClassVar[Mapping[str, tuple[float, float]]] = {}
+    TAKES_HILL: ClassVar[bool] = True
 
+    coarse_step = math.inf
     midstep = False
     implicitness = 0.0
 
@@ -183,6 +209,29 @@ class MuscleModel(abc.ABC):
         for values in self.state.values():
             masked_fill(mask, values, 0.0)
 
+    def settle(self, mask: wp.array) -> None:  # noqa: B027 (a rigid tendon has nothing to settle)
+        """Bring the state into equilibrium at the start of an episode, in the worlds of `mask` (num_worlds,).
+
+        A reset launches it after `reset`, once the start pose is known: `length` and `velocity` are those of
+        the paths in that pose. Fibers move as the path does, at constant length of the tendon.
+        """
+
+    @property
+    def settles(self) -> bool:
+        """Whether the model has a `settle`: for others nothing is launched."""
+        return type(self).settle is not MuscleModel.settle
+
+    def sample_state(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """Return a state that the muscles may be in, by name; stages of the physics step are verified there.
+
+        By default everything is drawn from U(0, 1).
+        """
+        return {name: rng.uniform(size=array.shape) for name, array in self.state.items()}
+
+    def geometry(self) -> MuscleGeometry:
+        """Return what pictures and plots show, in the present state; by default nothing is known."""
+        return MuscleGeometry(*np.full((5, 1, len(self.names)), np.nan))
+
     def record_workload(self) -> None:
         """Integrate the workload from now on; before anything is captured.
 
@@ -205,6 +254,20 @@ class MuscleModel(abc.ABC):
         raise ValueError(
             f"tendon_transfer needs a muscle model that can be fitted to a path, got {type(self).__name__}"
         )
+
+
+def muscle_index(muscle: str, names: Sequence[str]) -> int:
+    """Return the index of a muscle; the side suffix `_r` may be left out.
+
+    Raises:
+        ValueError: No such muscle; the message lists the close names.
+    """
+    for name in (muscle, f"{muscle}_r"):
+        if name in names:
+            return list(names).index(name)
+    close = difflib.get_close_matches(str(muscle), names, n=3, cutoff=0.4)
+    hint = f"did you mean {', '.join(close)}?" if close else f"available: {', '.join(names)}"
+    raise ValueError(f"muscle {muscle!r} unknown; {hint}")
 
 
 MUSCLES: Registry[type[MuscleModel]] = Registry("muscle model")

@@ -9,15 +9,14 @@ env = gymnasium.make_vec("MyoWarp/myoElbowPose1D6MRandom-v0", num_envs=256, musc
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from myowarp.definitions.muscle import MUSCLES
-from myowarp.definitions.parameter import muscle_index
+from myowarp.definitions.muscle import MUSCLES, muscle_index
 from myowarp.definitions.registry import check_choice, number_in
 from myowarp.definitions.worlds import Worlds
 from myowarp.kernels.write import is_finite
@@ -30,7 +29,8 @@ class MuscleTable:
     A tendon transfer fits the lengths of the muscle that it reroutes anew, whatever is given here.
 
     Attributes:
-        model: Name in `MUSCLES`.
+        model: Name in `MUSCLES`; "" in a body's own table of Hill parameters, for every model that takes them
+            (`MuscleModel.TAKES_HILL`).
         parameters: By name in the model's `PARAMETERS`: an array, shape (1 or num_worlds, 1 or num_muscles),
             one number, or a mapping from muscle names to a number or (num_worlds,) numbers each; the side
             suffix `_r` may be left out, and a muscle that is not named keeps the compiled model's.
@@ -41,6 +41,8 @@ class MuscleTable:
 
     def __post_init__(self) -> None:
         """Raise ValueError if there is no such model, or it has no such parameter."""
+        if not self.model:
+            return
         known = MUSCLES[self.model].PARAMETERS
         for name in self.parameters:
             check_choice(f"parameter of muscle model {self.model!r}", name, known)
@@ -99,6 +101,26 @@ class MuscleTable:
                 check_choice(f"parameter of muscle model {model!r}", name, MUSCLES[model].PARAMETERS)
         return cls.by_muscle(model, rows)
 
+    @classmethod
+    def converted(cls, path: Path, names: Collection[str]) -> MuscleTable | None:
+        """Return the Hill parameters of muscles in a file that `myowarp convert` wrote; None: it is none.
+
+        Raises:
+            ValueError: A number is none.
+        """
+        if not (path.is_file() and path.read_bytes().startswith(b"name,class,")):
+            return None
+        rows: dict[str, dict[str, float]] = {}
+        with path.open(newline="", encoding="utf-8") as file:
+            for line in csv.DictReader(file, restval=""):
+                muscle = line.pop("name")
+                rows[muscle] = {
+                    column.partition(" [")[0]: _number(f"{path}: {column} of muscle {muscle!r}", cell)
+                    for column, cell in line.items()
+                    if " [" in column and cell not in ("", "inf", "-inf")  # curves have no unit
+                }
+        return cls.by_muscle("", {muscle: row for muscle, row in rows.items() if muscle in names})
+
     def of(self, names: Sequence[str], worlds: Worlds) -> dict[str, np.ndarray]:
         """Return the parameters of some worlds, shape (1 or their number, num_muscles) each.
 
@@ -117,6 +139,25 @@ class MuscleTable:
             array = self._array(name, value, names, worlds.everywhere)
             own[name] = array if len(array) == 1 else array[worlds.given]
         return own
+
+    def over(self, own: MuscleTable | None, names: Sequence[str], worlds: Worlds) -> dict[str, np.ndarray]:
+        """Return the parameters of some worlds as `of` does, a body's own where none are given.
+
+        Args:
+            own: Table of the body; None: it has none.
+            names: The muscles.
+            worlds: The worlds.
+
+        Raises:
+            ValueError: As in `of`.
+        """
+        given, kind = self.of(names, worlds), MUSCLES[self.model]
+        if own is None or not (own.model == self.model or (kind.TAKES_HILL and not own.model)):
+            return given
+        known = {name: value for name, value in own.parameters.items() if name in kind.PARAMETERS}
+        for name, values in MuscleTable(self.model, known).of(names, worlds).items():
+            given[name] = np.where(np.isnan(given[name]), values, given[name]) if name in given else values
+        return given
 
     def _array(self, name: str, value: Any, names: Sequence[str], total: int) -> np.ndarray:
         """Return a parameter of all worlds, shape (1 or total, num_muscles)."""

@@ -8,7 +8,6 @@ after the change the value is exactly start and end.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -17,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
+from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.registry import check_choice
 from myowarp.kernels.random import RandomKeys, open_stream, stream_of
 from myowarp.kernels.write import is_finite, write
@@ -294,17 +294,3 @@ class Parameter:
                 inputs=[low, high, lifelong, stream, keys, mask],
                 outputs=[values],
             )
-
-
-def muscle_index(muscle: str, names: Sequence[str]) -> int:
-    """Return the index of a muscle; the side suffix `_r` may be left out.
-
-    Raises:
-        ValueError: No such muscle; the message lists the close names.
-    """
-    for name in (muscle, f"{muscle}_r"):
-        if name in names:
-            return list(names).index(name)
-    close = difflib.get_close_matches(str(muscle), names, n=3, cutoff=0.4)
-    hint = f"did you mean {', '.join(close)}?" if close else f"available: {', '.join(names)}"
-    raise ValueError(f"muscle {muscle!r} unknown; {hint}")

@@ -130,7 +130,7 @@ class Registry(Generic[T]):
         some = ", ".join(itertools.islice(self, 3))
         return f"there are {len(self)}, such as {some}" + (f"; {self.listed_by}" if self.listed_by else "")
 
-    def __contains__(self, name: str) -> bool:
+    def __contains__(self, name: object) -> bool:
         return name in self._entries
 
     def __iter__(self) -> Iterator[str]:

@@ -184,7 +184,7 @@ def verified_idle(step: Step) -> frozenset[str]:
     scalar = np.isin(host.jnt_type, POINT_JOINTS)
     qpos[:, host.jnt_qposadr[scalar]] = rng.uniform(low, high, (data.nworld, host.njnt))[:, scalar]
     qvel = rng.standard_normal((data.nworld, host.nv))
-    muscles = _muscle_state(stepped, rng)
+    muscles = stepped.muscles.sample_state(rng)
     start = np.concatenate([qpos, qvel], axis=1)
     ends = []
     for skipped in (names, frozenset[str]()):
@@ -228,12 +228,7 @@ def _states(step: Step) -> Iterator[State]:
         chosen = [motion[(first + i) % NUM_STATES] for i in range(worlds)]
         ctrl = rng.uniform(low, high, (worlds, host.nu))
         qpos, qvel = (np.array(values) for values in zip(*chosen, strict=True))
-        yield qpos, qvel, ctrl, _muscle_state(stepped, rng)
-
-
-def _muscle_state(stepped: Stepped, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Return a state of the muscles: all that they remember, at random between 0 and 1."""
-    return {name: rng.uniform(size=array.shape) for name, array in stepped.muscles.state.items()}
+        yield qpos, qvel, ctrl, stepped.muscles.sample_state(rng)
 
 
 def set_state(stepped: Stepped, state: State) -> None:

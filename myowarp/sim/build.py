@@ -65,7 +65,7 @@ def full_spec(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.
     body.option.timestep = spec.physics_dt
     spec.edit(body)
     for condition in conditions:
-        condition.edit(body)
+        condition.edit(body, spec.body)
     return body
 
 
@@ -145,16 +145,19 @@ def oracle_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujo
     return _cached_model(spec, conditions, slim_model)
 
 
-def num_substeps_of(spec: TaskSpec, preset: PhysicsPreset) -> int:
-    """Return the number of physics steps in a control step."""
+def num_substeps_of(spec: TaskSpec, preset: PhysicsPreset, muscle: str = "mujoco") -> int:
+    """Return the number of physics steps in a control step; `muscle` is the muscle model's name."""
     if preset.coarse:
-        return math.ceil(spec.control_dt / spec.coarse_step.dt - ROUNDING)
+        longest = min(spec.coarse_step.dt, MUSCLES[muscle].coarse_step)
+        return math.ceil(spec.control_dt / longest - ROUNDING)
     return spec.num_substeps
 
 
-def set_physics(spec: TaskSpec, preset: PhysicsPreset, models: Iterable[mujoco.MjModel]) -> int:
+def set_physics(
+    spec: TaskSpec, preset: PhysicsPreset, models: Iterable[mujoco.MjModel], muscle: str = "mujoco"
+) -> int:
     """Set integrator and step of models to a preset's; returns the physics steps in a control step."""
-    num_substeps = num_substeps_of(spec, preset)
+    num_substeps = num_substeps_of(spec, preset, muscle)
     for model in models:
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{preset.integrator or spec.integrator}")
         model.opt.timestep = spec.control_dt / num_substeps
@@ -170,7 +173,8 @@ def new_muscles(
         ValueError: A parameter does not fit, or the muscle model's state is not what it says.
     """
     names = [model.actuator(i).name for i in np.flatnonzero(actuator_kinds(model) == int(MUSCLE))]
-    muscles = MUSCLES[muscle.model](model, worlds.number, muscle.of(names, worlds))
+    given = muscle.over(BODIES[spec.body].muscles, names, worlds)
+    muscles = MUSCLES[muscle.model](model, worlds.number, given)
     muscles.midstep = preset.midstep
     explicit = (preset.integrator or spec.integrator) == "EULER"
     muscles.implicitness = spec.coarse_step.implicitness if preset.coarse else float(not explicit)
@@ -246,7 +250,7 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
     where = resolve_device(setup.device)
 
     oracle, stepped = oracle_model(spec, conditions), _cached_model(spec, conditions, stateless_model)
-    num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped))
+    num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped), setup.muscles.model)
     start = settled(oracle, spec.start(oracle))
     if oracle.nv >= MANY_DOFS:
         say_once(

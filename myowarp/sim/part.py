@@ -49,6 +49,7 @@ from myowarp.kernels.random import seed_worlds
 from myowarp.kernels.reset import place_start, reset_worlds
 from myowarp.kernels.write import write
 from myowarp.sim.build import stepped_of
+from myowarp.sim.present import settle_muscles
 
 
 class Part:
@@ -309,7 +310,16 @@ class Part:
                 outputs=[scene.data.qpos],
             )
         self.program.sample_goal(renew)
+        self._launch_settling(reset)
         self._show(reset, fresh)
+
+    def _launch_settling(self, mask: wp.array) -> None:
+        """Let muscles with elastic tendons find their equilibrium, on the paths that they will pull."""
+        if self.scene.muscles.settles:
+            if any(condition.STAGE == ConditionStage.TRANSMISSION for condition in self.conditions):
+                self._launch_transmission()
+            with pruned(self._idle):
+                settle_muscles(self.scene, mask)
 
     def _show(self, changed: wp.array, fresh: wp.array) -> None:
         """Make poses those of the present state where it was `changed`, and observe the worlds of `fresh`."""
@@ -391,14 +401,17 @@ class Part:
         else:
             self._launch_now(self._launch_asked_reset)
 
-    def bring_up(self, mask: np.ndarray) -> None:
+    def bring_up(self, mask: np.ndarray, *, settle: bool = False) -> None:
         """Compute what is seen of the state - poses, observation, probes - after it was overwritten.
 
         Args:
             mask: The worlds where it was, shape (num_worlds,) bool.
+            settle: Whether muscles find their equilibrium anew, because their own state was not given.
         """
         write(self._asked, mask)
         with TURN, wp.ScopedDevice(self.scene.device):
+            if settle:
+                self._launch_settling(self._asked)
             self._show(self._asked, self._asked)
             self._launch_probes(self._asked)
 

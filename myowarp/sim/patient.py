@@ -15,10 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from myowarp.definitions.body import BODIES
 from myowarp.definitions.condition import CONDITIONS, Condition, resolve
-from myowarp.definitions.parameter import Parameter, muscle_index
+from myowarp.definitions.muscle import muscle_index
+from myowarp.definitions.parameter import Parameter
 from myowarp.definitions.task import TaskSpec
-from myowarp.sim.muscle_groups import group_of
 from myowarp.sim.simulation import Simulation
 
 STEPS = 200  # of a slider
@@ -91,7 +92,7 @@ class Patient:
         names = sim.scene.muscles.names
         self.groups: dict[str, tuple[str, ...]] = {"all muscles": tuple(names)}
         for name in names:
-            if group := group_of(name):
+            if group := BODIES[sim.scene.spec.body].group_of(name):
                 self.groups[group] = (*self.groups.get(group, ()), name)
         self.groups |= {name: (name,) for name in names}
 

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from myowarp.definitions.condition import CONDITIONS, Condition, resolve
-from myowarp.definitions.parameter import muscle_index
+from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.registry import Registry, number_in
 from myowarp.definitions.task import TaskSpec
 

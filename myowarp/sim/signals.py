@@ -16,21 +16,17 @@ held throughout the step.
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.definitions.body import POINT_JOINTS
+from myowarp.definitions.body import BODIES, POINT_JOINTS
 from myowarp.engine.turn import in_turn
 from myowarp.kernels.reset import masked_copy
-from myowarp.sim.muscle_groups import group_of
+from myowarp.sim.present import present_muscles
 
 if TYPE_CHECKING:
-    from myowarp.definitions.scene import Scene
     from myowarp.sim.part import Part
     from myowarp.sim.simulation import Simulation
 
@@ -97,39 +93,13 @@ def read_muscles(
     muscles.power[worldid, muscleid] = -tension[worldid, muscleid] * velocity[worldid, muscleid]
 
 
-def present_muscles(scene: Scene) -> Callable[[], None]:
-    """Return launches that bring length, velocity and tension of the muscles to the present state.
-
-    They write what the next physics step computes anew, and leave the state alone.
-    """
-    model, data, state = scene.model, scene.data, scene.muscles.state
-    # With a time step of 0 the muscles compute the force of the present state, which is then put back.
-    no_time = wp.zeros(1, dtype=float, device=scene.device)
-    still = dataclasses.replace(model, opt=dataclasses.replace(model.opt, timestep=no_time))
-    before = {name: wp.zeros_like(array) for name, array in state.items()}
-
-    def launch() -> None:
-        mjw.kinematics(model, data)
-        mjw.com_pos(model, data)
-        mjw.tendon(model, data)
-        mjw.transmission(model, data)
-        mjw.fwd_velocity(model, data)
-        for name, array in state.items():
-            wp.copy(before[name], array)
-        scene.muscles.launch(still, data)
-        for name, array in state.items():
-            wp.copy(array, before[name])
-
-    return launch
-
-
 class Signals:
     """Signals of a simulation, filled in every step; the trajectory stays the same, bit for bit.
 
     Attributes:
         names: Muscle names.
         actuator_id: Actuator of each muscle, shape (num_muscles,).
-        groups: Group of each muscle, "" where none is known (`myowarp.sim.muscle_groups`).
+        groups: Group of each muscle, "" where none is known (`Body.groups`).
         muscles: The signals, arrays (num_worlds, num_muscles).
         info: What conditions show of their state, by name, (num_worlds,) or (num_worlds, num_muscles).
         joint_names: Names of the hinges and slides.
@@ -151,7 +121,7 @@ class Signals:
         self.sim, self.names = sim, scene.muscles.names
         if not self.names:
             raise ValueError(f"signals are those of muscles; the body of task {scene.spec.key!r} has none")
-        self.groups = tuple(group_of(name) for name in self.names)
+        self.groups = tuple(map(BODIES[scene.spec.body].group_of, self.names))
         oracle = scene.oracle
         joints = [j for j in range(oracle.njnt) if oracle.jnt_type[j] in POINT_JOINTS]
         self.joint_names = tuple(oracle.joint(j).name for j in joints)

@@ -44,6 +44,7 @@ CONDITION = "condition."  # begin of the names of what belongs to conditions
 UNLISTED = "unlisted."  # begin of the names of what is only taken for state
 KEYS = "keys."  # begin of the names of random keys; worlds keep theirs where a state has none
 CTRL = "data.ctrl"
+MUSCLES = "muscles."  # begin of the names of muscle state
 COUNTER = "episode."  # begin of the names of counters
 MOST_COUNTED = 2**31 - 2  # one step later still an int32
 UNIT = 1e-3  # how far from 1 the length of a given quaternion may be
@@ -251,7 +252,7 @@ def place(sim: Simulation, arrays: Mapping[str, np.ndarray], rows: np.ndarray) -
 
     Args:
         sim: The simulation.
-        arrays: Arrays (1 or number, ...) by name.
+        arrays: Arrays (1 or number, ...) by name. Without the muscles' own, they settle in a configuration.
         rows: Numbers of the worlds, shape (number,).
 
     Raises:
@@ -260,6 +261,7 @@ def place(sim: Simulation, arrays: Mapping[str, np.ndarray], rows: np.ndarray) -
     states = [_state_of(part) for part in sim.parts]
     own = states[0]
     values = {name: _fitting(name, array, own[name].numpy(), len(rows)) for name, array in arrays.items()}
+    settle = "data.qpos" in values and not any(name.startswith(MUSCLES) for name in values)
     for part, state in zip(sim.parts, states, strict=True):
         worlds = part.scene.worlds
         here = (rows >= worlds.first) & (rows < worlds.first + worlds.number)
@@ -275,7 +277,7 @@ def place(sim: Simulation, arrays: Mapping[str, np.ndarray], rows: np.ndarray) -
             write(target, whole)
         mask = np.zeros(worlds.number, dtype=bool)
         mask[local] = True
-        part.bring_up(mask)
+        part.bring_up(mask, settle=settle)
 
 
 def start_arrays(sim: Simulation, options: Mapping[str, Any]) -> dict[str, np.ndarray]:

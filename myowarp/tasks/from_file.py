@@ -1,7 +1,8 @@
 """A model from a file, MJCF such as `myowarp convert` writes, as a body, and as a pose or reach task.
 
 Targets are those of joints that the actuators move, or of sites. Joints that an equality ties to others
-follow, exactly if `couplings.json` lies beside the file, and a root that nothing holds falls. Physics
+follow, exactly if `couplings.json` lies beside the file, and a root that nothing holds falls. A `muscles.csv`
+of the converter beside it has the parameters for muscle models that take those of Hill muscles. Physics
 `parity` is the file's own time step and integrator.
 """
 
@@ -16,9 +17,11 @@ import numpy as np
 
 from myowarp.coordinates.couplings import ask, couplings, exact, follow, settled
 from myowarp.definitions.body import BODIES, POINT_JOINTS, Body
+from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.task import MOST_SUBSTEPS, TaskSpec, register, split_key
 from myowarp.disk import model_digest
+from myowarp.models.bodies.arm_muscles import FATIGUE_RATES, GROUPS
 from myowarp.models.reachability import tip_positions
 from myowarp.sim.build import checked_horizon, full_model
 from myowarp.tasks.extend import Reward, extend
@@ -35,6 +38,7 @@ NUM_TARGETS = 1024  # points to reach
 STEP_ROUNDING = 1e-6  # of a time step
 KINDS = ("pose", "reach")
 COUPLINGS = "couplings.json"  # beside the model's file; see `myowarp.coordinates.couplings`
+HILL = "muscles.csv"  # likewise; see `myowarp.definitions.muscle_table`
 STEPPED = ("EULER", "IMPLICITFAST")  # integrators; others call the muscles more than once in a step
 
 
@@ -75,8 +79,11 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
             raise ValueError(f"file {str(beside)!r} must belong to {path.name}: {error}") from error
     title = re.sub(r"[^A-Za-z0-9]+", "_", spec.modelname).strip("_")
     name = "_".join((title, model_digest(model)[:8], *tips))
-    if name not in BODIES:
-        BODIES.add(name, Body(spec.copy, tips))
+    muscles = MuscleTable.converted(path.with_name(HILL), [model.actuator(i).name for i in range(model.nu)])
+    known = BODIES[name].muscles if name in BODIES else None
+    if name not in BODIES or (known and known.parameters) != (muscles and muscles.parameters):
+        body = Body(spec.copy, tips, groups=GROUPS, fatigue_rates=FATIGUE_RATES, muscles=muscles)
+        BODIES.add(name, body, replace=True)
     return name
 
 

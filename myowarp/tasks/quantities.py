@@ -9,7 +9,7 @@ import warp as wp
 
 from myowarp.definitions.scene import Scene
 from myowarp.engine.patch import engine_kernels_alone
-from myowarp.sim.signals import present_muscles
+from myowarp.sim.present import present_muscles
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import pytest
 from myowarp.apps.cli.main import main
 from myowarp.apps.reports import figures
 from myowarp.coordinates.couplings import couplings
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 from myowarp.sim.build import oracle_model
 
@@ -63,12 +64,12 @@ def test_moment_arms_of_a_joint_that_leads_others():
 
 @pytest.mark.parametrize("what", ["force-length", "force-velocity"])
 def test_force_curves_are_those_of_mujoco(elbow, what):
-    norm, tension, peak, names = figures.contraction_curves(elbow, what)
+    norm, tension, peak, names = figures.contraction_curves(Setup(task=ELBOW), what)
     assert names == tuple(elbow.actuator(i).name for i in range(elbow.nu))
     for muscle in range(elbow.nu):
         prm, span = elbow.actuator_gainprm[muscle], elbow.actuator_lengthrange[muscle]
         optimal = (span[1] - span[0]) / (prm[1] - prm[0])
-        for value, passive, full in zip(norm[::20], *tension[:, ::20, muscle], strict=True):
+        for value, passive, full in zip(norm[1, ::20, muscle], *tension[:, ::20, muscle], strict=True):
             length, speed = (value, 0.0) if what == "force-length" else (1.0, value)
             # MuJoCo divides the velocity by l_0 v_max, too.
             where = (span[0] + (length - prm[0]) * optimal, speed * optimal * prm[6], span)

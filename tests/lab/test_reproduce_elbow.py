@@ -18,8 +18,8 @@ from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
 from myowarp.apps.studies.reproduce.policies import FOLDER, Training, committed, retrained
 from myowarp.apps.studies.reproduce.report import FILES, output_folder
 from myowarp.definitions.setup import Setup
+from myowarp.models.bodies.arm_muscles import ELBOW_EXTENSOR, ELBOW_FLEXOR
 from myowarp.models.conditions import Exoskeleton, Load
-from myowarp.models.conditions.fatigue_3ccr import ELBOW_EXTENSOR, ELBOW_FLEXOR
 from myowarp.sim.signals import Signals
 
 pytest.importorskip("matplotlib").use("agg")

@@ -24,6 +24,7 @@ ARGUMENTS = {
     "warmup": (ELBOW,),
     "audit": (ELBOW, "--output", "{folder}/audit"),
     "cohort": ("{folder}/patients.csv", "--task", ELBOW, "--output", "{folder}/cohort"),
+    "plot": ("force-length", ELBOW, "--output", "{folder}/plot.png"),
     "train": (ELBOW, "--output", "{folder}/run"),
     "eval": (f"baselines/{ELBOW}",),
     "reproduce": ("exo1", "--quick", "--output", "{folder}/exo1"),

@@ -10,6 +10,7 @@ from elbows import KEY, NUM_WORLDS, States, in_c, worn
 from reference import exoskeleton as reference
 from reference.load import gravity_torque
 
+from myowarp.definitions.body import BODIES
 from myowarp.definitions.condition import resolve
 from myowarp.definitions.parameter import Ramp, Uniform
 from myowarp.definitions.task import PHYSICS, TASKS
@@ -141,7 +142,7 @@ def test_forearm_part_is_that_of_the_solids():
     """Mass, center and inertia of cuff, bar and hinge; each world its own mass."""
     masses = np.array([0.0, 0.111, 0.5])
     sim = worn(Exoskeleton(0.0, forearm_mass=masses), 3)
-    body, model = sim.scene.oracle.body(CUFF.name), sim.scene.model
+    body, model = sim.scene.oracle.body(CUFF), sim.scene.model
     for field in (model.body_mass, model.body_inertia):
         poisoned = field.numpy().copy()
         poisoned[:, body.id] = np.nan
@@ -170,7 +171,7 @@ def test_forearm_part_pulls_by_its_weight():
         mjw.forward(sim.scene.model, data)
         held.append(data.qfrc_bias.numpy()[:, 0].astype(np.float64))
     spec = full_spec(TASKS[KEY])
-    spec.body(CUFF.limb).add_site(name="center", pos=reference.forearm_part()[1])
+    spec.body(BODIES["elbow"].exoskeleton.limb).add_site(name="center", pos=reference.forearm_part()[1])
     model, expected = spec.compile(), []
     for data in in_c(model, states, mujoco.mj_forward):
         center, anchor, axis = data.site("center").xpos, data.xanchor[0], data.xaxis[0]
@@ -185,7 +186,7 @@ def test_moves_like_mujoco_compiled_with_the_part():
     oracle = worn(num_worlds=1).scene.oracle
     spec = full_spec(TASKS[KEY])
     mass, center, tensor = reference.forearm_part()
-    body = spec.body(CUFF.limb).add_body(mass=mass, ipos=center, explicitinertial=True)
+    body = spec.body(BODIES["elbow"].exoskeleton.limb).add_body(mass=mass, ipos=center, explicitinertial=True)
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor
     body.fullinertia = (xx, yy, zz, xy, xz, yz)
     spec.compiler.boundinertia = spec.compiler.boundmass = 0.0
@@ -238,7 +239,7 @@ def test_drawn_parameters():
     sim.parts[0].launch_conditions()
     exo, _ = sim.parts[0].effects
     masses = sim.scene.model.body_mass.numpy()
-    ids = [sim.scene.oracle.body(name).id for name in (CUFF.name, "load")]
+    ids = [sim.scene.oracle.body(name).id for name in (CUFF, "load")]
     drawn = np.column_stack([exo.assistance.curve.start.numpy(), masses[:, ids]])
     assert drawn.min() >= 0
     assert drawn.max() <= 1
@@ -260,9 +261,7 @@ def test_other_bodies_cannot_wear_it(body):
     spec = next(TASKS[key] for key in TASKS if TASKS[key].body == body)
     with pytest.raises(ValueError, match=r".") as error:
         resolve("exoskeleton", spec)
-    assert str(error.value) == (
-        f"an exoskeleton needs the elbow; body {body!r} of task {spec.key!r} cannot wear it"
-    )
+    assert str(error.value) == f"body {body!r} cannot wear an exoskeleton; bodies that can: elbow"
 
 
 @pytest.mark.parametrize(

@@ -647,7 +647,8 @@ EDITS_BY_FIELD = """def edit(self, spec):
 def snippets():
     """Return the Python of examples, of what is outside here, and of README and documentation."""
     root = OUTSIDE.parents[1]
-    found = {path: path.read_text() for path in (*OUTSIDE.glob("*.py"), *(root / "examples").rglob("*.py"))}
+    files = (*OUTSIDE.glob("*.py"), *(root / "examples").rglob("*.py"))
+    found = {path: path.read_text() for path in files if not path.name.startswith("test_")}
     for path in (root / "README.md", root / "CONTRIBUTING.md", *(root / "docs").rglob("*.md")):
         for number, text in enumerate(re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)):
             found[path.with_suffix(f".{number}")] = text

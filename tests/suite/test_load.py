@@ -15,7 +15,7 @@ from myowarp.definitions.body import BODIES
 from myowarp.definitions.condition import resolve
 from myowarp.definitions.parameter import Ramp, Uniform
 from myowarp.definitions.task import TASKS
-from myowarp.models.conditions.load import PALMS, Load
+from myowarp.models.conditions.load import Load
 from myowarp.models.slim import slim
 from myowarp.sim.build import full_spec, oracle_model
 from myowarp.sim.simulation import Simulation
@@ -25,7 +25,7 @@ MASSES = np.linspace(0.0, 6.0, NUM_WORLDS)  # kg, one a world
 RADIUS = 0.05  # m
 COMPILED_MASS = 1.5  # kg, more than some bodies' floors of inertia need
 ELBOW = "myoElbowPose1D6MFixed-v0"
-HOSTS = {TASKS[key].body: key for key in reversed(list(TASKS)) if TASKS[key].body in PALMS}
+HOSTS = {TASKS[key].body: key for key in reversed(list(TASKS)) if BODIES[TASKS[key].body].load is not None}
 
 FIELD = 1e-6
 """Relative; a float32 rounding, or a sum of a few masses."""
@@ -83,8 +83,8 @@ def put_in_c(data, states, world):
 def compiled(key):
     """Return MuJoCo C's slim model of a task, compiled with COMPILED_MASS in the hand."""
     spec = full_spec(TASKS[key])
-    limb, center = PALMS[TASKS[key].body]
-    body = spec.body(limb).add_body(name="weight", pos=center, ipos=(0.0, 0.0, 0.0), fuse=0)
+    place = BODIES[TASKS[key].body].load
+    body = spec.body(place.limb).add_body(name="weight", pos=place.pos, ipos=(0.0, 0.0, 0.0), fuse=0)
     body.mass = COMPILED_MASS
     body.inertia, body.explicitinertial = 3 * [reference.sphere_inertia(COMPILED_MASS, RADIUS)], True
     model = slim(spec, TASKS[key].sites).compile()
@@ -124,8 +124,8 @@ def in_c(key, mass, world):
 def world_frame(qpos):
     """Return center of the load, anchor and axis of the elbow in the world, each (num_worlds, 3)."""
     spec = full_spec(TASKS[ELBOW])
-    limb, center = PALMS["elbow"]
-    spec.body(limb).add_site(name="center", pos=center)
+    place = BODIES["elbow"].load
+    spec.body(place.limb).add_site(name="center", pos=place.pos)
     model = spec.compile()
     data, rows = mujoco.MjData(model), []
     for angle in qpos:
@@ -261,23 +261,23 @@ def lineage(model, body):
 @pytest.mark.parametrize("body", sorted({TASKS[key].body for key in TASKS}))
 def test_every_body_holds_a_load_or_says_that_it_cannot(body):
     spec = next(TASKS[key] for key in TASKS if TASKS[key].body == body)
-    if body in PALMS:
+    if (place := BODIES[body].load) is not None:
         model = full_spec(spec, resolve("load", spec)).compile()
         assert model.body("load").mass == 0
         limb = model.body(model.body("load").parentid[0]).name
-        assert (limb, tuple(model.body("load").pos)) == PALMS[body]
+        assert (limb, tuple(model.body("load").pos)) == (place.limb, place.pos)
         return
     with pytest.raises(ValueError, match=r".") as error:
         resolve("load", spec)
-    known = "elbow, elbow_exo, hand, contact_hand"
+    known = "hand, contact_hand, elbow, elbow_exo"
     assert str(error.value) == f"body {body!r} cannot hold a load; bodies that can: {known}"
 
 
 def test_palm_is_the_site_of_the_model():
     """The hands' load is where myo-sim has its site of grasping."""
     for body in ("hand", "contact_hand"):
-        site = BODIES[body].build().site("S_grasp_r")
-        assert (site.parent.name, tuple(site.pos)) == PALMS[body]
+        site, place = BODIES[body].build().site("S_grasp_r"), BODIES[body].load
+        assert (site.parent.name, tuple(site.pos)) == (place.limb, place.pos)
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,10 @@ import pytest
 import myowarp
 from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.muscle_table import MuscleTable
-from myowarp.definitions.task import TASKS
+from myowarp.definitions.task import PHYSICS, TASKS
 from myowarp.definitions.worlds import Worlds
 from myowarp.models.muscles.mujoco import MujocoMuscle
+from myowarp.sim.build import num_substeps_of
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.outside import load
@@ -47,6 +48,19 @@ def test_values_of_every_shape():
     part = table.of(NAMES, WORLDS.split(2)[1])
     assert np.array_equal(part["optimal_fiber_length"], by_world[2:].repeat(3, axis=1))
     assert part["max_isometric_force"].shape == (1, 3)
+
+
+def test_a_body_has_a_table_of_its_own(monkeypatch):
+    """What is given goes before; Hill parameters are for models that take them, as far as they know them."""
+    given = MuscleTable(parameters={"max_isometric_force": {"b": 5.0}})
+    own = {"max_isometric_force": {"a": 1.0, "b": 2.0}, "optimal_fiber_length": {"c": 0.1}}
+    got = given.over(MuscleTable(parameters=own), NAMES, WORLDS)
+    assert np.array_equal(got["max_isometric_force"], [[1.0, 5.0, np.nan]], equal_nan=True)
+    assert np.array_equal(got["optimal_fiber_length"], [[np.nan, np.nan, 0.1]], equal_nan=True)
+    hill = MuscleTable("", own | {"pennation_angle_at_optimal": {"a": 0.2}})
+    assert given.over(hill, NAMES, WORLDS).keys() == {"max_isometric_force"}
+    monkeypatch.setattr(MujocoMuscle, "TAKES_HILL", True)
+    assert given.over(hill, NAMES, WORLDS).keys() == own.keys()
 
 
 @pytest.mark.parametrize(
@@ -180,6 +194,13 @@ def test_a_model_with_state_from_outside(elastic, shards):
     sim.step()
     assert sim.transition.fault.numpy().tolist() == [0, 0, 0, myowarp.kernels.episode.FAULT_NONFINITE, 0]
     assert np.isfinite(state["tendon_force"].numpy()).all()  # the world was reset at once
+
+
+def test_no_step_is_longer_than_it_stands(elastic, monkeypatch):
+    monkeypatch.setattr(MUSCLES[elastic], "coarse_step", 0.003)
+    spec = TASKS[TASK]
+    assert [num_substeps_of(spec, PHYSICS["fast"], name) for name in ("mujoco", elastic)] == [2, 7]
+    assert num_substeps_of(spec, PHYSICS["parity"], elastic) == spec.num_substeps
 
 
 def test_state_must_be_float32_by_world_and_muscle(elastic, monkeypatch):

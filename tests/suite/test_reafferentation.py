@@ -96,14 +96,14 @@ def test_both_in_one_world(reafferentation, transfer, world):
         (
             ELBOW,
             "reafferentation",
-            "reafferentation needs the muscles EIP and EPL; body 'elbow' of task "
-            "'myoElbowPose1D6MFixed-v0' has neither",
+            "body 'elbow' cannot have reafferentation; bodies that can: hand, contact_hand",
         ),
         (HAND, ("reafferentation", "tendon_transfer"), "world 0 cannot have both"),
         (
             HAND,
             ("reafferentation", "reafferentation"),
-            "conditions 'reafferentation' and 'reafferentation' both set the command of EPL; leave one out",
+            "conditions 'reafferentation' and 'reafferentation' both set the command of "
+            "the lost muscle; leave one out",
         ),
         (HAND, Reafferentation(-0.1), "reafferentation affected must be in 0..1, got -0.1"),
     ],

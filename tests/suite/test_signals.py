@@ -6,12 +6,13 @@ import pytest
 from configurations import configurations
 from reference import mujoco_muscle as reference
 
+from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import PHYSICS, TASKS
+from myowarp.models.bodies.arm_muscles import FATIGUE_RATES, GROUPS
 from myowarp.models.conditions.sarcopenia import Sarcopenia
 from myowarp.models.conditions.tendon_tear import TendonTear
 from myowarp.models.conditions.tendon_transfer import ACTUATOR, TendonTransfer
 from myowarp.sim.build import oracle_model
-from myowarp.sim.muscle_groups import GROUPS, group_of
 from myowarp.sim.signals import UNITS, Signals
 from myowarp.sim.simulation import Simulation
 
@@ -254,7 +255,7 @@ def test_groups_do_what_their_names_say(key):
             moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
         )
         arms[i] = -moment
-    checked = 0
+    checked, group_of = 0, BODIES[TASKS[key].body].group_of
     for actuator in range(model.nu):
         name = model.actuator(actuator).name.removesuffix("_r")
         assert group_of(name) == group_of(f"{name}_r") != ""
@@ -267,7 +268,7 @@ def test_groups_do_what_their_names_say(key):
     assert checked == (6 if key == ELBOW else 25)
 
 
-def test_groups_hold_every_muscle_once():
-    muscles = " ".join(GROUPS.values()).split()
-    assert len(muscles) == len(set(muscles))
-    assert group_of("unheard_of") == ""
+def test_every_muscle_of_the_table_has_a_group_and_rates():
+    assert set(GROUPS) == set(FATIGUE_RATES)
+    assert len(GROUPS) == 6 + 39
+    assert BODIES["hand"].group_of("unheard_of") == ""

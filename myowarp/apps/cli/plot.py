@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.console import Console
 
-from myowarp.apps.cli.options import Overwrite, optional
+from myowarp.apps.cli.options import Asked, Overwrite, environment, optional
 from myowarp.definitions.registry import check_least
 
 if TYPE_CHECKING:
-    import mujoco
+    from myowarp.definitions.setup import Setup
 
 BODY = ("moment-arms", "force-length", "force-velocity")
 LEARNING = "learning"
@@ -39,6 +40,7 @@ class Plot:
     """A signal, such as activation or fatigue; moment-arms, force-length, force-velocity; or learning."""
     sources: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE ...")]
     """A recording (.parquet, .npz), a task id or MJCF file, or CSV files."""
+    asked: Annotated[Asked, environment(only=("muscle", "muscle_parameters"))]
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/plot.png")
     """File to write, .png or .pdf."""
     muscles: Annotated[tuple[str, ...], optional("[NAME ...]")] = ()
@@ -73,6 +75,7 @@ class Plot:
     def _draw(self):
         """Return the figure."""
         from myowarp.apps.reports import figures
+        from myowarp.sim.build import oracle_model
 
         if self.what == LEARNING:
             return figures.learning([Path(source) for source in self.sources], self.columns)
@@ -80,24 +83,23 @@ class Plot:
             raise ValueError(f"plot {self.what} shows one recording or body, got {len(self.sources)}")
         source = self.sources[0]
         if self.what in BODY:
-            model, title = find_model(source)
+            setup, title = find_setup(source, self.asked.setup)
             if self.what == "moment-arms":
-                return figures.moment_arms(model, title, self.joint, self.muscles)
-            return figures.contraction(model, title, self.what, self.muscles)
+                return figures.moment_arms(oracle_model(setup.spec), title, self.joint, self.muscles)
+            return figures.contraction(setup, title, self.what, self.muscles)
         check_least(0, world=self.world)
         course = figures.read_course(Path(source), self.what, self.world, self.episode)
         return figures.over_time(course, self.muscles)
 
 
-def find_model(source: str) -> tuple[mujoco.MjModel, str]:
-    """Return the model of a task id or of an MJCF file, and a name for it.
+def find_setup(source: str, asked: Setup) -> tuple[Setup, str]:
+    """Return the setup of a task id or of an MJCF file, with what was asked, and a name for its body.
 
     Raises:
         ValueError: It is neither.
     """
-    from myowarp.sim.build import oracle_model
     from myowarp.tasks.setups import complete
 
     is_file = Path(source).suffix.lower() == ".xml"
-    spec = complete(Path(source) if is_file else source).spec
-    return oracle_model(spec), source if is_file else spec.body
+    setup = complete(dataclasses.replace(asked, task=Path(source) if is_file else source))
+    return setup, source if is_file else setup.spec.body

@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.coordinates.couplings import couplings
-from myowarp.definitions.body import BODIES, POINT_JOINTS
+from myowarp.definitions.body import BODIES, POINT_JOINTS, Body
 from myowarp.definitions.condition import Condition, Effect, resolve
 from myowarp.definitions.entries import entries, of_joints
 from myowarp.definitions.muscle import MuscleModel
@@ -29,7 +29,6 @@ from myowarp.engine.compile import quiet
 from myowarp.kernels.action import EXCITATION, MUSCLE, excitation
 from myowarp.kernels.episode import FAULTS, SUCCESS_RULE
 from myowarp.sim.build import actuator_kinds, compile_scene, num_substeps_of
-from myowarp.sim.muscle_groups import group_of
 from myowarp.sim.part import bind_conditions
 
 LIMITS = "actions are clipped to -1..1"
@@ -74,7 +73,7 @@ def describe(what: Setup | TaskSpec, env_id: str | None = None, **fields: Any) -
         "summary": spec.summary,
         "why": spec.why,
         "versions": _versions(spec),
-        "episode": _episode(spec),
+        "episode": _episode(setup),
         "observation": _observation(scene, effects),
         "action": _action(scene),
         "reward": _reward(spec, effects),
@@ -83,7 +82,7 @@ def describe(what: Setup | TaskSpec, env_id: str | None = None, **fields: Any) -
         "resets": _resets(scene),
         "draws": [_draw(draw, scene.oracle) for draw in spec.draws],
         "body": _body(scene),
-        "muscles": _muscles(scene.muscles),
+        "muscles": _muscles(scene.muscles, BODIES[scene.spec.body]),
         "conditions": [_condition(*pair) for pair in zip(found, effects, strict=True)],
     }
 
@@ -94,11 +93,11 @@ def _versions(spec: TaskSpec) -> list[dict[str, str]]:
     return [{"id": other.env_id, "why": other.why} for other in others]
 
 
-def _episode(spec: TaskSpec) -> dict[str, Any]:
+def _episode(setup: Setup) -> dict[str, Any]:
     """Return durations."""
-    physics = {}
+    spec, physics = setup.spec, {}
     for name, preset in PHYSICS.items():
-        substeps = num_substeps_of(spec, preset)
+        substeps = num_substeps_of(spec, preset, setup.muscles.model)
         physics[name] = {
             "integrator": preset.integrator or spec.integrator,
             "steps": substeps,
@@ -138,7 +137,7 @@ def _action(scene: Scene) -> dict[str, Any]:
     """Return what each action does."""
     kinds = actuator_kinds(scene.oracle)[: scene.num_actions]
     rows = [
-        _of_muscle(scene.oracle, i) if kind == int(MUSCLE) else _of_motor(scene.oracle, i)
+        _of_muscle(scene, i) if kind == int(MUSCLE) else _of_motor(scene.oracle, i)
         for i, kind in enumerate(kinds)
     ]
     maps = {}
@@ -149,12 +148,12 @@ def _action(scene: Scene) -> dict[str, Any]:
     return {"size": len(rows), "low": -1.0, "high": 1.0, "limits": LIMITS, "maps": maps, "actuators": rows}
 
 
-def _of_muscle(model: mujoco.MjModel, actuator: int) -> dict[str, Any]:
+def _of_muscle(scene: Scene, actuator: int) -> dict[str, Any]:
     """Return what an action does to a muscle."""
-    name = model.actuator(actuator).name
+    name, body = scene.oracle.actuator(actuator).name, BODIES[scene.spec.body]
     low, high = excitation(-1.0), excitation(1.0)
     kind = {"index": actuator, "name": name, "kind": "muscle", "quantity": "excitation"}
-    return kind | {"unit": "1", "low": low, "high": high, "group": group_of(name)}
+    return kind | {"unit": "1", "low": low, "high": high, "group": body.group_of(name)}
 
 
 def _of_motor(model: mujoco.MjModel, actuator: int) -> dict[str, Any]:
@@ -249,13 +248,14 @@ def _body(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _muscles(muscles: MuscleModel) -> dict[str, Any]:
+def _muscles(muscles: MuscleModel, body: Body) -> dict[str, Any]:
     """Return the muscle model, and each muscle's parameters."""
-    params = getattr(muscles, "params", muscles)
-    given = {name: getattr(params, name) for name in MUSCLE_PARAMETERS if hasattr(params, name)}
+    geometry = muscles.geometry()
+    given = {name: getattr(geometry, name)[0] for name in MUSCLE_PARAMETERS}
+    given = {name: values for name, values in given.items() if not np.isnan(values).any()}
     rows = [
-        {"name": name, "group": group_of(name)}
-        | {key: float(array.numpy()[0, i]) for key, array in given.items()}
+        {"name": name, "group": body.group_of(name)}
+        | {key: float(values[i]) for key, values in given.items()}
         for i, name in enumerate(muscles.names)
     ]
     law = [

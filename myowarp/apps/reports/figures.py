@@ -16,9 +16,12 @@ from myowarp.apps.reports import panel
 from myowarp.apps.reports.table import read_numbers
 from myowarp.coordinates.couplings import couplings, follow
 from myowarp.definitions.body import POINT_JOINTS
-from myowarp.definitions.parameter import muscle_index
+from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.registry import check_choice
-from myowarp.models.muscles.mujoco import MujocoMuscle, length_scale
+from myowarp.definitions.setup import Setup
+from myowarp.definitions.task import PHYSICS
+from myowarp.definitions.worlds import Worlds
+from myowarp.sim import build
 from myowarp.sim.signals import UNITS
 
 if TYPE_CHECKING:
@@ -194,19 +197,19 @@ def arms_over_range(model: mujoco.MjModel, joint: int, points: int) -> tuple[np.
     return coordinate, -(lengths[1] - lengths[0]) / (2.0 * STEP)
 
 
-def contraction(model: mujoco.MjModel, title: str, what: str, muscles: Sequence[str] = ()) -> Figure:
+def contraction(setup: Setup, title: str, what: str, muscles: Sequence[str] = ()) -> Figure:
     """Return the force of muscles over length or velocity at full and at no activation.
 
     Raises:
         ValueError: There is no such muscle.
     """
-    norm, tension, peak, names = contraction_curves(model, what)
+    norm, tension, peak, names = contraction_curves(setup, what)
     shown, left_out = _chosen(names, muscles, peak)
     axis = "length" if what == "force-length" else "velocity"
     figure, axes = _axes(f"Force over {axis}: {title}")
     for index in shown:
-        line = axes.plot(norm, tension[1, :, index], label=names[index])[0]
-        axes.plot(norm, tension[0, :, index], color=line.get_color(), linestyle=":")
+        line = axes.plot(norm[1, :, index], tension[1, :, index], label=names[index])[0]
+        axes.plot(norm[0, :, index], tension[0, :, index], color=line.get_color(), linestyle=":")
     label = (
         "Fiber length / optimal fiber length"
         if axis == "length"
@@ -216,47 +219,53 @@ def contraction(model: mujoco.MjModel, title: str, what: str, muscles: Sequence[
     return figure
 
 
-def contraction_curves(
-    model: mujoco.MjModel, what: str
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Return forces of MuJoCo's muscles, as the simulation computes them.
+def contraction_curves(setup: Setup, what: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Return forces of a body's muscles, as the simulation computes them; elastic tendons are settled.
 
     Args:
-        model: A model with muscles.
-        what: "force-length", without velocity, or "force-velocity", at optimal length.
+        setup: A task of the body, and its muscle model.
+        what: "force-length", without velocity, or "force-velocity", where a tendon at its slack length leaves
+            fibers of optimal length.
 
     Returns:
-        Normalized length or velocity (points,); forces [N] without and with full activation (2, points,
-        num_muscles); peak forces [N] and names of the muscles.
+        Normalized length or velocity of fibers, and forces [N], without and with full activation, each (2,
+        points, num_muscles); peak forces [N] and names of the muscles.
 
     Raises:
-        ValueError: The model has no muscles.
+        ValueError: The body has no muscles, or the muscle model does not say how long fibers are.
     """
+    spec, table, model = setup.spec, setup.muscles, build.oracle_model(setup.spec)
+    over_length = what == "force-length"
     with wp.ScopedDevice("cpu"):
-        muscles = MujocoMuscle(model, 2 * POINTS)
+        muscles = build.new_muscles(table, model, Worlds.all(2 * POINTS), spec, PHYSICS["parity"])
         if not muscles.names:
             raise ValueError("force curves are those of muscles; the body has none")
-        gain = model.actuator_gainprm[muscles.actuator_id]
-        optimal, slack = length_scale(gain, model.actuator_lengthrange[muscles.actuator_id])
-        norm = np.linspace(*(NORM_LENGTHS if what == "force-length" else NORM_VELOCITIES), POINTS)
-        over_length = norm if what == "force-length" else np.ones(POINTS)
-        over_velocity = np.zeros(POINTS) if what == "force-length" else norm
-        shape = 2 * POINTS, model.nu
-        length, velocity = np.zeros(shape), np.zeros(shape)
-        ids = muscles.actuator_id
-        length[:, ids] = np.tile(slack + over_length[:, None] * optimal, (2, 1))
-        velocity[:, ids] = np.tile(over_velocity[:, None] * optimal * gain[:, 6], (2, 1))
+        rigid, ids = muscles.geometry(), muscles.actuator_id
+        if np.isnan(optimal := rigid.optimal_fiber_length.astype(float)).any():
+            raise ValueError(f"force curves need the geometry of fibers, which {table.model!r} does not say")
+        norm = np.linspace(*(NORM_LENGTHS if over_length else NORM_VELOCITIES), POINTS)
+        each = np.tile(norm, 2)[:, None]
+        length, velocity = np.zeros((2 * POINTS, model.nu)), np.zeros((2 * POINTS, model.nu))
+        length[:, ids] = rigid.tendon_slack_length + (each if over_length else 1.0) * optimal
+        velocity[:, ids] = (0.0 if over_length else each) * optimal * rigid.max_contraction_velocity
         muscles.activation.assign(np.repeat((0.0, 1.0), POINTS)[:, None] * np.ones(len(ids)))
         opt = SimpleNamespace(timestep=wp.zeros(1, dtype=float))
-        forms = wp.zeros(shape, dtype=wp.types.vector(10, float))
+        forms = wp.zeros(length.shape, dtype=wp.types.vector(10, float))
         data = SimpleNamespace(
-            ctrl=wp.zeros(shape, dtype=float),
+            ctrl=wp.zeros(length.shape, dtype=float),
             actuator_length=wp.array(length, dtype=float),
             actuator_velocity=wp.array(velocity, dtype=float),
         )
-        muscles.launch(SimpleNamespace(opt=opt, actuator_biasprm=forms), data)
-        peak = muscles.params.max_isometric_force.numpy()[0]
-    return norm, muscles.tension.numpy().reshape(2, POINTS, -1), peak, muscles.names
+        still = SimpleNamespace(opt=opt, actuator_biasprm=forms)
+        muscles.launch(still, data)
+        if muscles.settles:
+            muscles.settle(wp.ones(2 * POINTS, dtype=bool))
+            muscles.launch(still, data)
+        fibers = (length[:, ids] - muscles.geometry().tendon_length) / optimal
+    shown = fibers if over_length else np.broadcast_to(each, fibers.shape)
+    shape = 2, POINTS, -1
+    peak = rigid.max_isometric_force[0]
+    return shown.reshape(shape), muscles.tension.numpy().reshape(shape), peak, muscles.names
 
 
 def learning(paths: Sequence[Path], columns: Sequence[str] = ()) -> Figure:

@@ -6,12 +6,14 @@ it; these edits of the composed hand give it: every field that moves it agrees t
 conditioning; the other edits are needed for parity only.
 """
 
+from dataclasses import replace
+
 import mujoco
 import warp as wp
 from myo_sim.build.compose import apply_inertia_floor
 
-from myowarp.definitions.body import BODIES, Body
-from myowarp.models.bodies.hand import hand
+from myowarp.definitions.body import BODIES, CAUTIOUS_STEP
+from myowarp.models.bodies.hand import HAND, hand
 
 ROOT_POS = (-0.025203285253, 0.071449974504, 1.392442909705)  # m
 ROOT_QUAT = (0.521702295767, 0.469732569517, -0.478718760568, -0.527263099417)  # w, x, y, z
@@ -89,6 +91,5 @@ def add_object(
     return body
 
 
-TIPS = ("THtip_r", "IFtip_r", "MFtip_r", "RFtip_r", "LFtip_r")
 PALM = "lunate_r"  # carries the wrist's joints; the metacarpals of the four fingers are fixed to it
-BODIES.add("contact_hand", Body(contact_hand, tips=TIPS, palm=PALM))
+BODIES.add("contact_hand", replace(HAND, build=contact_hand, palm=PALM, coarse_step=CAUTIOUS_STEP))

@@ -6,10 +6,13 @@ control, unlimited there, has the bounds of the action, which it equals. An exos
 that can follow the muscles is the condition `exoskeleton` on the plain elbow.
 """
 
+from dataclasses import replace
+
 import mujoco
 from myo_sim import MODELS_DIR
 
-from myowarp.definitions.body import BODIES, Body, CoarseStep
+from myowarp.definitions.body import BODIES
+from myowarp.models.bodies.elbow import ELBOW
 
 WEIGHT = "carry_weight"  # name of the weight's body
 
@@ -23,4 +26,4 @@ def elbow_exo() -> mujoco.MjSpec:
     return spec
 
 
-BODIES.add("elbow_exo", Body(elbow_exo, tips=("wrist",), coarse_step=CoarseStep(0.010, 1.0)))
+BODIES.add("elbow_exo", replace(ELBOW, build=elbow_exo, exoskeleton=None))  # it has one already

@@ -8,6 +8,12 @@ import mujoco
 from myo_sim import MODELS_DIR
 
 from myowarp.definitions.body import BODIES, Body, CoarseStep
+from myowarp.models.bodies.arm_muscles import HAND, by_muscle
+
+GROUPS = by_muscle(
+    {"finger extensors": "extn", "finger flexors": "mflx dflx", "finger abductors": "adabR adabL"}
+)
+"""The muscles are named after what they do."""
 
 MOTOR_GEARS = {"extn": 80.0, "adabR": 20.0, "adabL": 20.0, "mflx": 40.0, "dflx": 40.0}  # N per unit
 
@@ -25,5 +31,14 @@ def motor_finger() -> mujoco.MjSpec:
     return spec
 
 
-BODIES.add("finger", Body(finger, tips=("IFtip",), coarse_step=CoarseStep(0.020 / 6, 0.6)))
+BODIES.add(
+    "finger",
+    Body(
+        finger,
+        tips=("IFtip",),
+        coarse_step=CoarseStep(0.020 / 6, 0.6),
+        groups=GROUPS,
+        fatigue_rates=dict.fromkeys(GROUPS, HAND),
+    ),
+)
 BODIES.add("motor_finger", Body(motor_finger, tips=("IFtip",)))

@@ -7,7 +7,8 @@ its hand pose and hand reach tasks. Everything proximal to the radius is welded 
 import mujoco
 from myo_sim.build.compose import build_right_hand_from_arm_spec
 
-from myowarp.definitions.body import BODIES, Body, CoarseStep
+from myowarp.definitions.body import BODIES, Body, CoarseStep, Place, Transfer
+from myowarp.models.bodies.arm_muscles import FATIGUE_RATES, GROUPS
 
 ROOT_POS = (-0.02525155, 0.07146933, 1.39249298)  # m
 ROOT_QUAT = (0.52167746, 0.46981366, -0.47875126, -0.52718591)  # w, x, y, z
@@ -23,4 +24,38 @@ def hand() -> mujoco.MjSpec:
 
 
 TIPS = ("THtip_r", "IFtip_r", "MFtip_r", "RFtip_r", "LFtip_r")
-BODIES.add("hand", Body(hand, TIPS, coarse_step=CoarseStep(0.020 / 3, 0.5)))
+TRANSFER = Transfer(
+    donor="EIP",
+    lost="EPL",
+    path=(
+        ("EIP-P1_r",),
+        ("EIP-P2_r",),
+        ("EIP-P3_r",),
+        ("EPL-P8_r",),
+        ("EPL-P9_r",),
+        ("MPthumb_wrap", ""),
+        ("EPL-P10_r",),
+        ("EPL-P11_r",),
+        ("IPthumb_wrap", "IPthumb_site_EPL_side_r"),
+        ("EPL-P12_r",),
+    ),
+)
+"""The index finger's second extensor goes to the thumb, along EIP-P1..P3, EPL-P8..P12 (the dorsal thumb).
+
+Sources: Caggiano et al. (2022), arXiv:2205.13600; the path is that of the unused hand with a transfer that
+MyoSuite 2.12.2 bundles.
+"""
+
+HAND = BODIES.add(
+    "hand",
+    Body(
+        hand,
+        TIPS,
+        coarse_step=CoarseStep(0.020 / 3, 0.5),
+        groups=GROUPS,
+        fatigue_rates=FATIGUE_RATES,
+        load=Place("trapezium_r", (-0.011, -0.06, -0.03)),  # myo-sim's site S_grasp_r
+        transfer=TRANSFER,
+        torn=("FPL",),
+    ),
+)

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, ClassVar
 import mujoco
 import warp as wp
 
+from myowarp.definitions.body import Brace, fact_for
 from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
 from myowarp.definitions.muscle import BiasParams
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
@@ -34,18 +35,13 @@ if TYPE_CHECKING:
 
 NAME = "exoskeleton"  # of the actuator
 EXO_EFFORT = ("1", "minus the square of the motor's torque over its largest")
-BODY, JOINT, LIMB = "elbow", "r_elbow_flex", "r_ulna_radius_hand"
 
 _CYLINDER, _BOX = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
-CUFF = AddedMass(
-    "exo_forearm",
-    LIMB,
-    (0.0, 0.0, 0.0),
-    (
-        Part(_CYLINDER, (0.03, 0.03, 0.0), 0.1, (0.0, -0.12, 0.035), tilt=1.3),
-        Part(_BOX, (0.01, 0.004, 0.06), 0.01, (0.0, -0.05, 0.06), tilt=1.3),
-        Part(_CYLINDER, (0.02, 0.01, 0.0), 0.001, (0.0, 0.0, 0.05)),
-    ),
+CUFF = "exo_forearm"  # name of its body in the model
+PARTS = (
+    Part(_CYLINDER, (0.03, 0.03, 0.0), 0.1, (0.0, -0.12, 0.035), tilt=1.3),
+    Part(_BOX, (0.01, 0.004, 0.06), 0.01, (0.0, -0.05, 0.06), tilt=1.3),
+    Part(_CYLINDER, (0.02, 0.01, 0.0), 0.001, (0.0, 0.0, 0.05)),
 )
 """Cuff, bar and hinge on the forearm; source: myo-sim 0.2.3, `myoelbow_exo`."""
 
@@ -96,16 +92,14 @@ class Exoskeleton(Condition):
         return () if self.motor else (NAME,)
 
     def check(self, spec: TaskSpec) -> None:
-        """Raise ValueError if the body is not the plain elbow."""
-        if spec.body != BODY:
-            raise ValueError(
-                f"an exoskeleton needs the elbow; body {spec.body!r} of task {spec.key!r} cannot wear it"
-            )
+        """Raise ValueError if the body names no place for it."""
+        worn_by(spec.body)
 
-    def edit(self, spec: mujoco.MjSpec) -> None:
+    def edit(self, spec: mujoco.MjSpec, body: str) -> None:
         """Add the cuff, and an actuator that is idle until it is commanded."""
-        CUFF.edit(spec)
-        actuator = spec.add_actuator(name=NAME, target=JOINT)
+        cuff, joint = worn_by(body)
+        cuff.edit(spec)
+        actuator = spec.add_actuator(name=NAME, target=joint)
         actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
         actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
         actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
@@ -116,11 +110,22 @@ class Exoskeleton(Condition):
 
     def bind(self, scene: Scene, clock: Clock) -> ExoskeletonEffect:
         """Put assistance and mass on the device."""
-        cuff = CUFF.bind(scene, clock, "exoskeleton forearm_mass", self.forearm_mass)
+        cuff = worn_by(scene.spec.body)[0].bind(scene, clock, "exoskeleton forearm_mass", self.forearm_mass)
         if self.motor:
             return MotorEffect(scene, cuff, self)
+        if scene.oracle.nv > 1:
+            raise ValueError(
+                f"an exoskeleton that follows muscles needs a body with one joint; {scene.spec.body!r} has "
+                f"{scene.oracle.nv} degrees of freedom; give motor=True"
+            )
         assistance = Parameter("exoskeleton assistance", self.assistance, scene, (), neutral=0.0, low=0.0)
         return AssistEffect(scene, cuff, clock, assistance)
+
+
+def worn_by(body: str) -> tuple[AddedMass, str]:
+    """Return the part on the forearm of a body, and the joint that turns; ValueError if there is none."""
+    brace: Brace = fact_for("wear an exoskeleton", body, "exoskeleton")
+    return AddedMass(CUFF, brace.limb, (0.0, 0.0, 0.0), PARTS), brace.joint
 
 
 class ExoskeletonEffect(Effect):

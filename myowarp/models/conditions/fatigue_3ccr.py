@@ -11,9 +11,10 @@ target load TL, the excitation that the policy commands, and the muscle gets M_A
 per control step dt, with c limited so that every compartment stays in 0..1.
 
 Sources: Xia, Frey Law (2008), doi:10.1016/j.jbiomech.2008.07.013; Looft, Herkert, Frey-Law (2018),
-doi:10.1016/j.jbiomech.2018.06.005; rates by muscle group and the rest at zero load: Rakshit et al. (2021),
-doi:10.1016/j.jbiomech.2021.110695. Step, groups and threshold are those of MyoSuite 3.0.0, whose `myoFati...`
-ids have this condition. As there, the muscle's own activation dynamics then filter M_A once more.
+doi:10.1016/j.jbiomech.2018.06.005; rates by muscle group, which are facts of the body (`Body.fatigue_rates`),
+and the rest at zero load: Rakshit et al. (2021), doi:10.1016/j.jbiomech.2021.110695. Step, groups and
+threshold are those of MyoSuite 3.0.0, whose `myoFati...` ids have this condition. As there, the muscle's own
+activation dynamics then filter M_A once more.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.body import BODIES, FatigueRates
 from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.parameter import (
     Clock,
     Curve,
@@ -36,7 +39,6 @@ from myowarp.definitions.parameter import (
     Ramp,
     Uniform,
     Value,
-    muscle_index,
     value_of,
 )
 from myowarp.definitions.task import Column
@@ -51,47 +53,8 @@ if TYPE_CHECKING:
 REST_LOAD = wp.constant(0.01)  # a muscle rests up to this target load [1]; MyoSuite 3.0.0
 FAST = 2.0  # 1/s: a hundred times what is measured, so that a viewer need not wait for minutes
 STREAM = wp.constant(zlib.crc32(b"fatigue_3ccr initial_random") & 0x7FFFFFFF)
-
-
-@dataclass(frozen=True)
-class Rates:
-    """Parameters of a muscle.
-
-    Attributes:
-        fatigue_rate: F [1/s].
-        recovery_rate: R [1/s].
-        rest_recovery_factor: r, how much faster a resting muscle recovers [1].
-    """
-
-    fatigue_rate: float
-    recovery_rate: float
-    rest_recovery_factor: float
-
-
-HAND = Rates(0.01227, 0.00134, 9.1)
-ELBOW_EXTENSOR = Rates(0.01559, 0.00125, 25.52)
-ELBOW_FLEXOR = Rates(0.01703, 0.00494, 4.68)
-WRIST_FLEXOR = Rates(0.01235, 0.00135, 12.51)
-FIRST_DORSAL_INTEROSSEOUS = Rates(0.02686, 0.00656, 3.41)
-OTHER = Rates(0.0097, 0.00091, 15.0)  # "general" of Frey-Law et al. (2012), r of Looft et al. (2018)
-
-GROUPS = (
-    (ELBOW_EXTENSOR, "TRIlong TRIlat TRImed"),
-    (ELBOW_FLEXOR, "BIClong BICshort BRA PT"),
-    (WRIST_FLEXOR, "FCR FCU PL PQ FDS5 FDS4 FDS3 FDS2 FDP5 FDP4 FDP3 FDP2 FPL APL"),
-    (FIRST_DORSAL_INTEROSSEOUS, "RI2"),
-    (HAND, "ECRL ECRB ECU EDC5 EDC4 EDC3 EDC2 EDM EIP EPL EPB"),
-    (HAND, "OP LU_RB2 UI_UB2 RI3 LU_RB3 UI_UB3 RI4 LU_RB4 UI_UB4 RI5 LU_RB5 UI_UB5"),
-    (HAND, "extn adabR adabL mflx dflx"),
-)
-"""Rates of muscles by name, from Rakshit et al. (2021), table 2, both sexes together."""
-
-RATES = {muscle: rates for rates, muscles in GROUPS for muscle in muscles.split()}
-
-
-def rates_of(muscle: str) -> Rates:
-    """Return the rates of a muscle, named with or without `_r`; those of `OTHER` if it is in no group."""
-    return RATES.get(muscle.removesuffix("_r"), OTHER)
+OTHER = FatigueRates(0.0097, 0.00091, 15.0)
+"""Where the body has none: "general" of Frey-Law et al. (2012), r of Looft et al. (2018)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,12 +99,13 @@ class Fatigue3CCR(Condition):
     def bind(self, scene: Scene, clock: Clock) -> Fatigue3CCREffect:
         """Put all parameters on the device."""
         names = self.muscle_names(scene)
+        rates = rates_of(scene.spec.body, names)
         limits = {
             # parameter: (value, neutral, greatest, usual); no more than all of a compartment flows in a step
             "affected": (self.affected, 0.0, 1.0, None),
-            "fatigue_rate": (self._rates("fatigue_rate", names), 0.0, 1.0 / scene.control_dt, FAST),
-            "recovery_rate": (self._rates("recovery_rate", names), 0.0, 1.0 / scene.control_dt, FAST),
-            "rest_recovery_factor": (self._rates("rest_recovery_factor", names), 1.0, np.inf, None),
+            "fatigue_rate": (self._rates("fatigue_rate", rates), 0.0, 1.0 / scene.control_dt, FAST),
+            "recovery_rate": (self._rates("recovery_rate", rates), 0.0, 1.0 / scene.control_dt, FAST),
+            "rest_recovery_factor": (self._rates("rest_recovery_factor", rates), 1.0, np.inf, None),
             "initial": (0.0 if self.initial is None else self.initial, 0.0, 1.0, None),
         }
         parameters = {
@@ -152,9 +116,9 @@ class Fatigue3CCR(Condition):
         }
         return Fatigue3CCREffect(self, scene, clock, parameters)
 
-    def _rates(self, name: str, muscles: Sequence[str]) -> Value:
-        """Return a rate as given, with the table's for every muscle that is left open."""
-        table = {muscle: getattr(rates_of(muscle), name) for muscle in muscles}
+    def _rates(self, name: str, rates: Mapping[str, FatigueRates]) -> Value:
+        """Return a rate as given, with the body's for every muscle that is left open."""
+        table = {muscle: getattr(own, name) for muscle, own in rates.items()}
         value = getattr(self, name)
         if value is None:
             return table
@@ -162,6 +126,12 @@ class Fatigue3CCR(Condition):
             start, end = completed(value.start, table), completed(value.end, table)
             return dataclasses.replace(value, start=start, end=end)
         return completed(value, table)
+
+
+def rates_of(body: str, muscles: Sequence[str]) -> dict[str, FatigueRates]:
+    """Return the rates of muscles, named with or without `_r`; `OTHER` where the body has none."""
+    known = BODIES[body].fatigue_rates
+    return {muscle: known.get(muscle.removesuffix("_r"), OTHER) for muscle in muscles}
 
 
 def completed(value: Fixed | Uniform, table: dict[str, float]) -> Fixed | Uniform:

@@ -1,10 +1,10 @@
 """A load: a weight in the hand, of any mass, that may change within an episode.
 
-A solid sphere that moves with the palm. The elbow holds it where MyoSuite 3.0.0 puts the weight of its
-exoskeleton tasks (`carry_weight`); the hands at myo-sim's site `S_grasp_r`, 5 cm in front of the third
-metacarpal, which its tasks bring to objects. It weighs and is inert, but touches nothing: a hand with an
-object in it carries the load as if strapped on. Source of the masses 0 to 2 kg: Caggiano et al. (2022),
-arXiv:2205.13600, loads in the tests of the exoskeleton.
+A solid sphere that moves with the palm, at the place that the body names (`Body.load`). The elbow holds it
+where MyoSuite 3.0.0 puts the weight of its exoskeleton tasks (`carry_weight`); the hands at myo-sim's site
+`S_grasp_r`, 5 cm in front of the third metacarpal, which its tasks bring to objects. It weighs and is inert,
+but touches nothing: a hand with an object in it carries the load as if strapped on. Source of the masses 0 to
+2 kg: Caggiano et al. (2022), arXiv:2205.13600, loads in the tests of the exoskeleton.
 """
 
 from __future__ import annotations
@@ -15,25 +15,15 @@ from typing import TYPE_CHECKING, ClassVar
 import mujoco
 import warp as wp
 
+from myowarp.definitions.body import Place, fact_for
 from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
 from myowarp.definitions.parameter import Clock, Value
 from myowarp.kernels.write import is_finite
-from myowarp.models.conditions.added_mass import BATCHED, AddedMass, HungMass, Part, Triple
+from myowarp.models.conditions.added_mass import BATCHED, AddedMass, HungMass, Part
 
 if TYPE_CHECKING:
     from myowarp.definitions.scene import Scene
     from myowarp.definitions.task import TaskSpec
-
-_ELBOW = ("r_ulna_radius_hand", (0.05, -0.35, 0.07))
-_HAND = ("trapezium_r", (-0.011, -0.06, -0.03))
-
-PALMS: dict[str, tuple[str, Triple]] = {
-    "elbow": _ELBOW,
-    "elbow_exo": _ELBOW,
-    "hand": _HAND,
-    "contact_hand": _HAND,
-}
-"""Body: the part of it that carries the load, and the load's center in the frame of that part [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,23 +58,22 @@ class Load(Condition):
         return BATCHED
 
     def check(self, spec: TaskSpec) -> None:
-        """Raise ValueError if the body has no palm."""
-        if spec.body not in PALMS:
-            raise ValueError(f"body {spec.body!r} cannot hold a load; bodies that can: {', '.join(PALMS)}")
+        """Raise ValueError if the body names no place for it."""
+        self._sphere(spec.body)
 
-    def _sphere(self, palm: tuple[str, Triple]) -> AddedMass:
-        """Return the load of a palm."""
-        limb, pos = palm
-        return AddedMass("load", limb, pos, (Part(mujoco.mjtGeom.mjGEOM_SPHERE, (self.radius, 0.0, 0.0)),))
+    def _sphere(self, body: str) -> AddedMass:
+        """Return the load of a body."""
+        place: Place = fact_for("hold a load", body, "load")
+        sphere = Part(mujoco.mjtGeom.mjGEOM_SPHERE, (self.radius, 0.0, 0.0))
+        return AddedMass("load", place.limb, place.pos, (sphere,))
 
-    def edit(self, spec: mujoco.MjSpec) -> None:
-        """Add the sphere to the palm that is there."""
-        palm = next(palm for palm in PALMS.values() if spec.body(palm[0]) is not None)
-        self._sphere(palm).edit(spec)
+    def edit(self, spec: mujoco.MjSpec, body: str) -> None:
+        """Add the sphere where the body holds it."""
+        self._sphere(body).edit(spec)
 
     def bind(self, scene: Scene, clock: Clock) -> LoadEffect:
         """Put the masses on the device."""
-        sphere = self._sphere(PALMS[scene.spec.body])
+        sphere = self._sphere(scene.spec.body)
         return LoadEffect(sphere.bind(scene, clock, "load mass", self.mass))
 
 

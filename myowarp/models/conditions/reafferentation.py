@@ -1,8 +1,9 @@
-"""Reafferentation: the command for EIP goes to EPL, and EIP gets none.
+"""Reafferentation: the command for one muscle goes to another, and the first gets none.
 
-    u_EPL <- u_EIP,   u_EIP <- 0
+    u_lost <- u_donor,   u_donor <- 0
 
-What the policy asks of EPL is ignored. No path, force or model changes. Source: MyoSuite 3.0.0, its
+The muscles are those of the body's tendon transfer (`Body.transfer`), EIP and EPL in the hand. What the
+policy asks of the lost one is ignored. No path, force or model changes. Source: MyoSuite 3.0.0, its
 `myoReafHand...` tasks, which mean a tendon transfer by it; the transfer itself is `tendon_transfer`.
 """
 
@@ -16,14 +17,13 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
-from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, muscle_index
+from myowarp.definitions.muscle import muscle_index
+from myowarp.definitions.parameter import Clock, Curve, Parameter, Value
 from myowarp.models.conditions.tendon_transfer import (
-    DONOR,
-    LOST,
     TendonTransferEffect,
     affected_parameter,
-    check_hand,
     is_affected,
+    transfer_of,
 )
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Reafferentation(Condition):
-    """EPL obeys the command for EIP.
+    """The lost muscle obeys the command for the donor.
 
     A world can have this or a `TendonTransfer`, of which this is upstream's stand-in, but not both.
 
@@ -42,14 +42,14 @@ class Reafferentation(Condition):
     """
 
     STAGE = Stage.ROUTING
-    WRITES = ("the command of EPL",)
+    WRITES = ("the command of the lost muscle",)
     NEUTRAL: ClassVar = {"affected": 0.0}
 
     affected: Value = 1.0
 
     def check(self, spec: TaskSpec) -> None:
-        """Raise ValueError if the body is no hand."""
-        check_hand("reafferentation", spec)
+        """Raise ValueError if the body names no muscles for it."""
+        transfer_of(spec.body, "have reafferentation")
 
     def bind(self, scene: Scene, clock: Clock) -> ReafferentationEffect:
         """Find the muscles."""
@@ -115,9 +115,10 @@ class ReafferentationEffect(Effect):
 
     def __init__(self, scene: Scene, clock: Clock, parameter: Parameter) -> None:
         self.scene, self.clock, self.parameter = scene, clock, parameter
-        muscles = scene.muscles
+        muscles, transfer = scene.muscles, transfer_of(scene.spec.body)
         self.donor, self.lost = (
-            int(muscles.actuator_id[muscle_index(name, muscles.names)]) for name in (DONOR, LOST)
+            int(muscles.actuator_id[muscle_index(name, muscles.names)])
+            for name in (transfer.donor, transfer.lost)
         )
 
     def check_beside(self, effects: Sequence[Effect]) -> None:

@@ -18,7 +18,8 @@ import warp as wp
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
-from myowarp.definitions.parameter import SPANS, Clock, Curve, Parameter, Value, muscle_index, value_of
+from myowarp.definitions.muscle import muscle_index
+from myowarp.definitions.parameter import SPANS, Clock, Curve, Parameter, Value, value_of
 from myowarp.definitions.registry import check_choice
 
 if TYPE_CHECKING:
@@ -35,7 +36,8 @@ class TendonTear(Condition):
     """Torn tendons.
 
     Attributes:
-        muscles: Name or names of muscles; the side suffix `_r` may be left out.
+        muscles: Name or names of muscles; the side suffix `_r` may be left out. None: those that the body
+            names (`Body.torn`), FPL in the hand.
         time: When they tear [s], >= 0: the first control step that does not begin before it.
         transmission: What is left of the force they pass on, 0..1; 1 is healthy.
         of: Whether `time` counts from the begin of the "episode", or of the "life", which goes on through
@@ -45,7 +47,7 @@ class TendonTear(Condition):
     STAGE = Stage.TRANSMISSION
     NEUTRAL: ClassVar = {"transmission": 1.0}
 
-    muscles: str | Sequence[str] = ("FPL",)
+    muscles: str | Sequence[str] | None = None
     time: Value = 0.0
     transmission: Value = 0.0
     of: str = "episode"
@@ -53,9 +55,9 @@ class TendonTear(Condition):
     def __post_init__(self) -> None:
         """Check what does not depend on the body."""
         check_choice("tendon_tear time of", self.of, SPANS)
-        if not isinstance(self.muscles, Sequence):
+        if self.muscles is not None and not isinstance(self.muscles, Sequence):
             raise ValueError(f"tendon_tear muscles must be a name or several in a list, got {self.muscles!r}")
-        if not self.muscles:
+        if self.muscles is not None and not self.muscles:
             raise ValueError("tendon_tear needs at least one muscle, got none")
 
     @classmethod
@@ -65,20 +67,23 @@ class TendonTear(Condition):
 
     def check(self, spec: TaskSpec) -> None:
         """Raise ValueError if the body lacks a muscle."""
-        self.indices(_muscle_names(spec.body))
+        self.indices(spec.body, _muscle_names(spec.body))
 
-    def indices(self, names: Sequence[str]) -> list[int]:
-        """Return which of the muscles called `names` tear.
+    def indices(self, body: str, names: Sequence[str]) -> list[int]:
+        """Return which of the muscles of a body, called `names`, tear.
 
         Raises:
-            ValueError: A muscle is unknown; the message lists the close names.
+            ValueError: A muscle is unknown, and the message lists the close names; or none is named.
         """
-        muscles = [self.muscles] if isinstance(self.muscles, str) else self.muscles
+        muscles = BODIES[body].torn if self.muscles is None else self.muscles
+        if not muscles:
+            raise ValueError(f"tendon_tear needs the muscles that tear in body {body!r}, got none")
+        muscles = [muscles] if isinstance(muscles, str) else muscles
         return list(dict.fromkeys(muscle_index(muscle, names) for muscle in muscles))
 
     def bind(self, scene: Scene, clock: Clock) -> TendonTearEffect:
         """Put times and transmissions on the device."""
-        indices = self.indices(scene.muscles.names)
+        indices = self.indices(scene.spec.body, scene.muscles.names)
         torn = [scene.muscles.names[i] for i in indices]
 
         def parameter(field: str, neutral: float, high: float) -> Parameter:

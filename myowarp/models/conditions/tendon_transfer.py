@@ -1,13 +1,15 @@
-"""Tendon transfer: the index finger's second extensor, EIP, is rerouted to the thumb in place of a lost EPL.
+"""Tendon transfer: a muscle is rerouted to pull in place of a lost one.
 
-    affected:   EIP pulls along EIP-P1..P3, EPL-P8..P12 (the dorsal thumb); EPL transmits nothing
+    affected:   the donor pulls along another path; the lost muscle transmits nothing
 
-The muscle keeps its activation, its strength and its place among actions and observations. Its fibers are
-fitted to the new path as MuJoCo fits every muscle: their operating range spans the lengths that the path
-takes over the ranges of the joints, so optimal fiber length and tendon slack length change with the route.
+Muscles and path are facts of the body (`Body.transfer`): in the hand the index finger's second extensor, EIP,
+goes to the thumb in place of EPL. The muscle keeps its activation, its strength and its place among actions
+and observations. Its fibers are fitted to the new path as MuJoCo fits every muscle: their operating range
+spans the lengths that the path takes over the ranges of the joints, so optimal fiber length and tendon slack
+length change with the route.
 
-Source: Caggiano et al. (2022), arXiv:2205.13600; the path is that of the unused hand with a transfer that
-MyoSuite 2.12.2 bundles. MyoSuite's own `myoReaf...` tasks move a command and no tendon: `reafferentation`.
+Source: Caggiano et al. (2022), arXiv:2205.13600. MyoSuite's own `myoReaf...` tasks move a command and no
+tendon: `reafferentation`.
 """
 
 from __future__ import annotations
@@ -19,32 +21,16 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.body import Transfer, fact_for
 from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
-from myowarp.definitions.muscle import Anatomy, BiasParams, affine_bias
-from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, muscle_index, value_of
+from myowarp.definitions.muscle import Anatomy, BiasParams, affine_bias, muscle_index
+from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
 
 if TYPE_CHECKING:
     from myowarp.definitions.scene import Scene
     from myowarp.definitions.task import TaskSpec
 
-DONOR, LOST = "EIP", "EPL"
-HANDS = ("hand", "contact_hand")
-"""Bodies with both muscles."""
-
-ACTUATOR, TENDON = "EIP_transferred_r", "EIP_transferred_tendon_r"
-PATH = (
-    ("EIP-P1_r",),
-    ("EIP-P2_r",),
-    ("EIP-P3_r",),
-    ("EPL-P8_r",),
-    ("EPL-P9_r",),
-    ("MPthumb_wrap", ""),
-    ("EPL-P10_r",),
-    ("EPL-P11_r",),
-    ("IPthumb_wrap", "IPthumb_site_EPL_side_r"),
-    ("EPL-P12_r",),
-)
-"""A site; or a wrapping surface and the site on the side where the tendon passes, "" for either side."""
+ACTUATOR, TENDON = "transferred", "transferred_tendon"  # their names in the model
 
 SCAN = 17
 """Angles per joint that `path_range` tries; 129 change the hand's range by 0.02 mm of 49 mm."""
@@ -52,14 +38,14 @@ SCAN = 17
 
 @dataclass(frozen=True, eq=False)
 class TendonTransfer(Condition):
-    """EIP pulls the thumb instead of the index finger, and EPL is gone.
+    """The donor pulls in place of the lost muscle, which is gone.
 
     Attributes:
         affected: Whether a world has the transfer: from 0.5 on; 0 is healthy. A `Ramp` is surgery at a time.
     """
 
     STAGE = Stage.TRANSMISSION
-    WRITES = ("the path of EIP",)
+    WRITES = ("the path of the transferred muscle",)
     NEUTRAL: ClassVar = {"affected": 0.0}
 
     affected: Value = 1.0
@@ -67,21 +53,21 @@ class TendonTransfer(Condition):
     @property
     def scene_key(self) -> tuple[object, ...]:
         """The added path."""
-        return (ACTUATOR, PATH)
+        return (ACTUATOR,)
 
     @property
     def undriven(self) -> tuple[str, ...]:
-        """The actuator on the new path, which EIP drives."""
+        """The actuator on the new path, which the donor drives."""
         return (ACTUATOR,)
 
     def check(self, spec: TaskSpec) -> None:
-        """Raise ValueError if the body is no hand."""
-        check_hand("a tendon transfer", spec)
+        """Raise ValueError if the body names no muscles for it."""
+        transfer_of(spec.body)
 
-    def edit(self, spec: mujoco.MjSpec) -> None:
-        """Add the new path, and an actuator on it that is idle until EIP drives it."""
+    def edit(self, spec: mujoco.MjSpec, body: str) -> None:
+        """Add the new path, and an actuator on it that is idle until the donor drives it."""
         tendon = spec.add_tendon(name=TENDON)
-        for element in PATH:
+        for element in transfer_of(body).path:
             if len(element) == 1:
                 tendon.wrap_site(*element)
             else:
@@ -98,13 +84,10 @@ class TendonTransfer(Condition):
         return TendonTransferEffect(scene, clock, affected_parameter("tendon_transfer", self.affected, scene))
 
 
-def check_hand(what: str, spec: TaskSpec) -> None:
-    """Raise ValueError if the body of a task lacks the muscles that a transfer is about."""
-    if spec.body not in HANDS:
-        raise ValueError(
-            f"{what} needs the muscles {DONOR} and {LOST}; "
-            f"body {spec.body!r} of task {spec.key!r} has neither"
-        )
+def transfer_of(body: str, what: str = "have a tendon transfer") -> Transfer:
+    """Return the muscles of a body that a transfer is about; raises ValueError if it has none."""
+    transfer: Transfer = fact_for(what, body, "transfer")
+    return transfer
 
 
 def affected_parameter(name: str, value: Value, scene: Scene) -> Parameter:
@@ -201,15 +184,16 @@ class TendonTransferEffect(Effect):
 
     Attributes:
         length_range: Least and greatest length [m] of the new path.
-        own_length_range: Those of EIP's own path, from the model.
+        own_length_range: Those of the donor's own path, from the model.
     """
 
     def __init__(self, scene: Scene, clock: Clock, parameter: Parameter) -> None:
         self.scene, self.clock, self.parameter = scene, clock, parameter
         oracle, muscles = scene.oracle, scene.muscles
         self.route = Route()
-        self.route.donor = muscle_index(DONOR, muscles.names)
-        self.route.lost = muscle_index(LOST, muscles.names)
+        transfer = transfer_of(scene.spec.body)
+        self.route.donor = muscle_index(transfer.donor, muscles.names)
+        self.route.lost = muscle_index(transfer.lost, muscles.names)
         self.route.own = int(muscles.actuator_id[self.route.donor])
         self.route.transferred = oracle.actuator(ACTUATOR).id
         self.route.affected = parameter.curve

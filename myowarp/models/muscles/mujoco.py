@@ -19,7 +19,15 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.definitions.muscle import MUSCLES, Anatomy, BiasParams, MuscleModel, MuscleResults, affine_bias
+from myowarp.definitions.muscle import (
+    MUSCLES,
+    Anatomy,
+    BiasParams,
+    MuscleGeometry,
+    MuscleModel,
+    MuscleResults,
+    affine_bias,
+)
 from myowarp.kernels.batching import batched, num_threads, of_world
 from myowarp.kernels.launch import launch
 
@@ -354,6 +362,7 @@ class MujocoMuscle(MuscleModel):
         "passive_max_norm_length": (1.001, math.inf),
         "passive_multiplier": (0.0, math.inf),
     }
+    TAKES_HILL: ClassVar[bool] = False
 
     def __init__(
         self, model: mujoco.MjModel, num_worlds: int, parameters: Mapping[str, np.ndarray] | None = None
@@ -397,6 +406,11 @@ class MujocoMuscle(MuscleModel):
         for name in LENGTHS:
             values = np.broadcast_to(getattr(self.params, name).numpy(), self.activation.shape)
             setattr(self.params, name, wp.array(values.copy(), dtype=float))
+
+    def geometry(self) -> MuscleGeometry:
+        """Return the active part; see `MuscleModel.geometry`."""
+        names = (*MuscleGeometry._fields[:4], "tendon_slack_length")
+        return MuscleGeometry(*(getattr(self.params, name).numpy() for name in names))
 
     def record_workload(self) -> None:
         """Integrate the workload from now on; see `MuscleModel.record_workload`."""

@@ -174,7 +174,7 @@ class Figure:
         if self._is_ghost:
             self._tubes.show_between(starts, ends, radii, rgb)
             return
-        tubes = self.muscles.tubes(self._data, seen.muscles.get("strength"), 0.002 * self._radius)
+        tubes = self.muscles.tubes(self._data, seen.muscles, 0.002 * self._radius)
         belly = QUANTITIES[color].rgb(self.muscles.values(color, seen.muscles, self._data))
         tendon = (1.0 - TENDON_TINT) * TENDON_RGB + TENDON_TINT * belly
         known = np.ones(len(belly), bool) if seen.activation is None else ~np.isnan(seen.activation)

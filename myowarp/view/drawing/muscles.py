@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import mujoco
 import numpy as np
@@ -145,22 +146,32 @@ class Muscles:
         own = self.peak_force if strength is None else np.where(np.isnan(strength), self.peak_force, strength)
         return self._widest * np.sqrt(np.maximum(own, 0.0) / max(self.peak_force.max(initial=0.0), 1e-9))
 
-    def tubes(self, data: mujoco.MjData, strength: np.ndarray | None = None, thinnest: float = 0.0) -> Tubes:
+    def tubes(
+        self,
+        data: mujoco.MjData,
+        known: Mapping[str, np.ndarray] = MappingProxyType({}),
+        thinnest: float = 0.0,
+    ) -> Tubes:
         """Return the capsules of all muscles in a pose.
 
         Args:
             data: The data, posed, tendons computed.
-            strength: As in `belly_radius`.
+            known: What a snapshot says of the muscles, by name; the model's own where it says nothing.
             thinnest: Least radius [m]; one pixel, so that a tendon is seen.
         """
-        bellies = self.belly_radius(strength)
+        bellies = self.belly_radius(known.get("strength"))
+        optimal, tendon = (
+            own if name not in known else np.where(np.isnan(known[name]), own, known[name])
+            for name, own in (("optimal_fiber_length", self.optimal), ("tendon_length", self.slack))
+        )
         starts, ends, owner = look.tendon_segments(self._model, data, self.tendons)
         bounds = np.searchsorted(owner, np.arange(len(self.tendons) + 1))
         parts = []
         for muscle in range(len(self.tendons)):
             own = slice(bounds[muscle], bounds[muscle + 1])
             if bounds[muscle] < bounds[muscle + 1]:
-                first, last, bulge = self._belly(muscle, float(data.ten_length[self.tendons[muscle]]))
+                length = float(data.ten_length[self.tendons[muscle]])
+                first, last, bulge = self._belly(muscle, length, optimal[muscle], tendon[muscle])
                 thick = max(bulge * bellies[muscle], 1.25 * thinnest)
                 thin = max(TENDON_WIDTH * bellies[muscle], thinnest)
                 parts.append(
@@ -181,19 +192,18 @@ class Muscles:
             data: The data, posed, tendons computed.
         """
         if quantity == "fiber_length":
-            slack = known.get("tendon_slack_length", self.slack)
-            return (data.ten_length[self.tendons] - slack) / known.get("optimal_fiber_length", self.optimal)
+            fibers = data.ten_length[self.tendons] - known.get("tendon_length", self.slack)
+            return fibers / known.get("optimal_fiber_length", self.optimal)
         unknown = np.full(len(self.tendons), np.nan)
         if quantity == "force":
             return known.get("force", unknown) / np.maximum(known.get("strength", self.peak_force), 1e-9)
         return known.get(quantity, unknown)
 
-    def _belly(self, muscle: int, length: float) -> tuple[float, float, float]:
+    def _belly(self, muscle: int, length: float, optimal: float, tendon: float) -> tuple[float, float, float]:
         """Return where the belly begins and ends, as shares of the path, and its width over the usual one."""
         if not self._is_muscle[muscle] or not length > 0.0:
             return 0.0, 0.0, 1.0
-        optimal = self.optimal[muscle]
-        fiber = np.clip(length - self.slack[muscle], 0.4 * optimal, 1.7 * optimal)
+        fiber = np.clip(length - tendon, 0.4 * optimal, 1.7 * optimal)
         share = float(np.clip(fiber / length, *BELLY))
         before = (1.0 - share) * (PROXIMAL if self._away[muscle] else 1.0 - PROXIMAL)
         return before, before + share, float(np.clip(np.sqrt(optimal / fiber), *BULGE))

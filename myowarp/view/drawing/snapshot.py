@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 
 from myowarp.definitions.scene import Scene
-from myowarp.models.muscles.mujoco import MujocoMuscle
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 
@@ -21,8 +20,9 @@ class Snapshot(NamedTuple):
     Attributes:
         qpos: Joint configuration, shape (nq,).
         muscles: What is known of the muscles, by name, an entry for each actuator with a tendon, NaN where
-            no muscle pulls it: `activation`, `excitation`, and where they are known `strength` (peak force
-            [N]), `optimal_fiber_length` and `tendon_slack_length` [m], `force` [N] and `fatigue`.
+            no muscle pulls it: `activation`, `excitation`, what the muscle model knows of `strength` (peak
+            force [N]), `optimal_fiber_length` and present `tendon_length` [m], and `force` [N] and `fatigue`
+            where they are computed.
         goals: World positions of the goal's markers [m] by the names of their sites.
         shape: What the world has for itself: (field of the model or data, name of geom or body) to values.
         ghost: Configuration that the goal asks for, shape (nq,); None where it asks for none.
@@ -68,17 +68,15 @@ def _row(array: np.ndarray, world: int) -> np.ndarray:
 
 def _muscles(scene: Scene, world: int) -> dict[str, np.ndarray]:
     """Return what is known of the muscles of a world, shape (num_muscles,) each."""
-    muscles = scene.muscles
-    known = {
+    muscles, geometry = scene.muscles, scene.muscles.geometry()
+    strength = _row(muscles.anatomy.strength.numpy(), world)
+    return {
         "activation": muscles.activation.numpy()[world],
         "excitation": scene.data.ctrl.numpy()[world, muscles.actuator_id],
+        "strength": strength * _row(geometry.max_isometric_force, world),
+        "optimal_fiber_length": _row(geometry.optimal_fiber_length, world),
+        "tendon_length": _row(geometry.tendon_length, world),
     }
-    if isinstance(muscles, MujocoMuscle):
-        names = ("max_isometric_force", "optimal_fiber_length", "tendon_slack_length")
-        peak, *lengths = (_row(getattr(muscles.params, name).numpy(), world) for name in names)
-        known["strength"] = _row(muscles.anatomy.strength.numpy(), world) * peak
-        known |= dict(zip(names[1:], lengths, strict=True))
-    return known
 
 
 def _by_tendon(scene: Scene, world: int, values: np.ndarray) -> np.ndarray:

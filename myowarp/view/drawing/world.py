@@ -102,7 +102,7 @@ class WorldDrawing:
             add_floor(scene, self._floor, middle, self.framing.radius, pixel)
 
     def _add_muscles(self, scene: mujoco.MjvScene, seen: Snapshot, thinnest: float) -> None:
-        tubes = self.muscles.tubes(self.data, seen.muscles.get("strength"), thinnest)
+        tubes = self.muscles.tubes(self.data, seen.muscles, thinnest)
         rgb = QUANTITIES[self.color].rgb(self.muscles.values(self.color, seen.muscles, self.data))
         tendon = (1.0 - TENDON_TINT) * TENDON_RGB + TENDON_TINT * rgb
         hidden = np.isnan(seen.activation) if seen.activation is not None else np.zeros(len(rgb), dtype=bool)

@@ -12,8 +12,8 @@ from myowarp.apps.reports.result import Merit
 from myowarp.apps.studies.reproduce.arm import CONTROL_DT, HEALTHY, MUSCLES, arms, follow
 from myowarp.apps.studies.reproduce.exo1 import CUFF
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
+from myowarp.models.bodies.arm_muscles import FATIGUE_RATES
 from myowarp.models.conditions import Exoskeleton, Fatigue3CCR, Load, Sarcopenia
-from myowarp.models.conditions.fatigue_3ccr import rates_of
 from myowarp.sim.signals import Signals
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def hold(lab: Lab, seed: int, number: int, policy: Checkpoint, tick: Tick) -> di
     shape = number, len(LEVELS)
     assistance = np.broadcast_to(LEVELS, shape).ravel()
     everyone = np.repeat(np.arange(number), len(LEVELS))
-    rates = np.outer(fatigability, [rates_of(muscle).fatigue_rate for muscle in MUSCLES])
+    rates = np.outer(fatigability, [FATIGUE_RATES[muscle].fatigue_rate for muscle in MUSCLES])
     conditions = (
         Sarcopenia(strength[everyone]),
         Fatigue3CCR(fatigue_rate=rates[everyone]),

@@ -19,9 +19,10 @@ import numpy as np
 from myowarp.apps.rollouts.run import Each, Step, run
 from myowarp.apps.studies.reproduce.arm import CONTROL_DT, MUSCLES, arms
 from myowarp.apps.studies.reproduce.experiment import Lab, Tick
+from myowarp.definitions.body import FatigueRates
 from myowarp.kernels.action import action_of
+from myowarp.models.bodies.arm_muscles import FATIGUE_RATES
 from myowarp.models.conditions import Fatigue3CCR
-from myowarp.models.conditions.fatigue_3ccr import Rates, rates_of
 
 LOADS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)  # of the maximum
 LONGEST, QUICK_LONGEST = 600.0, 120.0  # s
@@ -33,7 +34,7 @@ def measured(load: float) -> float:
     return 17.98 * load**-2.21
 
 
-def closed_form(load: float, rates: Rates) -> float:
+def closed_form(load: float, rates: FatigueRates) -> float:
     """Return how long 3CC-r holds a load [s]; infinity if for ever."""
     spent = rates.recovery_rate * (1.0 - load) / (rates.fatigue_rate * load)
     return -math.log(1.0 - spent) / rates.recovery_rate if spent < 1.0 else math.inf
@@ -41,7 +42,7 @@ def closed_form(load: float, rates: Rates) -> float:
 
 def largest_deviation(seconds: np.ndarray) -> float:
     """Return by what share simulated endurance, (loads, 6), is off the closed form at most."""
-    exact = np.array([[closed_form(load, rates_of(muscle)) for muscle in MUSCLES] for load in LOADS])
+    exact = np.array([[closed_form(load, FATIGUE_RATES[muscle]) for muscle in MUSCLES] for load in LOADS])
     return float(np.nanmax(np.abs(seconds / exact - 1.0)))
 
 

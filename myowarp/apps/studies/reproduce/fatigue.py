@@ -17,8 +17,8 @@ from myowarp.apps.studies.reproduce.arm import (
     synergists_share,
 )
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
+from myowarp.models.bodies.arm_muscles import ELBOW_EXTENSOR, ELBOW_FLEXOR
 from myowarp.models.conditions import Fatigue3CCR, FatigueMa2009, Load
-from myowarp.models.conditions.fatigue_3ccr import ELBOW_EXTENSOR, ELBOW_FLEXOR
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

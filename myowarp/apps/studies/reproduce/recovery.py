@@ -12,8 +12,8 @@ from myowarp.apps.reports.result import Merit, merits
 from myowarp.apps.rollouts.run import run as roll
 from myowarp.apps.studies.reproduce.arm import CONTROL_DT, HEALTHY, MUSCLES, arms, follow
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
+from myowarp.models.bodies.arm_muscles import ELBOW_FLEXOR, FATIGUE_RATES
 from myowarp.models.conditions import Fatigue3CCR, Load
-from myowarp.models.conditions.fatigue_3ccr import ELBOW_FLEXOR, rates_of
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import get_state, set_state
@@ -63,7 +63,7 @@ def live(lab: Lab, seed: int, policy: Checkpoint, rounds: int, tick: Tick) -> di
     """Let patients live; shapes (shifts, loads, patients), of the flexors' mean fatigue and of the error."""
     n = lab.num_worlds
     slower = np.tile(factors(n), len(LOADS))
-    rates = np.outer(slower, [rates_of(muscle).recovery_rate for muscle in MUSCLES])
+    rates = np.outer(slower, [FATIGUE_RATES[muscle].recovery_rate for muscle in MUSCLES])
     sim = arms((Fatigue3CCR(recovery_rate=rates), Load(np.repeat(LOADS, n))), n * len(LOADS), lab.setup)
     signals = Signals(sim)
     sim.reset(seeds=1000 * (seed + 1) + np.tile(np.arange(n), len(LOADS)))
@@ -110,7 +110,7 @@ def rest(sim: Simulation, rates: np.ndarray, seconds: float) -> None:
         seconds: How long.
     """
     state = get_state(sim)
-    faster = np.array([rates_of(muscle).rest_recovery_factor for muscle in MUSCLES])
+    faster = np.array([FATIGUE_RATES[muscle].rest_recovery_factor for muscle in MUSCLES])
     left = (1.0 - np.minimum(faster * rates * CONTROL_DT, 1.0)) ** round(seconds / CONTROL_DT)
     tired = state.arrays[UNITS + "fatigued_fraction"] * left
     state.arrays[UNITS + "fatigued_fraction"] = tired.astype(np.float32)
