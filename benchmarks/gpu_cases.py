@@ -28,7 +28,7 @@ from myowarp.definitions.task import TASKS
 from myowarp.engine.compile import compile_kernels, quiet, recorded
 from myowarp.engine.repeat import repeat
 from myowarp.sim.build import resolve_device
-from myowarp.sim.part import Part
+from myowarp.sim.shard import Shard
 from myowarp.sim.simulation import Simulation
 
 CONTROLS = 8  # sets of random controls of the engine, used in turn
@@ -187,9 +187,9 @@ class Environment:
                 launches()
 
         counts = {}
-        with quiet(), wp.ScopedDevice(self.device), mock.patch("myowarp.sim.part.repeat", unrolled):
+        with quiet(), wp.ScopedDevice(self.device), mock.patch("myowarp.sim.shard.repeat", unrolled):
             with recorded() as found:
-                self.sim.parts[0]._launch_step()
+                self.sim.shards[0]._launch_step()
             counts["environment"] = len(found)
             with recorded() as found:
                 engine.step_physics()
@@ -218,8 +218,8 @@ def measure_size(task: str, physics: str, num_worlds: int, options: Options) -> 
     device, start = resolve_device(options.device), dict[str, float]()
     before, begin = used_memory(device), time.perf_counter()
     with (
-        timed(Part, "_choose_kernels", start, "kernels"),
-        timed(Part, "_capture", start, "capture"),
+        timed(Shard, "_choose_kernels", start, "kernels"),
+        timed(Shard, "_capture", start, "capture"),
     ):
         env = Environment(task, physics, num_worlds, device)
     seconds_of(env.step, 1, device)
@@ -249,8 +249,8 @@ def measure_size(task: str, physics: str, num_worlds: int, options: Options) -> 
         "memory_bytes_per_world": round(memory / num_worlds),
         "footprint": env.footprint(steps=20),
         "launches": env.launches(engine),
-        "stages": sorted(type(stage).__name__ for stage in env.sim.parts[0].stages),
-        "idle_kernels": len(env.sim.parts[0]._idle),
+        "stages": sorted(type(stage).__name__ for stage in env.sim.shards[0].stages),
+        "idle_kernels": len(env.sim.shards[0]._idle),
     }
 
 

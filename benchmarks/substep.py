@@ -109,7 +109,7 @@ class Physics:
     @property
     def names(self) -> list[str]:
         """Names of the stages that apply."""
-        used = {type(stage).__name__ for stage in self.sim.parts[0].physics_step.stages()}
+        used = {type(stage).__name__ for stage in self.sim.shards[0].physics_step.stages()}
         return [name for name, kind in STAGES.items() if kind in used]
 
     def contestants(self) -> dict[str, Callable[[], float]]:
@@ -134,7 +134,7 @@ class Physics:
         Raises:
             ValueError: Its joints do not follow exactly.
         """
-        if not isinstance(self.sim.parts[0].physics_step, FreeCoordinates):
+        if not isinstance(self.sim.shards[0].physics_step, FreeCoordinates):
             raise ValueError(f"{folder} must have joints that follow exactly; see the line logged above")
         with tempfile.TemporaryDirectory() as other:
             shutil.copytree(folder, other, dirs_exist_ok=True, ignore=shutil.ignore_patterns(COUPLINGS))
@@ -144,7 +144,7 @@ class Physics:
 
     def graph(self, names: list[str], idle: frozenset[str]) -> Graph:
         """Return a captured control step of physics with some stages of ours."""
-        physics_step = self.sim.parts[0].physics_step
+        physics_step = self.sim.shards[0].physics_step
         step = physics_step.launches(physics_step.stages(names), idle)
 
         def launch() -> None:
@@ -201,7 +201,7 @@ def measure_shards(spec: TaskSpec, options: Options, progress: Progress) -> dict
     for name, parts in ((ALL, shards), (BY_WARP, shards), ("one shard", 1)):
         sims[name] = sim = Simulation(spec, options.num_worlds, shards=parts, device="cpu")
         sim.reset(seeds=np.arange(options.num_worlds))
-    for part in sims[BY_WARP].parts:
+    for part in sims[BY_WARP].shards:
         part.step_graph.replay = None
 
     def run(sim: Simulation) -> float:

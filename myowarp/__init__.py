@@ -19,7 +19,7 @@ with quick_import():
     import myowarp.tasks  # noqa: F401  (these register themselves)
     from myowarp.bridge_gym import make, make_vec, register_all
     from myowarp.definitions.body import BODIES, Body, Brace, CoarseStep, FatigueRates, Place, Transfer
-    from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+    from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
     from myowarp.definitions.muscle import (
         MUSCLES,
         Anatomy,
@@ -131,7 +131,7 @@ __all__ = [  # noqa: RUF022 (by what they are for)
     "CONDITIONS",
     "Condition",
     "Effect",
-    "Stage",
+    "Phase",
     "Scene",
     "Clock",
     "Parameter",

@@ -112,7 +112,7 @@ def aim_key(sim, record, prefix):
 
 def aim_baoding(sim, record, prefix):
     """Give the targets their orbits and their step."""
-    orbits = sim.parts[0].program.orbits
+    orbits = sim.shards[0].program.orbits
     names = {"direction": "sign", "radii": "radii", "period": "period"}
     for ours, theirs in names.items():
         getattr(orbits, ours).assign(padded(record[f"{prefix}_{theirs}"]))
@@ -121,7 +121,7 @@ def aim_baoding(sim, record, prefix):
 
 def aim_hold(sim, record, prefix):
     """Put the goal where it was."""
-    sim.parts[0].program.goal.assign(padded(record[f"{prefix}_goal_pos"]))
+    sim.shards[0].program.goal.assign(padded(record[f"{prefix}_goal_pos"]))
 
 
 def aim_pen(sim, record, prefix):
@@ -144,9 +144,9 @@ def written(key, prefix, steps):
     sim.transition.obs.fill_(np.nan)
     sim.transition.terms.fill_(np.nan)
     mjw.kinematics(sim.scene.model, sim.scene.data)
-    sim.parts[0].program.advance(sim.episode.step_count)
-    sim.parts[0].launch_scoring()
-    sim.parts[0].program.observe(wp.ones(NUM_WORLDS, dtype=bool), sim.transition.obs)
+    sim.shards[0].program.advance(sim.episode.step_count)
+    sim.shards[0].launch_scoring()
+    sim.shards[0].program.observe(wp.ones(NUM_WORLDS, dtype=bool), sim.transition.obs)
     return sim, count
 
 

@@ -14,7 +14,7 @@ def worn(conditions=(), num_worlds=NUM_WORLDS, physics="parity"):
     """Return a simulation of elbows with conditions in place."""
     options = {"device": "cpu", "graph": False, "progress": False, "physics": physics}
     sim = Simulation(TASKS[KEY], num_worlds, conditions=conditions, **options)
-    sim.parts[0].launch_conditions()
+    sim.shards[0].launch_conditions()
     return sim
 
 

@@ -61,13 +61,13 @@ class States:
             array.assign(values)
         for array in (data.actuator_force, data.qacc):
             array.fill_(np.nan)
-        if sim.parts[0].effects:
+        if sim.shards[0].effects:
             sim.scene.muscles.anatomy.transmission.fill_(np.nan)
         data.qacc_warmstart.zero_()
         bias = model.actuator_biasprm.numpy()
         bias[:] = np.nan
         model.actuator_biasprm.assign(bias)
-        sim.parts[0].launch_conditions()
+        sim.shards[0].launch_conditions()
 
     def in_c(self, model, world, num_substeps=0):
         """Return MuJoCo C's data of one state, after some substeps."""
@@ -90,13 +90,13 @@ def compare_with_c(sim, models):
     """
     states, data, muscles = States(sim), sim.scene.data, sim.scene.muscles
     states.load(sim)
-    forward(sim.scene, sim.parts[0].stages)
+    forward(sim.scene, sim.shards[0].stages)
     path = muscles.anatomy.path.numpy()
     forces = np.take_along_axis(data.actuator_force.numpy(), path, axis=1)
     accelerations = data.qacc.numpy().copy()
     states.load(sim)
     for _ in range(sim.scene.num_substeps):
-        step(sim.scene, sim.parts[0].stages)
+        step(sim.scene, sim.shards[0].stages)
     errors = {"force": [], "qacc": [], "qpos": [], "activation": []}
     for world, model in enumerate(models):
         first, last = states.in_c(model, world), states.in_c(model, world, sim.scene.num_substeps)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import warp as wp
 
 
-class Stage(enum.IntEnum):
+class Phase(enum.IntEnum):
     """Where in a control step a condition acts, in this order.
 
     The first three change excitations once per control step; `STRENGTH` scales the active force of the
@@ -45,14 +45,14 @@ class Condition(abc.ABC):
     """A condition on the host: parameters, checked; subclasses are dataclasses, frozen, compared by identity.
 
     Attributes:
-        STAGE: Where it acts.
+        PHASE: Where it acts.
         WRITES: Names of the quantities that it sets. No two conditions of an environment may set the same.
             What only multiplies (strength, transmission) is not listed: factors compose.
         NEUTRAL: Parameters with which it changes nothing, bit for bit.
         NEEDS: Parameter at whose neutral value all others change nothing; "": there is none.
     """
 
-    STAGE: ClassVar[Stage]
+    PHASE: ClassVar[Phase]
     WRITES: ClassVar[tuple[str, ...]] = ()
     NEUTRAL: ClassVar[dict[str, float]]
     NEEDS: ClassVar[str] = ""
@@ -231,4 +231,4 @@ def resolve(conditions: str | Condition | Iterable[str | Condition], spec: TaskS
                 both = f"{writer[quantity]!r} and {condition.name!r}"
                 raise ValueError(f"conditions {both} both set {quantity}; leave one out")
             writer[quantity] = condition.name
-    return tuple(sorted(found, key=lambda condition: (condition.STAGE, condition.name)))
+    return tuple(sorted(found, key=lambda condition: (condition.PHASE, condition.name)))

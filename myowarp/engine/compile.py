@@ -16,10 +16,10 @@ from typing import Any
 
 import warp as wp
 
+from myowarp.engine.build_lock import BUILD_LOCK, replaced
 from myowarp.engine.kernel_cache import load_module
 from myowarp.engine.patch import is_empty
-from myowarp.engine.said import say_once
-from myowarp.engine.turn import TURN, replaced
+from myowarp.engine.warn_once import warn_once
 from myowarp.progress import patient_bar
 
 logger = logging.getLogger("myowarp")
@@ -63,7 +63,7 @@ def recorded() -> Iterator[list[tuple[wp.Module, int]]]:
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
     """Keep Warp's log of loaded modules off the terminal."""
-    with TURN:
+    with BUILD_LOCK:
         level = wp.config.log_level
         wp.config.log_level = max(level, wp.LOG_ERROR)
         try:
@@ -124,7 +124,7 @@ def renew_code(modules: Iterable[wp.Module]) -> None:
     have code of their own; those captured before keep theirs.
     """
     if not can_renew_code():
-        say_once("Warp has changed: parts of the worlds step one after the other, which is slower")
+        warn_once("Warp has changed: parts of the worlds step one after the other, which is slower")
         return
     for module in modules:
         module.execs = {key: loaded for key, loaded in module.execs.items() if not loaded.device.is_cpu}

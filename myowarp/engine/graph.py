@@ -17,9 +17,9 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import warp as wp
 
+from myowarp.engine.build_lock import replaced, with_build_lock
 from myowarp.engine.replay import Operation, replay
-from myowarp.engine.said import say_once
-from myowarp.engine.turn import in_turn, replaced
+from myowarp.engine.warn_once import warn_once
 
 Row: TypeAlias = tuple[int, ...]
 Rows: TypeAlias = list[Row]
@@ -35,7 +35,7 @@ class Graph:
         replay: What launches them on the CPU; None where Warp does.
     """
 
-    @in_turn
+    @with_build_lock
     def __init__(self, launches: Callable[[], None], device: wp.Device) -> None:
         """Record what `launches` launches, without launching it.
 
@@ -56,7 +56,7 @@ class Graph:
             # The notes keep what the program has addresses of, beside what the record keeps.
             self.replay = Replay(notes.program(), keep=(notes.kept, self.recorded))
         else:
-            say_once("a recording has operations that cannot be noted; Warp replays it, which is slower")
+            warn_once("a recording has operations that cannot be noted; Warp replays it, which is slower")
 
     def launch(self) -> None:
         """Launch all that was recorded."""
@@ -74,7 +74,7 @@ class Replay:
         row: What runs it as a part of another program.
     """
 
-    @in_turn
+    @with_build_lock
     def __init__(self, rows: Rows, keep: object = None) -> None:
         """Load the code that runs it.
 
@@ -137,7 +137,7 @@ def _warp_recording() -> _WarpRecording | None:
         _ = runtime._apic_capture
         return _WarpRecording(runtime, loop)
     except (ImportError, AttributeError) as error:
-        say_once(f"launches are replayed by Warp {wp.__version__}, which has changed, and slower: {error}")
+        warn_once(f"launches are replayed by Warp {wp.__version__}, which has changed, and slower: {error}")
         return None
 
 

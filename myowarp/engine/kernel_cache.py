@@ -19,7 +19,7 @@ from pathlib import Path
 import warp as wp
 
 from myowarp.disk import in_place, writable_folder
-from myowarp.engine.said import say_once
+from myowarp.engine.warn_once import warn_once
 
 SUMS = "myowarp.json"
 SOURCES = (".cpp", ".cu")  # are not read again
@@ -90,7 +90,7 @@ def load_module(module: wp.Module, device: wp.Device, block_dim: int) -> Path | 
         RuntimeError: What is damaged cannot be removed.
     """
     if not hasattr(module, "get_module_identifier"):
-        say_once("Warp has changed: machine code that was damaged on disk is not found out")
+        warn_once("Warp has changed: machine code that was damaged on disk is not found out")
         wp.force_load(device, [module], block_dim)
         return None
     folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_dim)

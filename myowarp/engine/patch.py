@@ -13,8 +13,8 @@ from typing import Any
 
 import warp as wp
 
-from myowarp.engine.said import say_once
-from myowarp.engine.turn import TURN, replaced
+from myowarp.engine.build_lock import BUILD_LOCK, replaced
+from myowarp.engine.warn_once import warn_once
 
 
 def is_empty(*args: Any, **kwargs: Any) -> bool:
@@ -41,7 +41,7 @@ def exchanged(change: Callable[[wp.Kernel], wp.Kernel | None]) -> Iterator[None]
         return launch_changed
 
     with (
-        TURN,
+        BUILD_LOCK,
         replaced(wp, "launch", changing(wp.launch)),
         replaced(wp, "launch_tiled", changing(wp.launch_tiled)),
     ):
@@ -79,7 +79,7 @@ def _splits() -> tuple[tuple[Any, str], ...]:
             module = importlib.import_module(f"mujoco_warp._src.{name}")
             getattr(module, function)
         except (ImportError, AttributeError) as error:
-            say_once(f"mujoco-warp has changed, its sums may depend on the number of worlds: {error}")
+            warn_once(f"mujoco-warp has changed, its sums may depend on the number of worlds: {error}")
         else:
             found.append((module, function))
     return tuple(found)

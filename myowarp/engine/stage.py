@@ -18,8 +18,8 @@ from typing import ClassVar
 import mujoco_warp as mjw
 import warp as wp
 
-from myowarp.engine.said import say_once
 from myowarp.engine.stepped import Stepped
+from myowarp.engine.warn_once import warn_once
 
 Launches = Callable[[mjw.Model, mjw.Data], None]
 Obstacles = dict[str, Callable[[Stepped], bool]]
@@ -107,4 +107,4 @@ def or_the_engines(name: str) -> Iterator[None]:
     try:
         yield
     except (ImportError, AttributeError) as error:
-        say_once(f"{name} is left to mujoco-warp {mjw.__version__}, which has changed: {error}")
+        warn_once(f"{name} is left to mujoco-warp {mjw.__version__}, which has changed: {error}")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import warp as wp
 
-from myowarp.engine.said import say_once
+from myowarp.engine.warn_once import warn_once
 from myowarp.kernels.world_function import parameters, world_kernels
 
 PLACE = re.compile(r'Error while parsing function "([^"]+)" at (.+):(\d+):\n.*\n;')  # in what Warp says
@@ -56,7 +56,7 @@ def _translate(kernel: wp.Kernel) -> set[str]:
         build, lock = context.ModuleBuilder, context._codegen_lock
         options = kernel.module.resolve_options(wp.config) | {"verify_autograd_array_access": True}
     except (ImportError, AttributeError) as error:
-        say_once(f"Warp has changed, functions of tasks are checked only when they are compiled: {error}")
+        warn_once(f"Warp has changed, functions of tasks are checked only when they are compiled: {error}")
         return set()
     with lock:
         build(kernel.module, options)

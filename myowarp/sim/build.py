@@ -22,10 +22,10 @@ from myowarp.definitions.setup import DEFAULTS, Setup
 from myowarp.definitions.task import PHYSICS, PhysicsPreset, TaskSpec
 from myowarp.definitions.worlds import Worlds
 from myowarp.disk import cached, files_digest, is_ours, model_bytes, model_from_bytes
+from myowarp.engine.build_lock import with_build_lock
 from myowarp.engine.kernel_cache import start_warp
-from myowarp.engine.said import say_once
 from myowarp.engine.stepped import Stepped
-from myowarp.engine.turn import in_turn
+from myowarp.engine.warn_once import warn_once
 from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import new_keys
 from myowarp.models.slim import slim
@@ -118,7 +118,7 @@ def source_digest(more: Iterable[Path] = ()) -> str:
     return files_digest(files)
 
 
-@in_turn
+@with_build_lock
 def _cached_model(
     spec: TaskSpec,
     conditions: tuple[Condition, ...],
@@ -253,7 +253,7 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
     num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped), setup.muscles.model)
     start = settled(oracle, spec.start(oracle))
     if oracle.nv >= MANY_DOFS:
-        say_once(
+        warn_once(
             f"task {spec.key!r} is large ({oracle.nbody} bodies, {oracle.nv} degrees of freedom): its first "
             "start takes a minute or more, and each physics step up to a tenth of a second"
         )
@@ -304,7 +304,7 @@ def stepped_of(scene: Scene) -> Stepped:
 
 
 def _adopt_arrays(scene: Scene, batched: set[str], individual: bool) -> None:
-    """Name the arrays that engine, muscles and random numbers share with other parts, and which are state."""
+    """Name the arrays that engine, muscles and random numbers share with other shards, and the state."""
     data, model, muscles = scene.data, scene.model, scene.muscles
     for name in STATE_FIELDS:
         scene.adopt("data", data, (name,), state=getattr(data, name).size > 0)
@@ -318,7 +318,7 @@ def _adopt_arrays(scene: Scene, batched: set[str], individual: bool) -> None:
         scene.adopt("condition.anatomy", muscles.anatomy)
 
 
-@in_turn
+@with_build_lock
 def check_device_name(device: object) -> None:
     """Raise ValueError if no machine has a Warp device called `device`; None and "" are the preferred one."""
     if device not in (None, "") and not DEVICE.fullmatch(str(device)):

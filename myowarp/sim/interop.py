@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.registry import check_choice
-from myowarp.engine.turn import in_turn
+from myowarp.engine.build_lock import with_build_lock
 from myowarp.kernels.write import write
 
 OUTPUTS = ("numpy", "torch", "warp")
@@ -56,7 +56,7 @@ class Output:
         return lambda: {name: view.copy() if copy else view for name, view in views.items()}
 
 
-@in_turn
+@with_build_lock
 def _cloned(arrays: Mapping[str, wp.array]) -> dict[str, wp.array]:
     """Return copies of arrays by name."""
     return {name: wp.clone(array) for name, array in arrays.items()}

@@ -83,11 +83,11 @@ class Patient:
         """Find the knobs.
 
         Args:
-            sim: A simulation made with `adjustable`, of one part.
+            sim: A simulation made with `adjustable`, of one shard.
         """
-        (self._part,) = sim.parts
+        (self._shard,) = sim.shards
         self._changed: dict[tuple[str, int], np.ndarray] = {}
-        found = (_knob(parameter, sim.conditions) for parameter in self._part.scene.parameters)
+        found = (_knob(parameter, sim.conditions) for parameter in self._shard.scene.parameters)
         self.knobs = {knob.name: knob for knob in found if knob is not None}
         names = sim.scene.muscles.names
         self.groups: dict[str, tuple[str, ...]] = {"all muscles": tuple(names)}
@@ -111,8 +111,8 @@ class Patient:
         before = {world: knob.parameter.values(world).copy() for world in worlds}
         knob.parameter.set(value, worlds, _columns(knob, muscles))
         try:
-            for effect in self._part.effects:
-                effect.check_beside(self._part.effects)
+            for effect in self._shard.effects:
+                effect.check_beside(self._shard.effects)
         except ValueError:
             for world, values in before.items():
                 knob.parameter.set(values, [world], range(len(values)))

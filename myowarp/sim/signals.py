@@ -22,12 +22,12 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.body import BODIES, POINT_JOINTS
-from myowarp.engine.turn import in_turn
+from myowarp.engine.build_lock import with_build_lock
 from myowarp.kernels.reset import masked_copy
 from myowarp.sim.present import present_muscles
 
 if TYPE_CHECKING:
-    from myowarp.sim.part import Part
+    from myowarp.sim.shard import Shard
     from myowarp.sim.simulation import Simulation
 
 UNITS = {
@@ -110,7 +110,7 @@ class Signals:
         episode: Number of the episode since the world was seeded, from 1 on, shape (num_worlds,).
     """
 
-    @in_turn
+    @with_build_lock
     def __init__(self, sim: Simulation) -> None:
         """Allocate the arrays and add their kernels to the step.
 
@@ -135,11 +135,11 @@ class Signals:
         self.info = {name: copies[name] for name in sim.info}
         self.qpos, self.qvel, self.valid = copies["qpos"], copies["qvel"], copies["valid"]
         self.step_count, self.episode = copies["step_count"], copies["episode"]
-        for part in sim.parts:
-            own, muscles = part.scene.worlds.own, MuscleSignals()
+        for shard in sim.shards:
+            own, muscles = shard.scene.worlds.own, MuscleSignals()
             for name in UNITS:
                 setattr(muscles, name, getattr(self.muscles, name)[own])
-            self._attach(part, muscles, {name: array[own] for name, array in copies.items()})
+            self._attach(shard, muscles, {name: array[own] for name, array in copies.items()})
 
     @property
     def joint_angles(self) -> np.ndarray:
@@ -151,10 +151,10 @@ class Signals:
         """Their rates [rad/s, m/s], shape (num_worlds, num_joints); host."""
         return self.qvel.numpy()[:, self._joint_dof]
 
-    def _attach(self, part: Part, muscles: MuscleSignals, copies: dict[str, wp.array]) -> None:
-        """Add to a part's step: bring path and force of the muscles to the present state, copy the rest."""
-        scene, data = part.scene, part.scene.data
-        compute, sources = present_muscles(scene), _sources(part, part.shown)
+    def _attach(self, shard: Shard, muscles: MuscleSignals, copies: dict[str, wp.array]) -> None:
+        """Add to a shard's step: bring path and force of the muscles to the present state, copy the rest."""
+        scene, data = shard.scene, shard.scene.data
+        compute, sources = present_muscles(scene), _sources(shard, shard.shown)
 
         def launch(mask: wp.array | None) -> None:
             compute()
@@ -178,10 +178,10 @@ class Signals:
                 known = mask if mask is not None and name == "valid" else source
                 masked_copy(mask, known, copies[name])
 
-        part.attach(launch)
+        shard.attach(launch)
 
 
-def _sources(sim: Simulation | Part, shown: dict[str, wp.array]) -> dict[str, wp.array]:
+def _sources(sim: Simulation | Shard, shown: dict[str, wp.array]) -> dict[str, wp.array]:
     """Return the arrays that are copied as they are, with those that the conditions show."""
     return {
         "qpos": sim.scene.data.qpos,

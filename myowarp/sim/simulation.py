@@ -1,9 +1,9 @@
-"""All worlds of a task, stepped together; on a CPU each core steps a part of them.
+"""All worlds of a task, stepped together; on a CPU each core steps a shard of them.
 
     sim = Simulation(TASKS["myoHandPoseRandom-v0"], 256, shards=None)
 
 A world's numbers depend on its seed alone, so that the split does not show in them: results are the same for
-any number of parts, bit for bit. On CUDA there is nothing to split.
+any number of shards, bit for bit. On CUDA there is nothing to split.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from myowarp.definitions.scene import Scene
 from myowarp.definitions.setup import DEFAULTS, Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.definitions.worlds import Worlds
+from myowarp.engine.build_lock import with_build_lock
 from myowarp.engine.compile import can_renew_code, quiet
 from myowarp.engine.graph import Graph, Replay
 from myowarp.engine.stage import STAGES
 from myowarp.engine.threads import Team, num_cores
-from myowarp.engine.turn import in_turn
 from myowarp.kernels.episode import (
     AUTORESET,
     FAULT_OBSERVATION,
@@ -50,11 +50,11 @@ from myowarp.sim.build import (
     full_model,
     resolve_device,
 )
-from myowarp.sim.part import Part
+from myowarp.sim.shard import Shard
 from myowarp.sim.starts import find_starts
 
-LEAST_WORLDS = 4  # in a part, by default: fewer are not worth the time that a part takes to build
-NUM_GRAPHS = 2  # of a part: step and reset
+LEAST_WORLDS = 4  # in a shard, by default: fewer are not worth the time that a shard takes to build
+NUM_GRAPHS = 2  # of a shard: step and reset
 PATIENCE = 2.0  # s without a word
 
 
@@ -64,11 +64,11 @@ class Simulation:
     Every array is written in place and never replaced; read them through `numpy()`.
 
     Attributes:
-        parts: What steps the worlds, in their order: one part, or one for each core.
+        shards: What steps the worlds, in their order: one shard, or one for each core.
         conditions: The muscle conditions, in the order in which they act.
-        scene: The compiled task. Over several parts it holds names, sizes, settings and the state of all
+        scene: The compiled task. Over several shards it holds names, sizes, settings and the state of all
             worlds; what does not belong to a single world, such as contacts, or only to the engine is with
-            the parts, and None here.
+            the shards, and None here.
         setup: What the worlds are.
         autoreset: Gymnasium's mode, a key of `AUTORESET`.
         columns: Blocks of the observation.
@@ -82,7 +82,7 @@ class Simulation:
         info: What conditions show of their state after the step, by name, (num_worlds, ...).
     """
 
-    @in_turn
+    @with_build_lock
     def __init__(
         self,
         setup: Setup | TaskSpec,
@@ -96,7 +96,7 @@ class Simulation:
         adjustable: bool = False,
         **fields: Any,
     ) -> None:
-        """Compile scene and kernels, and capture the step; kernels are compiled once for all parts.
+        """Compile scene and kernels, and capture the step; kernels are compiled once for all shards.
 
         Args:
             setup: What the worlds are; a task alone is stepped by one thread unless `shards` says otherwise.
@@ -124,18 +124,18 @@ class Simulation:
             check_flag(name, flag)
         self.horizon = checked_horizon(spec.horizon if setup.horizon is None else setup.horizon)
         stages = tuple(STAGES if stages is None else stages)
-        parts: list[Part] = []
+        shards: list[Shard] = []
         with quiet():
             where = resolve_device(setup.device)
-            shards = _checked_shards(setup.shards, worlds.total, where)
+            number = _checked_shards(setup.shards, worlds.total, where)
             self.conditions = resolve(setup.conditions or (), spec)
-            show = progress and shards > 1
-            with patient_bar("Preparing cores", "shards", shards, patience=PATIENCE, show=show) as advance:
-                for own in worlds.split(shards):
+            show = progress and number > 1
+            with patient_bar("Preparing cores", "shards", number, patience=PATIENCE, show=show) as advance:
+                for own in worlds.split(number):
                     scene = compile_scene(setup, own, device=where.alias, conditions=self.conditions)
                     # Sums on the CPU have one order anyway.
                     scene.model.opt.deterministic = bool(deterministic) and not where.is_cpu
-                    part = Part(
+                    shard = Shard(
                         scene,
                         self.conditions,
                         autoreset=autoreset,
@@ -144,11 +144,11 @@ class Simulation:
                         stages=stages,
                         progress=progress,
                         find_starts=partial(find_starts, spec, progress),
-                        like=parts[0] if parts else None,
+                        like=shards[0] if shards else None,
                     )
-                    parts.append(part)
+                    shards.append(shard)
                     advance(1)
-        self.parts, (first, *others) = tuple(parts), parts
+        self.shards, (first, *others) = tuple(shards), shards
         self.scene = _joined(first.scene, worlds) if others else first.scene
         self.columns, self.terms = first.columns, first.terms
         self.action = worlds.whole["action"]
@@ -176,12 +176,12 @@ class Simulation:
         """Advance all worlds by one control step under `action`; results are in `transition`.
 
         Raises:
-            RuntimeError: Without graphs, a part has failed in an earlier step.
+            RuntimeError: Without graphs, a shard has failed in an earlier step.
         """
-        if len(self.parts) == 1:
-            self.parts[0].step()
+        if len(self.shards) == 1:
+            self.shards[0].step()
         else:
-            self._at_once(Part.step, [part.step_graph for part in self.parts])
+            self._at_once(Shard.step, [shard.step_graph for shard in self.shards])
 
     def reset(self, mask: np.ndarray | None = None, seeds: np.ndarray | None = None) -> None:
         """Start new episodes; their first observation is in `transition.obs`.
@@ -194,13 +194,13 @@ class Simulation:
         Raises:
             RuntimeError: As in `step`.
         """
-        for part in self.parts:
-            own = part.scene.worlds.own
-            part.ask_for_reset(None if mask is None else mask[own], None if seeds is None else seeds[own])
-        if len(self.parts) == 1:
-            self.parts[0].reset_asked()
+        for shard in self.shards:
+            own = shard.scene.worlds.own
+            shard.ask_for_reset(None if mask is None else mask[own], None if seeds is None else seeds[own])
+        if len(self.shards) == 1:
+            self.shards[0].reset_asked()
         else:
-            self._at_once(Part.reset_asked, [part.reset_graph for part in self.parts])
+            self._at_once(Shard.reset_asked, [shard.reset_graph for shard in self.shards])
 
     def describe_fault(self, world: int) -> str:
         """Return what was wrong in a world in the last step, empty if nothing was; waits for the device."""
@@ -218,8 +218,8 @@ class Simulation:
         """Let the threads end, once no step is under way; the next would start new ones."""
         self._together = self._pool = None
 
-    def _at_once(self, act: Callable[[Part], None], graphs: list[Graph | None]) -> None:
-        """Let all parts act at the same time, by replaying a graph of each; without graphs, one by one."""
+    def _at_once(self, act: Callable[[Shard], None], graphs: list[Graph | None]) -> None:
+        """Let all shards act at the same time, by replaying a graph of each; without graphs, one by one."""
         if self._failure is not None:
             raise RuntimeError(self._failure)
         if self._process != os.getpid():  # threads do not live on in a forked process
@@ -227,34 +227,34 @@ class Simulation:
             self._process = os.getpid()
         replays = tuple(graph.replay for graph in graphs if graph is not None and graph.replay is not None)
         if None in graphs or not can_renew_code():  # else they would share their scratch memory
-            for part in self.parts:
-                self._act(act, part)
-        elif len(replays) < len(self.parts):
+            for shard in self.shards:
+                self._act(act, shard)
+        elif len(replays) < len(self.shards):
             self._in_threads(act)
         else:
             together = self._together  # which another thread may close
             if together is None:
-                self._together = together = lru_cache(NUM_GRAPHS)(Team(len(self.parts)).together)
+                self._together = together = lru_cache(NUM_GRAPHS)(Team(len(self.shards)).together)
             together(replays)()
 
-    def _in_threads(self, act: Callable[[Part], None]) -> None:
-        """Let the parts act at the same time in threads of Python, where Warp replays their graphs."""
+    def _in_threads(self, act: Callable[[Shard], None]) -> None:
+        """Let the shards act at the same time in threads of Python, where Warp replays their graphs."""
         pool = self._pool
         if pool is None:
-            self._pool = pool = ThreadPoolExecutor(len(self.parts))
-        futures = [pool.submit(self._act, act, part) for part in self.parts]
+            self._pool = pool = ThreadPoolExecutor(len(self.shards))
+        futures = [pool.submit(self._act, act, shard) for shard in self.shards]
         try:
             for future in futures:
                 future.result()
         finally:
             wait(futures)
 
-    def _act(self, act: Callable[[Part], None], part: Part) -> None:
-        """Let a part act; if it does not get to the end, the parts are no longer at the same step."""
+    def _act(self, act: Callable[[Shard], None], shard: Shard) -> None:
+        """Let a shard act; if it does not get to the end, the shards are no longer at the same step."""
         try:
-            act(part)
+            act(shard)
         except BaseException as error:
-            own, reason = part.scene.worlds.own, f"{type(error).__name__}: {error}"
+            own, reason = shard.scene.worlds.own, f"{type(error).__name__}: {error}"
             self._failure = f"worlds {own.start} to {own.stop - 1} stopped ({reason}); make a new simulation"
             error.add_note(self._failure)
             self.close()
@@ -262,7 +262,7 @@ class Simulation:
 
 
 def _checked_shards(shards: int | None, num_worlds: int, device: wp.Device) -> int:
-    """Return in how many parts to step worlds on a device.
+    """Return in how many shards to step worlds on a device.
 
     Raises:
         ValueError: The number is out of its range, or the device is not the CPU.
@@ -297,7 +297,7 @@ def _is_integer(value: object) -> bool:
 
 
 def _joined(scene: Scene, worlds: Worlds) -> Scene:
-    """Return the scene of all worlds, after that of a part."""
+    """Return the scene of all worlds, after that of a shard."""
     model, data, muscles = copy.copy(scene.model), copy.copy(scene.data), copy.copy(scene.muscles)
     for field in dataclasses.fields(data):
         value = getattr(data, field.name)

@@ -27,12 +27,12 @@ from myowarp.definitions.body import BODIES, POINT_JOINTS
 from myowarp.definitions.scene import Starts
 from myowarp.definitions.task import TaskSpec
 from myowarp.disk import array_bytes, array_from_bytes, cached, code_digest, model_digest
+from myowarp.engine.build_lock import with_build_lock
 from myowarp.engine.compile import quiet
-from myowarp.engine.turn import in_turn
 from myowarp.progress import patient_bar
 from myowarp.sim import palm
 from myowarp.sim.build import compile_scene, oracle_model, source_digest
-from myowarp.sim.part import Part
+from myowarp.sim.shard import Shard
 
 NUM_STARTS = 1024
 BATCH = 256  # starts on trial together
@@ -62,7 +62,7 @@ def posture_joints(model: mujoco.MjModel) -> np.ndarray:
     return np.flatnonzero(free)
 
 
-@in_turn
+@with_build_lock
 def find_starts(spec: TaskSpec, progress: bool = True) -> Starts:
     """Return random starts of a task, from disk if they were found before.
 
@@ -102,7 +102,7 @@ def _find(spec: TaskSpec, progress: bool) -> np.ndarray:
     """Search until there are enough."""
     found: list[np.ndarray] = []
     with quiet():
-        part = Part(compile_scene(spec, BATCH, device="cpu", reset="fixed"), progress=progress)
+        shard = Shard(compile_scene(spec, BATCH, device="cpu", reset="fixed"), progress=progress)
     with (
         quiet(),
         wp.ScopedDevice("cpu"),
@@ -110,7 +110,7 @@ def _find(spec: TaskSpec, progress: bool) -> np.ndarray:
             "Finding random starts", "starts", NUM_STARTS, patience=PATIENCE, show=progress
         ) as advance,
     ):
-        for survivors in Search(spec, part).survivors():
+        for survivors in Search(spec, shard).survivors():
             found += survivors
             advance(len(survivors))
             if len(found) >= NUM_STARTS:
@@ -129,19 +129,19 @@ class Search:
         num_steps: Control steps of a trial.
     """
 
-    def __init__(self, spec: TaskSpec, part: Part) -> None:
-        """Note what the task's own start is like; `part` is used up."""
-        self.part, self.draws, self.rng = part, 0, np.random.default_rng(0)
-        self.model = copy.copy(part.scene.oracle)
+    def __init__(self, spec: TaskSpec, shard: Shard) -> None:
+        """Note what the task's own start is like; `shard` is used up."""
+        self.shard, self.draws, self.rng = shard, 0, np.random.default_rng(0)
+        self.model = copy.copy(shard.scene.oracle)
         self.data = mujoco.MjData(self.model)
         self.start = spec.start(self.model)
         joints = posture_joints(self.model)
         self.posture, self.address = self.model.jnt_qposadr[joints], start_address(spec, self.model)
         self.low, self.high = self.model.jnt_range[joints].T
-        self.palm = palm.Palm(part.scene.oracle, self.start, BODIES[spec.body].palm, spec.carried)
+        self.palm = palm.Palm(shard.scene.oracle, self.start, BODIES[spec.body].palm, spec.carried)
         hold_steps = int(np.ceil(HOLD_TIME / spec.control_dt)) if spec.carried else 0
         self.num_steps = max(FAIL_STEPS, hold_steps)
-        self.terms = wp.zeros_like(part.transition.terms)
+        self.terms = wp.zeros_like(shard.transition.terms)
         self.solved, self.failed = wp.zeros(BATCH, dtype=bool), wp.zeros(BATCH, dtype=bool)
         self.everywhere = wp.ones(BATCH, dtype=bool)
         self.scenes = self._draw_scenes()
@@ -157,10 +157,10 @@ class Search:
         while self._enough_waiting(int(free.sum())):
             if free.any():
                 rows[free] = [self.waiting.pop() for _ in range(free.sum())]
-                self.part.reset(free, self.rng.integers(2**32, size=BATCH))
+                self.shard.reset(free, self.rng.integers(2**32, size=BATCH))
                 self._write(free, rows[free])
                 age[free] = 0
-            self.part.step()
+            self.shard.step()
             age += 1
             lost = self._lost(age)
             passed = ~lost & (age == self.num_steps)
@@ -169,9 +169,9 @@ class Search:
 
     def _write(self, mask: np.ndarray, rows: np.ndarray) -> None:
         """Put starts into the worlds of a mask."""
-        qpos = self.part.scene.data.qpos.numpy().copy()
+        qpos = self.shard.scene.data.qpos.numpy().copy()
         qpos[np.ix_(mask, self.address)] = rows
-        self.part.scene.data.qpos.assign(qpos)
+        self.shard.scene.data.qpos.assign(qpos)
 
     def _enough_waiting(self, count: int) -> bool:
         """Draw until so many starts wait for their trial; whether there are as many."""
@@ -192,7 +192,7 @@ class Search:
         self.draws += 1
         draw, number = self.rng.uniform, len(self.posture)
         step = np.ones(number)
-        if self.part.scene.capacity.peak_contacts > 0:
+        if self.shard.scene.capacity.peak_contacts > 0:
             step = np.where(draw(size=number) < np.sqrt(draw()), np.sqrt(draw(size=number)), 0.0)
         qpos = self.start.copy()
         qpos[self.posture] += step * (draw(self.low, self.high) - qpos[self.posture])
@@ -211,8 +211,8 @@ class Search:
 
         The first is the task's own start; those that agree are returned once.
         """
-        scene = self.part.scene
-        self.part.reset(seeds=self.rng.integers(2**32, size=BATCH))
+        scene = self.shard.scene
+        self.shard.reset(seeds=self.rng.integers(2**32, size=BATCH))
         qpos = np.vstack([np.float32(self.start), scene.data.qpos.numpy()[:NUM_EPISODES]]).astype(float)
         fields = {}
         for name in (*SIZES, *PLACES):
@@ -246,7 +246,7 @@ class Search:
 
     def _not_failed(self, rows: np.ndarray) -> list[np.ndarray]:
         """Return those of at most `BATCH` starts that do not fail where they stand."""
-        qpos = self.part.scene.data.qpos
+        qpos = self.shard.scene.data.qpos
         present = qpos.numpy().copy()
         self._write(np.arange(BATCH) < len(rows), rows)
         failed = self._failed(np.full(BATCH, FAIL_STEPS, dtype=np.int32))
@@ -255,13 +255,13 @@ class Search:
 
     def _lost(self, age: np.ndarray) -> np.ndarray:
         """Whether the starts on trial, so many steps old, have failed or let an object go; shape (BATCH,)."""
-        data = self.part.scene.data
-        lost = self._failed(age) | (self.part.transition.fault.numpy() != 0)
+        data = self.shard.scene.data
+        lost = self._failed(age) | (self.shard.transition.fault.numpy() != 0)
         return lost | (self.palm.drift(data.xpos.numpy(), data.xmat.numpy()) > HOLD_DISTANCE)
 
     def _failed(self, age: np.ndarray) -> np.ndarray:
         """Whether the task fails in the present configurations in any of several episodes; shape (BATCH,)."""
-        scene, program = self.part.scene, self.part.program
+        scene, program = self.shard.scene, self.shard.program
         episode, qpos = scene.keys.episode.numpy().copy(), scene.data.qpos.numpy().copy()
         step_count = wp.array(age, dtype=int)
         failed = np.zeros(BATCH, dtype=bool)

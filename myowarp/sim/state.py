@@ -32,7 +32,7 @@ from myowarp.disk import array_from_bytes, check_output, in_place, is_ours
 from myowarp.kernels.write import write
 
 if TYPE_CHECKING:
-    from myowarp.sim.part import Part
+    from myowarp.sim.shard import Shard
     from myowarp.sim.simulation import Simulation
 
 logger = logging.getLogger("myowarp")
@@ -156,11 +156,11 @@ def rows_of(worlds: Worlds, num_worlds: int) -> np.ndarray:
     return rows
 
 
-def _state_of(part: Part) -> dict[str, wp.array]:
-    """Return the state of a part by name, and what users' own tasks and conditions have for every world."""
-    state, num_worlds = dict(part.scene.state), part.num_worlds
+def _state_of(shard: Shard) -> dict[str, wp.array]:
+    """Return the state of a shard by name, and what users' own tasks and conditions have for every world."""
+    state, num_worlds = dict(shard.scene.state), shard.num_worlds
     listed = {array.ptr for array in state.values()}
-    for owner in (owner for owner in (part.program, *part.effects) if not is_ours(type(owner))):
+    for owner in (owner for owner in (shard.program, *shard.effects) if not is_ours(type(owner))):
         for attribute, value in vars(owner).items():
             is_struct = hasattr(value, "__ctype__") and not isinstance(value, wp.array)
             fields = vars(value) if is_struct else {"": value}
@@ -182,9 +182,9 @@ def get_state(sim: Simulation, worlds: Worlds = None) -> State:
         ValueError: There are no such worlds.
     """
     rows = rows_of(worlds, sim.num_worlds)
-    parts = [{name: array.numpy() for name, array in _state_of(part).items()} for part in sim.parts]
-    names = [name for name in parts[0] if all(name in part for part in parts)]
-    arrays = {name: np.concatenate([part[name] for part in parts])[rows] for name in names}
+    shards = [{name: array.numpy() for name, array in _state_of(shard).items()} for shard in sim.shards]
+    names = [name for name in shards[0] if all(name in shard for shard in shards)]
+    arrays = {name: np.concatenate([shard[name] for shard in shards])[rows] for name in names}
     return State(sim.scene.spec.key, arrays, str(sim.setup.physics))
 
 
@@ -212,7 +212,7 @@ def set_state(sim: Simulation, state: State, worlds: Worlds = None, *, condition
         raise ValueError(f"state is one of task {state.task!r}; this one is {spec.key!r}")
     if len(state) not in (1, len(rows)):
         raise ValueError(f"state must have 1 or {len(rows)} worlds, as many as are set, got {len(state)}")
-    own = _state_of(sim.parts[0])
+    own = _state_of(sim.shards[0])
     # What only one of them takes for state, unlisted, is as long as worlds are many by chance: a constant.
     needed = {name for name in own if name in state.arrays or not name.startswith(KEYS)}
     differ = {name for name in state.arrays.keys() ^ needed if not name.startswith(UNLISTED)}
@@ -258,12 +258,12 @@ def place(sim: Simulation, arrays: Mapping[str, np.ndarray], rows: np.ndarray) -
     Raises:
         ValueError: An array does not fit, or is not finite; nothing was written.
     """
-    states = [_state_of(part) for part in sim.parts]
+    states = [_state_of(shard) for shard in sim.shards]
     own = states[0]
     values = {name: _fitting(name, array, own[name].numpy(), len(rows)) for name, array in arrays.items()}
     settle = "data.qpos" in values and not any(name.startswith(MUSCLES) for name in values)
-    for part, state in zip(sim.parts, states, strict=True):
-        worlds = part.scene.worlds
+    for shard, state in zip(sim.shards, states, strict=True):
+        worlds = shard.scene.worlds
         here = (rows >= worlds.first) & (rows < worlds.first + worlds.number)
         if not here.any():
             continue
@@ -277,7 +277,7 @@ def place(sim: Simulation, arrays: Mapping[str, np.ndarray], rows: np.ndarray) -
             write(target, whole)
         mask = np.zeros(worlds.number, dtype=bool)
         mask[local] = True
-        part.bring_up(mask, settle=settle)
+        shard.bring_up(mask, settle=settle)
 
 
 def start_arrays(sim: Simulation, options: Mapping[str, Any]) -> dict[str, np.ndarray]:
@@ -295,7 +295,7 @@ def start_arrays(sim: Simulation, options: Mapping[str, Any]) -> dict[str, np.nd
     """
     start = {}
     for name in options.keys() & {"qpos", "qvel"}:
-        size = sim.parts[0].scene.state[f"data.{name}"].shape[1]
+        size = sim.shards[0].scene.state[f"data.{name}"].shape[1]
         shape = (sim.num_worlds, size)
         try:
             values = np.asarray(options[name], dtype=np.float32)

@@ -10,7 +10,7 @@ import numpy as np
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.registry import check_choice
-from myowarp.engine.said import say_once
+from myowarp.engine.warn_once import warn_once
 from myowarp.sim.signals import Signals
 from myowarp.view.drawing.muscles import QUANTITIES
 from myowarp.view.drawing.snapshot import Snapshot, snapshot
@@ -103,7 +103,7 @@ class Pictures:
             try:
                 return Window(model, tips, self._color)
             except NoGraphicsError as error:
-                say_once(f"{error}; a page in the browser takes its place")
+                warn_once(f"{error}; a page in the browser takes its place")
         check_viser('render_mode="human" without a window')
         from myowarp.view.browser.page import Page
 

@@ -13,8 +13,8 @@ from scipy.interpolate import CubicSpline
 
 from myowarp.coordinates.couplings import Exact, Pieces, ask, couplings, exact, follow, jacobian, read
 from myowarp.coordinates.free_coordinates import FreeCoordinates
-from myowarp.engine.said import say_once
 from myowarp.engine.step import Step
+from myowarp.engine.warn_once import warn_once
 from myowarp.opensim.compose.binary import binary, stiff
 
 RECORDED = Path(__file__).parents[1] / "data" / "opensim"
@@ -75,7 +75,10 @@ def pieces(spline):
 
 
 SAID = Exact(
-    {"glide": ("knee", (pieces(TRAVEL),)), "tilt": ("knee", (Pieces((0.0,), ((0.1, 0.8),)), pieces(TURN)))},
+    {
+        "glide": ("knee", (pieces(TRAVEL),)),
+        "tilt": ("knee", (Pieces((0.0,), ((0.1, 0.8),)), pieces(TURN))),
+    },
     {"phantom": (0.0, (0.0, 0.0, 0.0))},
 )
 
@@ -166,7 +169,7 @@ def place(sim, u, du, ctrl):
 
 def physics(sim):
     with wp.ScopedDevice(sim.scene.device):
-        sim.parts[0]._launch_physics()
+        sim.shards[0]._launch_physics()
 
 
 def states(count, seed=0):
@@ -180,8 +183,8 @@ def states(count, seed=0):
 def test_a_step_is_that_of_float64(tmp_path, integrator, stages):
     """Accelerations, and 0.2 s of motion, of the engine's solver and integrator and of ours."""
     sim = simulation(leg(tmp_path, integrator=integrator), 37, stages=stages)
-    assert isinstance(sim.parts[0].physics_step, FreeCoordinates)
-    assert bool(sim.parts[0].stages) == (stages is None)
+    assert isinstance(sim.shards[0].physics_step, FreeCoordinates)
+    assert bool(sim.shards[0].stages) == (stages is None)
     reference, (u, du, ctrl) = Leg(mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))), states(37)
     place(sim, u, du, ctrl)
     h = sim.scene.oracle.opt.timestep
@@ -298,7 +301,7 @@ def test_accelerations_are_those_of_opensim(name, tmp_path):
 
     converted, path = motorised(tmp_path, name)
     sim = simulation(path, len(recorded["values"]))
-    assert isinstance(sim.parts[0].physics_step, FreeCoordinates)
+    assert isinstance(sim.shards[0].physics_step, FreeCoordinates)
     model, data = sim.scene.oracle, sim.scene.data
     entries = {entry.name: entry for entry in converted.coordinates.coordinates}
     joints = [model.joint(entries[str(c)].joint).id for c in recorded["coordinates"]]
@@ -324,15 +327,15 @@ def test_a_model_asks_for_it(tmp_path, caplog):
     (tmp_path / "couplings.json").unlink()
     with caplog.at_level(logging.WARNING, logger="myowarp"):
         sim = simulation(path, 1)
-    assert not isinstance(sim.parts[0].physics_step, FreeCoordinates)
+    assert not isinstance(sim.shards[0].physics_step, FreeCoordinates)
     assert not caplog.records
     spec = mujoco.MjSpec.from_file(str(path))
     ask(spec)
     (tmp_path / "couplings.json").write_text(Exact({}, {}).as_json())
     sim = simulation(path, 1)
-    assert isinstance(sim.parts[0].physics_step, FreeCoordinates)
+    assert isinstance(sim.shards[0].physics_step, FreeCoordinates)
     place(sim, np.array([[0.2, -0.7]]), np.zeros((1, 2)), np.zeros((1, 2)))
-    sim.parts[0].physics_step.follow()
+    sim.shards[0].physics_step.follow()
     ghost = 0.9 * -0.7 + 0.2 * 0.49
     wanted = (0.2, 0.03 * -0.7, -0.7, 0.1 + 0.4 * ghost, 0.01, ghost)
     np.testing.assert_allclose(sim.scene.data.qpos.numpy()[0], wanted, atol=1e-6)
@@ -343,12 +346,12 @@ def test_a_private_name_that_is_gone(tmp_path, monkeypatch, caplog):
     monkeypatch.setitem(sys.modules, "myowarp.engine.inertia", None)
     for name in ("free_coordinates", "hinge_triples"):
         monkeypatch.delitem(sys.modules, f"myowarp.coordinates.{name}")
-    say_once.cache_clear()
+    warn_once.cache_clear()
     with caplog.at_level(logging.WARNING, logger="myowarp"):
         sim = simulation(leg(tmp_path), 1)
-    assert type(sim.parts[0].physics_step) is Step
+    assert type(sim.shards[0].physics_step) is Step
     assert "free_coordinates is left to mujoco-warp" in caplog.text
-    say_once.cache_clear()
+    warn_once.cache_clear()
 
 
 GHOST, RISE = '"ghost" joint2="knee"', 'joint1="rise" polycoef=".01 0 0 0 0"'
@@ -369,7 +372,7 @@ def test_what_it_does_not_cover_is_said_once(tmp_path, caplog, changes, reason):
         path.write_text(path.read_text().replace(old, new or old, 1))
     with caplog.at_level(logging.WARNING, logger="myowarp"):
         sim = simulation(path, 1)
-    assert isinstance(sim.parts[0].physics_step, FreeCoordinates) == (not reason)
+    assert isinstance(sim.shards[0].physics_step, FreeCoordinates) == (not reason)
     said = [
         record.getMessage() for record in caplog.records if "by the engine's springs" in record.getMessage()
     ]
@@ -383,7 +386,7 @@ def test_massless_coordinates_are_refused(tmp_path, caplog):
     )
     with caplog.at_level(logging.WARNING, logger="myowarp"):
         sim = simulation(leg(tmp_path, said), 1)
-    assert not isinstance(sim.parts[0].physics_step, FreeCoordinates)
+    assert not isinstance(sim.shards[0].physics_step, FreeCoordinates)
     assert "the model's masses leave a coordinate without inertia" in caplog.text
 
 
@@ -422,7 +425,7 @@ def test_text_reads_back_the_same(tmp_path):
 
 
 def test_a_part_takes_over_the_stages(tmp_path):
-    first, second = simulation(leg(tmp_path), 6, shards=2).parts
+    first, second = simulation(leg(tmp_path), 6, shards=2).shards
     assert [type(stage) for stage in second.stages] == [type(stage) for stage in first.stages]
     assert isinstance(second.physics_step, FreeCoordinates)
     for part in (first, second):

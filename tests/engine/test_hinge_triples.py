@@ -63,8 +63,8 @@ def simulated(folder, worlds, **settings):
     (folder / "model.xml").write_text(arm(**settings))
     (folder / "couplings.json").write_text(SAID.as_json())
     sim = simulation(folder / "model.xml", worlds)
-    assert isinstance(sim.parts[0].physics_step, FreeCoordinates)
-    assert sim.parts[0].physics_step.triples is not None
+    assert isinstance(sim.shards[0].physics_step, FreeCoordinates)
+    assert sim.shards[0].physics_step.triples is not None
     return sim
 
 
@@ -78,7 +78,7 @@ def put(sim, q, u, force):
 
 def step(sim):
     with wp.ScopedDevice(sim.scene.device):
-        sim.parts[0]._launch_physics()
+        sim.shards[0]._launch_physics()
 
 
 @pytest.mark.parametrize("lean", LEANS)

@@ -40,7 +40,7 @@ def test_state_is_that_of_the_engine(key):
 
 @pytest.mark.parametrize("key", KEYS)
 def test_only_what_is_launched_is_compiled(key):
-    modules = simulation(key).parts[0]._modules
+    modules = simulation(key).shards[0]._modules
     assert modules
     shared = [m.name for m in modules if m.name.startswith("mujoco_warp.") and len(m.kernels) > 1]
     assert not shared

@@ -199,7 +199,7 @@ def test_observations_are_those_of_the_engine():
         sim = Simulation(
             TASKS["myoHandReachRandom-v0"], 3, device="cpu", graph=False, progress=False, stages=stages
         )
-        assert len(sim.parts[0].stages) == len(stages)
+        assert len(sim.shards[0].stages) == len(stages)
         sim.reset(seeds=np.arange(3))
         sim.action.fill_(0.5)
         for _ in range(2):

@@ -72,14 +72,14 @@ def simulated(folder, said, stages, **changes):
     (folder / "model.xml").write_text(written(**changes))
     (folder / "couplings.json").write_text(said.as_json())
     sim = simulation(folder / "model.xml", NUM_WORLDS, stages=stages)
-    assert isinstance(sim.parts[0].physics_step, FreeCoordinates)
-    assert bool(sim.parts[0].stages) == (stages is None)
+    assert isinstance(sim.shards[0].physics_step, FreeCoordinates)
+    assert bool(sim.shards[0].stages) == (stages is None)
     return sim
 
 
 def step(sim):
     with wp.ScopedDevice(sim.scene.device):
-        sim.parts[0]._launch_physics()
+        sim.shards[0]._launch_physics()
 
 
 def placed(sim, model):
@@ -140,7 +140,7 @@ def test_steps_are_those_of_mujoco_c(tmp_path, integrator, more, stages):
 def test_accelerations_of_joints_that_follow(tmp_path, stages):
     """M_r u'' = J'(forces - M a), beside a free root, a ball and three hinges that turn like one."""
     sim = simulated(tmp_path, NOTHING, stages, more=TRIPLE, equality=TIE, flags=FREE)
-    assert sim.parts[0].physics_step.triples is not None
+    assert sim.shards[0].physics_step.triples is not None
     model = mujoco.MjModel.from_xml_string(written(more=TRIPLE, flags=FREE))
     qpos, qvel, force = placed(sim, model)
     step(sim)

@@ -17,7 +17,7 @@ import pytest
 
 from myowarp.definitions.task import TASKS
 from myowarp.engine import graph
-from myowarp.engine.said import say_once
+from myowarp.engine.warn_once import warn_once
 from myowarp.sim.simulation import Simulation
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
@@ -63,8 +63,8 @@ def test_death_of_a_part(alone, monkeypatch, part, worlds, error):
     def die():
         raise error("now")
 
-    monkeypatch.setattr(split.parts[part], "step_graph", None)
-    monkeypatch.setattr(split.parts[part], "launch_action", die)
+    monkeypatch.setattr(split.shards[part], "step_graph", None)
+    monkeypatch.setattr(split.shards[part], "launch_action", die)
     begin = time.monotonic()
     with pytest.raises(error) as caught:
         split.step()
@@ -239,15 +239,15 @@ def test_parts_act_at_the_same_time_where_warp_replays(monkeypatch, caplog):
     ends, seen = [], []
     for replayed in (True, False):
         graph._warp_recording.cache_clear()
-        say_once.cache_clear()
+        warn_once.cache_clear()
         if not replayed:
             monkeypatch.setattr(graph, "RECORDERS", (*graph.RECORDERS, "wp_is_no_more"))
         with caplog.at_level(logging.WARNING, logger="myowarp"):
             sim = Simulation(TASKS[ELBOW], 8, shards=2, device="cpu", progress=False)
-            assert all((part.step_graph.replay is not None) == replayed for part in sim.parts)
+            assert all((part.step_graph.replay is not None) == replayed for part in sim.shards)
             if not replayed:
                 both = threading.Barrier(2, timeout=30)
-                for part in sim.parts:
+                for part in sim.shards:
                     launch = part.step_graph.launch
                     monkeypatch.setattr(part.step_graph, "launch", partial(together, both, launch))
             sim.reset(seeds=np.arange(8))

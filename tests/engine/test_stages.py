@@ -18,11 +18,11 @@ from stepping import step
 
 from myowarp.definitions.task import TASKS
 from myowarp.engine import stage as stage_module
-from myowarp.engine.said import say_once
 from myowarp.engine.stage import STAGES, Stage, load
 from myowarp.engine.stages.muscle_path import MusclePath, MusclePaths
 from myowarp.engine.step import ORDER, uncovered
 from myowarp.engine.verify import verified_stages
+from myowarp.engine.warn_once import warn_once
 from myowarp.opensim.compose.convert import convert
 from myowarp.opensim.compose.mjcf import mjcf
 from myowarp.opensim.read.model import read_model
@@ -78,8 +78,8 @@ def test_all_that_apply_are_used(body, caplog, monkeypatch, tmp_path):
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path))  # no verdict of an earlier run
     with caplog.at_level(logging.WARNING, logger="myowarp"):
         sim = simulation(BODY_TASKS[body])
-    assert kinds(sim.parts[0].stages) == kinds(sim.parts[0].physics_step.stages())
-    assert sim.parts[0].stages or not sim.scene.muscles.names
+    assert kinds(sim.shards[0].stages) == kinds(sim.shards[0].physics_step.stages())
+    assert sim.shards[0].stages or not sim.scene.muscles.names
     assert not caplog.records
 
 
@@ -94,7 +94,7 @@ def test_each_applies_somewhere(name):
 @pytest.mark.slow
 @pytest.mark.parametrize(("key", "condition"), CONDITIONED)
 def test_bodies_with_conditions(key, condition):
-    assert MusclePath in kinds(simulation(key, conditions=condition).parts[0].stages)
+    assert MusclePath in kinds(simulation(key, conditions=condition).shards[0].stages)
 
 
 @pytest.mark.parametrize("key", ["myoElbowPose1D6MRandom-v0", "myoFingerPoseFixed-v0"])
@@ -103,7 +103,7 @@ def test_steps_are_those_of_the_engine(key):
     ends, start = [], None
     for stages in ((), tuple(STAGES)):
         sim = simulation(key, stages=stages)
-        assert bool(sim.parts[0].stages) == bool(stages)
+        assert bool(sim.shards[0].stages) == bool(stages)
         rng = np.random.default_rng(0)
         sim.reset(seeds=np.arange(4))
         start = sim.scene.data.qpos.numpy().copy()
@@ -119,7 +119,7 @@ def test_steps_are_those_of_the_engine(key):
 def test_a_wrong_stage_is_left_out(wrong, caplog):
     sim = simulation("myoElbowPose1D6MRandom-v0", stages=())
     with caplog.at_level(logging.WARNING, logger="myowarp"):
-        step = sim.parts[0].physics_step
+        step = sim.shards[0].physics_step
         assert verified_stages(step, (wrong(step.stepped),)) == ()
     assert f"{wrong.__name__} is left to mujoco-warp" in caplog.text
 
@@ -128,7 +128,7 @@ def test_a_wrong_stage_is_left_out(wrong, caplog):
 def test_a_stage_that_computes_nothing_is_left_out(num_worlds, monkeypatch, caplog):
     """Not even where the arrays still hold what the stock step wrote for the same states."""
     sim = simulation("myoElbowPose1D6MRandom-v0", num_worlds, stages=())
-    step = sim.parts[0].physics_step
+    step = sim.shards[0].physics_step
     stages = step.stages(["muscle_path"])
     assert verified_stages(step, stages) == stages
     monkeypatch.setattr(MusclePaths, "launch", lambda self: None)
@@ -143,7 +143,7 @@ def test_stiff_equalities_are_no_reason(tmp_path, monkeypatch, caplog):
     path = tmp_path / "model.xml"
     path.write_text(mjcf(convert(read_model(OSIM / "gait10dof18musc.osim")).spec))
     sim = Simulation(pose_task(path), 4, device="cpu", graph=False, progress=False, stages=())
-    step = sim.parts[0].physics_step
+    step = sim.shards[0].physics_step
     stages = step.stages()
     assert len(stages) > 2
     with caplog.at_level(logging.WARNING, logger="myowarp"):
@@ -156,8 +156,8 @@ def test_stiff_equalities_are_no_reason(tmp_path, monkeypatch, caplog):
 
 def test_none_on_request():
     sim = simulation(BODY_TASKS["elbow"], 1, stages=())
-    assert sim.parts[0].physics_step.stages()
-    assert sim.parts[0].stages == ()
+    assert sim.shards[0].physics_step.stages()
+    assert sim.shards[0].stages == ()
 
 
 @pytest.mark.parametrize(
@@ -242,7 +242,7 @@ def test_a_private_name_that_is_gone(path, module, name, monkeypatch, caplog):
     for loaded in [key for key in sys.modules if key.startswith("myowarp.engine.stages.")]:
         monkeypatch.delitem(sys.modules, loaded)
     load.cache_clear()
-    say_once.cache_clear()
+    warn_once.cache_clear()
     try:
         with caplog.at_level(logging.WARNING, logger="myowarp"):
             left = [stage for stage in STAGES if load(stage) is None]
@@ -251,7 +251,7 @@ def test_a_private_name_that_is_gone(path, module, name, monkeypatch, caplog):
         assert [record.getMessage().split()[0] for record in caplog.records] == left
         key = "myoElbowPose1D6MRandom-v0"
         sim = Simulation(TASKS[key], 2, device="cpu", graph=False, progress=False)
-        assert not {STAGES[stage] for stage in left} & {type(one).__name__ for one in sim.parts[0].stages}
+        assert not {STAGES[stage] for stage in left} & {type(one).__name__ for one in sim.shards[0].stages}
         start = sim.scene.data.qpos.numpy().copy()
         sim.action.fill_(1.0)
         sim.step()
@@ -259,7 +259,7 @@ def test_a_private_name_that_is_gone(path, module, name, monkeypatch, caplog):
         assert np.abs(sim.scene.data.qpos.numpy() - start).max() > AFTER_STEPS
     finally:
         load.cache_clear()
-        say_once.cache_clear()
+        warn_once.cache_clear()
 
 
 def test_damped_tendons_keep_their_velocity():

@@ -11,7 +11,7 @@ import warp as wp
 
 import myowarp  # noqa: F401  (registers the ids)
 from myowarp.definitions.task import TASKS
-from myowarp.engine.turn import TURN, replaced
+from myowarp.engine.build_lock import BUILD_LOCK, replaced
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 
@@ -83,7 +83,7 @@ def test_stepped_while_another_thread_builds(options):
 
 
 def test_launches_of_other_threads_are_their_own():
-    """What is replaced in one thread stays in the others, and TURN is free again afterwards."""
+    """What is replaced in one thread stays in the others, and BUILD_LOCK is free again afterwards."""
 
     def launch_elsewhere():
         with ThreadPoolExecutor(1) as pool:
@@ -95,8 +95,8 @@ def test_launches_of_other_threads_are_their_own():
         assert launch_elsewhere() is True
     assert wp.is_cpu_available is usual
     with ThreadPoolExecutor(1) as pool:
-        assert pool.submit(TURN.acquire, blocking=False).result(GIVE_UP)
-        pool.submit(TURN.release).result(GIVE_UP)
+        assert pool.submit(BUILD_LOCK.acquire, blocking=False).result(GIVE_UP)
+        pool.submit(BUILD_LOCK.release).result(GIVE_UP)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")

@@ -19,7 +19,7 @@ from myowarp.apps.policies.learned import LearnedPolicy, read_policy
 from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
 from myowarp.apps.train.settings import ALGORITHMS, TRAINING, divided, preset, restore
 from myowarp.definitions.task import TASKS
-from myowarp.engine.said import say_once
+from myowarp.engine.warn_once import warn_once
 from myowarp.sim.simulation import Simulation
 
 NAMES = baselines.baseline_tasks()
@@ -178,7 +178,7 @@ def test_a_version_without_a_baseline_takes_that_of_another(name, run, caplog, t
     options = ("--device", "cpu", "--json")
     returns = []
     for policy in ("baseline", f"baselines/{other}"):
-        say_once.cache_clear()
+        warn_once.cache_clear()
         caplog.clear()
         status, out, err = run(
             "rollout", name, "--policy", policy, "--num-worlds", 4, "--steps", 100, *options
@@ -187,7 +187,7 @@ def test_a_version_without_a_baseline_takes_that_of_another(name, run, caplog, t
         returns.append(json.loads(out)["return_mean"])
         assert [record.getMessage() for record in caplog.records] == [sentence] * (policy == "baseline")
     assert returns[0] == returns[1]
-    say_once.cache_clear()
+    warn_once.cache_clear()
     status, out, err = run("eval", "baseline", "--task", name, "--episodes", 4, *options)
     assert status == 0, err
     assert json.loads(out)["checkpoint"].endswith(other)

@@ -110,8 +110,10 @@ def test_results_are_those_of_the_conditions_by_hand(five, name, conditions):
     for step in range(1, STEPS + 1):
         sim.action.assign(policy(sim.transition.obs.numpy()))
         sim.step()
-        error = np.abs(sim.parts[0].program.target.numpy() - signals.qpos.numpy())[0, 0]
-        fatigue = sim.parts[0].effects[[c.name for c in sim.conditions].index("fatigue_3ccr")].info["fatigue"]
+        error = np.abs(sim.shards[0].program.target.numpy() - signals.qpos.numpy())[0, 0]
+        fatigue = (
+            sim.shards[0].effects[[c.name for c in sim.conditions].index("fatigue_3ccr")].info["fatigue"]
+        )
         muscles = signals.muscles
         rewards.append(float(sim.transition.reward.numpy()[0]))
         solved.append(bool(sim.transition.solved.numpy()[0]))
@@ -154,7 +156,7 @@ def test_patients_with_hands():
         for row in samples.itertuples():
             sim.action.assign(policy(sim.transition.obs.numpy()))
             sim.step()
-            errors = sim.parts[0].program.target.numpy() - signals.qpos.numpy()
+            errors = sim.shards[0].program.target.numpy() - signals.qpos.numpy()
             assert row.tracking_error == pytest.approx(np.linalg.norm(errors), rel=1e-5)
             assert row.total_force == pytest.approx(signals.muscles.force.numpy().sum(), rel=1e-5)
         ends.append((row.tracking_error, row.total_force))

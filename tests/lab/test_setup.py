@@ -122,8 +122,8 @@ def test_what_is_wrong_is_said_before_anything_is_built(fields, message):
 def test_a_simulation_carries_its_setup():
     setup = complete(Setup(task=ELBOW, horizon=3, device="cpu", shards=2))
     sim = Simulation(setup, 8)
-    assert (len(sim.parts), sim.horizon, sim.setup) == (2, 3, setup)
-    assert len(Simulation(setup, 8, shards=1).parts) == 1
+    assert (len(sim.shards), sim.horizon, sim.setup) == (2, 3, setup)
+    assert len(Simulation(setup, 8, shards=1).shards) == 1
 
 
 def test_options_are_documented():

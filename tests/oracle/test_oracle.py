@@ -43,14 +43,14 @@ def written(key, record, prefix, steps, **options):
     data.qvel.assign(record[f"{prefix}_qvel"])
     if sim.scene.muscles.activation.size:
         sim.scene.muscles.activation.assign(record[f"{prefix}_act"])
-    sim.parts[0].program.target.assign(record[f"{prefix}_target"].reshape(sim.num_worlds, -1))
+    sim.shards[0].program.target.assign(record[f"{prefix}_target"].reshape(sim.num_worlds, -1))
     sim.episode.step_count.assign(steps.astype(np.int32))
     everywhere = wp.ones(sim.num_worlds, dtype=bool)
     sim.transition.obs.fill_(np.nan)
     sim.transition.terms.fill_(np.nan)
     mjw.kinematics(sim.scene.model, data)
-    sim.parts[0].program.observe(everywhere, sim.transition.obs)
-    sim.parts[0].launch_scoring()
+    sim.shards[0].program.observe(everywhere, sim.transition.obs)
+    sim.shards[0].launch_scoring()
     return sim
 
 
@@ -149,9 +149,9 @@ def test_targets_are_drawn_like_upstream(key):
     record, spec = recorded(key), TASKS[key]
     sim = Simulation(spec, 512, device="cpu", graph=False, progress=False)
     sim.reset(seeds=np.arange(512))
-    target = sim.parts[0].program.target.numpy()
+    target = sim.shards[0].program.target.numpy()
     if "table_rows" in record:
-        table = sim.parts[0].program.table.numpy()
+        table = sim.shards[0].program.table.numpy()
         assert len(table) == record["table_size"]
         np.testing.assert_allclose(table[record["table_index"]], record["table_rows"], atol=VALUE_TOLERANCE)
         assert np.abs(target[:, None] - table[None]).sum(axis=2).min(axis=1).max() < VALUE_TOLERANCE
@@ -182,12 +182,12 @@ def test_one_control_step_of_physics(key, record_property):
         sim.scene.muscles.activation.assign(record["replay_act_before"])
     data.ctrl.assign(record["replay_ctrl"])
     if "replay_weight" in record:
-        sim.parts[0].program.weight.mass.assign(record["replay_weight"][:, None])
-        sim.parts[0].program.weight.hang(wp.ones(sim.num_worlds, dtype=bool))
+        sim.shards[0].program.weight.mass.assign(record["replay_weight"][:, None])
+        sim.shards[0].program.weight.hang(wp.ones(sim.num_worlds, dtype=bool))
     moved = np.abs(record["replay_qpos_after"] - record["replay_qpos_before"])
     assert np.median(moved.max(axis=1)) > 10 * QPOS_TOLERANCE
     for _ in range(sim.scene.num_substeps):
-        step(sim.scene, sim.parts[0].stages)
+        step(sim.scene, sim.shards[0].stages)
     error = np.abs(data.qpos.numpy() - record["replay_qpos_after"])
     record_property("qpos median", float(np.median(error.max(axis=1))))
     record_property("qpos worst", float(error.max()))
@@ -204,5 +204,5 @@ def test_action_map(key):
     for action, ctrl in (("step_action", "step_ctrl"), ("clip_action", "clip_ctrl")):
         sim = Simulation(TASKS[key], len(record[action]), device="cpu", graph=False, progress=False)
         sim.action.assign(record[action].astype(np.float32))
-        sim.parts[0].launch_action()
+        sim.shards[0].launch_action()
         np.testing.assert_allclose(sim.scene.data.ctrl.numpy(), record[ctrl], atol=ACTIVATION_TOLERANCE)

@@ -53,7 +53,7 @@ def test_control_step(name, record_property):
     np.testing.assert_allclose(sim.scene.muscles.activation.numpy(), record["step_act"], atol=CTRL)
     for part in COMPARTMENTS if "step_fatigued" in record else ():
         error = np.abs(
-            getattr(sim.parts[0].effects[0].state, f"{part}_fraction").numpy() - record[f"step_{part}"]
+            getattr(sim.shards[0].effects[0].state, f"{part}_fraction").numpy() - record[f"step_{part}"]
         )
         record_property("compartments", float(error.max()))
         assert error.max() < CTRL
@@ -66,7 +66,7 @@ def test_control_step(name, record_property):
     assert np.median(observation) < VALUE
     assert np.median(reward) < VALUE
     np.testing.assert_array_equal(sim.transition.terminated.numpy(), record["step_done"])
-    sim.parts[0].effects = ()
+    sim.shards[0].effects = ()
     sim.scene.muscles.anatomy.strength.fill_(1.0)
     step_like(sim, record)
     assert np.median(misses(sim, record)[0]) > EFFECT * VALUE
@@ -79,9 +79,9 @@ def step_like(sim, record):
     data.qpos.assign(record["step_qpos_before"])
     data.qvel.assign(record["step_qvel_before"])
     sim.scene.muscles.activation.assign(record["step_act_before"])
-    if "step_fatigued" in record and sim.parts[0].effects:
+    if "step_fatigued" in record and sim.shards[0].effects:
         for part in COMPARTMENTS:
-            getattr(sim.parts[0].effects[0].state, f"{part}_fraction").assign(record[f"step_{part}_before"])
+            getattr(sim.shards[0].effects[0].state, f"{part}_fraction").assign(record[f"step_{part}_before"])
     sim.episode.step_count.assign(record["step_step"].astype(np.int32) - 1)
     sim.episode.ended.zero_()
     data.qacc_warmstart.zero_()
@@ -91,7 +91,7 @@ def step_like(sim, record):
 
 def aim(sim, meta, record):
     """Give the worlds the goals and objects of recorded states."""
-    program, model, task = sim.parts[0].program, sim.scene.model, meta["task"]
+    program, model, task = sim.shards[0].program, sim.scene.model, meta["task"]
     if task in ("pose", "reach"):
         program.target.assign(record["step_target"].reshape(sim.num_worlds, -1))
         if "step_weight" in record:
@@ -111,7 +111,7 @@ def aim(sim, meta, record):
 
 def aim_balls(sim, meta, record):
     """Give the targets their orbits, and the balls their size, mass and friction."""
-    orbits, ids = sim.parts[0].program.orbits, object_ids(sim.scene.oracle, meta)
+    orbits, ids = sim.shards[0].program.orbits, object_ids(sim.scene.oracle, meta)
     for ours, theirs in {"direction": "sign", "radii": "radii", "period": "period"}.items():
         getattr(orbits, ours).assign(record[f"step_{theirs}"])
     orbits.start_angle.assign(record["step_start_angles"][:, 0])

@@ -141,7 +141,7 @@ def test_action_map(key):
     record, sim = recorded(key)[0], simulation(key)
     for table in ("step", "clip"):
         sim.action.assign(padded(record[f"{table}_action"]))
-        sim.parts[0].launch_action()
+        sim.shards[0].launch_action()
         ctrl = sim.scene.data.ctrl.numpy()[: len(record[f"{table}_ctrl"])]
         np.testing.assert_allclose(ctrl, record[f"{table}_ctrl"], atol=ACTIVATION_TOLERANCE)
 
@@ -192,7 +192,7 @@ def tilt(quat):
 
 def drawn_by_us(sim, meta):
     """Return what the worlds have drawn, by its name in the recordings."""
-    program, ids = sim.parts[0].program, object_ids(sim.scene.oracle, meta)
+    program, ids = sim.shards[0].program, object_ids(sim.scene.oracle, meta)
 
     def field(name):
         return getattr(sim.scene.model, name).numpy()[:, ids[name.split("_")[0]]]

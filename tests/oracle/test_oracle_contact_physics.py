@@ -42,7 +42,7 @@ def test_contacts_are_those_of_upstream(key):
     n = write_episodes(key, "contact")
     data = sim.scene.data
     data.overflow.zero_()
-    forward(sim.scene, sim.parts[0].stages)
+    forward(sim.scene, sim.shards[0].stages)
     assert not data.overflow.numpy().any()
     worlds = data.contact.worldid.numpy()[: data.nacon.numpy()[0]]
     engine = np.stack([np.bincount(worlds, minlength=NUM_WORLDS), data.nefc.numpy()], axis=1)[:n]
@@ -79,7 +79,7 @@ def test_one_control_step_of_physics(key, record_property):
     data = sim.scene.data
     data.ctrl.assign(padded(record["replay_ctrl"]))
     for _ in range(num_substeps):
-        step(sim.scene, sim.parts[0].stages)
+        step(sim.scene, sim.shards[0].stages)
     error = np.abs(data.qpos.numpy()[:n] - after).max(axis=1)
     record_property("qpos median", float(np.median(error)))
     record_property("qpos worst", float(error.max()))
@@ -109,7 +109,7 @@ def test_rollouts(key, relaxed):
         assert np.abs(np.array(oracle) - record["rollout_qpos_after"]).max() < 100 * MODEL_TOLERANCE
     for i in range(ctrl.shape[1]):
         sim.scene.data.ctrl.assign(padded(ctrl[:, i]))
-        step(sim.scene, sim.parts[0].stages)
+        step(sim.scene, sim.shards[0].stages)
     error = np.abs(sim.scene.data.qpos.numpy()[:n] - np.array(oracle)).max(axis=1)
     worst = ROLLOUT_TOLERANCES[meta["task"]]
     assert error.max() < (worst if relaxed else CONTACT_TOLERANCE)

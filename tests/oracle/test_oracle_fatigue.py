@@ -65,7 +65,7 @@ def test_episodes_of_commands(key):
     given = starts == "given"
     initial = np.where(given[:, None], record["reset_fatigued"], 0.0)
     sim = simulation(key, len(actions), Fatigue3CCR(initial=initial))
-    effect = sim.parts[0].effects[0]
+    effect = sim.shards[0].effects[0]
     fresh = starts != "drawn"
     for values, name in zip(compartments(effect), COMPARTMENTS, strict=True):
         np.testing.assert_allclose(values[fresh], record[f"reset_{name}"][fresh], atol=STEP)
@@ -74,9 +74,9 @@ def test_episodes_of_commands(key):
     met = 0
     for step in range(1, actions.shape[1] + 1):
         sim.action.assign(np.nan_to_num(actions[:, step - 1]))
-        sim.parts[0].launch_action()
+        sim.shards[0].launch_action()
         command = sim.scene.data.ctrl.numpy().copy()
-        sim.parts[0].launch_conditions()
+        sim.shards[0].launch_conditions()
         ctrl = sim.scene.data.ctrl.numpy()
         for row in np.flatnonzero(record["step_step"] == step):
             world = record["step_episode"][row]
@@ -91,7 +91,7 @@ def test_episodes_of_commands(key):
 @pytest.mark.parametrize("key", RECORDED)
 def test_rates_are_upstreams(key):
     record = recorded(key)
-    effect = simulation(key, 1, "fatigue_3ccr").parts[0].effects[0]
+    effect = simulation(key, 1, "fatigue_3ccr").shards[0].effects[0]
     fields = {
         "fatigue_rate": "fatigue",
         "recovery_rate": "recovery",

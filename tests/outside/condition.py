@@ -20,7 +20,7 @@ def fade(rate: float, clock: myowarp.Clock, strength: wp.array2d[float]):
 
 @dataclass(frozen=True, eq=False)
 class Fading(myowarp.Condition):
-    STAGE = myowarp.Stage.STRENGTH
+    PHASE = myowarp.Phase.STRENGTH
     NEUTRAL: ClassVar = {"rate": 0.0}
 
     rate: float = RATE

@@ -381,7 +381,7 @@ def test_success_after_more_than_five_solved_steps():
     env.reset(seed=0)
     infos = []
     for _ in range(9):
-        env.sim.scene.data.qpos.numpy()[0] = env.sim.parts[0].program.target.numpy()[0]
+        env.sim.scene.data.qpos.numpy()[0] = env.sim.shards[0].program.target.numpy()[0]
         env.sim.scene.data.qvel.zero_()
         infos.append(env.step(np.full((2, 6), -1.0, np.float32))[4])
     finals = [info["final_info"] for info in infos if "final_info" in info]

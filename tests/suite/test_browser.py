@@ -20,7 +20,7 @@ from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.view import View, policies_for
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
-from myowarp.engine.said import say_once
+from myowarp.engine.warn_once import warn_once
 from myowarp.view.browser import live as live_module
 from myowarp.view.browser.live import Live
 from myowarp.view.browser.server import check_port, close_server, open_server
@@ -353,7 +353,7 @@ def test_a_viser_that_admits_other_sites_serves_no_page(monkeypatch):
 
 
 def test_a_viser_without_its_private_names_is_told_of_once(caplog):
-    say_once.cache_clear()
+    warn_once.cache_clear()
     for _ in range(2):
         take_values_alone(SimpleNamespace(gui=None))
     (line,) = [record.message for record in caplog.records]
@@ -395,7 +395,7 @@ def test_without_viser_it_says_what_to_install(monkeypatch):
 @pytest.mark.parametrize("display", ["", ":4711"])
 def test_human_mode_without_a_display_is_a_page(monkeypatch, display, caplog):
     """None is named, or one that does not answer, which one line says."""
-    say_once.cache_clear()
+    warn_once.cache_clear()
     monkeypatch.setenv("DISPLAY", display)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     env = gym.make_vec(f"MyoWarp/{KEY}", num_envs=2, device="cpu", render_mode="human")

@@ -35,15 +35,15 @@ def test_weights_are_drawn_like_upstream():
     low, high = json.loads(str(record["meta"]))["weight_range"]
     sim = elbows(512)
     sim.reset(seeds=np.arange(512))
-    first = sim.parts[0].program.weight.mass.numpy()[:, 0].copy()
+    first = sim.shards[0].program.weight.mass.numpy()[:, 0].copy()
     body = sim.scene.oracle.body("carry_weight").id
     np.testing.assert_array_equal(sim.scene.model.body_mass.numpy()[:, body], first)
     assert low <= first.min() < low + 0.02
     assert high - 0.02 < first.max() <= high
     assert abs(np.corrcoef(first, sim.scene.data.qpos.numpy()[:, 0])[0, 1]) < 0.15
-    assert abs(np.corrcoef(first, sim.parts[0].program.target.numpy()[:, 0])[0, 1]) < 0.15
+    assert abs(np.corrcoef(first, sim.shards[0].program.target.numpy()[:, 0])[0, 1]) < 0.15
     sim.reset(np.arange(512) % 2 == 0)
-    changed = sim.parts[0].program.weight.mass.numpy()[:, 0] != first
+    changed = sim.shards[0].program.weight.mass.numpy()[:, 0] != first
     np.testing.assert_array_equal(changed, np.arange(512) % 2 == 0)
 
 
@@ -53,8 +53,8 @@ def test_what_follows_from_a_weight():
     mass = record["forced_weight"]
     assert np.ptp(mass) > 1.5  # kg
     sim = elbows(len(mass))
-    sim.parts[0].program.weight.mass.assign(mass[:, None])
-    sim.parts[0].program.weight.hang(wp.ones(len(mass), dtype=bool))
+    sim.shards[0].program.weight.mass.assign(mass[:, None])
+    sim.shards[0].program.weight.hang(wp.ones(len(mass), dtype=bool))
     model, body = sim.scene.model, sim.scene.oracle.body("carry_weight").id
     inertia = model.body_inertia.numpy()[:, body]
     np.testing.assert_allclose(inertia, record["forced_weight_inertia"], rtol=FIELD)
@@ -70,5 +70,5 @@ def test_the_motor_is_commanded_unchanged():
     action = np.zeros((5, 7), dtype=np.float32)
     action[:, 0] = (-3.0, -1.0, 0.2, 0.5, 1.0)
     sim.action.assign(action)
-    sim.parts[0].launch_action()
+    sim.shards[0].launch_action()
     np.testing.assert_array_equal(sim.scene.data.ctrl.numpy()[:, 0], np.clip(action[:, 0], -1, 1))

@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 import myowarp
-from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage, condition_from, resolve
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase, condition_from, resolve
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Ramp, Uniform, value_of
 from myowarp.definitions.task import TASKS
 from myowarp.definitions.worlds import Worlds
@@ -182,7 +182,7 @@ def test_a_broken_world_comes_back(hosted, moment):
     np.testing.assert_array_equal(whole[others], hurt[others])
     assert np.isfinite(hurt).all()
     assert not sims[1].transition.fault.numpy().any()
-    for effect in sims[1].parts[0].effects:
+    for effect in sims[1].shards[0].effects:
         for array in effect.info.values():
             assert np.isfinite(array.numpy()).all()
 
@@ -200,7 +200,7 @@ def test_order_of_naming_does_not_matter():
     assert len(chosen) > 1
     forward, backward = resolve(chosen, spec), resolve(chosen[::-1], spec)
     assert [c.name for c in forward] == [c.name for c in backward]
-    stages = [c.STAGE for c in forward]
+    stages = [c.PHASE for c in forward]
     assert stages == sorted(stages)
 
 
@@ -279,7 +279,7 @@ class TestParameter:
         sim = Simulation(TASKS[HOSTS[0]], 64, device="cpu", conditions=strength, graph=False, progress=False)
 
         def drawn():
-            sim.parts[0].launch_conditions()
+            sim.shards[0].launch_conditions()
             return sim.scene.muscles.anatomy.strength.numpy().copy()
 
         sim.reset(seeds=np.arange(64))
@@ -295,7 +295,7 @@ class TestParameter:
         strength = Sarcopenia(Uniform(0.2, 0.9, each=True))
         sim = Simulation(TASKS[HOSTS[0]], 3, device="cpu", conditions=strength, graph=False, progress=False)
         sim.reset(seeds=np.arange(3))
-        sim.parts[0].launch_conditions()
+        sim.shards[0].launch_conditions()
         assert len(np.unique(sim.scene.muscles.anatomy.strength.numpy())) == 18
 
     @pytest.mark.parametrize(
@@ -353,7 +353,7 @@ def test_bad_conditions(conditions, message):
 
 def test_two_writers_of_one_quantity_are_refused(monkeypatch):
     class First(Condition):
-        STAGE, WRITES, name = Stage.ROUTING, ("command",), "first"
+        PHASE, WRITES, name = Phase.ROUTING, ("command",), "first"
 
         def bind(self, scene, clock):
             return Effect()

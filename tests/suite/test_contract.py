@@ -29,7 +29,7 @@ def trajectory(key, num_worlds, *, disturb=None, **options):
     """Return observations, rewards, endings and faults of a short run with resets."""
     settings = {"device": "cpu", "autoreset": "same_step", "horizon": HORIZON, "progress": False} | options
     sim = Simulation(TASKS[key], num_worlds, **settings)
-    graphs = [graph for graph in (sim.parts[0].step_graph, sim.parts[0].reset_graph) if graph is not None]
+    graphs = [graph for graph in (sim.shards[0].step_graph, sim.shards[0].reset_graph) if graph is not None]
     assert all(graph.replay for graph in graphs), "left to Warp"
     sim.reset(seeds=100 + np.arange(num_worlds))
     rows = {name: [] for name in ("obs", "reward", "terminated", "truncated", "fault")}
@@ -130,7 +130,7 @@ def drawn(sim):
     data, model = sim.scene.data, sim.scene.model
     arrays = [data.qpos, data.mocap_pos, data.mocap_quat]
     arrays += [getattr(model, name) for name in sim.scene.spec.batched]
-    for value in vars(sim.parts[0].program).values():
+    for value in vars(sim.shards[0].program).values():
         members = [getattr(value, name) for name in value._cls.vars] if hasattr(value, "_cls") else [value]
         arrays += [m for m in members if isinstance(m, wp.array) and m.shape[0] == sim.num_worlds]
     return np.concatenate([array.numpy().reshape(sim.num_worlds, -1) for array in arrays], axis=1)
@@ -179,4 +179,4 @@ def test_masked_reset_touches_only_its_worlds(key):
 def test_idle_kernels_are_left_out(key):
     """Verification lets all pass that a model has idle; a state that it forgets to set would let none."""
     sim = Simulation(TASKS[key], 2, device="cpu", graph=False, progress=False)
-    assert sim.parts[0]._idle == idle_kernels(sim.scene.oracle)
+    assert sim.shards[0]._idle == idle_kernels(sim.scene.oracle)

@@ -41,8 +41,8 @@ def scored(sim, step=1):
     sim.episode.ended.zero_()
     sim.transition.fault.zero_()
     sim.transition.terms.fill_(np.nan)
-    sim.parts[0].program.advance(sim.episode.step_count)
-    sim.parts[0].launch_scoring()
+    sim.shards[0].program.advance(sim.episode.step_count)
+    sim.shards[0].launch_scoring()
     t = sim.transition
     terms = {term.name: column for term, column in zip(sim.terms, t.terms.numpy().T, strict=True)}
     return t.reward.numpy(), terms, t.solved.numpy(), t.terminated.numpy()
@@ -60,7 +60,7 @@ def failing_pays(living, failing):
 
 def place_tips(sim, index_error, thumb_error, angle, activation):
     """Put the tips as far off the key head as wanted, and turn the key; all (num_worlds,)."""
-    data, program, rng = sim.scene.data, sim.parts[0].program, np.random.default_rng(0)
+    data, program, rng = sim.scene.data, sim.shards[0].program, np.random.default_rng(0)
     sites, qpos = data.site_xpos.numpy(), data.qpos.numpy()
     for site, error in ((program.index_site, index_error), (program.thumb_site, thumb_error)):
         direction = rng.normal(size=(sim.num_worlds, 3))
@@ -122,7 +122,7 @@ def test_letting_go_of_the_key(version, pays):
 
 def targets(sim, step):
     """Return where both targets are in the world, shape (num_worlds, 2, 3), and their revolutions."""
-    orbits, spec, data = sim.parts[0].program.orbits, sim.scene.spec, sim.scene.data
+    orbits, spec, data = sim.shards[0].program.orbits, sim.scene.spec, sim.scene.data
     turns = (np.asarray(step) - 1) * spec.control_dt / orbits.period.numpy().astype(float)
     if spec.orbits.jumps:
         turns = np.floor(turns * spec.orbits.jumps + 1e-6) / spec.orbits.jumps
@@ -131,8 +131,8 @@ def targets(sim, step):
     local = np.full((sim.num_worlds, 2, 3), (-0.0125, -0.07, -0.02))
     local[:, :, 0] += orbits.radii.numpy()[:, :1] * np.cos(angles)
     local[:, :, 1] += orbits.radii.numpy()[:, 1:] * np.sin(angles)
-    palm = data.site_xpos.numpy()[:, sim.parts[0].program.palm_site].astype(float)
-    frame = data.site_xmat.numpy()[:, sim.parts[0].program.palm_site].astype(float)
+    palm = data.site_xpos.numpy()[:, sim.shards[0].program.palm_site].astype(float)
+    frame = data.site_xmat.numpy()[:, sim.shards[0].program.palm_site].astype(float)
     return palm[:, None] + np.einsum("wij,wbj->wbi", frame, local), turns
 
 
@@ -207,7 +207,7 @@ def test_swap():
     seen = []
     for step in range(1, HORIZON + 1):
         scored(sim, step)
-        seen.append(sim.parts[0].program.target.numpy()[0].copy())
+        seen.append(sim.shards[0].program.target.numpy()[0].copy())
     before, after = np.split(np.array(seen), 2)
     offset = np.array([0.025, 0.028, 0.0]) / np.sqrt(2)
     expected = np.array([offset, -offset]) + np.array([-0.0125, -0.07, -0.02])

@@ -190,7 +190,7 @@ def test_contacts_of_the_engine_are_those_of_mujoco():
     """Friction, impedance and dimension of every contact of a ball that both see."""
     sim = freshly_reset()
     qpos, data, oracle = touching(sim), sim.scene.data, sim.scene.oracle
-    forward(sim.scene, sim.parts[0].stages)
+    forward(sim.scene, sim.shards[0].stages)
     count = data.nacon.numpy()[0]
     fields = {field: getattr(data.contact, field).numpy()[:count] for field in CONTACT_FIELDS}
     pairs, worlds = data.contact.geom.numpy()[:count], data.contact.worldid.numpy()[:count]
@@ -244,7 +244,7 @@ def test_control_step_of_light_balls(record_property):
         touched += np.isin(state.contact.geom, [model.geom(ball).id for ball in BALLS]).any()
         after.append(state.qpos.copy())
     for _ in range(sim.scene.num_substeps):
-        step(sim.scene, sim.parts[0].stages)
+        step(sim.scene, sim.shards[0].stages)
     error = np.abs(data.qpos.numpy() - np.array(after)).max(axis=1)
     record_property("qpos median", float(np.median(error)))
     record_property("qpos worst", float(error.max()))

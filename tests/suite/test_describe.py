@@ -104,7 +104,7 @@ def test_sizes_and_weights_are_those_of_the_environment(key):
     assert spans[-1][1] == facts["observation"]["size"] == sim.transition.obs.shape[1]
     assert facts["action"]["size"] == len(facts["action"]["actuators"]) == sim.action.shape[1]
     np.testing.assert_allclose(
-        [t["weight"] for t in facts["reward"]["terms"]], sim.parts[0].weights.numpy(), rtol=1e-6
+        [t["weight"] for t in facts["reward"]["terms"]], sim.shards[0].weights.numpy(), rtol=1e-6
     )
     assert [row["name"] for row in facts["muscles"]["muscles"]] == list(sim.scene.muscles.names)
 
@@ -219,7 +219,7 @@ def test_tip_columns_are_the_tips_that_they_name(key):
         site, axis = entry["name"].split()
         expected = [d.site(site).xpos["xyz".index(axis)] for d in data]
         np.testing.assert_allclose(columns_of(key, "tip_pos")[:, i], expected, atol=ROUNDING)
-    markers = [walked(key).parts[0].program.goal_markers(world) for world in range(WORLDS)]
+    markers = [walked(key).shards[0].program.goal_markers(world) for world in range(WORLDS)]
     names = [f"{tip}_target" for tip in BODIES[TASKS[key].body].tips]
     goal = np.array([[marker[name] for name in names] for marker in markers]).reshape(WORLDS, -1)
     tips = columns_of(key, "tip_pos")
@@ -243,7 +243,7 @@ def test_object_columns(key):
         data = mujoco.MjData(model)
         model.body_pos[:] = full_model(TASKS[key]).body_pos
         if TASKS[key].family == "keyturn":
-            model.body("key").pos[:] = sim.scene.model.body_pos.numpy()[world, sim.parts[0].program.key_body]
+            model.body("key").pos[:] = sim.scene.model.body_pos.numpy()[world, sim.shards[0].program.key_body]
         data.qpos[:] = sim.scene.data.qpos.numpy()[world]
         mujoco.mj_kinematics(model, data)
         np.testing.assert_allclose(columns_of(key, name)[world], read(data), atol=ROUNDING)
@@ -303,10 +303,10 @@ def test_thresholds_of_the_held_object():
         (0.99 * far, False, False),
         (1.01 * far, False, True),
     ):
-        sim.parts[0].program.goal.assign(
+        sim.shards[0].program.goal.assign(
             sim.scene.data.qpos.numpy()[:, 23:26] + np.float32([distance, 0.0, 0.0])
         )
-        sim.parts[0].launch_scoring()
+        sim.shards[0].launch_scoring()
         judged = sim.transition.solved.numpy()[0], sim.transition.failed.numpy()[0]
         assert judged == (solved, failed), distance
 
@@ -321,8 +321,8 @@ def test_thresholds_of_key_pen_and_balls(factor):
         qpos = sim.scene.data.qpos.numpy().copy()
         change(qpos[0])
         sim.scene.data.qpos.assign(qpos)
-        sim.parts[0]._refresh()
-        sim.parts[0].launch_scoring()
+        sim.shards[0]._refresh()
+        sim.shards[0].launch_scoring()
         return bool(sim.transition.solved.numpy()[0]), bool(sim.transition.failed.numpy()[0])
 
     def limit(key, part, kind):
@@ -345,7 +345,7 @@ def test_actions_do_what_is_said(key):
     sim = Simulation(TASKS[key], 4, device="cpu", graph=False, progress=False)
     asked = np.array([-1.0, 0.0, 1.0, 7.0])
     sim.action.assign(np.repeat(asked[:, None], sim.action.shape[1], axis=1).astype(np.float32))
-    sim.parts[0].launch_action()
+    sim.shards[0].launch_action()
     ctrl, model = sim.scene.data.ctrl.numpy(), sim.scene.oracle
     for row in facts_of(key)["action"]["actuators"]:
         i = row["index"]
@@ -418,7 +418,7 @@ def test_resets_draw_what_is_said(key, reset):
     sim.reset(seeds=np.arange(8))
 
     def state():
-        return {name: test_draws.read(sim.parts[0].program, name).copy() for name in said}
+        return {name: test_draws.read(sim.shards[0].program, name).copy() for name in said}
 
     said = [draw["name"] for draw in facts_of(key)["draws"] if draw["varies"]]
     before = state()

@@ -67,7 +67,7 @@ def test_torque_is_a_share_of_the_muscles():
         mjw.forward(sim.scene.model, data)
         found.append(data.actuator_force.numpy()[:, -1].copy())
         assert sim.scene.oracle.actuator(sim.scene.oracle.nu - 1).name == "exoskeleton"
-        shown = sim.parts[0].effects[0].info["exo_torque"].numpy()
+        shown = sim.shards[0].effects[0].info["exo_torque"].numpy()
         np.testing.assert_allclose(shown, found[-1], rtol=0, atol=ROUNDING * scale)
     assert np.abs(found[0] - expected).max() <= TORQUE * scale
     assert np.abs(found[1] - 2.0 * expected).max() <= 2.0 * TORQUE * scale
@@ -147,7 +147,7 @@ def test_forearm_part_is_that_of_the_solids():
         poisoned = field.numpy().copy()
         poisoned[:, body.id] = np.nan
         field.assign(wp.array(poisoned, dtype=field.dtype))
-    sim.parts[0].launch_conditions()
+    sim.shards[0].launch_conditions()
     mass, center, tensor = reference.forearm_part()
     assert mass == pytest.approx(Exoskeleton().forearm_mass)
     np.testing.assert_allclose(body.ipos, center, atol=1e-12)
@@ -225,7 +225,7 @@ def test_reset_shows_no_torque():
     sim.reset(seeds=np.arange(3))
     sim.action.fill_(0.5)
     sim.step()
-    torque = sim.parts[0].effects[0].info["exo_torque"]
+    torque = sim.shards[0].effects[0].info["exo_torque"]
     before = torque.numpy().copy()
     assert np.abs(before).min() > 0
     sim.reset(np.array([True, False, True]))
@@ -236,8 +236,8 @@ def test_drawn_parameters():
     """Assistance and mass are drawn independently of each other and of the load's mass."""
     sim = worn((Exoskeleton(Uniform(0, 1), forearm_mass=Uniform(0, 1)), Load(Uniform(0, 1))), 64)
     sim.reset(seeds=np.arange(64))
-    sim.parts[0].launch_conditions()
-    exo, _ = sim.parts[0].effects
+    sim.shards[0].launch_conditions()
+    exo, _ = sim.shards[0].effects
     masses = sim.scene.model.body_mass.numpy()
     ids = [sim.scene.oracle.body(name).id for name in (CUFF, "load")]
     drawn = np.column_stack([exo.assistance.curve.start.numpy(), masses[:, ids]])

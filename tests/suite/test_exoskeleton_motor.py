@@ -45,7 +45,7 @@ def test_torque_moves_the_elbow():
     action = np.full((NUM_WORLDS, 7), -1.0, dtype=np.float32)
     action[:, 6] = command
     sim.action.assign(action)
-    sim.parts[0].launch_action()
+    sim.shards[0].launch_action()
     data = states.put(sim)
     mjw.forward(sim.scene.model, data)
     assert np.abs(data.qacc.numpy() - expected).max() <= TORQUE * np.abs(expected).max()
@@ -67,7 +67,7 @@ def test_effort_is_the_squared_torque(weight):
     effort = -np.square(np.clip(command, -1, 1))
     np.testing.assert_allclose(terms[:, names.index("exo_effort")], effort, rtol=ROUNDING)
     np.testing.assert_allclose(
-        sim.parts[0].effects[0].torque.numpy(), 4.0 * np.clip(command, -1, 1), rtol=ROUNDING
+        sim.shards[0].effects[0].torque.numpy(), 4.0 * np.clip(command, -1, 1), rtol=ROUNDING
     )
     weights = [term.weight for term in sim.terms]
     assert weights[-1] == weight

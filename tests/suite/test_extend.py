@@ -15,7 +15,7 @@ import pytest
 import warp as wp
 
 import myowarp
-from myowarp.engine.said import say_once
+from myowarp.engine.warn_once import warn_once
 from myowarp.sim.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -252,7 +252,7 @@ def test_contract(options):
     task = rich(sites=sites_of("elbow"))
     shared = {name: value for name, value in options.items() if name != "graph"}
     sim, first, rows = rolled(task, **shared)
-    assert all(graph.replay for graph in (sim.parts[0].step_graph, sim.parts[0].reset_graph))
+    assert all(graph.replay for graph in (sim.shards[0].step_graph, sim.shards[0].reset_graph))
     _, other_first, others = rolled(task, num_worlds=13, **options)
     np.testing.assert_array_equal(first, other_first[:6])
     for name, values in rows.items():
@@ -437,7 +437,7 @@ def test_a_function_that_cannot_be_computed(function, reason):
 def test_without_private_names_of_warp(monkeypatch, caplog):
     """A function is then checked when it is compiled; one line says so."""
     monkeypatch.delattr("warp._src.context.ModuleBuilder")
-    say_once.cache_clear()
+    warn_once.cache_clear()
     for version in range(2):
         myowarp.extend(ELBOW, f"testUnchecked-v{version}", rewards={"a": (1.0, meddling)})
     (said,) = caplog.messages

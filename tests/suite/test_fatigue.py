@@ -32,7 +32,7 @@ def simulation(key, num_worlds, conditions, **options):
 
 def fatigue_of(sim):
     """Return the fatigue that the environment shows, shape (num_worlds, num_muscles)."""
-    return sim.parts[0].effects[0].info["fatigue"].numpy().copy()
+    return sim.shards[0].effects[0].info["fatigue"].numpy().copy()
 
 
 def advance(sim, steps, seed=0):
@@ -74,12 +74,12 @@ class TestMotorUnits:
         rates[2] = np.minimum(rates[2], 1.0 / (DT * rates[1]))
         names = ("fatigue_rate", "recovery_rate", "rest_recovery_factor")
         sim = simulation(ELBOW, self.N, Fatigue3CCR(**dict(zip(names, rates, strict=True))))
-        effect = sim.parts[0].effects[0]
+        effect = sim.shards[0].effects[0]
         effect.state.active_fraction.assign(active)
         effect.state.fatigued_fraction.assign(fatigued)
         effect.state.resting_fraction.fill_(np.nan)
         sim.scene.data.ctrl.assign(load)
-        sim.parts[0].launch_conditions()
+        sim.shards[0].launch_conditions()
 
         state = [x.astype(np.float64) for x in (active, 1.0 - active.astype(np.float64) - fatigued, fatigued)]
         load, columns = (
@@ -105,7 +105,7 @@ class TestMotorUnits:
         loads = np.array([[1.0, 0.9, 0.5, 0.2, 0.05, 0.012], [0.8, 0.4, 0.3, 0.1, 0.02, 0.6]])
         period, repeats = 100, 1000
         sim = simulation(ELBOW, 2, "fatigue_3ccr")
-        effect, data = sim.parts[0].effects[0], sim.scene.data
+        effect, data = sim.shards[0].effects[0], sim.scene.data
         works, rests = (wp.array(x, dtype=float) for x in (loads, loads * [[1.0], [0.0]]))
         # World 0 works throughout, world 1 rests in every second half of 2 s.
         with wp.ScopedCapture(device="cpu", force_module_load=False) as capture:
@@ -137,7 +137,7 @@ class TestMotorUnits:
 
         def curve(value):
             return (
-                simulation(ELBOW, 2, Fatigue3CCR(fatigue_rate=value)).parts[0].effects[0].params.fatigue_rate
+                simulation(ELBOW, 2, Fatigue3CCR(fatigue_rate=value)).shards[0].effects[0].params.fatigue_rate
             )
 
         table = np.float32([0.01559] * 3 + [0.01703] * 3)
@@ -151,7 +151,7 @@ class TestMotorUnits:
         """R and r are limited on their own; their product may ask for more than all in a step."""
         sim = simulation(ELBOW, 1, Fatigue3CCR(recovery_rate=30.0, rest_recovery_factor=10.0, initial=0.8))
         sim.scene.data.ctrl.zero_()
-        sim.parts[0].launch_conditions()
+        sim.shards[0].launch_conditions()
         np.testing.assert_allclose(fatigue_of(sim), 0.0, atol=STEP)
 
     def test_affected_worlds_only(self):
@@ -171,7 +171,7 @@ class TestMotorUnits:
     def test_random_start(self):
         """M_A = n p, M_R = n (1 - p), M_F = 1 - n; another one in every episode, the same for a seed."""
         sim = simulation(ELBOW, 2000, Fatigue3CCR(initial_random=True))
-        active, resting, fatigued = (x.astype(np.float64) for x in compartments(sim.parts[0].effects[0]))
+        active, resting, fatigued = (x.astype(np.float64) for x in compartments(sim.shards[0].effects[0]))
         np.testing.assert_allclose(active + resting + fatigued, 1.0, atol=STEP)
         share = active / (active + resting)
         for uniform in (fatigued, share):
@@ -199,7 +199,7 @@ class TestPeakForce:
         work = wp.array(np.tile(force * DT, (3, 1)), dtype=float)
         for _ in range(steps):
             wp.copy(muscles.workload, work)
-            sim.parts[0].launch_conditions()
+            sim.shards[0].launch_conditions()
         assert not muscles.workload.numpy().any()
         left = fatigue_ma2009.closed_form(force, rate[:, None] / 60.0, steps * DT, initial)
         np.testing.assert_allclose(muscles.anatomy.strength.numpy(), left, atol=STEP)
@@ -216,7 +216,7 @@ class TestPeakForce:
         left = fatigue_ma2009.peak_force_left(force, rate / 60.0, DT)
         for c, expected in zip(force, left, strict=True):
             sim.scene.muscles.workload.assign(c * DT)
-            sim.parts[0].launch_conditions()
+            sim.shards[0].launch_conditions()
             np.testing.assert_allclose(sim.scene.muscles.anatomy.strength.numpy(), expected, atol=STEP)
         assert np.ptp(left) > EFFECT * STEP
 
@@ -231,7 +231,7 @@ class TestPeakForce:
             sim.scene.model.dof_armature.fill_(1e12)
             sim.scene.data.qpos.fill_(1.4)
             sim.action.assign(action)
-            sim.parts[0].launch_action()
+            sim.shards[0].launch_action()
             sim.scene.muscles.activation.assign(sim.scene.data.ctrl)
             rows = []
             for _ in range(steps):
@@ -254,12 +254,12 @@ class TestPeakForce:
         alone = simulation(ELBOW, 2, FatigueMa2009(rate=60.0))
         for either in (sim, alone):
             either.scene.muscles.workload.fill_(0.25)
-            either.parts[0].launch_conditions()
+            either.shards[0].launch_conditions()
         both, tired = (either.scene.muscles.anatomy.strength.numpy().copy() for either in (sim, alone))
         np.testing.assert_array_equal(both, 0.5 * tired)
         np.testing.assert_allclose(tired, 0.8, atol=STEP)
         alone.scene.muscles.anatomy.strength.fill_(0.25)
-        alone.parts[0].effects[0].act()
+        alone.shards[0].effects[0].act()
         np.testing.assert_array_equal(alone.scene.muscles.anatomy.strength.numpy(), 0.25 * tired)
 
 
@@ -326,8 +326,8 @@ class TestResets:
         for sim in sims:
             stepped(sim, 3)
         hurt = sims[1]
-        for name in hurt.parts[0].effects[0].state._cls.vars:
-            getattr(hurt.parts[0].effects[0].state, name).numpy()[2] = np.nan
+        for name in hurt.shards[0].effects[0].state._cls.vars:
+            getattr(hurt.shards[0].effects[0].state, name).numpy()[2] = np.nan
         hurt.scene.muscles.workload.numpy()[2:3] = np.nan  # empty where the model has no use for it
         hurt.scene.data.qvel.numpy()[2] = np.nan
         whole, hurt_fatigue = (stepped(sim, 1, seed=1) for sim in sims)
@@ -339,8 +339,8 @@ class TestResets:
         assert np.isfinite(hurt_fatigue).all()
         assert hurt_fatigue[2].min() > 0
         assert not hurt.transition.fault.numpy().any()
-        for name in hurt.parts[0].effects[0].state._cls.vars:
-            assert np.isfinite(getattr(hurt.parts[0].effects[0].state, name).numpy()).all()
+        for name in hurt.shards[0].effects[0].state._cls.vars:
+            assert np.isfinite(getattr(hurt.shards[0].effects[0].state, name).numpy()).all()
 
     def test_a_fault_of_the_body_alone_does_not_cure(self, model):
         """With carry-over a broken state costs the episode, not the history."""

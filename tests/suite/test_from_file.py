@@ -13,7 +13,7 @@ import pytest
 from myowarp.coordinates.couplings import couplings, follow
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TASKS
-from myowarp.engine.said import say_once
+from myowarp.engine.warn_once import warn_once
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.models.slim import slim
 from myowarp.opensim.compose.convert import convert
@@ -157,7 +157,7 @@ def test_only_joints_with_a_target_count():
     np.testing.assert_allclose(sim.transition.obs.numpy()[:, error], [(0.2, -0.1)] * 2, atol=1e-6)
     assert not sim.transition.terminated.numpy().any()
     sim.scene.data.qpos.assign(np.array([(0.0, 0.0, 0.0, 0.2), (0.45, 0.0, 0.0, 0.2)]))
-    sim.parts[0].launch_scoring()
+    sim.shards[0].launch_scoring()
     distance = np.hypot(0.2, (0.1, 0.55))
     np.testing.assert_allclose(sim.transition.terms.numpy()[:, 0], -distance, atol=1e-6)
     assert sim.transition.terminated.numpy().tolist() == [False, True]
@@ -341,7 +341,7 @@ def test_a_large_model_is_announced(plain, monkeypatch, caplog):
     """Before what takes long, and once."""
     monkeypatch.setattr(build, "MANY_DOFS", 10)
     monkeypatch.setattr(build, "calibrate", lambda *_: pytest.fail(caplog.text))
-    say_once.cache_clear()
+    warn_once.cache_clear()
     task = pose_task(plain)
     for _ in range(2):
         with pytest.raises(

@@ -59,7 +59,7 @@ def loaded(key, mass, **options):
     sim = Simulation(TASKS[key], NUM_WORLDS, conditions=Load(mass), **options)
     for model in (sim.scene.oracle, sim.scene.model):
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    sim.parts[0].launch_conditions()
+    sim.shards[0].launch_conditions()
     return sim
 
 
@@ -235,7 +235,7 @@ def test_what_was_hung_before_leaves_no_trace(key):
     )
 
     def hung():
-        sim.parts[0].launch_conditions()
+        sim.shards[0].launch_conditions()
         fields = (sim.scene.model.body_mass, sim.scene.model.body_subtreemass)
         return np.concatenate([field.numpy() for field in fields], axis=1)
 
@@ -315,7 +315,7 @@ def test_neutral_is_the_identity():
         sim = Simulation(
             TASKS[ELBOW], NUM_WORLDS, device="cpu", conditions=conditions, graph=False, progress=False
         )
-        sim.parts[0].launch_conditions()
+        sim.shards[0].launch_conditions()
         put(sim, States(sim.scene.oracle, sim.scene.oracle.qpos0))
         mjw.forward(sim.scene.model, sim.scene.data)
         found.append(sim.scene.data.qacc.numpy().copy())
@@ -333,7 +333,7 @@ def test_radius_is_that_of_the_inertia():
         poisoned = field.numpy().copy()
         poisoned[:, load] = np.nan
         field.assign(wp.array(poisoned, dtype=field.dtype))
-    sim.parts[0].launch_conditions()
+    sim.shards[0].launch_conditions()
     inertia = sim.scene.model.body_inertia.numpy()[:, load]
     expected = np.repeat(reference.sphere_inertia(np.array([[1.0], [2.0], [3.0]]), 0.2), 3, axis=1)
     np.testing.assert_allclose(inertia, expected, rtol=FIELD)

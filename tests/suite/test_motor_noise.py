@@ -40,7 +40,7 @@ def noisy(sim, excitation, step=0):
     ctrl.fill_(np.nan)
     ctrl.assign(np.broadcast_to(np.float32(excitation), ctrl.shape))
     sim.episode.step_count.fill_(step)
-    sim.parts[0].launch_conditions()
+    sim.shards[0].launch_conditions()
     return ctrl.numpy().astype(np.float64)
 
 
@@ -118,7 +118,7 @@ class TestFormula:
     def test_drawn(self):
         """Standard deviations that every episode draws."""
         sim = simulation(ELBOW, 50, MotorNoise(0.0, Uniform(0.1, 0.2)))
-        drawn = sim.parts[0].effects[0].constant.curve.start.numpy()
+        drawn = sim.shards[0].effects[0].constant.curve.start.numpy()
         assert len(np.unique(drawn)) == 50
         n2 = reference.normals(np.arange(50), 1, 0, NUM_MUSCLES)[1]
         np.testing.assert_allclose(noisy(sim, 0.5), np.clip(0.5 + drawn * n2, 0, 1), atol=EXCITATION)

@@ -34,7 +34,7 @@ def hold_model(size):
 def test_object_of_a_world_is_what_mujoco_compiles():
     """Size, bounds, mass, inertia and inverse weight; the hand stays as it is."""
     sim = simulation("myoHandObjHoldRandom-v1")
-    program, oracle = sim.parts[0].program, sim.scene.oracle
+    program, oracle = sim.shards[0].program, sim.scene.oracle
     for world in (0, NUM_WORLDS - 1):
         expected = hold_model(program.object_size.numpy()[world].astype(float))
         for name in TASKS["myoHandObjHoldRandom-v1"].batched:
@@ -53,7 +53,7 @@ def test_every_object_weighs_the_same_in_version_0():
     assert sim.scene.model.body_mass.shape[0] == 1
     assert sim.scene.oracle.body("object").mass == pytest.approx(0.1130973, rel=1e-6)
     assert sim.scene.oracle.body("object").inertia == pytest.approx(1e-4)
-    assert np.ptp(sim.parts[0].program.object_size.numpy(), axis=0).min() > 0.005
+    assert np.ptp(sim.shards[0].program.object_size.numpy(), axis=0).min() > 0.005
 
 
 def overlap(model, data, program, world):
@@ -73,7 +73,7 @@ def test_goals_leave_room_for_the_hand(version, low, high):
     model = sim.scene.oracle
     data = mujoco.MjData(model)
     data.qpos[:] = sim.scene.spec.start(model)
-    deep = [overlap(model, data, sim.parts[0].program, world) > OVERLAP for world in range(NUM_GOALS)]
+    deep = [overlap(model, data, sim.shards[0].program, world) > OVERLAP for world in range(NUM_GOALS)]
     assert low <= np.mean(deep) <= high
 
 
@@ -119,7 +119,7 @@ def test_pen_is_the_same_pen(version):
 def test_rates_of_the_free_pen_are_those_of_the_world():
     """obj_vel of version 1 against the displacement and the turn of the pen over a short time."""
     sim = simulation("myoHandPenTwirlRandom-v1")
-    data, spec, body = sim.scene.data, sim.scene.spec, sim.parts[0].program.pen_body
+    data, spec, body = sim.scene.data, sim.scene.spec, sim.shards[0].program.pen_body
     rng = np.random.default_rng(0)
     data.qpos.assign(np.tile(spec.start(sim.scene.oracle), (NUM_WORLDS, 1)))
     qvel = np.zeros((NUM_WORLDS, sim.scene.oracle.nv))
@@ -130,7 +130,7 @@ def test_rates_of_the_free_pen_are_those_of_the_world():
     data.qpos.assign(qpos)
     data.qvel.assign(qvel)
     mjw.kinematics(sim.scene.model, data)
-    sim.parts[0].program.observe(wp.ones(NUM_WORLDS, dtype=bool), sim.transition.obs)
+    sim.shards[0].program.observe(wp.ones(NUM_WORLDS, dtype=bool), sim.transition.obs)
     rates = sim.transition.obs.numpy()[:, 26:32] / spec.control_dt
     moving = mujoco.MjData(sim.scene.oracle)
     for world in range(NUM_WORLDS):

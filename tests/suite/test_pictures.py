@@ -210,7 +210,7 @@ def test_ghost_is_the_wanted_posture(sim):
     if sim.scene.spec.family != "pose":
         assert seen.ghost is None
         return
-    program = sim.parts[0].program
+    program = sim.shards[0].program
     np.testing.assert_allclose(seen.ghost[program.address.numpy()], program.target.numpy()[1], atol=1e-6)
     data = posed(sim.full_model, seen.ghost)
     for name, place in seen.goals.items():

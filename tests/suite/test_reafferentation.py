@@ -29,7 +29,7 @@ class TestReafferentation:
         ctrl = np.float32(np.random.default_rng(0).uniform(0.1, 1.0, (3, 39)))
         ctrl[:, EPL] = np.nan
         sim.scene.data.ctrl.assign(ctrl)
-        sim.parts[0].launch_conditions()
+        sim.shards[0].launch_conditions()
         expected = ctrl.copy()
         expected[[0, 2], EPL], expected[[0, 2], EIP] = ctrl[[0, 2], EIP], 0.0
         np.testing.assert_array_equal(sim.scene.data.ctrl.numpy(), expected)

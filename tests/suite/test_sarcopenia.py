@@ -31,7 +31,7 @@ def forces(key, strength, activation):
     data.actuator_velocity.assign(np.float32(velocity))
     muscles.activation.assign(np.float32(np.broadcast_to(activation, muscles.activation.shape)))
     sim.scene.model.actuator_biasprm.fill_(np.nan)
-    sim.parts[0].launch_conditions()
+    sim.shards[0].launch_conditions()
     muscles.launch(sim.scene.model, data)
     peak = mujoco_muscle.peak_force(model.actuator_acc0[ids], model.actuator_gainprm[ids])
     return sim.scene.model.actuator_biasprm.numpy()[:, ids, 0].astype(np.float64), peak

@@ -92,7 +92,7 @@ def whole():
 def test_the_split_does_not_show(whole, num_shards):
     """Over 1000 steps with resets, an odd number of worlds, patients of their own."""
     split = build(num_shards=num_shards, num_worlds=13, conditions=patients(13))
-    sizes = [part.num_worlds for part in split.parts]
+    sizes = [part.num_worlds for part in split.shards]
     assert len(sizes) == num_shards
     assert sum(sizes) == 13
     assert max(sizes) - min(sizes) == 1
@@ -113,7 +113,7 @@ def test_no_code_in_common():
     split = build(num_shards=3)
     Signals(split)  # captures every step anew, one after the other
     codes = [
-        graph.recorded.module_execs for part in split.parts for graph in (part.step_graph, part.reset_graph)
+        graph.recorded.module_execs for part in split.shards for graph in (part.step_graph, part.reset_graph)
     ]
     assert all(codes)
     assert len(set().union(*codes)) == sum(len(code) for code in codes)
@@ -233,7 +233,7 @@ def test_default_number(monkeypatch):
     """One for each core, none with too few worlds."""
     monkeypatch.setattr(module, "num_cores", lambda: 3)
     least = module.LEAST_WORLDS
-    number = {n: len(build(num_shards=None, num_worlds=n).parts) for n in (1, 2 * least - 1, 2 * least, 99)}
+    number = {n: len(build(num_shards=None, num_worlds=n).shards) for n in (1, 2 * least - 1, 2 * least, 99)}
     assert number == {1: 1, 2 * least - 1: 1, 2 * least: 2, 99: 3}
 
 
@@ -269,7 +269,7 @@ def test_a_simulation_of_its_own_beside_others():
     """Two simulations in two threads, without shards: neither runs the other's code."""
     both = [build("myoHandReachRandom-v0", num_worlds=2) for _ in range(2)]
     assert (
-        not both[0].parts[0].step_graph.recorded.module_execs
-        & both[1].parts[0].step_graph.recorded.module_execs
+        not both[0].shards[0].step_graph.recorded.module_execs
+        & both[1].shards[0].step_graph.recorded.module_execs
     )
     assert wp.get_device().is_cpu or not wp.is_cuda_available()

@@ -121,7 +121,7 @@ def test_a_transferred_muscle_shows_its_new_path():
     signals = Signals(sim)
     model, data, names = sim.scene.oracle, mujoco.MjData(sim.scene.oracle), list(signals.names)
     eip, epl, fpl = (names.index(name) for name in ("EIP_r", "EPL_r", "FPL_r"))
-    effect = next(effect for effect in sim.parts[0].effects if hasattr(effect, "length_range"))
+    effect = next(effect for effect in sim.shards[0].effects if hasattr(effect, "length_range"))
     own, new = sim.scene.muscles.actuator_id[eip], model.actuator(ACTUATOR).id
     paths = ((own, model.actuator_lengthrange[own]), (new, np.array(effect.length_range)))
     for _ in steps(sim):

@@ -49,7 +49,7 @@ def test_success_needs_more_than_five_solved_steps():
     sim.reset(seeds=np.zeros(1, dtype=int))
     solved, success = [], []
     for _ in range(8):
-        sim.scene.data.qpos.assign(sim.parts[0].program.target.numpy())
+        sim.scene.data.qpos.assign(sim.shards[0].program.target.numpy())
         sim.scene.data.qvel.zero_()
         sim.action.fill_(-1.0)
         sim.step()

@@ -145,7 +145,7 @@ def test_objects_keep_their_place_in_the_palm(key):
 def test_starts_are_rows_of_the_table(key):
     """They differ and lie within the ranges; what does not lie in the hand is where the task puts it."""
     sim, fixed = simulation(key, num_worlds=24), simulation(key, "fixed", num_worlds=24)
-    model, table = sim.scene.oracle, sim.parts[0].starts.numpy()
+    model, table = sim.scene.oracle, sim.shards[0].starts.numpy()
     address = start_address(TASKS[key], model)
     assert table.shape == (NUM_STARTS, len(address))
     qpos = sim.scene.data.qpos.numpy()
@@ -212,7 +212,7 @@ def test_without_the_trial_starts_fail_at_once(monkeypatch, tmp_path):
 def test_an_object_that_leaves_its_place_is_lost():
     """Balls that fall off count as lost long before the task fails: 0.2 m lower."""
     spec = TASKS["myoChallengeBaodingP1-v1"]
-    search = starts.Search(spec, simulation(spec.key, "fixed").parts[0])
+    search = starts.Search(spec, simulation(spec.key, "fixed").shards[0])
     search.part.step()
     age = np.ones(NUM_WORLDS, dtype=np.int32)
     assert not search._lost(age).any()

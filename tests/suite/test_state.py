@@ -169,7 +169,7 @@ def test_what_a_task_allocates_is_state(key):
     sim = build(key, num_worlds=n)
     known = {array.ptr for array in sim.scene.state.values()}
     seen = {id(sim.scene), id(sim.scene.spec), id(sim.scene.worlds)}
-    for name, array in arrays_of(sim.parts[0].program, seen):
+    for name, array in arrays_of(sim.shards[0].program, seen):
         assert array.shape[0] != n or array.ptr in known, name
 
 
@@ -180,7 +180,7 @@ def test_what_a_condition_allocates_is_state(name):
     known = {array.ptr for array in sim.scene.state.values()}
     scene = sim.scene
     seen = {id(part) for part in (scene, scene.spec, scene.worlds, scene.data, scene.model, scene.muscles)}
-    for effect in sim.parts[0].effects:
+    for effect in sim.shards[0].effects:
         for name, array in arrays_of(effect, seen):
             assert array.shape[0] != n or array.ptr in known or FOLLOWS.fullmatch(name), name
 

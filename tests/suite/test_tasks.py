@@ -96,8 +96,8 @@ def test_coarse_step_is_the_family_s_or_the_body_s():
 
 def state(sim):
     """Return a copy of all that a score could change: data, episode, and the program's arrays."""
-    owners = [sim.parts[0].program, sim.scene.data, sim.episode, sim.scene.muscles]
-    owners += [value for value in vars(sim.parts[0].program).values() if hasattr(value, "_cls")]
+    owners = [sim.shards[0].program, sim.scene.data, sim.episode, sim.scene.muscles]
+    owners += [value for value in vars(sim.shards[0].program).values() if hasattr(value, "_cls")]
     arrays = {}
     for i, owner in enumerate(owners):
         names = owner._cls.vars if hasattr(owner, "_cls") else vars(owner)
@@ -119,7 +119,7 @@ def test_score_only_looks(key):
     for poison in (np.nan, 1e3):
         terms = wp.full((NUM_WORLDS, len(TASKS[key].reward_terms())), poison, dtype=float, device="cpu")
         flags = [wp.full(NUM_WORLDS, bool(poison > 0), dtype=bool, device="cpu") for _ in range(2)]
-        sim.parts[0].program.score(step_count, terms, *flags)
+        sim.shards[0].program.score(step_count, terms, *flags)
         results.append([array.numpy() for array in (terms, *flags)])
     for first, second in zip(*results, strict=True):
         assert np.isfinite(first).all()
@@ -135,10 +135,10 @@ def test_arguments_that_are_not_there():
         "^kernel sample_configuration needs 'mask'; it is not given, and no attribute of PoseProgram, Po"
     )
     with pytest.raises(TypeError, match=message):
-        sim.parts[0].program.launch(sample_configuration)
+        sim.shards[0].program.launch(sample_configuration)
     with pytest.raises(TypeError, match=r"^kernel sample_configuration takes .*, qpos, got step_count too$"):
-        sim.parts[0].program.launch(sample_configuration, step_count=sim.episode.step_count)
-    program = sim.parts[0].program
+        sim.shards[0].program.launch(sample_configuration, step_count=sim.episode.step_count)
+    program = sim.shards[0].program
     message = (
         f"^task '{spec.key}' needs 'no_such_array'; it is not given, and no attribute of PoseProgram, Po"
     )
@@ -147,7 +147,7 @@ def test_arguments_that_are_not_there():
     message = "^measure 'b' must not need its own value, but those that it reads do$"
     with pytest.raises(ValueError, match=message):
         program.around((of_a,), (("a", of_b), ("b", of_a)), ())
-    program = Simulation(spec, 2, device="cpu", graph=False, progress=False).parts[0].program
+    program = Simulation(spec, 2, device="cpu", graph=False, progress=False).shards[0].program
     message = f"^task '{spec.key}' reads 'body_mass' world by world, of which there is one for all; a field"
     with pytest.raises(ValueError, match=message):
         program.around((of_model,), (), ())
@@ -227,5 +227,5 @@ def test_pose_with_a_free_root(trunk):
     sim = moved(spec)
     seen = by_name(sim)
     assert_observed(sim, seen)
-    error = sim.parts[0].program.target.numpy() - sim.scene.data.qpos.numpy()[:, [KNEE, WHEEL]]
+    error = sim.shards[0].program.target.numpy() - sim.scene.data.qpos.numpy()[:, [KNEE, WHEEL]]
     np.testing.assert_allclose(seen["pose_err"], error, atol=VALUE_TOLERANCE)

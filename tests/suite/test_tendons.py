@@ -56,7 +56,7 @@ def assert_like_c(errors):
 def transferred(key, physics="parity"):
     """Return a simulation of a body in which the worlds 0, 2, 4, 6 have a transfer, and the effect."""
     sim = simulation(key, NUM_WORLDS, TendonTransfer(affected=[1, 0, 1, 0, 0.5, 0.4, 1]), physics=physics)
-    return sim, sim.parts[0].effects[0]
+    return sim, sim.shards[0].effects[0]
 
 
 AFFECTED = np.array([True, False, True, False, True, False, True])
@@ -180,8 +180,8 @@ class TestTransfer:
                 mujoco.mj_forward(model, data)
                 lengths.append(data.actuator_length[MOVED])
             assert lengths[0] == pytest.approx(lengths[1], abs=1e-12)
-        assert sim.parts[0]._idle == simulation(HAND, 1, ()).parts[0]._idle
-        assert sim.parts[0]._idle
+        assert sim.shards[0]._idle == simulation(HAND, 1, ()).shards[0]._idle
+        assert sim.shards[0]._idle
 
     def test_surgery_and_its_reversal(self):
         """At a time of the life: nothing before, and nothing left of it after."""
@@ -220,7 +220,7 @@ class TestTransfer:
     def test_pictures(self):
         """The tendon that pulls is shown, the others are not."""
         sim = transferred(HAND)[0]
-        sim.parts[0].launch_conditions()
+        sim.shards[0].launch_conditions()
         activation = np.float32(np.linspace(0.1, 0.9, 39))
         sim.scene.muscles.activation.assign(np.tile(activation, (NUM_WORLDS, 1)))
         affected, healthy = (snapshot(sim, world).activation for world in (0, 1))
@@ -287,7 +287,7 @@ class TestTear:
         for life in range(steps):
             for count, value in ((sim.episode.step_count, life % horizon), (sim.episode.life_count, life)):
                 count.fill_(value)
-            sim.parts[0].launch_conditions()
+            sim.shards[0].launch_conditions()
             step = life if of == "life" else life % horizon
             expected = [tendon_tear.transmission(step, CONTROL_DT, time, 0.25) for time in self.TIMES]
             values = transmission.numpy()
@@ -299,7 +299,7 @@ class TestTear:
         steps = np.array([32_770, 180_004, 799_999])
         sim = simulation(HAND, 6, TendonTear("FPL", time=np.tile(steps * CONTROL_DT, 2), of="life"))
         sim.episode.life_count.assign(np.concatenate([steps, steps - 1]).astype(np.int32))
-        sim.parts[0].launch_conditions()
+        sim.shards[0].launch_conditions()
         transmission = sim.scene.muscles.anatomy.transmission.numpy()
         np.testing.assert_array_equal(transmission[:, FPL], [0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
 
@@ -324,7 +324,7 @@ class TestTear:
         seen = []
         for step in (0, 1):
             sim.episode.step_count.fill_(step)
-            sim.parts[0].launch_conditions()
+            sim.shards[0].launch_conditions()
             seen.append(sim.scene.muscles.anatomy.transmission.numpy()[0, [FPL, EPL]].tolist())
         assert seen == [[0.25, 1.0], [0.25, 1.0]]
         assert resolve(tears, TASKS[HAND])
@@ -332,9 +332,9 @@ class TestTear:
     def test_drawn_times(self):
         """Uniform in time, another one in every episode."""
         sim = simulation(HAND, 64, TendonTear("FPL", time=Uniform(0.0, 1.0)))
-        drawn = [sim.parts[0].effects[0].tear.time.start.numpy().copy()]
+        drawn = [sim.shards[0].effects[0].tear.time.start.numpy().copy()]
         sim.reset()
-        drawn.append(sim.parts[0].effects[0].tear.time.start.numpy().copy())
+        drawn.append(sim.shards[0].effects[0].tear.time.start.numpy().copy())
         assert len(np.unique(drawn)) == 128
         assert 0.0 <= np.min(drawn) < 0.1 < 0.9 < np.max(drawn) <= 1.0
 

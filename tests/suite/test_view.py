@@ -106,7 +106,7 @@ def test_worlds_are_drawn_with_their_own_objects(key):
             np.testing.assert_allclose(drawn.xpos[ours], theirs[0], atol=1e-6)
             np.testing.assert_allclose(drawn.xquat[ours], theirs[1], atol=1e-6)
         if key.startswith("myoHandObjHold"):
-            size = sim.parts[0].program.object_size.numpy()[world]
+            size = sim.shards[0].program.object_size.numpy()[world]
             np.testing.assert_array_equal(model.geom_size[model.geom("object").id], size)
     try:
         with WorldRenderer(model, *SIZE) as renderer:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, load_checkpoint
-from myowarp.engine.said import say_once
+from myowarp.engine.warn_once import warn_once
 
 FOLDER = Path(__file__).parents[2] / "baselines"
 RESULT, CURVE = "result.json", "curve.csv"
@@ -110,7 +110,7 @@ def policy_folder(name: str, task: str | None) -> Path | None:
         if task is None:
             raise ValueError(f"policy {OWN!r} needs a task; name it, or a policy {PREFIX}<task>")
         if task not in baseline_tasks() and (other := _other_version(task)):
-            say_once(f"task {task!r} has no baseline; that of another version acts, {PREFIX}{other}")
+            warn_once(f"task {task!r} has no baseline; that of another version acts, {PREFIX}{other}")
             task = other
         return baseline_folder(task)
     if name.startswith(PREFIX) and not Path(name).is_dir():

@@ -29,7 +29,7 @@ from myowarp.engine.compile import quiet
 from myowarp.kernels.action import EXCITATION, MUSCLE, excitation
 from myowarp.kernels.episode import FAULTS, SUCCESS_RULE
 from myowarp.sim.build import actuator_kinds, compile_scene, num_substeps_of
-from myowarp.sim.part import bind_conditions
+from myowarp.sim.shard import bind_conditions
 
 LIMITS = "actions are clipped to -1..1"
 DRAWN_IN = {
@@ -280,7 +280,7 @@ def _condition(condition: Condition, effect: Effect) -> dict[str, Any]:
     return {
         "name": condition.name,
         "doc": _first_paragraph(module or type(condition)),
-        "acts_on": condition.STAGE.name.lower(),
+        "acts_on": condition.PHASE.name.lower(),
         "parameters": parameters,
         "info": list(effect.info),
     }

@@ -15,7 +15,7 @@ import warp as wp
 from myowarp.apps.rollouts.objects import host_model, object_bodies, overlaps, place
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TaskSpec
-from myowarp.engine.said import say_once
+from myowarp.engine.warn_once import warn_once
 from myowarp.models.reachability import reachable, unsolved
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks import baoding, pen_twirl
@@ -85,7 +85,7 @@ def in_reach(spec: TaskSpec, model: mujoco.MjModel, rows: np.ndarray) -> np.ndar
         a body for which reach is not solved.
     """
     if isinstance(spec, ReachTask) and (why := unsolved(model)):
-        say_once(f"success over reachable targets of {spec.key} is left out: {why}")
+        warn_once(f"success over reachable targets of {spec.key} is left out: {why}")
         return None
     for kind, judge in JUDGES.items():
         if isinstance(spec, kind):
@@ -141,7 +141,7 @@ def _draws(sim: Simulation, read: Callable[[], np.ndarray]) -> np.ndarray:
 
 def _pose(sim: Simulation) -> Targets:
     """Targets against the joint ranges."""
-    spec, program = sim.scene.spec, sim.parts[0].program
+    spec, program = sim.scene.spec, sim.shards[0].program
     assert isinstance(spec, PoseTask)
     assert isinstance(program, PoseProgram)
     rule = (
@@ -177,7 +177,7 @@ def _thumb_off(spec: PoseTask, targets: np.ndarray) -> float:
 
 def _reach(sim: Simulation) -> Targets:
     """Targets against the tips' reach, by inverse kinematics."""
-    spec, program = sim.scene.spec, sim.parts[0].program
+    spec, program = sim.scene.spec, sim.shards[0].program
     assert isinstance(spec, ReachTask)
     assert isinstance(program, ReachProgram)
     if why := unsolved(sim.scene.oracle):
@@ -230,9 +230,9 @@ def _placed(sim: Simulation, phases: int) -> np.ndarray:
     for phase in range(phases):
         step_count.fill_(1 + phase * spec.horizon // phases)
         with wp.ScopedDevice(scene.device):
-            sim.parts[0].program.advance(step_count)
+            sim.shards[0].program.advance(step_count)
         for world, (model, data) in enumerate(models):
-            goals = sim.parts[0].program.goal_markers(world)
+            goals = sim.shards[0].program.goal_markers(world)
             for marker, pos in goals.items():
                 place(model, data, model.body(marker.removesuffix("_target")).id, pos)
             rows[world].append(np.concatenate([overlaps(model, data, objects), *goals.values()]))

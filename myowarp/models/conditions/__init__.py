@@ -3,7 +3,7 @@
 gymnasium.make_vec("MyoWarp/myoHandPoseRandom-v1", 256, conditions=("sarcopenia", TendonTear("FPL")))
 """
 
-from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage, resolve
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase, resolve
 from myowarp.definitions.parameter import Ramp, Uniform
 from myowarp.models.conditions.exoskeleton import Exoskeleton
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
@@ -24,10 +24,10 @@ __all__ = [
     "FatigueMa2009",
     "Load",
     "MotorNoise",
+    "Phase",
     "Ramp",
     "Reafferentation",
     "Sarcopenia",
-    "Stage",
     "TendonTear",
     "TendonTransfer",
     "Uniform",

@@ -21,7 +21,7 @@ import mujoco
 import warp as wp
 
 from myowarp.definitions.body import Brace, fact_for
-from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.muscle import BiasParams
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
 from myowarp.definitions.task import RewardTerm
@@ -58,7 +58,7 @@ class Exoskeleton(Condition):
         effort_weight: Weight of the motor's reward term `exo_effort`, -(torque / max_torque)^2.
     """
 
-    STAGE = Stage.BODY
+    PHASE = Phase.BODY
     WRITES = ("the torque of the exoskeleton",)
     NEUTRAL: ClassVar = {"assistance": 0.0, "forearm_mass": 0.0}
 

@@ -29,7 +29,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.body import BODIES, FatigueRates
-from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.parameter import (
     Clock,
@@ -78,7 +78,7 @@ class Fatigue3CCR(Condition):
         ValueError: `initial` and `initial_random` are both given.
     """
 
-    STAGE = Stage.FATIGUE
+    PHASE = Phase.FATIGUE
     WRITES = ("fatigue",)
     NEUTRAL: ClassVar = {"affected": 0.0}
     NEEDS = "affected"

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import warp as wp
 
-from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
 from myowarp.definitions.task import Column
 from myowarp.kernels.accumulate import add_compensated
@@ -50,7 +50,7 @@ class FatigueMa2009(Condition):
         observe: Whether the observation shows it, in columns `fatigue`.
     """
 
-    STAGE = Stage.STRENGTH
+    PHASE = Phase.STRENGTH
     WRITES = ("fatigue",)
     NEUTRAL: ClassVar = {"rate": 0.0}
 

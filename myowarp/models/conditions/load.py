@@ -16,7 +16,7 @@ import mujoco
 import warp as wp
 
 from myowarp.definitions.body import Place, fact_for
-from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.parameter import Clock, Value
 from myowarp.kernels.write import is_finite
 from myowarp.models.conditions.added_mass import BATCHED, AddedMass, HungMass, Part
@@ -35,7 +35,7 @@ class Load(Condition):
         radius: Radius of the sphere [m]; its inertia is 2/5 mass radius^2.
     """
 
-    STAGE = Stage.BODY
+    PHASE = Phase.BODY
     WRITES = ("the weight in the hand",)
     NEUTRAL: ClassVar = {"mass": 0.0}
 

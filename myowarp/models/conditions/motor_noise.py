@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import warp as wp
 
-from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
 from myowarp.kernels.random import RandomKeys, normal_pair, open_step_stream
 
@@ -33,7 +33,7 @@ class MotorNoise(Condition):
         constant: Standard deviation at no excitation [1], >= 0.
     """
 
-    STAGE = Stage.NOISE
+    PHASE = Phase.NOISE
     WRITES = ("motor noise",)
     NEUTRAL: ClassVar = {"signal": 0.0, "constant": 0.0}
 

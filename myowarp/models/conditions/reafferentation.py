@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 import warp as wp
 
-from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value
 from myowarp.models.conditions.tendon_transfer import (
@@ -41,7 +41,7 @@ class Reafferentation(Condition):
         affected: Whether a world has it: from 0.5 on; 0 is healthy.
     """
 
-    STAGE = Stage.ROUTING
+    PHASE = Phase.ROUTING
     WRITES = ("the command of the lost muscle",)
     NEUTRAL: ClassVar = {"affected": 0.0}
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import warp as wp
 
-from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ class Sarcopenia(Condition):
         strength: What is left of the peak isometric force, >= 0; 1 is healthy.
     """
 
-    STAGE = Stage.STRENGTH
+    PHASE = Phase.STRENGTH
     NEUTRAL: ClassVar = {"strength": 1.0}
 
     strength: Value = 0.5

@@ -17,7 +17,7 @@ import mujoco
 import warp as wp
 
 from myowarp.definitions.body import BODIES
-from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.parameter import SPANS, Clock, Curve, Parameter, Value, value_of
 from myowarp.definitions.registry import check_choice
@@ -44,7 +44,7 @@ class TendonTear(Condition):
             resets.
     """
 
-    STAGE = Stage.TRANSMISSION
+    PHASE = Phase.TRANSMISSION
     NEUTRAL: ClassVar = {"transmission": 1.0}
 
     muscles: str | Sequence[str] | None = None

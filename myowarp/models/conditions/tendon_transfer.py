@@ -22,7 +22,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.body import Transfer, fact_for
-from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Stage
+from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.muscle import Anatomy, BiasParams, affine_bias, muscle_index
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
 
@@ -44,7 +44,7 @@ class TendonTransfer(Condition):
         affected: Whether a world has the transfer: from 0.5 on; 0 is healthy. A `Ramp` is surgery at a time.
     """
 
-    STAGE = Stage.TRANSMISSION
+    PHASE = Phase.TRANSMISSION
     WRITES = ("the path of the transferred muscle",)
     NEUTRAL: ClassVar = {"affected": 0.0}
 

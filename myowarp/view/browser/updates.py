@@ -8,7 +8,7 @@ from __future__ import annotations
 import viser
 from viser.infra import ClientId, Message
 
-from myowarp.engine.said import say_once
+from myowarp.engine.warn_once import warn_once
 
 
 def take_values_alone(server: viser.ViserServer) -> None:
@@ -19,7 +19,7 @@ def take_values_alone(server: viser.ViserServer) -> None:
         sockets, handle = server._websock_server, server.gui._handle_gui_updates
         sockets.unregister_handler(GuiUpdateMessage, handle)
     except (ImportError, AttributeError, AssertionError, ValueError) as error:
-        say_once(f"viser {viser.__version__} has changed, a browser may set more than values: {error!r}")
+        warn_once(f"viser {viser.__version__} has changed, a browser may set more than values: {error!r}")
         return
 
     async def update(client: ClientId, message: Message) -> None:

@@ -48,7 +48,7 @@ def snapshot(sim: Simulation, world: int, signals: Signals | None = None) -> Sna
         world: Number of the world.
         signals: Signals of the simulation, for the muscles' forces.
     """
-    part = next(part for part in reversed(sim.parts) if part.scene.worlds.first <= world)
+    part = next(part for part in reversed(sim.shards) if part.scene.worlds.first <= world)
     scene, row = part.scene, world - part.scene.worlds.first
     goals, ghost = part.program.goal_markers(row), part.program.goal_pose(row)
     qpos = scene.data.qpos.numpy()[row].copy()

@@ -14,12 +14,12 @@ import numpy as np
 import warp as wp
 
 from myowarp.coordinates.step import step_of
-from myowarp.definitions.condition import Condition, Effect
-from myowarp.definitions.condition import Stage as ConditionStage
+from myowarp.definitions.condition import Condition, Effect, Phase
 from myowarp.definitions.muscle import restore_anatomy
 from myowarp.definitions.parameter import Clock
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene, Starts
+from myowarp.engine.build_lock import BUILD_LOCK, with_build_lock
 from myowarp.engine.compile import compile_kernels, quiet, renew_code
 from myowarp.engine.graph import Graph, replay_nothing
 from myowarp.engine.idle import pruned
@@ -27,7 +27,6 @@ from myowarp.engine.patch import engine_kernels_alone
 from myowarp.engine.repeat import repeat
 from myowarp.engine.stage import STAGES, Stage
 from myowarp.engine.step import Step
-from myowarp.engine.turn import TURN, in_turn
 from myowarp.engine.verify import choose_stages
 from myowarp.kernels.action import apply_action
 from myowarp.kernels.batching import as_rows
@@ -52,7 +51,7 @@ from myowarp.sim.build import stepped_of
 from myowarp.sim.present import settle_muscles
 
 
-class Part:
+class Shard:
     """The worlds of one scene, stepped together: all worlds of a `Simulation`, or those of a core.
 
     Attributes that a `Simulation` has, too, are as there, for these worlds.
@@ -78,7 +77,7 @@ class Part:
     starts: wp.array | None = None
     start_address: wp.array | None = None
 
-    @in_turn
+    @with_build_lock
     def __init__(
         self,
         scene: Scene,
@@ -90,7 +89,7 @@ class Part:
         stages: Iterable[str] = STAGES,
         progress: bool = True,
         find_starts: Callable[[], Starts] | None = None,
-        like: Part | None = None,
+        like: Shard | None = None,
     ) -> None:
         """Compile the kernels and capture the step.
 
@@ -104,7 +103,7 @@ class Part:
             progress: Whether to show a progress bar while kernels compile.
             find_starts: Returns random starts, for a scene whose `reset` is "random"; called once all else of
                 the scene is known to be right.
-            like: Another part of the worlds, whose kernels and starts are taken over.
+            like: Another shard of the worlds, whose kernels and starts are taken over.
 
         Raises:
             ValueError: A condition does not fit the scene, or there are too few random starts.
@@ -147,8 +146,8 @@ class Part:
         self._launch_physics = self.physics_step.launches(self.stages, self._idle)
         self._modules = compile_kernels(self._launch_all, self.scene.device, show=progress)
 
-    def _take_over(self, like: Part) -> None:
-        """Use the kernels and the starts of another part."""
+    def _take_over(self, like: Shard) -> None:
+        """Use the kernels and the starts of another shard."""
         self.starts, self.start_address = like.starts, like.start_address
         self._modules, self._idle = like._modules, like._idle
         self.stages = self.physics_step.same(like.stages)
@@ -281,7 +280,7 @@ class Part:
         """Let tendons be torn and rerouted already, so that a probe sees them before the first step."""
         self._launch_anatomy()
         for condition, effect in zip(self.conditions, self.effects, strict=True):
-            if condition.STAGE == ConditionStage.TRANSMISSION:
+            if condition.PHASE == Phase.TRANSMISSION:
                 effect.act()
 
     def _launch_probes(self, mask: wp.array | None) -> None:
@@ -316,7 +315,7 @@ class Part:
     def _launch_settling(self, mask: wp.array) -> None:
         """Let muscles with elastic tendons find their equilibrium, on the paths that they will pull."""
         if self.scene.muscles.settles:
-            if any(condition.STAGE == ConditionStage.TRANSMISSION for condition in self.conditions):
+            if any(condition.PHASE == Phase.TRANSMISSION for condition in self.conditions):
                 self._launch_transmission()
             with pruned(self._idle):
                 settle_muscles(self.scene, mask)
@@ -352,7 +351,7 @@ class Part:
         else:
             self._launch_now(self._launch_step)
 
-    @in_turn
+    @with_build_lock
     def attach(self, launch: Callable[[wp.array | None], None]) -> None:
         """Launch more in every step, after observation and before what ended is reset, and after resets.
 
@@ -409,7 +408,7 @@ class Part:
             settle: Whether muscles find their equilibrium anew, because their own state was not given.
         """
         write(self._asked, mask)
-        with TURN, wp.ScopedDevice(self.scene.device):
+        with BUILD_LOCK, wp.ScopedDevice(self.scene.device):
             if settle:
                 self._launch_settling(self._asked)
             self._show(self._asked, self._asked)
@@ -417,7 +416,7 @@ class Part:
 
     def _launch_now(self, launches: Callable[[], None]) -> None:
         """Launch what is in no graph."""
-        with TURN, wp.ScopedDevice(self.scene.device):
+        with BUILD_LOCK, wp.ScopedDevice(self.scene.device):
             launches()
 
 

@@ -16,19 +16,21 @@ from unittest import mock
 P = ParamSpec("P")
 R = TypeVar("R")
 
-TURN = threading.RLock()
+BUILD_LOCK = threading.RLock()
 """Held by the thread that builds, or launches without a graph."""
 
 if hasattr(os, "register_at_fork"):  # a child would inherit half of a construction, and nobody to end it
-    os.register_at_fork(before=TURN.acquire, after_in_parent=TURN.release, after_in_child=TURN.release)
+    os.register_at_fork(
+        before=BUILD_LOCK.acquire, after_in_parent=BUILD_LOCK.release, after_in_child=BUILD_LOCK.release
+    )
 
 
-def in_turn(build: Callable[P, R]) -> Callable[P, R]:
+def with_build_lock(build: Callable[P, R]) -> Callable[P, R]:
     """Return a function that waits until no other thread builds."""
 
     @functools.wraps(build)
     def waiting(*args: P.args, **kwargs: P.kwargs) -> R:
-        with TURN:
+        with BUILD_LOCK:
             return build(*args, **kwargs)
 
     return waiting
@@ -37,7 +39,7 @@ def in_turn(build: Callable[P, R]) -> Callable[P, R]:
 @contextlib.contextmanager
 def replaced(holder: Any, name: str, function: Callable[..., Any]) -> Iterator[None]:
     """Replace a function in the block for the calling thread; other threads get the one that was there."""
-    with TURN:
+    with BUILD_LOCK:
         mine, theirs = threading.get_ident(), getattr(holder, name)
 
         def chosen(*args: Any, **kwargs: Any) -> Any:

@@ -7,6 +7,6 @@ logger = logging.getLogger("myowarp")
 
 
 @cache
-def say_once(message: str) -> None:
+def warn_once(message: str) -> None:
     """Log a message, the first time only."""
     logger.warning(message)
