@@ -65,7 +65,11 @@ class Setup:
         " fast.",
         choices=PHYSICS,
     )
-    muscle: str | MuscleTable | None = option("Muscle model; by default mujoco.", choices=MUSCLES)
+    muscle: str | MuscleTable | None = option(
+        "Muscle model; by default mujoco.",
+        choices=MUSCLES,
+        check=lambda muscle: isinstance(muscle, MuscleTable) or MUSCLES[muscle],
+    )
     muscle_parameters: Path | None = option(
         "Muscle parameters in place of the model's, .csv: column `muscle`, and one for each parameter.",
         "FILE",
@@ -149,7 +153,7 @@ class Setup:
             value = getattr(self, option.name)
             if value is None:
                 continue
-            if option.metadata["choices"] and not isinstance(value, MuscleTable):
+            if option.name != "muscle" and option.metadata["choices"]:
                 check_choice(option.name, value, option.metadata["choices"])
             option.metadata["check"](value)
 

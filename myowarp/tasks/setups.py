@@ -42,9 +42,9 @@ def complete(what: Setup | TaskSpec | str | Path) -> Setup:
         OSError: The file of muscle parameters cannot be read.
     """
     setup = Setup.of(what)
+    variant = variant_of(setup)  # a user's file may bring the muscles and conditions that are named
     setup.check()
     check_device_name(setup.device)
-    variant = variant_of(setup)
     setup = setup.over(Setup(reset=variant.reset)).over(DEFAULTS)
     if not isinstance(setup.task, TaskSpec):
         setup = dataclasses.replace(setup, task=variant.task)

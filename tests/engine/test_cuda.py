@@ -44,7 +44,7 @@ def kernel_modules():
     modules = [touch_kernel(kind).module for kind in CLOSED_FORMS]
     for key in {TASKS[key].family: key for key in TASKS}.values():
         with wp.ScopedDevice("cpu"):
-            program = TASKS[key].program(TASKS[key], compile_scene(TASKS[key], 1, "cpu"))
+            program = TASKS[key].program(TASKS[key], compile_scene(TASKS[key], 1, device="cpu"))
         modules += [kernel.module for kernel in program._kernels]
     return found | {module.name: module for module in modules}
 

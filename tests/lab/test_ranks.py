@@ -118,7 +118,7 @@ def test_what_ranks_cannot_do(options, message, run, monkeypatch, tmp_path):
 
 def test_each_rank_has_a_cuda_device_of_its_own(monkeypatch):
     monkeypatch.setattr("warp.get_cuda_device_count", lambda: 2)
-    assert Ranks(3, 4, local=1, local_size=2).device("") == "cuda:1"
+    assert Ranks(3, 4, local=1, local_size=2).device(None) == "cuda:1"
     assert Ranks().device("cuda:1") == "cuda:1"
 
 

@@ -105,7 +105,7 @@ def test_an_id_brings_its_reset_and_conditions():
     [
         ({"physics": "slow"}, "physics 'slow' unknown; available: parity, fast"),
         ({"reset": "never"}, "reset 'never' unknown; available: task, fixed, random, none"),
-        ({"muscle": "steel"}, "muscle 'steel' unknown; available: mujoco"),
+        ({"muscle": "steel"}, "muscle model 'steel' unknown; available: mujoco"),
         ({"seed": -1}, "--seed must be at least 0, got -1"),
         ({"shards": 0}, "--shards must be at least 1, got 0"),
         ({"horizon": 0}, "max_episode_steps must be a positive integer, got 0"),

@@ -11,6 +11,7 @@ from myowarp.apps.train import agents, skrl_names
 from myowarp.apps.train.loop import DivergedError, Run
 from myowarp.apps.train.settings import choose
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.setup import Setup
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 HORIZON = 5  # steps: two truncations and a piece in a rollout of 12
@@ -19,10 +20,10 @@ SMALL = {"num_worlds": WORLDS, "rollout_steps": STEPS, "hidden": (16,), "discoun
 FLOAT32 = 2e-5  # of advantages of order 1, sums of a dozen float32
 
 
-def make_run(algorithm, **settings):
+def make_run(algorithm, seed=0, **settings):
     """Return a run of a few elbows with short episodes."""
     env = MyoWarpVectorEnv(
-        ELBOW,
+        Setup(task=ELBOW, seed=seed),
         WORLDS,
         device="cpu",
         max_episode_steps=HORIZON,

@@ -58,7 +58,11 @@ def trained(request):
         for parameter in agent.policy.parameters():
             parameter += 0.3 * torch.randn_like(parameter)
     agent._observation_preprocessor(10.0 + 3.0 * torch.randn(500, NUM_OBS), train=True)
-    own = {"algorithm": algorithm, "settings": dataclasses.asdict(settings), "contract": CONTRACT}
+    own = {
+        "algorithm": algorithm,
+        "settings": dataclasses.asdict(settings) | Setup(physics="fast", muscle="mujoco", seed=0).plain(),
+        "contract": CONTRACT,
+    }
     return agent, REST | own | {"policy": agents.policy_form(settings)}
 
 

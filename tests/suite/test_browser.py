@@ -288,7 +288,7 @@ def test_traffic_is_bounded(page, client, monkeypatch):
 def test_other_tasks_are_shown_and_the_users_own_again(page, client, command):
     """Its model and its policy stay in the lists, wherever the page has been in between."""
     live = page[0]
-    model, policy = str(command.model), command.policy
+    model, policy = str(command.asked.setup.task), command.policy
     for task in ("myoFingerPoseFixed-v0", model, KEY):
         client.set("task", task)
         until(lambda task=task: live.session.title == task, 240.0)
@@ -382,8 +382,9 @@ def test_a_busy_port_is_one_sentence():
     ],
 )
 def test_a_wrong_argument_is_one_sentence(arguments, says):
+    arguments = dict(arguments)
     with pytest.raises((ValueError, RuntimeError), match=says):
-        View(**arguments)()
+        View(Said(Setup(task=arguments.pop("task", None))), **arguments)()
 
 
 def test_without_viser_it_says_what_to_install(monkeypatch):

@@ -375,7 +375,8 @@ def test_folders_are_not_overwritten(run, tmp_path, nothing_is_built, arguments,
 def test_seeds_of_the_command(run, nothing_is_built, seed):
     status, _, err = run(*ROLLOUT, f"--seed={seed}")
     assert status == 2
-    assert err == f"myowarp: --seed must be from 0 to {2**64 - 2}, got {seed}\n"
+    bound = "least 0" if seed < 0 else f"most {2**63 - 1}"
+    assert err == f"myowarp: --seed must be at {bound}, got {seed}\n"
 
 
 @pytest.mark.parametrize(
@@ -385,7 +386,7 @@ def test_counts_of_a_cohort(run, tmp_path, nothing_is_built, option, value):
     table = ROOT / "examples/elbow_cohort.csv"
     status, _, err = run("cohort", table, "--task", TASK, "--output", tmp_path, f"--{option}", value)
     assert status == 2
-    assert re.match(rf"myowarp: {option} must be at most \d+, got {value}\n$", err)
+    assert re.match(rf"myowarp: --{option} must be at most \d+, got {value}\n$", err)
 
 
 def test_examples_have_the_newest_ids():

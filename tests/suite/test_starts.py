@@ -213,12 +213,12 @@ def test_an_object_that_leaves_its_place_is_lost():
     """Balls that fall off count as lost long before the task fails: 0.2 m lower."""
     spec = TASKS["myoChallengeBaodingP1-v1"]
     search = starts.Search(spec, simulation(spec.key, "fixed").shards[0])
-    search.part.step()
+    search.shard.step()
     age = np.ones(NUM_WORLDS, dtype=np.int32)
     assert not search._lost(age).any()
-    qpos = search.part.scene.data.qpos.numpy().copy()
+    qpos = search.shard.scene.data.qpos.numpy().copy()
     qpos[3, joint_address(search.model, search.model.body("ball2").id)[2]] -= starts.HOLD_DISTANCE
-    search.part.scene.data.qpos.assign(qpos)
+    search.shard.scene.data.qpos.assign(qpos)
     assert np.flatnonzero(search._lost(age)).tolist() == [3]
 
 

@@ -13,7 +13,7 @@ from myowarp.apps.train.plan import eval_command, is_file, trained_setup
 from myowarp.apps.train.ranks import Ranks
 from myowarp.definitions.registry import check_choice, check_least
 from myowarp.definitions.setup import Setup
-from myowarp.sim.build import MOST_WORLDS, check_device_name
+from myowarp.sim.build import MOST_WORLDS
 from myowarp.tasks.setups import complete
 
 if TYPE_CHECKING:
@@ -67,8 +67,6 @@ def plan_evaluation(
     from myowarp.apps.policies.checkpoint import CheckpointError, load_checkpoint
 
     asked = Setup.of(what, **fields)
-    asked.check()
-    check_device_name(asked.device)
     check_least(1, MOST_WORLDS, episodes=episodes)
     check_choice("mode", mode, ("both", *MODES))
     own = asked.task.removeprefix("MyoWarp/") if isinstance(asked.task, str) else None

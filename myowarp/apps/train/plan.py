@@ -146,7 +146,6 @@ def plan(
     check_packages()
     fields = {name: settings.pop(name) for name in settings.keys() & OPTIONS.keys()}
     ranks, said = Ranks.started(), Setup.of(what, **fields)
-    said.check()
     if not 0.0 <= save_seconds < float("inf"):
         raise ValueError(f"--save-seconds must be at least 0, got {save_seconds}")
     if wandb:

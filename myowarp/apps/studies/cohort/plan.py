@@ -13,7 +13,7 @@ import numpy as np
 from myowarp.apps.policies.find import Act, Policy, find_policy
 from myowarp.definitions.condition import resolve
 from myowarp.definitions.registry import check_least
-from myowarp.definitions.setup import Setup
+from myowarp.definitions.setup import MOST_SEED, Setup
 from myowarp.sim.build import MOST_STEPS, resolve_device
 from myowarp.sim.patient_columns import conditions_of
 from myowarp.sim.patient_table import Population, population_of
@@ -85,6 +85,7 @@ def plan_cohort(
     every = max(1, steps // SAMPLES) if every is None else every
     check_least(1, MOST_STEPS, steps=steps, every=every)
     check_least(1, MOST_TRIALS, trials=trials)
+    check_least(0, MOST_SEED - MOST_TRIALS, seed=setup.seed or 0)
     resolve_device(setup.device)
     if isinstance(policy, str):
         acts = find_policy(policy, spec)
