@@ -135,7 +135,7 @@ def test_two_nodes_do_a_study(tmp_path, cluster):
         (EVAL | {"policies": [None]}, "'None' holds no checkpoint"),
         (EVAL | {"settings": {"mode": "x"}}, "mode 'x' unknown; available: both, deterministic, sampled"),
         (EVAL | {"settings": {"reset": 5}}, "reset 5 unknown; available: task, fixed, random, none"),
-        (EVAL | {"settings": {"muscle": 5}}, "muscle 5 unknown; available: "),
+        (EVAL | {"settings": {"muscle": 5}}, "muscle model 5 unknown; available: "),
         (EVAL | {"settings": {"physics": [[["fast"]]]}}, "physics (['fast'],) unknown; available: "),
         (EVAL | {"settings": {"device": 5}}, "device must be cpu, cuda or cuda:N, got 5"),
         (EXO | {"settings": {"quick": 5}}, "quick must be True or False, got 5"),
