@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from socket_client import until
 
 from myowarp.view.drawing.muscles import RELAXED_RGB, TENSED_RGB
 
@@ -78,8 +79,9 @@ def test_muscles_turn_red_in_the_window(screen, monkeypatch):
     command = [sys.executable, "-c", SCRIPT]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as shown:
         pictures = []
-        for _ in range(2):
+        for rgb in (RELAXED_RGB, TENSED_RGB):
             assert shown.stdout.readline() == "shown Window\n"
+            until(lambda rgb=rgb: colored(screen.picture(), rgb) > SHOWN)  # the window draws when it can
             pictures.append(screen.picture())
             shown.stdin.write("go on\n")
             shown.stdin.flush()
