@@ -127,6 +127,11 @@ class Setup:
         return self.task if isinstance(self.task, TaskSpec) else TASKS[str(self.task)]
 
     @property
+    def episode_steps(self) -> int:
+        """Control steps in an episode: the horizon, else the task's."""
+        return self.spec.horizon if self.horizon is None else self.horizon
+
+    @property
     def muscles(self) -> MuscleTable:
         """The muscle model and its parameters.
 

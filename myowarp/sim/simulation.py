@@ -122,7 +122,7 @@ class Simulation:
         check_choice("autoreset", autoreset, AUTORESET)
         for name, flag in (("graph", graph), ("deterministic", deterministic), ("progress", progress)):
             check_flag(name, flag)
-        self.horizon = checked_horizon(spec.horizon if setup.horizon is None else setup.horizon)
+        self.horizon = checked_horizon(setup.episode_steps)
         stages = tuple(STAGES if stages is None else stages)
         shards: list[Shard] = []
         with quiet():

@@ -54,9 +54,8 @@ class Record:
         from myowarp.apps.policies.find import acting, find_policy
         from myowarp.apps.rollouts.beside import Beside
         from myowarp.apps.rollouts.film import PLAYBACKS, SUFFIXES, Film, write
-        from myowarp.apps.rollouts.run import Each, Watcher, run
+        from myowarp.apps.rollouts.run import Watcher, progress, run
         from myowarp.disk import check_folder, check_output, check_overwrite
-        from myowarp.progress import progress_bar
         from myowarp.sim.simulation import Simulation
         from myowarp.tasks.setups import complete
         from myowarp.view.drawing.render import check_size
@@ -68,7 +67,7 @@ class Record:
             changed = () if self.beside == ("none",) else self.beside
             setups.append(complete(dataclasses.replace(asked, conditions=changed)))
         own = setups[0]
-        steps = (own.horizon or own.spec.horizon) if self.steps is None else self.steps
+        steps = own.episode_steps if self.steps is None else self.steps
         check_least(1, steps=steps, worlds=self.worlds)
         if self.fps is not None and not 0.0 < self.fps < np.inf:
             raise ValueError(f"--fps must be positive, got {self.fps:g}")
@@ -97,9 +96,8 @@ class Record:
         if self.beside:
             watchers.append(Beside(sims[0], sims[1], acts[1], films[1]))
         console = Console(stderr=True, highlight=False, soft_wrap=True)
-        with progress_bar("Simulating", "steps", console) as bar:
-            task = bar.add_task("", total=steps)
-            run(sims[0], acts[0], steps, *watchers, Each(lambda step: bar.advance(task)))
+        with progress("Simulating", "steps", steps, console) as bar:
+            run(sims[0], acts[0], steps, *watchers, bar)
         write(self.output, films, console, self.fps)
         console.print(f"Saved {self.output}")
         for film, sim in zip(films, sims, strict=True):

@@ -62,7 +62,7 @@ class Rollout:
         asked = self.asked.setup
         setup = complete(asked)
         spec = setup.spec
-        steps = (setup.horizon or spec.horizon) if self.steps is None else self.steps
+        steps = setup.episode_steps if self.steps is None else self.steps
         self._check_numbers(steps)
         policy = find_policy(self.policy, spec)
         check_output(self.save, ".npz")

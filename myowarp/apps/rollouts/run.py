@@ -11,11 +11,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count, islice
 
 import numpy as np
+from rich.console import Console
 
+from myowarp.progress import progress_bar
 from myowarp.sim.interop import ActionInput
 from myowarp.sim.simulation import Simulation
 
@@ -82,6 +85,14 @@ class Each(Watcher):
     def see(self, step: Step) -> None:
         """Call it."""
         self._function(step)
+
+
+@contextmanager
+def progress(title: str, unit: str, steps: int, console: Console | None) -> Iterator[Watcher]:
+    """Draw a progress bar in the block; yield what moves it with every step of a run."""
+    with progress_bar(title, unit, console) as bar:
+        task = bar.add_task("", total=steps)
+        yield Each(lambda step: bar.advance(task))
 
 
 def seeds_of(sim: Simulation) -> np.ndarray:

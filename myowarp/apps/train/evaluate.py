@@ -12,11 +12,10 @@ from rich.console import Console
 
 from myowarp.apps.reports.intervals import wilson
 from myowarp.apps.rollouts.episodes import Episodes
-from myowarp.apps.rollouts.run import Act, Each, Step, Watcher, run, seeds_of
+from myowarp.apps.rollouts.run import Act, Step, Watcher, progress, run, seeds_of
 from myowarp.apps.rollouts.targets import in_reach
 from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import SUCCESSES
-from myowarp.progress import progress_bar
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import get_state
 
@@ -103,9 +102,8 @@ def evaluate(
     target = get_state(sim).arrays.get("task.target")
     reachable = None if target is None else in_reach(sim.scene.spec, sim.scene.oracle, target)
     episodes, effort = Episodes(sim.num_worlds), Effort(sim)
-    with progress_bar(title, "steps", console) as bar:
-        task = bar.add_task("", total=sim.horizon)
-        watchers = effort, episodes, Each(lambda step: bar.advance(task))
+    with progress(title, "steps", sim.horizon, console) as bar:
+        watchers = effort, episodes, bar
         run(sim, act, sim.horizon, *watchers, fresh=False, until=lambda: bool(episodes.ended_once.all()))
     own = episodes.first() | effort.sums | ({} if reachable is None else {"reachable": reachable})
     parts = ranks.everyones(own)

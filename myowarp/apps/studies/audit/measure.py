@@ -137,8 +137,7 @@ def audit(
     setup = dataclasses.replace(complete(Setup.of(what, **fields)), shards=1)
     if steps is not None:
         check_least(1, steps=steps)
-    horizon = setup.horizon or setup.spec.horizon
-    steps = max(horizon * (2 if setup.reset == "none" else 1), int(steps or 0))
+    steps = max(setup.episode_steps * (2 if setup.reset == "none" else 1), int(steps or 0))
     with quiet():
         tick(0.0, "building")
         sim = _simulation(setup, num_worlds)

@@ -14,14 +14,13 @@ from rich.console import Console
 
 from myowarp.apps.policies.find import Act, acting
 from myowarp.apps.rollouts.episodes import Episodes
-from myowarp.apps.rollouts.run import Each, Step, Watcher, run
+from myowarp.apps.rollouts.run import Step, Watcher, progress, run
 from myowarp.apps.studies.cohort.plan import Plan, plan_cohort
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import Column
 from myowarp.disk import in_place, version
 from myowarp.kernels.episode import describe_fault
-from myowarp.progress import progress_bar
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 
@@ -155,10 +154,8 @@ def run_plan(plan: Plan, console: Console | None = None) -> CohortResult:
     sim = Simulation(plan.setup, len(plan.seeds), autoreset="disabled")
     tally = _Tally(plan, sim)
     unit = f"steps of {len(plan.population.patients):,} patients"
-    with progress_bar("Simulating", unit, console) as bar:
-        task = bar.add_task("", total=plan.steps)
-        told = Each(lambda step: bar.advance(task))
-        run(sim, _policy(plan, sim), plan.steps, tally, told, seeds=plan.seeds, again=False)
+    with progress("Simulating", unit, plan.steps, console) as bar:
+        run(sim, _policy(plan, sim), plan.steps, tally, bar, seeds=plan.seeds, again=False)
     return CohortResult(tally.samples(), tally.summary(), tally.settings())
 
 
