@@ -30,10 +30,11 @@ from myowarp.disk import in_place
 DOCS = Path(__file__).parents[1] / "docs"
 PUBLISHED = Path(__file__).with_name("published_success.json")
 PAGE = Path(__file__).with_name("baselines_page.md")
-MOST_BYTES = 400_000  # of a policy
+MOST_BYTES = 500_000  # of a policy
 CURVE_ROWS = 150
 CURVE_COLUMNS = ("samples", "return", *SUCCESSES)
 MODES = ("deterministic", "sampled")
+SAME_EPISODES = 1e-3  # spread of their returns: below it, all were the same
 LEFT_OUT = ("checkpoint",)  # of an evaluation: a path of the machine
 
 
@@ -105,15 +106,53 @@ def page() -> str:
     found = [load_baseline(task) for task in baselines.baseline_tasks()]
     published = json.loads(PUBLISHED.read_text())
     machines = {(run["training"]["processor"], run["training"]["cores"]) for b in found for run in b.runs}
-    missing = [f"`{task}`" for task in published["tasks"] if task not in {b.task for b in found}]
+    faults = sum(_faults(run) for b in found for run in b.runs)
     return PAGE.read_text().format(
+        summary=_summary_table(found, published),
         success=_success_table(found),
+        faults=faults,
         reachable=_reachable(found),
-        missing=f"\nNot trained: {', '.join(missing)}.\n" if missing else "",
         machine=", ".join(f"{cores} cores ({name})" for name, cores in sorted(machines)),
         training=_training_table(found),
         published=_published_table(found, published),
     )
+
+
+def _faults(run: dict[str, Any]) -> int:
+    """Return how many episodes of a run's evaluation ended by a fault."""
+    evaluations = (run["evaluation"], *([run["corrected"]] if "corrected" in run else []))
+    return sum(evaluation[mode]["faults"] for evaluation in evaluations for mode in MODES)
+
+
+def _over_seeds(baseline: Baseline, mode: str, rule: str = "success") -> str:
+    """Return mean, and the worst where there are several seeds [%]."""
+    shares = [100.0 * run["evaluation"][mode][rule] for run in baseline.runs]
+    worst = f" ({min(shares):.1f})" if len(shares) > 1 else ""
+    return f"{sum(shares) / len(shares):.1f}{worst}"
+
+
+def _summary_table(found: list[Baseline], published: dict[str, Any]) -> str:
+    """Return a row for each task of the paper, with mean and worst over seeds."""
+    ours = {baseline.task: baseline for baseline in found}
+    rows = []
+    for task in dict.fromkeys((*published["tasks"], *sorted(ours))):
+        if task not in ours:
+            rows.append([f"`{task}`", "0", "no policy", "", "", ""])
+            continue
+        baseline = ours[task]
+        shares = [_over_seeds(baseline, mode) for mode in MODES]
+        shares.append(_over_seeds(baseline, MODES[0], "success_last"))
+        most = max(run["training"]["samples"] for run in baseline.runs) / 1e6
+        how = f"{baseline.checkpoint.manifest['algorithm']}, {most:.2f} M"
+        rows.append([f"`{task}`", str(len(baseline.runs)), *shares, how])
+    return _table(["task", "seeds", *MODES, "deterministic, last step", "training, samples at most"], rows)
+
+
+def _share(figures: dict[str, Any], rule: str) -> str:
+    """Return a share with its interval; without one where all episodes were the same."""
+    if figures["return_std"] < SAME_EPISODES:
+        return f"{100.0 * figures[rule]:.0f} % (one episode)"
+    return success_text(figures, rule)
 
 
 def _success_table(found: list[Baseline]) -> str:
@@ -123,7 +162,7 @@ def _success_table(found: list[Baseline]) -> str:
         for run in baseline.runs:
             for evaluation in (run["evaluation"], run.get("corrected")):
                 for mode in MODES if evaluation else ():
-                    shares = (success_text(evaluation[mode], rule) for rule in SUCCESSES)
+                    shares = (_share(evaluation[mode], rule) for rule in SUCCESSES)
                     task = evaluation["task"].removeprefix("MyoWarp/")
                     rows.append([f"`{task}`", str(run["training"]["seed"]), mode, *shares])
     return _table(["task", "seed", "actions", *SUCCESSES.values()], rows)
@@ -178,12 +217,12 @@ def _published_table(found: list[Baseline], published: dict[str, Any]) -> str:
     """Return our success beside that of others."""
     ours = {}
     for baseline in found:
-        run = baseline.runs[0]
-        shares = " / ".join(f"{100 * run['evaluation'][mode]['success']:.1f}" for mode in MODES)
-        ours[baseline.task] = f"{shares} ({run['training']['samples'] / 1e6:.2f} M)"
+        shares = " / ".join(_over_seeds(baseline, mode) for mode in MODES)
+        most = max(run["training"]["samples"] for run in baseline.runs) / 1e6
+        ours[baseline.task] = f"{shares}; {len(baseline.runs)} ({most:.2f} M)"
     sources = published["sources"]
     rows = [
-        [f"`{task}`", ours.get(task, "not trained"), *(theirs.get(name, "-") for name in sources)]
+        [f"`{task}`", ours.get(task, "no policy"), *(theirs.get(name, "-") for name in sources)]
         for task, theirs in published["tasks"].items()
     ]
     heads = {"npg": "the paper's NPG", "ppo": "MyoSuite 3, PPO on a GPU", "off_policy": "FlashSAC"}

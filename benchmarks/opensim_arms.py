@@ -3,7 +3,8 @@
     .venv-opensim/bin/python benchmarks/opensim_arms.py arm26.osim MoBL_ARMS.osim
 
 Needs opensim==4.6 and nothing else. It writes numbers alone, no part of a model: lengths, moment arms and
-static tendon forces over the range of one coordinate after the other, all others at their default.
+static tendon forces over the range of one coordinate after the other, all others at their default; and the
+passive fiber's force along the tendon at OpenSim's least activation.
 """
 
 import json
@@ -19,11 +20,15 @@ POINTS = 21
 ACTIVATIONS = (0.5, 1.0)
 STEP = 1e-5  # rad
 PRESENT = 1e-4  # m; a muscle with smaller arms throughout does not cross the joint
-RANGES = {  # rad; where both OpenSim's coordinate and the joint of MyoSuite's body go
-    "arm26": {"r_elbow_flex": (0.0, 2.2689)},
-    "MoBL_ARMS": {"pro_sup": (-1.5707, 1.5707), "deviation": (-0.1745, 0.4363), "flexion": (-0.7854, 0.7854)},
+RANGES = {  # rad; of a body's joint: where both OpenSim's coordinate and the joint go
+    "arm26": {"r_elbow_flex": (0.0, 2.2689), "r_shoulder_elev": (-1.5707, 3.1415)},
+    "MoBL_ARMS": {
+        **{"pro_sup": (-1.5707, 1.5707), "deviation": (-0.1745, 0.4363), "flexion": (-0.7854, 0.7854)},
+        **{"elv_angle": (-1.5707, 2.2689), "shoulder_elv": (0.0, 3.1415), "shoulder_rot": (-1.5707, 0.349)},
+        "elbow_flexion": (0.0, 2.2689),
+    },
 }
-UNIT = {"length": 7, "moment_arm": 7, "slope": 7, "force": 3}  # decimals
+UNIT = {"length": 7, "moment_arm": 7, "slope": 7, "force": 3, "passive": 3}  # decimals
 
 
 def record(path: Path) -> dict[str, Any]:
@@ -84,7 +89,15 @@ def curves(model: Any, state: Any, muscle: Any, coordinate: Any, grid: np.ndarra
             except RuntimeError:
                 forces.append(None)  # no equilibrium
         found["force"].append(forces)
-    return {name: v if name == "force" else np.round(v, UNIT[name]).tolist() for name, v in found.items()}
+        muscle.setActivation(state, 0.0)
+        try:
+            muscle.computeEquilibrium(state)
+            model.realizeDynamics(state)
+            found["passive"].append(round(muscle.getPassiveFiberForceAlongTendon(state), UNIT["passive"]))
+        except RuntimeError:
+            found["passive"].append(None)
+    rounded = ("length", "moment_arm", "slope")
+    return {name: np.round(v, UNIT[name]).tolist() if name in rounded else v for name, v in found.items()}
 
 
 def main() -> None:

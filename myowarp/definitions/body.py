@@ -109,6 +109,8 @@ class Body:
         exoskeleton: Where an exoskeleton is worn; None where none can.
         transfer: What a tendon transfer is about; None where there is none.
         torn: Muscles that a tendon tear is about where it names none.
+        approach: Muscles that bend and spread it; a posture that is reached from there is more often stable.
+            The policy "muscle-control" begins with them.
         muscles: Parameters of its muscles beside those in the model, for the muscle model that they name.
     """
 
@@ -122,6 +124,7 @@ class Body:
     exoskeleton: Brace | None = None
     transfer: Transfer | None = None
     torn: tuple[str, ...] = ()
+    approach: tuple[str, ...] = ()
     muscles: MuscleTable | None = None
 
     @property

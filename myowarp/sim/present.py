@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Callable
 
 import mujoco_warp as mjw
+import numpy as np
 import warp as wp
 
 from myowarp.definitions.muscle import Anatomy
@@ -76,3 +77,21 @@ def present_muscles(scene: Scene) -> Callable[[], None]:
             wp.copy(array, before[name])
 
     return launch
+
+
+def tension_at(scene: Scene) -> Callable[[float], np.ndarray]:
+    """Return a function from an activation of all muscles to their tension [N] on the present paths.
+
+    Tensions are on the host, (num_worlds, num_muscles). Lengths of elastic tendons stay as they are.
+    """
+    present, activation = present_muscles(scene), scene.muscles.activation
+    before = wp.zeros_like(activation)
+
+    def tension(value: float) -> np.ndarray:
+        wp.copy(before, activation)
+        activation.fill_(value)
+        present()
+        wp.copy(activation, before)
+        return scene.muscles.tension.numpy().copy()
+
+    return tension

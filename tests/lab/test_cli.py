@@ -294,7 +294,7 @@ BAD_LATER = {
     "negative seed": (["--seed", "-1"], "seed"),
     "no such policy": (
         ["--policy", "best"],
-        "policy 'best' unknown; available: random, zero, hold, baseline, baselines/<task>, "
+        "policy 'best' unknown; available: random, zero, hold, muscle-control, baseline, baselines/<task>, "
         "the folder of a trained policy, excitations (.sto, .mot, .csv), "
         "package.module:function, file.py:function",
     ),

@@ -10,8 +10,9 @@ from rich.console import Console
 
 from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.reproduce import Reproduce
+from myowarp.apps.policies.baselines import load_baseline
 from myowarp.apps.policies.checkpoint import load_checkpoint
-from myowarp.apps.studies.reproduce import baselines, key, speed, transfer, validation
+from myowarp.apps.studies.reproduce import baselines, speed, transfer, validation
 from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
 from myowarp.apps.studies.reproduce.policies import Training, retrained
 from myowarp.apps.studies.reproduce.report import FILES
@@ -49,22 +50,21 @@ def ours(result, quantity):
     return {row["condition"]: row["ours"] for row in result["merits"] if row["quantity"] == quantity}
 
 
-def holds(result):
-    """Return whether each claim holds, by its first words."""
-    return {claim["claim"][:40]: claim["holds"] for claim in result["claims"]}
+def claims(result):
+    """Return what was found of each claim, by its first words."""
+    return {claim["claim"][:40]: claim["verdict"] for claim in result["claims"]}
 
 
-def test_tears_hurt_in_the_papers_order(found):
+def test_what_a_tear_takes_is_missed(found):
+    """One policy of two worlds: nothing is decided; torn muscles of the thumb take what extensors do not."""
     result, _ = found("tear")
     rotation = ours(result, "rotation of the key, mean actions")
-    assert rotation["without FPL"] < rotation["without OP"] < key.THRESHOLDS[1]
+    assert rotation["without FPL"] < rotation["all muscles"] - 20.0
     assert min(rotation[who] for who in ("all muscles", "without EPB", "without APL")) > 180.0
-    assert ours(result, "activation of FPL, mean actions")["without OP"] > 2 * 0.1
-    assert result["claims"][0]["holds"]
-    assert result["claims"][1]["holds"]
-    assert not any(
-        claim["holds"] for claim in result["claims"] if claim["claim"].startswith("As the caption")
-    )
+    changes = ours(result, "rotation, change to all muscles, mean actions")
+    for who, change in changes.items():
+        assert change == pytest.approx(rotation[who] - rotation["all muscles"])
+    assert "agrees" not in claims(result).values()
 
 
 def test_a_finished_tear_is_not_run_again(found, monkeypatch):
@@ -74,15 +74,11 @@ def test_a_finished_tear_is_not_run_again(found, monkeypatch):
     assert json.loads((folder / "result.json").read_text())["merits"] == result["merits"]
 
 
-def test_the_hand_fails_after_a_transfer_until_it_is_retrained(found):
+def test_retraining_turns_the_key_again(found):
     result, _ = found("transfer")
     rotation = ours(result, "rotation of the key, mean actions")
     assert rotation["intact"] > 180.0
-    for who in ("EPL torn", "transfer", "redirected"):
-        assert rotation[who] < key.THRESHOLDS[0], who
-    for who in transfer.AFTER:
-        assert rotation[who] > key.THRESHOLDS[1], who
-    assert ours(result, "pairs of muscles recruited in another order")["redirected"] > 0
+    assert rotation["transfer"] < rotation["transfer, retrained"]
 
 
 def test_pairs_that_changed_places():
@@ -90,6 +86,9 @@ def test_pairs_that_changed_places():
     assert transfer.exchanged(first, first + 1.0) == 0
     assert transfer.exchanged(first, first[::-1]) == 6
     assert transfer.exchanged(first, np.array([0.2, 0.1, 0.3, 0.4])) == 1
+    assert (
+        transfer.exchanged(first, np.array([np.nan, 0.4, 0.3, 0.2])) == 3
+    )  # what is not recruited has no place
 
 
 # Two bars of lengths a and b on a hinge, a tendon between their ends: l^2 = a^2 + b^2 - 2 a b cos(q - c).
@@ -123,10 +122,11 @@ def test_curves_are_those_of_a_crossbow():
     np.testing.assert_allclose(force[middle, :, 0], FMAX * np.outer(gain, (0.0, 0.5, 1.0)), atol=1e-9)
 
 
-def crossbow_record(angle, arm, length, force):
+def crossbow_record(angle, arm, length, force, passive):
     """Return a record as OpenSim's, of one muscle."""
     row = {"muscle": "m", "coordinate": "q", "max_isometric_force": FMAX, "length": length.tolist()}
     row |= {"moment_arm": arm.tolist(), "slope": arm.tolist(), "force": force.tolist()}
+    row["passive"] = passive.tolist()
     return {"ranges": {"q": (angle[0], angle[-1])}, "curves": [row]}
 
 
@@ -134,14 +134,20 @@ def test_differences_are_root_mean_squares():
     model = mujoco.MjModel.from_xml_string(HINGE)
     angle = np.linspace(0.2, 2.6, 15)
     length, arm = closed_form(angle)
-    force = validation.curves(model, 0, angle, (1.0,))[2][:, :, 0]
-    record = crossbow_record(angle, arm + 3e-3 * np.sign(angle - 1.6), length, force + 0.1 * FMAX)
+    passive, force = np.split(validation.curves(model, 0, angle, (0.0, 1.0))[2][:, :, 0], [1], axis=1)
+    passive = passive[:, 0]
+    assert passive.max() > 0.01 * FMAX
+    record = crossbow_record(
+        angle, arm + 3e-3 * np.sign(angle - 1.6), length, force + 0.1 * FMAX, 2.0 * passive
+    )
     (pair,) = validation.pairs(model, record, {"q": ("q", 1.0)}, {"m": "m"}, (1.0,), 15)
     assert pair.arm_rms == pytest.approx(3.0, rel=1e-5)
     assert validation.force_rms([pair])["m"] == pytest.approx(10.0, rel=1e-9)
+    expected = 100.0 * np.sqrt(np.mean((passive / FMAX) ** 2))
+    assert validation.force_rms([pair], passive=True)["m"] == pytest.approx(expected, rel=1e-9)
     assert not validation.pairs(model, record, {"q": ("q", 1.0)}, {}, (1.0,), 15)
     # A coordinate that counts the other way round has the mirrored curve.
-    record = crossbow_record(-angle[::-1], -arm[::-1], length[::-1], force[::-1])
+    record = crossbow_record(-angle[::-1], -arm[::-1], length[::-1], force[::-1], passive[::-1])
     (same,), (other,) = (
         validation.pairs(model, record, {"q": ("q", sign)}, {"m": "m"}, (1.0,), 15) for sign in (-1.0, 1.0)
     )
@@ -192,8 +198,7 @@ def test_speed_grows_with_the_muscles(found):
             table[copies]["MuJoCo C, 1 thread"]["over_opensim"][key] for key in ("median", "min", "max")
         ]
         assert over[f"arm26, {muscles} muscles, MuJoCo C, 1 thread"] == pytest.approx(np.mean(rounds))
-    assert result["claims"][0]["holds"]
-    assert result["claims"][2]["holds"]
+    assert [claim["verdict"] for claim in result["claims"]] == ["agrees", "differs", "differs", "holds"]
 
 
 def test_samples_until_it_is_learned():
@@ -202,20 +207,28 @@ def test_samples_until_it_is_learned():
     assert np.isnan(baselines.samples_to(curve, 0.99))
 
 
-def test_easy_tasks_are_learned_first(found):
+def test_success_is_that_of_the_evaluations(found):
     result, _ = found("baselines")
-    assert all(claim["holds"] for claim in result["claims"]), holds(result)
-    needed = ours(result, "samples to 90 %")
-    assert needed["myoElbowPose1D6MFixed-v0, preset"] < needed["myoElbowPose1D6MRandom-v0, preset"]
+    for task in baselines.baseline_tasks():
+        runs = load_baseline(task).runs
+        for mode in ("deterministic", "sampled"):
+            own = np.mean([100.0 * run["evaluation"][mode]["success"] for run in runs])
+            if task in baselines.TASKS:
+                assert ours(result, f"success, {mode} actions")[task] == pytest.approx(own)
+    needed = ours(result, "samples to 90 % in training")
+    assert needed["myoElbowPose1D6MFixed-v0"] < needed["myoElbowPose1D6MRandom-v0"]
     assert len([name for name in needed if name.endswith("TRPO")]) >= 4
 
 
-def test_the_papers_baselines_are_those_of_the_page():
+def test_the_papers_curves_end_where_its_table_does():
     published = json.loads((ROOT / "benchmarks/published_success.json").read_text())["tasks"]
-    for task, (success, samples) in baselines.PAPER.items():
-        shown = published[task]["npg"]
-        assert shown.startswith(", ".join(map(str, success))), task
-        assert f"{samples} M)" in shown, task
+    curves, checked = baselines.curves_of(baselines.NPG), 0
+    for task in baselines.TASKS:
+        if shown := published[task].get("npg"):
+            ends = [round(100.0 * success[-1]) for _, success in curves[task]]
+            assert shown.startswith(", ".join(map(str, ends))), task
+            checked += 1
+    assert checked == 16
 
 
 def test_a_policy_is_trained_on_from_its_parent(tmp_path):

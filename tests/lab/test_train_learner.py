@@ -9,7 +9,7 @@ import torch
 
 from myowarp.apps.train import agents, skrl_names
 from myowarp.apps.train.loop import DivergedError, Run
-from myowarp.apps.train.settings import choose
+from myowarp.apps.train.settings import ALGORITHMS, Replaying, choose
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.setup import Setup
 
@@ -71,6 +71,11 @@ def hand_computed(rows, value, discount, decay, *, bootstrap=True):
     return advantages
 
 
+def replays(algorithm):
+    """Return whether an algorithm has a memory of samples."""
+    return issubclass(ALGORITHMS[algorithm], Replaying)
+
+
 def standardized(x):
     return (x - x.mean()) / x.std(ddof=1)
 
@@ -125,9 +130,9 @@ def test_a_loss_that_is_not_finite_stops_the_run():
         run.iterate()
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "trpo", "sac", "flashsac"])
+@pytest.mark.parametrize("algorithm", list(ALGORITHMS))
 def test_an_agent_made_anew_from_arrays_is_the_same(algorithm):
-    small = {"replay": 60, "batch_size": 30} if algorithm.endswith("sac") else {"minibatches": 2}
+    small = {"replay": 60, "batch_size": 30} if replays(algorithm) else {"minibatches": 2}
     run = make_run(algorithm, **small)
     run.iterate()
     policy, learner = agents.policy_arrays(run.agent), agents.learner_arrays(run.agent)

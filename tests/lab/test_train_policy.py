@@ -23,6 +23,7 @@ from myowarp.disk import plain
 
 NUM_OBS, NUM_ACTIONS, ROWS = 7, 3, 400
 SAME = 1e-6
+SCALER = "observation_preprocessor"
 OBS, ACTIONS = Box(-np.inf, np.inf, (NUM_OBS,), np.float32), Box(-1.0, 1.0, (NUM_ACTIONS,), np.float32)
 CONTRACT = {
     "task": "myoTest-v0",
@@ -46,18 +47,28 @@ REST = {
 REST |= {"samples": 12, "steps": 3, "updates": 1, "clock": dataclasses.asdict(Clock())}
 
 
-@pytest.fixture(params=[("ppo", "elu"), ("trpo", "tanh"), ("sac", "relu"), ("flashsac", "elu")])
+KINDS = {
+    "ppo": {"algorithm": "ppo", "activation": "elu"},
+    "ppo, tanh": {"algorithm": "ppo", "activation": "elu", "mean_bound": "tanh"},
+    "trpo": {"algorithm": "trpo", "activation": "tanh"},
+    "sac": {"algorithm": "sac", "activation": "relu"},
+    "flashsac": {"algorithm": "flashsac", "activation": "elu"},
+    "dagger": {"algorithm": "dagger", "activation": "relu"},
+}
+
+
+@pytest.fixture(params=KINDS.values(), ids=list(KINDS))
 def trained(request):
     """Return an agent with weights and a normaliser far from the start, and its checkpoint's content."""
-    algorithm, activation = request.param
+    given = request.param | {"num_worlds": 4, "hidden": (9, 8)}
+    algorithm = given.pop("algorithm")
     torch.manual_seed(3)
-    given = {"num_worlds": 4, "hidden": (9, 8), "activation": activation}
     settings = choose("none", algorithm, given)
     agent = agents.make_agent(settings, OBS, ACTIONS, "cpu")
     with torch.no_grad():
         for parameter in agent.policy.parameters():
             parameter += 0.3 * torch.randn_like(parameter)
-    agent._observation_preprocessor(10.0 + 3.0 * torch.randn(500, NUM_OBS), train=True)
+    agent.checkpoint_modules[SCALER](10.0 + 3.0 * torch.randn(500, NUM_OBS), train=True)
     own = {
         "algorithm": algorithm,
         "settings": dataclasses.asdict(settings) | Setup(physics="fast", muscle="mujoco", seed=0).plain(),
@@ -81,7 +92,7 @@ def agent_activation(agent):
 def torch_means(agent, obs):
     """Return the actions of highest probability, by torch."""
     with torch.no_grad():
-        inputs = {"observations": agent._observation_preprocessor(torch.from_numpy(obs))}
+        inputs = {"observations": agent.checkpoint_modules[SCALER](torch.from_numpy(obs))}
         return agent.policy.act(inputs, role="policy")[1]["mean_actions"].clamp(-1.0, 1.0).numpy()
 
 
@@ -100,20 +111,45 @@ def test_a_run_starts_with_the_policy_of_another(trained):
     agent, _ = trained
     arrays, samples, fixed = agents.policy_arrays(agent), 10**6, 3
     arrays["observation_mean"][fixed], arrays["observation_variance"][fixed] = 0.0, 1.0 / samples
-    kind = ALGORITHMS["sac" if "log_std" not in arrays else "ppo"]
-    settings = kind(num_worlds=4, hidden=(9, 8), activation=agent_activation(agent))
+    given = {"num_worlds": 4, "hidden": (9, 8), "activation": agent_activation(agent)}
+    if "log_std" in arrays:
+        given["mean_bound"] = agent.policy.bound
+    settings = ALGORITHMS["ppo" if "log_std" in arrays else "sac"](**given)
     child = agents.make_agent(settings, OBS, ACTIONS, "cpu")
     agents.inherit(child, arrays, samples, count=96)
     obs = observations()
     obs[:, fixed] = 0.0
-    agent._observation_preprocessor.running_mean[fixed] = (
-        0.0  # where a column is at its mean, it says nothing
-    )
+    agent.checkpoint_modules[SCALER].running_mean[fixed] = 0.0  # a column at its mean says nothing
     assert np.abs(torch_means(child, obs) - torch_means(agent, obs)).max() < SAME
     obs[:, fixed] = 7.0
     assert np.abs(torch_means(agent, obs) - torch_means(child, obs)).max() > 0.1
-    child._observation_preprocessor(torch.from_numpy(obs), train=True)
-    assert child._observation_preprocessor.running_mean[fixed] > 5.0  # the new task soon says what is usual
+    scaler = child.checkpoint_modules[SCALER]
+    scaler(torch.from_numpy(obs), train=True)
+    assert scaler.running_mean[fixed] > 5.0  # the new task soon says what is usual
+
+
+@pytest.mark.parametrize("bound", ["clip", "tanh"])
+def test_a_policy_starts_at_its_first_mean(bound):
+    settings = choose("none", "ppo", {"initial_mean": -0.7, "mean_bound": bound, "num_worlds": 4})
+    agent = agents.make_agent(settings, OBS, ACTIONS, "cpu")
+    means = torch_means(agent, observations())
+    assert np.abs(means + 0.7).max() < 0.05
+    assert np.ptp(means, axis=0).min() > 1e-4
+
+
+def test_only_the_tangent_has_a_gradient_beyond_the_bounds():
+    """d min(max(m, -1), 1) / dm is 0 there; that of tanh is 1 - tanh(m)^2."""
+    given = {"mean_bound": "tanh", "num_worlds": 4}
+    agent = agents.make_agent(choose("none", "ppo", given), OBS, ACTIONS, "cpu")
+    last = agent.policy.net[-1]
+    with torch.no_grad():
+        last.weight.zero_()
+        last.bias.fill_(-3.0)
+    seen = {"observations": torch.from_numpy(observations())}
+    agent.policy.compute(seen)[0].sum().backward()
+    expected = ROWS * (1.0 - np.tanh(-3.0) ** 2)
+    np.testing.assert_allclose(last.bias.grad.numpy(), expected, rtol=1e-5)
+    assert torch_means(agent, observations()).min() > -1.0
 
 
 def test_drawn_actions_have_the_spread_of_torch(trained, tmp_path):
@@ -122,7 +158,7 @@ def test_drawn_actions_have_the_spread_of_torch(trained, tmp_path):
     obs = np.repeat(observations()[1:2], 40_000, axis=0)
     with torch.no_grad():
         torch.manual_seed(0)
-        inputs = {"observations": agent._observation_preprocessor(torch.from_numpy(obs))}
+        inputs = {"observations": agent.checkpoint_modules[SCALER](torch.from_numpy(obs))}
         expected = agent.policy.act(inputs, role="policy")[0].clamp(-1.0, 1.0).numpy()
     got = LearnedPolicy(checkpoint, Setup(seed=1))(obs)
     assert expected.std(axis=0).min() > 0.05

@@ -21,6 +21,7 @@ ALGORITHMS = {
         *("--replay", 2048, "--batch-size", 64, "--gradient-steps", 1, "--random-steps", 4),
         *("--critic-width", 16, "--atoms", 21),
     ),
+    "dagger": ("--replay", 2048, "--batch-size", 64, "--gradient-steps", 1, "--expert-steps", 16),
 }
 SAMPLES = 8 * 16 * 30  # thirty iterations, five episodes a world
 PATIENCE = 120.0  # s

@@ -12,6 +12,7 @@ from myowarp.tasks.paper import grid
 
 GRID = grid()
 HARD = [row for row in GRID if row.difficulty == "hard"]
+TIRING = [row for row in HARD if row.condition == "fatigue" and row.reset == "fixed"][:3]
 SHOWN = [row for row in HARD if row.condition == "none" or row.reset == "fixed"]
 
 
@@ -41,11 +42,29 @@ def test_cells_run(row):
     env = gymnasium.make_vec(row.id, num_envs=2, device="cpu", progress=False)
     sim = env.unwrapped.sim
     assert sim.scene.reset == row.reset
-    assert tuple(condition.name for condition in sim.conditions) == row.conditions
+    assert tuple(condition.name for condition in sim.conditions) == tuple(
+        text.partition("(")[0] for text in row.conditions
+    )
     assert bool(row.conditions) == (row.condition != "none")
     obs, _ = env.reset(seed=0)
     assert obs.std() > 0
     obs, reward, *_ = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
     assert np.isfinite(obs).all()
     assert np.isfinite(reward).all()
+    env.close()
+
+
+@pytest.mark.parametrize(
+    "row", [row for row in HARD if row.condition == "fatigue" and row.reset == "fixed"][:3]
+)
+def test_fatigue_matters_within_an_episode(row):
+    """c = exp(-k int F / F_max dt), k = 1/s: a second of full drive costs up to 1 - 1 / e, in 1/min 2 %."""
+    env = gymnasium.make_vec(row.id, num_envs=2, device="cpu", progress=False, autoreset_mode="Disabled")
+    sim = env.unwrapped.sim
+    env.reset(seed=0)
+    steps = round(1.0 / sim.scene.control_dt)
+    for _ in range(steps):
+        env.step(np.ones(env.action_space.shape, dtype=np.float32))
+    lost = sim.info["fatigue"].numpy()
+    assert 0.3 < lost.max() < 0.8
     env.close()

@@ -20,7 +20,7 @@ from myowarp.disk import check_output
 
 @dataclass
 class TrainCommand:
-    """Train a policy: PPO, TRPO, SAC or FlashSAC, with a preset for the task.
+    """Train a policy: PPO, TRPO, SAC, FlashSAC or DAgger, with a preset for the task.
 
     Writes a folder with the last checkpoint, progress.csv, TensorBoard events, curve.png and report.json.
     Ctrl-C finishes the iteration and saves; a run that was stopped or killed goes on with --resume, bit for
@@ -35,7 +35,7 @@ class TrainCommand:
 
     asked: Environment
     algorithm: Annotated[
-        Literal["ppo", "trpo", "sac", "flashsac"] | None, optional("{ppo,trpo,sac,flashsac}")
+        Literal["ppo", "trpo", "sac", "flashsac", "dagger"] | None, optional("{ppo,trpo,sac,flashsac,dagger}")
     ] = None
     """Algorithm; by default that of the task's preset, which is ppo but for a few."""
     output: Annotated[Path | None, optional("FOLDER")] = None

@@ -49,9 +49,11 @@ def write_onnx(checkpoint: Checkpoint, path: Path) -> None:
         x = add("Gemm", [x, constant(f"weight{index}", weight), constant(f"bias{index}", bias)])
         if index < len(policy.layers) - 1:
             x = add(policy.activation.capitalize(), [x])
-    if policy.squashed:
+    if len(bias) > policy.num_actions:
         nodes.append(helper.make_node("Split", [x], ["means", "log_std"], axis=1))
-        x = add("Tanh", ["means"])
+        x = "means"
+    if policy.squashed:
+        x = add("Tanh", [x])
     else:
         x = add("Clip", [x, constant("least", -1.0), constant("most", 1.0)])
     nodes[-1].output[0] = ACTION
@@ -105,7 +107,8 @@ def write_torchscript(checkpoint: Checkpoint, path: Path) -> None:
                 x = x @ getattr(self, f"weight{index}") + getattr(self, f"bias{index}")
                 if index < len(policy.layers) - 1:
                     x = getattr(nn.functional, policy.activation)(x)
-            return x[:, : policy.num_actions].tanh() if policy.squashed else x.clamp(-1.0, 1.0)
+            x = x[:, : policy.num_actions]
+            return x.tanh() if policy.squashed else x.clamp(-1.0, 1.0)
 
     with torch.no_grad():
         script = torch.jit.trace(Module(), torch.zeros(2, policy.obs_size))

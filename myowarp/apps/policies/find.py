@@ -14,6 +14,7 @@ from myowarp.apps.policies.baselines import policy_folder
 from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.hold import Hold, check_hold
 from myowarp.apps.policies.learned import bind, read_policy
+from myowarp.apps.policies.muscle_control import MuscleControl
 from myowarp.apps.policies.replay import Replay, is_replay
 from myowarp.definitions.task import TaskSpec
 from myowarp.motion.storage import Storage, read_storage
@@ -23,7 +24,8 @@ from myowarp.tasks.outside import load
 Act = Callable[[np.ndarray], np.ndarray]
 """Observations (num_worlds, obs_size) to actions (num_worlds, num_actions) in [-1, 1]."""
 
-BUILT_IN = ("random", "zero", "hold")
+BUILT_IN = ("random", "zero", "hold", "muscle-control")
+FOLLOWS_ERRORS = ("hold", "muscle-control")
 
 
 @dataclass(frozen=True)
@@ -51,17 +53,17 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
     """Return a policy by name; code of the user that defines it is run once.
 
     Args:
-        name: "random", "zero", "hold", "baseline", "baselines/<task>", the folder of a trained policy, a file
-            of excitations (each a file in `myowarp.apps.policies`), "package.module:function" or
-            "file.py:function".
+        name: "random", "zero", "hold", "muscle-control", "baseline", "baselines/<task>", the folder of a
+            trained policy, a file of excitations (each a file in `myowarp.apps.policies`),
+            "package.module:function" or "file.py:function".
         spec: The task in which it is to act.
 
     Raises:
         ValueError: No such policy, or it cannot act in this task.
         OSError: Its file cannot be read.
     """
-    if name == "hold":
-        check_hold(spec)
+    if name in FOLLOWS_ERRORS:
+        check_hold(spec, name)
     if name in BUILT_IN:
         return Policy(name)
     if (folder := policy_folder(name, spec.key)) is not None:
@@ -107,6 +109,8 @@ def acting(policy: Policy, sim: Simulation) -> Act:
         return guarded
     if policy.name == "hold":
         return Hold(scene)
+    if policy.name == "muscle-control":
+        return MuscleControl(sim)
     shape = (scene.num_worlds, scene.num_actions)
     if policy.name == "zero":
         return lambda obs: np.zeros(shape, dtype=np.float32)

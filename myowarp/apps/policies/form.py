@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 ACTIVATIONS = ("elu", "tanh", "relu")  # functions between the layers
+MEAN_BOUNDS = ("clip", "tanh")  # what keeps the mean of actions from -1 to 1
 
 MANIFEST_FORM: dict[str, Any] = {
     "format": int,
@@ -65,10 +66,12 @@ def check_manifest(manifest: Mapping[str, Any]) -> None:
     misfit = misfit or _misfit("files", manifest["files"], dict.fromkeys(manifest["files"], FILE_FORM))
     if misfit:
         raise ValueError(f"is not what a run writes: {misfit}")
-    if (activation := manifest["policy"]["activation"]) not in ACTIVATIONS:
-        raise ValueError(
-            f"has policy.activation {activation!r} in its manifest; available: {', '.join(ACTIVATIONS)}"
-        )
+    policy = manifest["policy"]
+    for name, names in (("activation", ACTIVATIONS), ("mean_bound", MEAN_BOUNDS)):
+        if policy.get(name, names[0]) not in names:
+            raise ValueError(
+                f"has policy.{name} {policy[name]!r} in its manifest; available: {', '.join(names)}"
+            )
 
 
 def _misfit(name: str, value: Any, form: Any) -> str | None:

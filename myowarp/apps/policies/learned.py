@@ -2,7 +2,7 @@
 
     x = clip((obs - mean) / (sqrt(variance) + eps), -c, c)
     x = f(W x + b)  for every hidden layer
-    a = clip(W x + b, -1, 1)                 one standard deviation for all states (PPO, TRPO)
+    a = clip(W x + b, -1, 1), or its tanh    one standard deviation for all states (PPO, TRPO)
     a = tanh(first half of W x + b)          the second half is its logarithm (SAC)
 
 The forward pass equals torch's to 1e-6 (tests/lab/test_train_policy.py).
@@ -37,7 +37,8 @@ class LearnedPolicy:
         clip: Bound of normalised observations.
         layers: Weights (inputs, outputs) and biases (outputs,).
         activation: Function between the layers, key in `ACTIVATIONS`.
-        squashed: Whether actions are the hyperbolic tangent of the first half of the last layer.
+        squashed: Whether actions without noise are the hyperbolic tangent of the last layer, else its clip.
+        num_actions: Entries of an action, the first ones of the last layer.
     """
 
     def __init__(self, checkpoint: Checkpoint, sampled: Setup | None = None) -> None:
@@ -54,7 +55,9 @@ class LearnedPolicy:
         self.mean = arrays["observation_mean"].astype(np.float32)
         self.spread = np.sqrt(arrays["observation_variance"].astype(np.float32)) + np.float32(form["epsilon"])
         self.clip, self.activation = form["clip"], form["activation"]
-        self.squashed = "log_std" not in arrays
+        of_state = "log_std" not in arrays  # the spread, which then is the second half of the last layer
+        self.squashed = of_state or form.get("mean_bound") == "tanh"
+        self.num_actions = len(self.layers[-1][1]) // (2 if of_state else 1)
         self._log_std, self._bounds = arrays.get("log_std"), form["log_std_bounds"]
         self._rank = (sampled.rank if sampled else None) or (0, 1)
         self._rng = np.random.default_rng(sampled.seed) if sampled else None
@@ -63,11 +66,6 @@ class LearnedPolicy:
     def obs_size(self) -> int:
         """Entries of an observation."""
         return len(self.mean)
-
-    @property
-    def num_actions(self) -> int:
-        """Entries of an action."""
-        return len(self.layers[-1][1]) // (2 if self.squashed else 1)
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Return actions."""
@@ -80,7 +78,8 @@ class LearnedPolicy:
         weight, bias = self.layers[-1]
         x = x @ weight + bias
         if self._log_std is not None:
-            return np.clip(self._drawn(x, self._log_std), -1.0, 1.0).astype(np.float32)
+            mean = np.tanh(x) if self.squashed else x
+            return np.clip(self._drawn(mean, self._log_std), -1.0, 1.0).astype(np.float32)
         mean, log_std = np.split(x, 2, axis=1)
         return np.tanh(self._drawn(mean, log_std)).astype(np.float32)
 

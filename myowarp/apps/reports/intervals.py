@@ -1,4 +1,4 @@
-"""95 % intervals: Student's of a mean, Wilson's of a proportion."""
+"""95 % intervals: Student's or a bootstrap of a mean, Wilson's of a proportion."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 CONFIDENCE = 0.95
+RESAMPLES = 9_999  # of a bootstrap
 Z = 1.959963984540054  # quantile of the normal distribution for 95 %
 
 
@@ -21,6 +22,31 @@ def student(values: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     mean = values.mean(axis=0)
     half = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, n - 1) * values.std(axis=0, ddof=1) / math.sqrt(n)
     return mean - half, mean + half
+
+
+def mean_interval(values: ArrayLike, least: float = -math.inf, most: float = math.inf) -> tuple[float, float]:
+    """Return a 95 % interval of a mean that stays within what is possible.
+
+    It is Student's; where that leaves the possible range, it is the bias-corrected bootstrap (Efron 1987,
+    JASA 82:171). Fewer than two values have none, and neither have values that are all the same.
+
+    Args:
+        values: Independent values, shape (n,).
+        least: Least possible mean.
+        most: Greatest possible mean.
+    """
+    from scipy import stats
+
+    values = np.asarray(values, dtype=float)
+    if len(values) < 2 or np.ptp(values) == 0.0:
+        return math.nan, math.nan
+    low, high = map(float, student(values))
+    if least <= low and high <= most:
+        return low, high
+    found = stats.bootstrap(
+        (values,), np.mean, confidence_level=CONFIDENCE, n_resamples=RESAMPLES, method="BCa", rng=0
+    ).confidence_interval
+    return float(found.low), float(found.high)
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:

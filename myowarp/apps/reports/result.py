@@ -10,8 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from myowarp.apps.reports.intervals import student
+from myowarp.apps.reports.intervals import mean_interval
 from myowarp.apps.reports.table import number
+
+POSITIVE, PERCENT = (0.0, math.inf), (0.0, 100.0)
+"""What a mean can be: of root mean squares, of shares."""
 
 
 @dataclass(frozen=True)
@@ -23,9 +26,10 @@ class Merit:
         unit: Its unit, "" for a pure number.
         condition: In whom, such as "2 kg, with assistance".
         values: Ours, one number a seed: the mean over its worlds. NaN counts as not measured.
-        paper: The paper's value; None where it gives none.
+        paper: The paper's value; None where it gives none. Values of others stand in `note`.
         spread: What the paper gives behind its ±; None where it gives none.
-        note: Where ours differs and why, or where the paper's value is from.
+        note: Where ours differs and why, or where a value of others is from.
+        within: Least and greatest possible mean.
     """
 
     quantity: str
@@ -35,6 +39,7 @@ class Merit:
     paper: float | None = None
     spread: float | None = None
     note: str = ""
+    within: tuple[float, float] = (-math.inf, math.inf)
 
     @property
     def _known(self) -> np.ndarray:
@@ -54,11 +59,8 @@ class Merit:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the mean over seeds, from Student's t; NaN with fewer than two."""
-        if self.n < 2:
-            return math.nan, math.nan
-        low, high = student(self._known)
-        return float(low), float(high)
+        """95 % interval of the mean over seeds, see `mean_interval`; NaN where there is none."""
+        return mean_interval(self._known, *self.within)
 
     @property
     def label(self) -> str:
@@ -96,46 +98,98 @@ class Merit:
 
 
 def merits(
-    groups: Sequence[str], *quantities: tuple[str, str, Sequence[np.ndarray] | np.ndarray]
+    groups: Sequence[str],
+    *quantities: tuple[str, str, Sequence[np.ndarray] | np.ndarray],
+    within: tuple[float, float] = (-math.inf, math.inf),
 ) -> list[Merit]:
     """Return a row for each condition and, within it, each quantity.
 
     Args:
         groups: In whom.
         quantities: What was measured, its unit, and ours, for each condition the values of the seeds.
+        within: Least and greatest possible mean of all of them.
     """
     return [
-        Merit(name, unit, who, values[c]) for c, who in enumerate(groups) for name, unit, values in quantities
+        Merit(name, unit, who, values[c], within=within)
+        for c, who in enumerate(groups)
+        for name, unit, values in quantities
     ]
+
+
+def rises(differences: Sequence[float] | np.ndarray) -> bool | None:
+    """Return whether the mean of paired differences is above 0, None where the 95 % interval does not tell.
+
+    Values that are all the same count as they are.
+    """
+    values = np.asarray(differences, dtype=float)
+    values = values[np.isfinite(values)]
+    low, high = mean_interval(values)
+    if math.isnan(low):
+        low = high = float(values.mean()) if len(values) > 1 else math.nan
+    return True if low > 0.0 else False if high <= 0.0 else None
+
+
+def stays(differences: Sequence[float] | np.ndarray, margin: float) -> bool | None:
+    """Return whether the mean of paired differences is less than a margin, up or down.
+
+    Yes if the 95 % interval lies within the margin, no if it lies outside, None where it crosses it.
+    """
+    values = np.asarray(differences, dtype=float)
+    return both(rises(values + margin), rises(margin - values))
+
+
+def both(*answers: bool | np.bool_ | None) -> bool | None:
+    """Return whether all answers are yes: no if one is no, else None if one is open."""
+    if any(answer is not None and not answer for answer in answers):
+        return False
+    return None if any(answer is None for answer in answers) else True
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A conclusion of the paper, or one of ours, and whether our numbers bear it out.
+    """A conclusion of the paper or a hypothesis of our own, and whether our numbers bear it out.
 
     Attributes:
         text: The conclusion, one sentence.
-        holds: Whether ours agree; computed, never typed.
+        holds: Whether ours bear it out, None where they do not tell; computed, never typed.
         why: Where they do not, why; or on how many seeds it rests.
+        own: Whether it is a hypothesis of our own, of which the paper says nothing.
     """
 
     text: str
-    holds: bool
+    holds: bool | None
     why: str = ""
+    own: bool = False
+
+    @property
+    def verdict(self) -> str:
+        """One of agrees, differs, holds, does not hold, not decided."""
+        if self.holds is None:
+            return "not decided"
+        return ("does not hold", "holds")[self.holds] if self.own else ("differs", "agrees")[self.holds]
 
 
-def read_claims(text: str, holds: Mapping[str, bool | np.bool_]) -> list[Claim]:
-    """Return claims, one for each point of a list in Markdown.
+def read_claims(paper: str, own: str, holds: Mapping[str, bool | np.bool_ | None]) -> list[Claim]:
+    """Return claims, one for each point of two lists in Markdown.
 
     Args:
-        text: Points of the form "* key: claim"; an indented line below one says why.
-        holds: Whether each claim holds, by its key; no key is left over.
+        paper: Conclusions of the paper, points of the form "* key: claim"; an indented line below one says
+            why.
+        own: Hypotheses of our own, in the same form.
+        holds: Whether each claim holds, None if that is open, by its key; no key is left over.
 
     Raises:
-        ValueError: The keys are not those of the list.
+        ValueError: The keys are not those of the lists.
     """
-    points = re.findall(r"^\* (.+?): (.+)$(?:\n  (.+)$)?", text, flags=re.MULTILINE)
-    keys = [key for key, _, _ in points]
+    points = [
+        (*found, mine)
+        for text, mine in ((paper, False), (own, True))
+        for found in re.findall(r"^\* (.+?): (.+)$(?:\n  (.+)$)?", text, flags=re.MULTILINE)
+    ]
+    keys = [key for key, *_ in points]
     if sorted(keys) != sorted(holds):
         raise ValueError(f"claims must have the keys of the essay, {keys}, got {list(holds)}")
-    return [Claim(claim, bool(holds[key]), why) for key, claim, why in points]
+    return [
+        Claim(claim, None if holds[key] is None else bool(holds[key]), why, mine)
+        for key, claim, why, mine in points
+    ]

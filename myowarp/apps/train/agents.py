@@ -23,13 +23,17 @@ from skrl.models.torch import Model
 from skrl.resources.schedulers.torch import KLAdaptiveLR
 from torch import distributed
 
+from myowarp.apps.train.dagger import DAGGER_CFG, DAgger
 from myowarp.apps.train.flash_sac import CategoricalCritic, FlashSAC
 from myowarp.apps.train.networks import GAUSSIAN_LOG_STD, LOG_STD, GaussianPolicy, SquashedPolicy, Value
 from myowarp.apps.train.settings import (
+    DAggerSettings,
     FlashSACSettings,
+    Gaussian,
     OffPolicy,
     OnPolicy,
     PPOSettings,
+    Replaying,
     SACSettings,
     Settings,
     TRPOSettings,
@@ -46,6 +50,8 @@ TRACKED = {
     "Coefficient / Entropy coefficient": "entropy_weight",
 }
 """What of skrl's figures is kept, and its name in `progress.csv`."""
+REPLAYING = (SAC, DAgger)
+"""Agents whose memory is part of a checkpoint."""
 CRITICS = ("critic_1", "critic_2", "target_critic_1", "target_critic_2")
 SCALER_CLIP, SCALER_EPSILON = 5.0, 1e-8  # of normalised observations; of their standard deviation
 SCALER = {"clip_threshold": SCALER_CLIP, "epsilon": SCALER_EPSILON}
@@ -69,17 +75,19 @@ def make_agent(settings: Settings, observation: Any, action: Any, device: str) -
     spaces = {"observation_space": observation, "action_space": action}
     shape = spaces, device, settings.hidden, settings.activation
     models: dict[str, Any]
-    if isinstance(settings, OnPolicy):
-        models = {"policy": GaussianPolicy(*shape, settings.initial_std), "value": Value(*shape)}
-        rows, replacement = settings.rollout_steps, False
+    if isinstance(settings, Gaussian):
+        drawn = settings.initial_std, settings.initial_mean, settings.mean_bound
+        models = {"policy": GaussianPolicy(*shape, *drawn)}
     else:
-        assert isinstance(settings, OffPolicy)
         models = {"policy": SquashedPolicy(*shape)}
+    if isinstance(settings, OnPolicy):
+        models["value"] = Value(*shape)
+    if isinstance(settings, OffPolicy):
         models |= {name: _critic(settings, spaces, device) for name in CRITICS}
-        rows, replacement = settings.replay // settings.num_worlds, True
-    memory = RandomMemory(
-        memory_size=rows, num_envs=settings.num_worlds, device=device, replacement=replacement
-    )
+    rows, replays = settings.rollout_steps, isinstance(settings, Replaying)
+    if isinstance(settings, Replaying):
+        rows = settings.replay // settings.num_worlds
+    memory = RandomMemory(memory_size=rows, num_envs=settings.num_worlds, device=device, replacement=replays)
     kind, cfg = _configuration(settings, observation, action, device)
     if config.torch.is_distributed:
         average_together(**models)
@@ -87,6 +95,14 @@ def make_agent(settings: Settings, observation: Any, action: Any, device: str) -
     agent.init()
     agent.enable_training_mode(True)
     return agent
+
+
+def replay_bytes(settings: Settings, num_obs: int, num_actions: int) -> int:
+    """Return what the replay of a run takes, in memory and in a checkpoint [B]; 0 without one."""
+    if not isinstance(settings, Replaying):
+        return 0
+    once = num_obs + num_actions
+    return 4 * settings.replay * (once if isinstance(settings, DAggerSettings) else once + num_obs + 2)
 
 
 def average_together(policy: Model, value: Model) -> None:
@@ -138,6 +154,8 @@ def _configuration(
         assert isinstance(settings, SACSettings)
         scale = settings.reward_scale
         return TrackedSAC, SAC_CFG(**common, rewards_shaper=lambda rewards, *_: rewards * scale)
+    if isinstance(settings, DAggerSettings):
+        return partial(DAgger, settings=settings), DAGGER_CFG(**common)
     assert isinstance(settings, OnPolicy)
     common |= {
         "rollouts": settings.rollout_steps,
@@ -171,8 +189,11 @@ def _configuration(
 
 def policy_form(settings: Settings) -> dict[str, Any]:
     """Return what the arrays of a policy leave open, for `myowarp.apps.policies.learned`."""
-    bounds = LOG_STD if isinstance(settings, OffPolicy) else GAUSSIAN_LOG_STD
+    bounds, bound = LOG_STD, "tanh"
+    if isinstance(settings, Gaussian):
+        bounds, bound = GAUSSIAN_LOG_STD, settings.mean_bound
     return {
+        "mean_bound": bound,
         "activation": settings.activation,
         "clip": SCALER_CLIP,
         "epsilon": SCALER_EPSILON,
@@ -223,6 +244,7 @@ def learner_arrays(agent: Agent) -> Arrays:
             tensors |= {f"{name}.{index}.{key}": value for key, value in entries.items()}
     if isinstance(agent, SAC):
         tensors["log_entropy_coefficient"] = agent.log_entropy_coefficient.detach()
+    if isinstance(agent, REPLAYING):
         memory = agent.memory
         rows = memory.memory_size if memory.filled else memory.memory_index
         tensors["memory_index"] = torch.tensor([memory.memory_index, int(memory.filled)])
@@ -246,6 +268,7 @@ def restore_agent(agent: Agent, policy: Mapping[str, np.ndarray], learner: Mappi
         with torch.no_grad():
             agent.log_entropy_coefficient.copy_(_tensor(learner["log_entropy_coefficient"]))
         set_temperature(agent, torch.exp(agent.log_entropy_coefficient.detach()))
+    if isinstance(agent, REPLAYING):
         memory = agent.memory
         memory.memory_index, memory.filled = (int(n) for n in learner["memory_index"])
         memory.filled = bool(memory.filled)

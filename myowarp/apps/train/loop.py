@@ -17,9 +17,10 @@ import numpy as np
 import torch
 
 from myowarp.apps.policies.checkpoint import Checkpoint
+from myowarp.apps.policies.find import acting, find_policy
 from myowarp.apps.train import agents
 from myowarp.apps.train.ranks import ALONE, Ranks
-from myowarp.apps.train.settings import Settings
+from myowarp.apps.train.settings import DAggerSettings, Settings
 from myowarp.apps.train.tally import Tally
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.sim.state import State
@@ -109,6 +110,8 @@ class Run:
         observation, action = env.single_observation_space, env.single_action_space
         own = dataclasses.replace(settings, num_worlds=env.num_envs)
         self.agent = agents.make_agent(own, observation, action, self.device)
+        if isinstance(settings, DAggerSettings):
+            self.agent.expert = acting(find_policy(settings.expert, env.sim.scene.spec), env.sim)
         if parent is not None:
             count = settings.parent_samples or settings.num_worlds * INHERITED_STEPS
             agents.inherit(self.agent, parent.policy, parent.manifest["samples"], count)

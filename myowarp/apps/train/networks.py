@@ -1,7 +1,7 @@
 """Policies and value functions: plain multilayer perceptrons in the form that skrl's agents ask for.
 
 A policy's tensors are `net.<i>.weight`, `net.<i>.bias` and, with one spread for all states, `log_std`;
-`myowarp.apps.policies.hold` repeats the forward pass in NumPy.
+`myowarp.apps.policies.learned` repeats the forward pass in NumPy.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
 from torch import nn
 
 ACTIVATION = {"elu": nn.ELU, "tanh": nn.Tanh, "relu": nn.ReLU}
-FIRST_GAIN = 0.01  # of a policy's last layer: the first actions have a mean of about 0, in every state
+FIRST_GAIN = 0.01  # of a policy's last layer: the first actions have about the same mean in every state
 LOG_STD = (-5.0, 2.0)  # bounds of a spread that depends on the state; as in SAC's reference implementation
 GAUSSIAN_LOG_STD = (-20.0, 2.0)  # bounds of a spread that is one for all states; skrl's
 HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
@@ -29,30 +29,43 @@ def perceptron(inputs: int, hidden: tuple[int, ...], outputs: int, activation: s
     return nn.Sequential(*layers, nn.Linear(inputs, outputs))
 
 
-def _soften(net: nn.Sequential) -> None:
-    """Make the last layer of a policy small."""
+def _soften(net: nn.Sequential, bias: float = 0.0) -> None:
+    """Make the last layer of a policy small, so that it returns about the bias in every state."""
     last = net[-1]
     assert isinstance(last, nn.Linear)
     with torch.no_grad():
         last.weight.mul_(FIRST_GAIN)
-        last.bias.zero_()
+        last.bias.fill_(bias)
 
 
 class GaussianPolicy(GaussianMixin, Model):
-    """Actions N(mean(observation), std), std one for all states; the environment clips them."""
+    """Actions N(mean(observation), std), std one for all states; the environment clips them.
+
+    A mean beyond -1 or 1 hides its noise behind that clip, and with it the gradient that could bring it back;
+    the hyperbolic tangent of it does not.
+    """
 
     def __init__(
-        self, spaces: dict[str, Any], device: str, hidden: tuple[int, ...], activation: str, std: float
+        self,
+        spaces: dict[str, Any],
+        device: str,
+        hidden: tuple[int, ...],
+        activation: str,
+        std: float,
+        mean: float,
+        bound: str,
     ) -> None:
         Model.__init__(self, **spaces, device=device)
         GaussianMixin.__init__(self, min_log_std=GAUSSIAN_LOG_STD[0], max_log_std=GAUSSIAN_LOG_STD[1])
         self.net = perceptron(self.num_observations, hidden, self.num_actions, activation)
         self.log_std = nn.Parameter(torch.full((self.num_actions,), math.log(std)))
-        _soften(self.net)
+        self.bound = bound
+        _soften(self.net, math.atanh(mean) if bound == "tanh" else mean)
 
     def compute(self, inputs: dict[str, Any], role: str = "") -> tuple[torch.Tensor, dict[str, Any]]:
         """Return means and, as extra, the logarithm of the standard deviation."""
-        return self.net(inputs["observations"]), {"log_std": self.log_std}
+        mean = self.net(inputs["observations"])
+        return mean.tanh() if self.bound == "tanh" else mean, {"log_std": self.log_std}
 
 
 class SquashedPolicy(Model):

@@ -14,16 +14,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from myowarp.apps.policies.find import find_policy
+from myowarp.apps.policies.form import MEAN_BOUNDS
 from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import (
     ALGORITHMS,
     TRAINING,
-    OnPolicy,
+    DAggerSettings,
+    Gaussian,
     PPOSettings,
     Settings,
     all_settings,
     choose,
     divided,
+    flag,
     preset,
     preset_algorithm,
     restore,
@@ -169,6 +173,8 @@ def plan(
             f"{resume_command(asked, folder, ranks.size)}"
         )
     parent = _parent(chosen, algorithm, spec) if chosen.parent else None
+    if isinstance(chosen, DAggerSettings):
+        find_policy(chosen.expert, spec)
     return _with_files(Job(asked, complete(asked), algorithm, chosen, folder, parent=parent, **how))
 
 
@@ -287,16 +293,16 @@ def _parent(settings: Settings, algorithm: str, spec: TaskSpec) -> Checkpoint:
         raise ValueError(f"--parent {settings.parent!r} must be a run's folder, baseline or baselines/<id>")
     parent = read_policy(settings.parent, folder, spec)
     theirs = parent.manifest["settings"]
-    if ("log_std" in parent.policy) != issubclass(ALGORITHMS[algorithm], OnPolicy):
+    if ("log_std" in parent.policy) != issubclass(ALGORITHMS[algorithm], Gaussian):
         raise CheckpointError(
             f"--parent {settings.parent!r} was trained by {parent.manifest['algorithm']}, whose policies "
             f"{algorithm} cannot train"
         )
-    for name in ("hidden", "activation"):
-        if _listed(getattr(settings, name)) != theirs[name]:
+    for name in ("hidden", "activation", "mean_bound"):
+        own = _listed(getattr(settings, name, MEAN_BOUNDS[0]))
+        if own != (its := theirs.get(name, MEAN_BOUNDS[0])):
             raise CheckpointError(
-                f"--{name} must be that of --parent {settings.parent!r}, {shown(theirs[name])}; got "
-                f"{shown(getattr(settings, name))}"
+                f"{flag(name)} must be that of --parent {settings.parent!r}, {shown(its)}; got {shown(own)}"
             )
     return parent
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from myowarp.apps.train.machine import Stopwatch, processor
+from myowarp.apps.train.machine import Stopwatch, check_replay, processor
 from myowarp.apps.train.plan import Job, eval_command, held, last_saved
 from myowarp.apps.train.settings import SUCCESSES
 from myowarp.definitions.condition import Condition
@@ -73,6 +73,7 @@ def start(job: Job) -> Run:
     import torch
 
     from myowarp.apps.policies.checkpoint import CheckpointError, check_contract
+    from myowarp.apps.train.agents import replay_bytes
     from myowarp.apps.train.loop import Run
     from myowarp.bridge_gym import MyoWarpVectorEnv
 
@@ -83,6 +84,8 @@ def start(job: Job) -> Run:
     env = MyoWarpVectorEnv(setup, number, autoreset_mode="disabled", output="torch", copy=False)
     if job.parent is not None:
         check_contract(job.parent, env.sim)
+    obs, actions = env.sim.transition.obs.shape[1], env.sim.action.shape[1]
+    check_replay(replay_bytes(settings, obs, actions), job.folder)
     run = Run(env, settings, job.parent, job.start, ranks)
     if job.checkpoint is not None:
         check_contract(job.checkpoint, env.sim, learning=True)

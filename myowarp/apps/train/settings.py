@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any, TypeVar
 
-from myowarp.apps.policies.form import ACTIVATIONS
+from myowarp.apps.policies.form import ACTIVATIONS, MEAN_BOUNDS
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import OPTIONS, Setup
 
@@ -103,15 +103,29 @@ class Settings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OnPolicy(Settings):
+class Gaussian(Settings):
+    """What PPO, TRPO and DAgger share: one spread for all states."""
+
+    initial_std: float = setting(
+        0.5, "Standard deviation of actions at the start, with a parent, too.", least=1e-3
+    )
+    initial_mean: float = setting(
+        0.0, "Mean of actions at the start, without a parent; below 0: quiet.", least=-0.99, most=0.99
+    )
+    mean_bound: str = setting(
+        "clip",
+        "What keeps the mean of actions from -1 to 1: clip, behind which noise and gradient vanish, or tanh.",
+        choices=MEAN_BOUNDS,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnPolicy(Gaussian):
     """What PPO and TRPO share."""
 
     trace_decay: float = setting(0.95, "Lambda of generalised advantage estimation.", least=0.0, most=1.0)
     epochs: int = setting(5, "Passes over the samples in an update.", least=1)
     minibatches: int = setting(8, "Parts of a pass.", least=1)
-    initial_std: float = setting(
-        0.5, "Standard deviation of actions at the start, with a parent, too.", least=1e-3
-    )
     value_first: int = setting(
         0, "Iterations at the start in which the value function alone learns, with a parent.", least=0
     )
@@ -143,12 +157,18 @@ class TRPOSettings(OnPolicy):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OffPolicy(Settings):
-    """What SAC and FlashSAC share."""
+class Replaying(Settings):
+    """What SAC, FlashSAC and DAgger share: a memory of samples."""
 
     batch_size: int = setting(512, "Samples of a gradient step.", least=1)
     gradient_steps: int = setting(4, "Gradient steps after each control step of the worlds.", least=1)
     replay: int = setting(262_144, "Samples in the replay memory; a checkpoint holds them.", least=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OffPolicy(Replaying):
+    """What SAC and FlashSAC share."""
+
     random_steps: int = setting(10, "Control steps of every world with random actions.", least=0)
     target_rate: float = setting(0.01, "Rate at which target networks follow.", least=0.0, most=1.0)
     temperature: float = setting(0.05, "Weight of the entropy at the start; it is learned.", least=1e-9)
@@ -178,11 +198,30 @@ class FlashSACSettings(OffPolicy):
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class DAggerSettings(Gaussian, Replaying):
+    """Imitation of an expert in the states that the policy itself leads to."""
+
+    expert: str = setting("muscle-control", "Policy that is imitated, by its name as in `rollout --policy`.")
+    expert_steps: int = setting(
+        100, "Control steps of every world, at the start, in which the expert acts.", least=1
+    )
+    initial_std: float = setting(
+        0.1,
+        "Standard deviation of the noise; a third of the worlds has none, a third half of it.",
+        least=1e-3,
+    )
+    mean_bound: str = setting("tanh", "What keeps the mean of actions from -1 to 1.", choices=MEAN_BOUNDS)
+    learning_rate: float = setting(5e-4, "Learning rate of Adam.", least=0.0)
+    gradient_steps: int = setting(16, "Gradient steps after each control step of the worlds.", least=1)
+
+
 ALGORITHMS: dict[str, type[Settings]] = {
     "ppo": PPOSettings,
     "trpo": TRPOSettings,
     "sac": SACSettings,
     "flashsac": FlashSACSettings,
+    "dagger": DAggerSettings,
 }
 RECORDED = TypeVar("RECORDED", bound=Settings)
 
@@ -240,7 +279,7 @@ def choose(name: str, algorithm: str, given: Mapping[str, Any]) -> Settings:
                 if owners
                 else f"available: {', '.join(sorted(known))}"
             )
-            raise ValueError(f"{algorithm} has no setting {_flag(key)}; {where}")
+            raise ValueError(f"{algorithm} has no setting {flag(key)}; {where}")
     return restore(kind, divided(preset(name, algorithm))[1] | dict(given))
 
 
@@ -267,30 +306,30 @@ def _checked(entry: dataclasses.Field[Any], value: Any) -> Any:
     Raises:
         ValueError: It has another type, or is out of its range.
     """
-    flag, bounds, kind = _flag(entry.name), entry.metadata, type(entry.default)
+    name, bounds, kind = flag(entry.name), entry.metadata, type(entry.default)
     if kind is float and type(value) is int:
         value = float(value)
     if kind is tuple and isinstance(value, list | tuple):
         value = tuple(value)
     if type(value) is not kind:
-        raise ValueError(f"{flag} must be of type {kind.__name__}, got {value!r}")
+        raise ValueError(f"{name} must be of type {kind.__name__}, got {value!r}")
     for item in value if isinstance(value, tuple) else (value,):
         if bounds["choices"]:
-            check_choice(flag, item, bounds["choices"])
+            check_choice(name, item, bounds["choices"])
         elif kind is tuple and type(item) is not int:
-            raise ValueError(f"{flag} must be integers, got {item!r}")
+            raise ValueError(f"{name} must be integers, got {item!r}")
         elif isinstance(item, int | float):
-            _check_bounds(flag, item, bounds["least"], bounds["most"])
+            _check_bounds(name, item, bounds["least"], bounds["most"])
     return value
 
 
-def _check_bounds(flag: str, value: float, least: float | None, most: float | None) -> None:
+def _check_bounds(name: str, value: float, least: float | None, most: float | None) -> None:
     """Raise ValueError if a number is not within its bounds, or not a number."""
     low, high = float("-inf") if least is None else least, float("inf") if most is None else most
     if low <= value <= high and abs(value) != float("inf"):
         return
     wanted = f"at least {least}" if most is None else f"from {least} to {most}"
-    raise ValueError(f"{flag} must be {wanted if least is not None else 'finite'}, got {value}")
+    raise ValueError(f"{name} must be {wanted if least is not None else 'finite'}, got {value}")
 
 
 def _check_together(settings: Settings) -> None:
@@ -310,7 +349,7 @@ def _check_together(settings: Settings) -> None:
         raise ValueError(
             f"--least-rate must be at most --largest-rate, {settings.largest_rate}, got {settings.least_rate}"
         )
-    if isinstance(settings, OffPolicy):
+    if isinstance(settings, Replaying):
         if settings.replay % settings.num_worlds:
             raise ValueError(
                 f"--replay must be a multiple of the {settings.num_worlds} worlds, got {settings.replay}"
@@ -321,6 +360,6 @@ def _check_together(settings: Settings) -> None:
             )
 
 
-def _flag(name: str) -> str:
+def flag(name: str) -> str:
     """Return a setting's name on the command line."""
     return "--" + name.replace("_", "-")

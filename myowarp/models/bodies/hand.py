@@ -46,6 +46,10 @@ Sources: Caggiano et al. (2022), arXiv:2205.13600; the path is that of the unuse
 MyoSuite 2.12.2 bundles.
 """
 
+APPROACH = ("FDP2", "FDP3", "FDP4", "FDP5", "RI2", "RI3", "RI4", "RI5", "EPL", "APL")
+"""Fingers closed, thumb out. From there a muscle controller brings the hand to half of the random postures of
+`myoHandPoseRandom-v1`, from where episodes start to 13 % (`examples/hand_pose.py`)."""
+
 HAND = BODIES.add(
     "hand",
     Body(
@@ -57,5 +61,6 @@ HAND = BODIES.add(
         load=Place("trapezium_r", (-0.011, -0.06, -0.03)),  # myo-sim's site S_grasp_r
         transfer=TRANSFER,
         torn=("FPL",),
+        approach=APPROACH,
     ),
 )

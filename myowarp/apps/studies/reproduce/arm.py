@@ -1,4 +1,4 @@
-"""What the elbow's experiments share: four policies, and arms that follow targets which change over time.
+"""What the elbow's experiments share: five policies, and arms that follow targets which change over time.
 
 All policies are trained in `myoElbowPose1D6MRandom-v0`: start at a random angle, hold one of 0 to 130
 degrees for 2 s, MyoSuite's reward. Their network is the paper's, two layers of 32; PPO takes the place of
@@ -35,6 +35,7 @@ MUSCLES = ("TRIlong", "TRIlat", "TRImed", "BIClong", "BICshort", "BRA")
 FLEXORS = MUSCLES[3:]
 CONTROL_DT = 0.02  # s
 ASSISTANCE = 1.0  # of the muscles' torque, in training; see exo1
+PER_SECOND = 60.0  # 1/min: the paper's rate of fatigue, read as 1/s
 NO_END = 2**31 - 1  # control steps of an episode
 
 SETTINGS = {"hidden": (32, 32), "num_worlds": 64}
@@ -48,9 +49,12 @@ def _trained(name: str, *conditions: Condition) -> Training:
 
 HEALTHY = _trained("healthy")
 SARCOPENIC = _trained("sarcopenic", Sarcopenia(strength=0.5))
-FATIGUED = _trained("fatigued", FatigueMa2009(initial=Uniform(0.0, 0.9, each=True)))
+FATIGUED = _trained("fatigued", FatigueMa2009(PER_SECOND, initial=Uniform(0.0, 0.9, each=True)))
 ASSISTED = _trained("assisted", Exoskeleton(assistance=ASSISTANCE))
-"""Fatigued: every muscle of every episode has lost a share of its force between none and nine tenths."""
+MOTOR = _trained("motor", Exoskeleton(motor=True))
+"""Fatigued: at 1/s, and every muscle of every episode has lost a share of its force before, between none and
+nine tenths. Assisted: the brace adds what the muscles make. Motor: the policy commands the brace's torque,
+which costs it nothing."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,7 @@ def follow(
     targets: np.ndarray,
     seconds: float,
     tick: Tick = lambda share: None,
+    still: np.ndarray | None = None,
 ) -> Trace:
     """Let arms follow targets.
 
@@ -100,6 +105,7 @@ def follow(
         targets: Target angles of each phase [deg], shape (phases, N) or (phases, 1).
         seconds: Duration of a phase [s].
         tick: Told the share that is done.
+        still: Worlds whose motor, the last actuator, gets no command, shape (N,); None: all get theirs.
     """
     sim = signals.sim
     acting = [(bind(checkpoint, sim), worlds) for checkpoint, worlds in policies]
@@ -115,6 +121,8 @@ def follow(
     def act(obs: np.ndarray) -> np.ndarray:
         for one, worlds in acting:
             action[worlds] = one(obs[worlds])
+        if still is not None:
+            action[still, -1] = 0.0
         return action
 
     def keep(step: Step, phase: int, goal: np.ndarray) -> None:
@@ -177,6 +185,7 @@ def run_groups(
     conditions: Callable[[], Sequence[Condition]],
     targets: np.ndarray,
     seconds: float,
+    still: Sequence[bool] = (),
 ) -> list[dict[str, np.ndarray]]:
     """Let groups of arms follow targets, once for each seed; runs that are done are not repeated.
 
@@ -188,6 +197,7 @@ def run_groups(
         conditions: Returns the conditions of all worlds, `lab.num_worlds` of one group after the other.
         targets: Target angles [deg], shape (phases, groups) or (phases, 1).
         seconds: Duration of a phase [s].
+        still: Groups whose motor, the last actuator, gets no command; empty: there is no motor.
 
     Returns:
         What `grouped` makes of each seed.
@@ -207,7 +217,8 @@ def run_groups(
         acting = [
             (policies[seed][training.name], slice(g * n, (g + 1) * n)) for g, training in enumerate(trainings)
         ]
-        return grouped(follow(built[0], acting, world_seeds(seed, n, number), goals, seconds, tick), number)
+        seeds, off = world_seeds(seed, n, number), np.repeat(still, n).astype(bool) if still else None
+        return grouped(follow(built[0], acting, seeds, goals, seconds, tick, off), number)
 
     results = []
     for seed in lab.seeds:

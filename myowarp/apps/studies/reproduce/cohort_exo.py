@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.reports import panel
-from myowarp.apps.reports.result import Merit
+from myowarp.apps.reports.result import PERCENT, Merit, rises
 from myowarp.apps.studies.reproduce.arm import CONTROL_DT, HEALTHY, MUSCLES, arms, follow
 from myowarp.apps.studies.reproduce.exo1 import CUFF
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
@@ -104,7 +104,8 @@ def findings(results: list[dict[str, np.ndarray]]) -> Findings:
             "share that no level suffices for": [np.isinf(n).mean() for n in found],
         }
         for what, values in shares.items():
-            rows.append(Merit(what, "%", f"within {limit:.0f}°", 100.0 * np.array(values)))
+            own = 100.0 * np.array(values)
+            rows.append(Merit(what, "%", f"within {limit:.0f}°", own, within=PERCENT))
     by_strength = [slope(r["strength"], n) for r, n in zip(results, need, strict=True)]
     by_rate = [
         slope_at_equal(r["fatigability"], n, r["strength"]) for r, n in zip(results, need, strict=True)
@@ -121,50 +122,61 @@ def findings(results: list[dict[str, np.ndarray]]) -> Findings:
     )
     holds = {
         "strength": max(by_strength) < 0.0,
-        "fatigability": tiring.interval[0] > 0.0,
+        "fatigability": rises(by_rate),
         "relieved": min(saved) > 0.0,
         "limit": all(
             (b == 0.0).mean() >= (a == 0.0).mean() and slope(r["strength"], b) < 0.0
             for r, a, b in zip(results, need, wider, strict=True)
         ),
     }
-    return Findings(rows, holds, lambda figure: draw(figure, results, need), in_worlds=False)
+    level = np.concatenate(need)
+    measured = {
+        "patients": len(level),
+        "number": len(results),
+        "none": 100.0 * (level == 0.0).mean(),
+        "full": 100.0 * (level <= 1.0).mean(),
+        "never": 100.0 * np.isinf(level).mean(),
+        "strength": np.mean(by_strength),
+        "rate": np.mean(by_rate),
+        "each": ", ".join(f"{100.0 * (n == 0.0).mean():.0f}" for n in need),
+    }
+    return Findings(rows, holds, lambda figure: draw(figure, results, need), measured, in_worlds=False)
 
 
 def draw(figure: Figure, results: list[dict[str, np.ndarray]], need: list[np.ndarray]) -> None:
     """Draw the map of what each patient needs, and the error by assistance for groups of strength."""
+    from matplotlib.cm import ScalarMappable
     from matplotlib.colors import BoundaryNorm
 
-    figure.set_size_inches(8.0, 3.9)
-    chart, errors = figure.subplots(1, 2, gridspec_kw={"width_ratios": (1.25, 1.0)})
-    strength, rate, error = (
-        np.concatenate([r[name] for r in results]) for name in ("strength", "fatigability", "error")
-    )
-    level, percent = np.concatenate(need), 100.0 * np.array(LEVELS)
-    index = np.searchsorted(LEVELS, np.minimum(level, LEVELS[-1]))
-    known = np.isfinite(level)
-    norm = BoundaryNorm(np.arange(len(LEVELS) + 1) - 0.5, 256)
-    size = 9.0 if len(level) > 200 else 20.0
-    look: dict[str, Any] = {"c": index[known], "cmap": "viridis", "norm": norm, "linewidths": 0}
-    dots = chart.scatter(100.0 * strength[known], rate[known], s=size, **look)
-    look = {"marker": "x", "color": "#b3261e", "linewidths": 0.9}
-    chart.scatter(100.0 * strength[~known], rate[~known], s=1.3 * size, **look)
-    bar = figure.colorbar(dots, ax=chart, ticks=range(len(LEVELS)))
-    bar.ax.set_yticklabels([f"{value:.0f} %" for value in percent])
-    chart.set(title="assistance needed (x: no level suffices)")
-    chart.set(xlabel="strength [% of peak force]", ylabel="fatigue rate, times the published", yscale="log")
+    number = len(results)
+    figure.set_size_inches(8.0, 4.8)
+    charts, errors = np.ravel(figure.subfigures(2, 1, height_ratios=(1.0, 1.15)))  # type: ignore[arg-type]
+    panels = list(charts.subplots(1, number, sharey=True, squeeze=False).flat)
+    percent = 100.0 * np.array(LEVELS)
+    colours = ScalarMappable(BoundaryNorm(np.arange(len(LEVELS) + 1) - 0.5, 256), "viridis")
     ticks = (0.25, 0.5, 1.0, 2.0, 4.0)
-    chart.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
-    chart.minorticks_off()
+    for seed, (chart, result, level) in enumerate(zip(panels, results, need, strict=True)):
+        index, known = np.searchsorted(LEVELS, np.minimum(level, LEVELS[-1])), np.isfinite(level)
+        strength, rate = 100.0 * result["strength"], result["fatigability"]
+        chart.scatter(strength[known], rate[known], s=9, c=colours.to_rgba(index[known]), linewidths=0)
+        chart.scatter(strength[~known], rate[~known], s=12, marker="x", color="#b3261e", linewidths=0.9)
+        chart.set(title=f"policy {seed}", xlabel="strength [%]", yscale="log")
+        chart.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+        chart.minorticks_off()
+    panels[0].set_ylabel("fatigue rate,\ntimes the published")
+    bar = charts.colorbar(colours, ax=panels, ticks=range(len(LEVELS)), label="assistance needed")
+    bar.ax.set_yticklabels([f"{value:.0f} %" for value in percent])
+    axes = errors.subplots()
+    strength, error = (np.concatenate([r[name] for r in results]) for name in ("strength", "error"))
     bounds, colors = np.linspace(*STRENGTH, 5), ("#b5446e", "#d9822b", "#4a90c8", "#0d3d6e")
     for low, high, color in zip(bounds[:-1], bounds[1:], colors, strict=True):
         chosen = error[(strength >= low) & (strength < high)]
         if len(chosen):
             label = f"{100 * low:.0f} to {100 * high:.0f} % strength"
-            panel.band(errors, percent, panel.quarters(chosen), "o-", color=color, markersize=3, label=label)
-    errors.axhline(LIMIT, color="k", linestyle=":", linewidth=0.8)
-    errors.set(title="error, median and middle half", xlabel="assistance [%]", ylabel="error [°]")
-    errors.legend(fontsize=7)
+            panel.band(axes, percent, panel.quarters(chosen), "o-", color=color, markersize=3, label=label)
+    axes.axhline(LIMIT, color="k", linestyle=":", linewidth=0.8)
+    axes.set(title="error, median and middle half", xlabel="assistance [%]", ylabel="error [°]")
+    axes.legend(fontsize=7)
 
 
 EXPERIMENT = Experiment("cohort-exo", run, ignores=("num_worlds", "models"))

@@ -7,8 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from myowarp.apps.reports import panel
-from myowarp.apps.reports.result import Merit
-from myowarp.apps.studies.reproduce.arm import ASSISTANCE, ASSISTED, CONTROL_DT, FLEXORS, late, run_groups
+from myowarp.apps.reports.result import POSITIVE, Merit, both, merits, rises, stays
+from myowarp.apps.studies.reproduce.arm import (
+    ASSISTANCE,
+    ASSISTED,
+    CONTROL_DT,
+    FLEXORS,
+    HEALTHY,
+    MOTOR,
+    late,
+    run_groups,
+)
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.models.conditions import Exoskeleton, Load
 
@@ -19,29 +28,56 @@ CUFF = 0.111  # kg
 LOADS = (0.0, 1.0, 2.0)  # kg
 ANGLES = (0.0, 30.0, 0.0, 60.0, 0.0, 80.0)  # deg
 HOLD, SETTLED = 2.0, 1.0  # s
-GROUPS = (*((load, a) for load in LOADS for a in (0.0, ASSISTANCE)), (2.0, 0.5), (2.0, 2.0))
-"""Load [kg] and assistance [1] of each group of worlds."""
+BRACE, NEW, DRIVEN = "brace that follows", "brace, never worn before", "motor of the policy"
+"""Whose torque it is, and who wears it: a policy trained with it, the healthy one, one that drives it."""
+
+FOLLOWING = (
+    *((BRACE, load, a) for load in LOADS for a in (0.0, ASSISTANCE)),
+    *((BRACE, 2.0, 0.5), (BRACE, 2.0, 2.0)),
+    *((NEW, load, a) for load in LOADS for a in (0.0, ASSISTANCE)),
+)
+DRIVING = tuple((DRIVEN, load, a) for load in LOADS for a in (0.0, ASSISTANCE))
+GROUPS = (*FOLLOWING, *DRIVING)
+"""Wearer, load [kg] and assistance [1] of each group of worlds; a motor's is 0 where it gets no command."""
 
 PAPER_ERROR = {0.0: (4.95, 3.42), 1.0: (4.54, 3.12), 2.0: (4.34, 3.43)}  # deg
+SAME = 0.5  # deg: the error may grow by that and count as the same
+KEPT = ("angle", "target", "error", "activation", "force")
 PAPER_CHANGE = {"activation": (-60.0, -54.0, -66.0), "force": (-60.0, -58.0, -67.0)}  # %, by flexor, 2 kg
 
 
 def run(lab: Lab) -> Findings:
     """Run the protocol."""
-    load, assistance = (np.repeat(values, lab.num_worlds) for values in zip(*GROUPS, strict=True))
-    mass = np.where(assistance > 0.0, CUFF, 0.0)
-    conditions = Load(load), Exoskeleton(assistance, forearm_mass=mass)
-    trainings = (ASSISTED,) * len(GROUPS)
     targets = np.array(ANGLES)[:, None]
-    results = run_groups(lab, "lift", GROUPS, trainings, lambda: conditions, targets, HOLD)
+
+    def lift(
+        name: str, groups: tuple[tuple[str, float, float], ...], motor: bool
+    ) -> list[dict[str, np.ndarray]]:
+        load, assistance = (np.repeat([g[i] for g in groups], lab.num_worlds) for i in (1, 2))
+        mass = np.where(assistance > 0.0, CUFF, 0.0)
+        brace = (
+            Exoskeleton(motor=True, forearm_mass=mass)
+            if motor
+            else Exoskeleton(assistance, forearm_mass=mass)
+        )
+        trainings = [{BRACE: ASSISTED, NEW: HEALTHY, DRIVEN: MOTOR}[who] for who, _, _ in groups]
+        still = [a == 0.0 for _, _, a in groups] if motor else ()
+        return run_groups(lab, name, groups, trainings, lambda: (Load(load), brace), targets, HOLD, still)
+
+    results = [
+        {name: np.concatenate((one[name], other[name]), axis=1) for name in KEPT}
+        for one, other in zip(lift("lift", FOLLOWING, False), lift("drive", DRIVING, True), strict=True)
+    ]
     return findings(results)
 
 
-def change(result: dict[str, np.ndarray], quantity: str, load: float, assistance: float) -> np.ndarray:
+def change(
+    result: dict[str, np.ndarray], quantity: str, load: float, assistance: float, who: str = BRACE
+) -> np.ndarray:
     """Return by how much assistance changes the flexors' activation or force [%], shape (3,)."""
     window = late(len(ANGLES), HOLD, SETTLED) & (result["target"][:, 0] > 1.0)
     means = result[quantity][window].mean(axis=0)
-    return relative_change(means, GROUPS.index((load, assistance)), GROUPS.index((load, 0.0)))
+    return relative_change(means, GROUPS.index((who, load, assistance)), GROUPS.index((who, load, 0.0)))
 
 
 def relative_change(means: np.ndarray, one: int, other: int) -> np.ndarray:
@@ -60,66 +96,119 @@ def findings(results: list[dict[str, np.ndarray]]) -> Findings:
     errors = np.array([result["error"][window].mean(axis=0) for result in results])
     whole = np.array([result["error"].mean(axis=0) for result in results])
     rows = []
-    for g, (load, a) in enumerate(GROUPS[:6]):
-        paper, spread = PAPER_ERROR[load] if a else (None, None)
-        who = assisted(f"{load:.0f} kg", a)
-        rows.append(Merit("error of the elbow angle", "°", who, errors[:, g], paper, spread))
+    for g, (wearer, load, a) in enumerate(GROUPS):
+        if a not in (0.0, ASSISTANCE):
+            continue
+        paper, spread = PAPER_ERROR[load] if a and wearer != NEW else (None, None)
+        who = f"{wearer}, {assisted(f'{load:.0f} kg', a)}"
+        rows.append(Merit("error of the elbow angle", "°", who, errors[:, g], paper, spread, within=POSITIVE))
         if a:
             note = "the movements are in it"
-            rows.append(Merit("error over the whole 2 s", "°", who, whole[:, g], paper, spread, note))
-    changes = {q: np.array([change(r, q, 2.0, ASSISTANCE) for r in results]) for q in PAPER_CHANGE}
-    for quantity, values in changes.items():
-        for muscle, own, known in zip(FLEXORS, values.T, PAPER_CHANGE[quantity], strict=True):
-            rows.append(Merit(f"change of {quantity}, {muscle}", "%", "2 kg", own, known))
+            what = "error over the whole 2 s"
+            rows.append(Merit(what, "°", who, whole[:, g], paper, spread, note, within=POSITIVE))
+    heavy = GROUPS.index((BRACE, 2.0, ASSISTANCE))
+    for angle in sorted(set(ANGLES)):
+        held = window & np.isclose(results[0]["target"][:, 0], angle, atol=1e-3)
+        own = [result["error"][held, heavy].mean() for result in results]
+        rows.append(Merit(f"error at {angle:.0f}°", "°", "2 kg, with assistance", own, within=POSITIVE))
+    changes = {
+        (who, q): np.array([change(r, q, 2.0, ASSISTANCE, who) for r in results])
+        for who in (BRACE, NEW, DRIVEN)
+        for q in PAPER_CHANGE
+    }
+    for (who, quantity), values in changes.items():
+        papers = PAPER_CHANGE[quantity] if who != NEW else (None,) * len(FLEXORS)
+        for muscle, own, value in zip(FLEXORS, values.T, papers, strict=True):
+            rows.append(Merit(f"change of {quantity}, {muscle}", "%", f"{who}, 2 kg", own, value))
     for a in (0.5, 1.0, 2.0):
         forces = [change(r, "force", 2.0, a).mean() for r in results]
         note = f"the muscles' part of the holding torque changes by {-100.0 * a / (1.0 + a):.0f} %"
-        what, who = "change of force, mean of the flexors", f"2 kg, assistance {a:g}"
+        what, who = "change of force, mean of the flexors", f"{BRACE}, 2 kg, assistance {a:g}"
         rows.append(Merit(what, "%", who, forces, note=note))
     others = np.array([[change(r, "activation", 2.0, a) for a in (0.5, 2.0)] for r in results])
+    force = {who: changes[who, "force"].mean(axis=1) for who in (BRACE, NEW, DRIVEN)}
+    grows = {who: errors_of(errors, who)[2.0] - errors_of(errors, who)[0.0] for who in (BRACE, DRIVEN)}
+    rows += merits(
+        [BRACE, DRIVEN], ("growth of the error from 0 to 2 kg, with assistance", "°", list(grows.values()))
+    )
+    spared = errors[:, GROUPS.index((BRACE, 2.0, 0.0))] - errors[:, heavy]
+    rows.append(Merit("error that assistance takes away", "°", f"{BRACE}, 2 kg", spared))
+
+    def relieved(who: str) -> bool | None:
+        return both(*(rises(-own) for q in PAPER_CHANGE for own in changes[who, q].T))
+
     holds = {
-        "relieved": all((values < 0.0).all() for values in changes.values()),
-        "any level": (others < 0.0).all(),
-        "error late": within_spread(errors),
-        "error": within_spread(whole),
-        "error and load": errors[:, 5].mean() <= errors[:, 1].mean() + 0.5,
-        "error relieved": errors[:, 5].mean() < errors[:, 4].mean(),
+        "relieved": relieved(BRACE),
+        "error": within_spread(whole, BRACE),
+        "error and load": rises(SAME - grows[BRACE]),
+        "relieved, motor": relieved(DRIVEN),
+        "error, motor": within_spread(whole, DRIVEN),
+        "error and load, motor": rises(SAME - grows[DRIVEN]),
+        "any level": both(*(rises(-others[:, i, m]) for i in range(2) for m in range(len(FLEXORS)))),
+        "error late": within_spread(errors, BRACE),
+        "error relieved": rises(spared),
+        "unpractised": rises(force[NEW] - force[BRACE]),
+        "motor": rises(force[BRACE] - force[DRIVEN]),
     }
-    return Findings(rows, holds, lambda figure: draw(figure, results, changes))
+    measured = {
+        "force": {who: own.mean() for who, own in force.items()},
+        "grows": {who: own.mean() for who, own in grows.items()},
+        "number": len(results),
+        "late": errors_of(errors, BRACE)[2.0].mean(),
+    }
+    return Findings(rows, holds, lambda figure: draw(figure, results, errors, changes), measured)
 
 
-def within_spread(errors: np.ndarray) -> bool:
-    """Return whether errors with assistance, (seeds, groups), are the paper's within its ±, on average."""
-    means = [errors[:, GROUPS.index((load, ASSISTANCE))].mean() for load in LOADS]
-    return all(abs(own - paper) <= sd for own, (paper, sd) in zip(means, PAPER_ERROR.values(), strict=True))
+def errors_of(errors: np.ndarray, who: str) -> dict[float, np.ndarray]:
+    """Return errors with assistance by load, of errors (seeds, groups)."""
+    return {load: errors[:, GROUPS.index((who, load, ASSISTANCE))] for load in LOADS}
 
 
-def draw(figure: Figure, results: list[dict[str, np.ndarray]], changes: dict[str, np.ndarray]) -> None:
-    """Draw angle and activation over time at 2 kg, and the changes beside the paper's."""
-    figure.set_size_inches(8.0, 6.2)
-    (angles, efforts), below = figure.subplots(2, 2)
+def within_spread(errors: np.ndarray, who: str) -> bool | None:
+    """Return whether the mean errors with assistance lie within the paper's ±, of errors (seeds, groups)."""
+    own = errors_of(errors, who)
+    return both(*(stays(own[load] - mean, sd) for load, (mean, sd) in PAPER_ERROR.items()))
+
+
+def draw(
+    figure: Figure,
+    results: list[dict[str, np.ndarray]],
+    errors: np.ndarray,
+    changes: dict[tuple[str, str], np.ndarray],
+) -> None:
+    """Draw angle and activation over time at 2 kg, errors over the load, and changes beside the paper's."""
+    figure.set_size_inches(8.0, 8.4)
+    (angles, efforts), middle, (levels, legend) = figure.subplots(3, 2)
     time = CONTROL_DT * np.arange(1, len(results[0]["angle"]) + 1)
     angles.plot(time, results[0]["target"][:, 0], color="0.6", linestyle="--", label="target")
     for a, label, color in ((0.0, "without", "#d9622b"), (ASSISTANCE, "with", "#2f6fb5")):
-        g = GROUPS.index((2.0, a))
+        g = GROUPS.index((BRACE, 2.0, a))
         angle = panel.extent([result["angle"][:, g] for result in results])
         effort = panel.extent([result["activation"][:, g, 3:].mean(axis=1) for result in results])
         panel.band(angles, time, angle, color=color, label=f"{label} assistance")
         panel.band(efforts, time, effort, color=color, label=f"{label} assistance")
-    angles.set(title="2 kg: elbow angle", xlabel="time [s]", ylabel="angle [°]")
-    efforts.set(title="2 kg: mean activation of the flexors", xlabel="time [s]", ylabel="activation")
+    angles.set(title="2 kg, brace that follows: elbow angle", xlabel="time [s]", ylabel="angle [°]")
+    efforts.set(title="mean activation of the flexors", xlabel="time [s]", ylabel="activation")
     angles.legend(loc="upper left")
-    efforts.legend(loc="upper left")
-    places, look = np.arange(len(FLEXORS)), {"color": "#2f6fb5", "label": "ours, assistance 100 %"}
-    for axes, (quantity, values) in zip(below, changes.items(), strict=True):
-        axes.bar(places - 0.2, PAPER_CHANGE[quantity], 0.36, color="0.75", label="paper")
-        panel.bars(axes, places + 0.2, values, 0.36, "seeds", **look)
+    places = np.arange(len(FLEXORS))
+    looks = {BRACE: (0.0, "#2f6fb5"), NEW: (0.2, "#7aa6c9"), DRIVEN: (0.4, "#7d5ba6")}
+    for axes, quantity in zip(middle, PAPER_CHANGE, strict=True):
+        axes.bar(places - 0.25, PAPER_CHANGE[quantity], 0.2, color="0.75", label="paper")
+        for who, (shift, color) in looks.items():
+            panel.bars(axes, places - 0.05 + shift, changes[who, quantity], 0.18, color=color, label=who)
         axes.axhline(-50.0, color="k", linewidth=0.8, linestyle=":", label="half, an ideal hold")
-        axes.set_xticks(places, FLEXORS)
-        axes.set(
-            title=f"2 kg: change of {quantity}", ylabel="%", ylim=(min(-100.0, 1.05 * values.min()), 5.0)
-        )
-    below[0].legend(loc="lower left", fontsize=7)
+        axes.set_xticks(places + 0.08, FLEXORS)
+        axes.set(title=f"2 kg: change of {quantity}", ylabel="%")
+    for who, (_, color) in looks.items():
+        own = np.array([values for values in errors_of(errors, who).values()])
+        levels.plot(LOADS, own.mean(axis=1), "-", color=color)
+        levels.plot(np.repeat(LOADS, own.shape[1]), own.ravel(), ".", color=color, markersize=4)
+    means, spreads = zip(*PAPER_ERROR.values(), strict=True)
+    levels.errorbar(LOADS, means, spreads, fmt="s", color="0.6", capsize=3)
+    levels.set(title="error with assistance, last second", xlabel="load [kg]", ylabel="error [°]")
+    levels.set_ylim(0.0, None)
+    legend.axis("off")
+    legend.legend(*middle[0].get_legend_handles_labels(), loc="center left")
 
 
 EXPERIMENT = Experiment("exo1", run)

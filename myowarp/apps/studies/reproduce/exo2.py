@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
 from myowarp.apps.reports import panel
-from myowarp.apps.reports.result import Merit, merits
-from myowarp.apps.studies.reproduce.arm import ASSISTANCE, ASSISTED, CONTROL_DT, FLEXORS, late, run_groups
-from myowarp.apps.studies.reproduce.exo1 import CUFF, assisted, relative_change
+from myowarp.apps.reports.result import PERCENT, POSITIVE, Merit, both, merits, rises, stays
+from myowarp.apps.studies.reproduce.arm import (
+    ASSISTANCE,
+    ASSISTED,
+    CONTROL_DT,
+    FLEXORS,
+    MOTOR,
+    PER_SECOND,
+    late,
+    run_groups,
+)
+from myowarp.apps.studies.reproduce.exo1 import BRACE, CUFF, DRIVEN, assisted, relative_change
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
+from myowarp.apps.studies.reproduce.validation import passive_torque
 from myowarp.definitions.body import BODIES
 from myowarp.models.conditions import Exoskeleton, FatigueMa2009, Sarcopenia
 
@@ -20,7 +30,6 @@ if TYPE_CHECKING:
 
 ANGLE = 90.0  # deg
 HOLD, SETTLED = 20.0, 15.0  # s
-PER_SECOND = 60.0  # 1/min
 ARMS = {
     "normal": (1.0, 0.0),
     "sarcopenia": (0.5, 0.0),
@@ -29,7 +38,9 @@ ARMS = {
 }
 """Strength [1] and rate of fatigue [1/min]."""
 
-GROUPS = tuple((name, a) for name in ARMS for a in (0.0, ASSISTANCE))
+EACH = tuple((name, a) for name in ARMS for a in (0.0, ASSISTANCE))
+GROUPS = tuple((who, name, a) for who in (BRACE, DRIVEN) for name, a in EACH)
+KEPT = ("angle", "target", "error", "activation", "force", "fatigue")
 PAPER_ERROR = {"normal": (4.12, 2.97), "sarcopenia": (6.03, 2.97), "fatigue": (11.89, 4.03)}  # deg
 PAPER_CHANGE = {  # %, by flexor
     "activation": {
@@ -47,16 +58,26 @@ PAPER_CHANGE = {  # %, by flexor
 
 def run(lab: Lab) -> Findings:
     """Run the protocol."""
-    each = lab.num_worlds
-    strength, rate = (np.repeat([ARMS[name][i] for name, _ in GROUPS], each) for i in range(2))
-    assistance = np.repeat([a for _, a in GROUPS], each)
-    conditions = (
-        Sarcopenia(strength),
-        FatigueMa2009(rate),
-        Exoskeleton(assistance, forearm_mass=np.where(assistance > 0.0, CUFF, 0.0)),
-    )
-    trainings = (ASSISTED,) * len(GROUPS)
-    results = run_groups(lab, "hold", GROUPS, trainings, lambda: conditions, np.array([[ANGLE]]), HOLD)
+    strength, rate = (np.repeat([ARMS[name][i] for name, _ in EACH], lab.num_worlds) for i in range(2))
+    assistance = np.repeat([a for _, a in EACH], lab.num_worlds)
+    mass = np.where(assistance > 0.0, CUFF, 0.0)
+    muscles = Sarcopenia(strength), FatigueMa2009(rate)
+
+    def hold(name: str, motor: bool) -> list[dict[str, np.ndarray]]:
+        brace = (
+            Exoskeleton(motor=True, forearm_mass=mass)
+            if motor
+            else Exoskeleton(assistance, forearm_mass=mass)
+        )
+        still = [a == 0.0 for _, a in EACH] if motor else ()
+        trainings = [MOTOR if motor else ASSISTED] * len(EACH)
+        target = np.array([[ANGLE]])
+        return run_groups(lab, name, EACH, trainings, lambda: (*muscles, brace), target, HOLD, still)
+
+    results = [
+        {name: np.concatenate((one[name], other[name]), axis=1) for name in KEPT}
+        for one, other in zip(hold("hold", False), hold("drive", True), strict=True)
+    ]
     return findings(results)
 
 
@@ -65,23 +86,39 @@ def held(result: dict[str, np.ndarray], quantity: str) -> np.ndarray:
     return result[quantity][late(1, HOLD, SETTLED)].mean(axis=0)
 
 
-def change(result: dict[str, np.ndarray], quantity: str, arm: str) -> np.ndarray:
+def change(result: dict[str, np.ndarray], quantity: str, arm: str, who: str = BRACE) -> np.ndarray:
     """Return by how much assistance changes the flexors' activation or force [%], shape (3,)."""
     means = held(result, quantity)
-    return relative_change(means, GROUPS.index((arm, ASSISTANCE)), GROUPS.index((arm, 0.0)))
+    return relative_change(means, GROUPS.index((who, arm, ASSISTANCE)), GROUPS.index((who, arm, 0.0)))
 
 
-def ideal_change() -> float:
-    """Return by how much assistance changes the flexors' torque in an ideal hold of the normal arm [%].
-
-    The flexors make p + g / (1 + a): p against the passive pull of all muscles, g against gravity.
-    """
+def gravity_torque() -> float:
+    """Return what the forearm weighs about the elbow at the angle that is held [N m]."""
     model = BODIES["elbow"].build().compile()
     data = mujoco.MjData(model)
     data.qpos[0] = np.radians(ANGLE)
     mujoco.mj_forward(model, data)
-    passive, gravity = -data.qfrc_actuator[0], data.qfrc_bias[0]
-    return float(100.0 * ((passive + gravity / (1.0 + ASSISTANCE)) / (passive + gravity) - 1.0))
+    return float(data.qfrc_bias[0])
+
+
+def ideal_change(passive: float, gravity: float) -> float:
+    """Return by how much assistance changes the flexors' torque in an ideal hold of the normal arm [%].
+
+    The flexors make p + g / (1 + a): p against the passive pull of all muscles, g against gravity.
+
+    Args:
+        passive: The pull p, away from flexion [N m].
+        gravity: The weight's torque g [N m].
+    """
+    return 100.0 * ((passive + gravity / (1.0 + ASSISTANCE)) / (passive + gravity) - 1.0)
+
+
+def crossing(result: dict[str, np.ndarray], group: int, error: float) -> float:
+    """Return when the error of a group rises above a value for good [s]; NaN if never."""
+    course = result["error"][:, group]
+    below = np.flatnonzero(course <= error)
+    first = below[-1] + 1 if below.size else 0
+    return CONTROL_DT * (first + 1.0) if first < len(course) else float("nan")
 
 
 def findings(results: list[dict[str, np.ndarray]]) -> Findings:
@@ -91,87 +128,140 @@ def findings(results: list[dict[str, np.ndarray]]) -> Findings:
         for quantity in ("error", "force", "activation", "fatigue")
     )
     error = {group: errors[:, g] for g, group in enumerate(GROUPS)}
-    who = [assisted(arm, a) for arm, a in GROUPS]
+    names = [f"{who}, {assisted(arm, a)}" for who, arm, a in GROUPS]
     rows = []
-    for (arm, a), name in zip(GROUPS, who, strict=True):
-        paper = PAPER_ERROR.get(arm, (None, None)) if a else (None, None)
-        rows.append(Merit("error of the elbow angle", "°", name, error[arm, a], *paper))
-    changes = {(q, arm): np.array([change(r, q, arm) for r in results]) for q in PAPER_CHANGE for arm in ARMS}
-    for (quantity, arm), values in changes.items():
+    for (who, arm, a), name in zip(GROUPS, names, strict=True):
+        paper, spread = PAPER_ERROR.get(arm, (None, None)) if a else (None, None)
+        own = error[who, arm, a]
+        rows.append(Merit("error of the elbow angle", "°", name, own, paper, spread, within=POSITIVE))
+    tiring = GROUPS.index((BRACE, "fatigue", ASSISTANCE))
+    when = [crossing(result, tiring, PAPER_ERROR["fatigue"][0]) for result in results]
+    what = f"when the error passes the paper's {PAPER_ERROR['fatigue'][0]:g}°"
+    rows.append(Merit(what, "s", names[tiring], when, within=POSITIVE))
+    changes = {
+        (who, q, arm): np.array([change(r, q, arm, who) for r in results])
+        for who in (BRACE, DRIVEN)
+        for q in PAPER_CHANGE
+        for arm in ARMS
+    }
+    for (who, quantity, arm), values in changes.items():
         known = PAPER_CHANGE[quantity].get(arm, (None,) * len(FLEXORS))
         for muscle, own, value in zip(FLEXORS, values.T, known, strict=True):
-            rows.append(Merit(f"change of {quantity}, {muscle}", "%", arm, own, value))
-    note = f"an ideal hold: {ideal_change():.0f} %, see below"
+            rows.append(Merit(f"change of {quantity}, {muscle}", "%", f"{who}, {arm}", own, value))
+    gravity, torques = gravity_torque(), passive_torque(np.radians(ANGLE))
+    ideal, theirs = (ideal_change(-torque, gravity) for torque in torques)
+    note = f"an ideal hold: {ideal:.0f} %, see below"
     for arm in ("normal", "sarcopenia"):
-        means = [change(r, "force", arm).mean() for r in results]
-        rows.append(Merit("change of force, mean of the flexors", "%", arm, means, note=note))
+        means = changes[BRACE, "force", arm].mean(axis=1)
+        what = "change of force, mean of the flexors"
+        rows.append(Merit(what, "%", f"{BRACE}, {arm}", means, note=note))
     ratio = forces[..., :3].sum(axis=2) / forces[..., 3:].sum(axis=2)
     rows += merits(
-        who,
+        names,
         ("force of the extensors over that of the flexors", "1", ratio.T),
         ("activation of the extensors", "1", drives[..., :3].mean(axis=2).T),
+        within=POSITIVE,
     )
     lost = lost[..., 3:].mean(axis=2)
-    tiring = [g for g, (arm, _) in enumerate(GROUPS) if arm.startswith("fatigue")]
+    tired = [g for g, (_, arm, _) in enumerate(GROUPS) if arm.startswith("fatigue")]
     rows += merits(
-        [who[g] for g in tiring], ("peak force lost, mean of the flexors", "%", 100.0 * lost[:, tiring].T)
+        [names[g] for g in tired],
+        ("peak force lost, mean of the flexors", "%", 100.0 * lost[:, tired].T),
+        within=PERCENT,
     )
-    with_, without = ({arm: error[arm, a] for arm in ARMS} for a in (ASSISTANCE, 0.0))
-    tired = changes["force", "fatigue"]
+
+    def with_(arm: str, who: str = BRACE) -> np.ndarray:
+        return error[who, arm, ASSISTANCE]
+
+    def without(arm: str, who: str = BRACE) -> np.ndarray:
+        return error[who, arm, 0.0]
+
+    def relieved(who: str) -> bool | None:
+        return both(
+            *(rises(-own) for q in PAPER_CHANGE for arm in PAPER_ERROR for own in changes[who, q, arm].T)
+        )
+
+    def grows(who: str) -> bool | None:
+        steps = (("normal", "sarcopenia"), ("sarcopenia", "fatigue"))
+        return both(*(rises(with_(more, who) - with_(less, who)) for less, more in steps))
+
+    def near(who: str) -> bool | None:
+        return both(*(stays(with_(arm, who) - mean, sd) for arm, (mean, sd) in PAPER_ERROR.items()))
+
     holds = {
-        "relieved": all(
-            (changes[q, arm] < 0.0).all() for q in PAPER_CHANGE for arm in ("normal", "sarcopenia")
+        "relieved": relieved(BRACE),
+        "error grows": grows(BRACE),
+        "error": near(BRACE),
+        "relieved, motor": relieved(DRIVEN),
+        "error grows, motor": grows(DRIVEN),
+        "error, motor": near(DRIVEN),
+        "error unassisted": both(
+            *(rises(without(arm) - without("normal")) for arm in ("sarcopenia", "fatigue"))
         ),
-        "tired force": (tired < 0.0).all(),
-        "tired mean force": (tired.mean(axis=1) < 0.0).all(),
-        "error grows": with_["normal"].mean() < with_["sarcopenia"].mean() < with_["fatigue"].mean(),
-        "error": all(abs(with_[arm].mean() - mean) <= sd for arm, (mean, sd) in PAPER_ERROR.items()),
-        "error unassisted": without["normal"].mean()
-        < min(without["sarcopenia"].mean(), without["fatigue"].mean()),
-        "error relieved": all((with_[arm] < without[arm]).all() for arm in ("sarcopenia", "fatigue")),
-        "fatigue": (lost[:, tiring[::2]] > lost[:, tiring[1::2]]).all(),
+        "error relieved": both(*(rises(without(arm) - with_(arm)) for arm in ("sarcopenia", "fatigue"))),
+        "fatigue": both(*(rises(lost[:, g] - lost[:, g + 1]) for g in tired[: len(tired) // 2 : 2])),
     }
-    said = ", ".join(f"{value:+.0f} %" for value in tired.max(axis=1))
-    return Findings(rows, holds, lambda figure: draw(figure, results, errors), {"tired": said})
+    measured = {
+        "number": len(results),
+        "passive": torques,
+        "gravity": gravity,
+        "ideal": ideal,
+        "theirs": theirs,
+        "whole": 100.0 * gravity / (gravity - torques[0]),
+        "error": {arm: with_(arm).mean() for arm in PAPER_ERROR},
+        "driven": {arm: with_(arm, DRIVEN).mean() for arm in PAPER_ERROR},
+        "force": {arm: changes[BRACE, "force", arm].mean() for arm in PAPER_ERROR},
+        "force_driven": {arm: changes[DRIVEN, "force", arm].mean() for arm in PAPER_ERROR},
+    }
+    return Findings(rows, holds, lambda figure: draw(figure, results, errors, measured), measured)
 
 
-def draw(figure: Figure, results: list[dict[str, np.ndarray]], errors: np.ndarray) -> None:
-    """Draw error over time, errors beside the paper's, and activations."""
-    figure.set_size_inches(8.0, 5.6)
+def draw(
+    figure: Figure, results: list[dict[str, np.ndarray]], errors: np.ndarray, measured: dict[str, Any]
+) -> None:
+    """Draw error and activation over time, errors and changes beside the paper's."""
+    figure.set_size_inches(8.0, 6.4)
     top, (levels, changes) = figure.subplots(2, 2)
     time = CONTROL_DT * np.arange(1, len(results[0]["angle"]) + 1)
-    colors = dict(zip(ARMS, ("#3f9b63", "#2f6fb5", "#b5446e", "#d9a441"), strict=True))
+    colors = dict(zip(PAPER_ERROR, ("#3f9b63", "#2f6fb5", "#b5446e"), strict=True))
     for axes, quantity in zip(top, ("error", "activation"), strict=True):
-        for g, (arm, a) in enumerate(GROUPS):
-            if arm not in PAPER_ERROR:
+        for g, (who, arm, a) in enumerate(GROUPS):
+            if arm not in PAPER_ERROR or who != BRACE:
                 continue
             values = np.array([r[quantity][:, g] for r in results])
             values = values[..., 3:].mean(axis=2) if quantity == "activation" else values
             label = f"{arm}, {'with' if a else 'without'}"
-            axes.plot(time, values.mean(axis=0), "-" if a else "--", color=colors[arm], label=label)
+            style = "-" if a else "--"
+            panel.band(axes, time, panel.extent(values), style, color=colors[arm], alpha=0.12, label=label)
         axes.set_xlabel("time [s]")
-    top[0].set(title="|angle - 90°|", ylabel="error [°]", xlim=(1.0, HOLD))
+    top[0].set(title="brace that follows: |angle - 90°|", ylabel="error [°]", xlim=(0.0, HOLD))
     top[0].set_ylim(0.0, 1.3 * errors.mean(axis=0).max())
-    top[1].set(title="mean activation of the flexors", ylabel="activation")
+    top[1].set(title="mean activation of the flexors", ylabel="activation", ylim=(0.0, None))
     places = np.arange(len(PAPER_ERROR))
     means, spreads = zip(*PAPER_ERROR.values(), strict=True)
-    levels.bar(places - 0.27, means, 0.25, yerr=spreads, color="0.75", label="paper, with assistance")
-    for shift, a, color in ((0.0, ASSISTANCE, "#2f6fb5"), (0.27, 0.0, "#d9622b")):
-        own = errors[:, [GROUPS.index((arm, a)) for arm in PAPER_ERROR]]
-        label = f"ours, {'with' if a else 'without'}"
-        panel.bars(levels, places + shift, own, 0.25, color=color, label=label)
-    levels.set(title="error in the last 5 s, dots are seeds", ylabel="error [°]")
-    for shift, quantity, color in ((-0.2, "activation", "#2f6fb5"), (0.2, "force", "#7d5ba6")):
-        own = np.array([[change(r, quantity, arm).mean() for r in results] for arm in PAPER_ERROR])
-        paper = [np.mean(PAPER_CHANGE[quantity][arm]) for arm in PAPER_ERROR]
-        changes.bar(places + shift, own.mean(axis=1), 0.36, color=color, label=f"{quantity}, ours")
-        changes.plot(places + shift, paper, "kD", markersize=5, label=None if shift > 0 else "paper")
-    changes.axhline(ideal_change(), color="k", linewidth=0.8, linestyle=":", label="ideal hold, normal arm")
-    changes.set(title="change by assistance, mean of the flexors", ylabel="%")
+    levels.bar(places - 0.3, means, 0.19, yerr=spreads, color="0.75", label="paper, with")
+    looks = (
+        (-0.1, BRACE, ASSISTANCE, "#2f6fb5", "brace, with"),
+        (0.1, BRACE, 0.0, "#d9622b", "brace, without"),
+        (0.3, DRIVEN, ASSISTANCE, "#7d5ba6", "motor, with"),
+    )
+    for shift, who, a, color, label in looks:
+        own = errors[:, [GROUPS.index((who, arm, a)) for arm in PAPER_ERROR]]
+        panel.bars(levels, places + shift, own, 0.19, color=color, label=label)
+    levels.set(title="error in the last 5 s", ylabel="error [°]")
+    for shift, who, color, label in ((-0.1, BRACE, "#2f6fb5", "brace"), (0.2, DRIVEN, "#7d5ba6", "motor")):
+        own = np.array([[change(r, "force", arm, who).mean() for arm in PAPER_ERROR] for r in results])
+        panel.bars(changes, places + shift, own, 0.28, color=color, label=label)
+    paper = [np.mean(PAPER_CHANGE["force"][arm]) for arm in PAPER_ERROR]
+    changes.plot(places - 0.35, paper, "kD", markersize=5, linestyle="none", label="paper")
+    changes.axhline(measured["ideal"], color="k", linewidth=0.8, linestyle=":", label="ideal, our triceps")
+    changes.axhline(measured["theirs"], color="k", linewidth=0.8, linestyle="--", label="ideal, OpenSim's")
+    changes.set(title="change of force, mean of the flexors", ylabel="%")
     for axes in (levels, changes):
         axes.set_xticks(places, list(PAPER_ERROR))
+    changes.set_ylim(-105.0, 40.0)
     for axes in (top[1], levels, changes):
-        axes.legend(fontsize=7)
+        axes.legend(fontsize=7, loc="upper left", ncols=2 if axes is changes else 1)
 
 
 EXPERIMENT = Experiment("exo2", run)

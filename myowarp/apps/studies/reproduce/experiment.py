@@ -40,7 +40,7 @@ class Findings:
 
     Attributes:
         merits: Rows of the table.
-        holds: Whether our numbers bear out each of the essay's conclusions, by its key.
+        holds: Whether ours bear out each conclusion and hypothesis of the essay, by its key; None: open.
         draw: Draws into an empty matplotlib figure 8 inches wide; the height may be set.
         measured: Values for the fields of the essay.
         over: What the values of the figures of merit are over, and the intervals with them.
@@ -48,7 +48,7 @@ class Findings:
     """
 
     merits: Sequence[Merit]
-    holds: Mapping[str, bool | np.bool_]
+    holds: Mapping[str, bool | np.bool_ | None]
     draw: Callable[[Figure], None]
     measured: Mapping[str, Any] = field(default_factory=dict)
     over: str = "seeds"

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from myowarp.apps.reports.result import Merit, merits
+from myowarp.apps.reports import panel
+from myowarp.apps.reports.result import PERCENT, POSITIVE, Merit, both, merits, rises
 from myowarp.apps.studies.reproduce import endurance
 from myowarp.apps.studies.reproduce.arm import (
     CONTROL_DT,
     FATIGUED,
     HEALTHY,
+    PER_SECOND,
     prime_mover,
     run_groups,
     synergists_share,
@@ -25,8 +27,7 @@ if TYPE_CHECKING:
 
 A, B, PHASE = 30.0, 90.0, 2.0  # deg, deg, s
 ROUNDS, QUICK_ROUNDS = 10, 3
-PER_SECOND = 60.0  # 1/min
-FRESH, SECOND, MINUTE, RETRAINED = "fresh", "k = 1/s", "k = 1/min", "k = 1/s, retrained"
+FRESH, SECOND, MINUTE, RETRAINED = "fresh", "k = 1/s", "k = 1/min", "k = 1/s, trained tired"
 MA = {
     FRESH: (0.0, HEALTHY),
     SECOND: (PER_SECOND, HEALTHY),
@@ -43,7 +44,6 @@ GROUPS = (*MA, *CCR)
 COLORS = dict(
     zip(GROUPS, ("#3f9b63", "#d9622b", "#d9a441", "#2f6fb5", "#7d5ba6", "#b5446e", "#7f7f7f"), strict=True)
 )
-PERCENT = 100.0
 
 
 def run(lab: Lab) -> Findings:
@@ -82,42 +82,59 @@ def findings(results: list[dict[str, np.ndarray]], seconds: np.ndarray, rounds: 
         GROUPS,
         ("error, first repetition", "°", error[:, 0].T),
         ("error, last repetition", "°", error[:, -1].T),
+        within=POSITIVE,
+    )
+    rows += merits(
+        GROUPS,
         ("share of the synergists, first repetition", "1", share[:, 0].T),
         ("share of the synergists, last repetition", "1", share[:, -1].T),
-        ("fatigue at the end, mean of the flexors", "%", PERCENT * lost.T),
+        within=(0.0, 1.0),
     )
+    tired = ("fatigue at the end, mean of the flexors", "%", 100.0 * lost.T)
+    rows += merits(GROUPS, tired, within=PERCENT)
     ratios = {}
     for load, own in zip(endurance.LOADS, seconds[:, 3], strict=True):
         exact, known = endurance.closed_form(load, ELBOW_FLEXOR), endurance.measured(load)
         ratios[load] = exact / known
-        note = "people: Frey Law, Avin (2010)"
+        note = f"people: {known:.0f} s (Frey Law, Avin 2010)"
         if not np.isfinite(own):
             note += "; ours longer than the simulation" + ("" if np.isfinite(exact) else ", for ever")
-        who = f"3CC-r flexors hold {PERCENT * load:.0f} %"
-        rows.append(Merit("endurance", "s", who, [own], known, note=note))
+        rows.append(Merit("endurance of 3CC-r", "s", f"flexors hold {100.0 * load:.0f} %", [own], note=note))
     column = {name: g for g, name in enumerate(GROUPS)}
-    growth = (share[:, -1] - share[:, 0])[:, column[SECOND]]
-    gain = error[..., column[SECOND]] - error[..., column[RETRAINED]]
 
     def more(name: str, than: str = FRESH) -> np.ndarray:
         return error[:, -1, column[name]] - error[:, -1, column[than]]
 
-    said = [f"{PERCENT * f:.0f} % {f'{r:.2f}' if np.isfinite(r) else 'for ever'}" for f, r in ratios.items()]
-    minute, loaded = more(MINUTE).mean(), more(LOADED, LOADED_FRESH).mean()
+    growth = (share[:, -1] - share[:, 0])[:, column[SECOND]]
+    gain = error[..., column[SECOND]] - error[..., column[RETRAINED]]
+    pairs = {
+        f"{SECOND} against {FRESH}": more(SECOND),
+        f"{MINUTE} against {FRESH}": more(MINUTE),
+        f"{LOADED} against {LOADED_FRESH}": more(LOADED, LOADED_FRESH),
+        f"{SECOND} against {RETRAINED}": gain[:, -1],
+    }
+    rows += merits(list(pairs), ("error, last repetition, paired difference", "°", list(pairs.values())))
+    rows += merits([SECOND], ("share of the synergists, growth", "1", [growth]))
+    said = [f"{100.0 * f:.0f} % {f'{r:.2f}' if np.isfinite(r) else 'for ever'}" for f, r in ratios.items()]
     holds = {
-        "error": (more(SECOND) > 0.0).all(),
-        "error otherwise": minute > 0.0 and loaded > 0.0,
-        "synergists": growth.mean() > 0.0,
-        "retrained": gain[:, -1].mean() > 0.0,
+        "synergists": rises(growth),
+        "error": rises(more(SECOND)),
+        "error otherwise": both(rises(more(MINUTE)), rises(more(LOADED, LOADED_FRESH))),
+        "retrained": rises(gain[:, -1]),
         "endurance": all(0.5 <= ratio <= 2.0 for ratio in ratios.values()),
         "closed form": endurance.largest_deviation(seconds) < 0.02,
     }
     measured = {
-        "minute": minute,
-        "loaded": loaded,
+        "number": len(results),
+        "rounds": rounds,
+        "minute": more(MINUTE).mean(),
+        "loaded": more(LOADED, LOADED_FRESH).mean(),
+        "second": more(SECOND).mean(),
         "growth": ", ".join(f"{value:+.2f}" for value in growth),
+        "mean_growth": growth.mean(),
         "late": gain[:, -1].mean(),
         "early": gain[:, : rounds // 2 + 1].mean(),
+        "lost": 100.0 * lost.mean(axis=0)[column[SECOND]],
         "ratios": ", ".join(said),
     }
     return Findings(rows, holds, lambda figure: draw(figure, results, error, share, seconds), measured)
@@ -131,29 +148,34 @@ def draw(
     seconds: np.ndarray,
 ) -> None:
     """Draw errors, shares and fatigue by repetition, and the endurance."""
-    figure.set_size_inches(8.0, 6.2)
+    figure.set_size_inches(8.0, 6.6)
     (errors, shares), (tired, held) = figure.subplots(2, 2)
     repetition = np.arange(1, error.shape[1] + 1)
     for g, (name, color) in enumerate(COLORS.items()):
-        for axes, values in ((errors, error), (shares, share)):
-            axes.plot(repetition, values[:, :, g].mean(axis=0), "o-", markersize=3, color=color, label=name)
-        fatigue = np.mean([r["fatigue"][:, g, 3:].mean(axis=1) for r in results], axis=0)
-        tired.plot(CONTROL_DT * np.arange(1, len(fatigue) + 1), PERCENT * fatigue, color=color)
-    errors.set(title="mean |angle - target|", xlabel="repetition", ylabel="error [°]", ylim=(0.0, None))
+        form = "o-" if name in MA else "s--"
+        look: dict[str, Any] = {"markersize": 3, "alpha": 0.1, "color": color}
+        panel.band(errors, repetition, panel.extent(error[:, :, g]), form, label=name, **look)
+        panel.band(shares, repetition, panel.extent(share[:, :, g]), form, **look)
+        fatigue = 100.0 * np.array([r["fatigue"][:, g, 3:].mean(axis=1) for r in results])
+        time = CONTROL_DT * np.arange(1, fatigue.shape[1] + 1)
+        panel.band(tired, time, panel.extent(fatigue), form[1:], alpha=0.1, color=color)
+    errors.set(title="mean |angle - target|", xlabel="repetition", ylabel="error [°]", yscale="log")
+    errors.set_yticks((2, 5, 10, 20, 40), ("2", "5", "10", "20", "40"))
+    errors.minorticks_off()
     shares.set(title="share of the synergists", xlabel="repetition")
     figure.legend(*errors.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=7)
     tired.set(title="lost force (Ma) or fatigued units (3CC-r), flexors", xlabel="time [s]", ylabel="%")
     fine = np.linspace(0.15, 0.9, 151)
     known = np.array([endurance.measured(f) for f in fine])
-    held.plot(PERCENT * fine, known, "k", label="people (Frey Law, Avin 2010)")
-    held.fill_between(PERCENT * fine, 0.5 * known, 2.0 * known, color="0.85", label="factor of two")
+    held.plot(100.0 * fine, known, color="0.55", linewidth=3, label="people (Frey Law, Avin 2010)")
+    held.fill_between(100.0 * fine, 0.5 * known, 2.0 * known, color="0.85", label="factor of two")
     for rates, muscle, label, color in (
-        (ELBOW_FLEXOR, 3, "flexors", "#2f6fb5"),
-        (ELBOW_EXTENSOR, 0, "extensors", "#d9622b"),
+        (ELBOW_FLEXOR, 3, "flexors", "#222222"),
+        (ELBOW_EXTENSOR, 0, "extensors", "#8a4b08"),
     ):
         exact = [endurance.closed_form(f, rates) for f in fine]
-        held.plot(PERCENT * fine, exact, color=color, label=f"3CC-r, {label}")
-        held.plot(PERCENT * np.array(endurance.LOADS), seconds[:, muscle], "o", color=color, markersize=4)
+        held.plot(100.0 * fine, exact, color=color, label=f"3CC-r, {label}")
+        held.plot(100.0 * np.array(endurance.LOADS), seconds[:, muscle], "o", color=color, markersize=4)
     held.set(title="endurance; dots are simulated", xlabel="% of the maximum", ylabel="s", yscale="log")
     held.set_ylim(5.0, 2000.0)
     held.legend(fontsize=7)

@@ -8,6 +8,7 @@ output. A new one comes into the package by `checkpoint.save_policy`, without th
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -92,20 +93,22 @@ def retrained(training: Training, setup: Setup, folder: Path, console: Console, 
 
     check_packages()
     name = TASKS[training.task].name
+    parent, inherited = None, {}
+    if training.parent is not None:
+        home = folder.parents[1] / training.parent.name / str(setup.seed)
+        parent = retrained(training.parent, setup, home, console, quick=quick)
+        inherited = {"parent_samples": parent.manifest["samples"]}
     own, given = divided(training.settings)
-    given = {"samples": training.samples // (QUICK if quick else 1), "stop_success": NEVER} | given
+    samples = training.samples // (QUICK if quick else 1)
+    given = {"samples": samples, "stop_success": NEVER} | inherited | given
     settings = choose(name, training.algorithm, given)
     asked = Setup(task=training.task, conditions=training.conditions()).over(own)
     asked = setup.over(asked).over(divided(preset(name, training.algorithm))[0]).over(TRAINING)
     checkpoint = load_checkpoint(folder) if occupied(folder) else None
     if checkpoint is not None:
         _check_same(checkpoint, training, asked)
-        if checkpoint.manifest["samples"] >= settings.samples:
+        if checkpoint.manifest["samples"] >= settings.samples or _ended(folder):
             return checkpoint
-    parent = None
-    if training.parent is not None and checkpoint is None:
-        home = folder.parents[1] / training.parent.name / str(asked.seed)
-        parent = retrained(training.parent, setup, home, console, quick=quick)
     job = Job(
         asked=asked,
         setup=complete(asked),
@@ -113,11 +116,19 @@ def retrained(training: Training, setup: Setup, folder: Path, console: Console, 
         settings=settings,
         folder=folder,
         checkpoint=checkpoint,
-        parent=parent,
+        parent=parent if checkpoint is None else None,
     )
     if (reason := train(job, console)["ended"]) == STOPPED:
         raise RuntimeError(f"training of policy {training.name!r} was {reason}; the same command goes on")
     return load_checkpoint(folder)
+
+
+def _ended(folder: Path) -> bool:
+    """Return whether the training in a folder came to its own end."""
+    from myowarp.apps.train.run import REPORT, STOPPED
+
+    path = folder / REPORT
+    return path.is_file() and json.loads(path.read_text())["ended"] != STOPPED
 
 
 def _check_same(checkpoint: Checkpoint, training: Training, asked: Setup) -> None:

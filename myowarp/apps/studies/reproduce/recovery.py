@@ -166,15 +166,17 @@ def findings(results: list[dict[str, np.ndarray]], slower: np.ndarray) -> Findin
         "slowest": (np.diff(evenings, axis=1) > 0.0).all(),
         "jump": max(jump) < CLOSE,
     }
-    return Findings(rows, holds, lambda figure: draw(figure, before, after, error, slower))
+    measured = {"number": len(results), "slower": 1.0 / threshold, "half": half}
+    return Findings(rows, holds, lambda figure: draw(figure, before, after, error, slower), measured)
 
 
 def draw(
     figure: Figure, before: np.ndarray, after: np.ndarray, error: np.ndarray, slower: np.ndarray
 ) -> None:
     """Draw fatigue over three days, and what recovery does to fatigue and error."""
-    figure.set_size_inches(8.0, 3.6)
-    days, tired, errors = figure.subplots(1, 3, gridspec_kw={"width_ratios": (1.5, 1.0, 1.0)})
+    figure.set_size_inches(8.0, 6.0)
+    grid = figure.add_gridspec(2, 2)
+    days, tired, errors = (figure.add_subplot(grid[place]) for place in ((0, slice(None)), (1, 0), (1, 1)))
     hours = np.array([24.0 * day + hour for day in range(DAYS) for hour in SHIFTS])
     colors = ("#3f9b63", "#4a90c8", "#d9822b", "#b5446e")
     for factor, color in zip(SHOWN, colors, strict=True):
@@ -195,15 +197,17 @@ def draw(
             (before[:, morning, w], "-", f"{load:g} kg, third morning"),
             (after[:, -1, w], "--", f"{load:g} kg, last evening"),
         ):
-            tired.plot(slower, 100.0 * values.mean(axis=0), style, color=color, label=label)
+            panel.band(
+                tired, slower, 100.0 * panel.extent(values), style, color=color, alpha=0.12, label=label
+            )
         grown = panel.extent(error[:, -1, w] - error[:, 0, w])
         panel.band(errors, slower, grown, color=color, label=f"{load:g} kg")
     for axes in (tired, errors):
-        axes.set(xlabel="recovery, times the published rate", xscale="log")
+        axes.set(xlabel="recovery, times the published rate", xscale="log", xlim=(SLOWEST, 1.0))
         axes.invert_xaxis()
     for axes in (days, tired, errors):
-        axes.legend(fontsize=7)
-    tired.set(title="fatigued motor units", ylabel="%")
+        axes.legend(fontsize=7, loc="upper left")
+    tired.set(title="fatigued motor units, flexors", ylabel="%")
     errors.set(title="error, last minus first shift", ylabel="°")
 
 

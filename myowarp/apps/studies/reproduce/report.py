@@ -19,7 +19,20 @@ FIGURES = ("figure.png", "figure.pdf")
 FILES = ("result.json", "table.csv", "page.md", *FIGURES)
 WIDTH, HEIGHT = 8.0, 5.0
 HEADS = ("condition", "paper", "ours (95 % interval)", "difference")
-DIFFERENCES = "Where we differ, and why"
+VERDICT, CAPTION, DIFFERENCES = "Verdict", "Figure", "Where we differ, and why"
+CLAIMS = "Conclusions of the paper", "Hypotheses of our own"
+"""Headings of the essays, whose texts have measured values in them."""
+
+INTERVAL = (
+    "Intervals are 95 %, over {over}: Student's t, or a bootstrap where that would leave what is possible; "
+    "none where all values are the same."
+)
+THRESHOLDS = (
+    "Agrees or differs: whether our numbers bear the paper's conclusion out; not decided: the 95 % interval "
+    "of a difference has 0 in it. Where a conclusion needs a threshold, it is ours, and was not fixed before "
+    "the data were seen."
+)
+OURS = "The paper says nothing of these. Thresholds were not fixed before the data were seen."
 
 
 def write(experiment: Experiment, lab: Lab, findings: Findings) -> None:
@@ -46,54 +59,67 @@ def as_dict(experiment: Experiment, lab: Lab, findings: Findings) -> dict[str, A
         "experiment": experiment.name,
         "title": experiment.title,
         "paper": experiment.paper,
+        "verdict": " ".join(text(experiment, findings, VERDICT).split()),
         "quick": lab.quick,
         "seeds": list(lab.seeds),
         "num_worlds": lab.num_worlds,
         "policies": "retrained" if lab.retrain else "of the package",
-        "interval": f"95 %, Student's t over {findings.over}",
+        "interval": INTERVAL.format(over=findings.over),
         "versions": versions(),
+        "caption": " ".join(text(experiment, findings, CAPTION).split()),
         "merits": [
-            merit.as_dict() | {"values": [float(v) for v in merit.values]} for merit in findings.merits
+            merit.as_dict()
+            | {"values": [float(v) for v in merit.values], "within": [str(edge) for edge in merit.within]}
+            for merit in findings.merits
         ],
-        "claims": [{"claim": c.text, "holds": c.holds, "why": c.why} for c in claims(experiment, findings)],
-        "text": differences(experiment, findings),
+        "claims": [
+            {"claim": c.text, "own": c.own, "holds": c.holds, "verdict": c.verdict, "why": c.why}
+            for c in claims(experiment, findings)
+        ],
+        "text": text(experiment, findings, DIFFERENCES),
     }
 
 
-def differences(experiment: Experiment, findings: Findings) -> str:
-    """Return where ours differs from the paper, and why; measured values are in it."""
-    return experiment.essay[DIFFERENCES].format(**findings.measured)
+def text(experiment: Experiment, findings: Findings, heading: str) -> str:
+    """Return a section of the essay with measured values in it, "" if there is none."""
+    return experiment.essay.get(heading, "").format(**findings.measured)
 
 
 def claims(experiment: Experiment, findings: Findings) -> list[Claim]:
-    """Return the conclusions, and whether ours agree."""
-    return read_claims(experiment.essay["Conclusions"].format(**findings.measured), findings.holds)
+    """Return the paper's conclusions and hypotheses of our own, and whether ours bear them out."""
+    paper, own = (text(experiment, findings, heading) for heading in CLAIMS)
+    return read_claims(paper, own, findings.holds)
 
 
 def page(experiment: Experiment, lab: Lab, findings: Findings) -> str:
-    """Return the page: figure, table, claims, where we differ, and the protocol."""
+    """Return the page: verdict, figure, claims, table, where we differ, and the protocol."""
     size = f"{len(lab.seeds)} seeds, {lab.num_worlds} worlds for each seed and condition. "
     size = size if findings.over == "seeds" and findings.in_worlds else ""
     rows = [(merit.label, merit.condition, *merit.cells(), merit.note) for merit in findings.merits]
-    conclusions = [
-        f"* {'Agrees' if c.holds else '**Differs**'}: {c.text}{f' {c.why}' if c.why else ''}"
-        for c in claims(experiment, findings)
+    points = [
+        (claim.own, f"* {claim.verdict.capitalize()}: {claim.text}{f' {claim.why}' if claim.why else ''}")
+        for claim in claims(experiment, findings)
     ]
-    parts = (
+    parts = [
         f"# {experiment.title}",
-        f"`myowarp reproduce {experiment.name}{' --quick' if lab.quick else ''}`. {size}Intervals are 95 %, "
-        f"Student's t over {findings.over}.",
+        f"**{' '.join(text(experiment, findings, VERDICT).split())}**",
         f"**The paper:** {experiment.paper}",
         "![Figure](figure.png)",
-        "## Conclusions",
-        "\n".join(conclusions),
+        f"*{' '.join(text(experiment, findings, CAPTION).split())}*",
+    ]
+    for own, heading in enumerate(CLAIMS):
+        if said := [point for mine, point in points if mine == bool(own)]:
+            parts += [f"## {heading}", THRESHOLDS if not own else OURS, "\n".join(said)]
+    parts += [
         "## Figures of merit",
+        f"`myowarp reproduce {experiment.name}{' --quick' if lab.quick else ''}`. {size}"
+        f"{INTERVAL.format(over=findings.over)}",
         table.markdown(("quantity", *HEADS, "note"), rows),
         f"## {DIFFERENCES}",
-        differences(experiment, findings),
+        text(experiment, findings, DIFFERENCES),
         "## Protocol",
         experiment.essay["Protocol"],
-    )
+    ]
     return "\n\n".join(parts) + "\n"
 
 
@@ -102,8 +128,8 @@ def print_table(experiment: Experiment, findings: Findings, console: Console) ->
     rows = [(merit.label.replace("[", "\\["), merit.condition, *merit.cells()) for merit in findings.merits]
     console.print(table.terminal(("figure of merit", *HEADS), rows))
     for claim in claims(experiment, findings):
-        style = "green" if claim.holds else "red"
-        console.print(f"{'agrees' if claim.holds else 'differs'}: {claim.text}", style=style, markup=False)
+        style = {True: "green", False: "red", None: "yellow"}[claim.holds]
+        console.print(f"{claim.verdict}: {claim.text}", style=style, markup=False)
 
 
 def print_list(experiments: dict[str, Experiment], console: Console) -> None:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from myowarp.apps.reports.result import merits
+from myowarp.apps.reports import panel
+from myowarp.apps.reports.result import POSITIVE, both, merits, rises, stays
 from myowarp.apps.studies.reproduce import key
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.apps.studies.reproduce.policies import Training
@@ -19,11 +20,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHOWN = ("EPL", "EIP", "EPB", "FPL")
+LEAST = 0.05  # of an activation: a muscle that stays below is not recruited
+FAILS = 20.0  # points of success: a smaller loss is none
+GAIN = 10.0  # deg
 RETRAINING = {  # half of the noise, so that what is learned holds without it
     "num_worlds": 64,
     "rollout_steps": 50,
     "value_first": 5,
-    "parent_samples": key.INTACT.samples,
     "initial_std": 0.25,
     "kl": 0.02,
 }
@@ -33,20 +36,23 @@ TRANSFER = Training(
 REDIRECT = Training(
     "key_turn_redirect", key.TASK, lambda: (Reafferentation(),), 76_800, RETRAINING, parent=key.INTACT
 )
+RETRAINED = ", retrained"
 BEFORE = ("intact", "EPL torn", "transfer", "redirected")
-AFTER = ("transfer, retrained", "redirected, retrained")
+AFTER = ("transfer" + RETRAINED, "redirected" + RETRAINED)
 GROUPS = (*BEFORE, *AFTER)
 
 
 def run(lab: Lab) -> Findings:
     """Run the protocol."""
     lab.expect(2 * len(lab.seeds))
-    turns = []
+    turns, samples = [], []
     for seed in lab.seeds:
-        first = key.turn(lab, "before", seed, BEFORE, [key.intact(lab, seed)] * len(BEFORE), untrained)
-        policies = [lab.policy(training, seed if lab.retrain else 0) for training in (TRANSFER, REDIRECT)]
-        turns.append(first.beside(key.turn(lab, "after", seed, AFTER, policies, retrained)))
-    return findings(turns)
+        samples.append(lab.policy(key.INTACT, seed).manifest["samples"])
+        before = [lab.policy(key.INTACT, seed)] * len(BEFORE)
+        after = [lab.policy(training, seed) for training in (TRANSFER, REDIRECT)]
+        first = key.turn(lab, "before", seed, BEFORE, before, untrained)
+        turns.append(first.beside(key.turn(lab, "after", seed, AFTER, after, retrained)))
+    return findings(turns, samples)
 
 
 def untrained(of: Callable[[str], np.ndarray]) -> list[Condition]:
@@ -64,16 +70,20 @@ def retrained(of: Callable[[str], np.ndarray]) -> list[Condition]:
 
 
 def recruited(turns: key.Turns, group: int) -> np.ndarray:
-    """Return when the muscles `SHOWN` are recruited [s], with the policy's means."""
+    """Return when the muscles `SHOWN` are recruited [s], NaN if never, with the policy's means."""
     course = turns.mean_activation[:, group][:, [turns.of(muscle) for muscle in SHOWN]]
-    reached = course >= 0.5 * np.nanmax(course, axis=0)
-    return key.CONTROL_DT * (1.0 + reached.argmax(axis=0))
+    most = np.nanmax(course, axis=0)
+    reached = course >= 0.5 * most
+    return np.where(most >= LEAST, key.CONTROL_DT * (1.0 + reached.argmax(axis=0)), np.nan)
 
 
 def exchanged(first: np.ndarray, second: np.ndarray) -> int:
-    """Return how many pairs of muscles are recruited in another order."""
-    pairs = combinations(range(len(first)), 2)
-    return sum(int(np.sign(first[i] - first[j]) != np.sign(second[i] - second[j])) for i, j in pairs)
+    """Return how many pairs of muscles that both recruit are recruited in another order."""
+    signs = (
+        (np.sign(first[i] - first[j]), np.sign(second[i] - second[j]))
+        for i, j in combinations(range(len(first)), 2)
+    )
+    return sum(bool(a != b) for a, b in signs if np.isfinite(a + b))
 
 
 def burst(turns: key.Turns) -> np.ndarray:
@@ -85,36 +95,56 @@ def burst(turns: key.Turns) -> np.ndarray:
 def order(turns: key.Turns, group: int) -> str:
     """Return the muscles in the order of their recruitment."""
     times = recruited(turns, group)
-    return ", ".join(f"{SHOWN[i]} {times[i]:.2f}" for i in np.argsort(times, kind="stable"))
+    return ", ".join(f"{SHOWN[i]} {times[i]:.2f}" for i in np.argsort(times) if np.isfinite(times[i]))
 
 
-def findings(turns: list[key.Turns]) -> Findings:
-    """Return figures of merit, claims and figure."""
+def findings(turns: list[key.Turns], samples: list[int]) -> Findings:
+    """Return figures of merit, claims and figure; `samples` are those of the intact policies."""
     swaps = np.array(
         [[exchanged(recruited(t, 0), recruited(t, g)) for g in range(len(GROUPS))] for t in turns]
     )
     bursts = np.array([burst(t) for t in turns])
-    rows = key.turn_merits(turns, GROUPS, ", drawn actions")
-    rows += merits(GROUPS, ("activation of FPL, 0.4 to 1 s, mean actions", "1", key.distinct(bursts)))
+    rows = key.turn_merits(turns, GROUPS) + key.change_merits(turns, GROUPS)
+    rows += merits(GROUPS, ("activation of FPL, 0.4 to 1 s, mean actions", "1", bursts.T), within=POSITIVE)
     what = "pairs of muscles recruited in another order"
-    rows += merits(GROUPS[1:], (what, "of 6", key.distinct(swaps[:, 1:])))
-    meant = dict(zip(GROUPS, key.rotations(turns)[1].mean(axis=0), strict=True))
-    fpl, swapped = bursts.mean(axis=0), swaps.mean(axis=0)
+    rows += merits(GROUPS[1:], (what, "of 6", swaps[:, 1:].T), within=(0.0, 6.0))
+    drawn, meant = (dict(zip(GROUPS, values.T, strict=True)) for values in key.rotations(turns))
+    success = dict(zip(GROUPS, key.success(turns)[:, 1].T, strict=True))
+    fpl = dict(zip(GROUPS, bursts.T, strict=True))
+
+    def fails(name: str) -> bool | None:
+        return both(rises(success["intact"] - success[name] - FAILS), rises(key.THRESHOLDS[0] - meant[name]))
+
+    def restored(name: str) -> bool | None:
+        again = name + RETRAINED
+        return both(rises(success[again] - success[name]), stays(success["intact"] - success[again], FAILS))
+
     holds = {
-        "transfer": meant["transfer"] < key.THRESHOLDS[0],
-        "redirected": meant["redirected"] < key.THRESHOLDS[0],
-        "order redirected": swapped[3] > 0,
-        "order": swapped[2] > 0,
-        "burst": fpl[2] < 0.5 * fpl[0] and fpl[4] > 0.8 * fpl[0],
-        "retrained": meant["transfer, retrained"] > key.THRESHOLDS[1],
-        "redirected, retrained": meant["redirected, retrained"] > key.THRESHOLDS[1],
-        "surgery": abs(meant["transfer"] - meant["EPL torn"]) < 10.0,
+        "transfer": fails("transfer"),
+        "order": rises(swaps[:, GROUPS.index("transfer")] - 0.5),
+        "retrained": restored("transfer"),
+        "redirected": fails("redirected"),
+        "order redirected": rises(swaps[:, GROUPS.index("redirected")] - 0.5),
+        "redirected, retrained": restored("redirected"),
+        "with means": rises(key.THRESHOLDS[0] - meant["transfer"]),
+        "burst": both(
+            rises(0.5 * fpl["intact"] - fpl["transfer"]),
+            rises(fpl["transfer" + RETRAINED] - 0.8 * fpl["intact"]),
+        ),
+        "surgery": rises(GAIN - np.abs(meant["transfer"] - meant["EPL torn"])),
     }
+    eip = np.array([np.nanmean(t.mean_activation[..., t.of("EIP")], axis=0) for t in turns]).mean(axis=0)
     measured = {
-        "rotation": ", ".join(f"{name} {angle:.0f}°" for name, angle in meant.items()),
-        "success": key.success(turns).mean(axis=0)[1],
-        "eip": np.nanmean(turns[0].mean_activation[..., turns[0].of("EIP")], axis=0),
-        "lines": "\n".join(f"* {name}: {order(turns[0], g)}" for g, name in enumerate(GROUPS)),
+        "number": len(turns),
+        "meant": [values.mean() for values in meant.values()],
+        "drawn": [values.mean() for values in drawn.values()],
+        "success": [values.mean() for values in success.values()],
+        "eip": eip,
+        "share": 100.0 * TRANSFER.samples / np.mean(samples),
+        "samples": (TRANSFER.samples, REDIRECT.samples),
+        "lines": "\n".join(
+            f"* {name}: " + "; ".join(order(t, g) for t in turns) for g, name in enumerate(GROUPS)
+        ),
     }
     return Findings(rows, holds, lambda figure: draw(figure, turns), measured)
 
@@ -124,21 +154,20 @@ def draw(figure: Figure, turns: list[key.Turns]) -> None:
     figure.set_figheight(7.0)
     parts = figure.add_gridspec(2, 1, height_ratios=(1.1, 1.6))
     axes = figure.add_subplot(parts[0])
-    key.draw_rotations(axes, turns, [name.replace(", ", ",\n") for name in GROUPS], 40)
-    axes.set_title("Greatest angle of the key; dots: drawn actions, bar: mean actions")
+    key.draw_rotations(axes, turns, [name.replace(", ", ",\n") for name in GROUPS])
+    axes.set_title("Greatest angle of the key")
     time = key.CONTROL_DT * np.arange(1, key.HORIZON + 1)
     below: Any = parts[1].subgridspec(2, 3).subplots(sharex=True, sharey=True)
-    for g, panel in enumerate(below.ravel()):
-        for i, (muscle, color) in enumerate(zip(SHOWN, key.COLORS[1:], strict=False)):
-            panel.plot(time, key.course(turns, muscle)[:, g], color=color, label=muscle)
-            begin = np.mean([recruited(t, g)[i] for t in turns])
-            panel.axvline(begin, color=color, linewidth=0.8, ls=":")
-        panel.set(title=GROUPS[g], xlim=(0, 2.0), ylim=(0, 1))
+    for g, axes in enumerate(below.ravel()):
+        for muscle, color in zip(SHOWN, key.COLORS[1:], strict=False):
+            lines = panel.extent(key.courses(turns, muscle)[:, :, g])
+            panel.band(axes, time, lines, color=color, alpha=0.12, label=muscle)
+        axes.set(title=GROUPS[g], xlim=(0, 2.0), ylim=(0, 1))
     below[0, 2].legend(loc="upper right")
-    for panel in below[-1]:
-        panel.set_xlabel("time [s]")
-    for panel in below[:, 0]:
-        panel.set_ylabel("activation")
+    for axes in below[-1]:
+        axes.set_xlabel("time [s]")
+    for axes in below[:, 0]:
+        axes.set_ylabel("activation")
 
 
 EXPERIMENT = Experiment("transfer", run)

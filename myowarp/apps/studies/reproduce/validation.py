@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from myowarp.apps.reports.result import Merit
+from myowarp.apps.reports.panel import COLORS
+from myowarp.apps.reports.result import POSITIVE, Merit, rises
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
 from myowarp.coordinates.couplings import follow
 from myowarp.definitions.body import BODIES
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 RECORD = Path(__file__).with_name("opensim_arms.json")
@@ -35,6 +37,7 @@ FINGERS = {"L": "5", "R": "4", "M": "3", "I": "2"}  # FDSL is FDS5, and so on
 STEP = 1e-5  # rad
 CONSISTENT = 1e-4  # m
 SAME_PEAK = 0.05  # share by which maximum isometric forces may differ
+FLOOR = 1e-3  # mm or %, of what the figure shows
 OVERSTRETCHED = 1.2  # Fmax of static force; more is the passive force of a fiber far beyond its optimum
 
 
@@ -47,7 +50,8 @@ class Pair:
         coordinate: Name of the coordinate.
         angle: [rad], shape (K,).
         arm: Moment arms [m], shape (K,): ours and OpenSim's.
-        force: Static forces [OpenSim's maximum isometric force], shape (K, A): ours and OpenSim's.
+        force: Static forces [OpenSim's maximum isometric force], shape (K, 1 + A): ours and OpenSim's; the
+            first column is the passive force alone, the others are of A activations.
         kept: Where OpenSim's moment arm is the slope of its length, shape (K,).
         fitted: Whether the muscle's length stays within the range that its parameters were made for, to 1 %
             of that range, its greatest force is OpenSim's to 5 %, and OpenSim does not overstretch it.
@@ -65,6 +69,12 @@ class Pair:
     def arm_rms(self) -> float:
         """Root mean square difference of the moment arms [mm]."""
         return 1e3 * rms((self.arm[0] - self.arm[1])[self.kept])
+
+    @property
+    def passive_torque(self) -> tuple[np.ndarray, np.ndarray]:
+        """Passive torque over OpenSim's maximum isometric force [m], shape (K,): ours and OpenSim's."""
+        ours, theirs = (arm * force[:, 0] for arm, force in zip(self.arm, self.force, strict=True))
+        return ours, theirs
 
 
 def rms(values: np.ndarray) -> float:
@@ -104,13 +114,13 @@ def pairs(
             continue  # the file locks it
         joint, sign = joints[coordinate]
         angle = np.linspace(first, last, points)
-        length, arm, force = curves(model, model.joint(joint).id, sign * angle, activations)
+        length, arm, force = curves(model, model.joint(joint).id, sign * angle, (0.0, *activations))
         for row in (r for r in record["curves"] if r["coordinate"] == coordinate and r["muscle"] in names):
             muscle = model.actuator(names[row["muscle"]]).id
             peak, (low, high) = row["max_isometric_force"], model.actuator_lengthrange[muscle]
             slack, own = 0.01 * (high - low), length[:, muscle]
             within = own.min() > low - slack and own.max() < high + slack
-            load = np.array(row["force"], dtype=float) / peak
+            load = np.column_stack((row["passive"], row["force"])).astype(float) / peak
             theirs, slope = np.array(row["moment_arm"]), np.array(row["slope"])
             found.append(
                 Pair(
@@ -170,13 +180,14 @@ def muscles_of(model: mujoco.MjModel, record: Mapping[str, Any], suffix: str = "
     return found
 
 
-def force_rms(found: list[Pair], only_fitted: bool = False) -> dict[str, float]:
+def force_rms(found: list[Pair], only_fitted: bool = False, passive: bool = False) -> dict[str, float]:
     """Return the root mean square difference of each muscle's force [%], over all its coordinates."""
     table: dict[str, list[np.ndarray]] = {}
     unfit = {pair.muscle for pair in found if not pair.fitted}
+    which = slice(0, 1) if passive else slice(1, None)
     for pair in found:
         if not (only_fitted and pair.muscle in unfit):
-            table.setdefault(pair.muscle, []).append((pair.force[0] - pair.force[1]).ravel())
+            table.setdefault(pair.muscle, []).append((pair.force[0] - pair.force[1])[:, which].ravel())
     return {muscle: 100.0 * rms(np.concatenate(parts)) for muscle, parts in table.items()}
 
 
@@ -220,28 +231,51 @@ def _converted(lab: Lab, path: Path) -> tuple[mujoco.MjModel, dict[str, tuple[st
 
 def findings(bodies: dict[str, list[Pair]], converted: dict[str, list[Pair]]) -> Findings:
     """Return figures of merit, claims and figure."""
-    rows = []
+    rows: list[Merit] = []
+    sets = [(name, BODY[name], found) for name, found in bodies.items()]
+    sets += [(name, f"{name}, our converter", found) for name, found in converted.items()]
     what, fmax = "static force, RMS difference", "% Fmax"
 
-    def compare(name: str, who: str, found: list[Pair]) -> dict[str, float]:
-        by_muscle, arms = force_rms(found), [pair.arm_rms for pair in found]
-        rows.append(Merit("moment arms, RMS difference", "mm", who, arms, *PAPER_ARM[name], AS_CM))
-        rows.append(Merit(what, fmax, who, list(by_muscle.values()), *PAPER_FORCE[name]))
-        return by_muscle
+    def add(
+        quantity: str,
+        unit: str,
+        who: str,
+        values: Iterable[float],
+        paper: tuple[float, float] | tuple[None, None] = (None, None),
+        note: str = "",
+    ) -> None:
+        own = list(values)
+        rows.append(Merit(quantity, unit, who, own, paper[0], paper[1], note, POSITIVE))
+        if len(own) > 1:
+            rows.append(Merit(f"{quantity}, median", unit, who, [float(np.nanmedian(own))]))
 
+    for name, who, found in sets:
+        forces, note = force_rms(found), AS_CM
+        add("moment arms, RMS difference", "mm", who, [p.arm_rms for p in found], PAPER_ARM[name], note)
+        worst = max(forces, key=forces.__getitem__)
+        note = f"worst: {worst}, {forces[worst]:.0f} %"
+        add(what, fmax, who, forces.values(), PAPER_FORCE[name], note)
+        add("passive force, RMS difference", fmax, who, force_rms(found, passive=True).values())
     for name, found in bodies.items():
-        by_muscle, body = compare(name, BODY[name], found), BODY[name]
-        median = float(np.median(list(by_muscle.values())))
-        rows.append(Merit("median of the muscles' forces", fmax, body, [median]))
-        fitted = list(force_rms(found, only_fitted=True).values())
-        who, note = f"{body}, muscles within their range", f"{len(fitted)} of {len(by_muscle)} muscles"
-        rows.append(Merit(what, fmax, who, fitted, *PAPER_FORCE[name], note))
+        fitted, all_of = list(force_rms(found, only_fitted=True).values()), force_rms(found)
+        who, note = f"{BODY[name]}, muscles within their range", f"{len(fitted)} of {len(all_of)} muscles"
+        add(what, fmax, who, fitted, PAPER_FORCE[name], note)
     for name, found in converted.items():
-        compare(name, f"{name}, our converter", found)
+        one = [p for p in found if p.coordinate in JOINTS]
+        coordinates = ", ".join(dict.fromkeys(p.coordinate for p in one))
+        add(
+            "moment arms, RMS difference",
+            "mm",
+            f"{name}, our converter, {coordinates} alone",
+            [p.arm_rms for p in one],
+            PAPER_ARM[name],
+            AS_CM,
+        )
     holds = {}
     for name, found in bodies.items():
-        holds[f"{BODY[name]}, moment arms"] = mean_arm(found) < sum(PAPER_ARM[name])
-        holds[f"{BODY[name]}, forces"] = mean_force(found) < sum(PAPER_FORCE[name])
+        arms, loads = [p.arm_rms for p in found], list(force_rms(found).values())
+        holds[f"{BODY[name]}, moment arms"] = rises(sum(PAPER_ARM[name]) - np.array(arms))
+        holds[f"{BODY[name]}, forces"] = rises(sum(PAPER_FORCE[name]) - np.array(loads))
     return Findings(
         rows,
         holds,
@@ -261,6 +295,19 @@ def mean_force(found: list[Pair]) -> float:
     return float(np.mean(list(force_rms(found).values())))
 
 
+def passive_torque(angle: float) -> tuple[float, float]:
+    """Return the passive torque of all muscles about the elbow at an angle [rad]: ours, OpenSim's [N m]."""
+    record = recorded()
+    model, own = BODIES["elbow"].build().compile(), record["models"]["arm26"]
+    names = muscles_of(model, own)
+    found = pairs(model, own, JOINTS, names, tuple(record["activations"]), record["points"])
+    peaks = {row["muscle"]: row["max_isometric_force"] for row in own["curves"]}
+    total = [
+        sum(peaks[p.muscle] * np.interp(angle, p.angle, p.passive_torque[i]) for p in found) for i in (0, 1)
+    ]
+    return float(total[0]), float(total[1])
+
+
 def measured(bodies: dict[str, list[Pair]], converted: dict[str, list[Pair]]) -> dict[str, Any]:
     """Return the values of the essay."""
     elbow, hand = bodies["arm26"], bodies["MoBL_ARMS"]
@@ -273,10 +320,28 @@ def measured(bodies: dict[str, list[Pair]], converted: dict[str, list[Pair]]) ->
         f"{name}: {mean_arm(found):.2g} mm and {mean_force(found):.2g} % of Fmax"
         for name, found in converted.items()
     )
+    hardest = []
+    for name, found in converted.items():
+        own = force_rms(found)
+        worst = max(own, key=own.__getitem__)
+        others = [value for muscle, value in own.items() if muscle != worst]
+        pair = max(found, key=lambda p: np.nan_to_num(p.arm_rms))
+        hardest.append(
+            f"{name}: forces of {worst} {own[worst]:.0f} % and of the other {len(others)} muscles "
+            f"{np.mean(others):.2g} % on average, median {np.median(others):.2g} %; moment arms of "
+            f"{pair.muscle} over {pair.coordinate} {pair.arm_rms:.3g} mm, median of {len(found)} pairs "
+            f"{np.nanmedian([p.arm_rms for p in found]):.2g} mm"
+        )
+    passive = passive_torque(np.radians(90.0))
     return {
         "elbow": mean_arm(elbow),
+        "elbow_force": mean_force(elbow),
+        "hand": mean_arm(hand),
+        "hand_force": mean_force(hand),
         "ends": "; ".join(f"{elbow[i].muscle} {theirs[i, k]:.2f} and {ours[i, k]:.2f}" for i, k in short),
-        "after": f"The same muscles by our converter: {fits}." if fits else "`--models` measures it.",
+        "after": f"The same file by our converter: {fits}." if fits else "`--models` measures it.",
+        "hardest": ". ".join(hardest) or "`--models` measures it",
+        "passive": passive,
         "per": {c: mean_arm([p for p in hand if p.coordinate == c]) for c in {p.coordinate for p in hand}},
         "left_out": sum(int((~p.kept).sum()) for p in hand),
         "angles": sum(p.kept.size for p in hand),
@@ -288,34 +353,45 @@ def measured(bodies: dict[str, list[Pair]], converted: dict[str, list[Pair]]) ->
 
 
 def draw(figure: Figure, bodies: dict[str, list[Pair]], converted: dict[str, list[Pair]]) -> None:
-    """Draw moment arms and forces over the elbow, and both differences for all muscles."""
-    figure.set_figheight(7.0)
-    top, bottom = figure.subplots(2, 2)
-    for i, pair in enumerate(bodies["arm26"]):
-        for axes, (own, ref), scale in ((top[0], pair.arm, 1e3), (top[1], pair.force, 1.0)):
-            for values, style in ((own, "-"), (ref, ":")):
-                y = scale * (values if values.ndim == 1 else values[:, -1])
-                label = pair.muscle if style == "-" else None
-                axes.plot(np.degrees(pair.angle), y, style, color=f"C{i}", label=label)
-    top[0].set(title="Elbow: moment arms; dotted: OpenSim", xlabel="elbow angle [°]", ylabel="[mm]")
-    top[1].set(
-        title="Elbow: static force, full activation", xlabel="elbow angle [°]", ylabel="[Fmax]", ylim=0
+    """Draw curves over the elbow, and differences of all muscles."""
+    figure.set_figheight(9.5)
+    (arms, loads), (pulls, slack), bottom = figure.subplots(3, 2)
+    elbow = bodies["arm26"]
+    curves_of = (
+        (arms, 1e3, "moment arms [mm]", lambda p, i: p.arm[i]),
+        (loads, 1.0, "static force at full activation [Fmax]", lambda p, i: p.force[i][:, -1]),
+        (pulls, 1.0, "passive force [Fmax]", lambda p, i: p.force[i][:, 0]),
     )
-    top[1].legend(ncols=2, fontsize=7)
+    for axes, scale, title, of in curves_of:
+        for color, pair in zip(COLORS, elbow, strict=False):
+            angle = np.degrees(pair.angle)
+            axes.plot(angle, scale * of(pair, 1), color=color, linewidth=4.0, alpha=0.3)
+            axes.plot(angle, scale * of(pair, 0), color=color, linewidth=1.2, label=pair.muscle)
+        axes.set(title=f"Elbow: {title}", xlabel="elbow angle [°]")
+    loads.set_ylim(0.0, None)
+    arms.plot([], [], color="0.5", linewidth=4.0, alpha=0.4, label="OpenSim, broad")
+    arms.set_ylim(-30.0, 95.0)
+    arms.legend(ncols=2, fontsize=7, loc="upper left")
     sets = [(BODY[name], found, "o") for name, found in bodies.items()]
     sets += [(f"{name},\nconverted", found, "^") for name, found in converted.items()]
     papers = [PAPER_ARM[n] for n in (*bodies, *converted)], [PAPER_FORCE[n] for n in (*bodies, *converted)]
-    labels = ("RMS difference of moment arms [mm]", "RMS difference of forces [% Fmax]")
-    for axes, paper, label, forces in zip(bottom, papers, labels, (False, True), strict=True):
+    differences: tuple[tuple[Axes, Any, str, Callable[[list[Pair]], Iterable[float]]], ...] = (
+        (slack, None, "passive force [% Fmax]", lambda found: force_rms(found, passive=True).values()),
+        (bottom[0], papers[0], "moment arms [mm]", lambda found: [p.arm_rms for p in found]),
+        (bottom[1], papers[1], "static force [% Fmax]", lambda found: force_rms(found).values()),
+    )
+    for axes, paper, title, values_of in differences:
         for x, (_, found, marker) in enumerate(sets):
-            values = np.array(list(force_rms(found).values()) if forces else [p.arm_rms for p in found])
+            values = np.array(list(values_of(found)))
             spots = x + np.linspace(-0.28, 0.28, len(values))
-            axes.plot(spots, np.maximum(values, 1e-4), marker, markersize=3, alpha=0.6, color=f"C{x}")
-            axes.plot(x, np.nanmean(values), "_", color="k", markersize=30)
-            axes.plot(x + 0.42, paper[x][0], "<", color="0.4", label="paper's mean" if x == 0 else None)
+            look: dict[str, Any] = {"markersize": 3, "alpha": 0.6, "color": COLORS[x]}
+            axes.plot(spots, np.maximum(values, FLOOR), marker, **look)
+            axes.plot([x - 0.3, x + 0.3], [np.nanmean(values)] * 2, "k", linewidth=1.5)
+            axes.plot([x - 0.2, x + 0.2], [np.nanmedian(values)] * 2, "k:", linewidth=1.5)
+            if paper:
+                axes.plot([x - 0.4, x + 0.4], [paper[x][0]] * 2, color="#d9822b", linewidth=1.5)
         axes.set_xticks(range(len(sets)), [name for name, *_ in sets])
-        axes.set(yscale="log", title=label)
-    bottom[0].legend(loc="center left", bbox_to_anchor=(0.5, 0.8))
+        axes.set(yscale="log", title=f"RMS difference, {title}")
 
 
 EXPERIMENT = Experiment("validation", run, ignores=("seeds", "num_worlds", "retrain", "device"))

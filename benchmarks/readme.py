@@ -1,0 +1,78 @@
+"""Speed and learning in README.md, from the committed measurements: python -m benchmarks.readme."""
+
+import json
+from pathlib import Path
+
+from myowarp.apps.policies.baselines import load_baseline
+from myowarp.disk import in_place
+
+ROOT = Path(__file__).parents[1]
+README, RESULTS = ROOT / "README.md", ROOT / "benchmarks/results"
+BEGIN, END = "<!-- written by: python -m benchmarks.readme -->\n", "<!-- end of what is written -->"
+EASY = (
+    *("myoElbowPose1D6MFixed-v0", "myoElbowPose1D6MRandom-v0", "myoFingerPoseFixed-v0"),
+    *("myoFingerPoseRandom-v0", "myoFingerReachFixed-v0", "myoHandPoseFixed-v0", "myoHandReachFixed-v0"),
+    *("myoHandKeyTurnFixed-v0", "myoHandObjHoldFixed-v0", "myoHandPenTwirlFixed-v0"),
+)
+HARD = {
+    "myoHandObjHoldRandom-v0": "object hold",
+    "myoFingerReachRandom-v0": "finger reach",
+    "myoHandReachRandom-v0": "hand reach",
+    "myoHandPenTwirlRandom-v0": "pen twirl",
+    "myoHandPoseRandom-v1": "hand pose (`-v1`)",
+    "myoHandKeyTurnRandom-v0": "key turn",
+}
+
+TEXT = """
+- 256 hands reach at {pool:.1f} times the speed of EnvPool, and at {async_env:.1f} times that of MyoSuite's
+  AsyncVectorEnv (`parity` physics, random actions, two cores, medians of five rounds). All nine families
+  make {slowest:.1f} to {fastest:.1f} times the steps of MuJoCo C's thread pool on the same cores
+  ([speed](docs/speed.md)).
+- Trained policies, 256 episodes with deterministic actions under `parity`: in the {easy} easy tasks but
+  baoding {least:.0f} % or more succeed in each of {seeds[0]} to {seeds[1]} seeds; in the hard ones, means
+  over seeds in percent, {hard}
+  ([baselines](docs/baselines.md)).
+"""
+
+
+def success(task: str) -> list[float]:
+    """Return success of all seeds with deterministic actions under parity [%]."""
+    return [100.0 * run["evaluation"]["deterministic"]["success"] for run in load_baseline(task).runs]
+
+
+def results() -> str:
+    """Return the list of results."""
+    families = json.loads((RESULTS / "rivals.json").read_text())["families"]
+
+    def ratio(family: str, rival: str) -> float:
+        """Return by how much 256 worlds are faster under `parity`: of medians, as in docs/speed.md."""
+        rows = families[family]["contestants"]
+        ours, theirs = (rows[who]["env_steps_per_s"]["median"] for who in ("parity 256", rival))
+        return float(ours / theirs)
+
+    pool = [ratio(family, "MuJoCo C") for family in families]
+    easy = {task: success(task) for task in EASY}
+    means = {name: sum(own) / len(own) for task, name in HARD.items() for own in [success(task)]}
+    hard = ", ".join(f"{name} {mean:.0f}" for name, mean in means.items())
+    seeds = [len(own) for own in easy.values()]
+    return TEXT.format(
+        pool=ratio("hand reach", "EnvPool"),
+        async_env=ratio("hand reach", "MyoSuite async"),
+        slowest=min(pool),
+        fastest=max(pool),
+        easy=len(easy),
+        least=min(min(own) for own in easy.values()),
+        seeds=(min(seeds), max(seeds)),
+        hard=hard,
+    )
+
+
+def page() -> str:
+    """Return README with the results made anew."""
+    before, _, rest = README.read_text().partition(BEGIN)
+    return before + BEGIN + results() + "\n" + END + rest.partition(END)[2]
+
+
+if __name__ == "__main__":
+    with in_place(README) as scratch:
+        scratch.write_text(page())

@@ -1,0 +1,137 @@
+"""The policy "muscle-control": the activations whose joint torques bring a posture about, without training.
+
+In every control step, for every world,
+
+    v' = clip((q_target - q) / T, -v_max, v_max)                      wanted velocity
+    tau = M (v' - v) / T_v + D v' + bias - passive                    torque of the muscles for it
+    a = argmin |W (R F_1 a + R F_0 - tau)|^2 + ridge |a|^2,           lowest <= a <= highest
+    u = act + (a - act) / (1 - exp(-dt / tau_a))                      excitation that gets there in dt
+
+with the mass matrix M, joint damping D, gravity and centripetal torques, torques of passive springs, moment
+arms R, tension F_0 at rest and F_1 more at full activation, of each muscle on its present path. W weighs each
+torque by the velocity that it would change. What follows by equalities moves with what leads.
+
+The law is greedy, and a limb that many muscles cross has more equilibria than one: the straight way of an
+open hand ends in a wrong one. So an episode begins with the muscles that bend and spread the limb
+(`Body.approach`), fully excited for `APPROACH` seconds, the others at rest. Contacts and limits are not
+looked at.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, cast
+
+import mujoco
+import numpy as np
+
+from myowarp.apps.policies.hold import check_hold
+from myowarp.coordinates.couplings import couplings, jacobian
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.muscle import muscle_index
+from myowarp.kernels.action import action_of, excitation
+from myowarp.kernels.bounded_least_squares import BoundedLeastSquares
+from myowarp.sim.present import tension_at
+
+if TYPE_CHECKING:
+    from myowarp.sim.simulation import Simulation
+    from myowarp.tasks.pose import PoseProgram
+
+APPROACH = 0.52  # s
+REACH = 0.25  # s, T: the time in which the way that is left would be made
+REACTION = 0.05  # s, T_v: the time in which the wanted velocity is reached
+MOST_SPEED = 8.0  # v_max; rad/s or m/s
+RIDGE = 1e-5  # of activations; rad^2/s^2 or m^2/s^2
+LEAST_DAMPING = 1e-3  # N m s/rad: a joint with less counts as one with that
+"""The first two are chosen by success in 128 random postures of the hand; the others hardly change it."""
+
+
+class MuscleControl:
+    """Actions that bring all worlds of a pose task to a posture.
+
+    Attributes:
+        goal: Posture to reach, shape (num_worlds, nq); set anew to go another way. None: the task's own.
+    """
+
+    goal: np.ndarray | None = None
+
+    def __init__(self, sim: Simulation) -> None:
+        """Allocate the problems of all worlds.
+
+        Raises:
+            ValueError: The task has no joint targets, or its body no muscles.
+        """
+        scene = sim.scene
+        check_hold(scene.spec, "muscle-control")
+        muscles = scene.muscles
+        if not muscles.names:
+            raise ValueError(
+                f"policy 'muscle-control' drives muscles; the body of task {scene.spec.key!r} has none"
+            )
+        self._sim, self._model, self._data = sim, scene.oracle, mujoco.MjData(scene.oracle)
+        self._ties = couplings(self._model)
+        first = BODIES[scene.spec.body].approach
+        self._approach = np.zeros(scene.num_actions, dtype=np.float32)
+        self._approach[muscles.actuator_id] = -1.0
+        self._approach[muscles.actuator_id[[muscle_index(name, muscles.names) for name in first]]] = 1.0
+        self._approach_steps = round(APPROACH / scene.control_dt) if first else 0
+        self._tension_at = [tension_at(shard.scene) for shard in sim.shards]
+        shape = scene.num_worlds, self._model.nv, len(muscles.names)
+        self._problems = BoundedLeastSquares(*shape, ridge=RIDGE)
+        self._problems.lower.fill_(excitation(-1.0))
+        self._problems.upper.fill_(excitation(1.0))
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        """Return actions (num_worlds, num_actions) of the step that comes; motors do nothing."""
+        sim, muscles = self._sim, self._sim.scene.muscles
+        passive = np.concatenate([tension(0.0) for tension in self._tension_at])
+        active = np.concatenate([tension(1.0) for tension in self._tension_at]) - passive
+        activation = muscles.activation.numpy()
+        matrix, right = self._torques(active, passive)
+        problems = self._problems
+        problems.matrix.assign(matrix)
+        problems.right.assign(right)
+        problems.x.assign(activation.astype(float))
+        problems.solve()
+        wanted = problems.x.numpy()
+        scale = 0.5 + 1.5 * np.clip(activation, 0.0, 1.0)
+        rise, fall = muscles.activation_time_constant.numpy(), muscles.deactivation_time_constant.numpy()
+        lag = np.where(wanted > activation, rise * scale, fall / scale)
+        lead = -np.expm1(-sim.scene.control_dt / np.maximum(lag, 1e-9))
+        action = np.zeros((len(obs), sim.scene.num_actions), dtype=np.float32)
+        action[:, muscles.actuator_id] = action_of(activation + (wanted - activation) / lead)
+        begins = sim.episode.step_count.numpy() < self._approach_steps
+        return np.where(begins[:, None], self._approach, action)
+
+    def _torques(self, active: np.ndarray, passive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return W R F_1, shape (num_worlds, nv, num_muscles), and W (tau - R F_0), (num_worlds, nv)."""
+        sim, model, data, muscles = self._sim, self._model, self._data, self._sim.scene.muscles
+        qpos, qvel = sim.scene.data.qpos.numpy(), sim.scene.data.qvel.numpy()
+        path = muscles.anatomy.path.numpy()
+        matrix, right = np.zeros((*active.shape[:1], model.nv, active.shape[1])), np.zeros(qvel.shape)
+        moment, mass, way = np.zeros((model.nu, model.nv)), np.zeros((model.nv, model.nv)), np.zeros(model.nv)
+        for world in range(len(qpos)):
+            data.qpos[:], data.qvel[:] = qpos[world], qvel[world]
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+            mujoco.mju_sparse2dense(
+                moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+            )
+            mujoco.mj_fullM(model, data, mass)
+            mujoco.mj_differentiatePos(model, way, 1.0, data.qpos, self._goal(world))
+            leads, slopes, _ = jacobian(model, self._ties, data.qpos)
+            wanted = slopes @ np.clip(way[leads] / REACH, -MOST_SPEED, MOST_SPEED)
+            change = wanted - data.qvel
+            torque = mass @ change / REACTION + model.dof_damping * change
+            torque += data.qfrc_bias - data.qfrc_passive
+            arms = -moment[path[world % len(path)]].T  # tension pulls against the rise of length
+            weight = 1.0 / (slopes.T @ (model.dof_damping[:, None] * slopes)).diagonal().clip(LEAST_DAMPING)
+            matrix[world, : len(leads)] = weight[:, None] * (slopes.T @ (arms * active[world]))
+            right[world, : len(leads)] = weight * (slopes.T @ (torque - arms @ passive[world]))
+        return matrix, right
+
+    def _goal(self, world: int) -> np.ndarray:
+        """Return the posture that a world is to reach."""
+        if self.goal is not None:
+            return np.asarray(self.goal[world], dtype=float)
+        shard = next(s for s in self._sim.shards if world < s.scene.worlds.first + s.num_worlds)
+        return cast("PoseProgram", shard.program).goal_pose(world - shard.scene.worlds.first)
