@@ -126,8 +126,9 @@ docs: $(TEST_STAMP) ## Build the documentation site into out/docs
 	$(BIN)/sphinx-build -W --keep-going -j auto docs out/docs
 	@echo "Open out/docs/index.html"
 
-pictures: setup ## Draw every body and task family into docs/pictures
+pictures: setup ## Draw every body and task family, and what trained hands do, into docs/pictures
 	$(BIN)/python docs/pictures/contact_sheet.py
+	$(BIN)/python docs/pictures/film_strips.py
 
 # Wheel and sdist, and the wheel at work: installed into an empty environment, away from this folder.
 dist: setup ## Build wheel and sdist into dist, check them, try the wheel in an empty environment

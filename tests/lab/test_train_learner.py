@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from myowarp.apps.train import agents, skrl_names
-from myowarp.apps.train.loop import DivergedError, Run
+from myowarp.apps.train.loop import INHERITED_STEPS, DivergedError, Run
 from myowarp.apps.train.settings import ALGORITHMS, Replaying, choose
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.setup import Setup
@@ -20,7 +20,7 @@ SMALL = {"num_worlds": WORLDS, "rollout_steps": STEPS, "hidden": (16,), "discoun
 FLOAT32 = 2e-5  # of advantages of order 1, sums of a dozen float32
 
 
-def make_run(algorithm, seed=0, **settings):
+def make_run(algorithm, seed=0, parent=None, **settings):
     """Return a run of a few elbows with short episodes."""
     env = MyoWarpVectorEnv(
         Setup(task=ELBOW, seed=seed),
@@ -32,7 +32,26 @@ def make_run(algorithm, seed=0, **settings):
         copy=False,
         progress=False,
     )
-    return Run(env, choose("none", algorithm, SMALL | settings))
+    return Run(env, choose("none", algorithm, SMALL | settings), parent)
+
+
+@pytest.mark.parametrize(
+    ("task", "settings", "count"),
+    [
+        (ELBOW, {}, 7777),
+        ("myoElbowPose1D6MFixed-v0", {}, WORLDS * INHERITED_STEPS),
+        (ELBOW, {"parent_samples": 55}, 55),
+    ],
+)
+def test_an_inherited_normaliser_counts_what_it_has_seen_in_the_same_task(task, settings, count):
+    """Else a rollout from the begin of all episodes would move it, and with it a policy that was good."""
+    arrays = agents.policy_arrays(make_run("ppo", minibatches=2).agent)
+    arrays["observation_mean"] = arrays["observation_mean"] + 3.0
+    parent = SimpleNamespace(task=task, policy=arrays, manifest={"samples": 7777})
+    run = make_run("ppo", parent=parent, minibatches=2, **settings)
+    scaler = run.agent.checkpoint_modules["observation_preprocessor"]
+    assert scaler.current_count == count
+    np.testing.assert_allclose(scaler.running_mean, arrays["observation_mean"])
 
 
 def record(run):

@@ -417,7 +417,7 @@ def test_human_mode_without_a_display_is_a_page(monkeypatch, display, caplog):
         ("myoHandReachRandom-v1", "baseline", "baseline"),
         ("myoHandReachRandom-v1", "baselines/myoHandReachFixed-v0", "baseline"),
         ("myoHandKeyTurnRandom-v1", "hold", "random"),
-        ("myoHandPoseRandom-v1", "baseline", "random"),
+        ("myoHandBaodingRandom-v1", "baseline", "random"),
         (KEY, "hold", "hold"),
     ],
 )

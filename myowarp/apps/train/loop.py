@@ -31,7 +31,7 @@ GENERATORS = ("agent.torch_generator", "agent.cuda_generator")
 RANK_SEEDS = 1_000_003  # from the seed of one rank's actions to that of the next
 
 INHERITED_STEPS = 32
-"""Control steps of every world as which all that a parent's normaliser has seen counts."""
+"""Control steps of every world as which all counts that a parent's normaliser has seen in another task."""
 
 
 FAULTY_STEPS = 50
@@ -113,8 +113,9 @@ class Run:
         if isinstance(settings, DAggerSettings):
             self.agent.expert = acting(find_policy(settings.expert, env.sim.scene.spec), env.sim)
         if parent is not None:
-            count = settings.parent_samples or settings.num_worlds * INHERITED_STEPS
-            agents.inherit(self.agent, parent.policy, parent.manifest["samples"], count)
+            seen, same = parent.manifest["samples"], parent.task == env.sim.scene.spec.key
+            known = seen if same else settings.num_worlds * INHERITED_STEPS
+            agents.inherit(self.agent, parent.policy, seen, settings.parent_samples or known)
         if not ranks.leads:
             torch.manual_seed(seed + RANK_SEEDS * ranks.rank)  # one policy, but actions of its own
         self.tally = Tally(env.num_envs, self.device)

@@ -84,7 +84,8 @@ class Settings:
     )
     parent_samples: int = setting(
         0,
-        "Samples as which the parent's normaliser of observations counts; 0: 32 steps of all worlds.",
+        "Samples as which the parent's normaliser of observations counts; 0: all that it has seen in the same"
+        " task, 32 steps of all worlds in another one.",
         least=0,
     )
     # On two idle cores, two threads take 3.5 us a sample and pass (two networks 2 x 128), one 5.9.

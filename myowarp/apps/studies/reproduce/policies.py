@@ -93,14 +93,12 @@ def retrained(training: Training, setup: Setup, folder: Path, console: Console, 
 
     check_packages()
     name = TASKS[training.task].name
-    parent, inherited = None, {}
+    parent = None
     if training.parent is not None:
         home = folder.parents[1] / training.parent.name / str(setup.seed)
         parent = retrained(training.parent, setup, home, console, quick=quick)
-        inherited = {"parent_samples": parent.manifest["samples"]}
     own, given = divided(training.settings)
-    samples = training.samples // (QUICK if quick else 1)
-    given = {"samples": samples, "stop_success": NEVER} | inherited | given
+    given = {"samples": training.samples // (QUICK if quick else 1), "stop_success": NEVER} | given
     settings = choose(name, training.algorithm, given)
     asked = Setup(task=training.task, conditions=training.conditions()).over(own)
     asked = setup.over(asked).over(divided(preset(name, training.algorithm))[0]).over(TRAINING)

@@ -136,6 +136,7 @@ def findings(turns: list[key.Turns], samples: list[int]) -> Findings:
     eip = np.array([np.nanmean(t.mean_activation[..., t.of("EIP")], axis=0) for t in turns]).mean(axis=0)
     measured = {
         "number": len(turns),
+        "stuck": [int((values < key.THRESHOLDS[0]).sum()) for values in meant.values()],
         "meant": [values.mean() for values in meant.values()],
         "drawn": [values.mean() for values in drawn.values()],
         "success": [values.mean() for values in success.values()],
