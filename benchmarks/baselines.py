@@ -19,6 +19,7 @@ from typing import Any
 from myowarp.apps.policies import baselines
 from myowarp.apps.policies.baselines import CURVE, RESULT, Baseline, load_baseline
 from myowarp.apps.policies.checkpoint import load_checkpoint, save_policy
+from myowarp.apps.reports.table import markdown
 from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
 from myowarp.apps.train.progress import CSV
 from myowarp.apps.train.run import REPORT
@@ -145,7 +146,10 @@ def _summary_table(found: list[Baseline], published: dict[str, Any]) -> str:
         most = max(run["training"]["samples"] for run in baseline.runs) / 1e6
         how = f"{baseline.checkpoint.manifest['algorithm']}, {most:.2f} M"
         rows.append([f"`{task}`", str(len(baseline.runs)), *shares, how])
-    return _table(["task", "seeds", *MODES, "deterministic, last step", "training, samples at most"], rows)
+    return (
+        markdown(["task", "seeds", *MODES, "deterministic, last step", "training, samples at most"], rows)
+        + "\n"
+    )
 
 
 def _share(figures: dict[str, Any], rule: str) -> str:
@@ -165,7 +169,7 @@ def _success_table(found: list[Baseline]) -> str:
                     shares = (_share(evaluation[mode], rule) for rule in SUCCESSES)
                     task = evaluation["task"].removeprefix("MyoWarp/")
                     rows.append([f"`{task}`", str(run["training"]["seed"]), mode, *shares])
-    return _table(["task", "seed", "actions", *SUCCESSES.values()], rows)
+    return markdown(["task", "seed", "actions", *SUCCESSES.values()], rows) + "\n"
 
 
 def _reachable(found: list[Baseline]) -> str:
@@ -210,7 +214,7 @@ def _training_table(found: list[Baseline]) -> str:
         "CPU [s]",
         "busy cores",
     ]
-    return _table([*columns, "ended by"], rows)
+    return markdown([*columns, "ended by"], rows) + "\n"
 
 
 def _published_table(found: list[Baseline], published: dict[str, Any]) -> str:
@@ -226,14 +230,8 @@ def _published_table(found: list[Baseline], published: dict[str, Any]) -> str:
         for task, theirs in published["tasks"].items()
     ]
     heads = {"npg": "the paper's NPG", "ppo": "MyoSuite 3, PPO on a GPU", "off_policy": "FlashSAC"}
-    table = _table(["task", "MyoWarp", *(heads[name] for name in sources)], rows)
-    return table + "\n" + "".join(f"* {heads[name]}. {text}\n" for name, text in sources.items())
-
-
-def _table(head: list[str], rows: list[list[str]]) -> str:
-    """Return a table as Markdown."""
-    lines = [head, ["---"] * len(head), *rows]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    table = markdown(["task", "MyoWarp", *(heads[name] for name in sources)], rows)
+    return table + "\n\n" + "".join(f"* {heads[name]}. {text}\n" for name, text in sources.items())
 
 
 def draw(path: Path) -> None:

@@ -91,6 +91,15 @@ def locked(path: Path, *, wait: bool) -> Iterator[None]:
         yield
 
 
+def existing(folder: Path) -> Path:
+    """Return the nearest folder or file that exists: the path itself, or one above it.
+
+    Raises:
+        OSError: No system takes such a name.
+    """
+    return next(path for path in (folder, *folder.absolute().parents) if path.exists())
+
+
 def check_folder(folder: Path) -> None:
     """Raise a clear error now if files could not be written into a folder, which may not exist yet.
 
@@ -98,8 +107,8 @@ def check_folder(folder: Path) -> None:
         ValueError: It is a file, or there is no permission, or no system takes such a name.
     """
     try:
-        existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-        right = existing.is_dir() and os.access(existing, os.W_OK)
+        there = existing(folder)
+        right = there.is_dir() and os.access(there, os.W_OK)
     except OSError:  # such as a name that is too long
         right = False
     if not right:

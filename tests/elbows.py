@@ -3,6 +3,8 @@
 import mujoco
 import numpy as np
 
+from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
 
@@ -16,6 +18,13 @@ def worn(conditions=(), num_worlds=NUM_WORLDS, physics="parity"):
     sim = Simulation(TASKS[KEY], num_worlds, conditions=conditions, **options)
     sim.shards[0].launch_conditions()
     return sim
+
+
+def learner_env(num_worlds, horizon, seed=0):
+    """Return elbows with short episodes as the trainer has them."""
+    how = {"autoreset_mode": "disabled", "output": "torch", "copy": False, "progress": False}
+    setup = Setup(task=KEY, seed=seed, horizon=horizon, device="cpu")
+    return MyoWarpVectorEnv(setup, num_worlds, **how)
 
 
 class States:

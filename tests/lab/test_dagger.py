@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from elbows import learner_env
 from gymnasium.spaces import Box
 
 from myowarp.apps.policies.checkpoint import load_checkpoint
@@ -16,8 +17,6 @@ from myowarp.apps.train.loop import Run
 from myowarp.apps.train.plan import plan
 from myowarp.apps.train.run import start, train
 from myowarp.apps.train.settings import choose
-from myowarp.bridge_gym import MyoWarpVectorEnv
-from myowarp.definitions.setup import Setup
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 WORLDS, EXPERT_STEPS, HORIZON = 6, 4, 7
@@ -35,16 +34,7 @@ SMALL = {
 
 def make_run(**settings):
     """Return a run of a few elbows with short episodes, and what its expert was asked and said."""
-    env = MyoWarpVectorEnv(
-        Setup(task=ELBOW, seed=0),
-        WORLDS,
-        device="cpu",
-        max_episode_steps=HORIZON,
-        autoreset_mode="disabled",
-        output="torch",
-        copy=False,
-        progress=False,
-    )
+    env = learner_env(WORLDS, HORIZON)
     run, said = Run(env, choose("none", "dagger", SMALL | settings)), []
     expert = run.agent.expert
 

@@ -6,12 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from elbows import learner_env
 
 from myowarp.apps.train import agents, skrl_names
 from myowarp.apps.train.loop import INHERITED_STEPS, DivergedError, Run
 from myowarp.apps.train.settings import ALGORITHMS, Replaying, choose
-from myowarp.bridge_gym import MyoWarpVectorEnv
-from myowarp.definitions.setup import Setup
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 HORIZON = 5  # steps: two truncations and a piece in a rollout of 12
@@ -22,16 +21,7 @@ FLOAT32 = 2e-5  # of advantages of order 1, sums of a dozen float32
 
 def make_run(algorithm, seed=0, parent=None, **settings):
     """Return a run of a few elbows with short episodes."""
-    env = MyoWarpVectorEnv(
-        Setup(task=ELBOW, seed=seed),
-        WORLDS,
-        device="cpu",
-        max_episode_steps=HORIZON,
-        autoreset_mode="disabled",
-        output="torch",
-        copy=False,
-        progress=False,
-    )
+    env = learner_env(WORLDS, HORIZON, seed)
     return Run(env, choose("none", algorithm, SMALL | settings), parent)
 
 

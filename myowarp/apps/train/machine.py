@@ -6,6 +6,8 @@ import shutil
 import time
 from pathlib import Path
 
+from myowarp.disk import existing
+
 COPIES = 2  # of a replay at once, in memory and on disk, while it is saved
 
 
@@ -62,9 +64,8 @@ def check_replay(size: int, folder: Path) -> None:
     Raises:
         ValueError: There is not enough memory or disk.
     """
-    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    for what, there in (("memory", memory), ("disk", shutil.disk_usage(existing).free)):
+    for what, there in (("memory", memory), ("disk", shutil.disk_usage(existing(folder)).free)):
         if (needed := COPIES * size) > there:
             raise ValueError(
                 f"--replay needs {needed / 1e9:.1f} GB of {what} to be kept and saved, this machine has "

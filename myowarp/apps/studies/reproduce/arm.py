@@ -160,6 +160,16 @@ def grouped(trace: Trace, groups: int) -> dict[str, np.ndarray]:
     return {name: mean(array) for name, array in (arrays | trace.shown).items()}
 
 
+def beside(
+    first: list[dict[str, np.ndarray]], second: list[dict[str, np.ndarray]]
+) -> list[dict[str, np.ndarray]]:
+    """Return the groups of two runs of the same seeds, one after the other, of the arrays that both have."""
+    return [
+        {name: np.concatenate((one[name], other[name]), axis=1) for name in one if name in other}
+        for one, other in zip(first, second, strict=True)
+    ]
+
+
 def late(phases: int, seconds: float, settled: float) -> np.ndarray:
     """Return which control steps lie `settled` seconds or more after the begin of their phase, shape (T,)."""
     one = np.arange(1, round(seconds / CONTROL_DT) + 1) * CONTROL_DT > settled

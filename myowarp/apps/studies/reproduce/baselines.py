@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -76,10 +77,38 @@ def samples_to(curve: Curve, share: float = LEARNED) -> float:
     return float(samples[there.argmax()]) / 1e6 if there.any() else float("nan")
 
 
-def evaluated(task: str) -> dict[str, np.ndarray]:
-    """Return success under parity [%] by kind of actions, shape (seeds,)."""
-    runs = load_baseline(task).runs
-    return {mode: np.array([100.0 * run["evaluation"][mode]["success"] for run in runs]) for mode in MODES}
+@dataclass(frozen=True)
+class Ours:
+    """What the package has for a task.
+
+    Attributes:
+        algorithm: By which the first seed was trained.
+        samples: That it took.
+        curve: Its training.
+        success: Under parity by kind of actions [%], shape (seeds,).
+    """
+
+    algorithm: str
+    samples: int
+    curve: Curve
+    success: dict[str, np.ndarray]
+
+    @property
+    def how(self) -> str:
+        """Algorithm and samples, for a note."""
+        return f"{self.algorithm}, {self.samples / 1e6:.2f} M samples"
+
+
+def of_package(task: str) -> Ours:
+    """Return what the package has for a task."""
+    baseline = load_baseline(task)
+    manifest, evaluations = baseline.checkpoint.manifest, [run["evaluation"] for run in baseline.runs]
+    return Ours(
+        algorithm=manifest["algorithm"],
+        samples=manifest["samples"],
+        curve=read_curve(FOLDER / task / CURVE),
+        success={mode: np.array([100.0 * e[mode]["success"] for e in evaluations]) for mode in MODES},
+    )
 
 
 def run(lab: Lab) -> Findings:
@@ -94,62 +123,31 @@ def findings(natural: dict[str, list[Curve]], npg: dict[str, list[Curve]]) -> Fi
         natural: Curves of TRPO by task.
         npg: Curves of the paper's natural policy gradient by task.
     """
-    ours = {task: evaluated(task) for task in TASKS if task in baseline_tasks()}
-    manifests = {task: load_baseline(task).checkpoint.manifest for task in ours}
-    first = {task: read_curve(FOLDER / task / CURVE) for task in ours}
-    rows = []
-    for task in TASKS:
-        ends = [100.0 * curve[1][-1] for curve in npg.get(task, ())]
-        paper, spread = (float(np.mean(ends)), float(np.std(ends))) if ends else (None, None)
-        if task not in ours:
-            note = "no policy; docs/baselines.md says what was tried"
-            rows.append(Merit("success, sampled actions", "%", task, (), paper, spread, note))
-            continue
-        manifest = manifests[task]
-        note = f"{manifest['algorithm']}, {manifest['samples'] / 1e6:.2f} M samples"
-        if ends:
-            note += f"; the paper's after {npg[task][0][0][-1] / 1e6:.1f} M"
-        for mode in MODES[::-1]:
-            known = (paper, spread) if mode == "sampled" else (None, None)
-            rows.append(Merit(f"success, {mode} actions", "%", task, ours[task][mode], *known, note, PERCENT))
-        rows.append(
-            Merit(f"samples to {100 * LEARNED:.0f} % in training", "M", task, [samples_to(first[task])])
-        )
-    for task, runs in natural.items():
-        values = [100.0 * curve[1][-1] for curve in runs]
-        rows.append(Merit("success at the end of training", "%", f"{task}, TRPO", values, within=PERCENT))
-        needed = [samples_to(curve) for curve in runs]
-        rows.append(Merit(f"samples to {100 * LEARNED:.0f} % in training", "M", f"{task}, TRPO", needed))
+    ours = {task: of_package(task) for task in TASKS if task in baseline_tasks()}
     easy, hard = ([task for task in TASKS if kind in task] for kind in (EASY, HARD))
-    mean = {task: float(own["sampled"].mean()) for task, own in ours.items()}
-    best = {task: float(max(own[mode].mean() for mode in MODES)) for task, own in ours.items()}
-    learned = [t for t in easy if best.get(t, 0.0) >= SOLVED and manifests[t]["samples"] <= SAMPLES]
+    mean = {task: float(own.success["sampled"].mean()) for task, own in ours.items()}
+    best = {task: float(max(values.mean() for values in own.success.values())) for task, own in ours.items()}
+    learned = [t for t in easy if best.get(t, 0.0) >= SOLVED and ours[t].samples <= SAMPLES]
     hands = [task for task in hard if "Hand" in task]
     hardly = [task for task in hands if mean.get(task, 0.0) < HARDLY]
     pairs = [
-        (samples_to(first[a]), samples_to(first[b]))
+        (samples_to(ours[a].curve), samples_to(ours[b].curve))
         for a, b in zip(easy, hard, strict=True)
-        if a in ours and b in ours and manifests[a]["algorithm"] == manifests[b]["algorithm"]
+        if a in ours and b in ours and ours[a].algorithm == ours[b].algorithm
     ]
     elbows = [runs for task, runs in natural.items() if "Elbow" in task]
-    ends = [
-        abs(np.mean([curve[1][-1] for curve in runs]) - first[task][1][-1])
-        for task, runs in natural.items()
-        if task in first
-    ]
-    ratios = [
-        samples_to(first[task]) / np.nanmean([samples_to(curve) for curve in runs])
-        for task, runs in natural.items()
-        if task in first
-    ]
+    both = {task: (runs, ours[task].curve) for task, runs in natural.items() if task in ours}
+    apart = [abs(np.mean([c[1][-1] for c in runs]) - own[1][-1]) for runs, own in both.values()]
+    ratios = [samples_to(own) / np.nanmean([samples_to(c) for c in runs]) for runs, own in both.values()]
     named = [task for task in easy if "Baoding" not in task]
     holds = {
         "easy": all(task in learned for task in named),
         "hard": len(hardly) == len(hands),
         "longer": all(not a >= b for a, b in pairs),
         "natural gradient": bool(min(c[1].max() for runs in elbows for c in runs) >= LEARNED),
-        "same end": all(end < 0.1 for end in ends),
+        "same end": all(end < 0.1 for end in apart),
     }
+    seeds = {task: len(own.success["sampled"]) for task, own in ours.items()}
     measured = {
         "easy": f"{len(learned)} of {len(named)}",
         "failed": ", ".join(task for task in named if task not in learned) or "none",
@@ -162,17 +160,44 @@ def findings(natural: dict[str, list[Curve]], npg: dict[str, list[Curve]]) -> Fi
         "least": min(ratios),
         "most": max(ratios),
         "natural": len(ratios),
-        "seeds": ", ".join(f"{task} {len(own['sampled'])}" for task, own in ours.items()),
-        "single": sum(len(own["sampled"]) == 1 for own in ours.values()),
+        "seeds": ", ".join(f"{task} {number}" for task, number in seeds.items()),
+        "single": sum(number == 1 for number in seeds.values()),
     }
-    return Findings(rows, holds, lambda figure: draw(figure, natural, npg, first), measured, over="trainings")
+    rows = success_merits(ours, natural, npg)
+    return Findings(rows, holds, lambda figure: draw(figure, natural, npg, ours), measured, over="trainings")
+
+
+def success_merits(
+    ours: dict[str, Ours], natural: dict[str, list[Curve]], npg: dict[str, list[Curve]]
+) -> list[Merit]:
+    """Return rows of success and of samples to it: ours beside the paper's, then TRPO's."""
+    rows, needed = [], f"samples to {100 * LEARNED:.0f} % in training"
+    for task in TASKS:
+        ends = [100.0 * curve[1][-1] for curve in npg.get(task, ())]
+        paper, spread = (float(np.mean(ends)), float(np.std(ends))) if ends else (None, None)
+        if (own := ours.get(task)) is None:
+            note = "no policy; docs/baselines.md says what was tried"
+            rows.append(Merit("success, sampled actions", "%", task, (), paper, spread, note))
+            continue
+        note = own.how + (f"; the paper's after {npg[task][0][0][-1] / 1e6:.1f} M" if ends else "")
+        for mode in MODES[::-1]:
+            known = (paper, spread) if mode == "sampled" else (None, None)
+            rows.append(
+                Merit(f"success, {mode} actions", "%", task, own.success[mode], *known, note, PERCENT)
+            )
+        rows.append(Merit(needed, "M", task, [samples_to(own.curve)]))
+    for task, runs in natural.items():
+        values, who = [100.0 * curve[1][-1] for curve in runs], f"{task}, TRPO"
+        rows.append(Merit("success at the end of training", "%", who, values, within=PERCENT))
+        rows.append(Merit(needed, "M", who, [samples_to(curve) for curve in runs]))
+    return rows
 
 
 def draw(
     figure: Figure,
     natural: dict[str, list[Curve]],
     npg: dict[str, list[Curve]],
-    first: dict[str, Curve],
+    ours: dict[str, Ours],
 ) -> None:
     """Draw success over samples, a panel for each pair of easy and hard."""
     figure.set_figheight(1.75 * len(FAMILIES) + 0.6)
@@ -181,13 +206,12 @@ def draw(
         for name, curves, color in (("the paper's NPG", npg, "0.55"), ("TRPO", natural, "#b3362b")):
             for samples, success in curves.get(task, ()):
                 axes.plot(samples / 1e6, 100.0 * success, color=color, linewidth=0.9, label=name)
-        if task in first:
-            samples, success = first[task]
-            algorithm = load_baseline(task).checkpoint.manifest["algorithm"]
-            color = COLORS[algorithm]
-            axes.plot(samples / 1e6, 100.0 * success, color=color, linewidth=1.5, label=algorithm)
+        if (own := ours.get(task)) is not None:
+            samples, success = own.curve
+            color = COLORS[own.algorithm]
+            axes.plot(samples / 1e6, 100.0 * success, color=color, linewidth=1.5, label=own.algorithm)
             for mode, filled in (("deterministic", color), ("sampled", "white")):
-                values = evaluated(task)[mode]
+                values = own.success[mode]
                 look: dict[str, Any] = {"mec": color, "mfc": filled, "ms": 4.5, "zorder": 5, "clip_on": False}
                 label = f"{mode}, parity, each seed"
                 axes.plot(np.full(len(values), samples[-1] / 1e6), values, "o", label=label, **look)

@@ -15,6 +15,7 @@ from myowarp.apps.studies.reproduce.arm import (
     FLEXORS,
     HEALTHY,
     MOTOR,
+    beside,
     late,
     run_groups,
 )
@@ -42,7 +43,6 @@ GROUPS = (*FOLLOWING, *DRIVING)
 
 PAPER_ERROR = {0.0: (4.95, 3.42), 1.0: (4.54, 3.12), 2.0: (4.34, 3.43)}  # deg
 SAME = 0.5  # deg: the error may grow by that and count as the same
-KEPT = ("angle", "target", "error", "activation", "force")
 PAPER_CHANGE = {"activation": (-60.0, -54.0, -66.0), "force": (-60.0, -58.0, -67.0)}  # %, by flexor, 2 kg
 
 
@@ -54,21 +54,12 @@ def run(lab: Lab) -> Findings:
         name: str, groups: tuple[tuple[str, float, float], ...], motor: bool
     ) -> list[dict[str, np.ndarray]]:
         load, assistance = (np.repeat([g[i] for g in groups], lab.num_worlds) for i in (1, 2))
-        mass = np.where(assistance > 0.0, CUFF, 0.0)
-        brace = (
-            Exoskeleton(motor=True, forearm_mass=mass)
-            if motor
-            else Exoskeleton(assistance, forearm_mass=mass)
-        )
+        brace = Exoskeleton(assistance, motor=motor, forearm_mass=np.where(assistance > 0.0, CUFF, 0.0))
         trainings = [{BRACE: ASSISTED, NEW: HEALTHY, DRIVEN: MOTOR}[who] for who, _, _ in groups]
         still = [a == 0.0 for _, _, a in groups] if motor else ()
         return run_groups(lab, name, groups, trainings, lambda: (Load(load), brace), targets, HOLD, still)
 
-    results = [
-        {name: np.concatenate((one[name], other[name]), axis=1) for name in KEPT}
-        for one, other in zip(lift("lift", FOLLOWING, False), lift("drive", DRIVING, True), strict=True)
-    ]
-    return findings(results)
+    return findings(beside(lift("lift", FOLLOWING, False), lift("drive", DRIVING, True)))
 
 
 def change(

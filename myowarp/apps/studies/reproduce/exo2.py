@@ -16,6 +16,7 @@ from myowarp.apps.studies.reproduce.arm import (
     FLEXORS,
     MOTOR,
     PER_SECOND,
+    beside,
     late,
     run_groups,
 )
@@ -40,7 +41,7 @@ ARMS = {
 
 EACH = tuple((name, a) for name in ARMS for a in (0.0, ASSISTANCE))
 GROUPS = tuple((who, name, a) for who in (BRACE, DRIVEN) for name, a in EACH)
-KEPT = ("angle", "target", "error", "activation", "force", "fatigue")
+TIRED = [g for g, (_, arm, _) in enumerate(GROUPS) if arm.startswith("fatigue")]
 PAPER_ERROR = {"normal": (4.12, 2.97), "sarcopenia": (6.03, 2.97), "fatigue": (11.89, 4.03)}  # deg
 PAPER_CHANGE = {  # %, by flexor
     "activation": {
@@ -60,25 +61,16 @@ def run(lab: Lab) -> Findings:
     """Run the protocol."""
     strength, rate = (np.repeat([ARMS[name][i] for name, _ in EACH], lab.num_worlds) for i in range(2))
     assistance = np.repeat([a for _, a in EACH], lab.num_worlds)
-    mass = np.where(assistance > 0.0, CUFF, 0.0)
     muscles = Sarcopenia(strength), FatigueMa2009(rate)
 
     def hold(name: str, motor: bool) -> list[dict[str, np.ndarray]]:
-        brace = (
-            Exoskeleton(motor=True, forearm_mass=mass)
-            if motor
-            else Exoskeleton(assistance, forearm_mass=mass)
-        )
+        brace = Exoskeleton(assistance, motor=motor, forearm_mass=np.where(assistance > 0.0, CUFF, 0.0))
         still = [a == 0.0 for _, a in EACH] if motor else ()
         trainings = [MOTOR if motor else ASSISTED] * len(EACH)
         target = np.array([[ANGLE]])
         return run_groups(lab, name, EACH, trainings, lambda: (*muscles, brace), target, HOLD, still)
 
-    results = [
-        {name: np.concatenate((one[name], other[name]), axis=1) for name in KEPT}
-        for one, other in zip(hold("hold", False), hold("drive", True), strict=True)
-    ]
-    return findings(results)
+    return findings(beside(hold("hold", False), hold("drive", True)))
 
 
 def held(result: dict[str, np.ndarray], quantity: str) -> np.ndarray:
@@ -123,52 +115,17 @@ def crossing(result: dict[str, np.ndarray], group: int, error: float) -> float:
 
 def findings(results: list[dict[str, np.ndarray]]) -> Findings:
     """Return figures of merit, claims and figure."""
-    errors, forces, drives, lost = (
-        np.array([held(result, quantity) for result in results])
-        for quantity in ("error", "force", "activation", "fatigue")
-    )
+    errors = np.array([held(result, "error") for result in results])
     error = {group: errors[:, g] for g, group in enumerate(GROUPS)}
-    names = [f"{who}, {assisted(arm, a)}" for who, arm, a in GROUPS]
-    rows = []
-    for (who, arm, a), name in zip(GROUPS, names, strict=True):
-        paper, spread = PAPER_ERROR.get(arm, (None, None)) if a else (None, None)
-        own = error[who, arm, a]
-        rows.append(Merit("error of the elbow angle", "°", name, own, paper, spread, within=POSITIVE))
-    tiring = GROUPS.index((BRACE, "fatigue", ASSISTANCE))
-    when = [crossing(result, tiring, PAPER_ERROR["fatigue"][0]) for result in results]
-    what = f"when the error passes the paper's {PAPER_ERROR['fatigue'][0]:g}°"
-    rows.append(Merit(what, "s", names[tiring], when, within=POSITIVE))
+    lost = 100.0 * np.array([held(result, "fatigue")[:, 3:].mean(axis=1) for result in results])
     changes = {
         (who, q, arm): np.array([change(r, q, arm, who) for r in results])
         for who in (BRACE, DRIVEN)
         for q in PAPER_CHANGE
         for arm in ARMS
     }
-    for (who, quantity, arm), values in changes.items():
-        known = PAPER_CHANGE[quantity].get(arm, (None,) * len(FLEXORS))
-        for muscle, own, value in zip(FLEXORS, values.T, known, strict=True):
-            rows.append(Merit(f"change of {quantity}, {muscle}", "%", f"{who}, {arm}", own, value))
     gravity, torques = gravity_torque(), passive_torque(np.radians(ANGLE))
     ideal, theirs = (ideal_change(-torque, gravity) for torque in torques)
-    note = f"an ideal hold: {ideal:.0f} %, see below"
-    for arm in ("normal", "sarcopenia"):
-        means = changes[BRACE, "force", arm].mean(axis=1)
-        what = "change of force, mean of the flexors"
-        rows.append(Merit(what, "%", f"{BRACE}, {arm}", means, note=note))
-    ratio = forces[..., :3].sum(axis=2) / forces[..., 3:].sum(axis=2)
-    rows += merits(
-        names,
-        ("force of the extensors over that of the flexors", "1", ratio.T),
-        ("activation of the extensors", "1", drives[..., :3].mean(axis=2).T),
-        within=POSITIVE,
-    )
-    lost = lost[..., 3:].mean(axis=2)
-    tired = [g for g, (_, arm, _) in enumerate(GROUPS) if arm.startswith("fatigue")]
-    rows += merits(
-        [names[g] for g in tired],
-        ("peak force lost, mean of the flexors", "%", 100.0 * lost[:, tired].T),
-        within=PERCENT,
-    )
 
     def with_(arm: str, who: str = BRACE) -> np.ndarray:
         return error[who, arm, ASSISTANCE]
@@ -199,7 +156,7 @@ def findings(results: list[dict[str, np.ndarray]]) -> Findings:
             *(rises(without(arm) - without("normal")) for arm in ("sarcopenia", "fatigue"))
         ),
         "error relieved": both(*(rises(without(arm) - with_(arm)) for arm in ("sarcopenia", "fatigue"))),
-        "fatigue": both(*(rises(lost[:, g] - lost[:, g + 1]) for g in tired[: len(tired) // 2 : 2])),
+        "fatigue": both(*(rises(lost[:, g] - lost[:, g + 1]) for g in TIRED[: len(TIRED) // 2 : 2])),
     }
     measured = {
         "number": len(results),
@@ -207,13 +164,58 @@ def findings(results: list[dict[str, np.ndarray]]) -> Findings:
         "gravity": gravity,
         "ideal": ideal,
         "theirs": theirs,
-        "whole": 100.0 * gravity / (gravity - torques[0]),
         "error": {arm: with_(arm).mean() for arm in PAPER_ERROR},
         "driven": {arm: with_(arm, DRIVEN).mean() for arm in PAPER_ERROR},
         "force": {arm: changes[BRACE, "force", arm].mean() for arm in PAPER_ERROR},
         "force_driven": {arm: changes[DRIVEN, "force", arm].mean() for arm in PAPER_ERROR},
     }
+    rows = hold_merits(results, errors, changes, lost, ideal)
     return Findings(rows, holds, lambda figure: draw(figure, results, errors, measured), measured)
+
+
+def hold_merits(
+    results: list[dict[str, np.ndarray]],
+    errors: np.ndarray,
+    changes: dict[tuple[str, str, str], np.ndarray],
+    lost: np.ndarray,
+    ideal: float,
+) -> list[Merit]:
+    """Return rows of errors, changes and what muscles do.
+
+    Args:
+        results: Of the seeds.
+        errors: In the last seconds [deg], shape (seeds, groups).
+        changes: By assistance [%], by wearer, quantity and arm, shape (seeds, flexors).
+        lost: Share of the flexors' peak force [%], shape (seeds, groups).
+        ideal: Change of force in an ideal hold [%].
+    """
+    names = [f"{who}, {assisted(arm, a)}" for who, arm, a in GROUPS]
+    rows = []
+    for (_, arm, a), name, own in zip(GROUPS, names, errors.T, strict=True):
+        paper, spread = PAPER_ERROR.get(arm, (None, None)) if a else (None, None)
+        rows.append(Merit("error of the elbow angle", "°", name, own, paper, spread, within=POSITIVE))
+    tiring, limit = GROUPS.index((BRACE, "fatigue", ASSISTANCE)), PAPER_ERROR["fatigue"][0]
+    when = [crossing(result, tiring, limit) for result in results]
+    what = f"when the error passes the paper's {limit:g}°"
+    rows.append(Merit(what, "s", names[tiring], when, within=POSITIVE))
+    for (who, quantity, arm), values in changes.items():
+        known = PAPER_CHANGE[quantity].get(arm, (None,) * len(FLEXORS))
+        for muscle, own, value in zip(FLEXORS, values.T, known, strict=True):
+            rows.append(Merit(f"change of {quantity}, {muscle}", "%", f"{who}, {arm}", own, value))
+    note = f"an ideal hold: {ideal:.0f} %, see below"
+    for arm in ("normal", "sarcopenia"):
+        means = changes[BRACE, "force", arm].mean(axis=1)
+        rows.append(Merit("change of force, mean of the flexors", "%", f"{BRACE}, {arm}", means, note=note))
+    forces, drives = (np.array([held(r, q) for r in results]) for q in ("force", "activation"))
+    ratio = forces[..., :3].sum(axis=2) / forces[..., 3:].sum(axis=2)
+    rows += merits(
+        names,
+        ("force of the extensors over that of the flexors", "1", ratio.T),
+        ("activation of the extensors", "1", drives[..., :3].mean(axis=2).T),
+        within=POSITIVE,
+    )
+    tired = "peak force lost, mean of the flexors", "%", lost[:, TIRED].T
+    return rows + merits([names[g] for g in TIRED], tired, within=PERCENT)
 
 
 def draw(

@@ -14,6 +14,7 @@ from myowarp.apps.studies.reproduce.arm import (
     FATIGUED,
     HEALTHY,
     PER_SECOND,
+    beside,
     prime_mover,
     run_groups,
     synergists_share,
@@ -56,11 +57,7 @@ def run(lab: Lab) -> Findings:
     affected, load = (np.repeat([values[i] for values in CCR.values()], lab.num_worlds) for i in range(2))
     conditions = Fatigue3CCR(affected), Load(load)
     others = run_groups(lab, "3ccr", list(CCR), [HEALTHY] * len(CCR), lambda: conditions, targets, PHASE)
-    results = [
-        {name: np.concatenate([one[name], other[name]], axis=1) for name in one}
-        for one, other in zip(tiring, others, strict=True)
-    ]
-    return findings(results, endurance.simulated(lab), rounds)
+    return findings(beside(tiring, others), endurance.simulated(lab), rounds)
 
 
 def by_round(values: np.ndarray, rounds: int) -> np.ndarray:

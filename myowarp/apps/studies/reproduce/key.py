@@ -192,14 +192,12 @@ def turn_merits(turns: Sequence[Turns], who: Sequence[str]) -> list[Merit]:
     return rows + merits(who, ("rotation of the key, mean actions", "°", meant.T))
 
 
-def change_merits(turns: Sequence[Turns], who: Sequence[str], than: int = 0) -> list[Merit]:
-    """Return rows of what each condition changes in the rotation: paired differences to one of them."""
+def change_merits(turns: Sequence[Turns], who: Sequence[str]) -> list[Merit]:
+    """Return rows of what conditions change in the rotation: paired differences to the first of them."""
     rows = []
     for name, values in zip(("drawn", "mean"), rotations(turns), strict=True):
-        change = (values - values[:, [than]]).T
-        others = [g for g in range(len(who)) if g != than]
-        label = f"rotation, change to {who[than]}, {name} actions"
-        rows += merits([who[g] for g in others], (label, "°", change[others]))
+        label = f"rotation, change to {who[0]}, {name} actions"
+        rows += merits(who[1:], (label, "°", (values[:, 1:] - values[:, :1]).T))
     return rows
 
 

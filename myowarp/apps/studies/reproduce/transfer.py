@@ -108,7 +108,7 @@ def findings(turns: list[key.Turns], samples: list[int]) -> Findings:
     rows += merits(GROUPS, ("activation of FPL, 0.4 to 1 s, mean actions", "1", bursts.T), within=POSITIVE)
     what = "pairs of muscles recruited in another order"
     rows += merits(GROUPS[1:], (what, "of 6", swaps[:, 1:].T), within=(0.0, 6.0))
-    drawn, meant = (dict(zip(GROUPS, values.T, strict=True)) for values in key.rotations(turns))
+    meant = dict(zip(GROUPS, key.rotations(turns)[1].T, strict=True))
     success = dict(zip(GROUPS, key.success(turns)[:, 1].T, strict=True))
     fpl = dict(zip(GROUPS, bursts.T, strict=True))
 
@@ -138,7 +138,6 @@ def findings(turns: list[key.Turns], samples: list[int]) -> Findings:
         "number": len(turns),
         "stuck": [int((values < key.THRESHOLDS[0]).sum()) for values in meant.values()],
         "meant": [values.mean() for values in meant.values()],
-        "drawn": [values.mean() for values in drawn.values()],
         "success": [values.mean() for values in success.values()],
         "eip": eip,
         "share": 100.0 * TRANSFER.samples / np.mean(samples),
