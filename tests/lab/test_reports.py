@@ -7,7 +7,7 @@ import pytest
 
 from myowarp.apps.reports import panel, table
 from myowarp.apps.reports.essay import sections
-from myowarp.apps.reports.intervals import mean_interval, student, wilson
+from myowarp.apps.reports.intervals import mean_interval, newcombe, student, wilson
 from myowarp.apps.reports.result import POSITIVE, Merit, both, merits, read_claims, rises, stays
 from myowarp.apps.studies.audit import figures
 from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
@@ -41,6 +41,13 @@ def test_wilsons_interval_is_the_published_one():
     for successes in (0, 7, 50):
         known = stats.binomtest(successes, 50).proportion_ci(method="wilson")
         np.testing.assert_allclose(wilson(successes, 50), known, atol=1e-12)
+
+
+def test_newcombes_interval_is_the_published_one():
+    # Newcombe 1998, Statistics in Medicine 17:873, table II, method 10; second minus first here.
+    np.testing.assert_allclose(newcombe(48, 80, 56, 70), (0.0524, 0.3339), atol=5e-5)
+    np.testing.assert_allclose(newcombe(3, 10, 9, 10), (0.1705, 0.8090), atol=5e-5)
+    np.testing.assert_allclose(newcombe(0, 10, 10, 10), (0.6075, 1.0), atol=5e-5)
 
 
 def test_merits_stand_beside_the_papers():

@@ -12,7 +12,7 @@ from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.reproduce import Reproduce
 from myowarp.apps.policies.baselines import load_baseline
 from myowarp.apps.policies.checkpoint import load_checkpoint
-from myowarp.apps.studies.reproduce import baselines, speed, transfer, validation
+from myowarp.apps.studies.reproduce import baselines, conditions, speed, transfer, validation
 from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
 from myowarp.apps.studies.reproduce.policies import Training, retrained
 from myowarp.apps.studies.reproduce.report import FILES
@@ -65,6 +65,57 @@ def test_what_a_tear_takes_is_missed(found):
     for who, change in changes.items():
         assert change == pytest.approx(rotation[who] - rotation["all muscles"])
     assert "agrees" not in claims(result).values()
+
+
+def test_conditions_take_success_from_policies(found):
+    """The elbow loses nothing, the key's turn what a torn FPL gave it."""
+    result, _ = found("conditions", num_worlds=8)
+    success = ours(result, "success")
+    assert set(success) == {
+        *(f"{conditions.QUICK_TASKS[0]}, {c}" for c in ("none", "sarcopenia", "fatigue", "exoskeleton")),
+        *(f"{conditions.QUICK_TASKS[1]}, {c}" for c in ("none", *conditions.ADAPTED)),
+    }
+    key = {name: success[f"{conditions.QUICK_TASKS[1]}, {name}"] for name in ("none", "tear")}
+    assert key["none"] > 80.0
+    assert key["tear"] < 60.0
+    assert success[f"{conditions.QUICK_TASKS[0]}, none"] == 100.0
+    after = ours(result, "success after more training")
+    assert set(after) == {f"{conditions.QUICK_TASKS[1]}, {name}" for name in ("none", "tear")}
+
+
+def test_losses_are_judged_by_intervals():
+    """Counts of 200 episodes: what is lost, gained and restored follows Newcombe's intervals."""
+    task, other = conditions.QUICK_TASKS
+
+    def runs(**successes):
+        return {
+            tuple(name.split("__")): {"success": np.arange(200) < count, "fault": np.zeros(200, int)}
+            for name, count in successes.items()
+        }
+
+    def cells(**counts):
+        found = runs(**counts)
+        return {({"a": task, "b": other}[t], c): run for (t, c), run in found.items()}
+
+    before = cells(a__none=200, a__sarcopenia=100, a__fatigue=196, b__none=190, b__tear=20)
+    after = cells(a__none=200, a__sarcopenia=198, b__none=150, b__tear=60)
+    found = conditions.findings(before, after)
+    assert found.holds == {
+        "harmed": True,
+        "every": False,
+        "gained": True,
+        "restored": False,
+        "control": False,
+    }
+    assert [found.measured[name] for name in ("pairs", "harmed", "spared", "gained", "restored")] == [
+        *(3, 2, 1, 2, 1)
+    ]
+    assert found.measured["worst"] == f"{other} under tear"
+    assert found.measured["worst_loss"] == pytest.approx(85.0)
+    assert found.measured["short"] == f"{other} (tear)"
+    open_ = conditions.findings(cells(a__none=200, a__tear=178), {})
+    assert open_.holds["every"] is None  # 11 points, 7 to 16: neither less than 10 nor more
+    assert open_.holds["gained"] is None
 
 
 def test_a_finished_tear_is_not_run_again(found, monkeypatch):

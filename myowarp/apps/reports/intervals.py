@@ -1,4 +1,4 @@
-"""95 % intervals: Student's or a bootstrap of a mean, Wilson's of a proportion."""
+"""95 % intervals: Student's or a bootstrap of a mean, Wilson's of a proportion, Newcombe's of two."""
 
 from __future__ import annotations
 
@@ -58,3 +58,15 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     middle = share + z2 / 2.0
     half = Z * math.sqrt(share * (1.0 - share) / trials + z2 / (4.0 * trials))
     return max(0.0, (middle - half) / (1.0 + z2)), min(1.0, (middle + half) / (1.0 + z2))
+
+
+def newcombe(successes: int, trials: int, successes_then: int, trials_then: int) -> tuple[float, float]:
+    """Return a 95 % interval of the difference of two proportions, the second minus the first.
+
+    Source: Newcombe 1998, Statistics in Medicine 17:873, method 10: from Wilson's intervals of both.
+    """
+    first, second = successes / trials, successes_then / trials_then
+    low, high = wilson(successes, trials)
+    low_then, high_then = wilson(successes_then, trials_then)
+    down, up = math.hypot(second - low_then, high - first), math.hypot(high_then - second, first - low)
+    return second - first - down, second - first + up

@@ -3,6 +3,7 @@
 from myowarp.apps.studies.reproduce import (
     baselines,
     cohort_exo,
+    conditions,
     exo1,
     exo2,
     fatigue,
@@ -18,5 +19,5 @@ from myowarp.definitions.registry import Registry
 
 EXPERIMENTS: Registry[Experiment] = Registry("experiment")
 _PAPER = validation, speed, baselines, sarcopenia, fatigue, tear, transfer, exo1, exo2
-for _file in (*_PAPER, cohort_exo, recovery):
+for _file in (*_PAPER, conditions, cohort_exo, recovery):
     EXPERIMENTS.add(_file.EXPERIMENT.name, _file.EXPERIMENT)

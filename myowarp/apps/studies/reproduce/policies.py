@@ -16,6 +16,7 @@ from typing import Any
 
 from rich.console import Console
 
+from myowarp.apps.policies.baselines import PREFIX, baseline_folder
 from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, load_checkpoint
 from myowarp.definitions.condition import Condition
 from myowarp.definitions.setup import Setup
@@ -36,7 +37,8 @@ class Training:
         samples: Control steps of all worlds together.
         settings: Settings of `myowarp train` besides its preset for the task.
         algorithm: Key in `ALGORITHMS`.
-        parent: The training whose policy this one starts from; None: networks are drawn.
+        parent: The training whose policy this one starts from, or a policy of the package, baselines/<task>;
+            None: networks are drawn.
     """
 
     name: str
@@ -45,7 +47,12 @@ class Training:
     samples: int = 1_000_000
     settings: Mapping[str, Any] = field(default_factory=dict)
     algorithm: str = "ppo"
-    parent: Training | None = None
+    parent: Training | str | None = None
+
+
+def available(training: Training, seed: int = 0) -> bool:
+    """Return whether a policy comes with the package."""
+    return (FOLDER / training.name / str(seed)).is_dir()
 
 
 def committed(training: Training, seed: int) -> Checkpoint:
@@ -94,7 +101,9 @@ def retrained(training: Training, setup: Setup, folder: Path, console: Console, 
     check_packages()
     name = TASKS[training.task].name
     parent = None
-    if training.parent is not None:
+    if isinstance(training.parent, str):
+        parent = load_checkpoint(baseline_folder(training.parent.removeprefix(PREFIX)))
+    elif training.parent is not None:
         home = folder.parents[1] / training.parent.name / str(setup.seed)
         parent = retrained(training.parent, setup, home, console, quick=quick)
     own, given = divided(training.settings)
