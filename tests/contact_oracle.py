@@ -13,6 +13,7 @@ import warp as wp
 
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
+from myowarp.tasks.die_reorient import show_wanted
 from myowarp.tasks.variants import find_variant
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parent / "data/myosuite"))
@@ -83,6 +84,7 @@ def oracle_of(key, episode):
     """Return MuJoCo C's model of an id with the objects of a recorded episode."""
     record, meta = recorded(key)
     model = copy.copy(simulation(key).scene.oracle)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE  # whose tree knows nominal sizes
     ids, row = object_ids(model, meta), reset_rows(record, [episode])[0]
     for name, values in record.items():
         _, kind, field = (*name.split("_", 2), "")[:3]
@@ -129,7 +131,25 @@ def aim_pen(sim, record, prefix):
     sim.scene.data.mocap_quat.assign(padded(record[f"{prefix}_target_quat"])[:, None])
 
 
-AIMS = {"key": aim_key, "hold": aim_hold, "pen": aim_pen, "baoding": aim_baoding}
+def euler(quats):
+    """Return the angles of Rx Ry Rz of quaternions, shape (n, 3)."""
+    matrices = np.zeros((len(quats), 9))
+    for matrix, quat in zip(matrices, quats, strict=True):
+        mujoco.mju_quat2Mat(matrix, quat)
+    m = matrices.reshape(-1, 3, 3)
+    first, last = np.arctan2(-m[:, 1, 2], m[:, 2, 2]), np.arctan2(-m[:, 0, 1], m[:, 0, 0])
+    return np.stack([first, np.arcsin(np.clip(m[:, 0, 2], -1.0, 1.0)), last], axis=1)
+
+
+def aim_die(sim, record, prefix):
+    """Put and turn the wanted die."""
+    program = sim.shards[0].program
+    program.goal_angles.assign(padded(euler(record[f"{prefix}_target_quat"])))
+    program.goal_offset.assign(padded(record[f"{prefix}_target_pos"] - (-0.34, -0.535, 1.46)))
+    program.launch(show_wanted, mask=wp.ones(NUM_WORLDS, dtype=bool))
+
+
+AIMS = {"key": aim_key, "hold": aim_hold, "pen": aim_pen, "baoding": aim_baoding, "die": aim_die}
 """Task: writes what the goals of recorded states were."""
 
 

@@ -159,6 +159,8 @@ class TaskSpec(abc.ABC):
         program: `definitions.program.Program`, or its subclass; called with the task and a scene.
         measures: Functions of one world whose values others read by these names, such as an error; `solved`
             and `failed` among them say when a world is solved, and when its episode fails.
+        least_contacts: Contacts that a world must have room for, where random motion from the start does not
+            show how many there can be (`sim/capacity.py`).
         name: Upstream's name of the task, such as `myoHandPoseFixed`; `@task` takes it from the id.
         version: Version of our id, from there too; 0 keeps MyoSuite 3.0.0's semantics.
         body: Name in `BODIES`.
@@ -172,6 +174,7 @@ class TaskSpec(abc.ABC):
 
     program: ClassVar[type]
     measures: ClassVar[Mapping[str, wp.Function]] = {}
+    least_contacts: ClassVar[int] = 0
 
     name: str = ""
     version: int = 0

@@ -257,7 +257,7 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
             f"task {spec.key!r} is large ({oracle.nbody} bodies, {oracle.nv} degrees of freedom): its first "
             "start takes a minute or more, and each physics step up to a tenth of a second"
         )
-    capacity = calibrate(oracle, start)
+    capacity = calibrate(oracle, start, spec.least_contacts)
 
     def make_data(number: int) -> mjw.Data:
         return mjw.make_data(stepped, nworld=number, nconmax=capacity.contacts, njmax=capacity.rows)

@@ -22,7 +22,7 @@ EPISODE_STEPS = 500
 HOLD_STEPS = 10  # a control is held
 
 
-def calibrate(model: mujoco.MjModel, start: np.ndarray) -> Capacity:
+def calibrate(model: mujoco.MjModel, start: np.ndarray, least_contacts: int = 0) -> Capacity:
     """Return sizes for a model, from disk if this model was measured before.
 
     Limits, friction loss and equalities have an exact bound. Contacts, and pairs of geoms whose bounding
@@ -32,17 +32,18 @@ def calibrate(model: mujoco.MjModel, start: np.ndarray) -> Capacity:
     Args:
         model: The model.
         start: Configuration from which motion starts, shape (nq,).
+        least_contacts: Contacts that fit at least, where motion from the start does not show them.
     """
     code = files_digest(Path(file) for file in (__file__, slim.__file__))
     return cached(
-        ("capacity", code, model_digest(model), start.tolist()),
-        make=lambda: _measure(model, start),
+        ("capacity", code, model_digest(model), start.tolist(), least_contacts),
+        make=lambda: _measure(model, start, least_contacts),
         save=lambda capacity: array_bytes(np.array(astuple(capacity))),
         load=lambda content: Capacity(*array_from_bytes(content).tolist()),
     )
 
 
-def _measure(model: mujoco.MjModel, start: np.ndarray) -> Capacity:
+def _measure(model: mujoco.MjModel, start: np.ndarray, least_contacts: int) -> Capacity:
     """Measure what `calibrate` returns."""
     pairs = np.array(sorted(slim.colliding_pairs(model)), dtype=int).reshape(-1, 2)
     rows = int(model.jnt_limited.sum() + model.tendon_limited.sum())
@@ -53,7 +54,7 @@ def _measure(model: mujoco.MjModel, start: np.ndarray) -> Capacity:
     with _unwarned():
         counts = np.array([(data.ncon, _candidates(model, data, pairs)) for data in _motion(model, start)])
     peak, mean_candidates = counts[:, 0].max(), counts[:, 1].mean()
-    contacts = max(1, int(np.ceil(MARGIN * peak)))
+    contacts = max(1, least_contacts, int(np.ceil(MARGIN * peak)))
     condim = max(int(model.geom_condim.max()), int(model.pair_dim.max(initial=1)))
     rows += contacts * max(1, 2 * (condim - 1))
     # The pool is shared by all worlds and holds candidates that pass a finer filter, less than half.

@@ -2,6 +2,7 @@
 
 from myowarp.tasks import (  # noqa: F401  (they register)
     baoding_ids,
+    die_reorient,
     key_turn,
     object_hold,
     pen_twirl,

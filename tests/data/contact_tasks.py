@@ -191,6 +191,64 @@ class PenTwirl:
         self.write(env, place_at_palm(env, rng), direction(rng), rng)
 
 
+class Die:
+    name = "die"
+    terms = ("pos_dist", "rot_dist", "bonus", "act_reg", "penalty")
+    objects = ("Object", "target")
+    aligned, far = 0.262, 0.2  # rad, m
+    beside = (-0.1, 0.0, 0.0)  # m, from where the die should be to where the wanted one is shown
+    distances = (0.0, 0.0249, 0.0251, 0.04, 0.0499, 0.0501, 0.1, 0.199, 0.201, 0.3)
+    angles = (0.0, 0.1, 0.261, 0.263, 1.0, 3.0)
+
+    def state(self, env):
+        die, target = env.data.body("Object"), env.model.body("target")
+        row = {"object_pos": die.xpos.copy(), "object_quat": die.xquat.copy()}
+        return row | {"target_pos": target.pos.copy(), "target_quat": target.quat.copy()}
+
+    def euler(self, quats):
+        """Angles of Rx Ry Rz, from the matrices of quaternions."""
+        m = np.array([rotation(quat) for quat in quats])
+        first, last = np.arctan2(-m[:, 1, 2], m[:, 2, 2]), np.arctan2(-m[:, 0, 1], m[:, 0, 0])
+        return np.stack([first, np.arcsin(np.clip(m[:, 0, 2], -1.0, 1.0)), last], axis=1)
+
+    def expected(self, get, env):
+        place = get["target_pos"] - get["object_pos"] - self.beside
+        die, wanted = self.euler(get["object_quat"]), self.euler(get["target_quat"])
+        turn = wanted - die
+        p, r = norm(place), norm(turn)
+        out = {"reward_pos_dist": -p, "reward_rot_dist": -r, "reward_act_reg": act_reg(get, env)}
+        out["reward_bonus"] = 1.0 * (p < 2 * env.pos_th) + 1.0 * (p < env.pos_th)
+        out |= {"reward_penalty": -1.0 * (p > self.far), "sparse": -r - 10.0 * p, "done": p > self.far}
+        out["solved"] = (p < env.pos_th) & (r < self.aligned) & (p <= self.far)
+        columns = (
+            get["qpos"][:, :-7],
+            get["qvel"][:, :-6] * env._ctrl_dt,
+            get["object_pos"],
+            get["target_pos"],
+        )
+        return out | {"obs": np.hstack([*columns, place, die, wanted, turn, get["act"]])}
+
+    def forced(self, wrapped, rng):
+        """All distances and all angles, around their thresholds."""
+        for distance, angle in itertools.product(self.distances, self.angles):
+            env = start_forced(wrapped, rng, rng.uniform(0.0, 0.6))
+            target = env.model.body("target")
+            place = target.pos - self.beside + distance * direction(rng)
+            wanted = self.euler(target.quat[None])[0]
+            self.write(env, place, wanted + angle * direction(rng))
+            yield {"distance": distance, "angle": angle}
+
+    def write(self, env, position, angles):
+        """Put the die at a position, turned by angles about its three hinges."""
+        env.data.qpos[-6:-3] = position - env.model.body("Object").pos
+        env.data.qpos[-3:] = angles
+
+    def place(self, env, rng):
+        """Further from the palm than smaller objects, so that die and hand overlap as little as they do."""
+        apart = rng.uniform(0.04, 0.07) * direction(rng)
+        self.write(env, place_at_palm(env, rng) + apart, rng.uniform(-np.pi, np.pi, 3))
+
+
 class Baoding:
     name = "baoding"
     terms = ("pos_dist_1", "pos_dist_2", "act_reg")

@@ -1,6 +1,6 @@
 """Record oracle values of the contact environments of MyoSuite 3.0.0 for the tests.
 
-Key turn, object hold, pen twirl and baoding balls, written like the files of `record_myosuite.py`
+Key turn, object hold, pen twirl, baoding balls and dice, written like the files of `record_myosuite.py`
 plus rollouts, tables of contacts and the randomised quantities (`README.md` next to this file
 describes the arrays). Every recording is compared with the task formulas in float64 NumPy and the
 worst deviations are printed. Recorded with the same versions and run in the same way:
@@ -12,7 +12,7 @@ import mujoco
 import myosuite  # noqa: F401  (registers the environments)
 import numpy as np
 from contact_model import contact_counts, model_arrays, model_meta, object_fields, object_geoms
-from contact_tasks import Baoding, KeyTurn, ObjHold, PenTwirl
+from contact_tasks import Baoding, Die, KeyTurn, ObjHold, PenTwirl
 from recording import (
     STATE,
     clip_rows,
@@ -38,6 +38,9 @@ FAMILIES = {
     "myoHandPenTwirlRandom-v0": PenTwirl(),
     "myoChallengeBaodingP1-v1": Baoding(),
     "myoChallengeBaodingP2-v1": Baoding(),
+    "myoChallengeDieReorientDemo-v0": Die(),
+    "myoChallengeDieReorientP1-v0": Die(),
+    "myoChallengeDieReorientP2-v0": Die(),
 }
 IDS = list(FAMILIES)
 RANDOMISED = {env_id for env_id in IDS if "Random" in env_id or "P2" in env_id}
@@ -146,6 +149,7 @@ class Recorder:
     def meta(self):
         env, names = self.env, ("frame_skip", "dt", "goal_th", "drop_th", "proximity_th")
         meta = {name: getattr(env, name, None) for name in names}
+        meta["dt"] = env._ctrl_dt if meta["dt"] is None else meta["dt"]
         meta |= common_meta(self.wrapped, self.env_id, self.family.name) | names_meta(env.model)
         objects = [env.model.geom(i).name for i in self.objects]
         meta |= {"object_bodies": self.family.objects, "object_geoms": objects}

@@ -111,7 +111,7 @@ def common_meta(wrapped, env_id, task):
         "versions": {name: version(name) for name in PACKAGES},
         "horizon": wrapped.get_wrapper_attr("_max_episode_steps"),
         "timestep": env.model.opt.timestep,
-        "obs": {key: int(np.size(value)) for key, value in obs.items()},
+        "obs": {key: int(np.size(obs[key])) for key in getattr(env, "obs_keys", obs)},
         "weights": {key: float(value) for key, value in env.rwd_keys_wt.items()},
         "action_dim": int(env.model.nu),
     }

@@ -6,7 +6,7 @@ in `test_oracle_contact_physics.py`.
 
 import numpy as np
 import pytest
-from contact_oracle import ALIASES, KEYS, NUM_WORLDS, object_ids, padded, recorded, simulation, written
+from contact_oracle import ALIASES, KEYS, NUM_WORLDS, euler, object_ids, padded, recorded, simulation, written
 
 from myowarp.definitions.task import TASKS
 
@@ -28,6 +28,9 @@ def edges(record, prefix, task):
     elif task == "pen":
         yield -record[f"{prefix}_reward_pos_align"], (0.075,)
         yield record[f"{prefix}_reward_rot_align"], (0.9, 0.95)
+    elif task == "die":
+        yield -record[f"{prefix}_reward_pos_dist"], (0.025, 0.05, 0.2)
+        yield -record[f"{prefix}_reward_rot_dist"], (0.262,)
     else:
         for i in (1, 2):
             yield -record[f"{prefix}_reward_pos_dist_{i}"], (0.015,)
@@ -85,7 +88,8 @@ def test_recorded_states_reach_every_branch(key):
     terms = [name for name in record if name.startswith("forced_reward_")]
     assert len(terms) == len(TASKS[key].reward_terms()) - 1  # sparse has a name of its own
     for name in (*terms, "forced_sparse", "forced_solved", "forced_done"):
-        assert len(np.unique(record[name])) > 1, name
+        everywhere = name == "forced_reward_bonus" and "Demo" in key  # which asks for no place
+        assert len(np.unique(record[name])) > 1 or everywhere, name
     levels = {"key": {0, 1, 2}, "hold": {0, 1, 2}, "pen": {0, 1, 6}}
     if meta["task"] in levels:
         assert set(record["forced_reward_bonus"]) == levels[meta["task"]]
@@ -103,7 +107,8 @@ def test_task_facts(key):
     nq, nv, num_muscles = (record[f"step_{name}"].shape[1] for name in ("qpos", "qvel", "act"))
     columns = [(c.name, c.size) for c in spec.columns(nq, nv, num_muscles)]
     assert columns == list(meta["obs"].items())
-    assert {t.name: t.weight for t in spec.reward_terms() if t.weight} == meta["weights"]
+    weights = {name: weight for name, weight in meta["weights"].items() if weight}
+    assert {t.name: t.weight for t in spec.reward_terms() if t.weight} == weights
     if key in ALIASES:
         first = vars(TASKS[ALIASES[key]])
         assert {k for k, v in vars(spec).items() if v != first[k]} <= {"name", "version", "doc"}
@@ -159,6 +164,7 @@ FIXED = {
         "ball_radius": (0.022, 0.022),
         "ball_friction": ((1, 0.005, 0.0001),) * 2,
     },
+    "die": {},
 }
 DRAWN = {
     "key": {
@@ -182,6 +188,26 @@ DRAWN = {
 }
 """What episodes draw, lowest and highest; definitions/tasks.md, section 3."""
 
+NOMINAL_DIE = {"mass": (0.108, 0.108), "growth": (0, 0), "friction": ((1, 0.005, 0.0001),) * 2}
+DICE = {
+    "myoChallengeDieReorientDemo-v0": NOMINAL_DIE | {"offset": (0, 0), "turn": (3 * (-0.785,), 3 * (0.785,))},
+    "myoChallengeDieReorientP1-v0": NOMINAL_DIE
+    | {"offset": (3 * (-0.01,), 3 * (0.01,)), "turn": (3 * (-1.57,), 3 * (1.57,))},
+    "myoChallengeDieReorientP2-v0": {
+        "offset": (3 * (-0.02,), 3 * (0.02,)),
+        "turn": (3 * (-3.14,), 3 * (3.14,)),
+        "mass": (0.05, 0.25),
+        "growth": (-0.007, 0.007),
+        "friction": ((0.8, 0.004, 0.00008), (1.2, 0.006, 0.00012)),
+    },
+}
+"""What the dice of each id draw."""
+
+
+TARGET = (-0.34, -0.535, 1.46)  # m, the wanted die where nothing else is asked for
+HALF_EDGE = 0.0235  # m
+LEAST = 0.05  # of anything drawn, below which it is known to float32 of a place in the world
+
 
 def tilt(quat):
     """Return the angles (u, v) of a rotation Rx(u) Ry(v)."""
@@ -203,6 +229,14 @@ def drawn_by_us(sim, meta):
         return {"goal_pos": program.goal.numpy(), "object_size": field("geom_size")[:, 0]}
     if meta["task"] == "pen":
         return {"tilt": tilt(sim.scene.data.mocap_quat.numpy()[:, 0])}
+    if meta["task"] == "die":
+        offset = sim.scene.data.mocap_pos.numpy()[:, 0] - TARGET
+        shape = {"mass": field("body_mass")[:, 0], "growth": field("geom_size")[:, 0, 1] - HALF_EDGE}
+        return shape | {
+            "offset": offset,
+            "turn": program.goal_angles.numpy(),
+            "friction": field("geom_friction"),
+        }
     balls = {"mass": field("body_mass"), "radius": field("geom_size")[:, :, 0]}
     balls["friction"] = field("geom_friction")
     orbits = {"sign": "direction", "start_angle": "start_angle", "period": "period", "radii": "radii"}
@@ -214,6 +248,11 @@ def drawn_by_upstream(record, meta):
     """Return what the recorded episodes have drawn."""
     if meta["task"] == "pen":
         return {"tilt": tilt(record["reset_target_quat"])}
+    if meta["task"] == "die":
+        growth = record["reset_geom_size"][:, 0, 1] - HALF_EDGE
+        shape = {"mass": record["reset_body_mass"][:, 0], "friction": record["reset_geom_friction"]}
+        wanted = {"turn": euler(record["reset_target_quat"]), "offset": record["reset_target_pos"] - TARGET}
+        return shape | wanted | {"growth": growth}
     names = FIXED[meta["task"]]
     first = {"start_angle": record.get("reset_start_angles", np.zeros((1, 1)))[:, 0]}
     return {name: first[name] if name in first else record[f"reset_{name}"] for name in names}
@@ -227,11 +266,11 @@ def test_episodes_draw_like_upstream(key):
     sim = simulation(key)
     sim.reset(seeds=np.arange(NUM_WORLDS))
     ours, theirs = drawn_by_us(sim, meta), drawn_by_upstream(record, meta)
-    bounds = (DRAWN if random else FIXED)[meta["task"]]
+    bounds = DICE.get(key) or (DRAWN if random else FIXED)[meta["task"]]
     assert set(ours) == set(theirs) == set(bounds)
     for name, (low, high) in bounds.items():
         low, spread = np.array(low), np.subtract(high, low)
-        scale = np.maximum(np.abs(low), spread)
+        scale = np.maximum(np.maximum(np.abs(low), spread), LEAST)
         for values in (ours[name], theirs[name]):
             assert np.all(values >= low - VALUE_TOLERANCE * scale), name
             assert np.all(values <= high + VALUE_TOLERANCE * scale), name
@@ -241,23 +280,42 @@ def test_episodes_draw_like_upstream(key):
             assert set(ours[name]) == set(theirs[name]) == {-1, 0, 1}
 
 
+def outer(task, size):
+    """Return bounding spheres and half bounding boxes: of ellipsoids and balls, or of the parts of a die."""
+    if task != "die":
+        return size.max(axis=-1), size
+    edge, radius, length = size[..., 2] == 0, size[..., 0], size[..., 0] + size[..., 1]
+    box = np.where(edge[..., None], np.stack([radius, radius, length], axis=-1), size)
+    return np.where(edge, length, np.linalg.norm(size, axis=-1)), box
+
+
 @pytest.mark.parametrize("key", [key for key in KEYS if "geom_size" in TASKS[key].batched])
 def test_fields_that_follow_from_what_is_drawn(key):
     """Bounds for the broad phase and inverse weights, as upstream's recompilation gives them."""
     record, meta = recorded(key)
     sim = simulation(key)
     sim.reset(seeds=np.arange(NUM_WORLDS))
-    ids, model = object_ids(sim.scene.oracle, meta), sim.scene.model
+    ids, model, of_die = object_ids(sim.scene.oracle, meta), sim.scene.model, meta["task"] == "die"
     names = ["geom_size", "geom_rbound", "geom_aabb", "body_mass", "body_inertia", "body_invweight0"]
+    names += ["geom_pos", "dof_invweight0"] if of_die else []
     ours = {name: getattr(model, name).numpy()[:, ids[name.split("_")[0]]] for name in names}
     theirs = {name: record[f"reset_{name}"] for name in names}
     for fields in (ours, theirs):
-        size = fields["geom_size"]
+        size, mass = fields["geom_size"], fields["body_mass"][:, :1] if of_die else fields["body_mass"]
+        radius, half = outer(meta["task"], size)
+        inertia = np.maximum(6e-4 * mass, 1e-4) if of_die else np.full_like(mass, 1e-4)
         box = fields["geom_aabb"].reshape(*size.shape[:2], 2, 3)
-        expected = {"geom_rbound": size.max(axis=-1), "body_inertia": np.full(3, 1e-4)}
-        for name, values in expected.items():
-            np.testing.assert_allclose(fields[name], np.broadcast_to(values, fields[name].shape), 1e-6)
-        np.testing.assert_allclose(box, np.stack([0 * size, size], axis=2), 1e-6)
-        mass = fields["body_mass"]
-        inverse = np.stack([1 / mass, np.full_like(mass, 1e4)], axis=-1)
-        np.testing.assert_allclose(fields["body_invweight0"], inverse, 1e-6)
+        np.testing.assert_allclose(fields["geom_rbound"], radius, 1e-6)
+        np.testing.assert_allclose(box, np.stack([0 * half, half], axis=2), 1e-6)
+        objects = slice(mass.shape[1])  # the wanted die stays as it is
+        expected = np.broadcast_to(inertia[..., None], (*inertia.shape, 3))
+        given = np.broadcast_to(fields["body_inertia"][:, objects], expected.shape)
+        np.testing.assert_allclose(given, expected, 1e-6)
+        inverse = np.stack([1 / mass, 1 / inertia], axis=-1)
+        np.testing.assert_allclose(fields["body_invweight0"][:, objects], inverse, 1e-6)
+        if of_die:
+            expected = np.repeat(inverse[:, 0], 3, axis=1)
+            np.testing.assert_allclose(fields["dof_invweight0"], expected, 1e-6)
+            middle = np.linalg.norm(fields["geom_pos"], axis=-1)
+            np.testing.assert_allclose(middle[:, :12], np.sqrt(2) * size[:, :12, 1], 1e-6)
+            assert not middle[:, 12:].any()

@@ -149,7 +149,7 @@ def test_seed_decides(key):
     np.testing.assert_array_equal(drawn(sim), first)
     sim.reset()
     np.testing.assert_array_equal(drawn(sim), second)
-    if "Random" in key or "P2" in key:
+    if any(name in key for name in ("Random", "P2", "DieReorient")):
         assert not np.array_equal(first, second)
         assert len(np.unique(first, axis=0)) == n
     elif not getattr(TASKS[key], "random_start", False):

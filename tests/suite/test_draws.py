@@ -57,6 +57,13 @@ DRAWS = {
         "object size": (3 * (0.02,), 3 * (0.03,)),
     },
     "myoHandPenTwirlRandom-v1": {"tilt": ((-1, -1), (1, 1))},
+    "myoChallengeDieReorientP2-v1": {
+        "goal": (3 * (-0.02,), 3 * (0.02,)),
+        "turn": (3 * (-3.14,), 3 * (3.14,)),
+        "die mass": (0.05, 0.25),
+        "die growth": (-0.007, 0.007),
+        "die friction": (15 * (0.8, 0.004, 0.00008), 15 * (1.2, 0.006, 0.00012)),
+    },
     "myoHandBaodingRandom-v1": {
         "direction": {-1, 0, 1},
         "start angle": (0, 2 * PI),
