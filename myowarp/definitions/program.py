@@ -112,8 +112,7 @@ class Program:
         """Return `world_kernels` around functions; they get rows of what has a dimension more than they read.
 
         Raises:
-            TypeError: Nothing has the name of a parameter.
-            ValueError: What has such rows has not one for each world.
+            ValueError: Nothing has the name of a parameter, or what has such rows has not one for each world.
         """
         functions = [f for f in (*sources, *terms, *dict(measures).values()) if isinstance(f, wp.Function)]
         rows = {"step_count"}
@@ -121,7 +120,10 @@ class Program:
         for function, name in ((f, name) for f in functions for name in parameters(f)):
             if name in (*rows, *GIVEN, *dict(measures)):
                 continue
-            array = find(name, self.owners, reader)
+            try:
+                array = find(name, self.owners, reader)
+            except TypeError as error:
+                raise ValueError(str(error)) from None
             if getattr(array, "ndim", 0) <= parameter_type(function, name)[1]:
                 continue
             if array.shape[0] != self.scene.num_worlds:

@@ -409,6 +409,11 @@ BAD = {
         ('body="outside_arm", near=0.3', 'body="arm", near=0.3'),
         "task 'outsideArmRandom-v0' needs a body in BODIES, got 'arm'",
     ),
+    "no measure": (
+        "family.py:wide",
+        ('{"error": arm_error, ', "{"),
+        "task 'outsideArmRandom-v0' needs 'error'; it is not given, and no attribute of Program, ArmTask",
+    ),
     "targets of a pose": (
         "free_root.py:pose",
         ("(0.7, -1.1)", "(0.7,)"),

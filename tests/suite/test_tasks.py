@@ -142,7 +142,7 @@ def test_arguments_that_are_not_there():
     message = (
         f"^task '{spec.key}' needs 'no_such_array'; it is not given, and no attribute of PoseProgram, Po"
     )
-    with pytest.raises(TypeError, match=message):
+    with pytest.raises(ValueError, match=message):
         program.around((of_nothing,), (), ())
     message = "^measure 'b' must not need its own value, but those that it reads do$"
     with pytest.raises(ValueError, match=message):
