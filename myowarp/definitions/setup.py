@@ -20,6 +20,8 @@ from myowarp.definitions.registry import check_choice, check_least
 from myowarp.definitions.task import PHYSICS, RESETS, TASKS, TaskSpec
 
 MOST_SEED = 2**63 - 1  # world i has seed + i, a uint64
+UNRECORDED = ("task", "shards", "rank")
+"""Options that `plain` leaves out: the task, which has a place of its own, and what only this process is."""
 
 
 def option(
@@ -166,14 +168,15 @@ class Setup:
         """Return it as JSON holds it, but for the task and what only this process is; "" is an open text.
 
         Conditions that are no texts are left to whoever has them, and so are parameters of muscles that are
-        in no file.
+        in no file. A new option comes as it is.
         """
         muscle = self.muscle.model if isinstance(self.muscle, MuscleTable) else self.muscle
         texts = {"physics": self.physics, "muscle": muscle, "muscle_parameters": self.muscle_parameters}
         texts |= {"reset": self.reset, "device": self.device}
-        conditions = [condition for condition in self.conditions or () if isinstance(condition, str)]
-        found = {name: "" if value is None else str(value) for name, value in texts.items()}
-        return found | {"conditions": conditions, "horizon": self.horizon, "seed": self.seed}
+        found: dict[str, Any] = {name: "" if value is None else str(value) for name, value in texts.items()}
+        found["conditions"] = [condition for condition in self.conditions or () if isinstance(condition, str)]
+        others = [f.name for f in dataclasses.fields(self) if f.name not in (*found, *UNRECORDED)]
+        return found | {name: getattr(self, name) for name in others}
 
     @classmethod
     def from_plain(cls, recorded: Mapping[str, Any]) -> Setup:

@@ -1,5 +1,6 @@
 """A setup: what is put over what, what it is as JSON, and that every command takes it whole."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -86,6 +87,16 @@ def test_json_and_back():
     parts = Setup(muscle=MuscleTable("mujoco"), conditions=(Sarcopenia(), "fatigue_3ccr"))
     assert parts.plain()["conditions"] == ["fatigue_3ccr"]
     assert parts.plain()["muscle"] == "mujoco"
+
+
+def test_a_new_option_is_recorded_too():
+    @dataclass(frozen=True, kw_only=True)
+    class Tilted(Setup):
+        tilt: float | None = None
+
+    assert Tilted(tilt=0.2).plain() == Setup().plain() | {"tilt": 0.2}
+    assert Tilted.from_plain(Tilted(tilt=0.2).plain()) == Tilted(tilt=0.2, conditions=())
+    assert Setup().plain().keys() == OPTIONS.keys() - {"task", "shards", "rank"}
 
 
 def test_a_file_of_before_says_nothing_where_it_is_empty():
