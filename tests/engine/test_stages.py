@@ -91,6 +91,13 @@ def test_each_applies_somewhere(name):
     assert None in obstacles
 
 
+def test_a_place_has_one_stage():
+    """Two stages of one place would undo each other, or run out of order."""
+    places = [place for name in STAGES for place in load(name).REPLACES]
+    assert len(places) == len(set(places))
+    assert set(places) <= set(ORDER)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("key", "condition"), CONDITIONED)
 def test_bodies_with_conditions(key, condition):
