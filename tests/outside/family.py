@@ -14,7 +14,8 @@ MODEL = """<mujoco><worldbody><body name="arm">
   <site name="insertion" pos="0.03 0 -0.2"/><site name="tip" pos="0 0 -0.4"/></body>
   <site name="origin" pos="0.05 0 0.3"/></worldbody>
   <tendon><spatial name="muscle"><site site="origin"/><site site="insertion"/></spatial></tendon>
-  <actuator><muscle name="muscle" tendon="muscle" force="200" lengthrange="0.3 0.6"/></actuator></mujoco>"""
+  <actuator><muscle name="muscle" tendon="muscle" force="200" lengthrange="0.3 0.6" ctrlrange="0 1"/>
+  </actuator></mujoco>"""
 
 
 def arm():
