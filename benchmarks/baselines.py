@@ -31,6 +31,7 @@ from myowarp.disk import in_place
 DOCS = Path(__file__).parents[1] / "docs"
 PUBLISHED = Path(__file__).with_name("published_success.json")
 PAGE = Path(__file__).with_name("baselines_page.md")
+AUDIT = DOCS / "audit/audit.json"
 MOST_BYTES = 500_000  # of a policy
 CURVE_ROWS = 150
 CURVE_COLUMNS = ("samples", "return", *SUCCESSES)
@@ -108,11 +109,15 @@ def page() -> str:
     published = json.loads(PUBLISHED.read_text())
     machines = {(run["training"]["processor"], run["training"]["cores"]) for b in found for run in b.runs}
     faults = sum(_faults(run) for b in found for run in b.runs)
+    audits = {audit["task"]: audit for audit in json.loads(AUDIT.read_text())["audits"]}
+    met = 100.0 * audits["myoHandReachRandom-v0"]["targets"]["solvable"]
     return PAGE.read_text().format(
         summary=_summary_table(found, published),
         success=_success_table(found),
         faults=faults,
         reachable=_reachable(found),
+        met=met,
+        unmet=100.0 - met,
         machine=", ".join(f"{cores} cores ({name})" for name, cores in sorted(machines)),
         training=_training_table(found),
         published=_published_table(found, published),

@@ -21,12 +21,14 @@ from myowarp.apps.studies.reproduce import (
     exo2,
     key,
     recovery,
+    sarcopenia,
     transfer,
     validation,
 )
 from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
 from myowarp.apps.studies.reproduce.policies import FOLDER, Training, committed, retrained
 from myowarp.apps.studies.reproduce.report import FILES, output_folder
+from myowarp.definitions.body import BODIES
 from myowarp.definitions.setup import Setup
 from myowarp.models.bodies.arm_muscles import ELBOW_EXTENSOR, ELBOW_FLEXOR
 from myowarp.models.conditions import Exoskeleton, Load
@@ -40,7 +42,7 @@ ELBOW = [
     if {"arms", "run_groups"} & vars(sys.modules[EXPERIMENTS[name].run.__module__]).keys()
 ]
 POLICIES = (
-    *(arm.HEALTHY, arm.SARCOPENIC, arm.FATIGUED, arm.ASSISTED, arm.MOTOR),
+    *(arm.HEALTHY, arm.SARCOPENIC, arm.FATIGUED, arm.ASSISTED, arm.MOTOR, arm.THRIFTY),
     *(key.INTACT, transfer.TRANSFER, transfer.REDIRECT),
 )
 MAX_POLICY_BYTES, MAX_HAND_BYTES = 100_000, 150_000
@@ -164,6 +166,9 @@ def test_policies_are_small_and_of_five_seeds():
             assert manifest["settings"]["seed"] == seed
             assert manifest["samples"] >= training.samples or training is key.INTACT  # which stops early
             assert manifest["conditions"] == [condition.name for condition in training.conditions()]
+            assert manifest["task"] == training.task
+            effort = training.task_fields.get("effort_weight", 1.0)
+            assert training.task != arm.TASK or dict(manifest["contract"]["reward"])["act_reg"] == effort
             folder = FOLDER / training.name / str(seed)
             most = MAX_POLICY_BYTES if training.task == arm.TASK else MAX_HAND_BYTES
             assert sum(path.stat().st_size for path in folder.iterdir()) < most
@@ -316,6 +321,32 @@ def test_a_weak_arm_works_harder(found):
         rows = values(result, quantity)
         for angles in ("30 to 90°", "20 to 110°", "60 to 120°"):
             assert rows[f"weak, {angles}"] > 1.1 * rows[f"healthy, {angles}"]
+
+
+def test_shares_of_least_norm_are_those_of_a_pseudoinverse():
+    """Of MuJoCo C's joint torques, muscle by muscle, 30 to 90 degrees."""
+    model = BODIES["elbow"].build().compile()
+    data, shares = mujoco.MjData(model), []
+    for angle in np.linspace(30.0, 90.0, 13):
+        torque = []
+        for active in np.vstack((np.zeros(6), np.eye(6)[3:])):
+            data.qpos[:], data.act[:] = np.radians(angle), active
+            mujoco.mj_forward(model, data)
+            torque.append(data.qfrc_actuator[0])
+        activation = np.linalg.pinv(np.subtract(torque[1:], torque[0])[None]) @ [10.0]
+        shares.append(activation / activation.sum())
+    assert [model.actuator(i).name for i in range(3, 6)] == list(arm.FLEXORS)
+    np.testing.assert_allclose(sarcopenia.least_norm(), np.mean(shares, axis=0), atol=1e-6)
+    assert np.ptp(np.mean(shares, axis=0)) > 0.1
+
+
+def test_a_dearer_effort_is_a_smaller_one(found):
+    _, result = found("sarcopenia")
+    effort = values(result, "effort, mean activation of the six muscles")
+    assert effort["healthy, effort × 10, 30 to 90°"] < 0.9 * effort["healthy, 30 to 90°"]
+    shares = [values(result, f"share of {muscle}") for muscle in arm.FLEXORS]
+    for who in ("healthy, 30 to 90°", "healthy, effort × 10, 30 to 90°"):
+        assert sum(row[who] for row in shares) == pytest.approx(1.0)
 
 
 def test_fatigue_raises_the_error(found):

@@ -13,7 +13,7 @@ import numpy as np
 from myowarp.apps.reports.intervals import mean_interval
 from myowarp.apps.reports.table import number
 
-POSITIVE, PERCENT = (0.0, math.inf), (0.0, 100.0)
+POSITIVE, PERCENT, CHANGE = (0.0, math.inf), (0.0, 100.0), (-100.0, math.inf)
 """What a mean can be: of root mean squares, of shares."""
 
 

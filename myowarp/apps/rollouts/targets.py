@@ -1,7 +1,8 @@
 """Which share of a task's targets can be met at all: a rule for each family.
 
 Geometry alone is asked: joint ranges, the reach of the tips, and room for an object over the open hand of
-the start. Muscles, gravity and time are not, so a share is an upper bound of what a policy can solve.
+the start. Muscles, gravity and time are not, so a share of postures is an upper bound of what a policy can
+solve. A share of objects is none: a hand that moves makes room.
 """
 
 from collections.abc import Callable

@@ -108,6 +108,11 @@ def eval_command(asked: Setup, folder: Path | str) -> str:
     return f"myowarp {shlex.join(['eval', str(folder), *file])}"
 
 
+def task_name(setup: Setup) -> str:
+    """Return the task of a setup as a manifest says it; what a specification changes is in the contract."""
+    return setup.task.key if isinstance(setup.task, TaskSpec) else str(setup.task)
+
+
 def trained_setup(manifest: Mapping[str, Any]) -> Setup:
     """Return what a checkpoint's policy was trained in, as its user said it."""
     task = Path(manifest["task"]) if manifest["model"] else manifest["task"]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from myowarp.apps.train.machine import Stopwatch, check_replay, processor
-from myowarp.apps.train.plan import Job, eval_command, held, last_saved
+from myowarp.apps.train.plan import Job, eval_command, held, last_saved, task_name
 from myowarp.apps.train.settings import SUCCESSES
 from myowarp.definitions.condition import Condition
 from myowarp.disk import in_place, plain
@@ -233,7 +233,7 @@ def _save(job: Job, run: Run) -> None:
     variant, asked = variant_of(job.asked), job.asked.conditions or ()
     objects = [condition.name for condition in asked if isinstance(condition, Condition)]
     manifest = {
-        "task": str(job.asked.task),
+        "task": task_name(job.asked),
         "model": isinstance(job.asked.task, Path),
         "reset": variant.reset,
         "conditions": [*variant.conditions, *objects],
@@ -286,7 +286,7 @@ def _origin(job: Job) -> dict[str, Any] | None:
 def _report(job: Job, run: Run, reason: str, watch: Stopwatch) -> dict[str, Any]:
     """Return what came out."""
     return {
-        "task": str(job.asked.task),
+        "task": task_name(job.asked),
         "algorithm": job.algorithm,
         "seed": job.setup.seed,
         "ranks": job.ranks.size,

@@ -52,9 +52,10 @@ SARCOPENIC = _trained("sarcopenic", Sarcopenia(strength=0.5))
 FATIGUED = _trained("fatigued", FatigueMa2009(PER_SECOND, initial=Uniform(0.0, 0.9, each=True)))
 ASSISTED = _trained("assisted", Exoskeleton(assistance=ASSISTANCE))
 MOTOR = _trained("motor", Exoskeleton(motor=True))
+THRIFTY = Training("thrifty", TASK, tuple, SAMPLES, SETTINGS, task_fields={"effort_weight": 10.0})
 """Fatigued: at 1/s, and every muscle of every episode has lost a share of its force before, between none and
 nine tenths. Assisted: the brace adds what the muscles make. Motor: the policy commands the brace's torque,
-which costs it nothing."""
+which costs it nothing. Thrifty: activations cost ten times what they cost in the task."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from myowarp.apps.reports import panel
-from myowarp.apps.reports.result import POSITIVE, Merit, both, merits, rises, stays
+from myowarp.apps.reports.result import CHANGE, POSITIVE, Merit, both, merits, rises, stays
 from myowarp.apps.studies.reproduce.arm import (
     ASSISTANCE,
     ASSISTED,
@@ -110,12 +110,13 @@ def findings(results: list[dict[str, np.ndarray]]) -> Findings:
     for (who, quantity), values in changes.items():
         papers = PAPER_CHANGE[quantity] if who != NEW else (None,) * len(FLEXORS)
         for muscle, own, value in zip(FLEXORS, values.T, papers, strict=True):
-            rows.append(Merit(f"change of {quantity}, {muscle}", "%", f"{who}, 2 kg", own, value))
+            what, where = f"change of {quantity}, {muscle}", f"{who}, 2 kg"
+            rows.append(Merit(what, "%", where, own, value, within=CHANGE))
     for a in (0.5, 1.0, 2.0):
         forces = [change(r, "force", 2.0, a).mean() for r in results]
         note = f"the muscles' part of the holding torque changes by {-100.0 * a / (1.0 + a):.0f} %"
         what, who = "change of force, mean of the flexors", f"{BRACE}, 2 kg, assistance {a:g}"
-        rows.append(Merit(what, "%", who, forces, note=note))
+        rows.append(Merit(what, "%", who, forces, note=note, within=CHANGE))
     others = np.array([[change(r, "activation", 2.0, a) for a in (0.5, 2.0)] for r in results])
     force = {who: changes[who, "force"].mean(axis=1) for who in (BRACE, NEW, DRIVEN)}
     grows = {who: errors_of(errors, who)[2.0] - errors_of(errors, who)[0.0] for who in (BRACE, DRIVEN)}

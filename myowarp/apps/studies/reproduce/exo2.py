@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from myowarp.apps.reports import panel
-from myowarp.apps.reports.result import PERCENT, POSITIVE, Merit, both, merits, rises, stays
+from myowarp.apps.reports.result import CHANGE, PERCENT, POSITIVE, Merit, both, merits, rises, stays
 from myowarp.apps.studies.reproduce.arm import (
     ASSISTANCE,
     ASSISTED,
@@ -201,11 +201,13 @@ def hold_merits(
     for (who, quantity, arm), values in changes.items():
         known = PAPER_CHANGE[quantity].get(arm, (None,) * len(FLEXORS))
         for muscle, own, value in zip(FLEXORS, values.T, known, strict=True):
-            rows.append(Merit(f"change of {quantity}, {muscle}", "%", f"{who}, {arm}", own, value))
+            what, where = f"change of {quantity}, {muscle}", f"{who}, {arm}"
+            rows.append(Merit(what, "%", where, own, value, within=CHANGE))
     note = f"an ideal hold: {ideal:.0f} %, see below"
     for arm in ("normal", "sarcopenia"):
         means = changes[BRACE, "force", arm].mean(axis=1)
-        rows.append(Merit("change of force, mean of the flexors", "%", f"{BRACE}, {arm}", means, note=note))
+        what, who = "change of force, mean of the flexors", f"{BRACE}, {arm}"
+        rows.append(Merit(what, "%", who, means, note=note, within=CHANGE))
     forces, drives = (np.array([held(r, q) for r in results]) for q in ("force", "activation"))
     ratio = forces[..., :3].sum(axis=2) / forces[..., 3:].sum(axis=2)
     rows += merits(

@@ -8,6 +8,7 @@ output. A new one comes into the package by `checkpoint.save_policy`, without th
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -39,6 +40,7 @@ class Training:
         algorithm: Key in `ALGORITHMS`.
         parent: The training whose policy this one starts from, or a policy of the package, baselines/<task>;
             None: networks are drawn.
+        task_fields: Fields of the task that are others in the training, such as a weight of its reward.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Training:
     settings: Mapping[str, Any] = field(default_factory=dict)
     algorithm: str = "ppo"
     parent: Training | str | None = None
+    task_fields: Mapping[str, Any] = field(default_factory=dict)
 
 
 def available(training: Training, seed: int = 0) -> bool:
@@ -95,11 +98,14 @@ def retrained(training: Training, setup: Setup, folder: Path, console: Console, 
     from myowarp.apps.train.plan import Job, check_packages, occupied
     from myowarp.apps.train.run import STOPPED, train
     from myowarp.apps.train.settings import TRAINING, choose, divided, preset
-    from myowarp.definitions.task import TASKS
+    from myowarp.definitions.task import TASKS, TaskSpec
     from myowarp.tasks.setups import complete
 
     check_packages()
     name = TASKS[training.task].name
+    task: str | TaskSpec = training.task
+    if training.task_fields:
+        task = dataclasses.replace(TASKS[training.task], **training.task_fields)
     parent = None
     if isinstance(training.parent, str):
         parent = load_checkpoint(baseline_folder(training.parent.removeprefix(PREFIX)))
@@ -109,7 +115,7 @@ def retrained(training: Training, setup: Setup, folder: Path, console: Console, 
     own, given = divided(training.settings)
     given = {"samples": training.samples // (QUICK if quick else 1), "stop_success": NEVER} | given
     settings = choose(name, training.algorithm, given)
-    asked = Setup(task=training.task, conditions=training.conditions()).over(own)
+    asked = Setup(task=task, conditions=training.conditions()).over(own)
     asked = setup.over(asked).over(divided(preset(name, training.algorithm))[0]).over(TRAINING)
     checkpoint = load_checkpoint(folder) if occupied(folder) else None
     if checkpoint is not None:
