@@ -14,6 +14,7 @@ PYTEST ?=
 RIVALS ?=
 LEARNING ?=
 OPENSIM ?=
+OLDER ?=
 MINUTES ?= 1
 VENV := .venv
 BIN := $(VENV)/bin
@@ -49,7 +50,7 @@ $(TEST_STAMP): $(STAMP)
 	@set -o pipefail; $(PIP) install --progress-bar off -e ".[test]" | awk '/Downloading|Installing collected/ { print substr($$0, 1, 100); fflush() }'
 	@touch $@
 
-demo: setup ## Show 256 trained hands that reach for targets, success rate, out/demo.mp4
+demo: setup ## Film 256 trained hands that reach for targets: success rate, out/demo.mp4
 	@mkdir -p out
 	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --policy baselines/myoHandReachRandom-v0 --num-worlds 256 --video out/demo.mp4 --overwrite
 
@@ -129,14 +130,15 @@ docs: $(TEST_STAMP) ## Build the documentation site into out/docs
 pictures: setup ## Draw every body and task family, and what trained hands do, into docs/pictures
 	$(BIN)/python docs/pictures/contact_sheet.py
 	$(BIN)/python docs/pictures/film_strips.py
+	$(BIN)/python docs/pictures/demo.py
 
 # Wheel and sdist, and the wheel at work: installed into an empty environment, away from this folder.
-dist: setup ## Build wheel and sdist into dist, check them, try the wheel in an empty environment
+dist: setup ## Build wheel and sdist into dist, check them, try the wheel in an empty environment (OLDER=x.whl: over it)
 	rm -rf dist build
 	$(PIP) install --quiet build twine
 	$(BIN)/python -m build
 	$(BIN)/twine check --strict dist/*
-	$(BIN)/python tests/try_wheel.py dist/*.whl
+	$(BIN)/python tests/try_wheel.py dist/*.whl $(OLDER)
 
 clean: ## Remove .venv, caches and outputs
 	rm -rf $(VENV) .venv-parity .venv-envpool .venv-opensim out build dist .mypy_cache .pytest_cache .ruff_cache

@@ -171,6 +171,13 @@ def check_overwrite(paths: Iterable[Path | None], overwrite: bool) -> None:
             )
 
 
+def shipped(path: str) -> Path:
+    """Return a file or folder that the wheel brings along, by its path in the repository."""
+    package = Path(__file__).parent
+    inside = package / "shipped" / path
+    return inside if inside.exists() else package.parent / path
+
+
 def plain(value: Any) -> Any:
     """Return a value as JSON can hold it: NaN and infinity as None."""
     if isinstance(value, float) and not math.isfinite(value):

@@ -18,6 +18,11 @@ def has_display() -> bool:
     return platform.system() != "Linux" or bool(named)
 
 
+def has_browser() -> bool:
+    """Return whether a browser may open: on Linux with a display. One in the terminal would take it over."""
+    return platform.system() != "Linux" or has_display()
+
+
 def render_modes() -> tuple[str, ...]:
     """Return Gymnasium's names of the ways to show worlds, without those that need what is not there."""
     shows = has_display() or importlib.util.find_spec("viser") is not None

@@ -51,6 +51,7 @@ SMALL = {
     "rollout": {"--num-worlds": "2", "--steps": "3", "--video-worlds": "1"},
     "record": {"--worlds": "1", "--steps": "2"},
     "view": {"--port": "0"},
+    "demo": {"--port": "0"},
     "cohort": {"--steps": "5"},
     "audit": {"--num-worlds": "2"},
     "train": {"--num-worlds": "8", "--rollout-steps": "8", "--minibatches": "2", "--samples": "64"},

@@ -16,8 +16,10 @@ from myowarp.apps.cli.audit import Audit
 from myowarp.apps.cli.baselines import Baselines
 from myowarp.apps.cli.cohort import Cohort
 from myowarp.apps.cli.convert import Convert
+from myowarp.apps.cli.demo import Demo
 from myowarp.apps.cli.describe import Describe
 from myowarp.apps.cli.eval import Eval
+from myowarp.apps.cli.examples import Examples
 from myowarp.apps.cli.export import Export
 from myowarp.apps.cli.plot import Plot
 from myowarp.apps.cli.record import Record
@@ -33,6 +35,8 @@ ABOUT = """Musculoskeletal motor control, simulated in thousands of worlds at on
 
 COMMAND --help explains a command; --version prints versions."""
 COMMANDS: dict[str, type[Callable[[], None]]] = {
+    "demo": Demo,
+    "examples": Examples,
     "tasks": Tasks,
     "describe": Describe,
     "rollout": Rollout,

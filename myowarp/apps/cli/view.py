@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import webbrowser
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from myowarp.definitions.task import TaskSpec
     from myowarp.sim.simulation import Simulation
     from myowarp.view.browser.session import Act, Choices, Session
+
+
+PORT = 8080
 
 
 @dataclass
@@ -37,12 +41,14 @@ class View:
     policy: Policy = "random"
     worlds: int = 1
     """Worlds to choose from."""
-    port: int = 8080
+    port: int = PORT
     """Port of the page on this machine, 0 for a free one; from another one: ssh -L 8080:localhost:8080."""
+    browser: bool = False
+    """Open the page in this machine's browser."""
 
     def __call__(self) -> None:
         """Check, build, serve."""
-        from myowarp.view.modes import check_viser
+        from myowarp.view.modes import check_viser, has_browser
 
         check_viser("myowarp view")
         from myowarp.apps.policies.find import find_policy
@@ -57,7 +63,10 @@ class View:
         server = open_server(self.port, "MyoWarp")
         try:
             live = Live(server, session, choices)
-            console.print(f"Open http://localhost:{server.get_port()}   (Ctrl-C ends)")
+            address = f"http://localhost:{server.get_port()}"
+            console.print(f"Open {address}   (Ctrl-C ends)")
+            if self.browser and has_browser():
+                webbrowser.open(address)
             with contextlib.suppress(KeyboardInterrupt):
                 live.run()
         finally:
