@@ -10,20 +10,21 @@ import threading
 import time
 from collections import deque
 
+import mujoco
 import numpy as np
 import viser
 
 from myowarp.definitions.body import BODIES
 from myowarp.view.browser.controls import ERRORS, Controls
 from myowarp.view.browser.panel import Panel
-from myowarp.view.browser.scene import SPACING, Figure, add_floor
+from myowarp.view.browser.scene import SPACING, Figure, Floor
 from myowarp.view.browser.session import Choices, Session
 from myowarp.view.drawing import style as look
 from myowarp.view.drawing.framing import Framing, view_axes
 
 FRAME = 1.0 / 30.0
 """Least time between two frames [s]."""
-TRAFFIC = 1.5e6
+TRAFFIC = 1.9e6
 """Bytes per second that bodies and muscles may take to a page; before there are more, frames get rarer."""
 READING = 0.2
 """Time between two readings and plots [s]."""
@@ -155,7 +156,7 @@ class Live(Controls):
             name: scene.add_label(f"{name}_label", text, position=above + shift, visible=False)
             for name, text, shift in (("/world", "changed", 0.0), ("/twin", "before", self._side))
         }
-        add_floor(self.server, "/world/floor", model, self._framing.radius)
+        self._floor = Floor(self.server, "/world/floor", model, self._framing.radius)
         self._panel = Panel(self)
         self._set_up_view()
 
@@ -173,13 +174,17 @@ class Live(Controls):
 
     def _place(self, name: str, figure: Figure, world: int, aside: np.ndarray) -> None:
         """Show a world; the body stays in the middle, and the floor goes by."""
+
+        def shift(data: mujoco.MjData) -> np.ndarray:
+            return aside - (self._framing.shift(data) if self.follow else 0.0)
+
         try:
-            figure.show(self.session.seen(world), self.color, self.session.hidden(world))
+            figure.show(self.session.seen(world), self.color, self.session.hidden(world), shift)
         except ValueError as error:  # a state that is not finite; the next step resets it
             self.message = str(error)
             return
-        shift = self._framing.shift(figure.data) if self.follow else np.zeros(3)
-        self._roots[name].position = aside - shift
+        if figure is self._figure_shown:
+            self._floor.show(shift(figure.data))
 
     def _set_up_view(self) -> None:
         """Point the camera of pages at what there is, now and where they are set back to it."""

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import viser
 
-from myowarp.view.browser.scene import SPACING, Figure, add_floor
+from myowarp.view.browser.scene import SPACING, Figure, Floor
 from myowarp.view.browser.server import close_server, open_server
 from myowarp.view.drawing import style as look
 from myowarp.view.drawing.framing import Framing, view_axes
@@ -48,9 +48,8 @@ class _Actor:
         """Send what does not change."""
         self.take, self._color, self._place = take, color, place
         self.framing = Framing(take.model, take.tips, 1.0)
-        self._root = server.scene.add_frame(name, show_axes=False)
         self.figure = Figure(server, f"{name}/body", take.model, self.framing.radius, take.tips)
-        add_floor(server, f"{name}/floor", take.model, self.framing.radius)
+        self._floor = Floor(server, f"{name}/floor", take.model, self.framing.radius)
         look.pose(take.model, self.figure.data, look.rest_pose(take.model))
         self.camera = self.framing.camera(self.figure.data, {})
         up = view_axes(self.camera.azimuth, self.camera.elevation)[1]
@@ -59,9 +58,13 @@ class _Actor:
 
     def show(self, step: int) -> None:
         """Show a step."""
-        self.figure.show(self.take.frames[step], self._color)
-        self._root.position = self._place - self.framing.shift(self.figure.data)
+        self.figure.show(self.take.frames[step], self._color, shift=self._shift)
+        self._floor.show(self._shift(self.figure.data))
         self._label.text = " · ".join(self.take.captions[step])
+
+    def _shift(self, data: mujoco.MjData) -> np.ndarray:
+        """Return how far all is moved aside [m], shape (3,)."""
+        return self._place - self.framing.shift(data)
 
 
 def write_playback(path: Path, takes: Sequence[Sequence[Take]], color: str, fps: float) -> None:

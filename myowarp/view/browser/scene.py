@@ -1,14 +1,19 @@
-"""What a page shows of a world: bones and objects as meshes, muscles as one batch of tubes, goals as balls.
+"""What a page shows of a world: bones and objects as meshes, muscles as bellies and tubes, goals as balls.
 
-Meshes are sent once, as they lie in their bodies; what moves afterwards is the place of each body, and of all
-tubes and balls together. Only what has changed is sent.
+Meshes of bodies are sent once, as they lie in their bodies; what moves afterwards is the place of each body,
+the rings of each belly, and all tubes and balls together. Only what has changed is sent.
+
+All of it moves by properties of scene nodes, nothing by their transforms. viser's page applies transforms
+before the next picture and properties after it: bones would be seen one picture ahead of their muscles, and
+where software draws, a picture takes half a second. Properties that come together are applied together.
 """
 
 from __future__ import annotations
 
 import copy
 from collections import defaultdict
-from collections.abc import Set
+from collections.abc import Callable, Set
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -27,16 +32,24 @@ CELL, GHOST_CELL = 1 / 150, 1 / 80
 """What is smaller in a mesh is not sent, in units of the framed radius: some browsers draw in software."""
 SIDES = 10
 """Faces around a tube."""
+RINGS, BELLY_SIDES = 11, 8
+"""Rings of a belly, and points on each."""
 OVERLAP = 0.45
 """How far a tube reaches into the next one, in units of its radius."""
 STILL = 2e-5
-"""m or 1: a body that has moved by less is not sent."""
+"""m or 1: what has moved by less is not sent."""
 SPARE = 1.25
 """Room for more tubes than there are now: muscles take and leave wrapping surfaces."""
 COPY_BYTES = 43
 """Place, turn, size and colour of a tube or ball."""
-BODY_BYTES = 120
-"""Messages that place a body."""
+BODY_BYTES = 160
+"""Messages that place a mesh of a body."""
+BELLY_BYTES = 12 * RINGS * BELLY_SIDES + 120
+"""Message that shapes a belly."""
+THINNEST = 0.002
+"""Least radius of a tendon, in units of the framed radius."""
+FLOOR_REACH, LINE = 6.0, 0.0015
+"""Half a side of the squares on the floor, and the radius of their lines, in units of the framed radius."""
 PLANE_REACH = 20.0
 """Half a side of a plane without end, in units of the framed radius."""
 SPACING = 2.3
@@ -86,25 +99,31 @@ class Figure:
         ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
         self._balls = _Batch(server, f"{name}/balls", ball.vertices, ball.faces)
         self._ghost: Figure | None = None
-        self._frames: dict[int, viser.FrameHandle] = {}
-        self._meshes: dict[int, list[viser.SceneNodeHandle]] = {}
+        self._bellies: dict[int, viser.MeshHandle] = {}
+        self._meshes: dict[int, list[_Batch]] = {}
         self._sizes: dict[int, np.ndarray] = {}
         for body in self._geoms:
-            self._frames[body] = server.scene.add_frame(f"{name}/body_{body}", show_axes=False)
-            self._send_meshes(body)
+            self._prepare_meshes(body)
 
     @property
     def data(self) -> mujoco.MjData:
         """What was shown last, posed."""
         return self._data
 
-    def show(self, seen: Snapshot, color: str = "activation", hidden: Set[str] = frozenset()) -> None:
+    def show(
+        self,
+        seen: Snapshot,
+        color: str = "activation",
+        hidden: Set[str] = frozenset(),
+        shift: Callable[[mujoco.MjData], np.ndarray] = lambda _: np.zeros(3),
+    ) -> None:
         """Show a moment.
 
         Args:
             seen: What the world looks like.
             color: What the colour of a muscle shows, a name in `QUANTITIES`.
             hidden: Names of bodies that are not there.
+            shift: Function from the data, posed, to how far all of it is moved aside [m], shape (3,).
 
         Raises:
             ValueError: A position is not finite.
@@ -112,20 +131,27 @@ class Figure:
         for key in seen.shape:
             self._nominal.setdefault(key, look.geometry(self._model, self._data, key).copy())
         look.pose(self._model, self._data, seen.qpos, self._nominal | dict(seen.shape))
-        for body, frame in self._frames.items():
-            if not np.array_equal(self._sizes[body], self._model.geom_size[self._geoms[body]]):
-                self._send_meshes(body)
-            frame.visible = self._model.body(body).name not in hidden
-            _move(frame, self._data.xpos[body], self._data.xquat[body])
-        self._show_tubes(seen, color)
+        self._draw(seen, color, hidden, shift(self._data))
+
+    def _draw(self, seen: Snapshot, color: str, hidden: Set[str], aside: np.ndarray) -> None:
+        """Send what is posed, moved aside."""
+        for body, geoms in self._geoms.items():
+            if not np.array_equal(self._sizes[body], self._model.geom_size[geoms]):
+                self._prepare_meshes(body)
+            size = 0.0 if self._model.body(body).name in hidden else 1.0
+            place, turn = self._data.xpos[[body]] + aside, self._data.xquat[[body]]
+            for mesh in self._meshes[body]:
+                mesh.show(place, turn, np.full((1, 3), size))
+        self._show_tubes(seen, color, aside)
         if not self._is_ghost:
-            self._show_balls(seen)
-            self._show_ghost(seen.ghost, hidden)
+            self._show_balls(seen, aside)
+            self._show_ghost(seen.ghost, hidden, aside)
 
     @property
     def bytes_per_frame(self) -> int:
         """What a frame sends at most, about."""
-        return BODY_BYTES * len(self._frames) + COPY_BYTES * (self._tubes.room + self._balls.room)
+        meshes = BODY_BYTES * sum(map(len, self._meshes.values())) + BELLY_BYTES * len(self._bellies)
+        return meshes + COPY_BYTES * (self._tubes.room + self._balls.room)
 
     def remove(self) -> None:
         """Take it out of the page."""
@@ -142,10 +168,10 @@ class Figure:
         bodies = model.geom_bodyid[geoms]
         return {int(body): geoms[bodies == body] for body in np.unique(bodies)}
 
-    def _send_meshes(self, body: int) -> None:
-        """Send the geoms of a body, in its frame, those of one colour as one mesh."""
-        for handle in self._meshes.get(body, ()):
-            handle.remove()
+    def _prepare_meshes(self, body: int) -> None:
+        """Make meshes of the geoms of a body, in its frame, those of one colour as one."""
+        for mesh in self._meshes.get(body, ()):
+            mesh.remove()
         model, parts = self._model, defaultdict(list)
         self._sizes[body] = model.geom_size[self._geoms[body]].copy()
         for geom in self._geoms[body]:
@@ -155,43 +181,68 @@ class Figure:
             placed = vertices @ turn.reshape(3, 3).T + model.geom_pos[geom]
             parts[tuple(self._rgba[geom].round(3))].append((placed, faces))
         self._meshes[body] = [
-            self._server.scene.add_mesh_simple(
+            _Batch(
+                self._server,
                 f"{self._name}/body_{body}/mesh_{index}",
                 *_joined(pieces),
-                color=tuple(look.TARGET_RGB if self._is_ghost else rgba[:3]),
                 opacity=GHOST_ALPHA if self._is_ghost else rgba[3] if rgba[3] < 1.0 else None,
                 side="front" if self._is_ghost else "double",
-                cast_shadow=False,
-                receive_shadow=False,
+                rgb=look.TARGET_RGB if self._is_ghost else np.array(rgba[:3]),
             )
             for index, (rgba, pieces) in enumerate(parts.items())
         ]
 
-    def _show_tubes(self, seen: Snapshot, color: str) -> None:
+    def _show_tubes(self, seen: Snapshot, color: str, aside: np.ndarray) -> None:
         """Place muscles, bones without meshes, and lines from tips to targets."""
         starts, ends, radii = self._skeleton.bones(self._data)
         rgb = np.tile(look.TARGET_RGB if self._is_ghost else look.BONE_RGB, (len(radii), 1))
         if self._is_ghost:
-            self._tubes.show_between(starts, ends, radii, rgb)
+            self._tubes.show_between(starts + aside, ends + aside, radii, rgb)
             return
-        tubes = self.muscles.tubes(self._data, seen.muscles, 0.002 * self._radius)
+        thinnest = THINNEST * self._radius
+        tubes = self.muscles.tubes(self._data, seen.muscles, thinnest)
         belly = QUANTITIES[color].rgb(self.muscles.values(color, seen.muscles, self._data))
         tendon = (1.0 - TENDON_TINT) * TENDON_RGB + TENDON_TINT * belly
         known = np.ones(len(belly), bool) if seen.activation is None else ~np.isnan(seen.activation)
-        shown = known[tubes.owner]
-        painted = np.where(tubes.belly[:, None], belly[tubes.owner], tendon[tubes.owner])
+        bellies = self.muscles.bellies(self._data, seen.muscles, thinnest, RINGS)
+        shapes = bellies.vertices(BELLY_SIDES) + aside
+        for muscle, shape in zip(bellies.muscles, shapes, strict=True):
+            self._show_belly(
+                muscle, shape if known[muscle] else shape[:1].repeat(len(shape), 0), belly[muscle]
+            )
+        shown = known[tubes.owner] & ~tubes.belly
+        painted = tendon[tubes.owner]
         links = [
             (self._data.site_xpos[tip], place) for tip, place in look.marker_pairs(self._given, seen.goals)
         ]
         link_ends = np.array(links).reshape(-1, 2, 3)
         self._tubes.show_between(
-            np.concatenate((tubes.starts[shown], starts, link_ends[:, 0])),
-            np.concatenate((tubes.ends[shown], ends, link_ends[:, 1])),
+            np.concatenate((tubes.starts[shown], starts, link_ends[:, 0])) + aside,
+            np.concatenate((tubes.ends[shown], ends, link_ends[:, 1])) + aside,
             np.concatenate((tubes.radii[shown], radii, np.full(len(links), LINK_RADIUS * self._radius))),
             np.concatenate((painted[shown], rgb, np.tile(look.TARGET_RGB, (len(links), 1)))),
         )
 
-    def _show_balls(self, seen: Snapshot) -> None:
+    def _show_belly(self, muscle: int, vertices: np.ndarray, rgb: np.ndarray) -> None:
+        """Shape and colour the belly of a muscle; one that is torn is a point."""
+        handle, color = self._bellies.get(muscle), tuple((255 * rgb).round().astype(int).tolist())
+        if handle is None:
+            self._bellies[muscle] = self._server.scene.add_mesh_simple(
+                f"{self._name}/belly_{muscle}",
+                vertices.astype(np.float32),
+                _around(RINGS, BELLY_SIDES),
+                color=color,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            return
+        if np.abs(vertices - handle.vertices).max() > STILL:
+            handle.vertices = vertices.astype(np.float32)
+        if handle.color != color:
+            handle.color = color
+
+    def _show_balls(self, seen: Snapshot, aside: np.ndarray) -> None:
         """Place tips and targets."""
         places = np.concatenate(
             (self._data.site_xpos[self._tips], [*seen.goals.values()] or np.zeros((0, 3)))
@@ -202,32 +253,49 @@ class Figure:
         radii = np.concatenate((self._tip_radii, np.clip(sizes, low, high)))
         colors = [look.TIP_RGB] * len(self._tips) + [look.TARGET_RGB] * len(sites)
         turns = np.tile((1.0, 0.0, 0.0, 0.0), (len(places), 1))
-        self._balls.show(places, turns, np.tile(radii[:, None], 3), np.array(colors).reshape(-1, 3))
+        self._balls.show(places + aside, turns, np.tile(radii[:, None], 3), np.array(colors).reshape(-1, 3))
 
-    def _show_ghost(self, wanted: np.ndarray | None, hidden: Set[str]) -> None:
+    def _show_ghost(self, wanted: np.ndarray | None, hidden: Set[str], aside: np.ndarray) -> None:
         """Show the posture that the goal asks for."""
         if wanted is not None:
             if self._ghost is None:
                 name = f"{self._name}/ghost"
                 self._ghost = Figure(self._server, name, self._given, self._radius, ghost=True)
-            self._ghost.show(Snapshot(wanted), hidden=hidden)
+            self._ghost.show(Snapshot(wanted), hidden=hidden, shift=lambda _: aside)
 
 
-def add_floor(server: viser.ViserServer, name: str, model: mujoco.MjModel, radius: float) -> None:
-    """Draw squares on the floor, which move as their node does, unless the model has a floor of its own."""
-    if has_plane(model):
-        return
-    power, side = 10.0 ** np.floor(np.log10(radius)), PLANE_REACH * radius
-    server.scene.add_grid(
-        name,
-        side,
-        side,
-        position=(0.0, 0.0, floor_height(model)),
-        cell_size=power,
-        section_size=5 * power,
-        cell_color=(225, 228, 232),
-        section_color=(190, 195, 200),
-    )
+class Floor:
+    """Squares on the floor, below the camera's middle, unless the model has a floor of its own."""
+
+    def __init__(self, server: viser.ViserServer, name: str, model: mujoco.MjModel, radius: float) -> None:
+        """Prepare the lines.
+
+        Args:
+            server: Where.
+            name: Its node in the page.
+            model: The full model.
+            radius: Framed radius [m].
+        """
+        self._cell = float(10.0 ** np.floor(np.log10(radius)))
+        self._reach = np.ceil(FLOOR_REACH * radius / self._cell) * self._cell
+        self._height, self._radius, self._hidden = floor_height(model), radius, has_plane(model)
+        self._lines = _Batch(server, name, *_tube())
+
+    def show(self, aside: np.ndarray) -> None:
+        """Show them, moved aside as the world is [m]; they stand still in it."""
+        if self._hidden:
+            return
+        middle = np.round(-aside[:2] / self._cell) * self._cell
+        offsets = np.arange(-self._reach, self._reach + 0.5 * self._cell, self._cell)
+        ends = np.full((2, 2, len(offsets), 3), self._height)  # start or end, along x or y, line
+        for side, sign in enumerate((-1.0, 1.0)):
+            for along in (0, 1):
+                ends[side, along, :, along] = middle[along] + sign * self._reach
+                ends[side, along, :, 1 - along] = middle[1 - along] + offsets
+        starts, stops = ends.reshape(2, -1, 3) + aside
+        count = len(starts)
+        rgb = np.tile(look.PALE_RGB, (count, 1))
+        self._lines.show_between(starts, stops, np.full(count, LINE * self._radius), rgb)
 
 
 class _Batch:
@@ -240,8 +308,11 @@ class _Batch:
         vertices: np.ndarray,
         faces: np.ndarray,
         opacity: float | None = None,
+        side: Literal["front", "double"] = "double",
+        rgb: np.ndarray | None = None,
     ) -> None:
-        self._server, self._name, self._mesh, self._opacity = server, name, (vertices, faces), opacity
+        self._server, self._name, self._mesh = server, name, (vertices, faces)
+        self._opacity, self._side, self._rgb = opacity, side, rgb
         self._handle: viser.BatchedMeshHandle | None = None
         self.room = 0
 
@@ -257,19 +328,24 @@ class _Batch:
         scales = np.stack((radii, radii, lengths + OVERLAP * radii), axis=1)
         self.show((starts + ends) / 2, turns, scales, rgb)
 
-    def show(self, places: np.ndarray, turns: np.ndarray, scales: np.ndarray, rgb: np.ndarray) -> None:
-        """Place the copies; rows (n, 3), (n, 4), (n, 3), (n, 3)."""
+    def show(
+        self, places: np.ndarray, turns: np.ndarray, scales: np.ndarray, rgb: np.ndarray | None = None
+    ) -> None:
+        """Place the copies; rows (n, 3), (n, 4), (n, 3), (n, 3); without colours all have the batch's."""
         count = len(places)
+        if rgb is None:
+            assert self._rgb is not None
+            rgb = np.tile(self._rgb, (count, 1))
         if count > self.room or (self._handle is None and count):
             self.remove()
-            self.room = int(np.ceil(SPARE * count))
+            self.room = int(np.ceil(SPARE * count)) if self._rgb is None else count
         if not self.room:
             return
         spare = self.room - count
         places = np.concatenate((places, np.zeros((spare, 3)))).astype(np.float32)
         turns = np.concatenate((turns, np.tile((1.0, 0.0, 0.0, 0.0), (spare, 1)))).astype(np.float32)
         scales = np.concatenate((scales, np.zeros((spare, 3)))).astype(np.float32)
-        colors = (255 * np.concatenate((rgb, np.zeros((spare, 3))))).round().astype(np.uint8)
+        colors = (255 * _linear(np.concatenate((rgb, np.zeros((spare, 3)))))).round().astype(np.uint8)
         if self._handle is None:
             self._handle = self._server.scene.add_batched_meshes_simple(
                 self._name,
@@ -280,14 +356,16 @@ class _Batch:
                 batched_colors=colors,
                 opacity=self._opacity,
                 lod="off",
-                side="double",
+                side=self._side,
                 cast_shadow=False,
                 receive_shadow=False,
             )
             return
-        handle = self._handle
-        handle.batched_positions, handle.batched_wxyzs = places, turns
-        handle.batched_scales, handle.batched_colors = scales, colors
+        for field, values in (("positions", places), ("wxyzs", turns), ("scales", scales)):
+            if np.abs(values - getattr(self._handle, f"batched_{field}")).max() > STILL:
+                setattr(self._handle, f"batched_{field}", values)
+        if not np.array_equal(colors, self._handle.batched_colors):
+            self._handle.batched_colors = colors
 
     def remove(self) -> None:
         """Take the copies out of the page."""
@@ -296,12 +374,17 @@ class _Batch:
         self._handle, self.room = None, 0
 
 
-def _move(frame: viser.FrameHandle, place: np.ndarray, turn: np.ndarray) -> None:
-    """Move a node, if it is not there already."""
-    if np.abs(place - frame.position).max() > STILL:
-        frame.position = place
-    if np.abs(turn - frame.wxyz).max() > STILL:
-        frame.wxyz = turn
+def _linear(rgb: np.ndarray) -> np.ndarray:
+    """Return colours as light: viser takes those of batches so, all others as sRGB (IEC 61966-2-1)."""
+    return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+
+
+def _around(rings: int, sides: int) -> np.ndarray:
+    """Return the faces between rings of points."""
+    here, after = np.arange(sides), np.roll(np.arange(sides), -1)
+    quads = ((here, after, sides + after), (here, sides + after, sides + here))
+    band = np.concatenate([np.column_stack(quad) for quad in quads])
+    return np.concatenate([band + sides * ring for ring in range(rings - 1)])
 
 
 def _tube() -> tuple[np.ndarray, np.ndarray]:
@@ -309,9 +392,7 @@ def _tube() -> tuple[np.ndarray, np.ndarray]:
     angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
     circle = np.stack((np.cos(angles), np.sin(angles)), axis=1)
     vertices = np.concatenate([np.column_stack((circle, np.full(SIDES, z))) for z in (-0.5, 0.5)])
-    here, after = np.arange(SIDES), np.roll(np.arange(SIDES), -1)
-    quads = ((here, after, SIDES + after), (here, SIDES + after, SIDES + here))
-    return vertices, np.concatenate([np.column_stack(quad) for quad in quads])
+    return vertices, _around(2, SIDES)
 
 
 def _surface(model: mujoco.MjModel, geom: int, reach: float) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ that muscles of a finger and of a leg are both readable. `QUANTITIES` are what c
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -99,6 +99,40 @@ class Tubes:
     belly: np.ndarray
 
 
+@dataclass(frozen=True)
+class Bellies:
+    """Rings along the bellies of muscles, as many in each.
+
+    Attributes:
+        muscles: Which muscle each is, shape (n,).
+        centers: Middle of each ring [m], shape (n, num_rings, 3).
+        radii: Radius of each ring [m], shape (n, num_rings).
+    """
+
+    muscles: np.ndarray
+    centers: np.ndarray
+    radii: np.ndarray
+
+    def vertices(self, sides: int) -> np.ndarray:
+        """Return points on the rings [m], ring by ring, shape (n, num_rings * sides, 3).
+
+        From ring to ring the frame turns as little as it can, so that the surface is not twisted.
+        """
+        along = np.gradient(self.centers, axis=1)
+        along /= np.maximum(np.linalg.norm(along, axis=2, keepdims=True), 1e-9)
+        least = np.eye(3)[np.abs(along[:, 0]).argmin(axis=1)]
+        across, angles = np.zeros_like(along), 2.0 * np.pi * np.arange(sides) / sides
+        for ring in range(along.shape[1]):
+            axis = along[:, ring]
+            least = least - (least * axis).sum(axis=1, keepdims=True) * axis
+            least /= np.maximum(np.linalg.norm(least, axis=1, keepdims=True), 1e-9)
+            across[:, ring] = least
+        circle = np.cos(angles)[:, None] * across[:, :, None]
+        circle = circle + np.sin(angles)[:, None] * np.cross(along, across)[:, :, None]
+        points = self.centers[:, :, None] + self.radii[:, :, None, None] * circle
+        return points.reshape(len(points), -1, 3)
+
+
 class Muscles:
     """The muscles of a model, as tubes.
 
@@ -159,6 +193,44 @@ class Muscles:
             known: What a snapshot says of the muscles, by name; the model's own where it says nothing.
             thinnest: Least radius [m]; one pixel, so that a tendon is seen.
         """
+        parts = [
+            (*_spindle(*path, self._samples), muscle) for muscle, path in self._paths(data, known, thinnest)
+        ]
+        if not parts:
+            return Tubes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, int), np.zeros(0, bool))
+        joined = [np.concatenate([part[k] for part in parts]) for k in range(4)]
+        owners = np.concatenate([np.full(len(part[2]), part[4]) for part in parts])
+        return Tubes(joined[0], joined[1], joined[2], owners, joined[3])
+
+    def bellies(
+        self, data: mujoco.MjData, known: Mapping[str, np.ndarray], thinnest: float, rings: int
+    ) -> Bellies:
+        """Return the bellies of all muscles in a pose, as rings; they begin and end as wide as the tendon.
+
+        Args:
+            data: As for `tubes`.
+            known: As for `tubes`.
+            thinnest: As for `tubes`.
+            rings: Rings of each.
+        """
+        muscles, centers, radii = [], [], []
+        for muscle, (starts, ends, first, last, thick, thin) in self._paths(data, known, thinnest):
+            if last > first:
+                shares = np.linspace(0.0, 1.0, rings)
+                muscles.append(muscle)
+                centers.append(_along(starts, ends, first + (last - first) * shares))
+                radii.append(_width(shares, thick, thin))
+        count = len(muscles)
+        return Bellies(
+            np.array(muscles, int),
+            np.reshape(centers, (count, rings, 3)),
+            np.reshape(radii, (count, rings)),
+        )
+
+    def _paths(
+        self, data: mujoco.MjData, known: Mapping[str, np.ndarray], thinnest: float
+    ) -> Iterator[tuple[int, _Path]]:
+        """Yield muscles with their paths: begins and ends, the belly's ends, widths of belly and tendon."""
         bellies = self.belly_radius(known.get("strength"))
         optimal, tendon = (
             own if name not in known else np.where(np.isnan(known[name]), own, known[name])
@@ -166,7 +238,6 @@ class Muscles:
         )
         starts, ends, owner = look.tendon_segments(self._model, data, self.tendons)
         bounds = np.searchsorted(owner, np.arange(len(self.tendons) + 1))
-        parts = []
         for muscle in range(len(self.tendons)):
             own = slice(bounds[muscle], bounds[muscle + 1])
             if bounds[muscle] < bounds[muscle + 1]:
@@ -174,14 +245,7 @@ class Muscles:
                 first, last, bulge = self._belly(muscle, length, optimal[muscle], tendon[muscle])
                 thick = max(bulge * bellies[muscle], 1.25 * thinnest)
                 thin = max(TENDON_WIDTH * bellies[muscle], thinnest)
-                parts.append(
-                    (*_spindle(starts[own], ends[own], first, last, thick, thin, self._samples), muscle)
-                )
-        if not parts:
-            return Tubes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, int), np.zeros(0, bool))
-        joined = [np.concatenate([part[k] for part in parts]) for k in range(4)]
-        owners = np.concatenate([np.full(len(part[2]), part[4]) for part in parts])
-        return Tubes(joined[0], joined[1], joined[2], owners, joined[3])
+                yield muscle, (starts[own], ends[own], first, last, thick, thin)
 
     def values(self, quantity: str, known: Mapping[str, np.ndarray], data: mujoco.MjData) -> np.ndarray:
         """Return what colours show of each muscle, NaN where it is not known, shape (num_muscles,).
@@ -225,6 +289,24 @@ def _depth(model: mujoco.MjModel, body: int) -> int:
     return 0 if body == 0 else 1 + _depth(model, int(model.body_parentid[body]))
 
 
+_Path = tuple[np.ndarray, np.ndarray, float, float, float, float]
+
+
+def _along(starts: np.ndarray, ends: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Return points of a path at shares of its length [m], shape (n, 3)."""
+    lengths = np.linalg.norm(ends - starts, axis=1)
+    marks = np.concatenate(([0.0], np.cumsum(lengths)))
+    places = shares * marks[-1]
+    piece = np.clip(np.searchsorted(marks, places, side="right") - 1, 0, len(lengths) - 1)
+    along = (ends - starts)[piece] / np.maximum(lengths[piece], 1e-12)[:, None]
+    return starts[piece] + (places - marks[piece])[:, None] * along
+
+
+def _width(u: np.ndarray, thick: float, thin: float) -> np.ndarray:
+    """Return the radius of a belly at shares u of its length: thin + (thick - thin) sin(pi u)."""
+    return thin + (thick - thin) * np.sin(np.pi * np.clip(u, 0.0, 1.0))
+
+
 def _spindle(
     starts: np.ndarray, ends: np.ndarray, first: float, last: float, thick: float, thin: float, samples: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -245,7 +327,7 @@ def _spindle(
     finishes = starts[segment] + (cuts[1:] - marks[segment])[:, None] * along
     u = (middle / max(whole, 1e-12) - first) / max(last - first, 1e-12)
     belly = (u > 0.0) & (u < 1.0) & (last > first)
-    radii = np.where(belly, thin + (thick - thin) * np.sin(np.pi * np.clip(u, 0.0, 1.0)), thin)
+    radii = np.where(belly, _width(u, thick, thin), thin)
     if last <= first:
         radii = np.full(len(middle), max(thin, 0.5 * thick))  # a motor's cord
     return begins, finishes, radii, belly
