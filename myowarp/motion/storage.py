@@ -79,6 +79,8 @@ def read_storage(path: Path) -> Storage:
         except csv.Error as error:
             raise ValueError(f"{str(path)!r} is no table of comma-separated values: {error}") from error
     table = [[cell.strip() for cell in row] for row in table]
+    while table and all(len(row) > 1 and not row[-1] for row in table):  # tabs at the end of every line
+        table = [row[:-1] for row in table]
     if len(table) < 2 or not table[0] or table[0][0].lower() != "time":
         raise ValueError(f"{str(path)!r} must have a first column 'time' and at least one row of numbers")
     return _checked(path, table[0], table[1:], in_degrees)

@@ -1,0 +1,271 @@
+"""Inverse dynamics: which generalised forces does a motion take, given the loads from outside?
+
+    joint_moment = M(q) q'' + c(q, q') - sum of J^T load
+
+by two recursions over the bodies: accelerations from ground outwards, forces back. What the root joint needs
+is no muscle's: it is the residual, what motion and loads disagree by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from myowarp.kernels.launch import launch
+from myowarp.motion.skeleton import HINGE, Bones, Placement, Skeleton, place, station
+
+CHUNK = 4096
+"""Frames that are on the device at once."""
+
+wp.set_module_options({"enable_backward": False})
+
+
+@dataclass(frozen=True, eq=False)
+class Load:
+    """A force and a torque on a body from outside.
+
+    Attributes:
+        body: Where it acts.
+        force: [N], shape (frames, 3).
+        point: Where the force acts [m], shape (frames, 3).
+        torque: [N m], shape (frames, 3).
+        force_frame: Body in whose axes force and torque are given.
+        point_frame: Body in which the point is given.
+    """
+
+    body: str
+    force: np.ndarray
+    point: np.ndarray
+    torque: np.ndarray
+    force_frame: str = "ground"
+    point_frame: str = "ground"
+
+
+@dataclass(frozen=True, eq=False)
+class Needed:
+    """What a motion takes.
+
+    Attributes:
+        joint_moment: Along the independent coordinates [N m] or [N], shape (frames, coordinates).
+        force: What a joint, and the muscles over it, pass to its body [N], in ground, shape (frames, bodies,
+            3).
+        torque: The same about ground's origin [N m].
+        origin: Of bodies [m], in ground, shape (frames, bodies, 3).
+        rotation: Of bodies, shape (frames, bodies, 3, 3).
+    """
+
+    joint_moment: np.ndarray
+    force: np.ndarray
+    torque: np.ndarray
+    origin: np.ndarray
+    rotation: np.ndarray
+
+
+@wp.struct
+class Flow:
+    """Accelerations and forces of bodies of all worlds, each (num_worlds, num_bodies).
+
+    Attributes:
+        turn: Angular velocity [rad/s].
+        spin: Angular acceleration [rad/s^2].
+        acceleration: Of the origin [m/s^2].
+        force: That its joint passes to it [N].
+        torque: About ground's origin [N m].
+    """
+
+    turn: wp.array2d[wp.vec3d]
+    spin: wp.array2d[wp.vec3d]
+    acceleration: wp.array2d[wp.vec3d]
+    force: wp.array2d[wp.vec3d]
+    torque: wp.array2d[wp.vec3d]
+
+
+@wp.func
+def carried(acceleration: wp.vec3d, turn: wp.vec3d, spin: wp.vec3d, offset: wp.vec3d) -> wp.vec3d:
+    """a + alpha x r + w x (w x r)."""
+    return acceleration + wp.cross(spin, offset) + wp.cross(turn, wp.cross(turn, offset))
+
+
+@wp.func
+def accelerate(
+    worldid: int,
+    skeleton: Skeleton,
+    speeds: wp.array2d[wp.float64],
+    accelerations: wp.array2d[wp.float64],
+    placement: Placement,
+    flow: Flow,
+):
+    """Angular velocities and accelerations of all bodies, and accelerations of their origins."""
+    for body in range(skeleton.parent.shape[0]):
+        parent = skeleton.parent[body]
+        turn = wp.vec3d()
+        spin = wp.vec3d()
+        acceleration = wp.vec3d()
+        point = wp.vec3d()
+        if parent >= 0:
+            turn = flow.turn[worldid, parent]
+            spin = flow.spin[worldid, parent]
+            acceleration = flow.acceleration[worldid, parent]
+            point = placement.origin[worldid, parent]
+        for move in range(skeleton.first[body], skeleton.first[body + 1]):
+            acceleration = carried(acceleration, turn, spin, placement.point[worldid, move] - point)
+            point = placement.point[worldid, move]
+            free = skeleton.free[move]
+            if free >= 0:
+                speed = speeds[worldid, free]
+                slope = placement.slope[worldid, move]
+                along = slope * speed * placement.direction[worldid, move]
+                faster = placement.bend[worldid, move] * speed * speed + slope * accelerations[worldid, free]
+                more = faster * placement.direction[worldid, move]
+                if skeleton.kind[move] == HINGE:
+                    spin += more + wp.cross(turn, along)
+                    turn += along
+                else:
+                    acceleration += more + wp.float64(2.0) * wp.cross(turn, along)
+        flow.turn[worldid, body] = turn
+        flow.spin[worldid, body] = spin
+        flow.acceleration[worldid, body] = carried(
+            acceleration, turn, spin, placement.origin[worldid, body] - point
+        )
+
+
+@wp.func
+def inertial(worldid: int, body: int, skeleton: Skeleton, placement: Placement, flow: Flow):
+    """F = m (a - g), T = r x F + I alpha + w x I w, about ground's origin."""
+    rotation = placement.rotation[worldid, body]
+    offset = rotation * skeleton.center[body]
+    turn = flow.turn[worldid, body]
+    spin = flow.spin[worldid, body]
+    acceleration = carried(flow.acceleration[worldid, body], turn, spin, offset)
+    force = skeleton.mass[body] * (acceleration - skeleton.gravity)
+    inertia = rotation * skeleton.inertia[body] * wp.transpose(rotation)
+    torque = inertia * spin + wp.cross(turn, inertia * turn)
+    flow.force[worldid, body] = force
+    flow.torque[worldid, body] = torque + wp.cross(placement.origin[worldid, body] + offset, force)
+
+
+@wp.func
+def turned(worldid: int, body: int, vector: wp.vec3d, placement: Placement) -> wp.vec3d:
+    """Return a vector of a body's axes in ground's; body -1 is ground."""
+    if body < 0:
+        return vector
+    return placement.rotation[worldid, body] * vector
+
+
+@wp.kernel(enable_backward=False)
+def invert_dynamics(
+    # Model:
+    skeleton: Skeleton,
+    load_body: wp.array2d[int],
+    # In:
+    values: wp.array2d[wp.float64],
+    speeds: wp.array2d[wp.float64],
+    accelerations: wp.array2d[wp.float64],
+    load: wp.array3d[wp.vec3d],
+    # Out:
+    placement: Placement,
+    flow: Flow,
+    joint_moment: wp.array2d[wp.float64],
+):
+    """tau_k = sum of s_k . (force, torque) of what a coordinate moves.
+
+    `load_body` is (body, axes of force and torque, frame of the point), `load` (force, point, torque).
+    """
+    worldid = wp.tid()
+    place(worldid, skeleton, values, worldid, placement)
+    accelerate(worldid, skeleton, speeds, accelerations, placement, flow)
+    count = skeleton.parent.shape[0]
+    for body in range(count):
+        inertial(worldid, body, skeleton, placement, flow)
+    for number in range(load_body.shape[0]):
+        body = load_body[number, 0]
+        if body >= 0:
+            force = turned(worldid, load_body[number, 1], load[worldid, number, 0], placement)
+            torque = turned(worldid, load_body[number, 1], load[worldid, number, 2], placement)
+            point = station(worldid, load_body[number, 2], load[worldid, number, 1], placement)
+            flow.force[worldid, body] -= force
+            flow.torque[worldid, body] -= torque + wp.cross(point, force)
+    for k in range(joint_moment.shape[1]):
+        joint_moment[worldid, k] = wp.float64(0.0)
+    for back in range(count):
+        body = count - 1 - back
+        force = flow.force[worldid, body]
+        torque = flow.torque[worldid, body]
+        for move in range(skeleton.first[body], skeleton.first[body + 1]):
+            free = skeleton.free[move]
+            if free >= 0:
+                joint_moment[worldid, free] += wp.dot(placement.turn[worldid, move], torque)
+                joint_moment[worldid, free] += wp.dot(placement.shift[worldid, move], force)
+        parent = skeleton.parent[body]
+        if parent >= 0:
+            flow.force[worldid, parent] += force
+            flow.torque[worldid, parent] += torque
+
+
+def inverse_dynamics(
+    bones: Bones,
+    values: np.ndarray,
+    speeds: np.ndarray,
+    accelerations: np.ndarray,
+    loads: Sequence[Load] = (),
+) -> Needed:
+    """Return the generalised forces of a motion.
+
+    Args:
+        bones: The model.
+        values: Of the independent coordinates [rad] or [m], shape (frames, coordinates).
+        speeds: Their derivatives by time.
+        accelerations: Their second derivatives.
+        loads: From outside.
+
+    Raises:
+        ValueError: Shapes do not fit, or a load acts on an unknown body.
+    """
+    values, speeds, accelerations = (np.asarray(x, float) for x in (values, speeds, accelerations))
+    wanted = (len(values), len(bones.coordinates))
+    for name, given in (("values", values), ("speeds", speeds), ("accelerations", accelerations)):
+        if given.shape != wanted:
+            raise ValueError(f"{name} must have the shape {wanted} (frames, coordinates), got {given.shape}")
+    frames = [(bones.number(x.body), bones.number(x.force_frame), bones.number(x.point_frame)) for x in loads]
+    acting = np.zeros((len(values), len(loads), 3, 3))
+    for number, load in enumerate(loads):
+        for part, given in enumerate((load.force, load.point, load.torque)):
+            acting[:, number, part] = given
+    chunks = [slice(at, at + CHUNK) for at in range(0, max(len(values), 1), CHUNK)]
+    parts = [_chunk(bones, values[c], speeds[c], accelerations[c], acting[c], frames) for c in chunks]
+    return Needed(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _chunk(
+    bones: Bones,
+    values: np.ndarray,
+    speeds: np.ndarray,
+    accelerations: np.ndarray,
+    acting: np.ndarray,
+    frames: Sequence[tuple[int, int, int]],
+) -> tuple[np.ndarray, ...]:
+    """Return the arrays of `Needed` for some frames."""
+    count = len(values)
+    placement, flow = bones.placement(count), Flow()
+    with wp.ScopedDevice(bones.device):
+        for name in ("turn", "spin", "acceleration", "force", "torque"):
+            setattr(flow, name, wp.zeros((count, len(bones.bodies) - 1), dtype=wp.vec3d))
+        moment = wp.zeros((count, len(bones.coordinates)), dtype=wp.float64)
+        launch(
+            invert_dynamics,
+            count,
+            skeleton=bones.skeleton,
+            load_body=wp.array(np.array(frames, np.int32).reshape(-1, 3), dtype=int),
+            values=wp.array(values, dtype=wp.float64),
+            speeds=wp.array(speeds, dtype=wp.float64),
+            accelerations=wp.array(accelerations, dtype=wp.float64),
+            load=wp.array(acting, dtype=wp.vec3d),
+            placement=placement,
+            flow=flow,
+            joint_moment=moment,
+        )
+    arrays = (moment, flow.force, flow.torque, placement.origin, placement.rotation)
+    return tuple(array.numpy().copy() for array in arrays)

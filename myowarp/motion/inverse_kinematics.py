@@ -1,0 +1,493 @@
+"""Inverse kinematics: which coordinates put a model's markers where they were recorded?
+
+    minimize  sum w_i |p_i(q) - m_i|^2 / sum w_i + sum w_k (q_k - r_k)^2    over    lower <= q <= upper
+
+by damped Gauss-Newton steps in the independent coordinates (Levenberg 1944, Marquardt 1963), each kept within
+the bounds. A world goes through consecutive frames, each from the solution of the one before; worlds begin at
+the solutions of a first pass over every `STRIDE`-th frame, which one world makes from the first frame on. So
+angles run on where a person turns around, and frames are solved together.
+
+With the weights as masses the normal matrix of the markers is a mass matrix, which composite bodies give in
+one sweep (see `skeleton`); its cost does not grow with the number of markers.
+
+Ranges of coordinates that are not clamped do not bind, locked coordinates stay, and couplers hold exactly:
+OpenSim weighs them. The normalisation of marker weights is OpenSim's (Simbody's `Assembler`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from myowarp.kernels.launch import launch
+from myowarp.motion.markers import Markers
+from myowarp.motion.skeleton import Bones, Placement, Skeleton, place, station
+
+STRIDE = 16
+"""Frames that follow each other in one world."""
+
+STEPS = 100
+"""Most steps of a frame."""
+
+TOLERANCE = 1e-7
+"""Step of a coordinate [rad, m] below which a frame is done."""
+
+GROWTH = 10.0
+"""By which the damping changes."""
+
+LARGE = 0.1
+"""Root mean square error of the markers [m] above which units or axes are doubted."""
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Targets:
+    """What is wanted, of all frames.
+
+    Attributes:
+        body: Of each marker.
+        location: In the body [m].
+        weight: Of each marker.
+        marker: Where it was seen [m], NaN where it was not, (frames, markers).
+        value: Wanted value of each coordinate, (frames, coordinates); counts where its weight is above 0.
+        value_weight: Of coordinates.
+        lower: Least value of each coordinate.
+        upper: Greatest value.
+    """
+
+    body: wp.array[int]
+    location: wp.array[wp.vec3d]
+    weight: wp.array[wp.float64]
+    marker: wp.array2d[wp.vec3d]
+    value: wp.array2d[wp.float64]
+    value_weight: wp.array[wp.float64]
+    lower: wp.array[wp.float64]
+    upper: wp.array[wp.float64]
+
+
+@wp.struct
+class Normal:
+    """What a world works with.
+
+    Attributes:
+        weight: Sum of w of what a body carries, (num_worlds, num_bodies).
+        first: Sum of w p.
+        second: Sum of w (p . p - p p^T).
+        force: Sum of w (p - m).
+        torque: Sum of w p x (p - m).
+        matrix: Normal matrix, (num_worlds, coordinates, coordinates).
+        factor: Its Cholesky factor.
+        slope: Gradient, (num_worlds, coordinates).
+        step: Step of the coordinates.
+        old: Coordinates before the step.
+    """
+
+    weight: wp.array2d[wp.float64]
+    first: wp.array2d[wp.vec3d]
+    second: wp.array2d[wp.mat33d]
+    force: wp.array2d[wp.vec3d]
+    torque: wp.array2d[wp.vec3d]
+    matrix: wp.array3d[wp.float64]
+    factor: wp.array3d[wp.float64]
+    slope: wp.array2d[wp.float64]
+    step: wp.array2d[wp.float64]
+    old: wp.array2d[wp.float64]
+
+
+@wp.func
+def marker_weight(frame: int, number: int, targets: Targets) -> wp.float64:
+    """Return the weight of a marker in a frame, 0 where it was not seen."""
+    seen = targets.marker[frame, number]
+    return wp.where(wp.isfinite(seen[0]), targets.weight[number], wp.float64(0.0))
+
+
+@wp.func
+def total_weight(frame: int, targets: Targets) -> wp.float64:
+    """Return the weight of all markers of a frame, 1 where none was seen."""
+    total = wp.float64(0.0)
+    for number in range(targets.body.shape[0]):
+        total += marker_weight(frame, number, targets)
+    return wp.where(total > wp.float64(0.0), total, wp.float64(1.0))
+
+
+@wp.func
+def objective(
+    worldid: int, frame: int, targets: Targets, placement: Placement, values: wp.array2d[wp.float64]
+) -> wp.float64:
+    """sum w_i |p_i - m_i|^2 / sum w_i + sum w_k (q_k - r_k)^2."""
+    cost = wp.float64(0.0)
+    for number in range(targets.body.shape[0]):
+        weight = marker_weight(frame, number, targets)
+        if weight > wp.float64(0.0):
+            p = station(worldid, targets.body[number], targets.location[number], placement)
+            cost += weight * wp.length_sq(p - targets.marker[frame, number])
+    cost /= total_weight(frame, targets)
+    for k in range(values.shape[1]):
+        off = values[frame, k] - targets.value[frame, k]
+        cost += targets.value_weight[k] * off * off
+    return cost
+
+
+@wp.func
+def collect(
+    worldid: int, frame: int, skeleton: Skeleton, targets: Targets, placement: Placement, normal: Normal
+):
+    """Weights, moments and errors of the markers of each body and of all that it carries."""
+    count = skeleton.parent.shape[0]
+    one = wp.float64(1.0)
+    for body in range(count):
+        normal.weight[worldid, body] = wp.float64(0.0)
+        normal.first[worldid, body] = wp.vec3d()
+        normal.second[worldid, body] = wp.mat33d()
+        normal.force[worldid, body] = wp.vec3d()
+        normal.torque[worldid, body] = wp.vec3d()
+    total = total_weight(frame, targets)
+    for number in range(targets.body.shape[0]):
+        weight = marker_weight(frame, number, targets) / total
+        body = targets.body[number]
+        if weight > wp.float64(0.0) and body >= 0:
+            p = station(worldid, body, targets.location[number], placement)
+            off = weight * (p - targets.marker[frame, number])
+            normal.weight[worldid, body] += weight
+            normal.first[worldid, body] += weight * p
+            normal.second[worldid, body] += weight * (
+                wp.dot(p, p) * wp.diag(wp.vec3d(one, one, one)) - wp.outer(p, p)
+            )
+            normal.force[worldid, body] += off
+            normal.torque[worldid, body] += wp.cross(p, off)
+    for back in range(count):
+        body = count - 1 - back
+        parent = skeleton.parent[body]
+        if parent >= 0:
+            normal.weight[worldid, parent] += normal.weight[worldid, body]
+            normal.first[worldid, parent] += normal.first[worldid, body]
+            normal.second[worldid, parent] += normal.second[worldid, body]
+            normal.force[worldid, parent] += normal.force[worldid, body]
+            normal.torque[worldid, parent] += normal.torque[worldid, body]
+
+
+@wp.func
+def normal_equations_of_markers(
+    worldid: int, frame: int, skeleton: Skeleton, targets: Targets, placement: Placement, normal: Normal,
+    values: wp.array2d[wp.float64],
+):  # fmt: skip
+    """H_jk = s_j . I s_k, g_k = s_k . (force, torque), and the wanted values of coordinates."""
+    for j in range(values.shape[1]):
+        for k in range(values.shape[1]):
+            normal.matrix[worldid, j, k] = wp.float64(0.0)
+        weight = targets.value_weight[j]
+        normal.matrix[worldid, j, j] = weight
+        normal.slope[worldid, j] = wp.float64(0.0)
+        if weight > wp.float64(0.0):
+            normal.slope[worldid, j] = weight * (values[frame, j] - targets.value[frame, j])
+    for body in range(skeleton.parent.shape[0]):
+        if normal.weight[worldid, body] > wp.float64(0.0):
+            for move in range(skeleton.first[body], skeleton.first[body + 1]):
+                k = skeleton.free[move]
+                if k >= 0:
+                    turn = placement.turn[worldid, move]
+                    shift = placement.shift[worldid, move]
+                    first = normal.first[worldid, body]
+                    pull = normal.weight[worldid, body] * shift + wp.cross(turn, first)
+                    twist = normal.second[worldid, body] * turn + wp.cross(first, shift)
+                    normal.slope[worldid, k] += wp.dot(turn, normal.torque[worldid, body])
+                    normal.slope[worldid, k] += wp.dot(shift, normal.force[worldid, body])
+                    carrier = int(body)
+                    last = int(move + 1)
+                    while carrier >= 0:
+                        for other in range(skeleton.first[carrier], last):
+                            j = skeleton.free[other]
+                            if j >= 0:
+                                product = wp.dot(placement.shift[worldid, other], pull)
+                                product += wp.dot(placement.turn[worldid, other], twist)
+                                normal.matrix[worldid, k, j] += product
+                                if other != move:
+                                    normal.matrix[worldid, j, k] += product
+                        carrier = skeleton.parent[carrier]
+                        if carrier >= 0:
+                            last = skeleton.first[carrier + 1]
+
+
+@wp.func
+def bound_step(
+    worldid: int,
+    frame: int,
+    damping: wp.float64,
+    targets: Targets,
+    normal: Normal,
+    values: wp.array2d[wp.float64],
+) -> bool:
+    """(H + damping (diag H + mean)) step = -g of the coordinates that no bound holds; the others stay."""
+    count = values.shape[1]
+    trace = wp.float64(0.0)
+    for k in range(count):
+        trace += normal.matrix[worldid, k, k]
+    mean = wp.max(trace / wp.float64(count), wp.float64(1.0e-30))
+    for k in range(count):
+        value = values[frame, k]
+        held = (value <= targets.lower[k] and normal.slope[worldid, k] > wp.float64(0.0)) or (
+            value >= targets.upper[k] and normal.slope[worldid, k] < wp.float64(0.0)
+        )
+        for j in range(k + 1):
+            normal.factor[worldid, k, j] = wp.where(held, wp.float64(0.0), normal.matrix[worldid, k, j])
+        normal.step[worldid, k] = wp.where(held, wp.float64(0.0), -normal.slope[worldid, k])
+        more = damping * (normal.matrix[worldid, k, k] + mean)
+        normal.factor[worldid, k, k] = wp.where(held, mean, normal.matrix[worldid, k, k] + more)
+        if held:
+            normal.old[worldid, k] = wp.float64(1.0)
+        else:
+            normal.old[worldid, k] = wp.float64(0.0)
+    for i in range(count):
+        for j in range(i + 1):
+            total = normal.factor[worldid, i, j]
+            if normal.old[worldid, j] > wp.float64(0.0) and i != j:
+                total = wp.float64(0.0)
+            for k in range(j):
+                total -= normal.factor[worldid, i, k] * normal.factor[worldid, j, k]
+            if i > j:
+                normal.factor[worldid, i, j] = total / normal.factor[worldid, j, j]
+            elif total > wp.float64(0.0):
+                normal.factor[worldid, i, i] = wp.sqrt(total)
+            else:
+                return False
+    for i in range(count):
+        total = normal.step[worldid, i]
+        for k in range(i):
+            total -= normal.factor[worldid, i, k] * normal.step[worldid, k]
+        normal.step[worldid, i] = total / normal.factor[worldid, i, i]
+    for r in range(count):
+        i = count - 1 - r
+        total = normal.step[worldid, i]
+        for k in range(i + 1, count):
+            total -= normal.factor[worldid, k, i] * normal.step[worldid, k]
+        normal.step[worldid, i] = total / normal.factor[worldid, i, i]
+    return True
+
+
+@wp.func
+def solve_frame(
+    worldid: int, frame: int, skeleton: Skeleton, targets: Targets, placement: Placement, normal: Normal,
+    values: wp.array2d[wp.float64],
+) -> wp.float64:  # fmt: skip
+    """Return the objective of a frame, solved from the coordinates that are there."""
+    damping = wp.float64(1.0e-6)
+    place(worldid, skeleton, values, frame, placement)
+    cost = objective(worldid, frame, targets, placement, values)
+    fresh = bool(True)
+    done = bool(False)
+    for _ in range(STEPS):
+        if not done:
+            if fresh:
+                collect(worldid, frame, skeleton, targets, placement, normal)
+                normal_equations_of_markers(worldid, frame, skeleton, targets, placement, normal, values)
+            good = bound_step(worldid, frame, damping, targets, normal, values)
+            largest = wp.float64(0.0)
+            for k in range(values.shape[1]):
+                normal.old[worldid, k] = values[frame, k]
+                if good:
+                    value = values[frame, k] + normal.step[worldid, k]
+                    value = wp.clamp(value, targets.lower[k], targets.upper[k])
+                    largest = wp.max(largest, wp.abs(value - values[frame, k]))
+                    values[frame, k] = value
+            place(worldid, skeleton, values, frame, placement)
+            now = objective(worldid, frame, targets, placement, values)
+            fresh = good and now <= cost
+            if fresh:
+                damping = wp.max(damping / wp.float64(GROWTH), wp.float64(1.0e-12))
+                cost = now
+                done = largest < wp.float64(TOLERANCE)
+            else:
+                damping *= wp.float64(GROWTH)
+                done = damping > wp.float64(1.0e6) or (good and largest < wp.float64(TOLERANCE))
+                for k in range(values.shape[1]):
+                    values[frame, k] = normal.old[worldid, k]
+    return cost
+
+
+@wp.kernel(enable_backward=False)
+def solve_inverse_kinematics(
+    # Model:
+    skeleton: Skeleton,
+    # In:
+    targets: Targets,
+    first: wp.array[int],
+    frames: int,
+    stride: int,
+    # Out:
+    placement: Placement,
+    normal: Normal,
+    values: wp.array2d[wp.float64],
+    cost: wp.array[wp.float64],
+    places: wp.array2d[wp.vec3d],
+):
+    """Solve frames first, first + stride, ..., `frames` of them, each from the one before.
+
+    The values of the first frame are where it starts. `places` is where the markers of the model are.
+    """
+    worldid = wp.tid()
+    for step in range(frames):
+        frame = first[worldid] + step * stride
+        if frame < values.shape[0]:
+            if step > 0:
+                for k in range(values.shape[1]):
+                    values[frame, k] = values[frame - stride, k]
+            cost[frame] = solve_frame(worldid, frame, skeleton, targets, placement, normal, values)
+            place(worldid, skeleton, values, frame, placement)
+            for number in range(targets.body.shape[0]):
+                places[frame, number] = station(
+                    worldid, targets.body[number], targets.location[number], placement
+                )
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Coordinates that fit markers.
+
+    Attributes:
+        coordinates: Names of the independent coordinates.
+        time: [s], shape (frames,).
+        values: [rad] or [m], shape (frames, coordinates).
+        markers: Names of those that had a weight.
+        places: Where the model has them [m], shape (frames, markers, 3).
+        error: Distance to where they were recorded [m], NaN where they were not seen, shape (frames,
+            markers).
+        objective: What was minimised, shape (frames,).
+    """
+
+    coordinates: tuple[str, ...]
+    time: np.ndarray
+    values: np.ndarray
+    markers: tuple[str, ...]
+    places: np.ndarray
+    error: np.ndarray
+    objective: np.ndarray
+
+    def worst(self) -> list[tuple[str, float, float]]:
+        """Return name, root mean square and largest error [m] of each marker, the worst first."""
+        rows = []
+        for name, error in zip(self.markers, self.error.T, strict=True):
+            seen = error[np.isfinite(error)]
+            if len(seen):
+                rows.append((name, float(np.sqrt(np.mean(seen**2))), float(seen.max())))
+        return sorted(rows, key=lambda row: -row[1])
+
+    def doubt(self) -> str | None:
+        """Return what is likely wrong with the recording, None where markers fit."""
+        seen = self.error[np.isfinite(self.error)]
+        rms = float(np.sqrt(np.mean(seen**2))) if len(seen) else 0.0
+        if rms <= LARGE:
+            return None
+        return (
+            f"markers are {rms:.3g} m off (root mean square); check the recording's unit, its vertical "
+            f"axis, and "
+            f"that names are those of the model: worst is {self.worst()[0][0]!r}"
+        )
+
+
+def inverse_kinematics(
+    bones: Bones,
+    recorded: Markers,
+    marker_weights: Mapping[str, float] | None = None,
+    coordinate_weights: Mapping[str, float] | None = None,
+    coordinate_values: Mapping[str, float | np.ndarray] | None = None,
+    start: Mapping[str, float] | None = None,
+) -> Fitted:
+    """Return the coordinates of each frame that put the model's markers where they were recorded.
+
+    Args:
+        bones: The model.
+        recorded: Markers over time; NaN where one was not seen.
+        marker_weights: By marker; by default 1 for all that the model and the recording share.
+        coordinate_weights: By coordinate, how much it should have its value; by default 0.
+        coordinate_values: That value [rad] or [m], one or one for each frame; by default the model's default.
+        start: Coordinates from which the first frame is solved; by default the model's defaults.
+
+    Raises:
+        ValueError: A marker or coordinate is unknown, a weight is negative or none is positive, or a
+            recording in
+            which no frame shows three markers.
+    """
+    model, names = bones.model, bones.coordinates
+    shared = [name for name in recorded.names if name in model.markers]
+    weights = dict.fromkeys(shared, 1.0) if marker_weights is None else dict(marker_weights)
+    for name, weight in weights.items():
+        if name not in model.markers:
+            raise ValueError(f"the model has no marker {name!r}; available: {', '.join(model.markers)}")
+        if name not in recorded.names:
+            raise ValueError(f"the recording has no marker {name!r}; available: {', '.join(recorded.names)}")
+        if not 0.0 <= weight < np.inf:
+            raise ValueError(f"the weight of marker {name!r} must be at least 0 and finite, got {weight}")
+    used = tuple(name for name, weight in weights.items() if weight > 0.0)
+    if not used:
+        raise ValueError(
+            f"no marker has a weight; the model has {', '.join(model.markers) or 'none'}, the recording "
+            f"{', '.join(recorded.names)}"
+        )
+    seen = recorded.positions[:, [recorded.names.index(name) for name in used]]
+    count = len(seen)
+    pull, wanted = np.zeros(len(names)), np.zeros((count, len(names)))
+    for name, weight in (coordinate_weights or {}).items():
+        if name in names:
+            pull[names.index(name)] = weight
+        elif name not in model.coordinates:
+            raise ValueError(f"coordinate {name!r} unknown; available: {', '.join(model.coordinates)}")
+    for k, name in enumerate(names):
+        wanted[:, k] = (coordinate_values or {}).get(name, model.coordinates[name].default)
+    values = np.tile([(start or {}).get(name, model.coordinates[name].default) for name in names], (count, 1))
+    bounds = [
+        model.coordinates[n].range if model.coordinates[n].clamped else (-np.inf, np.inf) for n in names
+    ]
+    lower, upper = np.array(bounds, float).reshape(-1, 2).T
+    with wp.ScopedDevice(bones.device):
+        targets = Targets()
+        targets.body = wp.array([bones.number(model.markers[name].body) for name in used], dtype=int)
+        targets.location = wp.array([model.markers[name].location for name in used], dtype=wp.vec3d)
+        targets.weight = wp.array([weights[name] for name in used], dtype=wp.float64)
+        targets.marker = wp.array(seen, dtype=wp.vec3d)
+        for name, array in (("value", wanted), ("value_weight", pull), ("lower", lower), ("upper", upper)):
+            setattr(targets, name, wp.array(array, dtype=wp.float64))
+        out = {
+            "values": wp.array(np.clip(values, lower, upper), dtype=wp.float64),
+            "cost": wp.zeros(count, dtype=wp.float64),
+            "places": wp.zeros((count, len(used)), dtype=wp.vec3d),
+        }
+        heads = np.arange(0, count, STRIDE)
+        _run(bones, targets, np.zeros(1, int), len(heads), STRIDE, out)
+        if STRIDE > 1:
+            _run(bones, targets, heads, STRIDE, 1, out)
+        places = out["places"].numpy()
+        error = np.linalg.norm(places - seen, axis=2)
+        return Fitted(names, recorded.time, out["values"].numpy(), used, places, error, out["cost"].numpy())
+
+
+def _run(
+    bones: Bones, targets: Targets, first: np.ndarray, frames: int, stride: int, out: Mapping[str, Any]
+) -> None:
+    """Solve `frames` frames in each world from its first frame on."""
+    worlds, bodies, free = len(first), len(bones.bodies) - 1, len(bones.coordinates)
+    normal = Normal()
+    for name, kind in (("weight", wp.float64), ("first", wp.vec3d), ("second", wp.mat33d)):
+        setattr(normal, name, wp.zeros((worlds, bodies), dtype=kind))
+    for name in ("force", "torque"):
+        setattr(normal, name, wp.zeros((worlds, bodies), dtype=wp.vec3d))
+    for name in ("matrix", "factor"):
+        setattr(normal, name, wp.zeros((worlds, free, free), dtype=wp.float64))
+    for name in ("slope", "step", "old"):
+        setattr(normal, name, wp.zeros((worlds, free), dtype=wp.float64))
+    launch(
+        solve_inverse_kinematics,
+        worlds,
+        skeleton=bones.skeleton,
+        targets=targets,
+        first=wp.array(first, dtype=int),
+        frames=frames,
+        stride=stride,
+        placement=bones.placement(worlds),
+        normal=normal,
+        **out,
+    )

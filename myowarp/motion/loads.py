@@ -1,0 +1,127 @@
+"""Loads from outside, as OpenSim's `ExternalLoads` names them: columns of a recording, and where they act."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from myowarp.motion.inverse_dynamics import Load
+from myowarp.motion.storage import Storage, read_storage
+from myowarp.opensim.read.document import Element, parse
+
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class LoadColumns:
+    """Which columns of a recording are a load.
+
+    Attributes:
+        name: Of the load.
+        body: Where it acts.
+        force: First part of the names of three columns [N]; empty: no force.
+        point: The same of where the force acts [m]; empty: at the body's origin.
+        torque: The same of a torque [N m]; empty: none.
+        force_frame: Body in whose axes force and torque are given.
+        point_frame: Body in which the point is given.
+    """
+
+    name: str
+    body: str
+    force: str = ""
+    point: str = ""
+    torque: str = ""
+    force_frame: str = "ground"
+    point_frame: str = "ground"
+
+    def at(self, recording: Storage, times: np.ndarray) -> Load:
+        """Return the load at some times [s], along the natural cubic spline through its rows.
+
+        Raises:
+            ValueError: A column is missing, or times lie outside of the recording.
+        """
+        from scipy.interpolate import CubicSpline
+
+        if times[0] < recording.time[0] - 1e-6 or times[-1] > recording.time[-1] + 1e-6:
+            raise ValueError(
+                f"load {self.name!r} is recorded from {recording.time[0]:g} to {recording.time[-1]:g} "
+                f"s; the motion "
+                f"is from {times[0]:g} to {times[-1]:g} s"
+            )
+
+        def columns(prefix: str) -> np.ndarray:
+            if not prefix:
+                return np.zeros((len(times), 3))
+            found = []
+            for axis in AXES:
+                if prefix + axis not in recording.labels:
+                    raise ValueError(
+                        f"load {self.name!r} needs the column {prefix + axis!r}; the recording has "
+                        f"{', '.join(recording.labels)}"
+                    )
+                found.append(recording.values[:, recording.labels.index(prefix + axis)])
+            curve = CubicSpline(recording.time, np.stack(found, axis=1), bc_type="natural")
+            return np.asarray(curve(times))
+
+        force, point, torque = columns(self.force), columns(self.point), columns(self.torque)
+        point_frame = self.point_frame if self.point else self.body
+        return Load(self.body, force, point, torque, self.force_frame, point_frame)
+
+
+def read_loads(path: Path) -> tuple[tuple[LoadColumns, ...], Path | None]:
+    """Read a file of `ExternalLoads`.
+
+    Returns:
+        The loads that are on, and the file of their columns, beside it unless given whole; None: it names
+            none.
+
+    Raises:
+        ValueError: It is no such file.
+        OSError: It cannot be read.
+    """
+    root, _ = parse(path)
+    loads = root if root.tag == "ExternalLoads" else root.own("ExternalLoads")
+    if loads is None:
+        raise root.error("holds no <ExternalLoads>")
+    found = tuple(_columns(force) for force in loads.objects("objects") if _applies(force))
+    file = loads.string("datafile")
+    return found, path.parent / file if file not in ("", "Unassigned") else None
+
+
+def _applies(element: Element) -> bool:
+    return not element.flag("isDisabled", default=False) and element.flag("appliesForce", default=True)
+
+
+def _columns(element: Element) -> LoadColumns:
+    def said(tag: str, default: str = "") -> str:
+        value = element.string(tag)
+        return default if value in ("", "Unassigned") else value
+
+    body = said("applied_to_body")
+    if not body:
+        raise element.error("says not on which body it acts; <applied_to_body> is needed")
+    frames = said("force_expressed_in_body", "ground"), said("point_expressed_in_body", "ground")
+    columns = said("force_identifier"), said("point_identifier"), said("torque_identifier")
+    return LoadColumns(element.name, body, *columns, *frames)
+
+
+def loads_at(path: Path, times: np.ndarray, recording: Path | None = None) -> list[Load]:
+    """Return the loads of a file of `ExternalLoads` at some times [s].
+
+    Args:
+        path: The file.
+        times: Increasing, shape (frames,).
+        recording: File of the columns; by default the one that it names.
+
+    Raises:
+        ValueError: A file is not what it should be, or does not cover the times.
+        OSError: A file cannot be read.
+    """
+    columns, named = read_loads(path)
+    source = recording or named
+    if source is None:
+        raise ValueError(f"{str(path)!r} names no <datafile>; give the file of the recorded forces")
+    table = read_storage(source)
+    return [one.at(table, times) for one in columns]

@@ -1,0 +1,148 @@
+"""Recorded markers: `.trc` files, as Motion Analysis writes and OpenSim reads them.
+
+Five lines come before the numbers: the file's name, names and values of `DataRate`, `NumFrames`,
+`NumMarkers`, `Units` and others, names of markers, each over three columns, and X1 Y1 Z1 ... An empty cell is
+a marker that was not seen, and so is NaN. Here positions are in metres.
+
+Source: OpenSim documentation, *Marker (.trc) Files*.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+UNITS = {"mm": 1e-3, "millimeters": 1e-3, "cm": 1e-2, "centimeters": 1e-2, "m": 1.0, "meters": 1.0}
+"""Metres of each unit, by lower-case name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Markers:
+    """Places of markers over time.
+
+    Attributes:
+        names: Of markers.
+        time: [s], increasing, shape (frames,).
+        positions: [m], NaN where a marker was not seen, shape (frames, markers, 3).
+    """
+
+    names: tuple[str, ...]
+    time: np.ndarray
+    positions: np.ndarray
+
+    def between(self, start: float, end: float) -> Markers:
+        """Return the frames from `start` to `end` [s], both included.
+
+        Raises:
+            ValueError: There is none.
+        """
+        kept = (self.time >= start - 1e-9) & (self.time <= end + 1e-9)
+        if not kept.any():
+            raise ValueError(
+                f"no frame between {start:g} and {end:g} s; the recording is from {self.time[0]:g} to "
+                f"{self.time[-1]:g} s"
+            )
+        return Markers(self.names, self.time[kept], self.positions[kept])
+
+    def gaps(self) -> dict[str, list[tuple[float, float]]]:
+        """Return when markers were not seen: first and last time of each gap [s], by marker."""
+        missing = np.isnan(self.positions).any(axis=2)
+        found: dict[str, list[tuple[float, float]]] = {}
+        for number, name in enumerate(self.names):
+            edge = np.diff(missing[:, number].astype(int), prepend=0, append=0)
+            first, after = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
+            if len(first):
+                found[name] = [(float(self.time[a]), float(self.time[b - 1])) for a, b in zip(first, after)]  # noqa: B905
+        return found
+
+
+def read_trc(path: Path) -> Markers:
+    """Read a `.trc` file.
+
+    Raises:
+        ValueError: It is none, its unit is unknown, a row does not fit, or times do not increase.
+        OSError: It cannot be read.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{str(path)!r} is no text file; markers come as .trc") from error
+    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
+        raise ValueError(
+            f"{str(path)!r} must begin with 'PathFileType' and have five lines before its numbers"
+        )
+    facts = dict(zip(lines[1].split(), lines[2].split(), strict=False))
+    unit = facts.get("Units", "")
+    if unit.lower() not in UNITS:
+        raise ValueError(f"{str(path)!r} has the unit {unit!r}; known are {', '.join(UNITS)}")
+    names = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
+    if not names:
+        raise ValueError(f"{str(path)!r} names no marker in line 4, or its cells are not separated by tabs")
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"{str(path)!r} has the marker {twice!r} twice")
+    rows = [(number, line.split("\t")) for number, line in enumerate(lines[5:], 6) if line.strip()]
+    table = np.full((len(rows), 1 + 3 * len(names)), np.nan)
+    for row, (number, cells) in zip(table, rows, strict=True):
+        cells = [cell.strip() for cell in cells[1:]]
+        while len(cells) > len(row) and not cells[-1]:
+            cells.pop()
+        if len(cells) > len(row):
+            raise ValueError(
+                f"line {number} of {str(path)!r} must have {len(row) + 1} cells for {len(names)} "
+                f"markers, got "
+                f"{len(cells) + 1}"
+            )
+        try:
+            row[: len(cells)] = [float(cell) if cell else np.nan for cell in cells]
+        except ValueError as error:
+            raise ValueError(
+                f"line {number} of {str(path)!r} has a cell that is no number: {error}"
+            ) from error
+    return _checked(path, names, table, UNITS[unit.lower()])
+
+
+def _checked(path: Path, names: tuple[str, ...], table: np.ndarray, unit: float) -> Markers:
+    """Return the markers of the numbers of a file, in metres.
+
+    Raises:
+        ValueError: There is no frame, or times do not increase.
+    """
+    if not len(table):
+        raise ValueError(f"{str(path)!r} has no frame")
+    time = table[:, 0]
+    late = ~(np.diff(time, prepend=-np.inf) > 0.0)
+    if late.any() or not np.isfinite(time).all():
+        raise ValueError(f"times of {str(path)!r} must increase; frame {1 + int(np.argmax(late))} does not")
+    positions = unit * table[:, 1:].reshape(len(table), len(names), 3)
+    positions[~np.isfinite(positions).all(axis=2)] = np.nan
+    return Markers(names, time, positions)
+
+
+def write_trc(path: Path, markers: Markers) -> None:
+    """Write a `.trc` file, in millimetres.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    frames, count = markers.positions.shape[:2]
+    step = np.diff(markers.time).mean() if frames > 1 else 0.0
+    rate = f"{1.0 / step if step else 1.0:.2f}"
+    head = "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame OrigNumFrames"
+    facts: Sequence[object] = (rate, rate, frames, count, "mm", rate, 1, frames)
+    axes = [f"{axis}{number}" for number in range(1, count + 1) for axis in "XYZ"]
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
+        "\t".join(head.split()),
+        "\t".join(map(str, facts)),
+        "Frame#\tTime\t" + "\t\t\t".join(markers.names),
+        "\t\t" + "\t".join(axes),
+        "",
+    ]
+    for number, (time, row) in enumerate(zip(markers.time, markers.positions, strict=True), 1):
+        cells = ["" if np.isnan(x) else f"{1e3 * x:.6f}" for x in row.ravel()]
+        lines.append("\t".join([str(number), f"{time:.9g}", *cells]))
+    path.write_text("\n".join(lines) + "\n")

@@ -1,0 +1,174 @@
+"""Muscle forces of a motion: what each muscle can give in a frame, and what it gives at the least cost.
+
+In mode `opensim` a muscle has a rigid tendon and no passive force, as OpenSim's StaticOptimization takes it:
+F = a Fmax f_L f_V, without the cosine of the pennation angle, which OpenSim 4.6 leaves out there. In mode
+`equilibrium` fiber and tendon are in equilibrium at the velocity of the path, with passive force; this is not
+proportional to the activation, so that a few rounds follow, each with the secant F(0) + a (F(a') - F(0)) / a'
+of the activation a' before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from myowarp.motion.muscle_paths import MusclePaths
+from myowarp.motion.static_optimization import Activations, optimal_activations
+from myowarp.opensim.model.model import Model
+from myowarp.opensim.muscle.hill import HillMuscle, known
+
+Mode = Literal["equilibrium", "opensim"]
+
+ROUNDS = 4
+"""Of secants in mode `equilibrium`."""
+
+LEAST = 0.01
+"""Activation from which a secant is taken, at least."""
+
+FEASIBLE = 1e-6
+"""Share of the greatest moment of a coordinate up to which it counts as met."""
+
+SATURATED = 0.999
+"""Share of the way to its upper bound from which a muscle counts as saturated."""
+
+
+@dataclass(frozen=True, eq=False)
+class MuscleForces:
+    """Muscle forces of a motion.
+
+    Attributes:
+        muscles: Names.
+        coordinates: Names of independent coordinates.
+        activation: Shape (frames, muscles).
+        force: In the tendon [N].
+        passive: Share of it that is there without activation [N].
+        power: That muscles give to the skeleton [W], shortening > 0.
+        reserve: What reserves give [N m] or [N], shape (frames, coordinates); 0 without.
+        missing: What nobody gives, likewise.
+        feasible: Frames in which nothing is missing.
+        saturated: Frames in which each muscle is at its upper bound, by name, those of no frame left out.
+    """
+
+    muscles: tuple[str, ...]
+    coordinates: tuple[str, ...]
+    activation: np.ndarray
+    force: np.ndarray
+    passive: np.ndarray
+    power: np.ndarray
+    reserve: np.ndarray
+    missing: np.ndarray
+    feasible: np.ndarray
+    saturated: Mapping[str, int]
+
+
+def rigid_capacity(muscle: HillMuscle, length: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Return the active force of a fiber with a rigid tendon at activation 1 [N], as OpenSim."""
+    v = muscle.values
+    z = length - v["tendon_slack_length"]
+    held = np.maximum(z, muscle.shortest_fiber)
+    fiber = np.sqrt(held**2 + muscle.fiber_width**2)
+    cosine = held / np.maximum(fiber, 1e-15)
+    active, _ = muscle.curves.active_force_length(fiber / v["optimal_fiber_length"])
+    factor, _ = muscle.curves.force_velocity(
+        velocity * cosine / muscle.velocity_scale, np.ones_like(velocity)
+    )
+    force = v["max_isometric_force"] * active * factor
+    return np.where(z > muscle.shortest_fiber, np.maximum(force, 0.0), 0.0)
+
+
+def muscle_forces(
+    model: Model,
+    coordinates: tuple[str, ...],
+    paths: MusclePaths,
+    joint_moment: np.ndarray,
+    *,
+    mode: Mode = "equilibrium",
+    exponent: float = 2.0,
+    reserves: Mapping[str, float] | None = None,
+    device: Any = None,
+) -> MuscleForces:
+    """Return the muscle forces of least cost that give the moments of a motion.
+
+    Coordinates that no muscle and no reserve acts on are left out; what they need is missing, as the
+    residuals of the root are.
+
+    Args:
+        model: The model.
+        coordinates: Names of its independent coordinates.
+        paths: Of its muscles in all frames.
+        joint_moment: Wanted [N m] or [N], shape (frames, coordinates).
+        mode: What a muscle can give, see the module.
+        exponent: p of the cost sum |a|^p, which counts reserves with their force over `reserves`.
+        reserves: By coordinate, the force of a reserve at cost 1 [N m] or [N].
+        device: Where it is solved.
+
+    Raises:
+        ValueError: A coordinate is unknown, the exponent is below 1, or the mode unknown.
+    """
+    if mode not in ("equilibrium", "opensim"):
+        raise ValueError(f"mode must be equilibrium or opensim, got {mode!r}")
+    reserves = dict(reserves or {})
+    if unknown := set(reserves) - set(coordinates):
+        raise ValueError(f"reserve on {sorted(unknown)[0]!r}: unknown; available: {', '.join(coordinates)}")
+    if not all(0.0 < force < np.inf for force in reserves.values()):
+        raise ValueError("the force of a reserve must be above 0 and finite")
+    muscles = [known(HillMuscle.of(model.muscles[name]))[0] for name in paths.muscles]
+    helped = [coordinates.index(name) for name in reserves]
+    held = sorted({row for rows in paths.crossed for row in rows} | set(helped))
+    width = max([len(rows) for rows in paths.crossed] + [1])
+    table = np.full((len(muscles) + len(helped), width), -1)
+    frames = len(joint_moment)
+    arm = np.zeros((frames, len(table), width))
+    for number, rows in enumerate(paths.crossed):
+        table[number, : len(rows)] = [held.index(row) for row in rows]
+        arm[:, number, : len(rows)] = paths.moment_arm[:, number, list(rows)]
+    table[len(muscles) :, 0] = [held.index(row) for row in helped]
+    arm[:, len(muscles) :, 0] = list(reserves.values())
+    bounds = [(max(m.values["min_control"], 0.0), min(m.values["max_control"], 1.0)) for m in muscles]
+    lower, upper = np.array([*bounds, *[(-np.inf, np.inf)] * len(helped)], float).reshape(-1, 2).T
+
+    def at(activation: np.ndarray) -> np.ndarray:
+        columns = [
+            muscle.values["max_isometric_force"]
+            * muscle.tendon_force(activation[:, i], paths.length[:, i], paths.velocity[:, i])
+            for i, muscle in enumerate(muscles)
+        ]
+        return np.stack(columns, axis=1)
+
+    def solve(capacity: np.ndarray, passive: np.ndarray) -> Activations:
+        effects = arm.copy()
+        effects[:, : len(muscles)] *= capacity[:, :, None]
+        right = (joint_moment - np.einsum("nmk,nm->nk", paths.moment_arm, passive))[:, held]
+        return optimal_activations(table, effects, right, lower, upper, exponent, device)
+
+    if mode == "opensim":
+        passive = np.zeros_like(paths.length)
+        capacity = np.stack(
+            [rigid_capacity(m, paths.length[:, i], paths.velocity[:, i]) for i, m in enumerate(muscles)],
+            axis=1,
+        )
+        found = solve(capacity, passive)
+    else:
+        passive = at(np.zeros_like(paths.length))
+        capacity = at(np.ones_like(paths.length)) - passive
+        found = solve(capacity, passive)
+        for _ in range(ROUNDS - 1):
+            before = np.clip(found.activation[:, : len(muscles)], LEAST, 1.0)
+            capacity = (at(before) - passive) / before
+            found = solve(capacity, passive)
+    activation = found.activation[:, : len(muscles)]
+    force = passive + capacity * activation
+    missing = joint_moment.copy()
+    missing[:, held] = found.missing
+    reserve = np.zeros_like(joint_moment)
+    reserve[:, helped] = found.activation[:, len(muscles) :] * list(reserves.values())
+    scale = np.maximum(np.abs(joint_moment[:, held]).max(axis=0), 1.0)
+    full = activation >= lower[: len(muscles)] + SATURATED * (upper - lower)[: len(muscles)]
+    counts = {name: int(n) for name, n in zip(paths.muscles, full.sum(axis=0), strict=True) if n}
+    return MuscleForces(
+        paths.muscles, coordinates, activation, force, passive, -force * paths.velocity, reserve, missing,
+        (np.abs(found.missing) <= FEASIBLE * scale).all(axis=1), counts,
+    )  # fmt: skip
