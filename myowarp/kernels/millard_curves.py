@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from myowarp.opensim.muscle.curves import Curve
+Curve = tuple[np.ndarray, np.ndarray]
 
 Array = np.ndarray
 Knot = tuple[float, float, float]

@@ -1,0 +1,373 @@
+"""Muscle models of `hill_law`: parameters from tables or from the body's MuJoCo muscles, and launches."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+from myowarp.definitions.muscle import MUSCLES, MuscleGeometry, MuscleModel
+from myowarp.kernels.batching import num_threads
+from myowarp.kernels.launch import launch
+from myowarp.models.muscles import degroote_fregly2016, millard2012, thelen2003
+from myowarp.models.muscles.hill_law import (
+    DEGROOTE,
+    MILLARD,
+    THELEN,
+    Fibers,
+    HillMuscle,
+    HillParams,
+    contract_hill,
+    hill_muscle,
+    sample_curves,
+    set_lengths,
+    settle_hill,
+)
+from myowarp.models.muscles.millard2012 import ACTIVE, millard_tables
+from myowarp.models.muscles.mujoco import length_scale, peak_force
+
+COMMON: Mapping[str, tuple[float, float]] = {
+    "max_isometric_force": (1e-6, math.inf),
+    "optimal_fiber_length": (1e-4, math.inf),
+    "tendon_slack_length": (0.0, math.inf),
+    "pennation_angle_at_optimal": (0.0, 1.47),
+    "maximum_pennation_angle": (0.1, 1.5707),
+    "max_contraction_velocity": (1e-3, math.inf),
+    "fiber_damping": (0.0, 1e3),
+    "minimum_activation": (0.0, 0.99),
+    "activation_time_constant": (1e-6, math.inf),
+    "deactivation_time_constant": (1e-6, math.inf),
+    "ignore_tendon_compliance": (0.0, 1.0),
+    "ignore_activation_dynamics": (0.0, 1.0),
+}
+"""Least and greatest value of what every law has, under OpenSim's names."""
+
+MAX_PENNATION = math.acos(0.1)
+LAWS: Mapping[int, Mapping[str, tuple[str | None, float, float, float]]] = {
+    THELEN: thelen2003.PARAMETERS,
+    MILLARD: millard2012.PARAMETERS,
+    DEGROOTE: degroote_fregly2016.PARAMETERS,
+}
+"""Parameters of the curves."""
+
+SHARED = {"maximum_pennation_angle": MAX_PENNATION, "ignore_tendon_compliance": 0.0}
+DEFAULTS: Mapping[int, Mapping[str, float]] = {
+    law: {
+        **SHARED,
+        "fiber_damping": damping,
+        "minimum_activation": floor,
+        "ignore_passive_fiber_force": 0.0,
+    }
+    for law, (damping, floor) in enumerate(((0.0, 0.01), (0.1, 0.01), (0.0, 0.0)))
+}
+"""OpenSim's, of what is not a curve; De Groote's muscle has no floor of the activation."""
+
+TIME_CONSTANTS = ("activation_time_constant", "deactivation_time_constant")
+
+FIELDS = (
+    "max_isometric_force",
+    "optimal_fiber_length",
+    "tendon_slack_length",
+    "max_contraction_velocity",
+    "minimum_activation",
+)
+"""Fields of `hill_muscle` that are properties as they stand."""
+
+LEAST_FIBER = 1e-4
+"""Least z where the law names none [optimal fiber lengths]."""
+
+LEAST_DAMPING = 1e-3
+"""Damping below this is none to OpenSim."""
+
+LEAST_TENDON = 0.1
+"""A tendon derived from MuJoCo's muscle that is shorter than this is rigid [optimal fiber lengths]."""
+
+MOST_CURVES = 4096
+"""Muscles with Millard curves of their own."""
+
+GRID = 4001
+
+
+def hill_parameters(
+    law: int, values: Mapping[str, np.ndarray], rigid: bool = False, real: type = wp.float32
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return parameters of muscles under a law, and the tables of Millard's curves.
+
+    Args:
+        law: `THELEN`, `MILLARD` or `DEGROOTE`.
+        values: OpenSim's properties by name, SI units, all that broadcast to (rows, num_muscles); those of
+            the law's curves that are missing are OpenSim's defaults.
+        rigid: Whether no tendon stretches.
+        real: Floating-point type of the parameters.
+
+    Returns:
+        `hill_muscle(real)`, shape (rows, num_muscles); values and spans for `tabulated`.
+
+    Raises:
+        ValueError: Too many curves differ.
+    """
+    own = LAWS[law]
+    given: dict[str, Any] = {
+        **DEFAULTS[law],
+        **{name: default for name, (_, default, _, _) in own.items()},
+        **values,
+    }
+    each = [np.atleast_2d(np.asarray(value, float)) for value in given.values()]
+    arrays = dict(zip(given, np.broadcast_arrays(*each), strict=True))
+    shape = arrays["optimal_fiber_length"].shape
+    rows = np.zeros(shape, hill_muscle(real).numpy_dtype())
+    rows["law"] = law
+    slack = arrays["tendon_slack_length"]
+    rows["rigid"] = rigid | (arrays["ignore_tendon_compliance"] == 1.0) | (slack <= 0.0)
+    for name in FIELDS:
+        rows[name] = arrays[name]
+    damping = np.zeros(shape) if law == THELEN else arrays["fiber_damping"]
+    rows["fiber_damping"] = np.where(damping < LEAST_DAMPING, 0.0, damping)
+    length = arrays["optimal_fiber_length"]
+    width = length * np.sin(arrays["pennation_angle_at_optimal"])
+    shortest = width / np.sin(arrays["maximum_pennation_angle"]) if law != DEGROOTE else width
+    if law == MILLARD:
+        shortest = np.maximum(shortest, arrays[f"{ACTIVE}min_norm_active_fiber_length"] * length)
+    rows["fiber_width"], rows["shortest_fiber"] = width, np.sqrt(shortest**2 - width**2)
+    rows["shortest_fiber"] = np.maximum(rows["shortest_fiber"], LEAST_FIBER * length)
+    rows["passive_scale"] = 1.0 - arrays["ignore_passive_fiber_force"]
+    for name, (field, *_) in own.items():
+        if field is not None:
+            rows[field] = arrays[name]
+    if law != MILLARD or not rows.size:
+        return rows, np.zeros((1, 2, 2)), np.zeros((1, 2))
+    shaping = {name: arrays[name] for name in (*own, "fiber_damping")}
+    shaping["ignore_tendon_compliance"] = rows["rigid"].astype(float)
+    columns = np.stack([values.ravel() for values in shaping.values()], axis=-1)
+    unique, which = np.unique(columns, axis=0, return_inverse=True)
+    if len(unique) > MOST_CURVES:
+        raise ValueError(
+            f"at most {MOST_CURVES} muscles may have curves of their own, got {len(unique)} kinds of them; "
+            "vary forces and lengths instead"
+        )
+    rows["curves"] = 4 * which.reshape(shape)
+    found = [millard_tables(dict(zip(shaping, row, strict=True))) for row in unique]
+    return rows, np.concatenate([t for t, _ in found]), np.concatenate([s for _, s in found])
+
+
+class Hill(MuscleModel):
+    """Muscles under one of the laws; see the module.
+
+    What no table gives is derived from the body's MuJoCo muscle: peak force, optimal length, velocities and
+    time constants are its own, fibers have no pennation, and the slack length is the one with which the
+    isometric force at full activation in the body's pose `qpos0` is MuJoCo's. Where this leaves a tendon
+    shorter than a tenth of the optimal fiber length, the tendon of that muscle is rigid.
+
+    Attributes:
+        parameters: Parameters of all muscles, `HillMuscle`, shape (1 or num_worlds, num_muscles).
+        fiber_length: State of muscles with an elastic tendon [m], shape (num_worlds, num_muscles).
+    """
+
+    LAW: ClassVar[int]
+    RIGID: ClassVar[bool] = False
+
+    def __init__(
+        self, model: mujoco.MjModel, num_worlds: int, parameters: Mapping[str, np.ndarray] | None = None
+    ) -> None:
+        """Collect the parameters; see `MuscleModel`.
+
+        Raises:
+            ValueError: A slack length is longer than the muscle's path ever is, or too many curves differ.
+        """
+        super().__init__(model, num_worlds, parameters)
+        ids = self.actuator_id
+        self.fiber_length = wp.zeros_like(self.activation)
+        limited = model.actuator_ctrllimited[ids, None]
+        bounds = np.clip(np.where(limited, model.actuator_ctrlrange[ids], (0.0, 1.0)), 0.0, 1.0)
+        self.excitation_range = wp.array(bounds, dtype=wp.vec2)
+        self._actuators = wp.array(ids, dtype=int)
+        self._length_range = model.actuator_lengthrange[ids]
+        if "ignore_activation_dynamics" in self._given:
+            off = self._given["ignore_activation_dynamics"] == 1.0
+            for name in TIME_CONSTANTS:
+                own = getattr(self, name).numpy()
+                setattr(self, name, wp.array(np.where(off, 1e-6, own), dtype=float))
+        rows, tables, spans = self._collect(model)
+        self.tables = wp.array(tables, dtype=wp.vec2)
+        self.spans = wp.array(spans, dtype=wp.vec2)
+        self.parameters = wp.array(rows, dtype=HillMuscle)
+        if ids.size and np.isnan(rows["tendon_slack_length"]).any():
+            self._derive_slack(model, rows)
+            self.parameters = wp.array(rows, dtype=HillMuscle)
+
+    def _value(self, name: str, own: Any) -> np.ndarray:
+        """Return a parameter in float64, shape (1 or num_worlds, num_muscles); `own` where none is given."""
+        own = np.broadcast_to(np.asarray(own, float), (1, len(self.names)))
+        given = self._given.get(name)
+        return own if given is None else np.where(np.isnan(given), own, given)
+
+    def _collect(self, model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return parameters, NaN where the slack length has to be derived, and Millard's tables."""
+        ids = self.actuator_id
+        gain = model.actuator_gainprm[ids]
+        optimal, _ = length_scale(gain, model.actuator_lengthrange[ids])
+        own: dict[str, Any] = {
+            "max_isometric_force": peak_force(gain, model.actuator_acc0[ids]),
+            "optimal_fiber_length": optimal,
+            "tendon_slack_length": np.nan,
+            "pennation_angle_at_optimal": 0.0,
+            "max_contraction_velocity": 10.0,
+        }
+        defaults = {name: default for name, (_, default, _, _) in LAWS[self.LAW].items()}
+        own = {**own, **DEFAULTS[self.LAW], **defaults}
+        values = {name: self._value(name, default) for name, default in own.items()}
+        self._check_slack(values["tendon_slack_length"])
+        return hill_parameters(self.LAW, values, self.RIGID)
+
+    def _check_slack(self, slack: np.ndarray) -> None:
+        """Raise ValueError if a given slack length is beyond the longest path."""
+        longest = self._length_range[:, 1]
+        for world, muscle in np.argwhere(slack > np.where(longest > 0.0, longest, np.inf))[:1]:
+            raise ValueError(
+                f"tendon_slack_length of muscle {self.names[muscle]!r} must be less than its path's greatest "
+                f"length {longest[muscle]:.4g} m, got {slack[world, muscle]:.4g}"
+            )
+
+    def _derive_slack(self, model: mujoco.MjModel, rows: np.ndarray) -> None:
+        """Set slack lengths that are not given so that the force at rest is MuJoCo's, in place."""
+        ids, ranges = self.actuator_id, self._length_range
+        norm, strain = np.linspace(0.3, 1.9, GRID), np.linspace(0.0, 0.3, GRID)
+        forces = wp.zeros((len(ids), GRID, 2), dtype=float)
+        launch(
+            sample_curves,
+            (len(ids), GRID),
+            self,
+            norm_length=wp.array(norm, dtype=float),
+            strain=wp.array(strain, dtype=float),
+            forces=forces,
+        )
+        curves = forces.numpy().astype(float)
+        for i, actuator in enumerate(ids):
+            length = model.actuator_length0[actuator]
+            prm = [array[actuator, :9] for array in (model.actuator_gainprm, model.actuator_biasprm)]
+            acc0 = model.actuator_acc0[actuator]
+            pull = -mujoco.mju_muscleGain(length, 0.0, ranges[i], acc0, prm[0])
+            pull -= mujoco.mju_muscleBias(length, ranges[i], acc0, prm[1])
+            own = peak_force(prm[0][None], acc0[None])[0]
+            optimal, slack = length_scale(prm[0][None], ranges[i][None])
+            target = pull / own
+            at = np.clip((length - slack[0]) / optimal[0], 0.5, 1.7)
+            gap = curves[i, :, 0] - target
+            crossings = np.flatnonzero(gap[:-1] * gap[1:] <= 0.0)
+            if crossings.size:
+                k = crossings[np.argmin(np.abs(norm[crossings] - at))]
+                share = gap[k] / (gap[k] - gap[k + 1]) if gap[k] != gap[k + 1] else 0.0
+                fiber = norm[k] + share * (norm[1] - norm[0])
+            else:
+                fiber = norm[np.argmin(np.abs(gap))]
+            held = np.interp(fiber, norm, curves[i, :, 0])
+            stretch = np.interp(held, curves[i, :, 1], strain)
+            width, lo = rows["fiber_width"][:, i], rows["optimal_fiber_length"][:, i]
+            free = length - np.sqrt(np.maximum((fiber * lo) ** 2 - width**2, 0.0))
+            missing = np.isnan(rows["tendon_slack_length"][:, i])
+            rigid = (rows["rigid"][:, i] == 1) | (free / (1.0 + stretch) < LEAST_TENDON * lo)
+            rows["rigid"][:, i] = np.where(missing, rigid, rows["rigid"][:, i])
+            derived = np.where(rigid, free, free / (1.0 + stretch))
+            rows["tendon_slack_length"][:, i] = np.where(missing, derived, rows["tendon_slack_length"][:, i])
+
+    def individualize(self) -> None:
+        """Give every world an anatomy and parameters of its own."""
+        super().individualize()
+        rows = np.broadcast_to(self.parameters.numpy(), self.activation.shape)
+        self.parameters = wp.array(rows.copy(), dtype=HillMuscle)
+
+    def geometry(self) -> MuscleGeometry:
+        """Return lengths of fibers and tendons; see `MuscleModel.geometry`."""
+        rows = self.parameters.numpy()
+        fiber, width = self.fiber_length.numpy(), rows["fiber_width"]
+        along = np.sqrt(np.maximum(fiber**2 - width**2, 0.0))
+        tendon = np.where(rows["rigid"] == 1, rows["tendon_slack_length"], self.length.numpy() - along)
+        return MuscleGeometry(*[*(rows[name] for name in MuscleGeometry._fields[:4]), tendon])
+
+    def sample_state(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """Draw activations, and fibers between 0.8 and 1.2 of their optimal length."""
+        state = {"activation": rng.uniform(size=self.activation.shape)}
+        if "fiber_length" in self.STATE:
+            optimal = self.parameters.numpy()["optimal_fiber_length"]
+            state["fiber_length"] = optimal * rng.uniform(0.8, 1.2, self.fiber_length.shape)
+        return state
+
+    def record_workload(self) -> None:
+        """Integrate the workload from now on; see `MuscleModel.record_workload`."""
+        self.workload = wp.zeros_like(self.activation)
+
+    def set_length_range(self, muscleid: int, length_range: tuple[float, float], mask: wp.array) -> None:
+        """Let fibers run over the same normalized lengths on another path; see `MuscleModel`.
+
+        A tendon for which this leaves no length becomes rigid.
+        """
+        row = self.parameters.numpy()[0, muscleid]
+        low, high = self._length_range[muscleid]
+        scale = (length_range[1] - length_range[0]) / max(high - low, 1e-15)
+        optimal = float(row["optimal_fiber_length"]) * scale
+        slack = length_range[0] - (low - float(row["tendon_slack_length"])) * scale
+        rigid = int(row["rigid"] == 1 or slack < LEAST_TENDON * optimal)
+        wp.launch(
+            set_lengths,
+            dim=mask.shape[0],
+            inputs=[muscleid, optimal, slack, rigid, mask],
+            outputs=[self.parameters],
+        )
+
+    @property
+    def params(self) -> HillParams:
+        """All parameters, for a kernel."""
+        params = HillParams()
+        params.actuator_id, params.muscles = self._actuators, self.parameters
+        for name in ("excitation_range", *TIME_CONSTANTS, "tables", "spans"):
+            setattr(params, name, getattr(self, name))
+        return params
+
+    @property
+    def fibers(self) -> Fibers:
+        """The state, for a kernel."""
+        fibers = Fibers()
+        fibers.activation, fibers.fiber_length = self.activation, self.fiber_length
+        return fibers
+
+    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Engine callback; see `MuscleModel.launch`."""
+        threads = num_threads(self.activation.device, self.activation.shape[1])
+        launch(
+            contract_hill,
+            (self.activation.shape[0], threads),
+            self,
+            data,
+            model,
+            opt_timestep=model.opt.timestep,
+            threads=threads,
+        )
+
+
+class ElasticHill(Hill):
+    """Muscles with an elastic tendon."""
+
+    STATE = (*MuscleModel.STATE, "fiber_length")
+    coarse_step = 0.005
+
+    def settle(self, mask: wp.array) -> None:
+        """Launch `settle_hill`; see `MuscleModel.settle`."""
+        launch(settle_hill, self.fiber_length.shape, self, mask=mask)
+
+
+def _add(name: str, law: int) -> None:
+    """Register a law with an elastic and with a rigid tendon."""
+    bounds = {**COMMON, **{key: (low, high) for key, (_, _, low, high) in LAWS[law].items()}}
+    if law == DEGROOTE:
+        bounds["ignore_passive_fiber_force"] = 0.0, 1.0
+    fields = {"LAW": law, "PARAMETERS": bounds, "__doc__": f"`{name}`."}
+    MUSCLES.add(name, type(name, (ElasticHill,), fields))
+    MUSCLES.add(f"{name}_rigid", type(f"{name}_rigid", (Hill,), {**fields, "RIGID": True}))
+
+
+_add("thelen2003", THELEN)
+_add("millard2012", MILLARD)
+_add("degroote_fregly2016", DEGROOTE)

@@ -1,0 +1,472 @@
+"""Hill muscles with pennation and an elastic or rigid tendon, under the curves of three published models.
+
+With the fiber length l, its part z = l cos(phi) along the tendon and a constant width l sin(phi), the path's
+length L and forces in maximum isometric forces:
+
+    (a f_L(l) f_V(v) + f_P(l) + beta v) cos(phi) = f_T((L - z) / slack length - 1)
+
+An elastic tendon makes l a state. A physics step solves the equation for z at its end, at L + dt dL/dt and
+with v = (l - l before) / dt (backward Euler): the residual has one sign where the fiber is shortest and the
+other where the tendon is slack, so that Newton's method is kept in a bracket and cannot fail. A rigid tendon
+has z = L - slack length, v from the path's velocity, and no state.
+
+Sources: thelen2003.py, millard2012.py, degroote_fregly2016.py; bounds of the fiber: OpenSim's
+MuscleFixedWidthPennationModel. Where we differ from OpenSim 4.6: the step is implicit and fixed instead of
+explicit and adaptive; De Groote's tendon does not push, and its state is the fiber length; activation under
+preset `fast` is that in the middle of a step.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from myowarp.definitions.muscle import (
+    Anatomy,
+    BiasParams,
+    MuscleResults,
+    affine_bias,
+)
+from myowarp.kernels.batching import batched, of_world
+from myowarp.models.muscles.degroote_fregly2016 import (
+    degroote_activation_rate,
+    degroote_active_force_length,
+    degroote_force_velocity,
+    degroote_passive_force,
+    degroote_tendon_force,
+)
+from myowarp.models.muscles.millard2012 import (
+    millard_active_force_length,
+    millard_force_velocity,
+    millard_passive_force,
+    millard_tendon_force,
+)
+from myowarp.models.muscles.mujoco import activation_step
+from myowarp.models.muscles.thelen2003 import (
+    thelen_active_force_length,
+    thelen_force_velocity,
+    thelen_passive_force,
+    thelen_tendon_force,
+)
+
+THELEN, MILLARD, DEGROOTE = wp.constant(0), wp.constant(1), wp.constant(2)
+
+
+NUMBERS = ("law", "rigid", "curves")
+PARAMETERS = (
+    "max_isometric_force",
+    "optimal_fiber_length",
+    "tendon_slack_length",
+    "fiber_width",
+    "shortest_fiber",
+    "max_contraction_velocity",
+    "fiber_damping",
+    "minimum_activation",
+    "active_width",
+    "passive_shape",
+    "passive_strain",
+    "passive_scale",
+    "tendon_strain",
+    "velocity_shape",
+    "eccentric_multiplier",
+    "extrapolation_threshold",
+)
+
+
+def hill_muscle(real: type) -> Any:
+    """Return the struct of one muscle's parameters in a floating-point type.
+
+    law: `THELEN`, `MILLARD` or `DEGROOTE`. rigid: 1: the tendon keeps its slack length. curves: number of the
+    first of Millard's four tables. max_isometric_force [N], optimal_fiber_length [m], tendon_slack_length
+    [m]; fiber_width: distance between the planes that fibers run between [m]; shortest_fiber: least z [m];
+    max_contraction_velocity [optimal fiber lengths / s]; fiber_damping: beta; minimum_activation: floor of
+    activation and excitation. Curves of Thelen and De Groote: active_width (KshapeActive,
+    active_force_width_scale), passive_shape (KshapePassive), passive_strain and tendon_strain where f_P and
+    f_T are 1, passive_scale (0: no f_P), velocity_shape (Af), eccentric_multiplier (Flen),
+    extrapolation_threshold (fv_linear_extrap_threshold).
+    """
+    fields = dict.fromkeys(NUMBERS, int) | dict.fromkeys(PARAMETERS, real)
+    return wp.struct(type("HillMuscle", (), {"__annotations__": fields, "__module__": __name__}))
+
+
+if TYPE_CHECKING:
+    HillMuscle = Any
+else:
+    HillMuscle = hill_muscle(wp.float32)
+
+
+@wp.func
+def active_force_length_curve(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], length: Any):
+    """f_L and its slope."""
+    if m.law == MILLARD:
+        return millard_active_force_length(m, tables, spans, length)
+    if m.law == THELEN:
+        return thelen_active_force_length(m, length)
+    return degroote_active_force_length(m, length)
+
+
+@wp.func
+def passive_force_curve(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], length: Any):
+    """f_P and its slope."""
+    if m.law == MILLARD:
+        return millard_passive_force(m, tables, spans, length)
+    if m.law == THELEN:
+        return thelen_passive_force(m, length)
+    return degroote_passive_force(m, length)
+
+
+@wp.func
+def tendon_force_curve(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], strain: Any):
+    """f_T and its slope, over strain."""
+    if m.law == MILLARD:
+        return millard_tendon_force(m, tables, spans, strain)
+    if m.law == THELEN:
+        return thelen_tendon_force(m, strain)
+    return degroote_tendon_force(m, strain)
+
+
+@wp.func
+def force_velocity_curve(
+    m: Any, tables: wp.array2d[Any], spans: wp.array[Any], velocity: Any, activation: Any
+):
+    """f_V and its slope; only Thelen's depends on the activation."""
+    if m.law == MILLARD:
+        return millard_force_velocity(m, tables, spans, velocity)
+    if m.law == THELEN:
+        return thelen_force_velocity(m, velocity, activation)
+    return degroote_force_velocity(m, velocity, activation)
+
+
+@wp.func
+def fiber_pull(
+    m: Any,
+    tables: wp.array2d[Any],
+    spans: wp.array[Any],
+    activation: Any,
+    strength: Any,
+    z: Any,
+    velocity: Any,
+    before: Any,
+    per_step: Any,
+):
+    """((a s f_L f_V + f_P + beta v) cos(phi), its slope by z [1/m], its slope by velocity [s/m]).
+
+    v = ((l - before) per_step + velocity cos(phi)) / (l_0 v_max): of a step, or of a tendon that keeps its
+    length while the path has a velocity.
+    """
+    length = wp.sqrt(z * z + m.fiber_width * m.fiber_width)
+    cosine = z / length
+    turn = (type(z)(1.0) - cosine * cosine) / length
+    scale = m.optimal_fiber_length * m.max_contraction_velocity
+    speed = ((length - before) * per_step + velocity * cosine) / scale
+    speed_slope = (cosine * per_step + velocity * turn) / scale
+    norm_length = length / m.optimal_fiber_length
+    active = active_force_length_curve(m, tables, spans, norm_length)
+    passive = passive_force_curve(m, tables, spans, norm_length)
+    factor = force_velocity_curve(m, tables, spans, speed, activation)
+    drive = activation * strength
+    force = drive * active[0] * factor[0] + passive[0] + m.fiber_damping * speed
+    by_speed = drive * active[0] * factor[1] + m.fiber_damping
+    slope = (drive * active[1] * factor[0] + passive[1]) * cosine / m.optimal_fiber_length
+    slope += by_speed * speed_slope
+    return wp.vector(force * cosine, slope * cosine + force * turn, by_speed * cosine * cosine / scale)
+
+
+@wp.func
+def equilibrium(
+    m: Any,
+    tables: wp.array2d[Any],
+    spans: wp.array[Any],
+    activation: Any,
+    strength: Any,
+    length: Any,
+    velocity: Any,
+    before: Any,
+    per_step: Any,
+    start: Any,
+    tolerance: Any,
+):
+    """(z [m], f_T, its slope by z [1/m], slope of the fiber's pull by z [1/m]) where fiber and tendon agree.
+
+    Newton's method from `start` on, in a bracket; a step that leaves it, or after which the residual has not
+    been halved, is replaced by bisection. It ends with a step below tolerance (l_0 + slack length).
+    """
+    half = type(start)(0.5)
+    low = m.shortest_fiber
+    slack = wp.max(length - m.tendon_slack_length, low)
+    high = wp.max(slack, wp.sqrt(wp.max(before * before - m.fiber_width * m.fiber_width, low * low)))
+    small = tolerance * (m.optimal_fiber_length + wp.abs(m.tendon_slack_length))
+    z = wp.clamp(start, low, high)
+    last = type(start)(1.0e30)
+    tension, stiffness, slope = type(start)(0.0), type(start)(0.0), type(start)(0.0)
+    for _ in range(80):
+        pull = fiber_pull(m, tables, spans, activation, strength, z, velocity, before, per_step)
+        tendon = tendon_force_curve(
+            m, tables, spans, (length - z - m.tendon_slack_length) / m.tendon_slack_length
+        )
+        tension, stiffness, slope = tendon[0], tendon[1] / m.tendon_slack_length, pull[1]
+        residual = pull[0] - tension
+        if residual < type(start)(0.0):
+            low = z
+        else:
+            high = z
+        nearer = z - residual / (slope + stiffness)
+        fits = slope + stiffness > type(start)(0.0) and nearer >= low and nearer <= high
+        if not fits or wp.abs(residual) > half * last:
+            nearer = half * (low + high)
+        last = wp.abs(residual)
+        if wp.abs(nearer - z) <= small:
+            break
+        z = nearer
+    return wp.vector(z, tension, stiffness, slope)
+
+
+@wp.func
+def along_tendon(m: Any, fiber_length: Any):
+    """z = sqrt(l^2 - width^2), at least the shortest."""
+    square = fiber_length * fiber_length - m.fiber_width * m.fiber_width
+    return wp.sqrt(wp.max(square, m.shortest_fiber * m.shortest_fiber))
+
+
+@wp.func
+def fiber_of(m: Any, z: Any):
+    """l = sqrt(z^2 + width^2)."""
+    return wp.sqrt(z * z + m.fiber_width * m.fiber_width)
+
+
+TOLERANCE = wp.constant(2e-7)
+"""A step of Newton's method that changes nothing, in float32."""
+
+
+@wp.func
+def hill_activation_step(
+    m: HillMuscle, dt: float, midstep: bool, excitation: float, activation: float, rise: float, fall: float
+) -> wp.vec2:
+    """(a that pulls, a after dt), not beyond the excitation; both at least the floor.
+
+    a(t) is solved exactly, under De Groote's law by the midpoint rule. A rigid tendon is pulled by a at the
+    start of the step, with `midstep` in its middle; an elastic one is in equilibrium, a included, at its end.
+    """
+    u, a = wp.max(excitation, m.minimum_activation), wp.max(activation, m.minimum_activation)
+    steps = wp.vec2()
+    low, high = wp.min(a, u), wp.max(a, u)
+    if m.law == DEGROOTE:
+        middle = a + 0.5 * dt * degroote_activation_rate(u, a, rise, fall)
+        middle = wp.clamp(middle, low, high)
+        steps = wp.vec2(middle, a + dt * degroote_activation_rate(u, middle, rise, fall))
+    else:
+        steps = activation_step(dt, True, u, a, rise, fall, 0.0)
+    after = wp.clamp(steps[1], low, high)
+    if m.rigid == 0:
+        return wp.vec2(after, after)
+    return wp.vec2(wp.where(midstep, wp.clamp(steps[0], low, high), a), after)
+
+
+@wp.struct
+class HillParams:
+    """Parameters of all muscles; arrays of numbers are (1 or num_worlds, num_muscles).
+
+    Attributes:
+        actuator_id: Actuator of each muscle, shape (num_muscles,).
+        excitation_range: Lowest and highest excitation [1], shape (num_muscles,).
+        activation_time_constant: Time constant at full rise [s].
+        deactivation_time_constant: Time constant of decay [s].
+        muscles: What the law needs, each row on its own.
+        tables: Millard's curves, for `tabulated`.
+        spans: Where they begin, and how dense they are.
+    """
+
+    actuator_id: wp.array[int]
+    excitation_range: wp.array[wp.vec2]
+    activation_time_constant: wp.array2d[float]
+    deactivation_time_constant: wp.array2d[float]
+    muscles: wp.array2d[HillMuscle]
+    tables: wp.array2d[wp.vec2]
+    spans: wp.array[wp.vec2]
+
+
+@wp.struct
+class Fibers:
+    """State of the muscles; arrays (num_worlds, num_muscles).
+
+    Attributes:
+        activation: [1].
+        fiber_length: [m]; under a rigid tendon it is written and not read.
+    """
+
+    activation: wp.array2d[float]
+    fiber_length: wp.array2d[float]
+
+
+@wp.kernel(enable_backward=False)
+def contract_hill(
+    # Model:
+    opt_timestep: wp.array[float],
+    # Params:
+    params: HillParams,
+    # Data in:
+    ctrl_in: wp.array2d[float],
+    actuator_length_in: wp.array2d[float],
+    actuator_velocity_in: wp.array2d[float],
+    # In:
+    implicitness: float,
+    midstep: bool,
+    threads: int,
+    anatomy: Anatomy,
+    # Out:
+    fibers: Fibers,
+    results: MuscleResults,
+    actuator_biasprm: wp.array2d[BiasParams],
+):
+    """T = transmission F_max f_T at the end of the step, or the pull of the fiber; l(t + dt), a(t + dt).
+
+    damping = implicitness dT/dvelocity: dt times fiber and tendon as springs in series; of a rigid tendon the
+    slope of f_V.
+    """
+    worldid, thread = wp.tid()
+    dt = opt_timestep[batched(worldid, opt_timestep.shape[0])]
+    for i in range(thread, fibers.activation.shape[1], threads):
+        m = params.muscles[batched(worldid, params.muscles.shape[0]), i]
+        bounds = params.excitation_range[i]
+        steps = hill_activation_step(
+            m,
+            dt,
+            midstep,
+            wp.clamp(ctrl_in[worldid, params.actuator_id[i]], bounds[0], bounds[1]),
+            fibers.activation[worldid, i],
+            of_world(params.activation_time_constant, worldid, i),
+            of_world(params.deactivation_time_constant, worldid, i),
+        )
+        pathid = anatomy.path[batched(worldid, anatomy.path.shape[0]), i]
+        length, velocity = actuator_length_in[worldid, pathid], actuator_velocity_in[worldid, pathid]
+        strength = of_world(anatomy.strength, worldid, i)
+        before = fibers.fiber_length[worldid, i]
+        z, norm_force, by_velocity = float(0.0), float(0.0), float(0.0)
+        if m.rigid == 1:
+            free = length - m.tendon_slack_length
+            z = wp.max(free, m.shortest_fiber)
+            if free > m.shortest_fiber:
+                pull = fiber_pull(m, params.tables, params.spans, steps[0], strength, z, velocity, 0.0, 0.0)
+                norm_force, by_velocity = wp.max(pull[0], 0.0), wp.where(pull[0] > 0.0, pull[2], 0.0)
+        elif dt > 0.0:
+            now = along_tendon(m, before)
+            found = equilibrium(
+                m,
+                params.tables,
+                params.spans,
+                steps[0],
+                strength,
+                length + dt * velocity,
+                0.0,
+                fiber_of(m, now),
+                1.0 / dt,
+                now + dt * velocity,
+                TOLERANCE,
+            )
+            z, norm_force = found[0], wp.max(found[1], 0.0)
+            both = found[2] + found[3]
+            if found[1] > 0.0 and found[3] > 0.0 and both > 0.0:
+                by_velocity = dt * found[2] * found[3] / both
+        else:
+            z = along_tendon(m, before)
+            strain = (length - z - m.tendon_slack_length) / m.tendon_slack_length
+            norm_force = wp.max(tendon_force_curve(m, params.tables, params.spans, strain)[0], 0.0)
+        after = fiber_of(m, z)
+        force = of_world(anatomy.transmission, worldid, i) * m.max_isometric_force
+        damping = wp.where(implicitness > 0.0, implicitness * force * by_velocity, 0.0)
+        fibers.activation[worldid, i] = steps[1]
+        results.tension[worldid, i] = force * norm_force
+        results.length[worldid, i] = length
+        results.velocity[worldid, i] = velocity
+        results.damping[worldid, i] = damping
+        if results.workload.shape[0] > 0:
+            speed = velocity * z / after
+            if m.rigid == 0 and dt > 0.0:
+                speed = (after - before) / dt
+            norm_speed = speed / (m.optimal_fiber_length * m.max_contraction_velocity)
+            active = active_force_length_curve(
+                m, params.tables, params.spans, after / m.optimal_fiber_length
+            )[0]
+            factor = force_velocity_curve(m, params.tables, params.spans, norm_speed, steps[0])[0]
+            results.workload[worldid, i] += dt * wp.max(steps[0] * active * factor, 0.0)
+        fibers.fiber_length[worldid, i] = after
+        actuator_biasprm[worldid, pathid] = affine_bias(force * norm_force, damping, velocity)
+
+
+@wp.kernel(enable_backward=False)
+def settle_hill(
+    # Params:
+    params: HillParams,
+    # In:
+    activation: wp.array2d[float],
+    length: wp.array2d[float],
+    velocity: wp.array2d[float],
+    anatomy: Anatomy,
+    mask: wp.array[bool],
+    # Out:
+    fiber_length: wp.array2d[float],
+):
+    """l at which fiber and tendon agree, the tendon keeping its length."""
+    worldid, i = wp.tid()
+    if mask[worldid]:
+        m = params.muscles[batched(worldid, params.muscles.shape[0]), i]
+        slack = length[worldid, i] - m.tendon_slack_length
+        z = wp.max(slack, m.shortest_fiber)
+        if m.rigid == 0:
+            found = equilibrium(
+                m,
+                params.tables,
+                params.spans,
+                wp.max(activation[worldid, i], m.minimum_activation),
+                of_world(anatomy.strength, worldid, i),
+                length[worldid, i],
+                velocity[worldid, i],
+                0.0,
+                0.0,
+                slack - 0.02 * m.tendon_slack_length,
+                TOLERANCE,
+            )
+            z = found[0]
+        fiber_length[worldid, i] = fiber_of(m, z)
+
+
+@wp.kernel(enable_backward=False)
+def sample_curves(
+    # Params:
+    params: HillParams,
+    # In:
+    norm_length: wp.array[float],
+    strain: wp.array[float],
+    # Out:
+    forces: wp.array3d[float],
+):
+    """(f_L + f_P at rest, f_T) of each muscle of the first world."""
+    i, point = wp.tid()
+    m = params.muscles[0, i]
+    active = active_force_length_curve(m, params.tables, params.spans, norm_length[point])[0]
+    forces[i, point, 0] = active + passive_force_curve(m, params.tables, params.spans, norm_length[point])[0]
+    forces[i, point, 1] = tendon_force_curve(m, params.tables, params.spans, strain[point])[0]
+
+
+@wp.kernel(enable_backward=False)
+def set_lengths(
+    # Params:
+    muscleid: int,
+    optimal: float,
+    slack: float,
+    rigid: int,
+    # In:
+    mask: wp.array[bool],
+    # Out:
+    parameters: wp.array2d[HillMuscle],
+):
+    """(l_0, slack length), width and shortest fiber in proportion, in the worlds of the mask."""
+    worldid = wp.tid()
+    if mask[worldid]:
+        m = parameters[worldid, muscleid]
+        ratio = optimal / m.optimal_fiber_length
+        m.optimal_fiber_length = optimal
+        m.tendon_slack_length = slack
+        m.fiber_width = ratio * m.fiber_width
+        m.shortest_fiber = ratio * m.shortest_fiber
+        m.rigid = rigid
+        parameters[worldid, muscleid] = m
