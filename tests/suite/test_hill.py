@@ -3,20 +3,24 @@
 from types import SimpleNamespace
 from typing import Any
 
+import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
 import warp as wp
+from converted import muscled
 from opensim_muscles import DATA, load
 
-import myowarp.tasks  # noqa: F401
+import myowarp
 from myowarp.definitions.muscle import MUSCLES
+from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.task import TASKS
 from myowarp.kernels.curves import tabulated
 from myowarp.kernels.millard_curves import millard_curves
 from myowarp.models.muscles import hill, hill_law
 from myowarp.models.muscles.hill import Hill
 from myowarp.models.muscles.hill_law import DEGROOTE, MILLARD, THELEN
+from myowarp.opensim.muscle.table import read_muscles
 from myowarp.sim.build import compile_scene, oracle_model
 
 FORCE = {"float32": 1e-4, "float64": 1e-6}
@@ -308,3 +312,62 @@ def test_bench_against_finer_steps(name, finest):
         assert np.isfinite(found).all()
         assert exact.max() > 0.5
         assert rms.max() < most, (dt, dict(zip(PROTOCOLS, rms.max(axis=1), strict=True)))
+
+
+@pytest.mark.parametrize(("model", "name"), [("arm26", "thelen2003"), ("gait10dof18musc", "millard2012")])
+def test_a_converted_model_has_its_own_muscles(tmp_path, model, name):
+    """Its table, and nothing of MuJoCo's fit, gives the force on the paths of the engine."""
+    path = muscled(tmp_path, model)
+    spec = myowarp.from_mjcf(path)
+    scene = compile_scene(spec, 1, device="cpu", physics="parity", muscle=name)
+    own = {muscle.name: muscle for muscle in read_muscles(path.parent / "muscles.csv")}
+    muscles = [own[muscle] for muscle in scene.muscles.names]
+    length = scene.oracle.actuator_length0[scene.muscles.actuator_id]
+    for activation in (0.01, 0.5, 1.0):
+        found = hold(scene.muscles, length[None], np.full((1, len(muscles)), activation))[0]
+        expected = [m.tendon_force(activation, x) for m, x in zip(muscles, length, strict=True)]
+        peak = np.array([m.values["max_isometric_force"] for m in muscles])
+        assert found / peak == pytest.approx(np.array(expected), abs=1e-4)
+    assert np.max(expected) > 0.3
+
+
+@pytest.mark.parametrize("muscle", HILL)
+def test_bad_parameters_name_muscle_and_value(muscle):
+    spec = BODY_TASKS["elbow"]
+    cases = {
+        "max_isometric_force": -5.0,
+        "optimal_fiber_length": 0.0,
+        "pennation_angle_at_optimal": 1.6,
+        "tendon_slack_length": 9.0,
+        "max_contraction_velocity": np.nan,
+    }
+    for name, value in cases.items():
+        table = MuscleTable(muscle, {name: {"BIClong": value}})
+        with pytest.raises(ValueError, match=f"{name} of muscle 'BIClong' must be .*, got {value:.4g}"):
+            compile_scene(spec, 1, device="cpu", physics="parity", muscle=table)
+
+
+PATIENTS = {
+    "MyoWarp/myoElbowPose1D6MRandom-v0": ("sarcopenia", "fatigue_ma2009"),
+    "MyoWarp/myoHandPoseRandom-v0": ("fatigue_3ccr", "tendon_transfer"),
+}
+
+
+@pytest.mark.parametrize("task", PATIENTS)
+@pytest.mark.parametrize("muscle", HILL)
+def test_worlds_are_what_they_are_alone_and_no_muscle_faults(muscle, task):
+    """Random steps with pairs of conditions: no fault, and a world bit for bit what it is alone."""
+    ends = []
+    for number in (5, 1):
+        options = {"muscle": muscle, "physics": "fast", "device": "cpu", "progress": False}
+        env = gym.make_vec(task, number, conditions=PATIENTS[task], **options).unwrapped
+        env.reset(seed=3)
+        rng, faults = np.random.default_rng(1), 0
+        for _ in range(20):
+            action = np.float32(rng.uniform(-1.0, 1.0, env.single_action_space.shape))
+            *_, info = env.step(np.tile(action, (number, 1)))
+            faults += int(np.sum(info.get("fault", 0)))
+        assert faults == 0
+        ends.append(env.sim.scene.muscles.tension.numpy()[0].copy())
+    assert np.array_equal(*ends)
+    assert ends[0].max() > 1.0

@@ -281,19 +281,9 @@ class Hill(MuscleModel):
 
     def geometry(self) -> MuscleGeometry:
         """Return lengths of fibers and tendons; see `MuscleModel.geometry`."""
+        names = (*MuscleGeometry._fields[:4], "tendon_slack_length")
         rows = self.parameters.numpy()
-        fiber, width = self.fiber_length.numpy(), rows["fiber_width"]
-        along = np.sqrt(np.maximum(fiber**2 - width**2, 0.0))
-        tendon = np.where(rows["rigid"] == 1, rows["tendon_slack_length"], self.length.numpy() - along)
-        return MuscleGeometry(*[*(rows[name] for name in MuscleGeometry._fields[:4]), tendon])
-
-    def sample_state(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
-        """Draw activations, and fibers between 0.8 and 1.2 of their optimal length."""
-        state = {"activation": rng.uniform(size=self.activation.shape)}
-        if "fiber_length" in self.STATE:
-            optimal = self.parameters.numpy()["optimal_fiber_length"]
-            state["fiber_length"] = optimal * rng.uniform(0.8, 1.2, self.fiber_length.shape)
-        return state
+        return MuscleGeometry(*(rows[name] for name in names))
 
     def record_workload(self) -> None:
         """Integrate the workload from now on; see `MuscleModel.record_workload`."""
@@ -352,6 +342,19 @@ class ElasticHill(Hill):
 
     STATE = (*MuscleModel.STATE, "fiber_length")
     coarse_step = 0.005
+
+    def geometry(self) -> MuscleGeometry:
+        """Return lengths of fibers and stretched tendons; see `MuscleModel.geometry`."""
+        rows, fiber = self.parameters.numpy(), self.fiber_length.numpy()
+        along = np.sqrt(np.maximum(fiber**2 - rows["fiber_width"] ** 2, 0.0))
+        tendon = np.where(rows["rigid"] == 1, rows["tendon_slack_length"], self.length.numpy() - along)
+        return super().geometry()._replace(tendon_length=tendon)
+
+    def sample_state(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """Draw activations, and fibers between 0.8 and 1.2 of their optimal length."""
+        optimal = self.parameters.numpy()["optimal_fiber_length"]
+        fibers = optimal * rng.uniform(0.8, 1.2, self.fiber_length.shape)
+        return {**super().sample_state(rng), "fiber_length": fibers}
 
     def settle(self, mask: wp.array) -> None:
         """Launch `settle_hill`; see `MuscleModel.settle`."""
