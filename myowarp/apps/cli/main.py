@@ -21,6 +21,7 @@ from myowarp.apps.cli.describe import Describe
 from myowarp.apps.cli.eval import Eval
 from myowarp.apps.cli.examples import Examples
 from myowarp.apps.cli.export import Export
+from myowarp.apps.cli.motion import Motion
 from myowarp.apps.cli.plot import Plot
 from myowarp.apps.cli.record import Record
 from myowarp.apps.cli.reproduce import Reproduce
@@ -52,6 +53,7 @@ COMMANDS: dict[str, type[Callable[[], None]]] = {
     "sweep": Sweep,
     "export": Export,
     "convert": Convert,
+    "motion": Motion,
     "warmup": Warmup,
 }
 VERSIONS = ("mujoco", "mujoco-warp", "warp-lang", "myo-sim")

@@ -1,0 +1,131 @@
+"""The command `myowarp motion`: from a recorded motion to joint angles, joint moments and muscle forces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from rich.console import Console
+
+from myowarp.apps.cli.options import Overwrite, optional
+from myowarp.disk import check_folder, check_overwrite
+
+if TYPE_CHECKING:
+    from myowarp.motion.muscle_forces import MuscleForces
+    from myowarp.motion.skeleton import Bones
+
+WRITES = {
+    "analyze": tuple(
+        f"{name}.sto" for name in ("lengths", "velocities", "moment_arms", "active_forces", "passive_forces")
+    ),
+    "kinematics": ("ik.mot", "marker_errors.sto"),
+    "dynamics": ("moments.sto",),
+    "forces": tuple(
+        f"{name}.sto" for name in ("moments", "activations", "forces", "powers", "reserves", "missing")
+    ),
+}
+"""Files of each step."""
+
+SHOWN = 3
+"""The worst of what is listed."""
+
+
+@dataclass
+class Motion:
+    """Find joint angles, joint moments and muscle forces of a recorded motion, for an OpenSim model.
+
+    analyze: lengths, velocities, moment arms and greatest forces of muscles along a motion.
+    myowarp motion analyze gait.osim --motion ik.mot
+
+    kinematics: joint angles from markers, with the weights of an OpenSim set-up file.
+    myowarp motion kinematics gait.osim --markers walk.trc --setup ik.xml
+
+    dynamics: joint moments of a motion under external loads. forces: those of muscles, too, at the least sum
+    of activations to a power, with a reserve of --reserve N m on every coordinate.
+    myowarp motion forces gait.osim --motion ik.mot --loads grf.xml --filter 6 --reserve 10
+
+    Writes .sto and .mot files, which OpenSim reads. Works without OpenSim.
+    """
+
+    what: Annotated[Literal["analyze", "kinematics", "dynamics", "forces"], tyro.conf.Positional]
+    """Step."""
+    model: Annotated[Path, tyro.conf.Positional]
+    """The model, .osim."""
+    motion: Annotated[Path | None, optional("FILE")] = None
+    """Joint angles over time, .mot or .sto; of every step but kinematics."""
+    markers: Annotated[Path | None, optional("FILE")] = None
+    """Markers over time, .trc; of kinematics."""
+    setup: Annotated[Path | None, optional("FILE")] = None
+    """OpenSim set-up file with weights of markers and coordinates; by default markers count the same."""
+    loads: Annotated[Path | None, optional("FILE")] = None
+    """OpenSim file of external loads."""
+    filter: Annotated[float | None, optional("HZ")] = None
+    """Frequency below which the motion is kept; by default all is."""
+    mode: Literal["equilibrium", "opensim"] = "equilibrium"
+    """What muscles can give; opensim: as its static optimisation, rigid tendons without passive force."""
+    exponent: float = 2.0
+    """Of activations in the cost, at least 1."""
+    reserve: float = 0.0
+    """Moment of a reserve at cost 1 on every coordinate [N m, N]; 0: none."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/motion")
+    """Folder for the result."""
+    overwrite: Overwrite = False
+    """Replace files that exist."""
+
+    def __call__(self) -> None:
+        """Check, compute, write, say what is worst."""
+        from myowarp.motion import trial
+        from myowarp.motion.skeleton import Bones
+        from myowarp.opensim.read.model import read_model
+
+        source, name = (self.markers, "markers") if self.what == "kinematics" else (self.motion, "motion")
+        if source is None:
+            raise ValueError(f"motion {self.what} needs --{name} FILE")
+        if not 0.0 <= self.reserve < float("inf"):
+            raise ValueError(f"--reserve must be at least 0 and finite, got {self.reserve}")
+        check_folder(self.output)
+        check_overwrite((self.output / file for file in WRITES[self.what]), self.overwrite)
+        bones = Bones(read_model(self.model))
+        self.output.mkdir(parents=True, exist_ok=True)
+        lines = []
+        if self.what == "kinematics":
+            fitted = trial.kinematics(bones, source, self.output, self.setup)
+            lines += [f"{marker}: {1e3 * rms:.1f} mm rms, {1e3 * most:.1f} mm at most"
+                      for marker, rms, most in fitted.worst()[:SHOWN]]  # fmt: skip
+            lines += [doubt] if (doubt := fitted.doubt()) else []
+        else:
+            motion = trial.read_motion(source, bones, self.filter)
+            if motion.absent:
+                lines.append(f"not in the file, and at default: {', '.join(motion.absent)}")
+            if self.what == "analyze":
+                trial.analyze(bones, motion, self.output)
+            elif self.what == "dynamics":
+                trial.dynamics(bones, motion, self.output, self.loads)
+            else:
+                reserves = dict.fromkeys(bones.coordinates, self.reserve) if self.reserve else None
+                found = trial.forces(
+                    bones, motion, self.output, self.loads,
+                    mode=self.mode, exponent=self.exponent, reserves=reserves,
+                )  # fmt: skip
+                lines += worst_of(bones, found)
+        say = Console(stderr=True, highlight=False, soft_wrap=True).print
+        for line in [*lines, f"Saved {', '.join(WRITES[self.what])} in {self.output}"]:
+            say(line, markup=False)
+
+
+def worst_of(bones: Bones, found: MuscleForces) -> list[str]:
+    """Return what muscles could not do, one line each."""
+    lines = []
+    frames = len(found.feasible)
+    if bad := int((~found.feasible).sum()):
+        lines.append(f"muscles cannot hold {bad} of {frames} frames; missing.sto has what is left")
+    for name, values in (("missing", found.missing), ("reserve", found.reserve)):
+        most = abs(values).max(axis=0)
+        for k in most.argsort()[::-1][:SHOWN]:
+            if most[k] > 1e-3:
+                unit = "N m" if bones.model.coordinates[bones.coordinates[k]].rotational else "N"
+                lines.append(f"{name} at {bones.coordinates[k]}: {most[k]:.3g} {unit} at most")
+    full = sorted(found.saturated.items(), key=lambda item: -item[1])[:SHOWN]
+    return lines + [f"{muscle} is fully active in {count} of {frames} frames" for muscle, count in full]

@@ -1,0 +1,281 @@
+"""A trial: from files of a recorded motion to files of joint angles, joint moments and muscle forces.
+
+Each step is a function of a model and of files, and writes what OpenSim's tools of the same name read: angles
+in degrees in `.mot`, all else in `.sto`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from myowarp.motion.inverse_dynamics import Load, Needed, inverse_dynamics
+from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
+from myowarp.motion.loads import loads_at
+from myowarp.motion.markers import read_trc
+from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces, rigid_capacity
+from myowarp.motion.muscle_paths import MusclePaths, muscle_paths
+from myowarp.motion.skeleton import Bones
+from myowarp.motion.smooth import derivatives
+from myowarp.motion.storage import Storage, read_storage, write_storage
+from myowarp.opensim.model.kinematics import complete
+from myowarp.opensim.model.model import Model
+from myowarp.opensim.muscle.hill import HillMuscle, known
+from myowarp.opensim.read.document import parse
+
+PRESENT = 1e-6
+"""Moment arm [m] that a muscle must reach somewhere in the motion to be written."""
+
+
+@dataclass(frozen=True, eq=False)
+class Movement:
+    """A motion in the independent coordinates of a model.
+
+    Attributes:
+        time: [s], shape (frames,).
+        values: [rad] or [m], shape (frames, coordinates).
+        speeds: Their derivatives by time.
+        accelerations: Their second derivatives.
+        absent: Coordinates that the file has not, which stand at their default.
+    """
+
+    time: np.ndarray
+    values: np.ndarray
+    speeds: np.ndarray
+    accelerations: np.ndarray
+    absent: tuple[str, ...]
+
+
+def read_motion(path: Path, bones: Bones, cutoff: float | None = None) -> Movement:
+    """Return the motion of a `.mot` or `.sto` file, smoothed and differentiated.
+
+    Columns are named by coordinates, or as OpenSim's states, `/jointset/knee_r/knee_angle_r/value`. Others
+    are left alone. Coordinates that follow others do so, whatever the file says.
+
+    Args:
+        path: The file.
+        bones: The model.
+        cutoff: Frequency of the filter [Hz]; None: none.
+
+    Raises:
+        ValueError: The file is none, has no coordinate of the model, or is too short.
+        OSError: It cannot be read.
+    """
+    table, model = read_storage(path), bones.model
+    names = [label.split("/")[-2] if label.endswith("/value") else label for label in table.labels]
+    found = [name for name in bones.coordinates if name in names]
+    if not found:
+        raise ValueError(
+            f"{str(path)!r} has no column of a coordinate; the model has {', '.join(bones.coordinates)}"
+        )
+    values = np.tile([model.coordinates[name].default for name in bones.coordinates], (len(table.time), 1))
+    for name in found:
+        column = table.values[:, names.index(name)]
+        turns = table.in_degrees and model.coordinates[name].rotational
+        values[:, bones.coordinates.index(name)] = np.radians(column) if turns else column
+    return Movement(
+        table.time,
+        *derivatives(table.time, values, table.time, cutoff),
+        tuple(name for name in bones.coordinates if name not in found),
+    )
+
+
+def weights_of(path: Path) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Return the weights of markers and coordinates in an OpenSim set-up file, and wanted values.
+
+    Tasks that do not apply have weight 0. Values are those that the file states itself.
+
+    Raises:
+        ValueError: It has no tasks of inverse kinematics, or they come from a file.
+        OSError: It cannot be read.
+    """
+    root, _ = parse(path)
+    weights: dict[str, dict[str, float]] = {"IKMarkerTask": {}, "IKCoordinateTask": {}}
+    wanted = {}
+    for element in root.walk():
+        if element.tag in weights:
+            on = element.flag("apply", default=True)
+            weights[element.tag][element.name] = element.number("weight", default=1.0) if on else 0.0
+            kind = element.string("value_type", default="default_value")
+            if on and kind == "from_file":
+                raise element.error(
+                    "takes its value from a file, which is not read; state it, or leave it out"
+                )
+            if kind == "manual_value":
+                wanted[element.name] = element.number("value", default=0.0)
+    if not weights["IKMarkerTask"]:
+        raise root.error("has no <IKMarkerTask>; a set-up file of inverse kinematics or of scaling has")
+    return weights["IKMarkerTask"], weights["IKCoordinateTask"], wanted
+
+
+def kinematics(
+    bones: Bones,
+    markers: Path,
+    output: Path,
+    setup: Path | None = None,
+    span: tuple[float, float] | None = None,
+) -> Fitted:
+    """Find the joint angles of recorded markers; write `ik.mot` and `marker_errors.sto`.
+
+    Args:
+        bones: The model.
+        markers: A `.trc` file.
+        output: Folder, which exists.
+        setup: An OpenSim set-up file with weights; markers that were not recorded do not count.
+        span: First and last time [s].
+
+    Raises:
+        ValueError: A file is not what it should be.
+        OSError: A file cannot be read or written.
+    """
+    recorded = read_trc(markers)
+    recorded = recorded if span is None else recorded.between(*span)
+    if setup is None:
+        fitted = inverse_kinematics(bones, recorded)
+    else:
+        weights, pulls, wanted = weights_of(setup)
+        weights = {name: weight for name, weight in weights.items() if name in recorded.names}
+        fitted = inverse_kinematics(bones, recorded, weights, pulls, wanted)
+    write_angles(output / "ik.mot", bones.model, fitted.coordinates, fitted.time, fitted.values)
+    error = Storage(fitted.markers, fitted.time, fitted.error)
+    write_storage(output / "marker_errors.sto", "distances of markers, m", error)
+    return fitted
+
+
+def write_angles(
+    path: Path, model: Model, coordinates: Sequence[str], time: np.ndarray, values: np.ndarray
+) -> None:
+    """Write a motion in degrees, with all coordinates of the model.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    whole = complete(model, dict(zip(coordinates, values.T, strict=True)), len(time))
+    columns = [np.degrees(v) if model.coordinates[name].rotational else v for name, v in whole.items()]
+    write_storage(path, "Coordinates", Storage(tuple(whole), time, np.stack(columns, axis=1), True))
+
+
+def dynamics(bones: Bones, motion: Movement, output: Path, loads: Path | None = None) -> Needed:
+    """Find what a motion takes; write `moments.sto`.
+
+    Args:
+        bones: The model.
+        motion: From `read_motion`.
+        output: Folder, which exists.
+        loads: A file of OpenSim's `ExternalLoads`.
+
+    Raises:
+        ValueError: A file is not what it should be.
+        OSError: A file cannot be read or written.
+    """
+    acting: Sequence[Load] = () if loads is None else loads_at(loads, motion.time)
+    needed = inverse_dynamics(bones, motion.values, motion.speeds, motion.accelerations, acting)
+    _write(output / "moments.sto", "joint moments, N m and N", bones, motion, needed.joint_moment)
+    return needed
+
+
+def analyze(bones: Bones, motion: Movement, output: Path) -> MusclePaths:
+    """Follow the muscles along a motion; write a `.sto` each for lengths, velocities, moment arms and forces.
+
+    Forces are those at full activation with a rigid tendon, and passive ones in equilibrium.
+
+    Args:
+        bones: The model.
+        motion: From `read_motion`.
+        output: Folder, which exists.
+
+    Raises:
+        ValueError: The model has no muscle.
+        OSError: A file cannot be written.
+    """
+    paths = _paths(bones, motion)
+    arms = {
+        f"{muscle}.{coordinate}": paths.moment_arm[:, i, k]
+        for i, muscle in enumerate(paths.muscles)
+        for k, coordinate in enumerate(bones.coordinates)
+        if np.abs(paths.moment_arm[:, i, k]).max() > PRESENT
+    }
+    active, passive = np.zeros_like(paths.length), np.zeros_like(paths.length)
+    for i, name in enumerate(paths.muscles):
+        muscle = known(HillMuscle.of(bones.model.muscles[name]))[0]
+        length, velocity = paths.length[:, i], paths.velocity[:, i]
+        active[:, i] = rigid_capacity(muscle, length, velocity)
+        passive[:, i] = muscle.values["max_isometric_force"] * muscle.tendon_force(0.0, length, velocity)
+    for name, title, values in (
+        ("lengths", "lengths of muscle and tendon, m", paths.length),
+        ("velocities", "velocities of muscle and tendon, m/s, lengthening > 0", paths.velocity),
+        ("active_forces", "active forces at full activation, rigid tendon, N", active),
+        ("passive_forces", "passive forces, N", passive),
+    ):
+        write_storage(output / f"{name}.sto", title, Storage(paths.muscles, motion.time, values))
+    table = Storage(tuple(arms), motion.time, np.stack(list(arms.values()), axis=1))
+    write_storage(output / "moment_arms.sto", "moment arms, m", table)
+    return paths
+
+
+def forces(
+    bones: Bones,
+    motion: Movement,
+    output: Path,
+    loads: Path | None = None,
+    *,
+    mode: Mode = "equilibrium",
+    exponent: float = 2.0,
+    reserves: Mapping[str, float] | None = None,
+) -> MuscleForces:
+    """Find muscle forces; write moments, activations, forces, powers, reserves, and what is missing.
+
+    Args:
+        bones: The model.
+        motion: From `read_motion`.
+        output: Folder, which exists.
+        loads: A file of OpenSim's `ExternalLoads`.
+        mode: What a muscle can give, see `muscle_forces`.
+        exponent: p of the cost sum |a|^p.
+        reserves: By coordinate, the force of a reserve at cost 1 [N m] or [N].
+
+    Raises:
+        ValueError: A file is not what it should be, or the model has no muscle.
+        OSError: A file cannot be read or written.
+    """
+    paths, needed = _paths(bones, motion), dynamics(bones, motion, output, loads)
+    found = muscle_forces(
+        bones.model,
+        bones.coordinates,
+        paths,
+        needed.joint_moment,
+        mode=mode,
+        exponent=exponent,
+        reserves=reserves,
+        device=bones.device,
+    )
+    for name, title, values in (
+        ("activations", "activations", found.activation),
+        ("forces", "forces of muscles, N", found.force),
+        ("powers", "powers of muscles, W, shortening > 0", found.power),
+    ):
+        write_storage(output / f"{name}.sto", title, Storage(found.muscles, motion.time, values))
+    _write(output / "reserves.sto", "what reserves give, N m and N", bones, motion, found.reserve)
+    _write(output / "missing.sto", "what nobody gives, N m and N", bones, motion, found.missing)
+    return found
+
+
+def _paths(bones: Bones, motion: Movement) -> MusclePaths:
+    """Return the paths of a model's muscles.
+
+    Raises:
+        ValueError: It has none.
+    """
+    if not any(muscle.applies_force for muscle in bones.model.muscles.values()):
+        raise ValueError(f"model {bones.model.name!r} has no muscle")
+    return muscle_paths(bones.model, bones.coordinates, motion.values, motion.speeds)
+
+
+def _write(path: Path, title: str, bones: Bones, motion: Movement, values: np.ndarray) -> None:
+    """Write what acts along the coordinates, named as OpenSim names it."""
+    turns = [bones.model.coordinates[name].rotational for name in bones.coordinates]
+    labels = (f"{n}_{'moment' if t else 'force'}" for n, t in zip(bones.coordinates, turns, strict=True))
+    write_storage(path, title, Storage(tuple(labels), motion.time, values))

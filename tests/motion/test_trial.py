@@ -1,0 +1,100 @@
+"""The command `myowarp motion` on files, against what OpenSim 4.6 recorded."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from myowarp.apps.cli.motion import WRITES, Motion
+from myowarp.motion.markers import Markers, write_trc
+from myowarp.motion.skeleton import Bones
+from myowarp.motion.storage import Storage, read_storage, write_storage
+from myowarp.motion.trial import read_motion, write_angles
+from myowarp.opensim.read.model import read_model
+
+DATA = Path(__file__).parents[1] / "data"
+GAIT, LEG = (DATA / "osim" / f"{name}.osim" for name in ("gait10dof18musc", "leg6dof9musc"))
+DIGITS = 1e-5
+"""Share of the greatest value: nine digits in files, twice differentiated."""
+
+LOADS = """<OpenSimDocument Version="40000"><ExternalLoads name="l"><objects><ExternalForce name="push">
+<applied_to_body>BODY</applied_to_body><force_identifier>f</force_identifier>
+<point_identifier>p</point_identifier></ExternalForce></objects><datafile>push.mot</datafile></ExternalLoads>
+</OpenSimDocument>"""
+
+
+@pytest.fixture
+def gait(tmp_path):
+    """Return a folder with a motion and its loads, and what OpenSim made of them."""
+    there = np.load(DATA / "opensim/motion_gait10dof18musc.npz")
+    bones = Bones(read_model(GAIT))
+    write_angles(tmp_path / "motion.mot", bones.model, bones.coordinates, there["time"], there["values"])
+    labels = tuple(part + axis for part in "fp" for axis in "xyz")
+    table = Storage(labels, there["time"], np.hstack([there["force"], there["point"]]))
+    write_storage(tmp_path / "push.mot", "push", table)
+    (tmp_path / "push.xml").write_text(LOADS.replace("BODY", "calcn_r"))
+    return tmp_path, there
+
+
+def test_forces(gait, capsys):
+    folder, there = gait
+    options = {"motion": folder / "motion.mot", "loads": folder / "push.xml", "filter": 6.0}
+    Motion("forces", GAIT, **options, mode="opensim", reserve=1000.0, output=folder / "out")()
+    moments = read_storage(folder / "out/moments.sto")
+    assert moments.labels[:2] == ("pelvis_tilt_moment", "pelvis_tx_force")
+    scale = np.abs(there["moments"]).max()
+    assert np.abs(moments.values - there["moments"]).max() < DIGITS * scale
+    activation = read_storage(folder / "out/activations.sto").values
+    assert ((activation >= 0.0) & (activation <= 1.0)).all()
+    arms = Motion("analyze", GAIT, motion=folder / "motion.mot", filter=6.0, output=folder / "arms")
+    arms()
+    arm, force = read_storage(folder / "arms/moment_arms.sto"), read_storage(folder / "out/forces.sto")
+    total = read_storage(folder / "out/reserves.sto").values + read_storage(folder / "out/missing.sto").values
+    coordinates = [label.rsplit("_", 1)[0] for label in moments.labels]
+    for label, column in zip(arm.labels, arm.values.T, strict=True):
+        muscle, coordinate = label.split(".")
+        total[:, coordinates.index(coordinate)] += column * force.values[:, force.labels.index(muscle)]
+    np.testing.assert_allclose(total, moments.values, atol=DIGITS * scale)
+    assert "reserve at pelvis_ty" in capsys.readouterr().err
+    assert {path.name for path in (folder / "out").iterdir()} == set(WRITES["forces"])
+    with pytest.raises(ValueError, match="exists; choose another name, or replace it with --overwrite"):
+        arms()
+
+
+def test_without_reserves_the_weak_are_named(gait, capsys):
+    folder, _ = gait
+    Motion("forces", GAIT, motion=folder / "motion.mot", loads=folder / "push.xml", filter=6.0,
+           output=folder / "out")()  # fmt: skip
+    said = capsys.readouterr().err
+    assert "muscles cannot hold" in said
+    assert "iliopsoas_r is fully active in" in said
+
+
+def test_kinematics(tmp_path, capsys):
+    there = np.load(DATA / "opensim/motion_leg6dof9musc.npz")
+    write_trc(tmp_path / "walk.trc", Markers(tuple(there["markers"]), there["time"], there["seen"]))
+    Motion("kinematics", LEG, markers=tmp_path / "walk.trc", output=tmp_path / "out")()
+    back = read_motion(tmp_path / "out/ik.mot", Bones(read_model(LEG)))
+    np.testing.assert_allclose(back.values, there["fitted"], atol=2e-5)
+    assert not back.absent
+    assert "mm rms" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"motion": None}, "motion dynamics needs --motion FILE"),
+        ({"reserve": -1.0}, "--reserve must be at least 0 and finite, got -1"),
+        ({"filter": 500.0}, "must be above 0 and below"),
+        ({"loads": "other.xml"}, "body 'nose' unknown; available: ground, pelvis"),
+        ({"motion": "push.mot"}, "has no column of a coordinate; the model has pelvis_tilt"),
+    ],
+)
+def test_bad_input_is_one_sentence(gait, change, message):
+    folder, _ = gait
+    (folder / "other.xml").write_text(LOADS.replace("BODY", "nose"))
+    options = {"motion": folder / "motion.mot", "output": folder / "out"}
+    options |= {k: folder / v if isinstance(v, str) else v for k, v in change.items()}
+    with pytest.raises(ValueError, match=message) as caught:
+        Motion("dynamics", GAIT, **options)()
+    assert "\n" not in str(caught.value)
