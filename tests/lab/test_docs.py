@@ -196,6 +196,8 @@ def test_every_command_runs(page, lines, tmp_path, monkeypatch, run, request):
 def test_every_snippet_runs(page, tmp_path, monkeypatch, run):
     """One after the other in a fresh folder, with few worlds; what they register goes again."""
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests/data").symlink_to(ROOT / "tests/data")
     names = {}
     for number, snippet in enumerate(SNIPPETS[page]):
         if "run.parquet" in snippet:
