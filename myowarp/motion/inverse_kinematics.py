@@ -39,6 +39,9 @@ TOLERANCE = 1e-7
 GROWTH = 10.0
 """By which the damping changes."""
 
+FEWEST = 3
+"""Markers that some frame must show."""
+
 LARGE = 0.1
 """Root mean square error of the markers [m] above which units or axes are doubted."""
 
@@ -429,6 +432,10 @@ def inverse_kinematics(
             f"{', '.join(recorded.names)}"
         )
     seen = recorded.positions[:, [recorded.names.index(name) for name in used]]
+    if not (np.isfinite(seen).all(axis=2).sum(axis=1) >= FEWEST).any():
+        raise ValueError(
+            f"no frame shows {FEWEST} markers with a weight; the recording has {', '.join(recorded.names)}"
+        )
     count = len(seen)
     pull, wanted = np.zeros(len(names)), np.zeros((count, len(names)))
     for name, weight in (coordinate_weights or {}).items():

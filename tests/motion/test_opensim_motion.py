@@ -121,6 +121,15 @@ def test_a_marker_that_was_not_seen():
     )
 
 
+def test_a_frame_without_markers_stays_where_it_was():
+    there, body = recorded("leg6dof9musc"), bones("leg6dof9musc")
+    seen = there["seen"].copy()
+    seen[20:23] = np.nan
+    found = inverse_kinematics(body, Markers(tuple(there["markers"]), there["time"], seen))
+    np.testing.assert_allclose(found.values[20:23], np.tile(found.values[19], (3, 1)), atol=1e-12)
+    np.testing.assert_allclose(found.values[23:], there["fitted"][23:], atol=ANGLE)
+
+
 def test_millimetres_as_metres_are_doubted():
     there, body = recorded("leg6dof9musc"), bones("leg6dof9musc")
     markers = Markers(tuple(there["markers"]), there["time"][:3], 1e3 * there["seen"][:3])
@@ -141,6 +150,9 @@ def test_wanted_coordinates_and_bad_weights():
         inverse_kinematics(body, markers, {markers.names[0]: -1.0})
     with pytest.raises(ValueError, match="no marker has a weight"):
         inverse_kinematics(body, markers, {markers.names[0]: 0.0})
+    unseen = Markers(markers.names, markers.time, np.full_like(markers.positions, np.nan))
+    with pytest.raises(ValueError, match="no frame shows 3 markers with a weight"):
+        inverse_kinematics(body, unseen)
     with pytest.raises(ValueError, match="coordinate 'elbow' unknown"):
         inverse_kinematics(body, markers, coordinate_weights={"elbow": 1.0})
 
