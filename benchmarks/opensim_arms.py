@@ -4,7 +4,7 @@
 
 Needs opensim==4.6 and nothing else. It writes numbers alone, no part of a model: lengths, moment arms and
 static tendon forces over the range of one coordinate after the other, all others at their default; and the
-passive fiber's force along the tendon at OpenSim's least activation.
+passive fiber's force along the tendon at OpenSim's least activation; and where the markers are.
 """
 
 import json
@@ -39,11 +39,13 @@ def record(path: Path) -> dict[str, Any]:
         coordinates.get(i).setDefaultLocked(False)
     state = model.initSystem()
     rows: list[dict[str, Any]] = []
+    paths: dict[str, dict[str, Any]] = {}
     for name, ends in RANGES[path.stem].items():
         coordinate = coordinates.get(name)
         rest = coordinate.getDefaultValue()
         grid = np.linspace(*ends, POINTS)
         print(f"{path.stem}: {name}", file=sys.stderr)
+        paths[name] = markers(model, state, coordinate, grid)
         for i in range(muscles.getSize()):
             muscle = muscles.get(i)
             row = curves(model, state, muscle, coordinate, grid)
@@ -63,7 +65,21 @@ def record(path: Path) -> dict[str, Any]:
         "ranges": RANGES[path.stem],
         "defaults": {name: round(value, 6) for name, value in defaults.items()},
         "curves": rows,
+        "markers": paths,
     }
+
+
+def markers(model: Any, state: Any, coordinate: Any, grid: np.ndarray) -> dict[str, Any]:
+    """Return where each marker is in the ground frame over a coordinate [m], (K, 3)."""
+    listed = model.getMarkerSet()
+    found: dict[str, list[list[float]]] = {listed.get(i).getName(): [] for i in range(listed.getSize())}
+    for value in grid:
+        coordinate.setValue(state, value, True)
+        model.realizePosition(state)
+        for i in range(listed.getSize()):
+            place = listed.get(i).getLocationInGround(state)
+            found[listed.get(i).getName()].append([round(place.get(k), 7) for k in range(3)])
+    return found
 
 
 def curves(model: Any, state: Any, muscle: Any, coordinate: Any, grid: np.ndarray) -> dict[str, Any]:

@@ -215,6 +215,26 @@ def test_validation_has_the_sign_and_size_of_the_paper(found):
     forces = ours(result, "static force, RMS difference")
     assert forces["arm26, our converter"] < sum(validation.PAPER_FORCE["arm26"]) < forces["elbow"]
     assert forces["hand, muscles within their range"] < forces["hand"]
+    plain = "arm26, our converter without its fits"
+    assert arms[plain] > 10.0 * arms["arm26, our converter"]
+    assert forces[plain] > 2.0 * forces["arm26, our converter"]
+    assert ours(result, "markers, RMS distance")["arm26, our converter, 3 markers"] < 1e-3
+
+
+def test_a_marker_in_another_place_is_seen():
+    """OpenSim's paths, beside a model of our own whose marker sits on a crossbow's arm."""
+    xml = HINGE.replace("<worldbody>", '<worldbody><body name="ground"/>')
+    model = mujoco.MjModel.from_xml_string(xml)
+    angle = np.linspace(0.2, 2.6, validation.recorded()["points"])
+    b = A * np.ones(3)  # replaced below by where MuJoCo C has the site
+    data, paths = mujoco.MjData(model), []
+    for value in angle:
+        data.qpos[0] = value
+        mujoco.mj_kinematics(model, data)
+        paths.append(data.site("b").xpos.copy())
+    record = {"ranges": {"q": (0.2, 2.6)}, "markers": {"q": {"b": (np.array(paths) + 3e-3 * b / A).tolist()}}}
+    (path,) = validation.markers(model, record, {"q": ("q", 1.0)})
+    assert path.apart == pytest.approx(3.0 * np.sqrt(3.0), rel=1e-6)
 
 
 def test_the_hands_deviation_is_counted_the_other_way_round():
