@@ -8,6 +8,9 @@ from pathlib import Path
 from sphinx.application import Sphinx
 
 import myowarp
+from myowarp.apps.cli.options import Said
+from myowarp.apps.cli.record import Record
+from myowarp.definitions.setup import Setup
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
@@ -41,7 +44,16 @@ def add_audit(app: Sphinx, error: Exception | None) -> None:
     shutil.copy(DOCS / "audit/index.html", Path(app.outdir) / "audit.html")
 
 
+def add_recording(app: Sphinx, error: Exception | None) -> None:
+    """Put a hand that the reader turns beside the start page, unless it is there."""
+    path = Path(app.outdir) / "hand.html"
+    if error is None and not path.exists():
+        task = Setup(task="myoHandKeyTurnFixed-v0", device="cpu", seed=1)
+        Record(Said(task), policy="baseline", output=path, steps=80)()
+
+
 def setup(app: Sphinx) -> None:
     """Register with Sphinx."""
     app.connect("source-read", of_repository)
     app.connect("build-finished", add_audit)
+    app.connect("build-finished", add_recording)

@@ -17,7 +17,7 @@ import viser
 from myowarp.definitions.body import BODIES
 from myowarp.view.browser.controls import ERRORS, Controls
 from myowarp.view.browser.panel import Panel
-from myowarp.view.browser.scene import SPACING, Figure, Floor
+from myowarp.view.browser.scene import Figure, Floor
 from myowarp.view.browser.session import Choices, Session
 from myowarp.view.drawing import style as look
 from myowarp.view.drawing.framing import Framing, view_axes
@@ -30,7 +30,9 @@ READING = 0.2
 """Time between two readings and plots [s]."""
 LATE = 0.25
 """s: who is later than that does not catch up, but says that it is slower than real time."""
-ASPECT = 1.0
+LETTERS = 1.5
+"""Size of the text above bodies over viser's."""
+ASPECT = 1.3
 """Of the picture beside the panel, about."""
 
 
@@ -150,13 +152,15 @@ class Live(Controls):
         look.pose(model, self._figure_shown.data, look.rest_pose(model))
         self._camera = self._framing.camera(self._figure_shown.data, {})
         axes = view_axes(self._camera.azimuth, self._camera.elevation)
-        self._side = SPACING * self._framing.radius * axes[0]
-        above = self._camera.lookat + 1.05 * self._framing.radius * axes[1]
+        self._side, self._farther = self._framing.twin()
+        above = self._camera.lookat + 0.55 * self._framing.height * axes[1]
         self._labels = {
-            name: scene.add_label(f"{name}_label", text, position=above + shift, visible=False)
+            name: scene.add_label(
+                f"{name}_label", text, position=above + shift, visible=False, font_screen_scale=LETTERS
+            )
             for name, text, shift in (("/world", "changed", 0.0), ("/twin", "before", self._side))
         }
-        self._floor = Floor(self.server, "/world/floor", model, self._framing.radius)
+        self._floor = Floor(self.server, "/world/floor", model, self._framing)
         self._panel = Panel(self)
         self._set_up_view()
 
@@ -191,7 +195,7 @@ class Live(Controls):
         camera = self._camera
         forward = view_axes(camera.azimuth, camera.elevation)[2]
         middle = camera.lookat + (0.5 * self._side if self.session.beside else 0.0)
-        eye = middle - (1.7 if self.session.beside else 1.0) * camera.distance * forward
+        eye = middle - (self._farther if self.session.beside else 1.0) * camera.distance * forward
         opening = float(np.radians(self.session.sim.full_model.vis.global_.fovy))
         start = self.server.initial_camera
         start.position, start.look_at, start.fov = eye, middle, opening

@@ -49,7 +49,7 @@ class _Actor:
         self.take, self._color, self._place = take, color, place
         self.framing = Framing(take.model, take.tips, 1.0)
         self.figure = Figure(server, f"{name}/body", take.model, self.framing.radius, take.tips)
-        self._floor = Floor(server, f"{name}/floor", take.model, self.framing.radius)
+        self._floor = Floor(server, f"{name}/floor", take.model, self.framing)
         look.pose(take.model, self.figure.data, look.rest_pose(take.model))
         self.camera = self.framing.camera(self.figure.data, {})
         up = view_axes(self.camera.azimuth, self.camera.elevation)[1]

@@ -21,6 +21,7 @@ import trimesh
 import viser
 
 from myowarp.view.drawing import style as look
+from myowarp.view.drawing.framing import Framing
 from myowarp.view.drawing.muscles import QUANTITIES, TENDON_RGB, TENDON_TINT, Muscles
 from myowarp.view.drawing.render import coarsen
 from myowarp.view.drawing.scenery import floor_height, has_plane
@@ -265,20 +266,25 @@ class Figure:
 
 
 class Floor:
-    """Squares on the floor, below the camera's middle, unless the model has a floor of its own."""
+    """Squares on the floor under a body that goes about, unless the model has a floor of its own."""
 
-    def __init__(self, server: viser.ViserServer, name: str, model: mujoco.MjModel, radius: float) -> None:
+    def __init__(self, server: viser.ViserServer, name: str, model: mujoco.MjModel, framing: Framing) -> None:
         """Prepare the lines.
 
         Args:
             server: Where.
             name: Its node in the page.
             model: The full model.
-            radius: Framed radius [m].
+            framing: The camera, which goes along.
         """
+        radius = framing.radius
         self._cell = float(10.0 ** np.floor(np.log10(radius)))
         self._reach = np.ceil(FLOOR_REACH * radius / self._cell) * self._cell
-        self._height, self._radius, self._hidden = floor_height(model), radius, has_plane(model)
+        self._height, self._radius, self._hidden = (
+            floor_height(model),
+            radius,
+            not framing.follows or has_plane(model),
+        )
         self._lines = _Batch(server, name, *_tube())
 
     def show(self, aside: np.ndarray) -> None:

@@ -7,10 +7,12 @@ import io
 import logging
 import socket
 
+import numpy as np
 import viser
 
 from myowarp.view.browser.origins import check_refusal, refusing_other_sites
 from myowarp.view.browser.updates import take_values_alone
+from myowarp.view.drawing.style import SKY_RGB
 
 LOCAL = "127.0.0.1"
 
@@ -47,6 +49,7 @@ def open_server(port: int, title: str) -> viser.ViserServer:
     server.get_event_loop().set_exception_handler(lambda loop, context: None)
     take_values_alone(server)
     server.scene.configure_default_lights(cast_shadow=False)
+    server.scene.set_background_image((255 * SKY_RGB).round().astype(np.uint8).reshape(1, 1, 3), "png")
     return server
 
 

@@ -19,6 +19,8 @@ from myowarp.view.drawing.skeleton import Skeleton
 
 BORDER = 0.05
 """Share of the picture, on each side, that stays free."""
+GAP = 0.15
+"""Space between a body and its twin, in units of their width or height."""
 TRAVEL = 1.0
 """m: range of a slide from which on it carries the whole body away."""
 TURN = 15.0
@@ -116,6 +118,23 @@ class Framing:
         camera.azimuth, camera.elevation, camera.distance = self.azimuth, self.elevation, distance
         camera.lookat[:] = np.array((*middle, self._depth)) @ self._axes + shift
         return camera
+
+    @property
+    def height(self) -> float:
+        """Height of what is usually in the picture [m]."""
+        return float(self._usual[1][1] - self._usual[0][1])
+
+    def twin(self) -> tuple[np.ndarray, float]:
+        """Return how far aside a twin stands [m], shape (3,), and the camera's distance over that for one.
+
+        It stands to the right of what is tall, and below what is wide.
+        """
+        size = self._usual[1] - self._usual[0]
+        wide = int((size / self._half).argmax() == 0)
+        aside = np.zeros(2)
+        aside[wide] = (1.0 + GAP) * size[wide] * (-1.0 if wide else 1.0)
+        farther = ((size + np.abs(aside)) / self._half).max() / (size / self._half).max()
+        return aside @ self._axes[:2], float(farther)
 
     def shift(self, data: mujoco.MjData) -> np.ndarray:
         """Return how far a root that moves has come since the start [m], shape (3,)."""

@@ -21,6 +21,8 @@ PALE_RGB = np.array((0.70, 0.72, 0.75))
 BACKDROP_RGB = np.array((0.72, 0.75, 0.79))
 """Wall behind the scene before light falls on it; it ends as pale as `SKY_RGB`."""
 SKY_RGB = np.array((0.88, 0.92, 0.97))
+FADED = 0.35
+"""Opacity of bones that no muscle moves, in the page; in films light that they give off fades them."""
 
 VISIBLE_GEOM_GROUPS = (0, 1, 2)
 """MuJoCo draws these groups by default; myo-sim keeps collision geoms in 3 and above."""
@@ -165,11 +167,13 @@ def bone_geoms(model: mujoco.MjModel) -> np.ndarray:
 
 
 def shown_rgba(model: mujoco.MjModel) -> np.ndarray:
-    """Returns colours of geoms, bones of one tone, what is no part of the limb pale, shape ``(ngeom, 4)``."""
+    """Returns colours of geoms, bones of one tone, the rest but planes faded, shape ``(ngeom, 4)``."""
     rgba, own = model.geom_rgba.copy(), model.geom_matid >= 0
     rgba[own] = model.mat_rgba[model.geom_matid[own]]
+    pale = pale_geoms(model)
     rgba[bone_geoms(model), :3] = BONE_RGB
-    rgba[pale_geoms(model), :3] = PALE_RGB
+    rgba[pale, :3] = PALE_RGB
+    rgba[pale & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE), 3] *= FADED
     return rgba
 
 
