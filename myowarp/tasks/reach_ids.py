@@ -1,4 +1,4 @@
-"""The reach ids: finger and hand."""
+"""The reach ids: finger, hand and arm."""
 
 from dataclasses import replace
 
@@ -98,3 +98,24 @@ def hand_random() -> ReachTask:
     off.
     """
     return replace(bring_tips(HAND_LOW, HAND_HIGH), table=reach_targets.solved)
+
+
+ARM_CENTER = (-0.175, -0.245, 1.405)  # m, world: in front of the chest
+ARM_FAR_FIXED, ARM_FAR_RANDOM = 1.0, 1.3  # m; MyoSuite 3.0.0
+
+
+def point_at(low: tuple[float, ...], high: tuple[float, ...], far: float) -> ReachTask:
+    """Return the arm's task with a target between `low` and `high` around `ARM_CENTER` [m]."""
+    return ReachTask(body="arm", center=ARM_CENTER, low=low, high=high, far_per_tip=far, horizon=150)
+
+
+@task("myoArmReachFixed-v0")
+def arm_fixed() -> ReachTask:
+    """Bring the index fingertip of the whole arm to one point in front of the chest."""
+    return point_at((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ARM_FAR_FIXED)
+
+
+@task("myoArmReachRandom-v0")
+def arm_random() -> ReachTask:
+    """Bring the index fingertip of the whole arm to a point drawn anew each episode."""
+    return point_at((-0.175, -0.175, -0.425), (0.175, 0.175, 0.425), ARM_FAR_RANDOM)

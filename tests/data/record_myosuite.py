@@ -43,8 +43,9 @@ BASES = """myoFingerPose motorFingerPose myoElbowPose1D6M myoHandPose
 IDS = [f"{base}{kind}-v0" for base in BASES.split() for kind in ("Fixed", "Random")]
 IDS += [f"myoHandPose{pose}Fixed-v0" for pose in range(10)]
 IDS += [f"myoElbowPose1D6MExo{kind}-v0" for kind in ("Fixed", "Random")]
+IDS += [f"myoArmReach{kind}-v0" for kind in ("Fixed", "Random")]
 # The compiled model is stored once per body, in the file of its first id.
-MODEL_IDS = {f"{base}Fixed-v0" for base in [*BASES.split()[:4], "myoElbowPose1D6MExo"]}
+MODEL_IDS = {f"{base}Fixed-v0" for base in [*BASES.split()[:4], "myoElbowPose1D6MExo", "myoArmReach"]}
 MODEL_FIELDS = """nq nv nu na ntendon qpos0 jnt_range jnt_axis jnt_pos jnt_solref jnt_solimp
     body_mass body_inertia body_ipos body_pos body_quat dof_damping dof_armature actuator_gainprm
     actuator_biasprm actuator_dynprm actuator_gear actuator_ctrlrange actuator_lengthrange

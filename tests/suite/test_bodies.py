@@ -17,6 +17,7 @@ RECORDED = {
     "elbow": "myoElbowPose1D6MFixed-v0",
     "elbow_exo": "myoElbowPose1D6MExoFixed-v0",
     "hand": "myoHandPoseFixed-v0",
+    "arm": "myoArmReachFixed-v0",
 }
 
 COMPILED = 1e-10

@@ -1,6 +1,7 @@
 """Bodies built from myo-sim; a new one is one file here and one import below."""
 
 from myowarp.models.bodies import (
+    arm,  # noqa: F401
     contact_hand,  # noqa: F401
     elbow,  # noqa: F401
     elbow_exo,  # noqa: F401
