@@ -1,12 +1,12 @@
 """Muscles of the human arm by the names that MyoSuite's and OpenSim's models give them: facts of our bodies.
 
 Each is in the group of its principal anatomical action. Flexors, extensors and pronators from the elbow on
-are so by the moment arms of the models too (tests/suite/test_signals.py). Muscles of the fingers are abbreviated as in Lee et al.
-(2015), doi:10.1371/journal.pone.0121712: RI radial interosseous, UI_UB ulnar interosseous, LU_RB lumbrical.
-
-Fatigue rates: Rakshit et al. (2021), doi:10.1016/j.jbiomech.2021.110695, table 2, both sexes together.
-Shoulder: Frey-Law et al. (2012), doi:10.1016/j.jbiomech.2012.04.018, table 1, with r = 15 of Looft et al.
-(2018), doi:10.1016/j.jbiomech.2018.06.005. MyoSuite 3.0.0 has the same, and gives SUP those of an extensor.
+are so by the moment arms of the models too (tests/suite/test_signals.py). Muscles of the fingers are
+abbreviated as in Lee et al. (2015), doi:10.1371/journal.pone.0121712: RI radial interosseous, UI_UB ulnar
+interosseous, LU_RB lumbrical. Fatigue rates: Rakshit et al. (2021), doi:10.1016/j.jbiomech.2021.110695,
+table 2, both sexes together. Shoulder: Frey-Law et al. (2012), doi:10.1016/j.jbiomech.2012.04.018, table 1,
+with r = 15 of Looft et al. (2018), doi:10.1016/j.jbiomech.2018.06.005. MyoSuite 3.0.0 has the same, and
+gives SUP those of an extensor.
 """
 
 from collections.abc import Mapping
