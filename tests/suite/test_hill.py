@@ -371,3 +371,22 @@ def test_worlds_are_what_they_are_alone_and_no_muscle_faults(muscle, task):
         ends.append(env.sim.scene.muscles.tension.numpy()[0].copy())
     assert np.array_equal(*ends)
     assert ends[0].max() > 1.0
+
+
+@pytest.mark.parametrize("length", [np.nan, np.inf, -1.0, 1e30])
+@pytest.mark.parametrize("muscle", [name for name in HILL if "fiber_length" in MUSCLES[name].STATE])
+def test_a_fiber_without_a_length_is_a_fault_of_its_world_alone(muscle, length):
+    env = gym.make_vec(
+        "MyoWarp/myoElbowPose1D6MRandom-v0", 4, muscle=muscle, device="cpu", progress=False
+    ).unwrapped
+    env.reset(seed=0)
+    fibers = env.sim.scene.muscles.fiber_length
+    lengths = fibers.numpy().copy()
+    lengths[1] = length
+    fibers.assign(lengths)
+    with pytest.warns(UserWarning, match="world 1 was reset after a fault"):
+        observation, *_, info = env.step(np.zeros(env.action_space.shape, np.float32))
+    assert (np.asarray(info["fault"]) != 0).tolist() == [False, True, False, False]
+    assert np.isfinite(observation).all()
+    assert np.isfinite(fibers.numpy()).all()
+    assert np.isfinite(env.sim.scene.muscles.tension.numpy()).all()

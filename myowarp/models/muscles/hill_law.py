@@ -371,6 +371,8 @@ def contract_hill(
             strain = (length - z - m.tendon_slack_length) / m.tendon_slack_length
             norm_force = wp.max(tendon_force_curve(m, params.tables, params.spans, strain)[0], 0.0)
         after = fiber_of(m, z)
+        if m.rigid == 0 and not before >= 0.0:  # no length, or none at all: a fault, not a repair
+            after, norm_force, by_velocity = wp.nan, float(0.0), float(0.0)
         force = of_world(anatomy.transmission, worldid, i) * m.max_isometric_force
         damping = wp.where(implicitness > 0.0, implicitness * force * by_velocity, 0.0)
         fibers.activation[worldid, i] = steps[1]
