@@ -8,7 +8,7 @@ equalities let clavicle, scapula and humerus follow the shoulder. Upper arm and 
 import mujoco
 from myo_sim.build.compose import build_spec
 
-from myowarp.definitions.body import BODIES, Body, Brace, Place
+from myowarp.definitions.body import BODIES, Body
 from myowarp.models.bodies.arm_muscles import FATIGUE_RATES, GROUPS
 
 ROOT = "Full Body"
@@ -44,7 +44,5 @@ BODIES.add(
         tips=(TIP,),
         groups=GROUPS,
         fatigue_rates=FATIGUE_RATES,
-        load=Place("trapezium_r", (-0.011, -0.06, -0.03)),  # myo-sim's site S_grasp_r
-        exoskeleton=Brace("elbow_flexion_r", "ulna_r"),
     ),
 )
