@@ -1,5 +1,6 @@
 """Kinematics, inertia, bias and passive forces in one launch, against MuJoCo C in float64."""
 
+import copy
 from types import SimpleNamespace
 
 import mujoco
@@ -148,6 +149,40 @@ def test_worlds_have_their_own_bodies():
         mujoco.mj_fwdVelocity(other if world == 3 else model, data)
     for field in ("xpos", "M", "qfrc_bias", "qfrc_passive"):
         assert error(getattr(scene.data, field), [getattr(data, field) for data in states]) <= ROUNDING, field
+
+
+@pytest.mark.parametrize("num_worlds", [2, 17, 35])
+def test_bits_of_a_world_depend_on_no_other(num_worlds):
+    """Worlds with bodies of their own: the same bits in lanes, in blocks that are not full, and alone."""
+    model = mujoco.MjModel.from_xml_string(TREES.format(**MODELS["gravity"]))
+    states = (5 * random_states(model, seed=3))[:num_worlds]
+    for world, data in enumerate(states):
+        states[world] = data = copy.copy(data)
+        data.qpos[:] += 0.01 * world
+    factors = np.random.default_rng(4).uniform(0.5, 2.0, num_worlds)
+    fields = ("site_xpos", *POSES, *MOTIONS, *FORCES)
+
+    def moved(worlds):
+        with wp.ScopedDevice("cpu"):
+            scene = stepping(model, len(worlds))
+            given(scene, [states[world] for world in worlds])
+            for name in ("body_mass", "body_pos", "jnt_stiffness", "dof_damping"):
+                values = np.repeat(getattr(scene.model, name).numpy(), len(worlds), axis=0)
+                scale = factors[worlds].astype(np.float32).reshape((-1,) + (1,) * (values.ndim - 1))
+                setattr(scene.model, name, wp.array(values * scale, dtype=getattr(scene.model, name).dtype))
+            RigidBody(scene).launch(scene.model, scene.data)
+            return {name: getattr(scene.data, name).numpy() for name in fields}
+
+    together = moved(np.arange(num_worlds))
+    order = np.random.default_rng(5).permutation(num_worlds)
+    shuffled = moved(order)
+    alone = [moved(np.array([world])) for world in range(num_worlds)]
+    for name in fields:
+        assert np.ptp(together[name], axis=0).max() > 100 * ROUNDING, name
+        np.testing.assert_array_equal(shuffled[name], together[name][order], err_msg=name)
+        np.testing.assert_array_equal(
+            np.concatenate([one[name] for one in alone]), together[name], err_msg=name
+        )
 
 
 def test_poses_alone():

@@ -1,4 +1,4 @@
-"""Rigid bodies: all that follows from positions and velocities alone, in one thread, on the CPU device.
+"""Rigid bodies: all that follows from positions and velocities alone, worlds in lanes, on the CPU device.
 
 Poses along the tree, composite inertias, the joint-space inertia M, the bias force c of
 `M qacc + c = forces` and the passive forces of joints (Featherstone, Rigid Body Dynamics Algorithms, 2008,
@@ -18,11 +18,11 @@ from mujoco_warp._src.types import vec10
 
 from myowarp.engine.stage import Launches, Stage
 from myowarp.engine.stages.arrays import any_of, filled
+from myowarp.engine.stages.lanes import at_namespace_level, block_scratch
 from myowarp.engine.stepped import Stepped
-from myowarp.kernels.batching import num_threads
 from myowarp.kernels.launch import launch
 
-SOURCE = Path(__file__).with_name("rigid_body.cpp").read_text()
+SOURCE = at_namespace_level(Path(__file__).with_name("rigid_body.cpp"))
 
 
 @wp.struct
@@ -116,9 +116,18 @@ class BodyMotion:
 
 
 @wp.func_native(SOURCE)
+def declare_move_block(thread: int):
+    """Declare the templates of `rigid_body.cpp`."""
+    ...
+
+
+@wp.func_native("""
+    lanes::for_blocks(qpos.shape[0], mask.data, scratch.data, [&](auto& block) {
+        lanes::move_block(block, bodies, switches, sites, qpos, qvel, pose, motion);
+    });
+""")
 def move_worlds(
-    thread: int,
-    threads: int,
+    scratch: wp.array[float],
     bodies: RigidBodies,
     switches: Switches,
     sites: wp.array[int],
@@ -128,7 +137,7 @@ def move_worlds(
     pose: Pose,
     motion: BodyMotion,
 ):
-    """Set pose and motion of every `threads`-th world, if it is in the mask."""
+    """Set pose and motion of the worlds in the mask, a block after the other."""
     ...
 
 
@@ -142,7 +151,7 @@ def move_bodies(
     qpos_in: wp.array2d[float],
     qvel_in: wp.array2d[float],
     # In:
-    threads: int,
+    scratch: wp.array[float],
     sites: wp.array[int],
     mask: wp.array[bool],
     # Data out:
@@ -151,7 +160,8 @@ def move_bodies(
 ):
     """x = x(qpos), M = sum_b J_b' I_b J_b, c = sum_b J_b' (I_b a_b + v_b x I_b v_b) with qacc = 0."""
     thread = wp.tid()
-    move_worlds(thread, threads, bodies, switches, sites, mask, qpos_in, qvel_in, pose_out, motion_out)
+    declare_move_block(thread)
+    move_worlds(scratch, bodies, switches, sites, mask, qpos_in, qvel_in, pose_out, motion_out)
 
 
 def _springy_quaternions(stepped: Stepped) -> bool:
@@ -188,6 +198,9 @@ class RigidBody(Stage):
         self._task_sites = wp.array(stepped.sites, dtype=int, device=stepped.device)
         self._all_sites = wp.array(np.arange(model.nsite), dtype=int, device=stepped.device)
         self._no_sites = wp.zeros(0, dtype=int, device=stepped.device)
+        bodies, data = filled(RigidBodies, model, model.opt), stepped.data
+        of_data = filled(Pose, data), filled(BodyMotion, data), data.qpos, data.qvel
+        self._scratch = block_scratch(stepped.device, bodies, *of_data)
         self._every = wp.ones(stepped.data.nworld, dtype=bool, device=stepped.device)
         tendons = (
             model.tendon_stiffness,
@@ -228,14 +241,13 @@ class RigidBody(Stage):
         switches.has_gravity = not disabled & DisableBit.GRAVITY
         switches.has_springs = not disabled & DisableBit.SPRING
         switches.has_dampers = not disabled & DisableBit.DAMPER
-        threads = num_threads(data.qpos.device, data.nworld)
         launch(
             move_bodies,
-            threads,
+            1,
             data,
             bodies=filled(RigidBodies, model, model.opt),
             switches=switches,
-            threads=threads,
+            scratch=self._scratch,
             sites=sites,
             mask=mask,
             pose=filled(Pose, data),

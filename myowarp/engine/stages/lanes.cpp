@@ -1,0 +1,254 @@
+// Worlds in SIMD lanes: one source computes with V = float, a world at a time, or with V = Lanes, a world in
+// each lane. It stands at namespace level (lanes.py says how). Both give the same bits: operations and their
+// order are the same, and sine and cosine are polynomials in both.
+#ifndef MYOWARP_LANES
+#if !defined(__clang__) || defined(__CUDACC__)
+#define MYOWARP_LANES 1
+#elif defined(__AVX512F__)
+#define MYOWARP_LANES 16
+#elif defined(__AVX__)
+#define MYOWARP_LANES 8
+#elif defined(__SSE2__) || defined(__ARM_NEON)
+#define MYOWARP_LANES 4
+#else
+#define MYOWARP_LANES 1
+#endif
+#define INLINE static inline __attribute__((always_inline))
+namespace lanes {
+
+INLINE float select(bool mask, float yes, float no) { return mask ? yes : no; }
+INLINE float root(float x) { return sqrtf(x); }
+INLINE float absolute(float x) { return fabsf(x); }
+INLINE float nearest(float x) { return rintf(x); }
+INLINE int whole(float x) { return (int)x; }
+INLINE float flipped(float x, int n) { return n & 2 ? -x : x; }
+
+#if MYOWARP_LANES > 1
+typedef float Lanes __attribute__((ext_vector_type(MYOWARP_LANES)));
+typedef int Mask __attribute__((ext_vector_type(MYOWARP_LANES)));
+INLINE Lanes select(Mask mask, Lanes yes, Lanes no) { return mask ? yes : no; }
+INLINE Lanes root(Lanes x) { return __builtin_elementwise_sqrt(x); }
+INLINE Lanes absolute(Lanes x) { return (Lanes)((Mask)x & 0x7fffffff); }
+INLINE Lanes nearest(Lanes x) { return __builtin_elementwise_roundeven(x); }
+INLINE Mask whole(Lanes x) { return __builtin_convertvector(x, Mask); }
+INLINE Lanes flipped(Lanes x, Mask n) { return (Lanes)((Mask)x ^ ((n & 2) << 30)); }
+#endif
+
+template <class V> INLINE V splat(float x) { V v; v = x; return v; }
+
+// Cody and Waite's reduction to an eighth of a turn, polynomials of Cephes (Moshier); to 1 ulp below 1e4 rad.
+template <class V> INLINE void sine_cosine(V x, V& sine, V& cosine) {
+    const V quarter = nearest(x * 0.636619772f);
+    V r = ((x - quarter * 1.5703125f) - quarter * 4.837512969970703e-4f) - quarter * 7.549789948768648e-8f;
+    r = select(r > 1.0f, splat<V>(1.0f), select(r < -1.0f, splat<V>(-1.0f), r));  // of x beyond all range
+    const V z = r * r;
+    const V s = r + r * z * (-1.6666654611e-1f + z * (8.3321608736e-3f + z * -1.9515295891e-4f));
+    const V c = 1.0f - 0.5f * z +
+                z * z * (4.166664568298827e-2f + z * (-1.388731625493765e-3f + z * 2.443315711809948e-5f));
+    const auto n = whole(quarter);
+    const auto odd = (n & 1) != 0;
+    sine = flipped(select(odd, c, s), n);
+    cosine = flipped(select(odd, s, c), n + 1);
+}
+
+template <class V> struct Vec3 { V x, y, z; };
+template <class V> struct Quat { V w, x, y, z; };
+template <class V> struct Mat33 { V m[3][3]; };
+
+template <class V> INLINE Vec3<V> operator+(Vec3<V> a, Vec3<V> b) {
+    return {a.x + b.x, a.y + b.y, a.z + b.z};
+}
+template <class V> INLINE Vec3<V> operator-(Vec3<V> a, Vec3<V> b) {
+    return {a.x - b.x, a.y - b.y, a.z - b.z};
+}
+template <class V> INLINE Vec3<V> operator*(V s, Vec3<V> a) { return {s * a.x, s * a.y, s * a.z}; }
+template <class V> INLINE V dot(Vec3<V> a, Vec3<V> b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+template <class V> INLINE Vec3<V> cross(Vec3<V> a, Vec3<V> b) {
+    return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+template <class V> INLINE Vec3<V> mul(const Mat33<V>& R, Vec3<V> v) {
+    return {R.m[0][0] * v.x + R.m[0][1] * v.y + R.m[0][2] * v.z,
+            R.m[1][0] * v.x + R.m[1][1] * v.y + R.m[1][2] * v.z,
+            R.m[2][0] * v.x + R.m[2][1] * v.y + R.m[2][2] * v.z};
+}
+template <class V> INLINE Quat<V> multiply(Quat<V> a, Quat<V> b) {
+    return {a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z, a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
+            a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x, a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w};
+}
+template <class V> INLINE Quat<V> normalized(Quat<V> q) {
+    const V square = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z;
+    const V scale = select(square > 0.0f, 1.0f / root(square), splat<V>(0.0f));
+    return {q.w * scale, q.x * scale, q.y * scale, q.z * scale};
+}
+template <class V> INLINE Mat33<V> matrix(Quat<V> q) {
+    const V ww = q.w * q.w, xx = q.x * q.x, yy = q.y * q.y, zz = q.z * q.z;
+    const V wx = q.w * q.x, wy = q.w * q.y, wz = q.w * q.z, xy = q.x * q.y, xz = q.x * q.z, yz = q.y * q.z;
+    return {{{ww + xx - yy - zz, 2.0f * (xy - wz), 2.0f * (xz + wy)},
+             {2.0f * (xy + wz), ww - xx + yy - zz, 2.0f * (yz - wx)},
+             {2.0f * (xz - wy), 2.0f * (yz + wx), ww - xx - yy + zz}}};
+}
+template <class V> INLINE Vec3<V> rotate(Quat<V> q, Vec3<V> v) {
+    const Vec3<V> u = {q.x, q.y, q.z};
+    return (2.0f * dot(u, v)) * u + (q.w * q.w - dot(u, u)) * v + (2.0f * q.w) * cross(u, v);
+}
+
+// A row of an array of the model: of all worlds, or in lanes one of each.
+template <class V> struct Field {
+    const float* shared;
+    const V* each;
+    static V of(const Field& f, int i) { return f.each ? f.each[i] : splat<V>(f.shared[i]); }
+    V operator[](int i) const { return of(*this, i); }
+    Vec3<V> vec3(int i) const { return {of(*this, 3 * i), of(*this, 3 * i + 1), of(*this, 3 * i + 2)}; }
+    Quat<V> quat(int i) const {
+        return {of(*this, 4 * i), of(*this, 4 * i + 1), of(*this, 4 * i + 2), of(*this, 4 * i + 3)};
+    }
+    // Whether item i of this size is `first`, and zeros, for all worlds: no world's bits depend on another's.
+    bool is(int i, int size, float first) const {
+        if (each)
+            return false;
+        bool same = shared[size * i] == first;
+        for (int k = 1; k < size; ++k)
+            same = same && shared[size * i + k] == 0.0f;
+        return same;
+    }
+};
+
+template <class A> INLINE float* row_of(A& array, int row) {
+    return (float*)((char*)array.data + (long long)row * array.strides[0]);
+}
+template <class A> INLINE int row_floats(A& array) {
+    return (array.ndim > 1 ? array.shape[1] : 1) * (int)(sizeof(*array.data) / sizeof(float));
+}
+
+// One world: it computes where the engine's arrays are.
+template <class V> struct Block {
+    int first, count;
+    float* scratch;
+    template <class A> const V* in(A& array) { return row_of(array, first); }
+    template <class T, class A> T* out(A& array) { return (T*)row_of(array, first); }
+    template <class A> Field<V> model(A& array) {
+        return {array.shape[0] > 1 ? nullptr : row_of(array, 0),
+                array.shape[0] > 1 ? row_of(array, first % array.shape[0]) : nullptr};
+    }
+    template <class A> void store(A&, const V*, int, int) {}
+};
+
+#if MYOWARP_LANES > 1
+INLINE Lanes interleaved(Lanes a, Lanes b, bool high) {
+#if MYOWARP_LANES == 16
+    return high ? __builtin_shufflevector(a, b, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31)
+                : __builtin_shufflevector(a, b, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+#elif MYOWARP_LANES == 8
+    return high ? __builtin_shufflevector(a, b, 4, 12, 5, 13, 6, 14, 7, 15)
+                : __builtin_shufflevector(a, b, 0, 8, 1, 9, 2, 10, 3, 11);
+#else
+    return high ? __builtin_shufflevector(a, b, 2, 6, 3, 7) : __builtin_shufflevector(a, b, 0, 4, 1, 5);
+#endif
+}
+INLINE void transpose(Lanes* rows) {
+    constexpr int N = MYOWARP_LANES;
+#pragma unroll
+    for (int size = 1; size < N; size *= 2) {
+        Lanes next[N];
+#pragma unroll
+        for (int i = 0; i < N / 2; ++i) {
+            next[2 * i] = interleaved(rows[i], rows[i + N / 2], false);
+            next[2 * i + 1] = interleaved(rows[i], rows[i + N / 2], true);
+        }
+#pragma unroll
+        for (int i = 0; i < N; ++i)
+            rows[i] = next[i];
+    }
+}
+// Rows of worlds into lanes, and back for the first `count` of them; never inlined, to compile fast.
+static __attribute__((noinline)) void to_lanes(Lanes* to, const float* const* from, int n) {
+    constexpr int N = MYOWARP_LANES;
+    int k = 0;
+    for (; k + N <= n; k += N) {
+        Lanes rows[N];
+        for (int lane = 0; lane < N; ++lane)
+            memcpy(&rows[lane], from[lane] + k, sizeof(Lanes));
+        transpose(rows);
+        for (int i = 0; i < N; ++i)
+            to[k + i] = rows[i];
+    }
+    for (; k < n; ++k)
+        for (int lane = 0; lane < N; ++lane)
+            to[k][lane] = from[lane][k];
+}
+static __attribute__((noinline)) void from_lanes(float* to, int stride, int count, const Lanes* from, int n) {
+    constexpr int N = MYOWARP_LANES;
+    int k = 0;
+    for (; k + N <= n; k += N) {
+        Lanes rows[N];
+        for (int i = 0; i < N; ++i)
+            rows[i] = from[k + i];
+        transpose(rows);
+        for (int lane = 0; lane < count; ++lane)
+            memcpy((char*)(to + k) + (long long)lane * stride, &rows[lane], sizeof(Lanes));
+    }
+    for (; k < n; ++k)
+        for (int lane = 0; lane < count; ++lane)
+            *(float*)((char*)(to + k) + (long long)lane * stride) = from[k][lane];
+}
+
+// A world in each lane: it computes in scratch memory, which stays in the cache from one block to the next.
+// Lanes beyond `count` repeat the last world and are not stored.
+template <> struct Block<Lanes> {
+    int first, count;
+    float* scratch;
+    Lanes* take(int n) {
+        Lanes* taken = (Lanes*)scratch;
+        scratch += n * MYOWARP_LANES;
+        return taken;
+    }
+    template <class F> Lanes* gathered(F row, int n) {
+        Lanes* to = take(n);
+        const float* from[MYOWARP_LANES];
+        for (int lane = 0; lane < MYOWARP_LANES; ++lane)
+            from[lane] = row(first + (lane < count ? lane : count - 1));
+        to_lanes(to, from, n);
+        return to;
+    }
+    template <class A> const Lanes* in(A& array) {
+        return gathered([&](int world) { return row_of(array, world); }, row_floats(array));
+    }
+    template <class T, class A> T* out(A& array) { return (T*)take(row_floats(array)); }
+    template <class A> Field<Lanes> model(A& array) {
+        if (array.shape[0] == 1)
+            return {row_of(array, 0), nullptr};
+        auto row = [&](int world) { return row_of(array, world % array.shape[0]); };
+        return {nullptr, gathered(row, row_floats(array))};
+    }
+    // Write floats begin, ..., end - 1 of the rows of the worlds.
+    template <class A> void store(A& array, const Lanes* from, int begin, int end) {
+        from_lanes(row_of(array, first) + begin, array.strides[0], count, from + begin, end - begin);
+    }
+};
+#endif
+
+// Call `step` for blocks of worlds in a mask. Lanes cost as much as one to two worlds alone: fewer go alone.
+template <class Step> INLINE void for_blocks(int num_worlds, const bool* mask, float* scratch, Step step) {
+    scratch = (float*)(((unsigned long long)scratch + 63) & ~63ull);
+    for (int world = 0; world < num_worlds;) {
+        int count = 0;
+        while (count < MYOWARP_LANES && world + count < num_worlds && mask[world + count])
+            ++count;
+#if MYOWARP_LANES > 1
+        if (8 * count > MYOWARP_LANES) {
+            Block<Lanes> block{world, count, scratch};
+            step(block);
+            world += count;
+            continue;
+        }
+#endif
+        for (int end = world + count; world < end; ++world) {
+            Block<float> block{world, 1, scratch};
+            step(block);
+        }
+        if (world < num_worlds && !mask[world])
+            ++world;
+    }
+}
+}  // namespace lanes
+#endif

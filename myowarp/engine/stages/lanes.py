@@ -1,0 +1,43 @@
+"""Worlds in SIMD lanes, for native functions whose steps are alike in every world, on the CPU device.
+
+A tree of bodies is the same in all worlds, so that 4, 8 or 16 of them, as many as a vector register of the
+machine holds, go through it at once. `lanes.cpp` has the vectors, and moves rows of the engine's arrays into
+them and back. What is written with it runs a world at a time, too, with the same bits: where few worlds are
+left for a block, and where the compiler has no vectors. The width follows from the CPU's features, which are
+in the key of Warp's cache.
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+WIDEST = 16
+"""Lanes of the widest registers, AVX-512."""
+
+
+def at_namespace_level(source: Path) -> str:
+    """Return the text of a native function that declares templates, which no function can hold.
+
+    It does nothing: it ends at once, declares what `lanes.cpp` and a source have, and begins a function that
+    does nothing either. A kernel calls it before the native function that uses them.
+    """
+    core = Path(__file__).with_name("lanes.cpp").read_text()
+    return f"}}\n{core}{source.read_text()}static inline void after_{source.stem}() {{"
+
+
+def block_scratch(device: wp.Device, *owners: Any) -> wp.array[float]:
+    """Return memory for a block of worlds: for a row of each array of these structs, in every lane."""
+    arrays = [array for one in owners for array in _arrays(one) if array is not None]
+    floats = sum(
+        math.prod(array.shape[1:]) * wp.types.type_size_in_bytes(array.dtype) // 4 for array in arrays
+    )
+    return wp.empty(
+        (floats + 1) * WIDEST, dtype=float, device=device
+    )  # a vector begins at a multiple of its size
+
+
+def _arrays(owner: Any) -> list[wp.array]:
+    """Return an array, or those of a struct."""
+    return [owner] if isinstance(owner, wp.array) else [getattr(owner, name) for name in owner._cls.vars]
