@@ -1,0 +1,1 @@
+"""Paths of muscles other than MuJoCo's tendons."""
