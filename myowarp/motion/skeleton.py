@@ -18,6 +18,7 @@ Algorithms* (2008), chapters 5 and 6.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from myowarp.coordinates.couplings import Pieces
 from myowarp.opensim.model.functions import curves
 from myowarp.opensim.model.kinematics import independent
 from myowarp.opensim.model.model import GROUND, Model
+from myowarp.opensim.read.model import read_model
 
 HINGE, SLIDE = 0, 1
 
@@ -189,6 +191,16 @@ class Bones:
         bodies: Numbers of bodies; ground is -1.
         skeleton: What kernels read.
     """
+
+    @classmethod
+    def read(cls, path: Path, device: Any = None) -> Bones:
+        """Return the bones of an OpenSim document.
+
+        Raises:
+            ValueError: It is no model that can be read.
+            OSError: It cannot be read.
+        """
+        return cls(read_model(path), device)
 
     def __init__(self, model: Model, device: Any = None) -> None:
         """Put a model on a device.

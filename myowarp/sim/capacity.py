@@ -43,7 +43,7 @@ def calibrate(model: mujoco.MjModel, start: np.ndarray, least_contacts: int = 0)
     )
 
 
-def _measure(model: mujoco.MjModel, start: np.ndarray, least_contacts: int) -> Capacity:
+def _measure(model: mujoco.MjModel, start: np.ndarray, least_contacts: int = 0) -> Capacity:
     """Measure what `calibrate` returns."""
     pairs = np.array(sorted(slim.colliding_pairs(model)), dtype=int).reshape(-1, 2)
     rows = int(model.jnt_limited.sum() + model.tendon_limited.sum())

@@ -270,5 +270,5 @@ def test_groups_do_what_their_names_say(key):
 
 def test_every_muscle_of_the_table_has_a_group_and_rates():
     assert set(GROUPS) == set(FATIGUE_RATES)
-    assert len(GROUPS) == 6 + 39
+    assert len(GROUPS) == 6 + 39 + 18  # elbow, hand, shoulder
     assert BODIES["hand"].group_of("unheard_of") == ""

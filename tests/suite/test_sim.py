@@ -17,7 +17,7 @@ FAST_ERROR = (1e-5, 0.05)  # rad after one control step: other than parity, and 
 def test_too_few_rows_is_a_fault_of_that_world(monkeypatch):
     """A finger pushed into several limits at once needs more than one row; a resting one does not."""
     monkeypatch.setattr(
-        scene_module, "calibrate", lambda model, start: Capacity(contacts=16, rows=1, peak_contacts=0)
+        scene_module, "calibrate", lambda model, start, least: Capacity(contacts=16, rows=1, peak_contacts=0)
     )
     sim = Simulation(TASKS["myoFingerPoseFixed-v0"], 2, device="cpu", graph=False, progress=False)
     sim.reset(seeds=np.arange(2))

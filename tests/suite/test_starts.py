@@ -27,6 +27,7 @@ DOUBLE = 1e-9  # m and 1, rounding of poses in double precision
 FLOAT32 = 1e-6  # rad, rounding of joint angles
 SPREAD = 0.2  # mean standard deviation of the joints, over that of a draw uniform in their ranges; a die
 # leaves the hand 0.23
+STILL = 2  # joints; a large die on the palm leaves two no room
 MOVED = 0.01  # m; the palm carries objects farther than this
 LARGEST = (0.03, 0.03, 0.03)  # m, semi-axes of the largest object to hold
 
@@ -161,7 +162,7 @@ def test_starts_are_rows_of_the_table(key):
     assert (posture <= high + FLOAT32).all()
     spread = posture.std(axis=0) / ((high - low) / np.sqrt(12))
     assert spread.mean() > SPREAD
-    assert spread.min() > 0.01, "a joint does not move"
+    assert (spread <= 0.01).sum() <= STILL, "joints do not move"
 
 
 def test_key_keeps_the_angle_that_the_task_draws():

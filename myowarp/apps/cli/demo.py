@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from rich.console import Console
 
-from myowarp.apps.cli.options import Said
+from myowarp.apps.cli.options import Said, optional
 from myowarp.apps.cli.view import PORT, View
 from myowarp.definitions.setup import Setup
 from myowarp.disk import shipped
@@ -24,7 +25,7 @@ class Demo:
     Example: myowarp demo
     """
 
-    port: int | None = None
+    port: Annotated[int | None, optional("INT")] = None
     """Port of the page on this machine; by default 8080, or a free one where that is taken."""
 
     def __call__(self) -> None:
