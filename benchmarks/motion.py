@@ -34,7 +34,9 @@ from myowarp.motion.muscle_paths import muscle_paths
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.storage import Storage, read_storage, write_storage
-from myowarp.motion.trial import weights_of, write_angles
+from myowarp.motion.tasks import tasks_of
+from myowarp.motion.trial import write_angles
+from myowarp.opensim.read.document import parse
 from myowarp.opensim.read.model import read_model
 
 COPIES = (1, 10)
@@ -117,17 +119,21 @@ def main() -> None:
     options = tyro.cli(Options)
     others: list[float] = []
     bones = Bones(read_model(options.trial / "reference_subject01_simbody.osim"))
-    weights, pulls, _ = weights_of(options.trial / "subject01_Setup_IK.xml")
+    tasks = tasks_of(parse(options.trial / "subject01_Setup_IK.xml")[0])
     markers = read_trc(options.trial / "subject01_walk1.trc").between(*SPAN)
-    weights = {name: weight for name, weight in weights.items() if name in markers.names}
-    one = inverse_kinematics(bones, markers, weights, pulls)
+    weights = {name: weight for name, weight in tasks.markers.items() if name in markers.names}
+    one = inverse_kinematics(bones, markers, weights, tasks.coordinates)
     times = [theirs(options, bones, markers, one.values, copies) for copies in COPIES]
     more = (COPIES[1] - COPIES[0]) * len(markers.time)
     opensim = {name: (times[1][name] - times[0][name]) / more for name in times[0]}
 
     many = tiled(markers, -(-options.frames // len(markers.time)))
     many = Markers(many.names, many.time[: options.frames], many.positions[: options.frames])
-    ours = {"inverse kinematics": timed(lambda: inverse_kinematics(bones, many, weights, pulls), others)}
+    ours = {
+        "inverse kinematics": timed(
+            lambda: inverse_kinematics(bones, many, weights, tasks.coordinates), others
+        )
+    }
     grf = options.trial / "subject01_walk1_grf.xml"
     q, u, a = (
         np.resize(x, (options.frames, x.shape[1]))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +19,15 @@ from myowarp.motion.loads import loads_at
 from myowarp.motion.markers import read_trc
 from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces, rigid_capacity
 from myowarp.motion.muscle_paths import MusclePaths, muscle_paths
+from myowarp.motion.scaling import Scaled, read_setup, scale, write_factors
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.storage import Storage, read_storage, write_storage
+from myowarp.motion.tasks import tasks_of
 from myowarp.opensim.model.kinematics import complete
 from myowarp.opensim.model.model import Model
 from myowarp.opensim.muscle.hill import HillMuscle, known
-from myowarp.opensim.read.document import parse
+from myowarp.opensim.read.document import parse, write
 
 PRESENT = 1e-6
 """Moment arm [m] that a muscle must reach somewhere in the motion to be written."""
@@ -83,32 +86,30 @@ def read_motion(path: Path, bones: Bones, cutoff: float | None = None) -> Moveme
     )
 
 
-def weights_of(path: Path) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-    """Return the weights of markers and coordinates in an OpenSim set-up file, and wanted values.
+def scale_to(
+    source: Path, output: Path, setup: Path, static: Path | None = None, device: Any = None
+) -> Scaled:
+    """Scale a model to a person; write `scaled.osim`, `scale_factors.xml` and, posed, `static.mot`.
 
-    Tasks that do not apply have weight 0. Values are those that the file states itself.
+    Args:
+        source: The generic model, .osim.
+        output: Folder, which exists.
+        setup: A set-up file of OpenSim's `ScaleTool`.
+        static: Markers of the person who stands still; by default those that the set-up file names.
+        device: Where the pose is found.
 
     Raises:
-        ValueError: It has no tasks of inverse kinematics, or they come from a file.
-        OSError: It cannot be read.
+        ValueError: A file is not what it should be.
+        NotImplementedError: The model has something that is not supported.
+        OSError: A file cannot be read or written.
     """
-    root, _ = parse(path)
-    weights: dict[str, dict[str, float]] = {"IKMarkerTask": {}, "IKCoordinateTask": {}}
-    wanted = {}
-    for element in root.walk():
-        if element.tag in weights:
-            on = element.flag("apply", default=True)
-            weights[element.tag][element.name] = element.number("weight", default=1.0) if on else 0.0
-            kind = element.string("value_type", default="default_value")
-            if on and kind == "from_file":
-                raise element.error(
-                    "takes its value from a file, which is not read; state it, or leave it out"
-                )
-            if kind == "manual_value":
-                wanted[element.name] = element.number("value", default=0.0)
-    if not weights["IKMarkerTask"]:
-        raise root.error("has no <IKMarkerTask>; a set-up file of inverse kinematics or of scaling has")
-    return weights["IKMarkerTask"], weights["IKCoordinateTask"], wanted
+    scaled = scale(source, read_setup(setup), static, device)
+    write(output / "scaled.osim", scaled.document.root)
+    write_factors(output / "scale_factors.xml", scaled.factors)
+    if scaled.pose is not None:
+        pose, model = scaled.pose, scaled.document.model
+        write_angles(output / "static.mot", model, pose.coordinates, pose.time, pose.values)
+    return scaled
 
 
 def kinematics(
@@ -136,9 +137,9 @@ def kinematics(
     if setup is None:
         fitted = inverse_kinematics(bones, recorded)
     else:
-        weights, pulls, wanted = weights_of(setup)
-        weights = {name: weight for name, weight in weights.items() if name in recorded.names}
-        fitted = inverse_kinematics(bones, recorded, weights, pulls, wanted)
+        tasks = tasks_of(parse(setup)[0])
+        weights = {name: weight for name, weight in tasks.markers.items() if name in recorded.names}
+        fitted = inverse_kinematics(bones, recorded, weights, tasks.coordinates, tasks.values)
     write_angles(output / "ik.mot", bones.model, fitted.coordinates, fitted.time, fitted.values)
     error = Storage(fitted.markers, fitted.time, fitted.error)
     write_storage(output / "marker_errors.sto", "distances of markers, m", error)

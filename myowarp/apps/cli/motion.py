@@ -1,4 +1,4 @@
-"""The command `myowarp motion`: from a recorded motion to joint angles, joint moments and muscle forces."""
+"""The command `myowarp motion`: from a recorded motion to a person's model, angles, moments and forces."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ from myowarp.disk import check_folder, check_overwrite
 
 if TYPE_CHECKING:
     from myowarp.motion.muscle_forces import MuscleForces
+    from myowarp.motion.scaling import Scaled
     from myowarp.motion.skeleton import Bones
 
 WRITES = {
     "analyze": tuple(
         f"{name}.sto" for name in ("lengths", "velocities", "moment_arms", "active_forces", "passive_forces")
     ),
+    "scale": ("scaled.osim", "scale_factors.xml", "static.mot"),
     "kinematics": ("ik.mot", "marker_errors.sto"),
     "dynamics": ("moments.sto",),
     "forces": tuple(
@@ -34,10 +36,13 @@ SHOWN = 3
 
 @dataclass
 class Motion:
-    """Find joint angles, joint moments and muscle forces of a recorded motion, for an OpenSim model.
+    """Scale an OpenSim model, and find joint angles, joint moments and muscle forces of a recorded motion.
 
     analyze: lengths, velocities, moment arms and greatest forces of muscles along a motion.
     myowarp motion analyze gait.osim --motion ik.mot
+
+    scale: a model of the person, from markers of one who stands still and an OpenSim set-up file.
+    myowarp motion scale generic.osim --setup scale.xml --markers static.trc
 
     kinematics: joint angles from markers, with the weights of an OpenSim set-up file.
     myowarp motion kinematics gait.osim --markers walk.trc --setup ik.xml
@@ -49,16 +54,17 @@ class Motion:
     Writes .sto and .mot files, which OpenSim reads. Works without OpenSim.
     """
 
-    what: Annotated[Literal["analyze", "kinematics", "dynamics", "forces"], tyro.conf.Positional]
+    what: Annotated[Literal["scale", "analyze", "kinematics", "dynamics", "forces"], tyro.conf.Positional]
     """Step."""
     model: Annotated[Path, tyro.conf.Positional]
     """The model, .osim."""
     motion: Annotated[Path | None, optional("FILE")] = None
-    """Joint angles over time, .mot or .sto; of every step but kinematics."""
+    """Joint angles over time, .mot or .sto; of every step after kinematics."""
     markers: Annotated[Path | None, optional("FILE")] = None
-    """Markers over time, .trc; of kinematics."""
+    """Markers over time, .trc; of kinematics and, in place of those in its set-up file, of scale."""
     setup: Annotated[Path | None, optional("FILE")] = None
-    """OpenSim set-up file with weights of markers and coordinates; by default markers count the same."""
+    """OpenSim set-up file: of scale; of kinematics, with weights of markers and coordinates, which by default
+    are the same for all markers."""
     loads: Annotated[Path | None, optional("FILE")] = None
     """OpenSim file of external loads."""
     filter: Annotated[float | None, optional("HZ")] = None
@@ -80,13 +86,20 @@ class Motion:
         from myowarp.motion.skeleton import Bones
         from myowarp.opensim.read.model import read_model
 
-        source, name = (self.markers, "markers") if self.what == "kinematics" else (self.motion, "motion")
+        source, name = {
+            "scale": (self.setup, "setup"),
+            "kinematics": (self.markers, "markers"),
+        }.get(self.what, (self.motion, "motion"))
         if source is None:
             raise ValueError(f"motion {self.what} needs --{name} FILE")
         if not 0.0 <= self.reserve < float("inf"):
             raise ValueError(f"--reserve must be at least 0 and finite, got {self.reserve}")
         check_folder(self.output)
         check_overwrite((self.output / file for file in WRITES[self.what]), self.overwrite)
+        if self.what == "scale":
+            self.output.mkdir(parents=True, exist_ok=True)
+            self._say(said_of(trial.scale_to(self.model, self.output, source, self.markers)))
+            return
         bones = Bones(read_model(self.model))
         self.output.mkdir(parents=True, exist_ok=True)
         lines = []
@@ -110,9 +123,29 @@ class Motion:
                     mode=self.mode, exponent=self.exponent, reserves=reserves,
                 )  # fmt: skip
                 lines += worst_of(bones, found)
+        self._say(lines)
+
+    def _say(self, lines: list[str]) -> None:
+        """Say what was found, and where it is."""
         say = Console(stderr=True, highlight=False, soft_wrap=True).print
-        for line in [*lines, f"Saved {', '.join(WRITES[self.what])} in {self.output}"]:
+        written = [name for name in WRITES[self.what] if (self.output / name).exists()]
+        for line in [*lines, f"Saved {', '.join(written)} in {self.output}"]:
             say(line, markup=False)
+
+
+def said_of(scaled: Scaled) -> list[str]:
+    """Return how a model was scaled, one line each; markers that fitted worst come first."""
+    lines = []
+    if scaled.unknown:
+        lines.append(f"not in the model, and left out: {', '.join(scaled.unknown)}")
+    if scaled.pose is not None:
+        lines += [f"{marker}: {1e3 * most:.1f} mm off before it was moved"
+                  for marker, _, most in scaled.pose.worst()[:SHOWN]]  # fmt: skip
+        lines += [doubt] if (doubt := scaled.pose.doubt()) else []
+    for name, (factor, _) in scaled.measured.items():
+        lines.append(f"{name}: {factor:.4f}")
+    mass = sum(body.mass for body in scaled.document.model.bodies.values())
+    return [*lines, f"{mass:.1f} kg in {len(scaled.document.model.bodies)} bodies"]
 
 
 def worst_of(bones: Bones, found: MuscleForces) -> list[str]:

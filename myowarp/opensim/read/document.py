@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
+from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
@@ -142,6 +143,41 @@ class Element:
         if word not in ("true", "false", "1", "0"):
             raise found.error(f"must be true or false, got {word[:60]!r}")
         return word in ("true", "1")
+
+    def put(self, tag: str, text: str) -> "Element":
+        """Set the text of a child, which is added where there is none, and return the child."""
+        child = self.own(tag)
+        if child is None:
+            child = Element(self.source, tag, {}, self.line, parent=self)
+            self.children.append(child)
+        child.text = text
+        return child
+
+    def put_numbers(self, tag: str, values: np.ndarray) -> None:
+        """Set the numbers of a child, to their last bit."""
+        self.put(tag, " ".join(repr(float(value)) for value in np.ravel(values)))
+
+
+def write(path: Path, root: Element) -> None:
+    """Write a document; comments are not kept.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+
+    def lines(element: Element, depth: int) -> Iterator[str]:
+        indent = "\t" * depth
+        head = "".join(f" {key}={quoteattr(value)}" for key, value in element.attributes.items())
+        text = escape(element.text.strip())
+        if not element.children:
+            yield f"{indent}<{element.tag}{head}>{text}</{element.tag}>"
+            return
+        yield f"{indent}<{element.tag}{head}>{text}"
+        for child in element.children:
+            yield from lines(child, depth + 1)
+        yield f"{indent}</{element.tag}>"
+
+    path.write_text('<?xml version="1.0" encoding="UTF-8"?>\n' + "\n".join(lines(root, 0)) + "\n", "utf-8")
 
 
 def parse(path: Path) -> tuple[Element, bool]:

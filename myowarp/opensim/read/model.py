@@ -69,10 +69,24 @@ def read_model(path: Path) -> Model:
     """
     root, latin = parse(path)
     notes = [Note("/", "the file is not UTF-8 as it says; read as Latin-1")] if latin else []
-    document, version = _checked(root)
-    model = document.need("Model")
+    return model_of(path, checked(root), root, notes)
+
+
+def frames_of(model: Element) -> Frames:
+    """Return all frames of a `<Model>`."""
+    return Frames.of(model, [element for _, element in _components(model) if element.tag == "Body"])
+
+
+def model_of(path: Path, version: int, root: Element, notes: list[Note]) -> Model:
+    """Return what a document says whose tags are those of today, by `checked`.
+
+    Raises:
+        ValueError: It says something impossible, with file and line.
+        NotImplementedError: It needs something that has no counterpart here, such as an unknown joint class.
+    """
+    model = root.need("Model")
     components = _components(model)
-    frames = Frames.of(model, [element for _, element in components if element.tag == "Body"])
+    frames = frames_of(model)
     _refuse_duplicates(components)
     joints, coordinates, copies = _joints(components, frames, notes)
     bodies = {element.name: _body(element) for _, element in components if _is_body(element)}
@@ -116,8 +130,12 @@ def read_model(path: Path) -> Model:
     )
 
 
-def _checked(root: Element) -> tuple[Element, int]:
-    """Return the document and its version, with every element tied to its class's defaults."""
+def checked(root: Element) -> int:
+    """Return the version of a document; tie every element to its class's defaults, and rename old classes.
+
+    Raises:
+        ValueError: It is no OpenSim document, or of a version that is not read.
+    """
     if root.tag != "OpenSimDocument":
         raise root.error("is no OpenSim model; its root must be <OpenSimDocument>")
     version = root.attributes.get("Version", "")
@@ -140,7 +158,7 @@ def _checked(root: Element) -> tuple[Element, int]:
             place.children.remove(block)
     for element in root.walk() if classes else ():
         element.fallback = classes.get(element.tag)
-    return root, int(version)
+    return int(version)
 
 
 def _components(model: Element) -> list[tuple[str, Element]]:

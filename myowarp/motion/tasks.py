@@ -1,0 +1,47 @@
+"""What a pose shall fit: weights of markers and coordinates in a set-up file of OpenSim."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from myowarp.opensim.read.document import Element
+
+
+@dataclass(frozen=True)
+class Tasks:
+    """Weights, 0 for tasks that do not apply.
+
+    Attributes:
+        markers: By marker.
+        coordinates: By coordinate.
+        values: Wanted values that the file states itself, by coordinate [rad] or [m].
+    """
+
+    markers: Mapping[str, float]
+    coordinates: Mapping[str, float]
+    values: Mapping[str, float]
+
+
+def tasks_of(root: Element) -> Tasks:
+    """Return the tasks in an element of a set-up file.
+
+    Raises:
+        ValueError: It has none of markers, or values come from a file.
+    """
+    weights: dict[str, dict[str, float]] = {"IKMarkerTask": {}, "IKCoordinateTask": {}}
+    wanted = {}
+    for element in root.walk():
+        if element.tag in weights:
+            on = element.flag("apply", default=True)
+            weights[element.tag][element.name] = element.number("weight", default=1.0) if on else 0.0
+            kind = element.string("value_type", default="default_value")
+            if on and kind == "from_file":
+                raise element.error(
+                    "takes its value from a file, which is not read; state it, or leave it out"
+                )
+            if kind == "manual_value":
+                wanted[element.name] = element.number("value", default=0.0)
+    if not weights["IKMarkerTask"]:
+        raise root.error("has no <IKMarkerTask>; a set-up file of inverse kinematics or of scaling has")
+    return Tasks(weights["IKMarkerTask"], weights["IKCoordinateTask"], wanted)
