@@ -54,8 +54,12 @@ def write_storage(path: Path, name: str, storage: Storage) -> None:
         np.savetxt(file, np.column_stack([storage.time, storage.values]), fmt="%.9g", delimiter="\t")
 
 
-def read_storage(path: Path) -> Storage:
+def read_storage(path: Path, gaps: bool = False) -> Storage:
     """Read a `.sto`, `.mot` or `.csv` file.
+
+    Args:
+        path: The file.
+        gaps: Whether cells may be NaN.
 
     Raises:
         ValueError: It is no such table, or its times do not increase.
@@ -83,10 +87,12 @@ def read_storage(path: Path) -> Storage:
         table = [row[:-1] for row in table]
     if len(table) < 2 or not table[0] or table[0][0].lower() != "time":
         raise ValueError(f"{str(path)!r} must have a first column 'time' and at least one row of numbers")
-    return _checked(path, table[0], table[1:], in_degrees)
+    return _checked(path, table[0], table[1:], in_degrees, gaps)
 
 
-def _checked(path: Path, labels: Sequence[str], rows: Sequence[Sequence[str]], in_degrees: bool) -> Storage:
+def _checked(
+    path: Path, labels: Sequence[str], rows: Sequence[Sequence[str]], in_degrees: bool, gaps: bool
+) -> Storage:
     """Return the table of the cells of a file.
 
     Raises:
@@ -99,7 +105,7 @@ def _checked(path: Path, labels: Sequence[str], rows: Sequence[Sequence[str]], i
         values = np.array(rows, dtype=float)
     except ValueError as error:
         raise ValueError(f"{str(path)!r} has a cell that is no number: {error}") from error
-    if not np.isfinite(values).all():
+    if not (np.isfinite(values) | (gaps & np.isnan(values) & (np.arange(len(labels)) > 0))).all():
         raise ValueError(f"{str(path)!r} must hold finite numbers; row {_first_bad(values)} does not")
     if (np.diff(values[:, 0]) <= 0.0).any():
         at = 2 + int(np.argmax(np.diff(values[:, 0]) <= 0.0))

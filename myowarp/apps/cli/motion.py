@@ -27,6 +27,7 @@ WRITES = {
     "forces": tuple(
         f"{name}.sto" for name in ("moments", "activations", "forces", "powers", "reserves", "missing")
     ),
+    "report": ("report.html",),
 }
 """Files of each step."""
 
@@ -51,10 +52,15 @@ class Motion:
     of activations to a power, with a reserve of --reserve N m on every coordinate.
     myowarp motion forces gait.osim --motion ik.mot --loads grf.xml --filter 6 --reserve 10
 
+    report: a page on what other steps wrote into the same folder, the worst first.
+    myowarp motion report gait.osim -o out/trial
+
     Writes .sto and .mot files, which OpenSim reads. Works without OpenSim.
     """
 
-    what: Annotated[Literal["scale", "analyze", "kinematics", "dynamics", "forces"], tyro.conf.Positional]
+    what: Annotated[
+        Literal["scale", "analyze", "kinematics", "dynamics", "forces", "report"], tyro.conf.Positional
+    ]
     """Step."""
     model: Annotated[Path, tyro.conf.Positional]
     """The model, .osim."""
@@ -86,6 +92,14 @@ class Motion:
         from myowarp.motion.skeleton import Bones
         from myowarp.opensim.read.model import read_model
 
+        if self.what == "report":
+            from myowarp.apps.reports.motion import page
+
+            check_overwrite([self.output / "report.html"], self.overwrite)
+            text = page(self.output, read_model(self.model), self.motion)
+            (self.output / "report.html").write_text(text, encoding="utf-8")
+            self._say([])
+            return
         source, name = {
             "scale": (self.setup, "setup"),
             "kinematics": (self.markers, "markers"),

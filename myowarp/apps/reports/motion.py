@@ -1,0 +1,249 @@
+"""A page on a recorded motion: what does not fit, then angles, moments and muscles, the worst of each first.
+
+It is drawn from the tables of `myowarp motion` that a folder has. Limits, beyond which a line is red, are
+those that OpenSim's users are advised to keep: markers 20 mm root mean square and 40 mm at most.
+
+Source: Hicks et al. (2015), doi:10.1115/1.4029304, and the best practices of OpenSim's documentation.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from html import escape
+from pathlib import Path
+from string import Template
+
+import numpy as np
+
+from myowarp.apps.reports import panel
+from myowarp.apps.reports.table import number
+from myowarp.motion.storage import Storage, read_storage
+from myowarp.opensim.model.kinematics import independent
+from myowarp.opensim.model.model import GROUND, Model
+
+MARKER_RMS, MARKER_MOST = 20.0, 40.0
+"""[mm]."""
+NOTHING = 1e-3
+"""[N m, N] below which nothing is missing."""
+FULL = 0.999
+"""Activation from which a muscle is fully active."""
+FLOATING = 3
+"""Coordinates of a joint with ground from which its moments are residuals."""
+LISTED, DRAWN, COLUMNS, DPI = 12, 24, 6, 110
+TEMPLATE = Path(__file__).with_suffix(".html")
+
+
+@dataclass(frozen=True)
+class Part:
+    """A table of a folder, as the page shows it."""
+
+    file: str
+    title: str
+    unit: str
+    note: str = ""
+    scale: float = 1.0
+    open: bool = True
+
+
+MARKERS = Part(
+    "marker_errors.sto",
+    "Marker errors",
+    "mm",
+    "Distance between the model's marker and the recorded one.",
+    1e3,
+)
+MISSING = Part(
+    "missing.sto", "What muscles cannot hold", "N m, N", "Moment that neither muscles nor reserves give."
+)
+MOMENTS = Part("moments.sto", "Joint moments", "N m, N")
+ROOT = replace(
+    MOMENTS,
+    title="Residuals at the root",
+    note="What would have to hold the model in space. With all external loads it is what loads, masses and "
+    "motion do not agree on; without them it is the weight, too.",
+)
+ACTIVATIONS = Part("activations.sto", "Activations", "1")
+RESERVES = Part("reserves.sto", "Reserves", "N m, N", "What reserve actuators had to add.")
+PARTS = (
+    RESERVES,
+    Part("ik.mot", "Joint angles", "°, m"),
+    MOMENTS,
+    ACTIVATIONS,
+    Part("forces.sto", "Muscle forces", "N", open=False),
+    Part("powers.sto", "Muscle powers", "W", "Shortening is positive.", open=False),
+    Part("lengths.sto", "Lengths of muscle and tendon", "m", open=False),
+    Part("active_forces.sto", "Active forces at full activation", "N", open=False),
+    Part("passive_forces.sto", "Passive forces", "N", open=False),
+)
+
+
+def page(folder: Path, model: Model, motion: Path | None = None) -> str:
+    """Return the page of a folder.
+
+    Args:
+        folder: Where steps of `myowarp motion` wrote.
+        model: The model they were for.
+        motion: Joint angles, where they are not in the folder.
+
+    Raises:
+        ValueError: The folder has no table of a step, or a table is none.
+        OSError: A file cannot be read.
+        ImportError: matplotlib is not installed.
+    """
+    tables = {part.file: read_storage(folder / part.file, gaps=True) for part in (MARKERS, MISSING, *PARTS)
+              if (folder / part.file).exists()}  # fmt: skip
+    if motion is not None:
+        tables["ik.mot"] = read_storage(motion)
+    if not tables:
+        raise ValueError(
+            f"{str(folder)!r} has no table of a motion; write one with myowarp motion kinematics, dynamics, "
+            f"analyze or forces, with the same --output"
+        )
+    findings, sections = [], []
+    if MISSING.file in tables:
+        findings += _holding(tables[MISSING.file])
+    if ACTIVATIONS.file in tables:
+        findings += _full(tables[ACTIVATIONS.file])
+    if MARKERS.file in tables:
+        findings.append(_fitting(tables[MARKERS.file]))
+    root = [f"{name}_{kind}" for name in floating(model) for kind in ("moment", "force")]
+    shown = [(part, tables[part.file]) for part in (MISSING, MARKERS) if part.file in tables]
+    if MOMENTS.file in tables and (held := among(tables[MOMENTS.file], root)).labels:
+        shown.append((ROOT, held))
+        findings.append(_residual(held))
+        tables[MOMENTS.file] = among(tables[MOMENTS.file], set(tables[MOMENTS.file].labels) - set(root))
+    shown += [(part, tables[part.file]) for part in PARTS if part.file in tables]
+    for part, table in shown:
+        if part.file in (MISSING.file, RESERVES.file):
+            acting = np.abs(table.values).max(axis=0, initial=0.0) > NOTHING
+            table = among(table, {label for label, on in zip(table.labels, acting, strict=True) if on})
+        if table.labels:
+            sections.append(_section(part, table))
+    bullets = "".join(f"<li{' class=bad' if bad else ''}>{escape(text)}</li>" for text, bad in findings)
+    title = escape(f"A motion of {model.name}")
+    return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
+        title=title, findings=bullets, sections="".join(sections)
+    )
+
+
+def floating(model: Model) -> list[str]:
+    """Return the coordinates of joints that carry the model through space."""
+    found = []
+    for joint in model.joints.values():
+        own = [name for name in independent(model) if model.coordinates[name].joint == joint.name]
+        if joint.parent == GROUND and len(own) >= FLOATING:
+            found += own
+    return found
+
+
+def among(table: Storage, labels: Sequence[str] | set[str]) -> Storage:
+    """Return the columns with these labels, in their order in the table."""
+    kept = [number for number, label in enumerate(table.labels) if label in labels]
+    return Storage(tuple(table.labels[k] for k in kept), table.time, table.values[:, kept], table.in_degrees)
+
+
+def root_mean_square(values: np.ndarray) -> np.ndarray:
+    """Return the root mean square over frames of what is there, 0 where nothing is."""
+    seen = np.isfinite(values)
+    squares = np.where(seen, values, 0.0) ** 2
+    return np.sqrt(squares.sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
+
+
+def worst(table: Storage) -> np.ndarray:
+    """Return the numbers of the columns, the greatest root mean square first."""
+    return np.argsort(-root_mean_square(table.values), kind="stable")
+
+
+def _peak(table: Storage) -> tuple[str, float, float]:
+    """Return label, value and time of the greatest entry."""
+    row, column = np.unravel_index(int(np.abs(table.values).argmax()), table.values.shape)
+    return table.labels[column], float(table.values[row, column]), float(table.time[row])
+
+
+def _holding(missing: Storage) -> list[tuple[str, bool]]:
+    frames = int((np.abs(missing.values).max(axis=1) > NOTHING).sum())
+    if not frames:
+        return [(f"Muscles and reserves hold all {len(missing.time)} frames.", False)]
+    label, value, time = _peak(missing)
+    text = f"Muscles cannot hold {frames} of {len(missing.time)} frames: {label} lacks {number(abs(value))} "
+    return [(f"{text}{'N' if label.endswith('_force') else 'N m'} at {time:.3g} s.", True)]
+
+
+def _full(activations: Storage) -> list[tuple[str, bool]]:
+    count = (activations.values >= FULL).sum(axis=0)
+    named = [f"{activations.labels[k]} ({count[k]})" for k in np.argsort(-count, kind="stable") if count[k]]
+    if not named:
+        return []
+    more = f" and {len(named) - LISTED} more" if len(named) > LISTED else ""
+    return [(f"Fully active, in frames of {len(activations.time)}: {', '.join(named[:LISTED])}{more}.", True)]
+
+
+def _fitting(errors: Storage) -> tuple[str, bool]:
+    rms, most = 1e3 * root_mean_square(errors.values), 1e3 * np.nanmax(errors.values, axis=0, initial=0.0)
+    whole, k = 1e3 * float(root_mean_square(errors.values.ravel())), int(rms.argmax())
+    text = f"Markers are {number(whole)} mm off (root mean square); the worst is {errors.labels[k]}: "
+    bad = bool(rms.max() > MARKER_RMS or most.max() > MARKER_MOST)
+    return f"{text}{number(rms[k])} mm, {number(most[k])} mm at most.", bad
+
+
+def _residual(root: Storage) -> tuple[str, bool]:
+    label, value, time = _peak(root)
+    unit = "N" if label.endswith("_force") else "N m"
+    return f"The greatest residual at the root is {label}: {number(value)} {unit} at {time:.3g} s.", False
+
+
+def _section(part: Part, table: Storage) -> str:
+    """Return a table with the worst lines, and a plot of each column."""
+    values = part.scale * table.values
+    order, mean = worst(table), root_mean_square(part.scale * table.values)
+    rows = []
+    for k in order[:LISTED]:
+        at = int(np.nan_to_num(np.abs(values[:, k])).argmax())
+        bad = part is MARKERS and (mean[k] > MARKER_RMS or values[at, k] > MARKER_MOST)
+        cells = (number(mean[k]), number(values[at, k]), f"{table.time[at]:.3g}")
+        rows.append(
+            f"<tr{' class=bad' if bad else ''}><td>{escape(table.labels[k])}</td>"
+            + "".join(f"<td>{cell}</td>" for cell in cells)
+        )
+    left = len(order) - len(rows)
+    heads = "".join(
+        f"<th>{head}</th>" for head in ("", f"rms [{part.unit}]", f"greatest [{part.unit}]", "at [s]")
+    )
+    picture = base64.b64encode(draw(part, table)).decode()
+    note = f'<p class="note">{escape(part.note)}</p>' if part.note else ""
+    rest = (
+        f'<p class="note">{left} more are in {escape(part.file)}; the first {DRAWN} are drawn.</p>'
+        if left
+        else ""
+    )
+    inner = (
+        f"{note}<table><tr>{heads}</tr>{''.join(rows)}</table>{rest}"
+        f'<img alt="{escape(part.title)} over time" src="data:image/png;base64,{picture}">'
+    )
+    if part.open:
+        return f"<h2>{escape(part.title)}</h2>{inner}"
+    return f"<h2>{escape(part.title)}</h2><details><summary>Show</summary>{inner}</details>"
+
+
+def draw(part: Part, table: Storage, form: str = "png") -> bytes:
+    """Return a picture with a panel for each column over time, the worst first."""
+    order = worst(table)[:DRAWN]
+    rows = -(-len(order) // COLUMNS)
+    with panel.style(7.5, **{"axes.titleweight": "bold"}):
+        figure = panel.blank(13.0, 0.5 + 1.35 * rows)
+        grid = figure.subplots(rows, COLUMNS, sharex=True, squeeze=False)
+        for axes in grid.ravel()[len(order) :]:
+            axes.set_visible(False)
+        for axes, k in zip(grid.ravel(), order, strict=False):
+            axes.plot(table.time, part.scale * table.values[:, k], color=panel.COLORS[0], linewidth=1.2)
+            axes.set_title(table.labels[k])
+            axes.margins(x=0)
+            if part is ACTIVATIONS:
+                axes.set_ylim(0.0, 1.03)
+            else:
+                axes.axhline(0.0, color=panel.INK, linewidth=0.5, alpha=0.5)
+        figure.supxlabel("time [s]")
+        figure.supylabel(f"[{part.unit}]")
+        return panel.picture(figure, form, DPI)

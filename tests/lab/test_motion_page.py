@@ -1,0 +1,106 @@
+"""The page of a recorded motion: what is worst comes first, and is what the tables say."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from myowarp.apps.cli.motion import Motion
+from myowarp.apps.reports.motion import DRAWN, draw, floating, page
+from myowarp.apps.reports.motion import PARTS as LIST
+from myowarp.motion.storage import Storage, read_storage, write_storage
+from myowarp.opensim.read.model import read_model
+
+OSIM = Path(__file__).parents[1] / "data/osim"
+LEG, ARM = (OSIM / f"{name}.osim" for name in ("leg6dof9musc", "arm26"))
+TIME = np.linspace(0.0, 1.0, 11)
+
+
+def table(folder, file, **columns):
+    values = np.stack([np.broadcast_to(column, TIME.shape) for column in columns.values()], axis=1)
+    write_storage(folder / file, file, Storage(tuple(columns), TIME, values))
+
+
+def named(text, title):
+    """Return the names in the table of a section, in order."""
+    return re.findall(r"<td>([A-Za-z][\w.]*)</td>", text.split(f"<h2>{title}</h2>")[1].split("</table>")[0])
+
+
+def test_the_worst_comes_first(tmp_path):
+    """Bad markers, moments that nobody gives, and full muscles are found; the rest is below."""
+    error = np.full(11, 0.010)
+    error[3] = np.nan
+    table(tmp_path, "marker_errors.sto", GOOD=error, BAD=0.025, WORST=0.050 + 0.001 * TIME)
+    table(
+        tmp_path,
+        "missing.sto",
+        knee_angle_r_moment=np.where(TIME > 0.75, -7.0, 0.0),
+        hip_flexion_r_moment=0.0,
+    )
+    table(tmp_path, "activations.sto", soleus=np.where(TIME < 0.35, 1.0, 0.1), gastroc=0.2)
+    table(tmp_path, "moments.sto", pelvis_ty_force=0.0 * TIME, knee_angle_r_moment=30 * TIME)
+    text = page(tmp_path, read_model(LEG))
+    assert "Muscles cannot hold 3 of 11 frames: knee_angle_r_moment lacks 7 N m at 0.8 s." in text
+    assert "Fully active, in frames of 11: soleus (4)." in text
+    assert "the worst is WORST: 50.5 mm, 51 mm at most." in text
+    assert named(text, "Marker errors") == ["WORST", "BAD", "GOOD"]
+    assert text.count("<tr class=bad>") == 2
+    assert named(text, "What muscles cannot hold") == ["knee_angle_r_moment"]
+    assert "<td>10</td><td>10</td><td>0</td>" in text, "what was not seen does not count"
+    heads = re.findall("<h2>(.*?)</h2>", text)
+    assert heads[:2] == ["What muscles cannot hold", "Marker errors"]
+    assert "http" not in text
+
+
+def test_a_good_trial_is_not_red(tmp_path):
+    table(tmp_path, "marker_errors.sto", A=0.005, B=0.004)
+    table(tmp_path, "missing.sto", knee_angle_r_moment=1e-9)
+    text = page(tmp_path, read_model(LEG))
+    assert "Muscles and reserves hold all 11 frames." in text
+    assert "class=bad" not in text
+    assert "What muscles cannot hold" not in text
+
+
+def test_residuals_are_those_of_a_floating_root(tmp_path):
+    """A pelvis floats, a shoulder does not."""
+    leg = read_model(LEG)
+    root = floating(leg)
+    assert root
+    assert not floating(read_model(ARM))
+    moments = {f"{name}_{'moment' if leg.coordinates[name].rotational else 'force'}": 1.0 for name in root}
+    first = next(iter(moments))
+    moments |= {first: 100.0 * TIME, "knee_angle_r_moment": 500.0}
+    table(tmp_path, "moments.sto", **moments)
+    text = page(tmp_path, leg)
+    assert f"The greatest residual at the root is {first}: 100" in text
+    assert named(text, "Residuals at the root")[0] == first
+    assert named(text, "Joint moments") == ["knee_angle_r_moment"]
+
+
+def test_a_panel_for_each_column(tmp_path):
+    """Pictures grow by rows up to the most that are drawn, and show what changes."""
+    few, many, most = (Storage(tuple(f"c{k}" for k in range(n)), TIME, np.outer(TIME, np.arange(1, n + 1)))
+                       for n in (3, DRAWN, DRAWN + 9))  # fmt: skip
+    part = LIST[0]
+    pictures = [draw(part, one, "svg").decode() for one in (few, many, most)]
+    assert [len(re.findall(r">c\d+</text>", picture)) for picture in pictures] == [3, DRAWN, DRAWN]
+    assert (
+        pictures[0]
+        != draw(part, Storage(few.labels, TIME, few.values + np.sin(9 * TIME)[:, None]), "svg").decode()
+    )
+
+
+def test_the_command(tmp_path):
+    motion = Path(__file__).parents[2] / "examples/arm_bend.mot"
+    Motion("dynamics", ARM, motion=motion, filter=6.0, output=tmp_path / "out")()
+    Motion("report", ARM, motion=motion, output=tmp_path / "out")()
+    text = (tmp_path / "out/report.html").read_text()
+    assert "<h2>Joint angles</h2>" in text
+    assert "Residuals" not in text
+    peak = np.abs(read_storage(tmp_path / "out/moments.sto").values).max()
+    assert f"<td>{peak:.3g}</td>" in text or f"<td>-{peak:.3g}</td>" in text
+    with pytest.raises(ValueError, match="exists; choose another name"):
+        Motion("report", ARM, output=tmp_path / "out")()
+    with pytest.raises(ValueError, match="has no table of a motion; write one with"):
+        Motion("report", ARM, output=tmp_path)()
