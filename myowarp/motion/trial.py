@@ -15,6 +15,7 @@ import numpy as np
 
 from myowarp.motion.inverse_dynamics import Load, Needed, inverse_dynamics
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
+from myowarp.motion.joint_reactions import JointReactions, joint_reactions
 from myowarp.motion.loads import loads_at
 from myowarp.motion.markers import read_trc
 from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces, rigid_capacity
@@ -227,7 +228,7 @@ def forces(
     exponent: float = 2.0,
     reserves: Mapping[str, float] | None = None,
 ) -> MuscleForces:
-    """Find muscle forces; write moments, activations, forces, powers, reserves, and what is missing.
+    """Find muscle forces; write moments, activations, forces, powers, joint reactions, reserves, missing.
 
     Args:
         bones: The model.
@@ -259,9 +260,29 @@ def forces(
         ("powers", "powers of muscles, W, shortening > 0", found.power),
     ):
         write_storage(output / f"{name}.sto", title, Storage(found.muscles, motion.time, values))
+    tension = dict(zip(found.muscles, found.force.T, strict=True))
+    write_reactions(
+        output / "joint_reactions.sto", motion.time, joint_reactions(bones, motion.values, needed, tension)
+    )
     _write(output / "reserves.sto", "what reserves give, N m and N", bones, motion, found.reserve)
     _write(output / "missing.sto", "what nobody gives, N m and N", bones, motion, found.missing)
     return found
+
+
+def write_reactions(path: Path, time: np.ndarray, found: JointReactions) -> None:
+    """Write joint reactions with the labels of OpenSim's `JointReaction`: on the child, in ground.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    labels = [
+        f"{joint}_on_{child}_in_ground_{part}{axis}"
+        for joint, child in zip(found.joints, found.children, strict=True)
+        for part in "fmp"
+        for axis in "xyz"
+    ]
+    table = np.concatenate([found.force, found.moment, found.point], axis=2).reshape(len(time), -1)
+    write_storage(path, "joint reactions, N, N m and m", Storage(tuple(labels), time, table))
 
 
 def _paths(bones: Bones, motion: Movement) -> MusclePaths:

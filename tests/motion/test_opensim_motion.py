@@ -8,6 +8,7 @@ import pytest
 
 from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
 from myowarp.motion.inverse_kinematics import inverse_kinematics
+from myowarp.motion.joint_reactions import joint_reactions, muscle_wrenches
 from myowarp.motion.markers import Markers
 from myowarp.motion.muscle_forces import muscle_forces
 from myowarp.motion.muscle_paths import muscle_paths
@@ -179,3 +180,51 @@ def test_static_optimisation():
     assert np.abs(ours.activation - found.activation).max() > 10 * ACTIVATION, (
         "passive force and tendons matter"
     )
+
+
+REACTION = 1e-4
+"""Share of the greatest reaction: OpenSim takes the accelerations that its muscle forces give."""
+
+
+def test_joint_reactions():
+    """At the muscle forces of OpenSim's static optimisation."""
+    name = "gait10dof18musc"
+    there, body = recorded(name), bones(name)
+    tension = dict(zip(there["actuators"], there["forces"].T, strict=True))
+    tension = {muscle: tension[muscle] for muscle in body.model.muscles}
+    q, _, _, needed = inverted(name)
+    found = joint_reactions(body, q, needed, tension)
+    theirs = np.load(DATA / "opensim" / f"reactions_{name}.npz")
+    order = [list(theirs["joints"]).index(joint) for joint in found.joints]
+    force, moment, point = np.split(theirs["reactions"][:, order], 3, axis=2)
+    np.testing.assert_allclose(found.point, point, atol=1e-7)
+    for ours, wanted in ((found.force, force), (found.moment, moment)):
+        assert np.abs(ours - wanted).max() < REACTION * np.abs(wanted).max()
+    bare = joint_reactions(body, q, needed, {})
+    for ours, wanted in ((bare.force, force), (bare.moment, moment)):
+        assert np.abs(ours - wanted).max() > 1000 * REACTION * np.abs(wanted).max(), "muscles matter"
+
+
+def test_muscles_pull_on_themselves_alone():
+    """Their forces and moments on all bodies and ground add up to nothing; an arm's work is its moment."""
+    body = bones("arm26")
+    poses = random_poses(body.model, 9, 2)
+    q = np.stack([poses[c] for c in body.coordinates], axis=1)
+    random = np.random.default_rng(1)
+    tension = {muscle: random.uniform(100.0, 900.0, len(q)) for muscle in body.model.muscles}
+    force, torque = muscle_wrenches(body, q, tension)
+    assert np.abs(force).max() > 100.0
+    np.testing.assert_allclose(force.sum(axis=1), 0.0, atol=1e-9)
+    # Directions are those that OpenSim remembers, from before the last round of wrapping.
+    assert np.abs(torque.sum(axis=1)).max() < 0.01 * np.abs(torque).max()
+    still = inverse_dynamics(body, q, np.zeros_like(q), np.zeros_like(q))
+    paths = muscle_paths(body.model, body.coordinates, q, np.zeros_like(q))
+    pulled = np.einsum("nmk,nm->nk", paths.moment_arm, np.stack(list(tension.values()), axis=1))
+    found = joint_reactions(body, q, still, tension)
+    elbow = found.joints.index("r_elbow")
+    joint = list(body.model.joints.values())[elbow]
+    (move,) = [move for move in joint.moves if move.coordinate == "r_elbow_flex"]
+    axis = still.rotation[:, elbow] @ joint.child_frame.rotation @ move.axis
+    rest = still.joint_moment - pulled
+    along = np.einsum("ni,ni->n", axis, found.moment[:, elbow])
+    np.testing.assert_allclose(along, rest[:, body.coordinates.index("r_elbow_flex")], atol=1e-3)

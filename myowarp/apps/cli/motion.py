@@ -25,7 +25,10 @@ WRITES = {
     "kinematics": ("ik.mot", "marker_errors.sto"),
     "dynamics": ("moments.sto",),
     "forces": tuple(
-        f"{name}.sto" for name in ("moments", "activations", "forces", "powers", "reserves", "missing")
+        f"{name}.sto"
+        for name in (
+            *("moments", "activations", "forces", "powers", "joint_reactions", "reserves", "missing"),
+        )
     ),
     "report": ("report.html",),
 }

@@ -1,0 +1,98 @@
+"""Joint reactions: what bones press on each other with, once muscles are accounted for.
+
+    reaction_i = sum over the bodies j that joint i carries of (m a - loads - muscles)_j
+
+A muscle pulls with its tension along the straight pieces of its path, at its points and at those where it
+touches a wrap surface. Reserves and what nobody gives are moments of joints, and so in the reaction.
+
+Source: OpenSim's `JointReaction`; Steele et al. (2012), doi:10.1016/j.gaitpost.2011.11.023.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from myowarp.motion.inverse_dynamics import Needed
+from myowarp.motion.skeleton import Bones
+from myowarp.opensim.wrap.moment_arm import poses_of, stacked
+from myowarp.opensim.wrap.path import solve
+
+
+@dataclass(frozen=True, eq=False)
+class JointReactions:
+    """What joints pass to their children, in ground's axes.
+
+    Attributes:
+        joints: Names.
+        children: Their bodies.
+        force: [N], shape (frames, joints, 3).
+        moment: About `point` [N m].
+        point: Origin of the joint's frame in the child [m].
+    """
+
+    joints: tuple[str, ...]
+    children: tuple[str, ...]
+    force: np.ndarray
+    moment: np.ndarray
+    point: np.ndarray
+
+
+def joint_reactions(
+    bones: Bones, values: np.ndarray, needed: Needed, tension: Mapping[str, np.ndarray]
+) -> JointReactions:
+    """Return the reactions in all joints.
+
+    Args:
+        bones: The model.
+        values: Of the independent coordinates [rad] or [m], shape (frames, coordinates).
+        needed: What the motion takes, from `inverse_dynamics`.
+        tension: By muscle [N], each of shape (frames,).
+    """
+    joints = list(bones.model.joints.values())
+    force, torque = muscle_wrenches(bones, values, tension)
+    for number in range(len(joints) - 1, -1, -1):
+        parent = bones.bodies[joints[number].parent]
+        if parent >= 0:
+            force[:, parent] += force[:, number]
+            torque[:, parent] += torque[:, number]
+    place = np.stack([joint.child_frame.position for joint in joints])
+    point = needed.origin + np.einsum("nbij,bj->nbi", needed.rotation, place)
+    force = needed.force - force[:, :-1]
+    moment = needed.torque - torque[:, :-1] - np.cross(point, force)
+    names, children = zip(*((joint.name, joint.child) for joint in joints), strict=True)
+    return JointReactions(names, children, force, moment, point)
+
+
+def muscle_wrenches(
+    bones: Bones, values: np.ndarray, tension: Mapping[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return force [N] and torque about ground's origin [N m] of muscles on each body, ground the last one.
+
+    Returns:
+        Two arrays of shape (frames, bodies + 1, 3).
+    """
+    model, rows = bones.model, np.arange(len(values))
+    poses = poses_of(model, dict(zip(bones.coordinates, values.T, strict=True)), [])
+    force, torque = np.zeros((2, len(values), len(bones.bodies), 3))
+    for name, pull in tension.items():
+        path = model.muscles[name].path
+        solution = solve(model, path, *stacked(model, path, poses, []))
+        bodies = [point.body for point in path.points]
+        for wrap in path.wraps:
+            bodies += [model.wraps[wrap.object].body] * 2
+        number = np.array([bones.bodies[body] for body in bodies])
+        for piece in range(solution.order.shape[1] - 1):
+            one, other = solution.order[:, piece], solution.order[:, piece + 1]
+            along = solution.cached[rows, other] - solution.cached[rows, one]
+            norm = np.linalg.norm(along, axis=1)
+            acts = (other >= 0) & (number[one] != number[other]) & (norm > 0.0)
+            # Where nothing acts, places may be NaN: wraps that the path does not touch have none.
+            on = rows[acts]
+            drawn = (pull[acts] / norm[acts])[:, None] * along[acts]
+            for end, sign in ((one[acts], 1.0), (other[acts], -1.0)):
+                force[on, number[end]] += sign * drawn
+                torque[on, number[end]] += sign * np.cross(solution.location[on, end], drawn)
+    return force, torque
