@@ -92,15 +92,15 @@ def test_a_panel_for_each_column(tmp_path):
 
 
 def test_the_command(tmp_path):
-    motion = Path(__file__).parents[2] / "examples/arm_bend.mot"
-    Motion("dynamics", ARM, motion=motion, filter=6.0, output=tmp_path / "out")()
-    Motion("report", ARM, motion=motion, output=tmp_path / "out")()
+    arm, motion = (Path(__file__).parents[2] / "examples" / name for name in ("arm.osim", "arm_bend.mot"))
+    Motion("dynamics", arm, motion=motion, filter=6.0, output=tmp_path / "out")()
+    Motion("report", arm, motion=motion, output=tmp_path / "out")()
     text = (tmp_path / "out/report.html").read_text()
     assert "<h2>Joint angles</h2>" in text
     assert "Residuals" not in text
     peak = np.abs(read_storage(tmp_path / "out/moments.sto").values).max()
     assert f"<td>{peak:.3g}</td>" in text or f"<td>-{peak:.3g}</td>" in text
     with pytest.raises(ValueError, match="exists; choose another name"):
-        Motion("report", ARM, output=tmp_path / "out")()
+        Motion("report", arm, output=tmp_path / "out")()
     with pytest.raises(ValueError, match="has no table of a motion; write one with"):
-        Motion("report", ARM, output=tmp_path)()
+        Motion("report", arm, output=tmp_path)()

@@ -85,7 +85,8 @@ def _of_tasks(rows: list[dict[str, Any]], width: int) -> Iterable[str]:
     for size, group in groupby(listed, lambda pair: [pair[1][key] for key in sizes]):
         family, body, obs, act, horizon, control_dt = size
         yield ""
-        yield f"{family}, {body}: {obs} observations, {act} actions, {horizon} steps of {control_dt:g} s"
+        heading = f"{family}, {body}: {obs} observations, {act} actions, {horizon} steps of {control_dt:g} s"
+        yield from textwrap.wrap(heading, width, subsequent_indent="  ")
         before = summary = ""
         for name, row in group:
             text = row["summary"]
