@@ -64,7 +64,7 @@ def compare(folder: Path) -> tuple[dict[str, dict[str, float]], list[str]]:
         For each id the worst of every column; the names of tests that failed, and of ids without any.
     """
     report = folder / "report.xml"
-    tests = [str(ROOT / "tests" / name) for name in TESTS]
+    tests = [str(ROOT / "tests/oracle" / name) for name in TESTS]
     command = [sys.executable, "-m", "pytest", "-q", f"--junitxml={report}", "-o", "junit_family=xunit1"]
     command += ["-k", "not rollouts", *tests]
     subprocess.run(command, cwd=ROOT, env=os.environ | {"MYOWARP_ORACLE": str(folder)}, check=False)
