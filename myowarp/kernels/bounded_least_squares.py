@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from myowarp.kernels.cholesky import eliminated, substitute
 from myowarp.kernels.launch import launch
 
 ROUNDS = 100
@@ -97,9 +98,8 @@ def factorize(worldid: int, count: int, work: Workspace) -> bool:
     """Factorise H of the free unknowns, lower triangle; returns whether it is positive definite."""
     for i in range(count):
         for j in range(i + 1):
-            total = work.hessian[worldid, work.free[worldid, i], work.free[worldid, j]]
-            for k in range(j):
-                total -= work.factor[worldid, i, k] * work.factor[worldid, j, k]
+            entry = work.hessian[worldid, work.free[worldid, i], work.free[worldid, j]]
+            total = eliminated(worldid, i, j, entry, work.factor)
             if i > j:
                 work.factor[worldid, i, j] = total / work.factor[worldid, j, j]
             elif total > wp.float64(0.0):
@@ -107,22 +107,6 @@ def factorize(worldid: int, count: int, work: Workspace) -> bool:
             else:
                 return False
     return True
-
-
-@wp.func
-def substitute(worldid: int, count: int, work: Workspace):
-    """step = (L L^T)^-1 step, in place."""
-    for i in range(count):
-        total = work.step[worldid, i]
-        for k in range(i):
-            total -= work.factor[worldid, i, k] * work.step[worldid, k]
-        work.step[worldid, i] = total / work.factor[worldid, i, i]
-    for r in range(count):
-        i = count - 1 - r
-        total = work.step[worldid, i]
-        for k in range(i + 1, count):
-            total -= work.factor[worldid, k, i] * work.step[worldid, k]
-        work.step[worldid, i] = total / work.factor[worldid, i, i]
 
 
 @wp.func
@@ -158,7 +142,7 @@ def newton_step(
             count += 1
     if not factorize(worldid, count, work):
         return False
-    substitute(worldid, count, work)
+    substitute(worldid, count, work.factor, work.step)
     length = wp.float64(1.0)
     for k in range(count):
         length = wp.min(length, share(worldid, k, work, lower, upper, x))

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from myowarp.kernels.cholesky import eliminated, substitute
 from myowarp.kernels.launch import launch
 from myowarp.motion.markers import Markers
 from myowarp.motion.skeleton import Bones, Placement, Skeleton, place, station
@@ -247,28 +248,17 @@ def bound_step(
             normal.old[worldid, k] = wp.float64(0.0)
     for i in range(count):
         for j in range(i + 1):
-            total = normal.factor[worldid, i, j]
+            entry = normal.factor[worldid, i, j]
             if normal.old[worldid, j] > wp.float64(0.0) and i != j:
-                total = wp.float64(0.0)
-            for k in range(j):
-                total -= normal.factor[worldid, i, k] * normal.factor[worldid, j, k]
+                entry = wp.float64(0.0)
+            total = eliminated(worldid, i, j, entry, normal.factor)
             if i > j:
                 normal.factor[worldid, i, j] = total / normal.factor[worldid, j, j]
             elif total > wp.float64(0.0):
                 normal.factor[worldid, i, i] = wp.sqrt(total)
             else:
                 return False
-    for i in range(count):
-        total = normal.step[worldid, i]
-        for k in range(i):
-            total -= normal.factor[worldid, i, k] * normal.step[worldid, k]
-        normal.step[worldid, i] = total / normal.factor[worldid, i, i]
-    for r in range(count):
-        i = count - 1 - r
-        total = normal.step[worldid, i]
-        for k in range(i + 1, count):
-            total -= normal.factor[worldid, k, i] * normal.step[worldid, k]
-        normal.step[worldid, i] = total / normal.factor[worldid, i, i]
+    substitute(worldid, count, normal.factor, normal.step)
     return True
 
 

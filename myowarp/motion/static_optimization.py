@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from myowarp.kernels.cholesky import eliminated, substitute
 from myowarp.kernels.launch import launch
 
 SOFTNESS = 1e-9
@@ -174,25 +175,13 @@ def dual_newton(
         work.step[worldid, r] = -work.slope[worldid, r]
     for r in range(rows):
         for c in range(r + 1):
-            total = work.factor[worldid, r, c]
-            for k in range(c):
-                total -= work.factor[worldid, r, k] * work.factor[worldid, c, k]
+            total = eliminated(worldid, r, c, work.factor[worldid, r, c], work.factor)
             if r > c:
                 work.factor[worldid, r, c] = total / work.factor[worldid, c, c]
             else:
                 least = wp.float64(0.1) * wp.float64(SOFTNESS) * work.size[worldid, r] * work.size[worldid, r]
                 work.factor[worldid, r, r] = wp.sqrt(wp.max(total, least))
-    for r in range(rows):
-        total = work.step[worldid, r]
-        for k in range(r):
-            total -= work.factor[worldid, r, k] * work.step[worldid, k]
-        work.step[worldid, r] = total / work.factor[worldid, r, r]
-    for back in range(rows):
-        r = rows - 1 - back
-        total = work.step[worldid, r]
-        for k in range(r + 1, rows):
-            total -= work.factor[worldid, k, r] * work.step[worldid, k]
-        work.step[worldid, r] = total / work.factor[worldid, r, r]
+    substitute(worldid, rows, work.factor, work.step)
     return largest
 
 
