@@ -119,7 +119,8 @@ def test_slim_touches_like_full(scene):
         errors.append(relative(both[1].qacc, both[0].qacc))
     assert np.percentile(errors, 90) <= TOUCHING
     assert max(errors) <= TOUCHING_WORST
-    assert met > NUM_STATES / 100, "the object touches nothing"  # a die on slides of 0.5 m is seldom near
+    few = 100 if SCENES[scene].family == "diereorient" else 10  # a die on slides of 0.5 m is seldom near
+    assert met > NUM_STATES / few, "the object touches nothing"
 
 
 @pytest.mark.parametrize("scene", SCENES)

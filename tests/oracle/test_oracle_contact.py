@@ -164,7 +164,6 @@ FIXED = {
         "ball_radius": (0.022, 0.022),
         "ball_friction": ((1, 0.005, 0.0001),) * 2,
     },
-    "die": {},
 }
 DRAWN = {
     "key": {

@@ -34,9 +34,9 @@ ACTIVATION = 1e-6
 """An activation of order one, a handful of float32 roundings of 2^-24."""
 
 QVEL = 5e-5
-QVEL_OF = {"arm": 2e-3}  # its joints follow each other by soft equalities, which the solver iterates
 """Of the largest change of any joint's velocity in one step; float32 factorization of the inertia
 matrix, measured 1.2e-5."""
+QVEL_OF = {"arm": 2e-3}  # its joints follow each other by soft equalities, which the solver iterates
 
 EFFECT = 10.0
 

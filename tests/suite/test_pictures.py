@@ -198,9 +198,9 @@ def test_colours_are_those_of_the_values(sim):
     norm = (stepped.length.numpy()[1, own] - params.tendon_slack_length.numpy()[0, own]) / (
         params.optimal_fiber_length.numpy()[0, own]
     )
-    # The simulation's lengths are those of the last physics step's begin; since then a path may have jumped.
+    # The simulation's lengths are those of the last physics step's begin; a die has one path jump since.
     apart = np.abs(muscles.values("fiber_length", seen.muscles, data) - norm)
-    assert (apart < 0.05).mean() > 0.95
+    assert (apart >= 0.05).sum() <= (sim.scene.spec.family == "diereorient")
     assert np.isnan(muscles.values("force", seen.muscles, data)).all()
     known = {"force": np.full(len(own), 10.0), "strength": np.full(len(own), 40.0)}
     np.testing.assert_allclose(muscles.values("force", known, data), 0.25)
