@@ -12,6 +12,7 @@ Open in the paper, and chosen here:
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -57,6 +58,12 @@ Shares = Mapping[tuple[str, str], np.ndarray]
 """Of these, `success`."""
 
 
+@cache
+def _baseline(task: str) -> Baseline:
+    """Return a task's baseline, read once for all of its cells."""
+    return load_baseline(task)
+
+
 def applies(condition: str, task: str) -> bool:
     """Return whether a task's body can have a condition."""
     try:
@@ -68,7 +75,7 @@ def applies(condition: str, task: str) -> bool:
 
 def solved() -> list[str]:
     """Return the tasks whose policy in the package solves at least `SOLVED` of its episodes."""
-    return [task for task in baseline_tasks() if _drawn(load_baseline(task)) >= SOLVED]
+    return [task for task in baseline_tasks() if _drawn(_baseline(task)) >= SOLVED]
 
 
 def _drawn(baseline: Baseline) -> float:
@@ -78,7 +85,7 @@ def _drawn(baseline: Baseline) -> float:
 
 def adaptation(task: str, condition: str) -> Training:
     """Return how a task's policy is trained on under a condition."""
-    baseline = load_baseline(task)
+    baseline = _baseline(task)
     manifest, policy = baseline.checkpoint.manifest, baseline.checkpoint.policy
     settings: dict[str, Any] = {name: value for name, value in baseline.settings().items() if name != "seed"}
     settings |= {"physics": "parity", "stop_success": NEVER, "samples": manifest["samples"] // PART}
@@ -102,7 +109,7 @@ def run(lab: Lab) -> Findings:
     tasks = [task for task in solved() if not lab.quick or task in QUICK_TASKS]
     cells = [(t, c) for t in tasks for c in (NONE, *CONDITIONS) if c == NONE or applies(c, t)]
     lab.expect(len(cells))
-    before = {(t, c): _episodes(lab, "before", t, c, load_baseline(t).checkpoint) for t, c in cells}
+    before = {(t, c): _episodes(lab, "before", t, c, _baseline(t).checkpoint) for t, c in cells}
     shares = {cell: found["success"] for cell, found in before.items()}
     lost = [cell for cell in cells if cell[1] in ADAPTED and _loss(shares, *cell) > LOSS]
     wanted = sorted({(task, NONE) for task, _ in lost} | set(lost))

@@ -65,7 +65,7 @@ def committed(training: Training, seed: int) -> Checkpoint:
         ValueError: There is none of this name and seed, or it is damaged.
     """
     folder = FOLDER / training.name / str(seed)
-    if not folder.is_dir():
+    if not available(training, seed):
         home = FOLDER / training.name
         seeds = sorted(int(path.name) for path in home.iterdir()) if home.is_dir() else []
         which = f"seeds {', '.join(map(str, seeds))}" if seeds else "no seed"
