@@ -51,9 +51,9 @@ def simulation(key):
     return Simulation(TASKS[key], NUM_WORLDS, device="cpu", graph=False, progress=False)
 
 
-def padded(rows):
+def padded(rows, num_worlds=NUM_WORLDS):
     """Return rows with the last repeated, one for every world."""
-    return np.concatenate([rows, np.repeat(rows[-1:], NUM_WORLDS - len(rows), axis=0)])
+    return np.concatenate([rows, np.repeat(rows[-1:], num_worlds - len(rows), axis=0)])
 
 
 def write_state(sim, record, prefix, suffix=""):
@@ -143,10 +143,10 @@ def euler(quats):
 
 def aim_die(sim, record, prefix):
     """Put and turn the wanted die."""
-    program = sim.shards[0].program
-    program.goal_angles.assign(padded(euler(record[f"{prefix}_target_quat"])))
-    program.goal_offset.assign(padded(record[f"{prefix}_target_pos"] - (-0.34, -0.535, 1.46)))
-    program.launch(show_wanted, mask=wp.ones(NUM_WORLDS, dtype=bool))
+    program, n = sim.shards[0].program, sim.num_worlds
+    program.goal_angles.assign(padded(euler(record[f"{prefix}_target_quat"]), n))
+    program.goal_offset.assign(padded(record[f"{prefix}_target_pos"] - (-0.34, -0.535, 1.46), n))
+    program.launch(show_wanted, mask=wp.ones(n, dtype=bool))
 
 
 AIMS = {"key": aim_key, "hold": aim_hold, "pen": aim_pen, "baoding": aim_baoding, "die": aim_die}

@@ -42,6 +42,7 @@ IDS = [
 IDS = [env_id for env_id in IDS if env_id not in record_fatigue.IDS]
 
 ACTION_KINDS = ("uniform", "bang")
+VARIED = ("baoding", "die")  # tasks whose episodes may change size, mass and friction of their objects
 STRIDE = 4
 NUM_ROWS = 16
 
@@ -55,7 +56,7 @@ def description(env, env_id):
 
     def state(env):
         row = copies(env.data, STATE) | family.state(env)
-        return row | (object_fields(env.model, family.objects) if family.name == "baoding" else {})
+        return row | (object_fields(env.model, family.objects) if family.name in VARIED else {})
 
     return state, family.terms, family.name
 
@@ -109,8 +110,9 @@ def record(env_id, out, index):
     chosen = np.linspace(0, len(rows) - 1, min(NUM_ROWS, len(rows))).round().astype(int)
     arrays = stack(facts, "episode") | stack([rows[i] for i in chosen], "step")
     meta = common_meta(wrapped, env_id, task) | names_meta(env.model)
-    if task == "baoding":
-        meta |= {"object_bodies": list(record_contact.FAMILIES["myoChallengeBaodingP1-v1"].objects)}
+    if task in VARIED:
+        family = next(family for family in record_contact.FAMILIES.values() if family.name == task)
+        meta |= {"object_bodies": list(family.objects)}
     ctrl = expected_ctrl(env, env_id, arrays, meta["actuators"])
     return save(out, env_id, meta, arrays, facts, {"ctrl": largest_gap(arrays["step_ctrl"], ctrl)})
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from contact_oracle import object_ids
+from contact_oracle import aim_die, object_ids
 
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
@@ -105,16 +105,25 @@ def aim(sim, meta, record):
         program.goal.assign(record["step_goal_pos"])
         if "geom_size" in sim.scene.spec.batched:
             write(model.geom_size, sim.scene.oracle.body("object").geomadr, record["step_object_size"])
+    elif task == "die":
+        aim_die(sim, record, "step")
+        write_objects(sim, meta, record)
     else:
-        aim_balls(sim, meta, record)
+        aim_balls(sim, record)
+        write_objects(sim, meta, record)
 
 
-def aim_balls(sim, meta, record):
-    """Give the targets their orbits, and the balls their size, mass and friction."""
-    orbits, ids = sim.shards[0].program.orbits, object_ids(sim.scene.oracle, meta)
+def aim_balls(sim, record):
+    """Give the targets their orbits."""
+    orbits = sim.shards[0].program.orbits
     for ours, theirs in {"direction": "sign", "radii": "radii", "period": "period"}.items():
         getattr(orbits, ours).assign(record[f"step_{theirs}"])
     orbits.start_angle.assign(record["step_start_angles"][:, 0])
+
+
+def write_objects(sim, meta, record):
+    """Give the objects their size, mass and friction."""
+    ids = object_ids(sim.scene.oracle, meta)
     for field in sim.scene.spec.batched:
         values = record["step_" + field.replace("subtreemass", "mass")]
         write(getattr(sim.scene.model, field), ids[field.split("_")[0]], values)
