@@ -93,23 +93,25 @@ def oracle_of(key, episode):
     return model
 
 
-def write_objects(sim, record, meta, rows):
-    """Give the first worlds the objects of rows of the reset arrays."""
-    ids, worlds = object_ids(sim.scene.oracle, meta), np.arange(NUM_WORLDS)[:, None]
+def write(array, columns, values):
+    """Write some columns of a model's field."""
+    host = array.numpy()
+    host[:, columns] = values.reshape(host[:, columns].shape)
+    array.assign(host)
+
+
+def write_objects(sim, meta, values_of):
+    """Give the objects their size, mass and friction; `values_of` a field has a row for each world."""
+    ids = object_ids(sim.scene.oracle, meta)
     for name in sim.scene.spec.batched:
-        array = getattr(sim.scene.model, name)
-        values = array.numpy()
-        source = record["reset_" + name.replace("subtreemass", "mass")]
-        place = worlds, ids[name.split("_")[0]]
-        values[place] = padded(source[rows]).reshape(values[place].shape)
-        array.assign(values)
+        values = values_of(name.replace("subtreemass", "mass"))
+        write(getattr(sim.scene.model, name), ids[name.split("_")[0]], values)
 
 
 def aim_key(sim, record, prefix):
     """Put the key where it was."""
-    values = sim.scene.model.body_pos.numpy()
-    values[:, sim.scene.oracle.body("key").id] = padded(record[f"{prefix}_key_pos"])
-    sim.scene.model.body_pos.assign(values)
+    places = padded(record[f"{prefix}_key_pos"], sim.num_worlds)
+    write(sim.scene.model.body_pos, [sim.scene.oracle.body("key").id], places)
 
 
 def aim_baoding(sim, record, prefix):
@@ -117,18 +119,18 @@ def aim_baoding(sim, record, prefix):
     orbits = sim.shards[0].program.orbits
     names = {"direction": "sign", "radii": "radii", "period": "period"}
     for ours, theirs in names.items():
-        getattr(orbits, ours).assign(padded(record[f"{prefix}_{theirs}"]))
-    orbits.start_angle.assign(padded(record[f"{prefix}_start_angles"][:, 0]))
+        getattr(orbits, ours).assign(padded(record[f"{prefix}_{theirs}"], sim.num_worlds))
+    orbits.start_angle.assign(padded(record[f"{prefix}_start_angles"][:, 0], sim.num_worlds))
 
 
 def aim_hold(sim, record, prefix):
     """Put the goal where it was."""
-    sim.shards[0].program.goal.assign(padded(record[f"{prefix}_goal_pos"]))
+    sim.shards[0].program.goal.assign(padded(record[f"{prefix}_goal_pos"], sim.num_worlds))
 
 
 def aim_pen(sim, record, prefix):
     """Turn the target pen."""
-    sim.scene.data.mocap_quat.assign(padded(record[f"{prefix}_target_quat"])[:, None])
+    sim.scene.data.mocap_quat.assign(padded(record[f"{prefix}_target_quat"], sim.num_worlds)[:, None])
 
 
 def euler(quats):
@@ -186,7 +188,7 @@ def write_episodes(key, table, suffix=""):
     """Put the first worlds into the states of a table, with their episodes' objects; returns how many."""
     (record, meta), sim = recorded(key), simulation(key)
     rows = reset_rows(record, record[f"{table}_episode"])
-    write_objects(sim, record, meta, rows)
+    write_objects(sim, meta, lambda field: padded(record[f"reset_{field}"][rows]))
     if sim.scene.oracle.nmocap:
         sim.scene.data.mocap_quat.assign(padded(record["reset_target_quat"][rows])[:, None])
     return write_state(sim, record, table, suffix)

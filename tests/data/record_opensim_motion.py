@@ -39,6 +39,32 @@ def table(path, name, labels, time, values):
         np.savetxt(file, np.column_stack([time, values]), fmt="%.17g", delimiter="\t")
 
 
+def trc(path, names, time, seen):
+    """Write markers."""
+    rows = [f"{i + 1}\t{t:.17g}\t" + "\t".join(f"{x:.17g}" for x in row.ravel()) for i, (t, row) in
+            enumerate(zip(time, seen, strict=True))]  # fmt: skip
+    axes = "\t".join(f"{axis}{k + 1}" for k in range(len(names)) for axis in "XYZ")
+    path.write_text(
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}\nDataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\t"
+        f"OrigDataStartFrame\tOrigNumFrames\n{RATE}\t{RATE}\t{len(time)}\t{len(names)}\tm\t{RATE}\t1\t{len(time)}\n"
+        "Frame#\tTime\t" + "\t\t\t".join(names) + f"\n\t\t{axes}\n\n" + "\n".join(rows) + "\n"
+    )
+
+
+def push(body, time, force, point):
+    """Write push.mot and push.xml: a force in ground on a body, at a point of ground."""
+    labels = [f"f_v{axis}" for axis in "xyz"] + [f"p_{axis}" for axis in "xyz"]
+    table(Path("push.mot"), "push", labels, time, np.hstack([force, point]))
+    Path("push.xml").write_text(
+        '<?xml version="1.0"?><OpenSimDocument Version="40000"><ExternalLoads name="push"><objects>'
+        f'<ExternalForce name="push"><applied_to_body>{body}</applied_to_body>'
+        "<force_expressed_in_body>ground</force_expressed_in_body>"
+        "<point_expressed_in_body>ground</point_expressed_in_body><force_identifier>f_v</force_identifier>"
+        "<point_identifier>p_</point_identifier><data_source_name>push.mot</data_source_name></ExternalForce>"
+        "</objects><datafile>push.mot</datafile></ExternalLoads></OpenSimDocument>"
+    )
+
+
 def columns(path, labels):
     """Return time and columns of a .sto or .mot file, in radians."""
     lines = path.read_text().splitlines()
@@ -80,16 +106,7 @@ def record(source, body, forces):
     out = {"coordinates": free, "time": time, "values": values, "body": body, "force": force, "point": point}
     out |= {"markers": [m.getName() for m in markers], "seen": seen, "reserve": RESERVE}
     table(Path("motion.mot"), "Coordinates", every, time, full)
-    labels = [f"{part}_v{axis}" for part in "f" for axis in "xyz"] + [f"p_{axis}" for axis in "xyz"]
-    table(Path("push.mot"), "push", labels, time, np.hstack([force, point]))
-    Path("push.xml").write_text(
-        '<?xml version="1.0"?><OpenSimDocument Version="40000"><ExternalLoads name="push"><objects>'
-        f'<ExternalForce name="push"><applied_to_body>{body}</applied_to_body>'
-        "<force_expressed_in_body>ground</force_expressed_in_body>"
-        "<point_expressed_in_body>ground</point_expressed_in_body><force_identifier>f_v</force_identifier>"
-        "<point_identifier>p_</point_identifier><data_source_name>push.mot</data_source_name></ExternalForce>"
-        "</objects><datafile>push.mot</datafile></ExternalLoads></OpenSimDocument>"
-    )
+    push(body, time, force, point)
     if markers:
         out["fitted"] = fitted(source, out, seen, every)
     tool = opensim.InverseDynamicsTool()
@@ -115,14 +132,7 @@ def record(source, body, forces):
 def fitted(source, out, seen, every):
     """Return inverse kinematics."""
     names, time = out["markers"], out["time"]
-    rows = [f"{i + 1}\t{t:.17g}\t" + "\t".join(f"{x:.17g}" for x in row.ravel()) for i, (t, row) in
-            enumerate(zip(time, seen, strict=True))]  # fmt: skip
-    axes = "\t".join(f"{axis}{k + 1}" for k in range(len(names)) for axis in "XYZ")
-    Path("seen.trc").write_text(
-        "PathFileType\t4\t(X/Y/Z)\tseen.trc\nDataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\t"
-        f"OrigDataStartFrame\tOrigNumFrames\n{RATE}\t{RATE}\t{len(time)}\t{len(names)}\tm\t{RATE}\t1\t{len(time)}\n"
-        "Frame#\tTime\t" + "\t\t\t".join(names) + f"\n\t\t{axes}\n\n" + "\n".join(rows) + "\n"
-    )
+    trc(Path("seen.trc"), names, time, seen)
     tool = opensim.InverseKinematicsTool()
     tool.set_model_file(str(source))
     tool.set_marker_file("seen.trc")
@@ -143,10 +153,10 @@ def fitted(source, out, seen, every):
     return np.where(turns & degrees, np.radians(values), values)
 
 
-def optimised(source, free, time):
-    """Return static optimisation with a reserve for every free coordinate."""
+def with_reserves(source, free):
+    """Write reserves.osim, a model with a reserve for every free coordinate; returns it."""
     model = opensim.Model(str(source))
-    for name in free:
+    for name in map(str, free):
         reserve = opensim.CoordinateActuator(name)
         reserve.setName(f"reserve_{name}")
         reserve.setOptimalForce(RESERVE if not name.startswith("pelvis") else 100 * RESERVE)
@@ -155,8 +165,13 @@ def optimised(source, free, time):
         model.addForce(reserve)
     model.finalizeConnections()
     model.printToXML("reserves.osim")
+    return model
+
+
+def analyze(name, analysis, time):
+    """Run an analysis of motion.mot on reserves.osim under the push (filter: 6 Hz)."""
     tool = opensim.AnalyzeTool()
-    tool.setName("so")
+    tool.setName(name)
     tool.setModelFilename("reserves.osim")
     tool.setCoordinatesFileName("motion.mot")
     tool.setLowpassCutoffFrequency(6.0)
@@ -164,17 +179,23 @@ def optimised(source, free, time):
     tool.setStartTime(time[0])
     tool.setFinalTime(time[-1])
     tool.setResultsDir(".")
-    analysis = opensim.StaticOptimization()
     analysis.setStartTime(time[0])
     analysis.setEndTime(time[-1])
+    tool.updAnalysisSet().cloneAndAppend(analysis)
+    tool.printToXML(f"{name}.xml")
+    opensim.AnalyzeTool(f"{name}.xml").run()
+
+
+def optimised(source, free, time):
+    """Return static optimisation with a reserve for every free coordinate."""
+    model = with_reserves(source, free)
+    analysis = opensim.StaticOptimization()
     analysis.setUseModelForceSet(True)
     analysis.setActivationExponent(2.0)
     analysis.setUseMusclePhysiology(True)
     analysis.setConvergenceCriterion(1e-10)
     analysis.setMaxIterations(1000)
-    tool.updAnalysisSet().cloneAndAppend(analysis)
-    tool.printToXML("so.xml")
-    opensim.AnalyzeTool("so.xml").run()
+    analyze("so", analysis, time)
     names = [model.getActuators().get(i).getName() for i in range(model.getActuators().getSize())]
     controls = columns(Path("so_StaticOptimization_activation.sto"), names)[1]
     forces = columns(Path("so_StaticOptimization_force.sto"), names)[1]

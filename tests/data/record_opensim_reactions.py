@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import opensim
-from record_opensim_motion import RESERVE, columns, table
+from record_opensim_motion import analyze, columns, push, table, with_reserves
 
 HERE = Path(__file__).parent.resolve()
 
@@ -31,44 +31,13 @@ def main():
     home = Path.cwd()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
-        model = opensim.Model(str(HERE / "osim/gait10dof18musc.osim"))
-        for name in free:
-            reserve = opensim.CoordinateActuator(str(name))
-            reserve.setName(f"reserve_{name}")
-            reserve.setOptimalForce(RESERVE if not name.startswith("pelvis") else 100 * RESERVE)
-            reserve.setMinControl(-np.inf)
-            reserve.setMaxControl(np.inf)
-            model.addForce(reserve)
-        model.finalizeConnections()
-        model.printToXML("reserves.osim")
+        model = with_reserves(HERE / "osim/gait10dof18musc.osim", free)
         table(Path("motion.mot"), "Coordinates", free, time, there["values"])
-        labels = [f"f_v{axis}" for axis in "xyz"] + [f"p_{axis}" for axis in "xyz"]
-        table(Path("push.mot"), "push", labels, time, np.hstack([there["force"], there["point"]]))
+        push(there["body"], time, there["force"], there["point"])
         table(Path("forces.sto"), "forces", list(there["actuators"]), time, there["forces"])
-        Path("push.xml").write_text(
-            '<?xml version="1.0"?><OpenSimDocument Version="40000"><ExternalLoads name="push"><objects>'
-            f'<ExternalForce name="push"><applied_to_body>{there["body"]}</applied_to_body>'
-            "<force_expressed_in_body>ground</force_expressed_in_body>"
-            "<point_expressed_in_body>ground</point_expressed_in_body><force_identifier>f_v</force_identifier>"
-            "<point_identifier>p_</point_identifier><data_source_name>push.mot</data_source_name>"
-            "</ExternalForce></objects><datafile>push.mot</datafile></ExternalLoads></OpenSimDocument>"
-        )
-        tool = opensim.AnalyzeTool()
-        tool.setName("jr")
-        tool.setModelFilename("reserves.osim")
-        tool.setCoordinatesFileName("motion.mot")
-        tool.setLowpassCutoffFrequency(6.0)
-        tool.setExternalLoadsFileName("push.xml")
-        tool.setStartTime(time[0])
-        tool.setFinalTime(time[-1])
-        tool.setResultsDir(".")
         analysis = opensim.JointReaction()
-        analysis.setStartTime(time[0])
-        analysis.setEndTime(time[-1])
         analysis.setForcesFileName("forces.sto")
-        tool.updAnalysisSet().cloneAndAppend(analysis)
-        tool.printToXML("jr.xml")
-        opensim.AnalyzeTool("jr.xml").run()
+        analyze("jr", analysis, time)
         found = next(Path().glob("jr*ReactionLoads*"))
         joints = [model.getJointSet().get(i) for i in range(model.getJointSet().getSize())]
         names = [

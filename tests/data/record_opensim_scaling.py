@@ -28,10 +28,11 @@ from pathlib import Path
 
 import numpy as np
 import opensim
+from record_opensim_motion import RATE, trc
 
 HERE = Path(__file__).parent
 MODELS = ("arm26", "ellipsoids", "gait10dof18musc", "joints", "leg6dof9musc", "old")
-FRAMES, RATE, NOISE = 12, 60.0, 1e-3
+FRAMES, NOISE = 12, 1e-3
 
 
 def vector(v):
@@ -99,18 +100,6 @@ def record(source):
         [[m.getOptimalFiberLength(), m.getTendonSlackLength(), m.getLength(state)] for m in muscles]
     ).reshape(-1, 3)
     return out
-
-
-def trc(path, names, time, seen):
-    """Write markers."""
-    rows = [f"{i + 1}\t{t:.17g}\t" + "\t".join(f"{x:.17g}" for x in row.ravel()) for i, (t, row) in
-            enumerate(zip(time, seen, strict=True))]  # fmt: skip
-    axes = "\t".join(f"{axis}{k + 1}" for k in range(len(names)) for axis in "XYZ")
-    path.write_text(
-        f"PathFileType\t4\t(X/Y/Z)\t{path.name}\nDataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\t"
-        f"OrigDataStartFrame\tOrigNumFrames\n{RATE}\t{RATE}\t{len(time)}\t{len(names)}\tm\t{RATE}\t1\t{len(time)}\n"
-        "Frame#\tTime\t" + "\t\t\t".join(names) + f"\n\t\t{axes}\n\n" + "\n".join(rows) + "\n"
-    )
 
 
 def places(model):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from contact_oracle import aim_die, object_ids
+from contact_oracle import AIMS, write, write_objects
 
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
@@ -97,43 +97,12 @@ def aim(sim, meta, record):
         if "step_weight" in record:
             program.weight.mass.assign(record["step_weight"][:, None])
             program.weight.hang(wp.ones(sim.num_worlds, dtype=bool))
-    elif task == "pen":
-        sim.scene.data.mocap_quat.assign(record["step_target_quat"][:, None])
-    elif task == "key":
-        write(model.body_pos, [sim.scene.oracle.body("key").id], record["step_key_pos"])
-    elif task == "hold":
-        program.goal.assign(record["step_goal_pos"])
-        if "geom_size" in sim.scene.spec.batched:
-            write(model.geom_size, sim.scene.oracle.body("object").geomadr, record["step_object_size"])
-    elif task == "die":
-        aim_die(sim, record, "step")
-        write_objects(sim, meta, record)
     else:
-        aim_balls(sim, record)
-        write_objects(sim, meta, record)
-
-
-def aim_balls(sim, record):
-    """Give the targets their orbits."""
-    orbits = sim.shards[0].program.orbits
-    for ours, theirs in {"direction": "sign", "radii": "radii", "period": "period"}.items():
-        getattr(orbits, ours).assign(record[f"step_{theirs}"])
-    orbits.start_angle.assign(record["step_start_angles"][:, 0])
-
-
-def write_objects(sim, meta, record):
-    """Give the objects their size, mass and friction."""
-    ids = object_ids(sim.scene.oracle, meta)
-    for field in sim.scene.spec.batched:
-        values = record["step_" + field.replace("subtreemass", "mass")]
-        write(getattr(sim.scene.model, field), ids[field.split("_")[0]], values)
-
-
-def write(array, columns, values):
-    """Write some columns of a model's field."""
-    host = array.numpy()
-    host[:, columns] = values.reshape(host[:, columns].shape)
-    array.assign(host)
+        AIMS[task](sim, record, "step")
+    if task in ("baoding", "die"):
+        write_objects(sim, meta, lambda field: record[f"step_{field}"])
+    elif task == "hold" and "geom_size" in sim.scene.spec.batched:
+        write(model.geom_size, sim.scene.oracle.body("object").geomadr, record["step_object_size"])
 
 
 def misses(sim, record):

@@ -23,13 +23,13 @@ ROLLOUT_TOLERANCE = 1e-4  # rad, m; engine, median over rollouts with random exc
 ROLLOUT_TOLERANCES = {"key": 2e-7, "hold": 5e-5, "pen": 1e-5, "baoding": 1e-6, "die": 1e-4}
 """rad, m; engine, worst relaxed rollout."""
 ROUNDED = 2  # states in which float32 may count otherwise; measured 0 of 1,600
-MOST = 0.8  # of the states have no pair of geoms within rounding of its margin
+MOST = {"die": 0.8}  # of the states have no pair of geoms within rounding of its margin; others: 0.85
 
 
 @pytest.mark.parametrize("key", KEYS)
 def test_contacts_are_those_of_upstream(key):
     """Contacts and constraint rows of 200 random states: MyoSuite, MuJoCo C on our model, and the engine."""
-    record, sim = recorded(key)[0], simulation(key)
+    (record, meta), sim = recorded(key), simulation(key)
     expected = np.stack([record["contact_ncon"], record["contact_nefc"]], axis=1)
     assert (record["contact_ncon_object"] > 0).mean() > 0.1
     oracle = []
@@ -47,7 +47,7 @@ def test_contacts_are_those_of_upstream(key):
     worlds = data.contact.worldid.numpy()[: data.nacon.numpy()[0]]
     engine = np.stack([np.bincount(worlds, minlength=NUM_WORLDS), data.nefc.numpy()], axis=1)[:n]
     sure = record["contact_ncon_low"] == record["contact_ncon_high"]
-    assert sure.mean() > MOST
+    assert sure.mean() > MOST.get(meta["task"], 0.85)
     np.testing.assert_array_equal(engine[sure], expected[sure])
     assert (engine != expected).any(axis=1).sum() <= ROUNDED
 
