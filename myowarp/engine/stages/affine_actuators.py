@@ -1,9 +1,10 @@
-"""Forces of actuators that are affine in their control, length and velocity: one thread a world.
+"""Forces of actuators that are affine in their control, length and velocity: worlds in lanes, on the CPU.
 
 So are motors, and muscles once `myowarp.models.muscles` has put their force into the bias. The engine has a
 thread for each actuator that first finds out which of a dozen kinds it is.
 """
 
+from pathlib import Path
 from typing import ClassVar
 
 import mujoco_warp as mjw
@@ -14,7 +15,8 @@ from mujoco_warp._src.types import vec10
 
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import any_of, filled
-from myowarp.kernels.batching import batched
+from myowarp.engine.stages.lanes import at_namespace_level, block_scratch
+from myowarp.engine.stepped import Stepped
 from myowarp.kernels.launch import launch
 
 
@@ -42,6 +44,30 @@ class ActuatorMoments:
     actuator_moment: wp.array2d[float]
 
 
+@wp.func_native(at_namespace_level(Path(__file__).with_suffix(".cpp")))
+def declare_actuate_block(thread: int):
+    """Declare the template of `affine_actuators.cpp`."""
+    ...
+
+
+@wp.func_native("""
+    lanes::for_blocks(ctrl.shape[0], nullptr, scratch.data, [&](auto& block) {
+        lanes::actuate_block(block, actuators, clamp_controls, moments, ctrl, actuator_force, qfrc_actuator);
+    });
+""")
+def actuate_worlds(
+    scratch: wp.array[float],
+    actuators: Actuators,
+    ctrl: wp.array2d[float],
+    clamp_controls: bool,
+    moments: ActuatorMoments,
+    actuator_force: wp.array2d[float],
+    qfrc_actuator: wp.array2d[float],
+):
+    """Set the actuator forces of all worlds, a block after the other."""
+    ...
+
+
 @wp.kernel(enable_backward=False)
 def actuate(
     # Model:
@@ -49,6 +75,7 @@ def actuate(
     # Data in:
     ctrl_in: wp.array2d[float],
     # In:
+    scratch: wp.array[float],
     clamp_controls: bool,
     moments: ActuatorMoments,
     # Data out:
@@ -56,27 +83,11 @@ def actuate(
     qfrc_actuator_out: wp.array2d[float],
 ):
     """force = g ctrl + b0 + b1 length + b2 velocity, within its range; qfrc = moment' force."""
-    worldid = wp.tid()
-    ctrlrange = actuators.actuator_ctrlrange[batched(worldid, actuators.actuator_ctrlrange.shape[0])]
-    gains = actuators.actuator_gainprm[batched(worldid, actuators.actuator_gainprm.shape[0])]
-    biases = actuators.actuator_biasprm[batched(worldid, actuators.actuator_biasprm.shape[0])]
-    forcerange = actuators.actuator_forcerange[batched(worldid, actuators.actuator_forcerange.shape[0])]
-    qfrc = qfrc_actuator_out[worldid]
-    for dof in range(qfrc.shape[0]):
-        qfrc[dof] = 0.0
-    for i in range(biases.shape[0]):
-        ctrl = ctrl_in[worldid, i]
-        if clamp_controls and actuators.actuator_ctrllimited[i]:
-            ctrl = wp.clamp(ctrl, ctrlrange[i][0], ctrlrange[i][1])
-        length, velocity = moments.actuator_length[worldid, i], moments.actuator_velocity[worldid, i]
-        force = gains[i][0] * ctrl + biases[i][0] + biases[i][1] * length + biases[i][2] * velocity
-        if actuators.actuator_forcelimited[i]:
-            force = wp.clamp(force, forcerange[i][0], forcerange[i][1])
-        actuator_force_out[worldid, i] = force
-        first = moments.moment_rowadr[worldid, i]
-        for entry in range(first, first + moments.moment_rownnz[worldid, i]):
-            dof = moments.moment_colind[worldid, entry]
-            qfrc[dof] = qfrc[dof] + moments.actuator_moment[worldid, entry] * force
+    thread = wp.tid()
+    declare_actuate_block(thread)
+    actuate_worlds(
+        scratch, actuators, ctrl_in, clamp_controls, moments, actuator_force_out, qfrc_actuator_out
+    )
 
 
 def _drives_scalars(model: mjw.Model) -> bool:
@@ -124,10 +135,21 @@ class AffineActuators(Stage):
         ),
     }
 
+    def __init__(self, stepped: Stepped) -> None:
+        """Allocate the memory of a block."""
+        super().__init__(stepped)
+        model, data = stepped.model, stepped.data
+        read = filled(Actuators, model), filled(ActuatorMoments, data), data.ctrl
+        self._scratch = block_scratch(stepped.device, *read, data.actuator_force, data.qfrc_actuator)
+
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Set the actuator forces of all worlds, as `mujoco_warp.fwd_actuation` does."""
-        clamp_controls = not model.opt.disableflags & DisableBit.CLAMPCTRL
-        actuators, moments = filled(Actuators, model), filled(ActuatorMoments, data)
         launch(
-            actuate, data.nworld, data, actuators=actuators, moments=moments, clamp_controls=clamp_controls
+            actuate,
+            1,
+            data,
+            scratch=self._scratch,
+            actuators=filled(Actuators, model),
+            moments=filled(ActuatorMoments, data),
+            clamp_controls=not model.opt.disableflags & DisableBit.CLAMPCTRL,
         )

@@ -1,4 +1,4 @@
-"""The end of a physics step in one thread a world: implicit velocities, positions, time, on the CPU device.
+"""The end of a physics step, worlds in lanes: implicit velocities, positions, time, on the CPU device.
 
 (M - h dF/dv) qacc = Ma, with F the damping of joints and, for MuJoCo's integrator `implicitfast`, the
 actuators (MuJoCo documentation, Computation, "Numerical integration"). A dof's row of M holds nothing but the
@@ -14,26 +14,26 @@ from typing import ClassVar
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
-from mujoco_warp import BiasType, DisableBit, GainType, IntegratorType, JointType, OverflowType
+from mujoco_warp import BiasType, DisableBit, GainType, IntegratorType, OverflowType
 from mujoco_warp._src.forward import _advance, implicit_free_body
-from mujoco_warp._src.math import quat_integrate
 from mujoco_warp._src.types import vec10
 
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import InertiaRows, any_of, filled
+from myowarp.engine.stages.lanes import at_namespace_level, block_scratch
 from myowarp.engine.stepped import Stepped
-from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
 
-MAX_DOFS, MAX_ENTRIES = 512, 2**15  # 132 KB of stack; M of 255 dofs in a row
-SOURCE = f"""
-constexpr int AFFINE = {int(BiasType.AFFINE)}, MAX_DOFS = {MAX_DOFS}, MAX_ENTRIES = {MAX_ENTRIES};
-{Path(__file__).with_name("integrate.cpp").read_text()}"""
-
-NEFC_OVERFLOW = wp.constant(int(OverflowType.NEFC))
-BROADPHASE_OVERFLOW = wp.constant(int(OverflowType.BROADPHASE))
-NARROWPHASE_OVERFLOW = wp.constant(int(OverflowType.NARROWPHASE))
-FREE, BALL = wp.constant(int(JointType.FREE)), wp.constant(int(JointType.BALL))
+CONSTANTS = {
+    "AFFINE": BiasType.AFFINE,
+    "NEFC_OVERFLOW": OverflowType.NEFC,
+    "BROADPHASE_OVERFLOW": OverflowType.BROADPHASE,
+    "NARROWPHASE_OVERFLOW": OverflowType.NARROWPHASE,
+}
+SOURCE = at_namespace_level(
+    *map(Path(__file__).with_name, ("factor.cpp", "integrate.cpp")),
+    **{name: int(value) for name, value in CONSTANTS.items()},
+)
 
 
 @wp.struct
@@ -105,55 +105,31 @@ class StepState:
 
 
 @wp.func_native(SOURCE)
-def solve_motion(
-    world: int,
-    timestep: float,
-    implicit_actuators: bool,
+def declare_end_block(thread: int):
+    """Declare the templates of `integrate.cpp`."""
+    ...
+
+
+@wp.func_native("""
+    lanes::for_blocks(qacc.shape[0], nullptr, scratch.data, [&](auto& block) {
+        lanes::end_block(block, parts, inertia, joints, M, Ma, qacc, forces, usage, acceleration, state);
+    });
+""")
+def end_worlds(
+    scratch: wp.array[float],
     inertia: InertiaRows,
+    joints: JointAddresses,
+    parts: Parts,
+    M: wp.array2d[float],
+    Ma: wp.array2d[float],
+    qacc: wp.array2d[float],
     forces: VelocityForces,
-    M: wp.array[float],
-    Ma: wp.array[float],
-    qvel: wp.array[float],
-    acceleration: wp.array[float],
+    usage: Usage,
+    acceleration: wp.array2d[float],
+    state: StepState,
 ):
-    """acceleration = (M - h dF/dv)^-1 Ma, in one world."""
-
-
-@wp.func
-def turn(qpos: wp.array[float], first: int, qvel: wp.array[float], dof: int, timestep: float):
-    """quat = quat exp(h qvel / 2), for the quaternion in `qpos` from `first` on."""
-    quat = wp.quat(qpos[first], qpos[first + 1], qpos[first + 2], qpos[first + 3])
-    quat = quat_integrate(quat, wp.vec3(qvel[dof], qvel[dof + 1], qvel[dof + 2]), timestep)
-    for i in range(4):
-        qpos[first + i] = quat[i]
-
-
-@wp.func
-def move(joints: JointAddresses, qpos: wp.array[float], qvel: wp.array[float], timestep: float):
-    """qpos = qpos + h qvel, on the joints' manifolds."""
-    for joint in range(joints.jnt_type.shape[0]):
-        kind, first, dof = joints.jnt_type[joint], joints.jnt_qposadr[joint], joints.jnt_dofadr[joint]
-        if kind == BALL:
-            turn(qpos, first, qvel, dof, timestep)
-        elif kind == FREE:
-            for i in range(3):
-                qpos[first + i] = qpos[first + i] + timestep * qvel[dof + i]
-            turn(qpos, first + 3, qvel, dof + 3, timestep)
-        else:
-            qpos[first] = qpos[first] + timestep * qvel[dof]
-
-
-@wp.func
-def overflow_bits(usage: Usage, worldid: int) -> int:
-    """Return which of the engine's arrays were too small."""
-    bits = int(0)
-    if usage.nefc[worldid] > usage.njmax:
-        bits |= NEFC_OVERFLOW
-    if usage.ncollision[0] > usage.naconmax:
-        bits |= BROADPHASE_OVERFLOW
-    if usage.nacon[0] > usage.naconmax:
-        bits |= NARROWPHASE_OVERFLOW
-    return bits
+    """End the step of all worlds, a block after the other."""
+    ...
 
 
 @wp.kernel(enable_backward=False)
@@ -168,6 +144,7 @@ def integrate(
     Ma_in: wp.array2d[float],
     qacc_in: wp.array2d[float],
     # In:
+    scratch: wp.array[float],
     forces: VelocityForces,
     usage: Usage,
     # Out:
@@ -175,29 +152,9 @@ def integrate(
     state: StepState,
 ):
     """acceleration = (M - h dF/dv)^-1 Ma; qvel += h acceleration; qpos += h qvel; time += h."""
-    worldid = wp.tid()
-    timestep = parts.timestep[batched(worldid, parts.timestep.shape[0])]
-    qvel, change = state.qvel[worldid], acceleration[worldid]
-    if parts.solve:
-        solve_motion(
-            worldid,
-            timestep,
-            parts.implicit_actuators,
-            inertia,
-            forces,
-            M_in[worldid],
-            Ma_in[worldid],
-            qvel,
-            change,
-        )
-    if parts.advance:
-        qacc, warmstart = qacc_in[worldid], state.qacc_warmstart[worldid]
-        for dof in range(qvel.shape[0]):
-            qvel[dof] = qvel[dof] + timestep * change[dof]
-            warmstart[dof] = qacc[dof]
-        move(joints, state.qpos[worldid], qvel, timestep)
-        state.time[worldid] = state.time[worldid] + timestep
-        state.overflow[worldid] = state.overflow[worldid] | overflow_bits(usage, worldid)
+    thread = wp.tid()
+    declare_end_block(thread)
+    end_worlds(scratch, inertia, joints, parts, M_in, Ma_in, qacc_in, forces, usage, acceleration, state)
 
 
 def _is_implicit(stepped: Stepped) -> bool:
@@ -253,10 +210,7 @@ class Integrate(Stage):
         "the integrator is neither Euler nor implicitfast": lambda stepped: (
             stepped.model.opt.integrator not in (IntegratorType.EULER, IntegratorType.IMPLICITFAST)
         ),
-        f"degrees of freedom are not 1 to {MAX_DOFS}": lambda stepped: not 0 < stepped.model.nv <= MAX_DOFS,
-        f"the inertia matrix has more than {MAX_ENTRIES} entries": lambda stepped: (
-            stepped.data.M.shape[1] > MAX_ENTRIES
-        ),
+        "nothing moves": lambda stepped: stepped.model.nv == 0,
         "a row of the inertia matrix does not begin with the rows above it": lambda stepped: (
             not _rows_begin_alike(stepped.model)
         ),
@@ -272,7 +226,11 @@ class Integrate(Stage):
     def __init__(self, stepped: Stepped) -> None:
         """Allocate the accelerations; `Data.qacc` stays the solver's."""
         super().__init__(stepped)
-        self.acceleration = wp.zeros_like(stepped.data.qvel)
+        data = stepped.data
+        self.acceleration = wp.zeros_like(data.qvel)
+        forces, state = filled(VelocityForces, stepped.model, data), filled(StepState, data)
+        inertias = data.M, data.M, data.qvel, data.qvel, data.qvel
+        self._scratch = block_scratch(stepped.device, forces, state, state, *inertias)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """End the step of all worlds, as `mujoco_warp.euler` and `mujoco_warp.implicit` do."""
@@ -297,9 +255,10 @@ class Integrate(Stage):
         parts.solve, parts.advance = solve, advance
         launch(
             integrate,
-            data.nworld,
+            1,
             data,
             data.efc,
+            scratch=self._scratch,
             inertia=filled(InertiaRows, model),
             joints=filled(JointAddresses, model),
             parts=parts,

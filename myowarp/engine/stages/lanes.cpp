@@ -116,6 +116,7 @@ template <class V> struct Field {
 template <class A> INLINE float* row_of(A& array, int row) {
     return (float*)((char*)array.data + (long long)row * array.strides[0]);
 }
+template <class A> INLINE const int* ints_of(A& array, int row) { return (const int*)row_of(array, row); }
 template <class A> INLINE int row_floats(A& array) {
     return (array.ndim > 1 ? array.shape[1] : 1) * (int)(sizeof(*array.data) / sizeof(float));
 }
@@ -124,6 +125,7 @@ template <class A> INLINE int row_floats(A& array) {
 template <class V> struct Block {
     int first, count;
     float* scratch;
+    V* take(int n) { return (scratch += n) - n; }
     template <class A> const V* in(A& array) { return row_of(array, first); }
     template <class T, class A> T* out(A& array) { return (T*)row_of(array, first); }
     template <class A> Field<V> model(A& array) {
@@ -227,12 +229,12 @@ template <> struct Block<Lanes> {
 };
 #endif
 
-// Call `step` for blocks of worlds in a mask. Lanes cost as much as one to two worlds alone: fewer go alone.
+// Call `step` for blocks of worlds in a mask, of all if it is null. Lanes cost as much as one to two worlds alone: fewer go alone.
 template <class Step> INLINE void for_blocks(int num_worlds, const bool* mask, float* scratch, Step step) {
     scratch = (float*)(((unsigned long long)scratch + 63) & ~63ull);
     for (int world = 0; world < num_worlds;) {
         int count = 0;
-        while (count < MYOWARP_LANES && world + count < num_worlds && mask[world + count])
+        while (count < MYOWARP_LANES && world + count < num_worlds && (!mask || mask[world + count]))
             ++count;
 #if MYOWARP_LANES > 1
         if (8 * count > MYOWARP_LANES) {
@@ -246,7 +248,7 @@ template <class Step> INLINE void for_blocks(int num_worlds, const bool* mask, f
             Block<float> block{world, 1, scratch};
             step(block);
         }
-        if (world < num_worlds && !mask[world])
+        if (world < num_worlds && mask && !mask[world])
             ++world;
     }
 }

@@ -17,14 +17,15 @@ WIDEST = 16
 """Lanes of the widest registers, AVX-512."""
 
 
-def at_namespace_level(source: Path) -> str:
+def at_namespace_level(*sources: Path, **constants: int) -> str:
     """Return the text of a native function that declares templates, which no function can hold.
 
-    It does nothing: it ends at once, declares what `lanes.cpp` and a source have, and begins a function that
-    does nothing either. A kernel calls it before the native function that uses them.
+    It does nothing: it ends at once, declares constants and what `lanes.cpp` and the sources have, and begins
+    a function that does nothing either. A kernel calls it before the native function that uses them.
     """
-    core = Path(__file__).with_name("lanes.cpp").read_text()
-    return f"}}\n{core}{source.read_text()}static inline void after_{source.stem}() {{"
+    texts = [f"constexpr int {name} = {value};\n" for name, value in constants.items()]
+    texts += [file.read_text() for file in (Path(__file__).with_name("lanes.cpp"), *sources)]
+    return f"}}\n{''.join(texts)}static inline void after_{sources[-1].stem}() {{"
 
 
 def block_scratch(device: wp.Device, *owners: Any) -> wp.array[float]:
