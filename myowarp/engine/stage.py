@@ -67,8 +67,8 @@ class Stage(abc.ABC):
         """Allocate all that the kernels need, on the device of what is stepped."""
         self.replaces = self.REPLACES
 
-    def launcher(self, replaced: frozenset[str]) -> Launches:
-        """Return what the step launches in the first place, knowing which places of it are ours."""
+    def launcher(self, stages: tuple[Stage, ...]) -> Launches:
+        """Return what the step launches in the first place, knowing all stages of ours in it."""
         return self.launch
 
     def refresh(self, model: mjw.Model, data: mjw.Data, mask: wp.array | None) -> bool:

@@ -128,10 +128,9 @@ def uncovered(stepped: Stepped) -> str | None:
 def stage_launches(stages: Iterable[Stage]) -> dict[str, Launches]:
     """Return what the physics step launches, place by place, with some stages of ours."""
     places, stages = dict(ORDER), tuple(stages)
-    replaced = frozenset(place for stage in stages for place in stage.replaces)
     for stage in stages:
         first, *others = stage.replaces
-        places[first] = stage.launcher(replaced)
+        places[first] = stage.launcher(stages)
         for place in others:
             del places[place]
     return places

@@ -11,7 +11,8 @@ import warp as wp
 
 from myowarp.definitions.body import BODIES
 from myowarp.engine.stage import first_reason
-from myowarp.engine.stages.muscle_path import PATH_OBSTACLES, MusclePaths
+from myowarp.engine.stages.muscle_path import PATH_OBSTACLES, MusclePath, MusclePaths
+from myowarp.engine.stages.rigid_body import RigidBody
 
 LENGTH = 1e-6
 """m; positions in float32 are good to 1e-7 m at 1 m from the origin, and a path adds up ten of them."""
@@ -26,6 +27,7 @@ JUMP = 2e-5
 our value within this distance, a hundred roundings of an angle."""
 TRIES = 200
 
+FIELDS = ("ten_length", "ten_J", "actuator_length", "actuator_velocity", "actuator_moment")
 QUICK, THOROUGH = 200, 4000
 MYO_SIM = ("myoarm", "myolegs", "myotorso")
 MODELS = (*BODIES, *MYO_SIM)
@@ -150,16 +152,16 @@ def follow_paths(model, qpos, batch_sizes=None, qvel=0.0, edit=None):
         data = mjw.make_data(model, nworld=worlds, nconmax=1, njmax=256)
         if edit:
             edit(device_model)
+        for name in ("moment_rownnz", "moment_rowadr", "moment_colind"):
+            getattr(data, name).fill_(-1)
         paths = MusclePaths(model, device_model, data)
         data.qpos.assign(qpos)
         data.qvel.fill_(0.0)
         data.qvel.assign(np.broadcast_to(qvel, (worlds, model.nv)).astype(np.float32))
         mjw.kinematics(device_model, data)
         mjw.com_pos(device_model, data)
-        for name in ("ten_length", "ten_J", "actuator_length", "actuator_velocity", "actuator_moment"):
+        for name in FIELDS:
             getattr(data, name).fill_(np.nan)
-        for name in ("moment_rownnz", "moment_rowadr", "moment_colind"):
-            getattr(data, name).fill_(-1)
         paths.launch()
     return data
 
@@ -306,6 +308,55 @@ def test_geometry_of_each_world(two_trees):
         check_world(data, world, edited, qpos[world], np.zeros(model.nv))
     unedited = np.array([reference(model, q)[0] for q in qpos])
     assert np.all(np.abs(unedited - data.ten_length.numpy()).max(axis=0) > 1000 * LENGTH)
+
+
+@pytest.mark.parametrize("num_worlds", [2, 19])
+def test_bits_of_a_world_depend_on_no_other(two_trees, num_worlds):
+    """Surfaces of each world's own: the same bits in lanes, in blocks that are not full, and alone."""
+    model, rng = two_trees, np.random.default_rng(3)
+    qpos = random_states(model, num_worlds)
+    qvel = rng.uniform(-1.0, 1.0, (num_worlds, model.nv))
+    sizes = (model.geom_size * rng.uniform(0.6, 1.4, (num_worlds, model.ngeom, 1))).astype(np.float32)
+
+    def followed(worlds):
+        data = follow_paths(
+            model,
+            qpos[worlds],
+            {"geom_size": len(worlds)},
+            qvel[worlds],
+            lambda device_model: device_model.geom_size.assign(sizes[worlds]),
+        )
+        return [getattr(data, name).numpy() for name in FIELDS]
+
+    order = rng.permutation(num_worlds)
+    together, shuffled = followed(np.arange(num_worlds)), followed(order)
+    alone = [followed(np.array([world])) for world in range(num_worlds)]
+    for name, values, other, *ones in zip(FIELDS, together, shuffled, *alone, strict=True):
+        assert np.ptp(values, axis=0).max() > 100 * MOMENT_ARM, name
+        np.testing.assert_array_equal(other, values[order], err_msg=name)
+        np.testing.assert_array_equal(np.concatenate(ones), values, err_msg=name)
+
+
+def test_one_launch_gives_the_bits_of_two(two_trees):
+    """Rigid bodies and paths share a launch in a step, where what the first wrote is not read again."""
+    model, worlds = two_trees, 11
+    found = []
+    with wp.ScopedDevice("cpu"):
+        for together in (True, False):
+            device_model, data = mjw.put_model(model), mjw.make_data(model, nworld=worlds)
+            device = data.qpos.device
+            scene = SimpleNamespace(oracle=model, model=device_model, data=data, sites=(), device=device)
+            stages = RigidBody(scene), MusclePath(scene)
+            data.qpos.assign(random_states(model, worlds))
+            data.qvel.fill_(1.0)
+            for name in FIELDS:
+                getattr(data, name).fill_(np.nan)
+            for stage in stages:
+                (stage.launcher(stages) if together else stage.launch)(device_model, data)
+            found.append([getattr(data, name).numpy() for name in FIELDS])
+    for name, one, two in zip(FIELDS, *found, strict=True):
+        assert np.isfinite(one).all(), name
+        np.testing.assert_array_equal(one, two, err_msg=name)
 
 
 @pytest.mark.parametrize("moved", [0.0, 1e-9, 1e-7, 1e-4])

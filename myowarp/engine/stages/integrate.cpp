@@ -92,7 +92,7 @@ void end_block(Block<V>& block, Parts& parts, Inertia& inertia, Joints& joints, 
     V* velocity = block.template out<V>(state.qvel);
     for (int i = 0; i < n; ++i)
         velocity[i] = speed[i] + timestep * change[i];
-    const V* before = block.in(state.qpos);
+    const V *before = block.in(state.qpos), *now = block.in(state.time);
     V *after = block.template out<V>(state.qpos), *time = block.template out<V>(state.time);
     for (int joint = 0; joint < joints.jnt_type.shape[0]; ++joint) {
         const int kind = joints.jnt_type.data[joint], scalars = kind == FREE ? 3 : kind == BALL ? 0 : 1;
@@ -102,7 +102,7 @@ void end_block(Block<V>& block, Parts& parts, Inertia& inertia, Joints& joints, 
         if (kind == FREE || kind == BALL)
             turn(before + at + scalars, velocity + dof + scalars, timestep, after + at + scalars);
     }
-    time[0] = block.in(state.time)[0] + timestep;
+    time[0] = now[0] + timestep;
     block.store(state.qvel, velocity, 0, n);
     block.store(state.qpos, after, 0, state.qpos.shape[1]);
     block.store(state.time, time, 0, 1);

@@ -16,6 +16,9 @@
 #define INLINE static inline __attribute__((always_inline))
 namespace lanes {
 
+template <class V> struct MaskOf { typedef bool type; };
+INLINE bool any(bool mask) { return mask; }
+INLINE bool opposite(bool mask) { return !mask; }
 INLINE float select(bool mask, float yes, float no) { return mask ? yes : no; }
 INLINE float root(float x) { return sqrtf(x); }
 INLINE float absolute(float x) { return fabsf(x); }
@@ -26,6 +29,9 @@ INLINE float flipped(float x, int n) { return n & 2 ? -x : x; }
 #if MYOWARP_LANES > 1
 typedef float Lanes __attribute__((ext_vector_type(MYOWARP_LANES)));
 typedef int Mask __attribute__((ext_vector_type(MYOWARP_LANES)));
+template <> struct MaskOf<Lanes> { typedef Mask type; };
+INLINE bool any(Mask mask) { return __builtin_reduce_or(mask) != 0; }
+INLINE Mask opposite(Mask mask) { return ~mask; }
 INLINE Lanes select(Mask mask, Lanes yes, Lanes no) { return mask ? yes : no; }
 INLINE Lanes root(Lanes x) { return __builtin_elementwise_sqrt(x); }
 INLINE Lanes absolute(Lanes x) { return (Lanes)((Mask)x & 0x7fffffff); }
@@ -34,7 +40,10 @@ INLINE Mask whole(Lanes x) { return __builtin_convertvector(x, Mask); }
 INLINE Lanes flipped(Lanes x, Mask n) { return (Lanes)((Mask)x ^ ((n & 2) << 30)); }
 #endif
 
+constexpr float TINY = 1e-15f;  // mjMINVAL
 template <class V> INLINE V splat(float x) { V v; v = x; return v; }
+template <class V> INLINE V larger(V a, V b) { return select(a > b, a, b); }
+template <class V> INLINE V smaller(V a, V b) { return select(a < b, a, b); }
 
 // Cody and Waite's reduction to an eighth of a turn, polynomials of Cephes (Moshier); to 1 ulp below 1e4 rad.
 template <class V> INLINE void sine_cosine(V x, V& sine, V& cosine) {
@@ -51,9 +60,24 @@ template <class V> INLINE void sine_cosine(V x, V& sine, V& cosine) {
     cosine = flipped(select(odd, s, c), n + 1);
 }
 
+// The angle of (x, y); polynomial of Cephes on the eighth of a turn nearest to an axis.
+template <class V> INLINE V arctan2(V y, V x) {
+    const V across = absolute(x), up = absolute(y);
+    const V most = larger(across, up), least = smaller(across, up);
+    const auto middle = least > 0.414213562f * most;
+    const V t = select(middle, least - most, least) / select(middle, least + most, most), z = t * t;
+    V angle = t + t * z * (-3.33329491539e-1f +
+                           z * (1.99777106478e-1f + z * (-1.38776856032e-1f + z * 8.05374449538e-2f)));
+    angle = select(middle, angle + 0.785398163f, angle);
+    angle = select(up > across, 1.57079633f - angle, angle);
+    angle = select(x < 0.0f, 3.14159265f - angle, angle);
+    return select(y < 0.0f, -angle, angle);
+}
+
 template <class V> struct Vec3 { V x, y, z; };
 template <class V> struct Quat { V w, x, y, z; };
 template <class V> struct Mat33 { V m[3][3]; };
+template <class V> struct Motion { Vec3<V> angular, linear; };  // or a force
 
 template <class V> INLINE Vec3<V> operator+(Vec3<V> a, Vec3<V> b) {
     return {a.x + b.x, a.y + b.y, a.z + b.z};
@@ -63,6 +87,12 @@ template <class V> INLINE Vec3<V> operator-(Vec3<V> a, Vec3<V> b) {
 }
 template <class V> INLINE Vec3<V> operator*(V s, Vec3<V> a) { return {s * a.x, s * a.y, s * a.z}; }
 template <class V> INLINE V dot(Vec3<V> a, Vec3<V> b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+template <class V> INLINE V dot(const Motion<V>& a, const Motion<V>& b) {
+    return dot(a.angular, b.angular) + dot(a.linear, b.linear);
+}
+template <class V, class M> INLINE Vec3<V> select(M mask, Vec3<V> yes, Vec3<V> no) {
+    return {select(mask, yes.x, no.x), select(mask, yes.y, no.y), select(mask, yes.z, no.z)};
+}
 template <class V> INLINE Vec3<V> cross(Vec3<V> a, Vec3<V> b) {
     return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
@@ -132,6 +162,7 @@ template <class V> struct Block {
         return {array.shape[0] > 1 ? nullptr : row_of(array, 0),
                 array.shape[0] > 1 ? row_of(array, first % array.shape[0]) : nullptr};
     }
+    template <class A> void load(A&, V*, int, int) {}
     template <class A> void store(A&, const V*, int, int) {}
 };
 
@@ -195,32 +226,47 @@ static __attribute__((noinline)) void from_lanes(float* to, int stride, int coun
 }
 
 // A world in each lane: it computes in scratch memory, which stays in the cache from one block to the next.
-// Lanes beyond `count` repeat the last world and are not stored.
+// Lanes beyond `count` repeat the last world and are not stored. What is in lanes already is not gathered
+// again: a step reads there what an earlier step of the same launch wrote.
 template <> struct Block<Lanes> {
     int first, count;
     float* scratch;
+    const void* arrays[96];
+    Lanes* held[96];
+    int num_held = 0;
+    Block(int first, int count, float* scratch) : first(first), count(count), scratch(scratch) {}
     Lanes* take(int n) {
         Lanes* taken = (Lanes*)scratch;
         scratch += n * MYOWARP_LANES;
         return taken;
     }
-    template <class F> Lanes* gathered(F row, int n) {
-        Lanes* to = take(n);
+    // Gather floats begin, ..., end - 1 of the rows of the worlds.
+    template <class A> void load(A& array, Lanes* to, int begin, int end) {
         const float* from[MYOWARP_LANES];
         for (int lane = 0; lane < MYOWARP_LANES; ++lane)
-            from[lane] = row(first + (lane < count ? lane : count - 1));
-        to_lanes(to, from, n);
-        return to;
+            from[lane] = row_of(array, (first + (lane < count ? lane : count - 1)) % array.shape[0]) + begin;
+        to_lanes(to + begin, from, end - begin);
     }
     template <class A> const Lanes* in(A& array) {
-        return gathered([&](int world) { return row_of(array, world); }, row_floats(array));
+        for (int k = num_held - 1; k >= 0; --k)
+            if (arrays[k] == array.data)
+                return held[k];
+        Lanes* to = out<Lanes>(array);
+        load(array, to, 0, row_floats(array));
+        return to;
     }
-    template <class T, class A> T* out(A& array) { return (T*)take(row_floats(array)); }
+    template <class T, class A> T* out(A& array) {
+        Lanes* to = take(row_floats(array));
+        if (num_held < 96) {
+            arrays[num_held] = array.data;
+            held[num_held++] = to;
+        }
+        return (T*)to;
+    }
     template <class A> Field<Lanes> model(A& array) {
         if (array.shape[0] == 1)
             return {row_of(array, 0), nullptr};
-        auto row = [&](int world) { return row_of(array, world % array.shape[0]); };
-        return {nullptr, gathered(row, row_floats(array))};
+        return {nullptr, in(array)};
     }
     // Write floats begin, ..., end - 1 of the rows of the worlds.
     template <class A> void store(A& array, const Lanes* from, int begin, int end) {
@@ -229,7 +275,8 @@ template <> struct Block<Lanes> {
 };
 #endif
 
-// Call `step` for blocks of worlds in a mask, of all if it is null. Lanes cost as much as one to two worlds alone: fewer go alone.
+// Call `step` for blocks of worlds in a mask, or of all if it is null. Lanes cost as much as one to two
+// worlds alone: fewer go alone.
 template <class Step> INLINE void for_blocks(int num_worlds, const bool* mask, float* scratch, Step step) {
     scratch = (float*)(((unsigned long long)scratch + 63) & ~63ull);
     for (int world = 0; world < num_worlds;) {

@@ -5,6 +5,11 @@ machine holds, go through it at once. `lanes.cpp` has the vectors, and moves row
 them and back. What is written with it runs a world at a time, too, with the same bits: where few worlds are
 left for a block, and where the compiler has no vectors. The width follows from the CPU's features, which are
 in the key of Warp's cache.
+
+Stages that adjoin share a launch: their functions of a block follow one another in it (`rigid_body.py`). A
+function asks the block for what it reads, `block.in(array)`, and for what it writes, `block.out<T>(array)`;
+what an earlier one wrote is in lanes then, and is not gathered again. So a function asks for what it
+overwrites before it asks to write it.
 """
 
 import math

@@ -9,9 +9,13 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.body import POINT_JOINTS
-from myowarp.engine.stage import Stage
+from myowarp.engine.stage import Launches, Stage
 from myowarp.engine.stages.arrays import any_of, filled
+from myowarp.engine.stages.lanes import block_scratch
 from myowarp.engine.stages.muscle_path_kernel import (
+    CYLINDER,
+    SPHERE,
+    STRAIGHT,
     Drive,
     Path,
     PathOp,
@@ -20,13 +24,11 @@ from myowarp.engine.stages.muscle_path_kernel import (
     Transmission,
     muscle_path,
 )
-from myowarp.engine.stages.wrap import CYLINDER, SPHERE, STRAIGHT
 from myowarp.engine.stepped import Stepped
-from myowarp.kernels.batching import num_threads
 from myowarp.kernels.launch import launch
 
 _WRAP = mujoco.mjtWrap
-_KINDS = {_WRAP.mjWRAP_SPHERE.value: int(SPHERE), _WRAP.mjWRAP_CYLINDER.value: int(CYLINDER)}
+_KINDS = {_WRAP.mjWRAP_SPHERE.value: SPHERE, _WRAP.mjWRAP_CYLINDER.value: CYLINDER}
 _SITE, _PULLEY = _WRAP.mjWRAP_SITE.value, _WRAP.mjWRAP_PULLEY.value
 _TENDON = mujoco.mjtTrn.mjTRN_TENDON.value
 _JOINT = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
@@ -72,6 +74,7 @@ class MusclePaths:
         program: The tendons.
         pose: What the kernel reads of `mujoco_warp.Data`.
         transmission: What it writes.
+        arrays: All that has a row for each world.
     """
 
     def __init__(self, host: mujoco.MjModel, model: mjw.Model, data: mjw.Data) -> None:
@@ -79,8 +82,10 @@ class MusclePaths:
         self._host, self._fixed_sites = host, model.site_pos.shape[0] == 1
         self._ops: list[tuple[Any, ...]] = []
         self._crossings: list[tuple[int, int]] = []
-        self._num_worlds, self._threads = data.nworld, num_threads(data.qpos.device, host.ntendon)
-        rows = np.concatenate([[0], np.cumsum(self._moment_sizes())])
+        self._data, self._dim = data, (data.nworld, host.ntendon) if data.qpos.device.is_cuda else (1, 1)
+        moved = [self._moved(actuator) for actuator in range(host.nu)]
+        sizes = np.array([len(dofs) for dofs in moved], dtype=int)
+        rows = np.cumsum(sizes) - sizes
         paths: list[tuple[Any, ...]] = []
         drives: list[tuple[Any, ...]] = []
         for tendon in range(host.ntendon):
@@ -102,16 +107,34 @@ class MusclePaths:
             self.program.drives = _struct_array(Drive, drives)
             self.program.crossings = wp.array(np.array(self._crossings).reshape(-1, 2), dtype=wp.vec2i)
             self.program.dofs = wp.array(host.ten_J_colind, dtype=int)
-        self.program.first_joint_drive = first_joint_drive
+        self.program.first_joint_drive, self.program.num_moments = first_joint_drive, int(sizes.sum())
         for name in ("site_pos", "geom_size", "actuator_gear"):
             setattr(self.program, name, getattr(model, name))
         self.pose, self.transmission = filled(Pose, data), filled(Transmission, data)
+        model_arrays = self.program.site_pos, self.program.geom_size, self.program.actuator_gear
+        self.arrays = *model_arrays, self.pose, self.transmission
+        self.scratch = block_scratch(data.qpos.device, *self.arrays)
+        columns = np.zeros(data.moment_colind.shape[1], dtype=int)
+        columns[: sizes.sum()] = np.concatenate([*moved, ()])
+        layout = {"moment_rownnz": sizes, "moment_rowadr": rows, "moment_colind": columns}
+        with wp.ScopedDevice(data.qpos.device):
+            self._layout = {
+                name: wp.array(np.tile(row, (data.nworld, 1)), dtype=int) for name, row in layout.items()
+            }
+        self._write_layout()
 
-    def _moment_sizes(self) -> np.ndarray:
-        """Return the number of dofs that each actuator acts on."""
-        host = self._host
-        on_tendon = host.actuator_trntype == _TENDON
-        return np.where(on_tendon, host.ten_J_rownnz[np.where(on_tendon, host.actuator_trnid[:, 0], 0)], 1)
+    def _write_layout(self) -> None:
+        """Say where `actuator_moment` has what."""
+        for name, rows in self._layout.items():
+            wp.copy(getattr(self._data, name), rows)
+
+    def _moved(self, actuator: int) -> np.ndarray:
+        """Return the dofs that an actuator acts on."""
+        host, target = self._host, self._host.actuator_trnid[actuator, 0]
+        if host.actuator_trntype[actuator] != _TENDON:
+            return host.jnt_dofadr[[target]]
+        row = host.ten_J_rowadr[target]
+        return host.ten_J_colind[row : row + host.ten_J_rownnz[target]]
 
     def _compile(self, tendon: int) -> float:
         """Append the segments of a tendon; returns the length of those that are fixed [m]."""
@@ -130,7 +153,7 @@ class MusclePaths:
                 if self._fixed_sites and host.site_bodyid[near] == host.site_bodyid[far]:
                     fixed_length += scale * math.dist(host.site_pos[far], host.site_pos[near])
                 else:
-                    self._add(tendon, int(STRAIGHT), near, far, scale)
+                    self._add(tendon, STRAIGHT, near, far, scale)
                 at += 1
             else:
                 kind, side = _KINDS[int(kinds[at + 1])], round(host.wrap_prm[at + 1])
@@ -144,7 +167,7 @@ class MusclePaths:
         """Append a segment between two sites."""
         host = self._host
         near_body, far_body = host.site_bodyid[near], host.site_bodyid[far]
-        middle_body = near_body if kind == int(STRAIGHT) else host.geom_bodyid[geom]
+        middle_body = near_body if kind == STRAIGHT else host.geom_bodyid[geom]
         side_body = host.site_bodyid[side] if side >= 0 else 0
         ends = ((near_body, far_body), (near_body, middle_body), (middle_body, far_body))
         links = [self._link(tendon, *bodies) for bodies in ends]
@@ -172,7 +195,9 @@ class MusclePaths:
 
     def launch(self) -> None:
         """Launch `muscle_path`; body poses, `geom_xpos` and `cdof` have to be those of `qpos`."""
-        launch(muscle_path, (self._num_worlds, self._threads), self, threads=self._threads)
+        if self._data.qpos.device.is_cuda:  # where the engine's own step leaves rows in any order
+            self._write_layout()
+        launch(muscle_path, self._dim, self, threads=self._dim[1])
 
 
 def _has_site_equality(stepped: Stepped) -> bool:
@@ -196,8 +221,14 @@ class MusclePath(Stage):
         if any_of(stepped.model.tendon_damping, stepped.model.tendon_dampingpoly):
             self.replaces = ("tendon", "transmission")  # damping needs the tendons' own velocities
         with wp.ScopedDevice(stepped.device):
-            self._paths = MusclePaths(stepped.oracle, stepped.model, stepped.data)
+            self.paths = MusclePaths(stepped.oracle, stepped.model, stepped.data)
+
+    def launcher(self, stages: tuple[Stage, ...]) -> Launches:
+        """Return nothing to launch where the launch of the rigid bodies follows the paths, too."""
+        if any("kinematics" in stage.replaces for stage in stages):
+            return lambda model, data: None
+        return self.launch
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Follow all paths."""
-        self._paths.launch()
+        self.paths.launch()

@@ -2,8 +2,9 @@
 
     length = sum_segments scale |segment|,    ten_J = d length / d q
 
-A path is a chain of segments between sites, straight or bent round a geom (`stages.wrap`). A segment whose
-far end moves with dof j, (c_rot, c_lin) = cdof_j given at the centre of mass com of j's tree, adds
+A path is a chain of segments between sites, straight or bent round a geom (`muscle_path.cpp`; MuJoCo's
+documentation, *Wrapping geometry*). A segment whose far end moves with dof j, (c_rot, c_lin) = cdof_j given
+at the centre of mass com of j's tree, adds
 
     c_rot . ((x - com) x u) + c_lin . u
 
@@ -13,10 +14,13 @@ velocity gear length, gear ten_J and gear ten_J . qvel. Source: MuJoCo's documen
 Actuation model*; layout of the arrays: mujoco-warp 4.0.0, `tendon` and `transmission`.
 """
 
+from pathlib import Path as File
+
 import warp as wp
 
-from myowarp.engine.stages.wrap import STRAIGHT, Bend, bend_round, unit
-from myowarp.kernels.batching import batched
+from myowarp.engine.stages.lanes import at_namespace_level
+
+STRAIGHT, SPHERE, CYLINDER = range(3)
 
 
 @wp.struct
@@ -122,6 +126,7 @@ class PathProgram:
         dofs: Dof of each entry of `ten_J`.
         drives: Actuators, those on tendons in the order of the tendons, then those on joints.
         first_joint_drive: First actuator on a joint.
+        num_moments: Entries of `actuator_moment`.
         site_pos: Positions of sites in their bodies [m], shape (1 or num_worlds, nsite).
         geom_size: Sizes of geoms, radius first [m], shape (1 or num_worlds, ngeom).
         actuator_gear: Gears, shape (1 or num_worlds, nu).
@@ -133,6 +138,7 @@ class PathProgram:
     dofs: wp.array[int]
     drives: wp.array[Drive]
     first_joint_drive: int
+    num_moments: int
     site_pos: wp.array2d[wp.vec3]
     geom_size: wp.array2d[wp.vec3]
     actuator_gear: wp.array2d[wp.spatial_vector]
@@ -160,69 +166,39 @@ class Transmission:
     ten_J: wp.array2d[float]  # noqa: N815  (the engine's name)
     actuator_length: wp.array2d[float]
     actuator_velocity: wp.array2d[float]
-    moment_rownnz: wp.array2d[int]
-    moment_rowadr: wp.array2d[int]
-    moment_colind: wp.array2d[int]
     actuator_moment: wp.array2d[float]
 
 
-@wp.func
-def add_moments(
-    crossings: wp.array[wp.vec2i],
-    subtree_com: wp.array[wp.vec3],
-    cdof: wp.array[wp.spatial_vector],
-    link: Link,
-    point: wp.vec3,
-    force: wp.vec3,
-    row: wp.array[float],
+SOURCE = at_namespace_level(File(__file__).with_name("muscle_path.cpp"))
+
+
+@wp.func_native(SOURCE)
+def declare_follow_block(thread: int):
+    """Declare the templates of `muscle_path.cpp`."""
+    ...
+
+
+@wp.func_native("""
+#ifdef __CUDACC__  // a thread for a world and some paths
+    lanes::Block<float> block{world, 1, nullptr};
+    lanes::follow_block(block, thread, threads, program, pose.qpos, pose.qvel, pose, pose, transmission);
+#else
+    lanes::for_blocks(pose.qpos.shape[0], nullptr, scratch.data, [&](auto& block) {
+        lanes::follow_block(block, 0, 1, program, pose.qpos, pose.qvel, pose, pose, transmission);
+    });
+#endif
+""")
+def follow(
+    world: int,
+    thread: int,
+    threads: int,
+    scratch: wp.array[float],
+    program: PathProgram,
+    pose: Pose,
+    transmission: Transmission,
 ):
-    """row[j] += cdof_j . ((point - com) x force, force), with the sign of the end that dof j moves."""
-    if link.first < link.middle:
-        wrench = wp.spatial_vector(wp.cross(point - subtree_com[link.near_root], force), force)
-        for i in range(link.first, link.middle):
-            crossing = crossings[i]
-            row[crossing[1]] = row[crossing[1]] - wp.dot(cdof[crossing[0]], wrench)
-    if link.middle < link.last:
-        wrench = wp.spatial_vector(wp.cross(point - subtree_com[link.far_root], force), force)
-        for i in range(link.middle, link.last):
-            crossing = crossings[i]
-            row[crossing[1]] = row[crossing[1]] + wp.dot(cdof[crossing[0]], wrench)
-
-
-@wp.func
-def follow(program: PathProgram, pose: Pose, worldid: int, path: Path, moments: wp.array[float]) -> float:
-    """Add the moment arms of a path to its row of `ten_J`, and return its length."""
-    length = path.fixed_length
-    sites = program.site_pos[batched(worldid, program.site_pos.shape[0])]
-    sizes = program.geom_size[batched(worldid, program.geom_size.shape[0])]
-    subtree_com, cdof = pose.subtree_com[worldid], pose.cdof[worldid]
-    for i in range(path.first_op, path.last_op):
-        op = program.ops[i]
-        near = pose.xpos[worldid, op.near_body] + pose.xmat[worldid, op.near_body] * sites[op.near_site]
-        far = pose.xpos[worldid, op.far_body] + pose.xmat[worldid, op.far_body] * sites[op.far_site]
-        bend = Bend()
-        bend.length = -1.0
-        if op.kind != STRAIGHT:
-            centre = pose.geom_xpos[worldid, op.geom]
-            turned = pose.geom_xmat[worldid, op.geom]
-            axis = wp.vec3(turned[0, 2], turned[1, 2], turned[2, 2])
-            radius = sizes[op.geom][0]
-            side = wp.vec3()
-            if op.side_site >= 0:
-                side = pose.xmat[worldid, op.side_body] * sites[op.side_site]
-                side += pose.xpos[worldid, op.side_body] - centre
-            bend = bend_round(op.kind, near - centre, far - centre, axis, side, op.side_site >= 0, radius)
-        if bend.length >= 0.0:
-            length += op.scale * bend.length
-            add_moments(program.crossings, subtree_com, cdof, op.onto, near, op.scale * bend.onto, moments)
-            add_moments(program.crossings, subtree_com, cdof, op.off, far, op.scale * bend.off, moments)
-        else:
-            step = far - near
-            distance = wp.length(step)
-            length += op.scale * distance
-            force = op.scale * unit(step, distance)
-            add_moments(program.crossings, subtree_com, cdof, op.direct, near, force, moments)
-    return length
+    """Follow paths: a share of a world's in a thread of CUDA, all of all worlds in the CPU's only one."""
+    ...
 
 
 @wp.kernel(enable_backward=False)
@@ -231,39 +207,12 @@ def muscle_path(
     program: PathProgram,
     threads: int,
     # In:
+    scratch: wp.array[float],
     pose: Pose,
     # Out:
     transmission: Transmission,
 ):
     """Length = sum of segments, ten_J = its gradient; an actuator's length, moment, velocity = gear (...)."""
     worldid, thread = wp.tid()
-    moments, qvel = transmission.ten_J[worldid], pose.qvel[worldid]
-    gears = program.actuator_gear[batched(worldid, program.actuator_gear.shape[0])]
-    for pathid in range(thread, program.paths.shape[0], threads):
-        path = program.paths[pathid]
-        for entry in range(path.row, path.row + path.num_dofs):
-            moments[entry] = 0.0
-        length = follow(program, pose, worldid, path, moments)
-        transmission.ten_length[worldid, pathid] = length
-        for i in range(path.first_drive, path.last_drive):
-            drive = program.drives[i]
-            gear = gears[drive.actuator][0]
-            velocity = float(0.0)
-            for k in range(path.num_dofs):
-                dof, moment = program.dofs[path.row + k], gear * moments[path.row + k]
-                transmission.moment_colind[worldid, drive.row + k] = dof
-                transmission.actuator_moment[worldid, drive.row + k] = moment
-                velocity += moment * qvel[dof]
-            transmission.actuator_length[worldid, drive.actuator] = gear * length
-            transmission.actuator_velocity[worldid, drive.actuator] = velocity
-            transmission.moment_rownnz[worldid, drive.actuator] = path.num_dofs
-            transmission.moment_rowadr[worldid, drive.actuator] = drive.row
-    for i in range(program.first_joint_drive + thread, program.drives.shape[0], threads):
-        drive = program.drives[i]
-        gear = gears[drive.actuator][0]
-        transmission.actuator_length[worldid, drive.actuator] = gear * pose.qpos[worldid, drive.qpos]
-        transmission.actuator_velocity[worldid, drive.actuator] = gear * qvel[drive.dof]
-        transmission.moment_rownnz[worldid, drive.actuator] = 1
-        transmission.moment_rowadr[worldid, drive.actuator] = drive.row
-        transmission.moment_colind[worldid, drive.row] = drive.dof
-        transmission.actuator_moment[worldid, drive.row] = gear
+    declare_follow_block(thread)
+    follow(worldid, thread, threads, scratch, program, pose, transmission)

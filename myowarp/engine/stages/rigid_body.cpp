@@ -2,14 +2,9 @@
 // have their real part first, as in MuJoCo; motions and forces have their angular part first.
 namespace lanes {
 
-template <class V> struct Motion { Vec3<V> angular, linear; };
 template <class V> struct Inertia { V xx, yy, zz, xy, xz, yz; Vec3<V> moment; V mass; };
 enum { FREE, BALL, SLIDE, HINGE };
-constexpr float TINY = 1e-15f;
 
-template <class V> INLINE V dot(const Motion<V>& a, const Motion<V>& b) {
-    return dot(a.angular, b.angular) + dot(a.linear, b.linear);
-}
 template <class V> INLINE void add(Motion<V>& to, const Motion<V>& motion, V factor) {
     to.angular = to.angular + factor * motion.angular;
     to.linear = to.linear + factor * motion.linear;
@@ -148,6 +143,10 @@ void move_block(Block<V>& block, Bodies& bodies, Switches& switches, Sites& site
             place(bodies.geom_bodyid.data[g], g, geom_offset, geom_turn, geom_position, geom_frame);
         block.store(pose.geom_xpos, (const V*)geom_position, 3 * begin, 3 * g);
         block.store(pose.geom_xmat, (const V*)geom_frame, 9 * begin, 9 * g);
+        if (g < num_geoms) {  // for paths round it
+            block.load(pose.geom_xpos, (V*)geom_position, 3 * g, 3 * g + 3);
+            block.load(pose.geom_xmat, (V*)geom_frame, 9 * g, 9 * g + 9);
+        }
     }
 
     // Centres of mass of subtrees, and inertias about those of whole trees.
@@ -160,13 +159,10 @@ void move_block(Block<V>& block, Bodies& bodies, Switches& switches, Sites& site
         com[b] = mass[b] * center[b];
     for (int b = num_bodies - 1; b > 0; --b)
         com[parent[b]] = com[parent[b]] + com[b];
-    for (int b = 0; b < num_bodies; ++b)
-        {
+    for (int b = 0; b < num_bodies; ++b) {
         const V whole = subtree_mass[b];
-        const auto massless = whole < TINY;
-        const Vec3<V> c = center[b], m = com[b];
-        com[b] = {select(massless, c.x, m.x / whole), select(massless, c.y, m.y / whole),
-                  select(massless, c.z, m.z / whole)};
+        const Vec3<V> m = com[b];
+        com[b] = select(whole < TINY, center[b], Vec3<V>{m.x / whole, m.y / whole, m.z / whole});
     }
     const Field<V> principal_inertia = block.model(bodies.body_inertia);
     for (int b = 0; b < num_bodies; ++b) {

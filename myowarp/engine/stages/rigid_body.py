@@ -19,6 +19,8 @@ from mujoco_warp._src.types import vec10
 from myowarp.engine.stage import Launches, Stage
 from myowarp.engine.stages.arrays import any_of, filled
 from myowarp.engine.stages.lanes import at_namespace_level, block_scratch
+from myowarp.engine.stages.muscle_path import MusclePath, MusclePaths
+from myowarp.engine.stages.muscle_path_kernel import PathProgram, Transmission, declare_follow_block
 from myowarp.engine.stepped import Stepped
 from myowarp.kernels.launch import launch
 
@@ -124,6 +126,8 @@ def declare_move_block(thread: int):
 @wp.func_native("""
     lanes::for_blocks(qpos.shape[0], mask.data, scratch.data, [&](auto& block) {
         lanes::move_block(block, bodies, switches, sites, qpos, qvel, pose, motion);
+        if (program.paths.shape[0] > 0)
+            lanes::follow_block(block, 0, 1, program, qpos, qvel, pose, motion, transmission);
     });
 """)
 def move_worlds(
@@ -134,10 +138,12 @@ def move_worlds(
     mask: wp.array[bool],
     qpos: wp.array2d[float],
     qvel: wp.array2d[float],
+    program: PathProgram,
     pose: Pose,
     motion: BodyMotion,
+    transmission: Transmission,
 ):
-    """Set pose and motion of the worlds in the mask, a block after the other."""
+    """Set pose and motion of the worlds in the mask, a block after the other, and follow paths."""
     ...
 
 
@@ -154,14 +160,30 @@ def move_bodies(
     scratch: wp.array[float],
     sites: wp.array[int],
     mask: wp.array[bool],
+    program: PathProgram,
     # Data out:
     pose_out: Pose,
     motion_out: BodyMotion,
+    # Out:
+    transmission: Transmission,
 ):
     """x = x(qpos), M = sum_b J_b' I_b J_b, c = sum_b J_b' (I_b a_b + v_b x I_b v_b) with qacc = 0."""
     thread = wp.tid()
     declare_move_block(thread)
-    move_worlds(scratch, bodies, switches, sites, mask, qpos_in, qvel_in, pose_out, motion_out)
+    declare_follow_block(thread)
+    move_worlds(
+        scratch,
+        bodies,
+        switches,
+        sites,
+        mask,
+        qpos_in,
+        qvel_in,
+        program,
+        pose_out,
+        motion_out,
+        transmission,
+    )
 
 
 def _springy_quaternions(stepped: Stepped) -> bool:
@@ -199,8 +221,8 @@ class RigidBody(Stage):
         self._all_sites = wp.array(np.arange(model.nsite), dtype=int, device=stepped.device)
         self._no_sites = wp.zeros(0, dtype=int, device=stepped.device)
         bodies, data = filled(RigidBodies, model, model.opt), stepped.data
-        of_data = filled(Pose, data), filled(BodyMotion, data), data.qpos, data.qvel
-        self._scratch = block_scratch(stepped.device, bodies, *of_data)
+        self._arrays = bodies, filled(Pose, data), filled(BodyMotion, data), data.qpos, data.qvel
+        self._scratch = block_scratch(stepped.device, *self._arrays)
         self._every = wp.ones(stepped.data.nworld, dtype=bool, device=stepped.device)
         tendons = (
             model.tendon_stiffness,
@@ -212,10 +234,13 @@ class RigidBody(Stage):
         if others or any_of(*tendons, model.body_gravcomp):
             self.replaces = tuple(place for place in self.REPLACES if place != "passive")
 
-    def launcher(self, replaced: frozenset[str]) -> Launches:
-        """Return a launch that leaves out the sites if nobody reads them."""
-        sites = self._no_sites if "tendon" in replaced else self._all_sites
-        return partial(self._launch, mask=self._every, sites=sites, dynamics=True)
+    def launcher(self, stages: tuple[Stage, ...]) -> Launches:
+        """Return a launch that follows paths, too, if they are ours; then nobody else reads sites."""
+        paths = next((stage.paths for stage in stages if isinstance(stage, MusclePath)), None)
+        if paths is None:
+            return self.launch
+        self._scratch = block_scratch(paths.scratch.device, *self._arrays, *paths.arrays)
+        return partial(self._launch, mask=self._every, sites=self._no_sites, dynamics=True, paths=paths)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Compute all that follows from positions and velocities."""
@@ -233,7 +258,13 @@ class RigidBody(Stage):
         return True
 
     def _launch(
-        self, model: mjw.Model, data: mjw.Data, mask: wp.array, sites: wp.array, dynamics: bool
+        self,
+        model: mjw.Model,
+        data: mjw.Data,
+        mask: wp.array,
+        sites: wp.array,
+        dynamics: bool,
+        paths: MusclePaths | None = None,
     ) -> None:
         """Launch our kernel, which walks through the worlds by itself."""
         disabled, switches = model.opt.disableflags, Switches()
@@ -250,6 +281,8 @@ class RigidBody(Stage):
             scratch=self._scratch,
             sites=sites,
             mask=mask,
+            program=paths.program if paths else PathProgram(),
             pose=filled(Pose, data),
             motion=filled(BodyMotion, data),
+            transmission=paths.transmission if paths else Transmission(),
         )
