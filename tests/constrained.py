@@ -55,12 +55,31 @@ MORE = {
 }
 """Name: layout of J, and bodies. J has 13, 16, 40 and 100 columns, more than 32 are never dense."""
 
+LIMB = (
+    '<body pos="0 0 -.2"><joint axis="1 0 0" range="-20 20" limited="true" margin=".1"/>'
+    '<joint axis="0 1 0" range="-10 30" limited="true"/>'
+    '<geom type="capsule" fromto="0 0 0 0 .05 -.2" size=".03"/>{inside}</body>'
+)
+LIMITS = """
+<mujoco>
+  <option jacobian="{jacobian}"><flag contact="disable" island="disable"/></option>
+  <worldbody>{limbs}</worldbody>
+</mujoco>
+"""
+LIMITED = {"limits": "dense", "sparse limits": "sparse"}
+"""Name: layout of J of a tree in which rows are limits of joints, at most one for each of 10 dofs."""
+
 
 @lru_cache
 def model_of(name):
-    """Return a model with rows of every kind that the solver knows."""
-    jacobian, more = MORE[name]
-    model = mujoco.MjModel.from_xml_string(ROWS.format(jacobian=jacobian, more=more))
+    """Return a model with rows of every kind that the solver knows, or with limits of joints alone."""
+    if name in LIMITED:
+        limbs = LIMB.format(inside=LIMB.format(inside=LIMB.format(inside="")) + LIMB.format(inside="") * 2)
+        xml = LIMITS.format(jacobian=LIMITED[name], limbs=limbs)
+    else:
+        jacobian, more = MORE[name]
+        xml = ROWS.format(jacobian=jacobian, more=more)
+    model = mujoco.MjModel.from_xml_string(xml)
     model.opt.tolerance, model.opt.iterations = 0.0, 200
     return model
 
@@ -76,6 +95,10 @@ def states(name):
         data.qpos[6] -= rng.uniform(0.0, 0.02)
         data.qvel[:] = rng.standard_normal(model.nv)
         data.qfrc_applied[:4] = rng.uniform(-1, 1, 4)
+        if name in LIMITED:
+            data.qpos[:] = rng.uniform(-0.6, 0.6, model.nq)
+            data.qvel[:] *= 8.0
+            data.qfrc_applied[:] = rng.uniform(-5, 5, model.nv)
         mujoco.mj_forward(model, data)
         found.append(data)
     return found

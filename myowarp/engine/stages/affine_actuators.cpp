@@ -1,4 +1,4 @@
-// Forces of affine actuators of the worlds of a block (affine_actuators.py explains, lanes.cpp says what V is).
+// Forces of affine actuators of the worlds of a block (affine_actuators.py; lanes.cpp says what V is).
 // In every world an actuator acts on the same dofs.
 namespace lanes {
 

@@ -1,4 +1,4 @@
-"""Constraint forces: one thread a world runs the whole Newton solve, on the CPU device.
+"""Constraint forces: Newton's method, a world at a time or worlds in lanes, on the CPU device.
 
 Acceleration `x` minimises `1/2 (x - a)' M (x - a) + sum_i s_i(J_i x - aref_i)`, with `a` the acceleration
 without constraints and `s_i` quadratic where row i pulls and linear or zero where it does not (MuJoCo
@@ -6,6 +6,9 @@ documentation, Computation, "Primal problem"). The steps and stopping tests are 
 launches an iteration become plain loops over small dense arrays on the stack (`contact_solve.cpp`). The
 Hessian changes only by the rows whose state flipped, and is factorised again only then. The line search is
 exact, in double precision.
+
+Where every row is a limit of one dof, as in a body that touches nothing, the Hessian has the zeros of M, and
+worlds go through the same method in lanes (`limit_solve.cpp`): there are no rows to multiply by.
 """
 
 from functools import cache
@@ -18,11 +21,17 @@ from mujoco_warp import DisableBit, OverflowType
 
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import ConstraintRows, InertiaRows, filled
+from myowarp.engine.stages.lanes import at_namespace_level, block_scratch
+from myowarp.engine.stepped import Stepped
 from myowarp.kernels.launch import launch
 
 VECTOR = 8  # floats that one instruction adds
 MAX_STACK = 2**20  # bytes that a world may take; threads have 8 MB on Linux, and more on macOS
-SOURCE = Path(__file__).with_name("contact_solve.cpp").read_text()
+SOURCE = Path(__file__).with_suffix(".cpp").read_text()
+FLAGS = {
+    "ITERATIONS_OVERFLOW": int(OverflowType.ITERATIONS),
+    "LINE_SEARCH_OVERFLOW": int(OverflowType.LS_ITERATIONS),
+}
 
 
 @wp.struct
@@ -54,14 +63,44 @@ class SolverResult:
     Ma: wp.array2d[float]
 
 
+@wp.func_native(
+    at_namespace_level(*map(Path(__file__).with_name, ("factor.cpp", "limit_solve.cpp")), **FLAGS)
+)
+def declare_solve_limits(thread: int):
+    """Declare the templates of `limit_solve.cpp`."""
+    ...
+
+
+@wp.func_native("""
+    for (int world = 0; world < solved.shape[0]; ++world)
+        solved.data[world] = lanes::has_limits_only(counts, rows, world, qacc.shape[1], (int*)scratch.data);
+    lanes::for_blocks(solved.shape[0], solved.data, scratch.data, [&](auto& block) {
+        lanes::solve_limits_block(block, inertia, options, M, qfrc_smooth, qacc_warmstart, counts, rows, qacc,
+                                  qfrc_constraint, result);
+    });
+""")
+def solve_limits(
+    scratch: wp.array[float],
+    inertia: InertiaRows,
+    options: SolverOptions,
+    M: wp.array2d[float],
+    qfrc_smooth: wp.array2d[float],
+    qacc_warmstart: wp.array2d[float],
+    counts: RowCounts,
+    rows: ConstraintRows,
+    qacc: wp.array2d[float],
+    qfrc_constraint: wp.array2d[float],
+    result: SolverResult,
+    solved: wp.array[bool],
+):
+    """Solve the worlds whose rows couple no dofs, a block after the other, and note which."""
+    ...
+
+
 @cache
 def native_solve(width: int) -> Any:
     """Return the native function for at most `width` degrees of freedom, a multiple of VECTOR."""
-    constants = {
-        "WIDTH": width,
-        "ITERATIONS_OVERFLOW": int(OverflowType.ITERATIONS),
-        "LINE_SEARCH_OVERFLOW": int(OverflowType.LS_ITERATIONS),
-    }
+    constants = {"WIDTH": width, **FLAGS}
 
     @wp.func_native(
         "".join(f"constexpr int {name} = {value};\n" for name, value in constants.items()) + SOURCE
@@ -98,6 +137,8 @@ def solver_kernel(width: int) -> Any:
         qfrc_smooth_in: wp.array2d[float],
         qacc_warmstart_in: wp.array2d[float],
         # In:
+        scratch: wp.array[float],
+        solved: wp.array[bool],
         counts: RowCounts,
         rows: ConstraintRows,
         # Data out:
@@ -107,20 +148,37 @@ def solver_kernel(width: int) -> Any:
         result: SolverResult,
     ):
         """M qacc = qfrc_smooth + J' force, force = -s'(J qacc - aref)."""
-        worldid = wp.tid()
-        solve_world(
-            worldid,
+        thread = wp.tid()
+        declare_solve_limits(thread)
+        solve_limits(
+            scratch,
             inertia,
             options,
-            M_in[worldid],
-            qfrc_smooth_in[worldid],
-            qacc_warmstart_in[worldid],
+            M_in,
+            qfrc_smooth_in,
+            qacc_warmstart_in,
             counts,
             rows,
-            qacc_out[worldid],
-            qfrc_constraint_out[worldid],
+            qacc_out,
+            qfrc_constraint_out,
             result,
+            solved,
         )
+        for worldid in range(solved.shape[0]):
+            if not solved[worldid]:
+                solve_world(
+                    worldid,
+                    inertia,
+                    options,
+                    M_in[worldid],
+                    qfrc_smooth_in[worldid],
+                    qacc_warmstart_in[worldid],
+                    counts,
+                    rows,
+                    qacc_out[worldid],
+                    qfrc_constraint_out[worldid],
+                    result,
+                )
 
     return solve_constraints
 
@@ -175,25 +233,31 @@ class ContactSolve(Stage):
         ),
     }
 
+    def __init__(self, stepped: Stepped) -> None:
+        """Allocate the memory of a block, and of what is noted of worlds."""
+        super().__init__(stepped)
+        data = stepped.data
+        self.solved = wp.zeros(data.nworld, dtype=bool, device=stepped.device)
+        self.scratch = block_scratch(stepped.device, data.M, data.M, data.efc.Ma, *[data.qvel] * 16)
+
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Sum the forces, then solve the constraints of all worlds."""
         launch(sum_forces, data.nworld, data)
-        launch_solve(model, data)
+        self.solve(model, data)
 
-
-def launch_solve(model: mjw.Model, data: mjw.Data) -> None:
-    """Solve the constraints of all worlds, as `mujoco_warp.solve` does."""
-    result = SolverResult()
-    result.niter, result.overflow = data.solver_niter, data.overflow
-    result.force, result.state, result.Ma = data.efc.force, data.efc.state, data.efc.Ma
-    solve_constraints = solver_kernel(width_of(model.nv))
-    launch(
-        solve_constraints,
-        data.nworld,
-        data,
-        inertia=filled(InertiaRows, model),
-        options=filled(SolverOptions, model.opt),
-        counts=filled(RowCounts, data),
-        rows=filled(ConstraintRows, data.efc),
-        result=result,
-    )
+    def solve(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Solve the constraints of all worlds, as `mujoco_warp.solve` does."""
+        result = SolverResult()
+        result.niter, result.overflow = data.solver_niter, data.overflow
+        result.force, result.state, result.Ma = data.efc.force, data.efc.state, data.efc.Ma
+        launch(
+            solver_kernel(width_of(model.nv)),
+            1,
+            data,
+            self,
+            inertia=filled(InertiaRows, model),
+            options=filled(SolverOptions, model.opt),
+            counts=filled(RowCounts, data),
+            rows=filled(ConstraintRows, data.efc),
+            result=result,
+        )

@@ -1,5 +1,5 @@
-// L' D L = H of the worlds of a block, from the tips of a tree on. H has the pattern of M, whose rows hold the
-// dofs above their own and end with it: the beginning of a row is the row of the dof where it stops.
+// L' D L = H of the worlds of a block, from the tips of a tree on. H has the pattern of M, whose rows hold
+// the dofs above their own and end with it: the beginning of a row is the row of the dof where it stops.
 namespace lanes {
 
 // H becomes L, of unit diagonal, and `inverse_pivot` 1 / D.

@@ -25,6 +25,12 @@ INLINE float absolute(float x) { return fabsf(x); }
 INLINE float nearest(float x) { return rintf(x); }
 INLINE int whole(float x) { return (int)x; }
 INLINE float flipped(float x, int n) { return n & 2 ? -x : x; }
+INLINE bool at(bool mask, int) { return mask; }
+INLINE double widen(float x) { return x; }
+INLINE bool widen(bool mask) { return mask; }
+INLINE float narrow(double x) { return (float)x; }
+INLINE bool narrow(bool mask) { return mask; }
+INLINE double select(bool mask, double yes, double no) { return mask ? yes : no; }
 
 #if MYOWARP_LANES > 1
 typedef float Lanes __attribute__((ext_vector_type(MYOWARP_LANES)));
@@ -38,6 +44,14 @@ INLINE Lanes absolute(Lanes x) { return (Lanes)((Mask)x & 0x7fffffff); }
 INLINE Lanes nearest(Lanes x) { return __builtin_elementwise_roundeven(x); }
 INLINE Mask whole(Lanes x) { return __builtin_convertvector(x, Mask); }
 INLINE Lanes flipped(Lanes x, Mask n) { return (Lanes)((Mask)x ^ ((n & 2) << 30)); }
+INLINE bool at(Mask mask, int lane) { return mask[lane]; }
+typedef double Doubles __attribute__((ext_vector_type(MYOWARP_LANES)));
+typedef decltype(Doubles() < Doubles()) WideMask;
+INLINE Doubles widen(Lanes x) { return __builtin_convertvector(x, Doubles); }
+INLINE WideMask widen(Mask mask) { return __builtin_convertvector(mask, WideMask); }
+INLINE Lanes narrow(Doubles x) { return __builtin_convertvector(x, Lanes); }
+INLINE Mask narrow(WideMask mask) { return __builtin_convertvector(mask, Mask); }
+INLINE Doubles select(WideMask mask, Doubles yes, Doubles no) { return mask ? yes : no; }
 #endif
 
 constexpr float TINY = 1e-15f;  // mjMINVAL

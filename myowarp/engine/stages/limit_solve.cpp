@@ -1,0 +1,238 @@
+// Constraint forces of the worlds of a block in which every row is a limit of one dof, and each of another
+// (contact_solve.py explains the method, lanes.cpp what V is). H = M + D has the pattern of M.
+namespace lanes {
+
+enum { SATISFIED, QUADRATIC };  // mjtConstraintState
+
+// The only dof in a row of J, -1 if there are none or several; `value` is what stands there.
+template <class Rows> INLINE int lone_dof(Rows& rows, int world, int row, int n, float& value) {
+    const bool sparse = rows.J_rownnz.shape[1] > 0;
+    const int first = sparse ? ints_of(rows.J_rowadr, world)[row] : 0;
+    const int size = sparse ? ints_of(rows.J_rownnz, world)[row] : n;
+    const int begin = sparse ? first : row * (rows.J.strides[1] / (int)sizeof(float));
+    const float* J = row_of(rows.J, world) + begin;
+    int found = 0, place = 0;
+    for (int k = 0; k < size; ++k) {
+        const int here = J[k] != 0.0f;
+        found += here;
+        place += here * k;
+    }
+    if (found != 1)
+        return -1;
+    value = J[place];
+    return sparse ? ints_of(rows.J_colind, world)[first + place] : place;
+}
+
+template <class Counts, class Rows> INLINE int rows_of(Counts& counts, Rows& rows, int world) {
+    return counts.nefc.data[world] < rows.aref.shape[1] ? counts.nefc.data[world] : rows.aref.shape[1];
+}
+
+// Whether a world is one of those; rows of contacts are last, and seen first.
+template <class Counts, class Rows>
+bool has_limits_only(Counts& counts, Rows& rows, int world, int n, int* taken) {
+    if (counts.ne.data[world] + counts.nf.data[world] > 0)
+        return false;
+    for (int dof = 0; dof < n; ++dof)
+        taken[dof] = 0;
+    for (int i = rows_of(counts, rows, world) - 1; i >= 0; --i) {
+        float value;
+        const int dof = lone_dof(rows, world, i, n, value);
+        if (dof < 0 || taken[dof]++)
+            return false;
+    }
+    return true;
+}
+
+template <class V, class Inertia, class Options, class Row, class Counts, class Rows, class Result>
+void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row& M, Row& qfrc_smooth,
+                        Row& qacc_warmstart, Counts& counts, Rows& rows, Row& qacc, Row& qfrc_constraint,
+                        Result& result) {
+    typedef decltype(widen(V())) W;
+    typedef typename MaskOf<V>::type Truth;
+    typedef decltype(W() < W()) WideTruth;
+    constexpr int NUM_LANES = sizeof(V) / sizeof(float);
+    const int n = qacc.shape[1], num_entries = M.shape[1];
+    const int *begins = inertia.M_rowadr.data, *sizes = inertia.M_rownnz.data;
+    const int* columns = inertia.M_colind.data;
+    const V zero = splat<V>(0.0f);
+    const W none = widen(zero);
+    const V *mass = block.in(M), *smooth = block.in(qfrc_smooth), *start = block.in(qacc_warmstart);
+    V *x = block.template out<V>(qacc), *pull = block.template out<V>(qfrc_constraint);
+    V *Mx = block.template out<V>(result.Ma), *L = block.take(num_entries), *inverse_pivot = block.take(n);
+    V *gradient = block.take(n), *search = block.take(n), *Ms = block.take(n), *change = block.take(n);
+    V *residual = block.take(n), *force = block.take(n), *weight = block.take(n);
+    V *D = block.take(n), *J = block.take(n), *aref = block.take(n);
+    int* row_of_dof = (int*)block.take(n);
+    for (int i = 0; i < n; ++i) {
+        D[i] = J[i] = aref[i] = weight[i] = zero;
+        for (int lane = 0; lane < NUM_LANES; ++lane)
+            row_of_dof[i * NUM_LANES + lane] = -1;
+    }
+    for (int lane = 0; lane < NUM_LANES; ++lane) {
+        const int world = block.first + (lane < block.count ? lane : block.count - 1);
+        for (int i = 0; i < rows_of(counts, rows, world); ++i) {
+            float value = 0.0f;
+            const int at = lone_dof(rows, world, i, n, value) * NUM_LANES + lane;
+            row_of_dof[at] = i;
+            ((float*)J)[at] = value;
+            ((float*)D)[at] = row_of(rows.D, world)[i];
+            ((float*)aref)[at] = row_of(rows.aref, world)[i];
+        }
+    }
+
+    auto multiply = [&](const V* v, V* to) {  // by M
+        for (int i = 0; i < n; ++i) {
+            const int begin = begins[i], diagonal = begin + sizes[i] - 1;
+            V sum = mass[diagonal] * v[i];
+            for (int k = begin; k < diagonal; ++k) {
+                sum += mass[k] * v[columns[k]];
+                to[columns[k]] += mass[k] * v[i];
+            }
+            to[i] = sum;
+        }
+    };
+    auto dot = [&](const V* a, const V* b) {
+        V sum = zero;
+        for (int i = 0; i < n; ++i)
+            sum += a[i] * b[i];
+        return sum;
+    };
+    // Forces at the present residual, their share of H, and the gradient; returns whose H has changed.
+    auto update = [&]() {
+        Truth changed = zero != zero;
+        for (int i = 0; i < n; ++i) {
+            const auto satisfied = residual[i] >= 0.0f;
+            const V now = select(satisfied, zero, D[i] * J[i] * J[i]);
+            changed = changed | (now != weight[i]);
+            weight[i] = now;
+            force[i] = select(satisfied, zero, -D[i] * residual[i]);
+            pull[i] = J[i] * force[i];
+            gradient[i] = Mx[i] - smooth[i] - pull[i];
+        }
+        return changed;
+    };
+    auto refactorize = [&]() {
+        for (int k = 0; k < num_entries; ++k)
+            L[k] = mass[k];
+        for (int i = 0; i < n; ++i)
+            L[begins[i] + sizes[i] - 1] += weight[i];
+        factorize(inertia, n, L, inverse_pivot);
+    };
+    auto newton = [&]() {  // search = -H^-1 gradient; returns gradient' H^-1 gradient
+        for (int i = 0; i < n; ++i)
+            search[i] = -gradient[i];
+        substitute(inertia, n, L, inverse_pivot, search);
+        return -dot(gradient, search);
+    };
+    // The cost along x + step search: its slope and curvature, and how much it falls from step 0.
+    W smooth_slope, smooth_curvature;
+    auto probe = [&](W step, W& slope, W& curvature) {
+        slope = smooth_slope + step * smooth_curvature;
+        curvature = smooth_curvature;
+        for (int i = 0; i < n; ++i) {
+            const W v = widen(change[i]), d = widen(D[i]), r = widen(residual[i]) + step * v;
+            const auto satisfied = r >= none;
+            slope += select(satisfied, none, v * d * r);
+            curvature += select(satisfied, none, v * v * d);
+        }
+    };
+    auto improvement = [&](W step) {
+        W falls = none;
+        for (int i = 0; i < n; ++i) {
+            const W r = widen(residual[i]), d = 0.5 * widen(D[i]), after = r + step * widen(change[i]);
+            falls += select(r >= none, none, d * r * r) - select(after >= none, none, d * after * after);
+        }
+        return narrow(falls - step * (smooth_slope + 0.5 * step * smooth_curvature));
+    };
+    Truth unfinished = zero != zero, unbracketed = unfinished, busy = zero == zero;
+    auto find_step = [&]() {
+        W slope, curvature, low = none, high = none + 3.4e38;
+        probe(none, slope, curvature);
+        Truth searching = busy & narrow((slope >= none) == 0);
+        const W enough = -1e-9 * slope;
+        W step = select(slope >= none, none, -slope / curvature);
+        for (int i = 0; i < options.ls_iterations && any(searching); ++i) {
+            probe(step, slope, curvature);
+            const WideTruth steep = (slope > enough) | (slope < -enough), falling = slope < none;
+            searching = searching & narrow(steep);
+            low = select(falling, step, low);
+            high = select(falling, high, step);
+            const W next = step - slope / curvature;
+            const WideTruth inside = (next > low) & (next < high), going = widen(searching);
+            step = select(going, select(inside, next, 0.5 * (low + high)), step);
+        }
+        unbracketed = unbracketed | searching;
+        return step;
+    };
+
+    V trace = zero;
+    for (int i = 0; i < n; ++i) {
+        x[i] = start[i];
+        trace += mass[begins[i] + sizes[i] - 1];
+    }
+    const V scale = 1.0f / larger(trace, splat<V>(TINY));
+    const V tolerance = block.model(options.tolerance)[0];
+    // Of NaN, too: nothing to gain.
+    auto below_tolerance = [&](V value) { return (scale * value >= tolerance) == 0; };
+    multiply(x, Mx);
+    for (int i = 0; i < n; ++i)
+        residual[i] = J[i] * x[i] - aref[i];
+    update();
+    V norm = root(dot(gradient, gradient)), iterations = zero;
+    refactorize();
+    V decrement = newton();
+    for (int iteration = 1; any(busy); ++iteration) {
+        multiply(search, Ms);
+        smooth_slope = smooth_curvature = none;
+        for (int i = 0; i < n; ++i) {
+            change[i] = J[i] * search[i];
+            smooth_slope += widen(search[i]) * (widen(Mx[i]) - widen(smooth[i]));
+            smooth_curvature += widen(search[i]) * widen(Ms[i]);
+        }
+        const W step = find_step();
+        const V gain = improvement(step), moved = narrow(step);
+        for (int i = 0; i < n; ++i) {  // finished worlds stay
+            x[i] = select(busy, x[i] + moved * search[i], x[i]);
+            Mx[i] = select(busy, Mx[i] + moved * Ms[i], Mx[i]);
+            residual[i] = select(busy, residual[i] + moved * change[i], residual[i]);
+        }
+        iterations = select(busy, splat<V>((float)iteration), iterations);
+
+        const Truth flipped = update();
+        const V present = root(dot(gradient, gradient)), remaining = absolute(narrow(1.0 - step));
+        norm = select(flipped, present, norm * remaining);  // along a quadratic cost it only shrinks
+        decrement = decrement * remaining * remaining;
+        const Truth gained = (gain > 0.0f) & below_tolerance(gain);
+        const Truth small = (flipped == 0) & below_tolerance(0.5f * decrement);
+        busy = busy & ((narrow(step == none) | gained | small | below_tolerance(norm)) == 0);
+        if (!any(busy))
+            break;
+        if (any(flipped & busy))
+            refactorize();
+        decrement = newton();
+        norm = present;
+        busy = busy & ((flipped & below_tolerance(0.5f * decrement)) == 0);
+        if (iteration == options.iterations) {
+            unfinished = busy;
+            break;
+        }
+    }
+
+    block.store(qacc, x, 0, n);
+    block.store(qfrc_constraint, pull, 0, n);
+    block.store(result.Ma, Mx, 0, n);
+    for (int lane = 0; lane < block.count; ++lane) {
+        const int world = block.first + lane;
+        result.niter.data[world] = (int)((float*)&iterations)[lane];
+        result.overflow.data[world] |= at(unfinished, lane) ? ITERATIONS_OVERFLOW : 0;
+        result.overflow.data[world] |= at(unbracketed, lane) ? LINE_SEARCH_OVERFLOW : 0;
+        for (int dof = 0; dof < n; ++dof) {
+            const int at = dof * NUM_LANES + lane, row = row_of_dof[at];
+            if (row < 0)
+                continue;
+            row_of(result.force, world)[row] = ((float*)force)[at];
+            ((int*)row_of(result.state, world))[row] = ((float*)weight)[at] == 0.0f ? SATISFIED : QUADRATIC;
+        }
+    }
+}
+}  // namespace lanes
