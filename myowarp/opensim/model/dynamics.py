@@ -107,15 +107,10 @@ def equations(model: Model, values: Mapping[str, Array], speeds: Array) -> tuple
     Returns:
         M, shape (n, independent, independent), and c, shape (n, independent).
     """
-    coordinates = _rates(model, values, speeds)
-    count, lanes = len(speeds), speeds.shape[1] + 1
-    lane, here = np.zeros((lanes, count, 3)), np.zeros((count, 3))
-    still = Moving(np.broadcast_to(np.eye(3), (count, 3, 3)), here, lane, lane, here, here)
-    frames = {GROUND: still}
-    M, c = np.zeros((count, lanes - 1, lanes - 1)), np.zeros((count, lanes - 1))
-    for joint in model.joints.values():
-        frames[joint.child] = frame = _behind(joint, frames[joint.parent], coordinates)
-        body = model.bodies[joint.child]
+    frames, free = moving_frames(model, rates(model, values, speeds)), speeds.shape[1]
+    M, c = np.zeros((len(speeds), free, free)), np.zeros(speeds.shape)
+    for name, body in model.bodies.items():
+        frame = frames[name]
         if body.mass == 0:
             continue
         xx, yy, zz, xy, xz, yz = body.inertia
@@ -132,6 +127,16 @@ def equations(model: Model, values: Mapping[str, Array], speeds: Array) -> tuple
     return M, c
 
 
+def moving_frames(model: Model, coordinates: Coordinates) -> dict[str, Moving]:
+    """Return the frames of all bodies and of ground."""
+    lanes, count = next(iter(coordinates.rate.values())).shape
+    lane, here = np.zeros((lanes, count, 3)), np.zeros((count, 3))
+    frames = {GROUND: Moving(np.broadcast_to(np.eye(3), (count, 3, 3)), here, lane, lane, here, here)}
+    for joint in model.joints.values():
+        frames[joint.child] = _behind(joint, frames[joint.parent], coordinates)
+    return frames
+
+
 def _behind(joint: Joint, parent: Moving, coordinates: Coordinates) -> Moving:
     """Return the frame of the child of a joint."""
     frame = parent.at(parent.rotation @ joint.parent_frame.position)
@@ -143,8 +148,8 @@ def _behind(joint: Joint, parent: Moving, coordinates: Coordinates) -> Moving:
     return replace(frame, rotation=frame.rotation @ back.rotation)
 
 
-def _rates(model: Model, values: Mapping[str, Array], speeds: Array) -> Coordinates:
-    """Return all coordinates; couplers move with those that they follow."""
+def rates(model: Model, values: Mapping[str, Array], speeds: Array) -> Coordinates:
+    """Return all coordinates; couplers move with those that they follow. Arguments as in `equations`."""
     count, free = len(speeds), independent(model)
     value = complete(model, values, count)
     rate = {name: np.zeros((len(free) + 1, count)) for name in value}

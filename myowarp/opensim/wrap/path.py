@@ -188,7 +188,9 @@ class _Solver:
 
     def _apply(self, rows: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Wrap the best piece of the paths over one object; return the poses tried and the last status."""
-        first, last = _range(self.path.wraps[number], self.points)
+        first, last = path_range(self.path.wraps[number], self.points)
+        if last <= first:
+            return rows[:0], np.zeros(0, int)
         allowed = self.active[rows, first : last + 1]
         rows, allowed = rows[allowed.any(axis=1)], allowed[allowed.any(axis=1)]
         begin = first + np.argmax(allowed, axis=1)
@@ -291,7 +293,7 @@ class _Best:
         self.final[tried] = mandatory
 
 
-def _range(wrap: PathWrap, points: int) -> tuple[int, int]:
+def path_range(wrap: PathWrap, points: int) -> tuple[int, int]:
     """Return the first and last path point between which a path may wrap, counted from 0."""
     first, last = wrap.range
     return (0 if first < 1 else first - 1), (points if last < 1 else min(last, points)) - 1
