@@ -14,11 +14,13 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from myowarp.motion.muscle_paths import MusclePaths
 from myowarp.motion.static_optimization import Activations, optimal_activations
+from myowarp.motion.steady_muscles import SteadyMuscles
 from myowarp.opensim.model.model import Model
-from myowarp.opensim.muscle.hill import HillMuscle, known
+from myowarp.opensim.muscle.hill import HillMuscle
 
 Mode = Literal["equilibrium", "opensim"]
 
@@ -64,10 +66,19 @@ class MuscleForces:
     saturated: Mapping[str, int]
 
 
-def rigid_capacity(muscle: HillMuscle, length: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Return the active force of a fiber with a rigid tendon at activation 1 [N], as OpenSim."""
+def rigid_capacity(
+    muscle: HillMuscle, length: np.ndarray, velocity: np.ndarray, slack: np.ndarray | float = 1.0
+) -> np.ndarray:
+    """Return the active force of a fiber with a rigid tendon at activation 1 [N], as OpenSim.
+
+    Args:
+        muscle: The muscle.
+        length: Of muscle and tendon [m].
+        velocity: Its velocity [m/s], lengthening > 0.
+        slack: Factor on the tendon slack length.
+    """
     v = muscle.values
-    z = length - v["tendon_slack_length"]
+    z = length - slack * v["tendon_slack_length"]
     held = np.maximum(z, muscle.shortest_fiber)
     fiber = np.sqrt(held**2 + muscle.fiber_width**2)
     cosine = held / np.maximum(fiber, 1e-15)
@@ -88,6 +99,8 @@ def muscle_forces(
     mode: Mode = "equilibrium",
     exponent: float = 2.0,
     reserves: Mapping[str, float] | None = None,
+    strength: np.ndarray | float = 1.0,
+    slack: np.ndarray | float = 1.0,
     device: Any = None,
 ) -> MuscleForces:
     """Return the muscle forces of least cost that give the moments of a motion.
@@ -103,6 +116,8 @@ def muscle_forces(
         mode: What a muscle can give, see the module.
         exponent: p of the cost sum |a|^p, which counts reserves with their force over `reserves`.
         reserves: By coordinate, the force of a reserve at cost 1 [N m] or [N].
+        strength: Factors on maximum isometric forces, which broadcast to (frames, muscles).
+        slack: Factors on tendon slack lengths, likewise.
         device: Where it is solved.
 
     Raises:
@@ -115,7 +130,8 @@ def muscle_forces(
         raise ValueError(f"reserve on {sorted(unknown)[0]!r}: unknown; available: {', '.join(coordinates)}")
     if not all(0.0 < force < np.inf for force in reserves.values()):
         raise ValueError("the force of a reserve must be above 0 and finite")
-    muscles = [known(HillMuscle.of(model.muscles[name]))[0] for name in paths.muscles]
+    steady = SteadyMuscles([HillMuscle.of(model.muscles[name]) for name in paths.muscles], device)
+    muscles = steady.muscles
     helped = [coordinates.index(name) for name in reserves]
     held = sorted({row for rows in paths.crossed for row in rows} | set(helped))
     width = max([len(rows) for rows in paths.crossed] + [1])
@@ -130,35 +146,34 @@ def muscle_forces(
     bounds = [(max(m.values["min_control"], 0.0), min(m.values["max_control"], 1.0)) for m in muscles]
     lower, upper = np.array([*bounds, *[(-np.inf, np.inf)] * len(helped)], float).reshape(-1, 2).T
 
-    def at(activation: np.ndarray) -> np.ndarray:
-        columns = [
-            muscle.values["max_isometric_force"]
-            * muscle.tendon_force(activation[:, i], paths.length[:, i], paths.velocity[:, i])
-            for i, muscle in enumerate(muscles)
-        ]
-        return np.stack(columns, axis=1)
+    def at(activation: ArrayLike, near: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        force, along = steady.at(activation, paths.length, paths.velocity, slack, near)
+        return strength * force, along
 
-    def solve(capacity: np.ndarray, passive: np.ndarray) -> Activations:
+    def solve(capacity: np.ndarray, passive: np.ndarray, near: np.ndarray | None = None) -> Activations:
         effects = arm.copy()
         effects[:, : len(muscles)] *= capacity[:, :, None]
         right = (joint_moment - np.einsum("nmk,nm->nk", paths.moment_arm, passive))[:, held]
-        return optimal_activations(table, effects, right, lower, upper, exponent, device)
+        return optimal_activations(table, effects, right, lower, upper, exponent, device, near)
 
     if mode == "opensim":
         passive = np.zeros_like(paths.length)
-        capacity = np.stack(
-            [rigid_capacity(m, paths.length[:, i], paths.velocity[:, i]) for i, m in enumerate(muscles)],
-            axis=1,
-        )
+        longer = np.broadcast_to(slack, paths.length.shape)
+        capacity = strength * np.stack(
+            [rigid_capacity(m, paths.length[:, i], paths.velocity[:, i], longer[:, i])
+             for i, m in enumerate(muscles)], axis=1,
+        )  # fmt: skip
         found = solve(capacity, passive)
     else:
-        passive = at(np.zeros_like(paths.length))
-        capacity = at(np.ones_like(paths.length)) - passive
+        passive, _ = at(0.0)
+        full, along = at(1.0)
+        capacity = full - passive
         found = solve(capacity, passive)
         for _ in range(ROUNDS - 1):
             before = np.clip(found.activation[:, : len(muscles)], LEAST, 1.0)
-            capacity = (at(before) - passive) / before
-            found = solve(capacity, passive)
+            force, along = at(before, along)
+            capacity = (force - passive) / before
+            found = solve(capacity, passive, found.dual)
     activation = found.activation[:, : len(muscles)]
     force = passive + capacity * activation
     missing = joint_moment.copy()

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from myowarp.opensim.model.model import Model
-from myowarp.opensim.wrap.moment_arm import crossed, own_reference, poses_of
+from myowarp.opensim.wrap.moment_arm import crossed, moment_arms, poses_of, stacked
+from myowarp.opensim.wrap.path import solve
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +48,11 @@ def muscle_paths(
     length = np.zeros((len(values), len(muscles)))
     arm = np.zeros((*length.shape, len(coordinates)))
     for number, (name, names) in enumerate(zip(muscles, along, strict=True)):
-        reference = own_reference(model, model.muscles[name].path, poses, names)
-        length[:, number] = reference.length
-        for coordinate in names:
-            arm[:, number, coordinates.index(coordinate)] = reference.moment_arm[coordinate]
+        path = model.muscles[name].path
+        solution = solve(model, path, *stacked(model, path, poses, []))
+        length[:, number] = solution.length
+        for coordinate, column in moment_arms(model, path, poses, solution, names).items():
+            arm[:, number, coordinates.index(coordinate)] = column
     velocity = -np.einsum("nmk,nk->nm", arm, speeds)
     rows = tuple(tuple(coordinates.index(name) for name in names) for names in along)
     return MusclePaths(muscles, length, velocity, arm, rows)

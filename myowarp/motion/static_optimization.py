@@ -203,13 +203,12 @@ def optimize_activations(
 ):
     """a = argmin sum |a|^p with A a = b within bounds; `missing` is b - A a.
 
-    The residual is the largest gradient of the dual problem in units of its row. It is infinite, and a the
-    lower bound, where a number of the problem is not finite.
+    Newton's method begins at the dual that is there. The residual is the largest gradient of the dual problem
+    in units of its row. It is infinite, and a the lower bound, where a number of the problem is not finite.
     """
     worldid = wp.tid()
     good = bool(True)
     for r in range(right.shape[1]):
-        work.dual[worldid, r] = wp.float64(0.0)
         work.size[worldid, r] = wp.float64(0.0)
         good = good and wp.isfinite(right[worldid, r])
     for i in range(row.shape[0]):
@@ -268,11 +267,13 @@ class Activations:
         activation: Shape (frames, unknowns).
         missing: Moment that is not met [N m] or [N], shape (frames, rows).
         residual: How far the solver is from its solution, in units of the rows, shape (frames,).
+        dual: y, shape (frames, rows).
     """
 
     activation: np.ndarray
     missing: np.ndarray
     residual: np.ndarray
+    dual: np.ndarray
 
 
 def optimal_activations(
@@ -283,6 +284,7 @@ def optimal_activations(
     upper: np.ndarray | float = 1.0,
     exponent: float = 2.0,
     device: Any = None,
+    near: np.ndarray | None = None,
 ) -> Activations:
     """Return the activations of least cost that give the wanted moments.
 
@@ -294,6 +296,7 @@ def optimal_activations(
         upper: Upper bounds.
         exponent: p >= 1.
         device: Where it is solved.
+        near: Dual of a problem like this one, to begin at.
 
     Raises:
         ValueError: The exponent is below 1, or a lower bound is above its upper one.
@@ -306,7 +309,8 @@ def optimal_activations(
         raise ValueError("lower bounds of activations must be at most the upper ones")
     with wp.ScopedDevice(device):
         work = DualWork()
-        for name in ("dual", "trial", "slope", "step", "size"):
+        work.dual = wp.array(np.zeros(right.shape) if near is None else near, dtype=wp.float64)
+        for name in ("trial", "slope", "step", "size"):
             setattr(work, name, wp.zeros(right.shape, dtype=wp.float64))
         work.factor = wp.zeros((*right.shape, right.shape[1]), dtype=wp.float64)
         activation, missing = (
@@ -328,4 +332,4 @@ def optimal_activations(
             missing=missing,
             residual=residual,
         )
-        return Activations(activation.numpy(), missing.numpy(), residual.numpy())
+        return Activations(activation.numpy(), missing.numpy(), residual.numpy(), work.dual.numpy())

@@ -85,16 +85,26 @@ def complete(model: Model, coordinates: Mapping[str, Array], count: int) -> dict
     return values
 
 
-def forward(model: Model, coordinates: Mapping[str, Array]) -> Frames:
+def forward(
+    model: Model, coordinates: Mapping[str, Array], known: tuple[Mapping[str, Array], Frames] | None = None
+) -> Frames:
     """Return the frames of all bodies.
 
     Args:
         model: The model.
         coordinates: Values of all coordinates [rad] or [m], each of shape (n,), from `complete`.
+        known: Coordinates and frames of n poses; bodies that differ in no coordinate are taken from them.
     """
     count = len(next(iter(coordinates.values()))) if coordinates else 1
     frames: Frames = {GROUND: (np.broadcast_to(np.eye(3), (count, 3, 3)), np.zeros((count, 3)))}
+    before, there = known or ({}, {})
+    same = {name for name, value in before.items() if np.array_equal(value, coordinates[name])}
+    kept = {GROUND} if known else set()
     for joint in model.joints.values():
+        if joint.parent in kept and {move.coordinate for move in joint.moves} <= same | {None}:
+            frames[joint.child] = there[joint.child]
+            kept.add(joint.child)
+            continue
         rotation, origin = frames[joint.parent]
         inner, offset = joint_pose(joint, coordinates, count)
         frames[joint.child] = rotation @ inner, origin + np.einsum("nij,nj->ni", rotation, offset)

@@ -183,25 +183,37 @@ class HillMuscle:
         numbers = (np.asarray(x, float) for x in (activation, length, velocity))
         arrays = np.broadcast_arrays(*numbers)
         activation, length, velocity = (array.ravel() for array in arrays)
-        slack, shortest = self.values["tendon_slack_length"], self.shortest_fiber
+        slack = np.full(length.shape, self.values["tendon_slack_length"])
+        return self.steady(activation, length, velocity, slack)[1].reshape(arrays[0].shape)
+
+    def steady(self, activation: Array, length: Array, velocity: Array, slack: Array) -> tuple[Array, Array]:
+        """Return fiber length along the tendon [m] and force in the tendon [max_isometric_force].
+
+        Args:
+            activation: Activation [1], shape (n,).
+            length: Length of muscle and tendon [m].
+            velocity: Its velocity [m/s], positive when lengthening.
+            slack: Tendon slack length [m].
+        """
+        shortest = self.shortest_fiber
         longest = length - slack
         z = np.maximum(longest, shortest)
         if self.rigid_tendon:
             force, _ = self.fiber_force(z, activation, velocity)
         else:
-            z = self._solve(activation, length, velocity, np.full(length.shape, shortest), z)
+            z = self._solve(activation, length, velocity, slack, np.full(length.shape, shortest), z)
             force, _ = self.curves.tendon_force((length - z) / slack)
-        force = np.where(longest > shortest, np.maximum(force, 0.0), 0.0)
-        return force.reshape(arrays[0].shape)
+        return z, np.where(longest > shortest, np.maximum(force, 0.0), 0.0)
 
-    def _solve(self, a: Array, length: Array, velocity: Array, low: Array, high: Array) -> Array:
+    def _solve(
+        self, a: Array, length: Array, velocity: Array, slack: Array, low: Array, high: Array
+    ) -> Array:
         """Return the fiber length along the tendon between `low` and `high` at equilibrium [m]."""
-        slack = self.values["tendon_slack_length"]
 
         def residual(z: Array, where: Array) -> tuple[Array, Array]:
             pull, pull_slope = self.fiber_force(z, a[where], velocity[where])
-            tension, stiffness = self.curves.tendon_force((length[where] - z) / slack)
-            return pull - tension, pull_slope + stiffness / slack
+            tension, stiffness = self.curves.tendon_force((length[where] - z) / slack[where])
+            return pull - tension, pull_slope + stiffness / slack[where]
 
         every = np.arange(len(length))
         long, short = residual(high, every)[0] <= 0.0, residual(low, every)[0] >= 0.0
@@ -209,7 +221,7 @@ class HillMuscle:
         index = np.flatnonzero(~(long | short))
         low, high = low[index], high[index]
         # Most muscles stretch their tendon little: begin next to the slack end.
-        z = np.maximum(0.5 * (low + high), high - 0.02 * slack)
+        z = np.maximum(0.5 * (low + high), high - 0.02 * slack[index])
         for _ in range(MAX_STEPS):
             if not index.size:
                 break

@@ -62,13 +62,16 @@ def poses_of(model: Model, coordinates: Mapping[str, np.ndarray], along: list[st
     """Return poses, and their neighbours along coordinates [rad] or [m], each of shape `(n,)`."""
     count = len(next(iter(coordinates.values())))
 
-    def at(values: Mapping[str, np.ndarray]) -> tuple[Mapping[str, np.ndarray], Frames]:
+    def at(
+        values: Mapping[str, np.ndarray], *known: tuple[Mapping[str, np.ndarray], Frames]
+    ) -> tuple[Mapping[str, np.ndarray], Frames]:
         values = complete(model, {k: v for k, v in values.items() if k not in model.couplers}, count)
-        return values, forward(model, values)
+        return values, forward(model, values, *known)
 
-    values, frames = at(coordinates)
+    here = values, frames = at(coordinates)
     beside = {
-        name: tuple(at({**values, name: values[name] + step}) for step in (-STEP, STEP)) for name in along
+        name: tuple(at({**values, name: values[name] + step}, here) for step in (-STEP, STEP))
+        for name in along
     }
     return Poses(values, frames, beside)
 
@@ -108,8 +111,14 @@ def own_reference(model: Model, path: Path, poses: Poses, along: list[str]) -> R
         for number, name in enumerate(along)
     }
     here = Solution(*(getattr(solution, field.name)[:count] for field in fields(Solution)))
-    arms = {name: _moment_arm(model, path, poses, here, poses.beside[name]) for name in along}
-    return Reference(lengths[0], arms, slopes)
+    return Reference(lengths[0], moment_arms(model, path, poses, here, along), slopes)
+
+
+def moment_arms(
+    model: Model, path: Path, poses: Poses, solution: Solution, along: list[str]
+) -> dict[str, np.ndarray]:
+    """Return `computeMomentArm` of a path that was solved [m], by coordinate, each of shape `(n,)`."""
+    return {name: _moment_arm(model, path, poses, solution, poses.beside[name]) for name in along}
 
 
 def stacked(
