@@ -3,6 +3,10 @@
 `ORDER` is `mujoco_warp.step` without what `UNCOVERED` lists: positions, velocities, muscles, forces,
 accelerations, next state (MuJoCo documentation, Computation, "Forward dynamics"). `mujoco_warp.step` itself
 stays the reference; it runs where no stage of ours is used, and where a model has what `UNCOVERED` lists.
+
+One place has moved. mujoco-warp 4.0.0 computes velocities of bodies after the rows of constraints, although
+those of welds and connects read them (the derivative of their Jacobian): it takes those of the step before.
+In MuJoCo C they are those of the step, and in `ORDER`, the reference for models with such equalities.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -10,6 +14,7 @@ from functools import partial
 
 import mujoco
 import mujoco_warp as mjw
+import numpy as np
 import warp as wp
 
 from myowarp.engine.idle import pruned
@@ -70,18 +75,18 @@ def _integrate(model: mjw.Model, data: mjw.Data) -> None:
 
 
 FORCES: dict[str, Launches] = {
-    # What follows from positions:
+    # What follows from positions, and velocities of bodies:
     "kinematics": mjw.kinematics,
     "com_pos": mjw.com_pos,
+    "com_vel": mjw.com_vel,
     "camlight": mjw.camlight,
     "tendon": mjw.tendon,
     "crb": mjw.crb,
     "collision": mjw.collision,
     "make_constraint": mjw.make_constraint,
     "transmission": mjw.transmission,
-    # And from velocities:
+    # And from the other velocities:
     "velocity": _velocity,
-    "com_vel": mjw.com_vel,
     "passive": mjw.passive,
     "rne": mjw.rne,
     # Muscles, and what conditions do to them:
@@ -125,6 +130,12 @@ def uncovered(stepped: Stepped) -> str | None:
     return first_reason(UNCOVERED, stepped)
 
 
+def holds_bodies(stepped: Stepped) -> bool:
+    """Return whether equalities hold bodies or sites together, as welds and connects do."""
+    kinds = (mujoco.mjtEq.mjEQ_CONNECT.value, mujoco.mjtEq.mjEQ_WELD.value)
+    return bool(np.isin(stepped.oracle.eq_type, kinds).any())
+
+
 def stage_launches(stages: Iterable[Stage]) -> dict[str, Launches]:
     """Return what the physics step launches, place by place, with some stages of ours."""
     places, stages = dict(ORDER), tuple(stages)
@@ -165,8 +176,12 @@ class Step:
         return tuple(type(stage)(self.at(stage.REPLACES[0])) for stage in stages)
 
     def places(self, stages: tuple[Stage, ...]) -> dict[str, Callable[[], None]]:
-        """Return what is launched, place by place; without stages of ours, `mujoco_warp.step`."""
-        return self.bound(stage_launches(stages) if stages else {"step": mjw.step})
+        """Return what is launched, place by place; without stages of ours, `mujoco_warp.step`.
+
+        That takes velocities of the step before into welds and connects; there it is `ORDER`.
+        """
+        in_order = stages or (holds_bodies(self.stepped) and uncovered(self.stepped) is None)
+        return self.bound(stage_launches(stages) if in_order else {"step": mjw.step})
 
     def bound(self, launches: Mapping[str, Launches]) -> dict[str, Callable[[], None]]:
         """Return launches with what their places step."""

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 _WRAPS_WITH_SIDE_SITE = (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER)
+_HOLDING = (mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT)
 _DRIVES_OF_SITES = (mujoco.mjtTrn.mjTRN_SITE, mujoco.mjtTrn.mjTRN_SLIDERCRANK)
 
 
@@ -49,6 +50,9 @@ def slim(full: mujoco.MjSpec, keep_sites: Iterable[str]) -> mujoco.MjSpec:
         else:
             # How hard a contact is follows from the weight of its geom's own body, so the body stays one.
             geom.parent.fuse = 0
+    for body in _held_bodies(spec, model):  # and how stiff a weld or connect is, from that of what it holds
+        for child in body.bodies:
+            child.fuse = 0
     if not colliding:
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.compiler.discardvisual = True
@@ -57,6 +61,13 @@ def slim(full: mujoco.MjSpec, keep_sites: Iterable[str]) -> mujoco.MjSpec:
     if _pair_names(spec.copy().compile()) != _pair_names(model):
         spec.compiler.fusestatic = False
     return spec
+
+
+def _held_bodies(spec: mujoco.MjSpec, model: mujoco.MjModel) -> Iterable[mujoco.MjsBody]:
+    """Yield the bodies that welds and connects hold together, but for the world."""
+    of_bodies = np.isin(model.eq_type, _HOLDING) & (model.eq_objtype == mujoco.mjtObj.mjOBJ_BODY)
+    for held in {*model.eq_obj1id[of_bodies].tolist(), *model.eq_obj2id[of_bodies].tolist()} - {0}:
+        yield spec.body(model.body(held).name)
 
 
 def _pair_names(model: mujoco.MjModel) -> set[frozenset[str]]:

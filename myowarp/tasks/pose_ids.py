@@ -1,10 +1,12 @@
-"""The pose ids: finger, elbow and hand.
+"""The pose ids: finger, elbow, hand and torso.
 
 Hand poses are a relaxed posture, the ten digits of American Sign Language, and anything between them; version
 0 has MyoSuite 3.0.0's angles, version 1 the published ones (`hand_poses`).
 """
 
 from dataclasses import replace
+
+import numpy as np
 
 from myowarp.definitions.task import task
 from myowarp.tasks.hand_poses import DIGITS, RELAXED, as_in_myosuite_3, bounds
@@ -244,3 +246,29 @@ def hand_9() -> PoseTask:
 def hand_random() -> PoseTask:
     """Move the hand from a random posture to one drawn between the ten digits."""
     return hand_pose(*bounds(DIGITS))
+
+
+def stand_upright(body: str) -> PoseTask:
+    """Return the task of a torso that is to stay upright against its weight."""
+    upright = (0.0,) * 18
+    return PoseTask(
+        body=body,
+        target_low=upright,
+        target_high=upright,
+        near=0.25,
+        far=np.pi,
+        num_substeps=5,
+        horizon=200,
+    )
+
+
+@task("myoTorsoPoseFixed-v0")
+def torso_fixed() -> PoseTask:
+    """Hold the torso upright."""
+    return stand_upright("torso")
+
+
+@task("myoTorsoExoPoseFixed-v0")
+def torso_exo_fixed() -> PoseTask:
+    """Hold the torso upright in an exosuit with two elastic straps."""
+    return stand_upright("torso_exo")

@@ -44,8 +44,11 @@ IDS = [f"{base}{kind}-v0" for base in BASES.split() for kind in ("Fixed", "Rando
 IDS += [f"myoHandPose{pose}Fixed-v0" for pose in range(10)]
 IDS += [f"myoElbowPose1D6MExo{kind}-v0" for kind in ("Fixed", "Random")]
 IDS += [f"myoArmReach{kind}-v0" for kind in ("Fixed", "Random")]
+TORSO_IDS = ["myoTorsoPoseFixed-v0", "myoTorsoExoPoseFixed-v0"]
+IDS += TORSO_IDS
 # The compiled model is stored once per body, in the file of its first id.
 MODEL_IDS = {f"{base}Fixed-v0" for base in [*BASES.split()[:4], "myoElbowPose1D6MExo", "myoArmReach"]}
+MODEL_IDS |= {*TORSO_IDS}
 MODEL_FIELDS = """nq nv nu na ntendon qpos0 jnt_range jnt_axis jnt_pos jnt_solref jnt_solimp
     body_mass body_inertia body_ipos body_pos body_quat dof_damping dof_armature actuator_gainprm
     actuator_biasprm actuator_dynprm actuator_gear actuator_ctrlrange actuator_lengthrange
@@ -60,6 +63,7 @@ NUM_TABLE_ROWS = 200
 DISTANCES = {
     "thd": (0.0, 0.5, 0.99, 1.01, 1.25, 1.49, 1.51, 2.0, 4.0),
     "two_pi": (0.9, 0.99, 1.01, 1.5),
+    "pi": (0.9, 0.99, 1.01, 1.5),
     "near": (0.0, 0.5, 0.99, 1.01, 1.5, 1.99, 2.01),
     "far": (0.7, 0.99, 1.01, 1.5, 3.0),
 }
@@ -74,7 +78,8 @@ def task_of(env):
 def thresholds(env):
     """Distances at which the terms switch [rad] or [m], from the environment's own settings."""
     if task_of(env) == "pose":
-        return {"thd": env.pose_thd, "two_pi": 2.0 * np.pi}
+        torso = env.spec.id in TORSO_IDS
+        return {"thd": env.pose_thd, **({"pi": np.pi} if torso else {"two_pi": 2.0 * np.pi})}
     num_sites = len(env.tip_sids)
     return {"near": NEAR_PER_SITE * num_sites, "far": env.far_th * num_sites}
 
@@ -117,10 +122,10 @@ def force_state(wrapped, rng, unit, factor, step):
     wrapped.reset(seed=int(rng.integers(2**31)))
     pose = task_of(env) == "pose"
     distance = factor * thresholds(env)[unit]
-    offset = rng.normal(size=model.nq if pose else 3 * len(env.tip_sids))
+    offset = rng.normal(size=len(env.target_jnt_value) if pose else 3 * len(env.tip_sids))
     offset *= distance / np.linalg.norm(offset)
     if pose:
-        data.qpos[:] = env.target_jnt_value - offset
+        data.qpos[: len(offset)] = env.target_jnt_value - offset
     else:
         margin = 0.1 * np.ptp(model.jnt_range, axis=1)
         data.qpos[:] = rng.uniform(model.jnt_range[:, 0] - margin, model.jnt_range[:, 1] + margin)
@@ -143,7 +148,7 @@ def force_states(wrapped, rng):
 def target_facts(env):
     """Where targets come from: a vector, a box, or the table of reachable tip positions."""
     if task_of(env) == "pose":
-        if env.target_type == "fixed":
+        if getattr(env, "target_type", "fixed") == "fixed":
             return {"target_value": np.array(env.target_jnt_value)}
         low, high = env._target_jnt_range.T.astype(np.float64)
         return {"target_low": low, "target_high": high}
@@ -162,7 +167,7 @@ def meta_of(wrapped, env_id):
     fields = {name: getattr(env, name, None) for name in META_FIELDS.split()}
     own = {
         "thresholds": {key: float(value) for key, value in thresholds(env).items()},
-        "tip_sites": [env.model.site(i).name for i in env.tip_sids],
+        "tip_sites": [env.model.site(i).name for i in getattr(env, "tip_sids", ())],
     }
     if weight_row(env):
         own |= {"weight_range": env.weight_range}
@@ -173,7 +178,7 @@ def expected(env, arrays, prefix):
     """Observation, reward terms and flags from the recorded state by the task formulas, float64."""
     get = {k: arrays[f"{prefix}_{k}"] for k in ("qpos", "qvel", "act", "target")}
     limit, reach = thresholds(env), task_of(env) == "reach"
-    where = arrays[f"{prefix}_tip"] if reach else get["qpos"]
+    where = arrays[f"{prefix}_tip"] if reach else get["qpos"][:, : get["target"].shape[1]]
     error = get["target"] - where
     parts = [get["qpos"], get["qvel"] * env.dt, *([where] if reach else []), error, get["act"]]
     out = {"obs": np.concatenate(parts, axis=1).astype(np.float32)}
@@ -182,14 +187,14 @@ def expected(env, arrays, prefix):
     distance = np.linalg.norm(error, axis=1)
     near = limit["near" if reach else "thd"]
     wide = (2.0 if reach else 1.5) * near
-    far = distance > limit["far" if reach else "two_pi"]
+    far = distance > max(limit.values())
     out["done"] = far & (arrays[f"{prefix}_step"] >= 2) if reach else far
     out["solved"] = distance < near
     out[f"reward_{task_of(env)}"] = out["sparse"] = -distance
     out["reward_bonus"] = 1.0 * (distance < wide) + (distance < near)
     out["reward_penalty"] = -1.0 * out["done"]
     out["reward_act_reg"] = -np.linalg.norm(get["act"], axis=1) / max(env.model.na, 1)
-    out["reward"] = sum(w * out[f"reward_{k}"] for k, w in env.rwd_keys_wt.items())
+    out["reward"] = sum(w * out[f"reward_{k}"] for k, w in env.rwd_keys_wt.items() if w)
     return out
 
 
@@ -224,8 +229,9 @@ def record(env_id, out, index):
     wrapped = gymnasium.make(env_id)
     env, rng = wrapped.unwrapped, np.random.default_rng(index)
     runs, visited = [], []
+    stride = STRIDE * (4 if env_id in TORSO_IDS else 1)  # 216 muscles: fewer rows
     for i, kind in enumerate(ACTION_KINDS):
-        run = run_episode(wrapped, i, kind, 100 * index + i, state_row, terms_of(env), STRIDE)
+        run = run_episode(wrapped, i, kind, 100 * index + i, state_row, terms_of(env), stride)
         visited += [row | weight_row(env) for row in run[3]]
         runs.append(run[:3])
     facts, resets, steps = zip(*runs, strict=True)

@@ -202,9 +202,10 @@ def test_joint_columns_are_the_joints_that_they_name(key):
                 expected = [d.act[address] for d in data]
             elif entry["name"] in joints and "error" not in block["doc"]:
                 joint = model.joint(entry["name"])
-                assert joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE
-                rate = entry["unit"] == "rad per control step"
-                assert rate or entry["unit"] == "rad"
+                units = {mujoco.mjtJoint.mjJNT_HINGE: "rad", mujoco.mjtJoint.mjJNT_SLIDE: "m"}
+                unit = units[mujoco.mjtJoint(joint.type[0])]
+                rate = entry["unit"] == f"{unit} per control step"
+                assert rate or entry["unit"] == unit
                 expected = [dt * d.qvel[joint.dofadr[0]] if rate else d.qpos[joint.qposadr[0]] for d in data]
             else:
                 continue

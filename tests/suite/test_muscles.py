@@ -10,6 +10,7 @@ import pytest
 import warp as wp
 from configurations import configurations
 from reference import mujoco_muscle as reference
+from stepping import step
 
 import myowarp.tasks  # noqa: F401
 from myowarp.definitions.muscle import MUSCLES
@@ -172,7 +173,7 @@ def stepped(body, physics):
     scene = muscle_scene(body, NUM_WORLDS, physics, "mujoco")
     states = States(scene.oracle, NUM_WORLDS)
     load(scene, states)
-    mjw.step(scene.model, scene.data)
+    step(scene)
     return scene, states, expected_step(body, scene, states)
 
 

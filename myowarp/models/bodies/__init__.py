@@ -7,4 +7,6 @@ from myowarp.models.bodies import (
     elbow_exo,  # noqa: F401
     finger,  # noqa: F401
     hand,  # noqa: F401
+    torso,  # noqa: F401
+    torso_exo,  # noqa: F401
 )

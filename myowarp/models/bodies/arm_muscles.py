@@ -9,12 +9,8 @@ with r = 15 of Looft et al. (2018), doi:10.1016/j.jbiomech.2018.06.005. MyoSuite
 gives SUP those of an extensor.
 """
 
-from collections.abc import Mapping
-from typing import TypeVar
-
 from myowarp.definitions.body import FatigueRates
-
-T = TypeVar("T")
+from myowarp.models.bodies.by_muscle import by_muscle
 
 HAND = FatigueRates(0.01227, 0.00134, 9.1)
 ELBOW_EXTENSOR = FatigueRates(0.01559, 0.00125, 25.52)
@@ -22,11 +18,6 @@ ELBOW_FLEXOR = FatigueRates(0.01703, 0.00494, 4.68)
 WRIST_FLEXOR = FatigueRates(0.01235, 0.00135, 12.51)
 SHOULDER = FatigueRates(0.0182, 0.00168, 15.0)
 FIRST_DORSAL_INTEROSSEOUS = FatigueRates(0.02686, 0.00656, 3.41)
-
-
-def by_muscle(muscles: Mapping[T, str]) -> dict[str, T]:
-    """Return a fact of each muscle, from the muscles of each fact, separated by blanks."""
-    return {muscle: fact for fact, names in muscles.items() for muscle in names.split()}
 
 
 GROUPS = by_muscle(

@@ -8,7 +8,8 @@ import mujoco
 from myo_sim import MODELS_DIR
 
 from myowarp.definitions.body import BODIES, Body, CoarseStep
-from myowarp.models.bodies.arm_muscles import HAND, by_muscle
+from myowarp.models.bodies.arm_muscles import HAND
+from myowarp.models.bodies.by_muscle import by_muscle
 
 GROUPS = by_muscle(
     {"finger extensors": "extn", "finger flexors": "mflx dflx", "finger abductors": "adabR adabL"}
