@@ -72,11 +72,13 @@ def declare_solve_limits(thread: int):
 
 
 @wp.func_native("""
+    const int n = qacc.shape[1];
+    auto* of_worlds = (lanes::Limit*)limits.data;
     for (int world = 0; world < solved.shape[0]; ++world)
-        solved.data[world] = lanes::has_limits_only(counts, rows, world, qacc.shape[1], (int*)scratch.data);
+        solved.data[world] = lanes::has_limits_only(counts, rows, world, n, of_worlds + world * n);
     lanes::for_blocks(solved.shape[0], solved.data, scratch.data, [&](auto& block) {
-        lanes::solve_limits_block(block, inertia, options, M, qfrc_smooth, qacc_warmstart, counts, rows, qacc,
-                                  qfrc_constraint, result);
+        lanes::solve_limits_block(block, inertia, options, M, qfrc_smooth, qacc_warmstart, of_worlds, rows,
+                                  qacc, qfrc_constraint, result);
     });
 """)
 def solve_limits(
@@ -91,6 +93,7 @@ def solve_limits(
     qacc: wp.array2d[float],
     qfrc_constraint: wp.array2d[float],
     result: SolverResult,
+    limits: wp.array2d[wp.vec2],
     solved: wp.array[bool],
 ):
     """Solve the worlds whose rows couple no dofs, a block after the other, and note which."""
@@ -138,6 +141,7 @@ def solver_kernel(width: int) -> Any:
         qacc_warmstart_in: wp.array2d[float],
         # In:
         scratch: wp.array[float],
+        limits: wp.array2d[wp.vec2],
         solved: wp.array[bool],
         counts: RowCounts,
         rows: ConstraintRows,
@@ -162,6 +166,7 @@ def solver_kernel(width: int) -> Any:
             qacc_out,
             qfrc_constraint_out,
             result,
+            limits,
             solved,
         )
         for worldid in range(solved.shape[0]):
@@ -183,6 +188,26 @@ def solver_kernel(width: int) -> Any:
     return solve_constraints
 
 
+@wp.func_native("""
+    for (int world = 0; world < sum.shape[0]; ++world) {
+        const float *one = &wp::index(applied, world, 0), *two = &wp::index(passive, world, 0);
+        const float *three = &wp::index(actuator, world, 0), *minus = &wp::index(bias, world, 0);
+        float* to = &wp::index(sum, world, 0);
+        for (int dof = 0; dof < sum.shape[1]; ++dof)
+            to[dof] = two[dof] - minus[dof] + one[dof] + three[dof];
+    }
+""")
+def sum_of_worlds(
+    applied: wp.array2d[float],
+    passive: wp.array2d[float],
+    actuator: wp.array2d[float],
+    bias: wp.array2d[float],
+    sum: wp.array2d[float],
+):
+    """Sum the forces of all worlds, by whole vectors."""
+    ...
+
+
 @wp.kernel(enable_backward=False)
 def sum_forces(
     # Data in:
@@ -194,11 +219,7 @@ def sum_forces(
     qfrc_smooth_out: wp.array2d[float],
 ):
     """qfrc_smooth = qfrc_passive - qfrc_bias + qfrc_applied + qfrc_actuator."""
-    worldid = wp.tid()
-    for dof in range(qfrc_smooth_out.shape[1]):
-        force = qfrc_passive_in[worldid, dof] - qfrc_bias_in[worldid, dof]
-        force = force + qfrc_applied_in[worldid, dof] + qfrc_actuator_in[worldid, dof]
-        qfrc_smooth_out[worldid, dof] = force
+    sum_of_worlds(qfrc_applied_in, qfrc_passive_in, qfrc_actuator_in, qfrc_bias_in, qfrc_smooth_out)
 
 
 def width_of(num_dofs: int) -> int:
@@ -238,11 +259,12 @@ class ContactSolve(Stage):
         super().__init__(stepped)
         data = stepped.data
         self.solved = wp.zeros(data.nworld, dtype=bool, device=stepped.device)
+        self.limits = wp.empty(data.qvel.shape, dtype=wp.vec2, device=stepped.device)
         self.scratch = block_scratch(stepped.device, data.M, data.M, data.efc.Ma, *[data.qvel] * 16)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Sum the forces, then solve the constraints of all worlds."""
-        launch(sum_forces, data.nworld, data)
+        launch(sum_forces, 1, data)
         self.solve(model, data)
 
     def solve(self, model: mjw.Model, data: mjw.Data) -> None:

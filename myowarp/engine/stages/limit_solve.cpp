@@ -23,29 +23,30 @@ template <class Rows> INLINE int lone_dof(Rows& rows, int world, int row, int n,
     return sparse ? ints_of(rows.J_colind, world)[first + place] : place;
 }
 
-template <class Counts, class Rows> INLINE int rows_of(Counts& counts, Rows& rows, int world) {
-    return counts.nefc.data[world] < rows.aref.shape[1] ? counts.nefc.data[world] : rows.aref.shape[1];
-}
+// A dof's row, -1 if there is none, and the row's entry of J.
+struct Limit { int row; float J; };
 
-// Whether a world is one of those; rows of contacts are last, and seen first.
+// Whether a world is one of those, and its limits; rows of contacts are last, and seen first.
 template <class Counts, class Rows>
-bool has_limits_only(Counts& counts, Rows& rows, int world, int n, int* taken) {
+bool has_limits_only(Counts& counts, Rows& rows, int world, int n, Limit* limits) {
     if (counts.ne.data[world] + counts.nf.data[world] > 0)
         return false;
     for (int dof = 0; dof < n; ++dof)
-        taken[dof] = 0;
-    for (int i = rows_of(counts, rows, world) - 1; i >= 0; --i) {
+        limits[dof] = {-1, 0.0f};
+    const int most = rows.aref.shape[1], found = counts.nefc.data[world];
+    for (int i = (found < most ? found : most) - 1; i >= 0; --i) {
         float value;
         const int dof = lone_dof(rows, world, i, n, value);
-        if (dof < 0 || taken[dof]++)
+        if (dof < 0 || limits[dof].row >= 0)
             return false;
+        limits[dof] = {i, value};
     }
     return true;
 }
 
-template <class V, class Inertia, class Options, class Row, class Counts, class Rows, class Result>
+template <class V, class Inertia, class Options, class Row, class Rows, class Result>
 void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row& M, Row& qfrc_smooth,
-                        Row& qacc_warmstart, Counts& counts, Rows& rows, Row& qacc, Row& qfrc_constraint,
+                        Row& qacc_warmstart, const Limit* limits, Rows& rows, Row& qacc, Row& qfrc_constraint,
                         Result& result) {
     typedef decltype(widen(V())) W;
     typedef typename MaskOf<V>::type Truth;
@@ -62,21 +63,17 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
     V *gradient = block.take(n), *search = block.take(n), *Ms = block.take(n), *change = block.take(n);
     V *residual = block.take(n), *force = block.take(n), *weight = block.take(n);
     V *D = block.take(n), *J = block.take(n), *aref = block.take(n);
-    int* row_of_dof = (int*)block.take(n);
-    for (int i = 0; i < n; ++i) {
-        D[i] = J[i] = aref[i] = weight[i] = zero;
-        for (int lane = 0; lane < NUM_LANES; ++lane)
-            row_of_dof[i * NUM_LANES + lane] = -1;
-    }
+    for (int i = 0; i < n; ++i)
+        D[i] = aref[i] = weight[i] = zero;
     for (int lane = 0; lane < NUM_LANES; ++lane) {
         const int world = block.first + (lane < block.count ? lane : block.count - 1);
-        for (int i = 0; i < rows_of(counts, rows, world); ++i) {
-            float value = 0.0f;
-            const int at = lone_dof(rows, world, i, n, value) * NUM_LANES + lane;
-            row_of_dof[at] = i;
-            ((float*)J)[at] = value;
-            ((float*)D)[at] = row_of(rows.D, world)[i];
-            ((float*)aref)[at] = row_of(rows.aref, world)[i];
+        for (int i = 0; i < n; ++i) {
+            const Limit limit = limits[world * n + i];
+            ((float*)J)[i * NUM_LANES + lane] = limit.J;
+            if (limit.row < 0)
+                continue;
+            ((float*)D)[i * NUM_LANES + lane] = row_of(rows.D, world)[limit.row];
+            ((float*)aref)[i * NUM_LANES + lane] = row_of(rows.aref, world)[limit.row];
         }
     }
 
@@ -227,7 +224,7 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
         result.overflow.data[world] |= at(unfinished, lane) ? ITERATIONS_OVERFLOW : 0;
         result.overflow.data[world] |= at(unbracketed, lane) ? LINE_SEARCH_OVERFLOW : 0;
         for (int dof = 0; dof < n; ++dof) {
-            const int at = dof * NUM_LANES + lane, row = row_of_dof[at];
+            const int at = dof * NUM_LANES + lane, row = limits[world * n + dof].row;
             if (row < 0)
                 continue;
             row_of(result.force, world)[row] = ((float*)force)[at];
