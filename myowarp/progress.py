@@ -20,6 +20,20 @@ def progress_bar(title: str, unit: str, console: Console | None = None) -> Progr
     )
 
 
+LISTENERS: list[Callable[[str, int, int], None]] = []
+"""Told of what patient bars count: their title, how many units are done, and how many there are."""
+
+
+@contextlib.contextmanager
+def listening(listener: Callable[[str, int, int], None]) -> Iterator[None]:
+    """Have what happens in the block told to a function, as in `LISTENERS`; a page shows it."""
+    LISTENERS.append(listener)
+    try:
+        yield
+    finally:
+        LISTENERS.remove(listener)
+
+
 @contextlib.contextmanager
 def patient_bar(
     title: str, unit: str, total: int, *, patience: float, show: bool = True
@@ -35,6 +49,8 @@ def patient_bar(
 
     def advance(count: int) -> None:
         bar.advance(task, count)
+        for listener in LISTENERS:
+            listener(title, int(bar.tasks[0].completed), total)
         if show and time.monotonic() - begin > patience:
             bar.start()
 

@@ -68,6 +68,9 @@ class Client:
     def press(self, button):
         self.send({"type": "GuiUpdateMessage", "uuid": self.uuid(""), "updates": {"value": button}})
 
+    def push(self, label):
+        self.send({"type": "GuiUpdateMessage", "uuid": self.uuid(label), "updates": {"value": True}})
+
     def status(self):
         return next(
             (p["content"] for p in list(self.parts.values()) if "real time" in p.get("content", "")), ""

@@ -13,6 +13,7 @@ import abc
 import ast
 import dataclasses
 import enum
+import inspect
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -50,12 +51,14 @@ class Condition(abc.ABC):
             What only multiplies (strength, transmission) is not listed: factors compose.
         NEUTRAL: Parameters with which it changes nothing, bit for bit.
         NEEDS: Parameter at whose neutral value all others change nothing; "": there is none.
+        AT_START: Parameters that act where an episode begins, and later not at all.
     """
 
     PHASE: ClassVar[Phase]
     WRITES: ClassVar[tuple[str, ...]] = ()
     NEUTRAL: ClassVar[dict[str, float]]
     NEEDS: ClassVar[str] = ""
+    AT_START: ClassVar[tuple[str, ...]] = ()
 
     @property
     def name(self) -> str:
@@ -149,6 +152,20 @@ class Effect:
 
 
 CONDITIONS: Registry[type[Condition]] = Registry("condition")
+
+
+def attributes_of(kind: type) -> dict[str, str]:
+    """Return what a class says of its attributes: the section `Attributes:` of its docstring, by name."""
+    _, _, section = (inspect.getdoc(kind) or "").partition("Attributes:\n")
+    found: dict[str, str] = {}
+    name = ""
+    for line in section.split("\n\n")[0].splitlines():
+        if line.startswith("        "):
+            found[name] += f" {line.strip()}"
+        else:
+            name, _, text = line.strip().partition(": ")
+            found[name] = text
+    return found
 
 
 VALUES: dict[str, type] = {kind.__name__: kind for kind in (Uniform, Ramp)}

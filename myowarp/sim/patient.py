@@ -10,19 +10,22 @@ What a condition declares as a `Parameter` is a knob; nothing is named here.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from myowarp.definitions.body import BODIES
-from myowarp.definitions.condition import CONDITIONS, Condition, resolve
+from myowarp.definitions.condition import CONDITIONS, Condition, attributes_of, resolve
 from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.parameter import Parameter
 from myowarp.definitions.task import TaskSpec
 from myowarp.sim.simulation import Simulation
 
 STEPS = 200  # of a slider
+ROUND = (1.0, 2.0, 5.0, 10.0)  # first figures of a slider's end
 
 
 def every_condition(spec: TaskSpec, given: Sequence[str | Condition] = ()) -> tuple[Condition, ...]:
@@ -66,6 +69,17 @@ class Knob:
         return f"{self.condition} {self.field}"
 
     @property
+    def doc(self) -> str:
+        """What it means: what the condition's docstring says of it; "" where it says nothing."""
+        return attributes_of(CONDITIONS[self.condition]).get(self.field, "")
+
+    @property
+    def unit(self) -> str:
+        """Its unit, which `doc` has in brackets; "" where it has none."""
+        found = re.search(r"\[([^\]]+)\]", self.doc)
+        return "" if found is None or found[1] == "1" else found[1]
+
+    @property
     def step(self) -> float:
         """Step of a slider."""
         return (self.high - self.low) / STEPS
@@ -95,6 +109,7 @@ class Patient:
             if group := BODIES[sim.scene.spec.body].group_of(name):
                 self.groups[group] = (*self.groups.get(group, ()), name)
         self.groups |= {name: (name,) for name in names}
+        self._at_first = {knob: knob.parameter.curve.start.numpy().copy() for knob in self.knobs.values()}
 
     def value(self, knob: Knob, world: int, muscles: Sequence[str] = ()) -> float:
         """Return what a world has, the mean of some muscles."""
@@ -102,8 +117,30 @@ class Patient:
         columns = _columns(knob, muscles)
         return float(values[columns].mean() if len(values) > 1 else values[0])
 
-    def set(self, knob: Knob, value: float, worlds: Sequence[int], muscles: Sequence[str] = ()) -> None:
-        """Change a parameter in some worlds, of some muscles, () for all.
+    def idle(self, knob: Knob, world: int, muscles: Sequence[str] = ()) -> str:
+        """Return why turning a knob has no effect on some muscles now, a sentence; "" where it has one."""
+        kind = CONDITIONS[knob.condition]
+        needed = self.knobs.get(f"{knob.condition} {kind.NEEDS}")
+        if needed is not None and needed is not knob:
+            neutral = kind.NEUTRAL[kind.NEEDS]
+            if self.value(needed, world, muscles) == neutral:
+                return f"No effect while {kind.NEEDS.replace('_', ' ')} is {neutral:g}."
+        if knob.field in kind.AT_START:
+            return "Acts from the next episode on: press Reset."
+        return ""
+
+    def undo(self, worlds: Sequence[int]) -> None:
+        """Give worlds what they had when the patient was made."""
+        for knob, values in self._at_first.items():
+            for world in worlds:
+                own = values[world % len(values)]
+                knob.parameter.set(own, [world % len(values)], range(len(own)))
+        self._changed.clear()
+
+    def set(
+        self, knob: Knob, value: npt.ArrayLike, worlds: Sequence[int], muscles: Sequence[str] = ()
+    ) -> None:
+        """Change a parameter in some worlds, of some muscles, () for all: one value, or one for each muscle.
 
         Raises:
             ValueError: The value is out of its range, or the conditions cannot act together; nothing changed.
@@ -119,10 +156,6 @@ class Patient:
             raise
         for world in worlds:
             self._changed[knob.name, world] = knob.parameter.values(world).copy()
-
-    def forget(self) -> None:
-        """Let resets draw parameters as they like again."""
-        self._changed.clear()
 
     def renew(self) -> None:
         """Set what was changed once more, after a reset has drawn parameters anew."""
@@ -154,5 +187,8 @@ def _knob(parameter: Parameter, conditions: Sequence[Condition]) -> Knob | None:
     known = [abs(float(n)) for n in (default, parameter.neutral) if isinstance(n, (int, float))]
     now = float(parameter.curve.start.numpy().max(initial=0.0))
     top = max(now, parameter.usual or (high if high <= 1.0 else 2.0 * max(*known, now)))
+    if top > 0.0 and top != high:
+        power = 10.0 ** np.floor(np.log10(top))
+        top = min(high, power * next(figure for figure in ROUND if figure >= 0.999 * top / power))
     bottom = low if np.isfinite(low) else -top
     return Knob(name, field, parameter, bottom, float(f"{top:.3g}")) if top > bottom else None

@@ -24,6 +24,7 @@ from myowarp.engine.warn_once import warn_once
 from myowarp.view.browser import live as live_module
 from myowarp.view.browser.live import Live
 from myowarp.view.browser.server import check_port, close_server, open_server
+from myowarp.view.browser.task_tree import OWN, place_of
 from myowarp.view.browser.updates import take_values_alone
 
 KEY = "myoElbowPose1D6MRandom-v0"
@@ -78,8 +79,9 @@ def steps(live):
 
 def test_body_muscles_and_readings_arrive(page, client):
     live = page[0]
-    names = {"FrameMessage", "MeshMessage", "BatchedMeshesMessage", "GuiUplotMessage"}
+    names = {"FrameMessage", "MeshMessage", "BatchedMeshesMessage", "GuiPanelMessage"}
     until(lambda: names <= client.types.keys())
+    until(lambda: any("<polyline" in p.get("content", "") for p in list(client.parts.values())))
     assert "success" in client.status() or "return" in client.status()
     assert "bonus" in client.status()
     first = steps(live)
@@ -94,7 +96,7 @@ def test_body_muscles_and_readings_arrive(page, client):
 def test_pause_stops_the_step_counter(page, client):
     live = page[0]
     until(lambda: live.playing and steps(live) > 3)
-    client.press("Play / Pause")
+    client.press("Pause")
     until(lambda: "paused" in client.status())
     halted = steps(live)
     time.sleep(0.5)
@@ -105,7 +107,7 @@ def test_pause_stops_the_step_counter(page, client):
     assert steps(live) == halted + 1
     client.press("Reset")
     until(lambda: live.session.time == 0.0)
-    client.press("Play / Pause")
+    client.press("Play")
     until(lambda: steps(live) > halted + 3)
 
 
@@ -113,7 +115,7 @@ def test_a_slider_weakens_the_chosen_muscle_beside_its_twin(page, client):
     live = page[0]
     session = live.session
     client.set("muscles", "BIClong")
-    until(lambda: live._panel._muscles == "BIClong")
+    until(lambda: live._panel.patient._muscles == "BIClong")
     client.set("beside: the same without the change", True)
     until(lambda: live.session.beside)
     client.set("strength", 0.25)
@@ -127,9 +129,7 @@ def test_a_slider_weakens_the_chosen_muscle_beside_its_twin(page, client):
     expected[: session.twin, index] = 0.25
     np.testing.assert_array_equal(strength, expected)
     until(lambda: live._twin is not None and "before the change" in client.status())
-    client.send(
-        {"type": "GuiUpdateMessage", "uuid": client.uuid("Undo all changes"), "updates": {"value": True}}
-    )
+    client.push("Undo all changes")
     until(lambda: session.patient.value(knob, 0, ["BIClong"]) == 1.0)
     client.set("beside: the same without the change", False)
     until(lambda: not live.session.beside)
@@ -138,10 +138,11 @@ def test_a_slider_weakens_the_chosen_muscle_beside_its_twin(page, client):
 @pytest.mark.parametrize(
     ("label", "value", "says"),
     [
+        ("preset", "pirate", "preset 'pirate' unknown; available"),
         ("strength", float("nan"), "sarcopenia strength must be"),
         ("strength", -5.0, "sarcopenia strength must be from 0 to 2, got -5"),
         ("strength", 3.0, "sarcopenia strength must be from 0 to 2, got 3"),
-        ("forearm mass", 1e308, "exoskeleton forearm_mass must be from 0 to 2, got 1e+308"),
+        ("forearm mass [kg]", 1e308, "exoskeleton forearm_mass must be from 0 to 2, got 1e+308"),
         ("assistance", 9.2e18, "exoskeleton assistance must be from 0 to 1, got 9.2e+18"),
         ("transmission", 1e9, "tendon_tear transmission must be from 0 to 1, got 1e+09"),
         ("speed / real time", 1e300, "speed must be from 0.05 to 10, got 1e+300"),
@@ -185,12 +186,12 @@ def test_what_is_no_message_changes_nothing(page, client, capfd, caplog):
     assert "Traceback" not in said + caplog.text
     assert not client.done
     knob = live.session.patient.knobs["sarcopenia strength"]
-    slider = live._panel._sliders[knob]
+    slider = live._panel.patient._sliders[knob]
     assert slider.value == 1.0
     assert not slider._impl.removed
     for value in (0.75, 1.0):
         client.set("strength", value)
-        until(lambda value=value: live._panel._value(knob) == value)
+        until(lambda value=value: live._panel.patient._value(knob) == value)
 
 
 def test_reset_recovers_whatever_happened(page, client):
@@ -206,7 +207,7 @@ def test_reset_recovers_whatever_happened(page, client):
     client.press("Reset")
     until(lambda: client.uuid("") != buttons)
     assert "the task is opened anew, without changes to the patient" in live.message
-    client.press("Play / Pause")
+    client.press("Play")
     frames = client.frames
     until(lambda: client.frames > frames + 3)
     assert live.playing
@@ -216,33 +217,77 @@ def test_reset_recovers_whatever_happened(page, client):
 def test_sliders_without_effect_say_why(client):
 
     def hints():
-        return [
-            p["visible"] for p in list(client.parts.values()) if "No effect while" in p.get("_markdown", "")
-        ]
+        parts = list(client.parts.values())
+        return [p["visible"] for p in parts if "while affected is 0" in p.get("_markdown", "")]
 
-    assert until(hints) == [True]
+    assert until(lambda: [shown for shown in hints() if shown]) == [True]
     client.set("affected", 0.5)
-    until(lambda: hints() == [False])
+    until(lambda: not any(hints()))
     client.set("affected", 0.0)
-    until(lambda: hints() == [True])
+    until(lambda: any(hints()))
 
 
-def test_plots_stay_when_the_twin_is_shown(client):
-    """A browser that is behind does updates after removals, and complains that what they are for is gone."""
-    until(lambda: len([p for p in list(client.parts.values()) if "series" in p]) == 2)
-    removed = client.types["GuiRemoveMessage"]
+def test_traces_show_what_is_chosen_and_the_twin_dashed(page, client):
+    traces = page[0]._panel.traces
 
     def curves():
-        return [(len(p["series"]), len(p["data"])) for p in list(client.parts.values()) if "series" in p]
+        parts = list(client.parts.values())
+        return next((p["content"] for p in parts if "<svg" in p.get("content", "")), "")
 
-    assert curves() == [(2, 2), (2, 2)]
+    until(lambda: curves() and "BIClong" not in curves())
+    client.set("quantity", "force")
+    until(lambda: "BIClong" in client.parts[client.uuid("of")]["options"])
+    client.set("of", "BIClong")
+    until(lambda: "force / N" in curves() and "BIClong" in curves())
+    assert "BIClong before" not in curves()
     client.set("beside: the same without the change", True)
-    until(lambda: curves() == [(3, 3), (3, 3)])
+    until(lambda: "BIClong before" in curves() and 'stroke-dasharray="6 4"' in curves())
     client.set("beside: the same without the change", False)
-    until(lambda: curves() == [(2, 2), (2, 2)])
-    client.send({"type": "GuiUpdateMessage", "uuid": client.uuid("Clear"), "updates": {"value": True}})
-    until(lambda: [p["visible"] for p in list(client.parts.values()) if "series" in p].count(False) == 1)
-    assert client.types["GuiRemoveMessage"] == removed
+    until(lambda: "BIClong before" not in curves())
+    client.push("Save CSV")
+    until(lambda: client.types["FileTransferPart"])
+    client.push("Clear traces")
+    until(lambda: not traces.chosen)
+    traces.add("activation", "TRIlong")
+
+
+def test_a_muscle_that_is_clicked_is_named_and_traced(page, client):
+    live = page[0]
+    live._figure_shown._pick("BRA")
+    until(lambda: ("force", "BRA") in live._panel.traces.chosen)
+    until(lambda: live._tag.visible and live._tag.text.startswith("BRA · activation "))
+    live._figure_shown._pick("BRA")
+    until(lambda: not live._tag.visible)
+
+
+def test_looking_back_shows_what_was_seen(page, client):
+    live = page[0]
+    until(lambda: len(live._history.moments) > 30)
+    client.set("look back [s]", 0.5)
+    until(lambda: "0.5 s back" in client.status())
+    then = live._history.back(0.5).seen[0].qpos
+    until(lambda: np.array_equal(live._figure_shown.data.qpos, then))
+    assert not np.array_equal(then, live._history.moments[-1].seen[0].qpos)
+    client.press("Play")
+    until(lambda: live.back == 0.0 and live.playing)
+
+
+def test_keys_play_step_and_reset(page, client):
+    live = page[0]
+    keys = {part["hotkey"]: uuid for uuid, part in list(client.parts.items()) if part.get("hotkey")}
+
+    def strike(key):
+        client.send({"type": "CommandTriggerMessage", "uuid": keys[key]})
+
+    strike("space")
+    until(lambda: not live.playing)
+    halted = steps(live)
+    strike("arrowright")
+    until(lambda: steps(live) == halted + 1)
+    strike("R")
+    until(lambda: live.session.time == 0.0)
+    strike("space")
+    until(lambda: live.playing)
 
 
 def test_two_pages_show_the_same_and_one_may_leave(page, client, capfd):
@@ -289,11 +334,12 @@ def test_other_tasks_are_shown_and_the_users_own_again(page, client, command):
     """Its model and its policy stay in the lists, wherever the page has been in between."""
     live = page[0]
     model, policy = str(command.asked.setup.task), command.policy
-    for task in ("myoFingerPoseFixed-v0", model, KEY):
+    for task in ("pose, finger", OWN, "pose, elbow"):
         client.set("task", task)
-        until(lambda task=task: live.session.title == task, 240.0)
+        until(lambda task=task: place_of(live.session.title)[0] == task, 240.0)
         until(lambda: steps(live) > 3)
-        if task == model:
+        if task == OWN:
+            assert live.session.title == model
             client.set("policy", policy)
             until(lambda: live.session.policy == policy)
             halted = steps(live)
@@ -301,12 +347,13 @@ def test_other_tasks_are_shown_and_the_users_own_again(page, client, command):
             assert (live.session.sim.action.numpy() == 1.0).all()
             client.set("policy", "random")
             until(lambda: live.session.policy == "random")
-        else:
-            assert live.session.sim.scene.spec.key == task
         options = client.parts[client.uuid("task")]["options"]
-        assert options[0] == model
-        assert KEY in options
+        assert options[0] == OWN
+        assert "pose, elbow" in options
         assert policy in client.parts[client.uuid("policy")]["options"]
+    until(lambda: client.types["GuiModalMessage"] == client.types["GuiCloseModalMessage"] == 3)
+    client.set("goal", "hard")
+    until(lambda: live.session.title == KEY, 240.0)
     until(client.status)
 
 
@@ -438,6 +485,7 @@ def test_a_policy_that_was_asked_for_acts(monkeypatch):
 def test_policies_offered_can_act():
     hand, elbow = TASKS["myoHandReachFixed-v0"], TASKS[KEY]
     assert policies_for(hand, "random")[:2] == ["random", "baseline"]
+    assert not [name for name in policies_for(hand, "random") if name.startswith("baselines/")]
     assert "hold" not in policies_for(hand, "hold")
     assert policies_for(elbow, "hold")[0] == "hold"
     assert "baselines/myoHandReachFixed-v0" not in policies_for(elbow, "baselines/myoHandReachFixed-v0")

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 import test_draws
 
-from myowarp.apps.reports.describe import attributes_of, describe
+from myowarp.apps.reports.describe import describe
 from myowarp.apps.reports.describe_text import as_text
 from myowarp.definitions.body import BODIES
-from myowarp.definitions.condition import CONDITIONS
+from myowarp.definitions.condition import CONDITIONS, attributes_of
 from myowarp.definitions.registry import Registry
 from myowarp.definitions.task import PHYSICS, RESETS, TASKS, Column, RewardTerm
 from myowarp.kernels.action import excitation

@@ -6,12 +6,12 @@ import contextlib
 import dataclasses
 import webbrowser
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from rich.console import Console
 
-from myowarp.apps.cli.options import Environment, Policy
+from myowarp.apps.cli.options import Environment, Policy, optional
 from myowarp.definitions.registry import check_least
 
 if TYPE_CHECKING:
@@ -41,6 +41,8 @@ class View:
     policy: Policy = "random"
     worlds: int = 1
     """Worlds to choose from."""
+    preset: Annotated[str | None, optional("NAME")] = None
+    """Patient to begin with beside the healthy twin, such as "FPL torn" or fatigued; the page lists them."""
     port: int = PORT
     """Port of the page on this machine, 0 for a free one; from another one: ssh -L 8080:localhost:8080."""
     browser: bool = False
@@ -52,17 +54,24 @@ class View:
 
         check_viser("myowarp view")
         from myowarp.apps.policies.find import find_policy
+        from myowarp.sim.presets import PRESETS
         from myowarp.view.browser.live import Live
         from myowarp.view.browser.server import check_port, close_server, open_server
 
         check_least(1, worlds=self.worlds)
         find_policy(self.policy, self._find(self._title).spec)
+        if self.preset is not None:
+            PRESETS[self.preset]
         check_port(self.port)
         session, choices = self._open(self._title, self.policy), self._choices()
+        if self.preset is not None:
+            session.become(self.preset)
         console = Console(stderr=True, highlight=False, soft_wrap=True)
         server = open_server(self.port, "MyoWarp")
         try:
             live = Live(server, session, choices)
+            if self.preset is not None:
+                live.show_twin(True)
             address = f"http://localhost:{server.get_port()}"
             console.print(f"Open {address}   (Ctrl-C ends)")
             if self.browser and has_browser():
@@ -86,14 +95,14 @@ class View:
 
     def _choices(self) -> Choices:
         """Return what can be chosen; the task and the policy of the command come first."""
-        from myowarp.tasks.variants import variants
+        from myowarp.definitions.task import TASKS
         from myowarp.view.browser.session import Choices
 
-        ids = (env_id.removeprefix("MyoWarp/") for env_id in variants())
         return Choices(
-            tasks=list(dict.fromkeys((self._title, *ids))),
+            tasks=list(dict.fromkeys((self._title, *TASKS))),
             policies=lambda spec: policies_for(spec, self.policy),
             acting=self._acting,
+            note=note_on,
             open=self._open,
         )
 
@@ -126,12 +135,28 @@ class View:
 
 def policies_for(spec: TaskSpec, own: str) -> list[str]:
     """Return the names of the policies that can act in a task: the user's own, then those of the package."""
-    from myowarp.apps.policies.baselines import OWN, PREFIX, baseline_tasks
+    from myowarp.apps.policies.baselines import OWN
     from myowarp.apps.policies.find import BUILT_IN, find_policy
 
     found = []
-    for name in dict.fromkeys((own, OWN, *(f"{PREFIX}{task}" for task in baseline_tasks()), *BUILT_IN)):
+    for name in dict.fromkeys((own, OWN, *BUILT_IN)):
         with contextlib.suppress(ValueError):
             find_policy(name, spec)
             found.append(name)
     return found
+
+
+def note_on(policy: str, spec: TaskSpec) -> str:
+    """Return what is to be said of a policy in a task, Markdown: which version it was trained for."""
+    from myowarp.apps.policies.baselines import policy_folder
+
+    if policy.rpartition(":")[1] or (folder := policy_folder(policy, spec.key)) is None:
+        return ""
+    trained = folder.name
+    if trained == spec.key:
+        return f"Trained for {trained}."
+    return (
+        f"Trained for **{trained}**, another version of this task."
+        if trained.rpartition("-")[0] == spec.name
+        else (f"Trained for **{trained}**.")
+    )

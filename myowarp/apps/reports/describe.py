@@ -19,7 +19,7 @@ import warp as wp
 
 from myowarp.coordinates.couplings import couplings
 from myowarp.definitions.body import BODIES, POINT_JOINTS, Body
-from myowarp.definitions.condition import Condition, Effect, resolve
+from myowarp.definitions.condition import Condition, Effect, attributes_of, resolve
 from myowarp.definitions.entries import entries, of_joints
 from myowarp.definitions.muscle import MuscleModel
 from myowarp.definitions.scene import Scene
@@ -284,20 +284,6 @@ def _condition(condition: Condition, effect: Effect) -> dict[str, Any]:
         "parameters": parameters,
         "info": list(effect.info),
     }
-
-
-def attributes_of(kind: type) -> dict[str, str]:
-    """Return what a class says of its attributes: the section `Attributes:` of its docstring, by name."""
-    _, _, section = (inspect.getdoc(kind) or "").partition("Attributes:\n")
-    found: dict[str, str] = {}
-    name = ""
-    for line in section.split("\n\n")[0].splitlines():
-        if line.startswith("        "):
-            found[name] += f" {line.strip()}"
-        else:
-            name, _, text = line.strip().partition(": ")
-            found[name] = text
-    return found
 
 
 def _first_paragraph(thing: object) -> str:

@@ -82,6 +82,7 @@ class Fatigue3CCR(Condition):
     WRITES = ("fatigue",)
     NEUTRAL: ClassVar = {"affected": 0.0}
     NEEDS = "affected"
+    AT_START = ("initial",)
 
     affected: Value = 1.0
     fatigue_rate: Value | None = None

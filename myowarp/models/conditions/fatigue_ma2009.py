@@ -53,6 +53,7 @@ class FatigueMa2009(Condition):
     PHASE = Phase.STRENGTH
     WRITES = ("fatigue",)
     NEUTRAL: ClassVar = {"rate": 0.0}
+    AT_START = ("initial",)
 
     rate: Value = 1.0
     initial: Value = 0.0

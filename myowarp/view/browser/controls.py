@@ -29,13 +29,14 @@ class Controls(abc.ABC):
         color: What the colour of a muscle shows.
         follow: Whether a root that moves stays in the middle.
         message: What went wrong last.
+        back: How many seconds before the last moment the shown one is; 0 is the last.
     """
 
     def __init__(self, server: viser.ViserServer, session: Session, choices: Choices) -> None:
         """Play."""
         self.server, self.choices, self.session = server, choices, session
         self.playing, self.speed, self.factor = True, 1.0, 0.0
-        self.color, self.follow, self.message = "activation", True, ""
+        self.color, self.follow, self.message, self.back = "activation", True, "", 0.0
         self._asked: dict[str, Callable[[], object]] = {}
         self._lock = threading.Lock()
 
@@ -72,6 +73,27 @@ class Controls(abc.ABC):
         Raises:
             ValueError: It cannot be built; the one before goes on.
         """
+
+    def play(self) -> None:
+        """Go on from the last moment."""
+        self.playing, self.back = True, 0.0
+
+    def pause(self) -> None:
+        """Stand still."""
+        self.playing = False
+
+    def look_back(self, seconds: float) -> None:
+        """Pause, and show what was seen some seconds before the last moment; 0 is that moment."""
+        self.playing, self.back = False, seconds
+
+    def reset(self) -> None:
+        """Begin new episodes; a session that no reset heals is opened anew, as its patient was at first."""
+        self.back = 0.0
+        try:
+            self.session.restart()
+        except ValueError as error:
+            self.complain(f"{error}; the task is opened anew, without changes to the patient")
+            self.open(self.session.title, self.session.policy)
 
     @abc.abstractmethod
     def single_step(self) -> None:

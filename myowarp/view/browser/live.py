@@ -9,16 +9,23 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
 import viser
 
 from myowarp.definitions.body import BODIES
+from myowarp.progress import listening
 from myowarp.view.browser.controls import ERRORS, Controls
+from myowarp.view.browser.history import History
+from myowarp.view.browser.page_style import SOFTWARE, STYLE
 from myowarp.view.browser.panel import Panel
+from myowarp.view.browser.readings import Moment, Readings
 from myowarp.view.browser.scene import Figure, Floor
 from myowarp.view.browser.session import Choices, Session
+from myowarp.view.browser.traces import TRACES_HEIGHT
 from myowarp.view.drawing import style as look
 from myowarp.view.drawing.framing import Framing, view_axes
 
@@ -32,13 +39,22 @@ LATE = 0.25
 """s: who is later than that does not catch up, but says that it is slower than real time."""
 LETTERS = 1.5
 """Size of the text above bodies over viser's."""
-ASPECT = 1.3
-"""Of the picture beside the panel, about."""
+PICKED = ("activation", "force")
+"""What is written beside a muscle that was clicked, and traced."""
+Hotkey = Literal["space", "arrowright", "R"]
+ASPECT = 1.75
+"""Of the picture beside the panel and above the traces, about."""
+USUAL = (950, 760)
+"""px of a picture beside the panel, of a page that has not said what it has."""
+LEAST_FREE = 0.5
+"""Share of the height that the body has at least."""
 
 
 class Live(Controls):
     """A session in a page."""
 
+    _panel: Panel
+    _picked: str
     _twin: Figure | None
     _labels: dict[str, viser.LabelHandle]
 
@@ -52,9 +68,16 @@ class Live(Controls):
         """
         super().__init__(server, session, choices)
         self._stopped = threading.Event()
+        server.gui.add_html(STYLE + SOFTWARE)
+        self._bind("Play or pause", "space", self._toggle)
+        self._bind("Step", "arrowright", self.single_step)
+        self._bind("Reset", "R", self.reset)
         self._progress: deque[tuple[float, int]] = deque()
         self._due = self._drawn = self._read = 0.0
         self._open()
+        server.on_client_connect(
+            lambda client: self.ask(f"aim {client.client_id}", lambda: self._aim(client))
+        )
 
     def stop(self) -> None:
         """End `run`, from any thread."""
@@ -76,11 +99,22 @@ class Live(Controls):
             self._stopped.wait(max(until - now, 0.0))
 
     def open(self, task: str, policy: str) -> None:
-        """Show another task."""
-        self.notify(f"Preparing {task} ...", "blue")
-        self.session = self.choices.open(task, policy)
-        self._close()
-        self._open()
+        """Show another task; what is shown is covered until it is there."""
+        cover = self.server.gui.add_modal(f"Preparing {task}")
+        with cover:
+            doing = self.server.gui.add_markdown("Building the body ...")
+            bar: Any = self.server.gui.add_progress_bar(0.0, animated=True)
+
+        def tell(title: str, done: int, total: int) -> None:
+            doing.content, bar.value = f"{title} ...", 100.0 * done / max(total, 1)
+
+        try:
+            with listening(tell):
+                self.session = self.choices.open(task, policy)
+            self._close()
+            self._open()
+        finally:
+            cover.close()
 
     def show_twin(self, beside: bool) -> None:
         """Show or hide the twin, from the state that the shown world is in."""
@@ -96,25 +130,65 @@ class Live(Controls):
 
     def single_step(self) -> None:
         """Pause, and make one step."""
-        self.playing = False
+        self.playing, self.back = False, 0.0
         self.session.step()
         self._drawn = self._read = 0.0
+
+    def pick(self, muscle: str) -> None:
+        """Name a muscle in the picture, with what it does, and trace it; one that is named no longer."""
+        self._picked = "" if muscle == self._picked else muscle
+        if self._picked:
+            for kind in PICKED:
+                if muscle in self._readings.kinds.get(kind, ("", ()))[1]:
+                    self._panel.traces.add(kind, muscle)
+
+    def _toggle(self) -> None:
+        """Play, or pause."""
+        (self.pause if self.playing else self.play)()
+
+    def _bind(self, label: str, hotkey: Hotkey, wish: Callable[[], None]) -> None:
+        """Have a key do something."""
+        command = self.server.gui.add_command(label, hotkey=hotkey)
+        command.on_trigger(lambda _: self.ask(label, wish))
 
     def draw(self, now: float) -> None:
         """Send what is new."""
         in_time = now < self._drawn + 2.0 * self._frame
         self._drawn = self._drawn + self._frame if in_time else now
-        session = self.session
+        moment = self._moment()
         with self.server.atomic():
-            self._place("/world", self._figure_shown, session.world, np.zeros(3))
+            self._place(self._figure_shown, 0, moment, np.zeros(3))
             if self._twin is not None:
-                self._place("/twin", self._twin, session.twin, self._side)
-            self._panel.record()
+                self._place(self._twin, 1, moment, self._side)
         if now >= self._read + READING:
             self._read = now
             self._measure(now)
             with self.server.atomic():
                 self._panel.refresh()
+                self._show_picked(moment)
+
+    def _moment(self) -> Moment:
+        """Return what is to be seen: what there is now, or what there was."""
+        before = self._history.back(self.back) if self.back > 0.0 else None
+        if before is not None:
+            return before
+        moment = self._readings.read()
+        self._history.add(moment)
+        return moment
+
+    def _show_picked(self, moment: Moment) -> None:
+        """Write beside the muscle that was clicked what it does."""
+        place = self._figure_shown.middle_of(self._picked)
+        self._tag.visible = place is not None
+        if place is None:
+            return
+        parts = [self._picked]
+        for kind in PICKED:
+            unit, items = self._readings.kinds.get(kind, ("", ()))
+            if self._picked in items:
+                value = moment.values[kind][0, items.index(self._picked)]
+                parts.append(f"{kind} {value:.3g}" + ("" if unit == "1" else f" {unit}"))
+        self._tag.text, self._tag.position = " · ".join(parts), place
 
     @property
     def _frame(self) -> float:
@@ -144,6 +218,8 @@ class Live(Controls):
     def _open(self) -> None:
         """Send all that a session's page begins with."""
         model, scene = self.session.sim.full_model, self.server.scene
+        self._readings, self._history, self.back = Readings(self.session), History(), 0.0
+        self._picked, self._tag = "", scene.add_label("/picked", "", visible=False)
         self._framing = Framing(model, BODIES[self.session.sim.scene.spec.body].tips, ASPECT)
         self._progress.clear()
         self._roots = {name: scene.add_frame(name, show_axes=False) for name in ("/world", "/twin")}
@@ -161,12 +237,12 @@ class Live(Controls):
             for name, text, shift in (("/world", "changed", 0.0), ("/twin", "before", self._side))
         }
         self._floor = Floor(self.server, "/world/floor", model, self._framing)
-        self._panel = Panel(self)
+        self._panel = Panel(self, self._readings, self._history)
         self._set_up_view()
 
     def _close(self) -> None:
         """Take a session out of the page."""
-        for node in (*self._labels.values(), *self._roots.values()):
+        for node in (self._tag, *self._labels.values(), *self._roots.values()):
             node.remove()
         self._panel.remove()
 
@@ -174,16 +250,25 @@ class Live(Controls):
         """Return a world's figure under a node."""
         sim = self.session.sim
         tips = BODIES[sim.scene.spec.body].tips
-        return Figure(self.server, f"{name}/body", sim.full_model, self._framing.radius, tips)
+        return Figure(
+            self.server,
+            f"{name}/body",
+            sim.full_model,
+            self._framing.radius,
+            tips,
+            pick=lambda muscle: self.ask("pick", lambda: self.pick(muscle)),
+        )
 
-    def _place(self, name: str, figure: Figure, world: int, aside: np.ndarray) -> None:
-        """Show a world; the body stays in the middle, and the floor goes by."""
+    def _place(self, figure: Figure, twin: int, moment: Moment, aside: np.ndarray) -> None:
+        """Show the world or its twin; the body stays in the middle, and the floor goes by."""
+        session = self.session
+        hidden = session.hidden(session.twin if twin else session.world)
 
         def shift(data: mujoco.MjData) -> np.ndarray:
             return aside - (self._framing.shift(data) if self.follow else 0.0)
 
         try:
-            figure.show(self.session.seen(world), self.color, self.session.hidden(world), shift)
+            figure.show(moment.seen[twin], self.color, hidden, shift)
         except ValueError as error:  # a state that is not finite; the next step resets it
             self.message = str(error)
             return
@@ -192,13 +277,25 @@ class Live(Controls):
 
     def _set_up_view(self) -> None:
         """Point the camera of pages at what there is, now and where they are set back to it."""
-        camera = self._camera
-        forward = view_axes(camera.azimuth, camera.elevation)[2]
-        middle = camera.lookat + (0.5 * self._side if self.session.beside else 0.0)
-        eye = middle - (self._farther if self.session.beside else 1.0) * camera.distance * forward
-        opening = float(np.radians(self.session.sim.full_model.vis.global_.fovy))
         start = self.server.initial_camera
-        start.position, start.look_at, start.fov = eye, middle, opening
+        start.position, start.look_at, start.fov = self._view(*USUAL)
         for client in self.server.get_clients().values():
-            with client.atomic():
-                client.camera.position, client.camera.look_at, client.camera.fov = eye, middle, opening
+            self._aim(client)
+
+    def _aim(self, client: viser.ClientHandle) -> None:
+        """Point the camera of a page."""
+        camera = client.camera
+        with client.atomic():
+            camera.position, camera.look_at, camera.fov = self._view(camera.image_width, camera.image_height)
+
+    def _view(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return where the camera stands and looks [m], and its opening [rad]: all is above the traces."""
+        camera, beside = self._camera, self.session.beside
+        _, up, forward = view_axes(camera.azimuth, camera.elevation)
+        opening = float(np.radians(self.session.sim.full_model.vis.global_.fovy))
+        free = max(height - TRACES_HEIGHT, LEAST_FREE * height)
+        distance = camera.distance * (self._farther if beside else 1.0)
+        distance *= height / free * max(1.0, ASPECT * free / max(width, 1))
+        below = (height - free) / height * distance * np.tan(opening / 2.0)
+        middle = camera.lookat + (0.5 * self._side if beside else 0.0) - below * up
+        return middle - distance * forward, middle, opening

@@ -73,6 +73,7 @@ class Figure:
         tips: tuple[str, ...] = (),
         *,
         ghost: bool = False,
+        pick: Callable[[str], None] | None = None,
     ) -> None:
         """Send what does not change.
 
@@ -83,6 +84,7 @@ class Figure:
             radius: Framed radius [m], which sets the scale of muscles and markers.
             tips: Names of the sites at the ends of the limb.
             ghost: Whether it is only the translucent limb in the posture that is wanted.
+            pick: Called with the name of a muscle that was clicked; None: muscles are not to be clicked.
         """
         self._server, self._name, self._radius, self._is_ghost = server, name, radius, ghost
         self._root = server.scene.add_frame(name, show_axes=False)
@@ -90,7 +92,9 @@ class Figure:
         coarsen(self._model, (GHOST_CELL if ghost else CELL) * radius)
         self._data = mujoco.MjData(self._model)
         self._nominal: dict[tuple[str, str], np.ndarray] = {}
-        self._given = model
+        self._given, self._pick = model, pick
+        on_tendon = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON)
+        self._names = [model.actuator(int(actuator)).name for actuator in on_tendon]
         self.muscles, self._skeleton = Muscles(model, radius), Skeleton(model)
         self._tips = [] if ghost else look.tip_sites(model, tips)
         self._tip_radii = look.tip_radii(model, self._tips, radius)
@@ -147,6 +151,11 @@ class Figure:
         if not self._is_ghost:
             self._show_balls(seen, aside)
             self._show_ghost(seen.ghost, hidden, aside)
+
+    def middle_of(self, muscle: str) -> np.ndarray | None:
+        """Return the middle of the belly of a muscle as it was shown last [m]; None where there is none."""
+        handle = self._bellies.get(self._names.index(muscle)) if muscle in self._names else None
+        return None if handle is None else handle.vertices.mean(axis=0)
 
     @property
     def bytes_per_frame(self) -> int:
@@ -237,6 +246,8 @@ class Figure:
                 cast_shadow=False,
                 receive_shadow=False,
             )
+            if (pick := self._pick) is not None:
+                self._bellies[muscle].on_click(lambda _: pick(self._names[muscle]))
             return
         if np.abs(vertices - handle.vertices).max() > STILL:
             handle.vertices = vertices.astype(np.float32)

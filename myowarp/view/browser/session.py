@@ -12,19 +12,23 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from myowarp.coordinates.couplings import follow
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.kernels.write import write
 from myowarp.sim.build import full_spec
 from myowarp.sim.patient import Knob, Patient, every_condition
+from myowarp.sim.presets import PRESETS
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
-from myowarp.sim.state import get_state, set_state
+from myowarp.sim.state import get_state, place, set_state
 from myowarp.view.drawing.snapshot import Snapshot, snapshot
 
 Act = Callable[[np.ndarray], np.ndarray]
 """Observations (num_worlds, obs_size) to actions (num_worlds, num_actions) in [-1, 1]."""
 
+HEALTHY = "as it began"
+"""The patient without a preset: what the command's conditions say."""
 OPEN_LOOP = "random"
 """Policy that does not look at observations: the twin does what the shown world does."""
 
@@ -37,12 +41,14 @@ class Choices:
         tasks: Ids of tasks.
         policies: Function from a task to the names of policies that may act in it.
         acting: Function from the name of a policy and a simulation to what acts.
+        note: Function from the name of a policy and a task to what is said of it, Markdown; "" for nothing.
         open: Function from the id of a task and the name of a policy to a session.
     """
 
     tasks: Sequence[str]
     policies: Callable[[TaskSpec], Sequence[str]]
     acting: Callable[[str, Simulation], Act]
+    note: Callable[[str, TaskSpec], str]
     open: Callable[[str, str], Session]
 
 
@@ -59,6 +65,9 @@ class Session:
         beside: Whether the twin is shown; only then does its end end the episode.
         returns: Sum of rewards in the present episode, shape (num_worlds,).
         steps: Control steps since the session was opened.
+        episode: Number of the shown world's episode, from 1 on.
+        solved: How many of its episodes before ended as a success.
+        preset: Name of the patient that was chosen last.
     """
 
     def __init__(
@@ -98,6 +107,7 @@ class Session:
         self._acting = acting
         self._own = {body.name for body in plain.bodies}
         self.returns, self.steps = np.zeros(worlds + 1), 0
+        self.episode, self.solved, self.preset = 0, 0, HEALTHY
         self.act(policy)
         self._seeds: np.ndarray | None = (setup.seed or 0) + np.arange(worlds + 1)
         self.restart()
@@ -108,6 +118,11 @@ class Session:
         return int(self.sim.episode.step_count.numpy()[self.world]) * self.sim.scene.control_dt
 
     @property
+    def elapsed(self) -> float:
+        """Time since the session was opened [s]."""
+        return self.steps * self.sim.scene.control_dt
+
+    @property
     def success(self) -> bool:
         """Whether the shown world's episode counts as a success so far."""
         return bool(self.sim.transition.success.numpy()[self.world])
@@ -115,7 +130,11 @@ class Session:
     @property
     def terms(self) -> dict[str, float]:
         """Weighted reward terms of the last step in the shown world."""
-        values = self.sim.transition.terms.numpy()[self.world]
+        return self.terms_of(self.world)
+
+    def terms_of(self, world: int) -> dict[str, float]:
+        """Return the weighted reward terms of the last step in a world."""
+        values = self.sim.transition.terms.numpy()[world]
         pairs = zip(self.sim.terms, values, strict=True)
         return {term.name: term.weight * float(value) for term, value in pairs if term.weight}
 
@@ -152,6 +171,33 @@ class Session:
         """
         self.patient.set(knob, value, range(self.twin), muscles)
 
+    def become(self, preset: str) -> None:
+        """Make all worlds but the twin a patient of `PRESETS`, or what they began as; episodes begin anew.
+
+        Raises:
+            ValueError: There is no such preset, or this body cannot have it.
+        """
+        if preset == HEALTHY:
+            self.patient.undo(range(self.twin))
+        else:
+            PRESETS[preset].put_into(self.patient, range(self.twin))
+        self.preset = preset
+        self.restart()
+
+    def pose(self, qpos: np.ndarray) -> None:
+        """Put shown world and twin into a configuration, at rest; joints that follow others follow.
+
+        Raises:
+            ValueError: It is not finite.
+        """
+        follow(self.sim.full_model, qpos)
+        pair = np.array([self.world, self.twin])
+        place(
+            self.sim,
+            {"data.qpos": np.tile(qpos, (2, 1)), "data.qvel": np.zeros((2, self.sim.scene.oracle.nv))},
+            pair,
+        )
+
     def restart(self, mask: np.ndarray | None = None) -> None:
         """Begin new episodes, in all worlds or a mask; the twin's begins like that of the shown world."""
         mask = np.ones(self.twin + 1, dtype=bool) if mask is None else mask
@@ -161,6 +207,7 @@ class Session:
         self.returns[mask] = 0.0
         self.patient.renew()
         if mask[self.world]:
+            self.episode += 1
             self.match()
 
     def step(self) -> None:
@@ -171,6 +218,7 @@ class Session:
         """
         sim = self.sim
         if (ended := self._ended()).any():
+            self.solved += bool(ended[self.world] and self.success)
             self.restart(ended)
         actions = np.array(self._act(sim.transition.obs.numpy()), dtype=np.float32)
         shape = tuple(sim.action.shape)

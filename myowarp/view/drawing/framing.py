@@ -21,6 +21,8 @@ BORDER = 0.05
 """Share of the picture, on each side, that stays free."""
 GAP = 0.15
 """Space between a body and its twin, in units of their width or height."""
+RUNS_OUT = 1.5
+"""Size of all bones over that of the picture from which on they run out of it."""
 TRAVEL = 1.0
 """m: range of a slide from which on it carries the whole body away."""
 TURN = 15.0
@@ -80,6 +82,9 @@ class Framing:
         rest, motion, everything, away = self._range_of_motion(data, drawn[~moving[body]])
         self.azimuth, self.elevation = broadside(rest, motion, away)
         self._axes = view_axes(self.azimuth, self.elevation)
+        look.pose(model, data, look.rest_pose(model))
+        whole = look.geom_box(model, data, drawn[look.limb_bodies(model)[body]]) @ self._axes[:2].T
+        self._limb_size = np.ptp(whole, axis=0) if len(whole) else np.zeros(2)
         self._depth = float((rest @ self._axes[2]).mean())
         self._usual = self._extent(everything)
         self.radius = self._measure()
@@ -127,10 +132,11 @@ class Framing:
     def twin(self) -> tuple[np.ndarray, float]:
         """Return how far aside a twin stands [m], shape (3,), and the camera's distance over that for one.
 
-        It stands to the right of what is tall, and below what is wide.
+        It stands to the right of what is tall, and below what is wide or runs out of the picture sideways.
         """
         size = self._usual[1] - self._usual[0]
-        wide = int((size / self._half).argmax() == 0)
+        beyond = self._limb_size / size
+        wide = int((beyond if beyond.max() > RUNS_OUT else size / self._half).argmax() == 0)
         aside = np.zeros(2)
         aside[wide] = (1.0 + GAP) * size[wide] * (-1.0 if wide else 1.0)
         farther = ((size + np.abs(aside)) / self._half).max() / (size / self._half).max()

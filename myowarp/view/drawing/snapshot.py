@@ -57,7 +57,7 @@ def snapshot(sim: Simulation, world: int, signals: Signals | None = None) -> Sna
         known["force"] = signals.muscles.force.numpy()[world]
     if "fatigue" in part.shown:
         known["fatigue"] = part.shown["fatigue"].numpy()[row]
-    muscles = {name: _by_tendon(scene, row, values) for name, values in known.items()}
+    muscles = _by_tendon(scene, row, known) if known else {}
     return Snapshot(qpos, muscles, goals, _shape(scene, row), ghost)
 
 
@@ -79,14 +79,14 @@ def _muscles(scene: Scene, world: int) -> dict[str, np.ndarray]:
     }
 
 
-def _by_tendon(scene: Scene, world: int, values: np.ndarray) -> np.ndarray:
+def _by_tendon(scene: Scene, world: int, known: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return values of muscles as those of the actuators with a tendon that they pull."""
     anatomy, oracle = scene.muscles.anatomy, scene.oracle
     path, transmission = _row(anatomy.path.numpy(), world), _row(anatomy.transmission.numpy(), world)
     on_tendon = oracle.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
-    spread = np.full(len(on_tendon), np.nan)
-    spread[path] = np.where(transmission > 0.0, values, np.nan)
-    return spread[on_tendon]
+    spread = np.full((len(known), len(on_tendon)), np.nan)
+    spread[:, path] = np.where(transmission > 0.0, np.stack(list(known.values())), np.nan)
+    return dict(zip(known, spread[:, on_tendon], strict=True))
 
 
 def _shape(scene: Scene, world: int) -> dict[tuple[str, str], np.ndarray]:

@@ -1,0 +1,87 @@
+"""The readings of a page as HTML: how far the episode is, its reward, and what the colours mean."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+
+import numpy as np
+
+from myowarp.view.browser.controls import Controls
+from myowarp.view.drawing import style as look
+from myowarp.view.drawing.muscles import Quantity
+
+GOOD, BAD, BAR = "#047857", "#b91c1c", "#93c5fd"
+BAR_WIDTH = 6.0
+"""em of the longest bar of a reward term."""
+
+
+def status(live: Controls) -> str:
+    """Return time, return, success and reward terms."""
+    session = live.session
+    state = "" if live.playing else "paused · "
+    if live.back > 0.0:
+        state = f"{live.back:.1f} s back · "
+    length = session.sim.setup.episode_steps * session.sim.scene.control_dt
+    rows = [
+        f"<b>{state}{session.time:.2f} s of {length:.4g} s</b>"
+        + (f" · <b style='color:{GOOD}'>success</b>" if session.success else ""),
+        f"episode {session.episode}, {session.solved} of {session.episode - 1} before solved · "
+        f"{live.factor:.2f} × real time",
+        f"return {session.returns[session.world]:.2f}",
+    ]
+    if session.beside:
+        rows[-1] += f" · before the change {session.returns[session.twin]:.2f}"
+    if live.message:
+        rows.append(f"<span style='color:{BAD}'>{html.escape(live.message)}</span>")
+    return (
+        f"<div style='padding:0.5em 1em;font-size:0.85em'>{'<br>'.join(rows)}"
+        f"<table>{_terms(session.terms)}</table></div>"
+    )
+
+
+def _terms(terms: dict[str, float]) -> str:
+    """Return reward terms of the last step with bars."""
+    largest = max((abs(value) for value in terms.values()), default=0.0) or 1.0
+    return "".join(
+        f"<tr><td>{html.escape(name)}</td>"
+        f"<td style='text-align:right;padding:0 0.7em'>{value:.3f}</td>"
+        f"<td><div style='height:0.7em;width:{BAR_WIDTH * abs(value) / largest:.2f}em;"
+        f"background:{BAR if value >= 0 else BAD}'></div></td></tr>"
+        for name, value in terms.items()
+    )
+
+
+def legend(quantity: Quantity) -> str:
+    """Return the colours of a quantity with its name and its ends."""
+    stops = ",".join(_css(rgb) for rgb in np.array(quantity.colors))
+    return (
+        "<div style='padding:0 1em 0.5em;font-size:0.8em'>"
+        f"<div style='height:0.8em;border-radius:3px;background:linear-gradient(to right,{stops})'></div>"
+        f"<div style='display:flex;justify-content:space-between'><span>{quantity.low:g}</span>"
+        f"<span>{html.escape(quantity.label)}</span><span>{quantity.high:g}</span></div></div>"
+    )
+
+
+def key(tips: bool, targets: bool, ghost: bool, objects: Sequence[tuple[str, np.ndarray]]) -> str:
+    """Return what the balls, the ghost and other bodies in the picture are."""
+    rows = []
+    if tips:
+        rows.append((_css(look.TIP_RGB), "1", "tip of the limb"))
+    if targets:
+        rows.append((_css(look.TARGET_RGB), "1", "target"))
+    if ghost:
+        rows.append((_css(look.TARGET_RGB), "0.35", "wanted posture"))
+    rows += [(_css(rgb), "1", name) for name, rgb in objects]
+    parts = "".join(
+        "<span style='margin-right:1em;white-space:nowrap'><span style='display:inline-block;width:0.8em;"
+        f"height:0.8em;border-radius:50%;background:{color};opacity:{opacity}'></span> "
+        f"{html.escape(text)}</span>"
+        for color, opacity, text in rows
+    )
+    return f"<div style='padding:0 1em 0.5em;font-size:0.8em'>{parts}</div>"
+
+
+def _css(rgb: np.ndarray) -> str:
+    """Return a colour in 0..1 as CSS."""
+    return f"rgb({','.join(f'{value:.0f}' for value in 255 * np.asarray(rgb))})"

@@ -1,0 +1,66 @@
+"""Tasks as a tree: family, what it varies, version.
+
+    tree = task_tree(["myoHandPoseFixed-v0", "myoHandPoseFixed-v1", "myoHandPoseRandom-v1"])
+    tree["pose, hand"]["easy"]["v1"]  # "myoHandPoseFixed-v1"
+
+What is no registered task, a model's file or a task of the user's own, is a family of its own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from myowarp.definitions.task import TASKS
+
+OWN = "your own"
+LEVELS = {"Fixed": "easy", "Random": "hard"}
+"""What the last word of a name stands for: a fixed goal, or one that each episode draws."""
+WORDS = {
+    "contact_hand": "hand",
+    "elbow_exo": "elbow with exoskeleton",
+    "motor_finger": "finger with motors",
+    "objecthold": "object hold",
+    "keyturn": "key turn",
+    "pentwirl": "pen twirl",
+    "diereorient": "die reorient",
+}
+"""Names of families and bodies as people write them."""
+
+Tree = dict[str, dict[str, dict[str, str]]]
+"""Id of a task by family, level and version; the newest version first."""
+
+
+def task_tree(tasks: Sequence[str]) -> Tree:
+    """Return tasks as a tree.
+
+    Args:
+        tasks: Ids.
+    """
+    tree: Tree = {}
+    for task in tasks:
+        family, level, version = place_of(task)
+        tree.setdefault(family, {}).setdefault(level, {})[version] = task
+    for levels in tree.values():
+        for level, versions in levels.items():
+            levels[level] = dict(sorted(versions.items(), reverse=True))
+    return tree
+
+
+def place_of(task: str) -> tuple[str, str, str]:
+    """Return family, level and version of a task."""
+    if task not in TASKS:
+        return OWN, task, "-"
+    spec = TASKS[task]
+    family, body = (WORDS.get(name, name.replace("_", " ")) for name in (spec.family, spec.body))
+    return f"{family}, {body}", _level(spec.name), f"v{spec.version}"
+
+
+def _level(name: str) -> str:
+    """Return what the end of a task's name says: "easy" or "hard", which pose, which phase; else the name."""
+    found = re.fullmatch(r"(my|mot)o.*?(\d*)(Fixed|Random|Swap|Demo|P\d)", name)
+    if found is None:
+        return name
+    _, number, word = found.groups()
+    level = LEVELS.get(word, word if name.startswith("myoChallenge") else word.lower())
+    return f"{level}, pose {number}" if number and word in LEVELS else level

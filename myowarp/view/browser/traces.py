@@ -1,0 +1,149 @@
+"""Traces: chosen quantities over the last seconds, drawn under the scene, and written as CSV or PNG."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from myowarp.definitions.registry import check_choice
+from myowarp.view.browser.chart import TARGET_INK, Chart, Curve, as_png, as_svg
+from myowarp.view.browser.controls import Controls
+from myowarp.view.browser.history import History
+from myowarp.view.browser.readings import Readings
+
+INKS = ("#1d4ed8", "#b91c1c", "#047857", "#b45309")
+"""Of the shown world's curves in a chart."""
+TWIN_INKS = ("#60a5fa", "#f472b6", "#84cc16", "#fbbf24")
+"""Of the twin's, which are dashed."""
+DASH, TARGET_DASH = (6, 4), (2, 3)
+MOST = len(INKS)
+"""Curves of one quantity."""
+MOST_CHARTS = 4
+"""Quantities side by side."""
+NOTHING = "add ..."
+WIDTH, HEIGHT = 900, 150
+"""Size of the picture [px]."""
+ROOM = 62
+"""px of the window around it."""
+BORDER = 15
+"""px between the window and the picture of the body."""
+TRACES_HEIGHT = HEIGHT + ROOM + 2 * BORDER
+"""px at the bottom of a page that the window takes."""
+
+
+class Traces:
+    """The window with curves, and what is chosen in the panel."""
+
+    def __init__(self, live: Controls, readings: Readings, history: History) -> None:
+        """Add the controls to the container that is open, and the window."""
+        self._live, self._gui, self._kinds, self._history = live, live.server.gui, readings.kinds, history
+        self.chosen: list[tuple[str, str]] = []
+        for kind in ("activation", "joint angle"):
+            if kind in self._kinds:
+                self.chosen.append((kind, self._kinds[kind].items[0]))
+        gui = self._gui
+        self._kind: Any = gui.add_dropdown("quantity", tuple(self._kinds))
+        self._item: Any = gui.add_dropdown("of", (NOTHING, *self._kinds[self._kind.value].items))
+        self._kind.on_update(lambda _: live.ask("quantity", self._offer))
+        self._item.on_update(lambda _: self._ask(self._item.value))
+        for label, do in (
+            ("Clear traces", self.clear),
+            ("Save CSV", self._save_csv),
+            ("Save PNG", self._save_png),
+        ):
+            self._press(label, do)
+        self._window = gui.add_panel()
+        with self._window.add_tab("Traces"):
+            self._picture = gui.add_html("")
+        self._window.float(x=BORDER, y=-BORDER, width=WIDTH, height=HEIGHT + ROOM)
+
+    def _press(self, label: str, do: Callable[[Any], None]) -> None:
+        """Add a button; what it does is told which browser asked."""
+        button, live = self._gui.add_button(label), self._live
+        button.on_click(lambda event: live.ask(label, lambda: do(event.client)))
+
+    def remove(self) -> None:
+        """Take the window out of the page."""
+        self._window.remove()
+
+    def refresh(self) -> None:
+        """Draw what is new."""
+        charts = self.charts()
+        self._picture.content = (
+            f"<div style='padding:0 0.5em'>{as_svg(charts, WIDTH, HEIGHT)}</div>"
+            if charts
+            else "<div style='padding:1em'>Choose on the tab <i>Traces</i>, or click a muscle.</div>"
+        )
+
+    def add(self, kind: str, item: str) -> None:
+        """Draw one more; the oldest of its quantity, or the oldest quantity, makes room.
+
+        Raises:
+            ValueError: There is no such quantity, or nothing of that name has it.
+        """
+        check_choice("quantity", kind, tuple(self._kinds))
+        check_choice(kind, item, self._kinds[kind].items)
+        if (kind, item) in self.chosen:
+            return
+        self.chosen.append((kind, item))
+        own = [pair for pair in self.chosen if pair[0] == kind]
+        if len(own) > MOST:
+            self.chosen.remove(own[0])
+        shown = list(dict.fromkeys(pair[0] for pair in self.chosen))
+        if len(shown) > MOST_CHARTS:
+            self.chosen = [pair for pair in self.chosen if pair[0] != shown[0]]
+
+    def clear(self, _: object = None) -> None:
+        """Draw none."""
+        self.chosen = []
+
+    def charts(self) -> list[Chart]:
+        """Return a chart for each chosen quantity."""
+        history = self._history
+        if len(history.moments) < 2:
+            return []
+        times, borders, beside = history.times, history.borders.tolist(), self._live.session.beside
+        found = []
+        for kind in dict.fromkeys(pair[0] for pair in self.chosen):
+            curves = []
+            items = [item for own, item in self.chosen if own == kind]
+            for item, ink, twin_ink in zip(items, INKS, TWIN_INKS, strict=False):
+                index = self._kinds[kind].items.index(item)
+                curves.append(Curve(item, history.values(kind, index, False), ink))
+                if beside:
+                    values = history.values(kind, index, True)
+                    curves.append(Curve(f"{item} before", values, twin_ink, DASH))
+                targets = history.targets(kind, index)
+                if np.isfinite(targets).any():
+                    curves.append(Curve(f"{item} target", targets, TARGET_INK, TARGET_DASH))
+            unit = self._kinds[kind].unit
+            found.append(Chart(kind if unit == "1" else f"{kind} / {unit}", times, curves, borders))
+        return found
+
+    def _offer(self) -> None:
+        """List what has the chosen quantity."""
+        check_choice("quantity", self._kind.value, tuple(self._kinds))
+        self._item.options = (NOTHING, *self._kinds[self._kind.value].items)
+        self._item.value = NOTHING
+
+    def _ask(self, item: str) -> None:
+        """Have drawn what was chosen."""
+        if item != NOTHING:
+            self._live.ask("trace", lambda: self._add(item))
+
+    def _add(self, item: str) -> None:
+        """Draw what was chosen."""
+        self._item.value = NOTHING
+        self.add(self._kind.value, item)
+
+    def _save_csv(self, client: Any) -> None:
+        """Send the curves as a table to the browser that asked."""
+        table = self._history.table(self._kinds, self.chosen, self._live.session.beside)
+        client.send_file_download("traces.csv", table.encode())
+
+    def _save_png(self, client: Any) -> None:
+        """Send the curves as a picture to the browser that asked."""
+        if charts := self.charts():
+            client.send_file_download("traces.png", as_png(charts, WIDTH, HEIGHT))
