@@ -6,12 +6,13 @@ import contextlib
 import dataclasses
 import webbrowser
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from rich.console import Console
 
-from myowarp.apps.cli.options import Environment, Policy, optional
+from myowarp.apps.cli.options import Environment, Policy, Said, optional
 from myowarp.definitions.registry import check_least
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ class View:
     Example: myowarp view myoHandReachFixed-v1 --policy baselines/myoHandReachFixed-v0
 
     A converted model: myowarp view --model out/arm26/model.xml
+
+    A training that goes on: myowarp view runs/elbow, whose newest checkpoint acts
     """
 
     asked: Environment
@@ -59,6 +62,8 @@ class View:
         from myowarp.view.browser.server import check_port, close_server, open_server
 
         check_least(1, worlds=self.worlds)
+        if (run := self._run()) is not None:
+            return run()
         find_policy(self.policy, self._find(self._title).spec)
         if self.preset is not None:
             PRESETS[self.preset]
@@ -80,6 +85,18 @@ class View:
                 live.run()
         finally:
             close_server(server)
+
+    def _run(self) -> View | None:
+        """Return the command for a run's folder in place of a task: the task and the policy of the run."""
+        from myowarp.apps.policies.follow import is_run
+        from myowarp.apps.train.evaluation import plan_evaluation
+
+        asked = self.asked.setup
+        if not isinstance(asked.task, str) or not is_run(asked.task):
+            return None
+        setup = plan_evaluation(Path(asked.task), dataclasses.replace(asked, task=None)).setup
+        said = Said(dataclasses.replace(setup, task=setup.spec.key))
+        return dataclasses.replace(self, asked=said, policy=asked.task)
 
     @property
     def _title(self) -> str:
@@ -121,8 +138,10 @@ class View:
     def _acting(self, name: str, sim: Simulation) -> Act:
         """Return what acts, with the errors of a user's policy as one sentence."""
         from myowarp.apps.policies.find import PolicyError, acting, find_policy
+        from myowarp.apps.policies.follow import Following, is_run
 
-        act = acting(find_policy(name, sim.scene.spec), sim)
+        policy = find_policy(name, sim.scene.spec)
+        act = Following(Path(name), sim) if is_run(name) else acting(policy, sim)
 
         def guarded(obs: np.ndarray) -> np.ndarray:
             try:
@@ -149,9 +168,13 @@ def policies_for(spec: TaskSpec, own: str) -> list[str]:
 def note_on(policy: str, spec: TaskSpec) -> str:
     """Return what is to be said of a policy in a task, Markdown: which version it was trained for."""
     from myowarp.apps.policies.baselines import policy_folder
+    from myowarp.apps.policies.checkpoint import find_folder
+    from myowarp.apps.policies.follow import is_run
 
     if policy.rpartition(":")[1] or (folder := policy_folder(policy, spec.key)) is None:
         return ""
+    if is_run(policy):
+        return f"Follows {policy}; its newest checkpoint is that of {int(find_folder(folder).name)} samples."
     trained = folder.name
     if trained == spec.key:
         return f"Trained for {trained}."

@@ -58,7 +58,7 @@ class RunTab:
         policies = live.choices.policies(session.sim.scene.spec)
         if session.policy not in policies:
             policies = (session.policy, *policies)
-        widgets.choose("policy", policies, lambda: session.policy, self._act, "What commands the muscles.")
+        widgets.choose("policy", policies, lambda: session.policy, session.act, "What commands the muscles.")
         self._note = gui.add_markdown(live.choices.note(session.policy, session.sim.scene.spec))
         worlds = [str(world) for world in range(session.twin)]
         if len(worlds) > 1:
@@ -73,6 +73,10 @@ class RunTab:
     def refresh(self) -> None:
         """Show time, speed, return and success."""
         self._status.content = html.status(self._live)
+        session = self._live.session
+        note = self._live.choices.note(session.policy, session.sim.scene.spec)
+        if self._note.content != note:
+            self._note.content = note
         if tuple(self._drive.options) != self._buttons():
             self._drive.options = self._buttons()
 
@@ -89,12 +93,6 @@ class RunTab:
             STEP: self._live.single_step,
             RESET: self._live.reset,
         }[button]()
-
-    def _act(self, policy: str) -> None:
-        """Let another policy act, and say what it was made for."""
-        session = self._live.session
-        session.act(policy)
-        self._note.content = self._live.choices.note(policy, session.sim.scene.spec)
 
     def _add_task(self, widgets: Widgets) -> None:
         """Add the tree of tasks: each list opens what it says, with the newest version."""
