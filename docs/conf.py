@@ -1,29 +1,34 @@
 """The documentation site: Sphinx reads the pages here, and `task_pages.py` writes one for each task id."""
 
+import html
 import re
 import shutil
 import sys
+import textwrap
 from pathlib import Path
+from typing import Any
 
+from docutils import nodes
 from sphinx.application import Sphinx
 
 import myowarp
-from myowarp.apps.cli.options import Said
-from myowarp.apps.cli.record import Record
-from myowarp.definitions.setup import Setup
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
 
 project, author, copyright = "MyoWarp", "MyoWarp contributors", "MyoWarp contributors, Apache-2.0"
 version = release = myowarp.__version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "task_pages"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "task_pages", "recordings"]
 exclude_patterns = ["audit/README.md"]
 html_theme = "furo"
 html_title = "MyoWarp"
+html_static_path = ["static"]
+html_css_files, html_js_files = ["pages.css"], ["copy.js"]
 default_role = "code"  # what stands in single backticks in a docstring
 myst_heading_anchors = 3
 autodoc_member_order = "bysource"
+LONG = 16  # rows of a table that is folded
+DESCRIPTION = 160  # characters that search engines show
 
 
 def of_repository(app: Sphinx, page: str, source: list[str]) -> None:
@@ -44,16 +49,35 @@ def add_audit(app: Sphinx, error: Exception | None) -> None:
     shutil.copy(DOCS / "audit/index.html", Path(app.outdir) / "audit.html")
 
 
-def add_recording(app: Sphinx, error: Exception | None) -> None:
-    """Put a hand that the reader turns beside the start page, unless it is there."""
-    path = Path(app.outdir) / "hand.html"
-    if error is None and not path.exists():
-        task = Setup(task="myoHandKeyTurnFixed-v0", device="cpu", seed=1)
-        Record(Said(task), policy="baseline", output=path, steps=80)()
+def fold(app: Sphinx, doctree: nodes.document, page: str) -> None:
+    """Fold long tables, so that figures and text are seen first; lists of tasks stay open."""
+    for table in list(doctree.findall(nodes.table)):
+        rows = sum(1 for body in table.findall(nodes.tbody) for _ in body.findall(nodes.row))
+        if rows >= LONG and not page.startswith("tasks/"):
+            begin = f"<details class='folded'><summary>Table, {rows} rows</summary>"
+            around = [nodes.raw("", text, format="html") for text in (begin, "</details>")]
+            table.replace_self([around[0], table.deepcopy(), around[1]])
+
+
+def describe(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: nodes.document) -> None:
+    """Tell search engines what a page is about: its first paragraph, unless it says so itself."""
+    if (
+        doctree is None
+        or "html_meta" in app.env.metadata.get(page, {})
+        or 'name="description"' in (context.get("metatags") or "")
+    ):
+        return
+    paragraphs = (" ".join(node.astext().split()) for node in doctree.findall(nodes.paragraph))
+    first = next((text for text in paragraphs if len(text) > 40), "")
+    text = textwrap.shorten(f"MyoWarp: {context['title']}. {first}", DESCRIPTION, placeholder=" …")
+    context["metatags"] = (
+        f'{context.get("metatags", "")}\n<meta name="description" content="{html.escape(text)}">'
+    )
 
 
 def setup(app: Sphinx) -> None:
     """Register with Sphinx."""
     app.connect("source-read", of_repository)
     app.connect("build-finished", add_audit)
-    app.connect("build-finished", add_recording)
+    app.connect("doctree-resolved", fold)
+    app.connect("html-page-context", describe)

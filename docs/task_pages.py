@@ -1,4 +1,4 @@
-"""One page for each task id, written before the site is built: `myowarp describe`, audit and baseline.
+"""A page for each task family and id, written before the site is built: `myowarp describe`, audit, baseline.
 
 A Sphinx extension; the pages go to docs/tasks/, which git ignores.
 """
@@ -8,6 +8,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import recordings
 from sphinx.application import Sphinx
 from sphinx.util.display import status_iterator
 
@@ -18,7 +19,14 @@ from myowarp.definitions.task import TASKS
 
 DOCS = Path(__file__).parent
 PAGES = DOCS / "tasks"
-WIDTH = 92  # characters that a page shows without scrolling at 1280 px
+TITLES = {
+    "keyturn": "Key turn",
+    "objecthold": "Object hold",
+    "pentwirl": "Pen twirl",
+    "diereorient": "Die reorient",
+    "baoding": "Baoding balls",
+}
+WIDTH = 90  # characters that a page shows without scrolling at 1280 px
 
 
 def page(key: str, audit: dict[str, Any] | None) -> str:
@@ -26,9 +34,7 @@ def page(key: str, audit: dict[str, Any] | None) -> str:
     spec = TASKS[key]
     facts = sections(describe(spec), WIDTH)
     about = facts.pop(spec.env_id)
-    commands = (
-        f"myowarp rollout {key} --num-worlds 64 --video task.mp4\nmyowarp train {key} --output runs/task"
-    )
+    commands = f"myowarp view {key}\nmyowarp train {key} --output runs/task"
     picture = f"![{spec.family}, {spec.body}](../pictures/{spec.family}_{spec.body}.png)"
     parts = [f"# {key}", " ".join(about.split()), picture, f"```sh\n{commands}\n```"]
     if baseline := _baseline(key):
@@ -67,17 +73,44 @@ def _measured(audit: dict[str, Any]) -> str:
     return "\n".join([*rows, "", *findings, "", f'<a href="../audit.html#{place}">All figures and plots</a>'])
 
 
+def families() -> dict[str, list[str]]:
+    """Return the ids of each family, by body and then by name, so that versions stand together."""
+    order = sorted(TASKS, key=lambda key: (TASKS[key].family, TASKS[key].body, key))
+    return {family: list(keys) for family, keys in groupby(order, lambda key: TASKS[key].family)}
+
+
+def title(family: str) -> str:
+    """Return what a family is called."""
+    return TITLES.get(family, family.capitalize())
+
+
+def rows(keys: list[str]) -> str:
+    """Return a table of ids, a row each."""
+    lines = (f"| [{key}]({key}.md) | {TASKS[key].summary} |" for key in keys)
+    return "\n".join(["| id | what it asks for |", "|---|---|", *lines])
+
+
+def family_page(family: str, keys: list[str]) -> str:
+    """Return the page of a family: a recording to turn where there is one, its ids, commands."""
+    parts = [f"# {title(family)}", rows(keys)]
+    if shown := recordings.SHOWN.get(family):
+        commands = f"myowarp view {shown.task} --policy {shown.policy}\nmyowarp describe {shown.task}"
+        parts.insert(1, recordings.frame(family, "../"))
+        parts.append(f"```sh\n{commands}\n```")
+    parts.append("```{toctree}\n:hidden:\n\n" + "\n".join(keys) + "\n```")
+    return "\n\n".join(parts) + "\n"
+
+
 def index() -> str:
-    """Return the page that lists all ids by family, with the newest version of each task first."""
+    """Return the page that lists all ids by family."""
     parts = [
         "# Tasks",
-        "`myowarp tasks` prints this list, and `myowarp tasks --paper` the paper's grid of 204 ids.",
+        "A page for each family, with a recording to turn, and one for each id, with every number of its "
+        "observation. `myowarp tasks` prints this list, `myowarp tasks --paper` the paper's grid of 204 ids.",
     ]
-    by_family = sorted(TASKS, key=lambda key: TASKS[key].family)
-    for family, keys in groupby(by_family, lambda key: TASKS[key].family):
-        rows = "\n".join(f"| [{key}]({key}.md) | {TASKS[key].summary} |" for key in keys)
-        parts.append(f"## {family}\n\n| id | what it asks for |\n|---|---|\n{rows}")
-    parts.append("```{toctree}\n:hidden:\n:glob:\n\n*\n```")
+    for family, keys in families().items():
+        parts.append(f"## {title(family)}\n\n[Recording and commands]({family}.md)\n\n{rows(keys)}")
+    parts.append("```{toctree}\n:hidden:\n\n" + "\n".join(families()) + "\n```")
     return "\n\n".join(parts) + "\n"
 
 
@@ -85,7 +118,7 @@ def write(app: Sphinx) -> None:
     """Write all pages whose text changed."""
     PAGES.mkdir(exist_ok=True)
     audits = {entry["task"]: entry for entry in json.loads((DOCS / "audit/audit.json").read_text())["audits"]}
-    texts = {"index": index()}
+    texts = {"index": index()} | {family: family_page(family, keys) for family, keys in families().items()}
     for key in status_iterator(TASKS, "describing tasks... ", "brown", len(TASKS), app.verbosity):
         texts[key] = page(key, audits.get(key))
     for stale in set(PAGES.glob("*.md")) - {PAGES / f"{name}.md" for name in texts}:

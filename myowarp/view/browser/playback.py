@@ -17,10 +17,19 @@ from myowarp.view.browser.scene import SPACING, Figure, Floor
 from myowarp.view.browser.server import close_server, open_server
 from myowarp.view.drawing import style as look
 from myowarp.view.drawing.framing import Framing, view_axes
+from myowarp.view.drawing.muscles import QUANTITIES
 from myowarp.view.drawing.snapshot import Snapshot
 
 FASTEST = 30.0
 """1/s: of more pictures some are left out."""
+KEY = (
+    "<div style='position:fixed;left:50%;bottom:44px;transform:translateX(-50%);width:min(15rem,60vw);"
+    "padding:4px 8px;border-radius:4px;background:#fffc;color:#222;font:12px/1.3 system-ui,sans-serif;"
+    "pointer-events:none;z-index:9'><div style='height:9px;border-radius:3px;background:{colors}'></div>"
+    "<div style='display:flex;justify-content:space-between'><span>{low:g}</span><span>{label}</span>"
+    "<span>{high:g}</span></div></div>"
+)
+"""What the colours of muscles mean, above viser's bar of times."""
 
 
 class Take(NamedTuple):
@@ -96,7 +105,9 @@ def write_playback(path: Path, takes: Sequence[Sequence[Take]], color: str, fps:
             serializer.insert_sleep(stride / fps)
         assert serializer is not None
         if path.suffix.lower() == ".html":
-            path.write_text(serializer.as_html())
+            key = QUANTITIES[color]
+            drawn = KEY.format(colors=key.css(), low=key.low, high=key.high, label=key.label)
+            path.write_text(serializer.as_html().replace("</body>", f"{drawn}</body>"))
         else:
             path.write_bytes(serializer.serialize())
     finally:

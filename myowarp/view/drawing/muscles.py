@@ -66,6 +66,11 @@ class Quantity:
         mixed = np.stack([np.interp(share, places, colors[:, k]) for k in range(3)], axis=-1)
         return np.where(np.isnan(share)[:, None], UNKNOWN_RGB, mixed)
 
+    def css(self) -> str:
+        """Return the colours from `low` to `high` as a background of a page."""
+        stops = (f"rgb({r:.0f},{g:.0f},{b:.0f})" for r, g, b in 255 * np.array(self.colors))
+        return f"linear-gradient(to right,{','.join(stops)})"
+
 
 LEVEL = (tuple(RELAXED_RGB), tuple(TENSED_RGB))
 STRETCH = ((0.10, 0.30, 0.75), (0.62, 0.62, 0.64), (0.90, 0.48, 0.05))
