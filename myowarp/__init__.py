@@ -24,6 +24,7 @@ with quick_import():
         MUSCLES,
         Anatomy,
         BiasParams,
+        FiberStates,
         MuscleGeometry,
         MuscleModel,
         MuscleResults,
@@ -38,6 +39,7 @@ with quick_import():
     from myowarp.kernels.episode import FAULTS
     from myowarp.kernels.launch import launch
     from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
+    from myowarp.kernels.reward import minus_bhargava2004, minus_umberger2010
     from myowarp.kernels.world_function import Row
     from myowarp.models.conditions import (
         Exoskeleton,
@@ -109,6 +111,8 @@ __all__ = [  # noqa: RUF022 (by what they are for)
     "PoseTask",
     "ReachTask",
     "QUANTITIES",
+    "minus_bhargava2004",
+    "minus_umberger2010",
     # Families, bodies, conditions and muscle models of one's own
     "TaskSpec",
     "Column",
@@ -141,6 +145,7 @@ __all__ = [  # noqa: RUF022 (by what they are for)
     "MuscleModel",
     "MuscleGeometry",
     "MuscleResults",
+    "FiberStates",
     "MujocoMuscle",
     "MujocoMuscleParams",
     "Anatomy",

@@ -112,6 +112,7 @@ class Body:
         approach: Muscles that bend and spread it; a posture that is reached from there is more often stable.
             The policy "muscle-control" begins with them.
         muscles: Parameters of its muscles beside those in the model, for the muscle model that they name.
+        muscle: Muscle model that runs where none is asked for.
     """
 
     build: Callable[[], mujoco.MjSpec]
@@ -126,6 +127,7 @@ class Body:
     torn: tuple[str, ...] = ()
     approach: tuple[str, ...] = ()
     muscles: MuscleTable | None = None
+    muscle: str = "mujoco"
 
     @property
     def doc(self) -> str:

@@ -8,7 +8,7 @@ import abc
 import difflib
 import math
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import mujoco_warp as mjw
 import numpy as np
@@ -51,6 +51,36 @@ class MuscleResults:
     velocity: wp.array2d[float]
     damping: wp.array2d[float]
     workload: wp.array2d[float]
+
+
+@wp.struct
+class FiberStates:
+    """What the fibers of a muscle model do; arrays (num_worlds, num_muscles).
+
+    Attributes:
+        norm_length: Fiber length over its optimum [1].
+        velocity: Rate of the fiber length [m/s], lengthening > 0.
+        norm_velocity: The same [optimal fiber lengths / s].
+        active_force: Active force along the fibers, as far as the tendon transmits it [N].
+        passive_force: Elastic and damping force along the fibers, likewise [N].
+        active_force_length: Multiplier of the active force at this length [1].
+    """
+
+    norm_length: wp.array2d[float]
+    velocity: wp.array2d[float]
+    norm_velocity: wp.array2d[float]
+    active_force: wp.array2d[float]
+    passive_force: wp.array2d[float]
+    active_force_length: wp.array2d[float]
+
+
+def new_fiber_states(like: wp.array) -> FiberStates:
+    """Return fiber states for as many worlds and muscles as an array has."""
+    kind: Any = FiberStates
+    fibers = FiberStates()
+    for name in kind.vars:
+        setattr(fibers, name, wp.zeros_like(like))
+    return fibers
 
 
 class BiasParams(wp.types.vector(10, float)):  # type: ignore[misc]  # mypy follows no call here
@@ -231,6 +261,17 @@ class MuscleModel(abc.ABC):
     def geometry(self) -> MuscleGeometry:
         """Return what pictures and plots show, in the present state; by default nothing is known."""
         return MuscleGeometry(*np.full((5, 1, len(self.names)), np.nan))
+
+    def read_fibers(self, fibers: FiberStates) -> None:  # noqa: B027 (not every model has fibers to tell of)
+        """Write what the fibers do in the present state; a launch.
+
+        `length` and `velocity` are those of the present paths already. Metabolic rates come from it.
+        """
+
+    @property
+    def tells_fibers(self) -> bool:
+        """Whether the model has a `read_fibers`: of others no metabolic rate is known."""
+        return type(self).read_fibers is not MuscleModel.read_fibers
 
     def record_workload(self) -> None:
         """Integrate the workload from now on; before anything is captured.

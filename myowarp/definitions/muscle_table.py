@@ -21,6 +21,14 @@ from myowarp.definitions.registry import check_choice, number_in
 from myowarp.definitions.worlds import Worlds
 from myowarp.kernels.write import is_finite
 
+OPENSIM_LAWS = {
+    "Thelen2003Muscle": 0,
+    "Millard2012EquilibriumMuscle": 1,
+    "Millard2012AccelerationMuscle": 1,
+    "DeGrooteFregly2016Muscle": 2,
+}
+"""Law of OpenSim's muscle classes, as `models.muscles.hill_law` counts them."""
+
 
 @dataclass(frozen=True, eq=False)
 class MuscleTable:
@@ -113,12 +121,14 @@ class MuscleTable:
         rows: dict[str, dict[str, float]] = {}
         with path.open(newline="", encoding="utf-8") as file:
             for line in csv.DictReader(file, restval=""):
-                muscle = line.pop("name")
+                muscle, law = line.pop("name"), OPENSIM_LAWS.get(line.pop("class"))
                 rows[muscle] = {
                     column.partition(" [")[0]: _number(f"{path}: {column} of muscle {muscle!r}", cell)
                     for column, cell in line.items()
                     if " [" in column and cell not in ("", "inf", "-inf")  # curves have no unit
                 }
+                if law is not None:
+                    rows[muscle]["law"] = float(law)
         return cls.by_muscle("", {muscle: row for muscle, row in rows.items() if muscle in names})
 
     def of(self, names: Sequence[str], worlds: Worlds) -> dict[str, np.ndarray]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from myowarp.definitions.body import BODIES
 from myowarp.definitions.condition import Condition, condition_from
 from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.muscle_table import MuscleTable
@@ -68,7 +69,7 @@ class Setup:
         choices=PHYSICS,
     )
     muscle: str | MuscleTable | None = option(
-        "Muscle model; by default mujoco.",
+        "Muscle model; by default mujoco, for a converted OpenSim model its own muscles (opensim).",
         choices=MUSCLES,
         check=lambda muscle: isinstance(muscle, MuscleTable) or MUSCLES[muscle],
     )
@@ -153,6 +154,14 @@ class Setup:
         return dataclasses.replace(
             other, **{name: value for name, value in said.items() if value is not None}
         )
+
+    def finished(self) -> Setup:
+        """Return it with what its body and `DEFAULTS` say where nothing is said.
+
+        Raises:
+            ValueError: The task is not registered.
+        """
+        return self.over(dataclasses.replace(DEFAULTS, muscle=BODIES[self.spec.body].muscle))
 
     def check(self) -> None:
         """Raise ValueError, in one sentence, for a value that no task allows."""

@@ -18,6 +18,24 @@ def minus_effort(activation: wp.array[float]) -> float:
     return -(wp.sqrt(total) / wp.max(float(activation.shape[0]), 1.0))
 
 
+@wp.func
+def minus_bhargava2004(bhargava2004: wp.array[float]) -> float:
+    """Minus the metabolic rate of all muscles after Bhargava 2004 [W]."""
+    total = float(0.0)
+    for i in range(bhargava2004.shape[0]):
+        total += bhargava2004[i]
+    return -total
+
+
+@wp.func
+def minus_umberger2010(umberger2010: wp.array[float]) -> float:
+    """Minus the metabolic rate of all muscles after Umberger 2010 [W]."""
+    total = float(0.0)
+    for i in range(umberger2010.shape[0]):
+        total += umberger2010[i]
+    return -total
+
+
 EFFORT = ("1", "minus the effort: Euclidean norm of the activations over their number", minus_effort)
 """The end of a `definitions.task.RewardTerm`: unit, meaning, source."""
 

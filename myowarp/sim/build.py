@@ -18,7 +18,7 @@ from myowarp.definitions.condition import Condition, resolve
 from myowarp.definitions.muscle import MUSCLES, MuscleModel
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.setup import DEFAULTS, Setup
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import PHYSICS, PhysicsPreset, TaskSpec
 from myowarp.definitions.worlds import Worlds
 from myowarp.disk import cached, files_digest, is_ours, model_bytes, model_from_bytes
@@ -243,7 +243,7 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
     Raises:
         ValueError: An argument is out of its range, or the device does not exist.
     """
-    setup = Setup.of(setup, **fields).over(DEFAULTS)
+    setup = Setup.of(setup, **fields).finished()
     setup.check()
     spec, physics, conditions = setup.spec, str(setup.physics), resolve(setup.conditions or (), setup.spec)
     worlds = num_worlds if isinstance(num_worlds, Worlds) else Worlds.all(checked_num_worlds(num_worlds))

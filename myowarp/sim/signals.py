@@ -1,4 +1,4 @@
-"""What the muscles of every world do: activation, force, length, velocity, power, by name and group.
+"""What the muscles of every world do: activation, force, length, velocity, power, metabolic rate, by name.
 
     signals = Signals(env.sim)  # arrays (num_worlds, num_muscles), filled in every step from here on
     env.step(actions)
@@ -24,6 +24,7 @@ import warp as wp
 from myowarp.definitions.body import BODIES, POINT_JOINTS
 from myowarp.engine.build_lock import with_build_lock
 from myowarp.kernels.reset import masked_copy
+from myowarp.sim.metabolics import LAWS, WHOLE_BODY_UNITS, Metabolics, MuscleRates, moved_mass
 from myowarp.sim.present import present_muscles
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ UNITS = {
     "length": "m",
     "velocity": "m/s",
     "power": "W",
+    **dict.fromkeys(LAWS, "W"),
 }
 """Signals of every muscle, with their units."""
 
@@ -55,6 +57,9 @@ class MuscleSignals:
         length: Musculotendon length [m].
         velocity: Its rate [m/s], lengthening > 0.
         power: -force velocity [W]; > 0 while the muscle does work on the limb.
+        bhargava2004: Metabolic rate, heat and work of the fibers [W]; NaN where the muscle model does not
+            tell what its fibers do.
+        umberger2010: The same after another law [W].
     """
 
     activation: wp.array2d[float]
@@ -63,6 +68,8 @@ class MuscleSignals:
     length: wp.array2d[float]
     velocity: wp.array2d[float]
     power: wp.array2d[float]
+    bhargava2004: wp.array2d[float]
+    umberger2010: wp.array2d[float]
 
 
 @wp.kernel(enable_backward=False)
@@ -76,6 +83,7 @@ def read_muscles(
     tension: wp.array2d[float],
     length: wp.array2d[float],
     velocity: wp.array2d[float],
+    rates: MuscleRates,
     everywhere: bool,
     mask: wp.array[bool],
     # Out:
@@ -91,6 +99,8 @@ def read_muscles(
     muscles.length[worldid, muscleid] = length[worldid, muscleid]
     muscles.velocity[worldid, muscleid] = velocity[worldid, muscleid]
     muscles.power[worldid, muscleid] = -tension[worldid, muscleid] * velocity[worldid, muscleid]
+    muscles.bhargava2004[worldid, muscleid] = rates.bhargava2004[worldid, muscleid]
+    muscles.umberger2010[worldid, muscleid] = rates.umberger2010[worldid, muscleid]
 
 
 class Signals:
@@ -101,6 +111,9 @@ class Signals:
         actuator_id: Actuator of each muscle, shape (num_muscles,).
         groups: Group of each muscle, "" where none is known (`Body.groups`).
         muscles: The signals, arrays (num_worlds, num_muscles).
+        whole_body: Metabolic rates of the whole body, basal rate included, in W and in W/kg, by name in
+            `myowarp.sim.metabolics.WHOLE_BODY_UNITS`, shape (num_worlds,).
+        body_mass: Mass of the limbs and trunk that muscles move [kg].
         info: What conditions show of their state, by name, (num_worlds,) or (num_worlds, num_muscles).
         joint_names: Names of the hinges and slides.
         qpos: Configuration, shape (num_worlds, nq); `joint_angles` picks the named joints.
@@ -132,7 +145,10 @@ class Signals:
                 setattr(self.muscles, name, wp.zeros_like(scene.muscles.activation))
             self.actuator_id = wp.array(scene.muscles.actuator_id, dtype=int)
             copies = {name: wp.zeros_like(array) for name, array in _sources(sim, sim.info).items()}
+            copies |= {name: wp.zeros(sim.num_worlds, dtype=float) for name in WHOLE_BODY_UNITS}
         self.info = {name: copies[name] for name in sim.info}
+        self.whole_body = {name: copies[name] for name in WHOLE_BODY_UNITS}
+        self.body_mass = moved_mass(scene.oracle)
         self.qpos, self.qvel, self.valid = copies["qpos"], copies["qvel"], copies["valid"]
         self.step_count, self.episode = copies["step_count"], copies["episode"]
         for shard in sim.shards:
@@ -154,10 +170,13 @@ class Signals:
     def _attach(self, shard: Shard, muscles: MuscleSignals, copies: dict[str, wp.array]) -> None:
         """Add to a shard's step: bring path and force of the muscles to the present state, copy the rest."""
         scene, data = shard.scene, shard.scene.data
-        compute, sources = present_muscles(scene), _sources(shard, shard.shown)
+        with wp.ScopedDevice(scene.device):
+            metabolics = Metabolics(scene)
+        compute, sources = present_muscles(scene), _sources(shard, shard.shown) | metabolics.whole_body
 
         def launch(mask: wp.array | None) -> None:
             compute()
+            metabolics.launch()
             wp.launch(
                 read_muscles,
                 dim=muscles.force.shape,
@@ -168,6 +187,7 @@ class Signals:
                     scene.muscles.tension,
                     scene.muscles.length,
                     scene.muscles.velocity,
+                    metabolics.rates,
                     mask is None,
                     mask,
                 ],

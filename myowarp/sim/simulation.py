@@ -24,7 +24,7 @@ from myowarp.definitions.condition import resolve
 from myowarp.definitions.muscle import Anatomy
 from myowarp.definitions.registry import check_choice, check_flag
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.setup import DEFAULTS, Setup
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.definitions.worlds import Worlds
 from myowarp.engine.build_lock import with_build_lock
@@ -115,7 +115,7 @@ class Simulation:
             ValueError: An argument is out of its range.
         """
         alone = {} if isinstance(setup, Setup) else {"shards": 1}
-        setup = Setup.of(setup, **alone | fields).over(DEFAULTS)
+        setup = Setup.of(setup, **alone | fields).finished()
         self.setup, self.autoreset, spec = setup, autoreset, setup.spec
         rank = _checked_rank(setup.rank)
         worlds = Worlds.all(checked_num_worlds(num_worlds), adjustable, rank)

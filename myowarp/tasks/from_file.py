@@ -20,7 +20,9 @@ from myowarp.definitions.body import BODIES, POINT_JOINTS, Body
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.task import MOST_SUBSTEPS, TaskSpec, register, split_key
+from myowarp.definitions.worlds import Worlds
 from myowarp.disk import model_digest
+from myowarp.engine.warn_once import warn_once
 from myowarp.models.bodies.arm_muscles import FATIGUE_RATES, GROUPS
 from myowarp.models.reachability import tip_positions
 from myowarp.sim.build import checked_horizon, full_model
@@ -82,9 +84,33 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
     muscles = MuscleTable.converted(path.with_name(HILL), [model.actuator(i).name for i in range(model.nu)])
     known = BODIES[name].muscles if name in BODIES else None
     if name not in BODIES or (known and known.parameters) != (muscles and muscles.parameters):
-        body = Body(spec.copy, tips, groups=GROUPS, fatigue_rates=FATIGUE_RATES, muscles=muscles)
+        own = own_model(muscles, [model.actuator(i).name for i in np.flatnonzero(_is_muscle(model))])
+        body = Body(spec.copy, tips, groups=GROUPS, fatigue_rates=FATIGUE_RATES, muscles=muscles, muscle=own)
         BODIES.add(name, body, replace=True)
     return name
+
+
+def own_model(muscles: MuscleTable | None, names: list[str]) -> str:
+    """Return the muscle model of a converted model's own muscles, where every one has a law here."""
+    if muscles is None or not names:
+        return "mujoco"
+    laws = muscles.parameters.get("law", {})
+    instead = "; all muscles are MuJoCo's, fitted to their static forces"
+    if without := [name for name in names if name not in laws]:
+        some = f"{len(without)} of {len(names)} muscles, such as {without[0]!r}"
+        warn_once(f"{some}, are of a class without a law here{instead}")
+        return "mujoco"
+    try:
+        MuscleTable("opensim").over(muscles, names, Worlds.all(1))
+    except ValueError as error:
+        warn_once(f"{error}{instead}")
+        return "mujoco"
+    return "opensim"
+
+
+def _is_muscle(model: mujoco.MjModel) -> np.ndarray:
+    """Return which actuators are muscles, shape (nu,)."""
+    return model.actuator_dyntype == mujoco.mjtDyn.mjDYN_MUSCLE
 
 
 def _check(model: mujoco.MjModel, path: Path) -> None:

@@ -9,6 +9,7 @@ import warp as wp
 
 from myowarp.definitions.scene import Scene
 from myowarp.engine.patch import engine_kernels_alone
+from myowarp.sim.metabolics import LAWS, Metabolics
 from myowarp.sim.present import present_muscles
 
 
@@ -36,6 +37,8 @@ QUANTITIES = {
     "tension": Quantity(wp.float32, "N", "force that the tendon transmits, >= 0, (num_muscles,)"),
     "length": Quantity(wp.float32, "m", "musculotendon length, (num_muscles,)"),
     "velocity": Quantity(wp.float32, "m/s", "its rate, lengthening > 0, (num_muscles,)"),
+    "bhargava2004": Quantity(wp.float32, "W", "metabolic rate after Bhargava 2004, (num_muscles,)"),
+    "umberger2010": Quantity(wp.float32, "W", "metabolic rate after Umberger 2010, (num_muscles,)"),
     "site_xpos": Quantity(wp.vec3f, "m", "positions of `sites`, in their order, (num_sites,)"),
 }
 """What every task offers: parameters of the type `wp.array[float]`, of `site_xpos` `wp.array[wp.vec3]`."""
@@ -87,6 +90,9 @@ class Present:
             scene: The scene.
             names: What is read.
             sites: Names of the sites of `site_xpos`.
+
+        Raises:
+            ValueError: A metabolic rate is read, and the muscle model does not tell what its fibers do.
         """
         self.scene, self.names = scene, frozenset(names)
         self.actuator_id = wp.array(scene.muscles.actuator_id, dtype=int)
@@ -101,13 +107,23 @@ class Present:
             SITES: _flat(self.position),
         }
         self._compute_muscles = present_muscles(scene)
+        self._metabolics = Metabolics(scene) if self.names.intersection(LAWS) else None
+        if self._metabolics is not None and not scene.muscles.tells_fibers:
+            raise ValueError(
+                f"{min(self.names.intersection(LAWS))} needs a muscle model that tells what its fibers do "
+                f"(`read_fibers`), got {type(scene.muscles).__name__}"
+            )
+        if self._metabolics is not None:
+            self.arrays |= {name: getattr(self._metabolics.rates, name) for name in LAWS}
 
     def update(self) -> None:
         """Launch what brings the quantities that are read to the present state."""
         data = self.scene.data
-        if self.names.intersection(OF_MUSCLES):
+        if self.names.intersection(OF_MUSCLES) or self._metabolics is not None:
             with engine_kernels_alone():
                 self._compute_muscles()
+        if self._metabolics is not None:
+            self._metabolics.launch()
         if "excitation" in self.names:
             wp.launch(
                 pick_excitations,

@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 
 from myowarp.definitions.condition import resolve
-from myowarp.definitions.setup import DEFAULTS, Setup
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.sim.build import check_device_name, checked_horizon
 from myowarp.tasks.from_file import pose_task
@@ -45,9 +45,9 @@ def complete(what: Setup | TaskSpec | str | Path) -> Setup:
     variant = variant_of(setup)  # a user's file may bring the muscles and conditions that are named
     setup.check()
     check_device_name(setup.device)
-    setup = setup.over(Setup(reset=variant.reset)).over(DEFAULTS)
     if not isinstance(setup.task, TaskSpec):
         setup = dataclasses.replace(setup, task=variant.task)
+    setup = setup.over(Setup(reset=variant.reset)).finished()
     if setup.horizon is not None:
         checked_horizon(setup.horizon)
     conditions = (*variant.conditions, *(setup.conditions or ()))

@@ -102,6 +102,10 @@ def test_the_elbow_learns_in_seconds(learned, run):
         assert figures[mode]["success"] >= 0.9
         assert figures[mode]["intervals"]["success"][0] > 0.85
     assert figures["deterministic"]["activation_rate"] < figures["sampled"]["activation_rate"]
+    for law in ("bhargava2004", "umberger2010"):
+        assert 3.0 < figures["deterministic"][law] < figures["sampled"][law] < 300.0
+        per_kg = figures["deterministic"][law] / figures["deterministic"][f"{law}_per_kg"]
+        assert per_kg == pytest.approx(1.534, rel=1e-3)  # mass of the moved arm, kg
     assert {path.name for path in learned.iterdir()} >= {"progress.csv", "curve.png", "checkpoints"}
     assert any(path.name.startswith("events.out") for path in learned.iterdir())
 

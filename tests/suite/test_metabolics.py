@@ -1,4 +1,4 @@
-"""Metabolic rates beside OpenSim 4.6's probes, and beside Umberger's figure of 2003."""
+"""Metabolic rates beside OpenSim 4.6's probes, Umberger's figure of 2003, and in running worlds."""
 
 from pathlib import Path
 from typing import Any
@@ -6,8 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
+from reference import mujoco_muscle as reference
 
+import myowarp
+from myowarp.definitions.muscle import FiberStates, new_fiber_states
+from myowarp.definitions.setup import Setup
 from myowarp.kernels.metabolics import bhargava2004, muscle_mass, umberger2010
+from myowarp.sim.metabolics import LAWS
+from myowarp.sim.simulation import Simulation
 
 RECORD = Path(__file__).parents[1] / "data/opensim/metabolics.npz"
 STATES = (
@@ -109,3 +115,116 @@ def test_rates_of_full_activation_are_those_of_umbergers_figure(name):
     printed = np.where(speed >= -0.4, np.polyval(slow, speed), np.polyval(fast, speed))
     assert np.ptp(printed) > 100.0 * FIGURE
     np.testing.assert_allclose(found, printed, atol=FIGURE)
+
+
+ELBOW = "myoElbowPose1D6MRandom-v0"
+
+
+def worlds(muscle, task=ELBOW, number=5, **fields):
+    """Return worlds after some random steps, and their signals."""
+    setup = Setup.of(task, muscle=muscle, device="cpu", seed=0, physics="parity", **fields)
+    sim = Simulation(setup, number, autoreset="same_step", progress=False)
+    signals = myowarp.Signals(sim)
+    sim.reset(seeds=np.arange(number))
+    for step in range(8):
+        draws = np.random.default_rng(step).uniform(-1.0, 1.0, sim.action.shape)
+        sim.action.assign(draws.astype(np.float32))
+        sim.step()
+    return sim, signals
+
+
+def bhargava(mass, u, n, v, active, force, slow_ratio=0.5):
+    """Bhargava 2004, equations 1 to 11, in float64 [W]."""
+    slow, fast = slow_ratio * np.sin(np.pi * u / 2), (1 - slow_ratio) * (1 - np.cos(np.pi * u / 2))
+    steady = mass * (40 * slow + 133 * fast)
+    steady += mass * np.interp(n, (0.5, 1.0, 1.5), (0.5, 1.0, 0.0)) * (74 * slow + 111 * fast)
+    shortening, work = 0.25 * force * np.maximum(-v, 0.0), -active * v
+    shortening -= np.minimum(steady + shortening + work, 0.0)
+    return np.maximum(steady + shortening, mass) + work
+
+
+def test_rates_of_mujocos_muscle_follow_from_the_path():
+    """Its fibers are in line with a rigid tendon."""
+    sim, signals = worlds("mujoco")
+    model, ids, seen = sim.scene.oracle, sim.scene.muscles.actuator_id, signals.muscles
+    gain = model.actuator_gainprm[ids]
+    ranges, peak = model.actuator_lengthrange[ids], reference.peak_force(model.actuator_acc0[ids], gain)
+    optimal = (ranges[:, 1] - ranges[:, 0]) / (gain[:, 1] - gain[:, 0])
+    n = gain[:, 0] + (seen.length.numpy() - ranges[:, 0]) / optimal
+    assert ((n > 0.5) & (n < 1.5)).mean() > 0.5
+    u, v, force = seen.excitation.numpy(), seen.velocity.numpy(), seen.force.numpy()
+    prm = [(r, acc, g[:9]) for r, acc, g in zip(ranges, model.actuator_acc0[ids], gain, strict=True)]
+    active = [
+        [-a * reference.gain(x, w, *p) for a, x, w, p in zip(*row, prm, strict=True)]
+        for row in zip(seen.activation.numpy(), seen.length.numpy(), v, strict=True)
+    ]
+    own = bhargava(muscle_mass(peak, optimal), u, n, v, np.array(active), force)
+    np.testing.assert_allclose(seen.bhargava2004.numpy(), own, rtol=1e-3, atol=1e-3)
+    assert own.max() > 5.0
+    total = seen.bhargava2004.numpy().sum(axis=1) + 1.2 * signals.body_mass
+    np.testing.assert_allclose(signals.whole_body["bhargava2004"].numpy(), total, rtol=1e-5)
+    per_kg = signals.whole_body["bhargava2004_per_kg"].numpy()
+    np.testing.assert_allclose(per_kg, total / signals.body_mass, rtol=1e-5)
+
+
+@pytest.mark.parametrize("muscle", [m for m in myowarp.MUSCLES if not m.startswith("mujoco")])
+def test_rates_are_those_of_the_fibers(muscle):
+    """Work of the fibers is what reaches path and tendon; heat is the law's of these fibers."""
+    sim, signals = worlds(muscle)
+    muscles, seen, states = sim.scene.muscles, signals.muscles, new_fiber_states(sim.scene.muscles.activation)
+    muscles.length.assign(seen.length)
+    muscles.velocity.assign(seen.velocity)
+    muscles.read_fibers(states)
+    found = {name: getattr(states, name).numpy().astype(float) for name in FiberStates.vars}
+    rows, force = muscles.parameters.numpy(), found["active_force"] + found["passive_force"]
+    fiber = found["norm_length"] * rows["optimal_fiber_length"]
+    cosine = np.sqrt(1.0 - (rows["fiber_width"] / fiber) ** 2)
+    taut = seen.force.numpy() > 1e-3 * rows["max_isometric_force"]
+    balance = np.abs(force * cosine - seen.force.numpy()) / rows["max_isometric_force"]
+    assert balance[taut].max() < 1e-3
+    assert taut.mean() > 0.5
+    mass = muscle_mass(rows["max_isometric_force"], rows["optimal_fiber_length"])
+    own = bhargava(
+        mass, seen.excitation.numpy(), found["norm_length"], found["velocity"], found["active_force"], force
+    )
+    np.testing.assert_allclose(seen.bhargava2004.numpy(), own, rtol=1e-3, atol=1e-3)
+    assert np.abs(found["velocity"]).max() > 0.01
+    assert own.max() > 5.0
+
+
+@pytest.mark.parametrize("muscle", ["mujoco", "millard2012"])
+def test_rates_can_be_rewarded_and_observed(muscle):
+    terms = {name: (0.01, getattr(myowarp, f"minus_{name}"), "W") for name in LAWS}
+    spec = myowarp.extend(
+        ELBOW, "myElbowThriftyRandom-v9", rewards=terms, observations={"rate": "umberger2010"}, replace=True
+    )
+    sim, signals = worlds(muscle, spec)
+    names = [term.name for term in sim.terms]
+    for name in LAWS:
+        own = getattr(signals.muscles, name).numpy()
+        scored = sim.transition.terms.numpy()[:, names.index(name)]
+        np.testing.assert_allclose(scored, -own.sum(axis=1), rtol=1e-5)
+    seen = signals.muscles.umberger2010.numpy()
+    np.testing.assert_allclose(sim.transition.obs.numpy()[:, -seen.shape[1] :], seen, rtol=1e-5)
+
+
+class Untold(myowarp.MujocoMuscle):
+    """A muscle with more state than the package knows of."""
+
+    STATE = (*myowarp.MujocoMuscle.STATE, "more")
+
+    def __init__(self, *args):
+        super().__init__(*args)
+        self.more = wp.zeros_like(self.activation)
+
+
+def test_a_muscle_that_tells_nothing_of_its_fibers_has_no_rate(monkeypatch):
+    monkeypatch.setitem(myowarp.MUSCLES._entries, "untold", Untold)
+    _, signals = worlds("untold", number=1)
+    assert np.isnan(signals.muscles.bhargava2004.numpy()).all()
+    assert np.isnan(signals.whole_body["umberger2010_per_kg"].numpy()).all()
+    spec = myowarp.extend(
+        ELBOW, "myElbowThriftyRandom-v9", rewards={"rate": (1.0, myowarp.minus_bhargava2004)}, replace=True
+    )
+    with pytest.raises(ValueError, match=r"^bhargava2004 needs a muscle model that tells .*, got Untold$"):
+        worlds("untold", spec, number=1)

@@ -19,7 +19,7 @@ from myowarp.apps.train.settings import SUCCESSES, success_text
 
 @dataclass
 class Eval:
-    """Evaluate a trained policy: success by three rules with 95 % intervals, return and effort.
+    """Evaluate a trained policy: success by three rules with 95 % intervals, return, effort, metabolic rate.
 
     Every world runs one episode. The physics is parity (MyoSuite's integrator and step) unless you choose
     another; reset and conditions are those of the training unless you choose others.
@@ -70,6 +70,10 @@ def _print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> No
         "length_mean": "length [steps]",
         "mean_activation": "mean activation",
         "activation_rate": "activation rate [1/s]",
+        "bhargava2004": "metabolic rate, Bhargava 2004 [W]",
+        "bhargava2004_per_kg": "metabolic rate, Bhargava 2004 [W/kg]",
+        "umberger2010": "metabolic rate, Umberger 2010 [W]",
+        "umberger2010_per_kg": "metabolic rate, Umberger 2010 [W/kg]",
     }
     for name, text in (plain | {"episodes": "episodes", "faults": "faults"}).items():
         table.add_row(text, *("-" if f[name] is None else f"{f[name]:.4g}" for f in results.values()))

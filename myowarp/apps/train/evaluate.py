@@ -1,4 +1,4 @@
-"""How good a policy is: one episode in each of many worlds, three success rules, return and effort.
+"""How good a policy is: one episode in each of many worlds, success, return, effort, metabolic rate.
 
 Every world runs one episode from its first reset on, so that short episodes count no more than long ones.
 """
@@ -6,6 +6,7 @@ Every world runs one episode from its first reset on, so that short episodes cou
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -16,6 +17,8 @@ from myowarp.apps.rollouts.run import Act, Step, Watcher, progress, run, seeds_o
 from myowarp.apps.rollouts.targets import in_reach
 from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import SUCCESSES
+from myowarp.sim.metabolics import WHOLE_BODY_UNITS
+from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import get_state
 
@@ -35,6 +38,11 @@ class Evaluation:
         length_mean: Mean length [control steps].
         mean_activation: Activation [1], mean over muscles and the steps of an episode, then over episodes.
         activation_rate: Mean of |da/dt| [1/s], likewise.
+        bhargava2004: Metabolic rate of the whole body after Bhargava 2004 [W], basal rate included, likewise;
+            None: no signals were given, or the muscle model does not tell what its fibers do.
+        umberger2010: The same after Umberger 2010 [W].
+        bhargava2004_per_kg: Over the mass that muscles move [W/kg].
+        umberger2010_per_kg: Likewise [W/kg].
         faults: Episodes that a fault ended.
         reachable: Episodes whose target the joint ranges allow to meet exactly; None: `in_reach` does
             not judge the task's targets.
@@ -52,23 +60,28 @@ class Evaluation:
     mean_activation: float | None
     activation_rate: float | None
     faults: int
+    bhargava2004: float | None = None
+    umberger2010: float | None = None
+    bhargava2004_per_kg: float | None = None
+    umberger2010_per_kg: float | None = None
     reachable: int | None = None
     success_reachable: float | None = None
 
 
 class Effort(Watcher):
-    """Activation and its rate in the first episode of every world, from where the worlds are now.
+    """Activation, its rate and metabolic rates in the first episode of every world, from where they are now.
 
     Attributes:
         sums: Sums over the steps of an episode of the means over muscles: `effort` [1] and `rate` [1], from
-            one step to the next, shape (num_worlds,).
+            one step to the next, shape (num_worlds,); and of what signals have of the whole body.
     """
 
-    def __init__(self, sim: Simulation) -> None:
+    def __init__(self, sim: Simulation, signals: Signals | None = None) -> None:
         self._muscles = sim.scene.muscles
+        self._rates = {} if signals is None or not self._muscles.tells_fibers else signals.whole_body
         self._running = np.ones(sim.num_worlds, dtype=bool)
         self._before = self._muscles.activation.numpy().copy()
-        self.sums = {name: np.zeros(sim.num_worlds) for name in ("effort", "rate")}
+        self.sums = {name: np.zeros(sim.num_worlds) for name in ("effort", "rate", *self._rates)}
 
     def see(self, step: Step) -> None:
         """Count a step; where it ends an episode, its activation is that of the next one already."""
@@ -78,6 +91,8 @@ class Effort(Watcher):
             alive = self._running
             self.sums["effort"] += np.where(alive, after.mean(axis=1), 0.0)
             self.sums["rate"] += np.where(alive, np.abs(after - self._before).mean(axis=1), 0.0)
+            for name, rate in self._rates.items():
+                self.sums[name] += np.where(alive, rate.numpy(), 0.0)
         self._before = after
 
 
@@ -85,6 +100,7 @@ def evaluate(
     sim: Simulation,
     act: Act,
     *,
+    signals: Signals | None = None,
     title: str = "Evaluating",
     console: Console | None = None,
     ranks: Ranks = ALONE,
@@ -94,6 +110,7 @@ def evaluate(
     Args:
         sim: The worlds, with autoreset in the same step.
         act: Function from observations (num_worlds, obs_size) to actions (num_worlds, num_actions).
+        signals: Those of the worlds, where metabolic rates are wanted.
         title: What the progress bar says.
         console: Where it is drawn.
         ranks: This process among those that share the episodes; each gets the figures of all.
@@ -101,7 +118,7 @@ def evaluate(
     sim.reset(seeds=seeds_of(sim))
     target = get_state(sim).arrays.get("task.target")
     reachable = None if target is None else in_reach(sim.scene.spec, sim.scene.oracle, target)
-    episodes, effort = Episodes(sim.num_worlds), Effort(sim)
+    episodes, effort = Episodes(sim.num_worlds), Effort(sim, signals)
     with progress(title, "steps", sim.horizon, console) as bar:
         watchers = effort, episodes, bar
         run(sim, act, sim.horizon, *watchers, fresh=False, until=lambda: bool(episodes.ended_once.all()))
@@ -127,6 +144,9 @@ def _figures(found: dict[str, np.ndarray], control_dt: float | None) -> Evaluati
     steps = np.maximum(found["length"] - 1.0, 1.0)  # activation is not seen in the step that ends an episode
     effort = None if control_dt is None else float((found["effort"] / steps).mean())
     rate = None if control_dt is None else float((found["rate"] / steps).mean() / control_dt)
+    rates: dict[str, Any] = {
+        name: float((found[name] / steps).mean()) for name in WHOLE_BODY_UNITS if name in found
+    }
     return Evaluation(
         episodes=n,
         success=float(found["success"].mean()),
@@ -139,4 +159,5 @@ def _figures(found: dict[str, np.ndarray], control_dt: float | None) -> Evaluati
         mean_activation=effort,
         activation_rate=rate,
         faults=int(np.count_nonzero(found["fault"])),
+        **rates,
     )

@@ -96,6 +96,7 @@ def evaluate_policy(job: EvaluationJob) -> tuple[dict[str, Any], dict[str, dict[
     from myowarp.apps.policies.checkpoint import check_contract
     from myowarp.apps.policies.learned import LearnedPolicy
     from myowarp.apps.train.evaluate import evaluate
+    from myowarp.sim.signals import Signals
     from myowarp.sim.simulation import Simulation
 
     checkpoint, ranks, results = job.checkpoint, job.ranks, {}
@@ -105,9 +106,10 @@ def evaluate_policy(job: EvaluationJob) -> tuple[dict[str, Any], dict[str, dict[
     with ranks.together(device, learning=False):
         sim = Simulation(setup, number, autoreset="same_step")
         check_contract(checkpoint, sim)
+        signals = Signals(sim) if sim.scene.muscles.names else None
         for mode in job.modes:
             act = LearnedPolicy(checkpoint, setup if mode == "sampled" else None)
-            figures = evaluate(sim, act, title=mode, console=console, ranks=ranks)
+            figures = evaluate(sim, act, signals=signals, title=mode, console=console, ranks=ranks)
             results[mode] = dataclasses.asdict(figures)
         sim.close()
     head: dict[str, Any] = {

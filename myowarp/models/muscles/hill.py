@@ -9,7 +9,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.definitions.muscle import MUSCLES, MuscleGeometry, MuscleModel
+from myowarp.definitions.muscle import MUSCLES, FiberStates, MuscleGeometry, MuscleModel
 from myowarp.kernels.batching import num_threads
 from myowarp.kernels.launch import launch
 from myowarp.models.muscles import degroote_fregly2016, millard2012, thelen2003
@@ -22,6 +22,7 @@ from myowarp.models.muscles.hill_law import (
     HillParams,
     contract_hill,
     hill_muscle,
+    read_hill_fibers,
     sample_curves,
     set_lengths,
     settle_hill,
@@ -204,8 +205,26 @@ class Hill(MuscleModel):
         given = self._given.get(name)
         return own if given is None else np.where(np.isnan(given), own, given)
 
+    def _laws(self) -> np.ndarray:
+        """Return the law of each muscle, shape (num_muscles,)."""
+        return np.full(len(self.names), self.LAW)
+
     def _collect(self, model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return parameters, NaN where the slack length has to be derived, and Millard's tables."""
+        laws, tables, spans = self._laws(), np.zeros((1, 2, 2)), np.zeros((1, 2))
+        rows = np.zeros((1, len(laws)), HillMuscle.numpy_dtype())
+        for law in np.unique(laws):
+            chosen = np.flatnonzero(laws == law)
+            own, *curves = hill_parameters(int(law), self._values(model, int(law), chosen), self.RIGID)
+            rows = np.repeat(rows, len(own), axis=0) if len(rows) < len(own) else rows
+            rows[:, chosen] = own
+            if law == MILLARD:
+                tables, spans = curves
+        self._check_slack(rows["tendon_slack_length"])
+        return rows, tables, spans
+
+    def _values(self, model: mujoco.MjModel, law: int, chosen: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the properties of muscles under a law, shape (1 or num_worlds, len(chosen)) each."""
         ids = self.actuator_id
         gain = model.actuator_gainprm[ids]
         optimal, _ = length_scale(gain, model.actuator_lengthrange[ids])
@@ -216,11 +235,9 @@ class Hill(MuscleModel):
             "pennation_angle_at_optimal": 0.0,
             "max_contraction_velocity": 10.0,
         }
-        defaults = {name: default for name, (_, default, _, _) in LAWS[self.LAW].items()}
-        own = {**own, **DEFAULTS[self.LAW], **defaults}
-        values = {name: self._value(name, default) for name, default in own.items()}
-        self._check_slack(values["tendon_slack_length"])
-        return hill_parameters(self.LAW, values, self.RIGID)
+        defaults = {name: default for name, (_, default, _, _) in LAWS[law].items()}
+        own = {**own, **DEFAULTS[law], **defaults}
+        return {name: self._value(name, default)[:, chosen] for name, default in own.items()}
 
     def _check_slack(self, slack: np.ndarray) -> None:
         """Raise ValueError if a given slack length is beyond the longest path."""
@@ -307,6 +324,10 @@ class Hill(MuscleModel):
             outputs=[self.parameters],
         )
 
+    def read_fibers(self, fibers: FiberStates) -> None:
+        """Launch `read_hill_fibers`; see `MuscleModel.read_fibers`."""
+        launch(read_hill_fibers, self.fiber_length.shape, self, fibers=fibers)
+
     @property
     def params(self) -> HillParams:
         """All parameters, for a kernel."""
@@ -361,11 +382,37 @@ class ElasticHill(Hill):
         launch(settle_hill, self.fiber_length.shape, self, mask=mask)
 
 
+class OpenSimMuscles(ElasticHill):
+    """Muscles of a converted OpenSim model, each under the law of its own class and with its own tendon.
+
+    Where no class is known, as of a body that is not converted, the law is Millard's.
+    """
+
+    def _laws(self) -> np.ndarray:
+        """Return the law of each muscle, shape (num_muscles,).
+
+        Raises:
+            ValueError: Laws differ among worlds.
+        """
+        laws = self._value("law", MILLARD)
+        if (laws != laws[0]).any():
+            raise ValueError("law must be the same in all worlds; only parameters of it may differ")
+        return laws[0].astype(int)
+
+
+def _bounds(*laws: int) -> dict[str, tuple[float, float]]:
+    """Return least and greatest value of what some laws have."""
+    bounds = dict(COMMON)
+    for law in laws:
+        bounds |= {key: (low, high) for key, (_, _, low, high) in LAWS[law].items()}
+    if DEGROOTE in laws:
+        bounds["ignore_passive_fiber_force"] = 0.0, 1.0
+    return bounds
+
+
 def _add(name: str, law: int) -> None:
     """Register a law with an elastic and with a rigid tendon."""
-    bounds = {**COMMON, **{key: (low, high) for key, (_, _, low, high) in LAWS[law].items()}}
-    if law == DEGROOTE:
-        bounds["ignore_passive_fiber_force"] = 0.0, 1.0
+    bounds = _bounds(law)
     fields = {"LAW": law, "PARAMETERS": bounds, "__doc__": f"`{name}`."}
     MUSCLES.add(name, type(name, (ElasticHill,), fields))
     MUSCLES.add(f"{name}_rigid", type(f"{name}_rigid", (Hill,), {**fields, "RIGID": True}))
@@ -374,3 +421,5 @@ def _add(name: str, law: int) -> None:
 _add("thelen2003", THELEN)
 _add("millard2012", MILLARD)
 _add("degroote_fregly2016", DEGROOTE)
+OpenSimMuscles.PARAMETERS = _bounds(*LAWS) | {"law": (0.0, 2.0)}
+MUSCLES.add("opensim", OpenSimMuscles)

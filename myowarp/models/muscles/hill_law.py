@@ -23,6 +23,7 @@ import warp as wp
 from myowarp.definitions.muscle import (
     Anatomy,
     BiasParams,
+    FiberStates,
     MuscleResults,
     affine_bias,
 )
@@ -221,6 +222,53 @@ def equilibrium(
 
 
 @wp.func
+def fiber_velocity(
+    m: Any,
+    tables: wp.array2d[Any],
+    spans: wp.array[Any],
+    activation: Any,
+    strength: Any,
+    norm_length: Any,
+    pull: Any,
+    tolerance: Any,
+):
+    """v [l_0 v_max] where a s f_L f_V(v) + f_P + beta v is the pull along the fiber.
+
+    Newton's method in the bracket -10..10, of fibers that nothing damps under Millard's law -1..1, beyond
+    which its f_V does not change; where the equation has no solution, the end that is nearer to one.
+
+    Returns:
+        (v, f_V(v)).
+    """
+    half, one = type(pull)(0.5), type(pull)(1.0)
+    high = wp.where(m.law == MILLARD and m.fiber_damping == type(pull)(0.0), one, type(pull)(10.0))
+    low = -high
+    active = activation * strength * active_force_length_curve(m, tables, spans, norm_length)[0]
+    wanted = pull - passive_force_curve(m, tables, spans, norm_length)[0]
+    v, last = type(pull)(0.0), type(pull)(1.0e30)
+    factor = force_velocity_curve(m, tables, spans, v, activation)
+    for _ in range(80):
+        factor = force_velocity_curve(m, tables, spans, v, activation)
+        residual = active * factor[0] + m.fiber_damping * v - wanted
+        slope = active * factor[1] + m.fiber_damping
+        if residual < type(pull)(0.0):
+            low = v
+        else:
+            high = v
+        nearer = v - residual / slope
+        if (
+            not (slope > type(pull)(0.0) and nearer >= low and nearer <= high)
+            or wp.abs(residual) > half * last
+        ):
+            nearer = half * (low + high)
+        last = wp.abs(residual)
+        if wp.abs(nearer - v) <= tolerance:
+            break
+        v = nearer
+    return wp.vector(v, factor[0])
+
+
+@wp.func
 def along_tendon(m: Any, fiber_length: Any):
     """z = sqrt(l^2 - width^2), at least the shortest."""
     square = fiber_length * fiber_length - m.fiber_width * m.fiber_width
@@ -392,6 +440,56 @@ def contract_hill(
             results.workload[worldid, i] += dt * wp.max(steps[0] * active * factor, 0.0)
         fibers.fiber_length[worldid, i] = after
         actuator_biasprm[worldid, pathid] = affine_bias(force * norm_force, damping, velocity)
+
+
+@wp.kernel(enable_backward=False)
+def read_hill_fibers(
+    # Params:
+    params: HillParams,
+    # In:
+    activation: wp.array2d[float],
+    fiber_length: wp.array2d[float],
+    length: wp.array2d[float],
+    velocity: wp.array2d[float],
+    anatomy: Anatomy,
+    # Out:
+    fibers: FiberStates,
+):
+    """(l / l_0, v, F a s f_L f_V, F (f_P + beta v)) on a path of this length and velocity.
+
+    With an elastic tendon v is where fiber and tendon agree, as in OpenSim; fibers that are as short as they
+    can be do not shorten. With a rigid one v is the path's velocity times cos(phi).
+    """
+    worldid, i = wp.tid()
+    m = params.muscles[batched(worldid, params.muscles.shape[0]), i]
+    a = wp.max(activation[worldid, i], m.minimum_activation)
+    strength = of_world(anatomy.strength, worldid, i)
+    free = length[worldid, i] - m.tendon_slack_length
+    z = wp.max(free, m.shortest_fiber)
+    if m.rigid == 0:
+        z = along_tendon(m, fiber_length[worldid, i])
+    fiber = fiber_of(m, z)
+    norm_length = fiber / m.optimal_fiber_length
+    fastest = m.optimal_fiber_length * m.max_contraction_velocity
+    v = wp.where(free > m.shortest_fiber, velocity[worldid, i] * z / fiber / fastest, 0.0)
+    factor = force_velocity_curve(m, params.tables, params.spans, v, a)[0]
+    if m.rigid == 0:
+        strain = (free - z) / m.tendon_slack_length
+        pull = wp.max(tendon_force_curve(m, params.tables, params.spans, strain)[0], 0.0) * fiber / z
+        found = fiber_velocity(m, params.tables, params.spans, a, strength, norm_length, pull, TOLERANCE)
+        v, factor = found[0], found[1]
+        if v < 0.0 and z <= m.shortest_fiber:
+            v = float(0.0)
+            factor = force_velocity_curve(m, params.tables, params.spans, v, a)[0]
+    active = active_force_length_curve(m, params.tables, params.spans, norm_length)[0]
+    passive = passive_force_curve(m, params.tables, params.spans, norm_length)[0] + m.fiber_damping * v
+    force = of_world(anatomy.transmission, worldid, i) * m.max_isometric_force
+    fibers.norm_length[worldid, i] = norm_length
+    fibers.velocity[worldid, i] = v * fastest
+    fibers.norm_velocity[worldid, i] = v * m.max_contraction_velocity
+    fibers.active_force[worldid, i] = force * a * strength * active * factor
+    fibers.passive_force[worldid, i] = force * passive
+    fibers.active_force_length[worldid, i] = active
 
 
 @wp.kernel(enable_backward=False)

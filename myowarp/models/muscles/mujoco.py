@@ -23,6 +23,7 @@ from myowarp.definitions.muscle import (
     MUSCLES,
     Anatomy,
     BiasParams,
+    FiberStates,
     MuscleGeometry,
     MuscleModel,
     MuscleResults,
@@ -294,6 +295,36 @@ def mujoco_muscle(
         actuator_biasprm[worldid, pathid] = affine_bias(tension, damping, velocity)
 
 
+@wp.kernel(enable_backward=False)
+def read_mujoco_fibers(
+    # Params:
+    params: MujocoMuscleParams,
+    # In:
+    activation: wp.array2d[float],
+    length: wp.array2d[float],
+    velocity: wp.array2d[float],
+    anatomy: Anatomy,
+    # Out:
+    fibers: FiberStates,
+):
+    """Fibers in line with a tendon that keeps its length: l of the active part, the path's velocity."""
+    worldid, m = wp.tid()
+    path, speed = length[worldid, m], velocity[worldid, m]
+    optimal = of_world(params.optimal_fiber_length, worldid, m)
+    active = active_multipliers(params, worldid, m, path, speed)
+    strength = of_world(anatomy.strength, worldid, m)
+    transmission = of_world(anatomy.transmission, worldid, m)
+    isometric = (
+        activation[worldid, m] * strength * of_world(params.max_isometric_force, worldid, m) * active[0]
+    )
+    fibers.norm_length[worldid, m] = (path - of_world(params.tendon_slack_length, worldid, m)) / optimal
+    fibers.velocity[worldid, m] = speed
+    fibers.norm_velocity[worldid, m] = speed / optimal
+    fibers.active_force[worldid, m] = transmission * isometric * active[1]
+    fibers.passive_force[worldid, m] = transmission * passive_force(params, worldid, m, path)
+    fibers.active_force_length[worldid, m] = active[0]
+
+
 def peak_force(prm: np.ndarray, acc0: np.ndarray) -> np.ndarray:
     """Return the peak force [N] that a muscle's gain or bias parameters mean, shape (num_muscles,).
 
@@ -415,6 +446,15 @@ class MujocoMuscle(MuscleModel):
     def record_workload(self) -> None:
         """Integrate the workload from now on; see `MuscleModel.record_workload`."""
         self.workload = wp.zeros_like(self.activation)
+
+    def read_fibers(self, fibers: FiberStates) -> None:
+        """Launch `read_mujoco_fibers`; see `MuscleModel.read_fibers`."""
+        launch(read_mujoco_fibers, self.tension.shape, self, fibers=fibers)
+
+    @property
+    def tells_fibers(self) -> bool:
+        """Whether the muscle is this one: fibers that a subclass adds are not known here."""
+        return self.STATE == MuscleModel.STATE
 
     def set_length_range(self, muscleid: int, length_range: tuple[float, float], mask: wp.array) -> None:
         """Launch `set_length_scale`; see `MuscleModel.set_length_range`."""

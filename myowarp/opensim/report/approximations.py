@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from myowarp.definitions.muscle_table import OPENSIM_LAWS
 from myowarp.opensim.check.gates import ARM, LENGTH
 from myowarp.opensim.check.muscles import MomentArmError, Motion, MuscleError
 from myowarp.opensim.model.elements import ConditionalPathPoint, Path
@@ -53,7 +54,9 @@ def approximations(
             )
             notes.append(Note(f"/forceset/{muscle.muscle}", rule, bound))
         bound = f"{100 * muscle.force.worst:.2g} % of max_isometric_force at most, at rest"
-        rule = f"{model.muscles[muscle.muscle].type} became MuJoCo's muscle, its tendon rigid"
+        kind = model.muscles[muscle.muscle].type
+        runs = "its own law" if kind in OPENSIM_LAWS else "that, too"
+        rule = f"{kind} is MuJoCo's muscle with a rigid tendon in model.xml; MyoWarp runs {runs}"
         notes.append(Note(f"/forceset/{muscle.muscle}", rule, bound))
     return notes
 

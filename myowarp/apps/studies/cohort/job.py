@@ -59,5 +59,7 @@ def figures(result: CohortResult) -> Table:
         unit = settings["units"]["final_error"]
         rows["error in the last quarter"] = f"{middle:.3g} {unit} (middle half {low:.3g} to {high:.3g})"
     rows["mean activation"] = f"{summary['mean_activation'].mean():.3f}"
+    rows["metabolic rate, Bhargava 2004"] = f"{summary['bhargava2004'].mean():.1f} W"
+    rows["metabolic rate, Umberger 2010"] = f"{summary['umberger2010'].mean():.1f} W"
     rows["faults"] = str(summary["fault"].notna().sum())
     return terminal((), rows.items())

@@ -21,6 +21,7 @@ from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import Column
 from myowarp.disk import in_place, version
 from myowarp.kernels.episode import describe_fault
+from myowarp.sim.metabolics import WHOLE_BODY_UNITS
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 
@@ -31,7 +32,7 @@ SETTLED = 0.75  # of an episode; `final_error` is the mean from there on
 FORMATS = (".parquet", ".csv")
 FORMULA = re.compile(r"^'*[=+\-@]")  # how a formula of a spreadsheet begins, or one that was made harmless
 
-UNITS = {"time": "s", "total_force": "N", "time_to_solve": "s", "duration": "s"}
+UNITS = {"time": "s", "total_force": "N", "time_to_solve": "s", "duration": "s"} | WHOLE_BODY_UNITS
 """Units of results but for the tracking error's, which is the task's; the others are pure numbers."""
 
 
@@ -58,13 +59,13 @@ class CohortResult:
 
     Attributes:
         samples: One row per patient, trial and sampled time: `tracking_error` where the task has one,
-            `mean_activation`, `total_force`, `reward`, `solved`, and what conditions show, as means over the
-            muscles.
+            `mean_activation`, `total_force`, metabolic rates of the whole body, `reward`, `solved`, and what
+            conditions show, as means over the muscles.
         summary: One row per patient and trial: the patient's entries, `success` (MyoSuite's: more than 5
             steps solved), `failed` (the episode ended by the task's failure), `return`, `time_to_solve` (NaN:
             never), `solved_share` of the steps, `mean_error`, `final_error` (mean over the last quarter; of
-            one who failed before, the last), means of activation and force, last values of what conditions
-            show, `duration`, `fault` (missing: none).
+            one who failed before, the last), means of activation, force and metabolic rates, last
+            values of what conditions show, `duration`, `fault` (missing: none).
         settings: Task, policy, seed and so on, and the units of the results.
     """
 
@@ -200,6 +201,7 @@ class _Tally(Watcher):
             values["tracking_error"] = np.linalg.norm(errors, axis=1)
         values["mean_activation"] = signals.muscles.activation.numpy().mean(axis=1)
         values["total_force"] = signals.muscles.force.numpy().sum(axis=1)
+        values |= {name: array.numpy().copy() for name, array in signals.whole_body.items()}
         values["reward"] = transition.reward.numpy().copy()
         values["solved"] = transition.solved.numpy().copy()
         for name, array in signals.info.items():
@@ -266,7 +268,7 @@ class _Tally(Watcher):
             )
             table["mean_error"] = self._sums["tracking_error"] / steps
             table["final_error"] = np.where(self._late_steps > 0, late, self._last["tracking_error"])
-        for name in ("mean_activation", "total_force"):
+        for name in ("mean_activation", "total_force", *WHOLE_BODY_UNITS):
             table[name] = self._sums[name] / steps
         table |= {name: self._last[name] for name in self._signals.info}
         table["duration"] = self._steps * self._sim.scene.control_dt

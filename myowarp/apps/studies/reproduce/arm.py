@@ -67,6 +67,7 @@ class Trace:
         target: Target during it [deg], shape (T, N).
         activation: Activations [1], shape (T, N, 6).
         force: Tendon forces [N], shape (T, N, 6).
+        metabolic_rate: Of the muscles after Umberger 2010 [W], shape (T, N, 6).
         shown: What conditions show, such as `fatigue` (T, N, 6).
     """
 
@@ -74,6 +75,7 @@ class Trace:
     target: np.ndarray
     activation: np.ndarray
     force: np.ndarray
+    metabolic_rate: np.ndarray
     shown: dict[str, np.ndarray]
 
     @property
@@ -114,7 +116,8 @@ def follow(
         sim.reset(seeds=seeds)
     steps, num_worlds = round(seconds / CONTROL_DT), sim.num_worlds
     total = len(targets) * steps
-    kept = {"angle": (), "target": (), "activation": (len(MUSCLES),), "force": (len(MUSCLES),)}
+    each = dict.fromkeys(("activation", "force", "metabolic_rate"), (len(MUSCLES),))
+    kept: dict[str, tuple[int, ...]] = {"angle": (), "target": (), **each}
     arrays = {name: np.empty((total, num_worlds, *more), np.float32) for name, more in kept.items()}
     shown = {name: np.empty((total, *array.shape), np.float32) for name, array in signals.info.items()}
     action = np.zeros(sim.action.shape, np.float32)
@@ -132,6 +135,7 @@ def follow(
         arrays["target"][t] = np.degrees(goal)
         arrays["activation"][t] = signals.muscles.activation.numpy()
         arrays["force"][t] = signals.muscles.force.numpy()
+        arrays["metabolic_rate"][t] = signals.muscles.umberger2010.numpy()
         for name, array in signals.info.items():
             shown[name][t] = array.numpy()
         if (t + 1) % 50 == 0:
@@ -157,7 +161,7 @@ def grouped(trace: Trace, groups: int) -> dict[str, np.ndarray]:
         return array.reshape(shape).mean(axis=2).astype(np.float32)
 
     arrays = {"angle": trace.angle, "target": trace.target, "error": trace.error}
-    arrays |= {"activation": trace.activation, "force": trace.force}
+    arrays |= {"activation": trace.activation, "force": trace.force, "metabolic_rate": trace.metabolic_rate}
     return {name: mean(array) for name, array in (arrays | trace.shown).items()}
 
 
@@ -221,6 +225,7 @@ def run_groups(
     built: list[Signals] = []
     goals = np.broadcast_to(targets, (len(targets), number)).repeat(n, axis=1)
     settings = {"num_worlds": n, "groups": groups, "targets": targets.tolist(), "seconds": seconds}
+    settings["metabolic_rate"] = "umberger2010"  # runs of before have none
 
     def measure(tick: Tick, seed: int) -> dict[str, np.ndarray]:
         if not built:

@@ -76,6 +76,11 @@ def relative_change(means: np.ndarray, one: int, other: int) -> np.ndarray:
     return 100.0 * (means[one, 3:] / means[other, 3:] - 1.0)
 
 
+def saved_power(means: np.ndarray, one: int, other: int) -> float:
+    """Return by how much all muscles' metabolic rate of one group is above another's [%]."""
+    return float(100.0 * (means[one].sum() / means[other].sum() - 1.0))
+
+
 def assisted(arm: str, assistance: float) -> str:
     """Return an arm's condition."""
     return f"{arm}, {'with' if assistance else 'without'} assistance"
@@ -123,6 +128,15 @@ def findings(results: list[dict[str, np.ndarray]]) -> Findings:
     rows += merits(
         [BRACE, DRIVEN], ("growth of the error from 0 to 2 kg, with assistance", "°", list(grows.values()))
     )
+    power = np.array([result["metabolic_rate"][window].mean(axis=0) for result in results])
+    for who in (BRACE, NEW, DRIVEN):
+        for load in LOADS:
+            with_, without = (GROUPS.index((who, load, a)) for a in (ASSISTANCE, 0.0))
+            where = f"{who}, {load:.0f} kg"
+            own = [saved_power(means, with_, without) for means in power]
+            rows.append(Merit("change of metabolic rate, all muscles", "%", where, own, within=CHANGE))
+            own = power[:, without].sum(axis=1)
+            rows.append(Merit("metabolic rate without assistance", "W", where, own, within=POSITIVE))
     spared = errors[:, GROUPS.index((BRACE, 2.0, 0.0))] - errors[:, heavy]
     rows.append(Merit("error that assistance takes away", "°", f"{BRACE}, 2 kg", spared))
 
@@ -144,6 +158,12 @@ def findings(results: list[dict[str, np.ndarray]]) -> Findings:
     }
     measured = {
         "force": {who: own.mean() for who, own in force.items()},
+        "power": {
+            who: np.mean(
+                [saved_power(m, *(GROUPS.index((who, 2.0, a)) for a in (ASSISTANCE, 0.0))) for m in power]
+            )
+            for who in (BRACE, DRIVEN)
+        },
         "grows": {who: own.mean() for who, own in grows.items()},
         "number": len(results),
         "late": errors_of(errors, BRACE)[2.0].mean(),

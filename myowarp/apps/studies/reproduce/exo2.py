@@ -20,7 +20,14 @@ from myowarp.apps.studies.reproduce.arm import (
     late,
     run_groups,
 )
-from myowarp.apps.studies.reproduce.exo1 import BRACE, CUFF, DRIVEN, assisted, relative_change
+from myowarp.apps.studies.reproduce.exo1 import (
+    BRACE,
+    CUFF,
+    DRIVEN,
+    assisted,
+    relative_change,
+    saved_power,
+)
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.apps.studies.reproduce.validation import passive_torque
 from myowarp.definitions.body import BODIES
@@ -158,7 +165,14 @@ def findings(results: list[dict[str, np.ndarray]]) -> Findings:
         "error relieved": both(*(rises(without(arm) - with_(arm)) for arm in ("sarcopenia", "fatigue"))),
         "fatigue": both(*(rises(lost[:, g] - lost[:, g + 1]) for g in TIRED[: len(TIRED) // 2 : 2])),
     }
+    power = [held(result, "metabolic_rate") for result in results]
     measured = {
+        "power": {
+            arm: np.mean(
+                [saved_power(m, *(GROUPS.index((BRACE, arm, a)) for a in (ASSISTANCE, 0.0))) for m in power]
+            )
+            for arm in PAPER_ERROR
+        },
         "number": len(results),
         "passive": torques,
         "gravity": gravity,
@@ -208,6 +222,15 @@ def hold_merits(
         means = changes[BRACE, "force", arm].mean(axis=1)
         what, who = "change of force, mean of the flexors", f"{BRACE}, {arm}"
         rows.append(Merit(what, "%", who, means, note=note, within=CHANGE))
+    power = np.array([held(result, "metabolic_rate") for result in results])
+    for who in (BRACE, DRIVEN):
+        for arm in ARMS:
+            with_, without = (GROUPS.index((who, arm, a)) for a in (ASSISTANCE, 0.0))
+            own = [saved_power(means, with_, without) for means in power]
+            what, where = "change of metabolic rate, all muscles", f"{who}, {arm}"
+            rows.append(Merit(what, "%", where, own, within=CHANGE))
+            watts = power[:, without].sum(axis=1)
+            rows.append(Merit("metabolic rate without assistance", "W", where, watts, within=POSITIVE))
     forces, drives = (np.array([held(r, q) for r in results]) for q in ("force", "activation"))
     ratio = forces[..., :3].sum(axis=2) / forces[..., 3:].sum(axis=2)
     rows += merits(
