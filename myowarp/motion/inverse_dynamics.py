@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
 from myowarp.motion.skeleton import HINGE, Bones, Placement, Skeleton, place, station
 
@@ -133,15 +134,17 @@ def accelerate(
 
 
 @wp.func
-def inertial(worldid: int, body: int, skeleton: Skeleton, placement: Placement, flow: Flow):
-    """F = m (a - g), T = r x F + I alpha + w x I w, about ground's origin."""
+def inertial(
+    worldid: int, body: int, factor: wp.float64, skeleton: Skeleton, placement: Placement, flow: Flow
+):
+    """F = m (a - g), T = r x F + I alpha + w x I w, about ground's origin; m and I times a factor."""
     rotation = placement.rotation[worldid, body]
     offset = rotation * skeleton.center[body]
     turn = flow.turn[worldid, body]
     spin = flow.spin[worldid, body]
     acceleration = carried(flow.acceleration[worldid, body], turn, spin, offset)
-    force = skeleton.mass[body] * (acceleration - skeleton.gravity)
-    inertia = rotation * skeleton.inertia[body] * wp.transpose(rotation)
+    force = factor * skeleton.mass[body] * (acceleration - skeleton.gravity)
+    inertia = factor * (rotation * skeleton.inertia[body] * wp.transpose(rotation))
     torque = inertia * spin + wp.cross(turn, inertia * turn)
     flow.force[worldid, body] = force
     flow.torque[worldid, body] = torque + wp.cross(placement.origin[worldid, body] + offset, force)
@@ -160,6 +163,7 @@ def invert_dynamics(
     # Model:
     skeleton: Skeleton,
     load_body: wp.array2d[int],
+    mass_factor: wp.array2d[wp.float64],
     # In:
     values: wp.array2d[wp.float64],
     speeds: wp.array2d[wp.float64],
@@ -179,7 +183,8 @@ def invert_dynamics(
     accelerate(worldid, skeleton, speeds, accelerations, placement, flow)
     count = skeleton.parent.shape[0]
     for body in range(count):
-        inertial(worldid, body, skeleton, placement, flow)
+        factor = mass_factor[batched(worldid, mass_factor.shape[0]), body]
+        inertial(worldid, body, factor, skeleton, placement, flow)
     for number in range(load_body.shape[0]):
         body = load_body[number, 0]
         if body >= 0:
@@ -211,6 +216,7 @@ def inverse_dynamics(
     speeds: np.ndarray,
     accelerations: np.ndarray,
     loads: Sequence[Load] = (),
+    masses: np.ndarray | float = 1.0,
 ) -> Needed:
     """Return the generalised forces of a motion.
 
@@ -220,6 +226,7 @@ def inverse_dynamics(
         speeds: Their derivatives by time.
         accelerations: Their second derivatives.
         loads: From outside.
+        masses: Factors on masses and inertias, which broadcast to (frames, bodies).
 
     Raises:
         ValueError: Shapes do not fit, or a load acts on an unknown body.
@@ -235,7 +242,12 @@ def inverse_dynamics(
         for part, given in enumerate((load.force, load.point, load.torque)):
             acting[:, number, part] = given
     chunks = [slice(at, at + CHUNK) for at in range(0, max(len(values), 1), CHUNK)]
-    parts = [_chunk(bones, values[c], speeds[c], accelerations[c], acting[c], frames) for c in chunks]
+    heavy = np.atleast_2d(np.asarray(masses, float))
+    heavy = np.broadcast_to(heavy, (len(heavy), len(bones.bodies) - 1))
+    parts = [
+        _chunk(bones, values[c], speeds[c], accelerations[c], acting[c], frames,
+               heavy[c] if len(heavy) > 1 else heavy) for c in chunks
+    ]  # fmt: skip
     return Needed(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
@@ -246,6 +258,7 @@ def _chunk(
     accelerations: np.ndarray,
     acting: np.ndarray,
     frames: Sequence[tuple[int, int, int]],
+    masses: np.ndarray,
 ) -> tuple[np.ndarray, ...]:
     """Return the arrays of `Needed` for some frames."""
     count = len(values)
@@ -259,6 +272,7 @@ def _chunk(
             count,
             skeleton=bones.skeleton,
             load_body=wp.array(np.array(frames, np.int32).reshape(-1, 3), dtype=int),
+            mass_factor=wp.array(masses, dtype=wp.float64),
             values=wp.array(values, dtype=wp.float64),
             speeds=wp.array(speeds, dtype=wp.float64),
             accelerations=wp.array(accelerations, dtype=wp.float64),

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from myowarp.kernels.batching import batched
 from myowarp.kernels.cholesky import eliminated, substitute
 from myowarp.kernels.launch import launch
 from myowarp.motion.markers import Markers
@@ -56,7 +57,7 @@ class Targets:
     Attributes:
         body: Of each marker.
         location: In the body [m].
-        weight: Of each marker.
+        weight: Of each marker, (1 or frames, markers).
         marker: Where it was seen [m], NaN where it was not, (frames, markers).
         value: Wanted value of each coordinate, (frames, coordinates); counts where its weight is above 0.
         value_weight: Of coordinates.
@@ -66,7 +67,7 @@ class Targets:
 
     body: wp.array[int]
     location: wp.array[wp.vec3d]
-    weight: wp.array[wp.float64]
+    weight: wp.array2d[wp.float64]
     marker: wp.array2d[wp.vec3d]
     value: wp.array2d[wp.float64]
     value_weight: wp.array[wp.float64]
@@ -107,7 +108,8 @@ class Normal:
 def marker_weight(frame: int, number: int, targets: Targets) -> wp.float64:
     """Return the weight of a marker in a frame, 0 where it was not seen."""
     seen = targets.marker[frame, number]
-    return wp.where(wp.isfinite(seen[0]), targets.weight[number], wp.float64(0.0))
+    weight = targets.weight[batched(frame, targets.weight.shape[0]), number]
+    return wp.where(wp.isfinite(seen[0]), weight, wp.float64(0.0))
 
 
 @wp.func
@@ -389,6 +391,8 @@ def inverse_kinematics(
     coordinate_weights: Mapping[str, float] | None = None,
     coordinate_values: Mapping[str, float | np.ndarray] | None = None,
     start: Mapping[str, float] | None = None,
+    near: np.ndarray | None = None,
+    weight_factors: np.ndarray | float = 1.0,
 ) -> Fitted:
     """Return the coordinates of each frame that put the model's markers where they were recorded.
 
@@ -399,6 +403,9 @@ def inverse_kinematics(
         coordinate_weights: By coordinate, how much it should have its value; by default 0.
         coordinate_values: That value [rad] or [m], one or one for each frame; by default the model's default.
         start: Coordinates from which the first frame is solved; by default the model's defaults.
+        near: Where each frame begins [rad] or [m], shape (frames, coordinates); each is then solved by
+            itself.
+        weight_factors: On marker weights, which broadcast to (frames, markers with a weight).
 
     Raises:
         ValueError: A marker or coordinate is unknown, a weight is negative or none is positive, or a
@@ -435,6 +442,7 @@ def inverse_kinematics(
             raise ValueError(f"coordinate {name!r} unknown; available: {', '.join(model.coordinates)}")
     for k, name in enumerate(names):
         wanted[:, k] = (coordinate_values or {}).get(name, model.coordinates[name].default)
+    factors = np.atleast_2d(np.asarray(weight_factors, float))
     values = np.tile([(start or {}).get(name, model.coordinates[name].default) for name in names], (count, 1))
     bounds = [
         model.coordinates[n].range if model.coordinates[n].clamped else (-np.inf, np.inf) for n in names
@@ -444,19 +452,21 @@ def inverse_kinematics(
         targets = Targets()
         targets.body = wp.array([bones.number(model.markers[name].body) for name in used], dtype=int)
         targets.location = wp.array([model.markers[name].location for name in used], dtype=wp.vec3d)
-        targets.weight = wp.array([weights[name] for name in used], dtype=wp.float64)
+        targets.weight = wp.array(factors * [weights[name] for name in used], dtype=wp.float64)
         targets.marker = wp.array(seen, dtype=wp.vec3d)
         for name, array in (("value", wanted), ("value_weight", pull), ("lower", lower), ("upper", upper)):
             setattr(targets, name, wp.array(array, dtype=wp.float64))
         out = {
-            "values": wp.array(np.clip(values, lower, upper), dtype=wp.float64),
+            "values": wp.array(np.clip(values if near is None else near, lower, upper), dtype=wp.float64),
             "cost": wp.zeros(count, dtype=wp.float64),
             "places": wp.zeros((count, len(used)), dtype=wp.vec3d),
         }
-        heads = np.arange(0, count, STRIDE)
-        _run(bones, targets, np.zeros(1, int), len(heads), STRIDE, out)
-        if STRIDE > 1:
+        if near is None:
+            heads = np.arange(0, count, STRIDE)
+            _run(bones, targets, np.zeros(1, int), len(heads), STRIDE, out)
             _run(bones, targets, heads, STRIDE, 1, out)
+        else:
+            _run(bones, targets, np.arange(count), 1, 1, out)
         places = out["places"].numpy()
         error = np.linalg.norm(places - seen, axis=2)
         return Fitted(names, recorded.time, out["values"].numpy(), used, places, error, out["cost"].numpy())

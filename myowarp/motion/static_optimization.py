@@ -37,6 +37,9 @@ STEPS = 200
 TOLERANCE = 1e-9
 """Share of a row's size up to which an equation counts as met."""
 
+ROUNDING = 1e-15
+"""Share of |y . b| by which the cost may seem to rise: y is large where muscles cannot hold a frame."""
+
 FLAT = 1e-3
 """Activation below which the slope of a cost with p > 2 is taken from there."""
 
@@ -235,8 +238,10 @@ def optimize_activations(
             done = residual[worldid] < wp.float64(TOLERANCE)
             if not done:
                 descent = wp.float64(0.0)
+                rounding = wp.float64(0.0)
                 for r in range(right.shape[1]):
                     descent += work.slope[worldid, r] * work.step[worldid, r]
+                    rounding += wp.float64(ROUNDING) * wp.abs(work.dual[worldid, r] * right[worldid, r])
                 length = wp.float64(1.0)
                 found = bool(False)
                 for _ in range(40):
@@ -244,7 +249,7 @@ def optimize_activations(
                         for r in range(right.shape[1]):
                             work.trial[worldid, r] = work.dual[worldid, r] + length * work.step[worldid, r]
                         now = dual_cost(worldid, row, effect, right, lower, upper, exponent, work, work.trial)
-                        if now <= cost + wp.float64(1.0e-4) * length * descent:
+                        if now <= cost + wp.float64(1.0e-4) * length * descent + rounding:
                             found = True
                             cost = now
                         else:

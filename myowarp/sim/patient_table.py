@@ -71,7 +71,7 @@ def read_population(table: str | Path | pd.DataFrame, muscles: Sequence[str]) ->
         ImportError: Parquet without pandas and pyarrow.
     """
     source = Path(table) if isinstance(table, (str, Path)) else None
-    header, rows = _frame(table) if source is None else _file(source)
+    header, rows = _frame(table) if source is None else read_table(source)
     where = f"cohort table {str(source)!r}" if source is not None else "cohort table"
     if not rows:
         raise ValueError(f"{where} has no rows; it needs one for every patient")
@@ -92,14 +92,23 @@ def read_population(table: str | Path | pd.DataFrame, muscles: Sequence[str]) ->
     return Population(patients, entries)
 
 
-def _file(path: Path) -> tuple[list[str], list[list[Any]]]:
-    """Return header and rows of a file."""
+def read_table(path: Path, what: str = "cohort") -> tuple[list[str], list[list[Any]]]:
+    """Return header and rows of a .csv (comma, semicolon or tab) or .parquet file.
+
+    Args:
+        path: The file.
+        what: Of what it is the table, for messages.
+
+    Raises:
+        ValueError: It cannot be read.
+        ImportError: Parquet without pandas and pyarrow.
+    """
     if path.suffix.lower() not in TABLES:
-        raise ValueError(f"cohort table {str(path)!r} must end in {' or '.join(TABLES)}")
+        raise ValueError(f"{what} table {str(path)!r} must end in {' or '.join(TABLES)}")
     if not path.is_file():
-        raise ValueError(f"cohort table {str(path)!r} does not exist")
+        raise ValueError(f"{what} table {str(path)!r} does not exist")
     if path.suffix.lower() == ".csv":
-        return _csv(path)
+        return _csv(path, what)
     for package in ("pandas", "pyarrow"):
         if importlib.util.find_spec(package) is None:
             raise ImportError(
@@ -111,21 +120,21 @@ def _file(path: Path) -> tuple[list[str], list[list[Any]]]:
     try:
         return _frame(pd.read_parquet(path))
     except pa.ArrowException as error:
-        raise ValueError(f"cohort table {str(path)!r} is no Parquet file ({error})") from error
+        raise ValueError(f"{what} table {str(path)!r} is no Parquet file ({error})") from error
 
 
-def _csv(path: Path) -> tuple[list[str], list[list[Any]]]:
+def _csv(path: Path, what: str) -> tuple[list[str], list[list[Any]]]:
     """Return header and rows of a CSV file; empty lines are left out."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ValueError(f"cohort table {str(path)!r} is not UTF-8 text ({error})") from error
+        raise ValueError(f"{what} table {str(path)!r} is not UTF-8 text ({error})") from error
     first = text.partition("\n")[0]
     delimiter = max(DELIMITERS, key=first.count)
     try:
         rows = list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter))
     except csv.Error as error:
-        raise ValueError(f"cohort table {str(path)!r} is no CSV file ({error})") from error
+        raise ValueError(f"{what} table {str(path)!r} is no CSV file ({error})") from error
     lines = [row for row in rows if any(map(str.strip, row))]
     if not lines:
         return [], []
@@ -133,7 +142,7 @@ def _csv(path: Path) -> tuple[list[str], list[list[Any]]]:
     for i, line in enumerate(lines[1:]):
         if len(line) != len(header):
             raise ValueError(
-                f"cohort row {i + 1} has {len(line)} entries for {len(header)} columns: {line!r}"
+                f"{what} row {i + 1} has {len(line)} entries for {len(header)} columns: {line!r}"
             )
     return header, lines[1:]
 

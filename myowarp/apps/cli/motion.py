@@ -58,15 +58,22 @@ class Motion:
     report: a page on what other steps wrote into the same folder, the worst first.
     myowarp motion report gait.osim -o out/trial
 
+    study: a table of trials, one a row, with columns for its files (trial, model, markers or motion, setup,
+    loads), for factors on its model (max_isometric_force, tendon_slack_length, mass) and for how far --draws
+    draws of it spread (max_isometric_force_spread, ..., marker_noise [m]). It writes tidy Parquet, .sto with
+    intervals and plots; the same command goes on with what is missing.
+    myowarp motion study trials.csv --draws 100 --reserve 10 -o out/study
+
     Writes .sto and .mot files, which OpenSim reads. Works without OpenSim.
     """
 
     what: Annotated[
-        Literal["scale", "analyze", "kinematics", "dynamics", "forces", "report"], tyro.conf.Positional
+        Literal["scale", "analyze", "kinematics", "dynamics", "forces", "report", "study"],
+        tyro.conf.Positional,
     ]
     """Step."""
     model: Annotated[Path, tyro.conf.Positional]
-    """The model, .osim."""
+    """The model, .osim; of study, the table of trials, .csv or .parquet."""
     motion: Annotated[Path | None, optional("FILE")] = None
     """Joint angles over time, .mot or .sto; of every step after kinematics."""
     markers: Annotated[Path | None, optional("FILE")] = None
@@ -84,6 +91,10 @@ class Motion:
     """Of activations in the cost, at least 1."""
     reserve: float = 0.0
     """Moment of a reserve at cost 1 on every coordinate [N m, N]; 0: none."""
+    draws: int = 0
+    """Of each trial of a study, besides the trial as it is."""
+    seed: int = 0
+    """Of the draws."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/motion")
     """Folder for the result."""
     overwrite: Overwrite = False
@@ -103,14 +114,17 @@ class Motion:
             (self.output / "report.html").write_text(text, encoding="utf-8")
             self._say([])
             return
+        if not 0.0 <= self.reserve < float("inf"):
+            raise ValueError(f"--reserve must be at least 0 and finite, got {self.reserve}")
+        if self.what == "study":
+            self._study()
+            return
         source, name = {
             "scale": (self.setup, "setup"),
             "kinematics": (self.markers, "markers"),
         }.get(self.what, (self.motion, "motion"))
         if source is None:
             raise ValueError(f"motion {self.what} needs --{name} FILE")
-        if not 0.0 <= self.reserve < float("inf"):
-            raise ValueError(f"--reserve must be at least 0 and finite, got {self.reserve}")
         check_folder(self.output)
         check_overwrite((self.output / file for file in WRITES[self.what]), self.overwrite)
         if self.what == "scale":
@@ -141,6 +155,19 @@ class Motion:
                 )  # fmt: skip
                 lines += worst_of(bones, found)
         self._say(lines)
+
+    def _study(self) -> None:
+        """Solve a table of trials."""
+        from myowarp.apps.studies.motion import run
+
+        for option in ("motion", "markers", "setup", "loads", "filter"):
+            if getattr(self, option) is not None:
+                raise ValueError(f"of a study the table says {option}, in a column; leave out --{option}")
+        if self.overwrite:
+            raise ValueError("a study goes on with what is there; leave out --overwrite")
+        console = Console(stderr=True, highlight=False, soft_wrap=True)
+        names = "draws", "seed", "mode", "exponent", "reserve"
+        run.run(self.model, self.output, console, **{name: getattr(self, name) for name in names})
 
     def _say(self, lines: list[str]) -> None:
         """Say what was found, and where it is."""

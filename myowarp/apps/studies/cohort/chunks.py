@@ -10,7 +10,6 @@ the seed alone. No process holds the results of more than one chunk.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,12 +19,12 @@ from rich.console import Console
 from myowarp.apps.studies.cluster import check_ray, connected, each
 from myowarp.apps.studies.cohort.plan import plan_cohort
 from myowarp.apps.studies.cohort.run import run_plan
+from myowarp.apps.studies.parts import LOCK, RESULTS, SUMMARY, agree, part, remove_damaged
 from myowarp.definitions.setup import DEFAULTS
-from myowarp.disk import check_folder, files_digest, in_place, locked, version
+from myowarp.disk import check_folder, files_digest, in_place, locked
 from myowarp.progress import progress_bar
 from myowarp.sim.patient_table import PATIENT, Population
 
-SETTINGS, RESULTS, SUMMARY, LOCK = "settings.json", "results", "summary", ".lock"
 TEXTS = {"patient": "string", "fault": "string"}  # columns that would have another type in each part
 
 
@@ -58,11 +57,14 @@ def run(
         (output / folder).mkdir(parents=True, exist_ok=True)
     output = output.resolve()
     with locked(output / LOCK, wait=False):
-        own = {name: value for name, value in settings.items() if name != "what"}
-        recorded = {"task": str(settings["what"].task), **settings["what"].over(DEFAULTS).plain(), **own}
-        _agree(output, {"table": files_digest([table]), "patients": total, "chunk": chunk, **recorded})
-        patients = [name for name in population.patients for _ in range(settings["trials"])]
-        if damaged := _remove_damaged(output, patients, chunk * settings["trials"]):
+        rest = {name: value for name, value in settings.items() if name != "what"}
+        recorded = {"task": str(settings["what"].task), **settings["what"].over(DEFAULTS).plain(), **rest}
+        agree(
+            output, "cohort", {"table": files_digest([table]), "patients": total, "chunk": chunk, **recorded}
+        )
+        own = (population.patients[begin : begin + chunk] for begin in starts)
+        keys = ({PATIENT: [name for name in names for _ in range(settings["trials"])]} for names in own)
+        if damaged := remove_damaged(output, keys):
             console.print(f"{damaged} damaged chunks in {output} are simulated again", style="yellow")
         missing = [i for i in range(len(starts)) if not part(output, SUMMARY, i).exists()]
         failures: dict[str, str] = {}
@@ -83,63 +85,6 @@ def run(
     console.print(
         f"Saved {rows:,} rows of {total:,} patients in {output / SUMMARY}, samples in {output / RESULTS}"
     )
-
-
-def part(output: Path, folder: str, index: int) -> Path:
-    """Return the file of a chunk."""
-    return output / folder / f"part-{index:05d}.parquet"
-
-
-def _agree(output: Path, settings: dict[str, Any]) -> None:
-    """Keep what the results depend on.
-
-    Raises:
-        ValueError: Results of other settings are there.
-    """
-    wanted = {"myowarp": version("myowarp"), **settings}
-    path = output / SETTINGS
-    if any((output / SUMMARY).iterdir()):
-        try:
-            recorded = {**json.loads(path.read_text())}
-        except (OSError, ValueError, TypeError) as error:
-            raise ValueError(
-                f"folder {str(output)!r} holds a cohort whose {SETTINGS} is damaged or missing ({error}); "
-                "choose another --output"
-            ) from error
-        for name in wanted.keys() | recorded.keys():
-            if recorded.get(name) != wanted.get(name):
-                raise ValueError(
-                    f"folder {str(output)!r} holds a cohort of other settings ({name} is "
-                    f"{recorded.get(name)!r} there and {wanted.get(name)!r} here); choose another --output"
-                )
-    with in_place(path) as scratch:
-        scratch.write_text(json.dumps(wanted, indent=1) + "\n")
-
-
-def _remove_damaged(output: Path, patients: list[str], size: int) -> int:
-    """Remove the summaries of chunks whose parts cannot be read or are another's; return how many.
-
-    Args:
-        output: Folder of the dataset.
-        patients: The patient of each row of the whole summary.
-        size: Rows of a chunk.
-    """
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    damaged = 0
-    for index, begin in enumerate(range(0, len(patients), size)):
-        if not (path := part(output, SUMMARY, index)).exists():
-            continue
-        try:
-            parquet.read_metadata(part(output, RESULTS, index))
-            found = parquet.ParquetFile(path).read([PATIENT])[PATIENT].to_pylist()
-        except (OSError, KeyError, pa.ArrowException):
-            found = []
-        if found != patients[begin : begin + size]:
-            path.unlink()
-            damaged += 1
-    return damaged
 
 
 def _pieces(

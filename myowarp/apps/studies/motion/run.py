@@ -1,0 +1,237 @@
+"""What `myowarp motion study` does: solve the draws of all trials, in parts, and say what they spread.
+
+    out/settings.json                        what the results depend on
+    out/results/part-00000.parquet           a row for each trial, draw and time
+    out/summary/part-00000.parquet           a row for each trial and draw, written last
+    out/failed.csv                           trials that could not be solved, and why
+    out/trials/NAME/forces.sto               the trial as it is; forces_low.sto, forces_high.sto: of draws
+    out/trials/NAME/forces.png
+
+What is there is not done again, unless files or row of its trial changed.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Console
+
+from myowarp.apps.studies.motion.figure import draw_forces
+from myowarp.apps.studies.motion.plan import Study, Trial, plan_study, recording_of
+from myowarp.apps.studies.parts import LOCK, RESULTS, SUMMARY, agree, part, remove_damaged
+from myowarp.disk import check_folder, in_place, locked
+from myowarp.engine.threads import num_cores
+from myowarp.motion.draws import Drawn, Recording, draw_trial
+from myowarp.motion.storage import Storage, write_storage
+from myowarp.progress import progress_bar
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+DRAWS = 50
+"""Of a part."""
+FRAMES = 4096
+"""That are solved together, unless one draw has more."""
+LOW, HIGH = 0.05, 0.95
+"""Quantiles that intervals have as ends."""
+QUANTITIES = {
+    "angle": ("angles", "joint angles, rad and m"),
+    "moment": ("moments", "joint moments, N m and N"),
+    "activation": ("activations", "activations"),
+    "force": ("forces", "forces of muscles, N"),
+    "reserve": ("reserves", "what reserves give, N m and N"),
+    "missing": ("missing", "what nobody gives, N m and N"),
+}
+"""First part of a column of the results: file, and what it is."""
+
+
+def run(table: Path, output: Path, console: Console, **settings: Any) -> list[Path]:
+    """Do what is missing of a study; return the folders of its trials.
+
+    Args:
+        table: Of trials.
+        output: Folder.
+        console: Where progress is shown.
+        settings: As in `plan_study`.
+
+    Raises:
+        ValueError: The table is wrong, or the folder holds another study; nothing was started.
+        RuntimeError: Trials failed; all others are done.
+        OSError: The output cannot be written.
+    """
+    check_folder(output)
+    study = plan_study(table, **settings)
+    for folder in (RESULTS, SUMMARY):
+        (output / folder).mkdir(parents=True, exist_ok=True)
+    with locked(output / LOCK, wait=False):
+        agree(output, "motion study", study.settings())
+        every = list(pieces(study))
+        inputs = {trial.name: trial.digest() for trial in study.trials}
+        keys = [(trial.name, inputs[trial.name], draws) for trial, draws in every]
+        if damaged := remove_damaged(output, (_keys(*key) for key in keys)):
+            console.print(f"{damaged} parts in {output} are damaged or of other files, and done again")
+        missing = [k for k in range(len(every)) if not part(output, SUMMARY, k).exists()]
+        failures: dict[str, str] = {}
+        with progress_bar("Solving", "parts", console) as bar:
+            task = bar.add_task("", total=len(every), completed=len(every) - len(missing))
+            for number, why in _each(
+                study, [(k, *every[k], inputs[every[k][0].name]) for k in missing], output
+            ):
+                if why:
+                    failures.setdefault(every[number][0].name, why)
+                else:
+                    bar.advance(task)
+        done = [k for k, trial in enumerate(study.trials) if trial.name not in failures]
+        per = len(every) // len(study.trials)
+        folders = [spread(output, study.trials[k], range(per * k, per * (k + 1))) for k in done]
+        with in_place(output / "failed.csv") as scratch, scratch.open("w", newline="") as file:
+            csv.writer(file).writerows([("trial", "why"), *failures.items()])
+    total = len(study.trials)
+    console.print(
+        f"Saved {len(done)} of {total} trials, each with {study.draws} draws, in {output}", markup=False
+    )
+    if failures:
+        name, why = next(iter(failures.items()))
+        raise RuntimeError(
+            f"{len(failures)} of {total} trials failed, such as {name!r}: {why}; the others are done, and "
+            "the same command tries these again"
+        )
+    return folders
+
+
+def pieces(study: Study) -> Iterator[tuple[Trial, range]]:
+    """Yield trial and numbers of draws of each part."""
+    for trial in study.trials:
+        for begin in range(0, study.draws + 1, DRAWS):
+            yield trial, range(begin, min(begin + DRAWS, study.draws + 1))
+
+
+def _keys(name: str, inputs: str, draws: range) -> dict[str, list[Any]]:
+    """Return the columns that say what a part of the summary is."""
+    return {"trial": [name] * len(draws), "draw": list(draws), "inputs": [inputs] * len(draws)}
+
+
+def _each(
+    study: Study, missing: list[tuple[int, Trial, range, str]], output: Path
+) -> Iterator[tuple[int, str]]:
+    """Do parts, on all cores; yield the number of each as it ends, and why it failed, "" if it did not."""
+    with ThreadPoolExecutor(num_cores()) as pool:
+        waiting: dict[Future[None], int] = {}
+        for _, group in groupby(missing, lambda one: one[1].name):
+            own = list(group)
+            reading = pool.submit(recording_of, own[0][1], study)
+            waiting |= {pool.submit(solve, reading, study, output, *one): one[0] for one in own}
+        try:
+            for future in as_completed(waiting):
+                error = future.exception()
+                if error is not None and not isinstance(error, ValueError | NotImplementedError | OSError):
+                    raise error
+                yield waiting[future], "" if error is None else " ".join(str(error).split())
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def solve(
+    reading: Future[Recording],
+    study: Study,
+    output: Path,
+    index: int,
+    trial: Trial,
+    draws: range,
+    inputs: str,
+) -> None:
+    """Solve a part of a trial and write it; its files are read once, before.
+
+    Raises:
+        ValueError: The trial is not what it should be.
+        NotImplementedError: Its model has something that is not supported.
+        OSError: A file cannot be read or written.
+    """
+    import pandas as pd
+
+    recording = reading.result()
+    few = max(1, FRAMES // len(recording.time))
+    tables = []
+    for begin in range(0, len(draws), few):
+        found = draw_trial(recording, trial.uncertain, draws[begin : begin + few], study.seed)
+        tables.append(
+            (_results(trial.name, recording, found), _summary(trial.name, inputs, recording, found))
+        )
+    for folder, frames in zip((RESULTS, SUMMARY), zip(*tables, strict=True), strict=True):
+        with in_place(part(output, folder, index)) as scratch:
+            pd.concat(frames, ignore_index=True).to_parquet(scratch, index=False)
+
+
+def _results(name: str, recording: Recording, found: Drawn) -> pd.DataFrame:
+    """Return one row for each draw and time."""
+    import pandas as pd
+
+    count, coordinates, forces = len(found.draws), recording.bones.coordinates, found.forces
+    columns: dict[str, Any] = {
+        "trial": pd.Categorical([name] * count * len(recording.time)),
+        "draw": np.repeat(found.draws.astype(np.int32), len(recording.time)),
+        "time": np.tile(recording.time, count),
+    }
+    for what, names, values in (
+        ("angle", coordinates, found.values),
+        ("moment", coordinates, found.joint_moment),
+        ("activation", found.muscles, forces.activation),
+        ("force", found.muscles, forces.force),
+        ("reserve", coordinates, forces.reserve),
+        ("missing", coordinates, forces.missing),
+    ):
+        rows = values.reshape(-1, len(names)).astype(np.float32)
+        columns |= {f"{what}.{one}": rows[:, k] for k, one in enumerate(names)}
+    return pd.DataFrame(columns)
+
+
+def _summary(name: str, inputs: str, recording: Recording, found: Drawn) -> pd.DataFrame:
+    """Return one row for each draw: how well it fits, and what muscles cannot do."""
+    import pandas as pd
+
+    count, forces = len(found.draws), found.forces
+    shape = count, len(recording.time), -1
+    force = forces.force.reshape(shape)
+    columns: dict[str, Any] = {
+        **_keys(name, inputs, range(int(found.draws[0]), int(found.draws[-1]) + 1)),
+        "marker_rms": found.marker_rms,
+        "feasible_share": forces.feasible.reshape(count, -1).mean(axis=1),
+        "most_missing": np.abs(forces.missing.reshape(shape)).max(axis=(1, 2)),
+        "most_reserve": np.abs(forces.reserve.reshape(shape)).max(axis=(1, 2)),
+    }
+    peaks = {f"peak_force.{muscle}": force[:, :, k].max(axis=1) for k, muscle in enumerate(found.muscles)}
+    return pd.DataFrame(columns | peaks)
+
+
+def spread(output: Path, trial: Trial, parts: range) -> Path:
+    """Write the trial as it is and the ends of its intervals, and draw its forces; return its folder."""
+    from pyarrow import parquet
+
+    folder = output / "trials" / trial.name
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [part(output, RESULTS, k) for k in parts]
+    keys = [parquet.read_table(file, columns=["draw", "time"]) for file in files]
+    draw = np.concatenate([np.asarray(table["draw"]) for table in keys])
+    time = np.concatenate([np.asarray(table["time"]) for table in keys])[draw == 0]
+    names = parquet.read_schema(files[0]).names
+    for what, (file_name, title) in QUANTITIES.items():
+        columns = [name for name in names if name.startswith(f"{what}.")]
+        tables = [parquet.read_table(file, columns=columns) for file in files]
+        values = np.stack([np.concatenate([np.asarray(t[name]) for t in tables]) for name in columns], axis=1)
+        drawn = values[draw > 0].reshape(-1, len(time), len(columns))
+        found = {"": values[draw == 0]}
+        if len(drawn):
+            low, high = np.quantile(drawn, (LOW, HIGH), axis=0)
+            found |= {"_low": low, "_high": high}
+        labels = tuple(name.partition(".")[2] for name in columns)
+        for end, rows in found.items():
+            write_storage(folder / f"{file_name}{end}.sto", title, Storage(labels, time, rows))
+        if what == "force":
+            draw_forces(folder / "forces.png", trial.name, labels, time, list(found.values()))
+    return folder

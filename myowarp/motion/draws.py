@@ -1,0 +1,228 @@
+"""Draws of what is uncertain in a trial: many solutions of one recording, from kinematics to muscle forces.
+
+Factors are log-normal, exp(s z) with a standard normal z, one for each muscle, body or marker; noise of
+markers is normal, in every frame and along every axis by itself. Draw 0 is the trial as it is. A draw depends
+on the seed, its number and on what is drawn: not on other draws, on the trial, or on what else is uncertain.
+So draw 17 has the same strong soleus in each trial of a model: trials are compared under equal circumstances.
+
+Source of the method: Monte Carlo analysis of musculoskeletal models, Hannah et al. (2017),
+doi:10.1115/1.4035481.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from zlib import crc32
+
+import numpy as np
+
+from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
+from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
+from myowarp.motion.markers import Markers
+from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces
+from myowarp.motion.muscle_paths import MusclePaths, muscle_paths
+from myowarp.motion.skeleton import Bones
+from myowarp.motion.smooth import derivatives
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """How far draws of a trial spread.
+
+    Attributes:
+        max_isometric_force: s of the factor on that of each muscle [1].
+        tendon_slack_length: The same.
+        mass: s of the factor on mass and inertia of each body [1].
+        marker_weight: s of the factor on the weight of each marker [1].
+        marker_noise: Standard deviation of recorded places [m].
+    """
+
+    max_isometric_force: float = 0.0
+    tendon_slack_length: float = 0.0
+    mass: float = 0.0
+    marker_weight: float = 0.0
+    marker_noise: float = 0.0
+
+    @property
+    def moves(self) -> bool:
+        """Whether joint angles differ between draws."""
+        return self.marker_noise > 0.0 or self.marker_weight > 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A trial that can be drawn.
+
+    Attributes:
+        bones: The model.
+        time: [s], shape (frames,).
+        values: Of the independent coordinates, before the filter [rad] or [m], shape (frames, coordinates).
+        markers: Where the values come from; None: a file of angles.
+        marker_weights: By marker.
+        coordinate_weights: By coordinate.
+        coordinate_values: Wanted values, by coordinate.
+        loads: From outside.
+        cutoff: Of the filter [Hz]; None: none.
+        mode: What muscles can give, see `muscle_forces`.
+        exponent: p of the cost.
+        reserves: By coordinate [N m] or [N].
+        factors: On `max_isometric_force`, `tendon_slack_length` and `mass`, by name; with a colon and the
+            name of a muscle or body behind, on its alone.
+    """
+
+    bones: Bones
+    time: np.ndarray
+    values: np.ndarray
+    markers: Markers | None = None
+    marker_weights: Mapping[str, float] | None = None
+    coordinate_weights: Mapping[str, float] = field(default_factory=dict)
+    coordinate_values: Mapping[str, float] = field(default_factory=dict)
+    loads: Sequence[Load] = ()
+    cutoff: float | None = None
+    mode: Mode = "equilibrium"
+    exponent: float = 2.0
+    reserves: Mapping[str, float] | None = None
+    factors: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """Draws of a trial, one after the other.
+
+    Attributes:
+        draws: Their numbers, shape (draws,).
+        values: Joint angles [rad] or [m], filtered, shape (draws, frames, coordinates).
+        joint_moment: [N m] or [N], likewise.
+        muscles: Names of muscles.
+        forces: Of all frames of all draws, shape (draws * frames, ...).
+        marker_rms: Root mean square distance of markers [m], shape (draws,); NaN without markers.
+    """
+
+    draws: np.ndarray
+    values: np.ndarray
+    joint_moment: np.ndarray
+    muscles: tuple[str, ...]
+    forces: MuscleForces
+    marker_rms: np.ndarray
+
+
+def normal(seed: int, draw: int, what: str, *shape: int) -> np.ndarray:
+    """Return standard normal numbers of a draw; none for draw 0."""
+    if draw == 0:
+        return np.zeros(shape)
+    return np.random.default_rng([seed, draw, crc32(what.encode())]).normal(size=shape)
+
+
+def named_factors(recording: Recording, what: str, names: Sequence[str]) -> np.ndarray:
+    """Return the factors that a trial states on something, one for each name.
+
+    Raises:
+        ValueError: A factor is on a name that is not there, or not above 0 and finite.
+    """
+    found = np.full(len(names), recording.factors.get(what, 1.0))
+    for key, factor in recording.factors.items():
+        kind, _, name = key.partition(":")
+        if not 0.0 < factor < np.inf:
+            raise ValueError(f"factor {key} must be above 0 and finite, got {factor:g}")
+        if kind == what and name:
+            if name not in names:
+                raise ValueError(f"factor {key}: {name!r} unknown; available: {', '.join(names)}")
+            found[list(names).index(name)] *= factor
+    return found
+
+
+def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int], seed: int = 0) -> Drawn:
+    """Solve draws of a trial, all frames of all draws together.
+
+    Args:
+        recording: The trial.
+        uncertain: How far draws spread.
+        draws: Their numbers; 0 is the trial as it is.
+        seed: Of all draws.
+
+    Raises:
+        ValueError: A spread is below 0, or the trial is not what it should be.
+    """
+    for one in fields(uncertain):
+        width = getattr(uncertain, one.name)
+        if not 0.0 <= width < np.inf:
+            raise ValueError(f"the spread of {one.name} must be at least 0 and finite, got {width:g}")
+    bones, count, frames = recording.bones, len(draws), len(recording.time)
+    muscles = tuple(name for name, muscle in bones.model.muscles.items() if muscle.applies_force)
+    if not muscles:
+        raise ValueError(f"model {bones.model.name!r} has no muscle")
+
+    def spread(what: str, names: Sequence[str]) -> np.ndarray:
+        """Return factors, each frame's own, shape (count * frames, names)."""
+        scale = getattr(uncertain, what)
+        rows = [np.exp(scale * normal(seed, draw, what, len(names))) for draw in draws]
+        return np.repeat(named_factors(recording, what, names) * rows, frames, axis=0)
+
+    def tiled(array: np.ndarray) -> np.ndarray:
+        """Return rows of the trial once for each draw."""
+        return np.tile(array, (count, *[1] * (array.ndim - 1)))
+
+    fitted = _fitted(recording, uncertain, draws, seed) if uncertain.moves else None
+    if fitted is None:
+        found = derivatives(recording.time, recording.values, recording.time, recording.cutoff)
+        once = muscle_paths(bones.model, bones.coordinates, found[0], found[1])
+        whole = tiled(once.length), tiled(once.velocity), tiled(once.moment_arm)
+        paths, motion = MusclePaths(muscles, *whole, once.crossed), [tiled(part) for part in found]
+    else:
+        beside = np.concatenate(np.split(fitted.values, count), axis=1)
+        found = derivatives(recording.time, beside, recording.time, recording.cutoff)
+        motion = [np.concatenate(np.split(part, count, axis=1)) for part in found]
+        paths = muscle_paths(bones.model, bones.coordinates, motion[0], motion[1])
+    loads = [
+        replace(x, force=tiled(x.force), point=tiled(x.point), torque=tiled(x.torque))
+        for x in recording.loads
+    ]
+    bodies = [name for name, number in bones.bodies.items() if number >= 0]
+    needed = inverse_dynamics(bones, motion[0], motion[1], motion[2], loads, spread("mass", bodies))
+    forces = muscle_forces(
+        bones.model,
+        bones.coordinates,
+        paths,
+        needed.joint_moment,
+        mode=recording.mode,
+        exponent=recording.exponent,
+        reserves=recording.reserves,
+        strength=spread("max_isometric_force", muscles),
+        slack=spread("tendon_slack_length", muscles),
+        device=bones.device,
+    )
+    shape = count, frames, -1
+    rms = np.full(count, np.nan)
+    if fitted is not None:
+        rms = np.sqrt(np.nanmean(fitted.error.reshape(shape) ** 2, axis=(1, 2)))
+    return Drawn(
+        np.array(draws), motion[0].reshape(shape), needed.joint_moment.reshape(shape), muscles, forces, rms
+    )
+
+
+def _fitted(recording: Recording, uncertain: Uncertainty, draws: Sequence[int], seed: int) -> Fitted:
+    """Return the joint angles of draws, each frame from where the trial itself has it.
+
+    Raises:
+        ValueError: The trial has no markers.
+    """
+    markers = recording.markers
+    if markers is None:
+        raise ValueError("noise and weights of markers need markers; this trial is a file of joint angles")
+    shape, used = markers.positions.shape, list(recording.marker_weights or ())
+    noise = [normal(seed, draw, "marker_noise", *shape) for draw in draws]
+    places = markers.positions + uncertain.marker_noise * np.array(noise)
+    factors = [
+        np.exp(uncertain.marker_weight * normal(seed, draw, "marker_weight", len(used))) for draw in draws
+    ]
+    many = Markers(markers.names, np.tile(markers.time, len(draws)), places.reshape(-1, *shape[1:]))
+    return inverse_kinematics(
+        recording.bones,
+        many,
+        recording.marker_weights,
+        recording.coordinate_weights,
+        recording.coordinate_values,
+        near=np.tile(recording.values, (len(draws), 1)),
+        weight_factors=np.repeat(factors, shape[0], axis=0) if used else 1.0,
+    )
