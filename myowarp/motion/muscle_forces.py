@@ -47,6 +47,8 @@ class MuscleForces:
         activation: Shape (frames, muscles).
         force: In the tendon [N].
         passive: Share of it that is there without activation [N].
+        fiber_length: Of fibers [m].
+        steady: Whether fiber and tendon are in equilibrium, as in mode `equilibrium`.
         power: That muscles give to the skeleton [W], shortening > 0.
         reserve: What reserves give [N m] or [N], shape (frames, coordinates); 0 without.
         missing: What nobody gives, likewise.
@@ -59,6 +61,8 @@ class MuscleForces:
     activation: np.ndarray
     force: np.ndarray
     passive: np.ndarray
+    fiber_length: np.ndarray
+    steady: bool
     power: np.ndarray
     reserve: np.ndarray
     missing: np.ndarray
@@ -159,6 +163,9 @@ def muscle_forces(
     if mode == "opensim":
         passive = np.zeros_like(paths.length)
         longer = np.broadcast_to(slack, paths.length.shape)
+        slacks = np.array([muscle.values["tendon_slack_length"] for muscle in muscles])
+        shortest = np.array([muscle.shortest_fiber for muscle in muscles])
+        along = np.maximum(paths.length - longer * slacks, shortest)
         capacity = strength * np.stack(
             [rigid_capacity(m, paths.length[:, i], paths.velocity[:, i], longer[:, i])
              for i, m in enumerate(muscles)], axis=1,
@@ -166,8 +173,8 @@ def muscle_forces(
         found = solve(capacity, passive)
     else:
         passive, _ = at(0.0)
-        full, along = at(1.0)
-        capacity = full - passive
+        most, along = at(1.0)
+        capacity = most - passive
         found = solve(capacity, passive)
         for _ in range(ROUNDS - 1):
             before = np.clip(found.activation[:, : len(muscles)], LEAST, 1.0)
@@ -176,6 +183,7 @@ def muscle_forces(
             found = solve(capacity, passive, found.dual)
     activation = found.activation[:, : len(muscles)]
     force = passive + capacity * activation
+    widths = np.array([muscle.fiber_width for muscle in muscles])
     missing = joint_moment.copy()
     missing[:, held] = found.missing
     reserve = np.zeros_like(joint_moment)
@@ -184,6 +192,7 @@ def muscle_forces(
     full = activation >= lower[: len(muscles)] + SATURATED * (upper - lower)[: len(muscles)]
     counts = {name: int(n) for name, n in zip(paths.muscles, full.sum(axis=0), strict=True) if n}
     return MuscleForces(
-        paths.muscles, coordinates, activation, force, passive, -force * paths.velocity, reserve, missing,
+        paths.muscles, coordinates, activation, force, passive, np.hypot(along, widths),
+        mode == "equilibrium", -force * paths.velocity, reserve, missing,
         (np.abs(found.missing) <= FEASIBLE * scale).all(axis=1), counts,
     )  # fmt: skip

@@ -18,6 +18,7 @@ from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.joint_reactions import JointReactions, joint_reactions
 from myowarp.motion.loads import loads_at
 from myowarp.motion.markers import read_trc
+from myowarp.motion.metabolic_power import metabolic_power
 from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces, rigid_capacity
 from myowarp.motion.muscle_paths import MusclePaths, muscle_paths
 from myowarp.motion.scaling import Scaled, read_setup, scale, write_factors
@@ -228,7 +229,7 @@ def forces(
     exponent: float = 2.0,
     reserves: Mapping[str, float] | None = None,
 ) -> MuscleForces:
-    """Find muscle forces; write moments, activations, forces, powers, joint reactions, reserves, missing.
+    """Find muscle forces; write what they are, do and burn, joint reactions, reserves, what is missing.
 
     Args:
         bones: The model.
@@ -254,10 +255,12 @@ def forces(
         reserves=reserves,
         device=bones.device,
     )
+    burnt = metabolic_power(bones.model, found, paths, bones.device)
     for name, title, values in (
         ("activations", "activations", found.activation),
         ("forces", "forces of muscles, N", found.force),
         ("powers", "powers of muscles, W, shortening > 0", found.power),
+        ("metabolic_powers", "metabolic powers of muscles, W, without the rate at rest", burnt),
     ):
         write_storage(output / f"{name}.sto", title, Storage(found.muscles, motion.time, values))
     tension = dict(zip(found.muscles, found.force.T, strict=True))

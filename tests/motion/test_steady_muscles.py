@@ -1,14 +1,21 @@
 """Muscles held steady on the device against the NumPy laws, which are OpenSim's to 1e-8."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import opensim_muscles
 import pytest
 
+from myowarp.motion.metabolic_power import metabolic_power
+from myowarp.motion.muscle_forces import muscle_forces
+from myowarp.motion.muscle_paths import muscle_paths
 from myowarp.motion.steady_muscles import SteadyMuscles
+from myowarp.opensim.muscle.hill import HillMuscle
 from myowarp.opensim.muscle.spline_tables import SPLINES
+from myowarp.opensim.read.model import read_model
 
+DATA = Path(__file__).parents[1] / "data"
 TABLES = 5e-6
 """Share of the maximum isometric force: Millard's curves are tables on the device."""
 
@@ -38,3 +45,41 @@ def test_the_same_as_in_numpy(name):
         np.testing.assert_allclose(along[:, k], z, atol=1e-5 * optimal[k], err_msg=muscle.name)
     strength = np.array([v["max_isometric_force"] for v in values])
     assert (np.abs(force - bare) / strength).max() > 100 * TABLES, "the slack length matters"
+
+
+@pytest.mark.parametrize("mode", ["equilibrium", "opensim"])
+def test_metabolic_power(mode):
+    """Against Bhargava's equations in NumPy, at fibers that the equilibrium itself is solved for here."""
+    model = read_model(DATA / "osim/arm26.osim")
+    coordinates, random = tuple(model.coordinates), np.random.default_rng(4)
+    values = 0.8 + random.uniform(-0.5, 0.5, (9, 2))
+    paths = muscle_paths(model, coordinates, values, 2.0 * random.normal(size=(9, 2)))
+    found = muscle_forces(model, coordinates, paths, 6.0 * random.normal(size=(9, 2)), mode=mode)
+    power = metabolic_power(model, found, paths)
+    for k, name in enumerate(found.muscles):
+        muscle = HillMuscle.of(model.muscles[name])
+        v, a, path = muscle.values, found.activation[:, k], paths.velocity[:, k]
+        z = np.maximum(paths.length[:, k] - v["tendon_slack_length"], muscle.shortest_fiber)
+        if mode == "equilibrium":
+            slack = np.full(9, v["tendon_slack_length"])
+            z, _ = muscle.steady(a, paths.length[:, k], path, slack)
+        length = np.hypot(z, muscle.fiber_width)
+        velocity, norm = path * z / length, length / v["optimal_fiber_length"]
+        active = v["max_isometric_force"] * a * muscle.curves.active_force_length(norm)[0]
+        active *= muscle.curves.force_velocity(
+            velocity / muscle.velocity_scale, np.where(mode == "opensim", 1, a)
+        )[0]
+        active = np.maximum(active, 0.0)
+        total = active
+        if mode == "equilibrium":
+            total = active + v["max_isometric_force"] * muscle.curves.passive_force(norm)[0]
+        mass = v["max_isometric_force"] / 0.25e6 * 1059.7 * v["optimal_fiber_length"]
+        slow, fast = 0.5 * np.sin(np.pi / 2 * a), 0.5 * (1.0 - np.cos(np.pi / 2 * a))
+        share = np.interp(norm, [0.5, 1.0, 1.5], [0.5, 1.0, 0.0])
+        heat = mass * (40 * slow + 133 * fast + share * (74 * slow + 111 * fast))
+        heat = heat + 0.25 * total * np.maximum(-velocity, 0.0)
+        work = -active * velocity
+        heat = np.maximum(heat - np.minimum(heat + work, 0.0), mass)
+        held = z > muscle.shortest_fiber
+        np.testing.assert_allclose(power[held, k], (heat + work)[held], rtol=0.02, atol=0.02, err_msg=name)
+    assert power.max() > 5.0, "W"

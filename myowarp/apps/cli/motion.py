@@ -27,7 +27,16 @@ WRITES = {
     "forces": tuple(
         f"{name}.sto"
         for name in (
-            *("moments", "activations", "forces", "powers", "joint_reactions", "reserves", "missing"),
+            *(
+                "moments",
+                "activations",
+                "forces",
+                "powers",
+                "metabolic_powers",
+                "joint_reactions",
+                "reserves",
+            ),
+            "missing",
         )
     ),
     "report": ("report.html",),

@@ -73,6 +73,13 @@ PARTS = (
     ACTIVATIONS,
     Part("forces.sto", "Muscle forces", "N", open=False),
     Part("powers.sto", "Muscle powers", "W", "Shortening is positive.", open=False),
+    Part(
+        "metabolic_powers.sto",
+        "Metabolic powers",
+        "W",
+        "Heat and work of fibers after Bhargava 2004, without the rate at rest.",
+        open=False,
+    ),
     Part("lengths.sto", "Lengths of muscle and tendon", "m", open=False),
     Part("active_forces.sto", "Active forces at full activation", "N", open=False),
     Part("passive_forces.sto", "Passive forces", "N", open=False),
