@@ -14,6 +14,7 @@ PYTEST ?=
 RIVALS ?=
 LEARNING ?=
 OPENSIM ?=
+CHECKED = $(or $(OPENSIM),$(addprefix tests/data/osim/,$(addsuffix .osim,arm26 leg6dof9musc gait10dof18musc)))
 OLDER ?=
 MINUTES ?= 1
 VENV := .venv
@@ -22,7 +23,7 @@ STAMP := $(VENV)/.installed
 TEST_STAMP := $(VENV)/.installed-test
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help setup demo test test-slow scale lint format bench gpu rivals opensim accuracy parity soak audit docs pictures dist learning test-view clean
+.PHONY: help setup demo test test-slow scale lint format bench gpu rivals opensim opensim-check accuracy parity soak audit docs pictures dist learning test-view clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -96,6 +97,10 @@ learning: $(TEST_STAMP) .venv-parity/.installed .venv-envpool/.installed ## Meas
 
 opensim: setup .venv-opensim/.installed ## Measure speed beside OpenSim with 1 to 64 times the muscles (5 to 12 minutes; OPENSIM="ARM.osim GAIT.osim")
 	$(BIN)/python -m benchmarks.opensim_speed --output out/opensim_speed.json $(OPENSIM)
+
+opensim-check: setup .venv-opensim/.installed ## Compare muscle paths with OpenSim's in 2,000 poses (OPENSIM="ARM.osim GAIT.osim")
+	.venv-opensim/bin/python benchmarks/opensim_paths_record.py $(CHECKED) -o out/paths
+	$(BIN)/python -m benchmarks.opensim_paths $(CHECKED) --recorded out/paths -o out/opensim_paths.json
 
 accuracy: setup ## Measure the error of the physics presets against 0.1 ms steps, JSON to out/accuracy.json
 	@mkdir -p out

@@ -67,6 +67,7 @@ with quick_import():
 _LATER = {
     "extend": "myowarp.tasks.extend",
     "from_mjcf": "myowarp.tasks.from_file",
+    "from_osim": "myowarp.tasks.from_file",
     "QUANTITIES": "myowarp.tasks.quantities",
     "Sb3VecEnv": "myowarp.apps.adapters.stable_baselines3",
     "RslRlVecEnv": "myowarp.apps.adapters.rsl_rl",
@@ -105,6 +106,7 @@ __all__ = [  # noqa: RUF022 (by what they are for)
     "MuscleTable",
     # Tasks of one's own
     "from_mjcf",
+    "from_osim",
     "extend",
     "register",
     "task",

@@ -142,7 +142,7 @@ def read(text: str) -> Exact:
     """
     try:
         entry = json.loads(text)
-        return Exact({joint: _curves(e) for joint, e in entry["joints"].items()}, _bodies(entry["bodies"]))
+        return Exact({joint: driven(e) for joint, e in entry["joints"].items()}, _bodies(entry["bodies"]))
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise ValueError(
             "the couplings of the model must be JSON with 'joints' and 'bodies' as `myowarp convert` writes "
@@ -150,7 +150,13 @@ def read(text: str) -> Exact:
         ) from error
 
 
-def _curves(entry: Mapping[str, object]) -> tuple[str | None, tuple[Pieces, ...]]:
+def driven(entry: Mapping[str, object]) -> tuple[str | None, tuple[Pieces, ...]]:
+    """Return the joint that an entry of a text follows, None for none, and its curves.
+
+    Raises:
+        ValueError: Its pieces are broken.
+        KeyError: It has no joint or no curves.
+    """
     of, curves = entry["of"], entry["curves"]
     pieces = []
     for breaks, rows in curves:  # type: ignore[attr-defined]

@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.muscle import MuscleModel
+from myowarp.definitions.paths import Paths
 from myowarp.definitions.task import TaskSpec
 from myowarp.definitions.worlds import Worlds
 from myowarp.kernels.random import RandomKeys
@@ -66,6 +67,7 @@ class Scene:
         capacity: Contacts and constraint rows that the arrays hold.
         state: All that a world is from one step to the next, by name: arrays (num_worlds, ...).
         parameters: Those of the conditions (`Parameter`), in the order of their binding.
+        paths: Of tendons, where the model brings its own; None: they are the engine's.
     """
 
     spec: TaskSpec
@@ -84,6 +86,7 @@ class Scene:
     device: wp.Device = field(repr=False)
     state: dict[str, wp.array] = field(default_factory=dict, repr=False)
     parameters: list[Any] = field(default_factory=list, repr=False)
+    paths: Paths | None = None
 
     @property
     def num_worlds(self) -> int:

@@ -17,6 +17,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.paths import Paths
 from myowarp.engine.idle import pruned
 from myowarp.engine.patch import engine_kernels_alone, one_thread
 from myowarp.engine.stage import STAGES, Launches, Obstacles, Stage, first_reason, load, or_the_engines
@@ -59,6 +60,11 @@ def path_velocities(
 
 def _velocity(model: mjw.Model, data: mjw.Data) -> None:
     launch(path_velocities, data.nworld, model, data)
+
+
+def _velocity_along(paths: Paths, model: mjw.Model, data: mjw.Data) -> None:
+    _velocity(model, data)
+    paths.launch_velocity(model, data)
 
 
 def _control(model: mjw.Model, data: mjw.Data) -> None:
@@ -136,9 +142,12 @@ def holds_bodies(stepped: Stepped) -> bool:
     return bool(np.isin(stepped.oracle.eq_type, kinds).any())
 
 
-def stage_launches(stages: Iterable[Stage]) -> dict[str, Launches]:
-    """Return what the physics step launches, place by place, with some stages of ours."""
+def stage_launches(stages: Iterable[Stage], paths: Paths | None = None) -> dict[str, Launches]:
+    """Return what the physics step launches, place by place, with some stages of ours and a model's paths."""
     places, stages = dict(ORDER), tuple(stages)
+    if paths is not None:
+        places["tendon"] = paths.launch
+        places["velocity"] = partial(_velocity_along, paths)
     for stage in stages:
         first, *others = stage.replaces
         places[first] = stage.launcher(stages)
@@ -180,8 +189,9 @@ class Step:
 
         That takes velocities of the step before into welds and connects; there it is `ORDER`.
         """
-        in_order = stages or (holds_bodies(self.stepped) and uncovered(self.stepped) is None)
-        return self.bound(stage_launches(stages) if in_order else {"step": mjw.step})
+        paths = self.stepped.paths
+        in_order = stages or paths or (holds_bodies(self.stepped) and uncovered(self.stepped) is None)
+        return self.bound(stage_launches(stages, paths) if in_order else {"step": mjw.step})
 
     def bound(self, launches: Mapping[str, Launches]) -> dict[str, Callable[[], None]]:
         """Return launches with what their places step."""

@@ -7,6 +7,7 @@ import mujoco_warp as mjw
 import warp as wp
 
 from myowarp.definitions.muscle import MuscleModel
+from myowarp.definitions.paths import Paths
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,7 @@ class Stepped:
         sites: Ids of the sites whose poses are read outside of the step.
         qpos_start: Configuration to start from, shape (nq,).
         num_substeps: Physics steps in a control step.
+        paths: Of tendons, where the model brings its own; None: they are the engine's.
     """
 
     oracle: mujoco.MjModel
@@ -30,6 +32,7 @@ class Stepped:
     sites: tuple[int, ...]
     qpos_start: wp.array
     num_substeps: int
+    paths: Paths | None = None
 
     @property
     def device(self) -> wp.Device:

@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.coordinates.couplings import settled
+from myowarp.coordinates.own_paths import paths_of
 from myowarp.definitions.body import BODIES, Body
 from myowarp.definitions.condition import Condition, resolve
 from myowarp.definitions.muscle import MUSCLES, MuscleModel
@@ -285,6 +286,7 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
             actuator_kind=wp.array(actuator_kinds(oracle), dtype=int),
             capacity=capacity,
             device=where,
+            paths=paths_of(oracle, model, data),
         )
         _adopt_arrays(scene, batched, individual=bool(conditions))
     return scene
@@ -300,6 +302,7 @@ def stepped_of(scene: Scene) -> Stepped:
         sites=tuple(scene.site_id(name) for name in scene.spec.sites),
         qpos_start=scene.qpos_start,
         num_substeps=scene.num_substeps,
+        paths=scene.paths,
     )
 
 

@@ -52,9 +52,11 @@ def _present_paths(scene: Scene) -> None:
     model, data = scene.model, scene.data
     mjw.kinematics(model, data)
     mjw.com_pos(model, data)
-    mjw.tendon(model, data)
+    (scene.paths.launch if scene.paths else mjw.tendon)(model, data)
     mjw.transmission(model, data)
     mjw.fwd_velocity(model, data)
+    if scene.paths:
+        scene.paths.launch_velocity(model, data)
 
 
 def present_muscles(scene: Scene) -> Callable[[], None]:

@@ -16,6 +16,8 @@ import mujoco
 import numpy as np
 
 from myowarp.coordinates.couplings import ask, couplings, exact, follow, settled
+from myowarp.coordinates.path_text import ask as ask_for_paths
+from myowarp.coordinates.path_text import own_paths
 from myowarp.definitions.body import BODIES, POINT_JOINTS, Body
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.registry import check_choice
@@ -40,6 +42,8 @@ NUM_TARGETS = 1024  # points to reach
 STEP_ROUNDING = 1e-6  # of a time step
 KINDS = ("pose", "reach")
 COUPLINGS = "couplings.json"  # beside the model's file; see `myowarp.coordinates.couplings`
+OPENSIM = ".osim"
+PATHS = "paths.json"  # likewise; see `myowarp.coordinates.path_text`
 HILL = "muscles.csv"  # likewise; see `myowarp.definitions.muscle_table`
 STEPPED = ("EULER", "IMPLICITFAST")  # integrators; others call the muscles more than once in a step
 
@@ -48,7 +52,7 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
     """Register the model of a file as a body, once; motors without a control range get -1 to 1.
 
     Args:
-        path: MJCF.
+        path: MJCF, or a model of OpenSim (.osim).
         tips: Names of the sites that tasks show or steer.
 
     Returns:
@@ -58,6 +62,10 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
     Raises:
         ValueError: The file is no model that MuJoCo reads, or has actuators that we cannot step.
     """
+    if path.suffix.lower() == OPENSIM:
+        from myowarp.opensim.load import load  # reading .osim files is not needed at every start
+
+        path = load(path)
     try:
         spec = mujoco.MjSpec.from_file(str(path.absolute()))
         # What the file says of it is for MuJoCo C; mujoco-warp has dense Jacobians of small models only.
@@ -73,12 +81,13 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
         reason = " ".join(str(error).split())
         raise ValueError(f"model {str(path)!r} must be an MJCF file; MuJoCo says: {reason}") from error
     _check(model, path)
-    if (beside := path.with_name(COUPLINGS)).is_file():
-        try:
-            ask(spec, beside.read_text())
-            exact(model := spec.compile())
-        except ValueError as error:
-            raise ValueError(f"file {str(beside)!r} must belong to {path.name}: {error}") from error
+    for beside, ask_for, check in ((COUPLINGS, ask, exact), (PATHS, ask_for_paths, own_paths)):
+        if (text := path.with_name(beside)).is_file():
+            try:
+                ask_for(spec, text.read_text())
+                check(model := spec.compile())
+            except ValueError as error:
+                raise ValueError(f"file {str(text)!r} must belong to {path.name}: {error}") from error
     title = re.sub(r"[^A-Za-z0-9]+", "_", spec.modelname).strip("_")
     name = "_".join((title, model_digest(model)[:8], *tips))
     muscles = MuscleTable.converted(path.with_name(HILL), [model.actuator(i).name for i in range(model.nu)])
@@ -186,7 +195,7 @@ def from_mjcf(
     """Return a task on the model of a file, MJCF with muscles or motors; it is registered.
 
     Args:
-        path: MJCF; includes and meshes are found from it.
+        path: MJCF; includes and meshes are found from it. Or .osim, as for `from_osim`.
         key: Id of the task, such as "myArmReach-v0"; None: from the model's name and content.
         kind: "pose" (bring joints to angles) or "reach" (bring sites to points).
         targets: Names of the joints, or of the sites; a mapping gives each its bounds: (low, high) [rad or
@@ -238,6 +247,28 @@ def from_mjcf(
     if rewards:
         return extend(task, task.key, rewards=rewards, replace=replace)
     return register(task, replace=replace)
+
+
+def from_osim(path: str | Path, key: str | None = None, kind: str = "pose", **options: Any) -> TaskSpec:
+    """Return a task on a model of OpenSim as its file says, nothing fitted; it is registered.
+
+    Joints follow couplers exactly, muscles run over OpenSim's own paths (`coordinates.own_paths`), and those
+    that take the parameters of Hill muscles have the file's. A line is logged for what acts in OpenSim and
+    not here; `myowarp convert` reports it in full, and writes a model for plain MuJoCo.
+
+    Args:
+        path: .osim of OpenSim 2.1 to 4.6.
+        key: As for `from_mjcf`.
+        kind: As for `from_mjcf`; sites are the model's markers.
+        **options: As for `from_mjcf`; joints are those that show OpenSim's coordinates, and have their names
+            where these turn or slide along one axis.
+
+    Raises:
+        ValueError: The file is unsuitable, or an argument is not as described; nothing was registered.
+    """
+    if not isinstance(path, (str, Path)) or Path(path).suffix.lower() != OPENSIM:
+        raise ValueError(f"path must be that of an .osim file, got {path!r}")
+    return from_mjcf(path, key, kind, **options)
 
 
 def _is_number(value: object) -> bool:

@@ -26,7 +26,7 @@ def variant_of(setup: Setup) -> Variant:
     if isinstance(task, Path):
         return Variant(pose_task(task).key)
     if task is None:
-        raise ValueError("what to run is a task id or --model with an MJCF file, one of them; got neither")
+        raise ValueError("what to run is a task id or --model with a file, one of them; got neither")
     return find_task(task)
 
 

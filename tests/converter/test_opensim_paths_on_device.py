@@ -56,6 +56,7 @@ def test_recorded_lengths_and_moment_arms(name):
     paths = {muscle: model.muscles[muscle].path for muscle in muscles}
     found = followed(model, paths, {name: values[name] for name in free})
     assert np.abs(found.length - arrays["length"]).max() < LENGTH_TOLERANCE
+    np.testing.assert_array_equal(found.size, arrays["size"])
     recorded_free = arrays["free"].tolist()
     columns = [free.index(recorded_free[coordinate]) for _, coordinate in arrays["pairs"]]
     arms = found.moment_arm[:, arrays["pairs"][:, 0], columns]

@@ -122,7 +122,7 @@ def test_an_id_brings_its_reset_and_conditions():
         ({"horizon": 0}, "max_episode_steps must be a positive integer, got 0"),
         ({"device": "tpu"}, "device must be cpu, cuda or cuda:N, got 'tpu'"),
         ({"conditions": ("sarcopeny",)}, "condition 'sarcopeny' unknown; did you mean sarcopenia?"),
-        ({"task": None}, "what to run is a task id or --model with an MJCF file, one of them; got neither"),
+        ({"task": None}, "what to run is a task id or --model with a file, one of them; got neither"),
     ],
 )
 def test_what_is_wrong_is_said_before_anything_is_built(fields, message):

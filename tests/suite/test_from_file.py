@@ -354,7 +354,7 @@ def test_a_large_model_is_announced(plain, monkeypatch, caplog):
 @pytest.mark.parametrize("arguments", [(), ("myoElbowPose1D6MRandom-v0", "--model", "a.xml")])
 def test_task_or_model(run, arguments):
     got = "'myoElbowPose1D6MRandom-v0' and 'a.xml'" if arguments else "neither"
-    sentence = f"what to run is a task id or --model with an MJCF file, one of them; got {got}"
+    sentence = f"what to run is a task id or --model with a file, one of them; got {got}"
     assert_refused(run(*arguments), "myowarp: ", sentence)
 
 

@@ -52,8 +52,8 @@ class Said:
 
 MODEL = _option(
     "FILE",
-    "Instead of a task: an MJCF file, such as `myowarp convert` writes; random poses of its joints."
-    " Physics parity is then the file's own integrator and step.",
+    "Instead of a task: a model of OpenSim (.osim), or an MJCF file; random poses of its joints. Physics"
+    " parity is then the file's own integrator and step.",
     UNSET,
 )
 
@@ -96,7 +96,7 @@ def _setup(self: Any) -> Setup:
     model = said.pop("model", None)
     if model is not None and said["task"] is not None:
         raise ValueError(
-            "what to run is a task id or --model with an MJCF file, one of them; got "
+            "what to run is a task id or --model with a file, one of them; got "
             f"{said['task']!r} and {str(model)!r}"
         )
     return Setup(**said if model is None else said | {"task": model})

@@ -213,7 +213,11 @@ class MusclePath(Stage):
 
     REPLACES = ("tendon", "transmission", "velocity")
     ON_CUDA = True
-    OBSTACLES: ClassVar = {"an equality between sites": _has_site_equality, **PATH_OBSTACLES}
+    OBSTACLES: ClassVar = {
+        "the model has paths of its own": lambda stepped: stepped.paths is not None,
+        "an equality between sites": _has_site_equality,
+        **PATH_OBSTACLES,
+    }
 
     def __init__(self, stepped: Stepped) -> None:
         """Write the program of the paths."""

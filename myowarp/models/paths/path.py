@@ -184,19 +184,23 @@ class Pulls:
 
     Attributes:
         length: [m], shape (num_worlds, num_paths).
+        size: Number of points and wrap points, the same shape.
         force: d length / d position of each handle's body, shape (num_worlds, num_handles).
         torque: The same about the origin of ground [m].
         along: d length / d (x, y, z) of moving points, shape (num_worlds, num_moving).
         within: What moves a moving point against another of its body: it counts for the speed of the length
             and, in OpenSim, not for forces.
+        twist: The same of turning such a body, where OpenSim remembers other places than it ends with.
         jumps: How often OpenSim would have taken a wrap that is refused as a jump.
     """
 
     length: wp.array2d[wp.float64]
+    size: wp.array2d[int]
     force: wp.array2d[wp.vec3d]
     torque: wp.array2d[wp.vec3d]
     along: wp.array2d[wp.vec3d]
     within: wp.array2d[wp.vec3d]
+    twist: wp.array2d[wp.vec3d]
     jumps: wp.array2d[int]
 
 
@@ -456,13 +460,15 @@ def follow_paths(
     worldid, pathid = wp.tid()
     path = tables.paths[pathid]
     count = followed(path, tables, frames, memory, worldid, pulls.jumps[worldid], pathid)
+    pulls.size[worldid, pathid] = count
     pulls.length[worldid, pathid] = path_length(path, tables, memory, worldid, count)
     order, location, cached = memory.order[worldid], memory.location[worldid], memory.cached[worldid]
     force, torque = pulls.force[worldid], pulls.torque[worldid]
-    along, within = pulls.along[worldid], pulls.within[worldid]
+    along, within, twist = pulls.along[worldid], pulls.within[worldid], pulls.twist[worldid]
     for i in range(path.first_handle, path.first_handle + path.handles):
         force[i] = wp.vec3d()
         torque[i] = wp.vec3d()
+        twist[i] = wp.vec3d()
     for i in range(path.first_point, path.first_point + path.points):
         moving = tables.points[i].moving
         if moving >= 0:
@@ -481,5 +487,6 @@ def follow_paths(
             pull_moving(path, tables, frames, worldid, one, -u, along)
             pull_moving(path, tables, frames, worldid, other, u, along)
         else:
+            twist[h1] = twist[h1] + wp.cross(location[far] - location[near], u)
             pull_moving(path, tables, frames, worldid, one, -u, within)
             pull_moving(path, tables, frames, worldid, other, u, within)

@@ -17,10 +17,12 @@ import mujoco
 import numpy as np
 
 from myowarp.coordinates.couplings import Exact
+from myowarp.coordinates.path_text import Said
 from myowarp.opensim.compose.geometry import Build, begin, exact, starts_of, tie
 from myowarp.opensim.compose.meshes import add_shapes
 from myowarp.opensim.compose.passive import add_forces, path_tendon
-from myowarp.opensim.compose.points import add_markers, add_moving_points
+from myowarp.opensim.compose.paths import own_paths
+from myowarp.opensim.compose.points import add_markers, add_moving_points, stilled
 from myowarp.opensim.compose.visible_body import add_visible_body
 from myowarp.opensim.model.mapping import CoordinateMap
 from myowarp.opensim.model.model import Model, Muscle, Note
@@ -42,9 +44,12 @@ class Options:
 
     Attributes:
         mesh_folders: Where to look for meshes, before the folders of the model.
+        tendons: Whether MuJoCo's tendons stand for paths; else they only show where the paths of our own
+            begin and end, and moving points have no bodies.
     """
 
     mesh_folders: tuple[Path, ...] = ()
+    tendons: bool = True
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,7 @@ class Converted:
         bodies: Name in MuJoCo of every body, ground included.
         coordinates: How coordinates and joints belong together.
         exact: How joints follow each other in the document, and what its bodies weigh.
+        paths: The document's paths in terms of the spec; None: it has none.
         moving: For each path, body at each of its moving points.
         meshes: Files that belong into the folder `meshes`.
         notes: Everything that is not carried over exactly, reading included.
@@ -67,6 +73,7 @@ class Converted:
     bodies: Mapping[str, str]
     coordinates: CoordinateMap
     exact: Exact
+    paths: Said | None
     moving: Mapping[str, Mapping[int, str]]
     meshes: Mapping[str, bytes]
     notes: tuple[Note, ...]
@@ -92,6 +99,7 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     Raises:
         ValueError: MuJoCo refuses the result.
     """
+    source, model = model, model if options.tendons else stilled(model)
     _, _, coordinates = _skeleton(model, {})
     # Where quartics put joints by default is known when they are there.
     build, moving, coordinates = _skeleton(model, starts_of(coordinates))
@@ -112,8 +120,9 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
         add_visible_body(build, compiled)
     build.spec.add_key(name=KEYFRAME, qpos=coordinates.qpos(compiled, {})[0])
     bodies = {name: body.name for name, body in build.bodies.items()}
+    said, paths = exact(build, coordinates), own_paths(build, source)
     notes = (*model.notes, *build.notes)
-    return Converted(model, build.spec, bodies, coordinates, exact(build, coordinates), moving, meshes, notes)
+    return Converted(model, build.spec, bodies, coordinates, said, paths, moving, meshes, notes)
 
 
 def _skeleton(

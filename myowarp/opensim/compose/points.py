@@ -1,5 +1,6 @@
 """Markers and moving path points of a `Model` -> sites and small bodies of an MjSpec."""
 
+import dataclasses
 from collections.abc import Hashable
 
 import numpy as np
@@ -15,8 +16,8 @@ from myowarp.opensim.compose.geometry import (
     reduced,
     weigh,
 )
-from myowarp.opensim.model.elements import MovingPathPoint, Path
-from myowarp.opensim.model.model import Note, pulling
+from myowarp.opensim.model.elements import MovingPathPoint, Path, PathPoint, Point
+from myowarp.opensim.model.model import Model, Note, pulling
 
 MARKER_GROUP = 5
 MARKER_SIZE = 0.005  # m, as drawn
@@ -42,6 +43,29 @@ def add_moving_points(build: Build) -> dict[str, dict[int, str]]:
     """
     shared: dict[Hashable, str] = {}
     return {name: _of_path(build, name, path, shared) for name, path in pulling(build.model).items()}
+
+
+def stilled(model: Model) -> Model:
+    """Return a model whose moving path points stand where they are by default."""
+
+    def still(path: Path) -> Path:
+        return dataclasses.replace(path, points=tuple(_still(model, point) for point in path.points))
+
+    return dataclasses.replace(
+        model,
+        muscles={name: dataclasses.replace(m, path=still(m.path)) for name, m in model.muscles.items()},
+        ligaments={name: dataclasses.replace(g, path=still(g.path)) for name, g in model.ligaments.items()},
+        path_actuators=tuple(dataclasses.replace(a, path=still(a.path)) for a in model.path_actuators),
+    )
+
+
+def _still(model: Model, point: Point) -> Point:
+    """Return a point, one that moves as a fixed one."""
+    if not isinstance(point, MovingPathPoint):
+        return point
+    pairs = zip(point.functions, point.coordinates, strict=True)
+    place = np.array([default_of(model, function, coordinate) for function, coordinate in pairs])
+    return PathPoint(point.name, point.body, point.frame.point(place))
 
 
 def _of_path(build: Build, owner: str, path: Path, shared: dict[Hashable, str]) -> dict[int, str]:

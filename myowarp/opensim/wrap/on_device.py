@@ -26,6 +26,7 @@ class PathsFound:
 
     Attributes:
         length: [m], shape (n, paths).
+        size: Number of points and wrap points, shape (n, paths).
         velocity: [m/s], lengthening > 0, shape (n, paths).
         moment_arm: OpenSim's `computeMomentArm` about the independent coordinates [m] or [1], in their order,
             shape (n, paths, independent).
@@ -33,6 +34,7 @@ class PathsFound:
     """
 
     length: np.ndarray
+    size: np.ndarray
     velocity: np.ndarray
     moment_arm: np.ndarray
     jumps: np.ndarray
@@ -60,6 +62,7 @@ def lengths_and_moment_arms(
     paths_of, needed = described(model, paths)
     found = PathsFound(
         np.zeros((count, len(paths))),
+        np.zeros((count, len(paths)), int),
         np.zeros((count, len(paths))),
         np.zeros((count, len(paths), speeds.shape[1])),
         np.zeros((count, len(paths)), bool),
@@ -84,10 +87,10 @@ def lengths_and_moment_arms(
                 slope * coordinates.rate[name] for (_, slope), (_, name) in zip(curves, needed, strict=True)
             ]
             pulls = memory.pulls
-            force, torque, along, within = (
-                array.numpy() for array in (pulls.force, pulls.torque, pulls.along, pulls.within)
-            )
+            arrays = (pulls.force, pulls.torque, pulls.twist, pulls.along, pulls.within)
+            force, torque, twist, along, within = (array.numpy() for array in arrays)
             found.length[rows] = pulls.length.numpy()[: len(rows)]
+            found.size[rows] = pulls.size.numpy()[: len(rows)]
             found.jumps[rows] = pulls.jumps.numpy()[: len(rows)] > 0
             for number, path in enumerate(paths_of.paths.values()):
                 rate = np.zeros((1 + speeds.shape[1], len(padded)))
@@ -97,6 +100,7 @@ def lengths_and_moment_arms(
                     about = torque[:, handle] - np.cross(body.origin, pull)
                     rate += np.einsum("lna,na->ln", body.velocity, pull)
                     rate += np.einsum("lna,na->ln", body.turn, about)
+                    inner += np.einsum("na,na->n", body.turn[0], twist[:, handle])
                 for moving in memory.path_moving[number]:
                     for axis, value in enumerate(memory.moving[moving]):
                         if value >= 0:

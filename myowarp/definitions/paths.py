@@ -1,0 +1,15 @@
+"""What a path provider is: lengths and moment arms of a model's tendons from elsewhere than the engine."""
+
+from typing import Protocol
+
+import mujoco_warp as mjw
+
+
+class Paths(Protocol):
+    """What computes the tendons of a model in place of the engine."""
+
+    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Write `ten_length` and `ten_J`; poses, `cdof` and `subtree_com` are those of `qpos`."""
+
+    def launch_velocity(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Add to `ten_velocity` and `actuator_velocity` what is not J qvel."""

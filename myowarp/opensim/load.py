@@ -1,0 +1,65 @@
+"""An OpenSim model as itself: joints, couplings, muscles and paths as its file says, nothing fitted.
+
+What `myowarp convert` writes for plain MuJoCo - fitted tendons, quartics, a report - is not needed here:
+paths are OpenSim's own on the device, joints follow exactly, and muscles take the file's parameters. The
+result is kept in the cache, so that it is made once for each file.
+"""
+
+import json
+from pathlib import Path
+
+from myowarp.disk import cache_dir, files_digest, version, writable_folder
+from myowarp.engine.warn_once import warn_once
+from myowarp.opensim.compose.convert import Options, convert
+from myowarp.opensim.compose.mjcf import mjcf
+from myowarp.opensim.convert import write
+from myowarp.opensim.model.model import Loss
+from myowarp.opensim.muscle.hill import HillMuscle
+from myowarp.opensim.muscle.table import muscle_table
+from myowarp.opensim.read.model import read_model
+
+SOURCES = ("opensim/**/*.py", "coordinates/*.py", "models/paths/*.py", "disk.py")
+"""Files of the package that decide what comes out."""
+
+
+def load(path: Path) -> Path:
+    """Return model.xml of an .osim file, its sidecars beside it; a line is logged for what is left out.
+
+    Raises:
+        ValueError: The file is no usable model, or contains something that is not supported.
+    """
+    if not path.is_file():
+        raise ValueError(f"model {str(path)!r} is no file; give the path of an .osim file")
+    package = Path(__file__).parents[1]
+    sources = sorted(file for pattern in SOURCES for file in package.glob(pattern))
+    digest = files_digest([path, *sources])[:16]
+    kept = writable_folder(cache_dir(), "MYOWARP_CACHE_DIR") / "opensim"
+    folder = kept / f"{path.stem}-{digest}-mujoco-{version('mujoco')}"
+    if not (folder / "model.xml").is_file():
+        write(folder, _files(path))
+    if codes := json.loads((folder / "left_out.json").read_text()):
+        said = ", ".join(codes)
+        warn_once(
+            f"{path.name}: left out, or not as in OpenSim: {said}; the report of myowarp convert says how"
+        )
+    return folder / "model.xml"
+
+
+def _files(path: Path) -> dict[str, bytes]:
+    """Return what is kept of a model, model.xml last."""
+    try:
+        model = read_model(path)
+    except NotImplementedError as error:
+        raise ValueError(str(error)) from error
+    converted = convert(model, Options(tendons=False))
+    converted.spec.meshdir = "meshes" if converted.meshes else ""
+    left_out = sorted({note.code for note in converted.notes if isinstance(note, Loss)})
+    return {
+        **{f"meshes/{name}": content for name, content in converted.meshes.items()},
+        "coordinates.json": json.dumps(converted.coordinates.as_json(), indent=1).encode(),
+        "couplings.json": converted.exact.as_json().encode(),
+        **({"paths.json": converted.paths.as_json().encode()} if converted.paths else {}),
+        "muscles.csv": muscle_table(map(HillMuscle.of, model.muscles.values())).encode(),
+        "left_out.json": json.dumps(left_out).encode(),
+        "model.xml": mjcf(converted.spec, comment=f"{model.name}. {model.credits}").encode(),
+    }
