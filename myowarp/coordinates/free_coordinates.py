@@ -300,6 +300,8 @@ class FreeCoordinates(Step):
             self.slopes, self.excess = wp.zeros_like(stepped.data.qvel), wp.zeros_like(stepped.data.qvel)
             found = triples_of(host, ties)
             self.triples = triple_tables(host, found, self.followers) if found else None
+        if found:  # it reads poses and motions in each physics step
+            self.stepped = dataclasses.replace(stepped, remaining=None)
             self.directions = wp.zeros(stepped.data.qvel.shape, dtype=wp.spatial_vector)
         rows = self.free.data.efc
         # A sparse J here has all columns in each row.

@@ -23,6 +23,8 @@ class Stepped:
         qpos_start: Configuration to start from, shape (nq,).
         num_substeps: Physics steps in a control step.
         paths: Of tendons, where the model brings its own; None: they are the engine's.
+        remaining: How many of them are left, shape (1,), where all that acts within them is of this package;
+            None: what they compute may be read in each.
     """
 
     oracle: mujoco.MjModel
@@ -33,6 +35,7 @@ class Stepped:
     qpos_start: wp.array
     num_substeps: int
     paths: Paths | None = None
+    remaining: wp.array | None = None
 
     @property
     def device(self) -> wp.Device:

@@ -6,6 +6,7 @@ the same launches run one by one, with the same numbers.
 
 from __future__ import annotations
 
+import dataclasses
 import secrets
 from collections.abc import Callable, Iterable
 
@@ -19,6 +20,7 @@ from myowarp.definitions.muscle import restore_anatomy
 from myowarp.definitions.parameter import Clock
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene, Starts
+from myowarp.disk import is_ours
 from myowarp.engine.build_lock import BUILD_LOCK, with_build_lock
 from myowarp.engine.compile import compile_kernels, quiet, renew_code
 from myowarp.engine.graph import Graph, replay_nothing
@@ -173,7 +175,10 @@ class Shard:
         self._asked, self._seeded = wp.zeros(n, dtype=bool), False
         self._countdown = wp.zeros(1, dtype=int)
         self._probes: list[Callable[[wp.array | None], None]] = []
-        self.physics_step: Step = step_of(stepped_of(scene))
+        stepped = stepped_of(scene)
+        if is_ours(type(scene.muscles), *map(type, self.effects)):
+            stepped = dataclasses.replace(stepped, remaining=self._countdown)
+        self.physics_step: Step = step_of(stepped)
         self._launch_physics = self.physics_step.launches()
 
     def _launch_all(self) -> None:

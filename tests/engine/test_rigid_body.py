@@ -213,6 +213,24 @@ def test_poses_alone():
     assert np.isnan(scene.data.geom_xpos.numpy()).all()
 
 
+@pytest.mark.parametrize("key", ["myoHandPoseRandom-v0", "myoHandKeyTurnRandom-v0"])
+def test_a_control_step_leaves_what_its_last_physics_step_found(key, monkeypatch):
+    """All that others read afterwards, as where each physics step writes it; with contacts and without."""
+    seen = []
+    for all_ours in (True, False):
+        monkeypatch.setattr("myowarp.sim.shard.is_ours", lambda *definers, ours=all_ours: ours)
+        sim = Simulation(TASKS[key], 9, device="cpu", shards=1, graph=False, progress=False)
+        assert (sim.shards[0].physics_step.stepped.remaining is not None) == all_ours
+        sim.reset(seeds=np.arange(9))
+        sim.action.fill_(0.5)
+        sim.step()
+        data = sim.shards[0].scene.data
+        fields = "site_xpos", *POSES, *MOTIONS, *FORCES, "cacc", "cfrc_int", "ten_J", "actuator_moment"
+        seen.append({name: getattr(data, name).numpy() for name in fields})
+    for name, values in seen[0].items():
+        np.testing.assert_array_equal(values, seen[1][name], err_msg=name)
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [

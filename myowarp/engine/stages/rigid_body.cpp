@@ -33,8 +33,10 @@ void move_block(Block<V>& block, Bodies& bodies, Switches& switches, Sites& site
     const V zero = splat<V>(0.0f), one = splat<V>(1.0f);
     const Vec3<V> origin = {zero, zero, zero};
     auto quaternion = [](const V* q) -> Quat<V> { return {q[0], q[1], q[2], q[3]}; };
-    auto store = [&](auto& array, const auto* from) {
-        block.store(array, (const V*)from, 0, row_floats(array));
+    const bool last = switches.remaining.shape[0] == 0 || switches.remaining.data[0] <= 1;
+    auto store = [&](auto& array, const auto* from, bool wanted = true) {
+        if (wanted)
+            block.store(array, (const V*)from, 0, row_floats(array));
     };
     // Poses.
     const V* angle = block.in(qpos);
@@ -115,11 +117,11 @@ void move_block(Block<V>& block, Bodies& bodies, Switches& switches, Sites& site
         block.store(pose.site_xpos, (const V*)site_position, 3 * s, 3 * s + 3);
         block.store(pose.site_xmat, (const V*)site_frame, 9 * s, 9 * s + 9);
     }
-    store(pose.xpos, position);
-    store(pose.xquat, orientation);
-    store(pose.xmat, frame);
-    store(pose.xanchor, anchor);
-    store(pose.xaxis, axis);
+    store(pose.xpos, position, last || switches.has_contacts);
+    store(pose.xquat, orientation, last);
+    store(pose.xmat, frame, last || switches.has_contacts);
+    store(pose.xanchor, anchor, last);
+    store(pose.xaxis, axis, last);
     if (!switches.dynamics)
         return;
     Vec3<V>* center = block.template out<Vec3<V>>(pose.xipos);
@@ -141,8 +143,10 @@ void move_block(Block<V>& block, Bodies& bodies, Switches& switches, Sites& site
         const int begin = g;
         for (; g < num_geoms && moves(g); ++g)
             place(bodies.geom_bodyid.data[g], g, geom_offset, geom_turn, geom_position, geom_frame);
-        block.store(pose.geom_xpos, (const V*)geom_position, 3 * begin, 3 * g);
-        block.store(pose.geom_xmat, (const V*)geom_frame, 9 * begin, 9 * g);
+        if (last || switches.has_contacts) {
+            block.store(pose.geom_xpos, (const V*)geom_position, 3 * begin, 3 * g);
+            block.store(pose.geom_xmat, (const V*)geom_frame, 9 * begin, 9 * g);
+        }
         if (g < num_geoms) {  // for paths round it
             block.load(pose.geom_xpos, (V*)geom_position, 3 * g, 3 * g + 3);
             block.load(pose.geom_xmat, (V*)geom_frame, 9 * g, 9 * g + 9);
@@ -286,20 +290,20 @@ void move_block(Block<V>& block, Bodies& bodies, Switches& switches, Sites& site
         for (int i = begin; i < end; ++i)
             passive[i] = spring[i] + damper[i];
     }
-    store(pose.xipos, center);
-    store(pose.ximat, principal);
-    store(motion.subtree_com, com);
-    store(motion.cinert, inertia);
-    store(motion.crb, composite);
-    store(motion.cdof, dof);
-    store(motion.cdof_dot, dof_change);
-    store(motion.cvel, velocity);
-    store(motion.cacc, acceleration);
-    store(motion.cfrc_int, force);
+    store(pose.xipos, center, last);
+    store(pose.ximat, principal, last);
+    store(motion.subtree_com, com, last || switches.has_contacts);
+    store(motion.cinert, inertia, last);
+    store(motion.crb, composite, last);
+    store(motion.cdof, dof, last || switches.has_contacts);
+    store(motion.cdof_dot, dof_change, last);
+    store(motion.cvel, velocity, last);
+    store(motion.cacc, acceleration, last);
+    store(motion.cfrc_int, force, last);
     store(motion.M, M);
     store(motion.qfrc_bias, bias);
-    store(motion.qfrc_spring, spring);
-    store(motion.qfrc_damper, damper);
+    store(motion.qfrc_spring, spring, last);
+    store(motion.qfrc_damper, damper, last);
     store(motion.qfrc_passive, passive);
 }
 }  // namespace lanes

@@ -71,12 +71,24 @@ class RigidBodies:
 
 @wp.struct
 class Switches:
-    """What acts; without `dynamics`, only poses of bodies and of some sites are computed."""
+    """What is computed, and what of it is written in every physics step of a control step.
+
+    Attributes:
+        dynamics: Whether to compute more than poses of bodies and of some sites.
+        has_gravity: Whether gravity acts.
+        has_springs: Whether springs act.
+        has_dampers: Whether dampers act.
+        has_contacts: Whether contacts are looked for, which takes poses and motions.
+        remaining: Physics steps left in the control step, shape (1,); in the last, all is written that others
+            read after it. Empty: in each.
+    """
 
     dynamics: bool
     has_gravity: bool
     has_springs: bool
     has_dampers: bool
+    has_contacts: bool
+    remaining: wp.array[int]
 
 
 @wp.struct
@@ -194,6 +206,10 @@ def _springy_quaternions(stepped: Stepped) -> bool:
     return any_of(*(spring.numpy()[:, quaternions] for spring in springs))
 
 
+READERS = {"tendon", "transmission", "passive", "make_constraint", "acceleration", "solve", "integrate"}
+"""Places of a step where the engine's own functions read poses and motions; ours read few."""
+
+
 class RigidBody(Stage):
     """All that a step computes from positions and velocities alone, or only poses.
 
@@ -217,6 +233,7 @@ class RigidBody(Stage):
         """Note which sites the task reads, and whether joints are all that passive forces come from."""
         super().__init__(stepped)
         model = stepped.model
+        self._stepped, self._remaining = stepped, None
         self._task_sites = wp.array(stepped.sites, dtype=int, device=stepped.device)
         self._all_sites = wp.array(np.arange(model.nsite), dtype=int, device=stepped.device)
         self._no_sites = wp.zeros(0, dtype=int, device=stepped.device)
@@ -236,6 +253,8 @@ class RigidBody(Stage):
 
     def launcher(self, stages: tuple[Stage, ...]) -> Launches:
         """Return a launch that follows paths, too, if they are ours; then nobody else reads sites."""
+        ours = {place for stage in stages for place in stage.replaces}
+        self._remaining = self._stepped.remaining if ours >= READERS else None
         paths = next((stage.paths for stage in stages if isinstance(stage, MusclePath)), None)
         if paths is None:
             return self.launch
@@ -268,7 +287,9 @@ class RigidBody(Stage):
     ) -> None:
         """Launch our kernel, which walks through the worlds by itself."""
         disabled, switches = model.opt.disableflags, Switches()
-        switches.dynamics = dynamics
+        switches.dynamics, switches.has_contacts = dynamics, data.naconmax > 0
+        if self._remaining is not None:
+            switches.remaining = self._remaining
         switches.has_gravity = not disabled & DisableBit.GRAVITY
         switches.has_springs = not disabled & DisableBit.SPRING
         switches.has_dampers = not disabled & DisableBit.DAMPER
