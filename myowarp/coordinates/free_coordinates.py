@@ -46,6 +46,7 @@ from myowarp.coordinates.hinge_triples import (
     turn_triples,
 )
 from myowarp.coordinates.reduction import (
+    Acting,
     Coordinates,
     Damping,
     Followers,
@@ -57,8 +58,10 @@ from myowarp.coordinates.reduction import (
     reduce_dynamics,
     reduce_rows,
 )
+from myowarp.coordinates.reduction_lanes import reduce_blocks
 from myowarp.engine.stage import Obstacles, Stage, first_reason
 from myowarp.engine.stages.arrays import InertiaRows, any_of, filled
+from myowarp.engine.stages.lanes import block_scratch
 from myowarp.engine.step import MOTION, Step, stage_launches
 from myowarp.engine.stepped import Stepped
 from myowarp.engine.verify import set_state
@@ -270,6 +273,7 @@ class FreeCoordinates(Step):
         free: The free coordinates, for the places of `MOTION`.
         followers: How all joints follow them.
         triples: Hinges that turn like a ball; None: there are none.
+        reduction: The kernel that writes what acts along the coordinates, and its threads.
     """
 
     @staticmethod
@@ -303,6 +307,11 @@ class FreeCoordinates(Step):
         if found:  # it reads poses and motions in each physics step
             self.stepped = dataclasses.replace(stepped, remaining=None)
             self.directions = wp.zeros(stepped.data.qvel.shape, dtype=wp.spatial_vector)
+        reduced = filled(Reduced, self.free.data, self.free.model)
+        read = filled(Acting, stepped.data), filled(Moments, stepped.data), filled(Damping, stepped.model)
+        self.scratch = block_scratch(stepped.device, *read, self.slopes, self.excess, reduced)
+        on_cpu = stepped.device.is_cpu
+        self.reduction = (reduce_blocks, 1) if on_cpu else (reduce_dynamics, stepped.data.nworld)
         rows = self.free.data.efc
         # A sparse J here has all columns in each row.
         shape = stepped.data.nworld, -1, self.free.oracle.nv
@@ -356,12 +365,12 @@ class FreeCoordinates(Step):
         if self.triples is not None:
             launch(straighten_dynamics, data.nworld, data, self, bodies=filled(Bodies, model, data))
         launch(
-            reduce_dynamics,
-            data.nworld,
-            data,
+            *self.reduction,
             self,
             inertia=filled(InertiaRows, model),
             damping=filled(Damping, model),
+            acting=filled(Acting, data),
+            moments=filled(Moments, data),
             reduced=reduced,
         )
         launch(
@@ -369,10 +378,8 @@ class FreeCoordinates(Step):
             data.nworld,
             data,
             self,
-            moments=filled(Moments, data),
             rows=filled(RowJacobian, data.efc),
             free_rows=self._rows,
-            reduced=reduced,
         )
         if self.triples is not None:
             launch(

@@ -55,6 +55,18 @@ class Moments:
 
 
 @wp.struct
+class Acting:
+    """Inertia and what moves all joints; fields are those of the engine's `Data`."""
+
+    M: wp.array2d[float]
+    qvel: wp.array2d[float]
+    qfrc_applied: wp.array2d[float]
+    qfrc_passive: wp.array2d[float]
+    qfrc_actuator: wp.array2d[float]
+    qfrc_bias: wp.array2d[float]
+
+
+@wp.struct
 class Damping:
     """What slows down joints; fields are those of the engine's `Model`."""
 
@@ -141,20 +153,18 @@ def reduce_dynamics(
     followers: Followers,
     inertia: InertiaRows,
     damping: Damping,
-    # Data in:
-    M_in: wp.array2d[float],
-    qvel_in: wp.array2d[float],
-    qfrc_applied_in: wp.array2d[float],
-    qfrc_passive_in: wp.array2d[float],
-    qfrc_actuator_in: wp.array2d[float],
-    qfrc_bias_in: wp.array2d[float],
     # In:
+    acting: Acting,
+    moments: Moments,
     slopes: wp.array2d[float],
     excess: wp.array2d[float],
     # Out:
     reduced: Reduced,
 ):
-    """M_r = J' M J, forces_r = J'(forces - M a), damping_r = J' dF/dv J; every dof has one entry in J."""
+    """M_r = J' M J, forces_r = J'(forces - M a), damping_r = J' dF/dv J, moment_r = moment J.
+
+    Every dof has one entry in J. On the CPU, `reduction_lanes` does this.
+    """
     worldid = wp.tid()
     for k in range(reduced.M.shape[1]):
         reduced.M[worldid, k] = 0.0
@@ -165,14 +175,14 @@ def reduce_dynamics(
     more = batched(worldid, damping.dof_dampingpoly.shape[0])
     for row in range(slopes.shape[1]):
         p, s, a = followers.coordinate[row], slopes[worldid, row], excess[worldid, row]
-        force = qfrc_applied_in[worldid, row] + qfrc_passive_in[worldid, row]
-        force += qfrc_actuator_in[worldid, row] - qfrc_bias_in[worldid, row]
-        speed, rise = wp.abs(qvel_in[worldid, row]), damping.dof_dampingpoly[more, row]
+        force = acting.qfrc_applied[worldid, row] + acting.qfrc_passive[worldid, row]
+        force += acting.qfrc_actuator[worldid, row] - acting.qfrc_bias[worldid, row]
+        speed, rise = wp.abs(acting.qvel[worldid, row]), damping.dof_dampingpoly[more, row]
         drag = damping.dof_damping[linear, row] + speed * (2.0 * rise[0] + 3.0 * speed * rise[1])
         reduced.dof_damping[worldid, p] += s * s * drag
         first = inertia.M_rowadr[row]
         for k in range(inertia.M_rownnz[row]):
-            column, m = inertia.M_colind[first + k], M_in[worldid, first + k]
+            column, m = inertia.M_colind[first + k], acting.M[worldid, first + k]
             o, t = followers.coordinate[column], slopes[worldid, column]
             high, low = wp.max(p, o), wp.min(p, o)
             # Below the diagonal of M stands one of two equal entries; on that of M_r both fall.
@@ -182,6 +192,16 @@ def reduce_dynamics(
             if column != row:
                 reduced.qfrc_applied[worldid, o] -= t * m * a
         reduced.qfrc_applied[worldid, p] += s * force
+    for k in range(reduced.actuator_moment.shape[1]):
+        reduced.actuator_moment[worldid, k] = 0.0
+    for actuator in range(moments.moment_rownnz.shape[1]):
+        begin = moments.moment_rowadr[worldid, actuator]
+        for k in range(begin, begin + moments.moment_rownnz[worldid, actuator]):
+            dof = moments.moment_colind[worldid, k]
+            place = actuator * followers.dof.shape[0] + followers.coordinate[dof]
+            reduced.actuator_moment[worldid, place] += (
+                moments.actuator_moment[worldid, k] * slopes[worldid, dof]
+            )
 
 
 @wp.kernel(enable_backward=False)
@@ -191,15 +211,13 @@ def reduce_rows(
     # Data in:
     nefc_in: wp.array[int],
     # In:
-    moments: Moments,
     slopes: wp.array2d[float],
     excess: wp.array2d[float],
     rows: RowJacobian,
     # Out:
     free_rows: RowJacobian,
-    reduced: Reduced,
 ):
-    """row_r = row J, aref_r = aref - row a; moment_r = moment J."""
+    """row_r = row J, aref_r = aref - row a."""
     worldid = wp.tid()
     number = followers.dof.shape[0]
     for row in range(wp.min(nefc_in[worldid], rows.aref.shape[1])):
@@ -220,16 +238,6 @@ def reduce_rows(
                 free_rows.J[worldid, row, followers.coordinate[dof]] += entry * slopes[worldid, dof]
                 target -= entry * excess[worldid, dof]
         free_rows.aref[worldid, row] = target
-    for k in range(reduced.actuator_moment.shape[1]):
-        reduced.actuator_moment[worldid, k] = 0.0
-    for actuator in range(moments.moment_rownnz.shape[1]):
-        first = moments.moment_rowadr[worldid, actuator]
-        for k in range(first, first + moments.moment_rownnz[worldid, actuator]):
-            dof = moments.moment_colind[worldid, k]
-            place = actuator * number + followers.coordinate[dof]
-            reduced.actuator_moment[worldid, place] += (
-                moments.actuator_moment[worldid, k] * slopes[worldid, dof]
-            )
 
 
 @wp.kernel(enable_backward=False)

@@ -27,7 +27,7 @@ from myowarp.engine.stepped import Stepped
 logger = logging.getLogger("myowarp")
 
 SOURCES = (
-    *("engine/**/*.py", "engine/**/*.cpp", "coordinates/*.py"),
+    *("engine/**/*.py", "engine/**/*.cpp", "coordinates/*.py", "coordinates/*.cpp"),
     *("sim/*.py", "kernels/*", "models/muscles/*"),
 )
 """Files of the package that decide a verdict."""

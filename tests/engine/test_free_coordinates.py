@@ -13,6 +13,8 @@ from scipy.interpolate import CubicSpline
 
 from myowarp.coordinates.couplings import Exact, Pieces, ask, couplings, exact, follow, jacobian, read
 from myowarp.coordinates.free_coordinates import FreeCoordinates
+from myowarp.coordinates.reduction import Reduced, reduce_dynamics
+from myowarp.engine.stages.arrays import filled
 from myowarp.engine.step import Step
 from myowarp.engine.warn_once import warn_once
 from myowarp.opensim.compose.binary import binary, stiff
@@ -208,6 +210,25 @@ def test_a_step_is_that_of_float64(tmp_path, integrator, stages):
         q, J, _ = leg_joints(*qpos[world, [0, 2]].astype(float))
         np.testing.assert_allclose(qpos[world], q, atol=COUPLED, rtol=0)
         np.testing.assert_allclose(qvel[world], J @ qvel[world, [0, 2]], atol=1e-4, rtol=0)
+
+
+def test_readable_kernel_reduces_as_lanes_do(tmp_path):
+    """It is that of other devices; a world has the same bits in lanes and alone, as the 17th is."""
+    sim = simulation(leg(tmp_path), 17)
+    step, state, found = sim.shards[0].physics_step, states(17), []
+    for values in state:
+        values[16] = values[0]
+    for reduction in (step.reduction, (reduce_dynamics, 17)):
+        step.reduction = reduction
+        place(sim, *state)
+        physics(sim)
+        arrays = filled(Reduced, step.free.data, step.free.model)
+        found.append([getattr(arrays, name).numpy().copy() for name in Reduced.vars])
+    for ours, readable in zip(*found, strict=True):
+        size = np.abs(readable).max()
+        assert np.ptp(readable, axis=0).max() > 0.1 * size
+        np.testing.assert_allclose(ours, readable, atol=1e-5 * size, rtol=0)
+        np.testing.assert_array_equal(ours[16], ours[0])
 
 
 def test_energy_stays(tmp_path):

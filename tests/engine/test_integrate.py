@@ -14,8 +14,9 @@ from mujoco_warp._src.types import DisableBit, IntegratorType
 from stepping import launch_place, step
 
 from myowarp.definitions.task import TASKS
+from myowarp.engine.stages import integrate as integrate_file
 from myowarp.engine.stages.affine_actuators import AffineActuators
-from myowarp.engine.stages.integrate import Integrate
+from myowarp.engine.stages.integrate import Integrate, integrate
 from myowarp.sim.simulation import Simulation
 
 NUM_WORLDS = 17
@@ -180,6 +181,24 @@ def test_bits_of_a_world_depend_on_no_other(integrator):
         np.testing.assert_array_equal(shuffled[field], together[field][order], err_msg=field)
         apart = np.concatenate([one[field] for one in alone])
         np.testing.assert_array_equal(apart, together[field], err_msg=field)
+
+
+@pytest.mark.parametrize("flags", ["-march=native -DMYOWARP_LANES=1", "-DMYOWARP_LANES=4"])
+def test_narrow_registers_leave_the_same_bits(flags, monkeypatch):
+    """As where a compiler or a machine has none; other flags are another key of the cache."""
+    host = machine("joints", "Euler")
+    states, ends = random_states(host), []
+    narrow = wp.kernel(integrate.func, module="unique", module_options={"cpu_compiler_flags": flags})
+    assert narrow.module.get_module_hash() != integrate.module.get_module_hash()
+    for kernel in (integrate, narrow):
+        monkeypatch.setattr(integrate_file, "integrate", kernel)
+        with wp.ScopedDevice("cpu"):
+            scene = scene_of(host)
+            for field, values in states.items():
+                getattr(scene.data, field).assign(values)
+            step(scene, [Integrate(scene)])
+            ends.append(np.concatenate([scene.data.qpos.numpy(), scene.data.qvel.numpy()], axis=1))
+    np.testing.assert_array_equal(ends[1], ends[0])
 
 
 @pytest.mark.parametrize(

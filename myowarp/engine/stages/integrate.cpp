@@ -1,4 +1,7 @@
 // The end of a physics step of the worlds of a block (integrate.py explains the method, lanes.cpp what V is).
+#if MYOWARP_LANES == 1
+#warning MyoWarp: the compiler has no vectors of floats; worlds go one after the other, which is slower
+#endif
 namespace lanes {
 
 enum { FREE, BALL };  // mjtJoint
@@ -19,6 +22,8 @@ template <class V, class Forces> void add_actuators(Block<V>& block, Forces& for
         if (forces.actuator_forcelimited.data[a])
             slope = select((force[a] > range[2 * a]) & (force[a] < range[2 * a + 1]), slope, splat<V>(0.0f));
         for (int i = first[a]; i < first[a] + count[a]; ++i) {
+            if (!any(moments[i] != 0.0f))
+                continue;
             const V pull = moments[i] * slope;
             const int* entries = forces.M_elemid.data + dofs[i] * n;
             for (int j = first[a]; j <= i; ++j)

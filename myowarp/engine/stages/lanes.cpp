@@ -1,8 +1,12 @@
 // Worlds in SIMD lanes: one source computes with V = float, a world at a time, or with V = Lanes, a world in
 // each lane. It stands at namespace level (lanes.py says how). Both give the same bits: operations and their
 // order are the same, and sine and cosine are polynomials in both.
-#ifndef MYOWARP_LANES
-#if !defined(__clang__) || defined(__CUDACC__)
+#ifndef MYOWARP_LANES_CPP
+#define MYOWARP_LANES_CPP
+#ifdef MYOWARP_LANES  // a flag of the compiler says how many
+#elif !defined(__clang__) || defined(__CUDACC__)
+#define MYOWARP_LANES 1
+#elif !__has_builtin(__builtin_elementwise_sqrt) || !__has_builtin(__builtin_reduce_or)
 #define MYOWARP_LANES 1
 #elif defined(__AVX512F__)
 #define MYOWARP_LANES 16
