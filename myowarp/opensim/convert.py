@@ -55,7 +55,7 @@ def run(
     from myowarp.opensim.muscle.hill import HillMuscle
     from myowarp.opensim.muscle.table import muscle_table
     from myowarp.opensim.read.model import read_model
-    from myowarp.opensim.report.data import check, report_of
+    from myowarp.opensim.report.data import along_coordinates, check, report_of
     from myowarp.opensim.report.page import page
 
     if not source.is_file():
@@ -100,6 +100,7 @@ def run(
         moved = dynamics(source, model, engines, advance)
     checked = check(converted, compiled, fits, samples, moved)
     report = report_of(converted, compiled, checked, digest, reference, accepted)
+    report["moment_arms"]["along"] = {} if samples is None else along_coordinates(fits, samples)
     report["seconds"] = round(time.perf_counter() - begin, 3)
     files = {
         **{f"meshes/{name}": content for name, content in converted.meshes.items()},

@@ -3,6 +3,7 @@
 import io
 import re
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -13,13 +14,17 @@ from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.view import View, note_on, policies_for
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
+from myowarp.opensim.convert import run as convert
 from myowarp.sim.presets import PRESETS, fatigued_after, offered
+from myowarp.view.browser.body_tab import OpenSimArms, moment_arm
 from myowarp.view.browser.chart import Chart, Curve, as_png, as_svg
 from myowarp.view.browser.history import History
 from myowarp.view.browser.readings import Readings
 from myowarp.view.browser.task_tree import OWN, place_of, task_tree
 
 ELBOW, HAND = "myoElbowPose1D6MRandom-v0", "myoHandPoseFixed-v1"
+OSIM = Path(__file__).parents[1] / "data" / "osim"
+EXACT = 5e-5  # m: between points of the report that are 2 degrees apart
 ROUNDING = 2e-5  # m, N m: positions are float32 in the worlds
 
 
@@ -150,6 +155,36 @@ def test_quantities_agree_with_mujoco(sessions, key):
     assert np.isnan(moment.values["force"][1]).all()
     targets = moment.seen[0].ghost[[model.joint(j).qposadr[0] for j in readings.kinds["joint angle"].items]]
     np.testing.assert_array_equal(moment.targets["joint angle"], targets)
+
+
+def test_moment_arms_over_a_coordinate_are_those_of_opensim(tmp_path):
+    """Muscles whose fitted path is exact have OpenSim's moment arms; followers move a muscle, too."""
+    convert(OSIM / "arm26.osim", tmp_path, workers=1)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
+    known, along = OpenSimArms(tmp_path / "model.xml"), np.linspace(0.1, 2.2, 30)
+    assert len(known.pairs()) == 9
+    for muscle in ("BICshort", "BIClong", "TRIlong"):
+        theirs = known.of(muscle, "r_elbow_flex", along)
+        assert np.ptp(theirs) > 50 * EXACT
+        np.testing.assert_allclose(moment_arm(model, muscle, "r_elbow_flex", along), theirs, atol=EXACT)
+    assert known.of("BRA", "r_shoulder_elev", along) is None
+    assert np.isnan(known.of("BIClong", "r_elbow_flex", np.array([4.0]))).all()
+    assert OpenSimArms(OSIM / "arm26.osim").pairs() == []  # no report beside it
+    (tmp_path / "report.json").write_text("{")  # it is being written
+    assert OpenSimArms(tmp_path / "model.xml").pairs() == []
+
+
+def test_a_pose_holds_until_it_plays(sessions):
+    session = sessions[ELBOW]
+    qpos = np.array([1.2])
+    session.pose(qpos)
+    for world in (session.world, session.twin):
+        assert session.seen(world).qpos[0] == pytest.approx(1.2)
+    expected = mujoco.MjData(session.sim.full_model)
+    expected.qpos[:] = qpos
+    mujoco.mj_fwdPosition(session.sim.full_model, expected)
+    lengths = Readings(session).read().values["musculotendon length"][0]
+    np.testing.assert_allclose(lengths, expected.ten_length[: len(lengths)], atol=ROUNDING)
 
 
 def test_history_looks_back_and_is_a_table(sessions):

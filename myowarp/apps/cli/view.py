@@ -133,7 +133,11 @@ class View:
         if policy.startswith(PREFIX) and (title, policy) != (self._title, self.policy):
             policy = OWN  # the baseline of this task, whichever it was before
         best = next(name for name in offered if not name.startswith(PREFIX))
-        return Session(title, setup, self.worlds, policy if policy in offered else best, self._acting)
+        file = self.asked.setup.task if title == self._title else None
+        acts = policy if policy in offered else best
+        return Session(
+            title, setup, self.worlds, acts, self._acting, file if isinstance(file, Path) else None
+        )
 
     def _acting(self, name: str, sim: Simulation) -> Act:
         """Return what acts, with the errors of a user's policy as one sentence."""

@@ -238,6 +238,26 @@ def report_of(
     )
 
 
+def along_coordinates(fits: Fits, samples: Samples) -> dict[str, Any]:
+    """Return OpenSim's moment arms over the range of each coordinate, the others at their defaults.
+
+    Returns:
+        By coordinate: its `values` [rad or m], and the moment arm [m] of each muscle on it, under `muscles`.
+    """
+    found: dict[str, Any] = {}
+    for name, poses in samples.sweeps.items():
+        arms = {
+            fit.name: fit.expected.sweeps[name].moment_arm[name]
+            for fit in fits.muscles
+            if name in fit.expected.sweeps
+        }
+        if arms:
+            rounded = {muscle: [float(f"{arm:.5g}") for arm in own] for muscle, own in arms.items()}
+            values = [float(f"{value:.7g}") for value in poses.coordinates[name]]
+            found[name] = {"values": values, "muscles": rounded}
+    return found
+
+
 def alike(notes: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
     """Return notes by what they have in common: what was done, without what follows a colon.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Literal
 
 import mujoco
@@ -24,10 +24,10 @@ from myowarp.view.browser.page_style import SOFTWARE, STYLE
 from myowarp.view.browser.panel import Panel
 from myowarp.view.browser.readings import Moment, Readings
 from myowarp.view.browser.scene import Figure, Floor
-from myowarp.view.browser.session import Choices, Session
+from myowarp.view.browser.session import OPEN_LOOP, Choices, Session
 from myowarp.view.browser.traces import TRACES_HEIGHT
 from myowarp.view.drawing import style as look
-from myowarp.view.drawing.framing import Framing, view_axes
+from myowarp.view.drawing.framing import Framing, motion_samples, view_axes
 
 FRAME = 1.0 / 30.0
 """Least time between two frames [s]."""
@@ -46,6 +46,8 @@ ASPECT = 1.75
 """Of the picture beside the panel and above the traces, about."""
 USUAL = (950, 760)
 """px of a picture beside the panel, of a page that has not said what it has."""
+NEAR_REST = 0.25
+"""Share of the way to the ends of its ranges on which a model's file is in the picture."""
 LEAST_FREE = 0.5
 """Share of the height that the body has at least."""
 
@@ -221,6 +223,8 @@ class Live(Controls):
         self._readings, self._history, self.back = Readings(self.session), History(), 0.0
         self._picked, self._tag = "", scene.add_label("/picked", "", visible=False)
         self._framing = Framing(model, BODIES[self.session.sim.scene.spec.body].tips, ASPECT)
+        if self.session.file is not None:
+            self._framing.fit(self._near_rest(model))
         self._progress.clear()
         self._roots = {name: scene.add_frame(name, show_axes=False) for name in ("/world", "/twin")}
         self._figure_shown = self._figure("/world")
@@ -236,9 +240,20 @@ class Live(Controls):
             )
             for name, text, shift in (("/world", "changed", 0.0), ("/twin", "before", self._side))
         }
-        self._floor = Floor(self.server, "/world/floor", model, self._framing)
+        file = self.session.file
+        self._floor = Floor(self.server, "/world/floor", model, self._framing, always=file is not None)
+        if file is not None and self.session.policy == OPEN_LOOP:
+            self.playing = False
+            self.session.pose(look.rest_pose(model))
         self._panel = Panel(self, self._readings, self._history)
         self._set_up_view()
+
+    def _near_rest(self, model: mujoco.MjModel) -> Iterator[tuple[mujoco.MjData, dict[str, np.ndarray]]]:
+        """Yield poses near rest: those at the ends of joints without limits make the body small."""
+        rest, data = look.rest_pose(model), mujoco.MjData(model)
+        for pose in motion_samples(model):
+            look.pose(model, data, rest + NEAR_REST * (pose - rest))
+            yield data, {}
 
     def _close(self) -> None:
         """Take a session out of the page."""
@@ -268,7 +283,10 @@ class Live(Controls):
             return aside - (self._framing.shift(data) if self.follow else 0.0)
 
         try:
-            figure.show(moment.seen[twin], self.color, hidden, shift)
+            seen = moment.seen[twin]
+            if session.file is not None:  # nobody has asked for the goals of the task that was made of it
+                seen = seen._replace(ghost=None, goals={})
+            figure.show(seen, self.color, hidden, shift)
         except ValueError as error:  # a state that is not finite; the next step resets it
             self.message = str(error)
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from myowarp.view.browser.body_tab import BodyTab
 from myowarp.view.browser.controls import Controls
 from myowarp.view.browser.history import History
 from myowarp.view.browser.patient_tab import PatientTab
@@ -24,6 +25,8 @@ class Panel:
             self._run = RunTab(live, widgets)
         with self._tabs.add_tab("Patient"):
             self.patient = PatientTab(live, widgets)
+        with self._tabs.add_tab("Body"):
+            self._body = BodyTab(live, widgets)
         with self._tabs.add_tab("Traces"):
             self.traces = Traces(live, readings, history)
         self.refresh()
@@ -36,4 +39,5 @@ class Panel:
     def refresh(self) -> None:
         """Show what is new."""
         self._run.refresh()
+        self._body.refresh()
         self.traces.refresh()

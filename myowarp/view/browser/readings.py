@@ -98,7 +98,11 @@ class Readings:
             twin, its = seen, {name: np.full(len(values), np.nan) for name, values in own.items()}
         values = {name: np.stack((own[name], its[name])) for name in self.kinds}
         wanted = seen.ghost
-        targets = {} if wanted is None else {"joint angle": np.asarray(wanted)[self._places]}
+        targets = (
+            {}
+            if wanted is None or session.file is not None
+            else {"joint angle": np.asarray(wanted)[self._places]}
+        )
         return Moment(session.elapsed, session.episode, (seen, twin), values, targets)
 
     def _of(self, world: int, seen: Snapshot) -> dict[str, np.ndarray]:

@@ -279,7 +279,15 @@ class Figure:
 class Floor:
     """Squares on the floor under a body that goes about, unless the model has a floor of its own."""
 
-    def __init__(self, server: viser.ViserServer, name: str, model: mujoco.MjModel, framing: Framing) -> None:
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        name: str,
+        model: mujoco.MjModel,
+        framing: Framing,
+        *,
+        always: bool = False,
+    ) -> None:
         """Prepare the lines.
 
         Args:
@@ -287,6 +295,7 @@ class Floor:
             name: Its node in the page.
             model: The full model.
             framing: The camera, which goes along.
+            always: Whether there is a floor under what stays where it is, too.
         """
         radius = framing.radius
         self._cell = float(10.0 ** np.floor(np.log10(radius)))
@@ -294,7 +303,7 @@ class Floor:
         self._height, self._radius, self._hidden = (
             floor_height(model),
             radius,
-            not framing.follows or has_plane(model),
+            not (framing.follows or always) or has_plane(model),
         )
         self._lines = _Batch(server, name, *_tube())
 

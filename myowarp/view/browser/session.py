@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -68,6 +69,7 @@ class Session:
         episode: Number of the shown world's episode, from 1 on.
         solved: How many of its episodes before ended as a success.
         preset: Name of the patient that was chosen last.
+        file: The file that its model is from; None: a task has its model.
     """
 
     def __init__(
@@ -77,6 +79,7 @@ class Session:
         worlds: int,
         policy: str,
         acting: Callable[[str, Simulation], Act],
+        file: Path | None = None,
     ) -> None:
         """Build the simulation, and reset it.
 
@@ -86,6 +89,7 @@ class Session:
             worlds: Worlds to choose from.
             policy: Name of what acts.
             acting: As in `Choices`.
+            file: The file that the model is from; None: the task has one.
 
         Raises:
             ValueError: An argument is wrong.
@@ -102,6 +106,7 @@ class Session:
             adjustable=True,
         )
         self.title, self.world, self.twin, self.beside = title, 0, worlds, False
+        self.file = file
         self.signals = Signals(self.sim) if muscles else None
         self.patient = Patient(self.sim)
         self._acting = acting
