@@ -24,6 +24,9 @@ SKY_RGB = np.array((0.88, 0.92, 0.97))
 FADED = 0.35
 """Opacity of bones that no muscle moves, in the page; in films light that they give off fades them."""
 
+DEVICE, WORN = "exo_", 0.4
+"""How names of bodies begin that are worn over muscles, and their opacity in the page."""
+
 VISIBLE_GEOM_GROUPS = (0, 1, 2)
 """MuJoCo draws these groups by default; myo-sim keeps collision geoms in 3 and above."""
 
@@ -167,13 +170,18 @@ def bone_geoms(model: mujoco.MjModel) -> np.ndarray:
 
 
 def shown_rgba(model: mujoco.MjModel) -> np.ndarray:
-    """Returns colours of geoms, bones of one tone, the rest but planes faded, shape ``(ngeom, 4)``."""
+    """Returns colours of geoms: bones of one tone, the rest but planes faded, devices see-through.
+
+    Shape ``(ngeom, 4)``.
+    """
     rgba, own = model.geom_rgba.copy(), model.geom_matid >= 0
     rgba[own] = model.mat_rgba[model.geom_matid[own]]
     pale = pale_geoms(model)
     rgba[bone_geoms(model), :3] = BONE_RGB
     rgba[pale, :3] = PALE_RGB
     rgba[pale & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE), 3] *= FADED
+    worn = [model.body(int(body)).name.startswith(DEVICE) for body in model.geom_bodyid]
+    rgba[worn, 3] *= WORN
     return rgba
 
 
