@@ -304,7 +304,7 @@ def test_command(command, five, tmp_path):
     )
     status, printed, err = command(tmp_path / "patients.csv", *arguments)
     assert status == 0, err
-    names = ["plot.png", "results.parquet", "settings.json", "summary.csv"]
+    names = ["assistance.png", "plot.png", "results.parquet", "settings.json", "summary.csv"]
     assert sorted(path.name for path in out.iterdir()) == names
     pd.testing.assert_frame_equal(pd.read_parquet(out / "results.parquet"), five.samples)
     assert (out / "plot.png").read_bytes().startswith(b"\x89PNG")
@@ -358,6 +358,54 @@ def test_groups_of_patients():
     tied = group_patients(pd.Series([0.0] * 90 + list(np.linspace(0.1, 1, 10))))
     assert tied.members.sum(axis=1).tolist() == [90, 3, 3, 4]
     assert tied.labels == ["0", "0.10–0.30", "0.40–0.60", "0.70–1.00"]
+
+
+def test_means_of_what_conditions_show_are_those_of_the_samples(five):
+    """`five` samples every step."""
+    means = five.samples.groupby(["patient", "trial"], sort=False, observed=True)["exo_torque"].mean()
+    assert means.abs().max() > 0.1
+    np.testing.assert_allclose(five.summary["mean_exo_torque"], means, rtol=1e-5)
+
+
+def test_effort_saved_by_a_newton_metre():
+    """Two strengths, three levels, by hand: (effort without - effort) / |torque|, of the medians."""
+    pytest.importorskip("matplotlib")
+    from myowarp.apps.studies.cohort import assistance
+
+    entries = [(s, a) for s in (0.5, 1.0) for a in (0.0, 0.5, 1.0) for _ in range(3)]
+    summary = pd.DataFrame(entries, columns=["strength", "exo_assistance"])
+    effort = {0.5: (0.40, 0.31, 0.20), 1.0: (0.20, 0.18, 0.16)}
+    level = summary["exo_assistance"].map({0.0: 0, 0.5: 1, 1.0: 2})
+    middle = np.array([effort[s][i] for s, i in zip(summary["strength"], level, strict=True)])
+    summary["mean_activation"] = middle + np.tile((-0.01, 0.0, 0.05), 6)  # the median is the middle one
+    summary["mean_exo_torque"] = -2.0 * summary["exo_assistance"]
+    summary["final_error"] = 0.1
+    settings = {"columns": ["strength", "exo_assistance"], "units": {"final_error": "rad"}}
+    figure = assistance.assistance_map(summary, settings | {"task": ELBOW, "policy": "hold"})
+    drawn = [axes for axes in figure.axes if axes.get_images()]
+    found = drawn[2].get_images()[0].get_array().filled(np.nan)
+    np.testing.assert_allclose(found[:, 1:], [[9.0, 10.0], [2.0, 2.0]])  # points per N m
+    assert np.isnan(found[:, 0]).all()
+    np.testing.assert_allclose(drawn[0].get_images()[0].get_array(), np.degrees(0.1))
+    assert not assistance.crosses(summary[summary["exo_assistance"] > 0.0])
+
+
+def test_the_heat_map_of_a_folder(five, tmp_path, run):
+    pytest.importorskip("matplotlib")
+    five.save(tmp_path / "cohort")
+    picture = tmp_path / "assistance.png"
+    status, _, err = run("plot", "assistance", tmp_path / "cohort", "-o", picture)
+    assert status == 0, err
+    assert picture.stat().st_size > 10_000
+    (tmp_path / "empty").mkdir()
+    status, _, err = run("plot", "assistance", tmp_path / "empty", "-o", tmp_path / "no.png")
+    assert status == 2
+    assert "plot assistance needs a folder that `myowarp cohort` wrote" in err
+    narrow = dataclasses.replace(five, summary=five.summary.assign(strength=1.0))
+    narrow.save(tmp_path / "narrow")
+    status, _, err = run("plot", "assistance", tmp_path / "narrow", "-o", tmp_path / "no.png")
+    assert status == 2
+    assert "needs a cohort with several entries of strength" in err
 
 
 @pytest.mark.parametrize("columns", [["patient"], ["patient", "strength"], list(PATIENTS)])

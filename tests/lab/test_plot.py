@@ -163,7 +163,7 @@ def test_command_writes_the_figure(capsys, monkeypatch, tmp_path, suffix):
         (["force-length", "motorFingerReachRandom-v0"], "the body has none"),
         (["force", "nowhere.npz"], "nowhere.npz"),
         (["force", "run.txt"], "needs a recording, .parquet, .csv or .npz, got 'run.txt'"),
-        (["force", "a.npz", "b.npz"], "plot force shows one recording or body, got 2"),
+        (["force", "a.npz", "b.npz"], "plot force shows one recording, body or cohort, got 2"),
         (["learning", "nowhere.csv"], "nowhere.csv"),
     ],
 )

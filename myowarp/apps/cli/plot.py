@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from myowarp.definitions.setup import Setup
 
 BODY = ("moment-arms", "force-length", "force-velocity")
-LEARNING = "learning"
+LEARNING, ASSISTANCE = "learning", "assistance"
 
 
 @dataclass
@@ -32,14 +32,19 @@ class Plot:
     Of a body, by task id or MJCF file: moment-arms over a joint's range; force-length and force-velocity.
     myowarp plot moment-arms myoElbowPose1D6MRandom-v0 --joint r_elbow_flex
 
+    Of a cohort of strengths and exoskeletons, the folder of `myowarp cohort`: assistance, heat maps of the
+    outcome, effort, and effort saved per newton metre.
+    myowarp plot assistance out/cohort
+
     Of one or several trainings, CSV files with a column `samples`: learning.
     myowarp plot learning runs/a/progress.csv runs/b/progress.csv --columns return
     """
 
     what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="WHAT")]
-    """A signal, such as activation or fatigue; moment-arms, force-length, force-velocity; or learning."""
+    """A signal, such as activation or fatigue; moment-arms, force-length, force-velocity; assistance; or
+    learning."""
     sources: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE ...")]
-    """A recording (.parquet, .npz), a task id or MJCF file, or CSV files."""
+    """A recording (.parquet, .npz), a task id or MJCF file, a cohort's folder, or CSV files."""
     asked: Annotated[Asked, environment(only=("muscle", "muscle_parameters"))]
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/plot.png")
     """File to write, .png or .pdf."""
@@ -80,8 +85,12 @@ class Plot:
         if self.what == LEARNING:
             return figures.learning([Path(source) for source in self.sources], self.columns)
         if len(self.sources) != 1:
-            raise ValueError(f"plot {self.what} shows one recording or body, got {len(self.sources)}")
+            raise ValueError(f"plot {self.what} shows one recording, body or cohort, got {len(self.sources)}")
         source = self.sources[0]
+        if self.what == ASSISTANCE:
+            from myowarp.apps.studies.cohort.assistance import assistance_map, read_summary
+
+            return assistance_map(*read_summary(Path(source)))
         if self.what in BODY:
             setup, title = find_setup(source, self.asked.setup)
             if self.what == "moment-arms":

@@ -9,12 +9,13 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from myowarp.apps.reports import panel
 from myowarp.apps.reports.table import terminal
 from myowarp.apps.studies.cohort.plan import plan_cohort
 from myowarp.apps.studies.cohort.run import CohortResult, result_files, run_plan
 from myowarp.disk import check_folder, check_overwrite
 
-PLOT = "plot.png"
+PLOT, ASSISTANCE = "plot.png", "assistance.png"
 
 
 def run(table: Path, output: Path, suffix: str, console: Console, overwrite: bool, **settings: Any) -> None:
@@ -26,17 +27,22 @@ def run(table: Path, output: Path, suffix: str, console: Console, overwrite: boo
         OSError: The files cannot be written.
     """
     check_folder(output)
-    check_overwrite((output / name for name in (*result_files(suffix), PLOT)), overwrite)
+    check_overwrite((output / name for name in (*result_files(suffix), PLOT, ASSISTANCE)), overwrite)
     plan = plan_cohort(table, **settings)
     result = run_plan(plan, console)
     paths = result.save(output, suffix)
     if importlib.util.find_spec("matplotlib") is None:
         console.print('No plot: it needs matplotlib; run `pip install "myowarp[plot]"`', style="yellow")
     else:
+        from myowarp.apps.studies.cohort.assistance import assistance_map, crosses
         from myowarp.apps.studies.cohort.plot import draw_cohort
 
         paths.append(output / PLOT)
         draw_cohort(result, paths[-1])
+        if crosses(result.summary):
+            paths.append(output / ASSISTANCE)
+            with panel.style(9.5):
+                panel.save(assistance_map(result.summary, result.settings), paths[-1], dpi=130)
     Console().print(figures(result))
     for path in paths:
         console.print(f"Saved {path}")

@@ -11,7 +11,7 @@ import math
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -111,7 +111,7 @@ def _drawn(result: CohortResult) -> Figure:
     rows = figure.subplots(3, len(names), squeeze=False, sharey="row", height_ratios=(0.7, 1.15, 1.15))
     for name, axes in zip(names, rows.T, strict=True):
         groups = group_patients(summary[name] if name else 0.0 * summary["success"])
-        axes[0].set_title(_label(name), loc="center", color=INK, pad=10)
+        axes[0].set_title(label(name), loc="center", color=INK, pad=10)
         _draw_success(axes[0], summary, groups)
         _draw_outcome(axes[1], summary, name, groups, result)
         _draw_course(axes[2], summary, groups, result)
@@ -126,21 +126,21 @@ def _drawn(result: CohortResult) -> Figure:
 
 def _by_patient(result: CohortResult) -> pd.DataFrame:
     """Return one row a patient: means over the trials."""
-    outcome = ["success", _outcome(result)[0]]
+    judged = ["success", outcome(result.summary, result.settings)[0]]
     grouped = result.summary.groupby("patient", sort=False, observed=True)
     entries = grouped[result.settings["columns"]].first()
-    return entries.join(grouped[outcome].mean())
+    return entries.join(grouped[judged].mean())
 
 
-def _outcome(result: CohortResult) -> tuple[str, str, float]:
+def outcome(summary: pd.DataFrame, settings: dict[str, Any]) -> tuple[str, str, float]:
     """Return the column that is the outcome, its axis label, and the factor to the unit shown."""
-    if "final_error" not in result.summary:
+    if "final_error" not in summary:
         return "return", "Return", 1.0
-    unit, factor = SHOWN_AS.get(result.settings["units"]["final_error"], ("", 1.0))
+    unit, factor = SHOWN_AS.get(settings["units"]["final_error"], ("", 1.0))
     return "final_error", f"Error in the last quarter [{unit}]", factor
 
 
-def _label(name: str) -> str:
+def label(name: str) -> str:
     """Return the axis label of a column, "" for none."""
     if not name:
         return ""
@@ -173,8 +173,8 @@ def _draw_success(ax: Axes, summary: pd.DataFrame, groups: Groups) -> None:
 
 def _draw_outcome(ax: Axes, summary: pd.DataFrame, name: str, groups: Groups, result: CohortResult) -> None:
     """Points: every patient; line: median; band: the middle half."""
-    key, label, factor = _outcome(result)
-    outcome = factor * summary[key].to_numpy()
+    key, name_of_outcome, factor = outcome(result.summary, result.settings)
+    values = factor * summary[key].to_numpy()
     group = groups.members.argmax(axis=0)
     shown = groups.members.any(axis=0)
     if groups.exact:
@@ -187,9 +187,9 @@ def _draw_outcome(ax: Axes, summary: pd.DataFrame, name: str, groups: Groups, re
         members = np.array([tenth == t for t in range(10) if (tenth == t).any()])
         centers = np.array([np.median(x[member]) for member in members])
     ax.scatter(
-        x[shown], outcome[shown], s=8, c=np.array(groups.colors)[group[shown]], alpha=0.45, linewidths=0
+        x[shown], values[shown], s=8, c=np.array(groups.colors)[group[shown]], alpha=0.45, linewidths=0
     )
-    low, middle, high = edges = np.array([quarters(outcome[member]) for member in members]).T
+    low, middle, high = edges = np.array([quarters(values[member]) for member in members]).T
     if groups.exact:
         spans = (middle - low, high - middle)
         ax.errorbar(centers, middle, spans, fmt="_", ms=30, mew=2.2, color=INK, capsize=5, elinewidth=1.6)
@@ -197,7 +197,7 @@ def _draw_outcome(ax: Axes, summary: pd.DataFrame, name: str, groups: Groups, re
         ax.set_xlim(-0.6, len(centers) - 0.4)
     else:
         band(ax, centers, edges, color=INK, alpha=0.13, linewidth=2.2)
-    ax.set(xlabel=_label(name), ylabel=label, ylim=(min(0.0, 1.05 * outcome.min()), None))
+    ax.set(xlabel=label(name), ylabel=name_of_outcome, ylim=(min(0.0, 1.05 * values.min()), None))
 
 
 def _draw_course(ax: Axes, summary: pd.DataFrame, groups: Groups, result: CohortResult) -> None:
@@ -207,10 +207,10 @@ def _draw_course(ax: Axes, summary: pd.DataFrame, groups: Groups, result: Cohort
     unit, factor = SHOWN_AS.get(result.settings["units"].get(key, ""), ("", 1.0))
     wide = samples.pivot_table(index="time", columns=["patient", "trial"], values=key, observed=True)
     patient = wide.columns.get_level_values("patient")
-    for color, label, member in zip(groups.colors, groups.labels, groups.members, strict=True):
+    for color, group, member in zip(groups.colors, groups.labels, groups.members, strict=True):
         chosen = factor * wide.loc[:, patient.isin(summary.index[member])]
         edges = chosen.quantile((0.25, 0.5, 0.75), axis=1)
-        band(ax, wide.index, edges, color=color, linewidth=2.0, label=label)
+        band(ax, wide.index, edges, color=color, linewidth=2.0, label=group)
     ax.set(xlabel="Time [s]", ylabel=f"Tracking error [{unit}]" if key == "tracking_error" else "Reward")
     ax.set(ylim=(0.0 if key == "tracking_error" else None, None), xlim=(0.0, wide.index.max()))
     if len(groups.labels) > 1:

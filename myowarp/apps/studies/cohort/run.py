@@ -65,7 +65,7 @@ class CohortResult:
             steps solved), `failed` (the episode ended by the task's failure), `return`, `time_to_solve` (NaN:
             never), `solved_share` of the steps, `mean_error`, `final_error` (mean over the last quarter; of
             one who failed before, the last), means of activation, force and metabolic rates, last
-            values of what conditions show, `duration`, `fault` (missing: none).
+            values and means of what conditions show, `duration`, `fault` (missing: none).
         settings: Task, policy, seed and so on, and the units of the results.
     """
 
@@ -270,7 +270,8 @@ class _Tally(Watcher):
             table["final_error"] = np.where(self._late_steps > 0, late, self._last["tracking_error"])
         for name in ("mean_activation", "total_force", *WHOLE_BODY_UNITS):
             table[name] = self._sums[name] / steps
-        table |= {name: self._last[name] for name in self._signals.info}
+        for name in self._signals.info:
+            table |= {name: self._last[name], f"mean_{name}": self._sums[name] / steps}
         table["duration"] = self._steps * self._sim.scene.control_dt
         table["fault"] = [describe_fault(bits) or None for bits in episode["fault"]]
         return pd.DataFrame(table)
