@@ -32,6 +32,7 @@ ROOMS = (
     "sim",
     "coordinates",
     "engine",
+    "muscle",
     "models",
     "definitions",
     "kernels",

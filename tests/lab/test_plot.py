@@ -153,6 +153,16 @@ def test_command_writes_the_figure(capsys, monkeypatch, tmp_path, suffix):
     assert path.read_bytes()[:4] in (b"\x89PNG", b"%PDF")
 
 
+def test_models_stand_side_by_side():
+    """The curves of each panel are those of its model alone."""
+    models = ("mujoco", "millard2012_rigid")
+    panels = figures.contraction(Setup(task=ELBOW), "elbow", "force-length", ["BRA"], models).axes
+    assert [axes.get_title(loc="left") or axes.get_title() for axes in panels] == list(models)
+    for axes, model in zip(panels, models, strict=True):
+        _, tension, _, names = figures.contraction_curves(Setup(task=ELBOW, muscle=model), "force-length")
+        np.testing.assert_array_equal(axes.lines[0].get_ydata(), tension[1, :, names.index("BRA")])
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [

@@ -31,6 +31,7 @@ class Plot:
 
     Of a body, by task id or MJCF file: moment-arms over a joint's range; force-length and force-velocity.
     myowarp plot moment-arms myoElbowPose1D6MRandom-v0 --joint r_elbow_flex
+    myowarp plot force-length myoElbowPose1D6MRandom-v0 --models mujoco millard2012 thelen2003
 
     Of a cohort of strengths and exoskeletons, the folder of `myowarp cohort`: assistance, heat maps of the
     outcome, effort, and effort saved per newton metre.
@@ -50,6 +51,8 @@ class Plot:
     """File to write, .png or .pdf."""
     muscles: Annotated[tuple[str, ...], optional("[NAME ...]")] = ()
     """Muscles to show; by default the twelve that do most."""
+    models: Annotated[tuple[str, ...], optional("[NAME ...]")] = ()
+    """Muscle models of force-length and force-velocity, side by side; by default that of --muscle."""
     joint: Annotated[str | None, optional("NAME")] = None
     """Joint over whose range moment arms are shown; by default the first that the muscles move."""
     world: int = 0
@@ -95,7 +98,7 @@ class Plot:
             setup, title = find_setup(source, self.asked.setup)
             if self.what == "moment-arms":
                 return figures.moment_arms(oracle_model(setup.spec), title, self.joint, self.muscles)
-            return figures.contraction(setup, title, self.what, self.muscles)
+            return figures.contraction(setup, title, self.what, self.muscles, self.models)
         check_least(0, world=self.world)
         course = figures.read_course(Path(source), self.what, self.world, self.episode)
         return figures.over_time(course, self.muscles)

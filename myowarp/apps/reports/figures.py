@@ -36,6 +36,10 @@ STEP = 1e-4
 """Half the step of a coordinate over which a moment arm is the difference of lengths [rad, m]."""
 NORM_LENGTHS = (0.4, 1.7)
 NORM_VELOCITIES = (-1.1, 1.1)
+CONTRACTION_AXES = {
+    "length": "Fiber length / optimal fiber length",
+    "velocity": "Fiber velocity / maximum contraction velocity (lengthening > 0)",
+}
 LEAST_ARM = 1e-4
 """m: a muscle with less about a joint is not shown where none were chosen."""
 
@@ -197,25 +201,42 @@ def arms_over_range(model: mujoco.MjModel, joint: int, points: int) -> tuple[np.
     return coordinate, -(lengths[1] - lengths[0]) / (2.0 * STEP)
 
 
-def contraction(setup: Setup, title: str, what: str, muscles: Sequence[str] = ()) -> Figure:
+def contraction(
+    setup: Setup, title: str, what: str, muscles: Sequence[str] = (), models: Sequence[str] = ()
+) -> Figure:
     """Return the force of muscles over length or velocity at full and at no activation.
 
+    Args:
+        setup: A task of the body, and its muscle model.
+        title: Name of the body.
+        what: "force-length" or "force-velocity".
+        muscles: Muscles to show; empty: the strongest.
+        models: Muscle models, a panel each; empty: that of the setup.
+
     Raises:
-        ValueError: There is no such muscle.
+        ValueError: There is no such muscle or model.
     """
-    norm, tension, peak, names = contraction_curves(setup, what)
-    shown, left_out = _chosen(names, muscles, peak)
+    setups = [Setup.of(setup, muscle=model) for model in models] or [setup]
     axis = "length" if what == "force-length" else "velocity"
-    figure, axes = _axes(f"Force over {axis}: {title}")
-    for index in shown:
-        line = axes.plot(norm[1, :, index], tension[1, :, index], label=names[index])[0]
-        axes.plot(norm[0, :, index], tension[0, :, index], color=line.get_color(), linestyle=":")
-    label = (
-        "Fiber length / optimal fiber length"
-        if axis == "length"
-        else "Fiber velocity / maximum contraction velocity (lengthening > 0)"
-    )
-    _finish(axes, label, "Force [N]; dotted: without activation", left_out)
+    figure = panel.blank(max(WIDTH, 3.4 * len(setups) + 1.6), 4.8)
+    panels = figure.subplots(1, len(setups), sharex=True, sharey=True, squeeze=False)[0]
+    left_out = 0
+    for axes, one in zip(panels, setups, strict=True):
+        norm, tension, peak, names = contraction_curves(one, what)
+        shown, left_out = _chosen(names, muscles, peak)
+        said = f"Force over {axis}: {title}" if not models else one.muscles.model
+        axes.set_title(said, color=panel.INK)
+        axes.set_prop_cycle(color=panel.COLORS)
+        for index in shown:
+            line = axes.plot(norm[1, :, index], tension[1, :, index], label=names[index])[0]
+            axes.plot(norm[0, :, index], tension[0, :, index], color=line.get_color(), linestyle=":")
+        axes.margins(x=0.0)
+    if models:
+        figure.suptitle(f"Force over {axis}: {title}", x=0.02, ha="left", color=panel.INK)
+        figure.supxlabel(CONTRACTION_AXES[axis], fontsize="medium")
+    x_label = "" if models else CONTRACTION_AXES[axis]
+    _finish(panels[-1], x_label, "", left_out)
+    panels[0].set_ylabel("Force [N]; dotted: without activation")
     return figure
 
 

@@ -1,0 +1,620 @@
+"""Hill muscles as functions of arrays: curves, equilibrium, forces, activation, power, with gradients.
+
+    from myowarp.muscle import Muscles
+
+    flexors = Muscles(
+        "millard2012", max_isometric_force=[624.3, 435.6], optimal_fiber_length=[0.1157, 0.1321],
+        tendon_slack_length=[0.2723, 0.1923],
+    )
+    held = flexors.equilibrium(activation=0.5, length=[[0.40, 0.34], [0.38, 0.32]])
+    held.tendon_force  # N, (2, 2): two poses of two muscles
+
+Arrays are NumPy's, torch's or Warp's, numbers and lists NumPy's; results are of the same kind. The last axis
+of an array is that of the muscles; NumPy and torch arrays broadcast. All is computed in float64, on the
+device of `Muscles`. Warp arrays are float64, have all axes, and are recorded by `wp.Tape`:
+
+    flexors = Muscles(..., requires_grad=True)
+    with wp.Tape() as tape:
+        held = flexors.equilibrium(activation, length)  # Warp arrays
+    tape.backward(grads={held.tendon_force: wp.ones_like(held.tendon_force)})
+    flexors.parameters["tendon_slack_length"].grad
+
+Newton's method in a bracket finds an equilibrium, which is not recorded. One more step of Newton's is, with a
+slope that counts as constant: its derivative is that of the implicit function theorem, dz = -dr / (dr/dz).
+The laws are those of `models/muscles/hill_law.py`. Shapes of Millard's curves are tables and have no
+gradient; torch does not record what happens here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+
+from myowarp.definitions.muscle import MUSCLES
+from myowarp.definitions.registry import check_choice
+from myowarp.models.muscles.hill import LAWS, Hill, hill_parameters
+from myowarp.models.muscles.hill_law import (
+    DEGROOTE,
+    MILLARD,
+    THELEN,
+    active_force_length_curve,
+    degroote_activation_rate,
+    equilibrium,
+    fiber_of,
+    fiber_pull,
+    fiber_velocity,
+    force_velocity_curve,
+    hill_muscle,
+    passive_force_curve,
+    tendon_force_curve,
+)
+
+NAMES = {
+    f"{name}{tail}": (law, bool(tail))
+    for name, law in (("thelen2003", THELEN), ("millard2012", MILLARD), ("degroote_fregly2016", DEGROOTE))
+    for tail in ("", "_rigid")
+}
+"""Models: law, and whether the tendon keeps its slack length."""
+
+NEEDED = ("max_isometric_force", "optimal_fiber_length", "tendon_slack_length")
+DIRECT = (
+    *NEEDED,
+    *("pennation_angle_at_optimal", "max_contraction_velocity", "fiber_damping", "minimum_activation"),
+    *("activation_time_constant", "deactivation_time_constant"),
+)
+OWN = {"pennation_angle_at_optimal": 0.0, "max_contraction_velocity": 10.0}
+TIMES = {THELEN: (0.015, 0.05), MILLARD: (0.01, 0.04), DEGROOTE: (0.015, 0.06)}  # s, rise and fall
+ACTIVE, PASSIVE, TENDON, VELOCITY = range(4)
+TOLERANCE = wp.constant(wp.float64(1e-14))
+
+HillMuscle64: Any = hill_muscle(wp.float64)
+CURVES: tuple[str, ...] = (
+    "active_width",
+    "passive_shape",
+    "passive_strain",
+    "passive_scale",
+    "tendon_strain",
+)
+CURVES += ("velocity_shape", "eccentric_multiplier", "extrapolation_threshold")
+
+
+@wp.struct
+class Parameters:
+    """All parameters; arrays (num_muscles,), those of `hill_muscle` under their names."""
+
+    kind: wp.array[HillMuscle64]
+    max_isometric_force: wp.array[wp.float64]
+    optimal_fiber_length: wp.array[wp.float64]
+    tendon_slack_length: wp.array[wp.float64]
+    pennation_angle_at_optimal: wp.array[wp.float64]
+    max_contraction_velocity: wp.array[wp.float64]
+    fiber_damping: wp.array[wp.float64]
+    minimum_activation: wp.array[wp.float64]
+    activation_time_constant: wp.array[wp.float64]
+    deactivation_time_constant: wp.array[wp.float64]
+    active_width: wp.array[wp.float64]
+    passive_shape: wp.array[wp.float64]
+    passive_strain: wp.array[wp.float64]
+    passive_scale: wp.array[wp.float64]
+    tendon_strain: wp.array[wp.float64]
+    velocity_shape: wp.array[wp.float64]
+    eccentric_multiplier: wp.array[wp.float64]
+    extrapolation_threshold: wp.array[wp.float64]
+    tables: wp.array2d[wp.vec2d]
+    spans: wp.array[wp.vec2d]
+
+
+@wp.func
+def muscle_of(p: Parameters, i: int):
+    """Parameters of a muscle, of which the width of its fibers follows: l_0 sin(pennation)."""
+    m = HillMuscle64()
+    m.law = p.kind[i].law
+    m.rigid = p.kind[i].rigid
+    m.curves = p.kind[i].curves
+    m.shortest_fiber = p.kind[i].shortest_fiber
+    m.max_isometric_force = p.max_isometric_force[i]
+    m.optimal_fiber_length = p.optimal_fiber_length[i]
+    m.tendon_slack_length = p.tendon_slack_length[i]
+    m.fiber_width = p.optimal_fiber_length[i] * wp.sin(p.pennation_angle_at_optimal[i])
+    m.max_contraction_velocity = p.max_contraction_velocity[i]
+    m.fiber_damping = p.fiber_damping[i]
+    m.minimum_activation = p.minimum_activation[i]
+    m.active_width = p.active_width[i]
+    m.passive_shape = p.passive_shape[i]
+    m.passive_strain = p.passive_strain[i]
+    m.passive_scale = p.passive_scale[i]
+    m.tendon_strain = p.tendon_strain[i]
+    m.velocity_shape = p.velocity_shape[i]
+    m.eccentric_multiplier = p.eccentric_multiplier[i]
+    m.extrapolation_threshold = p.extrapolation_threshold[i]
+    return m
+
+
+@wp.kernel
+def evaluate_curve(
+    # Params:
+    p: Parameters,
+    which: int,
+    # In:
+    x: wp.array[wp.float64],
+    activation: wp.array[wp.float64],
+    # Out:
+    multiplier: wp.array[wp.float64],
+):
+    """f_L, f_P, f_T or f_V at x."""
+    k = wp.tid()
+    m = muscle_of(p, k % p.kind.shape[0])
+    if which == ACTIVE:
+        multiplier[k] = active_force_length_curve(m, p.tables, p.spans, x[k])[0]
+    elif which == PASSIVE:
+        multiplier[k] = passive_force_curve(m, p.tables, p.spans, x[k])[0]
+    elif which == TENDON:
+        multiplier[k] = wp.max(tendon_force_curve(m, p.tables, p.spans, x[k])[0], wp.float64(0.0))
+    else:
+        multiplier[k] = force_velocity_curve(m, p.tables, p.spans, x[k], activation[k])[0]
+
+
+@wp.kernel(enable_backward=False)
+def find_equilibrium(
+    # Params:
+    p: Parameters,
+    # In:
+    activation: wp.array[wp.float64],
+    length: wp.array[wp.float64],
+    velocity: wp.array[wp.float64],
+    # Out:
+    root: wp.array[wp.vec2d],
+):
+    """(z, 1 / slope of the residual) where fiber and tendon agree; slope 0: z is at an end of its range."""
+    k = wp.tid()
+    m = muscle_of(p, k % p.kind.shape[0])
+    zero, one = wp.float64(0.0), wp.float64(1.0)
+    slack = length[k] - m.tendon_slack_length
+    root[k] = wp.vec2d(wp.max(slack, m.shortest_fiber), zero)
+    if m.rigid == 0:
+        a = wp.max(activation[k], m.minimum_activation)
+        start = slack - wp.float64(0.02) * m.tendon_slack_length
+        found = equilibrium(
+            m, p.tables, p.spans, a, one, length[k], velocity[k], zero, zero, start, TOLERANCE
+        )
+        slope = found[2] + found[3]
+        inside = found[0] > m.shortest_fiber and found[0] < slack
+        root[k] = wp.vec2d(found[0], wp.where(inside and slope > zero, one / slope, zero))
+
+
+@wp.kernel
+def hold_muscles(
+    # Params:
+    p: Parameters,
+    # In:
+    activation: wp.array[wp.float64],
+    length: wp.array[wp.float64],
+    velocity: wp.array[wp.float64],
+    root: wp.array[wp.vec2d],
+    # Out:
+    fiber_length: wp.array[wp.float64],
+    tendon_force: wp.array[wp.float64],
+):
+    """l and T at the root z; the step that is left of it, z - r / slope, has the root's derivative."""
+    k = wp.tid()
+    m = muscle_of(p, k % p.kind.shape[0])
+    zero, one = wp.float64(0.0), wp.float64(1.0)
+    a = wp.max(activation[k], m.minimum_activation)
+    z = root[k][0]
+    force = zero
+    if m.rigid == 0:
+        pull = fiber_pull(m, p.tables, p.spans, a, one, z, velocity[k], zero, zero)[0]
+        strain = (length[k] - z - m.tendon_slack_length) / m.tendon_slack_length
+        residual = pull - tendon_force_curve(m, p.tables, p.spans, strain)[0]
+        settled = z - residual * root[k][1]
+        strain = (length[k] - settled - m.tendon_slack_length) / m.tendon_slack_length
+        if root[k][1] == zero and z > m.shortest_fiber:
+            settled = length[k] - m.tendon_slack_length
+            strain = zero
+        fiber_length[k] = fiber_of(m, settled)
+        force = tendon_force_curve(m, p.tables, p.spans, strain)[0]
+    else:
+        settled = length[k] - m.tendon_slack_length
+        if settled > m.shortest_fiber:
+            fiber_length[k] = fiber_of(m, settled)
+            force = fiber_pull(m, p.tables, p.spans, a, one, settled, velocity[k], zero, zero)[0]
+        else:
+            fiber_length[k] = fiber_of(m, m.shortest_fiber)
+    tendon_force[k] = m.max_isometric_force * wp.max(force, zero)
+
+
+@wp.func
+def along_fiber(p: Parameters, m: Any, length: wp.float64, fiber: wp.float64):
+    """(z, pull along the fiber that holds the tendon in balance [F_max], f_T)."""
+    z = wp.sqrt(wp.max(fiber * fiber - m.fiber_width * m.fiber_width, wp.float64(1e-30)))
+    strain = (length - z - m.tendon_slack_length) / m.tendon_slack_length
+    force = wp.max(tendon_force_curve(m, p.tables, p.spans, strain)[0], wp.float64(0.0))
+    return wp.vec3d(z, force * fiber / z, force)
+
+
+@wp.kernel(enable_backward=False)
+def find_velocity(
+    # Params:
+    p: Parameters,
+    # In:
+    activation: wp.array[wp.float64],
+    length: wp.array[wp.float64],
+    fiber_length: wp.array[wp.float64],
+    # Out:
+    root: wp.array[wp.vec2d],
+):
+    """(v, 1 / slope of the residual) where fiber and tendon agree; slope 0 where they cannot."""
+    k = wp.tid()
+    m = muscle_of(p, k % p.kind.shape[0])
+    zero, one = wp.float64(0.0), wp.float64(1.0)
+    root[k] = wp.vec2d(zero, zero)
+    if m.rigid == 0:
+        a = wp.max(activation[k], m.minimum_activation)
+        pull = along_fiber(p, m, length[k], fiber_length[k])[1]
+        n = fiber_length[k] / m.optimal_fiber_length
+        v = fiber_velocity(m, p.tables, p.spans, a, one, n, pull, TOLERANCE)[0]
+        active = a * active_force_length_curve(m, p.tables, p.spans, n)[0]
+        factor = force_velocity_curve(m, p.tables, p.spans, v, a)
+        slope = active * factor[1] + m.fiber_damping
+        residual = active * factor[0] + m.fiber_damping * v - pull
+        residual += passive_force_curve(m, p.tables, p.spans, n)[0]
+        solved = slope > zero and wp.abs(residual) < wp.float64(1e-9)
+        root[k] = wp.vec2d(v, wp.where(solved, one / slope, zero))
+
+
+@wp.kernel
+def contract_muscles(
+    # Params:
+    p: Parameters,
+    # In:
+    activation: wp.array[wp.float64],
+    length: wp.array[wp.float64],
+    velocity: wp.array[wp.float64],
+    fiber_length: wp.array[wp.float64],
+    root: wp.array[wp.vec2d],
+    # Out:
+    speed: wp.array[wp.float64],
+    tendon_force: wp.array[wp.float64],
+    fiber_power: wp.array[wp.float64],
+    tendon_power: wp.array[wp.float64],
+):
+    """dl/dt [m/s], T [N], -F dl/dt and -T d(tendon length)/dt [W], of fibers of a given length."""
+    k = wp.tid()
+    m = muscle_of(p, k % p.kind.shape[0])
+    zero, one = wp.float64(0.0), wp.float64(1.0)
+    a = wp.max(activation[k], m.minimum_activation)
+    scale = m.optimal_fiber_length * m.max_contraction_velocity
+    if m.rigid == 0:
+        n = fiber_length[k] / m.optimal_fiber_length
+        held = along_fiber(p, m, length[k], fiber_length[k])
+        v = root[k][0]
+        residual = a * active_force_length_curve(m, p.tables, p.spans, n)[0]
+        residual *= force_velocity_curve(m, p.tables, p.spans, v, a)[0]
+        residual += passive_force_curve(m, p.tables, p.spans, n)[0] + m.fiber_damping * v - held[1]
+        fiber_speed = (v - residual * root[k][1]) * scale
+        speed[k] = fiber_speed
+        tendon_force[k] = m.max_isometric_force * held[2]
+        fiber_power[k] = -m.max_isometric_force * held[1] * fiber_speed
+        tendon_power[k] = (
+            -m.max_isometric_force * held[2] * (velocity[k] - fiber_speed * fiber_length[k] / held[0])
+        )
+    else:
+        z = length[k] - m.tendon_slack_length
+        if z > m.shortest_fiber:
+            pull = fiber_pull(m, p.tables, p.spans, a, one, z, velocity[k], zero, zero)[0]
+            force = m.max_isometric_force * wp.max(pull, zero)
+            speed[k] = velocity[k] * z / fiber_of(m, z)
+            tendon_force[k] = force
+            fiber_power[k] = -force * velocity[k]
+
+
+@wp.kernel
+def rate_of_activation(
+    # Params:
+    p: Parameters,
+    # In:
+    excitation: wp.array[wp.float64],
+    activation: wp.array[wp.float64],
+    # Out:
+    rate: wp.array[wp.float64],
+):
+    """da/dt = (u - a) / tau [1/s], tau = tau_act (0.5 + 1.5 a) or tau_deact / (0.5 + 1.5 a); De Groote's."""
+    k = wp.tid()
+    i = k % p.kind.shape[0]
+    u = wp.max(excitation[k], p.minimum_activation[i])
+    a = wp.max(activation[k], p.minimum_activation[i])
+    rise, fall = p.activation_time_constant[i], p.deactivation_time_constant[i]
+    scale = wp.float64(0.5) + wp.float64(1.5) * a
+    if p.kind[i].law == DEGROOTE:
+        rate[k] = degroote_activation_rate(u, a, rise, fall)
+    elif u > a:
+        rate[k] = (u - a) / (rise * scale)
+    else:
+        rate[k] = (u - a) * scale / fall
+
+
+class Equilibrium(NamedTuple):
+    """Where fiber and tendon agree.
+
+    Attributes:
+        fiber_length: [m].
+        tendon_force: [N], >= 0.
+    """
+
+    fiber_length: Any
+    tendon_force: Any
+
+
+class Contraction(NamedTuple):
+    """What fibers of a given length do; power flows out of what shortens under tension.
+
+    Attributes:
+        fiber_velocity: [m/s], lengthening > 0.
+        tendon_force: [N], >= 0.
+        fiber_power: -fiber force times fiber velocity [W].
+        tendon_power: -tendon force times the tendon's velocity [W]; the sum of both is what the path gives,
+            -tendon force times path velocity.
+    """
+
+    fiber_velocity: Any
+    tendon_force: Any
+    fiber_power: Any
+    tendon_power: Any
+
+
+class Muscles:
+    """Muscles under one law.
+
+    Attributes:
+        model: Name of the law, with `_rigid` behind where no tendon stretches.
+        num_muscles: Their number.
+        parameters: By OpenSim's name, float64 Warp arrays (num_muscles,), to be written in place; with
+            `requires_grad` they have gradients. Those that shape Millard's curves are not among them.
+    """
+
+    def __init__(
+        self,
+        model: str,
+        *,
+        device: Any = "cpu",
+        requires_grad: bool = False,
+        **parameters: Any,
+    ) -> None:
+        """Check the parameters and put them on a device.
+
+        Args:
+            model: thelen2003, millard2012 or degroote_fregly2016, with `_rigid` behind for a rigid tendon.
+            device: Warp device.
+            requires_grad: Whether `wp.Tape` finds gradients with respect to them.
+            **parameters: Under OpenSim's names, SI units: numbers, or one for each muscle. Peak force,
+                optimal fiber length and slack length are needed; the others are OpenSim's defaults.
+
+        Raises:
+            ValueError: A parameter is missing, unknown, out of its range, or of another number of muscles.
+        """
+        check_choice("muscle model", model, NAMES)
+        kind = MUSCLES[model]
+        assert issubclass(kind, Hill)
+        self.model, self.device, (law, rigid) = model, wp.get_device(device), NAMES[model]
+        if missing := [name for name in NEEDED if name not in parameters]:
+            raise ValueError(f"muscles need {', '.join(NEEDED)}; {missing[0]} is missing")
+        values: dict[str, np.ndarray] = {}
+        own = OWN | dict(
+            zip(("activation_time_constant", "deactivation_time_constant"), TIMES[law], strict=True)
+        )
+        for name, value in {**own, **parameters}.items():
+            check_choice(f"parameter of muscle model {model!r}", name, kind.PARAMETERS)
+            low, high = kind.PARAMETERS[name]
+            values[name] = np.atleast_1d(np.asarray(value, dtype=float))
+            wrong = values[name][~((values[name] >= low) & (values[name] <= high))]
+            if wrong.size or values[name].ndim > 1:
+                got = f"{wrong.flat[0]:g}" if wrong.size else f"shape {values[name].shape}"
+                raise ValueError(f"{name} must be numbers, one a muscle, from {low:g} to {high:g}, got {got}")
+        sizes = {name: len(value) for name, value in values.items() if len(value) > 1}
+        self.num_muscles = max(sizes.values(), default=1)
+        if odd := [name for name, size in sizes.items() if size != self.num_muscles]:
+            raise ValueError(f"{odd[0]} must be one number or {self.num_muscles}, got {sizes[odd[0]]}")
+        values = {name: np.broadcast_to(value, self.num_muscles) for name, value in values.items()}
+        rows, tables, spans = hill_parameters(law, values, rigid, real=wp.float64)
+        self._rows = np.broadcast_to(rows[0], self.num_muscles).copy()
+        fields = {name: field for name, (field, *_) in LAWS[law].items() if field is not None}
+        self._struct = Parameters()
+        self.parameters: dict[str, wp.array] = {}
+        with wp.ScopedDevice(self.device):
+            self._struct.kind = wp.array(self._rows, dtype=HillMuscle64)
+            self._struct.tables = wp.array(tables, dtype=wp.vec2d)
+            self._struct.spans = wp.array(spans, dtype=wp.vec2d)
+            shown = {name: name for name in DIRECT} | {field: name for name, field in fields.items()}
+            for field in (*DIRECT, *CURVES):
+                stated = self._rows[field] if field in (self._rows.dtype.names or ()) else values[field]
+                array = wp.array(stated, dtype=wp.float64, requires_grad=requires_grad and field in shown)
+                setattr(self._struct, field, array)
+                if field in shown:
+                    self.parameters[shown[field]] = array
+
+    def active_force_length(self, norm_length: Any) -> Any:
+        """Return f_L [1] at normalized fiber lengths [1]."""
+        return self._curve(ACTIVE, norm_length)
+
+    def passive_force(self, norm_length: Any) -> Any:
+        """Return f_P [1] at normalized fiber lengths [1]."""
+        return self._curve(PASSIVE, norm_length)
+
+    def tendon_force(self, strain: Any) -> Any:
+        """Return f_T [1], at least 0, at tendon strains [1]."""
+        return self._curve(TENDON, strain)
+
+    def force_velocity(self, norm_velocity: Any, activation: Any = 1.0) -> Any:
+        """Return f_V [1] at fiber velocities [largest contraction velocity]; Thelen's by activation, too."""
+        return self._curve(VELOCITY, norm_velocity, activation)
+
+    def equilibrium(self, activation: Any, length: Any, velocity: Any = 0.0) -> Equilibrium:
+        """Return fibers and forces where fiber and tendon agree, tendons keeping their length.
+
+        Args:
+            activation: [1].
+            length: Of fiber and tendon [m].
+            velocity: Its rate [m/s], lengthening > 0.
+        """
+
+        def compute(
+            activation: wp.array, length: wp.array, velocity: wp.array, new: Callable[[], wp.array]
+        ) -> tuple:
+            p, root = self._renewed(), wp.zeros(length.shape[0], dtype=wp.vec2d, device=self.device)
+            wp.launch(
+                find_equilibrium,
+                dim=length.shape[0],
+                inputs=[p, activation, length, velocity],
+                outputs=[root],
+                device=self.device,
+                record_tape=False,
+            )
+            fiber_length, tendon_force = new(), new()
+            wp.launch(
+                hold_muscles,
+                dim=length.shape[0],
+                inputs=[p, activation, length, velocity, root],
+                outputs=[fiber_length, tendon_force],
+                device=self.device,
+            )
+            return fiber_length, tendon_force
+
+        return Equilibrium(*self._apply(compute, activation=activation, length=length, velocity=velocity))
+
+    def contraction(self, activation: Any, length: Any, velocity: Any, fiber_length: Any) -> Contraction:
+        """Return velocities, forces and powers of fibers of a given length, which rigid tendons do not read.
+
+        Args:
+            activation: [1].
+            length: Of fiber and tendon [m].
+            velocity: Its rate [m/s], lengthening > 0.
+            fiber_length: [m].
+        """
+
+        def compute(
+            activation: wp.array,
+            length: wp.array,
+            velocity: wp.array,
+            fiber_length: wp.array,
+            new: Callable[[], wp.array],
+        ) -> tuple:
+            p, root = self._renewed(), wp.zeros(length.shape[0], dtype=wp.vec2d, device=self.device)
+            wp.launch(
+                find_velocity,
+                dim=length.shape[0],
+                inputs=[p, activation, length, fiber_length],
+                outputs=[root],
+                device=self.device,
+                record_tape=False,
+            )
+            speed, tendon_force, fiber_power, tendon_power = new(), new(), new(), new()
+            wp.launch(
+                contract_muscles,
+                dim=length.shape[0],
+                inputs=[p, activation, length, velocity, fiber_length, root],
+                outputs=[speed, tendon_force, fiber_power, tendon_power],
+                device=self.device,
+            )
+            return speed, tendon_force, fiber_power, tendon_power
+
+        given = {"activation": activation, "length": length, "velocity": velocity}
+        return Contraction(*self._apply(compute, **given, fiber_length=fiber_length))
+
+    def activation_rate(self, excitation: Any, activation: Any) -> Any:
+        """Return da/dt [1/s]."""
+
+        def compute(excitation: wp.array, activation: wp.array, new: Callable[[], wp.array]) -> tuple:
+            p, rate = self._struct, new()
+            wp.launch(
+                rate_of_activation,
+                dim=rate.shape[0],
+                inputs=[p, excitation, activation],
+                outputs=[rate],
+                device=self.device,
+            )
+            return (rate,)
+
+        return self._apply(compute, excitation=excitation, activation=activation)[0]
+
+    def _curve(self, which: int, x: Any, activation: Any = 1.0) -> Any:
+        """Return a curve's multiplier."""
+
+        def compute(x: wp.array, activation: wp.array, new: Callable[[], wp.array]) -> tuple:
+            p, multiplier = self._struct, new()
+            wp.launch(
+                evaluate_curve,
+                dim=x.shape[0],
+                inputs=[p, which, x, activation],
+                outputs=[multiplier],
+                device=self.device,
+            )
+            return (multiplier,)
+
+        return self._apply(compute, x=x, activation=activation)[0]
+
+    def _renewed(self) -> Parameters:
+        """Return the parameters; shortest fibers follow those that were written."""
+        rows, values = self._rows, {name: array.numpy() for name, array in self.parameters.items()}
+        scale = values["optimal_fiber_length"] / rows["optimal_fiber_length"]
+        if (scale != 1.0).any():
+            rows["shortest_fiber"] *= scale
+            rows["optimal_fiber_length"] = values["optimal_fiber_length"]
+            self._struct.kind.assign(rows)
+        return self._struct
+
+    def _apply(self, compute: Callable[..., tuple], **given: Any) -> tuple:
+        """Return results of a computation on flat arrays, as arrays of the kind and shape of what was given.
+
+        Raises:
+            ValueError: Shapes do not fit each other or the muscles, or Warp arrays are not float64.
+        """
+        if any(isinstance(value, wp.array) for value in given.values()):
+            return self._apply_warp(compute, given)
+        torch = next((type(v) for v in given.values() if type(v).__module__.startswith("torch")), None)
+        arrays = {name: np.asarray(_host(value), dtype=float) for name, value in given.items()}
+        try:
+            shape = np.broadcast_shapes((self.num_muscles,), *(array.shape for array in arrays.values()))
+        except ValueError:
+            shapes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
+            raise ValueError(
+                f"arrays must broadcast with {self.num_muscles} muscles on the last axis, got {shapes}"
+            ) from None
+        if shape[-1] != self.num_muscles:
+            raise ValueError(f"the last axis must be that of {self.num_muscles} muscles, got shape {shape}")
+        full = [np.broadcast_to(array, shape).ravel() for array in arrays.values()]
+        flat = [wp.array(values, dtype=wp.float64, device=self.device) for values in full]
+        number = int(np.prod(shape))
+        found = compute(*flat, lambda: wp.zeros(number, dtype=wp.float64, device=self.device))
+        results = tuple(array.numpy().reshape(shape) for array in found)
+        if torch is None:
+            return results
+        import torch as library
+
+        like = next(value for value in given.values() if isinstance(value, library.Tensor))
+        return tuple(library.as_tensor(array, dtype=like.dtype, device=like.device) for array in results)
+
+    def _apply_warp(self, compute: Callable[..., tuple], given: dict[str, Any]) -> tuple:
+        """Return the same of Warp arrays, which the tape records."""
+        shape = next(value.shape for value in given.values() if isinstance(value, wp.array))
+        number, flat = int(np.prod(shape)), []
+        for name, value in given.items():
+            if not isinstance(value, wp.array):
+                value = wp.array(np.broadcast_to(value, shape), dtype=wp.float64, device=self.device)
+            if value.dtype is not wp.float64 or value.shape != shape or shape[-1] != self.num_muscles:
+                raise ValueError(
+                    f"{name} must be a float64 Warp array (..., {self.num_muscles}), shaped like the others, "
+                    f"got {value.dtype.__name__} of shape {value.shape}"
+                )
+            flat.append(value.reshape((number,)))
+        found = compute(
+            *flat, lambda: wp.zeros(number, dtype=wp.float64, device=self.device, requires_grad=True)
+        )
+        return tuple(array.reshape(shape) for array in found)
+
+
+def _host(value: Any) -> Any:
+    """Return a torch tensor as NumPy sees it; anything else as it is."""
+    return value.detach().cpu().numpy() if type(value).__module__.startswith("torch") else value
