@@ -14,7 +14,8 @@ PYTEST ?=
 RIVALS ?=
 LEARNING ?=
 OPENSIM ?=
-CHECKED = $(or $(OPENSIM),$(addprefix tests/data/osim/,$(addsuffix .osim,arm26 leg6dof9musc gait10dof18musc)))
+MODELS ?=
+CHECKED = $(or $(MODELS),$(addprefix tests/data/osim/,$(addsuffix .osim,arm26 leg6dof9musc gait10dof18musc)))
 OLDER ?=
 MINUTES ?= 1
 VENV := .venv
@@ -98,7 +99,8 @@ learning: $(TEST_STAMP) .venv-parity/.installed .venv-envpool/.installed ## Meas
 opensim: setup .venv-opensim/.installed ## Measure speed beside OpenSim with 1 to 64 times the muscles (5 to 12 minutes; OPENSIM="ARM.osim GAIT.osim")
 	$(BIN)/python -m benchmarks.opensim_speed --output out/opensim_speed.json $(OPENSIM)
 
-opensim-check: setup .venv-opensim/.installed ## Compare muscle paths with OpenSim's in 2,000 poses (OPENSIM="ARM.osim GAIT.osim")
+opensim-check: setup .venv-opensim/.installed ## Compare muscles and their paths with OpenSim's: lengths, arms, forces, motions (MODELS="ARM.osim GAIT.osim")
+	$(BIN)/python -m benchmarks.opensim_muscles --work out/opensim_muscles $(MODELS)
 	.venv-opensim/bin/python benchmarks/opensim_paths_record.py $(CHECKED) -o out/paths
 	$(BIN)/python -m benchmarks.opensim_paths $(CHECKED) --recorded out/paths -o out/opensim_paths.json
 

@@ -256,6 +256,9 @@ def find_velocity(
         pull = along_fiber(p, m, length[k], fiber_length[k])[1]
         n = fiber_length[k] / m.optimal_fiber_length
         v = fiber_velocity(m, p.tables, p.spans, a, one, n, pull, TOLERANCE)[0]
+        shortest = fiber_of(m, m.shortest_fiber) * (one + wp.float64(1e-9))
+        if v < zero and fiber_length[k] <= shortest:
+            return  # as short as it can be
         active = a * active_force_length_curve(m, p.tables, p.spans, n)[0]
         factor = force_velocity_curve(m, p.tables, p.spans, v, a)
         slope = active * factor[1] + m.fiber_damping

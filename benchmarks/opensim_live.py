@@ -1,0 +1,131 @@
+"""What OpenSim says about a model's muscles, for `benchmarks.opensim_muscles`; needs opensim==4.6 and NumPy.
+
+    .venv-opensim/bin/python benchmarks/opensim_live.py MODEL.osim -o FILE.npz
+
+Static tendon forces in random poses at six activations; tendon force and fiber velocity of fibers off their
+equilibrium; motions from the default pose under three patterns of excitation, integrated to 1e-6.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import opensim
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "data"))
+from record_opensim_muscles import ACTIVATIONS, parameters, poses, static
+
+POSES = 40
+DURATION, HELD, EVERY = 0.5, 0.05, 0.01  # s
+START = 0.01  # activation
+ACCURACY = 1e-6
+
+
+def patterns(names: list[str]) -> dict[str, np.ndarray]:
+    """Return excitations of each interval of 50 ms, shape (intervals, muscles): held, bursts, waves."""
+    count, rng = round(DURATION / HELD), np.random.default_rng(0)
+    time_, phase = HELD * np.arange(count)[:, None], rng.uniform(0.0, 2.0 * np.pi, len(names))
+    return {
+        "held": np.full((count, len(names)), 0.2),
+        "bursts": np.where(rng.uniform(size=(count, len(names))) < 0.3, 0.7, 0.03),
+        "waves": 0.25 + 0.2 * np.sin(2.0 * np.pi * 2.0 * time_ + phase),
+    }
+
+
+def moving(model: Any, state: Any, muscles: list[Any]) -> dict[str, np.ndarray]:
+    """Return activation, length, fiber length, fiber velocity and tendon force off the equilibrium."""
+    rng, rows = np.random.default_rng(1), []
+    for _ in poses(model, state, POSES, seed=1):
+        for muscle in muscles:
+            muscle.setActivation(state, rng.uniform(0.05, 1.0))
+        try:
+            model.equilibrateMuscles(state)
+        except RuntimeError:
+            continue
+        for muscle in muscles:
+            names = muscle.getStateVariableNames()
+            which = [names.get(i) for i in range(names.getSize()) if names.get(i).endswith("/fiber_length")]
+            if which:
+                fiber = muscle.getStateVariableValue(state, which[0])
+                muscle.setStateVariableValue(state, which[0], fiber * rng.uniform(0.995, 1.005))
+        model.realizeDynamics(state)
+        of = [m.getActivation for m in muscles], [m.getLength for m in muscles]
+        of += [m.getFiberLength for m in muscles], [m.getFiberVelocity for m in muscles]
+        of += ([m.getTendonForce for m in muscles],)
+        rows.append([[read(state) for read in reads] for reads in of])
+    return {"moving": np.array(rows)}
+
+
+def forward(model_path: Path) -> dict[str, Any]:
+    """Return coordinates over time under each pattern, (samples, coordinates), and how long each took."""
+    found: dict[str, Any] = {}
+    model = opensim.Model(str(model_path))
+    muscles = [model.getMuscles().get(i) for i in range(model.getMuscles().getSize())]
+    controls = patterns([muscle.getName() for muscle in muscles])
+    for name, excitations in controls.items():
+        model = opensim.Model(str(model_path))
+        controller = opensim.PrescribedController()
+        for i in range(model.getMuscles().getSize()):
+            muscle, function = model.getMuscles().get(i), opensim.PiecewiseConstantFunction()
+            for k, value in enumerate(excitations[:, i]):
+                function.addPoint(k * HELD, value)
+            controller.addActuator(muscle)
+            controller.prescribeControlForActuator(muscle.getName(), function)
+        model.addController(controller)
+        state = model.initSystem()
+        for i in range(model.getMuscles().getSize()):
+            model.getMuscles().get(i).setActivation(state, START)
+        model.equilibrateMuscles(state)
+        manager = opensim.Manager(model)
+        manager.setIntegratorAccuracy(ACCURACY)
+        manager.initialize(state)
+        coordinates = [model.getCoordinateSet().get(i) for i in range(model.getCoordinateSet().getSize())]
+        begin, rows = time.perf_counter(), []
+        for k in range(round(DURATION / EVERY) + 1):
+            if k:
+                state = manager.integrate(k * EVERY)
+            rows.append([coordinate.getValue(state) for coordinate in coordinates])
+        found[f"forward {name}"] = np.array(rows)
+        found[f"seconds {name}"] = np.array(time.perf_counter() - begin)
+        found[f"excitation {name}"] = excitations
+    return found
+
+
+def main() -> None:
+    """Record one model."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("model", type=Path)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    arguments = parser.parse_args()
+    opensim.Logger.setLevelString("Off")
+    model = opensim.Model(str(arguments.model))
+    state = model.initSystem()
+    muscles = [model.getMuscles().get(i) for i in range(model.getMuscles().getSize())]
+    lengths, forces = [], []
+    for _ in poses(model, state, POSES):
+        lengths.append([muscle.getLength(state) for muscle in muscles])
+        forces.append(static(model, state, muscles))
+    coordinates = model.getCoordinateSet()
+    meta = {
+        "opensim": opensim.GetVersion(),
+        "muscles": [muscle.getName() for muscle in muscles],
+        "classes": [muscle.getConcreteClassName() for muscle in muscles],
+        "parameters": [parameters(muscle) for muscle in muscles],
+        "coordinates": [coordinates.get(i).getName() for i in range(coordinates.getSize())],
+    }
+    arrays = {"length": np.array(lengths), "tendon_force": np.array(forces), **moving(model, state, muscles)}
+    try:
+        arrays |= forward(arguments.model)
+    except RuntimeError as error:
+        meta["no forward simulation"] = " ".join(str(error).split())[:300]
+    np.savez_compressed(arguments.output, meta=json.dumps(meta), activation=np.array(ACTIVATIONS), **arrays)
+
+
+if __name__ == "__main__":
+    main()
