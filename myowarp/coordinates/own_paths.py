@@ -270,7 +270,7 @@ class OwnPaths:
         for tendon, name in enumerate(names):
             if name not in described.paths and is_of(host, tendon, WRAP_SITE):
                 described.paths[name] = _of_sites(host, tendon)  # type: ignore[index]
-        self.memory = PathMemory(described, data.nworld, len(said.values), said.guard)
+        self.memory = PathMemory(described, data.nworld, len(said.values), said.guard, said.exact)
         self.bodies = wp.array([host.body(name).id for name in described.bodies], dtype=int)
         self.values, self.slopes = _values(host, said.values), wp.zeros_like(self.memory.frames.value)
         self.drives = None

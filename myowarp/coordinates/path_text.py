@@ -33,11 +33,13 @@ class Said:
         paths: The paths, by name of the tendon.
         values: What their points depend on.
         guard: As in `PathMemory`.
+        exact: As in `PathMemory`.
     """
 
     paths: OsimPaths
     values: tuple[Driven, ...]
     guard: float = TURNS
+    exact: bool = False
 
     def as_json(self) -> str:
         """Return the text."""
@@ -46,7 +48,8 @@ class Said:
         ]
         surfaces = {name: dataclasses.asdict(surface) for name, surface in self.paths.surfaces.items()}
         paths = {name: dataclasses.asdict(path) for name, path in self.paths.paths.items()}
-        return json.dumps({"guard": self.guard, "values": values, "surfaces": surfaces, "paths": paths})
+        chosen = {"guard": self.guard, "exact": self.exact}
+        return json.dumps({**chosen, "values": values, "surfaces": surfaces, "paths": paths})
 
 
 @lru_cache(maxsize=8)
@@ -66,12 +69,13 @@ def read(text: str) -> Said:
             )
             for name, path in entry["paths"].items()
         }
-        said = Said(OsimPaths(paths, surfaces), tuple(map(driven, entry["values"])), float(entry["guard"]))
+        values = tuple(map(driven, entry["values"]))
+        said = Said(OsimPaths(paths, surfaces), values, float(entry["guard"]), bool(entry["exact"]))
         _check(said)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise ValueError(
-            "the paths of the model must be JSON with 'guard', 'values', 'surfaces' and 'paths' as `myowarp "
-            f"convert` writes it; {type(error).__name__}: {error}"
+            "the paths of the model must be JSON with 'guard', 'exact', 'values', 'surfaces' and 'paths' as "
+            f"`myowarp convert` writes it; {type(error).__name__}: {error}"
         ) from error
     return said
 

@@ -119,7 +119,7 @@ def broken(change):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{}", "must be JSON with 'guard', 'values', 'surfaces' and 'paths'"),
+        ("{}", "must be JSON with 'guard', 'exact', 'values', 'surfaces' and 'paths'"),
         ("[1", "must be JSON"),
         (broken(lambda e: e.update(guard=-1)), "guard must be at least 0, got -1.0"),
         (broken(lambda e: e["paths"]["t"]["points"].pop()), "path 't' needs at least 2 points, got 1"),

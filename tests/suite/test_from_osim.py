@@ -1,0 +1,113 @@
+"""A model of OpenSim as itself: bodies, joints, muscles and paths as its file says, nothing fitted."""
+
+import logging
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import myowarp
+from myowarp.coordinates.step import step_of
+from myowarp.definitions.body import BODIES
+from myowarp.engine.warn_once import warn_once
+from myowarp.opensim import load as loading
+from myowarp.opensim.load import load
+from myowarp.opensim.read.model import read_model
+from myowarp.sim.build import compile_scene, stepped_of
+from myowarp.tasks.from_file import read_body
+
+OSIM = Path(__file__).parents[1] / "data" / "osim"
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    """Keep what is loaded in a folder of the test."""
+    monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path / "cache"))
+
+
+def stepped(task, count=3):
+    """Return a scene after a physics step of the engine's stages, all muscles at work."""
+    scene = compile_scene(task, count, device="cpu", muscle="thelen2003_rigid")
+    scene.muscles.activation.fill_(0.5)
+    step_of(stepped_of(scene)).launches()()
+    return scene
+
+
+def test_a_task_on_a_model_of_opensim():
+    task = myowarp.from_osim(OSIM / "gait10dof18musc.osim", "osimGaitRandom-v0", replace=True)
+    scene = stepped(task)
+    assert np.isfinite(scene.data.qacc.numpy()).all()
+    assert len(scene.muscles.names) == 18
+    # Points that move are no bodies; only what the file weighs is there.
+    names = [scene.oracle.body(i).name for i in range(scene.oracle.nbody)]
+    assert not [name for name in names if re.search(r"-P\d", name)]
+    model = read_model(OSIM / "gait10dof18musc.osim")
+    table = BODIES[task.body].muscles.parameters
+    for name, muscle in model.muscles.items():
+        assert table["optimal_fiber_length"][name] == muscle.optimal_fiber_length
+
+
+def test_another_patient_has_other_paths(tmp_path):
+    text = (OSIM / "arm26.osim").read_text()
+    other = tmp_path / "patient.osim"
+    other.write_text(
+        re.sub(r"<radius>([\d.]+)</radius>", lambda m: f"<radius>{float(m[1]) * 1.1}</radius>", text)
+    )
+    lengths = []
+    for path in (OSIM / "arm26.osim", other):
+        task = myowarp.from_osim(path, f"osimPatient{path.stem.title()}-v0", replace=True)
+        lengths.append(stepped(task).data.ten_length.numpy()[0].copy())
+    assert 1e-4 < np.abs(lengths[1] - lengths[0]).max() < 0.01
+
+
+def test_what_is_left_out_is_said_once_and_again_in_another_process(caplog, tmp_path):
+    text = (OSIM / "arm26.osim").read_text()
+    force = '<HuntCrossleyForce name="floor"><appliesForce>true</appliesForce></HuntCrossleyForce>'
+    path = tmp_path / "floor.osim"
+    path.write_text(
+        re.sub(r"(<ForceSet.*?<objects>)", lambda m: m[1] + force, text, count=1, flags=re.DOTALL)
+    )
+    sentence = "floor.osim: left out, or not as in OpenSim: HuntCrossleyForce"
+    for _ in range(2):  # made, and from the cache
+        warn_once.cache_clear()
+        with caplog.at_level(logging.WARNING, "myowarp"):
+            load(path)
+        assert [line for line in caplog.messages if line.startswith(sentence)]
+        caplog.clear()
+
+
+def test_a_file_is_read_once(monkeypatch):
+    found = load(OSIM / "arm26.osim")
+    monkeypatch.setattr(loading, "read_model", lambda path: pytest.fail(f"{path} is read again"))
+    assert load(OSIM / "arm26.osim") == found
+    names = {file.name for file in found.parent.iterdir()}
+    assert names == {
+        *("model.xml", "coordinates.json", "couplings.json", "paths.json", "muscles.csv", "left_out.json")
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("x.osim", None, "model '.*x.osim' is no file; give the path of an .osim file"),
+        ("x.osim", "<OpenSimDocument", "x.osim.*"),
+        ("x.osim", "<mujoco/>", "x.osim.*"),
+        ("x.xml", "<mujoco/>", "path must be that of an .osim file, got .*x.xml"),
+    ],
+)
+def test_errors_are_one_sentence(tmp_path, name, text, message):
+    path = tmp_path / name
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(ValueError, match=message) as caught:
+        myowarp.from_osim(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_joint_that_nobody_knows_is_one_sentence(tmp_path):
+    path = tmp_path / "odd.osim"
+    path.write_text((OSIM / "arm26.osim").read_text().replace("CustomJoint", "OddJoint"))
+    with pytest.raises(ValueError, match="OddJoint") as caught:
+        read_body(path)
+    assert "\n" not in str(caught.value)
