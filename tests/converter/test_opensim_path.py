@@ -5,12 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from myowarp.opensim.model.elements import ConditionalPathPoint
+from myowarp.opensim.model.elements import Path as MusclePath
 from myowarp.opensim.model.kinematics import complete, forward
 from myowarp.opensim.read.model import read_model
 from myowarp.opensim.wrap.cylinder import MANDATORY, wrap_cylinder
 from myowarp.opensim.wrap.ellipsoid import wrap_ellipsoid
 from myowarp.opensim.wrap.moment_arm import PRESENT, crossed, own_reference, poses_of
-from myowarp.opensim.wrap.path import quadrant, solve
+from myowarp.opensim.wrap.path import activity, quadrant, solve
 from myowarp.opensim.wrap.sphere import wrap_sphere, wrap_torus
 
 DATA = Path(__file__).parents[1] / "data"
@@ -167,3 +169,12 @@ def test_second_end_in_the_middle_of_a_cylinder(end, expected):
     np.testing.assert_allclose(wrap.length, arc, atol=1e-8)
     raised = wrap_cylinder(start, np.array([(*end[:2], 1e-6)]), 0.018, 0.1, axis=0, sign=0, adjust=True)
     assert abs(raised.length[0] - arc) > 1e-4
+
+
+@pytest.mark.parametrize(("beyond", "active"), [(0.9e-5, True), (1.1e-5, False)])
+def test_conditional_points_just_beyond_their_range(beyond, active):
+    """OpenSim 4.6 counts them to 1e-5: FPL of a wrist at 0.9e-5 rad beyond, gracilis at 0.07e-5."""
+    point = ConditionalPathPoint("p", "b", np.zeros(3), "q", (0.1, 0.2))
+    for value in (0.1 - beyond, 0.2 + beyond):
+        found = activity(MusclePath((point,), ()), {"q": np.array([value])}, 1)
+        assert found[0, 0] == active

@@ -8,7 +8,7 @@ from myowarp.models.paths.tables import OsimPath, OsimPaths, Over, Vector, Via, 
 from myowarp.opensim.model.elements import ConditionalPathPoint, MovingPathPoint, Path, Point
 from myowarp.opensim.model.functions import IDENTITY, Function
 from myowarp.opensim.model.model import Model, WrapObject
-from myowarp.opensim.wrap.path import path_range, quadrant
+from myowarp.opensim.wrap.path import RANGE_SLACK, path_range, quadrant
 
 Value = tuple[Function, str]
 """What points depend on: a function, and the coordinate that is its argument."""
@@ -40,7 +40,8 @@ def _point(point: Point, values: list[Value]) -> Via:
         return Via(point.body, vector(point.frame.position), rotation, (x, y, z), vector(rest))  # type: ignore[arg-type]
     if isinstance(point, ConditionalPathPoint):
         condition = _number((IDENTITY, point.coordinate), values)
-        return Via(point.body, vector(point.location), condition=condition, range=point.range)
+        low, high = point.range[0] - RANGE_SLACK, point.range[1] + RANGE_SLACK
+        return Via(point.body, vector(point.location), condition=condition, range=(low, high))
     return Via(point.body, vector(point.location))
 
 

@@ -22,6 +22,8 @@ from myowarp.opensim.wrap.sphere import wrap_sphere, wrap_torus
 
 SWEEPS = 8
 """Rounds over several wrap objects."""
+RANGE_SLACK = 1e-5
+"""[rad] or [m] beyond the ends of its range in which OpenSim still counts a conditional point."""
 SETTLED = 0.0005
 """[m] of change in length after which no further round follows."""
 
@@ -96,7 +98,8 @@ def activity(path: Path, coordinates: Mapping[str, np.ndarray], count: int) -> n
     for number, point in enumerate(path.points):
         if isinstance(point, ConditionalPathPoint):
             value = coordinates[point.coordinate]
-            active[:, number] = (value >= point.range[0]) & (value <= point.range[1])
+            low, high = point.range[0] - RANGE_SLACK, point.range[1] + RANGE_SLACK
+            active[:, number] = (value >= low) & (value <= high)
     return active
 
 
