@@ -272,8 +272,9 @@ class ContactSolve(Stage):
         result = SolverResult()
         result.niter, result.overflow = data.solver_niter, data.overflow
         result.force, result.state, result.Ma = data.efc.force, data.efc.state, data.efc.Ma
+        solve_constraints = solver_kernel(width_of(model.nv))
         launch(
-            solver_kernel(width_of(model.nv)),
+            solve_constraints,
             1,
             data,
             self,
