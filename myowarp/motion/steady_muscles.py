@@ -43,7 +43,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel(enable_backward=False)
-def hold_muscles(
+def steady_muscles(
     # Params:
     muscles: wp.array[Muscle64],
     tables: wp.array2d[wp.vec2d],
@@ -138,7 +138,7 @@ class SteadyMuscles:
             along = wp.array(np.zeros(length.shape) if near is None else near, dtype=wp.float64)
             tension = wp.zeros(length.shape, dtype=wp.float64)
             launch(
-                hold_muscles,
+                steady_muscles,
                 (len(length), len(self._column)),
                 muscles=self._muscles,
                 tables=self._tables,
