@@ -11,7 +11,7 @@ for (int i = 0; i < action.shape[1]; ++i) {
     const bool valid = wp::abs(from[i]) <= LARGEST;  // which NaN is not
     finite = finite && valid;
     const float a = valid ? wp::min(wp::max(from[i], -1.0f), 1.0f) : 0.0f;
-    const float x = STEEPNESS * (a - CENTER), part = decay(-wp::abs(x));
+    const float x = STEEPNESS * (a - CENTER), part = lanes::decay(-wp::abs(x));
     const float excitation = (x > 0.0f ? 1.0f : part) / (1.0f + part);
     const float motor = 0.5f * (range[i][0] + range[i][1]) + 0.5f * (range[i][1] - range[i][0]) * a;
     to[i] = kind[i] == MUSCLE ? excitation : motor;

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import warp as wp
 
 from myowarp.kernels.decay import DECAY
+from myowarp.kernels.lanes import at_namespace_level
 
 MUSCLE = wp.constant(0)
 MOTOR = wp.constant(1)
@@ -44,7 +45,13 @@ constexpr float STEEPNESS = {STEEPNESS}f, CENTER = {CENTER}f;
 SOURCE = CONSTANTS + Path(__file__).with_suffix(".cpp").read_text()
 
 
-@wp.func_native(DECAY + SOURCE)
+@wp.func_native(at_namespace_level(DECAY))
+def declare_decay(thread: int):
+    """Declare the template of `decay.cpp`."""
+    ...
+
+
+@wp.func_native(SOURCE)
 def map_action(
     worldid: int,
     actuator_kind: wp.array[int],
@@ -70,5 +77,6 @@ def apply_action(
 ):
     """ctrl = map(clip(action, -1, 1)); a world with a non-finite action is marked."""
     worldid = wp.tid()
+    declare_decay(worldid)
     finite = map_action(worldid, actuator_kind, actuator_ctrlrange, action, ctrl_out)
     fault[worldid] = wp.where(finite, 0, FAULT_ACTION)

@@ -1,5 +1,5 @@
-"""e^x for x <= 0 that loops can do in SIMD lanes: put `DECAY` before the source of a native function."""
+"""e^x for x <= 0 in SIMD lanes: the template `lanes::decay` of native functions."""
 
 from pathlib import Path
 
-DECAY = Path(__file__).with_suffix(".cpp").read_text()
+DECAY = Path(__file__).with_suffix(".cpp")

@@ -358,7 +358,7 @@ def random_muscles(num_worlds, num_muscles):
 @pytest.mark.parametrize("implicitness", [0.0, 0.5])
 @pytest.mark.parametrize("midstep", [False, True])
 def test_native_twin_equals_the_readable_law(midstep, implicitness):
-    num_worlds, num_muscles = 2, 11  # a full SIMD register and a part of one
+    num_worlds, num_muscles = 11, 3  # a full SIMD register and a part of one
     model, values = random_muscles(num_worlds, num_muscles)
     results = []
     for muscle in (MujocoMuscle, NativeMujocoMuscle):

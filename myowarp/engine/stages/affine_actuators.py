@@ -15,8 +15,8 @@ from mujoco_warp._src.types import vec10
 
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import any_of, filled
-from myowarp.engine.stages.lanes import at_namespace_level, block_scratch
 from myowarp.engine.stepped import Stepped
+from myowarp.kernels.lanes import at_namespace_level, block_scratch
 from myowarp.kernels.launch import launch
 
 

@@ -21,8 +21,8 @@ from mujoco_warp import DisableBit, OverflowType
 
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import ConstraintRows, InertiaRows, filled
-from myowarp.engine.stages.lanes import at_namespace_level, block_scratch
 from myowarp.engine.stepped import Stepped
+from myowarp.kernels.lanes import at_namespace_level, block_scratch
 from myowarp.kernels.launch import launch
 
 VECTOR = 8  # floats that one instruction adds

@@ -20,8 +20,8 @@ from mujoco_warp._src.types import vec10
 
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import InertiaRows, any_of, filled
-from myowarp.engine.stages.lanes import at_namespace_level, block_scratch
 from myowarp.engine.stepped import Stepped
+from myowarp.kernels.lanes import at_namespace_level, block_scratch
 from myowarp.kernels.launch import launch
 
 CONSTANTS = {

@@ -11,7 +11,6 @@ import warp as wp
 from myowarp.definitions.body import POINT_JOINTS
 from myowarp.engine.stage import Launches, Stage
 from myowarp.engine.stages.arrays import any_of, filled
-from myowarp.engine.stages.lanes import block_scratch
 from myowarp.engine.stages.muscle_path_kernel import (
     CYLINDER,
     SPHERE,
@@ -25,6 +24,7 @@ from myowarp.engine.stages.muscle_path_kernel import (
     muscle_path,
 )
 from myowarp.engine.stepped import Stepped
+from myowarp.kernels.lanes import block_scratch
 from myowarp.kernels.launch import launch
 
 _WRAP = mujoco.mjtWrap

@@ -18,7 +18,7 @@ from pathlib import Path as File
 
 import warp as wp
 
-from myowarp.engine.stages.lanes import at_namespace_level
+from myowarp.kernels.lanes import at_namespace_level
 
 STRAIGHT, SPHERE, CYLINDER = range(3)
 

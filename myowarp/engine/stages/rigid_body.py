@@ -18,10 +18,10 @@ from mujoco_warp._src.types import vec10
 
 from myowarp.engine.stage import Launches, Stage
 from myowarp.engine.stages.arrays import any_of, filled
-from myowarp.engine.stages.lanes import at_namespace_level, block_scratch
 from myowarp.engine.stages.muscle_path import MusclePath, MusclePaths
 from myowarp.engine.stages.muscle_path_kernel import PathProgram, Transmission, declare_follow_block
 from myowarp.engine.stepped import Stepped
+from myowarp.kernels.lanes import at_namespace_level, block_scratch
 from myowarp.kernels.launch import launch
 
 SOURCE = at_namespace_level(Path(__file__).with_name("rigid_body.cpp"))

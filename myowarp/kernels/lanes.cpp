@@ -28,6 +28,7 @@ INLINE float root(float x) { return sqrtf(x); }
 INLINE float absolute(float x) { return fabsf(x); }
 INLINE float nearest(float x) { return rintf(x); }
 INLINE int whole(float x) { return (int)x; }
+INLINE float power_of_two(int n) { return wp::cast<float>((n + 127) << 23); }
 INLINE float flipped(float x, int n) { return n & 2 ? -x : x; }
 INLINE bool at(bool mask, int) { return mask; }
 INLINE double widen(float x) { return x; }
@@ -47,6 +48,7 @@ INLINE Lanes root(Lanes x) { return __builtin_elementwise_sqrt(x); }
 INLINE Lanes absolute(Lanes x) { return (Lanes)((Mask)x & 0x7fffffff); }
 INLINE Lanes nearest(Lanes x) { return __builtin_elementwise_roundeven(x); }
 INLINE Mask whole(Lanes x) { return __builtin_convertvector(x, Mask); }
+INLINE Lanes power_of_two(Mask n) { return (Lanes)((n + 127) << 23); }
 INLINE Lanes flipped(Lanes x, Mask n) { return (Lanes)((Mask)x ^ ((n & 2) << 30)); }
 INLINE bool at(Mask mask, int lane) { return mask[lane]; }
 typedef double Doubles __attribute__((ext_vector_type(MYOWARP_LANES)));

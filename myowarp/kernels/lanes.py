@@ -34,10 +34,15 @@ def at_namespace_level(*sources: Path, **constants: int) -> str:
 
 
 def block_scratch(device: wp.Device, *owners: Any) -> wp.array[float]:
-    """Return memory for a block of worlds: for a row of each array of these structs, in every lane."""
-    arrays = [array for one in owners for array in _arrays(one) if array is not None]
-    floats = sum(
-        math.prod(array.shape[1:]) * wp.types.type_size_in_bytes(array.dtype) // 4 for array in arrays
+    """Return memory for a block of worlds: for a row of each array of these structs, in every lane.
+
+    An owner that is a number stands for so many floats.
+    """
+    arrays = [array for one in owners if not isinstance(one, int) for array in _arrays(one)]
+    floats = sum(one for one in owners if isinstance(one, int)) + sum(
+        math.prod(array.shape[1:]) * wp.types.type_size_in_bytes(array.dtype) // 4
+        for array in arrays
+        if array is not None
     )
     return wp.empty(
         (floats + 1) * WIDEST, dtype=float, device=device
