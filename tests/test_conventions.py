@@ -43,7 +43,7 @@ ROOMS = (
 
 FOLDERS = {
     "apps": ("cli", "studies", "train", "reports", "rollouts", "policies", "adapters"),
-    "opensim": ("convert", "report", "check", "compose", "tendon", "wrap", "muscle", "read", "model"),
+    "opensim": ("load", "convert", "report", "check", "compose", "tendon", "wrap", "muscle", "read", "model"),
     "view": ("pictures", "window", "modes", "browser", "drawing"),
 }
 """Folders and files of large rooms, likewise; the faces of packages (`__init__.py`) may import anything."""

@@ -71,6 +71,33 @@ def test_muscles_beyond_the_gates_have_a_reason(arm):
     assert "no surface stands for TRI" in notes["TRIlong"]
 
 
+def test_the_judge_is_joint_torque(arm):
+    """With OpenSim's paths and the file's muscles nothing is left; a triceps spoils the fitted tendons."""
+    folder, report, _ = arm
+    judged = report["judge"]
+    torques = {torque["coordinate"]: torque for torque in judged["torques"]}
+    assert set(torques) == {"r_shoulder_elev", "r_elbow_flex"}
+    for torque in torques.values():
+        assert torque["own"]["worst"] < 1e-6
+        assert torque["plain"]["rms"] > 0.05
+        assert torque["tendon"]["rms"] > 0.05
+        assert torque["greatest"] > 10.0
+    muscles = {muscle["muscle"]: muscle for muscle in judged["muscles"]}
+    assert muscles["TRIlong"]["tendon"]["far"] > 0.1
+    assert muscles["TRIlong"]["tendon"]["median"] < 1e-4
+    assert max(muscle["own"]["worst"] for muscle in muscles.values()) < 1e-9
+    assert not any(muscle["jumps"] for muscle in muscles.values())
+    first, second, third = judged["verdict"]
+    assert first.endswith("Good for forward simulation and inverse problems.")
+    assert re.search(r"at worst \d+ % \(r_.*\)\. Do not trust joint torques\.$", second)
+    assert third.startswith("In plain MuJoCo do not trust TRIlong (")
+    gates = {gate["name"]: gate for gate in report["gates"]}
+    assert gates["joint torque, OpenSim's paths, worst coordinate"]["passed"]
+    page = (folder / "report.html").read_text()
+    assert page.index("<h2>Verdict</h2>") < page.index("<h2>Accelerations</h2>")
+    assert "plain MuJoCo [%]" in page
+
+
 def test_gates_name_who_is_worst(arm):
     """Where OpenSim contradicts itself, TRIlong is judged by the slope of its length, and found."""
     _, report, _ = arm

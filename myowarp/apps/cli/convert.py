@@ -92,6 +92,8 @@ def _summarize(report: dict[str, Any], output: Path, accepted: tuple[str, ...]) 
     console = Console(highlight=False, soft_wrap=True)
     counts = report["counts"]
     console.print(f"{output}/model.xml: {counts['joints']} joints, {counts['muscles']} muscles")
+    for sentence in report["judge"].get("verdict", ()):
+        console.print(sentence, markup=False)
     for code, said, rules, _ in left_out(report["left_out"]):
         console.print(f"left out: {code}, {said}: {rules}", markup=False)
     for code in sorted(set(accepted) - {loss["code"] for loss in report["left_out"]}):

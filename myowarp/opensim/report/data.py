@@ -27,6 +27,7 @@ from myowarp.opensim.model.model import Loss, Note
 from myowarp.opensim.wrap.moment_arm import CONSISTENT
 
 if TYPE_CHECKING:
+    from myowarp.opensim.check.judge import Judgement
     from myowarp.opensim.check.muscles import MomentArmError, MuscleError, TorqueError
     from myowarp.opensim.tendon.fits import Samples
     from myowarp.opensim.tendon.fitted import Fits
@@ -62,6 +63,8 @@ class Check:
     """Of moment arms and forces."""
     notes: list[Note] = field(default_factory=list)
     """What the fits approximate, with these errors."""
+    judgement: Judgement | None = None
+    """None without fits."""
 
 
 def check(
@@ -79,6 +82,7 @@ def check(
     if samples is None:
         return Check(kinematics, dynamics, gates, notes=lost)
     # Fits need SciPy, which may be missing.
+    from myowarp.opensim.check.judge import judge
     from myowarp.opensim.check.muscles import moment_arm_errors, motion, muscle_errors, torque_errors
     from myowarp.opensim.report.approximations import approximations
 
@@ -88,7 +92,12 @@ def check(
     notes = approximations(converted.model, model, fits, found, arms, muscles)
     gates += [*arm_gates(arms), *muscle_gates(muscles)]
     torques = torque_errors(converted, fits, model, found)
-    return Check(kinematics, dynamics, gates, arms, muscles, torques, len(found.length), [*lost, *notes])
+    judged = judge(converted, model, fits, samples, found)
+    gates += judged.gates()
+    notes = [*lost, *notes]
+    return Check(
+        kinematics, dynamics, gates, arms, muscles, torques, len(found.length), notes, judgement=judged
+    )
 
 
 ARM_FIGURES: dict[str, Callable[[Any], float]] = {
@@ -181,6 +190,13 @@ def _dynamics(dynamics: Dynamics) -> dict[str, Any]:
     }
 
 
+def _judged(judgement: Judgement | None) -> dict[str, Any]:
+    """Return what a report says of joint torques and paths, three ways."""
+    if judgement is None:
+        return {}
+    return {"verdict": judgement.verdict(), **dataclasses.asdict(judgement)}
+
+
 def report_of(
     converted: Converted,
     model: mujoco.MjModel,
@@ -233,6 +249,7 @@ def report_of(
                 "summary": _summary(result.torques, TORQUE_FIGURES),
                 "each": [dataclasses.asdict(torque) for torque in result.torques],
             },
+            "judge": _judged(result.judgement),
             "notes": [dataclasses.asdict(note) for note in notes if not isinstance(note, Loss)],
         }
     )

@@ -13,6 +13,7 @@ from myowarp.opensim.compose.visible_body import bones
 from myowarp.opensim.report.charts import Line, chart, colored_map, colors, legible, outline
 from myowarp.opensim.report.data import alike, left_out
 from myowarp.opensim.report.dynamics import dynamics_section, engines_table
+from myowarp.opensim.report.verdict import verdict_section
 
 if TYPE_CHECKING:
     from myowarp.opensim.tendon.fits import Samples
@@ -72,6 +73,7 @@ def page(
         f"<h1>{title}</h1>",
         f'<p class="note">{escape(report["source"])}, document {report["document"]}, sha256 '
         f"{report['sha256'][:16]}; {escape(_counts(report['counts']))}.</p>",
+        verdict_section(report["judge"]),
         _left_out(report),
         f"<h2>Accelerations</h2>{engines_table(report)}",
         _gates(report),
