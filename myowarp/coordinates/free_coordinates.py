@@ -61,10 +61,10 @@ from myowarp.coordinates.reduction import (
 from myowarp.coordinates.reduction_lanes import reduce_blocks
 from myowarp.engine.stage import Obstacles, Stage, first_reason
 from myowarp.engine.stages.arrays import InertiaRows, any_of, filled
-from myowarp.engine.stages.lanes import block_scratch
 from myowarp.engine.step import MOTION, Step, stage_launches
 from myowarp.engine.stepped import Stepped
 from myowarp.engine.verify import set_state
+from myowarp.kernels.lanes import block_scratch
 from myowarp.kernels.launch import launch
 
 SAME_MASS = 1e-9  # relative; a body that has taken in others, or was made heavier, keeps its mass
@@ -310,8 +310,6 @@ class FreeCoordinates(Step):
         reduced = filled(Reduced, self.free.data, self.free.model)
         read = filled(Acting, stepped.data), filled(Moments, stepped.data), filled(Damping, stepped.model)
         self.scratch = block_scratch(stepped.device, *read, self.slopes, self.excess, reduced)
-        on_cpu = stepped.device.is_cpu
-        self.reduction = (reduce_blocks, 1) if on_cpu else (reduce_dynamics, stepped.data.nworld)
         rows = self.free.data.efc
         # A sparse J here has all columns in each row.
         shape = stepped.data.nworld, -1, self.free.oracle.nv
@@ -364,15 +362,17 @@ class FreeCoordinates(Step):
         reduced = filled(Reduced, free.data, free.model)
         if self.triples is not None:
             launch(straighten_dynamics, data.nworld, data, self, bodies=filled(Bodies, model, data))
-        launch(
-            *self.reduction,
-            self,
-            inertia=filled(InertiaRows, model),
-            damping=filled(Damping, model),
-            acting=filled(Acting, data),
-            moments=filled(Moments, data),
-            reduced=reduced,
-        )
+        arguments = {
+            "inertia": filled(InertiaRows, model),
+            "damping": filled(Damping, model),
+            "acting": filled(Acting, data),
+            "moments": filled(Moments, data),
+            "reduced": reduced,
+        }
+        if self.stepped.device.is_cpu:
+            launch(reduce_blocks, 1, self, **arguments)
+        else:
+            launch(reduce_dynamics, data.nworld, self, **arguments)
         launch(
             reduce_rows,
             data.nworld,

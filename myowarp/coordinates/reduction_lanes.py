@@ -6,7 +6,7 @@ import warp as wp
 
 from myowarp.coordinates.reduction import Acting, Damping, Followers, Moments, Reduced
 from myowarp.engine.stages.arrays import InertiaRows
-from myowarp.engine.stages.lanes import at_namespace_level
+from myowarp.kernels.lanes import at_namespace_level
 
 
 @wp.func_native(at_namespace_level(Path(__file__).with_suffix(".cpp")))

@@ -63,6 +63,15 @@ class SolverResult:
     Ma: wp.array2d[float]
 
 
+@wp.struct
+class InLanes:
+    """Memory of a block, the limits of each world's dofs, and which worlds are solved with them alone."""
+
+    scratch: wp.array[float]
+    limits: wp.array2d[wp.vec2]
+    solved: wp.array[bool]
+
+
 @wp.func_native(
     at_namespace_level(*map(Path(__file__).with_name, ("factor.cpp", "limit_solve.cpp")), **FLAGS)
 )
@@ -73,16 +82,16 @@ def declare_solve_limits(thread: int):
 
 @wp.func_native("""
     const int n = qacc.shape[1];
-    auto* of_worlds = (lanes::Limit*)limits.data;
-    for (int world = 0; world < solved.shape[0]; ++world)
-        solved.data[world] = lanes::has_limits_only(counts, rows, world, n, of_worlds + world * n);
-    lanes::for_blocks(solved.shape[0], solved.data, scratch.data, [&](auto& block) {
+    auto* of_worlds = (lanes::Limit*)memory.limits.data;
+    for (int world = 0; world < memory.solved.shape[0]; ++world)
+        memory.solved.data[world] = lanes::has_limits_only(counts, rows, world, n, of_worlds + world * n);
+    lanes::for_blocks(qacc.shape[0], memory.solved.data, memory.scratch.data, [&](auto& block) {
         lanes::solve_limits_block(block, inertia, options, M, qfrc_smooth, qacc_warmstart, of_worlds, rows,
                                   qacc, qfrc_constraint, result);
     });
 """)
 def solve_limits(
-    scratch: wp.array[float],
+    memory: InLanes,
     inertia: InertiaRows,
     options: SolverOptions,
     M: wp.array2d[float],
@@ -93,8 +102,6 @@ def solve_limits(
     qacc: wp.array2d[float],
     qfrc_constraint: wp.array2d[float],
     result: SolverResult,
-    limits: wp.array2d[wp.vec2],
-    solved: wp.array[bool],
 ):
     """Solve the worlds whose rows couple no dofs, a block after the other, and note which."""
     ...
@@ -140,9 +147,7 @@ def solver_kernel(width: int) -> Any:
         qfrc_smooth_in: wp.array2d[float],
         qacc_warmstart_in: wp.array2d[float],
         # In:
-        scratch: wp.array[float],
-        limits: wp.array2d[wp.vec2],
-        solved: wp.array[bool],
+        memory: InLanes,
         counts: RowCounts,
         rows: ConstraintRows,
         # Data out:
@@ -155,7 +160,7 @@ def solver_kernel(width: int) -> Any:
         thread = wp.tid()
         declare_solve_limits(thread)
         solve_limits(
-            scratch,
+            memory,
             inertia,
             options,
             M_in,
@@ -166,11 +171,9 @@ def solver_kernel(width: int) -> Any:
             qacc_out,
             qfrc_constraint_out,
             result,
-            limits,
-            solved,
         )
-        for worldid in range(solved.shape[0]):
-            if not solved[worldid]:
+        for worldid in range(memory.solved.shape[0]):
+            if not memory.solved[worldid]:
                 solve_world(
                     worldid,
                     inertia,
@@ -189,22 +192,21 @@ def solver_kernel(width: int) -> Any:
 
 
 @wp.func_native("""
-    for (int world = 0; world < sum.shape[0]; ++world) {
-        const float *one = &wp::index(applied, world, 0), *two = &wp::index(passive, world, 0);
-        const float *three = &wp::index(actuator, world, 0), *minus = &wp::index(bias, world, 0);
-        float* to = &wp::index(sum, world, 0);
-        for (int dof = 0; dof < sum.shape[1]; ++dof)
-            to[dof] = two[dof] - minus[dof] + one[dof] + three[dof];
-    }
+    const float *one = &wp::index(applied, world, 0), *two = &wp::index(passive, world, 0);
+    const float *three = &wp::index(actuator, world, 0), *minus = &wp::index(bias, world, 0);
+    float* to = &wp::index(sum, world, 0);
+    for (int dof = 0; dof < sum.shape[1]; ++dof)
+        to[dof] = two[dof] - minus[dof] + one[dof] + three[dof];
 """)
-def sum_of_worlds(
+def sum_of_world(
+    world: int,
     applied: wp.array2d[float],
     passive: wp.array2d[float],
     actuator: wp.array2d[float],
     bias: wp.array2d[float],
     sum: wp.array2d[float],
 ):
-    """Sum the forces of all worlds, by whole vectors."""
+    """Sum the forces of a world, by whole vectors."""
     ...
 
 
@@ -219,7 +221,8 @@ def sum_forces(
     qfrc_smooth_out: wp.array2d[float],
 ):
     """qfrc_smooth = qfrc_passive - qfrc_bias + qfrc_applied + qfrc_actuator."""
-    sum_of_worlds(qfrc_applied_in, qfrc_passive_in, qfrc_actuator_in, qfrc_bias_in, qfrc_smooth_out)
+    worldid = wp.tid()
+    sum_of_world(worldid, qfrc_applied_in, qfrc_passive_in, qfrc_actuator_in, qfrc_bias_in, qfrc_smooth_out)
 
 
 def width_of(num_dofs: int) -> int:
@@ -258,13 +261,14 @@ class ContactSolve(Stage):
         """Allocate the memory of a block, and of what is noted of worlds."""
         super().__init__(stepped)
         data = stepped.data
-        self.solved = wp.zeros(data.nworld, dtype=bool, device=stepped.device)
-        self.limits = wp.empty(data.qvel.shape, dtype=wp.vec2, device=stepped.device)
-        self.scratch = block_scratch(stepped.device, data.M, data.M, data.efc.Ma, *[data.qvel] * 16)
+        self.memory = InLanes()
+        self.memory.solved = wp.zeros(data.nworld, dtype=bool, device=stepped.device)
+        self.memory.limits = wp.empty(data.qvel.shape, dtype=wp.vec2, device=stepped.device)
+        self.memory.scratch = block_scratch(stepped.device, data.M, data.M, data.efc.Ma, *[data.qvel] * 16)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Sum the forces, then solve the constraints of all worlds."""
-        launch(sum_forces, 1, data)
+        launch(sum_forces, data.nworld, data)
         self.solve(model, data)
 
     def solve(self, model: mjw.Model, data: mjw.Data) -> None:
