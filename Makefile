@@ -138,6 +138,8 @@ pictures: setup ## Draw every body and task family, and what trained hands do, i
 	$(BIN)/python docs/pictures/contact_sheet.py
 	$(BIN)/python docs/pictures/film_strips.py
 	$(BIN)/python docs/pictures/demo.py
+	$(BIN)/myowarp cohort examples/elbow_cohort.csv --task myoElbowPose1D6MFixed-v0 --reset fixed --steps 500 --output out/cohort --overwrite
+	$(BIN)/myowarp plot assistance out/cohort --output docs/pictures/assistance.png --overwrite
 
 # Wheel and sdist, and the wheel at work: installed into an empty environment, away from this folder.
 dist: setup ## Build wheel and sdist into dist, check them, try the wheel in an empty environment (OLDER=x.whl: over it)

@@ -26,13 +26,15 @@ TITLES = {
     "diereorient": "Die reorient",
     "baoding": "Baoding balls",
 }
+FOLDED = 60  # characters of names that a page folds
 WIDTH = 90  # characters that a page shows without scrolling at 1280 px
 
 
 def page(key: str, audit: dict[str, Any] | None) -> str:
     """Return the page of a task id as Markdown."""
     spec = TASKS[key]
-    facts = sections(describe(spec), WIDTH)
+    description = describe(spec)
+    facts = sections(description, WIDTH)
     about = facts.pop(spec.env_id)
     commands = f"myowarp view {key}\nmyowarp train {key} --output runs/task"
     picture = f"![{spec.family}, {spec.body}](../pictures/{spec.family}_{spec.body}.png)"
@@ -41,8 +43,40 @@ def page(key: str, audit: dict[str, Any] | None) -> str:
         parts.append(f"## Trained policy\n\n{baseline}")
     if audit:
         parts.append(f"## Measured\n\n{_measured(audit)}")
-    parts += [f"## {title}\n\n```text\n{text}\n```" for title, text in facts.items()]
+    tables = {"Observation": _observation(description), "Reward": _reward(description)}
+    for heading, text in facts.items():
+        body = tables.get(heading.partition(":")[0], f"```text\n{text}\n```")
+        parts.append(f"## {heading}\n\n{body}")
     return "\n\n".join(parts) + "\n"
+
+
+def _cell(text: str) -> str:
+    """Return a text as it stands in a cell of a table."""
+    return text.replace("|", "\\|")
+
+
+def _observation(description: dict[str, Any]) -> str:
+    """Return the blocks of the observation as a table, with the names of the numbers, folded if many."""
+    lines = ["| index | block | unit | meaning | numbers |", "|---|---|---|---|---|"]
+    for block in description["observation"]["blocks"]:
+        names = ", ".join(entry["name"] for entry in block["entries"])
+        if len(names) > FOLDED:
+            names = f"<details><summary>{len(block['entries'])} names</summary>{names}</details>"
+        first, last = block["first"], block["last"]
+        index = f"{first}" if first == last else f"{first}–{last}"
+        lines.append(f"| {index} | `{block['name']}` | {block['unit']} | {_cell(block['doc'])} | {names} |")
+    return "\n".join(lines)
+
+
+def _reward(description: dict[str, Any]) -> str:
+    """Return the terms of the reward as a table."""
+    reward = description["reward"]
+    lines = ["| weight | term | unit | meaning |", "|---|---|---|---|"]
+    for term in reward["terms"]:
+        weight = f"{term['weight']:g}" if term["weight"] else "–"
+        lines.append(f"| {weight} | `{term['name']}` | {term['unit']} | {_cell(term['doc'])} |")
+    note = '`info["terms/<name>"]` has each term before its weight; one with weight "–" is only shown there.'
+    return "\n".join([f"`{reward['formula']}`, in every step", "", *lines, "", note])
 
 
 def _baseline(key: str) -> str:

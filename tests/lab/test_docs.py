@@ -3,6 +3,7 @@
 A command runs smaller than it is written: fewer worlds, steps and samples.
 """
 
+import json
 import re
 import runpy
 import shlex
@@ -221,6 +222,19 @@ def test_reference_lists_what_is_public():
         r"^\.\. (?:autoclass|autofunction|data):: (\w+)$", (ROOT / "docs/reference.md").read_text(), re.M
     )
     assert sorted(named) == sorted(set(myowarp.__all__) - {"__version__"})
+
+
+def test_steps_per_second_are_those_of_the_measurement():
+    families = json.loads((ROOT / "benchmarks/results/rivals.json").read_text())["families"]
+    shown = re.findall(r"^\| ([a-z ]+) \| `\w.*?` \| (.*) \|$", (ROOT / "docs/speed.md").read_text(), re.M)
+    assert [family for family, _ in shown] == list(families)
+    for family, numbers in shown:
+        found = families[family]["contestants"]
+        rates = {name: row["env_steps_per_s"]["median"] for name, row in found.items()}
+        mine = [rates[name] for name in ("parity 256", "fast 256", "MuJoCo C", "EnvPool")]
+        mine.append(max(rates["MyoSuite"], rates["MyoSuite async"]))
+        written = [float(number.replace(",", "")) for number in numbers.split(" | ")]
+        assert written == [float(f"{rate:.3g}") for rate in mine], family
 
 
 def test_install_names_every_extra():
