@@ -27,6 +27,7 @@ TITLES = {
     "baoding": "Baoding balls",
 }
 FOLDED = 60  # characters of names that a page folds
+UNBROKEN = 100_000  # characters of a line that is not broken
 WIDTH = 90  # characters that a page shows without scrolling at 1280 px
 
 
@@ -35,10 +36,11 @@ def page(key: str, audit: dict[str, Any] | None) -> str:
     spec = TASKS[key]
     description = describe(spec)
     facts = sections(description, WIDTH)
-    about = facts.pop(spec.env_id)
+    del facts[spec.env_id]
+    about = sections(description, UNBROKEN)[spec.env_id].splitlines()
     commands = f"myowarp view {key}\nmyowarp train {key} --output runs/task"
     picture = f"![{spec.family}, {spec.body}](../pictures/{spec.family}_{spec.body}.png)"
-    parts = [f"# {key}", " ".join(about.split()), picture, f"```sh\n{commands}\n```"]
+    parts = [f"# {key}", "\n\n".join(line.strip() for line in about), picture, f"```sh\n{commands}\n```"]
     if baseline := _baseline(key):
         parts.append(f"## Trained policy\n\n{baseline}")
     if audit:
