@@ -12,6 +12,7 @@ from myowarp.apps.rollouts.film import Film, write
 from myowarp.apps.rollouts.run import run as roll
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
+from myowarp.view.drawing.muscles import QUANTITIES
 from myowarp.view.drawing.render import NoGraphicsError
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
@@ -88,7 +89,9 @@ def test_what_the_reader_turns_holds_every_body_at_every_step(films, tmp_path):
     names = str([message.get("name") for _, message in scene["messages"]])
     assert all(f"/{row}_{column}/" in names for row in range(WORLDS) for column in range(len(films)))
     write(tmp_path / "a.html", films[:1])
-    assert "__VISER_EMBED_DATA__" in (tmp_path / "a.html").read_text()
+    page = (tmp_path / "a.html").read_text()
+    assert "__VISER_EMBED_DATA__" in page
+    assert f"<span>{QUANTITIES['activation'].label}</span>" in page
 
 
 def run(capsys, monkeypatch, *arguments):
