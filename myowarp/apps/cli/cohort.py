@@ -30,7 +30,7 @@ class Cohort:
     asked: Annotated[Asked, environment(flag=True, leave_out=("horizon",))]
     policy: Policy = "hold"
     output: Path = Path("out/cohort")
-    """Folder for results, summary.csv, settings.json and plot.png."""
+    """Folder for results, summary.csv, settings.json, plot.png; assistance.png if it and strength vary."""
     steps: Steps = None
     trials: int = 1
     """Episodes of each patient; trial k has the same start, goal and noise for all."""
