@@ -232,12 +232,13 @@ def test_traces_show_what_is_chosen_and_the_twin_dashed(page, client):
 
     def curves():
         parts = list(client.parts.values())
-        return next((p["content"] for p in parts if "<svg" in p.get("content", "")), "")
+        return next((p["content"] for p in parts if "time / s" in p.get("content", "")), "")
 
     until(lambda: curves() and "BIClong" not in curves())
     client.set("quantity", "force")
     until(lambda: "BIClong" in client.parts[client.uuid("of")]["options"])
     client.set("of", "BIClong")
+    until(lambda: ("force", "BIClong") in traces.chosen)
     until(lambda: "force / N" in curves() and "BIClong" in curves())
     assert "BIClong before" not in curves()
     client.set("beside: the same without the change", True)
@@ -337,6 +338,9 @@ def test_other_tasks_are_shown_and_the_users_own_again(page, client, command):
     for task in ("pose, finger", OWN, "pose, elbow"):
         client.set("task", task)
         until(lambda task=task: place_of(live.session.title)[0] == task, 240.0)
+        if task == OWN:  # at rest, until one plays
+            until(lambda: not live.playing)
+            client.press("Play")
         until(lambda: steps(live) > 3)
         if task == OWN:
             assert live.session.title == model
