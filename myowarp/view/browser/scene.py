@@ -33,8 +33,10 @@ CELL, GHOST_CELL = 1 / 150, 1 / 80
 """What is smaller in a mesh is not sent, in units of the framed radius: some browsers draw in software."""
 SIDES = 10
 """Faces around a tube."""
-RINGS, BELLY_SIDES = 11, 8
-"""Rings of a belly, and points on each."""
+RINGS = 11
+"""Rings of a belly."""
+BELLY_SIDES, CROWD_SIDES, CROWD = 8, 6, 20
+"""Points on a ring, and where there are more muscles than the last number, each of which is small."""
 OVERLAP = 0.45
 """How far a tube reaches into the next one, in units of its radius."""
 STILL = 2e-5
@@ -45,8 +47,8 @@ COPY_BYTES = 43
 """Place, turn, size and colour of a tube or ball."""
 BODY_BYTES = 160
 """Messages that place a mesh of a body."""
-BELLY_BYTES = 12 * RINGS * BELLY_SIDES + 120
-"""Message that shapes a belly."""
+BELLY_BYTES = 120
+"""Message that shapes a belly, without its points."""
 THINNEST = 0.002
 """Least radius of a tendon, in units of the framed radius."""
 FLOOR_REACH, LINE = 6.0, 0.0015
@@ -96,6 +98,7 @@ class Figure:
         on_tendon = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON)
         self._names = [model.actuator(int(actuator)).name for actuator in on_tendon]
         self.muscles, self._skeleton = Muscles(model, radius), Skeleton(model)
+        self._sides = CROWD_SIDES if len(self.muscles.tendons) > CROWD else BELLY_SIDES
         self._tips = [] if ghost else look.tip_sites(model, tips)
         self._tip_radii = look.tip_radii(model, self._tips, radius)
         self._rgba = look.shown_rgba(model)
@@ -160,7 +163,8 @@ class Figure:
     @property
     def bytes_per_frame(self) -> int:
         """What a frame sends at most, about."""
-        meshes = BODY_BYTES * sum(map(len, self._meshes.values())) + BELLY_BYTES * len(self._bellies)
+        belly = BELLY_BYTES + 12 * RINGS * self._sides
+        meshes = BODY_BYTES * sum(map(len, self._meshes.values())) + belly * len(self._bellies)
         return meshes + COPY_BYTES * (self._tubes.room + self._balls.room)
 
     def remove(self) -> None:
@@ -215,7 +219,7 @@ class Figure:
         tendon = (1.0 - TENDON_TINT) * TENDON_RGB + TENDON_TINT * belly
         known = np.ones(len(belly), bool) if seen.activation is None else ~np.isnan(seen.activation)
         bellies = self.muscles.bellies(self._data, seen.muscles, thinnest, RINGS)
-        shapes = bellies.vertices(BELLY_SIDES) + aside
+        shapes = bellies.vertices(self._sides) + aside
         for muscle, shape in zip(bellies.muscles, shapes, strict=True):
             self._show_belly(
                 muscle, shape if known[muscle] else shape[:1].repeat(len(shape), 0), belly[muscle]
@@ -240,7 +244,7 @@ class Figure:
             self._bellies[muscle] = self._server.scene.add_mesh_simple(
                 f"{self._name}/belly_{muscle}",
                 vertices.astype(np.float32),
-                _around(RINGS, BELLY_SIDES),
+                _around(RINGS, self._sides),
                 color=color,
                 side="double",
                 cast_shadow=False,
