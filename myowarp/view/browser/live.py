@@ -303,7 +303,6 @@ class Live(Controls):
     def _aim(self, client: viser.ClientHandle) -> None:
         """Point the camera of a page."""
         camera = client.camera
-        self._panel.traces.fit(camera.image_width)
         with client.atomic():
             camera.position, camera.look_at, camera.fov = self._view(camera.image_width, camera.image_height)
 

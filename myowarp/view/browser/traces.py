@@ -27,8 +27,6 @@ WIDTH, HEIGHT = 900, 150
 """Size of the picture [px]."""
 ROOM = 62
 """px of the window around it."""
-NARROWEST, PADDING = 400, 16
-"""px of the narrowest window, and left free in it."""
 BORDER = 15
 """px between the window and the picture of the body."""
 TRACES_HEIGHT = HEIGHT + ROOM + 2 * BORDER
@@ -56,7 +54,6 @@ class Traces:
             ("Save PNG", self._save_png),
         ):
             self._press(label, do)
-        self._width = WIDTH
         self._window = gui.add_panel()
         with self._window.add_tab("Traces"):
             self._picture = gui.add_html("")
@@ -71,16 +68,11 @@ class Traces:
         """Take the window out of the page."""
         self._window.remove()
 
-    def fit(self, width: int) -> None:
-        """Make the window as wide as a picture beside the panel [px]."""
-        self._width = max(width - 2 * BORDER, NARROWEST)
-        self._window.set_width(self._width)
-
     def refresh(self) -> None:
         """Draw what is new."""
         charts = self.charts()
         self._picture.content = (
-            f"<div style='padding:0 0.5em'>{as_svg(charts, self._width - PADDING, HEIGHT)}</div>"
+            f"<div style='padding:0 0.5em'>{as_svg(charts, WIDTH, HEIGHT)}</div>"
             if charts
             else "<div style='padding:1em'>Choose on the tab <i>Traces</i>, or click a muscle.</div>"
         )
