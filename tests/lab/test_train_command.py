@@ -467,6 +467,17 @@ def test_a_policy_cannot_act_with_another_contract(tiny, run):
     )
 
 
+def test_other_muscles_are_said(tiny, caplog):
+    """The checkpoint names its muscle model; the policy acts, and one sentence says on what."""
+    whole = checkpoints.load_checkpoint(tiny)
+    assert whole.manifest["settings"]["muscle"] == "mujoco"
+    for muscle, sentences in (("mujoco", 0), ("thelen2003_rigid", 1)):
+        env = MyoWarpVectorEnv(ELBOW, 1, device="cpu", muscle=muscle, progress=False)
+        for _ in range(2):
+            checkpoints.check_contract(whole, env.sim)
+        assert caplog.text.count("was trained with mujoco muscles and acts on thelen2003_rigid") == sentences
+
+
 def test_contracts_differ_in_columns(tiny):
     """A condition that shows its state appends columns."""
     whole = checkpoints.load_checkpoint(tiny)

@@ -29,6 +29,7 @@ from safetensors.numpy import load, save
 
 from myowarp.apps.policies.form import check_manifest, check_policy
 from myowarp.definitions.task import TaskSpec
+from myowarp.engine.warn_once import warn_once
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.sim.simulation import Simulation
 
@@ -90,7 +91,10 @@ def task_contract(sim: Simulation) -> dict[str, Any]:
 
 
 def check_contract(checkpoint: Checkpoint, sim: Simulation, *, learning: bool = False) -> None:
-    """Raise CheckpointError if a policy cannot act in a simulation, or not go on to learn in it."""
+    """Raise CheckpointError if a policy cannot act in a simulation, or not go on to learn in it.
+
+    A policy may act on other muscles than those that it was trained with, which is said once.
+    """
     present = json.loads(json.dumps(task_contract(sim)))
     recorded = checkpoint.manifest["contract"]
     for key in present if learning else ACTING:
@@ -100,6 +104,9 @@ def check_contract(checkpoint: Checkpoint, sim: Simulation, *, learning: bool = 
                 f"checkpoint {str(checkpoint.folder)!r} was trained in {recorded['task']!r} and cannot "
                 f"{does} in {present['task']!r}: {_difference(key, recorded.get(key), present[key])}"
             )
+    trained, runs = checkpoint.manifest["settings"].get("muscle") or "mujoco", sim.setup.muscles.model
+    if trained != runs:
+        warn_once(f"policy {str(checkpoint.folder)!r} was trained with {trained} muscles and acts on {runs}")
 
 
 def _difference(key: str, recorded: Any, present: Any) -> str:

@@ -219,7 +219,7 @@ def _note_versions(job: Job, console: Console) -> None:
 
 def _settings(job: Job) -> dict[str, Any]:
     """Return the settings and what was said of the environment, side by side; the other way: `divided`."""
-    return dataclasses.asdict(job.settings) | job.asked.plain()
+    return dataclasses.asdict(job.settings) | job.asked.plain() | {"muscle": job.setup.muscles.model}
 
 
 def _save(job: Job, run: Run) -> None:
