@@ -126,6 +126,7 @@ soak: setup ## Run random actions in all 204 ids of the paper's grid and pairs o
 	@mkdir -p out
 	$(BIN)/python -m benchmarks.soak --output out/soak.json
 	$(BIN)/python -m benchmarks.soak --pairs --output out/soak_pairs.json
+	$(BIN)/python -m benchmarks.soak --muscles --num-worlds 256 --output out/soak_muscles.json
 
 audit: setup ## Audit every task, table, JSON and page to out/audit (10 minutes to an hour)
 	$(BIN)/myowarp audit --output out/audit --overwrite

@@ -2,11 +2,13 @@
 
     python -m benchmarks.soak --output out/soak.json
     python -m benchmarks.soak --pairs --output out/soak_pairs.json
+    python -m benchmarks.soak --muscles --num-worlds 256 --output out/soak_muscles.json
 
 With --pairs the runs are the hard task of each family with every two muscle conditions that its body can
-have together; what is refused is listed with its reason. Every run is 10,000 environment steps or more,
-split evenly over the worlds. The file is written after each run, and runs that it already holds are skipped,
-so that one that was interrupted goes on.
+have together; what is refused is listed with its reason. With --muscles they are pose tasks of elbow and hand
+with every muscle model. Every run is 10,000 environment steps or more, split evenly over the worlds. The file
+is written after each run, and runs that it already holds are skipped, so that one that was interrupted goes
+on.
 """
 
 import argparse
@@ -21,6 +23,7 @@ from rich.console import Console
 
 from myowarp.apps.studies.audit.runs import Run
 from myowarp.definitions.condition import CONDITIONS, Condition, resolve
+from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.task import TASKS, TaskSpec
 from myowarp.models.conditions import TendonTear
 from myowarp.progress import progress_bar
@@ -40,6 +43,7 @@ class Soaked:
     task: str
     conditions: tuple[str | Condition, ...]
     reset: str = "task"
+    muscle: str = "mujoco"
 
 
 def cells() -> Iterator[Soaked]:
@@ -54,6 +58,16 @@ def pairs() -> Iterator[Soaked]:
         for names in combinations(CONDITIONS, 2):
             conditions = tuple(suited(name, TASKS[task]) for name in names)
             yield Soaked(f"{TASKS[task].env_id} {' + '.join(names)}", task, conditions)
+
+
+def muscles() -> Iterator[Soaked]:
+    """Return every muscle model on pose tasks of elbow and hand, healthy and with two conditions."""
+    conditions = {"myoElbowPose1D6MRandom-v0": ("sarcopenia", "fatigue_ma2009")}
+    conditions["myoHandPoseRandom-v1"] = ("fatigue_3ccr", "tendon_transfer")
+    for task, pair in conditions.items():
+        for muscle in MUSCLES:
+            for chosen in ((), pair):
+                yield Soaked(" ".join((task, muscle, *chosen)), task, chosen, muscle=muscle)
 
 
 def suited(name: str, spec: TaskSpec) -> str | Condition:
@@ -78,6 +92,7 @@ def soak(run: Soaked, num_worlds: int) -> dict[str, object]:
             device="cpu",
             reset=run.reset,
             conditions=run.conditions,
+            muscle=run.muscle,
             autoreset="same_step",
             progress=False,
         )
@@ -103,12 +118,12 @@ def summary(rows: list[dict]) -> str:
     ran = [row for row in rows if "refused" not in row]
     # Without contacts the rows have an exact bound.
     touching = [row for row in ran if row["contact_margin_percent"] is not None]
-    pools, margins = (min(row[f"{what}_margin_percent"] for row in touching) for what in ("contact", "row"))
+    free = [min((r[f"{what}_margin_percent"] for r in touching), default=100) for what in ("contact", "row")]
     faulty = sum(any(row["faults"].values()) for row in ran)
     return (
         f"{len(ran)} runs, {sum(row['env_steps'] for row in ran):,} environment steps, "
         f"{faulty} runs with a fault, {len(rows) - len(ran)} refused; "
-        f"free at the fullest: {pools:.0f} % of contacts, {margins:.0f} % of rows"
+        f"free at the fullest: {free[0]:.0f} % of contacts, {free[1]:.0f} % of rows"
     )
 
 
@@ -118,13 +133,15 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--pairs", action="store_true", help="pairs of muscle conditions, not the grid")
+    parser.add_argument("--muscles", action="store_true", help="muscle models, not the grid")
     parser.add_argument("--output", type=Path, default=Path("out/soak.json"), help="file to write")
     parser.add_argument("--num-worlds", type=int, default=NUM_WORLDS, help="worlds stepped together")
     options = parser.parse_args()
     options.output.parent.mkdir(parents=True, exist_ok=True)
     rows = json.loads(options.output.read_text()) if options.output.exists() else []
     done = {row["id"] for row in rows}
-    runs = [run for run in (pairs() if options.pairs else cells()) if run.id not in done]
+    asked = pairs() if options.pairs else muscles() if options.muscles else cells()
+    runs = [run for run in asked if run.id not in done]
     with progress_bar("Soaking", "runs", Console(stderr=True)) as bar:
         for run in bar.track(runs):
             rows.append(soak(run, options.num_worlds))
