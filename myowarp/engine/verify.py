@@ -28,7 +28,7 @@ logger = logging.getLogger("myowarp")
 
 SOURCES = (
     *("engine/**/*.py", "engine/**/*.cpp", "coordinates/*.py", "coordinates/*.cpp"),
-    *("sim/*.py", "kernels/*", "models/muscles/*"),
+    *("sim/*.py", "kernels/*", "models/muscles/*", "models/paths/*"),
 )
 """Files of the package that decide a verdict."""
 
