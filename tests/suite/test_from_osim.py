@@ -105,6 +105,16 @@ def test_errors_are_one_sentence(tmp_path, name, text, message):
     assert "\n" not in str(caught.value)
 
 
+def test_a_range_that_runs_backwards_is_one_sentence(tmp_path):
+    """OpenSim 4.6 loads such a file, and fails when it is asked for a length."""
+    path = tmp_path / "back.osim"
+    text = (OSIM / "arm26.osim").read_text()
+    path.write_text(re.sub(r"<range>\s*-1\s+-1\s*</range>", "<range>3 1</range>", text, count=1))
+    message = r"back.osim:\d+: <PathWrap name='TRIlong.*'> has a range from point 3 back to 1, .*; swap them$"
+    with pytest.raises(ValueError, match=message):
+        read_body(path)
+
+
 def test_a_joint_that_nobody_knows_is_one_sentence(tmp_path):
     path = tmp_path / "odd.osim"
     path.write_text((OSIM / "arm26.osim").read_text().replace("CustomJoint", "OddJoint"))

@@ -178,4 +178,8 @@ def _read_path_wrap(element: Element, scope: Scope, points: int) -> PathWrap | N
     # OpenSim lets a path wrap along its whole length where a bound makes no sense.
     first = first if 1 <= first <= points else -1
     last = last if 1 <= last <= points else -1
+    if 1 <= last < first:
+        raise element.error(
+            f"has a range from point {first} back to {last}, on which OpenSim fails; swap them"
+        )
     return PathWrap(name, method, (first, last))  # type: ignore[arg-type]
