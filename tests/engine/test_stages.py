@@ -175,7 +175,7 @@ def test_none_on_request():
     ],
 )
 def test_obstacles_of_the_muscle_path(inside, reason):
-    assert MusclePath.obstacle(SimpleNamespace(oracle=model_with(inside))) == reason
+    assert MusclePath.obstacle(SimpleNamespace(oracle=model_with(inside), paths=None)) == reason
 
 
 def model_with(inside="", options=""):
@@ -281,7 +281,9 @@ def test_damped_tendons_keep_their_velocity():
     with wp.ScopedDevice("cpu"):
         for ours in (False, True):
             model, data = mjw.put_model(host), mjw.make_data(host, nworld=2)
-            scene = SimpleNamespace(oracle=host, model=model, data=data, device=wp.get_device("cpu"))
+            scene = SimpleNamespace(
+                oracle=host, model=model, data=data, device=wp.get_device("cpu"), paths=None
+            )
             assert uncovered(scene) is None
             assert MusclePath.obstacle(scene) is None
             data.qvel.fill_(3.0)
