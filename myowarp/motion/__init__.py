@@ -11,7 +11,9 @@ from typing import Any
 
 _LATER = {
     "Bones": "skeleton",
-    **dict.fromkeys(("analyze", "dynamics", "forces", "kinematics", "read_motion", "write_angles"), "trial"),
+    **dict.fromkeys(
+        ("analyze", "dynamics", "follow", "forces", "kinematics", "read_motion", "write_angles"), "trial"
+    ),
 }
 __all__ = list(_LATER)
 

@@ -151,7 +151,7 @@ def muscle_forces(
     lower, upper = np.array([*bounds, *[(-np.inf, np.inf)] * len(helped)], float).reshape(-1, 2).T
 
     def at(activation: ArrayLike, near: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        force, along = steady.at(activation, paths.length, paths.velocity, slack, near)
+        force, along, _ = steady.at(activation, paths.length, paths.velocity, slack, near)
         return strength * force, along
 
     def solve(capacity: np.ndarray, passive: np.ndarray, near: np.ndarray | None = None) -> Activations:

@@ -20,6 +20,7 @@ from myowarp.models.muscles.hill_law import (
     DEGROOTE,
     MILLARD,
     THELEN,
+    along_tendon,
     equilibrium,
     fiber_pull,
     hill_muscle,
@@ -54,12 +55,18 @@ def steady_muscles(
     activation: wp.array2d[wp.float64],
     length: wp.array2d[wp.float64],
     velocity: wp.array2d[wp.float64],
+    before: wp.array2d[wp.float64],
+    per_step: wp.float64,
     # Out:
     along: wp.array2d[wp.float64],
-    tension: wp.array2d[wp.float64],
+    pull: wp.array2d[wp.vec2d],
 ):
-    """F_max f_T and z in equilibrium at (a, L, V); 0 where the path is shorter than tendon and fiber.
+    """(F_max f_T, its slope by the path's velocity) and z in equilibrium at (a, L, V).
 
+    Held steady, the force is 0 where the path is shorter than tendon and fiber.
+
+    The slope is 0 in an elastic tendon that is held steady. With steps a second above 0 the fiber comes from
+    its length before, and the tendon stretches meanwhile.
     Newton's method begins at the z that is there, which is 0 where none is known.
     """
     worldid, i = wp.tid()
@@ -71,8 +78,20 @@ def steady_muscles(
     free = path - m.tendon_slack_length
     z = wp.max(free, m.shortest_fiber)
     force = zero
+    by_velocity = zero
     if m.rigid == 1:
-        force = fiber_pull(m, tables, spans, a, wp.float64(1.0), z, velocity[worldid, k], zero, zero)[0]
+        fiber_force = fiber_pull(m, tables, spans, a, wp.float64(1.0), z, velocity[worldid, k], zero, zero)
+        force = fiber_force[0]
+        by_velocity = fiber_force[2]
+    elif per_step > zero:
+        fiber = before[worldid, k]
+        start = along_tendon(m, fiber) + velocity[worldid, k] / per_step
+        found = equilibrium(
+            m, tables, spans, a, wp.float64(1.0), path, zero, fiber, per_step, start, TOLERANCE
+        )
+        z, force = found[0], found[1]
+        if found[2] > zero and found[3] > zero:
+            by_velocity = found[2] * found[3] / (found[2] + found[3]) / per_step
     elif free > m.shortest_fiber:
         start = along[worldid, k]
         if start <= zero:
@@ -82,7 +101,11 @@ def steady_muscles(
         )
         z, force = found[0], found[1]
     along[worldid, k] = z
-    tension[worldid, k] = wp.where(free > m.shortest_fiber, m.max_isometric_force * wp.max(force, zero), zero)
+    pulls = free > m.shortest_fiber or (per_step > zero and m.rigid == 0)
+    if not pulls or force <= zero:
+        force = zero
+        by_velocity = zero
+    pull[worldid, k] = m.max_isometric_force * wp.vec2d(force, by_velocity)
 
 
 class SteadyMuscles:
@@ -121,8 +144,12 @@ class SteadyMuscles:
         velocity: np.ndarray,
         slack: ArrayLike = 1.0,
         near: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the force in each tendon [N] and the length of the fiber along it [m].
+        before: np.ndarray | None = None,
+        dt: float = 0.0,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the force in each tendon [N], the fiber's length along it [m], and the slope of the force.
+
+        The slope is that by the path's velocity [N s/m], of a step, and of rigid tendons.
 
         Args:
             activation: [1], which broadcasts to (frames, muscles).
@@ -130,13 +157,16 @@ class SteadyMuscles:
             velocity: Its velocity [m/s], lengthening > 0.
             slack: Factors on tendon slack lengths, which broadcast to (frames, muscles).
             near: Lengths of fibers to begin at, of another activation.
+            before: Fiber lengths from which a step of `dt` leads here [m]; None: muscles are held steady.
+                Tendons of classes with splines do not stretch meanwhile.
+            dt: Of the step [s].
         """
         active = np.broadcast_to(np.asarray(activation, float), length.shape)
         factor = np.atleast_2d(np.asarray(slack, float))
         factor = np.broadcast_to(factor, (len(factor), length.shape[1]))
         with wp.ScopedDevice(self._device):
             along = wp.array(np.zeros(length.shape) if near is None else near, dtype=wp.float64)
-            tension = wp.zeros(length.shape, dtype=wp.float64)
+            pull = wp.zeros(length.shape, dtype=wp.vec2d)
             launch(
                 steady_muscles,
                 (len(length), len(self._column)),
@@ -148,16 +178,18 @@ class SteadyMuscles:
                 activation=wp.array(active, dtype=wp.float64),
                 length=wp.array(length, dtype=wp.float64),
                 velocity=wp.array(velocity, dtype=wp.float64),
+                before=wp.array(length if before is None else before, dtype=wp.float64),
+                per_step=0.0 if before is None else 1.0 / dt,
                 along=along,
-                tension=tension,
+                pull=pull,
             )
-            fiber, force = along.numpy(), tension.numpy()
+            fiber, force, slope = along.numpy(), pull.numpy()[..., 0].copy(), pull.numpy()[..., 1].copy()
         for k in self._others:
             muscle = self.muscles[k]
             own = np.broadcast_to(factor[:, k], len(length)) * muscle.values["tendon_slack_length"]
             fiber[:, k], force[:, k] = muscle.steady(active[:, k], length[:, k], velocity[:, k], own)
             force[:, k] *= muscle.values["max_isometric_force"]
-        return force, fiber
+        return force, fiber, slope
 
 
 def _properties(law: int) -> dict[str, float]:

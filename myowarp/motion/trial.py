@@ -6,7 +6,7 @@ in degrees in `.mot`, all else in `.sto`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.tasks import tasks_of
+from myowarp.motion.tracking import Tracked, track
 from myowarp.opensim.model.kinematics import complete
 from myowarp.opensim.model.model import Model
 from myowarp.opensim.muscle.hill import HillMuscle, known
@@ -176,7 +177,7 @@ def dynamics(bones: Bones, motion: Movement, output: Path, loads: Path | None = 
     """
     acting: Sequence[Load] = () if loads is None else loads_at(loads, motion.time)
     needed = inverse_dynamics(bones, motion.values, motion.speeds, motion.accelerations, acting)
-    _write(output / "moments.sto", "joint moments, N m and N", bones, motion, needed.joint_moment)
+    _write(output / "moments.sto", "joint moments, N m and N", bones, motion.time, needed.joint_moment)
     return needed
 
 
@@ -267,8 +268,63 @@ def forces(
     write_reactions(
         output / "joint_reactions.sto", motion.time, joint_reactions(bones, motion.values, needed, tension)
     )
-    _write(output / "reserves.sto", "what reserves give, N m and N", bones, motion, found.reserve)
-    _write(output / "missing.sto", "what nobody gives, N m and N", bones, motion, found.missing)
+    _write(output / "reserves.sto", "what reserves give, N m and N", bones, motion.time, found.reserve)
+    _write(output / "missing.sto", "what nobody gives, N m and N", bones, motion.time, found.missing)
+    return found
+
+
+def follow(
+    bones: Bones,
+    motion: Movement,
+    output: Path,
+    loads: Path | None = None,
+    *,
+    reserves: Mapping[str, float],
+    factors: Mapping[str, float] | None = None,
+    span: tuple[float, float] | None = None,
+    advance: Callable[[int], None] = lambda count: None,
+) -> Tracked:
+    """Simulate a motion by computed muscle control; write angles, excitations, activations, forces, reserves.
+
+    Args:
+        bones: The model.
+        motion: From `read_motion`.
+        output: Folder, which exists.
+        loads: A file of OpenSim's `ExternalLoads`.
+        reserves: By coordinate, the force of a reserve at cost 1 [N m] or [N].
+        factors: On maximum isometric forces, by muscle.
+        span: First and last time [s].
+        advance: Is told how many windows are done.
+
+    Raises:
+        ValueError: A file is not what it should be, a muscle is unknown, or the simulation is lost.
+        OSError: A file cannot be read or written.
+    """
+    names = [name for name, muscle in bones.model.muscles.items() if muscle.applies_force]
+    if unknown := set(factors or {}) - set(names):
+        raise ValueError(f"muscle {sorted(unknown)[0]!r} unknown; available: {', '.join(names)}")
+    strength = np.array([(factors or {}).get(name, 1.0) for name in names])
+    if not ((strength >= 0.0) & np.isfinite(strength)).all():
+        raise ValueError("the strength of a muscle must be at least 0 and finite")
+    found = track(
+        bones,
+        motion.time,
+        motion.values,
+        lambda times: () if loads is None else loads_at(loads, times),
+        reserves=reserves,
+        strength=strength,
+        span=span,
+        advance=advance,
+    )
+    write_angles(output / "tracked.mot", bones.model, bones.coordinates, found.time, found.values[:, 0])
+    for name, title, values in (
+        ("excitations", "excitations", found.excitation),
+        ("activations", "activations", found.activation),
+        ("fiber_lengths", "fiber lengths, m", found.fiber_length),
+        ("forces", "forces of muscles, N", found.force),
+    ):
+        write_storage(output / f"{name}.sto", title, Storage(found.muscles, found.time, values[:, 0]))
+    _write(output / "reserves.sto", "what reserves give, N m and N", bones, found.time, found.reserve[:, 0])
     return found
 
 
@@ -299,8 +355,8 @@ def _paths(bones: Bones, motion: Movement) -> MusclePaths:
     return muscle_paths(bones.model, bones.coordinates, motion.values, motion.speeds)
 
 
-def _write(path: Path, title: str, bones: Bones, motion: Movement, values: np.ndarray) -> None:
+def _write(path: Path, title: str, bones: Bones, time: np.ndarray, values: np.ndarray) -> None:
     """Write what acts along the coordinates, named as OpenSim names it."""
     turns = [bones.model.coordinates[name].rotational for name in bones.coordinates]
     labels = (f"{n}_{'moment' if t else 'force'}" for n, t in zip(bones.coordinates, turns, strict=True))
-    write_storage(path, title, Storage(tuple(labels), motion.time, values))
+    write_storage(path, title, Storage(tuple(labels), time, values))

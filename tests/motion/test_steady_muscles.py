@@ -35,8 +35,8 @@ def test_the_same_as_in_numpy(name):
     length = slack + optimal * random.uniform(0.2, 1.5, shape)
     velocity = optimal * random.uniform(-6.0, 6.0, shape)
     activation, factor = random.uniform(0.0, 1.0, shape), random.uniform(0.95, 1.05, shape)
-    force, along = steady.at(activation, length, velocity, factor)
-    bare, _ = steady.at(activation, length, velocity)
+    force, along, _ = steady.at(activation, length, velocity, factor)
+    bare, *_ = steady.at(activation, length, velocity)
     for k, muscle in enumerate(steady.muscles):
         own = factor[:, k] * slack[k]
         z, wanted = muscle.steady(activation[:, k], length[:, k], velocity[:, k], own)

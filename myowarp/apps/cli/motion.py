@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 import tyro
 from rich.console import Console
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from myowarp.motion.muscle_forces import MuscleForces
     from myowarp.motion.scaling import Scaled
     from myowarp.motion.skeleton import Bones
+    from myowarp.motion.trial import Movement
 
 WRITES = {
     "analyze": tuple(
@@ -38,6 +40,10 @@ WRITES = {
             ),
             "missing",
         )
+    ),
+    "track": (
+        "tracked.mot",
+        *(f"{name}.sto" for name in ("excitations", "activations", "fiber_lengths", "forces", "reserves")),
     ),
     "report": ("report.html",),
 }
@@ -64,6 +70,10 @@ class Motion:
     of activations to a power, with a reserve of --reserve N m on every coordinate.
     myowarp motion forces gait.osim --motion ik.mot --loads grf.xml --filter 6 --reserve 10
 
+    track: excitations that make a simulation follow the motion under its loads, by computed muscle control,
+    and what reserves of --reserve, at the root --residual, have to add; --strength makes muscles weaker.
+    myowarp motion track gait.osim --motion ik.mot --loads grf.xml --reserve 1 --strength soleus_r=0.9
+
     report: a page on what other steps wrote into the same folder, the worst first.
     myowarp motion report gait.osim -o out/trial
 
@@ -77,7 +87,7 @@ class Motion:
     """
 
     what: Annotated[
-        Literal["scale", "analyze", "kinematics", "dynamics", "forces", "report", "study"],
+        Literal["scale", "analyze", "kinematics", "dynamics", "forces", "track", "report", "study"],
         tyro.conf.Positional,
     ]
     """Step."""
@@ -100,6 +110,12 @@ class Motion:
     """Of activations in the cost, at least 1."""
     reserve: float = 0.0
     """Moment of a reserve at cost 1 on every coordinate [N m, N]; 0: none."""
+    residual: float | None = None
+    """The same on coordinates that carry the model through space; by default --reserve."""
+    strength: Annotated[tuple[str, ...], optional("[MUSCLE=FACTOR ...]")] = ()
+    """Of track: factors on maximum isometric forces of muscles, such as soleus_r=0.9."""
+    span: Annotated[tuple[float, float] | None, optional("START END")] = None
+    """Of track: first and last time [s]; by default all."""
     draws: int = 0
     """Of each trial of a study, besides the trial as it is."""
     seed: int = 0
@@ -154,16 +170,59 @@ class Motion:
                 lines.append(f"not in the file, and at default: {', '.join(motion.absent)}")
             if self.what == "analyze":
                 trial.analyze(bones, motion, self.output)
+            elif self.what == "track":
+                lines += self._track(bones, motion)
             elif self.what == "dynamics":
                 trial.dynamics(bones, motion, self.output, self.loads)
             else:
-                reserves = dict.fromkeys(bones.coordinates, self.reserve) if self.reserve else None
                 found = trial.forces(
                     bones, motion, self.output, self.loads,
-                    mode=self.mode, exponent=self.exponent, reserves=reserves,
+                    mode=self.mode, exponent=self.exponent, reserves=self._reserves(bones) or None,
                 )  # fmt: skip
                 lines += worst_of(bones, found)
         self._say(lines)
+
+    def _reserves(self, bones: Bones) -> dict[str, float]:
+        """Return the force of the reserve of each coordinate that has one."""
+        from myowarp.apps.reports.motion import floating
+
+        root = floating(bones.model)
+        at_root = self.reserve if self.residual is None else self.residual
+        wanted = {name: at_root if name in root else self.reserve for name in bones.coordinates}
+        return {name: force for name, force in wanted.items() if force}
+
+    def _track(self, bones: Bones, motion: Movement) -> list[str]:
+        """Simulate the motion; return what is worst, one line each."""
+        from myowarp.motion import trial
+        from myowarp.motion.tracking import WINDOW
+        from myowarp.progress import progress_bar
+
+        factors = {}
+        for word in self.strength:
+            muscle, _, factor = word.partition("=")
+            try:
+                factors[muscle] = float(factor)
+            except ValueError:
+                raise ValueError(f"--strength must be like soleus_r=0.9, got {word!r}") from None
+        begin, end = self.span or (motion.time[0], motion.time[-1])
+        with progress_bar("Tracking", "windows", Console(stderr=True)) as bar:
+            task = bar.add_task("", total=max(1, round((end - begin) / WINDOW)))
+            found = trial.follow(
+                bones, motion, self.output, self.loads, reserves=self._reserves(bones), factors=factors,
+                span=self.span, advance=lambda count: bar.advance(task, count),
+            )  # fmt: skip
+        lines, off = [], found.off()[0]
+        turns = [bones.model.coordinates[name].rotational for name in bones.coordinates]
+        shown = np.where(turns, np.degrees(off), 100.0 * off)  # a degree beside a centimetre
+        for k in shown.argsort()[::-1][:SHOWN]:
+            unit = "°" if turns[k] else "cm"
+            lines.append(f"{bones.coordinates[k]}: {shown[k]:.2f} {unit} rms off the motion")
+        most = abs(found.reserve[:, 0]).max(axis=0)
+        for k in most.argsort()[::-1][:SHOWN]:
+            lines.append(
+                f"reserve at {bones.coordinates[k]}: {most[k]:.3g} {'N m' if turns[k] else 'N'} at most"
+            )
+        return lines
 
     def _study(self) -> None:
         """Solve a table of trials."""

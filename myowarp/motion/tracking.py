@@ -1,0 +1,320 @@
+"""Tracking: excitations that make a forward simulation follow a motion, by computed muscle control.
+
+Every `WINDOW` the accelerations that bring the model back to the motion are
+
+    q''* = q'' + KV (q' - q'_now) + KP (q - q_now)
+
+and those activations of least cost are found that give them at the window's end, among those that an
+excitation can reach by then, with tendons that stretch meanwhile: the force of a muscle at the end of the
+window is taken as linear in its activation, in a few rounds of secants. Excitations follow from these, and
+drive activations, fibers and bones through the window in `SUBSTEPS` steps: activations by the midpoint rule,
+fibers by backward Euler, speeds by Euler with the forces of stretched tendons at the step's end, then
+coordinates. Loads from outside are those that were recorded. What reserves give at the root is the
+residual.
+
+Worlds are simulations of one motion with other strengths. A replay drives them by given excitations and
+reserves, without a way back to the motion.
+
+Where we differ from OpenSim's CMC: the moments of the window's end are those of the state that the wanted
+accelerations lead to, steps are fixed, and ranges of coordinates do not push back.
+
+Source: Thelen, Anderson, Delp (2003), J Biomech 36:321, doi:10.1016/S0021-9290(02)00432-3; Thelen, Anderson
+(2006), J Biomech 39:1107, doi:10.1016/j.jbiomech.2005.02.010.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
+from myowarp.motion.muscle_forces import muscle_forces
+from myowarp.motion.muscle_paths import MusclePaths, muscle_paths
+from myowarp.motion.skeleton import Bones
+from myowarp.motion.smooth import spline
+from myowarp.motion.static_optimization import optimal_activations
+from myowarp.motion.steady_muscles import SteadyMuscles
+from myowarp.opensim.muscle.activation import activation_dynamics
+from myowarp.opensim.muscle.hill import HillMuscle
+
+WINDOW = 0.01
+"""Time over which an excitation is constant [s]."""
+
+SUBSTEPS = 4
+"""Of a window."""
+
+KP, KV = 100.0, 20.0
+"""Ways back to the motion [1/s^2] and [1/s], critically damped; those that OpenSim's examples have."""
+
+BISECTIONS = 40
+"""Of the excitation that reaches an activation."""
+
+REACH = 1e-3
+"""Activation between least and greatest reachable one, at least, for a slope of the force."""
+
+ROUNDS = 3
+"""Of secants, of the force by the activation."""
+
+FAR = 1e3
+"""Speed [rad/s, m/s] from which a simulation counts as lost."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """A simulation that follows a motion; all of shape (times, worlds, ...).
+
+    Attributes:
+        time: Beginnings of windows, and the end [s], shape (times,).
+        coordinates: Names of independent coordinates.
+        muscles: Names.
+        values: [rad] or [m].
+        wanted: Those of the motion, shape (times, coordinates).
+        excitation: Of the window that follows [1]; at the end that of the last one.
+        activation: [1].
+        fiber_length: [m].
+        force: In the tendon [N].
+        reserve: What reserves give in the window that follows [N m] or [N].
+    """
+
+    time: np.ndarray
+    coordinates: tuple[str, ...]
+    muscles: tuple[str, ...]
+    values: np.ndarray
+    wanted: np.ndarray
+    excitation: np.ndarray
+    activation: np.ndarray
+    fiber_length: np.ndarray
+    force: np.ndarray
+    reserve: np.ndarray
+
+    def off(self) -> np.ndarray:
+        """Return the root mean square of what is off [rad] or [m], shape (worlds, coordinates)."""
+        return np.sqrt(np.mean((self.values - self.wanted[:, None]) ** 2, axis=0))
+
+
+class Activation:
+    """da/dt = (u - a) / tau, tau = up (0.5 + 1.5 a) while a rises, else down / (0.5 + 1.5 a)."""
+
+    def __init__(self, muscles: Sequence[HillMuscle]) -> None:
+        """Read the time constants; where a muscle has none, its activation is its excitation."""
+        known = [activation_dynamics(muscle)[0] or (1e-9, 1e-9, 0.0) for muscle in muscles]
+        self.up, self.down = np.array([(up, down) for up, down, _ in known]).T
+
+    def step(self, activation: np.ndarray, excitation: np.ndarray, dt: float) -> np.ndarray:
+        """Return activations after a step, with the rate in its middle."""
+        after = activation
+        for share in (0.5, 1.0):
+            slow = 0.5 + 1.5 * after
+            tau = np.where(excitation > activation, self.up * slow, self.down / slow)
+            after = activation + (excitation - activation) * -np.expm1(-share * dt / tau)
+        return after
+
+    def window(self, activation: np.ndarray, excitation: np.ndarray) -> np.ndarray:
+        """Return activations after a window."""
+        for _ in range(SUBSTEPS):
+            activation = self.step(activation, excitation, WINDOW / SUBSTEPS)
+        return activation
+
+    def excitation(
+        self, activation: np.ndarray, wanted: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> np.ndarray:
+        """Return the excitation that reaches an activation at the end of a window, by bisection."""
+        low, high = (np.broadcast_to(bound, wanted.shape).copy() for bound in (lower, upper))
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            below = self.window(activation, middle) < wanted
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return 0.5 * (low + high)
+
+
+def equations(
+    bones: Bones, values: np.ndarray, speeds: np.ndarray, loads: Sequence[Load]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return M and c - sum J^T load of M q'' + c = moments + sum J^T load, shapes (n, k, k) and (n, k)."""
+    count, free = values.shape
+    still = np.zeros_like(values)
+    bias = inverse_dynamics(bones, values, speeds, still, loads).joint_moment
+    rows = np.repeat(values, free + 1, axis=0)
+    unit = np.tile(np.eye(free + 1, free), (count, 1))
+    moment = inverse_dynamics(bones, rows, np.zeros_like(rows), unit).joint_moment.reshape(
+        count, free + 1, free
+    )
+    return moment[:, :free] - moment[:, free:], bias
+
+
+class _Muscles:
+    """Muscles of all worlds, as the optimisation and the simulation see them."""
+
+    def __init__(self, bones: Bones, names: Sequence[str], strength: np.ndarray) -> None:
+        self.steady = SteadyMuscles(
+            [HillMuscle.of(bones.model.muscles[name]) for name in names], bones.device
+        )
+        self.strength = strength
+        muscles = self.steady.muscles
+        self.activation = Activation(muscles)
+        self.lower = np.array([max(m.values["min_control"], m.values.get("minimum_activation", 0.0), 0.0)
+                               for m in muscles])  # fmt: skip
+        self.upper = np.array([min(m.values["max_control"], 1.0) for m in muscles])
+        self.width = np.array([m.fiber_width for m in muscles])
+
+    def step(
+        self, activation: np.ndarray, fiber: np.ndarray, length: np.ndarray, velocity: np.ndarray, dt: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return forces [N], fiber lengths [m] and slopes of forces [N s/m] after a step to path lengths."""
+        force, along, slope = self.steady.at(activation, length, velocity, before=fiber, dt=dt)
+        return self.strength * force, np.hypot(along, self.width), self.strength * slope
+
+
+def track(
+    bones: Bones,
+    time: np.ndarray,
+    values: np.ndarray,
+    loads: Callable[[np.ndarray], Sequence[Load]] = lambda times: (),
+    *,
+    reserves: Mapping[str, float],
+    strength: np.ndarray | None = None,
+    span: tuple[float, float] | None = None,
+    replay: Tracked | None = None,
+    advance: Callable[[int], None] = lambda count: None,
+) -> Tracked:
+    """Simulate a motion.
+
+    Args:
+        bones: The model.
+        time: Of the motion [s], shape (frames,).
+        values: Of its independent coordinates [rad] or [m], smoothed, shape (frames, coordinates).
+        loads: Returns loads from outside at some times.
+        reserves: By coordinate, the force of a reserve at cost 1 [N m] or [N]; all coordinates need one.
+        strength: Factors on maximum isometric forces, shape (worlds, muscles); None: one world as it is.
+        span: First and last time; by default all.
+        replay: A simulation whose excitations and reserves drive this one.
+        advance: Is told how many windows are done.
+
+    Raises:
+        ValueError: A coordinate has no reserve, the span is not in the motion, or a simulation is lost.
+    """
+    coordinates = bones.coordinates
+    if missing := [name for name in coordinates if not reserves.get(name, 0.0) > 0.0]:
+        raise ValueError(f"tracking needs a reserve on every coordinate; {missing[0]!r} has none")
+    muscles = tuple(name for name, muscle in bones.model.muscles.items() if muscle.applies_force)
+    factors = np.ones((1, len(muscles))) if strength is None else np.atleast_2d(strength)
+    worlds = len(factors)
+    begin, end = span or (float(time[0]), float(time[-1]))
+    if not time[0] - 1e-9 <= begin < end <= time[-1] + 1e-9:
+        raise ValueError(
+            f"the span must lie within {time[0]:g} to {time[-1]:g} s, got {begin:g} to {end:g} s"
+        )
+    windows = max(1, round((end - begin) / WINDOW))
+    times = begin + WINDOW * np.arange(windows + 1)
+    curve = spline(time, values)
+    q_there, u_there, a_there = (curve(np.minimum(times, time[-1]), order) for order in range(3))
+    external = loads(np.minimum(begin + WINDOW / SUBSTEPS * np.arange(windows * SUBSTEPS + 1), time[-1]))
+    body = _Muscles(bones, muscles, factors)
+    cost = np.array([reserves[name] for name in coordinates])
+
+    def acting(step: int) -> list[Load]:
+        """Return the loads at the beginning of a step, for all worlds."""
+        rows = [step] * worlds
+        return [Load(x.body, x.force[rows], x.point[rows], x.torque[rows], x.force_frame, x.point_frame)
+                for x in external]  # fmt: skip
+
+    q, u = (np.tile(array[0], (worlds, 1)) for array in (q_there, u_there))
+    paths = muscle_paths(bones.model, coordinates, q, u)
+    mass, bias = equations(bones, q, u, acting(0))
+    needed = np.einsum("njk,k->nj", mass, a_there[0]) + bias
+    first = muscle_forces(
+        bones.model, coordinates, paths, needed, reserves=reserves, strength=factors, device=bones.device
+    )
+    activation = np.clip(first.activation, body.lower, body.upper)
+    force, along, _ = body.steady.at(activation, paths.length, paths.velocity)
+    force, fiber = factors * force, np.hypot(along, body.width)
+    seen: dict[str, list[np.ndarray]] = {name: [] for name in ("values", "excitation", "activation",
+                                         "fiber_length", "force", "reserve")}  # fmt: skip
+    excitation, reserve = activation, first.reserve
+    for window in range(windows):
+        if replay is None:
+            wanted = a_there[window + 1] + KV * (u_there[window] - u) + KP * (q_there[window] - q)
+            q_end, u_end = q + WINDOW * (u + 0.5 * WINDOW * wanted), u + WINDOW * wanted
+            mass, bias = equations(bones, q_end, u_end, acting((window + 1) * SUBSTEPS))
+            needed = np.einsum("njk,nk->nj", mass, wanted) + bias
+            arms = muscle_paths(bones.model, coordinates, q_end, u_end).moment_arm
+            excitation, reserve = _controls(body, paths, arms, wanted, needed, activation, fiber, cost)
+        else:
+            excitation, reserve = (np.broadcast_to(array[window], own.shape) for array, own in
+                                   ((replay.excitation, activation), (replay.reserve, u)))  # fmt: skip
+        for name, array in zip(seen, (q, excitation, activation, fiber, force, reserve), strict=True):
+            seen[name].append(array)
+        dt = WINDOW / SUBSTEPS
+        for step in range(SUBSTEPS):
+            activation = body.activation.step(activation, excitation, dt)
+            next_q = q + dt * u
+            paths = muscle_paths(bones.model, coordinates, next_q, u)
+            force, fiber, slope = body.step(activation, fiber, paths.length, paths.velocity, dt)
+            mass, bias = equations(bones, next_q, u, acting(window * SUBSTEPS + step + 1))
+            moment = np.einsum("nmk,nm->nk", paths.moment_arm, force) + reserve - bias
+            stiff = mass + dt * np.einsum("nmj,nm,nmk->njk", paths.moment_arm, slope, paths.moment_arm)
+            u = u + dt * np.linalg.solve(stiff, moment[:, :, None])[:, :, 0]
+            if not (np.abs(u) < FAR).all():
+                lost = int(np.argmax(~(np.abs(u) < FAR).all(axis=1)))
+                raise ValueError(
+                    f"simulation {lost} is lost at {times[window]:.3f} s; give reserves more force, or "
+                    "smooth the motion"
+                )
+            q = q + dt * u
+        paths = muscle_paths(bones.model, coordinates, q, u)
+        advance(1)
+    for name, array in zip(seen, (q, excitation, activation, fiber, force, reserve), strict=True):
+        seen[name].append(array)
+    arrays = {name: np.stack(rows) for name, rows in seen.items()}
+    return Tracked(times, coordinates, muscles, wanted=q_there, **arrays)
+
+
+def _controls(
+    body: _Muscles,
+    paths: MusclePaths,
+    arms: np.ndarray,
+    wanted: np.ndarray,
+    needed: np.ndarray,
+    activation: np.ndarray,
+    fiber: np.ndarray,
+    cost: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return excitations and what reserves give, so that moments are met at the end of a window."""
+    worlds, count = activation.shape
+    faster = -np.einsum("nmk,nk->nm", paths.moment_arm, wanted)
+
+    def ahead(excitation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return activations and forces at the end of the window, paths having the wanted accelerations."""
+        a, length, force, dt = activation, fiber, fiber, WINDOW / SUBSTEPS
+        for step in range(1, SUBSTEPS + 1):
+            a, t = body.activation.step(a, excitation, dt), step * dt
+            path = paths.length + t * (paths.velocity + 0.5 * t * faster)
+            force, length, _ = body.step(a, length, path, paths.velocity + t * faster, dt)
+        return a, force
+
+    least, low = ahead(np.broadcast_to(body.lower, activation.shape))
+    most, high = ahead(np.broadcast_to(body.upper, activation.shape))
+    slope = (high - low) / np.maximum(most - least, REACH)
+    near, there, excitation = least, low, least
+    free = needed.shape[1]
+    width = max([1, *map(len, paths.crossed)])
+    rows = np.full((count + free, width), -1)
+    effects = np.zeros((worlds, count + free, width))
+    rows[count:, 0] = np.arange(free)
+    effects[:, count:, 0] = cost
+    endless = np.full((worlds, free), np.inf)
+    lower, upper = np.concatenate([least, -endless], axis=1), np.concatenate([most, endless], axis=1)
+    found = np.zeros((worlds, count + free))
+    for _ in range(ROUNDS):
+        for k, crossed in enumerate(paths.crossed):
+            rows[k, : len(crossed)] = crossed
+            effects[:, k, : len(crossed)] = arms[:, k, list(crossed)] * slope[:, k, None]
+        rest = np.einsum("nmk,nm->nk", arms, there - slope * near)
+        found = optimal_activations(rows, effects, needed - rest, lower, upper).activation
+        excitation = body.activation.excitation(activation, found[:, :count], body.lower, body.upper)
+        near, there = ahead(excitation)
+        above = near - least > REACH
+        slope = np.where(above, (there - low) / np.where(above, near - least, 1.0), slope)
+    return excitation, found[:, count:] * cost

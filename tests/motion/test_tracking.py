@@ -1,0 +1,132 @@
+"""Computed muscle control: the simulation is that of the equations of motion, and follows what it shall."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from myowarp.apps.cli.motion import WRITES, Motion
+from myowarp.motion.skeleton import Bones
+from myowarp.motion.storage import read_storage
+from myowarp.motion.tracking import Activation, equations, track
+from myowarp.motion.trial import write_angles
+from myowarp.opensim.model import dynamics
+from myowarp.opensim.muscle.hill import HillMuscle
+from myowarp.opensim.read.model import read_model
+
+ARM = Path(__file__).parents[1] / "data/osim/arm26.osim"
+TIME = np.linspace(0.0, 0.2, 21)
+OFF = 0.5
+"""[°] root mean square."""
+
+
+@pytest.fixture(scope="module")
+def bones():
+    return Bones(read_model(ARM))
+
+
+def wave(amplitude=0.4):
+    """Return shoulder and elbow of an arm that bends and stretches."""
+    return 0.7 + amplitude * np.stack([0.3 * np.sin(8.0 * TIME), np.sin(6.0 * TIME)], axis=1)
+
+
+def reserves(bones, force=1.0):
+    return dict.fromkeys(bones.coordinates, force)
+
+
+@pytest.fixture(scope="module")
+def followed(bones):
+    """Return the arm as it is, and with muscles half as strong."""
+    return track(bones, TIME, wave(), reserves=reserves(bones), strength=np.array([[1.0] * 6, [0.5] * 6]))
+
+
+def test_equations_of_motion(bones):
+    """Those of the converter in NumPy, whose accelerations are OpenSim's."""
+    random = np.random.default_rng(0)
+    q, u = 0.7 + 0.5 * random.normal(size=(7, 2)), 3.0 * random.normal(size=(7, 2))
+    mass, bias = equations(bones, q, u, [])
+    wanted = dynamics.equations(bones.model, dict(zip(bones.coordinates, q.T, strict=True)), u)
+    np.testing.assert_allclose(mass, wanted[0], atol=1e-10)
+    np.testing.assert_allclose(bias, wanted[1], atol=1e-9)
+
+
+def test_activations_against_a_solver(bones):
+    """da/dt is integrated by SciPy; the excitation of a window is found back."""
+    muscles = [HillMuscle.of(muscle) for muscle in bones.model.muscles.values()]
+    law, random = Activation(muscles), np.random.default_rng(2)
+    a, u = random.uniform(0.05, 0.9, (5, 6)), random.uniform(0.0, 1.0, (5, 6))
+    after = law.window(a, u)
+
+    def rate(_, flat):
+        now = flat.reshape(a.shape)
+        slow = 0.5 + 1.5 * now
+        return ((u - now) / np.where(u > now, law.up * slow, law.down / slow)).ravel()
+
+    exact = solve_ivp(rate, (0.0, 0.01), a.ravel(), rtol=1e-9, atol=1e-9).y[:, -1].reshape(a.shape)
+    np.testing.assert_allclose(after, exact, atol=0.005)
+    assert np.abs(after - a).max() > 0.2
+    np.testing.assert_allclose(law.excitation(a, after, 0.0, 1.0), u, atol=1e-6)
+
+
+def test_the_arm_follows(followed):
+    """With a small reserve; where muscles are half as strong the reserve gives more."""
+    assert np.degrees(followed.off()).max() < OFF
+    assert np.degrees(np.ptp(followed.wanted[:, 1])) > 10 * OFF
+    assert np.abs(followed.reserve[..., 1]).max() < 0.5, (
+        "N m at the elbow; the arm lacks muscles at the shoulder"
+    )
+    assert ((followed.excitation >= 0.0) & (followed.excitation <= 1.0)).all()
+    most = np.abs(followed.reserve[..., 0]).max(axis=0)
+    assert most[1] > 1.2 * most[0], "at the shoulder, where the weak ones give less"
+
+
+def test_replays(bones, followed):
+    """The same again; a weak arm that goes elsewhere; one without muscles, which falls as SciPy says."""
+    own = {name: np.repeat(getattr(followed, name)[:, :1], 3, axis=1) for name in ("excitation", "reserve")}
+    for array in own.values():
+        array[:, 2] = 0.0
+    strength = np.array([[1.0] * 6, [0.9] * 6, [0.0] * 6])
+    replayed = track(
+        bones, TIME, wave(), reserves=reserves(bones), replay=replace(followed, **own), strength=strength
+    )
+    np.testing.assert_allclose(replayed.values[:, 0], followed.values[:, 0], atol=1e-9)
+    assert np.degrees(np.abs(replayed.values[:, 1] - replayed.values[:, 0])).max() > 0.2
+
+    def rate(_, state):
+        q, u = state[None, :2], state[None, 2:]
+        mass, bias = dynamics.equations(bones.model, dict(zip(bones.coordinates, q.T, strict=True)), u)
+        return np.concatenate([u[0], np.linalg.solve(mass[0], -bias[0])])
+
+    start = np.concatenate([replayed.values[0, 2], [0.4 * 0.3 * 8.0, 0.4 * 6.0]])
+    exact = solve_ivp(rate, (0.0, TIME[-1]), start, t_eval=replayed.time, rtol=1e-8, atol=1e-8).y[:2].T
+    assert np.abs(exact - wave()).max() > 0.2
+    np.testing.assert_allclose(replayed.values[:, 2], exact, atol=0.01)
+
+
+def test_the_command(bones, tmp_path, capsys):
+    write_angles(tmp_path / "wave.mot", bones.model, bones.coordinates, TIME, wave())
+    options = {
+        "motion": tmp_path / "wave.mot",
+        "reserve": 1.0,
+        "span": (0.1, 0.14),
+        "output": tmp_path / "out",
+    }
+    Motion("track", ARM, **options, strength=("BIClong=0.5", "BRA=0"))()
+    assert {path.name for path in (tmp_path / "out").iterdir()} == set(WRITES["track"])
+    force = read_storage(tmp_path / "out/forces.sto")
+    assert len(force.time) == 5
+    assert force.values[:, force.labels.index("BRA")].max() == 0.0
+    said = capsys.readouterr().err
+    assert "rms off the motion" in said
+    assert "reserve at" in said
+    for change, message in (
+        ({"reserve": 0.0}, "tracking needs a reserve on every coordinate; 'r_shoulder_elev' has none"),
+        ({"strength": ("BIC=1",)}, "muscle 'BIC' unknown; available: TRIlong"),
+        ({"strength": ("BRA",)}, r"--strength must be like soleus_r=0\.9, got 'BRA'"),
+        ({"span": (0.1, 9.0)}, r"the span must lie within 0 to 0\.2 s, got 0\.1 to 9 s"),
+    ):
+        with pytest.raises(ValueError, match=message) as caught:
+            Motion("track", ARM, **{**options, **change}, overwrite=True)()
+        assert "\n" not in str(caught.value)
