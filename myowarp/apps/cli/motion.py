@@ -45,6 +45,7 @@ WRITES = {
         "tracked.mot",
         *(f"{name}.sto" for name in ("excitations", "activations", "fiber_lengths", "forces", "reserves")),
     ),
+    "emg": ("emg.sto", "emg_agreement.csv", "emg.png"),
     "report": ("report.html",),
 }
 """Files of each step."""
@@ -74,6 +75,10 @@ class Motion:
     and what reserves of --reserve, at the root --residual, have to add; --strength makes muscles weaker.
     myowarp motion track gait.osim --motion ik.mot --loads grf.xml --reserve 1 --strength soleus_r=0.9
 
+    emg: envelopes of raw electromyograms, columns named by muscles, and how the activations of the same
+    folder follow them.
+    myowarp motion emg gait.osim --emg emg.csv -o out/trial
+
     report: a page on what other steps wrote into the same folder, the worst first.
     myowarp motion report gait.osim -o out/trial
 
@@ -87,7 +92,7 @@ class Motion:
     """
 
     what: Annotated[
-        Literal["scale", "analyze", "kinematics", "dynamics", "forces", "track", "report", "study"],
+        Literal["scale", "analyze", "kinematics", "dynamics", "forces", "track", "emg", "report", "study"],
         tyro.conf.Positional,
     ]
     """Step."""
@@ -110,6 +115,8 @@ class Motion:
     """Of activations in the cost, at least 1."""
     reserve: float = 0.0
     """Moment of a reserve at cost 1 on every coordinate [N m, N]; 0: none."""
+    emg: Annotated[Path | None, optional("FILE")] = None
+    """Of emg: raw electromyograms over time, .sto, .mot or .csv."""
     residual: float | None = None
     """The same on coordinates that carry the model through space; by default --reserve."""
     strength: Annotated[tuple[str, ...], optional("[MUSCLE=FACTOR ...]")] = ()
@@ -146,6 +153,7 @@ class Motion:
             return
         source, name = {
             "scale": (self.setup, "setup"),
+            "emg": (self.emg, "emg"),
             "kinematics": (self.markers, "markers"),
         }.get(self.what, (self.motion, "motion"))
         if source is None:
@@ -155,6 +163,9 @@ class Motion:
         if self.what == "scale":
             self.output.mkdir(parents=True, exist_ok=True)
             self._say(said_of(trial.scale_to(self.model, self.output, source, self.markers)))
+            return
+        if self.what == "emg":
+            self._say(self._beside_emg(source))
             return
         bones = Bones(read_model(self.model))
         self.output.mkdir(parents=True, exist_ok=True)
@@ -181,6 +192,28 @@ class Motion:
                 )  # fmt: skip
                 lines += worst_of(bones, found)
         self._say(lines)
+
+    def _beside_emg(self, source: Path) -> list[str]:
+        """Write envelopes, and how activations follow them; return those that follow least, one line each."""
+        from myowarp.apps.reports.emg import draw_emg
+        from myowarp.motion.emg import agreement, envelopes
+        from myowarp.motion.storage import read_storage, write_storage
+
+        path = self.output / "activations.sto"
+        if not path.is_file():
+            raise ValueError(
+                f"{str(self.output)!r} has no activations.sto; write it with myowarp motion forces or track "
+                "and the same --output"
+            )
+        activation, envelope = read_storage(path), envelopes(read_storage(source))
+        found = agreement(envelope, activation)
+        write_storage(self.output / "emg.sto", "envelopes of electromyograms", envelope)
+        rows = [f"{one.muscle},{one.delay:.3f},{one.correlation:.4f}" for one in found]
+        text = "\n".join(["muscle,delay [s],correlation", *rows, ""])
+        (self.output / "emg_agreement.csv").write_text(text, encoding="utf-8")
+        draw_emg(self.output / "emg.png", envelope, activation, found)
+        return [f"{one.muscle}: correlation {one.correlation:.2f} at a delay of {1e3 * one.delay:.0f} ms"
+                for one in found[:SHOWN]]  # fmt: skip
 
     def _reserves(self, bones: Bones) -> dict[str, float]:
         """Return the force of the reserve of each coordinate that has one."""

@@ -1,0 +1,43 @@
+"""A picture of activations over electromyograms: the least alike first."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+
+from myowarp.apps.reports.panel import COLORS, blank, save, style
+from myowarp.motion.emg import Agreement
+from myowarp.motion.storage import Storage
+
+COLUMNS = 4
+
+
+def draw_emg(path: Path, envelope: Storage, activation: Storage, found: Sequence[Agreement]) -> None:
+    """Draw envelopes, later by the delay of each muscle, and activations, where matplotlib is installed.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
+        return
+    columns = min(COLUMNS, len(found))
+    rows = -(-len(found) // columns)
+    with style():
+        figure = blank(2.8 * columns, 1.8 * rows + 0.5)
+        grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        for axes, one in zip(grid.flat, found, strict=False):
+            emg = envelope.values[:, envelope.labels.index(one.muscle)]
+            axes.fill_between(envelope.time + one.delay, emg, color=COLORS[5], alpha=0.35, linewidth=0)
+            axes.plot(
+                activation.time, activation.values[:, activation.labels.index(one.muscle)], color=COLORS[0]
+            )
+            axes.set_title(f"{one.muscle}: {one.correlation:.2f}, {1e3 * one.delay:.0f} ms")
+            axes.set_xlim(activation.time[0], activation.time[-1])
+            axes.set_ylim(0.0, 1.02)
+        for axes in grid.flat[len(found) :]:
+            axes.set_visible(False)
+        figure.supxlabel("Time [s]")
+        title = "Activation (line) over the envelope of the electromyogram; correlation, delay"
+        figure.suptitle(title, x=0.01, ha="left", fontsize=9)
+        save(figure, path)

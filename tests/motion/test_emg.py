@@ -1,0 +1,86 @@
+"""Electromyograms of a known envelope and delay."""
+
+import numpy as np
+import pytest
+
+from myowarp.apps.cli.motion import Motion
+from myowarp.motion.emg import agreement, envelopes
+from myowarp.motion.storage import Storage, read_storage, write_storage
+
+TIME = np.arange(0.0, 4.0, 1e-3)
+
+
+def bursts(time, phase):
+    """Return activity that rises and falls once a second."""
+    return 0.5 - 0.5 * np.cos(2.0 * np.pi * (time - phase))
+
+
+def recording():
+    """Return raw signals: noise under an envelope, and a drift."""
+    random = np.random.default_rng(0)
+    raw = [bursts(TIME, phase) * random.normal(size=len(TIME)) for phase in (0.0, 0.3)]
+    drift = 5.0 * np.sin(2.0 * np.pi * 0.5 * TIME)
+    return Storage(("soleus_r", "tib_ant_r", "vas_int_r"), TIME, np.stack([*raw, drift], axis=1) + 2.0)
+
+
+def activations(delay):
+    time = np.arange(0.5, 3.5, 1 / 60)
+    columns = [bursts(time - delay, 0.0), bursts(time - delay, 0.8), np.full(len(time), 0.01)]
+    return Storage(("soleus_r", "tib_ant_r", "vas_int_r"), time, np.stack(columns, axis=1))
+
+
+def test_envelopes():
+    """The envelope is found again; an offset and a slow drift are no activity."""
+    found = envelopes(recording())
+    assert found.values.min() >= 0.0
+    np.testing.assert_allclose(found.values.max(axis=0), 1.0)
+    for column, phase in ((0, 0.0), (1, 0.3)):
+        inside = slice(200, -200)
+        assert np.corrcoef(found.values[inside, column], bursts(TIME, phase)[inside])[0, 1] > 0.97
+
+
+@pytest.mark.parametrize("delay", [0.02, 0.09])
+def test_delay_and_correlation(delay):
+    """The delay is found; a muscle that works at other times comes before, and one at rest first."""
+    found = agreement(envelopes(recording()), activations(delay))
+    assert [one.muscle for one in found] == ["vas_int_r", "tib_ant_r", "soleus_r"]
+    rest, other, same = found
+    assert np.isnan(rest.correlation)
+    assert other.correlation < 0.0
+    assert same.correlation > 0.97
+    assert same.delay == pytest.approx(delay, abs=0.015)
+
+
+def test_the_command(tmp_path, capsys):
+    write_storage(tmp_path / "raw.sto", "raw", recording())
+    options = {"emg": tmp_path / "raw.sto", "output": tmp_path}
+    with pytest.raises(
+        ValueError, match=r"has no activations\.sto; write it with myowarp motion forces or track"
+    ):
+        Motion("emg", tmp_path / "leg.osim", **options)()
+    write_storage(tmp_path / "activations.sto", "a", activations(0.05))
+    Motion("emg", tmp_path / "leg.osim", **options)()
+    assert read_storage(tmp_path / "emg.sto").values.max() == 1.0
+    lines = (tmp_path / "emg_agreement.csv").read_text().splitlines()
+    assert lines[0] == "muscle,delay [s],correlation"
+    assert lines[-1].startswith("soleus_r,0.0")
+    assert (tmp_path / "emg.png").stat().st_size > 10_000
+    assert "vas_int_r" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda s: Storage(s.labels, s.time + 0.01 * (s.time > 2.0), s.values), "needs times in equal steps"),
+        (lambda s: Storage(s.labels, s.time[::20], s.values[::20]), "needs a rate of 80 Hz at least, got 50"),
+        (lambda s: Storage(s.labels, s.time[:5], s.values[:5]), "too short to filter, got 5 rows"),
+    ],
+)
+def test_bad_recordings(change, message):
+    with pytest.raises(ValueError, match=message):
+        envelopes(change(recording()))
+
+
+def test_no_muscle_in_common():
+    with pytest.raises(ValueError, match="has no column of a muscle; it has soleus_r"):
+        agreement(envelopes(recording()), Storage(("psoas_r",), TIME, np.ones((len(TIME), 1))))
