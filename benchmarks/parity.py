@@ -24,9 +24,13 @@ from rich.console import Console
 from rich.table import Table
 
 ROOT = Path(__file__).parents[1]
-RECORDERS = ("record_myosuite.py", "record_contact.py", "record_fatigue.py", "record_conditions.py")
+RECORDERS = (
+    *("record_myosuite.py", "record_legs.py", "record_contact.py", "record_fatigue.py"),
+    "record_conditions.py",
+)
 TESTS = (
     "test_oracle.py",
+    "test_oracle_walk.py",
     "test_oracle_contact.py",
     "test_oracle_contact_physics.py",
     "test_oracle_fatigue.py",

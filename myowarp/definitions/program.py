@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +38,11 @@ class Program:
         spec: The task.
         scene: What it is bound to.
         first: First column of each block of the observation, shape (num_blocks,).
+        bring_paths: Launches the part of the physics step that computes bodies, paths and their velocities,
+            with the stages that it uses, for tasks that observe these; None until the stages are known.
     """
+
+    bring_paths: Callable[[], None] | None = None
 
     spec: TaskSpec
 

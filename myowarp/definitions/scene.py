@@ -63,7 +63,7 @@ class Scene:
         keys: What random numbers are drawn from.
         qpos_start: Start configuration of an episode, shape (nq,).
         reset: What episodes start from, one of `spec.RESETS`.
-        actuator_kind: MUSCLE or MOTOR for each actuator, shape (nu,).
+        actuator_kind: How an action becomes a control, MUSCLE or MOTOR (linear), shape (nu,).
         capacity: Contacts and constraint rows that the arrays hold.
         state: All that a world is from one step to the next, by name: arrays (num_worlds, ...).
         parameters: Those of the conditions (`Parameter`), in the order of their binding.

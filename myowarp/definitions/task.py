@@ -159,6 +159,8 @@ class TaskSpec(abc.ABC):
         program: `definitions.program.Program`, or its subclass; called with the task and a scene.
         measures: Functions of one world whose values others read by these names, such as an error; `solved`
             and `failed` among them say when a world is solved, and when its episode fails.
+        linear_excitation: Whether an action from -1 to 1 is an excitation from 0 to 1 in proportion, rather
+            than by MyoSuite's sigmoid.
         least_contacts: Contacts that a world must have room for, where random motion from the start does not
             show how many there can be (`sim/capacity.py`).
         name: Upstream's name of the task, such as `myoHandPoseFixed`; `@task` takes it from the id.
@@ -174,6 +176,7 @@ class TaskSpec(abc.ABC):
 
     program: ClassVar[type]
     measures: ClassVar[Mapping[str, wp.Function]] = {}
+    linear_excitation: ClassVar[bool] = False
     least_contacts: ClassVar[int] = 0
 
     name: str = ""

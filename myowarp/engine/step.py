@@ -110,6 +110,9 @@ MOTION: dict[str, Launches] = {
 
 ORDER = FORCES | MOTION
 
+PATHS = frozenset({"kinematics", "com_pos", "com_vel", "tendon", "transmission", "velocity"})
+"""Places that compute bodies, paths and their velocities."""
+
 INTEGRATORS = (mjw.IntegratorType.EULER, mjw.IntegratorType.IMPLICIT, mjw.IntegratorType.IMPLICITFAST)
 
 UNCOVERED: Obstacles = {
@@ -201,15 +204,24 @@ class Step:
         }
 
     def launches(
-        self, stages: Iterable[Stage] = (), idle: frozenset[str] = frozenset()
+        self,
+        stages: Iterable[Stage] = (),
+        idle: frozenset[str] = frozenset(),
+        only: frozenset[str] | None = None,
     ) -> Callable[[], None]:
         """Return a function that launches one physics step.
 
         Args:
             stages: Stages of ours, what `stages` or `same` returned.
             idle: Kernels of the engine's own stages to leave out, by name.
+            only: Places of `ORDER` to launch; None: all.
         """
-        places = tuple(self.places(tuple(stages)).values())
+        stages = tuple(stages)
+        if only is None:
+            places = tuple(self.places(stages).values())
+        else:
+            bound = self.bound(stage_launches(stages))
+            places = tuple(launch_place for place, launch_place in bound.items() if place in only)
 
         def step() -> None:
             with pruned(idle), one_thread(self.stepped.device), engine_kernels_alone():

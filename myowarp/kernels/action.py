@@ -1,7 +1,7 @@
 """Policy action in [-1, 1] to MuJoCo control.
 
 Muscles: excitation = 1 / (1 + exp(-5 (a - 0.5))), MyoSuite's map: 0 at rest, 0.924 at most. Motors of a
-body without muscles: linear onto their control range.
+body without muscles, and muscles where a task says so: linear onto their control range.
 """
 
 import math
@@ -25,13 +25,21 @@ EXCITATION = f"excitation = 1 / (1 + exp(-{STEEPNESS:g} (action - {CENTER:g})))"
 """What a muscle gets, for people."""
 
 
-def excitation(action: float) -> float:
+LINEAR_EXCITATION = "excitation = (1 + action) / 2"
+"""The same, where a task says so."""
+
+
+def excitation(action: float, linear: bool = False) -> float:
     """Return the excitation that an action in [-1, 1] stands for; on the host, for people."""
+    if linear:
+        return 0.5 * (1.0 + action)
     return 1.0 / (1.0 + math.exp(-STEEPNESS * (action - CENTER)))
 
 
-def action_of(excitation: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+def action_of(excitation: npt.NDArray[np.floating], linear: bool = False) -> npt.NDArray[np.floating]:
     """Return the actions in [-1, 1] that come closest to excitations from 0 to 1, same shape; on the host."""
+    if linear:
+        return np.clip(2.0 * excitation - 1.0, -1.0, 1.0)
     inner = np.clip(excitation, LEAST_EXCITATION, 1.0 - LEAST_EXCITATION)
     return np.clip(CENTER + np.log(inner / (1.0 - inner)) / STEEPNESS, -1.0, 1.0)
 

@@ -42,6 +42,7 @@ def slim(full: mujoco.MjSpec, keep_sites: Iterable[str]) -> mujoco.MjSpec:
             spec.delete(site)
     for element in [*spec.cameras, *spec.lights, *spec.keys, *spec.sensors]:
         spec.delete(element)
+    spec.nkey = 0  # a file may ask for empty ones
     colliding = colliding_geoms(model)
     for geom in spec.geoms:
         if geom.id not in colliding:

@@ -218,6 +218,11 @@ def actuator_kinds(model: mujoco.MjModel) -> np.ndarray:
     return np.where(model.actuator_dyntype == mujoco.mjtDyn.mjDYN_MUSCLE, int(MUSCLE), int(MOTOR))
 
 
+def _action_kinds(model: mujoco.MjModel, spec: TaskSpec) -> np.ndarray:
+    """Return how actions become controls, shape (nu,): MUSCLE by the sigmoid, MOTOR linearly."""
+    return np.full(model.nu, int(MOTOR)) if spec.linear_excitation else actuator_kinds(model)
+
+
 def _put_model(spec: TaskSpec, stepped: mujoco.MjModel, batch_sizes: dict[str, int]) -> mjw.Model:
     """Put the stepped model of a task on the current Warp device.
 
@@ -283,7 +288,7 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
             keys=new_keys(worlds.number),
             qpos_start=wp.array(start, dtype=float),
             reset=str(setup.reset),
-            actuator_kind=wp.array(actuator_kinds(oracle), dtype=int),
+            actuator_kind=wp.array(_action_kinds(oracle, spec), dtype=int),
             capacity=capacity,
             device=where,
             paths=paths_of(oracle, model, data),

@@ -42,12 +42,12 @@ def read_paths(
 def settle_muscles(scene: Scene, mask: wp.array) -> None:
     """Let muscles settle on their present paths in the worlds of `mask` (num_worlds,) bool."""
     muscles = scene.muscles
-    _present_paths(scene)
+    present_paths(scene)
     launch(read_paths, muscles.length.shape, muscles, scene.data, mask=mask)
     muscles.settle(mask)
 
 
-def _present_paths(scene: Scene) -> None:
+def present_paths(scene: Scene) -> None:
     """Bring lengths and velocities of the actuators to the present state."""
     model, data = scene.model, scene.data
     mjw.kinematics(model, data)
@@ -59,10 +59,14 @@ def _present_paths(scene: Scene) -> None:
         scene.paths.launch_velocity(model, data)
 
 
-def present_muscles(scene: Scene) -> Callable[[], None]:
+def present_muscles(scene: Scene, paths: Callable[[], None] | None = None) -> Callable[[], None]:
     """Return launches that bring length, velocity and tension of the muscles to the present state.
 
     They write what the next physics step computes anew, and leave the state alone.
+
+    Args:
+        scene: The compiled task.
+        paths: Launches what brings paths there; None: the engine's kernels.
     """
     model, data, state = scene.model, scene.data, scene.muscles.state
     # With a time step of 0 the muscles compute the force of the present state, which is then put back.
@@ -71,7 +75,10 @@ def present_muscles(scene: Scene) -> Callable[[], None]:
     before = {name: wp.zeros_like(array) for name, array in state.items()}
 
     def launch() -> None:
-        _present_paths(scene)
+        if paths is None:
+            present_paths(scene)
+        else:
+            paths()
         for name, array in state.items():
             wp.copy(before[name], array)
         scene.muscles.launch(still, data)

@@ -28,7 +28,7 @@ from myowarp.engine.idle import pruned
 from myowarp.engine.patch import engine_kernels_alone
 from myowarp.engine.repeat import repeat
 from myowarp.engine.stage import STAGES, Stage
-from myowarp.engine.step import Step
+from myowarp.engine.step import PATHS, Step
 from myowarp.engine.verify import choose_stages
 from myowarp.kernels.action import apply_action
 from myowarp.kernels.batching import as_rows
@@ -145,7 +145,7 @@ class Shard:
         self.stages, self._idle = choose_stages(
             self.physics_step, names, self._launch_all, progress, self.conditions
         )
-        self._launch_physics = self.physics_step.launches(self.stages, self._idle)
+        self._take_stages()
         self._modules = compile_kernels(self._launch_all, self.scene.device, show=progress)
 
     def _take_over(self, like: Shard) -> None:
@@ -153,7 +153,12 @@ class Shard:
         self.starts, self.start_address = like.starts, like.start_address
         self._modules, self._idle = like._modules, like._idle
         self.stages = self.physics_step.same(like.stages)
+        self._take_stages()
+
+    def _take_stages(self) -> None:
+        """Step, and look at the present state, with the stages that were chosen."""
         self._launch_physics = self.physics_step.launches(self.stages, self._idle)
+        self.program.bring_paths = self.physics_step.launches(self.stages, self._idle, only=PATHS)
 
     def _allocate(self, horizon: int) -> None:
         """Allocate every array of the step."""

@@ -8,4 +8,6 @@ from myowarp.tasks import (  # noqa: F401  (they register)
     pen_twirl,
     pose_ids,
     reach_ids,
+    stand,
+    walk,
 )

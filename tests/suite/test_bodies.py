@@ -18,6 +18,7 @@ RECORDED = {
     "elbow_exo": "myoElbowPose1D6MExoFixed-v0",
     "hand": "myoHandPoseFixed-v0",
     "arm": "myoArmReachFixed-v0",
+    "legs": "myoLegStandRandom-v0",
     "torso": "myoTorsoPoseFixed-v0",
     "torso_exo": "myoTorsoExoPoseFixed-v0",
 }

@@ -44,6 +44,10 @@ DRAWS = {
     "motorFingerReachRandom-v0": {"row": (0, 57279)},
     "myoHandReachRandom-v0": {"target": REACH},
     "myoHandReachRandom-v1": {"row": (0, 4096)},
+    "myoLegStandRandom-v0": {
+        "target": ((-0.05, -0.05, 0.92), (0.05, 0.05, 0.92)),
+        "offset": (28 * (-0.2,), 28 * (0.2,)),
+    },
     "myoHandKeyTurnRandom-v1": {
         "key angle": (-PI / 2, PI / 2),
         "key position": ((-0.16, -0.56, 1.415), (-0.14, -0.54, 1.435)),

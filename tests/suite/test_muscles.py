@@ -37,7 +37,10 @@ ACTIVATION = 1e-6
 QVEL = 5e-5
 """Of the largest change of any joint's velocity in one step; float32 factorization of the inertia
 matrix, measured 1.2e-5."""
-QVEL_OF = {"arm": 2e-3}  # its joints follow each other by soft equalities, which the solver iterates
+QVEL_OF = {
+    "arm": 2e-3,
+    "legs": 5e-4,
+}  # their joints follow each other by soft equalities, which the solver iterates
 
 EFFECT = 10.0
 

@@ -78,12 +78,12 @@ class Hold:
         self.directions = (arms / np.maximum(np.abs(arms).max(axis=1, keepdims=True), LEAST_ARM)).T
         self._velocities, self._errors = model.nq + dofs, model.nq + model.nv + np.arange(len(dofs))
         self._actuator_id, self._control_dt = scene.muscles.actuator_id, scene.control_dt
-        self._num_actions = scene.num_actions
+        self._num_actions, self._linear = scene.num_actions, scene.spec.linear_excitation
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Return actions (num_worlds, num_actions) for observations of a pose task; motors do nothing."""
         velocity, error = obs[:, self._velocities] / self._control_dt, obs[:, self._errors]
         drive = GAIN * (error - LEAD * velocity) @ self.directions
         action = np.zeros((len(obs), self._num_actions), dtype=np.float32)
-        action[:, self._actuator_id] = action_of(drive)
+        action[:, self._actuator_id] = action_of(drive, self._linear)
         return action

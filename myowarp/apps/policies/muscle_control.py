@@ -77,8 +77,8 @@ class MuscleControl:
         self._tension_at = [tension_at(shard.scene) for shard in sim.shards]
         shape = scene.num_worlds, self._model.nv, len(muscles.names)
         self._problems = BoundedLeastSquares(*shape, ridge=RIDGE)
-        self._problems.lower.fill_(excitation(-1.0))
-        self._problems.upper.fill_(excitation(1.0))
+        self._problems.lower.fill_(excitation(-1.0, scene.spec.linear_excitation))
+        self._problems.upper.fill_(excitation(1.0, scene.spec.linear_excitation))
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Return actions (num_worlds, num_actions) of the step that comes; motors do nothing."""
@@ -98,7 +98,8 @@ class MuscleControl:
         lag = np.where(wanted > activation, rise * scale, fall / scale)
         lead = -np.expm1(-sim.scene.control_dt / np.maximum(lag, 1e-9))
         action = np.zeros((len(obs), sim.scene.num_actions), dtype=np.float32)
-        action[:, muscles.actuator_id] = action_of(activation + (wanted - activation) / lead)
+        drive = activation + (wanted - activation) / lead
+        action[:, muscles.actuator_id] = action_of(drive, sim.scene.spec.linear_excitation)
         begins = sim.episode.step_count.numpy() < self._approach_steps
         return np.where(begins[:, None], self._approach, action)
 

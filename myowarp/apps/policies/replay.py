@@ -55,8 +55,7 @@ class Replay:
                 f"excitations of {name!r} must be from 0 to 1; {names[muscle]} has {values[row, muscle]:g} "
                 f"at {storage.time[row]:g} s"
             )
-        if values.max() > excitation(1.0):
-            most = excitation(1.0)
+        if values.max() > (most := excitation(1.0, scene.spec.linear_excitation)):
             logger.warning("excitations of %s above %.3f become %.3f: actions give no more", name, most, most)
         self._time, self._values = storage.time, values
         self._sim, self._actuator_id = sim, scene.muscles.actuator_id
@@ -67,7 +66,9 @@ class Replay:
         action = np.zeros((len(obs), scene.num_actions), dtype=np.float32)
         time = (self._sim.episode.step_count.numpy() + 1) * scene.control_dt
         for muscle, actuator in enumerate(self._actuator_id):
-            action[:, actuator] = action_of(np.interp(time, self._time, self._values[:, muscle]))
+            action[:, actuator] = action_of(
+                np.interp(time, self._time, self._values[:, muscle]), scene.spec.linear_excitation
+            )
         return action
 
 

@@ -26,7 +26,7 @@ from myowarp.definitions.scene import Scene
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import PHYSICS, RESETS, TASKS, Draw, TaskSpec
 from myowarp.engine.compile import quiet
-from myowarp.kernels.action import EXCITATION, MUSCLE, excitation
+from myowarp.kernels.action import EXCITATION, LINEAR_EXCITATION, MUSCLE, excitation
 from myowarp.kernels.episode import FAULTS, SUCCESS_RULE
 from myowarp.sim.build import actuator_kinds, compile_scene, num_substeps_of
 from myowarp.sim.shard import bind_conditions
@@ -142,7 +142,9 @@ def _action(scene: Scene) -> dict[str, Any]:
     ]
     maps = {}
     if any(kinds == int(MUSCLE)):
-        maps["muscle"] = {"law": EXCITATION, "at": {str(a): excitation(a) for a in (-1, 0, 1)}}
+        linear = scene.spec.linear_excitation
+        law = LINEAR_EXCITATION if linear else EXCITATION
+        maps["muscle"] = {"law": law, "at": {str(a): excitation(a, linear) for a in (-1, 0, 1)}}
     if any(kinds != int(MUSCLE)):
         maps["motor"] = {"law": "linear, from low at action -1 to high at action 1"}
     return {"size": len(rows), "low": -1.0, "high": 1.0, "limits": LIMITS, "maps": maps, "actuators": rows}
@@ -151,7 +153,7 @@ def _action(scene: Scene) -> dict[str, Any]:
 def _of_muscle(scene: Scene, actuator: int) -> dict[str, Any]:
     """Return what an action does to a muscle."""
     name, body = scene.oracle.actuator(actuator).name, BODIES[scene.spec.body]
-    low, high = excitation(-1.0), excitation(1.0)
+    low, high = (excitation(a, scene.spec.linear_excitation) for a in (-1.0, 1.0))
     kind = {"index": actuator, "name": name, "kind": "muscle", "quantity": "excitation"}
     return kind | {"unit": "1", "low": low, "high": high, "group": body.group_of(name)}
 

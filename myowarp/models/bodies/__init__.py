@@ -7,6 +7,7 @@ from myowarp.models.bodies import (
     elbow_exo,  # noqa: F401
     finger,  # noqa: F401
     hand,  # noqa: F401
+    legs,  # noqa: F401
     torso,  # noqa: F401
     torso_exo,  # noqa: F401
 )

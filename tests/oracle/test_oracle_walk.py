@@ -1,0 +1,142 @@
+"""Walking against values recorded from MyoSuite 3.0.0 (tests/data/README.md).
+
+States are written in: observation, reward terms, done and solved need no physics. Physics is compared over
+one control step from recorded states.
+"""
+
+import json
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import warp as wp
+from stepping import step
+from test_oracle import DATA, QPOS_TOLERANCE
+
+from myowarp.definitions.task import TASKS
+from myowarp.sim.simulation import Simulation
+
+KEYS = [key for key in TASKS if TASKS[key].family == "walk" and TASKS[key].version == 0]
+
+VALUE_TOLERANCE = 1e-5  # relative to the largest value of a block, at least of 1 in its unit
+FORCE_TOLERANCE = 2e-4  # of the peak force 6.2 kN: lengths in float32, 1.4 m from the origin
+EDGE = 1e-5  # m, m/s
+
+
+@lru_cache
+def recorded(key):
+    with np.load(DATA / f"{key}.npz") as file:
+        record = {name: file[name] for name in file.files}
+    return record, json.loads(str(record.pop("meta")))
+
+
+def simulation(key, record, prefix, suffix=""):
+    """Return a simulation whose worlds are in the recorded states."""
+    number = len(record[f"{prefix}_qpos{suffix}"])
+    sim = Simulation(TASKS[key], number, device="cpu", graph=False, progress=False)
+    sim.scene.data.qpos.assign(record[f"{prefix}_qpos{suffix}"])
+    sim.scene.data.qvel.assign(record[f"{prefix}_qvel{suffix}"])
+    sim.scene.muscles.activation.assign(record[f"{prefix}_act{suffix}"])
+    return sim
+
+
+@lru_cache
+def scored(key, prefix):
+    """Return a simulation whose worlds are scored and observed in the recorded states."""
+    record, _ = recorded(key)
+    sim = simulation(key, record, prefix)
+    count = record[f"{prefix}_step"] if f"{prefix}_step" in record else np.zeros(sim.num_worlds)
+    sim.episode.step_count.assign(count.astype(np.int32))
+    sim.transition.obs.fill_(np.nan)
+    sim.transition.terms.fill_(np.nan)
+    program = sim.shards[0].program
+    program.advance(sim.episode.step_count)
+    program.observe(wp.ones(sim.num_worlds, dtype=bool), sim.transition.obs)
+    sim.shards[0].launch_scoring()
+    return sim
+
+
+@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize("prefix", ["reset", "step", "forced"])
+def test_observation(key, prefix, record_property):
+    record, meta = recorded(key)
+    obs, expected, first = scored(key, prefix).transition.obs.numpy(), record[f"{prefix}_obs"], 0
+    assert obs.shape == expected.shape
+    for name, size in meta["obs"].items():
+        block = slice(first, first + size)
+        scale = max(1.0, np.abs(expected[:, block]).max())
+        tolerance = FORCE_TOLERANCE if name == "muscle_force" else VALUE_TOLERANCE
+        error = np.abs(obs[:, block] - expected[:, block]).max() / scale
+        record_property("observation", float(error))
+        assert error < tolerance, name
+        assert prefix == "reset" or np.ptp(expected[:, block], axis=0).max() > 10 * tolerance * scale, name
+        first += size
+
+
+@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize("prefix", ["step", "forced"])
+def test_reward_and_ending(key, prefix, record_property):
+    record, _ = recorded(key)
+    sim = scored(key, prefix)
+    for column, term in enumerate(sim.terms):
+        field = f"{prefix}_sparse" if term.name == "sparse" else f"{prefix}_reward_{term.name}"
+        error = np.abs(sim.transition.terms.numpy()[:, column] - record[field])
+        assert error.max() < VALUE_TOLERANCE, term.name
+    reward = record[f"{prefix}_reward"]
+    error = np.abs(sim.transition.reward.numpy() - reward)
+    record_property("reward", float(error.max()))
+    assert (error < VALUE_TOLERANCE * (1 + np.abs(reward))).all()
+    np.testing.assert_array_equal(sim.transition.terminated.numpy(), record[f"{prefix}_done"])
+    np.testing.assert_array_equal(sim.transition.solved.numpy(), record[f"{prefix}_solved"])
+    if prefix == "forced":
+        assert (
+            set(np.unique(record["forced_done"])) == set(np.unique(record["forced_solved"])) == {False, True}
+        )
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_start(key):
+    record, _ = recorded(key)
+    sim = Simulation(TASKS[key], 3, device="cpu", graph=False, progress=False)
+    sim.reset(seeds=np.arange(3))
+    np.testing.assert_allclose(sim.scene.data.qpos.numpy(), record["reset_qpos"][:3], atol=VALUE_TOLERANCE)
+    np.testing.assert_allclose(sim.scene.data.qvel.numpy(), record["reset_qvel"][:3], atol=VALUE_TOLERANCE)
+    assert np.abs(record["reset_qvel"]).max() > 1.0
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_task_facts(key):
+    """Horizon, control step, sizes, order of columns and weights; joints, muscles."""
+    (record, meta), spec = recorded(key), TASKS[key]
+    assert (spec.horizon, spec.num_substeps) == (meta["horizon"], meta["frame_skip"])
+    assert spec.control_dt == pytest.approx(meta["dt"])
+    nq, nv, num_muscles = (record[f"step_{name}"].shape[1] for name in ("qpos", "qvel", "act"))
+    columns = {c.name: c.size for c in spec.columns(nq, nv, num_muscles)}
+    assert list(columns.items()) == list(meta["obs"].items())
+    assert {t.name: t.weight for t in spec.reward_terms() if t.weight} == meta["weights"]
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_one_control_step_of_physics(key, record_property):
+    record, _ = recorded(key)
+    sim = simulation(key, record, "replay", "_before")
+    sim.scene.data.ctrl.assign(record["replay_ctrl"])
+    for _ in range(sim.scene.num_substeps):
+        step(sim.scene, sim.shards[0].stages)
+    error = np.abs(sim.scene.data.qpos.numpy() - record["replay_qpos_after"]).max(axis=1)
+    record_property("qpos median", float(np.median(error)))
+    record_property("qpos worst", float(error.max()))
+    assert np.median(error) < QPOS_TOLERANCE
+    moved = np.abs(record["replay_qpos_after"] - record["replay_qpos_before"]).max(axis=1)
+    assert np.median(moved) > 10 * QPOS_TOLERANCE
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_action_map(key):
+    """MyoSuite's excitations from 0 to 1 are actions from -1 to 1 here."""
+    record, _ = recorded(key)
+    for action, ctrl in (("step_action", "step_ctrl"), ("clip_action", "clip_ctrl")):
+        sim = Simulation(TASKS[key], len(record[action]), device="cpu", graph=False, progress=False)
+        sim.action.assign(2.0 * record[action] - 1.0)
+        sim.shards[0].launch_action()
+        np.testing.assert_allclose(sim.scene.data.ctrl.numpy(), record[ctrl], atol=1e-6)
