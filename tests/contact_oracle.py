@@ -10,6 +10,7 @@ import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
+from data.recording import euler
 
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
@@ -131,16 +132,6 @@ def aim_hold(sim, record, prefix):
 def aim_pen(sim, record, prefix):
     """Turn the target pen."""
     sim.scene.data.mocap_quat.assign(padded(record[f"{prefix}_target_quat"], sim.num_worlds)[:, None])
-
-
-def euler(quats):
-    """Return the angles of Rx Ry Rz of quaternions, shape (n, 3)."""
-    matrices = np.zeros((len(quats), 9))
-    for matrix, quat in zip(matrices, quats, strict=True):
-        mujoco.mju_quat2Mat(matrix, quat)
-    m = matrices.reshape(-1, 3, 3)
-    first, last = np.arctan2(-m[:, 1, 2], m[:, 2, 2]), np.arctan2(-m[:, 0, 1], m[:, 0, 0])
-    return np.stack([first, np.arcsin(np.clip(m[:, 0, 2], -1.0, 1.0)), last], axis=1)
 
 
 def aim_die(sim, record, prefix):

@@ -2,7 +2,7 @@
 
 from myowarp.tasks import (  # noqa: F401  (they register)
     baoding_ids,
-    die_reorient,
+    die_reorient_ids,
     key_turn,
     object_hold,
     pen_twirl,

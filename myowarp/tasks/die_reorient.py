@@ -11,7 +11,7 @@ of the Euler angles about x, y and z, which is not the angle between two orienta
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import mujoco
@@ -22,9 +22,9 @@ from myowarp.definitions.body import CoarseStep
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, TURN, VELOCITIES, XYZ
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec
 from myowarp.kernels.reward import EFFORT, is_far, minus_error, minus_failed, near_bonus
-from myowarp.models.bodies.contact_hand import HAND_JOINTS, INERTIA_FLOOR, SOFT, add_object
+from myowarp.models.bodies.contact_hand import HAND_JOINTS, INERTIA_FLOOR, PALM_UP, SOFT, add_object
 from myowarp.tasks.die import (
     BATCHED_MASS,
     BATCHED_SHAPE,
@@ -35,17 +35,16 @@ from myowarp.tasks.die import (
     shape_die,
     weigh_die,
 )
+from myowarp.tasks.euler_angles import euler_angles, same_rotation, turned
 from myowarp.tasks.markers import add_tip_targets
 from myowarp.tasks.pen_twirl import AXES
 
-PALM_UP = -1.5  # rad, forearm rotation at the start, joint 0
 DIE_POS = (-0.24, -0.535, 1.46)  # m, world; on the palm
 BESIDE = (-0.1, 0.0, 0.0)  # m, from where the die should be to where the wanted one is shown
 SHOWN = wp.constant(wp.vec3(*BESIDE))
 START = wp.constant(wp.vec3(*DIE_POS))
 REACH = (-0.25, 0.25)  # m, of the die's three slides
 DAMPING = 0.001  # N s/m, N m s/rad, of the die's joints
-STRAIGHT = wp.constant(4.0 * 2.220446049250313e-16)  # cosine below which the first Euler angle is 0
 SPARSE = wp.constant(10.0)  # rad/m
 
 
@@ -71,30 +70,6 @@ def place_error(position: wp.vec3, shown: wp.vec3) -> wp.vec3:
 def place_distance(position: wp.vec3, shown: wp.vec3) -> float:
     """p = |error of the place|."""
     return wp.length(place_error(position, shown))
-
-
-@wp.func
-def euler_angles(m: wp.mat33) -> wp.vec3:
-    """Angles (a, b, c) of R = Rx(a) Ry(b) Rz(c); a = 0 where b is a right angle."""
-    cosine = wp.sqrt(m[2, 2] * m[2, 2] + m[1, 2] * m[1, 2])
-    b = wp.atan2(m[0, 2], cosine)
-    if cosine > STRAIGHT:
-        return wp.vec3(-wp.atan2(m[1, 2], m[2, 2]), b, -wp.atan2(m[0, 1], m[0, 0]))
-    return wp.vec3(0.0, b, wp.atan2(m[1, 0], m[1, 1]))
-
-
-@wp.func
-def principal(angle: float) -> float:
-    """The same angle from -pi to pi."""
-    return wp.atan2(wp.sin(angle), wp.cos(angle))
-
-
-@wp.func
-def same_rotation(angles: wp.vec3) -> wp.vec3:
-    """Angles (a, b, c) of the same Rx(a) Ry(b) Rz(c), b from -pi/2 to pi/2."""
-    if wp.cos(angles[1]) >= 0.0:
-        return wp.vec3(principal(angles[0]), principal(angles[1]), principal(angles[2]))
-    return wp.vec3(principal(angles[0] + wp.pi), principal(wp.pi - angles[1]), principal(angles[2] + wp.pi))
 
 
 @wp.func
@@ -157,15 +132,6 @@ def minus_both(error: float, rotation_distance: float) -> float:
 def is_turned(error: float, rotation_distance: float, near: float, aligned: float, far: float) -> bool:
     """p < near, r < aligned, and p <= far."""
     return error < near and rotation_distance < aligned and error <= far
-
-
-@wp.func
-def turned(angles: wp.vec3) -> wp.quat:
-    """Rx(a) Ry(b) Rz(c) as x, y, z, w."""
-    x = wp.quat_from_axis_angle(wp.vec3(1.0, 0.0, 0.0), angles[0])
-    y = wp.quat_from_axis_angle(wp.vec3(0.0, 1.0, 0.0), angles[1])
-    z = wp.quat_from_axis_angle(wp.vec3(0.0, 0.0, 1.0), angles[2])
-    return x * y * z
 
 
 @wp.kernel(enable_backward=False)
@@ -409,64 +375,3 @@ class DieReorientTask(TaskSpec):
             RewardTerm("penalty", 0.0, "1", "-1 where the die is lost", minus_failed),
             RewardTerm("sparse", 0.0, "rad", f"rot_dist plus {SPARSE:g} times pos_dist", minus_both),
         )
-
-
-FREE = (
-    "The die has a free joint, its true inertia, and the friction that was drawn, and its orientation is"
-    " judged by the angle from the wanted one; in v0, as in MyoSuite 3.0.0, it loses a direction of rotation"
-    " where the second of its three hinges is at a right angle, its inertia is raised to 1e-4 kg m^2,"
-    " friction below the hand's has no effect, and Euler angles of the same orientation differ by up to 2 pi."
-)
-
-
-def demo() -> DieReorientTask:
-    """Return the trial task: turns up to 45 degrees, and no place asked for."""
-    return DieReorientTask(offset=0.0, angle=0.785, near=math.inf)
-
-
-def first_phase() -> DieReorientTask:
-    """Return phase 1: turns up to 90 degrees, places up to 1 cm away."""
-    return DieReorientTask(offset=0.01, angle=1.57)
-
-
-def second_phase() -> DieReorientTask:
-    """Return phase 2: any turn, places up to 2 cm away, dice that differ."""
-    return DieReorientTask(
-        offset=0.02, angle=3.14, growth=0.007, mass=(0.05, 0.25), friction=(0.2, 0.001, 0.00002)
-    )
-
-
-@task("myoChallengeDieReorientDemo-v0")
-def demo_v0() -> DieReorientTask:
-    """Turn a die on the hand by up to 45 degrees about each axis."""
-    return demo()
-
-
-@task("myoChallengeDieReorientP1-v0")
-def p1_v0() -> DieReorientTask:
-    """Turn a die on the hand by up to 90 degrees about each axis, and move it by up to 1 cm."""
-    return first_phase()
-
-
-@task("myoChallengeDieReorientP2-v0")
-def p2_v0() -> DieReorientTask:
-    """Turn a die of random size, mass and friction to any orientation, and move it by up to 2 cm."""
-    return second_phase()
-
-
-@task("myoChallengeDieReorientDemo-v1", FREE)
-def demo_v1() -> DieReorientTask:
-    """Turn a die on the hand by up to 45 degrees about each axis."""
-    return replace(demo(), free=True)
-
-
-@task("myoChallengeDieReorientP1-v1", FREE)
-def p1() -> DieReorientTask:
-    """Turn a die on the hand by up to 90 degrees about each axis, and move it by up to 1 cm."""
-    return replace(first_phase(), free=True)
-
-
-@task("myoChallengeDieReorientP2-v1", FREE)
-def p2() -> DieReorientTask:
-    """Turn a die of random size, mass and friction to any orientation, and move it by up to 2 cm."""
-    return replace(second_phase(), free=True)

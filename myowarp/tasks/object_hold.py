@@ -22,14 +22,13 @@ from myowarp.definitions.scene import Scene
 from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
 from myowarp.kernels.random import GOAL, START
 from myowarp.kernels.reward import EFFORT, is_far, is_near, minus_error, minus_failed, near_bonus
-from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
+from myowarp.models.bodies.contact_hand import HAND_JOINTS, PALM_UP, add_object
 from myowarp.tasks.held_object import BATCHED_MASS, BATCHED_SIZE, DENSITY, resize_object, weigh_object
 from myowarp.tasks.markers import add_tip_targets
 
 OBJECT = wp.constant(23)  # first of the object's seven coordinates, after the hand's
 
 NOMINAL_SIZE = (0.025, 0.036, 0.03)  # m, semi-axes
-PALM_UP = -1.5  # rad, forearm rotation at the start, joint 0
 OBJECT_POS = (-0.235, -0.51, 1.45)  # m, world; on the palm
 
 

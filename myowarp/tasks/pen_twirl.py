@@ -24,7 +24,7 @@ from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
 from myowarp.kernels.reward import EFFORT, indicator, is_far, minus_error, minus_failed
 from myowarp.kernels.world_function import Row
-from myowarp.models.bodies.contact_hand import HAND_JOINTS, add_object
+from myowarp.models.bodies.contact_hand import HAND_JOINTS, PALM_UP, add_object
 from myowarp.tasks.markers import add_tip_targets
 
 DROPPED = wp.constant(0.075)  # m, distance from the start beyond which the pen is lost
@@ -32,7 +32,6 @@ CLOSE = wp.constant(0.9)  # cosines with bonus
 ALIGNED = wp.constant(0.95)
 ALIGNED_BONUS = wp.constant(5.0)  # what it adds to the 1 of CLOSE
 
-PALM_UP = -1.5  # rad, forearm rotation at the start, joint 0
 PEN_POS = (-0.23, -0.53, 1.445)  # m, world; on the fingers
 PEN_START = wp.constant(wp.vec3(*PEN_POS))
 PEN_TILT = 1.27  # rad about world y: nearly lying

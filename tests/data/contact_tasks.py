@@ -22,6 +22,7 @@ from contact_states import (
     site,
     start_forced,
 )
+from recording import euler
 
 
 def norm(vectors):
@@ -205,15 +206,9 @@ class Die:
         row = {"object_pos": die.xpos.copy(), "object_quat": die.xquat.copy()}
         return row | {"target_pos": target.pos.copy(), "target_quat": target.quat.copy()}
 
-    def euler(self, quats):
-        """Angles of Rx Ry Rz, from the matrices of quaternions."""
-        m = np.array([rotation(quat) for quat in quats])
-        first, last = np.arctan2(-m[:, 1, 2], m[:, 2, 2]), np.arctan2(-m[:, 0, 1], m[:, 0, 0])
-        return np.stack([first, np.arcsin(np.clip(m[:, 0, 2], -1.0, 1.0)), last], axis=1)
-
     def expected(self, get, env):
         place = get["target_pos"] - get["object_pos"] - self.beside
-        die, wanted = self.euler(get["object_quat"]), self.euler(get["target_quat"])
+        die, wanted = euler(get["object_quat"]), euler(get["target_quat"])
         turn = wanted - die
         p, r = norm(place), norm(turn)
         out = {"reward_pos_dist": -p, "reward_rot_dist": -r, "reward_act_reg": act_reg(get, env)}
@@ -234,7 +229,7 @@ class Die:
             env = start_forced(wrapped, rng, rng.uniform(0.0, 0.6))
             target = env.model.body("target")
             place = target.pos - self.beside + distance * direction(rng)
-            wanted = self.euler(target.quat[None])[0]
+            wanted = euler(target.quat[None])[0]
             self.write(env, place, wanted + angle * direction(rng))
             yield {"distance": distance, "angle": angle}
 

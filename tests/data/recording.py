@@ -135,6 +135,16 @@ def sigmoid_ctrl(action):
     return 1 / (1 + np.exp(-5 * (np.clip(action.astype(float), -1.0, 1.0) - 0.5)))
 
 
+def euler(quats):
+    """Return the angles of Rx Ry Rz of quaternions, shape (n, 3)."""
+    matrices = np.zeros((len(quats), 9))
+    for matrix, quat in zip(matrices, quats, strict=True):
+        mujoco.mju_quat2Mat(matrix, quat)
+    m = matrices.reshape(-1, 3, 3)
+    first, last = np.arctan2(-m[:, 1, 2], m[:, 2, 2]), np.arctan2(-m[:, 0, 1], m[:, 0, 0])
+    return np.stack([first, np.arcsin(np.clip(m[:, 0, 2], -1.0, 1.0)), last], axis=1)
+
+
 def save(out, env_id, meta, arrays, facts, worst):
     """Write `<out>/<id>.npz` and print the summary line; returns the file size [bytes]."""
     path = out / f"{env_id}.npz"

@@ -6,7 +6,8 @@ in `test_oracle_contact_physics.py`.
 
 import numpy as np
 import pytest
-from contact_oracle import ALIASES, KEYS, NUM_WORLDS, euler, object_ids, padded, recorded, simulation, written
+from contact_oracle import ALIASES, KEYS, NUM_WORLDS, object_ids, padded, recorded, simulation, written
+from data.recording import euler
 
 from myowarp.definitions.task import TASKS
 
