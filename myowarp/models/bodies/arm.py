@@ -22,7 +22,14 @@ TIP = "IFtip"
 
 def arm() -> mujoco.MjSpec:
     """Return the right arm from the clavicle to the wrist; all joint angles 0 is the hanging arm."""
-    spec = build_spec("myoarm_r")
+    # myo-sim puts trunk and arm together without a prefix for names, of which MuJoCo warns, at every
+    # compilation of that spec and not of a copy.
+    handler = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        spec = build_spec("myoarm_r").copy()
+    finally:
+        mujoco.set_mju_user_warning(handler)
     root = spec.body(ROOT)
     root.pos, root.quat = ROOT_POS, ROOT_QUAT
     for bone in STIFF:

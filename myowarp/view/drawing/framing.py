@@ -244,13 +244,14 @@ def broadside(rest: np.ndarray, motion: np.ndarray, away: np.ndarray) -> tuple[f
     """Azimuth and elevation [deg] that look at the flattest side of a limb, slightly turned.
 
     The camera looks along the direction in which the points spread least, at rest and in motion alike,
-    from the side on which the limb lies as seen from the motionless part of the body.
+    from the side on which the limb lies, level, as seen from the motionless part of the body.
 
     Args:
         rest: Points in the reference pose [m], shape (n, 3).
         motion: Points over the range of motion [m], shape (m, 3).
         away: Direction from the motionless part to the limb [m], shape (3,).
     """
+    away = away * (1.0, 1.0, 0.0)  # an arm that hangs is beside the trunk, too
     spread = sum(cov / np.trace(cov) for cov in (np.cov(rest.T), np.cov(motion.T)))
     forward = np.linalg.eigh(spread)[1][:, 0]
     along = forward @ away
