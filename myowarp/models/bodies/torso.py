@@ -1,8 +1,8 @@
 """Lumbar spine and abdomen under a rigid thorax, 18 joints and 216 muscles.
 
 Source: the files of myo-sim 0.2.3, unchanged, put together as MyoSuite 3.0.0 does for its torso tasks.
-Fifteen soft equalities share the three motions of the trunk among vertebrae and abdomen. The spine is that of
-Bruno et al. (2015), doi:10.1115/1.4030408; muscles of the left side are mirror images of the right.
+Fifteen soft equalities share the three motions of the trunk among vertebrae and abdomen. The model
+descends from the Constrained Lumbar Spine model 210 of SimTK; muscles of the left side mirror the right.
 """
 
 import mujoco

@@ -1,4 +1,4 @@
-"""Muscles of the trunk by the names of Bruno et al. (2015), doi:10.1115/1.4030408, each a group of fascicles.
+"""Muscles of the trunk by the names of SimTK's Constrained Lumbar Spine model 210, grouped by muscle.
 
 Fatigue rates: Frey-Law et al. (2012), doi:10.1016/j.jbiomech.2012.04.018, table 1, trunk, with r = 15 of
 Looft et al. (2018), doi:10.1016/j.jbiomech.2018.06.005.
