@@ -37,7 +37,7 @@ SCENES = {
 PICTURES = 200  # in a row
 APART, MOVED = 3.0, 30.0  # px: between muscle and bone at most, and what ends move at least
 PATIENCE = 400.0  # s
-SIZE = (700, 500)
+SIZE = (1000, 800)  # of which traces and panel take a part
 WATCH = """
 window.apart = []
 window.watch = (ends) => {
