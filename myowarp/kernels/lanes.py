@@ -51,4 +51,4 @@ def block_scratch(device: wp.Device, *owners: Any) -> wp.array[float]:
 
 def _arrays(owner: Any) -> list[wp.array]:
     """Return an array, or those of a struct."""
-    return [owner] if isinstance(owner, wp.array) else [getattr(owner, name) for name in owner._cls.vars]
+    return [one for one in (owner, *vars(owner).values()) if isinstance(one, wp.array)]
