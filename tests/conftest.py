@@ -1,5 +1,6 @@
 """What tests of the command share."""
 
+import re
 import sys
 
 import gymnasium as gym
@@ -34,3 +35,16 @@ def registered(monkeypatch):
     yield
     for name in set(gym.registry) - ids:
         del gym.registry[name]
+
+
+LARGE = re.compile(r"Torso|torso|LegWalk|legs|ArmReach|\barm\b|DieReorientP[12]")
+"""Bodies and tasks that cost several seconds a test; their oracle tests are always run."""
+
+
+@pytest.hookimpl(tryfirst=True)  # before slow ones are left out
+def pytest_collection_modifyitems(items):
+    """Leave large bodies to `make test-slow`, where a test is run for every body or task."""
+    for item in items:
+        case = item.callspec.id if hasattr(item, "callspec") else ""
+        if item.path.parent.name in ("suite", "engine") and LARGE.search(case):
+            item.add_marker(pytest.mark.slow)

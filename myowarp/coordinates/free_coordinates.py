@@ -310,6 +310,7 @@ class FreeCoordinates(Step):
         reduced = filled(Reduced, self.free.data, self.free.model)
         read = filled(Acting, stepped.data), filled(Moments, stepped.data), filled(Damping, stepped.model)
         self.scratch = block_scratch(stepped.device, *read, self.slopes, self.excess, reduced)
+        self.in_lanes = stepped.device.is_cpu
         rows = self.free.data.efc
         # A sparse J here has all columns in each row.
         shape = stepped.data.nworld, -1, self.free.oracle.nv
@@ -369,7 +370,7 @@ class FreeCoordinates(Step):
             "moments": filled(Moments, data),
             "reduced": reduced,
         }
-        if self.stepped.device.is_cpu:
+        if self.in_lanes:
             launch(reduce_blocks, 1, self, **arguments)
         else:
             launch(reduce_dynamics, data.nworld, self, **arguments)

@@ -220,7 +220,9 @@ class Step:
         if only is None:
             places = tuple(self.places(stages).values())
         else:
-            bound = self.bound(stage_launches(stages))
+            # Without the others, all is written that they would not read.
+            stages = tuple(stage for stage in stages if only.intersection(stage.replaces))
+            bound = self.bound(stage_launches(stages, self.stepped.paths))
             places = tuple(launch_place for place, launch_place in bound.items() if place in only)
 
         def step() -> None:

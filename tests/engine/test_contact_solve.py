@@ -44,7 +44,7 @@ def launch_solve(model, data):
     """Launch our solver alone; returns whether each world was solved in lanes."""
     stage = ContactSolve(SimpleNamespace(model=model, data=data, device=data.qpos.device))
     stage.solve(model, data)
-    return stage.solved.numpy()
+    return stage.memory.solved.numpy()
 
 
 def qacc_of(name):

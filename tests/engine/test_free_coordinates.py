@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from myowarp.coordinates.couplings import Exact, Pieces, ask, couplings, exact, follow, jacobian, read
 from myowarp.coordinates.free_coordinates import FreeCoordinates
-from myowarp.coordinates.reduction import Reduced, reduce_dynamics
+from myowarp.coordinates.reduction import Reduced
 from myowarp.engine.stages.arrays import filled
 from myowarp.engine.step import Step
 from myowarp.engine.warn_once import warn_once
@@ -218,8 +218,8 @@ def test_readable_kernel_reduces_as_lanes_do(tmp_path):
     step, state, found = sim.shards[0].physics_step, states(17), []
     for values in state:
         values[16] = values[0]
-    for reduction in (step.reduction, (reduce_dynamics, 17)):
-        step.reduction = reduction
+    assert step.in_lanes
+    for step.in_lanes in (True, False):
         place(sim, *state)
         physics(sim)
         arrays = filled(Reduced, step.free.data, step.free.model)

@@ -101,7 +101,12 @@ def test_rsl_rl_may_start_within_episodes():
 
 
 @pytest.mark.parametrize(
-    ("file", "budget"), [("train_sb3.py", 160_000), ("train_rsl_rl.py", 60), ("train_skrl.py", 1500)]
+    ("file", "budget"),
+    [
+        pytest.param("train_sb3.py", 160_000, marks=pytest.mark.slow),
+        pytest.param("train_rsl_rl.py", 60, marks=pytest.mark.slow),
+        ("train_skrl.py", 1500),
+    ],
 )
 def test_examples_learn(file, budget):
     """The elbow is reached by at least 90 % of the episodes."""

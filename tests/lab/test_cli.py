@@ -264,7 +264,7 @@ def test_success_is_explained(run):
 
 
 BAD = {
-    "unknown family": (["tasks", "--family", "walk"], "family 'walk' unknown; available: "),
+    "unknown family": (["tasks", "--family", "juggle"], "family 'juggle' unknown; available: "),
     "unknown task": (["rollout", "myoElbowPose1D6MRandm-v0"], f"unknown; did you mean {ELBOW}, "),
     "unknown task to warm up": (["warmup", "myoElbowPose1D6MRandm-v0"], f"unknown; did you mean {ELBOW}, "),
     "no steps": (["rollout", ELBOW, "--steps", "0"], "--steps must be at least 1, got 0"),

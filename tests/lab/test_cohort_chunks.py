@@ -60,6 +60,7 @@ def check_same(output, table, **options):
     assert one.samples["total_force"].nunique() > len(one.summary)
 
 
+@pytest.mark.slow
 def test_chunks_over_two_nodes_are_the_cohort(cluster, tmp_path):
     table, output = patients(tmp_path / "patients.csv", 37), tmp_path / "out"
     process = start(*command(table, output, "--chunk", 16, "--trials", 2, "--address", cluster.address))

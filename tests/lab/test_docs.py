@@ -157,13 +157,13 @@ run_page = Live.run
 
 
 def visited(live):
-    """In place of `Live.run`: serve until a browser has seen the body move."""
+    """In place of `Live.run`: serve until a browser has seen the body move, a model's file once it is played."""
     seen = []
 
     def visit():
         try:
             page = Client(f"ws://127.0.0.1:{live.server.get_port()}")
-            seen.append(until(lambda: page.frames > 2))
+            seen.append(until(lambda: live.play() or page.frames > 2))
             page.leave()
         finally:
             live.stop()

@@ -678,7 +678,7 @@ def test_only_public_names(path):
             and node.value.id == "myowarp"
         ):
             names = [node.attr]
-        assert not [module for module in modules if module.startswith("myowarp.")]
+        assert not {module for module in modules if module.startswith("myowarp.")} - {"myowarp.muscle"}
         assert set(names) <= {*myowarp.__all__, "motion"}  # a room with a face of its own
 
 

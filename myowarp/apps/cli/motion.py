@@ -117,7 +117,7 @@ class Motion:
     """Moment of a reserve at cost 1 on every coordinate [N m, N]; 0: none."""
     emg: Annotated[Path | None, optional("FILE")] = None
     """Of emg: raw electromyograms over time, .sto, .mot or .csv."""
-    residual: float | None = None
+    residual: Annotated[float | None, optional("FLOAT")] = None
     """The same on coordinates that carry the model through space; by default --reserve."""
     strength: Annotated[tuple[str, ...], optional("[MUSCLE=FACTOR ...]")] = ()
     """Of track: factors on maximum isometric forces of muscles, such as soleus_r=0.9."""

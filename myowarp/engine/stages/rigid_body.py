@@ -233,7 +233,7 @@ class RigidBody(Stage):
         """Note which sites the task reads, and whether joints are all that passive forces come from."""
         super().__init__(stepped)
         model = stepped.model
-        self._stepped, self._remaining = stepped, None
+        self._stepped = stepped
         self._task_sites = wp.array(stepped.sites, dtype=int, device=stepped.device)
         self._all_sites = wp.array(np.arange(model.nsite), dtype=int, device=stepped.device)
         self._no_sites = wp.zeros(0, dtype=int, device=stepped.device)
@@ -254,12 +254,21 @@ class RigidBody(Stage):
     def launcher(self, stages: tuple[Stage, ...]) -> Launches:
         """Return a launch that follows paths, too, if they are ours; then nobody else reads sites."""
         ours = {place for stage in stages for place in stage.replaces}
-        self._remaining = self._stepped.remaining if ours >= READERS else None
+        remaining = self._stepped.remaining if ours >= READERS else None
         paths = next((stage.paths for stage in stages if isinstance(stage, MusclePath)), None)
         if paths is None:
-            return self.launch
+            return partial(
+                self._launch, mask=self._every, sites=self._all_sites, dynamics=True, remaining=remaining
+            )
         self._scratch = block_scratch(paths.scratch.device, *self._arrays, *paths.arrays)
-        return partial(self._launch, mask=self._every, sites=self._no_sites, dynamics=True, paths=paths)
+        return partial(
+            self._launch,
+            mask=self._every,
+            sites=self._no_sites,
+            dynamics=True,
+            paths=paths,
+            remaining=remaining,
+        )
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Compute all that follows from positions and velocities."""
@@ -284,12 +293,13 @@ class RigidBody(Stage):
         sites: wp.array,
         dynamics: bool,
         paths: MusclePaths | None = None,
+        remaining: wp.array | None = None,
     ) -> None:
         """Launch our kernel, which walks through the worlds by itself."""
         disabled, switches = model.opt.disableflags, Switches()
         switches.dynamics, switches.has_contacts = dynamics, data.naconmax > 0
-        if self._remaining is not None:
-            switches.remaining = self._remaining
+        if remaining is not None:
+            switches.remaining = remaining
         switches.has_gravity = not disabled & DisableBit.GRAVITY
         switches.has_springs = not disabled & DisableBit.SPRING
         switches.has_dampers = not disabled & DisableBit.DAMPER
