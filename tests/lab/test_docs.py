@@ -157,7 +157,7 @@ run_page = Live.run
 
 
 def visited(live):
-    """In place of `Live.run`: serve until a browser has seen the body move, a model's file once it is played."""
+    """Serve until a browser has seen the body move, a file's model once it is played."""
     seen = []
 
     def visit():
