@@ -6,6 +6,7 @@ import contextlib
 import io
 import logging
 import socket
+import warnings
 
 import numpy as np
 import viser
@@ -15,6 +16,8 @@ from myowarp.view.browser.updates import take_values_alone
 from myowarp.view.drawing.style import SKY_RGB
 
 LOCAL = "127.0.0.1"
+LEFT = "Queued a .* on a closed connection"
+"""viser's warning about a browser that has left while something was sent to it."""
 
 
 class _LocalServer(viser.ViserServer):
@@ -39,6 +42,7 @@ def open_server(port: int, title: str) -> viser.ViserServer:
     # What a browser sends that cannot be read, and browsers that leave, are no errors of ours.
     for name in ("websockets.server", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
+    warnings.filterwarnings("ignore", LEFT, UserWarning)
     with contextlib.redirect_stdout(io.StringIO()), refusing_other_sites():
         server = _LocalServer(LOCAL, port, title, verbose=False)
     try:
