@@ -146,15 +146,15 @@ def test_a_study(table, capsys):
     assert (high - low).max() > 1.0, "N"
     assert (output / "trials/one/forces.png").stat().st_size > 10_000
 
-    before = {path.name: path.stat().st_ino for path in (output / "summary").iterdir()}
+    before = {path.name: path.stat().st_mtime_ns for path in (output / "summary").iterdir()}
     assert len(before) == 4
     (output / "summary/part-00001.parquet").unlink()
     (output / "results/part-00004.parquet").write_bytes(b"")
     (table.parent / "nowhere.mot").write_bytes((table.parent / "bend.mot").read_bytes())
     study()
-    after = {path.name: path.stat().st_ino for path in (output / "summary").iterdir()}
+    after = {path.name: path.stat().st_mtime_ns for path in (output / "summary").iterdir()}
     assert len(after) == 6
-    kept = {name for name, number in after.items() if before.get(name) == number}
+    kept = {name for name, written in after.items() if before.get(name) == written}
     assert kept == {"part-00000.parquet", "part-00005.parquet"}
     again = pd.read_parquet(output / "results")
     first = results.sort_values(["trial", "draw", "time"], ignore_index=True)
