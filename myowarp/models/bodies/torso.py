@@ -9,7 +9,7 @@ import mujoco
 from myo_sim import MODELS_DIR
 
 from myowarp.definitions.body import BODIES, Body
-from myowarp.models.bodies.torso_muscles import FATIGUE_RATES, GROUPS
+from myowarp.models.bodies.torso_muscles import GROUPS
 
 TIP = "arm_attach_r"  # the shoulder
 FILES = (
@@ -40,4 +40,4 @@ def torso() -> mujoco.MjSpec:
     return including(FILES, torso_in("Torso", "-0.025 0.1 0.9"))
 
 
-TORSO = BODIES.add("torso", Body(torso, tips=(TIP,), groups=GROUPS, fatigue_rates=FATIGUE_RATES))
+TORSO = BODIES.add("torso", Body(torso, tips=(TIP,), groups=GROUPS))

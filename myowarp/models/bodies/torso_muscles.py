@@ -1,13 +1,10 @@
 """Muscles of the trunk by the names of SimTK's Constrained Lumbar Spine model 210, grouped by muscle.
 
-Fatigue rates: Frey-Law et al. (2012), doi:10.1016/j.jbiomech.2012.04.018, table 1, trunk, with r = 15 of
-Looft et al. (2018), doi:10.1016/j.jbiomech.2018.06.005.
+They have no fatigue rates of their own, and tire at the general ones, as in MyoSuite 3.0.0. Those of the trunk
+are F = 0.00755 and R = 0.00075 per s (Frey-Law et al. 2012, doi:10.1016/j.jbiomech.2012.04.018, table 1).
 """
 
-from myowarp.definitions.body import FatigueRates
-from myowarp.models.bodies.by_muscle import by_muscle, grouped_by_side, on_both_sides
-
-TRUNK = FatigueRates(0.00755, 0.00075, 15.0)
+from myowarp.models.bodies.by_muscle import by_muscle, grouped_by_side
 
 RIGHT = by_muscle(
     {
@@ -32,4 +29,3 @@ RIGHT = by_muscle(
 )
 
 GROUPS = grouped_by_side(RIGHT)
-FATIGUE_RATES = on_both_sides(dict.fromkeys(RIGHT, TRUNK))
