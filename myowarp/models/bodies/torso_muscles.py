@@ -1,7 +1,7 @@
 """Muscles of the trunk by the names of SimTK's Constrained Lumbar Spine model 210, grouped by muscle.
 
-They have no fatigue rates of their own, and tire at the general ones, as in MyoSuite 3.0.0. Those of the trunk
-are F = 0.00755 and R = 0.00075 per s (Frey-Law et al. 2012, doi:10.1016/j.jbiomech.2012.04.018, table 1).
+They have no fatigue rates of their own, and tire at the general ones, as in MyoSuite 3.0.0. Those of the
+trunk are F = 0.00755, R = 0.00075 per s (Frey-Law et al. 2012, doi:10.1016/j.jbiomech.2012.04.018, table 1).
 """
 
 from myowarp.models.bodies.by_muscle import by_muscle, grouped_by_side
