@@ -63,6 +63,7 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
     V *gradient = block.take(n), *search = block.take(n), *Ms = block.take(n), *change = block.take(n);
     V *residual = block.take(n), *force = block.take(n), *weight = block.take(n);
     V *D = block.take(n), *J = block.take(n), *aref = block.take(n);
+    V num_rows = zero;
     for (int i = 0; i < n; ++i)
         D[i] = aref[i] = weight[i] = zero;
     for (int lane = 0; lane < NUM_LANES; ++lane) {
@@ -72,6 +73,7 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
             ((float*)J)[i * NUM_LANES + lane] = limit.J;
             if (limit.row < 0)
                 continue;
+            ((float*)&num_rows)[lane] += 1.0f;
             ((float*)D)[i * NUM_LANES + lane] = row_of(rows.D, world)[limit.row];
             ((float*)aref)[i * NUM_LANES + lane] = row_of(rows.aref, world)[limit.row];
         }
@@ -141,7 +143,7 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
         }
         return narrow(falls - step * (smooth_slope + 0.5 * step * smooth_curvature));
     };
-    Truth unfinished = zero != zero, unbracketed = unfinished, busy = zero == zero;
+    Truth unfinished = zero != zero, unbracketed = unfinished, busy = num_rows > 0.0f;
     auto find_step = [&]() {
         W slope, curvature, low = none, high = none + 3.4e38;
         probe(none, slope, curvature);
@@ -164,7 +166,7 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
 
     V trace = zero;
     for (int i = 0; i < n; ++i) {
-        x[i] = start[i];
+        x[i] = select(busy, start[i], zero);
         trace += mass[begins[i] + sizes[i] - 1];
     }
     const V scale = 1.0f / larger(trace, splat<V>(TINY));
@@ -178,6 +180,10 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
     V norm = root(dot(gradient, gradient)), iterations = zero;
     refactorize();
     V decrement = newton();
+    for (int i = 0; i < n; ++i) {  // without rows, a Newton step from rest is the solution
+        x[i] = select(busy, x[i], search[i]);
+        Mx[i] = select(busy, Mx[i], smooth[i]);
+    }
     for (int iteration = 1; any(busy); ++iteration) {
         multiply(search, Ms);
         smooth_slope = smooth_curvature = none;

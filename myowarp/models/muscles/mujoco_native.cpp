@@ -31,9 +31,15 @@ template <class V> INLINE V part_left(V duration, V c, V start) {
 
 template <class V> INLINE V activation_after(V time, V excitation, V activation, V tau_act, V tau_deact) {
     const V c = 0.5f + 1.5f * excitation, gap = excitation - activation;
-    const V left = part_left(time / at_least(TINY, tau_act), c, 1.5f * at_least(0.0f, gap));
-    const V w = -gap / (c - 1.5f * gap) * decay(-c * time / at_least(TINY, tau_deact));
-    return excitation + select(gap > 0.0f, -left * (1.0f / 1.5f), c * w / (1.0f - 1.5f * w));
+    const auto rises = gap > 0.0f;
+    V change = gap;
+    if (any(rises))
+        change = part_left(time / at_least(TINY, tau_act), c, 1.5f * at_least(0.0f, gap)) * (-1.0f / 1.5f);
+    if (any(opposite(rises))) {
+        const V w = -gap / (c - 1.5f * gap) * decay(-c * time / at_least(TINY, tau_deact));
+        change = select(rises, change, c * w / (1.0f - 1.5f * w));
+    }
+    return excitation + change;
 }
 
 template <class V> INLINE V quadratic_force_length(V length, V lmin, V lmax) {
