@@ -67,8 +67,11 @@ class Stage(abc.ABC):
         """Allocate all that the kernels need, on the device of what is stepped."""
         self.replaces = self.REPLACES
 
-    def launcher(self, stages: tuple[Stage, ...]) -> Launches:
-        """Return what the step launches in the first place, knowing all stages of ours in it."""
+    def launcher(self, stages: tuple[Stage, ...], mask: wp.array | None = None) -> Launches:
+        """Return what the step launches in the first place, knowing all stages of ours in it.
+
+        Only the worlds of a mask, shape (num_worlds,) bool, matter to whoever gives one.
+        """
         return self.launch
 
     def refresh(self, model: mjw.Model, data: mjw.Data, mask: wp.array | None) -> bool:

@@ -145,15 +145,20 @@ def holds_bodies(stepped: Stepped) -> bool:
     return bool(np.isin(stepped.oracle.eq_type, kinds).any())
 
 
-def stage_launches(stages: Iterable[Stage], paths: Paths | None = None) -> dict[str, Launches]:
-    """Return what the physics step launches, place by place, with some stages of ours and a model's paths."""
+def stage_launches(
+    stages: Iterable[Stage], paths: Paths | None = None, mask: wp.array | None = None
+) -> dict[str, Launches]:
+    """Return what the physics step launches, place by place, with some stages of ours and a model's paths.
+
+    In worlds outside of a mask, shape (num_worlds,) bool, stages may do nothing.
+    """
     places, stages = dict(ORDER), tuple(stages)
     if paths is not None:
         places["tendon"] = paths.launch
         places["velocity"] = partial(_velocity_along, paths)
     for stage in stages:
         first, *others = stage.replaces
-        places[first] = stage.launcher(stages)
+        places[first] = stage.launcher(stages, mask)
         for place in others:
             del places[place]
     return places
@@ -208,6 +213,7 @@ class Step:
         stages: Iterable[Stage] = (),
         idle: frozenset[str] = frozenset(),
         only: frozenset[str] | None = None,
+        mask: wp.array | None = None,
     ) -> Callable[[], None]:
         """Return a function that launches one physics step.
 
@@ -215,6 +221,7 @@ class Step:
             stages: Stages of ours, what `stages` or `same` returned.
             idle: Kernels of the engine's own stages to leave out, by name.
             only: Places of `ORDER` to launch; None: all.
+            mask: Worlds for which the places of `only` are wanted, shape (num_worlds,) bool; None: all.
         """
         stages = tuple(stages)
         if only is None:
@@ -222,7 +229,7 @@ class Step:
         else:
             # Without the others, all is written that they would not read.
             stages = tuple(stage for stage in stages if only.intersection(stage.replaces))
-            bound = self.bound(stage_launches(stages, self.stepped.paths))
+            bound = self.bound(stage_launches(stages, self.stepped.paths, mask))
             places = tuple(launch_place for place, launch_place in bound.items() if place in only)
 
         def step() -> None:

@@ -1,4 +1,4 @@
-// e^x for x <= 0, free of branches, to 1e-7 of it: 2^n e^r with a polynomial on |r| <= 0.35 (Moshier, Cephes,
+// e^x for x <= 88, free of branches, to 1e-7 of it: 2^n e^r with a polynomial on |r| <= 0.35 (Moshier, Cephes,
 // expf).
 namespace lanes {
 template <class V> INLINE V decay(V exponent) {

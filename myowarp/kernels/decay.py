@@ -1,4 +1,4 @@
-"""e^x for x <= 0 in SIMD lanes: the template `lanes::decay` of native functions."""
+"""e^x for x <= 88 in SIMD lanes: the template `lanes::decay` of native functions."""
 
 from pathlib import Path
 

@@ -21,6 +21,7 @@
 namespace lanes {
 
 template <class V> struct MaskOf { typedef bool type; };
+template <class V> struct IntsOf { typedef int type; };
 INLINE bool any(bool mask) { return mask; }
 INLINE bool opposite(bool mask) { return !mask; }
 INLINE float select(bool mask, float yes, float no) { return mask ? yes : no; }
@@ -28,6 +29,9 @@ INLINE float root(float x) { return sqrtf(x); }
 INLINE float absolute(float x) { return fabsf(x); }
 INLINE float nearest(float x) { return rintf(x); }
 INLINE int whole(float x) { return (int)x; }
+INLINE int bits(float x) { return wp::cast<int>(x); }
+INLINE float number(int n) { return (float)n; }
+INLINE float from_bits(int n) { return wp::cast<float>(n); }
 INLINE float power_of_two(int n) { return wp::cast<float>((n + 127) << 23); }
 INLINE float flipped(float x, int n) { return n & 2 ? -x : x; }
 INLINE bool at(bool mask, int) { return mask; }
@@ -41,6 +45,7 @@ INLINE double select(bool mask, double yes, double no) { return mask ? yes : no;
 typedef float Lanes __attribute__((ext_vector_type(MYOWARP_LANES)));
 typedef int Mask __attribute__((ext_vector_type(MYOWARP_LANES)));
 template <> struct MaskOf<Lanes> { typedef Mask type; };
+template <> struct IntsOf<Lanes> { typedef Mask type; };
 INLINE bool any(Mask mask) { return __builtin_reduce_or(mask) != 0; }
 INLINE Mask opposite(Mask mask) { return ~mask; }
 INLINE Lanes select(Mask mask, Lanes yes, Lanes no) { return mask ? yes : no; }
@@ -48,6 +53,9 @@ INLINE Lanes root(Lanes x) { return __builtin_elementwise_sqrt(x); }
 INLINE Lanes absolute(Lanes x) { return (Lanes)((Mask)x & 0x7fffffff); }
 INLINE Lanes nearest(Lanes x) { return __builtin_elementwise_roundeven(x); }
 INLINE Mask whole(Lanes x) { return __builtin_convertvector(x, Mask); }
+INLINE Mask bits(Lanes x) { return (Mask)x; }
+INLINE Lanes number(Mask n) { return __builtin_convertvector(n, Lanes); }
+INLINE Lanes from_bits(Mask n) { return (Lanes)n; }
 INLINE Lanes power_of_two(Mask n) { return (Lanes)((n + 127) << 23); }
 INLINE Lanes flipped(Lanes x, Mask n) { return (Lanes)((Mask)x ^ ((n & 2) << 30)); }
 INLINE bool at(Mask mask, int lane) { return mask[lane]; }
@@ -186,6 +194,10 @@ template <class V> struct Block {
     template <class A> void store(A&, const V*, int, int) {}
 };
 
+INLINE void neighbours(const float* from, int begin, float* to) {
+    memcpy(to, from + begin, 4 * sizeof(float));
+}
+
 #if MYOWARP_LANES > 1
 INLINE Lanes interleaved(Lanes a, Lanes b, bool high) {
 #if MYOWARP_LANES == 16
@@ -211,6 +223,46 @@ INLINE void transpose(Lanes* rows) {
 #pragma unroll
         for (int i = 0; i < N; ++i)
             rows[i] = next[i];
+    }
+}
+// Four neighbours from where each lane begins, place by place: lanes k, k + 4, ... make up a register, and
+// registers are transposed four by four.
+#define OF_FOUR(i, q) ((i) % 4 + 4 * (q) + (i) / 4 * MYOWARP_LANES)
+#define FOUR(a, b, c, d, q) OF_FOUR(a, q), OF_FOUR(b, q), OF_FOUR(c, q), OF_FOUR(d, q)
+#if MYOWARP_LANES == 16
+#define IN_FOURS(x, y, a, b, c, d)                                                                           \
+    __builtin_shufflevector(x, y, FOUR(a, b, c, d, 0), FOUR(a, b, c, d, 1), FOUR(a, b, c, d, 2),             \
+                            FOUR(a, b, c, d, 3))
+#elif MYOWARP_LANES == 8
+#define IN_FOURS(x, y, a, b, c, d) __builtin_shufflevector(x, y, FOUR(a, b, c, d, 0), FOUR(a, b, c, d, 1))
+#else
+#define IN_FOURS(x, y, a, b, c, d) __builtin_shufflevector(x, y, FOUR(a, b, c, d, 0))
+#endif
+INLINE void neighbours(const float* from, Mask begin, Lanes* to) {
+    typedef float Four __attribute__((ext_vector_type(4)));
+    Lanes rows[4];
+    for (int k = 0; k < 4; ++k) {
+        Four fours[MYOWARP_LANES / 4];
+        for (int q = 0; q < MYOWARP_LANES / 4; ++q)
+            memcpy(&fours[q], from + begin[k + 4 * q], sizeof(Four));
+#if MYOWARP_LANES == 4
+        rows[k] = fours[0];
+#else
+        const auto low = __builtin_shufflevector(fours[0], fours[1], 0, 1, 2, 3, 4, 5, 6, 7);
+#if MYOWARP_LANES == 8
+        rows[k] = low;
+#else
+        const auto high = __builtin_shufflevector(fours[2], fours[3], 0, 1, 2, 3, 4, 5, 6, 7);
+        rows[k] = __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+#endif
+#endif
+    }
+    for (int half = 0; half < 2; ++half) {
+        const Lanes *x = rows, *y = rows + 2;
+        const Lanes a = half ? IN_FOURS(x[0], x[1], 2, 6, 3, 7) : IN_FOURS(x[0], x[1], 0, 4, 1, 5);
+        const Lanes b = half ? IN_FOURS(y[0], y[1], 2, 6, 3, 7) : IN_FOURS(y[0], y[1], 0, 4, 1, 5);
+        to[2 * half] = IN_FOURS(a, b, 0, 1, 4, 5);
+        to[2 * half + 1] = IN_FOURS(a, b, 2, 3, 6, 7);
     }
 }
 // Rows of worlds into lanes, and back for the first `count` of them; never inlined, to compile fast.

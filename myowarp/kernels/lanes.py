@@ -22,13 +22,14 @@ WIDEST = 16
 """Lanes of the widest registers, AVX-512."""
 
 
-def at_namespace_level(*sources: Path, **constants: int) -> str:
+def at_namespace_level(*sources: Path, **constants: float) -> str:
     """Return the text of a native function that declares templates, which no function can hold.
 
     It does nothing: it ends at once, declares constants and what `lanes.cpp` and the sources have, and begins
     a function that does nothing either. A kernel calls it before the native function that uses them.
     """
-    texts = [f"constexpr int {name} = {value};\n" for name, value in constants.items()]
+    kinds = {name: "int" if isinstance(value, int) else "float" for name, value in constants.items()}
+    texts = [f"constexpr {kind} {name} = {constants[name]!r};\n" for name, kind in kinds.items()]
     texts += [file.read_text() for file in (Path(__file__).with_name("lanes.cpp"), *sources)]
     return f"}}\n{''.join(texts)}static inline void after_{sources[-1].stem}() {{"
 

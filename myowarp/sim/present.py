@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 
 import mujoco_warp as mjw
 import numpy as np
@@ -39,10 +40,16 @@ def read_paths(
         velocity[worldid, muscleid] = actuator_velocity_in[worldid, pathid]
 
 
-def settle_muscles(scene: Scene, mask: wp.array) -> None:
-    """Let muscles settle on their present paths in the worlds of `mask` (num_worlds,) bool."""
+def settle_muscles(scene: Scene, mask: wp.array, paths: Callable[[], None] | None = None) -> None:
+    """Let muscles settle on their present paths in the worlds of `mask` (num_worlds,) bool.
+
+    Args:
+        scene: The compiled task.
+        mask: The worlds.
+        paths: Launches what brings paths there in these worlds; None: the engine's kernels.
+    """
     muscles = scene.muscles
-    present_paths(scene)
+    (paths or partial(present_paths, scene))()
     launch(read_paths, muscles.length.shape, muscles, scene.data, mask=mask)
     muscles.settle(mask)
 

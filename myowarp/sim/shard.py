@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import secrets
 from collections.abc import Callable, Iterable
+from functools import partial
 
 import mujoco_warp as mjw
 import numpy as np
@@ -75,6 +76,7 @@ class Shard:
 
     _modules: tuple[wp.Module, ...]
     _idle = frozenset[str]()
+    _bring_settling: Callable[[], None] | None = None
     stages: tuple[Stage, ...] = ()
     starts: wp.array | None = None
     start_address: wp.array | None = None
@@ -158,7 +160,8 @@ class Shard:
     def _take_stages(self) -> None:
         """Step, and look at the present state, with the stages that were chosen."""
         self._launch_physics = self.physics_step.launches(self.stages, self._idle)
-        self.program.bring_paths = self.physics_step.launches(self.stages, self._idle, only=PATHS)
+        bring_paths = partial(self.physics_step.launches, self.stages, self._idle, only=PATHS)
+        self.program.bring_paths, self._bring_settling = bring_paths(), bring_paths(mask=self._settling)
 
     def _allocate(self, horizon: int) -> None:
         """Allocate every array of the step."""
@@ -178,6 +181,7 @@ class Shard:
         self.shown = {name: array for effect in self.effects for name, array in effect.info.items()}
         self.info = {name: scene.worlds.rows(f"info.{name}", array) for name, array in self.shown.items()}
         self._asked, self._seeded = wp.zeros(n, dtype=bool), False
+        self._settling = wp.zeros(n, dtype=bool)
         self._countdown = wp.zeros(1, dtype=int)
         self._probes: list[Callable[[wp.array | None], None]] = []
         stepped = stepped_of(scene)
@@ -327,8 +331,9 @@ class Shard:
         if self.scene.muscles.settles:
             if any(condition.PHASE == Phase.TRANSMISSION for condition in self.conditions):
                 self._launch_transmission()
+            wp.copy(self._settling, mask)
             with pruned(self._idle):
-                settle_muscles(self.scene, mask)
+                settle_muscles(self.scene, mask, self._bring_settling)
 
     def _show(self, changed: wp.array, fresh: wp.array) -> None:
         """Make poses those of the present state where it was `changed`, and observe the worlds of `fresh`."""

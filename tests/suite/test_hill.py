@@ -16,10 +16,12 @@ from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.task import TASKS
 from myowarp.kernels.curves import tabulated
+from myowarp.kernels.launch import launch
 from myowarp.kernels.millard_curves import millard_curves
 from myowarp.models.muscles import hill, hill_law
 from myowarp.models.muscles.hill import Hill
 from myowarp.models.muscles.hill_law import DEGROOTE, MILLARD, THELEN
+from myowarp.models.muscles.hill_native import native_contract_hill
 from myowarp.opensim.muscle.hill import HillMuscle
 from myowarp.opensim.muscle.table import read_muscles, write_muscles
 from myowarp.opensim.read.muscle_defaults import DEFAULTS
@@ -457,3 +459,140 @@ def test_a_fiber_without_a_length_is_a_fault_of_its_world_alone(muscle, length):
     assert np.isfinite(observation).all()
     assert np.isfinite(fibers.numpy()).all()
     assert np.isfinite(env.sim.scene.muscles.tension.numpy()).all()
+
+
+TWIN = {"tension": 2e-5, "damping": 1e-4, "activation": 1e-6, "fiber_length": 1e-6, "workload": 1e-6}
+"""Of the force and of the peak force together, and of the largest damping; else as it is."""
+
+SHAPES = {
+    THELEN: {"KshapeActive": (0.3, 0.6), "KshapePassive": (3.0, 6.0), "Af": (0.2, 0.4), "Flen": (1.3, 1.6)},
+    MILLARD: {
+        "ForceVelocityCurve.isometric_slope": (3.0, 6.0),
+        "FiberForceLengthCurve.strain_at_one_norm_force": (0.5, 0.8),
+        "TendonForceLengthCurve.strain_at_one_norm_force": (0.03, 0.06),
+    },
+    DEGROOTE: {"passive_fiber_strain_at_one_norm_force": (0.5, 0.8), "active_force_width_scale": (0.9, 1.2)},
+}
+NUM_TWINS = 19
+"""Worlds: more than the widest block has, and no multiple of one."""
+
+
+def random_hill(name, order=slice(None), midstep=False, implicitness=1.0):
+    """Return muscles of elbows that all differ, some as odd as can be, and what they read."""
+    rng = np.random.default_rng(7)
+    names = [a.name for a in map(oracle_model(BODY_TASKS["elbow"]).actuator, range(6))]
+    shape = NUM_TWINS, len(names)
+    laws = [MUSCLES[name].LAW] * 6 if name != "opensim" else [THELEN, MILLARD, DEGROOTE] * 2
+    bounds = {
+        "max_isometric_force": (50.0, 900.0),
+        "optimal_fiber_length": (0.05, 0.15),
+        "tendon_slack_length": (0.03, 0.2),
+        "pennation_angle_at_optimal": (0.0, 0.8),
+        "max_contraction_velocity": (5.0, 15.0),
+        "minimum_activation": (0.0, 0.05),
+        "activation_time_constant": (0.005, 0.02),
+        "deactivation_time_constant": (0.02, 0.08),
+    }
+    for law in set(laws):
+        bounds |= SHAPES[law]
+    values = {key: rng.uniform(*bounds, shape) for key, bounds in bounds.items()}
+    values["fiber_damping"] = rng.choice([0.0, 0.05, 0.1], shape)
+    values["ignore_tendon_compliance"] = (rng.random(shape) < 0.2).astype(float)
+    if name == "opensim":
+        values["law"] = np.tile(np.array(laws, float), (NUM_TWINS, 1))
+    length = values["tendon_slack_length"] + values["optimal_fiber_length"] * rng.uniform(0.3, 1.6, shape)
+    state = {
+        "activation": rng.uniform(size=shape),
+        "fiber_length": values["optimal_fiber_length"] * rng.uniform(0.4, 1.6, shape),
+        "workload": rng.uniform(size=shape),
+        "strength": rng.uniform(0.0, 1.0, shape),
+        "transmission": rng.uniform(0.2, 1.0, shape),
+        "path": np.array([rng.permutation(6) for _ in range(NUM_TWINS)]),
+    }
+    state["fiber_length"][3, 2], values["ignore_tendon_compliance"][3, 2] = np.nan, 0.0
+    along = np.empty(shape)
+    np.put_along_axis(along, state["path"], length, axis=1)
+    reads = {
+        "actuator_length": along,
+        "actuator_velocity": rng.normal(size=shape) * 0.3,
+        "ctrl": rng.uniform(-0.2, 1.2, shape),
+    }
+    model = oracle_model(BODY_TASKS["elbow"])
+    model.actuator_lengthrange[:, 1] = 1.0  # which a slack length has to stay below
+    count = len(np.arange(NUM_TWINS)[order])
+    with wp.ScopedDevice("cpu"):
+        muscles = MUSCLES[name](model, count, {key: array[order] for key, array in values.items()})
+        muscles.individualize()
+        muscles.record_workload()
+    muscles.midstep, muscles.implicitness = midstep, implicitness
+    for key, array in state.items():
+        owner = muscles if hasattr(muscles, key) else muscles.anatomy
+        getattr(owner, key).assign(array[order])
+    for key in ("tension", "damping", "length", "velocity"):
+        getattr(muscles, key).fill_(np.nan)
+    return muscles, {key: array[order] for key, array in reads.items()}
+
+
+def act(muscles, reads, dt, kernel=None):
+    """Return what muscles publish in a step, of their own kernel or another of ours."""
+    shape, wide = muscles.activation.shape, wp.types.vector(10, float)
+    with wp.ScopedDevice("cpu"):
+        data = SimpleNamespace(**{name: wp.array(values, dtype=float) for name, values in reads.items()})
+        bias = wp.full(shape, wide(np.nan), dtype=wide)
+        opt = SimpleNamespace(timestep=wp.full(1, dt, dtype=float))
+        model = SimpleNamespace(opt=opt, actuator_biasprm=bias)
+        if kernel is None:
+            muscles.launch(model, data)
+        elif kernel is hill_law.contract_hill:
+            launch(kernel, (shape[0], 1), muscles, data, model, opt_timestep=opt.timestep, threads=1)
+        else:
+            scratch = muscles._scratch
+            launch(kernel, 1, muscles, data, model, opt_timestep=opt.timestep, scratch=scratch)
+    names = ("activation", "fiber_length", "tension", "damping", "length", "velocity", "workload")
+    return {name: getattr(muscles, name).numpy().copy() for name in names} | {"bias": bias.numpy()}
+
+
+@pytest.mark.parametrize("dt", [0.002, 0.0])
+@pytest.mark.parametrize("name", HILL)
+def test_native_twin_equals_the_readable_law(name, dt):
+    muscles, reads = random_hill(name, midstep=True)
+    peak = muscles.geometry().max_isometric_force
+    native = act(muscles, reads, dt)
+    readable = act(*random_hill(name, midstep=True), dt, hill_law.contract_hill)
+    scales = {"tension": peak + readable["tension"], "damping": readable["damping"].max()}
+    assert np.isnan(readable["fiber_length"]).sum() == ("fiber_length" in MUSCLES[name].STATE)
+    assert (native["tension"] > 0.01 * peak).mean() > 0.3
+    for key, most in TWIN.items():
+        ours, theirs, scale = native[key], readable[key], scales.get(key, 1.0)
+        np.testing.assert_array_equal(np.isnan(ours), np.isnan(theirs), err_msg=key)
+        assert np.nanmax(np.abs(ours - theirs) / scale) <= most, key
+        assert np.nanmax((np.abs(ours - ours[0]) / scale)[1]) > 10.0 * most, key
+    size = np.maximum(np.abs(readable["bias"]), 1.0)
+    assert np.abs((native["bias"] - readable["bias"]) / size).max() <= 1e-3
+    assert np.array_equal(native["length"], readable["length"])
+    assert np.array_equal(native["velocity"], readable["velocity"])
+
+
+@pytest.mark.parametrize("name", HILL)
+def test_bits_of_a_world_depend_on_no_other(name):
+    """Worlds with curves of their own: the same bits in a block, in another order, and alone."""
+    together = act(*random_hill(name), 0.002)
+    order = np.random.default_rng(5).permutation(NUM_TWINS)
+    shuffled = act(*random_hill(name, order), 0.002)
+    alone = [act(*random_hill(name, [world]), 0.002) for world in range(NUM_TWINS)]
+    for key, values in together.items():
+        np.testing.assert_array_equal(shuffled[key], values[order], err_msg=key)
+        np.testing.assert_array_equal(np.concatenate([one[key] for one in alone]), values, err_msg=key)
+
+
+@pytest.mark.parametrize("flags", ["-march=native -DMYOWARP_LANES=1", "-DMYOWARP_LANES=4"])
+def test_narrow_registers_leave_the_same_bits(flags):
+    """As where a compiler or a machine has none; other flags are another key of the cache."""
+    options = {"cpu_compiler_flags": flags}
+    narrow = wp.kernel(native_contract_hill.func, module="unique", module_options=options)
+    muscles, reads = random_hill("opensim")
+    wide = act(muscles, reads, 0.002)
+    muscles, reads = random_hill("opensim")
+    found = act(muscles, reads, 0.002, narrow)
+    for key, values in wide.items():
+        np.testing.assert_array_equal(found[key], values, err_msg=key)

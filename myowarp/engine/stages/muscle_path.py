@@ -227,7 +227,7 @@ class MusclePath(Stage):
         with wp.ScopedDevice(stepped.device):
             self.paths = MusclePaths(stepped.oracle, stepped.model, stepped.data)
 
-    def launcher(self, stages: tuple[Stage, ...]) -> Launches:
+    def launcher(self, stages: tuple[Stage, ...], mask: wp.array | None = None) -> Launches:
         """Return nothing to launch where the launch of the rigid bodies follows the paths, too."""
         if any("kinematics" in stage.replaces for stage in stages):
             return lambda model, data: None

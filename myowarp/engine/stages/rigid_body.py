@@ -251,19 +251,18 @@ class RigidBody(Stage):
         if others or any_of(*tendons, model.body_gravcomp):
             self.replaces = tuple(place for place in self.REPLACES if place != "passive")
 
-    def launcher(self, stages: tuple[Stage, ...]) -> Launches:
+    def launcher(self, stages: tuple[Stage, ...], mask: wp.array | None = None) -> Launches:
         """Return a launch that follows paths, too, if they are ours; then nobody else reads sites."""
+        mask = self._every if mask is None else mask
         ours = {place for stage in stages for place in stage.replaces}
         remaining = self._stepped.remaining if ours >= READERS else None
         paths = next((stage.paths for stage in stages if isinstance(stage, MusclePath)), None)
         if paths is None:
-            return partial(
-                self._launch, mask=self._every, sites=self._all_sites, dynamics=True, remaining=remaining
-            )
+            return partial(self._launch, mask=mask, sites=self._all_sites, dynamics=True, remaining=remaining)
         self._scratch = block_scratch(paths.scratch.device, *self._arrays, *paths.arrays)
         return partial(
             self._launch,
-            mask=self._every,
+            mask=mask,
             sites=self._no_sites,
             dynamics=True,
             paths=paths,

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.muscle import MUSCLES, FiberStates, MuscleGeometry, MuscleModel
-from myowarp.kernels.batching import num_threads
+from myowarp.kernels.lanes import block_scratch
 from myowarp.kernels.launch import launch
 from myowarp.models.muscles import degroote_fregly2016, millard2012, thelen2003
 from myowarp.models.muscles.hill_law import (
@@ -27,6 +27,7 @@ from myowarp.models.muscles.hill_law import (
     set_lengths,
     settle_hill,
 )
+from myowarp.models.muscles.hill_native import PLACES, native_contract_hill
 from myowarp.models.muscles.millard2012 import ACTIVE, millard_tables
 from myowarp.models.muscles.mujoco import length_scale, peak_force
 
@@ -185,6 +186,8 @@ class Hill(MuscleModel):
         bounds = np.clip(np.where(limited, model.actuator_ctrlrange[ids], (0.0, 1.0)), 0.0, 1.0)
         self.excitation_range = wp.array(bounds, dtype=wp.vec2)
         self._actuators = wp.array(ids, dtype=int)
+        of_muscles, of_actuators = (len(PLACES) + 14) * len(ids), 3 * model.nu + 1
+        self._scratch = block_scratch(self.activation.device, of_muscles, of_actuators)
         self._length_range = model.actuator_lengthrange[ids]
         if "ignore_activation_dynamics" in self._given:
             off = self._given["ignore_activation_dynamics"] == 1.0
@@ -346,14 +349,18 @@ class Hill(MuscleModel):
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Engine callback; see `MuscleModel.launch`."""
-        threads = num_threads(self.activation.device, self.activation.shape[1])
+        timestep = model.opt.timestep
+        if self.activation.device.is_cpu:
+            launch(native_contract_hill, 1, self, data, model, opt_timestep=timestep, scratch=self._scratch)
+            return
+        num_worlds, threads = self.activation.shape
         launch(
             contract_hill,
-            (self.activation.shape[0], threads),
+            (num_worlds, threads),
             self,
             data,
             model,
-            opt_timestep=model.opt.timestep,
+            opt_timestep=timestep,
             threads=threads,
         )
 

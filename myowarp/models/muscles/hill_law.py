@@ -189,7 +189,9 @@ def equilibrium(
     """(z [m], f_T, its slope by z [1/m], slope of the fiber's pull by z [1/m]) where fiber and tendon agree.
 
     Newton's method from `start` on, in a bracket; a step that leaves it, or after which the residual has not
-    been halved, is replaced by bisection. It ends with a step below tolerance (l_0 + slack length).
+    been halved, is replaced by bisection. It ends with a step below tolerance (l_0 + slack length), or with
+    one of Newton's below `NEWTON` times that, whose error is its square; the tendon's force follows the last
+    step by its slope.
     """
     half = type(start)(0.5)
     low = m.shortest_fiber
@@ -211,14 +213,22 @@ def equilibrium(
         else:
             high = z
         nearer = z - residual / (slope + stiffness)
+        most = small * type(start)(NEWTON)
         fits = slope + stiffness > type(start)(0.0) and nearer >= low and nearer <= high
         if not fits or wp.abs(residual) > half * last:
             nearer = half * (low + high)
+            most = small
         last = wp.abs(residual)
-        if wp.abs(nearer - z) <= small:
-            break
+        step = nearer - z
+        tension -= stiffness * step
         z = nearer
+        if wp.abs(step) <= most:
+            break
     return wp.vector(z, tension, stiffness, slope)
+
+
+NEWTON = wp.constant(50.0)
+"""How much longer than a step of bisection the last one of Newton's method may be."""
 
 
 @wp.func

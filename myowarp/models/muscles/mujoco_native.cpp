@@ -1,47 +1,6 @@
 // The muscles of the worlds of a block: the law of mujoco.py, free of branches (lanes.cpp says what V is).
 namespace lanes {
 
-template <class V> INLINE V at_least(float least, V x) { return larger(splat<V>(least), x); }
-template <class V> INLINE V clamp(V x, V low, V high) { return smaller(larger(x, low), high); }
-
-template <class V>
-INLINE V activation_rate(V excitation, V activation, V tau_act, V tau_deact, V width) {
-    const V one = splat<V>(1.0f), zero = splat<V>(0.0f);
-    const V scale = 0.5f + 1.5f * clamp(activation, zero, one);
-    const V rise = tau_act * scale, fall = tau_deact / scale, difference = excitation - activation;
-    const V x = clamp(difference / at_least(TINY, width) + 0.5f, zero, one);
-    const V hard = select(difference > 0.0f, rise, fall);
-    const V smooth = fall + (rise - fall) * (x * x * x * (x * (6.0f * x - 15.0f) + 10.0f));
-    return difference / at_least(TINY, select(width < TINY, hard, smooth));
-}
-
-// What is left of `start` after `duration`: c ln(part / start) - (part - start) = -duration, by two steps of
-// Halley's method from the rate half way on. They leave 4e-9 after a duration of 2.
-template <class V> INLINE V part_left(V duration, V c, V start) {
-    const V half = 0.5f * duration / (c - start);
-    V x = -duration / (c - start / (1.0f + half + 0.5f * half * half)), part, step;
-    for (int i = 0; i < 2; ++i) {
-        part = start * decay(x);
-        const V slope = c - part, excess = c * x - part + start + duration;
-        step = -excess * slope / (slope * slope + 0.5f * excess * part);
-        x += step;
-    }
-    return part * (1.0f + step + 0.5f * step * step);
-}
-
-template <class V> INLINE V activation_after(V time, V excitation, V activation, V tau_act, V tau_deact) {
-    const V c = 0.5f + 1.5f * excitation, gap = excitation - activation;
-    const auto rises = gap > 0.0f;
-    V change = gap;
-    if (any(rises))
-        change = part_left(time / at_least(TINY, tau_act), c, 1.5f * at_least(0.0f, gap)) * (-1.0f / 1.5f);
-    if (any(opposite(rises))) {
-        const V w = -gap / (c - 1.5f * gap) * decay(-c * time / at_least(TINY, tau_deact));
-        change = select(rises, change, c * w / (1.0f - 1.5f * w));
-    }
-    return excitation + change;
-}
-
 template <class V> INLINE V quadratic_force_length(V length, V lmin, V lmax) {
     const V x = absolute(1.0f - length) / select(length < 1.0f, 1.0f - lmin, lmax - 1.0f);
     const V rest = at_least(0.0f, 1.0f - x);
@@ -67,19 +26,8 @@ void contract_block(Block<V>& block, Params& params, Anatomy& anatomy, Times& ti
                     float implicitness, Row& ctrl, Row& actuator_length, Row& actuator_velocity,
                     Row& activation, Results& results, Bias& actuator_biasprm) {
     const int num_muscles = activation.shape[1];
-    constexpr int width_of_block = sizeof(V) / sizeof(float);
-    const bool own_paths = anatomy.path.shape[0] > 1;
-    const int* paths[width_of_block];  // a muscle may pull another one in each world
-    for (int lane = 0; lane < width_of_block; ++lane) {
-        const int world = block.first + (lane < block.count ? lane : block.count - 1);
-        paths[lane] = ints_of(anatomy.path, world % anatomy.path.shape[0]);
-    }
-    auto pulled = [&](const V* values, int m) {
-        V found = values[paths[0][m]];
-        for (int lane = 1; own_paths && lane < width_of_block; ++lane)
-            ((float*)&found)[lane] = ((const float*)&values[paths[lane][m]])[lane];
-        return found;
-    };
+    Pulling<V, Anatomy, Results, Bias> pulling(block, anatomy, results, actuator_biasprm, actuator_length,
+                                               actuator_velocity);
     const V dt = block.model(timestep)[0], zero = splat<V>(0.0f);
     const Field<V> bounds = block.model(params.excitation_range);
     const Field<V> tau_act = block.model(params.activation_time_constant);
@@ -96,20 +44,13 @@ void contract_block(Block<V>& block, Params& params, Anatomy& anatomy, Times& ti
     const Field<V> passive_slack = block.model(params.passive_slack_length);
     const Field<V> passive_lmax = block.model(params.passive_max_norm_length);
     const Field<V> fpmax = block.model(params.passive_multiplier);
-    const Field<V> strength = block.model(anatomy.strength), transmission = block.model(anatomy.transmission);
-    const V *control = block.in(ctrl), *lengths = block.in(actuator_length), *before = block.in(activation);
-    const V* velocities = block.in(actuator_velocity);
-    const bool works = results.workload.shape[0] > 0;
-    const V* worked = works ? block.in(results.workload) : nullptr;
-    V* work = works ? block.template out<V>(results.workload) : nullptr;
+    const V *control = block.in(ctrl), *before = block.in(activation);
     V* after = block.template out<V>(activation);
-    V *tension = block.template out<V>(results.tension), *damping = block.template out<V>(results.damping);
-    V* length_to = block.template out<V>(results.length);
-    V* velocity_to = block.template out<V>(results.velocity);
 
     for (int m = 0; m < num_muscles; ++m) {
         const V excitation = clamp(control[params.actuator_id.data[m]], bounds[2 * m], bounds[2 * m + 1]);
-        const V length = pulled(lengths, m), velocity = pulled(velocities, m), start = before[m];
+        pulling.fetch(m);
+        const V length = pulling.length[m], velocity = pulling.velocity[m], start = before[m];
         V now = start, end = start;
         const auto exact = width[m] == 0.0f, smooth = opposite(exact);  // which has no closed form
         if (!midstep || any(smooth))
@@ -125,31 +66,17 @@ void contract_block(Block<V>& block, Params& params, Anatomy& anatomy, Times& ti
         const V fv = quadratic_force_velocity(velocity / v0, fvmax[m], slope);
         const V passive_length = (length - passive_slack[m]) / passive_l0[m];
         const V fp = quadratic_passive_force(passive_length, passive_lmax[m], fpmax[m]);
-        const V isometric = now * strength[m] * peak[m] * fl;
-        const V pull = transmission[m] * (isometric * fv + passive_peak[m] * fp);
+        const V isometric = now * pulling.strength[m] * peak[m] * fl;
+        const V pull = pulling.transmission[m] * (isometric * fv + passive_peak[m] * fp);
         // Explicit integrators have no use for the slope, and force - kv v + kv v would only round.
-        const V drag = implicitness > 0.0f ? implicitness * transmission[m] * (isometric * slope / v0) : zero;
+        const V drag =
+            implicitness > 0.0f ? implicitness * pulling.transmission[m] * (isometric * slope / v0) : zero;
         after[m] = end;
-        tension[m] = pull;
-        damping[m] = drag;
-        length_to[m] = length;
-        velocity_to[m] = velocity;
-        if (works)
-            work[m] = worked[m] + dt * (now * fl * fv);
-        const V constant = drag * velocity - pull, factor = -drag;
-        for (int lane = 0; lane < block.count; ++lane) {
-            float* affine = row_of(actuator_biasprm, block.first + lane) + 10 * paths[lane][m];
-            memset(affine, 0, 10 * sizeof(float));
-            affine[0] = ((const float*)&constant)[lane];
-            affine[2] = ((const float*)&factor)[lane];
-        }
+        if (pulling.works)
+            pulling.work[m] = pulling.worked[m] + dt * (now * fl * fv);
+        pulling.publish(m, pull, drag);
     }
     block.store(activation, after, 0, num_muscles);
-    block.store(results.tension, tension, 0, num_muscles);
-    block.store(results.damping, damping, 0, num_muscles);
-    block.store(results.length, length_to, 0, num_muscles);
-    block.store(results.velocity, velocity_to, 0, num_muscles);
-    if (works)
-        block.store(results.workload, work, 0, num_muscles);
+    pulling.store(num_muscles);
 }
 }  // namespace lanes

@@ -18,8 +18,10 @@ from myowarp.kernels.lanes import at_namespace_level, block_scratch
 from myowarp.kernels.launch import launch
 from myowarp.models.muscles.mujoco import MujocoMuscle, MujocoMuscleParams
 
+MUSCLE_BLOCK = Path(__file__).with_name("muscle_block.cpp")
 
-@wp.func_native(at_namespace_level(DECAY, Path(__file__).with_suffix(".cpp")))
+
+@wp.func_native(at_namespace_level(DECAY, MUSCLE_BLOCK, Path(__file__).with_suffix(".cpp")))
 def declare_contract_block(thread: int):
     """Declare the templates of `mujoco_native.cpp`."""
     ...
