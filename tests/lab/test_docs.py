@@ -23,6 +23,7 @@ from myowarp.apps.cli import main as cli
 from myowarp.apps.studies.audit import tasks as audit_command
 from myowarp.tasks.outside import find_task
 from myowarp.view.browser.live import Live
+from myowarp.view.browser.trial_page import TrialPage
 
 ROOT = Path(__file__).parents[2]
 WRITTEN = ROOT / "docs/tasks"  # by docs/task_pages.py
@@ -153,7 +154,7 @@ def smaller(line):
     return words + ["--quick"] * (words[0] == "reproduce" and not {"--quick", "--list"} & {*words})
 
 
-run_page = Live.run
+run_page = {kind: kind.run for kind in (Live, TrialPage)}
 
 
 def visited(live):
@@ -170,7 +171,7 @@ def visited(live):
 
     visitor = threading.Thread(target=visit)
     visitor.start()
-    run_page(live)
+    run_page[type(live)](live)
     visitor.join()
     assert seen
 
@@ -183,7 +184,8 @@ def test_every_command_runs(page, lines, tmp_path, monkeypatch, run, request):
     if any("out/arm26" in line for line in lines) and not any("convert" in line for line in lines):
         shutil.copytree(request.getfixturevalue("arm"), tmp_path / "out/arm26")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(Live, "run", visited)
+    for kind in run_page:
+        monkeypatch.setattr(kind, "run", visited)
     first = audit_command.find_jobs
     monkeypatch.setattr(audit_command, "find_jobs", lambda *which: first(*which)[:1])
     for line in lines:

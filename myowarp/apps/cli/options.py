@@ -103,6 +103,39 @@ def _setup(self: Any) -> Setup:
 
 
 Environment = Annotated[Asked, environment()]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A recorded motion of --model in place of a policy that acts."""
+
+    motion: Annotated[Path | None, optional("FILE")] = None
+    """A recorded motion of --model FILE.osim, played in place of a policy: joint angles, .mot or .sto, or a
+    folder that `myowarp motion` has written."""
+    results: Annotated[Path | None, optional("FOLDER")] = None
+    """Muscle forces, activations, moments and electromyograms of the motion, as `myowarp motion` has written
+    them; by default beside it."""
+    loads: Annotated[Path | None, optional("FILE")] = None
+    """OpenSim file of external loads, shown as arrows."""
+
+    def source(self, asked: Asked) -> Path | None:
+        """Return the model of the motion; None: there is no motion.
+
+        Raises:
+            ValueError: There is a motion without its model, or what belongs to one without a motion.
+        """
+        if self.motion is None:
+            for name in ("results", "loads"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"--{name} belongs to a recorded motion; give it with --motion FILE")
+            return None
+        model = asked.setup.task
+        if not isinstance(model, Path) or model.suffix.lower() != ".osim":
+            raise ValueError("--motion needs the model that moves, --model FILE.osim")
+        return model
+
+
+Recording = Annotated[Trial, tyro.conf.arg(name="")]
 Steps = Annotated[int | None, _option("INT", "Control steps; by default one episode of the task.", UNSET)]
 Policy = Annotated[
     str,

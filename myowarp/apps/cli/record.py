@@ -11,7 +11,7 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from myowarp.apps.cli.options import Environment, Overwrite, Policy, Steps, optional
+from myowarp.apps.cli.options import Environment, Overwrite, Policy, Recording, Steps, Trial, optional
 from myowarp.definitions.registry import check_least
 from myowarp.view.drawing.muscles import QUANTITIES
 
@@ -27,6 +27,9 @@ class Record:
 
     A healthy elbow beside a weak one:
     myowarp record myoElbowPose1D6MRandom-v0 --policy hold --beside sarcopenia
+
+    A recorded motion over traces of its muscle forces:
+    myowarp record --model gait.osim --motion out/trial --loads grf.xml
     """
 
     asked: Environment
@@ -39,8 +42,8 @@ class Record:
     steps: Steps = None
     beside: Annotated[tuple[str, ...], optional("[NAME ...]")] = ()
     """Film the same worlds with these conditions, too, side by side; "none" for no condition."""
-    color: Annotated[str, tyro.conf.arg(metavar="{" + ",".join(QUANTITIES) + "}")] = "activation"
-    """What the colour of a muscle shows."""
+    color: Annotated[str | None, tyro.conf.arg(metavar="{" + ",".join(QUANTITIES) + "}")] = None
+    """What the colour of a muscle shows; by default activation, of a recorded motion its force."""
     camera: Annotated[str | None, optional("NAME")] = None
     """Camera of the model; by default one that frames the limb, tips, targets and objects."""
     size: tuple[int, int] = (480, 360)
@@ -48,19 +51,19 @@ class Record:
     fps: Annotated[float | None, optional("FLOAT")] = None
     """Frames per second; by default real time."""
     overwrite: Overwrite = False
+    recording: Recording = dataclasses.field(default_factory=Trial)
 
     def __call__(self) -> None:
         """Check, run, draw."""
         from myowarp.apps.policies.find import acting, find_policy
         from myowarp.apps.rollouts.beside import Beside
-        from myowarp.apps.rollouts.film import PLAYBACKS, SUFFIXES, Film, write
+        from myowarp.apps.rollouts.film import Film, write
         from myowarp.apps.rollouts.run import Watcher, progress, run
-        from myowarp.disk import check_folder, check_output, check_overwrite
         from myowarp.sim.simulation import Simulation
         from myowarp.tasks.setups import complete
-        from myowarp.view.drawing.render import check_size
-        from myowarp.view.modes import check_viser
 
+        if (source := self.recording.source(self.asked)) is not None:
+            return self._film(source)
         asked = self.asked.setup
         setups = [complete(asked)]
         if self.beside:
@@ -69,21 +72,16 @@ class Record:
         own = setups[0]
         steps = own.episode_steps if self.steps is None else self.steps
         check_least(1, steps=steps, worlds=self.worlds)
-        if self.fps is not None and not 0.0 < self.fps < np.inf:
-            raise ValueError(f"--fps must be positive, got {self.fps:g}")
-        check_size(*self.size)
+        self._check_picture()
         policy = find_policy(self.policy, own.spec)
-        turned = self.output.suffix.lower() in PLAYBACKS
-        if turned:
-            check_viser(f"output {str(self.output)!r}")
-            if self.camera is not None:
-                raise ValueError(f"output {str(self.output)!r} is turned by its reader; leave out --camera")
-        check_folder(self.output.parent)
-        self.output.parent.mkdir(parents=True, exist_ok=True)
-        check_output(self.output, *SUFFIXES)
-        check_overwrite((self.output,), self.overwrite)
+        turned = self._check_output()
         sims = [Simulation(setup, self.worlds, autoreset="disabled") for setup in setups]
-        look: dict[str, Any] = {"size": self.size, "camera": self.camera, "color": self.color, "legend": True}
+        look: dict[str, Any] = {
+            "size": self.size,
+            "camera": self.camera,
+            "color": self.color or "activation",
+            "legend": True,
+        }
         films = []
         for sim, setup in zip(sims, setups, strict=True):
             title = ", ".join(setup.plain()["conditions"]) or "healthy"
@@ -103,3 +101,57 @@ class Record:
         for film, sim in zip(films, sims, strict=True):
             film.close()
             sim.close()
+
+    def _check_picture(self) -> None:
+        """Raise ValueError if pictures cannot be as they are asked for."""
+        from myowarp.view.drawing.render import check_size
+
+        if self.fps is not None and not 0.0 < self.fps < np.inf:
+            raise ValueError(f"--fps must be positive, got {self.fps:g}")
+        check_size(*self.size)
+
+    def _check_output(self) -> bool:
+        """Make the folder of the film; say whether its reader turns it.
+
+        Raises:
+            ValueError: It cannot be written, or is there.
+        """
+        from myowarp.apps.rollouts.film import PLAYBACKS, SUFFIXES
+        from myowarp.disk import check_folder, check_output, check_overwrite
+        from myowarp.view.modes import check_viser
+
+        turned = self.output.suffix.lower() in PLAYBACKS
+        if turned:
+            check_viser(f"output {str(self.output)!r}")
+            if self.camera is not None:
+                raise ValueError(f"output {str(self.output)!r} is turned by its reader; leave out --camera")
+        check_folder(self.output.parent)
+        self.output.parent.mkdir(parents=True, exist_ok=True)
+        check_output(self.output, *SUFFIXES)
+        check_overwrite((self.output,), self.overwrite)
+        return turned
+
+    def _film(self, source: Path) -> None:
+        """Film a recorded motion."""
+        from myowarp.view.drawing.recorded import Recorded
+        from myowarp.view.modes import check_viser
+
+        trial = self.recording
+        assert trial.motion is not None
+        wrong = {"worlds": self.worlds != 1, "beside": self.beside, "camera": self.camera}
+        for name, given in wrong.items():
+            if given:
+                raise ValueError(f"--{name} belongs to a policy that acts; leave it out beside --motion")
+        check_viser("a film of a recorded motion")
+        from myowarp.apps.rollouts.trial_film import write_trial
+
+        if self.steps is not None:
+            check_least(1, steps=self.steps)
+        self._check_picture()
+        self._check_output()
+        recorded = Recorded(source, trial.motion, trial.results, trial.loads)
+        console = Console(stderr=True, highlight=False, soft_wrap=True)
+        write_trial(
+            self.output, recorded, self.color or recorded.colored, self.size, self.fps, console, self.steps
+        )
+        console.print(f"Saved {self.output}")

@@ -12,14 +12,18 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from rich.console import Console
 
-from myowarp.apps.cli.options import Environment, Policy, Said, optional
+from myowarp.apps.cli.options import Environment, Policy, Recording, Said, Trial, optional
 from myowarp.definitions.registry import check_least
 
 if TYPE_CHECKING:
+    from viser import ViserServer
+
     from myowarp.definitions.setup import Setup
     from myowarp.definitions.task import TaskSpec
     from myowarp.sim.simulation import Simulation
+    from myowarp.view.browser.live import Live
     from myowarp.view.browser.session import Act, Choices, Session
+    from myowarp.view.browser.trial_page import TrialPage
 
 
 PORT = 8080
@@ -38,6 +42,9 @@ class View:
     A converted model: myowarp view --model out/arm26/model.xml
 
     A training that goes on: myowarp view runs/elbow, whose newest checkpoint acts
+
+    A recorded motion, with muscle forces in colour and ground reaction as arrows:
+    myowarp view --model gait.osim --motion out/trial --loads grf.xml
     """
 
     asked: Environment
@@ -50,10 +57,11 @@ class View:
     """Port of the page on this machine, 0 for a free one; from another one: ssh -L 8080:localhost:8080."""
     browser: bool = False
     """Open the page in this machine's browser."""
+    recording: Recording = dataclasses.field(default_factory=Trial)
 
     def __call__(self) -> None:
         """Check, build, serve."""
-        from myowarp.view.modes import check_viser, has_browser
+        from myowarp.view.modes import check_viser
 
         check_viser("myowarp view")
         from myowarp.apps.policies.find import find_policy
@@ -62,6 +70,8 @@ class View:
         from myowarp.view.browser.server import check_port, close_server, open_server
 
         check_least(1, worlds=self.worlds)
+        if (source := self.recording.source(self.asked)) is not None:
+            return self._play(source)
         if (run := self._run()) is not None:
             return run()
         find_policy(self.policy, self._find(self._title).spec)
@@ -71,20 +81,42 @@ class View:
         session, choices = self._open(self._title, self.policy), self._choices()
         if self.preset is not None:
             session.become(self.preset)
-        console = Console(stderr=True, highlight=False, soft_wrap=True)
         server = open_server(self.port, "MyoWarp")
         try:
             live = Live(server, session, choices)
             if self.preset is not None:
                 live.show_twin(True)
-            address = f"http://localhost:{server.get_port()}"
-            console.print(f"Open {address}   (Ctrl-C ends)")
-            if self.browser and has_browser():
-                webbrowser.open(address)
-            with contextlib.suppress(KeyboardInterrupt):
-                live.run()
+            self._serve(server, live)
         finally:
             close_server(server)
+
+    def _play(self, source: Path) -> None:
+        """Show a recorded motion."""
+        from myowarp.view.browser.server import check_port, close_server, open_server
+        from myowarp.view.browser.trial_page import TrialPage
+        from myowarp.view.drawing.recorded import Recorded
+
+        trial = self.recording
+        assert trial.motion is not None
+        check_port(self.port)
+        recorded = Recorded(source, trial.motion, trial.results, trial.loads)
+        server = open_server(self.port, "MyoWarp")
+        try:
+            self._serve(server, TrialPage(server, recorded, trial.motion.stem))
+        finally:
+            close_server(server)
+
+    def _serve(self, server: ViserServer, page: Live | TrialPage) -> None:
+        """Say where the page is, and run it."""
+        from myowarp.view.modes import has_browser
+
+        address = f"http://localhost:{server.get_port()}"
+        console = Console(stderr=True, highlight=False, soft_wrap=True)
+        console.print(f"Open {address}   (Ctrl-C ends)")
+        if self.browser and has_browser():
+            webbrowser.open(address)
+        with contextlib.suppress(KeyboardInterrupt):
+            page.run()
 
     def _run(self) -> View | None:
         """Return the command for a run's folder in place of a task: the task and the policy of the run."""

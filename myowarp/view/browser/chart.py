@@ -53,6 +53,7 @@ class Chart:
         curves: The curves.
         borders: Places in `along` where an episode begins; curves are not joined across them.
         axis: What `along` is.
+        now: Where in `along` a line marks what is shown; None: nowhere.
     """
 
     title: str
@@ -60,6 +61,7 @@ class Chart:
     curves: Sequence[Curve]
     borders: Sequence[float] = ()
     axis: str = "time / s"
+    now: float | None = None
 
 
 class Pen(Protocol):
@@ -120,6 +122,8 @@ def _draw_one(chart: Chart, pen: Pen, left: float, right: float, top: float, bot
     pen.text(right, bottom + 14, chart.axis, INK, "end")
     for border in chart.borders:
         pen.line(np.array(((x(border), top), (x(border), bottom))), BORDER, 1.0, (3, 3))
+    if chart.now is not None:
+        pen.line(np.array(((x(chart.now), top), (x(chart.now), bottom))), INK, 1.2, ())
     for index, curve in enumerate(chart.curves):
         for piece in _pieces(chart, curve.values):
             points = np.stack((x(chart.along[piece]), y(curve.values[piece])), axis=1)

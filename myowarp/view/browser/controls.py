@@ -16,29 +16,29 @@ ERRORS = (ValueError, OSError, RuntimeError, ImportError, MemoryError, LookupErr
 NOTICE_SECONDS = 10.0
 
 
-class Controls(abc.ABC):
-    """The state of a page, changed by the loop alone.
+class Wishes:
+    """What browsers have asked a page for, and how it plays; changed by its loop alone.
 
     Attributes:
         server: The page's server.
-        choices: What can be chosen.
-        session: What runs.
-        playing: Whether it does.
-        speed: Simulated time over the time that it is to take.
-        factor: The same, measured.
+        playing: Whether it plays.
+        speed: Shown time over the time that it is to take.
         color: What the colour of a muscle shows.
         follow: Whether a root that moves stays in the middle.
         message: What went wrong last.
-        back: How many seconds before the last moment the shown one is; 0 is the last.
     """
 
-    def __init__(self, server: viser.ViserServer, session: Session, choices: Choices) -> None:
+    def __init__(self, server: viser.ViserServer) -> None:
         """Play."""
-        self.server, self.choices, self.session = server, choices, session
-        self.playing, self.speed, self.factor = True, 1.0, 0.0
-        self.color, self.follow, self.message, self.back = "activation", True, "", 0.0
+        self.server, self.playing, self.speed = server, True, 1.0
+        self.color, self.follow, self.message = "activation", True, ""
         self._asked: dict[str, Callable[[], object]] = {}
         self._lock = threading.Lock()
+
+    @property
+    def beside(self) -> bool:
+        """Whether a twin is shown."""
+        return False
 
     def ask(self, key: str, wish: Callable[[], object]) -> None:
         """Have something done before the next step, in place of what was asked for under the same key."""
@@ -65,6 +65,28 @@ class Controls(abc.ABC):
         """Show a sentence in all pages, for some seconds."""
         for client in self.server.get_clients().values():
             client.add_notification("MyoWarp", text, auto_close_seconds=NOTICE_SECONDS, color=color)
+
+
+class Controls(Wishes, abc.ABC):
+    """The state of the page of a session.
+
+    Attributes:
+        choices: What can be chosen.
+        session: What runs.
+        factor: Simulated time over the time that it takes.
+        back: How many seconds before the last moment the shown one is; 0 is the last.
+    """
+
+    def __init__(self, server: viser.ViserServer, session: Session, choices: Choices) -> None:
+        """Play."""
+        super().__init__(server)
+        self.choices, self.session = choices, session
+        self.factor, self.back = 0.0, 0.0
+
+    @property
+    def beside(self) -> bool:
+        """Whether a twin is shown."""
+        return self.session.beside
 
     @abc.abstractmethod
     def open(self, task: str, policy: str) -> None:

@@ -28,7 +28,7 @@ class Panel:
         with self._tabs.add_tab("Body"):
             self._body = BodyTab(live, widgets)
         with self._tabs.add_tab("Traces"):
-            self.traces = Traces(live, readings, history)
+            self.traces = Traces(live, readings.kinds, history)
         self.refresh()
 
     def remove(self) -> None:

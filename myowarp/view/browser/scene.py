@@ -27,7 +27,7 @@ from myowarp.view.drawing.render import coarsen
 from myowarp.view.drawing.scenery import floor_height, has_plane
 from myowarp.view.drawing.skeleton import Skeleton
 from myowarp.view.drawing.snapshot import Snapshot
-from myowarp.view.drawing.world import GHOST_ALPHA, LINK_RADIUS, MARKER_RADIUS
+from myowarp.view.drawing.world import ARROW_RADIUS, GHOST_ALPHA, LINK_RADIUS, MARKER_RADIUS
 
 CELL, GHOST_CELL = 1 / 150, 1 / 80
 """What is smaller in a mesh is not sent, in units of the framed radius: some browsers draw in software."""
@@ -55,6 +55,8 @@ FLOOR_REACH, LINE = 6.0, 0.0015
 """Half a side of the squares on the floor, and the radius of their lines, in units of the framed radius."""
 PLANE_REACH = 20.0
 """Half a side of a plane without end, in units of the framed radius."""
+HEAD = 2.5
+"""Radius of an arrow's head over that of the arrow."""
 SPACING = 2.3
 """Distance from body to body, in units of the framed radius."""
 
@@ -106,6 +108,7 @@ class Figure:
         self._tubes = _Batch(server, f"{name}/tubes", *_tube(), GHOST_ALPHA if ghost else None)
         ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
         self._balls = _Batch(server, f"{name}/balls", ball.vertices, ball.faces)
+        self._heads = _Batch(server, f"{name}/heads", *_cone())
         self._ghost: Figure | None = None
         self._bellies: dict[int, viser.MeshHandle] = {}
         self._meshes: dict[int, list[_Batch]] = {}
@@ -138,7 +141,7 @@ class Figure:
         """
         for key in seen.shape:
             self._nominal.setdefault(key, look.geometry(self._model, self._data, key).copy())
-        look.pose(self._model, self._data, seen.qpos, self._nominal | dict(seen.shape))
+        look.pose(self._model, self._data, seen.qpos, self._nominal | dict(seen.shape), seen.paths)
         self._draw(seen, color, hidden, shift(self._data))
 
     def _draw(self, seen: Snapshot, color: str, hidden: Set[str], aside: np.ndarray) -> None:
@@ -153,6 +156,7 @@ class Figure:
         self._show_tubes(seen, color, aside)
         if not self._is_ghost:
             self._show_balls(seen, aside)
+            self._show_heads(seen, aside)
             self._show_ghost(seen.ghost, hidden, aside)
 
     def middle_of(self, muscle: str) -> np.ndarray | None:
@@ -230,11 +234,14 @@ class Figure:
             (self._data.site_xpos[tip], place) for tip, place in look.marker_pairs(self._given, seen.goals)
         ]
         link_ends = np.array(links).reshape(-1, 2, 3)
+        lines = np.concatenate((link_ends, seen.arrows))
+        thin = np.repeat((LINK_RADIUS, ARROW_RADIUS), (len(links), len(seen.arrows))) * self._radius
+        inks = np.repeat((look.TARGET_RGB, look.FORCE_RGB), (len(links), len(seen.arrows)), axis=0)
         self._tubes.show_between(
-            np.concatenate((tubes.starts[shown], starts, link_ends[:, 0])) + aside,
-            np.concatenate((tubes.ends[shown], ends, link_ends[:, 1])) + aside,
-            np.concatenate((tubes.radii[shown], radii, np.full(len(links), LINK_RADIUS * self._radius))),
-            np.concatenate((painted[shown], rgb, np.tile(look.TARGET_RGB, (len(links), 1)))),
+            np.concatenate((tubes.starts[shown], starts, lines[:, 0])) + aside,
+            np.concatenate((tubes.ends[shown], ends, lines[:, 1])) + aside,
+            np.concatenate((tubes.radii[shown], radii, thin)),
+            np.concatenate((painted[shown], rgb, inks)),
         )
 
     def _show_belly(self, muscle: int, vertices: np.ndarray, rgb: np.ndarray) -> None:
@@ -270,6 +277,14 @@ class Figure:
         colors = [look.TIP_RGB] * len(self._tips) + [look.TARGET_RGB] * len(sites)
         turns = np.tile((1.0, 0.0, 0.0, 0.0), (len(places), 1))
         self._balls.show(places + aside, turns, np.tile(radii[:, None], 3), np.array(colors).reshape(-1, 3))
+
+    def _show_heads(self, seen: Snapshot, aside: np.ndarray) -> None:
+        """Place the heads of arrows, beyond their ends."""
+        along = seen.arrows[:, 1] - seen.arrows[:, 0]
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+        radii, ends = np.full(len(along), HEAD * ARROW_RADIUS * self._radius), seen.arrows[:, 1] + aside
+        tips = ends + 2.0 * radii[:, None] * along
+        self._heads.show_between(ends, tips, radii, np.tile(look.FORCE_RGB, (len(along), 1)))
 
     def _show_ghost(self, wanted: np.ndarray | None, hidden: Set[str], aside: np.ndarray) -> None:
         """Show the posture that the goal asks for."""
@@ -423,6 +438,12 @@ def _tube() -> tuple[np.ndarray, np.ndarray]:
     circle = np.stack((np.cos(angles), np.sin(angles)), axis=1)
     vertices = np.concatenate([np.column_stack((circle, np.full(SIDES, z))) for z in (-0.5, 0.5)])
     return vertices, _around(2, SIDES)
+
+
+def _cone() -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and faces of a cone along z, of length and radius 1, its middle at 0."""
+    cone = trimesh.creation.cone(1.0, 1.0, sections=2 * SIDES)
+    return cone.vertices - (0.0, 0.0, 0.5), cone.faces
 
 
 def _surface(model: mujoco.MjModel, geom: int, reach: float) -> tuple[np.ndarray, np.ndarray]:

@@ -9,9 +9,9 @@ import numpy as np
 
 from myowarp.definitions.registry import check_choice
 from myowarp.view.browser.chart import TARGET_INK, Chart, Curve, as_png, as_svg
-from myowarp.view.browser.controls import Controls
+from myowarp.view.browser.controls import Wishes
 from myowarp.view.browser.history import History
-from myowarp.view.browser.readings import Readings
+from myowarp.view.browser.readings import Kind
 
 INKS = ("#1d4ed8", "#b91c1c", "#047857", "#b45309")
 """Of the shown world's curves in a chart."""
@@ -36,9 +36,9 @@ TRACES_HEIGHT = HEIGHT + ROOM + 2 * BORDER
 class Traces:
     """The window with curves, and what is chosen in the panel."""
 
-    def __init__(self, live: Controls, readings: Readings, history: History) -> None:
+    def __init__(self, live: Wishes, kinds: dict[str, Kind], history: History) -> None:
         """Add the controls to the container that is open, and the window."""
-        self._live, self._gui, self._kinds, self._history = live, live.server.gui, readings.kinds, history
+        self._live, self._gui, self._kinds, self._history = live, live.server.gui, kinds, history
         self.chosen: list[tuple[str, str]] = []
         for kind in ("activation", "joint angle"):
             if kind in self._kinds:
@@ -104,7 +104,7 @@ class Traces:
         history = self._history
         if len(history.moments) < 2:
             return []
-        times, borders, beside = history.times, history.borders.tolist(), self._live.session.beside
+        times, borders, beside = history.times, history.borders.tolist(), self._live.beside
         found = []
         for kind in dict.fromkeys(pair[0] for pair in self.chosen):
             curves = []
@@ -117,9 +117,11 @@ class Traces:
                     curves.append(Curve(f"{item} before", values, twin_ink, DASH))
                 targets = history.targets(kind, index)
                 if np.isfinite(targets).any():
-                    curves.append(Curve(f"{item} target", targets, TARGET_INK, TARGET_DASH))
+                    curves.append(Curve(f"{item} {history.aim}", targets, TARGET_INK, TARGET_DASH))
             unit = self._kinds[kind].unit
-            found.append(Chart(kind if unit == "1" else f"{kind} / {unit}", times, curves, borders))
+            found.append(
+                Chart(kind if unit == "1" else f"{kind} / {unit}", times, curves, borders, now=history.now)
+            )
         return found
 
     def _offer(self) -> None:
@@ -140,7 +142,7 @@ class Traces:
 
     def _save_csv(self, client: Any) -> None:
         """Send the curves as a table to the browser that asked."""
-        table = self._history.table(self._kinds, self.chosen, self._live.session.beside)
+        table = self._history.table(self._kinds, self.chosen, self._live.beside)
         client.send_file_download("traces.csv", table.encode())
 
     def _save_png(self, client: Any) -> None:

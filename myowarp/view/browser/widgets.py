@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from myowarp.definitions.registry import check_choice
-from myowarp.view.browser.controls import ERRORS, Controls
+from myowarp.view.browser.controls import ERRORS, Wishes
 
 
 class Widgets:
     """Adds controls to the container that is open."""
 
-    def __init__(self, live: Controls) -> None:
+    def __init__(self, live: Wishes) -> None:
         self._live, self._gui = live, live.server.gui
 
     def slide(

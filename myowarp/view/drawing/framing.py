@@ -27,6 +27,8 @@ TRAVEL = 1.0
 """m: range of a slide from which on it carries the whole body away."""
 TURN = 15.0
 """deg by which the camera goes round, so that the picture has some depth."""
+ABOVE = -12.0
+"""deg by which it looks down."""
 ARM = 2.0
 """How much of a limb beside its end is in the picture, in units of the end's radius: of an arm the hand and
 half of the forearm."""
@@ -93,6 +95,13 @@ class Framing:
     def follows(self) -> bool:
         """Whether the camera goes along with a root."""
         return self._root > 0
+
+    def look_along(self, direction: np.ndarray) -> None:
+        """Look along a direction (3,), turned as always so that the picture has some depth; `fit` follows."""
+        level = float(np.degrees(np.arctan2(direction[2], np.linalg.norm(direction[:2]))))
+        self.azimuth = float(np.degrees(np.arctan2(direction[1], direction[0]))) + TURN
+        self.elevation = level + ABOVE
+        self._axes = view_axes(self.azimuth, self.elevation)
 
     def fit(self, moments: Iterable[tuple[mujoco.MjData, Mapping[str, np.ndarray]]]) -> None:
         """Fit the picture to moments instead of the joints' ranges: data, posed, and goals of each."""
@@ -259,7 +268,7 @@ def broadside(rest: np.ndarray, motion: np.ndarray, away: np.ndarray) -> tuple[f
         along = forward[np.argmax(np.abs(forward))]
     forward = -forward if along > 0 else forward
     azimuth = np.degrees(np.arctan2(forward[1], forward[0]))
-    elevation = float(np.clip(np.degrees(np.arcsin(np.clip(forward[2], -1, 1))) - 12.0, -75.0, 30.0))
+    elevation = float(np.clip(np.degrees(np.arcsin(np.clip(forward[2], -1, 1))) + ABOVE, -75.0, 30.0))
     return float(azimuth + TURN), elevation
 
 

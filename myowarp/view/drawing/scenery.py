@@ -43,6 +43,16 @@ def add_capsule(
         geom.emission = emission
 
 
+def add_arrow(
+    scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, radius: float, rgba: tuple[float, ...]
+) -> None:
+    """Adds an arrow from one point to another."""
+    geom, kind = _next_geom(scene), mujoco.mjtGeom.mjGEOM_ARROW
+    mujoco.mjv_initGeom(geom, kind, NOWHERE, NOWHERE, UPRIGHT, np.array(rgba, dtype=np.float32))
+    mujoco.mjv_connector(geom, kind, radius, start, end)
+    geom.category, geom.emission = mujoco.mjtCatBit.mjCAT_DECOR, 0.25
+
+
 def has_plane(model: mujoco.MjModel) -> bool:
     """Says whether a model has a floor or a wall."""
     return bool((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any())

@@ -1,6 +1,6 @@
 """Host snapshot of one world, for rendering."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -26,6 +26,8 @@ class Snapshot(NamedTuple):
         goals: World positions of the goal's markers [m] by the names of their sites.
         shape: What the world has for itself: (field of the model or data, name of geom or body) to values.
         ghost: Configuration that the goal asks for, shape (nq,); None where it asks for none.
+        paths: Points of each muscle's path [m], shape (n, 3) each; empty: MuJoCo's tendons are its paths.
+        arrows: Begins and ends of the arrows of forces [m], shape (n, 2, 3).
     """
 
     qpos: np.ndarray
@@ -33,6 +35,8 @@ class Snapshot(NamedTuple):
     goals: Mapping[str, np.ndarray] = {}
     shape: Mapping[tuple[str, str], np.ndarray] = {}
     ghost: np.ndarray | None = None
+    paths: Sequence[np.ndarray] = ()
+    arrows: np.ndarray = np.zeros((0, 2, 3))
 
     @property
     def activation(self) -> np.ndarray | None:

@@ -7,13 +7,15 @@ the order is that of the activation array of the simulation.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import mujoco
 import numpy as np
 
 TARGET_RGB = np.array((0.10, 0.68, 0.30))
 TIP_RGB = np.array((0.98, 0.62, 0.10))
+FORCE_RGB = np.array((0.05, 0.42, 0.62))
+"""Arrows of forces from outside."""
 BONE_RGB = np.array((0.86, 0.82, 0.74))
 """Bones of the limb; myo-sim gives them several greys."""
 PALE_RGB = np.array((0.70, 0.72, 0.75))
@@ -62,6 +64,7 @@ def pose(
     data: mujoco.MjData,
     qpos: np.ndarray,
     shape: Mapping[tuple[str, str], np.ndarray] | None = None,
+    paths: Sequence[np.ndarray] = (),
 ) -> None:
     """Sets ``qpos`` and computes the positions that drawing needs, without collision or dynamics.
 
@@ -70,9 +73,10 @@ def pose(
         data: the data to fill.
         qpos: generalised position, shape ``(nq,)``.
         shape: geometry of one world: (field of model or data, name of geom or body) to values.
+        paths: points of each muscle's path [m], in place of those of MuJoCo's tendons.
 
     Raises:
-        ValueError: the shape is wrong or a value is not finite.
+        ValueError: a shape is wrong or a value is not finite.
     """
     qpos = np.asarray(qpos, dtype=float)
     if qpos.shape != (model.nq,):
@@ -87,6 +91,23 @@ def pose(
     mujoco.mj_comPos(model, data)
     mujoco.mj_camlight(model, data)
     mujoco.mj_tendon(model, data)
+    if paths:
+        _lead(model, data, paths)
+
+
+def _lead(model: mujoco.MjModel, data: mujoco.MjData, paths: Sequence[np.ndarray]) -> None:
+    """Puts points of paths where MuJoCo keeps those of its tendons."""
+    tendons, points, room = muscle_tendons(model), np.concatenate(paths), data.wrap_xpos.reshape(-1, 3)
+    if len(paths) != len(tendons) or len(points) > len(room) or not np.isfinite(points).all():
+        raise ValueError(
+            f"paths need one list of finite points for each of {len(tendons)} muscles, {len(room)} points at "
+            f"most, got {len(paths)} lists with {len(points)} points"
+        )
+    counts = [len(path) for path in paths]
+    room[: len(points)], data.wrap_obj.reshape(-1)[: len(points)] = points, SITE
+    data.ten_wrapnum[:] = 0
+    data.ten_wrapnum[tendons], data.ten_wrapadr[tendons] = counts, np.cumsum([0, *counts[:-1]])
+    data.ten_length[tendons] = [np.linalg.norm(np.diff(path, axis=0), axis=1).sum() for path in paths]
 
 
 def rest_pose(model: mujoco.MjModel) -> np.ndarray:
@@ -216,8 +237,8 @@ def tendon_segments(
     return np.concatenate(starts), np.concatenate(ends), np.concatenate(owner)
 
 
-PULLEY = -2
-"""``mjData.wrap_obj`` of a pulley, where a path branches: -2 pulley, -1 site, else geom id."""
+SITE, PULLEY = -1, -2
+"""``mjData.wrap_obj`` of a site and of a pulley, where a path branches: -2 pulley, -1 site, else geom id."""
 
 
 def marker_pairs(model: mujoco.MjModel, sites: Mapping[str, np.ndarray]) -> list[tuple[int, np.ndarray]]:

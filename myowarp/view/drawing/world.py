@@ -16,7 +16,14 @@ from myowarp.definitions.registry import check_choice
 from myowarp.view.drawing import style as look
 from myowarp.view.drawing.framing import Framing
 from myowarp.view.drawing.muscles import QUANTITIES, TENDON_RGB, TENDON_TINT, Muscles
-from myowarp.view.drawing.scenery import add_capsule, add_floor, add_sphere, floor_height, has_plane
+from myowarp.view.drawing.scenery import (
+    add_arrow,
+    add_capsule,
+    add_floor,
+    add_sphere,
+    floor_height,
+    has_plane,
+)
 from myowarp.view.drawing.skeleton import Skeleton
 from myowarp.view.drawing.snapshot import Snapshot
 
@@ -25,6 +32,9 @@ MARKER_RADIUS = (0.035, 0.10)
 GHOST_ALPHA = 0.28
 LINK_RADIUS = 0.005
 """Radius of the line from a tip to its target, in units of the framed radius."""
+
+ARROW_RADIUS = 0.012
+"""Radius of the arrow of a force, in units of the framed radius."""
 
 
 class WorldDrawing:
@@ -81,7 +91,7 @@ class WorldDrawing:
         """Return the data in a world's pose, with its own geometry."""
         for key in seen.shape:
             self._nominal.setdefault(key, look.geometry(self.model, self.data, key).copy())
-        look.pose(self.model, self.data, seen.qpos, self._nominal | dict(seen.shape))
+        look.pose(self.model, self.data, seen.qpos, self._nominal | dict(seen.shape), seen.paths)
         return self.data
 
     def add(self, scene: mujoco.MjvScene, seen: Snapshot, middle: np.ndarray, pixel: float) -> None:
@@ -98,6 +108,8 @@ class WorldDrawing:
         if seen.ghost is not None:
             self._add_ghost(scene, seen.ghost)
         self._add_markers(scene, seen.goals, pixel)
+        for start, end in seen.arrows:
+            add_arrow(scene, start, end, ARROW_RADIUS * self.framing.radius, (*look.FORCE_RGB, 1.0))
         if self._floor is not None:
             add_floor(scene, self._floor, middle, self.framing.radius, pixel)
 
