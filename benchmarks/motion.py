@@ -146,7 +146,7 @@ def main() -> None:
     needed = inverse_dynamics(bones, q, u, a, loads)
     ours["inverse dynamics"] = timed(lambda: inverse_dynamics(bones, q, u, a, loads), others)
     reserves = {name: 1000.0 if name.startswith("pelvis") else 10.0 for name in bones.coordinates}
-    paths = muscle_paths(bones.model, bones.coordinates, q, u)
+    paths = muscle_paths(bones, q, u)
 
     def optimise() -> object:
         return muscle_forces(
@@ -157,7 +157,7 @@ def main() -> None:
     few = options.frames // 10
 
     def follow() -> object:
-        return muscle_paths(bones.model, bones.coordinates, q[:few], u[:few])
+        return muscle_paths(bones, q[:few], u[:few])
 
     ours["paths of muscles"] = timed(follow, others) * options.frames / few
     frame = {name: seconds / options.frames for name, seconds in ours.items()}

@@ -166,14 +166,14 @@ def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int
     fitted = _fitted(recording, uncertain, draws, seed) if uncertain.moves else None
     if fitted is None:
         found = derivatives(recording.time, recording.values, recording.time, recording.cutoff)
-        once = muscle_paths(bones.model, bones.coordinates, found[0], found[1])
+        once = muscle_paths(bones, found[0], found[1])
         whole = tiled(once.length), tiled(once.velocity), tiled(once.moment_arm)
         paths, motion = MusclePaths(muscles, *whole, once.crossed), [tiled(part) for part in found]
     else:
         beside = np.concatenate(np.split(fitted.values, count), axis=1)
         found = derivatives(recording.time, beside, recording.time, recording.cutoff)
         motion = [np.concatenate(np.split(part, count, axis=1)) for part in found]
-        paths = muscle_paths(bones.model, bones.coordinates, motion[0], motion[1])
+        paths = muscle_paths(bones, motion[0], motion[1])
     loads = [
         replace(x, force=tiled(x.force), point=tiled(x.point), torque=tiled(x.torque))
         for x in recording.loads

@@ -16,6 +16,7 @@ import warp as wp
 
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
+from myowarp.motion.parts import in_parts, joined
 from myowarp.motion.skeleton import HINGE, Bones, Placement, Skeleton, place, station
 
 CHUNK = 4096
@@ -241,14 +242,14 @@ def inverse_dynamics(
     for number, load in enumerate(loads):
         for part, given in enumerate((load.force, load.point, load.torque)):
             acting[:, number, part] = given
-    chunks = [slice(at, at + CHUNK) for at in range(0, max(len(values), 1), CHUNK)]
     heavy = np.atleast_2d(np.asarray(masses, float))
     heavy = np.broadcast_to(heavy, (len(heavy), len(bones.bodies) - 1))
-    parts = [
-        _chunk(bones, values[c], speeds[c], accelerations[c], acting[c], frames,
-               heavy[c] if len(heavy) > 1 else heavy) for c in chunks
-    ]  # fmt: skip
-    return Needed(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+    def solve(c: slice) -> tuple[np.ndarray, ...]:
+        masses = heavy[c] if len(heavy) > 1 else heavy
+        return _chunk(bones, values[c], speeds[c], accelerations[c], acting[c], frames, masses)
+
+    return Needed(*joined(in_parts(len(values), CHUNK, bones.device, solve)))
 
 
 def _chunk(

@@ -27,6 +27,7 @@ from myowarp.kernels.batching import batched
 from myowarp.kernels.cholesky import eliminated, substitute
 from myowarp.kernels.launch import launch
 from myowarp.motion.markers import Markers
+from myowarp.motion.parts import in_parts
 from myowarp.motion.skeleton import Bones, Placement, Skeleton, place, station
 
 STRIDE = 16
@@ -476,6 +477,18 @@ def _run(
     bones: Bones, targets: Targets, first: np.ndarray, frames: int, stride: int, out: Mapping[str, Any]
 ) -> None:
     """Solve `frames` frames in each world from its first frame on."""
+
+    def solve(part: slice) -> None:
+        with wp.ScopedDevice(bones.device):
+            _launch(bones, targets, first[part], frames, stride, out)
+
+    in_parts(len(first), len(first), bones.device, solve)
+
+
+def _launch(
+    bones: Bones, targets: Targets, first: np.ndarray, frames: int, stride: int, out: Mapping[str, Any]
+) -> None:
+    """Solve `frames` frames in each world of a part."""
     worlds, bodies, free = len(first), len(bones.bodies) - 1, len(bones.coordinates)
     normal = Normal()
     for name, kind in (("weight", wp.float64), ("first", wp.vec3d), ("second", wp.mat33d)):

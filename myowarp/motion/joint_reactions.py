@@ -16,9 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from myowarp.motion.inverse_dynamics import Needed
+from myowarp.motion.muscle_paths import TOGETHER, PathsOfMuscles
+from myowarp.motion.parts import in_parts, joined
 from myowarp.motion.skeleton import Bones
-from myowarp.opensim.wrap.moment_arm import poses_of, stacked
-from myowarp.opensim.wrap.path import solve
+
+FRAMES = 4096
+"""That are solved together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,25 +77,13 @@ def muscle_wrenches(
     Returns:
         Two arrays of shape (frames, bodies + 1, 3).
     """
-    model, rows = bones.model, np.arange(len(values))
-    poses = poses_of(model, dict(zip(bones.coordinates, values.T, strict=True)), [])
-    force, torque = np.zeros((2, len(values), len(bones.bodies), 3))
-    for name, pull in tension.items():
-        path = model.muscles[name].path
-        solution = solve(model, path, *stacked(model, path, poses, []))
-        bodies = [point.body for point in path.points]
-        for wrap in path.wraps:
-            bodies += [model.wraps[wrap.object].body] * 2
-        number = np.array([bones.bodies[body] for body in bodies])
-        for piece in range(solution.order.shape[1] - 1):
-            one, other = solution.order[:, piece], solution.order[:, piece + 1]
-            along = solution.cached[rows, other] - solution.cached[rows, one]
-            norm = np.linalg.norm(along, axis=1)
-            acts = (other >= 0) & (number[one] != number[other]) & (norm > 0.0)
-            # Where nothing acts, places may be NaN: wraps that the path does not touch have none.
-            on = rows[acts]
-            drawn = (pull[acts] / norm[acts])[:, None] * along[acts]
-            for end, sign in ((one[acts], 1.0), (other[acts], -1.0)):
-                force[on, number[end]] += sign * drawn
-                torque[on, number[end]] += sign * np.cross(solution.location[on, end], drawn)
+    muscles = PathsOfMuscles(bones, 1).muscles
+    none = np.zeros(len(values))
+    pull = np.stack([tension.get(name, none) for name in muscles], axis=1)
+
+    def solve(part: slice) -> tuple[np.ndarray, np.ndarray]:
+        own = PathsOfMuscles(bones, min(len(values[part]), TOGETHER))
+        return own.wrenches(values[part], pull[part])
+
+    force, torque = joined(in_parts(len(values), FRAMES, bones.device, solve))
     return force, torque

@@ -9,14 +9,17 @@ of the activation a' before.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
+import warp as wp
 from numpy.typing import ArrayLike
 
 from myowarp.motion.muscle_paths import MusclePaths
+from myowarp.motion.parts import in_parts
 from myowarp.motion.static_optimization import Activations, optimal_activations
 from myowarp.motion.steady_muscles import SteadyMuscles
 from myowarp.opensim.model.model import Model
@@ -32,6 +35,9 @@ LEAST = 0.01
 
 FEASIBLE = 1e-6
 """Share of the greatest moment of a coordinate up to which it counts as met."""
+
+FRAMES = 4096
+"""That are solved together."""
 
 SATURATED = 0.999
 """Share of the way to its upper bound from which a muscle counts as saturated."""
@@ -134,6 +140,43 @@ def muscle_forces(
         raise ValueError(f"reserve on {sorted(unknown)[0]!r}: unknown; available: {', '.join(coordinates)}")
     if not all(0.0 < force < np.inf for force in reserves.values()):
         raise ValueError("the force of a reserve must be above 0 and finite")
+    wanted = np.maximum(np.abs(joint_moment).max(axis=0, initial=0.0), 1.0)
+    factors = strength, slack
+
+    def solve(part: slice) -> MuscleForces:
+        strong, long = (x[part] if len(x) > 1 else x for x in map(np.atleast_2d, factors))
+        own = paths.part(part), joint_moment[part], strong, long
+        return _part(model, coordinates, *own, mode, exponent, reserves, wanted, device)
+
+    return _together(in_parts(len(joint_moment), FRAMES, wp.get_device(device), solve))
+
+
+def _together(parts: list[MuscleForces]) -> MuscleForces:
+    """Return the forces of parts of a motion as those of all of it."""
+    arrays: dict[str, Any] = {
+        one.name: np.concatenate([getattr(part, one.name) for part in parts])
+        for one in fields(MuscleForces)
+        if isinstance(getattr(parts[0], one.name), np.ndarray)
+    }
+    counts: Counter[str] = sum((Counter(part.saturated) for part in parts), Counter())
+    order = {name: counts[name] for name in parts[0].muscles if name in counts}
+    return replace(parts[0], saturated=order, **arrays)
+
+
+def _part(
+    model: Model,
+    coordinates: tuple[str, ...],
+    paths: MusclePaths,
+    joint_moment: np.ndarray,
+    strength: np.ndarray,
+    slack: np.ndarray,
+    mode: Mode,
+    exponent: float,
+    reserves: Mapping[str, float],
+    wanted: np.ndarray,
+    device: Any,
+) -> MuscleForces:
+    """Return the muscle forces of a part of a motion; `wanted` are the greatest moments of all of it."""
     steady = SteadyMuscles([HillMuscle.of(model.muscles[name]) for name in paths.muscles], device)
     muscles = steady.muscles
     helped = [coordinates.index(name) for name in reserves]
@@ -188,7 +231,7 @@ def muscle_forces(
     missing[:, held] = found.missing
     reserve = np.zeros_like(joint_moment)
     reserve[:, helped] = found.activation[:, len(muscles) :] * list(reserves.values())
-    scale = np.maximum(np.abs(joint_moment[:, held]).max(axis=0), 1.0)
+    scale = wanted[held]
     full = activation >= lower[: len(muscles)] + SATURATED * (upper - lower)[: len(muscles)]
     counts = {name: int(n) for name, n in zip(paths.muscles, full.sum(axis=0), strict=True) if n}
     return MuscleForces(

@@ -1,14 +1,35 @@
-"""Lengths, velocities and moment arms of a model's muscles along a motion."""
+"""Lengths, velocities and moment arms of a model's muscles along a motion, on the device.
+
+Paths are those of `models.paths`, OpenSim's, in float64. At unit tension a path pulls with a force F and a
+torque T about ground's origin on each body that it is fixed to, and on a moving point along its axes. Moment
+arms are what these do at unit speed of a coordinate (`skeleton`: a move shifts with v and turns with w):
+
+    r_k = -(sum over bodies, over the moves below them that k moves, of v . F + w . T
+            + sum over moving points of dx/dq_k . F_x)
+
+Source: OpenSim's `computeMomentArm`; Sherman, Seth, Delp (2013), doi:10.1115/DETC2013-13633.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
 
-from myowarp.opensim.model.model import Model
-from myowarp.opensim.wrap.moment_arm import crossed, moment_arms, poses_of, stacked
-from myowarp.opensim.wrap.path import solve
+from myowarp.kernels.launch import launch
+from myowarp.models.paths.path import Frames, PathTables, Pulls
+from myowarp.models.paths.tables import PathMemory
+from myowarp.motion.parts import in_parts, joined
+from myowarp.motion.skeleton import Bones, Placement, Skeleton, move_value, place
+from myowarp.opensim.wrap.described import described
+from myowarp.opensim.wrap.moment_arm import crossed
+
+TOGETHER = 256
+"""Frames whose paths are followed at once: working memory is 0.1 MB for each."""
+
+wp.set_module_options({"enable_backward": False})
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,30 +50,222 @@ class MusclePaths:
     moment_arm: np.ndarray
     crossed: tuple[tuple[int, ...], ...]
 
+    def part(self, frames: slice) -> MusclePaths:
+        """Return the paths of some frames."""
+        rows = self.length[frames], self.velocity[frames], self.moment_arm[frames]
+        return MusclePaths(self.muscles, *rows, self.crossed)
 
-def muscle_paths(
-    model: Model, coordinates: tuple[str, ...], values: np.ndarray, speeds: np.ndarray
-) -> MusclePaths:
-    """Return the paths of all muscles by the converter's path code, which is OpenSim's, in NumPy.
+
+@wp.kernel(enable_backward=False)
+def place_path_bodies(
+    # Model:
+    skeleton: Skeleton,
+    needed: Skeleton,
+    body: wp.array[int],
+    # In:
+    values: wp.array2d[wp.float64],
+    # Out:
+    placement: Placement,
+    frames: Frames,
+    slope: wp.array2d[wp.float64],
+):
+    """Frames of the bodies that paths are fixed to, and what their points depend on, with its slope."""
+    worldid = wp.tid()
+    one = wp.float64(1.0)
+    place(worldid, skeleton, values, worldid, placement)
+    for number in range(body.shape[0]):
+        own = body[number]
+        if own >= 0:
+            frames.rotation[worldid, number] = placement.rotation[worldid, own]
+            frames.origin[worldid, number] = placement.origin[worldid, own]
+        else:
+            frames.rotation[worldid, number] = wp.diag(wp.vec3d(one, one, one))
+            frames.origin[worldid, number] = wp.vec3d()
+    for number in range(needed.free.shape[0]):
+        x = wp.float64(0.0)
+        if needed.free[number] >= 0:
+            x = values[worldid, needed.free[number]]
+        curve = move_value(needed, number, x)
+        frames.value[worldid, number] = curve[0]
+        slope[worldid, number] = curve[1]
+
+
+@wp.kernel(enable_backward=False)
+def project_paths(
+    # Model:
+    skeleton: Skeleton,
+    needed: Skeleton,
+    handle_body: wp.array[int],
+    # Params:
+    tables: PathTables,
+    # In:
+    placement: Placement,
+    slope: wp.array2d[wp.float64],
+    pulls: Pulls,
+    # Out:
+    moment_arm: wp.array3d[wp.float64],
+):
+    """r_k = -(sum of v . F + w . T of the moves of k below each body, and dx/dq_k . F_x of moving points)."""
+    worldid, pathid = wp.tid()
+    path = tables.paths[pathid]
+    for k in range(moment_arm.shape[2]):
+        moment_arm[worldid, pathid, k] = wp.float64(0.0)
+    for handle in range(path.first_handle, path.first_handle + path.handles):
+        force = pulls.force[worldid, handle]
+        torque = pulls.torque[worldid, handle]
+        body = handle_body[handle]
+        while body >= 0:
+            for move in range(skeleton.first[body], skeleton.first[body + 1]):
+                k = skeleton.free[move]
+                if k >= 0:
+                    shift = wp.dot(placement.shift[worldid, move], force)
+                    turn = wp.dot(placement.turn[worldid, move], torque)
+                    moment_arm[worldid, pathid, k] -= shift + turn
+            body = skeleton.parent[body]
+    for point in range(path.first_point, path.first_point + path.points):
+        moving = tables.points[point].moving
+        if moving >= 0:
+            for axis in range(3):
+                number = tables.moving[moving].value[axis]
+                if number >= 0 and needed.free[number] >= 0:
+                    moved = pulls.along[worldid, moving][axis] * slope[worldid, number]
+                    moment_arm[worldid, pathid, needed.free[number]] -= moved
+
+
+class PathsOfMuscles:
+    """The muscles of a model, to be followed for a number of frames at once, by one thread.
+
+    Attributes:
+        muscles: Names of those that apply force.
+        crossed: For each the numbers of coordinates that it can act on.
+    """
+
+    def __init__(self, bones: Bones, together: int = TOGETHER) -> None:
+        """Put paths on the bones' device.
+
+        Args:
+            bones: The model.
+            together: Frames that are followed at once.
+
+        Raises:
+            ValueError: The model has no muscle.
+            NotImplementedError: A point moves by a function that is no piecewise polynomial.
+        """
+        model, self._bones = bones.model, bones
+        paths = {name: muscle.path for name, muscle in model.muscles.items() if muscle.applies_force}
+        if not paths:
+            raise ValueError(f"model {model.name!r} has no muscle")
+        self.muscles = tuple(paths)
+        along = [crossed(model, path) for path in paths.values()]
+        self.crossed = tuple(
+            tuple(bones.coordinates.index(name) for name in names if name in bones.coordinates)
+            for names in along
+        )
+        paths_of, depends = described(model, paths)
+        handles = [paths_of.handles(path) for path in paths_of.paths.values()]
+        self._handles = [len(own) for own in handles]
+        with wp.ScopedDevice(bones.device):
+            self._needed = bones.values_of(depends)
+            self._body = wp.array([bones.number(name) for name in paths_of.bodies], dtype=int)
+            self._handle_body = wp.array([bones.number(name) for own in handles for name in own], dtype=int)
+            self._memory = PathMemory(paths_of, together, len(depends), guard=0.0)
+            self._placement = bones.placement(together)
+            self._slope = wp.zeros((together, max(len(depends), 1)), dtype=wp.float64)
+            shape = together, len(paths), len(bones.coordinates)
+            self._arm = wp.zeros(shape, dtype=wp.float64)
+
+    def at(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return lengths [m], shape (frames, muscles), and moment arms, (frames, muscles, coordinates).
+
+        Args:
+            values: Of the independent coordinates [rad] or [m], shape (frames, coordinates).
+        """
+        found = []
+        for rows in self._followed(values):
+            arrays = self._memory.pulls.length, self._arm
+            count = rows.stop - rows.start
+            found.append(tuple(array.numpy()[:count].copy() for array in arrays))
+        length, arm = joined(found)
+        return length, arm
+
+    def _followed(self, values: np.ndarray) -> Iterator[slice]:
+        """Follow the paths; yield the frames whose results are on the device now."""
+        memory, together = self._memory, self._memory.worlds
+        for begin in range(0, len(values), together):
+            rows = values[begin : begin + together]
+            whole = np.concatenate((rows, np.repeat(rows[-1:], together - len(rows), axis=0)))
+            with wp.ScopedDevice(self._bones.device):
+                launch(
+                    place_path_bodies,
+                    together,
+                    skeleton=self._bones.skeleton,
+                    needed=self._needed,
+                    body=self._body,
+                    values=wp.array(whole, dtype=wp.float64),
+                    placement=self._placement,
+                    frames=memory.frames,
+                    slope=self._slope,
+                )
+                memory.launch()
+                launch(
+                    project_paths,
+                    (together, memory.number),
+                    skeleton=self._bones.skeleton,
+                    needed=self._needed,
+                    handle_body=self._handle_body,
+                    tables=memory.tables,
+                    placement=self._placement,
+                    slope=self._slope,
+                    pulls=memory.pulls,
+                    moment_arm=self._arm,
+                )
+            yield slice(begin, begin + len(rows))
+
+    def wrenches(self, values: np.ndarray, tension: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return force [N] and torque about ground's origin [N m] of muscles on bodies, ground the last one.
+
+        Args:
+            values: Of the independent coordinates [rad] or [m], shape (frames, coordinates).
+            tension: [N], shape (frames, muscles).
+
+        Returns:
+            Two arrays of shape (frames, bodies, 3).
+        """
+        found = np.zeros((2, len(values), len(self._bones.bodies), 3))
+        for rows in self._followed(values):
+            pulls = self._memory.pulls
+            of = np.repeat(tension[rows], self._handles, axis=1)[:, :, None]
+            count = len(of)
+            for one, pull in zip(found[:, rows], (pulls.force, pulls.torque), strict=True):
+                drawn = -of * pull.numpy()[:count]
+                for handle, body in enumerate(self._handle_body.numpy()):
+                    one[:, body] += drawn[:, handle]
+        return found[0], found[1]
+
+    def along(self, values: np.ndarray, speeds: np.ndarray) -> MusclePaths:
+        """Return the paths of a motion; see `muscle_paths`."""
+        length, arm = self.at(values)
+        velocity = -np.einsum("nmk,nk->nm", arm, speeds)
+        return MusclePaths(self.muscles, length, velocity, arm, self.crossed)
+
+
+def muscle_paths(bones: Bones, values: np.ndarray, speeds: np.ndarray) -> MusclePaths:
+    """Return the paths of all muscles of a motion, on all cores.
 
     Args:
-        model: The model.
-        coordinates: Names of its independent coordinates.
-        values: [rad] or [m], shape (frames, coordinates).
+        bones: The model.
+        values: Of its independent coordinates [rad] or [m], shape (frames, coordinates).
         speeds: Their derivatives by time.
+
+    Raises:
+        ValueError: The model has no muscle.
+        NotImplementedError: A point moves by a function that is no piecewise polynomial.
     """
-    muscles = tuple(name for name, muscle in model.muscles.items() if muscle.applies_force)
-    along = [[name for name in crossed(model, model.muscles[m].path) if name in coordinates] for m in muscles]
-    used = [name for name in coordinates if any(name in names for names in along)]
-    poses = poses_of(model, dict(zip(coordinates, values.T, strict=True)), used)
-    length = np.zeros((len(values), len(muscles)))
-    arm = np.zeros((*length.shape, len(coordinates)))
-    for number, (name, names) in enumerate(zip(muscles, along, strict=True)):
-        path = model.muscles[name].path
-        solution = solve(model, path, *stacked(model, path, poses, []))
-        length[:, number] = solution.length
-        for coordinate, column in moment_arms(model, path, poses, solution, names).items():
-            arm[:, number, coordinates.index(coordinate)] = column
-    velocity = -np.einsum("nmk,nk->nm", arm, speeds)
-    rows = tuple(tuple(coordinates.index(name) for name in names) for names in along)
-    return MusclePaths(muscles, length, velocity, arm, rows)
+
+    def solve(part: slice) -> MusclePaths:
+        own = values[part]
+        return PathsOfMuscles(bones, min(len(own), TOGETHER)).along(own, speeds[part])
+
+    parts = in_parts(len(values), 16 * TOGETHER, bones.device, solve)
+    length, velocity, arm = joined([(found.length, found.velocity, found.moment_arm) for found in parts])
+    return MusclePaths(parts[0].muscles, length, velocity, arm, parts[0].crossed)

@@ -25,7 +25,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.coordinates.couplings import Pieces
-from myowarp.opensim.model.functions import curves
+from myowarp.opensim.model.functions import Function, curves
 from myowarp.opensim.model.kinematics import independent
 from myowarp.opensim.model.model import GROUND, Model
 from myowarp.opensim.read.model import read_model
@@ -182,6 +182,16 @@ def station(worldid: int, body: int, location: wp.vec3d, placement: Placement) -
     return placement.origin[worldid, body] + placement.rotation[worldid, body] * location
 
 
+def put(values: Sequence[Any] | np.ndarray, kind: Any) -> wp.array:
+    """Return an array on the current device."""
+    return wp.array(np.array(values), dtype=kind)
+
+
+def _ends(counts: Sequence[int]) -> np.ndarray:
+    """Return where groups of these sizes begin and end."""
+    return np.cumsum([0, *counts], dtype=np.int32)
+
+
 class Bones:
     """A model on a device.
 
@@ -213,26 +223,12 @@ class Bones:
         self.bodies = {GROUND: -1} | {joint.child: number for number, joint in enumerate(joints)}
         bodies = [model.bodies[joint.child] for joint in joints]
         moves = [move for joint in joints for move in joint.moves]
-        chains, frees = zip(*map(self._move, moves), strict=True) if moves else ((), ())
-        pieces = [piece for chain in chains for piece in chain]
-        rows = [row for piece in pieces for row in piece.coefficients]
-        table = np.zeros((max(len(rows), 1), max([len(row) for row in rows], default=1)))
-        for number, row in enumerate(rows):
-            table[number, : len(row)] = row
         backs = [joint.child_frame.inverse() for joint in joints]
         tensor = [body.inertia[[0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(3, 3) for body in bodies]
 
-        def ends(counts: Sequence[int]) -> np.ndarray:
-            return np.cumsum([0, *counts], dtype=np.int32)
-
         with wp.ScopedDevice(device):
             self.device = wp.get_device()
-
-            def put(values: Sequence[Any] | np.ndarray, kind: Any) -> wp.array:
-                return wp.array(np.array(values), dtype=kind)
-
-            self.skeleton = Skeleton()
-            s = self.skeleton
+            s = self.skeleton = self.values_of([(move.function, move.coordinate) for move in moves])
             s.parent = put([self.bodies[joint.parent] for joint in joints], int)
             s.frame_rotation = put([joint.parent_frame.rotation for joint in joints], wp.mat33d)
             s.frame_origin = put([joint.parent_frame.position for joint in joints], wp.vec3d)
@@ -243,26 +239,42 @@ class Bones:
             s.inertia = put(
                 [one * (body.mass > 0) for one, body in zip(tensor, bodies, strict=True)], wp.mat33d
             )
-            s.first = put(ends([len(joint.moves) for joint in joints]), int)
+            s.first = put(_ends([len(joint.moves) for joint in joints]), int)
             s.kind = put([HINGE if move.kind == "hinge" else SLIDE for move in moves], int)
             s.axis = put([move.axis for move in moves], wp.vec3d)
-            s.free = put(frees, int)
-            s.curve = put(ends([len(chain) for chain in chains]), int)
-            s.piece = put(ends([len(piece.coefficients) for piece in pieces]), int)
-            s.start = put([start for piece in pieces for start in piece.breaks], wp.float64)
-            s.coefficients = put(table, wp.float64)
             s.gravity = wp.vec3d(*model.gravity)
 
-    def _move(self, move: Any) -> tuple[tuple[Pieces, ...], int]:
-        """Return a move as functions of an independent coordinate, and the coordinate's number."""
-        name, chain = move.coordinate, curves(move.function)
+    def values_of(self, functions: Sequence[tuple[Function, str | None]]) -> Skeleton:
+        """Return functions of coordinates in the fields of a skeleton that `move_value` reads, by number.
+
+        Raises:
+            NotImplementedError: A function is no piecewise polynomial.
+        """
+        chains, frees = zip(*(self._chain(*one) for one in functions), strict=True) if functions else ((), ())
+        pieces = [piece for chain in chains for piece in chain]
+        rows = [row for piece in pieces for row in piece.coefficients]
+        table = np.zeros((max(len(rows), 1), max([len(row) for row in rows], default=1)))
+        for number, row in enumerate(rows):
+            table[number, : len(row)] = row
+        s = Skeleton()
+        with wp.ScopedDevice(self.device):
+            s.free = put(frees, int)
+            s.curve = put(_ends([len(chain) for chain in chains]), int)
+            s.piece = put(_ends([len(piece.coefficients) for piece in pieces]), int)
+            s.start = put([start for piece in pieces for start in piece.breaks], wp.float64)
+            s.coefficients = put(table, wp.float64)
+        return s
+
+    def _chain(self, function: Function, coordinate: str | None) -> tuple[tuple[Pieces, ...], int]:
+        """Return a function as functions of an independent coordinate, and the coordinate's number."""
+        name, chain = coordinate, curves(function)
         while name is not None and name in self.model.couplers and chain is not None:
             coupler = self.model.couplers[name]
             inner = curves(coupler.function)
             name, chain = coupler.independent, None if inner is None else inner + chain
         if chain is None:
             raise NotImplementedError(
-                f"coordinate {move.coordinate!r} moves a body by a function that is no piecewise polynomial; "
+                f"coordinate {coordinate!r} moves a body by a function that is no piecewise polynomial; "
                 "motions are computed for polynomials, splines and lines"
             )
         if name is None or name not in self.coordinates:

@@ -31,7 +31,7 @@ import numpy as np
 
 from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
 from myowarp.motion.muscle_forces import muscle_forces
-from myowarp.motion.muscle_paths import MusclePaths, muscle_paths
+from myowarp.motion.muscle_paths import MusclePaths, PathsOfMuscles
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import spline
 from myowarp.motion.static_optimization import optimal_activations
@@ -221,7 +221,8 @@ def track(
                 for x in external]  # fmt: skip
 
     q, u = (np.tile(array[0], (worlds, 1)) for array in (q_there, u_there))
-    paths = muscle_paths(bones.model, coordinates, q, u)
+    followed = PathsOfMuscles(bones, worlds)
+    paths = followed.along(q, u)
     mass, bias = equations(bones, q, u, acting(0))
     needed = np.einsum("njk,k->nj", mass, a_there[0]) + bias
     first = muscle_forces(
@@ -239,7 +240,7 @@ def track(
             q_end, u_end = q + WINDOW * (u + 0.5 * WINDOW * wanted), u + WINDOW * wanted
             mass, bias = equations(bones, q_end, u_end, acting((window + 1) * SUBSTEPS))
             needed = np.einsum("njk,nk->nj", mass, wanted) + bias
-            arms = muscle_paths(bones.model, coordinates, q_end, u_end).moment_arm
+            arms = followed.at(q_end)[1]
             excitation, reserve = _controls(body, paths, arms, wanted, needed, activation, fiber, cost)
         else:
             excitation, reserve = (np.broadcast_to(array[window], own.shape) for array, own in
@@ -250,7 +251,7 @@ def track(
         for step in range(SUBSTEPS):
             activation = body.activation.step(activation, excitation, dt)
             next_q = q + dt * u
-            paths = muscle_paths(bones.model, coordinates, next_q, u)
+            paths = followed.along(next_q, u)
             force, fiber, slope = body.step(activation, fiber, paths.length, paths.velocity, dt)
             mass, bias = equations(bones, next_q, u, acting(window * SUBSTEPS + step + 1))
             moment = np.einsum("nmk,nm->nk", paths.moment_arm, force) + reserve - bias
@@ -263,7 +264,7 @@ def track(
                     "smooth the motion"
                 )
             q = q + dt * u
-        paths = muscle_paths(bones.model, coordinates, q, u)
+        paths = followed.along(q, u)
         advance(1)
     for name, array in zip(seen, (q, excitation, activation, fiber, force, reserve), strict=True):
         seen[name].append(array)

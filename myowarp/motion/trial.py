@@ -195,7 +195,7 @@ def analyze(bones: Bones, motion: Movement, output: Path) -> MusclePaths:
         ValueError: The model has no muscle.
         OSError: A file cannot be written.
     """
-    paths = _paths(bones, motion)
+    paths = muscle_paths(bones, motion.values, motion.speeds)
     arms = {
         f"{muscle}.{coordinate}": paths.moment_arm[:, i, k]
         for i, muscle in enumerate(paths.muscles)
@@ -245,7 +245,8 @@ def forces(
         ValueError: A file is not what it should be, or the model has no muscle.
         OSError: A file cannot be read or written.
     """
-    paths, needed = _paths(bones, motion), dynamics(bones, motion, output, loads)
+    paths = muscle_paths(bones, motion.values, motion.speeds)
+    needed = dynamics(bones, motion, output, loads)
     found = muscle_forces(
         bones.model,
         bones.coordinates,
@@ -342,17 +343,6 @@ def write_reactions(path: Path, time: np.ndarray, found: JointReactions) -> None
     ]
     table = np.concatenate([found.force, found.moment, found.point], axis=2).reshape(len(time), -1)
     write_storage(path, "joint reactions, N, N m and m", Storage(tuple(labels), time, table))
-
-
-def _paths(bones: Bones, motion: Movement) -> MusclePaths:
-    """Return the paths of a model's muscles.
-
-    Raises:
-        ValueError: It has none.
-    """
-    if not any(muscle.applies_force for muscle in bones.model.muscles.values()):
-        raise ValueError(f"model {bones.model.name!r} has no muscle")
-    return muscle_paths(bones.model, bones.coordinates, motion.values, motion.speeds)
 
 
 def _write(path: Path, title: str, bones: Bones, time: np.ndarray, values: np.ndarray) -> None:

@@ -17,6 +17,7 @@ from myowarp.motion.smooth import derivatives
 from myowarp.opensim.model.dynamics import equations
 from myowarp.opensim.model.kinematics import random_poses
 from myowarp.opensim.read.model import read_model
+from myowarp.opensim.wrap.moment_arm import own_reference, poses_of
 
 DATA = Path(__file__).parents[1] / "data"
 MODELS = ("gait10dof18musc", "leg6dof9musc")
@@ -158,12 +159,33 @@ def test_wanted_coordinates_and_bad_weights():
         inverse_kinematics(body, markers, coordinate_weights={"elbow": 1.0})
 
 
+@pytest.mark.parametrize("name", ["gait10dof18musc", "leg6dof9musc", "arm26"])
+def test_paths_are_those_of_numpy(name):
+    """Lengths and moment arms of the converter's path code, in more poses than are followed at once."""
+    body = bones(name)
+    poses = random_poses(body.model, 301, 4)
+    q = np.stack([poses[c] for c in body.coordinates], axis=1)
+    found = muscle_paths(body, q, np.ones_like(q))
+    assert found.moment_arm.shape[:2] == found.length.shape == (301, len(found.muscles))
+    for k, muscle in enumerate(found.muscles):
+        path = body.model.muscles[muscle].path
+        along = [body.coordinates[i] for i in found.crossed[k]]
+        there = own_reference(body.model, path, poses_of(body.model, poses, along), along)
+        np.testing.assert_allclose(found.length[:, k], there.length, atol=1e-12)
+        wanted = np.zeros(q.shape)
+        for i, coordinate in zip(found.crossed[k], along, strict=True):
+            wanted[:, i] = there.moment_arm[coordinate]
+        np.testing.assert_allclose(found.moment_arm[:, k], wanted, atol=SLOPE)
+    np.testing.assert_allclose(found.velocity, -found.moment_arm.sum(axis=2))
+    assert np.ptp(found.length, axis=0).max() > 1e-3
+
+
 def test_static_optimisation():
     name = "gait10dof18musc"
     there, body = recorded(name), bones(name)
     q, u, _, needed = inverted(name)
     reserves = {c: float(there["reserve"]) * (100 if c.startswith("pelvis") else 1) for c in body.coordinates}
-    paths = muscle_paths(body.model, body.coordinates, q, u)
+    paths = muscle_paths(body, q, u)
     found = muscle_forces(
         body.model, body.coordinates, paths, needed.joint_moment, mode="opensim", reserves=reserves
     )
@@ -182,6 +204,8 @@ def test_static_optimisation():
     )
 
 
+SLOPE = 1e-6
+"""[m] by which moment arms from differences of poses are off."""
 REACTION = 1e-4
 """Share of the greatest reaction: OpenSim takes the accelerations that its muscle forces give."""
 
@@ -218,7 +242,7 @@ def test_muscles_pull_on_themselves_alone():
     # Directions are those that OpenSim remembers, from before the last round of wrapping.
     assert np.abs(torque.sum(axis=1)).max() < 0.01 * np.abs(torque).max()
     still = inverse_dynamics(body, q, np.zeros_like(q), np.zeros_like(q))
-    paths = muscle_paths(body.model, body.coordinates, q, np.zeros_like(q))
+    paths = muscle_paths(body, q, np.zeros_like(q))
     pulled = np.einsum("nmk,nm->nk", paths.moment_arm, np.stack(list(tension.values()), axis=1))
     found = joint_reactions(body, q, still, tension)
     elbow = found.joints.index("r_elbow")

@@ -10,6 +10,7 @@ from myowarp.motion.markers import Markers, write_trc
 from myowarp.motion.muscle_paths import muscle_paths
 from myowarp.motion.scale_document import Document, scale_document, scaled_inertia, set_markers
 from myowarp.motion.scaling import read_setup, scale, window
+from myowarp.motion.skeleton import Bones
 from myowarp.opensim.model.kinematics import complete, forward
 from myowarp.opensim.read.document import parse, write
 from myowarp.opensim.read.model import read_model
@@ -59,7 +60,9 @@ def test_unequal_factors(recorded, tmp_path, name, share):
         [frames[body][1][0] for body in there["bodies"]], there["origins"], atol=1e-9, rtol=0
     )
     if len(there["muscles"]):
-        paths = muscle_paths(model, free, there["values"][None], np.zeros((1, len(free))))
+        bones = Bones(model, "cpu")
+        assert bones.coordinates == free
+        paths = muscle_paths(bones, there["values"][None], np.zeros((1, len(free))))
         found = [
             (model.muscles[m].optimal_fiber_length, model.muscles[m].tendon_slack_length, length)
             for m, length in zip(paths.muscles, paths.length[0], strict=True)

@@ -10,6 +10,7 @@ import pytest
 from myowarp.motion.metabolic_power import metabolic_power
 from myowarp.motion.muscle_forces import muscle_forces
 from myowarp.motion.muscle_paths import muscle_paths
+from myowarp.motion.skeleton import Bones
 from myowarp.motion.steady_muscles import SteadyMuscles
 from myowarp.opensim.muscle.hill import HillMuscle
 from myowarp.opensim.muscle.spline_tables import SPLINES
@@ -53,7 +54,7 @@ def test_metabolic_power(mode):
     model = read_model(DATA / "osim/arm26.osim")
     coordinates, random = tuple(model.coordinates), np.random.default_rng(4)
     values = 0.8 + random.uniform(-0.5, 0.5, (9, 2))
-    paths = muscle_paths(model, coordinates, values, 2.0 * random.normal(size=(9, 2)))
+    paths = muscle_paths(Bones(model, "cpu"), values, 2.0 * random.normal(size=(9, 2)))
     found = muscle_forces(model, coordinates, paths, 6.0 * random.normal(size=(9, 2)), mode=mode)
     power = metabolic_power(model, found, paths)
     for k, name in enumerate(found.muscles):

@@ -65,7 +65,7 @@ def test_bones_and_paths_are_those_of_the_model(recorded):
         bones.model, complete(bones.model, dict(zip(bones.coordinates, motion.values.T, strict=True)), 61)
     )
     data = mujoco.MjData(recorded.model)
-    lengths = muscle_paths(bones.model, bones.coordinates, motion.values, motion.speeds)
+    lengths = muscle_paths(bones, motion.values, motion.speeds)
     for frame in (0, 17, 60):
         seen = recorded.seen(frame)
         look.pose(recorded.model, data, seen.qpos, paths=seen.paths)

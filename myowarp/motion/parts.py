@@ -1,0 +1,40 @@
+"""Frames in parts: what is solved frame by frame takes bounded memory on the device, and all cores."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
+
+import numpy as np
+
+from myowarp.engine.threads import num_cores
+
+Found = TypeVar("Found")
+COMPILED: set[str] = set()
+"""Who has solved a part before: kernels are compiled once, not by each thread."""
+
+
+def in_parts(count: int, most: int, device: Any, solve: Callable[[slice], Found]) -> list[Found]:
+    """Solve frames in parts, on the CPU on all cores at a time; return what was found, in order.
+
+    Args:
+        count: Number of frames.
+        most: Of a part.
+        device: Where they are solved.
+        solve: Called with the frames of a part.
+    """
+    cores = num_cores() if device.is_cpu else 1
+    size = max(1, min(most, -(-count // cores)))
+    slices = [slice(at, min(at + size, count)) for at in range(0, max(count, 1), size)]
+    if cores == 1 or len(slices) == 1:
+        return [solve(part) for part in slices]
+    alone = [] if solve.__qualname__ in COMPILED else [solve(slices[0])]
+    COMPILED.add(solve.__qualname__)
+    with ThreadPoolExecutor(cores) as pool:
+        return [*alone, *pool.map(solve, slices[len(alone) :])]
+
+
+def joined(found: list[tuple[np.ndarray, ...]]) -> list[np.ndarray]:
+    """Return the arrays of parts as those of all frames."""
+    return [np.concatenate(arrays) for arrays in zip(*found, strict=True)]
