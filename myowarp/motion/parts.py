@@ -11,6 +11,8 @@ import numpy as np
 from myowarp.engine.threads import num_cores
 
 Found = TypeVar("Found")
+GRAIN = 16
+"""What parts are multiples of, so that runs of frames begin at the same ones on any number of cores."""
 COMPILED: set[str] = set()
 """Who has solved a part before: kernels are compiled once, not by each thread."""
 
@@ -25,7 +27,7 @@ def in_parts(count: int, most: int, device: Any, solve: Callable[[slice], Found]
         solve: Called with the frames of a part.
     """
     cores = num_cores() if device.is_cpu else 1
-    size = max(1, min(most, -(-count // cores)))
+    size = min(most, -(-count // cores // GRAIN) * GRAIN or GRAIN)
     slices = [slice(at, min(at + size, count)) for at in range(0, max(count, 1), size)]
     if cores == 1 or len(slices) == 1:
         return [solve(part) for part in slices]

@@ -12,6 +12,9 @@ what `kernels.bounded_least_squares` solves with the ridge e, in n^2 instead of 
 and m muscles. e is small and counts in units of the row: it makes the solution of a frame that muscles cannot
 hold unique, with what is missing left over. For p = 1 a term a^2 / 100 does.
 
+Muscles of one leg and of the other share no row: of the second derivatives only the envelope is computed,
+from the first row on that a muscle shares with each. Frames begin at the dual of the one before, in runs.
+
 Sources: Crowninshield, Brand (1981), doi:10.1016/0021-9290(81)90035-X; dual of separable problems: Bertsekas,
 *Nonlinear Programming* (1999), section 6.1.
 """
@@ -25,7 +28,6 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from myowarp.kernels.cholesky import eliminated, substitute
 from myowarp.kernels.launch import launch
 
 SOFTNESS = 1e-9
@@ -45,6 +47,9 @@ FLAT = 1e-3
 
 LINEAR = 0.01
 """Weight of a^2 beside |a| where p = 1."""
+
+RUN = 16
+"""Frames that one thread solves, each from the solution of the one before."""
 
 wp.set_module_options({"enable_backward": False})
 
@@ -106,8 +111,10 @@ def pull(
     """A_i . y."""
     s = wp.float64(0.0)
     for slot in range(row.shape[1]):
-        if row[i, slot] >= 0:
-            s += effect[worldid, i, slot] * dual[worldid, row[i, slot]]
+        r = row[i, slot]
+        if r < 0:
+            break
+        s += effect[worldid, i, slot] * dual[worldid, r]
     return s
 
 
@@ -141,6 +148,7 @@ def dual_cost(
 def dual_newton(
     worldid: int,
     row: wp.array2d[int],
+    begin: wp.array[int],
     effect: wp.array3d[wp.float64],
     right: wp.array2d[wp.float64],
     lower: wp.array2d[wp.float64],
@@ -154,7 +162,7 @@ def dual_newton(
     for r in range(rows):
         soft = wp.float64(SOFTNESS) * work.size[worldid, r] * work.size[worldid, r]
         work.slope[worldid, r] = soft * work.dual[worldid, r] - right[worldid, r]
-        for c in range(r):
+        for c in range(begin[r], r):
             work.factor[worldid, r, c] = wp.float64(0.0)
         work.factor[worldid, r, r] = soft
     for i in range(row.shape[0]):
@@ -164,52 +172,61 @@ def dual_newton(
         inside = best[0] >= lower[worldid, i] and best[0] <= upper[worldid, i]
         for slot in range(row.shape[1]):
             r = row[i, slot]
-            if r >= 0:
-                x = effect[worldid, i, slot]
-                work.slope[worldid, r] += x * a
-                if inside:
-                    for other in range(row.shape[1]):
-                        c = row[i, other]
-                        if c >= 0 and c <= r:
-                            work.factor[worldid, r, c] += x * effect[worldid, i, other] * best[1]
+            if r < 0:
+                break
+            x = effect[worldid, i, slot]
+            work.slope[worldid, r] += x * a
+            if inside:
+                for other in range(row.shape[1]):
+                    c = row[i, other]
+                    if c < 0:
+                        break
+                    if c <= r:
+                        work.factor[worldid, r, c] += x * effect[worldid, i, other] * best[1]
     largest = wp.float64(0.0)
     for r in range(rows):
         largest = wp.max(largest, wp.abs(work.slope[worldid, r]) / work.size[worldid, r])
         work.step[worldid, r] = -work.slope[worldid, r]
     for r in range(rows):
-        for c in range(r + 1):
-            total = eliminated(worldid, r, c, work.factor[worldid, r, c], work.factor)
+        for c in range(begin[r], r + 1):
+            total = work.factor[worldid, r, c]
+            for k in range(wp.max(begin[r], begin[c]), c):
+                total -= work.factor[worldid, r, k] * work.factor[worldid, c, k]
             if r > c:
                 work.factor[worldid, r, c] = total / work.factor[worldid, c, c]
             else:
                 least = wp.float64(0.1) * wp.float64(SOFTNESS) * work.size[worldid, r] * work.size[worldid, r]
                 work.factor[worldid, r, r] = wp.sqrt(wp.max(total, least))
-    substitute(worldid, rows, work.factor, work.step)
+    for r in range(rows):
+        total = work.step[worldid, r]
+        for k in range(begin[r], r):
+            total -= work.factor[worldid, r, k] * work.step[worldid, k]
+        work.step[worldid, r] = total / work.factor[worldid, r, r]
+    for back in range(rows):
+        r = rows - 1 - back
+        found = work.step[worldid, r] / work.factor[worldid, r, r]
+        work.step[worldid, r] = found
+        for k in range(begin[r], r):
+            work.step[worldid, k] -= work.factor[worldid, r, k] * found
     return largest
 
 
-@wp.kernel(enable_backward=False)
-def optimize_activations(
-    # Model:
+@wp.func
+def optimize_frame(
+    worldid: int,
     row: wp.array2d[int],
-    # In:
+    begin: wp.array[int],
     effect: wp.array3d[wp.float64],
     right: wp.array2d[wp.float64],
     lower: wp.array2d[wp.float64],
     upper: wp.array2d[wp.float64],
     exponent: wp.float64,
-    # Out:
     work: DualWork,
     activation: wp.array2d[wp.float64],
     missing: wp.array2d[wp.float64],
     residual: wp.array[wp.float64],
 ):
-    """a = argmin sum |a|^p with A a = b within bounds; `missing` is b - A a.
-
-    Newton's method begins at the dual that is there. The residual is the largest gradient of the dual problem
-    in units of its row. It is infinite, and a the lower bound, where a number of the problem is not finite.
-    """
-    worldid = wp.tid()
+    """Solve a frame by Newton's method from the dual that is there; see `optimize_activations`."""
     good = bool(True)
     for r in range(right.shape[1]):
         work.size[worldid, r] = wp.float64(0.0)
@@ -233,7 +250,7 @@ def optimize_activations(
     for _ in range(STEPS):
         if not done:
             residual[worldid] = dual_newton(
-                worldid, row, effect, right, lower, upper, exponent, work, activation
+                worldid, row, begin, effect, right, lower, upper, exponent, work, activation
             )
             done = residual[worldid] < wp.float64(TOLERANCE)
             if not done:
@@ -262,6 +279,43 @@ def optimize_activations(
         for slot in range(row.shape[1]):
             if row[i, slot] >= 0:
                 missing[worldid, row[i, slot]] -= effect[worldid, i, slot] * activation[worldid, i]
+
+
+@wp.kernel(enable_backward=False)
+def optimize_activations(
+    # Model:
+    row: wp.array2d[int],
+    begin: wp.array[int],
+    # In:
+    effect: wp.array3d[wp.float64],
+    right: wp.array2d[wp.float64],
+    lower: wp.array2d[wp.float64],
+    upper: wp.array2d[wp.float64],
+    exponent: wp.float64,
+    run: int,
+    # Out:
+    work: DualWork,
+    activation: wp.array2d[wp.float64],
+    missing: wp.array2d[wp.float64],
+    residual: wp.array[wp.float64],
+):
+    """a = argmin sum |a|^p with A a = b within bounds; `missing` is b - A a.
+
+    A thread solves `run` frames; the first begins at the dual that is there, others at that of the frame
+    before. The residual is the largest gradient of the dual problem in units of its row. It is infinite, and
+    a the lower bound, where a number of the problem is not finite.
+    """
+    worldid = wp.tid()
+    for step in range(run):
+        frame = worldid * run + step
+        if frame < right.shape[0]:
+            if step > 0:
+                if residual[frame - 1] < wp.float64(TOLERANCE):
+                    for r in range(right.shape[1]):
+                        work.dual[frame, r] = work.dual[frame - 1, r]
+            optimize_frame(
+                frame, row, begin, effect, right, lower, upper, exponent, work, activation, missing, residual
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,7 +348,7 @@ def optimal_activations(
     """Return the activations of least cost that give the wanted moments.
 
     Args:
-        rows: For each unknown the rows of A that it has an entry in; -1 fills up.
+        rows: For each unknown the rows of A that it has an entry in; -1 fills up behind them.
         effects: These entries, shape (frames, unknowns, entries).
         right: b, shape (frames, rows).
         lower: Bounds, broadcast to (frames, unknowns); may be infinite.
@@ -312,6 +366,7 @@ def optimal_activations(
     bounds = [np.broadcast_to(np.asarray(bound, float), (frames, count)) for bound in (lower, upper)]
     if not (bounds[0] <= bounds[1]).all():
         raise ValueError("lower bounds of activations must be at most the upper ones")
+    table, run = np.array(rows, np.int32).reshape(count, -1), RUN if near is None else 1
     with wp.ScopedDevice(device):
         work = DualWork()
         work.dual = wp.array(np.zeros(right.shape) if near is None else near, dtype=wp.float64)
@@ -325,16 +380,28 @@ def optimal_activations(
         residual = wp.zeros(frames, dtype=wp.float64)
         launch(
             optimize_activations,
-            frames,
-            row=wp.array(np.array(rows, np.int32).reshape(count, -1), dtype=int),
+            -(-frames // run),
+            row=wp.array(table, dtype=int),
+            begin=wp.array(_first_shared(table, right.shape[1]), dtype=int),
             effect=wp.array(effects, dtype=wp.float64),
             right=wp.array(right, dtype=wp.float64),
             lower=wp.array(bounds[0], dtype=wp.float64),
             upper=wp.array(bounds[1], dtype=wp.float64),
             exponent=float(exponent),
+            run=run,
             work=work,
             activation=activation,
             missing=missing,
             residual=residual,
         )
         return Activations(activation.numpy(), missing.numpy(), residual.numpy(), work.dual.numpy())
+
+
+def _first_shared(table: np.ndarray, rows: int) -> np.ndarray:
+    """Return for each row the first that any unknown has an entry in, too, among those up to it."""
+    first = np.arange(rows, dtype=np.int32)
+    for own in table:
+        shared = own[own >= 0]
+        if len(shared):
+            first[shared] = np.minimum(first[shared], shared.min())
+    return first
