@@ -4,8 +4,8 @@
 
 The trial is tiled, its markers with noise. OpenSim's time for a frame is the difference of its CPU time for
 one and for ten copies of the trial, on one core, so that loading counts on neither side; ours is the wall
-time of all frames on all cores, after one run that compiles, with its CPU time beside it for cores that others
-use, too. Paths of muscles are part of static optimisation in OpenSim; they are shown apart, and together.
+time of all frames on all cores, after one run that compiles, with its CPU time beside it for cores that
+others use, too. Paths of muscles are part of static optimisation in OpenSim; they are shown apart, too.
 """
 
 import json
@@ -60,7 +60,7 @@ class Options:
 
 
 def timed(run: Callable[[], object], others: list[float]) -> np.ndarray:
-    """Return wall and CPU time of a run after one that compiles [s]; notes how many cores others kept busy."""
+    """Return wall and CPU time of a run after one that compiles [s]; notes what others kept busy."""
 
     def both() -> np.ndarray:
         begin, used = time.perf_counter(), time.process_time()

@@ -9,11 +9,14 @@ Source: OpenSim documentation, *Marker (.trc) Files*.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+from myowarp.motion.storage import in_order
 
 UNITS = {"mm": 1e-3, "millimeters": 1e-3, "cm": 1e-2, "centimeters": 1e-2, "m": 1.0, "meters": 1.0}
 """Metres of each unit, by lower-case name."""
@@ -47,6 +50,33 @@ class Markers:
             )
         return Markers(self.names, self.time[kept], self.positions[kept])
 
+    def filled(self, most: float) -> Markers:
+        """Return the markers with gaps bridged by natural cubic splines through all that was seen.
+
+        Gaps at the beginning or end, and those that are longer, stay.
+
+        Args:
+            most: Longest gap that is bridged, from the last frame before it to the first one after it [s].
+
+        Raises:
+            ValueError: The time is not above 0.
+        """
+        from scipy.interpolate import CubicSpline
+
+        if not most > 0.0:
+            raise ValueError(f"the longest gap that is filled must be above 0 s, got {most:g} s")
+        positions = self.positions.copy()
+        for number in range(len(self.names)):
+            seen = np.flatnonzero(np.isfinite(positions[:, number]).all(axis=1))
+            if len(seen) < 3:
+                continue
+            curve = CubicSpline(self.time[seen], positions[seen, number], bc_type="natural")
+            for before, after in itertools.pairwise(seen):
+                if after > before + 1 and self.time[after] - self.time[before] <= most + 1e-9:
+                    inside = slice(before + 1, after)
+                    positions[inside, number] = curve(self.time[inside])
+        return Markers(self.names, self.time, positions)
+
     def gaps(self) -> dict[str, list[tuple[float, float]]]:
         """Return when markers were not seen: first and last time of each gap [s], by marker."""
         missing = np.isnan(self.positions).any(axis=2)
@@ -63,7 +93,7 @@ def read_trc(path: Path) -> Markers:
     """Read a `.trc` file.
 
     Raises:
-        ValueError: It is none, its unit is unknown, a row does not fit, or times do not increase.
+        ValueError: It is none, its unit is unknown, a row does not fit, or a time is there twice.
         OSError: It cannot be read.
     """
     try:
@@ -109,14 +139,12 @@ def _checked(path: Path, names: tuple[str, ...], table: np.ndarray, unit: float)
     """Return the markers of the numbers of a file, in metres.
 
     Raises:
-        ValueError: There is no frame, or times do not increase.
+        ValueError: There is no frame, or a time is there twice or is none.
     """
     if not len(table):
         raise ValueError(f"{str(path)!r} has no frame")
+    table = in_order(path, "frame", table)
     time = table[:, 0]
-    late = ~(np.diff(time, prepend=-np.inf) > 0.0)
-    if late.any() or not np.isfinite(time).all():
-        raise ValueError(f"times of {str(path)!r} must increase; frame {1 + int(np.argmax(late))} does not")
     positions = unit * table[:, 1:].reshape(len(table), len(names), 3)
     positions[~np.isfinite(positions).all(axis=2)] = np.nan
     return Markers(names, time, positions)

@@ -288,6 +288,11 @@ def place_markers(
     Raises:
         ValueError: Markers are missing, or a weight is wrong.
     """
+    if tasks.recorded:
+        raise ValueError(
+            f"coordinate {tasks.recorded[0]!r} takes its value from a file, which scaling does not read; "
+            "state it, or leave it out"
+        )
     seen = np.isfinite(recorded.positions).all(axis=2)
     total = np.where(seen[:, :, None], recorded.positions, 0.0).sum(axis=0)
     count = seen.sum(axis=0)[:, None]

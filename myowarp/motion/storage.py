@@ -7,11 +7,14 @@ separated by tabs or blanks (OpenSim's class `Storage`). Here values are in SI u
 from __future__ import annotations
 
 import csv
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+logger = logging.getLogger("myowarp")
 
 SUFFIXES = (".sto", ".mot", ".csv")
 
@@ -62,7 +65,7 @@ def read_storage(path: Path, gaps: bool = False) -> Storage:
         gaps: Whether cells may be NaN.
 
     Raises:
-        ValueError: It is no such table, or its times do not increase.
+        ValueError: It is no such table, or a time is there twice.
         OSError: It cannot be read.
     """
     try:
@@ -96,7 +99,7 @@ def _checked(
     """Return the table of the cells of a file.
 
     Raises:
-        ValueError: A row is too short or too long, a cell is no finite number, or times do not increase.
+        ValueError: A row is too short or too long, a cell is no finite number, or a time is there twice.
     """
     for number, row in enumerate(rows, 1):
         if len(row) != len(labels):
@@ -107,13 +110,34 @@ def _checked(
         raise ValueError(f"{str(path)!r} has a cell that is no number: {error}") from error
     if not (np.isfinite(values) | (gaps & np.isnan(values) & (np.arange(len(labels)) > 0))).all():
         raise ValueError(f"{str(path)!r} must hold finite numbers; row {_first_bad(values)} does not")
-    if (np.diff(values[:, 0]) <= 0.0).any():
-        at = 2 + int(np.argmax(np.diff(values[:, 0]) <= 0.0))
-        raise ValueError(f"times of {str(path)!r} must increase; row {at} does not")
+    values = in_order(path, "row", values)
     if len(set(labels)) < len(labels):
         twice = next(label for label in labels if list(labels).count(label) > 1)
         raise ValueError(f"{str(path)!r} has the column {twice!r} twice")
     return Storage(tuple(labels[1:]), values[:, 0], values[:, 1:], in_degrees)
+
+
+def in_order(path: Path, what: str, table: np.ndarray) -> np.ndarray:
+    """Return rows in the order of their times, the first column, and say where they were not.
+
+    Raises:
+        ValueError: A time is no number, or is there twice.
+    """
+    time = table[:, 0]
+    if not np.isfinite(time).all():
+        row = 1 + int(np.argmin(np.isfinite(time)))
+        raise ValueError(f"times of {str(path)!r} must be finite numbers; that of {what} {row} is not")
+    order = np.argsort(time, kind="stable")
+    again = np.flatnonzero(np.diff(time[order]) <= 0.0)
+    if len(again):
+        one, other = sorted(order[again[0] : again[0] + 2] + 1)
+        raise ValueError(
+            f"times of {str(path)!r} must differ; those of {what}s {one} and {other} are both "
+            f"{time[one - 1]:g} s"
+        )
+    if late := int((np.diff(time) < 0.0).sum()):
+        logger.warning("%s: %ss are not in the order of their times, in %d places; sorted", path, what, late)
+    return table[order]
 
 
 def _first_bad(values: np.ndarray) -> int:

@@ -16,32 +16,32 @@ class Tasks:
         markers: By marker.
         coordinates: By coordinate.
         values: Wanted values that the file states itself, by coordinate [rad] or [m].
+        recorded: Coordinates that have their wanted values in a file of joint angles.
     """
 
     markers: Mapping[str, float]
     coordinates: Mapping[str, float]
     values: Mapping[str, float]
+    recorded: tuple[str, ...] = ()
 
 
 def tasks_of(root: Element) -> Tasks:
     """Return the tasks in an element of a set-up file.
 
     Raises:
-        ValueError: It has none of markers, or values come from a file.
+        ValueError: It has none of markers.
     """
     weights: dict[str, dict[str, float]] = {"IKMarkerTask": {}, "IKCoordinateTask": {}}
-    wanted = {}
+    wanted, recorded = {}, []
     for element in root.walk():
         if element.tag in weights:
             on = element.flag("apply", default=True)
             weights[element.tag][element.name] = element.number("weight", default=1.0) if on else 0.0
             kind = element.string("value_type", default="default_value")
             if on and kind == "from_file":
-                raise element.error(
-                    "takes its value from a file, which is not read; state it, or leave it out"
-                )
+                recorded.append(element.name)
             if kind == "manual_value":
                 wanted[element.name] = element.number("value", default=0.0)
     if not weights["IKMarkerTask"]:
         raise root.error("has no <IKMarkerTask>; a set-up file of inverse kinematics or of scaling has")
-    return Tasks(weights["IKMarkerTask"], weights["IKCoordinateTask"], wanted)
+    return Tasks(weights["IKMarkerTask"], weights["IKCoordinateTask"], wanted, tuple(recorded))

@@ -17,7 +17,7 @@ from myowarp.motion.inverse_dynamics import Load, Needed, inverse_dynamics
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.joint_reactions import JointReactions, joint_reactions
 from myowarp.motion.loads import loads_at
-from myowarp.motion.markers import read_trc
+from myowarp.motion.markers import Markers, read_trc
 from myowarp.motion.metabolic_power import metabolic_power
 from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces, rigid_capacity
 from myowarp.motion.muscle_paths import MusclePaths, muscle_paths
@@ -26,6 +26,7 @@ from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.tasks import tasks_of
+from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.tracking import Tracked, track
 from myowarp.opensim.model.kinematics import complete
 from myowarp.opensim.model.model import Model
@@ -53,6 +54,21 @@ class Movement:
     speeds: np.ndarray
     accelerations: np.ndarray
     absent: tuple[str, ...]
+
+    def between(self, start: float, end: float) -> Movement:
+        """Return the frames from `start` to `end` [s], both included; the filter has seen all.
+
+        Raises:
+            ValueError: There is none.
+        """
+        kept = (self.time >= start - 1e-9) & (self.time <= end + 1e-9)
+        if not kept.any():
+            raise ValueError(
+                f"no frame between {start:g} and {end:g} s; the motion is from {self.time[0]:g} to "
+                f"{self.time[-1]:g} s"
+            )
+        rows = self.values[kept], self.speeds[kept], self.accelerations[kept]
+        return Movement(self.time[kept], *rows, self.absent)
 
 
 def read_motion(path: Path, bones: Bones, cutoff: float | None = None) -> Movement:
@@ -121,8 +137,9 @@ def kinematics(
     output: Path,
     setup: Path | None = None,
     span: tuple[float, float] | None = None,
+    fill: float | None = None,
 ) -> Fitted:
-    """Find the joint angles of recorded markers; write `ik.mot` and `marker_errors.sto`.
+    """Find the joint angles of recorded markers; write `ik.mot`, `marker_errors.sto` and `gaps.csv`.
 
     Args:
         bones: The model.
@@ -130,23 +147,62 @@ def kinematics(
         output: Folder, which exists.
         setup: An OpenSim set-up file with weights; markers that were not recorded do not count.
         span: First and last time [s].
+        fill: Longest gap of a marker that a spline bridges [s]; None: none is bridged.
 
     Raises:
         ValueError: A file is not what it should be.
         OSError: A file cannot be read or written.
     """
-    recorded = read_trc(markers)
-    recorded = recorded if span is None else recorded.between(*span)
+    seen = read_trc(markers)
+    recorded = seen if fill is None else seen.filled(fill)
+    if span is not None:
+        seen, recorded = seen.between(*span), recorded.between(*span)
+    _write_gaps(output / "gaps.csv", seen, recorded)
     if setup is None:
         fitted = inverse_kinematics(bones, recorded)
     else:
         tasks = tasks_of(parse(setup)[0])
         weights = {name: weight for name, weight in tasks.markers.items() if name in recorded.names}
-        fitted = inverse_kinematics(bones, recorded, weights, tasks.coordinates, tasks.values)
+        values: dict[str, float | np.ndarray] = {**tasks.values}
+        if tasks.recorded:
+            values |= _recorded(bones, setup, tasks.recorded, recorded.time)
+        fitted = inverse_kinematics(bones, recorded, weights, tasks.coordinates, values)
     write_angles(output / "ik.mot", bones.model, fitted.coordinates, fitted.time, fitted.values)
     error = Storage(fitted.markers, fitted.time, fitted.error)
     write_storage(output / "marker_errors.sto", "distances of markers, m", error)
     return fitted
+
+
+def _write_gaps(path: Path, seen: Markers, filled: Markers) -> None:
+    """Write when markers were not seen, the longest gap first, and which gaps a spline bridges."""
+    left = filled.gaps()
+    rows = [(name, *gap, gap not in left.get(name, ())) for name, gaps in seen.gaps().items() for gap in gaps]
+    rows.sort(key=lambda row: row[1] - row[2])
+    lines = [f"{name},{first:.9g},{last:.9g},{'yes' if there else 'no'}" for name, first, last, there in rows]
+    path.write_text("\n".join(["marker,first [s],last [s],filled", *lines, ""]), encoding="utf-8")
+
+
+def _recorded(bones: Bones, setup: Path, names: Sequence[str], time: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the values that coordinates have in the file of joint angles of a set-up file.
+
+    Raises:
+        ValueError: The set-up file names none, or the file lacks a coordinate or the time.
+    """
+    path = read_tool_setup(setup).coordinates
+    if path is None:
+        raise ValueError(
+            f"{str(setup)!r} has coordinates whose values are in a file, and names no <coordinate_file>"
+        )
+    motion = read_motion(path, bones)
+    if unknown := [name for name in names if name in motion.absent or name not in bones.coordinates]:
+        raise ValueError(f"{str(path)!r} has no column of the coordinate {unknown[0]!r}")
+    if time[0] < motion.time[0] - 1e-6 or time[-1] > motion.time[-1] + 1e-6:
+        raise ValueError(
+            f"{str(path)!r} is from {motion.time[0]:g} to {motion.time[-1]:g} s; the markers are from "
+            f"{time[0]:g} to {time[-1]:g} s"
+        )
+    columns = (motion.values[:, bones.coordinates.index(name)] for name in names)
+    return {name: np.interp(time, motion.time, column) for name, column in zip(names, columns, strict=True)}
 
 
 def write_angles(
@@ -182,9 +238,10 @@ def dynamics(bones: Bones, motion: Movement, output: Path, loads: Path | None = 
 
 
 def analyze(bones: Bones, motion: Movement, output: Path) -> MusclePaths:
-    """Follow the muscles along a motion; write a `.sto` each for lengths, velocities, moment arms and forces.
+    """Follow the muscles along a motion; write lengths, velocities, moment arms, forces and powers.
 
-    Forces are those at full activation with a rigid tendon, and passive ones in equilibrium.
+    Forces are those at full activation with a rigid tendon, and passive ones in equilibrium; powers those of
+    both together.
 
     Args:
         bones: The model.
@@ -213,6 +270,7 @@ def analyze(bones: Bones, motion: Movement, output: Path) -> MusclePaths:
         ("velocities", "velocities of muscle and tendon, m/s, lengthening > 0", paths.velocity),
         ("active_forces", "active forces at full activation, rigid tendon, N", active),
         ("passive_forces", "passive forces, N", passive),
+        ("full_powers", "powers at full activation, W, shortening > 0", -(active + passive) * paths.velocity),
     ):
         write_storage(output / f"{name}.sto", title, Storage(paths.muscles, motion.time, values))
     table = Storage(tuple(arms), motion.time, np.stack(list(arms.values()), axis=1))

@@ -52,8 +52,8 @@ def test_what_is_written_is_read(tmp_path):
     [
         (("\tmm\t", "\tinch\t"), "has the unit 'inch'; known are mm"),
         (("TOE", "HEEL"), "has the marker 'HEEL' twice"),
-        (("0.02", "0.01"), "must increase; frame 3 does not"),
-        (("0.02", ""), "must increase; frame 3 does not"),
+        (("0.02", "0.01"), "must differ; those of frames 2 and 3 are both 0.01 s"),
+        (("0.02", ""), "must be finite numbers; that of frame 3 is not"),
         (("1001", "one"), "line 8 of .* has a cell that is no number"),
         (("7\t8\t9", "7\t8\t9\t10"), "line 9 of .* must have 8 cells for 2 markers, got 9"),
         (("PathFileType", "Path"), "must begin with 'PathFileType'"),

@@ -79,7 +79,7 @@ def test_what_is_written_is_read(tmp_path):
         ("endheader\ntime\ta\n0\t1\n0.1\n", "row 2 .* must have 2 cells, got 1"),
         ("endheader\ntime\ta\n0\tx\n", "a cell that is no number"),
         ("endheader\ntime\ta\n0\tnan\n", "finite numbers; row 1"),
-        ("endheader\ntime\ta\n0\t1\n0\t1\n", "must increase; row 2"),
+        ("endheader\ntime\ta\n0\t1\n0\t1\n", "must differ; those of rows 1 and 2 are both 0 s"),
         ("endheader\ntime\ta\ta\n0\t1\t1\n", "column 'a' twice"),
     ],
 )

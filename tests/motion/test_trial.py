@@ -36,8 +36,9 @@ def gait(tmp_path):
     return tmp_path, there
 
 
-def test_forces(gait, capsys):
+def test_forces(gait, capsys, monkeypatch):
     folder, there = gait
+    monkeypatch.setattr(Motion, "_page", lambda self, motion: [])  # drawn in the tests of the documentation
     options = {"motion": folder / "motion.mot", "loads": folder / "push.xml", "filter": 6.0}
     Motion("forces", GAIT, **options, mode="opensim", reserve=1000.0, output=folder / "out")()
     moments = read_storage(folder / "out/moments.sto")

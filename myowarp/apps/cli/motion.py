@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import importlib.util
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -18,13 +19,15 @@ if TYPE_CHECKING:
     from myowarp.motion.scaling import Scaled
     from myowarp.motion.skeleton import Bones
     from myowarp.motion.trial import Movement
+    from myowarp.opensim.model.model import Model
 
 WRITES = {
-    "analyze": tuple(
-        f"{name}.sto" for name in ("lengths", "velocities", "moment_arms", "active_forces", "passive_forces")
+    "analyze": (
+        *("lengths.sto", "velocities.sto", "moment_arms.sto", "active_forces.sto", "passive_forces.sto"),
+        *("full_powers.sto", "report.html"),
     ),
     "scale": ("scaled.osim", "scale_factors.xml", "static.mot"),
-    "kinematics": ("ik.mot", "marker_errors.sto"),
+    "kinematics": ("ik.mot", "marker_errors.sto", "gaps.csv"),
     "dynamics": ("moments.sto",),
     "forces": tuple(
         f"{name}.sto"
@@ -49,6 +52,9 @@ WRITES = {
     "report": ("report.html",),
 }
 """Files of each step."""
+
+EXPONENT = 2.0
+"""Of activations in the cost, by default."""
 
 SHOWN = 3
 """The worst of what is listed."""
@@ -103,15 +109,20 @@ class Motion:
     markers: Annotated[Path | None, optional("FILE")] = None
     """Markers over time, .trc; of kinematics and, in place of those in its set-up file, of scale."""
     setup: Annotated[Path | None, optional("FILE")] = None
-    """OpenSim set-up file: of scale; of kinematics, with weights of markers and coordinates, which by default
-    are the same for all markers."""
+    """OpenSim set-up file of the step's tool: of scale; of kinematics, with weights of markers and
+    coordinates, by default the same for all markers. Files, filter, times, exponent and reserves are taken
+    from it unless they are given here."""
+    marker_set: Annotated[Path | None, optional("FILE")] = None
+    """Of kinematics: an OpenSim MarkerSet, in place of the model's markers of the same names."""
+    fill: Annotated[float | None, optional("SECONDS")] = None
+    """Of kinematics: gaps of markers up to so long are bridged by a spline; gaps.csv lists all."""
     loads: Annotated[Path | None, optional("FILE")] = None
     """OpenSim file of external loads."""
     filter: Annotated[float | None, optional("HZ")] = None
     """Frequency below which the motion is kept; by default all is."""
     mode: Literal["equilibrium", "opensim"] = "equilibrium"
     """What muscles can give; opensim: as its static optimisation, rigid tendons without passive force."""
-    exponent: float = 2.0
+    exponent: float = EXPONENT
     """Of activations in the cost, at least 1."""
     reserve: float = 0.0
     """Moment of a reserve at cost 1 on every coordinate [N m, N]; 0: none."""
@@ -122,7 +133,7 @@ class Motion:
     strength: Annotated[tuple[str, ...], optional("[MUSCLE=FACTOR ...]")] = ()
     """Of track: factors on maximum isometric forces of muscles, such as soleus_r=0.9."""
     span: Annotated[tuple[float, float] | None, optional("START END")] = None
-    """Of track: first and last time [s]; by default all."""
+    """First and last time [s]; by default all."""
     draws: int = 0
     """Of each trial of a study, besides the trial as it is."""
     seed: int = 0
@@ -134,16 +145,9 @@ class Motion:
 
     def __call__(self) -> None:
         """Check, compute, write, say what is worst."""
-        from myowarp.motion import trial
-        from myowarp.motion.skeleton import Bones
-        from myowarp.opensim.read.model import read_model
-
         if self.what == "report":
-            from myowarp.apps.reports.motion import page
-
             check_overwrite([self.output / "report.html"], self.overwrite)
-            text = page(self.output, read_model(self.model), self.motion)
-            (self.output / "report.html").write_text(text, encoding="utf-8")
+            self._write_page(self.motion)
             self._say([])
             return
         if not 0.0 <= self.reserve < float("inf"):
@@ -151,6 +155,46 @@ class Motion:
         if self.what == "study":
             self._study()
             return
+        if self.setup is not None and self.what not in ("scale", "emg"):
+            return self._filled_in(self.setup)._solve()
+        self._solve()
+
+    def _write_page(self, motion: Path | None) -> None:
+        """Write the page on what the folder has."""
+        from myowarp.apps.reports.motion import page
+        from myowarp.opensim.read.model import read_model
+
+        text = page(self.output, read_model(self.model), motion)
+        (self.output / "report.html").write_text(text, encoding="utf-8")
+
+    def _page(self, motion: Path) -> list[str]:
+        """Write the page where matplotlib is installed; return what is to be said."""
+        if importlib.util.find_spec("matplotlib") is None:
+            return ["no page: it needs matplotlib; pip install 'myowarp[plot]'"]
+        self._write_page(motion)
+        return []
+
+    def _filled_in(self, setup: Path) -> Motion:
+        """Return the command with what it leaves open as a set-up file of OpenSim has it."""
+        from myowarp.motion.tool_setup import read_tool_setup
+
+        said = read_tool_setup(setup)
+        if said.unread:
+            text = f"left out of {setup}: {', '.join(said.unread)}"
+            Console(stderr=True, highlight=False, soft_wrap=True).print(text, markup=False)
+        named = {"markers": said.markers, "motion": said.motion, "loads": said.loads, "filter": said.cutoff,
+                 "span": said.span}  # fmt: skip
+        open_: dict[str, Any] = {name: value for name, value in named.items() if getattr(self, name) is None}
+        if said.exponent is not None and self.exponent == EXPONENT:
+            open_["exponent"] = said.exponent
+        return replace(self, **open_)
+
+    def _solve(self) -> None:
+        """Do a step that reads a model."""
+        from myowarp.motion import trial
+        from myowarp.motion.skeleton import Bones
+        from myowarp.opensim.read.model import read_model
+
         source, name = {
             "scale": (self.setup, "setup"),
             "emg": (self.emg, "emg"),
@@ -167,11 +211,12 @@ class Motion:
         if self.what == "emg":
             self._say(self._beside_emg(source))
             return
-        bones = Bones(read_model(self.model))
+        bones = Bones(read_model(self.model) if self.marker_set is None else self._marked(self.marker_set))
         self.output.mkdir(parents=True, exist_ok=True)
         lines = []
         if self.what == "kinematics":
-            fitted = trial.kinematics(bones, source, self.output, self.setup)
+            fitted = trial.kinematics(bones, source, self.output, self.setup, self.span, self.fill)
+            lines += gaps_in(self.output / "gaps.csv")
             lines += [f"{marker}: {1e3 * rms:.1f} mm rms, {1e3 * most:.1f} mm at most"
                       for marker, rms, most in fitted.worst()[:SHOWN]]  # fmt: skip
             lines += [doubt] if (doubt := fitted.doubt()) else []
@@ -179,8 +224,11 @@ class Motion:
             motion = trial.read_motion(source, bones, self.filter)
             if motion.absent:
                 lines.append(f"not in the file, and at default: {', '.join(motion.absent)}")
+            if self.span is not None and self.what != "track":
+                motion = motion.between(*self.span)
             if self.what == "analyze":
                 trial.analyze(bones, motion, self.output)
+                lines += self._page(source)
             elif self.what == "track":
                 lines += self._track(bones, motion)
             elif self.what == "dynamics":
@@ -192,6 +240,13 @@ class Motion:
                 )  # fmt: skip
                 lines += worst_of(bones, found)
         self._say(lines)
+
+    def _marked(self, path: Path) -> Model:
+        """Return the model with the markers of a set."""
+        from myowarp.motion.scale_document import Document, set_markers
+        from myowarp.opensim.read.document import parse
+
+        return set_markers(Document(self.model, parse(self.model)[0]), parse(path)[0]).model
 
     def _beside_emg(self, source: Path) -> list[str]:
         """Write envelopes, and how activations follow them; return those that follow least, one line each."""
@@ -218,10 +273,14 @@ class Motion:
     def _reserves(self, bones: Bones) -> dict[str, float]:
         """Return the force of the reserve of each coordinate that has one."""
         from myowarp.apps.reports.motion import floating
+        from myowarp.motion.tool_setup import read_tool_setup
 
         root = floating(bones.model)
         at_root = self.reserve if self.residual is None else self.residual
         wanted = {name: at_root if name in root else self.reserve for name in bones.coordinates}
+        if not self.reserve and self.setup is not None:
+            said = read_tool_setup(self.setup).reserves
+            wanted |= {name: force for name, force in said.items() if name in wanted}
         return {name: force for name, force in wanted.items() if force}
 
     def _track(self, bones: Bones, motion: Movement) -> list[str]:
@@ -276,6 +335,18 @@ class Motion:
         written = [name for name in WRITES[self.what] if (self.output / name).exists()]
         for line in [*lines, f"Saved {', '.join(written)} in {self.output}"]:
             say(line, markup=False)
+
+
+def gaps_in(path: Path) -> list[str]:
+    """Return the longest gaps of markers that were not filled, one line each."""
+    rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()[1:]]
+    left = [row for row in rows if row[3] == "no"]
+    lines = [f"{name} was not seen from {first} to {last} s" for name, first, last, _ in left[:SHOWN]]
+    if filled := len(rows) - len(left):
+        lines.append(f"{filled} gaps were filled; gaps.csv lists all {len(rows)}")
+    elif len(left) > SHOWN:
+        lines.append(f"gaps.csv lists all {len(rows)}")
+    return lines
 
 
 def said_of(scaled: Scaled) -> list[str]:

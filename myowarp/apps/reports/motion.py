@@ -45,6 +45,7 @@ class Part:
     note: str = ""
     scale: float = 1.0
     open: bool = True
+    zero: bool = True
 
 
 MARKERS = Part(
@@ -80,9 +81,12 @@ PARTS = (
         "Heat and work of fibers after Bhargava 2004, without the rate at rest.",
         open=False,
     ),
-    Part("lengths.sto", "Lengths of muscle and tendon", "m", open=False),
+    Part("lengths.sto", "Lengths of muscle and tendon", "m", open=False, zero=False),
+    Part("velocities.sto", "Velocities of muscle and tendon", "m/s", "Lengthening is positive.", open=False),
+    Part("moment_arms.sto", "Moment arms", "m", "Muscle.coordinate.", open=False),
     Part("active_forces.sto", "Active forces at full activation", "N", open=False),
     Part("passive_forces.sto", "Passive forces", "N", open=False),
+    Part("full_powers.sto", "Powers at full activation", "W", "Shortening is positive.", open=False),
 )
 
 
@@ -249,7 +253,7 @@ def draw(part: Part, table: Storage, form: str = "png") -> bytes:
             axes.margins(x=0)
             if part is ACTIVATIONS:
                 axes.set_ylim(0.0, 1.03)
-            else:
+            elif part.zero:
                 axes.axhline(0.0, color=panel.INK, linewidth=0.5, alpha=0.5)
         figure.supxlabel("time [s]")
         figure.supylabel(f"[{part.unit}]")

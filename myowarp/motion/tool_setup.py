@@ -1,0 +1,100 @@
+"""Set-up files of OpenSim's tools: which files a step reads, and how.
+
+`InverseKinematicsTool`, `InverseDynamicsTool`, `AnalyzeTool` (with `StaticOptimization`) and `CMCTool`. Files
+are beside the set-up file. What belongs to OpenSim's own solvers (accuracies, integrators, optimisers) has no
+meaning here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from myowarp.opensim.read.document import Element, parse
+
+TOOLS = ("InverseKinematicsTool", "InverseDynamicsTool", "AnalyzeTool", "CMCTool")
+UNSET = ("", "Unassigned")
+MOTIONS = ("coordinates_file", "desired_kinematics_file", "states_file")
+CUTOFFS = ("lowpass_cutoff_frequency_for_coordinates", "lowpass_cutoff_frequency")
+
+
+@dataclass(frozen=True)
+class ToolSetup:
+    """What a set-up file says.
+
+    Attributes:
+        markers: Recorded markers, .trc.
+        motion: Joint angles.
+        loads: External loads.
+        coordinates: Joint angles that kinematics should have.
+        cutoff: Of the filter [Hz]; None: none.
+        span: First and last time [s]; None: all.
+        exponent: Of activations in the cost; None: it says none.
+        reserves: Optimal force of its `CoordinateActuator`s, by coordinate [N m] or [N].
+        unread: Actuators of other classes, which are left out.
+    """
+
+    markers: Path | None = None
+    motion: Path | None = None
+    loads: Path | None = None
+    coordinates: Path | None = None
+    cutoff: float | None = None
+    span: tuple[float, float] | None = None
+    exponent: float | None = None
+    reserves: Mapping[str, float] = field(default_factory=dict)
+    unread: tuple[str, ...] = ()
+
+
+def read_tool_setup(path: Path) -> ToolSetup:
+    """Read a set-up file; a set of tasks alone says nothing else.
+
+    Raises:
+        ValueError: It is none.
+        OSError: It, or a file of actuators, cannot be read.
+    """
+    root, _ = parse(path)
+    tool = next((element for element in root.walk() if element.tag in TOOLS), None)
+    if tool is None and any(element.tag == "IKTaskSet" for element in root.walk()):
+        return ToolSetup()
+    if tool is None:
+        raise root.error(f"holds none of {', '.join(f'<{name}>' for name in TOOLS)}")
+
+    def file(*tags: str) -> Path | None:
+        found = (tool.string(tag) for tag in tags)
+        return next((path.parent / name for name in found if name not in UNSET), None)
+
+    cutoff = max(tool.number(tag, default=-1.0) for tag in CUTOFFS)
+    optimiser = next((element for element in tool.walk() if element.tag == "StaticOptimization"), None)
+    reserves, unread = {}, []
+    for name in tool.string("force_set_files").split():
+        for actuator in _actuators(path.parent / name):
+            if actuator.tag == "CoordinateActuator":
+                reserves[actuator.string("coordinate")] = actuator.number("optimal_force", default=1.0)
+            else:
+                unread.append(f"{actuator.tag} {actuator.name}")
+    return ToolSetup(
+        file("marker_file"),
+        file(*MOTIONS),
+        file("external_loads_file"),
+        file("coordinate_file"),
+        cutoff if cutoff > 0.0 else None,
+        _span(tool),
+        None if optimiser is None else optimiser.number("activation_exponent", default=2.0),
+        reserves,
+        tuple(unread),
+    )
+
+
+def _actuators(path: Path) -> list[Element]:
+    """Return the actuators of a file."""
+    return [element for element in parse(path)[0].walk() if element.tag.endswith("Actuator")]
+
+
+def _span(tool: Element) -> tuple[float, float] | None:
+    """Return the range of time [s], None where none is stated."""
+    if tool.string("time_range"):
+        begin, end = (float(x) for x in tool.numbers("time_range", count=2))
+    else:
+        begin, end = (tool.number(tag, default=-1.0) for tag in ("initial_time", "final_time"))
+    return (begin, end) if begin < end else None
