@@ -191,6 +191,7 @@ def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int
         strength=spread("max_isometric_force", muscles),
         slack=spread("tendon_slack_length", muscles),
         device=bones.device,
+        sequence=frames,
     )
     shape = count, frames, -1
     rms = np.full(count, np.nan)

@@ -19,7 +19,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from myowarp.motion.muscle_paths import MusclePaths
-from myowarp.motion.parts import in_parts
+from myowarp.motion.parts import GRAIN, in_parts
 from myowarp.motion.static_optimization import Activations, optimal_activations
 from myowarp.motion.steady_muscles import SteadyMuscles
 from myowarp.opensim.model.model import Model
@@ -112,6 +112,7 @@ def muscle_forces(
     strength: np.ndarray | float = 1.0,
     slack: np.ndarray | float = 1.0,
     device: Any = None,
+    sequence: int = 0,
 ) -> MuscleForces:
     """Return the muscle forces of least cost that give the moments of a motion.
 
@@ -129,6 +130,7 @@ def muscle_forces(
         strength: Factors on maximum isometric forces, which broadcast to (frames, muscles).
         slack: Factors on tendon slack lengths, likewise.
         device: Where it is solved.
+        sequence: Frames of a recording, where several follow each other, see `optimal_activations`.
 
     Raises:
         ValueError: A coordinate is unknown, the exponent is below 1, or the mode unknown.
@@ -146,9 +148,10 @@ def muscle_forces(
     def solve(part: slice) -> MuscleForces:
         strong, long = (x[part] if len(x) > 1 else x for x in map(np.atleast_2d, factors))
         own = paths.part(part), joint_moment[part], strong, long
-        return _part(model, coordinates, *own, mode, exponent, reserves, wanted, device)
+        return _part(model, coordinates, *own, mode, exponent, reserves, wanted, device, sequence)
 
-    return _together(in_parts(len(joint_moment), FRAMES, wp.get_device(device), solve))
+    grain = sequence or GRAIN
+    return _together(in_parts(len(joint_moment), FRAMES, wp.get_device(device), solve, grain))
 
 
 def _together(parts: list[MuscleForces]) -> MuscleForces:
@@ -175,6 +178,7 @@ def _part(
     reserves: Mapping[str, float],
     wanted: np.ndarray,
     device: Any,
+    sequence: int,
 ) -> MuscleForces:
     """Return the muscle forces of a part of a motion; `wanted` are the greatest moments of all of it."""
     steady = SteadyMuscles([HillMuscle.of(model.muscles[name]) for name in paths.muscles], device)
@@ -201,7 +205,7 @@ def _part(
         effects = arm.copy()
         effects[:, : len(muscles)] *= capacity[:, :, None]
         right = (joint_moment - np.einsum("nmk,nm->nk", paths.moment_arm, passive))[:, held]
-        return optimal_activations(table, effects, right, lower, upper, exponent, device, near)
+        return optimal_activations(table, effects, right, lower, upper, exponent, device, near, sequence)
 
     if mode == "opensim":
         passive = np.zeros_like(paths.length)

@@ -12,22 +12,26 @@ from myowarp.engine.threads import num_cores
 
 Found = TypeVar("Found")
 GRAIN = 16
-"""What parts are multiples of, so that runs of frames begin at the same ones on any number of cores."""
+"""By default, frames that parts are multiples of."""
 COMPILED: set[str] = set()
 """Who has solved a part before: kernels are compiled once, not by each thread."""
 
 
-def in_parts(count: int, most: int, device: Any, solve: Callable[[slice], Found]) -> list[Found]:
+def in_parts(
+    count: int, most: int, device: Any, solve: Callable[[slice], Found], grain: int = GRAIN
+) -> list[Found]:
     """Solve frames in parts, on the CPU on all cores at a time; return what was found, in order.
 
     Args:
         count: Number of frames.
-        most: Of a part.
+        most: Of a part, if that is not less than `grain`.
         device: Where they are solved.
         solve: Called with the frames of a part.
+        grain: What parts are multiples of, so that runs of frames begin at the same ones on any number of
+            cores.
     """
     cores = num_cores() if device.is_cpu else 1
-    size = min(most, -(-count // cores // GRAIN) * GRAIN or GRAIN)
+    size = max(min(most // grain, -(-count // cores // grain)) * grain, grain)
     slices = [slice(at, min(at + size, count)) for at in range(0, max(count, 1), size)]
     if cores == 1 or len(slices) == 1:
         return [solve(part) for part in slices]

@@ -49,7 +49,7 @@ LINEAR = 0.01
 """Weight of a^2 beside |a| where p = 1."""
 
 RUN = 16
-"""Frames that one thread solves, each from the solution of the one before."""
+"""Frames that one thread solves, each from the solution of the one before, at most."""
 
 wp.set_module_options({"enable_backward": False})
 
@@ -292,7 +292,7 @@ def optimize_activations(
     lower: wp.array2d[wp.float64],
     upper: wp.array2d[wp.float64],
     exponent: wp.float64,
-    run: int,
+    first: wp.array[int],
     # Out:
     work: DualWork,
     activation: wp.array2d[wp.float64],
@@ -301,21 +301,19 @@ def optimize_activations(
 ):
     """a = argmin sum |a|^p with A a = b within bounds; `missing` is b - A a.
 
-    A thread solves `run` frames; the first begins at the dual that is there, others at that of the frame
-    before. The residual is the largest gradient of the dual problem in units of its row. It is infinite, and
-    a the lower bound, where a number of the problem is not finite.
+    A thread solves the frames from its first to that of the next thread; the first begins at the dual that is
+    there, others at that of the frame before. The residual is the largest gradient of the dual problem in
+    units of its row. It is infinite, and a the lower bound, where a number of the problem is not finite.
     """
     worldid = wp.tid()
-    for step in range(run):
-        frame = worldid * run + step
-        if frame < right.shape[0]:
-            if step > 0:
-                if residual[frame - 1] < wp.float64(TOLERANCE):
-                    for r in range(right.shape[1]):
-                        work.dual[frame, r] = work.dual[frame - 1, r]
-            optimize_frame(
-                frame, row, begin, effect, right, lower, upper, exponent, work, activation, missing, residual
-            )
+    for frame in range(first[worldid], first[worldid + 1]):
+        if frame > first[worldid]:
+            if residual[frame - 1] < wp.float64(TOLERANCE):
+                for r in range(right.shape[1]):
+                    work.dual[frame, r] = work.dual[frame - 1, r]
+        optimize_frame(
+            frame, row, begin, effect, right, lower, upper, exponent, work, activation, missing, residual
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,6 +342,7 @@ def optimal_activations(
     exponent: float = 2.0,
     device: Any = None,
     near: np.ndarray | None = None,
+    sequence: int = 0,
 ) -> Activations:
     """Return the activations of least cost that give the wanted moments.
 
@@ -356,6 +355,8 @@ def optimal_activations(
         exponent: p >= 1.
         device: Where it is solved.
         near: Dual of a problem like this one, to begin at.
+        sequence: Frames of a recording, where several follow each other: each is solved as if it were alone;
+            0: there is one.
 
     Raises:
         ValueError: The exponent is below 1, or a lower bound is above its upper one.
@@ -366,7 +367,10 @@ def optimal_activations(
     bounds = [np.broadcast_to(np.asarray(bound, float), (frames, count)) for bound in (lower, upper)]
     if not (bounds[0] <= bounds[1]).all():
         raise ValueError("lower bounds of activations must be at most the upper ones")
-    table, run = np.array(rows, np.int32).reshape(count, -1), RUN if near is None else 1
+    table, each = np.array(rows, np.int32).reshape(count, -1), sequence or max(frames, 1)
+    heads = np.arange(0, each, RUN if near is None else 1)
+    first = (np.arange(0, frames, each)[:, None] + heads).ravel()
+    first = np.append(first[first < frames], frames)
     with wp.ScopedDevice(device):
         work = DualWork()
         work.dual = wp.array(np.zeros(right.shape) if near is None else near, dtype=wp.float64)
@@ -380,7 +384,7 @@ def optimal_activations(
         residual = wp.zeros(frames, dtype=wp.float64)
         launch(
             optimize_activations,
-            -(-frames // run),
+            len(first) - 1,
             row=wp.array(table, dtype=int),
             begin=wp.array(_first_shared(table, right.shape[1]), dtype=int),
             effect=wp.array(effects, dtype=wp.float64),
@@ -388,7 +392,7 @@ def optimal_activations(
             lower=wp.array(bounds[0], dtype=wp.float64),
             upper=wp.array(bounds[1], dtype=wp.float64),
             exponent=float(exponent),
-            run=run,
+            first=wp.array(first, dtype=int),
             work=work,
             activation=activation,
             missing=missing,
