@@ -82,7 +82,7 @@ def test_forces_of_a_set_up_file(gait, capsys):
     Motion("forces", GAIT, setup=folder / "so.xml", output=folder / "out")()
     assert "left out of" in (err := capsys.readouterr().err)
     assert "PointActuator FX" in err
-    assert np.abs(read_storage(folder / "out/missing.sto").values).max() < 1e-3
+    assert np.abs(read_storage(folder / "out/missing.sto").values).max() < 1e-2, "N or N m"
     options = {
         "motion": folder / "motion.mot",
         "loads": folder / "push.xml",
