@@ -25,13 +25,14 @@ HARD = {
 }
 
 TEXT = """
-- 256 hands reach at {pool:.1f} times the speed of EnvPool, and at {async_env:.1f} times that of MyoSuite's
-  AsyncVectorEnv (`parity` physics, random actions, two cores, medians of five rounds). All nine families
-  make {slowest:.1f} to {fastest:.1f} times the steps of MuJoCo C's thread pool on the same cores
-  ([speed](docs/speed.md)).
-- Trained policies, 256 episodes with deterministic actions under `parity`: in {good} of the {easy} easy tasks
-  but baoding {least:.0f} % or more succeed in each of {seeds[0]} to {seeds[1]} seeds{but}.
-  In the hard ones, means over seeds in percent: {hard} ([baselines](docs/baselines.md)).
+- 256 hands that reach make {own:,.0f} control steps a second on two cores: {pool:.1f} times as many as in
+  EnvPool, and {async_env:.1f} times as many as in MyoSuite's AsyncVectorEnv (MyoSuite's integrator and
+  step, random actions, medians of five rounds). All nine families make {slowest:.1f} to {fastest:.1f} times
+  the steps of MuJoCo C's thread pool on the same cores ([speed](docs/speed.md)).
+- Trained policies, 256 episodes each, without exploration noise: in {good} of {easy} easy tasks at least
+  {least:.0f} % of the episodes succeed in every training run, of {seeds[0]} to {seeds[1]} from different
+  seeds{but}. Hard tasks succeed in these percentages, means over seeds: {hard}.
+  [Baselines](docs/baselines.md) has every seed, and baoding.
 """
 LEARNED = 95.0  # percent of the episodes
 WIDTH = 118
@@ -48,8 +49,8 @@ def exception(task: str) -> str:
     own, drawn = success(task), success(task, "sampled")
     low = sum(value < LEARNED for value in own)
     return (
-        f"; in `{task}` {low} of {len(own)} seeds fails ({min(own):.0f} %; "
-        f"{drawn[own.index(min(own))]:.0f} % with drawn actions)"
+        f"; in `{task}` {low} of {len(own)} runs fails ({min(own):.0f} %, though "
+        f"{drawn[own.index(min(own))]:.0f} % with exploration noise)"
     )
 
 
@@ -69,7 +70,9 @@ def results() -> str:
     hard = ", ".join(f"{name} {mean:.0f}" for name, mean in means.items())
     seeds = [len(own) for own in easy.values()]
     good = {task: min(own) for task, own in easy.items() if min(own) >= LEARNED}
+    hands = families["hand reach"]["contestants"]["parity 256"]["env_steps_per_s"]["median"]
     text = TEXT.format(
+        own=float(f"{hands:.2g}"),
         pool=ratio("hand reach", "EnvPool"),
         async_env=ratio("hand reach", "MyoSuite async"),
         slowest=min(pool),
