@@ -165,7 +165,8 @@ class Hill(MuscleModel):
 
     Attributes:
         parameters: Parameters of all muscles, `HillMuscle`, shape (1 or num_worlds, num_muscles).
-        fiber_length: State of muscles with an elastic tendon [m], shape (num_worlds, num_muscles).
+        fiber_length: State of muscles with an elastic tendon [m], shape (num_worlds, num_muscles); so are
+            `expected_length` and `fiber_share`, see `Fibers`.
     """
 
     LAW: ClassVar[int]
@@ -181,12 +182,14 @@ class Hill(MuscleModel):
         """
         super().__init__(model, num_worlds, parameters)
         ids = self.actuator_id
-        self.fiber_length = wp.zeros_like(self.activation)
+        self.fiber_length, self.expected_length, self.fiber_share = (
+            wp.zeros_like(self.activation) for _ in range(3)
+        )
         limited = model.actuator_ctrllimited[ids, None]
         bounds = np.clip(np.where(limited, model.actuator_ctrlrange[ids], (0.0, 1.0)), 0.0, 1.0)
         self.excitation_range = wp.array(bounds, dtype=wp.vec2)
         self._actuators = wp.array(ids, dtype=int)
-        of_muscles, of_actuators = (len(PLACES) + 14) * len(ids), 3 * model.nu + 1
+        of_muscles, of_actuators = (len(PLACES) + 18) * len(ids), 3 * model.nu + 1
         self._scratch = block_scratch(self.activation.device, of_muscles, of_actuators)
         self._length_range = model.actuator_lengthrange[ids]
         if "ignore_activation_dynamics" in self._given:
@@ -329,7 +332,7 @@ class Hill(MuscleModel):
 
     def read_fibers(self, fibers: FiberStates) -> None:
         """Launch `read_hill_fibers`; see `MuscleModel.read_fibers`."""
-        launch(read_hill_fibers, self.fiber_length.shape, self, fibers=fibers)
+        launch(read_hill_fibers, self.fiber_length.shape, self, states=fibers)
 
     @property
     def params(self) -> HillParams:
@@ -344,7 +347,8 @@ class Hill(MuscleModel):
     def fibers(self) -> Fibers:
         """The state, for a kernel."""
         fibers = Fibers()
-        fibers.activation, fibers.fiber_length = self.activation, self.fiber_length
+        for name in ElasticHill.STATE:
+            setattr(fibers, name, getattr(self, name))
         return fibers
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
@@ -368,13 +372,14 @@ class Hill(MuscleModel):
 class ElasticHill(Hill):
     """Muscles with an elastic tendon."""
 
-    STATE = (*MuscleModel.STATE, "fiber_length")
+    STATE = (*MuscleModel.STATE, "fiber_length", "expected_length", "fiber_share")
     coarse_step = 0.005
 
     def geometry(self) -> MuscleGeometry:
         """Return lengths of fibers and stretched tendons; see `MuscleModel.geometry`."""
         rows, fiber = self.parameters.numpy(), self.fiber_length.numpy()
         along = np.sqrt(np.maximum(fiber**2 - rows["fiber_width"] ** 2, 0.0))
+        along += self.fiber_share.numpy() * (self.length.numpy() - self.expected_length.numpy())
         tendon = np.where(rows["rigid"] == 1, rows["tendon_slack_length"], self.length.numpy() - along)
         return super().geometry()._replace(tendon_length=tendon)
 
@@ -382,7 +387,9 @@ class ElasticHill(Hill):
         """Draw activations, and fibers between 0.8 and 1.2 of their optimal length."""
         optimal = self.parameters.numpy()["optimal_fiber_length"]
         fibers = optimal * rng.uniform(0.8, 1.2, self.fiber_length.shape)
-        return {**super().sample_state(rng), "fiber_length": fibers}
+        rest = np.zeros_like(fibers)
+        own = {"fiber_length": fibers, "expected_length": rest, "fiber_share": rest}
+        return super().sample_state(rng) | own
 
     def settle(self, mask: wp.array) -> None:
         """Launch `settle_hill`; see `MuscleModel.settle`."""

@@ -7,8 +7,12 @@ length L and forces in maximum isometric forces:
 
 An elastic tendon makes l a state. A physics step solves the equation for z at its end, at L + dt dL/dt and
 with v = (l - l before) / dt (backward Euler): the residual has one sign where the fiber is shortest and the
-other where the tendon is slack, so that Newton's method is kept in a bracket and cannot fail. A rigid tendon
-has z = L - slack length, v from the path's velocity, and no state.
+other where the tendon is slack, so that Newton's method is kept in a bracket and cannot fail. Where the path
+ends up a little longer than expected, fiber and tendon share the rest as the springs that they were in that
+step. The tendon pulls with what it has at the beginning of a step, as the engine's steps ask for: they are
+those of a leapfrog, whose velocities are half a step behind its positions. How the pull changes within a
+step reaches the body as damping. A rigid tendon has z = L - slack length, v from the path's velocity, and no
+state.
 
 Sources: thelen2003.py, millard2012.py, degroote_fregly2016.py; bounds of the fiber: OpenSim's
 MuscleFixedWidthPennationModel. Where we differ from OpenSim 4.6: the step is implicit and fixed instead of
@@ -190,14 +194,18 @@ def equilibrium(
 
     Newton's method from `start` on, in a bracket; a step that leaves it, or after which the residual has not
     been halved, is replaced by bisection. It ends with a step below tolerance (l_0 + slack length), or with
-    one of Newton's below `NEWTON` times that, whose error is its square; the tendon's force follows the last
-    step by its slope.
+    one of Newton's below `NEWTON` times that and `NEWTON_SPEED`, whose error is its square; the tendon's
+    force follows the last step by its slope.
     """
     half = type(start)(0.5)
     low = m.shortest_fiber
     slack = wp.max(length - m.tendon_slack_length, low)
     high = wp.max(slack, wp.sqrt(wp.max(before * before - m.fiber_width * m.fiber_width, low * low)))
     small = tolerance * (m.optimal_fiber_length + wp.abs(m.tendon_slack_length))
+    near = small * type(start)(NEWTON)
+    if per_step > type(start)(0.0):
+        speed = type(start)(NEWTON_SPEED) * m.optimal_fiber_length * m.max_contraction_velocity
+        near = wp.clamp(speed / per_step, small, near)
     z = wp.clamp(start, low, high)
     last = type(start)(1.0e30)
     tension, stiffness, slope = type(start)(0.0), type(start)(0.0), type(start)(0.0)
@@ -213,7 +221,7 @@ def equilibrium(
         else:
             high = z
         nearer = z - residual / (slope + stiffness)
-        most = small * type(start)(NEWTON)
+        most = near
         fits = slope + stiffness > type(start)(0.0) and nearer >= low and nearer <= high
         if not fits or wp.abs(residual) > half * last:
             nearer = half * (low + high)
@@ -229,6 +237,9 @@ def equilibrium(
 
 NEWTON = wp.constant(50.0)
 """How much longer than a step of bisection the last one of Newton's method may be."""
+
+NEWTON_SPEED = wp.constant(1e-3)
+"""How far it may change the fiber's velocity [maximum contraction velocities]."""
 
 
 @wp.func
@@ -348,11 +359,22 @@ class Fibers:
 
     Attributes:
         activation: [1].
-        fiber_length: [m]; under a rigid tendon it is written and not read.
+        fiber_length: [m], on a path of the expected length; under a rigid tendon it is written and not read.
+        expected_length: Length of the path that the last step expected [m].
+        fiber_share: How much of what the path is longer the fiber takes, the tendon having the rest [1].
     """
 
     activation: wp.array2d[float]
     fiber_length: wp.array2d[float]
+    expected_length: wp.array2d[float]
+    fiber_share: wp.array2d[float]
+
+
+@wp.func
+def along_present_tendon(m: HillMuscle, fibers: Fibers, worldid: int, muscleid: int, length: float) -> float:
+    """z of the state on a path of this length, where fiber and tendon still agree."""
+    more = fibers.fiber_share[worldid, muscleid] * (length - fibers.expected_length[worldid, muscleid])
+    return wp.max(along_tendon(m, fibers.fiber_length[worldid, muscleid]) + more, m.shortest_fiber)
 
 
 @wp.kernel(enable_backward=False)
@@ -375,9 +397,9 @@ def contract_hill(
     results: MuscleResults,
     actuator_biasprm: wp.array2d[BiasParams],
 ):
-    """T = transmission F_max f_T at the end of the step, or the pull of the fiber; l(t + dt), a(t + dt).
+    """T = transmission F_max f_T, or the pull of the fiber on a rigid tendon; l(t + dt), a(t + dt).
 
-    damping = implicitness dT/dvelocity: dt times fiber and tendon as springs in series; of a rigid tendon the
+    damping = implicitness dT/dvelocity: dt times fiber and tendon as springs in series, of a rigid tendon the
     slope of f_V.
     """
     worldid, thread = wp.tid()
@@ -399,35 +421,40 @@ def contract_hill(
         strength = of_world(anatomy.strength, worldid, i)
         before = fibers.fiber_length[worldid, i]
         z, norm_force, by_velocity = float(0.0), float(0.0), float(0.0)
+        expected, share = float(length), float(0.0)
         if m.rigid == 1:
             free = length - m.tendon_slack_length
             z = wp.max(free, m.shortest_fiber)
             if free > m.shortest_fiber:
                 pull = fiber_pull(m, params.tables, params.spans, steps[0], strength, z, velocity, 0.0, 0.0)
                 norm_force, by_velocity = wp.max(pull[0], 0.0), wp.where(pull[0] > 0.0, pull[2], 0.0)
-        elif dt > 0.0:
-            now = along_tendon(m, before)
-            found = equilibrium(
-                m,
-                params.tables,
-                params.spans,
-                steps[0],
-                strength,
-                length + dt * velocity,
-                0.0,
-                fiber_of(m, now),
-                1.0 / dt,
-                now + dt * velocity,
-                TOLERANCE,
-            )
-            z, norm_force = found[0], wp.max(found[1], 0.0)
-            both = found[2] + found[3]
-            if found[1] > 0.0 and found[3] > 0.0 and both > 0.0:
-                by_velocity = dt * found[2] * found[3] / both
         else:
-            z = along_tendon(m, before)
-            strain = (length - z - m.tendon_slack_length) / m.tendon_slack_length
+            now = along_present_tendon(m, fibers, worldid, i, length)
+            z = now
+            before = wp.where(before >= 0.0, fiber_of(m, now), float(before))
+            strain = (length - now - m.tendon_slack_length) / m.tendon_slack_length
             norm_force = wp.max(tendon_force_curve(m, params.tables, params.spans, strain)[0], 0.0)
+            if dt > 0.0:
+                expected = length + dt * velocity
+                found = equilibrium(
+                    m,
+                    params.tables,
+                    params.spans,
+                    steps[0],
+                    strength,
+                    expected,
+                    0.0,
+                    fiber_of(m, now),
+                    1.0 / dt,
+                    now + dt * velocity,
+                    TOLERANCE,
+                )
+                z = found[0]
+                both = found[2] + found[3]
+                if both > 0.0:
+                    share = wp.clamp(found[2] / both, 0.0, 1.0)
+                    if norm_force > 0.0 and found[3] > 0.0:
+                        by_velocity = dt * share * found[3]
         after = fiber_of(m, z)
         if m.rigid == 0 and not before >= 0.0:  # no length, or none at all: a fault, not a repair
             after, norm_force, by_velocity = wp.nan, float(0.0), float(0.0)
@@ -449,6 +476,8 @@ def contract_hill(
             factor = force_velocity_curve(m, params.tables, params.spans, norm_speed, steps[0])[0]
             results.workload[worldid, i] += dt * wp.max(steps[0] * active * factor, 0.0)
         fibers.fiber_length[worldid, i] = after
+        fibers.expected_length[worldid, i] = expected
+        fibers.fiber_share[worldid, i] = share
         actuator_biasprm[worldid, pathid] = affine_bias(force * norm_force, damping, velocity)
 
 
@@ -457,13 +486,12 @@ def read_hill_fibers(
     # Params:
     params: HillParams,
     # In:
-    activation: wp.array2d[float],
-    fiber_length: wp.array2d[float],
+    fibers: Fibers,
     length: wp.array2d[float],
     velocity: wp.array2d[float],
     anatomy: Anatomy,
     # Out:
-    fibers: FiberStates,
+    states: FiberStates,
 ):
     """(l / l_0, v, F a s f_L f_V, F (f_P + beta v)) on a path of this length and velocity.
 
@@ -472,12 +500,12 @@ def read_hill_fibers(
     """
     worldid, i = wp.tid()
     m = params.muscles[batched(worldid, params.muscles.shape[0]), i]
-    a = wp.max(activation[worldid, i], m.minimum_activation)
+    a = wp.max(fibers.activation[worldid, i], m.minimum_activation)
     strength = of_world(anatomy.strength, worldid, i)
     free = length[worldid, i] - m.tendon_slack_length
     z = wp.max(free, m.shortest_fiber)
     if m.rigid == 0:
-        z = along_tendon(m, fiber_length[worldid, i])
+        z = along_present_tendon(m, fibers, worldid, i, length[worldid, i])
     fiber = fiber_of(m, z)
     norm_length = fiber / m.optimal_fiber_length
     fastest = m.optimal_fiber_length * m.max_contraction_velocity
@@ -494,12 +522,12 @@ def read_hill_fibers(
     active = active_force_length_curve(m, params.tables, params.spans, norm_length)[0]
     passive = passive_force_curve(m, params.tables, params.spans, norm_length)[0] + m.fiber_damping * v
     force = of_world(anatomy.transmission, worldid, i) * m.max_isometric_force
-    fibers.norm_length[worldid, i] = norm_length
-    fibers.velocity[worldid, i] = v * fastest
-    fibers.norm_velocity[worldid, i] = v * m.max_contraction_velocity
-    fibers.active_force[worldid, i] = force * a * strength * active * factor
-    fibers.passive_force[worldid, i] = force * passive
-    fibers.active_force_length[worldid, i] = active
+    states.norm_length[worldid, i] = norm_length
+    states.velocity[worldid, i] = v * fastest
+    states.norm_velocity[worldid, i] = v * m.max_contraction_velocity
+    states.active_force[worldid, i] = force * a * strength * active * factor
+    states.passive_force[worldid, i] = force * passive
+    states.active_force_length[worldid, i] = active
 
 
 @wp.kernel(enable_backward=False)
@@ -507,13 +535,12 @@ def settle_hill(
     # Params:
     params: HillParams,
     # In:
-    activation: wp.array2d[float],
     length: wp.array2d[float],
     velocity: wp.array2d[float],
     anatomy: Anatomy,
     mask: wp.array[bool],
     # Out:
-    fiber_length: wp.array2d[float],
+    fibers: Fibers,
 ):
     """l at which fiber and tendon agree, the tendon keeping its length."""
     worldid, i = wp.tid()
@@ -526,7 +553,7 @@ def settle_hill(
                 m,
                 params.tables,
                 params.spans,
-                wp.max(activation[worldid, i], m.minimum_activation),
+                wp.max(fibers.activation[worldid, i], m.minimum_activation),
                 of_world(anatomy.strength, worldid, i),
                 length[worldid, i],
                 velocity[worldid, i],
@@ -536,7 +563,9 @@ def settle_hill(
                 TOLERANCE,
             )
             z = found[0]
-        fiber_length[worldid, i] = fiber_of(m, z)
+        fibers.fiber_length[worldid, i] = fiber_of(m, z)
+        fibers.expected_length[worldid, i] = length[worldid, i]
+        fibers.fiber_share[worldid, i] = 0.0
 
 
 @wp.kernel(enable_backward=False)

@@ -197,14 +197,15 @@ INLINE Fiber<V, Law> fiber_under(const Law& law, const Muscle<V>& m, V activatio
 }
 
 // `equilibrium` of a step of muscles in a mask; of others nothing is known.
-template <class V> struct Equilibrium { V z, tension, stiffness, slope; };
+template <class V> struct Equilibrium { V z, stiffness, slope; };
 template <class V, class Law>
 INLINE Equilibrium<V> step_to_equilibrium(const Fiber<V, Law>& fiber, typename MaskOf<V>::type busy, V slack,
-                                          V tendon, V shortest, V before, V per_step, V start, V tolerance) {
+                                          V tendon, V shortest, V before, V per_step, V start, V small) {
     const V zero = splat<V>(0.0f), square = before * before - fiber.width * fiber.width;
     V low = shortest, high = larger(larger(slack, low), root(larger(square, low * low)));
+    const V near = clamp(NEWTON_SPEED / (fiber.scale * per_step), small, NEWTON * small);
     V z = clamp(start, low, high), last = splat<V>(1e30f);
-    Equilibrium<V> found = {z, zero, zero, zero};
+    Equilibrium<V> found = {z, zero, zero};
     for (int i = 0; i < 80 && any(busy); ++i) {
         const Pull<V> pull = fiber.pull(z, zero, before, per_step);
         const Curve<V> force = fiber.law.tendon_force((slack - z) * tendon);
@@ -217,11 +218,10 @@ INLINE Equilibrium<V> step_to_equilibrium(const Fiber<V, Law>& fiber, typename M
                             opposite(absolute(residual) > 0.5f * last);
         const V next = select(newton, nearer, 0.5f * (low + high)), step = next - z;
         last = absolute(residual);
-        found.tension = select(busy, force.value - stiffness * step, found.tension);
         found.stiffness = select(busy, stiffness, found.stiffness);
         found.slope = select(busy, pull.by_z, found.slope);
         z = select(busy, next, z);
-        busy = busy & (absolute(step) > select(newton, NEWTON * tolerance, tolerance));
+        busy = busy & (absolute(step) > select(newton, near, small));
     }
     found.z = z;
     return found;
@@ -251,18 +251,21 @@ void contract_hill_block(Block<V>& block, Params& params, Anatomy& anatomy, Time
                          float implicitness, Row& ctrl, Row& actuator_length, Row& actuator_velocity,
                          States& fibers, Results& results, Bias& actuator_biasprm) {
     const int num_muscles = fibers.activation.shape[1];
-    const V dt = block.model(timestep)[0], zero = splat<V>(0.0f), rate = 1.0f / dt;
+    const V dt = block.model(timestep)[0], zero = splat<V>(0.0f), one = splat<V>(1.0f), rate = 1.0f / dt;
     const auto moves = dt > 0.0f;
     const Field<V> tau_act = block.model(params.activation_time_constant);
     const Field<V> tau_deact = block.model(params.deactivation_time_constant);
     const Field<V> rows = block.model(params.muscles);
     const float* bounds = (const float*)params.excitation_range.data;
     const V *control = block.in(ctrl), *activation = block.in(fibers.activation);
-    const V* fiber_length = block.in(fibers.fiber_length);
+    const V *fiber_length = block.in(fibers.fiber_length), *shares = block.in(fibers.fiber_share);
+    const V* expected_lengths = block.in(fibers.expected_length);
     Pulling<V, Anatomy, Results, Bias> pulling(block, anatomy, results, actuator_biasprm, actuator_length,
                                                actuator_velocity);
     V* activation_to = block.template out<V>(fibers.activation);
     V* length_to = block.template out<V>(fibers.fiber_length);
+    V* expected_to = block.template out<V>(fibers.expected_length);
+    V* share_to = block.template out<V>(fibers.fiber_share);
 
     for (int i = 0; i < num_muscles; ++i) {
         const Muscle<V> m{rows, NUM_WORDS * i};
@@ -277,7 +280,8 @@ void contract_hill_block(Block<V>& block, Params& params, Anatomy& anatomy, Time
         const V after = hill_activation_step(kind, dt, middle, u, a, tau_act[i], tau_deact[i], pulls);
         pulls = select(elastic, after, midstep ? pulls : a);
         pulling.fetch(i);
-        const V length = pulling.length[i], velocity = pulling.velocity[i], before = fiber_length[i];
+        const V length = pulling.length[i], velocity = pulling.velocity[i];
+        V before = fiber_length[i], expected = length, share = zero;
         const V shortest = m[SHORTEST_FIBER], slack = m[TENDON_SLACK_LENGTH], width = m[FIBER_WIDTH];
         auto contract = [&](const auto& law) {
             const auto fiber = fiber_under(law, m, pulls, pulling.strength[i]);
@@ -292,24 +296,21 @@ void contract_hill_block(Block<V>& block, Params& params, Anatomy& anatomy, Time
             }
             if (any_elastic) {
                 const V tendon = 1.0f / slack, square = before * before - width * width;
-                const V now = root(larger(square, shortest * shortest));
-                const V start = root(now * now + width * width);
-                const V tolerance = TOLERANCE * (m[OPTIMAL_FIBER_LENGTH] + absolute(slack));
-                const V way = dt * velocity;
+                const V least = root(larger(square, shortest * shortest));
+                const V now = larger(least + shares[i] * (length - expected_lengths[i]), shortest);
+                before = select(before >= 0.0f, root(now * now + width * width), before);
+                const V small = TOLERANCE * (m[OPTIMAL_FIBER_LENGTH] + absolute(slack)), way = dt * velocity;
                 const Equilibrium<V> found =
-                    step_to_equilibrium(fiber, elastic & moves, length + way - slack, tendon, shortest, start,
-                                        rate, now + way, tolerance);
-                V at = found.z, tension = found.tension;
-                if (any(opposite(moves))) {
-                    at = select(moves, at, now);
-                    tension = select(moves, tension, law.tendon_force((length - now - slack) * tendon).value);
-                }
+                    step_to_equilibrium(fiber, elastic & moves, length + way - slack, tendon, shortest,
+                                        root(now * now + width * width), rate, now + way, small);
+                const V tension = law.tendon_force((length - now - slack) * tendon).value;
                 const V both = found.slope + found.stiffness;
-                const auto gives = moves & (tension > 0.0f) & (found.slope > 0.0f) & (both > 0.0f);
-                const V series = select(gives, dt * found.slope * found.stiffness / both, zero);
-                z = select(elastic, at, z);
+                const auto steps = elastic & moves, gives = (tension > 0.0f) & (found.slope > 0.0f);
+                share = select(steps & (both > 0.0f), clamp(found.stiffness / both, zero, one), zero);
+                expected = select(steps, length + way, length);
+                z = select(elastic, select(moves, found.z, now), z);
                 force = select(elastic, larger(tension, zero), force);
-                by_velocity = select(elastic, series, by_velocity);
+                by_velocity = select(elastic, select(gives, dt * share * found.slope, zero), by_velocity);
             }
             V fiber_after = root(z * z + width * width);
             const auto lost = elastic & opposite(before >= 0.0f);  // no length, or none at all: a fault
@@ -325,6 +326,8 @@ void contract_hill_block(Block<V>& block, Params& params, Anatomy& anatomy, Time
             }
             activation_to[i] = after;
             length_to[i] = fiber_after;
+            expected_to[i] = expected;
+            share_to[i] = share;
             pulling.publish(i, pull, implicitness > 0.0f ? implicitness * slope : zero);
         };
         if (kind == MILLARD)
@@ -336,6 +339,8 @@ void contract_hill_block(Block<V>& block, Params& params, Anatomy& anatomy, Time
     }
     block.store(fibers.activation, activation_to, 0, num_muscles);
     block.store(fibers.fiber_length, length_to, 0, num_muscles);
+    block.store(fibers.expected_length, expected_to, 0, num_muscles);
+    block.store(fibers.fiber_share, share_to, 0, num_muscles);
     pulling.store(num_muscles);
 }
 }  // namespace lanes

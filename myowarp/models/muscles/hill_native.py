@@ -26,6 +26,7 @@ CONSTANTS: dict[str, float] = {name.upper(): place for place, name in enumerate(
     "TOE_SHARE": float(TOE_SHARE),
     "TOLERANCE": float(hill_law.TOLERANCE),
     "NEWTON": float(hill_law.NEWTON),
+    "NEWTON_SPEED": float(hill_law.NEWTON_SPEED),
 }
 
 
