@@ -8,6 +8,7 @@ that follow exactly (`coordinates.free_coordinates`); a text without functions a
 Source: MuJoCo documentation, *XML reference, equality/joint*: q_i - q0_i = sum_k c_k (q_j - q0_j)^k, k <= 4.
 """
 
+import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ from myowarp.definitions.body import POINT_JOINTS
 TEXT = "couplings"
 """Name of the model's text that says how its joints follow each other exactly."""
 
+EVERYWHERE = (-np.inf, np.inf)
+
 REGULAR = 1e-9
 """Least `regularity` of a mass matrix along free coordinates with which float32 finds accelerations."""
 
@@ -34,10 +37,12 @@ class Pieces:
     Attributes:
         breaks: Where pieces begin, ascending; the first piece also covers all below.
         coefficients: Of each piece, ascending in powers of x minus its beginning.
+        held: Beyond it the value stays as at its ends; slopes do not, as those of OpenSim's moving points.
     """
 
     breaks: tuple[float, ...]
     coefficients: tuple[tuple[float, ...], ...]
+    held: tuple[float, float] = EVERYWHERE
 
     def derivatives(self, x: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return f(x), f'(x) and f''(x), each in the shape of `x`."""
@@ -50,6 +55,8 @@ class Pieces:
             bend = bend * d + 2 * slope
             slope = slope * d + value
             value = value * d + coefficient
+        if np.isfinite(self.held).any():
+            value = dataclasses.replace(self, held=EVERYWHERE).derivatives(np.clip(x, *self.held))[0]
         return value, slope, bend
 
     @cached_property
@@ -68,7 +75,13 @@ class Pieces:
 
     def scaled(self, scale: float) -> "Pieces":
         """Return scale f(x)."""
-        return Pieces(self.breaks, tuple(tuple(scale * c for c in row) for row in self.coefficients))
+        rows = tuple(tuple(scale * c for c in row) for row in self.coefficients)
+        return Pieces(self.breaks, rows, self.held)
+
+    def entry(self) -> list[object]:
+        """Return what a text says of it: breaks, coefficients, and where it is held if it is."""
+        held = [self.held] if np.isfinite(self.held).any() else []
+        return [self.breaks, self.coefficients, *held]
 
 
 def line(slope: float, offset: float = 0.0) -> Pieces:
@@ -122,7 +135,7 @@ class Exact:
     def as_json(self) -> str:
         """Return the text."""
         curves = {
-            joint: {"of": of, "curves": [[p.breaks, p.coefficients] for p in pieces]}
+            joint: {"of": of, "curves": [p.entry() for p in pieces]}
             for joint, (of, pieces) in self.curves.items()
         }
         bodies = {name: {"mass": mass, "inertia": inertia} for name, (mass, inertia) in self.bodies.items()}
@@ -159,13 +172,17 @@ def driven(entry: Mapping[str, object]) -> tuple[str | None, tuple[Pieces, ...]]
     """
     of, curves = entry["of"], entry["curves"]
     pieces = []
-    for breaks, rows in curves:  # type: ignore[attr-defined]
+    for breaks, rows, *held in curves:  # type: ignore[attr-defined]
         if not breaks or len(breaks) != len(rows) or not all(rows) or (np.diff(breaks) < 0).any():
             raise ValueError("a curve needs as many pieces as breaks, and these must ascend")
         numbers = np.concatenate([breaks, *rows]).astype(float)
         if not np.isfinite(numbers).all():
             raise ValueError("a curve has a number that is not finite")
-        pieces.append(Pieces(tuple(map(float, breaks)), tuple(tuple(map(float, row)) for row in rows)))
+        low, high = held[0] if held else EVERYWHERE
+        if not low <= high:
+            raise ValueError(f"a curve must be held from a lower to a higher value, got {low} and {high}")
+        table = tuple(tuple(map(float, row)) for row in rows)
+        pieces.append(Pieces(tuple(map(float, breaks)), table, (float(low), float(high))))
     return (None if of is None else str(of)), tuple(pieces)
 
 

@@ -34,6 +34,7 @@ class ValueTables:
         address: Of each value's joint in qpos; -1: it depends on none.
         first_curve: Of each value, and the number of all.
         first_piece: Of each curve, and the number of all.
+        held: Of each curve: beyond, the value stays as at the ends, the slope does not.
         breaks: Where pieces begin.
         coefficients: Ascending in powers of the distance from there, shape (num_pieces, num_terms).
     """
@@ -41,6 +42,7 @@ class ValueTables:
     address: wp.array[int]
     first_curve: wp.array[int]
     first_piece: wp.array[int]
+    held: wp.array[wp.vec2d]
     breaks: wp.array[wp.float64]
     coefficients: wp.array2d[wp.float64]
 
@@ -119,20 +121,30 @@ class RowTables:
 
 
 @wp.func
+def on_curve(tables: ValueTables, curve: int, x: wp.float64) -> wp.vec2d:
+    """Return a curve's value and slope."""
+    piece, end = int(tables.first_piece[curve]), tables.first_piece[curve + 1]
+    while piece + 1 < end and x >= tables.breaks[piece + 1]:
+        piece += 1
+    d = x - tables.breaks[piece]
+    f, df = wp.float64(0.0), wp.float64(0.0)
+    for k in range(tables.coefficients.shape[1] - 1, -1, -1):
+        df = df * d + f
+        f = f * d + tables.coefficients[piece, k]
+    return wp.vec2d(f, df)
+
+
+@wp.func
 def evaluated(tables: ValueTables, number: int, x: wp.float64) -> wp.vec2d:
     """Return a value and its slope at a joint's position."""
     value, slope = x, wp.float64(1.0)
     for curve in range(tables.first_curve[number], tables.first_curve[number + 1]):
-        piece, end = int(tables.first_piece[curve]), tables.first_piece[curve + 1]
-        while piece + 1 < end and value >= tables.breaks[piece + 1]:
-            piece += 1
-        d = value - tables.breaks[piece]
-        f, df = wp.float64(0.0), wp.float64(0.0)
-        for k in range(tables.coefficients.shape[1] - 1, -1, -1):
-            df = df * d + f
-            f = f * d + tables.coefficients[piece, k]
-        slope = df * slope
-        value = f
+        found, held = on_curve(tables, curve, value), tables.held[curve]
+        slope = found[1] * slope
+        inside = wp.clamp(value, held[0], held[1])
+        if inside != value:
+            found = on_curve(tables, curve, inside)
+        value = found[0]
     return wp.vec2d(value, slope)
 
 
@@ -404,6 +416,7 @@ def _values(host: mujoco.MjModel, values: Iterable[Driven]) -> ValueTables:
     tables.address = wp.array(address, dtype=int)
     tables.first_curve = wp.array(np.cumsum([0, *(len(chain) for _, chain in values)]), dtype=int)
     tables.first_piece = wp.array(np.cumsum([0, *(len(curve.breaks) for curve in curves)]), dtype=int)
+    tables.held = wp.array([curve.held for curve in curves] or [(0.0, 0.0)], dtype=wp.vec2d)
     tables.breaks = wp.array([b for curve in curves for b in curve.breaks] or [0.0], dtype=wp.float64)
     tables.coefficients = wp.array(np.array(table or [(0.0,) * terms]), dtype=wp.float64)
     return tables

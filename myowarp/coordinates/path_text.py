@@ -43,9 +43,7 @@ class Said:
 
     def as_json(self) -> str:
         """Return the text."""
-        values = [
-            {"of": of, "curves": [[p.breaks, p.coefficients] for p in curves]} for of, curves in self.values
-        ]
+        values = [{"of": of, "curves": [curve.entry() for curve in curves]} for of, curves in self.values]
         surfaces = {name: dataclasses.asdict(surface) for name, surface in self.paths.surfaces.items()}
         paths = {name: dataclasses.asdict(path) for name, path in self.paths.paths.items()}
         chosen = {"guard": self.guard, "exact": self.exact}

@@ -40,9 +40,9 @@ SAMPLED_TOLERANCE = 1e-5
 SIZES = {"cylinder": (0.04, 0.3), "sphere": (0.05,), "ellipsoid": (0.05, 0.03, 0.04), "torus": (0.02, 0.06)}
 
 
-def recorded(name):
+def recorded(name, kind="paths"):
     """Return a model and the recorded arrays."""
-    return read_model(DATA / "osim" / f"{name}.osim"), np.load(DATA / "opensim" / f"paths_{name}.npz")
+    return read_model(DATA / "osim" / f"{name}.osim"), np.load(DATA / "opensim" / f"{kind}_{name}.npz")
 
 
 def followed(model, paths, values, guard=0.0):
@@ -51,9 +51,11 @@ def followed(model, paths, values, guard=0.0):
     return lengths_and_moment_arms(model, paths, values, speeds, guard)
 
 
-@pytest.mark.parametrize("name", MODELS)
-def test_recorded_lengths_and_moment_arms(name):
-    model, arrays = recorded(name)
+@pytest.mark.parametrize(
+    ("name", "kind"), [*((name, "paths") for name in MODELS), ("gait10dof18musc", "beyond")]
+)
+def test_recorded_lengths_and_moment_arms(name, kind):
+    model, arrays = recorded(name, kind)
     values = dict(zip(arrays["coordinates"].tolist(), arrays["values"].T, strict=True))
     free, muscles = independent(model), arrays["muscles"].tolist()
     paths = {muscle: model.muscles[muscle].path for muscle in muscles}

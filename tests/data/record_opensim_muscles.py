@@ -22,7 +22,7 @@ WIDE = 20.0  # rad or m: nobody set such a range
 
 
 def parameters(muscle):
-    """Return every number of a muscle, with all digits; switches are 0 or 1."""
+    """Return every number of a muscle, with all digits; switches are 0 or 1. Curves are left out."""
     values = {}
 
     def walk(element, prefix):
@@ -34,7 +34,7 @@ def parameters(muscle):
                 walk(child, f"{prefix}{child.tag}.")
             elif text in ("true", "false"):
                 values[prefix + child.tag] = float(text == "true")
-            elif text and text not in ("explicit", "implicit"):
+            elif text and text not in ("explicit", "implicit") and len(text.split()) == 1:
                 values[prefix + child.tag] = float(text)
 
     walk(ElementTree.fromstring(muscle.dump()), "")

@@ -14,6 +14,7 @@ poses, float64, m and rad:
     slope (n, p)                         minus the central difference of getLength
     version ()                           of OpenSim
 
+`beyond_<model>.npz` has the same arrays in poses up to `--beyond` of each range outside of it.
 `paths_wraps.npz` has lines over one object in ground, for each row of `CASES`: `<case>_start`, `<case>_end`
 (n, 3), `<case>_length`, `<case>_size` (n,). The double ones have a second object far away, which is enough
 for OpenSim to adjust tangent points. Lengths may be NaN: so OpenSim says.
@@ -87,15 +88,29 @@ class Posed:
         self.model.realizePosition(self.state)
         return [values[name] for name in self.names]
 
+    def rates(self, free, values):
+        """Return the speeds of all coordinates; `free` are those of the free ones, `values` those of all."""
+        rates = dict.fromkeys(self.names, 0.0)
+        rates |= {item.getName(): rate for item, rate in zip(self.free, free, strict=True)}
+        at, order = dict(zip(self.names, values, strict=True)), opensim.StdVectorInt()
+        order.append(0)
+        for name, coupler in self.couplers.items():
+            other = coupler.getIndependentCoordinateNames().get(0)
+            slope = coupler.getFunction().calcDerivative(order, opensim.Vector(1, at[other]))
+            rates[name] = slope * rates[other]
+        return [rates[name] for name in self.names]
+
     def lengths(self):
         """Return the lengths of all muscles [m]."""
         return np.array([muscle.getLength(self.state) for muscle in self.muscles])
 
 
-def record_model(file, count, seed):
-    """Return the arrays of one model."""
+def record_model(file, count, seed, beyond=0.0):
+    """Return the arrays of one model; `beyond` is by what share of a range poses leave it on either side."""
     posed = Posed(file)
-    poses = np.random.default_rng(seed).uniform(*posed.ranges(), (count, len(posed.free)))
+    low, high = posed.ranges()
+    margin = beyond * (high - low)
+    poses = np.random.default_rng(seed).uniform(low - margin, high + margin, (count, len(posed.free)))
     paths = [opensim.GeometryPath.safeDownCast(muscle.getPath()) for muscle in posed.muscles]
     values, length, size = [], [], []
     slope = np.zeros((count, len(posed.muscles), len(posed.free)))
@@ -197,12 +212,16 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("models", nargs="*", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--beyond", type=float, default=0.0)
     parser.add_argument("--count", type=int, default=40)
     arguments = parser.parse_args()
     opensim.Logger.setLevelString("Off")
     for file in arguments.models:
-        found = record_model(file, arguments.count, 0)
-        np.savez_compressed(arguments.output / f"paths_{file.stem}.npz", **found)
+        found = record_model(file, arguments.count, 0, arguments.beyond)
+        kind = "beyond" if arguments.beyond else "paths"
+        np.savez_compressed(arguments.output / f"{kind}_{file.stem}.npz", **found)
+    if arguments.beyond:
+        return
     wraps = {
         f"{case}_{name}": array
         for case, (*arrangement, double) in CASES.items()

@@ -11,7 +11,7 @@ basis |x - x_i|^(2m-1), which continues as a polynomial of degree m - 1 outside.
 """
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import comb
 from typing import Protocol
@@ -122,6 +122,26 @@ class Composed:
     def derivative(self, x: ArrayLike) -> Array:
         """Return the product of the slopes."""
         return self.outer.derivative(self.inner.value(x)) * self.inner.derivative(x)
+
+
+@dataclass(frozen=True)
+class Held:
+    """f(x) at the nearer end of a range for an x beyond it, but the slope of f at x itself.
+
+    So OpenSim places moving points (`MovingPathPoint::getLocation` clamps, `getdPointdQ` does not).
+    """
+
+    function: Function
+    low: float
+    high: float
+
+    def value(self, x: ArrayLike) -> Array:
+        """Return f within the range."""
+        return self.function.value(np.clip(x, self.low, self.high))
+
+    def derivative(self, x: ArrayLike) -> Array:
+        """Return df/dx."""
+        return self.function.derivative(x)
 
 
 @dataclass(frozen=True)
@@ -297,6 +317,8 @@ def curves(function: Function) -> tuple[Pieces, ...] | None:
     match function:
         case Piecewise():
             return (function.pieces,)
+        case Held(inner, low, high) if (chain := curves(inner)) is not None:
+            return replace(chain[0], held=(low, high)), *chain[1:]
         case Multiplier(inner, scale) if (chain := curves(inner)) is not None:
             return *chain[:-1], chain[-1].scaled(scale)
         case Composed(outer, inner) if (first := curves(inner)) is not None:
@@ -318,6 +340,9 @@ def derivatives(function: Function, x: ArrayLike) -> tuple[Array, Array, Array]:
         case Multiplier(inner, scale):
             value, slope, bend = derivatives(inner, x)
             return scale * value, scale * slope, scale * bend
+        case Held(inner, low, high):
+            value, *_ = derivatives(inner, np.clip(x, low, high))
+            return value, *derivatives(inner, x)[1:]
         case Composed(outer, inner):
             between, first, first_bend = derivatives(inner, x)
             value, last, last_bend = derivatives(outer, between)

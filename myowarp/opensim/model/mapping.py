@@ -7,8 +7,10 @@ dl/dq = sum over joints of dl/dqpos * dqpos/dq.
 """
 
 import dataclasses
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -95,6 +97,15 @@ class CoordinateMap:
             position[:, tie.joint] = value
             slope[:, tie.joint] = rate[:, None] * slope[:, tie.driver]
         return position, slope
+
+    @classmethod
+    def read(cls, path: Path) -> "CoordinateMap":
+        """Return what a `coordinates.json` says."""
+        entry = json.loads(path.read_text())
+        return cls(
+            tuple(MappedCoordinate(**one) for one in entry["coordinates"]),
+            tuple(Dependent(**one) for one in entry["dependents"]),
+        )
 
     def as_json(self) -> dict[str, object]:
         """Return the content of `coordinates.json`."""

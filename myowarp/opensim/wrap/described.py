@@ -6,7 +6,7 @@ import numpy as np
 
 from myowarp.models.paths.tables import OsimPath, OsimPaths, Over, Vector, Via, WrapSurface
 from myowarp.opensim.model.elements import ConditionalPathPoint, MovingPathPoint, Path, Point
-from myowarp.opensim.model.functions import IDENTITY, Function
+from myowarp.opensim.model.functions import IDENTITY, Function, Held
 from myowarp.opensim.model.model import Model, WrapObject
 from myowarp.opensim.wrap.path import RANGE_SLACK, path_range, quadrant
 
@@ -18,23 +18,24 @@ def described(model: Model, paths: Mapping[str, Path]) -> tuple[OsimPaths, list[
     """Return paths of a model, and the values that their points depend on."""
     values: list[Value] = []
     objects = dict.fromkeys(wrap.object for path in paths.values() for wrap in path.wraps)
-    found = {name: _path(path, values) for name, path in paths.items()}
+    found = {name: _path(model, path, values) for name, path in paths.items()}
     return OsimPaths(found, {name: _surface(model.wraps[name]) for name in objects}), values
 
 
-def _path(path: Path, values: list[Value]) -> OsimPath:
+def _path(model: Model, path: Path, values: list[Value]) -> OsimPath:
     over = [Over(wrap.object, wrap.method, *path_range(wrap, len(path.points))) for wrap in path.wraps]
-    return OsimPath(tuple(_point(point, values) for point in path.points), tuple(over))
+    return OsimPath(tuple(_point(model, point, values) for point in path.points), tuple(over))
 
 
-def _point(point: Point, values: list[Value]) -> Via:
+def _point(model: Model, point: Point, values: list[Value]) -> Via:
     if isinstance(point, MovingPathPoint):
         numbers, rest = [-1, -1, -1], [0.0, 0.0, 0.0]
         for axis, (function, coordinate) in enumerate(zip(point.functions, point.coordinates, strict=True)):
             if coordinate is None:
                 rest[axis] = float(function.value(0.0))
             else:
-                numbers[axis] = _number((function, coordinate), values)
+                held = Held(function, *model.coordinates[coordinate].range)
+                numbers[axis] = _number((held, coordinate), values)
         rotation = tuple(vector(row) for row in point.frame.rotation)
         x, y, z = numbers
         return Via(point.body, vector(point.frame.position), rotation, (x, y, z), vector(rest))  # type: ignore[arg-type]

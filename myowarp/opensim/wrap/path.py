@@ -70,7 +70,9 @@ def solve(model: Model, path: Path, frames: Frames, coordinates: Mapping[str, np
         frames: of the bodies, from the forward kinematics.
         coordinates: values of all coordinates [rad] or [m], each of shape `(n,)`.
     """
-    points = locations(path, frames, coordinates)
+    # OpenSim places moving points as if their coordinates did not leave their ranges.
+    within = {name: np.clip(value, *model.coordinates[name].range) for name, value in coordinates.items()}
+    points = locations(path, frames, within)
     active = activity(path, coordinates, len(points))
     return _Solver(model, path, points, active, frames).solution()
 
