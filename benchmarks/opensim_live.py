@@ -2,8 +2,9 @@
 
     .venv-opensim/bin/python benchmarks/opensim_live.py MODEL.osim -o FILE.npz
 
-Static tendon forces in random poses at six activations; tendon force and fiber velocity of fibers off their
-equilibrium; motions from the default pose under three patterns of excitation, integrated to 1e-6.
+Static tendon forces in random poses at six activations; joint torques of all muscles there, each pose from a
+fresh state; tendon force and fiber velocity of fibers off their equilibrium; motions from the default pose
+under three patterns of excitation and under the least one, integrated to 1e-6.
 """
 
 import argparse
@@ -18,6 +19,7 @@ import opensim
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "data"))
 from record_opensim_muscles import ACTIVATIONS, parameters, poses, static
+from record_opensim_paths import Posed
 
 POSES = 40
 DURATION, HELD, EVERY = 0.5, 0.05, 0.01  # s
@@ -33,6 +35,58 @@ def patterns(names: list[str]) -> dict[str, np.ndarray]:
         "held": np.full((count, len(names)), 0.2),
         "bursts": np.where(rng.uniform(size=(count, len(names))) < 0.3, 0.7, 0.03),
         "waves": 0.25 + 0.2 * np.sin(2.0 * np.pi * 2.0 * time_ + phase),
+        "free swing": np.full((count, len(names)), START),
+    }
+
+
+def torques(file: Path) -> dict[str, np.ndarray]:
+    """Return poses, lengths, and what all muscles together do about each free coordinate [N m] or [N].
+
+    It is the difference of inverse dynamics with muscles and without, shape (poses, activations, free);
+    coordinates that follow a free one count with their slope. NaN where a muscle has no equilibrium.
+    """
+    posed = Posed(file)
+    initial, solver = opensim.State(posed.state), opensim.InverseDynamicsSolver(posed.model)
+    still = opensim.Vector(posed.state.getNU(), 0.0)
+    free, muscles = len(posed.free), posed.muscles
+    # Speeds of the tree in Simbody's order, of a unit of each coordinate.
+    values, lengths, found = [], [], []
+    for pose in np.random.default_rng(2).uniform(*posed.ranges(), (POSES, free)):
+        posed.state = state = opensim.State(initial)
+        values.append(posed.set(pose))
+        lengths.append(posed.lengths())
+        slopes = []
+        for one in np.eye(free):
+            for item, rate in zip(posed.coordinates, posed.rates(one, values[-1]), strict=True):
+                item.setSpeedValue(state, float(rate))
+            slopes.append(state.getU().to_numpy())
+        for item in posed.coordinates:
+            item.setSpeedValue(state, 0.0)
+        sums = []
+        for muscle in muscles:
+            muscle.setAppliesForce(state, False)
+        posed.model.realizeDynamics(state)
+        rest = solver.solve(state, still).to_numpy()
+        for muscle in muscles:
+            muscle.setAppliesForce(state, True)
+        for activation in ACTIVATIONS:
+            for muscle in muscles:
+                muscle.setActivation(state, activation)
+            posed.model.realizeVelocity(state)
+            try:
+                for muscle in muscles:
+                    muscle.computeEquilibrium(state)
+            except RuntimeError:
+                sums.append(np.full(free, np.nan))
+                continue
+            posed.model.realizeDynamics(state)
+            sums.append(np.array(slopes) @ (rest - solver.solve(state, still).to_numpy()))
+        found.append(sums)
+    return {
+        "torque values": np.array(values),
+        "torque lengths": np.array(lengths),
+        "torque": np.array(found),
+        "torque free": np.array([item.getName() for item in posed.free]),
     }
 
 
@@ -120,6 +174,7 @@ def main() -> None:
         "coordinates": [coordinates.get(i).getName() for i in range(coordinates.getSize())],
     }
     arrays = {"length": np.array(lengths), "tendon_force": np.array(forces), **moving(model, state, muscles)}
+    arrays |= torques(arguments.model)
     try:
         arrays |= forward(arguments.model)
     except RuntimeError as error:

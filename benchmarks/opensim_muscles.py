@@ -1,34 +1,47 @@
-"""Muscles of converted models beside live OpenSim 4.6: static forces, fiber velocities, motions.
+"""Models of OpenSim beside live OpenSim 4.6: static forces, joint torques, fiber velocities, motions.
 
     make opensim-check MODELS="../shared/osim/arm26.osim ../shared/osim/gait10dof18musc.osim"
     python -m benchmarks.opensim_muscles MODEL.osim ... --python .venv-opensim/bin/python
 
 Static: tendon force of `muscle="opensim"` fed with OpenSim's length, so that paths are not in it, at six
 activations and 40 random poses, and the same law in float64. Velocity: of fibers up to 0.5 % off their
-equilibrium, where OpenSim's equation has a solution. Forward: 0.5 s from the default pose at rest, three
-patterns of excitation, OpenSim at 1e-6; own muscles and MuJoCo's on converted paths, so that what both are
-off is the paths' share. Writes benchmarks/results/opensim_muscles.json after each model.
+equilibrium, where OpenSim's equation has a solution. Joint torque: of all muscles, the model as
+`myowarp.from_osim` loads it, through the physics step, at the same activations in 40 other random poses over
+full ranges; poses in which the guard refuses a jump of OpenSim are counted and left out. Forward: 0.5 s from
+the default pose at rest, three patterns of excitation and the least one, OpenSim at 1e-6; the model as it is
+loaded at its own step of 2 ms and at a shorter one, so that the step's share is seen, and with MuJoCo's
+muscles as converted. Ranges stop no joint, as in OpenSim. A path may jump in OpenSim, mostly beyond ranges;
+what comes before is compared once more. Writes benchmarks/results/opensim_muscles.json after each model.
 """
 
 import argparse
+import dataclasses
 import json
+import shutil
 import subprocess
 import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import mujoco
 import numpy as np
 import warp as wp
 
 from myowarp.apps.reports import panel
+from myowarp.coordinates.step import step_of
 from myowarp.definitions.muscle import MUSCLES
 from myowarp.muscle import Muscles
 from myowarp.opensim import convert
-from myowarp.sim.build import compile_scene
+from myowarp.opensim.load import load
+from myowarp.opensim.model.kinematics import independent
+from myowarp.opensim.model.mapping import CoordinateMap
+from myowarp.opensim.read.model import read_model
+from myowarp.opensim.wrap.on_device import lengths_and_moment_arms
+from myowarp.sim.build import compile_scene, stepped_of
 from myowarp.sim.present import settle_muscles
 from myowarp.sim.simulation import Simulation
-from myowarp.tasks.from_file import from_mjcf
+from myowarp.tasks.from_file import from_mjcf, from_osim
 
 RESULT = Path(__file__).parent / "results" / "opensim_muscles.json"
 PICTURE = Path(__file__).parents[1] / "docs" / "pictures" / "opensim_muscles.png"
@@ -41,9 +54,14 @@ LAWS = {
 EVERY, HELD = 0.01, 0.05  # s, as in opensim_live.py
 FAR = 1e6
 """Pose error at which an episode ends early: none does."""
-ENDS = ((0, -np.inf), (1, np.inf))
-OUT = 1e-3  # rad or m beyond a range
+DEGREES = 180.0 / np.pi
 FAR_OFF = 1e-4
+WEAK = 1e-3
+"""N m or N: a coordinate about which muscles never do more has no torque."""
+JUMP = 0.01
+"""m."""
+SHORT = 2.5e-4
+"""s: the shorter physics step."""
 SOLVED = 0.85
 """Of the maximum contraction velocity: beyond, OpenSim's inverse of the curve is another one."""
 
@@ -117,22 +135,110 @@ def static(task: Any, record: Any, meta: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def forward(folder: Path, record: Any, meta: dict[str, Any], muscle: str) -> dict[str, Any]:
+def torques(source: Path, record: Any, meta: dict[str, Any]) -> dict[str, Any]:
+    """Return errors of joint torques of all muscles through the step, as shares of OpenSim's.
+
+    Both are root mean squares over poses and activations.
+    """
+    expected, free = record["torque"], record["torque free"].tolist()
+    poses, acts, _ = expected.shape
+    coordinates = CoordinateMap.read(load(source).with_name("coordinates.json"))
+    scene = compile_scene(from_osim(source), poses * acts, device="cpu", physics="parity")
+    data, muscles = scene.data, scene.muscles
+    scene.model.callback.control = muscles.launch
+    launch = step_of(stepped_of(scene)).launches()
+    given = dict(zip(meta["coordinates"], record["torque values"].T, strict=True))
+    values = {name: np.repeat(given[name], acts) for name in free}
+    qpos, slope = coordinates.rates(scene.oracle, values)
+    data.qpos.assign(qpos)
+    data.qvel.zero_()
+    activation = np.tile(record["activation"], poses)[:, None] * np.ones(len(muscles.names))
+    muscles.activation.assign(activation)
+    settle_muscles(scene, wp.ones(poses * acts, dtype=bool))
+    ctrl = np.zeros(data.ctrl.shape, np.float32)
+    ctrl[:, muscles.actuator_id] = activation
+    data.ctrl.assign(ctrl)
+    launch()
+    order = [free.index(name) for name in coordinates.free()]
+    found = np.zeros_like(expected)
+    found[:, :, order] = np.einsum("nij,ni->nj", slope, data.qfrc_actuator.numpy()).reshape(poses, acts, -1)
+    refused = np.zeros((poses, acts), bool)
+    if scene.paths:
+        refused = (scene.paths.memory.pulls.jumps.numpy() > 0).any(axis=1).reshape(poses, acts)
+    kept = np.isfinite(expected).all(axis=2) & ~refused
+    error, theirs = (found - expected)[kept], expected[kept]
+    acting = np.abs(theirs).max(axis=0) > WEAK
+    share = np.sqrt(np.mean(error**2, axis=0)[acting] / np.mean(theirs**2, axis=0)[acting])
+    names = [name for name, acts_on in zip(free, acting, strict=True) if acts_on]
+    return {
+        "samples": int(kept.sum()),
+        "refused as jumps": int(refused.sum()),
+        "no equilibrium in OpenSim": int(np.isnan(expected).any(axis=2).sum()),
+        "mean": float(share.mean()),
+        "worst": float(share.max()),
+        "coordinate": names[int(share.argmax())],
+        "greatest error [N m or N]": float(np.abs(error).max()),
+    }
+
+
+def jumps(source: Path, record: Any, meta: dict[str, Any]) -> dict[str, tuple[int, str, float]]:
+    """Return where a path first jumps in each of OpenSim's motions: sample, muscle, and by how much [m].
+
+    A path jumps where its length changes between two samples by `JUMP` more than its moment arms say. Motions
+    in which none does are left out.
+    """
+    model, found = read_model(source), {}
+    free, names = independent(model), meta["muscles"]
+    paths = {name: model.muscles[name].path for name in names}
+    for title in (name for name in record if name.startswith("forward ")):
+        values = dict(zip(meta["coordinates"], record[title].T, strict=True))
+        q = np.stack([values[name] for name in free], axis=1)
+        path = lengths_and_moment_arms(model, paths, {name: values[name] for name in free}, np.zeros_like(q))
+        arm = 0.5 * (path.moment_arm[1:] + path.moment_arm[:-1])
+        left = np.diff(path.length, axis=0) + np.einsum("kmj,kj->km", arm, np.diff(q, axis=0))
+        for sample, muscle in np.argwhere(np.abs(left) > JUMP)[:1]:
+            found[title] = int(sample), names[muscle], float(left[sample, muscle])
+    return found
+
+
+def unstopped(file: Path) -> Path:
+    """Return a copy of a model, sidecars beside it, whose ranges stop no joint, as OpenSim's stop none."""
+    folder = file.parent.with_name(f"{file.parent.name}-unstopped")
+    shutil.copytree(file.parent, folder, dirs_exist_ok=True)
+    spec = mujoco.MjSpec.from_file(str(folder / file.name))
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
+    spec.compile()
+    (folder / file.name).write_text(spec.to_xml())
+    return folder / file.name
+
+
+def forward(
+    file: Path,
+    record: Any,
+    meta: dict[str, Any],
+    jumping: dict[str, tuple[int, str, float]],
+    muscle: str | None,
+    step: float | None = None,
+) -> dict[str, Any]:
     """Return how far coordinates are from OpenSim's, by pattern; angles in degrees, slides in mm.
 
-    A range stops our joints and not OpenSim's coordinates: what comes after OpenSim left one does not count.
+    The file's joints must have no stops; muscles and physics step are the file's if none are given. `jumping`
+    is what `jumps` returned: samples before that are compared once more.
     """
-    task = from_mjcf(folder / "model.xml", far=FAR, control_dt=EVERY, horizon=10_000, replace=True)
+    task = from_mjcf(file, far=FAR, control_dt=EVERY, horizon=10_000, replace=True)
+    if step is not None:
+        task = dataclasses.replace(task, physics_dt=step, num_substeps=round(EVERY / step))
     names = [name for name in record if name.startswith("forward ")]
     sim = Simulation(task, len(names), device="cpu", muscle=muscle, autoreset="disabled", progress=False)
-    scene, entries = sim.scene, json.loads((folder / "coordinates.json").read_text())
-    free = [e for e in entries["coordinates"] if e["kind"] == "free" and e["joint"]]
-    joints = np.array([scene.oracle.joint(e["joint"]).qposadr[0] for e in free])
-    hinge = np.array([scene.oracle.joint(e["joint"]).type[0] == 3 for e in free])
-    scale = np.array([e["scale"] for e in free])
-    ids = np.array([scene.oracle.joint(e["joint"]).id for e in free])
-    limited = scene.oracle.jnt_limited[ids].astype(bool)
-    columns = [meta["coordinates"].index(e["name"]) for e in free]
+    scene = sim.scene
+    coordinates = CoordinateMap.read(file.with_name("coordinates.json")).coordinates
+    free = [one for one in coordinates if one.kind == "free" and one.joint]
+    names_of = [one.name for one in free]
+    shown = [scene.oracle.joint(str(one.joint)) for one in free]
+    joints = np.array([joint.qposadr[0] for joint in shown])
+    hinge = np.array([joint.type[0] == 3 for joint in shown])
+    scale = np.array([one.scale for one in free])
+    columns = [meta["coordinates"].index(name) for name in names_of]
     order = [meta["muscles"].index(name) for name in scene.muscles.names]
     sim.reset(seeds=np.zeros(len(names), int))
     start = np.tile(scene.oracle.key_qpos[0] if scene.oracle.nkey else scene.oracle.qpos0, (len(names), 1))
@@ -144,64 +250,93 @@ def forward(folder: Path, record: Any, meta: dict[str, Any], muscle: str) -> dic
     action = np.zeros(sim.action.shape, np.float32)
     places = scene.muscles.actuator_id
     steps, errors = len(record[names[0]]) - 1, []
-    for step in range(steps):
+    for number in range(steps):
         for world, name in enumerate(names):
             u = record[name.replace("forward", "excitation")][
-                min(int((step * EVERY + 1e-9) / HELD), 9), order
+                min(int((number * EVERY + 1e-9) / HELD), 9), order
             ]
             action[world, places] = 0.5 + np.log(u / (1.0 - u)) / 5.0
         sim.action.assign(action)
         sim.step()
         found = scene.data.qpos.numpy()[:, joints] / scale
-        theirs = np.array([record[name][step + 1][columns] for name in names])
-        errors.append(np.abs(found - theirs) * np.where(hinge, 180.0 / np.pi, 1e3))
+        theirs = np.array([record[name][number + 1][columns] for name in names])
+        errors.append(np.abs(found - theirs) * np.where(hinge, DEGREES, 1e3))
     sim.close()
     error = np.array(errors)
-    low, high = (np.where(limited, scene.oracle.jnt_range[ids].T[i] / scale, way) for i, way in ENDS)
     result: dict[str, Any] = {}
     for world, name in enumerate(names):
-        theirs = record[name][1:, columns]
-        beyond = ((theirs < low - OUT) | (theirs > high + OUT)).any(axis=1)
-        inside = int(beyond.argmax()) if beyond.any() else steps
-        if not inside:
-            result[name.removeprefix("forward ")] = {"until [s]": 0.0}
-            continue
-        own = error[:inside, world]
-        where = int(own.max(axis=0).argmax())
-        result[name.removeprefix("forward ")] = {
-            "until [s]": round(inside * EVERY, 3),
-            "median": float(np.median(own)),
-            "worst": float(own.max()),
-            "coordinate": free[where]["name"],
-            "its motion": float(np.ptp(theirs[:inside, where]) * (180.0 / np.pi if hinge[where] else 1e3)),
-        }
+        motion = record[name][1:, columns] * np.where(hinge, DEGREES, 1e3)
+        row = of_kinds(error[:, world], motion, names_of, hinge)
+        if name in jumping:
+            sample, which, jump = jumping[name]
+            row["until a path jumps"] = {
+                "time [s]": round(sample * EVERY, 3),
+                "muscle": which,
+                "jump [mm]": 1e3 * jump,
+                **(of_kinds(error[:sample, world], motion[:sample], names_of, hinge) if sample else {}),
+            }
+        result[name.removeprefix("forward ")] = row
     return result
+
+
+def of_kinds(error: np.ndarray, motion: np.ndarray, names: list[str], hinge: np.ndarray) -> dict[str, Any]:
+    """Return the errors of angles and of slides."""
+    return {
+        title: summary(error, np.ptp(motion, axis=0), names, chosen)
+        for title, chosen in (("angles [degrees]", hinge), ("slides [mm]", ~hinge))
+        if chosen.any()
+    }
+
+
+def summary(error: np.ndarray, moved: np.ndarray, names: list[str], chosen: np.ndarray) -> dict[str, Any]:
+    """Return median and worst of errors (times, coordinates) among some of these, and whose it is."""
+    where = int(np.where(chosen, error.max(axis=0), -1.0).argmax())
+    return {
+        "median": float(np.median(error[:, chosen])),
+        "worst": float(error[:, where].max()),
+        "coordinate": names[where],
+        "its motion": float(moved[where]),
+    }
 
 
 def check(source: Path, python: str, work: Path) -> dict[str, Any]:
     """Return all figures of a model."""
     folder, live = work / source.stem, work / f"{source.stem}.npz"
-    subprocess.run([python, str(LIVE), str(source), "-o", str(live)], check=True)
+    if not live.is_file():
+        subprocess.run([python, str(LIVE), str(source), "-o", str(live)], check=True)
     if not (folder / "report.json").is_file():
         convert.run(source, folder)
     record = dict(np.load(live))
     meta = json.loads(str(record.pop("meta")))
     task = from_mjcf(folder / "model.xml", replace=True)
-    report = json.loads((folder / "report.json").read_text())
     row: dict[str, Any] = {"opensim": meta["opensim"], "muscles": len(meta["muscles"])}
     with wp.ScopedDevice("cpu"):
-        row |= static(task, record, meta)
-    row["joint torque of all muscles"] = {
-        name: report["torques"]["summary"].get(name) for name in ("path", "muscle", "both")
-    }
+        if lawless := sorted(set(meta["classes"]) - set(LAWS)):
+            row["classes without a law here"] = lawless
+        else:
+            row |= static(task, record, meta)
+        row["joint torque of all muscles"] = torques(source, record, meta)
     if "no forward simulation" in meta:
         row["forward"] = meta["no forward simulation"]
     else:
-        row["forward"] = {name: forward(folder, record, meta, name) for name in ("opensim", "mujoco")}
+        row["forward"], jumping = {}, jumps(source, record, meta)
+        loaded, fitted = unstopped(load(source)), unstopped(folder / "model.xml")
+        for title, file, muscle, step in (
+            ("opensim", loaded, None, None),
+            (f"opensim, {1e3 * SHORT:g} ms", loaded, None, SHORT),
+            ("mujoco", fitted, "mujoco", None),
+        ):
+            row["forward"][title] = forward(file, record, meta, jumping, muscle, step)
         row["seconds of OpenSim"] = {
             name: float(value) for name, value in record.items() if name.startswith("seconds")
         }
     return row
+
+
+def median_of(run: dict[str, Any]) -> float:
+    """Return the median of a motion's angles, of its slides where it has none."""
+    of = run.get("angles [degrees]", run.get("slides [mm]"))
+    return of["median"] if of else np.nan
 
 
 def draw(result: dict[str, Any]) -> None:
@@ -214,7 +349,7 @@ def draw(result: dict[str, Any]) -> None:
             (-0.17, "mujoco", "#b9a3d6", "MuJoCo's fitted muscles"),
             (0.17, "opensim", "#2f76b5", "own muscles"),
         ):
-            each = [[run.get("median", np.nan) for run in row[kind].values()] for row in models.values()]
+            each = [[median_of(run) for run in row[kind].values()] for row in models.values()]
             places = np.arange(len(models)) + shift
             axes.barh(places, np.nanmean(each, axis=1), 0.3, color=color, label=label)
             for place, values in zip(places, each, strict=True):
@@ -235,7 +370,9 @@ def main() -> None:
     )
     parser.add_argument("models", type=Path, nargs="+")
     parser.add_argument("--python", default=".venv-opensim/bin/python", help="interpreter with opensim")
-    parser.add_argument("--work", type=Path, help="folder for conversions, which are kept there")
+    parser.add_argument(
+        "--work", type=Path, help="folder for conversions and recordings, which are kept there"
+    )
     options = parser.parse_args()
     result = json.loads(RESULT.read_text()) if RESULT.is_file() else {"models": {}}
     with tempfile.TemporaryDirectory() as scratch:

@@ -23,7 +23,7 @@ from myowarp.coordinates.step import step_of
 from myowarp.models.paths.tables import TURNS
 from myowarp.opensim.load import load
 from myowarp.opensim.model.kinematics import independent
-from myowarp.opensim.model.mapping import CoordinateMap, Dependent, MappedCoordinate
+from myowarp.opensim.model.mapping import CoordinateMap
 from myowarp.opensim.model.model import Model
 from myowarp.opensim.read.model import read_model
 from myowarp.opensim.wrap.on_device import lengths_and_moment_arms
@@ -113,11 +113,7 @@ def stepped(
     source: Path, model: Model, values: dict[str, np.ndarray], speeds: np.ndarray, muscles: list[str]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return lengths, moment arms and speeds of the physics step, in the model's order of coordinates."""
-    entry = json.loads(load(source).with_name("coordinates.json").read_text())
-    coordinates = CoordinateMap(
-        tuple(MappedCoordinate(**one) for one in entry["coordinates"]),
-        tuple(Dependent(**one) for one in entry["dependents"]),
-    )
+    coordinates = CoordinateMap.read(load(source).with_name("coordinates.json"))
     scene = compile_scene(from_osim(source), WORLDS, device="cpu", physics="parity")
     launch, data, host = step_of(stepped_of(scene)).launches(), scene.data, scene.oracle
     tendons = [host.tendon(name).id for name in muscles]

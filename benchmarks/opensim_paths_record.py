@@ -48,17 +48,8 @@ def record(file: Path, count: int, with_arms: int) -> dict[str, Any]:
     for row, pose in enumerate(poses):
         posed.state = opensim.State(initial)
         values.append(posed.set(pose))
-        rates = dict.fromkeys(posed.names, 0.0)
-        rates |= {item.getName(): rate for item, rate in zip(posed.free, speeds[row], strict=True)}
-        at = dict(zip(posed.names, values[-1], strict=True))
-        for name, coupler in posed.couplers.items():
-            other = coupler.getIndependentCoordinateNames().get(0)
-            order = opensim.StdVectorInt()
-            order.append(0)
-            slope = coupler.getFunction().calcDerivative(order, opensim.Vector(1, at[other]))
-            rates[name] = slope * rates[other]
-        for item in posed.coordinates:
-            item.setSpeedValue(posed.state, float(rates[item.getName()]))
+        for item, rate in zip(posed.coordinates, posed.rates(speeds[row], values[-1]), strict=True):
+            item.setSpeedValue(posed.state, float(rate))
         begin = time.perf_counter()
         posed.model.realizeVelocity(posed.state)
         length[row] = posed.lengths()
