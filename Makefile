@@ -16,6 +16,8 @@ LEARNING ?=
 OPENSIM ?=
 MODELS ?=
 CHECKED = $(or $(MODELS),$(addprefix tests/data/osim/,$(addsuffix .osim,arm26 leg6dof9musc gait10dof18musc)))
+MOTIONS = $(filter %gait10dof18musc.osim %Rajagopal2016.osim,$(CHECKED) $(wildcard ../shared/osim/Rajagopal2016.osim))
+TRIAL ?= $(wildcard ../shared/osim/motion/gait2354)
 OLDER ?=
 MINUTES ?= 1
 VENV := .venv
@@ -99,10 +101,12 @@ learning: $(TEST_STAMP) .venv-parity/.installed .venv-envpool/.installed ## Meas
 opensim: setup .venv-opensim/.installed ## Measure speed beside OpenSim with 1 to 64 times the muscles (5 to 12 minutes; OPENSIM="ARM.osim GAIT.osim")
 	$(BIN)/python -m benchmarks.opensim_speed --output out/opensim_speed.json $(OPENSIM)
 
-opensim-check: setup .venv-opensim/.installed ## Compare muscles and their paths with OpenSim's: lengths, arms, forces, motions (MODELS="ARM.osim GAIT.osim")
+opensim-check: setup .venv-opensim/.installed ## Compare muscles, paths and recorded motions with OpenSim's (MODELS="ARM.osim GAIT.osim", TRIAL=FOLDER)
 	$(BIN)/python -m benchmarks.opensim_muscles --work out/opensim_muscles $(MODELS)
 	.venv-opensim/bin/python benchmarks/opensim_paths_record.py $(CHECKED) -o out/paths
 	$(BIN)/python -m benchmarks.opensim_paths $(CHECKED) --recorded out/paths -o out/opensim_paths.json
+	.venv-opensim/bin/python benchmarks/opensim_motion_record.py $(MOTIONS) $(addprefix --trial ,$(TRIAL)) -o out/motion
+	$(BIN)/python -m benchmarks.opensim_motion $(MOTIONS) $(addprefix --trial ,$(TRIAL)) --recorded out/motion -o out/opensim_motion.json
 
 accuracy: setup ## Measure the error of the physics presets against 0.1 ms steps, JSON to out/accuracy.json
 	@mkdir -p out

@@ -14,7 +14,7 @@ import warp as wp
 
 from myowarp.kernels.launch import launch
 from myowarp.kernels.metabolics import bhargava2004, muscle_mass
-from myowarp.motion.muscle_forces import MuscleForces
+from myowarp.motion.muscle_forces import ALONG_TENDON, MuscleForces
 from myowarp.motion.muscle_paths import MusclePaths
 from myowarp.opensim.model.model import Model
 from myowarp.opensim.muscle.hill import HillMuscle, known
@@ -73,8 +73,9 @@ def metabolic_power(model: Model, found: MuscleForces, paths: MusclePaths, devic
     for k, muscle in enumerate(muscles):
         damped = muscle.damping * velocity[:, k] / muscle.velocity_scale
         passive[:, k] = strength[k] * (muscle.curves.passive_force(norm[:, k])[0] + damped)
-    # In mode `opensim` the force is that of the fiber, which has no passive one.
-    force = np.where(found.steady, found.force / np.maximum(cosine, 1e-9), found.force)
+    # In mode `opensim` the force is that of some classes' fibers, which have no passive one.
+    along = np.array([found.steady or muscle.kind in ALONG_TENDON for muscle in muscles])
+    force = np.where(along, found.force / np.maximum(cosine, 1e-9), found.force)
     active = np.where(found.steady, np.maximum(force - passive, 0.0), force)
     with wp.ScopedDevice(device):
         power = wp.zeros(norm.shape, dtype=wp.float64)

@@ -1,7 +1,7 @@
 """Muscle forces of a motion: what each muscle can give in a frame, and what it gives at the least cost.
 
 In mode `opensim` a muscle has a rigid tendon and no passive force, as OpenSim's StaticOptimization takes it:
-F = a Fmax f_L f_V, without the cosine of the pennation angle, which OpenSim 4.6 leaves out there. In mode
+F = a Fmax f_L f_V, for some classes times the cosine of the pennation angle (`ALONG_TENDON`). In mode
 `equilibrium` fiber and tendon are in equilibrium at the velocity of the path, with passive force; this is not
 proportional to the activation, so that a few rounds follow, each with the secant F(0) + a (F(a') - F(0)) / a'
 of the activation a' before.
@@ -26,6 +26,10 @@ from myowarp.opensim.model.model import Model
 from myowarp.opensim.muscle.hill import HillMuscle
 
 Mode = Literal["equilibrium", "opensim"]
+
+ALONG_TENDON = ("Thelen2003Muscle", "Millard2012AccelerationMuscle")
+"""Classes whose `calcInextensibleTendonActiveFiberForce` is that along the tendon; OpenSim 4.6 leaves the
+cosine out of Millard2012EquilibriumMuscle's and DeGrooteFregly2016Muscle's."""
 
 ROUNDS = 4
 """Of secants in mode `equilibrium`."""
@@ -79,7 +83,7 @@ class MuscleForces:
 def rigid_capacity(
     muscle: HillMuscle, length: np.ndarray, velocity: np.ndarray, slack: np.ndarray | float = 1.0
 ) -> np.ndarray:
-    """Return the active force of a fiber with a rigid tendon at activation 1 [N], as OpenSim.
+    """Return the active force with a rigid tendon at activation 1 [N], as OpenSim's static optimisation.
 
     Args:
         muscle: The muscle.
@@ -96,7 +100,7 @@ def rigid_capacity(
     factor, _ = muscle.curves.force_velocity(
         velocity * cosine / muscle.velocity_scale, np.ones_like(velocity)
     )
-    force = v["max_isometric_force"] * active * factor
+    force = v["max_isometric_force"] * active * factor * (cosine if muscle.kind in ALONG_TENDON else 1.0)
     return np.where(z > muscle.shortest_fiber, np.maximum(force, 0.0), 0.0)
 
 

@@ -101,6 +101,7 @@ def record(source, body, forces):
         full[frame] = [c.getValue(state) for c in coordinates]
         seen[frame] = [m.getLocationInGround(state).to_numpy() for m in markers] if markers else seen[frame]
         point[frame] = model.getBodySet().get(body).getPositionInGround(state).to_numpy()
+    values = full[:, [every.index(name) for name in free]]  # ranges and couplers may have changed some
     seen += NOISE * random.normal(size=seen.shape)
     force = PUSH * (1.0 + 0.3 * np.sin(2 * np.pi * 1.5 * time)[:, None])
     out = {"coordinates": free, "time": time, "values": values, "body": body, "force": force, "point": point}

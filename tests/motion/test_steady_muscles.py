@@ -8,13 +8,14 @@ import opensim_muscles
 import pytest
 
 from myowarp.motion.metabolic_power import metabolic_power
-from myowarp.motion.muscle_forces import muscle_forces
+from myowarp.motion.muscle_forces import muscle_forces, rigid_capacity
 from myowarp.motion.muscle_paths import muscle_paths
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.steady_muscles import SteadyMuscles
-from myowarp.opensim.muscle.hill import HillMuscle
+from myowarp.opensim.muscle.hill import HillMuscle, known
 from myowarp.opensim.muscle.spline_tables import SPLINES
 from myowarp.opensim.read.model import read_model
+from myowarp.opensim.read.muscle_defaults import DEFAULTS
 
 DATA = Path(__file__).parents[1] / "data"
 TABLES = 5e-6
@@ -84,3 +85,27 @@ def test_metabolic_power(mode):
         held = z > muscle.shortest_fiber
         np.testing.assert_allclose(power[held, k], (heat + work)[held], rtol=0.02, atol=0.02, err_msg=name)
     assert power.max() > 5.0, "W"
+
+
+RIGID = {
+    "Thelen2003Muscle": 877.5825618903726,
+    "Millard2012EquilibriumMuscle": 998.8500946234824,
+    "Millard2012AccelerationMuscle": 877.5825618903723,
+    "DeGrooteFregly2016Muscle": 999.9999999999998,
+}
+"""What OpenSim 4.6's `calcInextensibleTendonActiveFiberForce` says of 1000 N, optimal length 0.1 m, pennation
+0.5 rad, at optimal length, activation 1 and no speed [N]: some classes count the cosine of the pennation."""
+TOP = 2e-3
+"""Share by which OpenSim lowers the top of Millard's curve, as it sets its least value to 0 when it starts."""
+
+
+@pytest.mark.parametrize("kind", RIGID)
+def test_rigid_capacity_is_that_of_opensims_class(kind):
+    stated = {
+        **{"max_isometric_force": 1000.0, "optimal_fiber_length": 0.1, "tendon_slack_length": 0.2},
+        **{"pennation_angle_at_optimal": 0.5, "max_contraction_velocity": 10.0},
+        **{"ignore_tendon_compliance": 0.0, "ignore_activation_dynamics": 0.0},
+    }
+    muscle = HillMuscle("m", kind, {**DEFAULTS[kind], **stated}, SPLINES.get(kind, {}))
+    found = rigid_capacity(known(muscle)[0], np.array([0.2 + 0.1 * np.cos(0.5)]), np.zeros(1))
+    np.testing.assert_allclose(found, RIGID[kind], rtol=TOP)
