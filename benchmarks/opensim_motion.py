@@ -4,8 +4,8 @@
     python -m benchmarks.opensim_motion MODEL.osim ... --trial FOLDER --recorded out/motion
 
 or `make opensim-check`. The first needs OpenSim 4.6. The second needs none, and writes
-benchmarks/results/opensim_motion.json. Each step begins at what OpenSim's tool began at: dynamics at its angles,
-joint reactions at its muscle forces. Activations are compared in frames that both hold.
+benchmarks/results/opensim_motion.json. Each step begins at what OpenSim's tool began at: dynamics at its
+angles, joint reactions at its muscle forces.
 """
 
 import argparse

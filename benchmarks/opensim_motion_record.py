@@ -1,10 +1,10 @@
-"""OpenSim's side of `benchmarks.opensim_motion`: its tools on a public trial, and on motions that are made here.
+"""OpenSim's side of `benchmarks.opensim_motion`: its tools on a public trial and on motions made here.
 
     .venv-opensim/bin/python benchmarks/opensim_motion_record.py MODEL.osim ... --trial FOLDER -o out/motion
 
 needs an interpreter with `opensim` (4.6) and numpy only; nothing of ours is imported. Models give
-`motion_<model>.npz`, as `tests/data/record_opensim_motion.py` describes, with joints and reactions (n, j, 9) as
-`record_opensim_reactions.py` does. The trial, OpenSim's Gait2354 example with its generic model, gives
+`motion_<model>.npz`, as `tests/data/record_opensim_motion.py` describes, with joints and reactions
+(n, j, 9) as in `record_opensim_reactions.py`. The trial, OpenSim's Gait2354 example, gives
 `trial.npz` with the same, and of its scaling bodies, factors, and markers with their places once scaled.
 """
 

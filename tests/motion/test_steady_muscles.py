@@ -96,7 +96,7 @@ RIGID = {
 """What OpenSim 4.6's `calcInextensibleTendonActiveFiberForce` says of 1000 N, optimal length 0.1 m, pennation
 0.5 rad, at optimal length, activation 1 and no speed [N]: some classes count the cosine of the pennation."""
 TOP = 2e-3
-"""Share by which OpenSim lowers the top of Millard's curve, as it sets its least value to 0 when it starts."""
+"""Share by which OpenSim lowers the top of Millard's curve, when it sets its least value to 0."""
 
 
 @pytest.mark.parametrize("kind", RIGID)
