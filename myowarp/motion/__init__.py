@@ -12,8 +12,19 @@ from typing import Any
 _LATER = {
     "Bones": "skeleton",
     **dict.fromkeys(
-        ("analyze", "dynamics", "follow", "forces", "kinematics", "read_motion", "write_angles"), "trial"
+        (
+            "analyze",
+            "dynamics",
+            "follow",
+            "forces",
+            "kinematics",
+            "marker_places",
+            "read_motion",
+            "write_angles",
+        ),
+        "trial",
     ),
+    **dict.fromkeys(("Markers", "read_trc", "write_trc"), "markers"),
 }
 __all__ = list(_LATER)
 

@@ -25,9 +25,11 @@ import numpy as np
 import warp as wp
 
 from myowarp.coordinates.couplings import Pieces
+from myowarp.motion.scale_document import Document, set_markers
 from myowarp.opensim.model.functions import Function, curves
 from myowarp.opensim.model.kinematics import independent
 from myowarp.opensim.model.model import GROUND, Model
+from myowarp.opensim.read.document import parse
 from myowarp.opensim.read.model import read_model
 
 HINGE, SLIDE = 0, 1
@@ -203,14 +205,21 @@ class Bones:
     """
 
     @classmethod
-    def read(cls, path: Path, device: Any = None) -> Bones:
+    def read(cls, path: Path, device: Any = None, markers: Path | None = None) -> Bones:
         """Return the bones of an OpenSim document.
 
+        Args:
+            path: The document, .osim.
+            device: Where they are.
+            markers: An OpenSim `MarkerSet`, in place of the model's markers of the same names.
+
         Raises:
-            ValueError: It is no model that can be read.
-            OSError: It cannot be read.
+            ValueError: A file is not what it should be, or a marker is on no body.
+            OSError: A file cannot be read.
         """
-        return cls(read_model(path), device)
+        if markers is None:
+            return cls(read_model(path), device)
+        return cls(set_markers(Document(path, parse(path)[0]), parse(markers)[0]).model, device)
 
     def __init__(self, model: Model, device: Any = None) -> None:
         """Put a model on a device.

@@ -28,7 +28,7 @@ from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.tasks import tasks_of
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.tracking import Tracked, track
-from myowarp.opensim.model.kinematics import complete
+from myowarp.opensim.model.kinematics import complete, forward, station
 from myowarp.opensim.model.model import Model
 from myowarp.opensim.muscle.hill import HillMuscle, known
 from myowarp.opensim.read.document import parse, write
@@ -203,6 +203,26 @@ def _recorded(bones: Bones, setup: Path, names: Sequence[str], time: np.ndarray)
         )
     columns = (motion.values[:, bones.coordinates.index(name)] for name in names)
     return {name: np.interp(time, motion.time, column) for name, column in zip(names, columns, strict=True)}
+
+
+def marker_places(bones: Bones, time: np.ndarray, values: np.ndarray) -> Markers:
+    """Return where the model's markers are along a motion: what cameras without noise would see.
+
+    Args:
+        bones: The model.
+        time: [s], shape (frames,).
+        values: Of the independent coordinates [rad] or [m], shape (frames, coordinates).
+
+    Raises:
+        ValueError: The model has no marker.
+    """
+    model = bones.model
+    if not model.markers:
+        raise ValueError(f"model {model.name!r} has no marker; give a MarkerSet")
+    whole = complete(model, dict(zip(bones.coordinates, np.asarray(values).T, strict=True)), len(time))
+    frames = forward(model, whole)
+    places = [station(frames, marker.body, marker.location) for marker in model.markers.values()]
+    return Markers(tuple(model.markers), np.asarray(time, float), np.stack(places, axis=1))
 
 
 def write_angles(

@@ -1,4 +1,4 @@
-"""The notebook of examples/, cell by cell, in an interpreter of its own kind: lines with "!" are commands."""
+"""The notebooks of examples/, cell by cell, as an interpreter would: lines with "!" are commands."""
 
 import json
 import shlex
@@ -10,7 +10,8 @@ from types import ModuleType
 import matplotlib as mpl
 import pytest
 
-NOTEBOOK = Path(__file__).parents[2] / "examples" / "train_elbow.ipynb"
+EXAMPLES = Path(__file__).parents[2] / "examples"
+NOTEBOOK = EXAMPLES / "train_elbow.ipynb"
 
 
 def shell(line):
@@ -45,3 +46,21 @@ def test_the_notebook_runs(tmp_path, monkeypatch):
     assert names["success"][-1] >= 99.0
     assert names["solved"] >= 0.9
     assert shown[0].read_bytes().startswith(b"GIF8")
+
+
+def test_the_notebook_of_a_motion_runs(tmp_path, monkeypatch, capsys):
+    """Angles come back from noisy markers within a degree, and muscles hold every frame."""
+    mpl.use("Agg")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "examples").symlink_to(EXAMPLES)
+    names = {}
+    for cell in json.loads((EXAMPLES / "arm_forces.ipynb").read_text())["cells"]:
+        if cell["cell_type"] == "code":
+            assert not cell["outputs"]
+            exec(compile("".join(cell["source"]), "arm_forces.ipynb", "exec"), names)
+    assert names["off"].max() < 1.0
+    assert names["off"].min() > 0.01, "markers are noisy"
+    assert names["found"].feasible.all()
+    assert names["found"].force.max() > 20.0
+    assert (tmp_path / "out/arm_trial/forces.png").stat().st_size > 10_000
+    assert "frames that muscles hold: 200 of 200" in capsys.readouterr().out

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from myowarp.motion.scaling import Scaled
     from myowarp.motion.skeleton import Bones
     from myowarp.motion.trial import Movement
-    from myowarp.opensim.model.model import Model
 
 WRITES = {
     "analyze": (
@@ -193,7 +192,6 @@ class Motion:
         """Do a step that reads a model."""
         from myowarp.motion import trial
         from myowarp.motion.skeleton import Bones
-        from myowarp.opensim.read.model import read_model
 
         source, name = {
             "scale": (self.setup, "setup"),
@@ -211,7 +209,7 @@ class Motion:
         if self.what == "emg":
             self._say(self._beside_emg(source))
             return
-        bones = Bones(read_model(self.model) if self.marker_set is None else self._marked(self.marker_set))
+        bones = Bones.read(self.model, markers=self.marker_set)
         self.output.mkdir(parents=True, exist_ok=True)
         lines = []
         if self.what == "kinematics":
@@ -240,13 +238,6 @@ class Motion:
                 )  # fmt: skip
                 lines += worst_of(bones, found)
         self._say(lines)
-
-    def _marked(self, path: Path) -> Model:
-        """Return the model with the markers of a set."""
-        from myowarp.motion.scale_document import Document, set_markers
-        from myowarp.opensim.read.document import parse
-
-        return set_markers(Document(self.model, parse(self.model)[0]), parse(path)[0]).model
 
     def _beside_emg(self, source: Path) -> list[str]:
         """Write envelopes, and how activations follow them; return those that follow least, one line each."""
