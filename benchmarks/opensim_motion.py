@@ -61,8 +61,10 @@ def of_angles(bones: Bones, there: Any, markers: Markers, **wanted: Any) -> dict
     )  # fmt: skip
     turns = np.array([bones.model.coordinates[name].rotational for name in bones.coordinates])
     off = np.abs(ours.values - there["fitted"]).max(axis=0)
+    fit, theirs = (np.nanmean(one.error**2, axis=1) for one in (ours, held))
     return {
         "angles, deg": float(np.degrees(off[turns]).max()),
+        "squared errors / OpenSim's - 1": float((fit / theirs).max() - 1.0),
         "slides, mm": float(1e3 * off[~turns].max(initial=0.0)),
         "marker errors, mm": float(1e3 * np.nanmax(np.abs(ours.error - held.error))),
     }
@@ -76,6 +78,9 @@ def of_forces(bones: Bones, there: Any, values: np.ndarray, loads: list[Load]) -
     peak = np.maximum(np.abs(there["moments"]).max(axis=0), 1e-9)
     found = {"moments / peak": float((np.abs(needed.joint_moment - there["moments"]) / peak.max()).max())}
     reserves = {c: RESERVE * (AT_ROOT if c.startswith("pelvis") else 1.0) for c in bones.coordinates}
+    for one in bones.model.coordinate_actuators:  # two at one coordinate cost as much as one of this force
+        if one.coordinate in reserves:
+            reserves[one.coordinate] = float(np.hypot(reserves[one.coordinate], one.optimal_force))
     paths = muscle_paths(bones, q, u)
     got = muscle_forces(
         bones.model, bones.coordinates, paths, needed.joint_moment, mode="opensim", reserves=reserves

@@ -42,11 +42,13 @@ from myowarp.opensim.muscle.hill import HillMuscle
 WINDOW = 0.01
 """Time over which an excitation is constant [s]."""
 
-SUBSTEPS = 4
+SUBSTEPS = 10
 """Of a window."""
 
-KP, KV = 100.0, 20.0
-"""Ways back to the motion [1/s^2] and [1/s], critically damped; those that OpenSim's examples have."""
+KP, KP_LIGHT, LIGHT = 100.0, 1600.0, 0.01
+"""Way back to the motion [1/s^2], and that of hinges with less inertia than the last number [kg m^2], which
+small errors of muscle forces carry far: OpenSim's example has both, the second for the foot on its talus.
+KV = 2 sqrt(KP) [1/s] damps critically."""
 
 BISECTIONS = 40
 """Of the excitation that reaches an activation."""
@@ -129,6 +131,22 @@ class Activation:
         return 0.5 * (low + high)
 
 
+def gains_of(bones: Bones, inertia: np.ndarray, gains: Mapping[str, float]) -> np.ndarray:
+    """Return `KP` of each coordinate [1/s^2], of inertias [kg m^2, kg] and of what is stated.
+
+    Raises:
+        ValueError: A coordinate is unknown, or its gain is not above 0 and finite.
+    """
+    for name, gain in gains.items():
+        if name not in bones.coordinates:
+            raise ValueError(f"gain of {name!r}: unknown; available: {', '.join(bones.coordinates)}")
+        if not 0.0 < gain < np.inf:
+            raise ValueError(f"the gain of {name!r} must be above 0 and finite, got {gain:g}")
+    turns = [bones.model.coordinates[name].rotational for name in bones.coordinates]
+    usual = np.where(turns & (inertia < LIGHT), KP_LIGHT, KP)
+    return np.array([gains.get(name, gain) for name, gain in zip(bones.coordinates, usual, strict=True)])
+
+
 def equations(
     bones: Bones, values: np.ndarray, speeds: np.ndarray, loads: Sequence[Load]
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -175,6 +193,7 @@ def track(
     *,
     reserves: Mapping[str, float],
     strength: np.ndarray | None = None,
+    gains: Mapping[str, float] | None = None,
     span: tuple[float, float] | None = None,
     replay: Tracked | None = None,
     advance: Callable[[int], None] = lambda count: None,
@@ -188,12 +207,14 @@ def track(
         loads: Returns loads from outside at some times.
         reserves: By coordinate, the force of a reserve at cost 1 [N m] or [N]; all coordinates need one.
         strength: Factors on maximum isometric forces, shape (worlds, muscles); None: one world as it is.
+        gains: `KP` of coordinates that have another one [1/s^2].
         span: First and last time; by default all.
         replay: A simulation whose excitations and reserves drive this one.
         advance: Is told how many windows are done.
 
     Raises:
-        ValueError: A coordinate has no reserve, the span is not in the motion, or a simulation is lost.
+        ValueError: A coordinate has no reserve, a gain is on none or not above 0, the span is not in the
+            motion, or a simulation is lost.
     """
     coordinates = bones.coordinates
     if missing := [name for name in coordinates if not reserves.get(name, 0.0) > 0.0]:
@@ -224,6 +245,7 @@ def track(
     followed = PathsOfMuscles(bones, worlds)
     paths = followed.along(q, u)
     mass, bias = equations(bones, q, u, acting(0))
+    back = gains_of(bones, mass[0].diagonal(), gains or {})
     needed = np.einsum("njk,k->nj", mass, a_there[0]) + bias
     first = muscle_forces(
         bones.model, coordinates, paths, needed, reserves=reserves, strength=factors, device=bones.device
@@ -236,7 +258,8 @@ def track(
     excitation, reserve = activation, first.reserve
     for window in range(windows):
         if replay is None:
-            wanted = a_there[window + 1] + KV * (u_there[window] - u) + KP * (q_there[window] - q)
+            off, slower = q_there[window] - q, u_there[window] - u
+            wanted = a_there[window + 1] + 2.0 * np.sqrt(back) * slower + back * off
             q_end, u_end = q + WINDOW * (u + 0.5 * WINDOW * wanted), u + WINDOW * wanted
             mass, bias = equations(bones, q_end, u_end, acting((window + 1) * SUBSTEPS))
             needed = np.einsum("njk,nk->nj", mass, wanted) + bias

@@ -360,6 +360,7 @@ def follow(
     *,
     reserves: Mapping[str, float],
     factors: Mapping[str, float] | None = None,
+    gains: Mapping[str, float] | None = None,
     span: tuple[float, float] | None = None,
     advance: Callable[[int], None] = lambda count: None,
 ) -> Tracked:
@@ -372,6 +373,7 @@ def follow(
         loads: A file of OpenSim's `ExternalLoads`.
         reserves: By coordinate, the force of a reserve at cost 1 [N m] or [N].
         factors: On maximum isometric forces, by muscle.
+        gains: Ways back to the motion [1/s^2], by coordinate, where they are not `tracking.KP`.
         span: First and last time [s].
         advance: Is told how many windows are done.
 
@@ -392,6 +394,7 @@ def follow(
         lambda times: () if loads is None else loads_at(loads, times),
         reserves=reserves,
         strength=strength,
+        gains=gains,
         span=span,
         advance=advance,
     )

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from myowarp.apps.cli.motion import WRITES, Motion
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.storage import read_storage
-from myowarp.motion.tracking import Activation, equations, track
+from myowarp.motion.tracking import KP, KP_LIGHT, LIGHT, Activation, equations, gains_of, track
 from myowarp.motion.trial import write_angles
 from myowarp.opensim.model import dynamics
 from myowarp.opensim.muscle.hill import HillMuscle
@@ -105,6 +105,19 @@ def test_replays(bones, followed):
     np.testing.assert_allclose(replayed.values[:, 2], exact, atol=0.01)
 
 
+def test_light_bodies_come_back_faster(bones):
+    """A hinge with little inertia has the greater gain, unless one is stated; and a gain acts."""
+    light, heavy = LIGHT / 2, 2 * LIGHT
+    np.testing.assert_array_equal(gains_of(bones, np.array([heavy, light]), {}), [KP, KP_LIGHT])
+    stated = gains_of(bones, np.array([heavy, light]), {"r_elbow_flex": 7.0})
+    np.testing.assert_array_equal(stated, [KP, 7.0])
+    strength = 0.5 * np.ones((1, 6))
+    options = {"reserves": reserves(bones), "strength": strength, "span": (0.0, 0.1)}
+    usual = track(bones, TIME, wave(), **options)
+    quick = track(bones, TIME, wave(), gains=dict.fromkeys(bones.coordinates, 2500.0), **options)
+    assert np.abs(quick.values - usual.values).max() > 1e-4
+
+
 def test_the_command(bones, tmp_path, capsys):
     write_angles(tmp_path / "wave.mot", bones.model, bones.coordinates, TIME, wave())
     options = {
@@ -124,6 +137,8 @@ def test_the_command(bones, tmp_path, capsys):
     for change, message in (
         ({"reserve": 0.0}, "tracking needs a reserve on every coordinate; 'r_shoulder_elev' has none"),
         ({"strength": ("BIC=1",)}, "muscle 'BIC' unknown; available: TRIlong"),
+        ({"gain": ("wrist=9",)}, "gain of 'wrist': unknown; available: r_shoulder_elev, r_elbow_flex"),
+        ({"gain": ("r_elbow_flex=0",)}, "the gain of 'r_elbow_flex' must be above 0 and finite, got 0"),
         ({"strength": ("BRA",)}, r"--strength must be like soleus_r=0\.9, got 'BRA'"),
         ({"span": (0.1, 9.0)}, r"the span must lie within 0 to 0\.2 s, got 0\.1 to 9 s"),
     ):

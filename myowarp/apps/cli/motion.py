@@ -131,6 +131,9 @@ class Motion:
     """The same on coordinates that carry the model through space; by default --reserve."""
     strength: Annotated[tuple[str, ...], optional("[MUSCLE=FACTOR ...]")] = ()
     """Of track: factors on maximum isometric forces of muscles, such as soleus_r=0.9."""
+    gain: Annotated[tuple[str, ...], optional("[COORDINATE=GAIN ...]")] = ()
+    """Of track: ways back to the motion [1/s^2] of coordinates, such as mtp_angle_r=1600, in place of 100, or
+    1600 where bodies are light."""
     span: Annotated[tuple[float, float] | None, optional("START END")] = None
     """First and last time [s]; by default all."""
     draws: int = 0
@@ -280,18 +283,14 @@ class Motion:
         from myowarp.motion.tracking import WINDOW
         from myowarp.progress import progress_bar
 
-        factors = {}
-        for word in self.strength:
-            muscle, _, factor = word.partition("=")
-            try:
-                factors[muscle] = float(factor)
-            except ValueError:
-                raise ValueError(f"--strength must be like soleus_r=0.9, got {word!r}") from None
+        factors = numbers_of("strength", self.strength, "soleus_r=0.9")
+        gains = numbers_of("gain", self.gain, "mtp_angle_r=1600")
         begin, end = self.span or (motion.time[0], motion.time[-1])
         with progress_bar("Tracking", "windows", Console(stderr=True)) as bar:
             task = bar.add_task("", total=max(1, round((end - begin) / WINDOW)))
             found = trial.follow(
                 bones, motion, self.output, self.loads, reserves=self._reserves(bones), factors=factors,
+                gains=gains,
                 span=self.span, advance=lambda count: bar.advance(task, count),
             )  # fmt: skip
         lines, off = [], found.off()[0]
@@ -326,6 +325,22 @@ class Motion:
         written = [name for name in WRITES[self.what] if (self.output / name).exists()]
         for line in [*lines, f"Saved {', '.join(written)} in {self.output}"]:
             say(line, markup=False)
+
+
+def numbers_of(option: str, words: tuple[str, ...], example: str) -> dict[str, float]:
+    """Return what an option says, by name.
+
+    Raises:
+        ValueError: A word is not like the example.
+    """
+    found = {}
+    for word in words:
+        name, _, number = word.partition("=")
+        try:
+            found[name] = float(number)
+        except ValueError:
+            raise ValueError(f"--{option} must be like {example}, got {word!r}") from None
+    return found
 
 
 def gaps_in(path: Path) -> list[str]:
