@@ -192,3 +192,21 @@ def test_bad_tables_are_one_sentence(table, change, message):
     with pytest.raises((ValueError, RuntimeError), match=message) as caught:
         Motion("study", table, draws=1, output=table.parent / "out")()
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.slow
+def test_over_a_cluster_the_files_are_the_same(tmp_path):
+    """Byte for byte; and what is there is not done again."""
+    pytest.importorskip("ray")
+    examples = Path(__file__).parents[2] / "examples"
+    for name, options in (("here", {}), ("there", {"ray": True})):
+        Motion(
+            "study", examples / "arm_trials.csv", draws=60, reserve=1.0, output=tmp_path / name, **options
+        )()
+    files = sorted(path.relative_to(tmp_path / "here") for path in (tmp_path / "here").rglob("*.parquet"))
+    assert len(files) == 8
+    for file in files:
+        assert (tmp_path / "here" / file).read_bytes() == (tmp_path / "there" / file).read_bytes(), file
+    before = {file: (tmp_path / "there" / file).stat().st_mtime_ns for file in files}
+    Motion("study", examples / "arm_trials.csv", draws=60, reserve=1.0, output=tmp_path / "there", ray=True)()
+    assert before == {file: (tmp_path / "there" / file).stat().st_mtime_ns for file in files}

@@ -12,6 +12,7 @@ import tyro
 from rich.console import Console
 
 from myowarp.apps.cli.options import Overwrite, optional
+from myowarp.definitions.registry import check_least
 from myowarp.disk import check_folder, check_overwrite
 
 if TYPE_CHECKING:
@@ -140,6 +141,12 @@ class Motion:
     """Of each trial of a study, besides the trial as it is."""
     seed: int = 0
     """Of the draws."""
+    ray: bool = False
+    """Of study: solve parts over a Ray cluster; every node sees the table, its files and the output."""
+    address: Annotated[str | None, optional("HOST:PORT")] = None
+    """With --ray: head of a cluster, or auto; by default this machine alone."""
+    cpus: int = 1
+    """With --ray: cores of each part."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/motion")
     """Folder for the result."""
     overwrite: Overwrite = False
@@ -317,7 +324,9 @@ class Motion:
             raise ValueError("a study goes on with what is there; leave out --overwrite")
         console = Console(stderr=True, highlight=False, soft_wrap=True)
         names = "draws", "seed", "mode", "exponent", "reserve"
-        run.run(self.model, self.output, console, **{name: getattr(self, name) for name in names})
+        check_least(1, cpus=self.cpus)
+        cluster = run.Cluster(self.address, self.cpus) if self.ray else None
+        run.run(self.model, self.output, console, cluster, **{name: getattr(self, name) for name in names})
 
     def _say(self, lines: list[str]) -> None:
         """Say what was found, and where it is."""

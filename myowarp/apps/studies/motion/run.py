@@ -15,6 +15,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
+from myowarp.apps.studies.cluster import check_ray, connected, each
 from myowarp.apps.studies.motion.figure import draw_forces
 from myowarp.apps.studies.motion.plan import Study, Trial, plan_study, recording_of
 from myowarp.apps.studies.parts import LOCK, RESULTS, SUMMARY, agree, part, remove_damaged
@@ -51,13 +53,29 @@ QUANTITIES = {
 """First part of a column of the results: file, and what it is."""
 
 
-def run(table: Path, output: Path, console: Console, **settings: Any) -> list[Path]:
+@dataclass(frozen=True)
+class Cluster:
+    """A Ray cluster that a study is solved on.
+
+    Attributes:
+        address: Host and port of its head, or "auto"; None: one on this machine alone.
+        cpus: Cores of each part.
+    """
+
+    address: str | None = None
+    cpus: int = 1
+
+
+def run(
+    table: Path, output: Path, console: Console, cluster: Cluster | None = None, **settings: Any
+) -> list[Path]:
     """Do what is missing of a study; return the folders of its trials.
 
     Args:
         table: Of trials.
         output: Folder.
         console: Where progress is shown.
+        cluster: Where parts are solved; None: in this process. Every node must see table and output.
         settings: As in `plan_study`.
 
     Raises:
@@ -66,7 +84,9 @@ def run(table: Path, output: Path, console: Console, **settings: Any) -> list[Pa
         OSError: The output cannot be written.
     """
     check_folder(output)
-    study = plan_study(table, **settings)
+    study, output = plan_study(table.resolve(), **settings), output.resolve()
+    if cluster is not None:
+        check_ray("a study over a cluster")
     for folder in (RESULTS, SUMMARY):
         (output / folder).mkdir(parents=True, exist_ok=True)
     with locked(output / LOCK, wait=False):
@@ -80,9 +100,11 @@ def run(table: Path, output: Path, console: Console, **settings: Any) -> list[Pa
         failures: dict[str, str] = {}
         with progress_bar("Solving", "parts", console) as bar:
             task = bar.add_task("", total=len(every), completed=len(every) - len(missing))
-            for number, why in _each(
-                study, [(k, *every[k], inputs[every[k][0].name]) for k in missing], output
-            ):
+            wanted = [(k, *every[k], inputs[every[k][0].name]) for k in missing]
+            solved = (
+                _each(study, wanted, output) if cluster is None else _over(cluster, study, wanted, output)
+            )
+            for number, why in solved:
                 if why:
                     failures.setdefault(every[number][0].name, why)
                 else:
@@ -126,7 +148,7 @@ def _each(
         for _, group in groupby(missing, lambda one: one[1].name):
             own = list(group)
             reading = pool.submit(recording_of, own[0][1], study)
-            waiting |= {pool.submit(solve, reading, study, output, *one): one[0] for one in own}
+            waiting |= {pool.submit(_solve_read, reading, study, output, *one): one[0] for one in own}
         try:
             for future in as_completed(waiting):
                 error = future.exception()
@@ -137,8 +159,52 @@ def _each(
             pool.shutdown(cancel_futures=True)
 
 
+def _over(
+    cluster: Cluster, study: Study, missing: list[tuple[int, Trial, range, str]], output: Path
+) -> Iterator[tuple[int, str]]:
+    """Do parts over a cluster; yield as `_each` does."""
+    if not missing:
+        return
+    own = [(str(one[0]), (study, output, *one)) for one in missing]
+    with connected(cluster.address, output):
+        for name, _, why in each(solve_there, own, folder=output, cpus=cluster.cpus):
+            yield int(name), why
+
+
+class _Last:
+    """The trial that a worker has read last: its parts follow each other."""
+
+    def __init__(self) -> None:
+        self._key = ""
+        self._recording: Recording | None = None
+
+    def of(self, trial: Trial, study: Study, inputs: str) -> Recording:
+        """Return a trial, read where it is another one than the last."""
+        if self._recording is None or self._key != inputs:
+            self._key, self._recording = inputs, recording_of(trial, study)
+        return self._recording
+
+
+_recordings = _Last()
+
+
+def solve_there(study: Study, output: Path, index: int, trial: Trial, draws: range, inputs: str) -> None:
+    """Solve a part of a trial and write it; on a node.
+
+    Raises:
+        As `solve`.
+    """
+    if not part(output, SUMMARY, index).exists():
+        solve(_recordings.of(trial, study, inputs), study, output, index, trial, draws, inputs)
+
+
+def _solve_read(reading: Future[Recording], *rest: Any) -> None:
+    """Solve a part of a trial that is being read."""
+    solve(reading.result(), *rest)
+
+
 def solve(
-    reading: Future[Recording],
+    recording: Recording,
     study: Study,
     output: Path,
     index: int,
@@ -155,7 +221,6 @@ def solve(
     """
     import pandas as pd
 
-    recording = reading.result()
     few = max(1, FRAMES // len(recording.time))
     tables = []
     for begin in range(0, len(draws), few):
