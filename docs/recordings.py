@@ -75,6 +75,13 @@ SHOWN = {
         2,
         "Random actions: no policy has been trained for the balls.",
     ),
+    "directional": Shown(
+        "myoLegDirectionalForward-v1",
+        "random",
+        60,
+        4,
+        "Random actions: no policy has been trained for walking.",
+    ),
 }
 """What is shown of each family."""
 

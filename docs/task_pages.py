@@ -25,6 +25,7 @@ TITLES = {
     "pentwirl": "Pen twirl",
     "diereorient": "Die reorient",
     "baoding": "Baoding balls",
+    "directional": "Directional walking",
 }
 FOLDED = 60  # characters of names that a page folds
 UNBROKEN = 100_000  # characters of a line that is not broken

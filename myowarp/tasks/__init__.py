@@ -3,6 +3,7 @@
 from myowarp.tasks import (  # noqa: F401  (they register)
     baoding_ids,
     die_reorient_ids,
+    directional,
     key_turn,
     object_hold,
     pen_twirl,

@@ -26,11 +26,12 @@ from recording import (
 )
 
 STAND, WALK = "myoLegStandRandom-v0", "myoLegWalk-v0"
-IDS = [STAND, WALK]
+DIRECTIONAL = [f"myoLegDirectional{name}-v0" for name in ("Forward", "Backward", "Random")]
+IDS = [STAND, WALK, *DIRECTIONAL]
 TERMS = {
     STAND: ("reach", "bonus", "penalty", "act_reg"),
     WALK: ("vel_reward", "cyclic_hip", "ref_rot", "joint_angle_rew", "done", "act_mag"),
-}
+} | dict.fromkeys(DIRECTIONAL, ("heading", "act_reg"))
 ACTION_KINDS = ("uniform", "uniform", "uniform", "plus", "minus", "bang")
 STRIDE = 6
 NUM_REPLAYS = 32
@@ -40,8 +41,33 @@ DISTANCES += (1.01 * FAR, 3.0 * FAR)
 FORCED_STEPS = (1, 2, 3, 50)
 
 
+def with_terms(result):
+    """Name the terms of a directional task as those of the others are named."""
+    obs, reward, terminated, truncated, info = result
+    rewards = info["rwd_dict"]
+    tracking = rewards["heading/heading_tracking"]
+    named = {"heading": tracking - rewards["done"], "act_reg": rewards["act_reg/act_reg"]}
+    info["rwd_dict"] = rewards | named | {"sparse": tracking}
+    return obs, reward, terminated, truncated, info
+
+
+class Directional(gymnasium.Wrapper):
+    """A directional task whose steps name their reward terms."""
+
+    def __init__(self, wrapped):
+        super().__init__(wrapped)
+        env = wrapped.unwrapped
+        env.rwd_keys_wt, env.dt = env._task_config.reward.weights, env._ctrl_dt
+
+    def step(self, action):
+        return with_terms(self.env.step(action))
+
+
 def state_row(env):
     """What the observation and the reward are functions of."""
+    if env.spec.id in DIRECTIONAL:
+        heading = env.get_obs_dict(env._accessor)["heading_cmd"]
+        return copies(env.data, STATE) | {"time": env.data.time, "heading": heading}
     if env.spec.id == WALK:
         return copies(env.data, STATE) | {"time": env.data.time}
     target, tip = (env.data.site_xpos[sites].ravel() for sites in (env.target_sids, env.tip_sids))
@@ -61,11 +87,11 @@ def force_walk(wrapped, rng, lift, turn, step):
     data.qpos[3:7] += 0.02 * rng.normal(size=4)
     data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
     data.qvel[:] = rng.normal(size=model.nv)
-    data.qvel[:2] = 0.3 * rng.normal(size=2) + (0.0, -1.2)
+    data.qvel[:2] = 0.3 * rng.normal(size=2) + 1.2 * state_row(env).get("heading", np.array((0.0, -1.0)))
     data.act[:] = rng.uniform(size=model.na)
     env.steps = step
-    result = env.forward()
-    return {"step": step} | result_row(state_row(env), result, TERMS[WALK])
+    result = with_terms(env.forward()) if env.spec.id in DIRECTIONAL else env.forward()
+    return {"step": step} | result_row(state_row(env), result, TERMS[env.spec.id])
 
 
 def force_states(wrapped, rng):
@@ -138,6 +164,7 @@ def deviations(env, arrays):
 def record(env_id, out, index):
     """Record one id into `<out>/<id>.npz`; returns the file size [bytes]."""
     wrapped = gymnasium.make(env_id)
+    wrapped = Directional(wrapped) if env_id in DIRECTIONAL else wrapped
     env, rng = wrapped.unwrapped, np.random.default_rng(index)
     runs, visited = [], []
     for i, kind in enumerate(ACTION_KINDS):
@@ -154,7 +181,7 @@ def record(env_id, out, index):
     if env_id == STAND:
         arrays |= {f"model_{k}": np.array(getattr(env.model, k)) for k in MODEL_FIELDS.split()}
     worst = deviations(env, arrays)
-    task = "stand" if env_id == STAND else "walk"
+    task = {STAND: "stand", WALK: "walk"}.get(env_id, "directional")
     meta = common_meta(wrapped, env_id, task) | names_meta(env.model)
     meta |= {"frame_skip": env.frame_skip, "dt": env.dt}
     if env_id == STAND:

@@ -19,8 +19,11 @@ from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parents[1] / "data/myosuite"))
+WALKING = ("walk", "directional")
 UPSTREAM = [
-    key for key in recorded_ids(DATA) if TASKS[key].body != "contact_hand" and TASKS[key].family != "walk"
+    key
+    for key in recorded_ids(DATA)
+    if TASKS[key].body != "contact_hand" and TASKS[key].family not in WALKING
 ]
 """Ids of upstream, those that were recorded; tasks with objects: test_oracle_contact.py; walking:
 test_oracle_walk.py."""

@@ -48,6 +48,7 @@ DRAWS = {
         "target": ((-0.05, -0.05, 0.92), (0.05, 0.05, 0.92)),
         "offset": (28 * (-0.2,), 28 * (0.2,)),
     },
+    "myoLegDirectionalRandom-v0": {"heading": (0, 2 * PI)},
     "myoHandKeyTurnRandom-v1": {
         "key angle": (-PI / 2, PI / 2),
         "key position": ((-0.16, -0.56, 1.415), (-0.14, -0.54, 1.435)),
