@@ -65,8 +65,8 @@ def full_spec(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.
     body = BODIES[spec.body].build()
     body.option.timestep = spec.physics_dt
     spec.edit(body)
-    for condition in conditions:
-        condition.edit(body, spec.body)
+    for condition in sorted(conditions, key=lambda condition: bool(condition.undriven)):
+        condition.edit(body, spec.body)  # actuators that the policy does not command come last
     return body
 
 

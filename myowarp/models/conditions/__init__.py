@@ -8,6 +8,7 @@ from myowarp.definitions.parameter import Ramp, Uniform
 from myowarp.models.conditions.exoskeleton import Exoskeleton
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
 from myowarp.models.conditions.fatigue_ma2009 import FatigueMa2009
+from myowarp.models.conditions.joint_device import JointDevice
 from myowarp.models.conditions.load import Load
 from myowarp.models.conditions.motor_noise import MotorNoise
 from myowarp.models.conditions.reafferentation import Reafferentation
@@ -22,6 +23,7 @@ __all__ = [
     "Exoskeleton",
     "Fatigue3CCR",
     "FatigueMa2009",
+    "JointDevice",
     "Load",
     "MotorNoise",
     "Phase",
