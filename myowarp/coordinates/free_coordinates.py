@@ -328,20 +328,29 @@ class FreeCoordinates(Step):
         motion = {place: launches for place, launches in places.items() if place in MOTION}
         return {"follow": self.follow, **forces, "reduce": self.reduce, **motion, "expand": self.expand}
 
-    def move(self, data: mujoco.MjData, number: int) -> None:
-        """Move a state by steps of ours: bodies may be too light for MuJoCo C."""
-        stepped, step = self.stepped, self.launches()
+    def motion(self, controls: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return states by steps of ours, each from the start, all at once; see `Step.motion`.
+
+        Bodies may be too light for MuJoCo C. A motion that ends beyond all numbers is the start.
+        """
+        stepped, step, worlds = self.stepped, self.launches(), self.stepped.data.nworld
         muscles = stepped.muscles.sample_state(np.random.default_rng(0))
         muscles["activation"][:] = 0.0
-        qpos, qvel, ctrl = (
-            np.tile(values, (stepped.data.nworld, 1)) for values in (data.qpos, data.qvel, data.ctrl)
-        )
-        set_state(stepped, (qpos, qvel, ctrl, muscles))
-        for _ in range(number):
-            step()
-        data.qpos[:], data.qvel[:] = stepped.data.qpos.numpy()[0], stepped.data.qvel.numpy()[0]
-        if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):  # as MuJoCo C begins again
-            data.qpos[:], data.qvel[:] = stepped.qpos_start.numpy(), 0.0
+        start, rest = stepped.qpos_start.numpy(), np.zeros(stepped.oracle.nv)
+        qpos, qvel = (np.tile(values, (len(controls), 1)) for values in (start, rest))
+        for first in range(0, len(controls), worlds):
+            chosen = np.resize(np.arange(first, min(first + worlds, len(controls))), worlds)
+            still = np.tile(start, (worlds, 1)), np.tile(rest, (worlds, 1))
+            set_state(stepped, (*still, controls[chosen], muscles))
+            for number in range(1, int(numbers[chosen].max()) + 1):
+                step()
+                ends = numbers[chosen] == number
+                if ends.any():
+                    now = stepped.data.qpos.numpy()[ends], stepped.data.qvel.numpy()[ends]
+                    finite = np.isfinite(np.concatenate(now, axis=1)).all(axis=1)
+                    reached = chosen[ends][finite]
+                    qpos[reached], qvel[reached] = now[0][finite], now[1][finite]
+        return qpos, qvel
 
     def follow(self) -> None:
         """Read the coordinates, and put all joints where they belong."""

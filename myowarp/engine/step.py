@@ -239,6 +239,22 @@ class Step:
 
         return step
 
-    def move(self, data: mujoco.MjData, number: int) -> None:
-        """Move a state by so many steps of the physics that this step computes, to states to verify it in."""
-        mujoco.mj_step(self.stepped.oracle, data, number)
+    def motion(self, controls: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return states to verify this step in: each some steps of MuJoCo C after the one before.
+
+        Args:
+            controls: Of each state, shape (num_states, nu).
+            numbers: Of steps before it, shape (num_states,).
+
+        Returns:
+            Positions, shape (num_states, nq), and velocities, (num_states, nv).
+        """
+        host = self.stepped.oracle
+        data, found = mujoco.MjData(host), []
+        data.qpos[:] = self.stepped.qpos_start.numpy()
+        for control, number in zip(controls, numbers, strict=True):
+            data.ctrl[:] = control
+            mujoco.mj_step(host, data, int(number))
+            found.append((data.qpos.copy(), data.qvel.copy()))
+        qpos, qvel = (np.array(values) for values in zip(*found, strict=True))
+        return qpos, qvel

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 import warp as wp
 
@@ -215,15 +214,11 @@ def _states(step: Step) -> Iterator[State]:
     """Yield states of all worlds, until NUM_STATES are reached: random motion of the physics."""
     stepped = step.stepped
     host, worlds = stepped.oracle, stepped.data.nworld
-    data = mujoco.MjData(host)
-    data.qpos[:] = stepped.qpos_start.numpy()
     rng = np.random.default_rng(0)
     low, high = np.where(host.actuator_ctrllimited[:, None], host.actuator_ctrlrange, (-1.0, 1.0)).T
-    motion = []
-    for _ in range(NUM_STATES):
-        data.ctrl[:] = rng.uniform(low, high)
-        step.move(data, stepped.num_substeps * int(rng.integers(1, CONTROL_STEPS)))
-        motion.append((data.qpos.copy(), data.qvel.copy()))
+    drawn = [(rng.uniform(low, high), rng.integers(1, CONTROL_STEPS)) for _ in range(NUM_STATES)]
+    controls, numbers = (np.array(values) for values in zip(*drawn, strict=True))
+    motion = list(zip(*step.motion(controls, stepped.num_substeps * numbers), strict=True))
     for first in range(0, NUM_STATES, worlds):
         chosen = [motion[(first + i) % NUM_STATES] for i in range(worlds)]
         ctrl = rng.uniform(low, high, (worlds, host.nu))
