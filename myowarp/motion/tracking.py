@@ -8,9 +8,9 @@ and those activations of least cost are found that give them at the window's end
 excitation can reach by then, with tendons that stretch meanwhile: the force of a muscle at the end of the
 window is taken as linear in its activation, in a few rounds of secants. Excitations follow from these, and
 drive activations, fibers and bones through the window in `SUBSTEPS` steps: activations by the midpoint rule,
-fibers by backward Euler, speeds by Euler with the forces of stretched tendons at the step's end, then
-coordinates. Loads from outside are those that were recorded. What reserves give at the root is the
-residual.
+fibers by backward Euler, speeds by Euler with inertias and loads of the step's middle and the forces of
+stretched tendons at its end, then coordinates. Loads from outside are those that were recorded. What reserves
+give at the root is the residual.
 
 Worlds are simulations of one motion with other strengths. A replay drives them by given excitations and
 reserves, without a way back to the motion.
@@ -231,12 +231,13 @@ def track(
     times = begin + WINDOW * np.arange(windows + 1)
     curve = spline(time, values)
     q_there, u_there, a_there = (curve(np.minimum(times, time[-1]), order) for order in range(3))
-    external = loads(np.minimum(begin + WINDOW / SUBSTEPS * np.arange(windows * SUBSTEPS + 1), time[-1]))
+    half = 0.5 * WINDOW / SUBSTEPS
+    external = loads(np.minimum(begin + half * np.arange(2 * windows * SUBSTEPS + 1), time[-1]))
     body = _Muscles(bones, muscles, factors)
     cost = np.array([reserves[name] for name in coordinates])
 
     def acting(step: int) -> list[Load]:
-        """Return the loads at the beginning of a step, for all worlds."""
+        """Return the loads after a number of half steps, for all worlds."""
         rows = [step] * worlds
         return [Load(x.body, x.force[rows], x.point[rows], x.torque[rows], x.force_frame, x.point_frame)
                 for x in external]  # fmt: skip
@@ -261,7 +262,7 @@ def track(
             off, slower = q_there[window] - q, u_there[window] - u
             wanted = a_there[window + 1] + 2.0 * np.sqrt(back) * slower + back * off
             q_end, u_end = q + WINDOW * (u + 0.5 * WINDOW * wanted), u + WINDOW * wanted
-            mass, bias = equations(bones, q_end, u_end, acting((window + 1) * SUBSTEPS))
+            mass, bias = equations(bones, q_end, u_end, acting(2 * (window + 1) * SUBSTEPS))
             needed = np.einsum("njk,nk->nj", mass, wanted) + bias
             arms = followed.at(q_end)[1]
             excitation, reserve = _controls(body, paths, arms, wanted, needed, activation, fiber, cost)
@@ -276,7 +277,8 @@ def track(
             next_q = q + dt * u
             paths = followed.along(next_q, u)
             force, fiber, slope = body.step(activation, fiber, paths.length, paths.velocity, dt)
-            mass, bias = equations(bones, next_q, u, acting(window * SUBSTEPS + step + 1))
+            middle = q + 0.5 * dt * u
+            mass, bias = equations(bones, middle, u, acting(2 * (window * SUBSTEPS + step) + 1))
             moment = np.einsum("nmk,nm->nk", paths.moment_arm, force) + reserve - bias
             stiff = mass + dt * np.einsum("nmj,nm,nmk->njk", paths.moment_arm, slope, paths.moment_arm)
             u = u + dt * np.linalg.solve(stiff, moment[:, :, None])[:, :, 0]
