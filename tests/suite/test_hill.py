@@ -537,7 +537,8 @@ def random_hill(name, order=slice(None), midstep=False, implicitness=1.0):
     muscles.midstep, muscles.implicitness = midstep, implicitness
     for key, array in state.items():
         owner = muscles if hasattr(muscles, key) else muscles.anatomy
-        getattr(owner, key).assign(array[order])
+        if getattr(owner, key).size:
+            getattr(owner, key).assign(array[order])
     for key in ("tension", "damping", "length", "velocity"):
         getattr(muscles, key).fill_(np.nan)
     return muscles, {key: array[order] for key, array in reads.items()}
@@ -560,7 +561,8 @@ def act(muscles, reads, dt, kernel=None):
             launch(kernel, 1, muscles, data, model, opt_timestep=opt.timestep, scratch=scratch)
     names = ("activation", "fiber_length", "expected_length", "fiber_share", "tension", "damping")
     names += ("length", "velocity", "workload")
-    return {name: getattr(muscles, name).numpy().copy() for name in names} | {"bias": bias.numpy()}
+    found = {name: getattr(muscles, name).numpy().copy() for name in names} | {"bias": bias.numpy()}
+    return {name: values for name, values in found.items() if values.size}  # rigid tendons remember nothing
 
 
 @pytest.mark.parametrize("dt", [0.002, 0.0])
@@ -571,9 +573,11 @@ def test_native_twin_equals_the_readable_law(name, dt):
     native = act(muscles, reads, dt)
     readable = act(*random_hill(name, midstep=True), dt, hill_law.contract_hill)
     scales = {"tension": peak + readable["tension"], "damping": readable["damping"].max()}
-    assert np.isnan(readable["fiber_length"]).sum() == ("fiber_length" in MUSCLES[name].STATE)
+    assert np.isnan(readable.get("fiber_length", [])).sum() == ("fiber_length" in MUSCLES[name].STATE)
     assert (native["tension"] > 0.01 * peak).mean() > 0.3
     for key, most in TWIN.items():
+        if key not in readable:
+            continue
         ours, theirs, scale = native[key], readable[key], scales.get(key, 1.0)
         np.testing.assert_array_equal(np.isnan(ours), np.isnan(theirs), err_msg=key)
         assert np.nanmax(np.abs(ours - theirs) / scale) <= most, key

@@ -71,7 +71,7 @@ WORK = {"hanging": 0.75, "ball": 12.0}
 BETWEEN = {"hanging": 0.55, "ball": 8.5}
 """Times the time step [1/s], with a rigid tendon, whose force depends on that velocity."""
 
-ELASTIC = {"hanging": 120.0, "ball": 900.0}
+ELASTIC = {"hanging": 120.0, "ball": 1000.0}
 """Times the square of the time step [1/s^2], with an elastic one."""
 
 with np.load(DATA / "bench.npz") as _file:

@@ -67,6 +67,9 @@ DEFAULTS: Mapping[int, Mapping[str, float]] = {
 }
 """OpenSim's, of what is not a curve; De Groote's muscle has no floor of the activation."""
 
+FIBER_STATE = ("fiber_length", "expected_length", "fiber_share")
+"""What a muscle with an elastic tendon remembers beside its activation, see `Fibers`."""
+
 TIME_CONSTANTS = ("activation_time_constant", "deactivation_time_constant")
 
 FIELDS = (
@@ -78,7 +81,7 @@ FIELDS = (
 )
 """Fields of `hill_muscle` that are properties as they stand."""
 
-LEAST_FIBER = 1e-4
+LEAST_FIBER = 1e-6
 """Least z where the law names none [optimal fiber lengths]."""
 
 LEAST_DAMPING = 1e-3
@@ -165,12 +168,15 @@ class Hill(MuscleModel):
 
     Attributes:
         parameters: Parameters of all muscles, `HillMuscle`, shape (1 or num_worlds, num_muscles).
-        fiber_length: State of muscles with an elastic tendon [m], shape (num_worlds, num_muscles); so are
-            `expected_length` and `fiber_share`, see `Fibers`.
+        fiber_length: State of muscles with an elastic tendon [m], shape (num_worlds, num_muscles), empty if
+            all are rigid; so are `expected_length` and `fiber_share`, see `Fibers`.
     """
 
     LAW: ClassVar[int]
     RIGID: ClassVar[bool] = False
+    fiber_length: wp.array
+    expected_length: wp.array
+    fiber_share: wp.array
 
     def __init__(
         self, model: mujoco.MjModel, num_worlds: int, parameters: Mapping[str, np.ndarray] | None = None
@@ -182,9 +188,9 @@ class Hill(MuscleModel):
         """
         super().__init__(model, num_worlds, parameters)
         ids = self.actuator_id
-        self.fiber_length, self.expected_length, self.fiber_share = (
-            wp.zeros_like(self.activation) for _ in range(3)
-        )
+        shape = (0, 0) if self.RIGID else self.activation.shape
+        for name in FIBER_STATE:
+            setattr(self, name, wp.zeros(shape, dtype=float))
         limited = model.actuator_ctrllimited[ids, None]
         bounds = np.clip(np.where(limited, model.actuator_ctrlrange[ids], (0.0, 1.0)), 0.0, 1.0)
         self.excitation_range = wp.array(bounds, dtype=wp.vec2)
@@ -332,7 +338,7 @@ class Hill(MuscleModel):
 
     def read_fibers(self, fibers: FiberStates) -> None:
         """Launch `read_hill_fibers`; see `MuscleModel.read_fibers`."""
-        launch(read_hill_fibers, self.fiber_length.shape, self, states=fibers)
+        launch(read_hill_fibers, self.activation.shape, self, states=fibers)
 
     @property
     def params(self) -> HillParams:
@@ -347,7 +353,7 @@ class Hill(MuscleModel):
     def fibers(self) -> Fibers:
         """The state, for a kernel."""
         fibers = Fibers()
-        for name in ElasticHill.STATE:
+        for name in ("activation", *FIBER_STATE):
             setattr(fibers, name, getattr(self, name))
         return fibers
 
@@ -372,7 +378,7 @@ class Hill(MuscleModel):
 class ElasticHill(Hill):
     """Muscles with an elastic tendon."""
 
-    STATE = (*MuscleModel.STATE, "fiber_length", "expected_length", "fiber_share")
+    STATE = (*MuscleModel.STATE, *FIBER_STATE)
     coarse_step = 0.005
 
     def geometry(self) -> MuscleGeometry:
@@ -384,11 +390,12 @@ class ElasticHill(Hill):
         return super().geometry()._replace(tendon_length=tendon)
 
     def sample_state(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
-        """Draw activations, and fibers between 0.8 and 1.2 of their optimal length."""
-        optimal = self.parameters.numpy()["optimal_fiber_length"]
-        fibers = optimal * rng.uniform(0.8, 1.2, self.fiber_length.shape)
-        rest = np.zeros_like(fibers)
-        own = {"fiber_length": fibers, "expected_length": rest, "fiber_share": rest}
+        """Draw activations, and tendons that are stretched by up to 3 %; fibers have the rest of any path."""
+        rows = self.parameters.numpy()
+        along = rows["optimal_fiber_length"] * rng.uniform(0.8, 1.2, self.fiber_length.shape)
+        tendon = rows["tendon_slack_length"] * rng.uniform(1.0, 1.03, along.shape)
+        fiber = np.sqrt(along**2 + rows["fiber_width"] ** 2)
+        own = {"fiber_length": fiber, "expected_length": along + tendon, "fiber_share": np.ones_like(along)}
         return super().sample_state(rng) | own
 
     def settle(self, mask: wp.array) -> None:

@@ -359,7 +359,7 @@ class Fibers:
 
     Attributes:
         activation: [1].
-        fiber_length: [m], on a path of the expected length; under a rigid tendon it is written and not read.
+        fiber_length: [m], on a path of the expected length; empty, as the next two, if no tendon is elastic.
         expected_length: Length of the path that the last step expected [m].
         fiber_share: How much of what the path is longer the fiber takes, the tendon having the rest [1].
     """
@@ -419,7 +419,9 @@ def contract_hill(
         pathid = anatomy.path[batched(worldid, anatomy.path.shape[0]), i]
         length, velocity = actuator_length_in[worldid, pathid], actuator_velocity_in[worldid, pathid]
         strength = of_world(anatomy.strength, worldid, i)
-        before = fibers.fiber_length[worldid, i]
+        before = float(0.0)
+        if fibers.fiber_length.shape[0] > 0:
+            before = fibers.fiber_length[worldid, i]
         z, norm_force, by_velocity = float(0.0), float(0.0), float(0.0)
         expected, share = float(length), float(0.0)
         if m.rigid == 1:
@@ -475,9 +477,10 @@ def contract_hill(
             )[0]
             factor = force_velocity_curve(m, params.tables, params.spans, norm_speed, steps[0])[0]
             results.workload[worldid, i] += dt * wp.max(steps[0] * active * factor, 0.0)
-        fibers.fiber_length[worldid, i] = after
-        fibers.expected_length[worldid, i] = expected
-        fibers.fiber_share[worldid, i] = share
+        if fibers.fiber_length.shape[0] > 0:
+            fibers.fiber_length[worldid, i] = after
+            fibers.expected_length[worldid, i] = expected
+            fibers.fiber_share[worldid, i] = share
         actuator_biasprm[worldid, pathid] = affine_bias(force * norm_force, damping, velocity)
 
 

@@ -258,14 +258,16 @@ void contract_hill_block(Block<V>& block, Params& params, Anatomy& anatomy, Time
     const Field<V> rows = block.model(params.muscles);
     const float* bounds = (const float*)params.excitation_range.data;
     const V *control = block.in(ctrl), *activation = block.in(fibers.activation);
-    const V *fiber_length = block.in(fibers.fiber_length), *shares = block.in(fibers.fiber_share);
-    const V* expected_lengths = block.in(fibers.expected_length);
+    const bool remembers = fibers.fiber_length.shape[0] > 0;  // some tendon is elastic
+    const V* fiber_length = remembers ? block.in(fibers.fiber_length) : nullptr;
+    const V* expected_lengths = remembers ? block.in(fibers.expected_length) : nullptr;
+    const V* shares = remembers ? block.in(fibers.fiber_share) : nullptr;
     Pulling<V, Anatomy, Results, Bias> pulling(block, anatomy, results, actuator_biasprm, actuator_length,
                                                actuator_velocity);
     V* activation_to = block.template out<V>(fibers.activation);
-    V* length_to = block.template out<V>(fibers.fiber_length);
-    V* expected_to = block.template out<V>(fibers.expected_length);
-    V* share_to = block.template out<V>(fibers.fiber_share);
+    V* length_to = remembers ? block.template out<V>(fibers.fiber_length) : nullptr;
+    V* expected_to = remembers ? block.template out<V>(fibers.expected_length) : nullptr;
+    V* share_to = remembers ? block.template out<V>(fibers.fiber_share) : nullptr;
 
     for (int i = 0; i < num_muscles; ++i) {
         const Muscle<V> m{rows, NUM_WORDS * i};
@@ -281,7 +283,7 @@ void contract_hill_block(Block<V>& block, Params& params, Anatomy& anatomy, Time
         pulls = select(elastic, after, midstep ? pulls : a);
         pulling.fetch(i);
         const V length = pulling.length[i], velocity = pulling.velocity[i];
-        V before = fiber_length[i], expected = length, share = zero;
+        V before = remembers ? fiber_length[i] : zero, expected = length, share = zero;
         const V shortest = m[SHORTEST_FIBER], slack = m[TENDON_SLACK_LENGTH], width = m[FIBER_WIDTH];
         auto contract = [&](const auto& law) {
             const auto fiber = fiber_under(law, m, pulls, pulling.strength[i]);
@@ -325,9 +327,11 @@ void contract_hill_block(Block<V>& block, Params& params, Anatomy& anatomy, Time
                 pulling.work[i] = pulling.worked[i] + dt * larger(pulls * active * factor, zero);
             }
             activation_to[i] = after;
-            length_to[i] = fiber_after;
-            expected_to[i] = expected;
-            share_to[i] = share;
+            if (remembers) {
+                length_to[i] = fiber_after;
+                expected_to[i] = expected;
+                share_to[i] = share;
+            }
             pulling.publish(i, pull, implicitness > 0.0f ? implicitness * slope : zero);
         };
         if (kind == MILLARD)
@@ -338,9 +342,11 @@ void contract_hill_block(Block<V>& block, Params& params, Anatomy& anatomy, Time
             contract(DeGroote<V>(m, params.tables, params.spans));
     }
     block.store(fibers.activation, activation_to, 0, num_muscles);
-    block.store(fibers.fiber_length, length_to, 0, num_muscles);
-    block.store(fibers.expected_length, expected_to, 0, num_muscles);
-    block.store(fibers.fiber_share, share_to, 0, num_muscles);
+    if (remembers) {
+        block.store(fibers.fiber_length, length_to, 0, num_muscles);
+        block.store(fibers.expected_length, expected_to, 0, num_muscles);
+        block.store(fibers.fiber_share, share_to, 0, num_muscles);
+    }
     pulling.store(num_muscles);
 }
 }  // namespace lanes
