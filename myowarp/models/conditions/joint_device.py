@@ -59,7 +59,7 @@ class JointDevice(Condition):
         limit: Largest torque of spring and motor together [N m].
         motor: Whether the policy commands the motor, too: one more action, times `limit`.
         mass: Mass on the limb that the joint turns [kg], >= 0: a sphere of 4 cm radius.
-        place: Where its center is [m], in the limb's frame.
+        place: Where its center is [m], in the limb's frame; None: at the limb's center of mass.
     """
 
     PHASE = Phase.BODY
@@ -76,7 +76,7 @@ class JointDevice(Condition):
     limit: float = 100.0
     motor: bool = False
     mass: Value = 0.0
-    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    place: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         """Check what is the same in all worlds."""
@@ -94,7 +94,8 @@ class JointDevice(Condition):
         if self.delay > LONGEST_DELAY:
             raise ValueError(f"joint_device delay must be at most {LONGEST_DELAY:g} s, got {self.delay!r}")
         place = self.place
-        if not (isinstance(place, (tuple, list)) and len(place) == 3 and all(map(_is_number, place))):
+        three = isinstance(place, (tuple, list)) and len(place) == 3 and all(map(_is_number, place))
+        if not (place is None or three):
             raise ValueError(f"joint_device place must be three finite numbers, got {place!r}")
         self._check_profile()
 
@@ -127,7 +128,7 @@ class JointDevice(Condition):
     @property
     def scene_key(self) -> tuple[object, ...]:
         """Actuator and body."""
-        return ("joint_device", self.joint, self.limit, self.motor, tuple(self.place))
+        return ("joint_device", self.joint, self.limit, self.motor, self.place and tuple(self.place))
 
     @property
     def batched(self) -> tuple[str, ...]:
@@ -149,7 +150,8 @@ class JointDevice(Condition):
         limbs = limbs_of(BODIES[body])
         check_choice(f"body {body!r}: joint_device joint", joint, list(limbs))
         sphere = Part(mujoco.mjtGeom.mjGEOM_SPHERE, (RADIUS, 0.0, 0.0))
-        return joint, AddedMass(f"device_{self.joint}", limbs[joint], self.place, (sphere,))
+        limb, middle = limbs[joint]
+        return joint, AddedMass(f"device_{self.joint}", limb, self.place or middle, (sphere,))
 
     def edit(self, spec: mujoco.MjSpec, body: str) -> None:
         """Add the mass, and an actuator that is idle until it is driven."""
@@ -176,10 +178,16 @@ def _is_number(number: object) -> bool:
 
 
 @lru_cache(maxsize=8)
-def limbs_of(body: Body) -> Mapping[str, str]:
-    """Return the hinges and slides of a body, and the name of the limb that each turns."""
-    spec = body.build()  # its joints do not keep it alive
-    return {joint.name: joint.parent.name for joint in spec.joints if int(joint.type) in POINT_JOINTS}
+def limbs_of(body: Body) -> Mapping[str, tuple[str, tuple[float, float, float]]]:
+    """Return hinges and slides of a body: the limb that each turns, and its center of mass [m]."""
+    model = body.build().compile()
+    found = {}
+    for joint in map(model.joint, range(model.njnt)):
+        if int(joint.type[0]) in POINT_JOINTS:
+            limb = model.body(int(joint.bodyid[0]))
+            x, y, z = map(float, limb.ipos)
+            found[joint.name] = limb.name, (x, y, z)
+    return found
 
 
 @wp.struct

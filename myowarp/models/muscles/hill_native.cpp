@@ -316,7 +316,7 @@ void contract_hill_block(Block<V>& block, Params& params, Anatomy& anatomy, Time
             }
             V fiber_after = root(z * z + width * width);
             const auto lost = elastic & opposite(before >= 0.0f);  // no length, or none at all: a fault
-            fiber_after = select(lost, splat<V>(__builtin_nanf("")), fiber_after);
+            fiber_after = select(lost, splat<V>(wp::cast<float>(0x7fc00000)), fiber_after);
             const V peak = pulling.transmission[i] * m[MAX_ISOMETRIC_FORCE];
             const V pull = peak * select(lost, zero, force), slope = peak * select(lost, zero, by_velocity);
             if (pulling.works) {
