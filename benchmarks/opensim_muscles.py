@@ -357,7 +357,7 @@ def draw(result: dict[str, Any]) -> None:
         axes.set_yticks(np.arange(len(models)), list(models))
         axes.invert_yaxis()
         axes.set_xlabel("median distance from OpenSim's motion in 0.5 s [degrees, of slides mm]")
-        axes.set_title("Converted models beside OpenSim: mean of three patterns, dots each")
+        axes.set_title("Models beside OpenSim: mean of the motions, a dot for each")
         axes.set_xlim(0.0, 1.45 * axes.get_xlim()[1])
         axes.legend(loc="center right")
         panel.save(figure, PICTURE, dpi=120)
