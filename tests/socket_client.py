@@ -30,6 +30,8 @@ class Client:
         self.send(CAMERA)
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
+        # Until then controls have the values that they were made with, not those that they have now.
+        until(lambda: self.types["ReplayDoneMessage"] or self.done)
 
     def send(self, message):
         self._socket.send(msgspec.msgpack.encode(message))

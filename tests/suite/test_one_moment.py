@@ -24,6 +24,7 @@ from myowarp.view.drawing import style as look
 
 pytestmark = [pytest.mark.view, pytest.mark.skipif(NAME is None, reason="needs chromium")]
 OSIM = Path(__file__).parents[1] / "data" / "osim"
+SHARED = Path(__file__).parents[3] / "shared" / "osim"  # beside the repository, where it is
 SCENES = {
     "myoElbowPose1D6MRandom-v0": "random",
     "myoFingerPoseRandom-v0": "random",
@@ -33,11 +34,13 @@ SCENES = {
     "myoChallengeBaodingP1-v2": "random",
     "arm26.osim": "random",
     "gait10dof18musc.osim": "random",
+    **({"gait2354_simbody.osim": "random"} if (SHARED / "gait2354_simbody.osim").exists() else {}),
 }
 PICTURES = 200  # in a row
 APART, MOVED = 3.0, 30.0  # px: between muscle and bone at most, and what ends move at least
 PATIENCE = 400.0  # s
 SIZE = (1000, 800)  # of which traces and panel take a part
+SCALE = 0.2  # dots for each px: what is measured are places, and software draws few dots faster
 WATCH = """
 window.apart = []
 window.watch = (ends) => {
@@ -115,7 +118,8 @@ def busy():
 def test_muscles_end_on_their_bones_while_it_plays(scene, tmp_path):
     task = scene
     if scene.endswith(".osim"):
-        convert = [sys.executable, "-m", "myowarp", "convert", str(OSIM / scene), "--output", str(tmp_path)]
+        file = OSIM / scene if (OSIM / scene).exists() else SHARED / scene
+        convert = [sys.executable, "-m", "myowarp", "convert", str(file), "--output", str(tmp_path)]
         subprocess.run(convert, check=True, capture_output=True)
         task = tmp_path / "model.xml"
     command = View(Said(Setup(task=task, device="cpu")), policy=SCENES[scene])
@@ -126,7 +130,7 @@ def test_muscles_end_on_their_bones_while_it_plays(scene, tmp_path):
     thread = threading.Thread(target=live.run, daemon=True)
     thread.start()
     try:
-        with Chromium(SIZE) as window:
+        with Chromium(SIZE, SCALE) as window:
             window.before_opening(WATCH)
             window.open(f"http://localhost:{server.get_port()}")
             window.wait_for("real time")
