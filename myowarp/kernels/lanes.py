@@ -21,6 +21,9 @@ import warp as wp
 WIDEST = 16
 """Lanes of the widest registers, AVX-512."""
 
+DOUBLES = Path(__file__).with_name("double_lanes.cpp")
+"""Source with lanes in float64, as many as there are in float32."""
+
 
 def at_namespace_level(*sources: Path, **constants: float) -> str:
     """Return the text of a native function that declares templates, which no function can hold.

@@ -146,13 +146,16 @@ def muscle_forces(
         raise ValueError(f"reserve on {sorted(unknown)[0]!r}: unknown; available: {', '.join(coordinates)}")
     if not all(0.0 < force < np.inf for force in reserves.values()):
         raise ValueError("the force of a reserve must be above 0 and finite")
+    steady = SteadyMuscles([HillMuscle.of(model.muscles[name]) for name in paths.muscles], device)
+    share = _Share.of(steady, coordinates, paths, reserves, exponent, device, sequence)
     wanted = np.maximum(np.abs(joint_moment).max(axis=0, initial=0.0), 1.0)
     factors = strength, slack
 
     def solve(part: slice) -> MuscleForces:
         strong, long = (x[part] if len(x) > 1 else x for x in map(np.atleast_2d, factors))
-        own = paths.part(part), joint_moment[part], strong, long
-        return _part(model, coordinates, *own, mode, exponent, reserves, wanted, device, sequence)
+        found = share.rigid if mode == "opensim" else share.settled
+        return _made_of(share, paths.part(part), joint_moment[part], wanted, mode,
+                        *found(paths.part(part), joint_moment[part], strong, long))  # fmt: skip
 
     grain = sequence or GRAIN
     return _together(in_parts(len(joint_moment), FRAMES, wp.get_device(device), solve, grain))
@@ -160,6 +163,8 @@ def muscle_forces(
 
 def _together(parts: list[MuscleForces]) -> MuscleForces:
     """Return the forces of parts of a motion as those of all of it."""
+    if len(parts) == 1:
+        return parts[0]
     arrays: dict[str, Any] = {
         one.name: np.concatenate([getattr(part, one.name) for part in parts])
         for one in fields(MuscleForces)
@@ -170,80 +175,130 @@ def _together(parts: list[MuscleForces]) -> MuscleForces:
     return replace(parts[0], saturated=order, **arrays)
 
 
-def _part(
-    model: Model,
-    coordinates: tuple[str, ...],
-    paths: MusclePaths,
-    joint_moment: np.ndarray,
-    strength: np.ndarray,
-    slack: np.ndarray,
-    mode: Mode,
-    exponent: float,
-    reserves: Mapping[str, float],
-    wanted: np.ndarray,
-    device: Any,
-    sequence: int,
-) -> MuscleForces:
-    """Return the muscle forces of a part of a motion; `wanted` are the greatest moments of all of it."""
-    steady = SteadyMuscles([HillMuscle.of(model.muscles[name]) for name in paths.muscles], device)
-    muscles = steady.muscles
-    helped = [coordinates.index(name) for name in reserves]
-    held = sorted({row for rows in paths.crossed for row in rows} | set(helped))
-    width = max([len(rows) for rows in paths.crossed] + [1])
-    table = np.full((len(muscles) + len(helped), width), -1)
-    frames = len(joint_moment)
-    arm = np.zeros((frames, len(table), width))
-    for number, rows in enumerate(paths.crossed):
-        table[number, : len(rows)] = [held.index(row) for row in rows]
-        arm[:, number, : len(rows)] = paths.moment_arm[:, number, list(rows)]
-    table[len(muscles) :, 0] = [held.index(row) for row in helped]
-    arm[:, len(muscles) :, 0] = list(reserves.values())
-    bounds = [(max(m.values["min_control"], 0.0), min(m.values["max_control"], 1.0)) for m in muscles]
-    lower, upper = np.array([*bounds, *[(-np.inf, np.inf)] * len(helped)], float).reshape(-1, 2).T
+Solved = tuple[Activations, np.ndarray, np.ndarray, np.ndarray]
+"""Activations, capacity [N], passive force [N], and length of fibers along the tendon [m]."""
 
-    def at(activation: ArrayLike, near: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        force, along, _ = steady.at(activation, paths.length, paths.velocity, slack, near)
-        return strength * force, along
 
-    def solve(capacity: np.ndarray, passive: np.ndarray, near: np.ndarray | None = None) -> Activations:
-        effects = arm.copy()
-        effects[:, : len(muscles)] *= capacity[:, :, None]
-        right = (joint_moment - np.einsum("nmk,nm->nk", paths.moment_arm, passive))[:, held]
-        return optimal_activations(table, effects, right, lower, upper, exponent, device, near, sequence)
+@dataclass(frozen=True, eq=False)
+class _Share:
+    """How muscles, and reserves behind them, share the moments of a motion.
 
-    if mode == "opensim":
-        passive = np.zeros_like(paths.length)
+    Attributes:
+        steady: The muscles.
+        coordinates: Names.
+        held: Coordinates that any of them acts on.
+        helped: Coordinates with a reserve.
+        reserve: Its force [N m] or [N].
+        rows: For each muscle and reserve the numbers of these in `held`, -1 behind them.
+        entries: Where their moment arms are in those of a frame; -1: a reserve has none.
+        lower: Least activations.
+        upper: Greatest.
+        exponent: p.
+        device: Where it is solved.
+        sequence: Frames of a recording.
+    """
+
+    steady: SteadyMuscles
+    coordinates: tuple[str, ...]
+    held: list[int]
+    helped: list[int]
+    reserve: np.ndarray
+    rows: np.ndarray
+    entries: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    exponent: float
+    device: Any
+    sequence: int
+
+    @classmethod
+    def of(
+        cls, steady: SteadyMuscles, coordinates: tuple[str, ...], paths: MusclePaths,
+        reserves: Mapping[str, float], exponent: float, device: Any, sequence: int,
+    ) -> _Share:  # fmt: skip
+        """Return who shares which moments."""
+        count, helped = len(steady.muscles), [coordinates.index(name) for name in reserves]
+        held = sorted({row for rows in paths.crossed for row in rows} | set(helped))
+        rows = np.full((count + len(helped), max([len(own) for own in paths.crossed] + [1])), -1)
+        entries = rows.copy()
+        for number, own in enumerate(paths.crossed):
+            rows[number, : len(own)] = [held.index(row) for row in own]
+            entries[number, : len(own)] = number * len(coordinates) + np.array(own, int)
+        rows[count:, 0] = [held.index(row) for row in helped]
+        bounds = [
+            (max(m.values["min_control"], 0.0), min(m.values["max_control"], 1.0)) for m in steady.muscles
+        ]
+        lower, upper = np.array([*bounds, *[(-np.inf, np.inf)] * len(helped)], float).reshape(-1, 2).T
+        force = np.array(list(reserves.values()))
+        return cls(
+            steady, coordinates, held, helped, force, rows, entries, lower, upper, exponent, device, sequence
+        )
+
+    def solve(
+        self, paths: MusclePaths, moment: np.ndarray, capacity: np.ndarray, near: np.ndarray | None = None
+    ) -> Activations:
+        """Return the activations that give moments, with muscles that have these forces at activation 1."""
+        reserve = np.broadcast_to(self.reserve, (len(capacity), len(self.reserve)))
+        return optimal_activations(
+            self.rows, paths.moment_arm, moment[:, self.held], self.lower, self.upper, self.exponent,
+            self.device, near, self.sequence, np.concatenate([capacity, reserve], axis=1), self.entries,
+        )  # fmt: skip
+
+    def rigid(
+        self, paths: MusclePaths, moment: np.ndarray, strength: np.ndarray, slack: np.ndarray
+    ) -> Solved:
+        """Solve with rigid tendons and without passive force."""
+        muscles = self.steady.muscles
         longer = np.broadcast_to(slack, paths.length.shape)
         slacks = np.array([muscle.values["tendon_slack_length"] for muscle in muscles])
         shortest = np.array([muscle.shortest_fiber for muscle in muscles])
         along = np.maximum(paths.length - longer * slacks, shortest)
-        capacity = strength * np.stack(
-            [rigid_capacity(m, paths.length[:, i], paths.velocity[:, i], longer[:, i])
-             for i, m in enumerate(muscles)], axis=1,
-        )  # fmt: skip
-        found = solve(capacity, passive)
-    else:
+        capacity = np.empty_like(paths.length)
+        for i, muscle in enumerate(muscles):
+            capacity[:, i] = rigid_capacity(muscle, paths.length[:, i], paths.velocity[:, i], longer[:, i])
+        capacity *= strength
+        return self.solve(paths, moment, capacity), capacity, np.zeros_like(capacity), along
+
+    def settled(
+        self, paths: MusclePaths, moment: np.ndarray, strength: np.ndarray, slack: np.ndarray
+    ) -> Solved:
+        """Solve with fibers and tendons in equilibrium, by secants."""
+
+        def at(activation: ArrayLike, near: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+            force, along, _ = self.steady.at(activation, paths.length, paths.velocity, slack, near)
+            return strength * force, along
+
         passive, _ = at(0.0)
         most, along = at(1.0)
         capacity = most - passive
-        found = solve(capacity, passive)
+        rest = moment - np.einsum("nmk,nm->nk", paths.moment_arm, passive)
+        found = self.solve(paths, rest, capacity)
         for _ in range(ROUNDS - 1):
-            before = np.clip(found.activation[:, : len(muscles)], LEAST, 1.0)
+            before = np.clip(found.activation[:, : len(self.steady.muscles)], LEAST, 1.0)
             force, along = at(before, along)
             capacity = (force - passive) / before
-            found = solve(capacity, passive, found.dual)
-    activation = found.activation[:, : len(muscles)]
+            found = self.solve(paths, rest, capacity, found.dual)
+        return found, capacity, passive, along
+
+
+def _made_of(
+    share: _Share, paths: MusclePaths, joint_moment: np.ndarray, wanted: np.ndarray, mode: Mode,
+    found: Activations, capacity: np.ndarray, passive: np.ndarray, along: np.ndarray,
+) -> MuscleForces:  # fmt: skip
+    """Return the forces of a solution; `wanted` are the greatest moments of all of the motion."""
+    count = len(share.steady.muscles)
+    activation = found.activation[:, :count]
     force = passive + capacity * activation
-    widths = np.array([muscle.fiber_width for muscle in muscles])
+    widths = np.array([muscle.fiber_width for muscle in share.steady.muscles])
     missing = joint_moment.copy()
-    missing[:, held] = found.missing
+    missing[:, share.held] = found.missing
     reserve = np.zeros_like(joint_moment)
-    reserve[:, helped] = found.activation[:, len(muscles) :] * list(reserves.values())
-    scale = wanted[held]
-    full = activation >= lower[: len(muscles)] + SATURATED * (upper - lower)[: len(muscles)]
+    reserve[:, share.helped] = found.activation[:, count:] * share.reserve
+    lower, upper = share.lower[:count], share.upper[:count]
+    full = activation >= lower + SATURATED * (upper - lower)
     counts = {name: int(n) for name, n in zip(paths.muscles, full.sum(axis=0), strict=True) if n}
+    feasible = (np.abs(found.missing) <= FEASIBLE * wanted[share.held]).all(axis=1)
     return MuscleForces(
-        paths.muscles, coordinates, activation, force, passive, np.hypot(along, widths),
-        mode == "equilibrium", -force * paths.velocity, reserve, missing,
-        (np.abs(found.missing) <= FEASIBLE * scale).all(axis=1), counts,
+        paths.muscles, share.coordinates, activation, force, passive, np.hypot(along, widths),
+        mode == "equilibrium", -force * paths.velocity, reserve, missing, feasible, counts,
     )  # fmt: skip

@@ -7,12 +7,14 @@ arms are what these do at unit speed of a coordinate (`skeleton`: a move shifts 
     r_k = -(sum over bodies, over the moves below them that k moves, of v . F + w . T
             + sum over moving points of dx/dq_k . F_x)
 
+On the CPU paths that touch no wrap object are followed in SIMD lanes, see `straight_paths`.
+
 Source: OpenSim's `computeMomentArm`; Sherman, Seth, Delp (2013), doi:10.1115/DETC2013-13633.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +25,7 @@ from myowarp.models.paths.path import Frames, PathTables, Pulls
 from myowarp.models.paths.tables import PathMemory
 from myowarp.motion.parts import in_parts, joined
 from myowarp.motion.skeleton import Bones, Placement, Skeleton, move_value, place
+from myowarp.motion.straight_paths import StraightPaths
 from myowarp.opensim.wrap.described import described
 from myowarp.opensim.wrap.moment_arm import crossed
 
@@ -136,23 +139,26 @@ class PathsOfMuscles:
     """The muscles of a model, to be followed for a number of frames at once, by one thread.
 
     Attributes:
-        muscles: Names of those that apply force.
+        muscles: Their names.
         crossed: For each the numbers of coordinates that it can act on.
     """
 
-    def __init__(self, bones: Bones, together: int = TOGETHER) -> None:
+    def __init__(self, bones: Bones, together: int = TOGETHER, names: Sequence[str] | None = None) -> None:
         """Put paths on the bones' device.
 
         Args:
             bones: The model.
             together: Frames that are followed at once.
+            names: Of muscles; None: of all that apply force.
 
         Raises:
             ValueError: The model has no muscle.
             NotImplementedError: A point moves by a function that is no piecewise polynomial.
         """
         model, self._bones = bones.model, bones
-        paths = {name: muscle.path for name, muscle in model.muscles.items() if muscle.applies_force}
+        if names is None:
+            names = [name for name, muscle in model.muscles.items() if muscle.applies_force]
+        paths = {name: model.muscles[name].path for name in names}
         if not paths:
             raise ValueError(f"model {model.name!r} has no muscle")
         self.muscles = tuple(paths)
@@ -261,11 +267,25 @@ def muscle_paths(bones: Bones, values: np.ndarray, speeds: np.ndarray) -> Muscle
         ValueError: The model has no muscle.
         NotImplementedError: A point moves by a function that is no piecewise polynomial.
     """
+    values, speeds = (np.ascontiguousarray(array, float) for array in (values, speeds))
+    every = PathsOfMuscles(bones, 1)
+    names = every.muscles
+    over = [name for name in names if bones.model.muscles[name].path.wraps or not bones.device.is_cpu]
+    straight = [name for name in names if name not in over]
+    in_lanes = StraightPaths(bones, straight, [names.index(name) for name in straight]) if straight else None
+    columns = [names.index(name) for name in over]
+    length, velocity = np.empty((2, len(values), len(names)))
+    arm = np.zeros((len(values), len(names), len(bones.coordinates)))
 
-    def solve(part: slice) -> MusclePaths:
+    def solve(part: slice) -> None:
+        """Write the rows of some frames."""
         own = values[part]
-        return PathsOfMuscles(bones, min(len(own), TOGETHER)).along(own, speeds[part])
+        if in_lanes is not None:
+            in_lanes.follow(own, speeds[part], length[part], velocity[part], arm[part])
+        if over:
+            found = PathsOfMuscles(bones, min(len(own), TOGETHER), over).along(own, speeds[part])
+            length[part, columns], velocity[part, columns] = found.length, found.velocity
+            arm[part, columns] = found.moment_arm
 
-    parts = in_parts(len(values), 16 * TOGETHER, bones.device, solve)
-    length, velocity, arm = joined([(found.length, found.velocity, found.moment_arm) for found in parts])
-    return MusclePaths(parts[0].muscles, length, velocity, arm, parts[0].crossed)
+    in_parts(len(values), 16 * TOGETHER, bones.device, solve)
+    return MusclePaths(names, length, velocity, arm, every.crossed)

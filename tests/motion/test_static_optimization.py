@@ -5,9 +5,13 @@ import pytest
 from scipy import optimize
 
 from myowarp.kernels.bounded_least_squares import bounded_least_squares
+from myowarp.motion import static_optimization
+from myowarp.motion.dual_newton import TOLERANCE
 from myowarp.motion.static_optimization import optimal_activations
 
 FRAMES, MUSCLES, ROWS = 33, 9, 3
+LANES = 1e-7
+"""Between two Newton methods, each of which ends with 1e-9 of a row."""
 
 
 def problem(seed=0, reserve=2.0):
@@ -82,6 +86,26 @@ def test_what_muscles_cannot_hold_is_missing():
         found.missing, 10 * wanted - np.einsum("nij,nj->ni", matrix[:, :, cut], found.activation), atol=1e-9
     )
     assert (np.abs(found.missing).max(axis=1) > 1.0).all()
+
+
+@pytest.mark.parametrize("much", [1.0, 10.0])
+def test_lanes_give_what_the_kernel_gives(monkeypatch, much):
+    """Where muscles hold a frame and where not; with a scale, bounds of each frame, and two recordings."""
+    rows, effects, _, wanted, lower, upper = problem(5)
+    random = np.random.default_rng(6)
+    scale = random.uniform(0.5, 1.5, size=(FRAMES, MUSCLES + ROWS))
+    lower = lower + 0.1 * random.uniform(size=scale.shape)
+    cut = slice(None, MUSCLES if much > 1.0 else None)
+    given = rows[cut], effects[:, cut], much * wanted, lower[:, cut], upper[cut]
+    options = {"sequence": 20, "scale": scale[:, cut]}
+    found = optimal_activations(*given, **options)
+    monkeypatch.setattr(static_optimization, "in_lanes", lambda exponent: False)
+    kernel = optimal_activations(*given, **options)
+    np.testing.assert_allclose(found.activation, kernel.activation, atol=LANES)
+    np.testing.assert_allclose(found.missing, kernel.missing, atol=100 * LANES)
+    assert (found.residual < TOLERANCE).all() or much > 1.0
+    same = optimal_activations(rows[cut], effects[:, cut] * scale[:, cut, None], *given[2:], sequence=20)
+    np.testing.assert_allclose(found.activation, same.activation, atol=LANES)
 
 
 def test_a_frame_that_is_no_number_leaves_the_others_alone():
