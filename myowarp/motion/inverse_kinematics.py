@@ -414,49 +414,21 @@ def inverse_kinematics(
             which no frame shows three markers.
     """
     model, names = bones.model, bones.coordinates
-    shared = [name for name in recorded.names if name in model.markers]
-    weights = dict.fromkeys(shared, 1.0) if marker_weights is None else dict(marker_weights)
-    for name, weight in weights.items():
-        if name not in model.markers:
-            raise ValueError(f"the model has no marker {name!r}; available: {', '.join(model.markers)}")
-        if name not in recorded.names:
-            raise ValueError(f"the recording has no marker {name!r}; available: {', '.join(recorded.names)}")
-        if not 0.0 <= weight < np.inf:
-            raise ValueError(f"the weight of marker {name!r} must be at least 0 and finite, got {weight}")
-    used = tuple(name for name, weight in weights.items() if weight > 0.0)
-    if not used:
-        raise ValueError(
-            f"no marker has a weight; the model has {', '.join(model.markers) or 'none'}, the recording "
-            f"{', '.join(recorded.names)}"
-        )
+    weights = _checked(bones, recorded, marker_weights)
+    used = tuple(weights)
     seen = recorded.positions[:, [recorded.names.index(name) for name in used]]
     if not (np.isfinite(seen).all(axis=2).sum(axis=1) >= FEWEST).any():
         raise ValueError(
             f"no frame shows {FEWEST} markers with a weight; the recording has {', '.join(recorded.names)}"
         )
     count = len(seen)
-    pull, wanted = np.zeros(len(names)), np.zeros((count, len(names)))
-    for name, weight in (coordinate_weights or {}).items():
-        if name in names:
-            pull[names.index(name)] = weight
-        elif name not in model.coordinates:
-            raise ValueError(f"coordinate {name!r} unknown; available: {', '.join(model.coordinates)}")
-    for k, name in enumerate(names):
-        wanted[:, k] = (coordinate_values or {}).get(name, model.coordinates[name].default)
-    factors = np.atleast_2d(np.asarray(weight_factors, float))
     values = np.tile([(start or {}).get(name, model.coordinates[name].default) for name in names], (count, 1))
-    bounds = [
-        model.coordinates[n].range if model.coordinates[n].clamped else (-np.inf, np.inf) for n in names
-    ]
-    lower, upper = np.array(bounds, float).reshape(-1, 2).T
     with wp.ScopedDevice(bones.device):
-        targets = Targets()
+        targets, lower, upper = _targets(bones, seen, coordinate_weights or {}, coordinate_values or {})
+        factors = np.atleast_2d(np.asarray(weight_factors, float))
         targets.body = wp.array([bones.number(model.markers[name].body) for name in used], dtype=int)
         targets.location = wp.array([model.markers[name].location for name in used], dtype=wp.vec3d)
-        targets.weight = wp.array(factors * [weights[name] for name in used], dtype=wp.float64)
-        targets.marker = wp.array(seen, dtype=wp.vec3d)
-        for name, array in (("value", wanted), ("value_weight", pull), ("lower", lower), ("upper", upper)):
-            setattr(targets, name, wp.array(array, dtype=wp.float64))
+        targets.weight = wp.array(factors * list(weights.values()), dtype=wp.float64)
         out = {
             "values": wp.array(np.clip(values if near is None else near, lower, upper), dtype=wp.float64),
             "cost": wp.zeros(count, dtype=wp.float64),
@@ -471,6 +443,59 @@ def inverse_kinematics(
         places = out["places"].numpy()
         error = np.linalg.norm(places - seen, axis=2)
         return Fitted(names, recorded.time, out["values"].numpy(), used, places, error, out["cost"].numpy())
+
+
+def _checked(bones: Bones, recorded: Markers, marker_weights: Mapping[str, float] | None) -> dict[str, float]:
+    """Return the weights that are above 0, by marker; by default 1 for all that model and recording share.
+
+    Raises:
+        ValueError: A marker is unknown, a weight is negative, or none is positive.
+    """
+    model = bones.model
+    shared = [name for name in recorded.names if name in model.markers]
+    weights = dict.fromkeys(shared, 1.0) if marker_weights is None else dict(marker_weights)
+    for name, weight in weights.items():
+        if name not in model.markers:
+            raise ValueError(f"the model has no marker {name!r}; available: {', '.join(model.markers)}")
+        if name not in recorded.names:
+            raise ValueError(f"the recording has no marker {name!r}; available: {', '.join(recorded.names)}")
+        if not 0.0 <= weight < np.inf:
+            raise ValueError(f"the weight of marker {name!r} must be at least 0 and finite, got {weight}")
+    used = {name: weight for name, weight in weights.items() if weight > 0.0}
+    if not used:
+        raise ValueError(
+            f"no marker has a weight; the model has {', '.join(model.markers) or 'none'}, the recording "
+            f"{', '.join(recorded.names)}"
+        )
+    return used
+
+
+def _targets(
+    bones: Bones, seen: np.ndarray, weights: Mapping[str, float], values: Mapping[str, float | np.ndarray]
+) -> tuple[Targets, np.ndarray, np.ndarray]:
+    """Return where markers were seen and what coordinates should be, and the bounds of coordinates.
+
+    Raises:
+        ValueError: A coordinate is unknown.
+    """
+    model, names = bones.model, bones.coordinates
+    pull, wanted = np.zeros(len(names)), np.zeros((len(seen), len(names)))
+    for name, weight in weights.items():
+        if name in names:
+            pull[names.index(name)] = weight
+        elif name not in model.coordinates:
+            raise ValueError(f"coordinate {name!r} unknown; available: {', '.join(model.coordinates)}")
+    for k, name in enumerate(names):
+        wanted[:, k] = values.get(name, model.coordinates[name].default)
+    bounds = [
+        model.coordinates[n].range if model.coordinates[n].clamped else (-np.inf, np.inf) for n in names
+    ]
+    lower, upper = np.array(bounds, float).reshape(-1, 2).T
+    targets = Targets()
+    targets.marker = wp.array(seen, dtype=wp.vec3d)
+    for name, array in (("value", wanted), ("value_weight", pull), ("lower", lower), ("upper", upper)):
+        setattr(targets, name, wp.array(array, dtype=wp.float64))
+    return targets, lower, upper
 
 
 def _run(

@@ -185,6 +185,86 @@ class _Muscles:
         return self.strength * force, np.hypot(along, self.width), self.strength * slope
 
 
+class _Simulations:
+    """State of all worlds, and what moves it.
+
+    Attributes:
+        values: [rad] or [m], shape (worlds, coordinates).
+        speeds: Their derivatives by time.
+        activation: [1], shape (worlds, muscles).
+        fiber: Lengths [m].
+        force: In the tendon [N].
+        mass: Of the beginning, shape (worlds, coordinates, coordinates).
+        reserve: That holds the beginning [N m] or [N].
+    """
+
+    def __init__(
+        self, bones: Bones, muscles: _Muscles, loads: Sequence[Load], values: np.ndarray, speeds: np.ndarray,
+        acceleration: np.ndarray, cost: np.ndarray, begin: float,
+    ) -> None:  # fmt: skip
+        """Begin on the motion, muscles in equilibrium at its moments; loads are those of all half steps."""
+        worlds = len(muscles.strength)
+        self.bones, self.muscles, self._loads, self._cost, self._begin = bones, muscles, loads, cost, begin
+        self.values, self.speeds = (np.tile(array, (worlds, 1)) for array in (values, speeds))
+        self._followed = PathsOfMuscles(bones, worlds)
+        self._paths = paths = self._followed.along(self.values, self.speeds)
+        self.mass, bias = equations(bones, self.values, self.speeds, self._acting(0))
+        needed = np.einsum("njk,k->nj", self.mass, acceleration) + bias
+        first = muscle_forces(
+            bones.model, bones.coordinates, paths, needed,
+            reserves=dict(zip(bones.coordinates, cost, strict=True)), strength=muscles.strength,
+            device=bones.device,
+        )  # fmt: skip
+        self.activation = np.clip(first.activation, muscles.lower, muscles.upper)
+        force, along, _ = muscles.steady.at(self.activation, paths.length, paths.velocity)
+        self.force, self.fiber = muscles.strength * force, np.hypot(along, muscles.width)
+        self.reserve = first.reserve
+
+    def _acting(self, step: int) -> list[Load]:
+        """Return the loads after a number of half steps, for all worlds."""
+        rows = [step] * len(self.muscles.strength)
+        return [Load(x.body, x.force[rows], x.point[rows], x.torque[rows], x.force_frame, x.point_frame)
+                for x in self._loads]  # fmt: skip
+
+    def controls(self, window: int, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return excitations and what reserves give, for these accelerations at the end of a window."""
+        q, u = self.values, self.speeds
+        q_end, u_end = q + WINDOW * (u + 0.5 * WINDOW * wanted), u + WINDOW * wanted
+        mass, bias = equations(self.bones, q_end, u_end, self._acting(2 * (window + 1) * SUBSTEPS))
+        needed = np.einsum("njk,nk->nj", mass, wanted) + bias
+        arms = self._followed.at(q_end)[1]
+        state = self.activation, self.fiber
+        return _controls(self.muscles, self._paths, arms, wanted, needed, *state, self._cost)
+
+    def advance(self, window: int, excitation: np.ndarray, reserve: np.ndarray) -> None:
+        """Simulate a window.
+
+        Raises:
+            ValueError: A simulation is lost.
+        """
+        dt = WINDOW / SUBSTEPS
+        for step in range(SUBSTEPS):
+            q, u = self.values, self.speeds
+            self.activation = self.muscles.activation.step(self.activation, excitation, dt)
+            paths = self._followed.along(q + dt * u, u)
+            self.force, self.fiber, slope = self.muscles.step(
+                self.activation, self.fiber, paths.length, paths.velocity, dt
+            )
+            middle = q + 0.5 * dt * u
+            mass, bias = equations(self.bones, middle, u, self._acting(2 * (window * SUBSTEPS + step) + 1))
+            moment = np.einsum("nmk,nm->nk", paths.moment_arm, self.force) + reserve - bias
+            stiff = mass + dt * np.einsum("nmj,nm,nmk->njk", paths.moment_arm, slope, paths.moment_arm)
+            self.speeds = u = u + dt * np.linalg.solve(stiff, moment[:, :, None])[:, :, 0]
+            if not (np.abs(u) < FAR).all():
+                lost = int(np.argmax(~(np.abs(u) < FAR).all(axis=1)))
+                raise ValueError(
+                    f"simulation {lost} is lost at {self._begin + WINDOW * window:.3f} s; give reserves more "
+                    "force, or smooth the motion"
+                )
+            self.values = q + dt * u
+        self._paths = self._followed.along(self.values, self.speeds)
+
+
 def track(
     bones: Bones,
     time: np.ndarray,
@@ -219,9 +299,9 @@ def track(
     coordinates = bones.coordinates
     if missing := [name for name in coordinates if not reserves.get(name, 0.0) > 0.0]:
         raise ValueError(f"tracking needs a reserve on every coordinate; {missing[0]!r} has none")
-    muscles = tuple(name for name, muscle in bones.model.muscles.items() if muscle.applies_force)
-    factors = np.ones((1, len(muscles))) if strength is None else np.atleast_2d(strength)
-    worlds = len(factors)
+    names = tuple(name for name, muscle in bones.model.muscles.items() if muscle.applies_force)
+    factors = np.ones((1, len(names))) if strength is None else np.atleast_2d(strength)
+    muscles = _Muscles(bones, names, factors)
     begin, end = span or (float(time[0]), float(time[-1]))
     if not time[0] - 1e-9 <= begin < end <= time[-1] + 1e-9:
         raise ValueError(
@@ -233,68 +313,33 @@ def track(
     q_there, u_there, a_there = (curve(np.minimum(times, time[-1]), order) for order in range(3))
     half = 0.5 * WINDOW / SUBSTEPS
     external = loads(np.minimum(begin + half * np.arange(2 * windows * SUBSTEPS + 1), time[-1]))
-    body = _Muscles(bones, muscles, factors)
     cost = np.array([reserves[name] for name in coordinates])
-
-    def acting(step: int) -> list[Load]:
-        """Return the loads after a number of half steps, for all worlds."""
-        rows = [step] * worlds
-        return [Load(x.body, x.force[rows], x.point[rows], x.torque[rows], x.force_frame, x.point_frame)
-                for x in external]  # fmt: skip
-
-    q, u = (np.tile(array[0], (worlds, 1)) for array in (q_there, u_there))
-    followed = PathsOfMuscles(bones, worlds)
-    paths = followed.along(q, u)
-    mass, bias = equations(bones, q, u, acting(0))
-    back = gains_of(bones, mass[0].diagonal(), gains or {})
-    needed = np.einsum("njk,k->nj", mass, a_there[0]) + bias
-    first = muscle_forces(
-        bones.model, coordinates, paths, needed, reserves=reserves, strength=factors, device=bones.device
-    )
-    activation = np.clip(first.activation, body.lower, body.upper)
-    force, along, _ = body.steady.at(activation, paths.length, paths.velocity)
-    force, fiber = factors * force, np.hypot(along, body.width)
+    worlds = _Simulations(bones, muscles, external, q_there[0], u_there[0], a_there[0], cost, begin)
+    back = gains_of(bones, worlds.mass[0].diagonal(), gains or {})
     seen: dict[str, list[np.ndarray]] = {name: [] for name in ("values", "excitation", "activation",
                                          "fiber_length", "force", "reserve")}  # fmt: skip
-    excitation, reserve = activation, first.reserve
+    excitation, reserve = worlds.activation, worlds.reserve
+
+    def note() -> None:
+        """Keep what the worlds are, and are driven by."""
+        now = worlds.values, excitation, worlds.activation, worlds.fiber, worlds.force, reserve
+        for rows, array in zip(seen.values(), now, strict=True):
+            rows.append(array)
+
     for window in range(windows):
         if replay is None:
-            off, slower = q_there[window] - q, u_there[window] - u
+            off, slower = q_there[window] - worlds.values, u_there[window] - worlds.speeds
             wanted = a_there[window + 1] + 2.0 * np.sqrt(back) * slower + back * off
-            q_end, u_end = q + WINDOW * (u + 0.5 * WINDOW * wanted), u + WINDOW * wanted
-            mass, bias = equations(bones, q_end, u_end, acting(2 * (window + 1) * SUBSTEPS))
-            needed = np.einsum("njk,nk->nj", mass, wanted) + bias
-            arms = followed.at(q_end)[1]
-            excitation, reserve = _controls(body, paths, arms, wanted, needed, activation, fiber, cost)
+            excitation, reserve = worlds.controls(window, wanted)
         else:
             excitation, reserve = (np.broadcast_to(array[window], own.shape) for array, own in
-                                   ((replay.excitation, activation), (replay.reserve, u)))  # fmt: skip
-        for name, array in zip(seen, (q, excitation, activation, fiber, force, reserve), strict=True):
-            seen[name].append(array)
-        dt = WINDOW / SUBSTEPS
-        for step in range(SUBSTEPS):
-            activation = body.activation.step(activation, excitation, dt)
-            next_q = q + dt * u
-            paths = followed.along(next_q, u)
-            force, fiber, slope = body.step(activation, fiber, paths.length, paths.velocity, dt)
-            middle = q + 0.5 * dt * u
-            mass, bias = equations(bones, middle, u, acting(2 * (window * SUBSTEPS + step) + 1))
-            moment = np.einsum("nmk,nm->nk", paths.moment_arm, force) + reserve - bias
-            stiff = mass + dt * np.einsum("nmj,nm,nmk->njk", paths.moment_arm, slope, paths.moment_arm)
-            u = u + dt * np.linalg.solve(stiff, moment[:, :, None])[:, :, 0]
-            if not (np.abs(u) < FAR).all():
-                lost = int(np.argmax(~(np.abs(u) < FAR).all(axis=1)))
-                raise ValueError(
-                    f"simulation {lost} is lost at {times[window]:.3f} s; give reserves more force, or "
-                    "smooth the motion"
-                )
-            q = q + dt * u
-        paths = followed.along(q, u)
+                                   ((replay.excitation, excitation), (replay.reserve, reserve)))  # fmt: skip
+        note()
+        worlds.advance(window, excitation, reserve)
         advance(1)
-    for name, array in zip(seen, (q, excitation, activation, fiber, force, reserve), strict=True):
-        seen[name].append(array)
+    note()
     arrays = {name: np.stack(rows) for name, rows in seen.items()}
-    return Tracked(times, coordinates, muscles, wanted=q_there, **arrays)
+    return Tracked(times, coordinates, names, wanted=q_there, **arrays)
 
 
 def _controls(
