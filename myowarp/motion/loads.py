@@ -9,6 +9,7 @@ import numpy as np
 
 from myowarp.motion.inverse_dynamics import Load
 from myowarp.motion.storage import Storage, read_storage
+from myowarp.motion.streams import Stream
 from myowarp.opensim.read.document import Element, parse
 
 AXES = ("x", "y", "z")
@@ -107,6 +108,44 @@ def _columns(element: Element) -> LoadColumns:
     return LoadColumns(element.name, body, *columns, *frames)
 
 
+class Loads:
+    """The loads of a file of `ExternalLoads`."""
+
+    def __init__(self, path: Path, recording: Path | None = None, forwards: bool = False) -> None:
+        """Read the file.
+
+        Args:
+            path: The file.
+            recording: File of the columns; by default the one that it names.
+            forwards: Whether the recording is read a part at a time.
+
+        Raises:
+            ValueError: A file is not what it should be.
+            OSError: A file cannot be read.
+        """
+        self._columns, named = read_loads(path)
+        source = recording or named
+        if source is None:
+            raise ValueError(f"{str(path)!r} names no <datafile>; give the file of the recorded forces")
+        self._recording = Stream(source) if forwards else read_storage(source)
+
+    def close(self) -> None:
+        """Close the recording."""
+        if isinstance(self._recording, Stream):
+            self._recording.close()
+
+    def at(self, times: np.ndarray) -> list[Load]:
+        """Return the loads at some times [s]; of a recording read forwards, after those asked for before.
+
+        Raises:
+            ValueError: The recording does not cover the times.
+        """
+        table = self._recording
+        if isinstance(table, Stream):
+            table = table.around(times[0], times[-1])
+        return [one.at(table, times) for one in self._columns]
+
+
 def loads_at(path: Path, times: np.ndarray, recording: Path | None = None) -> list[Load]:
     """Return the loads of a file of `ExternalLoads` at some times [s].
 
@@ -119,9 +158,4 @@ def loads_at(path: Path, times: np.ndarray, recording: Path | None = None) -> li
         ValueError: A file is not what it should be, or does not cover the times.
         OSError: A file cannot be read.
     """
-    columns, named = read_loads(path)
-    source = recording or named
-    if source is None:
-        raise ValueError(f"{str(path)!r} names no <datafile>; give the file of the recorded forces")
-    table = read_storage(source)
-    return [one.at(table, times) for one in columns]
+    return Loads(path, recording).at(times)

@@ -36,24 +36,27 @@ class Storage:
     in_degrees: bool = False
 
 
-def write_storage(path: Path, name: str, storage: Storage) -> None:
-    """Write a `.sto` or `.mot` file.
+def write_storage(path: Path, name: str, storage: Storage, first: int = 0, total: int | None = None) -> None:
+    """Write a `.sto` or `.mot` file, or a part of it behind the parts before.
 
     Args:
         path: File to write.
         name: What the file calls itself.
         storage: The table.
+        first: Number of its first row in the file.
+        total: Rows of the file, where that is not all of them.
 
     Raises:
         OSError: The file cannot be written.
     """
     rows, columns = storage.values.shape
-    degrees = "yes" if storage.in_degrees else "no"
-    with path.open("w") as file:
-        file.write(
-            f"{name}\nversion=1\nnRows={rows}\nnColumns={columns + 1}\ninDegrees={degrees}\nendheader\n"
-        )
-        file.write("\t".join(("time", *storage.labels)) + "\n")
+    degrees, rows = "yes" if storage.in_degrees else "no", total or rows
+    with path.open("a" if first else "w") as file:
+        if not first:
+            file.write(
+                f"{name}\nversion=1\nnRows={rows}\nnColumns={columns + 1}\ninDegrees={degrees}\nendheader\n"
+            )
+            file.write("\t".join(("time", *storage.labels)) + "\n")
         np.savetxt(file, np.column_stack([storage.time, storage.values]), fmt="%.9g", delimiter="\t")
 
 

@@ -6,8 +6,8 @@ in degrees in `.mot`, all else in `.sto`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 from myowarp.motion.inverse_dynamics import Load, Needed, inverse_dynamics
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.joint_reactions import JointReactions, joint_reactions
-from myowarp.motion.loads import loads_at
+from myowarp.motion.loads import Loads, loads_at
 from myowarp.motion.markers import Markers, read_trc
 from myowarp.motion.metabolic_power import metabolic_power
 from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces, rigid_capacity
@@ -25,6 +25,7 @@ from myowarp.motion.scaling import Scaled, read_setup, scale, write_factors
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.storage import Storage, read_storage, write_storage
+from myowarp.motion.streams import Margin, Stream, is_long
 from myowarp.motion.tasks import tasks_of
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.tracking import Tracked, track
@@ -32,9 +33,6 @@ from myowarp.opensim.model.kinematics import complete, forward, station
 from myowarp.opensim.model.model import Model
 from myowarp.opensim.muscle.hill import HillMuscle, known
 from myowarp.opensim.read.document import parse, write
-
-PRESENT = 1e-6
-"""Moment arm [m] that a muscle must reach somewhere in the motion to be written."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +45,8 @@ class Movement:
         speeds: Their derivatives by time.
         accelerations: Their second derivatives.
         absent: Coordinates that the file has not, which stand at their default.
+        first: Number of the first frame, where these are a part of a motion.
+        total: Frames of the motion; None: these are all.
     """
 
     time: np.ndarray
@@ -54,6 +54,8 @@ class Movement:
     speeds: np.ndarray
     accelerations: np.ndarray
     absent: tuple[str, ...]
+    first: int = 0
+    total: int | None = None
 
     def between(self, start: float, end: float) -> Movement:
         """Return the frames from `start` to `end` [s], both included; the filter has seen all.
@@ -67,8 +69,12 @@ class Movement:
                 f"no frame between {start:g} and {end:g} s; the motion is from {self.time[0]:g} to "
                 f"{self.time[-1]:g} s"
             )
-        rows = self.values[kept], self.speeds[kept], self.accelerations[kept]
-        return Movement(self.time[kept], *rows, self.absent)
+        return self._part(kept)
+
+    def _part(self, frames: Any) -> Movement:
+        """Return some frames."""
+        rows = self.values[frames], self.speeds[frames], self.accelerations[frames]
+        return Movement(self.time[frames], *rows, self.absent)
 
 
 def read_motion(path: Path, bones: Bones, cutoff: float | None = None) -> Movement:
@@ -86,7 +92,16 @@ def read_motion(path: Path, bones: Bones, cutoff: float | None = None) -> Moveme
         ValueError: The file is none, has no coordinate of the model, or is too short.
         OSError: It cannot be read.
     """
-    table, model = read_storage(path), bones.model
+    return _moved(path, read_storage(path), bones, cutoff)
+
+
+def _moved(path: Path, table: Storage, bones: Bones, cutoff: float | None) -> Movement:
+    """Return the motion of a table.
+
+    Raises:
+        ValueError: It has no coordinate of the model, or is too short.
+    """
+    model = bones.model
     names = [label.split("/")[-2] if label.endswith("/value") else label for label in table.labels]
     found = [name for name in bones.coordinates if name in names]
     if not found:
@@ -103,6 +118,44 @@ def read_motion(path: Path, bones: Bones, cutoff: float | None = None) -> Moveme
         *derivatives(table.time, values, table.time, cutoff),
         tuple(name for name in bones.coordinates if name not in found),
     )
+
+
+def read_parts(
+    path: Path, bones: Bones, cutoff: float | None = None, span: tuple[float, float] | None = None
+) -> Iterator[Movement]:
+    """Yield the motion of a long file in parts; what is written of them one after the other is one file.
+
+    A file that is not long gives one part. Times of a long one must increase. The filter and the splines see
+    so much of the frames before and after a part that nothing but rounding differs from those of all.
+
+    Args:
+        path: The file.
+        bones: The model.
+        cutoff: Frequency of the filter [Hz]; None: none.
+        span: First and last time [s]; None: all.
+
+    Raises:
+        ValueError: As `read_motion`; or there is no frame in the span.
+        OSError: The file cannot be read.
+    """
+    if not is_long(path):
+        motion = read_motion(path, bones, cutoff)
+        yield motion if span is None else motion.between(*span)
+        return
+    with Stream(path) as stream:
+        total = stream.count(span)
+    begin, end = span or (-np.inf, np.inf)
+    if not total:
+        raise ValueError(f"no frame of {str(path)!r} is between {begin:g} and {end:g} s")
+    first = 0
+    with Stream(path) as stream:
+        for table, own in stream.parts(Margin.of(cutoff)):
+            kept = np.zeros(len(table.time), bool)
+            kept[own] = (table.time[own] >= begin - 1e-9) & (table.time[own] <= end + 1e-9)
+            if kept.any():
+                part = _moved(path, table, bones, cutoff)._part(kept)
+                yield replace(part, first=first, total=total)
+                first += len(part.time)
 
 
 def scale_to(
@@ -238,22 +291,23 @@ def write_angles(
     write_storage(path, "Coordinates", Storage(tuple(whole), time, np.stack(columns, axis=1), True))
 
 
-def dynamics(bones: Bones, motion: Movement, output: Path, loads: Path | None = None) -> Needed:
+def dynamics(bones: Bones, motion: Movement, output: Path, loads: Path | Loads | None = None) -> Needed:
     """Find what a motion takes; write `moments.sto`.
 
     Args:
         bones: The model.
-        motion: From `read_motion`.
+        motion: From `read_motion`, or a part from `read_parts`.
         output: Folder, which exists.
-        loads: A file of OpenSim's `ExternalLoads`.
+        loads: A file of OpenSim's `ExternalLoads`, or what it says.
 
     Raises:
         ValueError: A file is not what it should be.
         OSError: A file cannot be read or written.
     """
-    acting: Sequence[Load] = () if loads is None else loads_at(loads, motion.time)
+    known_loads = Loads(loads) if isinstance(loads, Path) else loads
+    acting: Sequence[Load] = () if known_loads is None else known_loads.at(motion.time)
     needed = inverse_dynamics(bones, motion.values, motion.speeds, motion.accelerations, acting)
-    _write(output / "moments.sto", "joint moments, N m and N", bones, motion.time, needed.joint_moment)
+    _write_along(output / "moments.sto", "joint moments, N m and N", bones, motion, needed.joint_moment)
     return needed
 
 
@@ -265,7 +319,7 @@ def analyze(bones: Bones, motion: Movement, output: Path) -> MusclePaths:
 
     Args:
         bones: The model.
-        motion: From `read_motion`.
+        motion: From `read_motion`, or a part from `read_parts`.
         output: Folder, which exists.
 
     Raises:
@@ -275,9 +329,9 @@ def analyze(bones: Bones, motion: Movement, output: Path) -> MusclePaths:
     paths = muscle_paths(bones, motion.values, motion.speeds)
     arms = {
         f"{muscle}.{coordinate}": paths.moment_arm[:, i, k]
-        for i, muscle in enumerate(paths.muscles)
+        for i, (muscle, crossed) in enumerate(zip(paths.muscles, paths.crossed, strict=True))
         for k, coordinate in enumerate(bones.coordinates)
-        if np.abs(paths.moment_arm[:, i, k]).max() > PRESENT
+        if k in crossed
     }
     active, passive = np.zeros_like(paths.length), np.zeros_like(paths.length)
     for i, name in enumerate(paths.muscles):
@@ -292,9 +346,8 @@ def analyze(bones: Bones, motion: Movement, output: Path) -> MusclePaths:
         ("passive_forces", "passive forces, N", passive),
         ("full_powers", "powers at full activation, W, shortening > 0", -(active + passive) * paths.velocity),
     ):
-        write_storage(output / f"{name}.sto", title, Storage(paths.muscles, motion.time, values))
-    table = Storage(tuple(arms), motion.time, np.stack(list(arms.values()), axis=1))
-    write_storage(output / "moment_arms.sto", "moment arms, m", table)
+        _write(output / f"{name}.sto", title, paths.muscles, motion, values)
+    _write(output / "moment_arms.sto", "moment arms, m", arms, motion, np.stack(list(arms.values()), axis=1))
     return paths
 
 
@@ -302,7 +355,7 @@ def forces(
     bones: Bones,
     motion: Movement,
     output: Path,
-    loads: Path | None = None,
+    loads: Path | Loads | None = None,
     *,
     mode: Mode = "equilibrium",
     exponent: float = 2.0,
@@ -312,9 +365,9 @@ def forces(
 
     Args:
         bones: The model.
-        motion: From `read_motion`.
+        motion: From `read_motion`, or a part from `read_parts`.
         output: Folder, which exists.
-        loads: A file of OpenSim's `ExternalLoads`.
+        loads: A file of OpenSim's `ExternalLoads`, or what it says.
         mode: What a muscle can give, see `muscle_forces`.
         exponent: p of the cost sum |a|^p.
         reserves: By coordinate, the force of a reserve at cost 1 [N m] or [N].
@@ -342,13 +395,13 @@ def forces(
         ("powers", "powers of muscles, W, shortening > 0", found.power),
         ("metabolic_powers", "metabolic powers of muscles, W, without the rate at rest", burnt),
     ):
-        write_storage(output / f"{name}.sto", title, Storage(found.muscles, motion.time, values))
+        _write(output / f"{name}.sto", title, found.muscles, motion, values)
     tension = dict(zip(found.muscles, found.force.T, strict=True))
-    write_reactions(
-        output / "joint_reactions.sto", motion.time, joint_reactions(bones, motion.values, needed, tension)
+    _write_reactions(
+        output / "joint_reactions.sto", motion, joint_reactions(bones, motion.values, needed, tension)
     )
-    _write(output / "reserves.sto", "what reserves give, N m and N", bones, motion.time, found.reserve)
-    _write(output / "missing.sto", "what nobody gives, N m and N", bones, motion.time, found.missing)
+    _write_along(output / "reserves.sto", "what reserves give, N m and N", bones, motion, found.reserve)
+    _write_along(output / "missing.sto", "what nobody gives, N m and N", bones, motion, found.missing)
     return found
 
 
@@ -399,18 +452,20 @@ def follow(
         advance=advance,
     )
     write_angles(output / "tracked.mot", bones.model, bones.coordinates, found.time, found.values[:, 0])
+    simulated = replace(motion, time=found.time)
     for name, title, values in (
         ("excitations", "excitations", found.excitation),
         ("activations", "activations", found.activation),
         ("fiber_lengths", "fiber lengths, m", found.fiber_length),
         ("forces", "forces of muscles, N", found.force),
     ):
-        write_storage(output / f"{name}.sto", title, Storage(found.muscles, found.time, values[:, 0]))
-    _write(output / "reserves.sto", "what reserves give, N m and N", bones, found.time, found.reserve[:, 0])
+        _write(output / f"{name}.sto", title, found.muscles, simulated, values[:, 0])
+    given = found.reserve[:, 0]
+    _write_along(output / "reserves.sto", "what reserves give, N m and N", bones, simulated, given)
     return found
 
 
-def write_reactions(path: Path, time: np.ndarray, found: JointReactions) -> None:
+def _write_reactions(path: Path, motion: Movement, found: JointReactions) -> None:
     """Write joint reactions with the labels of OpenSim's `JointReaction`: on the child, in ground.
 
     Raises:
@@ -422,12 +477,17 @@ def write_reactions(path: Path, time: np.ndarray, found: JointReactions) -> None
         for part in "fmp"
         for axis in "xyz"
     ]
-    table = np.concatenate([found.force, found.moment, found.point], axis=2).reshape(len(time), -1)
-    write_storage(path, "joint reactions, N, N m and m", Storage(tuple(labels), time, table))
+    table = np.concatenate([found.force, found.moment, found.point], axis=2).reshape(len(motion.time), -1)
+    _write(path, "joint reactions, N, N m and m", labels, motion, table)
 
 
-def _write(path: Path, title: str, bones: Bones, time: np.ndarray, values: np.ndarray) -> None:
+def _write_along(path: Path, title: str, bones: Bones, motion: Movement, values: np.ndarray) -> None:
     """Write what acts along the coordinates, named as OpenSim names it."""
     turns = [bones.model.coordinates[name].rotational for name in bones.coordinates]
     labels = (f"{n}_{'moment' if t else 'force'}" for n, t in zip(bones.coordinates, turns, strict=True))
-    write_storage(path, title, Storage(tuple(labels), time, values))
+    _write(path, title, labels, motion, values)
+
+
+def _write(path: Path, title: str, labels: Iterable[str], motion: Movement, values: np.ndarray) -> None:
+    """Write a table of a motion, or of a part of it behind the parts before."""
+    write_storage(path, title, Storage(tuple(labels), motion.time, values), motion.first, motion.total)

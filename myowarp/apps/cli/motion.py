@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,6 +16,7 @@ from rich.console import Console
 from myowarp.apps.cli.options import Overwrite, optional
 from myowarp.definitions.registry import check_least
 from myowarp.disk import check_folder, check_overwrite
+from myowarp.progress import patient_bar
 
 if TYPE_CHECKING:
     from myowarp.motion.muscle_forces import MuscleForces
@@ -55,6 +58,9 @@ WRITES = {
 
 EXPONENT = 2.0
 """Of activations in the cost, by default."""
+
+PATIENCE = 5.0
+"""Time after which a bar shows how far a motion is [s]."""
 
 SHOWN = 3
 """The worst of what is listed."""
@@ -229,25 +235,47 @@ class Motion:
                       for marker, rms, most in fitted.worst()[:SHOWN]]  # fmt: skip
             lines += [doubt] if (doubt := fitted.doubt()) else []
         else:
-            motion = trial.read_motion(source, bones, self.filter)
-            if motion.absent:
-                lines.append(f"not in the file, and at default: {', '.join(motion.absent)}")
-            if self.span is not None and self.what != "track":
-                motion = motion.between(*self.span)
-            if self.what == "analyze":
-                trial.analyze(bones, motion, self.output)
-                lines += self._page(source)
-            elif self.what == "track":
-                lines += self._track(bones, motion)
-            elif self.what == "dynamics":
-                trial.dynamics(bones, motion, self.output, self.loads)
-            else:
-                found = trial.forces(
-                    bones, motion, self.output, self.loads,
-                    mode=self.mode, exponent=self.exponent, reserves=self._reserves(bones) or None,
-                )  # fmt: skip
-                lines += worst_of(bones, found)
+            lines += self._along(bones, source)
         self._say(lines)
+
+    def _along(self, bones: Bones, source: Path) -> list[str]:
+        """Do a step along a motion; return what is to be said, one line each."""
+        from myowarp.motion import trial
+        from myowarp.motion.loads import Loads
+        from myowarp.motion.streams import is_long
+
+        if self.what == "track":
+            motion = trial.read_motion(source, bones, self.filter)
+            return [*absent_from(motion), *self._track(bones, motion)]
+        long = is_long(source)
+        lines: list[str] = []
+        loads, worst, advance = None, Worst(), None
+        with contextlib.ExitStack() as stack:
+            if self.loads is not None:
+                loads = stack.enter_context(contextlib.closing(Loads(self.loads, forwards=long)))
+            for motion in trial.read_parts(source, bones, self.filter, self.span):
+                if motion.first == 0:
+                    lines += absent_from(motion)
+                    frames = motion.total or len(motion.time)
+                    bar = patient_bar("Motion", "frames", frames, patience=PATIENCE)
+                    advance = stack.enter_context(bar)
+                if self.what == "analyze":
+                    trial.analyze(bones, motion, self.output)
+                elif self.what == "dynamics":
+                    trial.dynamics(bones, motion, self.output, loads)
+                else:
+                    found = trial.forces(
+                        bones, motion, self.output, loads,
+                        mode=self.mode, exponent=self.exponent, reserves=self._reserves(bones) or None,
+                    )  # fmt: skip
+                    worst.add(found)
+                if advance is not None:
+                    advance(len(motion.time))
+        if self.what == "forces":
+            lines += worst.lines(bones)
+        if self.what == "analyze":
+            lines += ["no page: the motion is too long for one"] if long else self._page(source)
+        return lines
 
     def _beside_emg(self, source: Path) -> list[str]:
         """Write envelopes, and how activations follow them; return those that follow least, one line each."""
@@ -379,17 +407,39 @@ def said_of(scaled: Scaled) -> list[str]:
     return [*lines, f"{mass:.1f} kg in {len(scaled.document.model.bodies)} bodies"]
 
 
-def worst_of(bones: Bones, found: MuscleForces) -> list[str]:
-    """Return what muscles could not do, one line each."""
-    lines = []
-    frames = len(found.feasible)
-    if bad := int((~found.feasible).sum()):
-        lines.append(f"muscles cannot hold {bad} of {frames} frames; missing.sto has what is left")
-    for name, values in (("missing", found.missing), ("reserve", found.reserve)):
-        most = abs(values).max(axis=0)
-        for k in most.argsort()[::-1][:SHOWN]:
-            if most[k] > 1e-3:
-                unit = "N m" if bones.model.coordinates[bones.coordinates[k]].rotational else "N"
-                lines.append(f"{name} at {bones.coordinates[k]}: {most[k]:.3g} {unit} at most")
-    full = sorted(found.saturated.items(), key=lambda item: -item[1])[:SHOWN]
-    return lines + [f"{muscle} is fully active in {count} of {frames} frames" for muscle, count in full]
+def absent_from(motion: Movement) -> list[str]:
+    """Return which coordinates a motion has not, in one line or none."""
+    return [f"not in the file, and at default: {', '.join(motion.absent)}"] if motion.absent else []
+
+
+class Worst:
+    """What muscles could not do in a motion, of all its parts."""
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self.frames, self.missed, self.full = 0, 0, Counter[str]()
+        self.most: dict[str, np.ndarray] = {}
+
+    def add(self, found: MuscleForces) -> None:
+        """Count a part."""
+        self.frames += len(found.feasible)
+        self.missed += int((~found.feasible).sum())
+        self.full.update(found.saturated)
+        for name in ("missing", "reserve"):
+            most = abs(getattr(found, name)).max(axis=0)
+            self.most[name] = np.maximum(most, self.most.get(name, 0.0))
+
+    def lines(self, bones: Bones) -> list[str]:
+        """Return what muscles could not do, one line each."""
+        lines = []
+        if self.missed:
+            lines.append(
+                f"muscles cannot hold {self.missed} of {self.frames} frames; missing.sto has what is left"
+            )
+        for name, most in self.most.items():
+            for k in most.argsort()[::-1][:SHOWN]:
+                if most[k] > 1e-3:
+                    unit = "N m" if bones.model.coordinates[bones.coordinates[k]].rotational else "N"
+                    lines.append(f"{name} at {bones.coordinates[k]}: {most[k]:.3g} {unit} at most")
+        full = self.full.most_common(SHOWN)
+        return lines + [f"{muscle} is fully active in {n} of {self.frames} frames" for muscle, n in full]

@@ -1,0 +1,105 @@
+"""Long files are read a part at a time: rows are those of the file, results those of the whole motion."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from myowarp.apps.cli.motion import Motion
+from myowarp.motion import streams
+from myowarp.motion.skeleton import Bones
+from myowarp.motion.storage import Storage, read_storage, write_storage
+from myowarp.motion.streams import Margin, Stream
+from myowarp.motion.trial import write_angles
+from myowarp.opensim.read.model import read_model
+
+LEG = Path(__file__).parents[1] / "data/osim/leg6dof9musc.osim"
+ROWS, SIZE, RATE = 700, 48, 100.0  # Hz
+DIGITS = 2e-8
+"""Of nine digits in files, share of the greatest value."""
+LOADS = """<OpenSimDocument Version="40000"><ExternalLoads name="l"><objects><ExternalForce name="push">
+<applied_to_body>pelvis</applied_to_body><force_identifier>f</force_identifier>
+</ExternalForce></objects><datafile>push.mot</datafile></ExternalLoads></OpenSimDocument>"""
+
+
+@pytest.fixture(autouse=True)
+def short_parts(monkeypatch):
+    monkeypatch.setattr(streams, "FRAMES", SIZE)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder with a motion and a load at another rate."""
+    folder, bones = tmp_path_factory.mktemp("long"), Bones(read_model(LEG))
+    random = np.random.default_rng(0)
+    time = np.arange(ROWS) / RATE
+    waves = np.sin(time[:, None] * random.uniform(2.0, 6.0, len(bones.coordinates)))
+    values = 0.1 * waves + 1e-3 * random.normal(size=waves.shape)
+    write_angles(folder / "motion.mot", bones.model, bones.coordinates, time, values)
+    fine = np.arange(3 * ROWS) / 250.0
+    push = Storage(("fx", "fy", "fz"), fine, 50.0 * np.sin(fine[:, None] * [3.0, 4.0, 5.0]))
+    write_storage(folder / "push.mot", "push", push)
+    (folder / "push.xml").write_text(LOADS)
+    return folder
+
+
+def test_rows_are_those_of_the_file(folder):
+    """Each once; and no more of them are kept than a part and its margins have."""
+    margin = Margin(rows=10, seconds=0.2)
+    with Stream(folder / "motion.mot") as stream:
+        found = [(table.time[own], table.values[own], len(table.time)) for table, own in stream.parts(margin)]
+    whole = read_storage(folder / "motion.mot")
+    np.testing.assert_array_equal(np.concatenate([time for time, _, _ in found]), whole.time)
+    np.testing.assert_array_equal(np.concatenate([rows for _, rows, _ in found]), whole.values)
+    assert len(found) == -(-ROWS // SIZE)
+    assert max(kept for _, _, kept in found) == SIZE + 2 * 20
+    with Stream(folder / "push.mot") as stream:
+        for begin in (0.0, 2.0, 2.5):
+            part = stream.around(begin, begin + 0.4, rows=5)
+            assert len(part.time) == 101 + (5 if begin == 0.0 else 10)
+            assert part.time[0] <= begin
+            assert part.time[-1] > begin + 0.4
+
+
+@pytest.mark.parametrize(("what", "options"), [
+    ("forces", {"loads": "push.xml", "mode": "opensim", "reserve": 100.0}), ("analyze", {}),
+    ("dynamics", {"loads": "push.xml", "span": (1.0, 5.5)}),
+])  # fmt: skip
+def test_results_are_those_of_the_whole_motion(folder, tmp_path, monkeypatch, capsys, what, options):
+    monkeypatch.setattr(Motion, "_page", lambda self, motion: [])
+    options = options | ({"loads": folder / options["loads"]} if "loads" in options else {})
+    options |= {"motion": folder / "motion.mot", "filter": 6.0}
+    Motion(what, LEG, **options, output=tmp_path / "parts")()
+    said = capsys.readouterr().err
+    monkeypatch.setattr(streams, "FRAMES", ROWS)
+    Motion(what, LEG, **options, output=tmp_path / "whole")()
+    files = sorted(path.name for path in (tmp_path / "whole").iterdir())
+    assert files == sorted(path.name for path in (tmp_path / "parts").iterdir())
+    for name in files:
+        parts, whole = (read_storage(tmp_path / part / name) for part in ("parts", "whole"))
+        assert parts.labels == whole.labels
+        np.testing.assert_array_equal(parts.time, whole.time)
+        scale = max(np.abs(whole.values).max(), 1e-3)
+        np.testing.assert_allclose(parts.values, whole.values, atol=DIGITS * scale, err_msg=name)
+        head = (tmp_path / "parts" / name).read_text().splitlines()[:4]
+        assert head == (tmp_path / "whole" / name).read_text().splitlines()[:4]
+    if what != "analyze":
+        assert said.splitlines()[:-1] == capsys.readouterr().err.splitlines()[:-1]
+
+
+@pytest.mark.parametrize(("row", "message"), [
+    ("0.5\t1.0", "rows 50 to 97 of .* must be numbers, one for each column"),
+    ("\t".join(["0.5"] + ["x"] * 2), "rows 50 to 97 of .* must be numbers"),
+    ("0.5\tnan\t1.0", "rows 50 to 97 of .* must be finite numbers"),
+    ("0.1\t1.0\t1.0", "rows 50 to 97 of .* must have times that increase, as the file is read in parts"),
+])  # fmt: skip
+def test_bad_rows_are_one_sentence(tmp_path, row, message):
+    lines = [f"{0.01 * k:.2f}\t1.0\t2.0" for k in range(200)]
+    lines[60] = row
+    (tmp_path / "a.sto").write_text("\n".join(["a", "endheader", "time\ta\tb", *lines]) + "\n")
+    with Stream(tmp_path / "a.sto") as stream, pytest.raises(ValueError, match=message) as caught:
+        list(stream.parts(Margin(rows=0)))
+    assert "\n" not in str(caught.value)
+    (tmp_path / "b.sto").write_text("a\nendheader\nframe\ta\n1\t2\n")
+    with pytest.raises(ValueError, match="must have a line 'endheader' and then a first column 'time'"):
+        Stream(tmp_path / "b.sto")
