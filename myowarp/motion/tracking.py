@@ -4,19 +4,20 @@ Every `WINDOW` the accelerations that bring the model back to the motion are
 
     q''* = q'' + KV (q' - q'_now) + KP (q - q_now)
 
-and those activations of least cost are found that give them at the window's end, among those that an
-excitation can reach by then, with tendons that stretch meanwhile: the force of a muscle at the end of the
-window is taken as linear in its activation, in a few rounds of secants. Excitations follow from these, and
-drive activations, fibers and bones through the window in `SUBSTEPS` steps: activations by the midpoint rule,
-fibers by backward Euler, speeds by Euler with inertias and loads of the step's middle and the forces of
-stretched tendons at its end, then coordinates. Loads from outside are those that were recorded. What reserves
-give at the root is the residual.
+and those forces of least stress, sum (F / F_max)^2, are found that give them at the window's end, among
+those that excitations can reach by then, with tendons that stretch meanwhile; then the excitation that
+reaches each. It is constant in the window and drives activations, fibers and bones through it in `SUBSTEPS`
+steps: activations by the midpoint rule, fibers by backward Euler, speeds with inertias and loads of the
+step's middle and the mean force of its ends, coordinates with the mean speed. Loads from outside are those
+that were recorded. Reserves are optimised with the muscles, and change linearly in the window. What they give
+at the root is the residual.
 
 Worlds are simulations of one motion with other strengths. A replay drives them by given excitations and
 reserves, without a way back to the motion.
 
 Where we differ from OpenSim's CMC: the moments of the window's end are those of the state that the wanted
-accelerations lead to, steps are fixed, and ranges of coordinates do not push back.
+accelerations lead to, steps are fixed, muscles begin in equilibrium at the least sum of squared activations,
+and ranges of coordinates do not push back.
 
 Source: Thelen, Anderson, Delp (2003), J Biomech 36:321, doi:10.1016/S0021-9290(02)00432-3; Thelen, Anderson
 (2006), J Biomech 39:1107, doi:10.1016/j.jbiomech.2005.02.010.
@@ -50,14 +51,8 @@ KP, KP_LIGHT, LIGHT = 100.0, 1600.0, 0.01
 small errors of muscle forces carry far: OpenSim's example has both, the second for the foot on its talus.
 KV = 2 sqrt(KP) [1/s] damps critically."""
 
-BISECTIONS = 40
-"""Of the excitation that reaches an activation."""
-
-REACH = 1e-3
-"""Activation between least and greatest reachable one, at least, for a slope of the force."""
-
-ROUNDS = 3
-"""Of secants, of the force by the activation."""
+ROUNDS, MET = 20, 1e-3
+"""Of the excitation that reaches a force, until it does so within the last number [N]."""
 
 FAR = 1e3
 """Speed [rad/s, m/s] from which a simulation counts as lost."""
@@ -77,7 +72,7 @@ class Tracked:
         activation: [1].
         fiber_length: [m].
         force: In the tendon [N].
-        reserve: What reserves give in the window that follows [N m] or [N].
+        reserve: What reserves give [N m] or [N]; linear in between.
     """
 
     time: np.ndarray
@@ -112,23 +107,6 @@ class Activation:
             tau = np.where(excitation > activation, self.up * slow, self.down / slow)
             after = activation + (excitation - activation) * -np.expm1(-share * dt / tau)
         return after
-
-    def window(self, activation: np.ndarray, excitation: np.ndarray) -> np.ndarray:
-        """Return activations after a window."""
-        for _ in range(SUBSTEPS):
-            activation = self.step(activation, excitation, WINDOW / SUBSTEPS)
-        return activation
-
-    def excitation(
-        self, activation: np.ndarray, wanted: np.ndarray, lower: np.ndarray, upper: np.ndarray
-    ) -> np.ndarray:
-        """Return the excitation that reaches an activation at the end of a window, by bisection."""
-        low, high = (np.broadcast_to(bound, wanted.shape).copy() for bound in (lower, upper))
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (low + high)
-            below = self.window(activation, middle) < wanted
-            low, high = np.where(below, middle, low), np.where(below, high, middle)
-        return 0.5 * (low + high)
 
 
 def gains_of(bones: Bones, inertia: np.ndarray, gains: Mapping[str, float]) -> np.ndarray:
@@ -171,6 +149,7 @@ class _Muscles:
         )
         self.strength = strength
         muscles = self.steady.muscles
+        self.whole = strength * [m.values["max_isometric_force"] for m in muscles]
         self.activation = Activation(muscles)
         self.lower = np.array([max(m.values["min_control"], m.values.get("minimum_activation", 0.0), 0.0)
                                for m in muscles])  # fmt: skip
@@ -195,7 +174,7 @@ class _Simulations:
         fiber: Lengths [m].
         force: In the tendon [N].
         mass: Of the beginning, shape (worlds, coordinates, coordinates).
-        reserve: That holds the beginning [N m] or [N].
+        reserve: What reserves give [N m] or [N]; at first what holds the beginning.
     """
 
     def __init__(
@@ -232,37 +211,42 @@ class _Simulations:
         q_end, u_end = q + WINDOW * (u + 0.5 * WINDOW * wanted), u + WINDOW * wanted
         mass, bias = equations(self.bones, q_end, u_end, self._acting(2 * (window + 1) * SUBSTEPS))
         needed = np.einsum("njk,nk->nj", mass, wanted) + bias
-        arms = self._followed.at(q_end)[1]
+        times = WINDOW / SUBSTEPS * np.arange(1, SUBSTEPS + 1)
+        ahead = [self._followed.along(q + t * (u + 0.5 * t * wanted), u + t * wanted) for t in times]
         state = self.activation, self.fiber
-        return _controls(self.muscles, self._paths, arms, wanted, needed, *state, self._cost)
+        return _controls(self.muscles, ahead, needed, *state, self._cost)
 
     def advance(self, window: int, excitation: np.ndarray, reserve: np.ndarray) -> None:
-        """Simulate a window.
+        """Simulate a window, at whose end reserves give as much.
 
         Raises:
             ValueError: A simulation is lost.
         """
-        dt = WINDOW / SUBSTEPS
+        dt, before = WINDOW / SUBSTEPS, self.reserve
         for step in range(SUBSTEPS):
             q, u = self.values, self.speeds
+            given = before + (step + 0.5) / SUBSTEPS * (reserve - before)
             self.activation = self.muscles.activation.step(self.activation, excitation, dt)
+            pull = np.einsum("nmk,nm->nk", self._paths.moment_arm, self.force)
             paths = self._followed.along(q + dt * u, u)
             self.force, self.fiber, slope = self.muscles.step(
                 self.activation, self.fiber, paths.length, paths.velocity, dt
             )
             middle = q + 0.5 * dt * u
             mass, bias = equations(self.bones, middle, u, self._acting(2 * (window * SUBSTEPS + step) + 1))
-            moment = np.einsum("nmk,nm->nk", paths.moment_arm, self.force) + reserve - bias
-            stiff = mass + dt * np.einsum("nmj,nm,nmk->njk", paths.moment_arm, slope, paths.moment_arm)
-            self.speeds = u = u + dt * np.linalg.solve(stiff, moment[:, :, None])[:, :, 0]
-            if not (np.abs(u) < FAR).all():
-                lost = int(np.argmax(~(np.abs(u) < FAR).all(axis=1)))
+            pull = 0.5 * (pull + np.einsum("nmk,nm->nk", paths.moment_arm, self.force))
+            moment = pull + given - bias
+            stiff = mass + 0.5 * dt * np.einsum("nmj,nm,nmk->njk", paths.moment_arm, slope, paths.moment_arm)
+            self.speeds = u + dt * np.linalg.solve(stiff, moment[:, :, None])[:, :, 0]
+            if not (np.abs(self.speeds) < FAR).all():
+                lost = int(np.argmax(~(np.abs(self.speeds) < FAR).all(axis=1)))
                 raise ValueError(
                     f"simulation {lost} is lost at {self._begin + WINDOW * window:.3f} s; give reserves more "
                     "force, or smooth the motion"
                 )
-            self.values = q + dt * u
-        self._paths = self._followed.along(self.values, self.speeds)
+            self.values = q + 0.5 * dt * (u + self.speeds)
+            self._paths = self._followed.along(self.values, self.speeds)
+        self.reserve = reserve
 
 
 def track(
@@ -318,11 +302,13 @@ def track(
     back = gains_of(bones, worlds.mass[0].diagonal(), gains or {})
     seen: dict[str, list[np.ndarray]] = {name: [] for name in ("values", "excitation", "activation",
                                          "fiber_length", "force", "reserve")}  # fmt: skip
-    excitation, reserve = worlds.activation, worlds.reserve
+    excitation = worlds.activation
+    if replay is not None:
+        worlds.reserve = np.broadcast_to(replay.reserve[0], worlds.reserve.shape)
 
     def note() -> None:
         """Keep what the worlds are, and are driven by."""
-        now = worlds.values, excitation, worlds.activation, worlds.fiber, worlds.force, reserve
+        now = worlds.values, excitation, worlds.activation, worlds.fiber, worlds.force, worlds.reserve
         for rows, array in zip(seen.values(), now, strict=True):
             rows.append(array)
 
@@ -332,8 +318,8 @@ def track(
             wanted = a_there[window + 1] + 2.0 * np.sqrt(back) * slower + back * off
             excitation, reserve = worlds.controls(window, wanted)
         else:
-            excitation, reserve = (np.broadcast_to(array[window], own.shape) for array, own in
-                                   ((replay.excitation, excitation), (replay.reserve, reserve)))  # fmt: skip
+            excitation = np.broadcast_to(replay.excitation[window], excitation.shape)
+            reserve = np.broadcast_to(replay.reserve[window + 1], worlds.reserve.shape)
         note()
         worlds.advance(window, excitation, reserve)
         advance(1)
@@ -344,48 +330,73 @@ def track(
 
 def _controls(
     body: _Muscles,
-    paths: MusclePaths,
-    arms: np.ndarray,
-    wanted: np.ndarray,
+    paths: Sequence[MusclePaths],
     needed: np.ndarray,
     activation: np.ndarray,
     fiber: np.ndarray,
     cost: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return excitations and what reserves give, so that moments are met at the end of a window."""
-    worlds, count = activation.shape
-    faster = -np.einsum("nmk,nk->nm", paths.moment_arm, wanted)
+    """Return excitations and what reserves give, so that moments are met at the end of a window.
 
-    def ahead(excitation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return activations and forces at the end of the window, paths having the wanted accelerations."""
+    `paths` are those of its steps, with the wanted accelerations.
+    """
+
+    def ahead(excitation: np.ndarray) -> np.ndarray:
+        """Return forces at the end of the window."""
         a, length, force, dt = activation, fiber, fiber, WINDOW / SUBSTEPS
-        for step in range(1, SUBSTEPS + 1):
-            a, t = body.activation.step(a, excitation, dt), step * dt
-            path = paths.length + t * (paths.velocity + 0.5 * t * faster)
-            force, length, _ = body.step(a, length, path, paths.velocity + t * faster, dt)
-        return a, force
+        for path in paths:
+            a = body.activation.step(a, excitation, dt)
+            force, length, _ = body.step(a, length, path.length, path.velocity, dt)
+        return force
 
-    least, low = ahead(np.broadcast_to(body.lower, activation.shape))
-    most, high = ahead(np.broadcast_to(body.upper, activation.shape))
-    slope = (high - low) / np.maximum(most - least, REACH)
-    near, there, excitation = least, low, least
-    free = needed.shape[1]
-    width = max([1, *map(len, paths.crossed)])
-    rows = np.full((count + free, width), -1)
-    effects = np.zeros((worlds, count + free, width))
+    (worlds, count), free = activation.shape, needed.shape[1]
+    low, high = (np.broadcast_to(bound, activation.shape) for bound in (body.lower, body.upper))
+    weak, strong = ahead(low), ahead(high)
+    whole = np.where(body.whole > 0.0, body.whole, 1.0)
+    arms, crossed = paths[-1].moment_arm, paths[-1].crossed
+    rows = np.full((count + free, max([1, *map(len, crossed)])), -1)
+    effects = np.zeros((worlds, *rows.shape))
+    for k, own in enumerate(crossed):
+        rows[k, : len(own)] = own
+        effects[:, k, : len(own)] = arms[:, k, list(own)] * whole[:, k, None]
     rows[count:, 0] = np.arange(free)
     effects[:, count:, 0] = cost
     endless = np.full((worlds, free), np.inf)
-    lower, upper = np.concatenate([least, -endless], axis=1), np.concatenate([most, endless], axis=1)
-    found = np.zeros((worlds, count + free))
+    lower, upper = (
+        np.concatenate([force / whole, end], axis=1)
+        for force, end in ((np.minimum(weak, strong), -endless), (np.maximum(weak, strong), endless))
+    )
+    stress = optimal_activations(rows, effects, needed, lower, upper).activation
+    target = stress[:, :count] * whole
+    excitation = _excitation(lambda e: ahead(e) - target, low, high, weak - target, strong - target)
+    return excitation, stress[:, count:] * cost
+
+
+def _excitation(
+    off: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray, below: np.ndarray,
+    above: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Return where a rising function of each muscle is 0, by the Illinois method; an end if it is nowhere.
+
+    Args:
+        off: Of excitations.
+        low: Least excitations.
+        high: Greatest ones.
+        below: The function at the least ones [N].
+        above: The function at the greatest ones [N].
+    """
+    a, fa, b, fb = low, below, high, above
+    best, least = np.where(fa >= 0.0, a, b), np.where((fa >= 0.0) | (fb <= 0.0), 0.0, np.inf)
+    side = np.zeros(a.shape, int)
     for _ in range(ROUNDS):
-        for k, crossed in enumerate(paths.crossed):
-            rows[k, : len(crossed)] = crossed
-            effects[:, k, : len(crossed)] = arms[:, k, list(crossed)] * slope[:, k, None]
-        rest = np.einsum("nmk,nm->nk", arms, there - slope * near)
-        found = optimal_activations(rows, effects, needed - rest, lower, upper).activation
-        excitation = body.activation.excitation(activation, found[:, :count], body.lower, body.upper)
-        near, there = ahead(excitation)
-        above = near - least > REACH
-        slope = np.where(above, (there - low) / np.where(above, near - least, 1.0), slope)
-    return excitation, found[:, count:] * cost
+        if (least <= MET).all():
+            break
+        middle = np.where(fb > fa, (a * fb - b * fa) / np.where(fb > fa, fb - fa, 1.0), best)
+        f = np.where(least > 0.0, off(np.where(least > 0.0, middle, best)), 0.0)
+        nearer = np.abs(f) < least
+        best, least = np.where(nearer, middle, best), np.where(nearer, np.abs(f), least)
+        under = f < 0.0
+        fb = np.where(under, np.where(side < 0, 0.5 * fb, fb), f)
+        fa = np.where(under, f, np.where(side > 0, 0.5 * fa, fa))
+        a, b, side = np.where(under, middle, a), np.where(under, b, middle), np.where(under, -1, 1)
+    return best
