@@ -323,7 +323,7 @@ class FreeCoordinates(Step):
 
     def places(self, stages: tuple[Stage, ...]) -> dict[str, Callable[[], None]]:
         """Return what is launched, place by place."""
-        places = self.bound(stage_launches(stages, self.stepped.paths))
+        places = self.bound(stage_launches(stages, self.stepped.paths, self.stepped.forces))
         forces = {place: launches for place, launches in places.items() if place not in MOTION}
         motion = {place: launches for place, launches in places.items() if place in MOTION}
         return {"follow": self.follow, **forces, "reduce": self.reduce, **motion, "expand": self.expand}

@@ -284,7 +284,7 @@ class OwnPaths:
                 described.paths[name] = _of_sites(host, tendon)  # type: ignore[index]
         self.memory = PathMemory(described, data.nworld, len(said.values), said.guard, said.exact)
         self.bodies = wp.array([host.body(name).id for name in described.bodies], dtype=int)
-        self.values, self.slopes = _values(host, said.values), wp.zeros_like(self.memory.frames.value)
+        self.values, self.slopes = value_tables(host, said.values), wp.zeros_like(self.memory.frames.value)
         self.drives = None
         if any(_moves_within(path) or len(path.wraps) > 1 for path in described.paths.values()):
             on_tendon = host.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
@@ -405,7 +405,7 @@ def _of_sites(host: mujoco.MjModel, tendon: int) -> OsimPath:
     return OsimPath(tuple(map(Via, bodies, map(tuple, host.site_pos[sites].tolist()))))
 
 
-def _values(host: mujoco.MjModel, values: Iterable[Driven]) -> ValueTables:
+def value_tables(host: mujoco.MjModel, values: Iterable[Driven]) -> ValueTables:
     """Return what points depend on, on the current Warp device."""
     values = list(values)
     curves = [curve for _, chain in values for curve in chain]

@@ -12,6 +12,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.forces import Forces
 from myowarp.definitions.muscle import MuscleModel
 from myowarp.definitions.paths import Paths
 from myowarp.definitions.task import TaskSpec
@@ -68,6 +69,7 @@ class Scene:
         state: All that a world is from one step to the next, by name: arrays (num_worlds, ...).
         parameters: Those of the conditions (`Parameter`), in the order of their binding.
         paths: Of tendons, where the model brings its own; None: they are the engine's.
+        forces: Springs and dampers that the model brings along; None: it brings none.
     """
 
     spec: TaskSpec
@@ -87,6 +89,7 @@ class Scene:
     state: dict[str, wp.array] = field(default_factory=dict, repr=False)
     parameters: list[Any] = field(default_factory=list, repr=False)
     paths: Paths | None = None
+    forces: Forces | None = None
 
     @property
     def num_worlds(self) -> int:

@@ -17,6 +17,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from myowarp.definitions.forces import Forces
 from myowarp.definitions.paths import Paths
 from myowarp.engine.idle import pruned
 from myowarp.engine.patch import engine_kernels_alone, one_thread
@@ -146,9 +147,12 @@ def holds_bodies(stepped: Stepped) -> bool:
 
 
 def stage_launches(
-    stages: Iterable[Stage], paths: Paths | None = None, mask: wp.array | None = None
+    stages: Iterable[Stage],
+    paths: Paths | None = None,
+    forces: Forces | None = None,
+    mask: wp.array | None = None,
 ) -> dict[str, Launches]:
-    """Return what the physics step launches, place by place, with some stages of ours and a model's paths.
+    """Return what the physics step launches, place by place: stages of ours, a model's paths and forces.
 
     In worlds outside of a mask, shape (num_worlds,) bool, stages may do nothing.
     """
@@ -161,7 +165,14 @@ def stage_launches(
         places[first] = stage.launcher(stages, mask)
         for place in others:
             del places[place]
-    return places
+    if forces is None:
+        return places
+    ordered: dict[str, Launches] = {"damping": forces.launch_damping}
+    for place, launches in places.items():
+        if place == "control":
+            ordered["forces"] = forces.launch
+        ordered[place] = launches
+    return ordered
 
 
 class Step:
@@ -197,9 +208,10 @@ class Step:
 
         That takes velocities of the step before into welds and connects; there it is `ORDER`.
         """
-        paths = self.stepped.paths
-        in_order = stages or paths or (holds_bodies(self.stepped) and uncovered(self.stepped) is None)
-        return self.bound(stage_launches(stages, paths) if in_order else {"step": mjw.step})
+        paths, forces = self.stepped.paths, self.stepped.forces
+        held = holds_bodies(self.stepped) and uncovered(self.stepped) is None
+        in_order = stages or paths or forces or held
+        return self.bound(stage_launches(stages, paths, forces) if in_order else {"step": mjw.step})
 
     def bound(self, launches: Mapping[str, Launches]) -> dict[str, Callable[[], None]]:
         """Return launches with what their places step."""
@@ -229,7 +241,7 @@ class Step:
         else:
             # Without the others, all is written that they would not read.
             stages = tuple(stage for stage in stages if only.intersection(stage.replaces))
-            bound = self.bound(stage_launches(stages, self.stepped.paths, mask))
+            bound = self.bound(stage_launches(stages, self.stepped.paths, mask=mask))
             places = tuple(launch_place for place, launch_place in bound.items() if place in only)
 
         def step() -> None:

@@ -6,6 +6,7 @@ import mujoco
 import mujoco_warp as mjw
 import warp as wp
 
+from myowarp.definitions.forces import Forces
 from myowarp.definitions.muscle import MuscleModel
 from myowarp.definitions.paths import Paths
 
@@ -23,6 +24,7 @@ class Stepped:
         qpos_start: Configuration to start from, shape (nq,).
         num_substeps: Physics steps in a control step.
         paths: Of tendons, where the model brings its own; None: they are the engine's.
+        forces: Springs and dampers that the model brings along; None: it brings none.
         remaining: How many of them are left, shape (1,), where all that acts within them is of this package;
             None: what they compute may be read in each.
     """
@@ -35,6 +37,7 @@ class Stepped:
     qpos_start: wp.array
     num_substeps: int
     paths: Paths | None = None
+    forces: Forces | None = None
     remaining: wp.array | None = None
 
     @property

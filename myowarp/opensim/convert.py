@@ -107,6 +107,7 @@ def run(
         "coordinates.json": json.dumps(converted.coordinates.as_json(), indent=1).encode(),
         **({"couplings.json": said.encode()} if said else {}),
         **({"paths.json": converted.paths.as_json().encode()} if converted.paths else {}),
+        **({"forces.json": converted.forces.as_json().encode()} if converted.forces else {}),
         "muscles.csv": muscle_table(map(HillMuscle.of, model.muscles.values())).encode(),
         "model.xml": text.encode(),
         "model.mjb": binary(stiffer),

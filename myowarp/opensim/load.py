@@ -59,6 +59,7 @@ def _files(path: Path) -> dict[str, bytes]:
         "coordinates.json": json.dumps(converted.coordinates.as_json(), indent=1).encode(),
         "couplings.json": converted.exact.as_json().encode(),
         **({"paths.json": converted.paths.as_json().encode()} if converted.paths else {}),
+        **({"forces.json": converted.forces.as_json().encode()} if converted.forces else {}),
         "muscles.csv": muscle_table(map(HillMuscle.of, model.muscles.values())).encode(),
         "left_out.json": json.dumps(left_out).encode(),
         "model.xml": mjcf(converted.spec, comment=f"{model.name}. {model.credits}").encode(),

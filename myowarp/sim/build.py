@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.coordinates.couplings import settled
+from myowarp.coordinates.own_forces import forces_of
 from myowarp.coordinates.own_paths import paths_of
 from myowarp.definitions.body import BODIES, Body
 from myowarp.definitions.condition import Condition, resolve
@@ -292,6 +293,7 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
             capacity=capacity,
             device=where,
             paths=paths_of(oracle, model, data),
+            forces=forces_of(oracle, model, data),
         )
         _adopt_arrays(scene, batched, individual=bool(conditions))
     return scene
@@ -308,6 +310,7 @@ def stepped_of(scene: Scene) -> Stepped:
         qpos_start=scene.qpos_start,
         num_substeps=scene.num_substeps,
         paths=scene.paths,
+        forces=scene.forces,
     )
 
 

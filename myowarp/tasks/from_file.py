@@ -16,6 +16,8 @@ import mujoco
 import numpy as np
 
 from myowarp.coordinates.couplings import ask, couplings, exact, follow, settled
+from myowarp.coordinates.force_text import ask as ask_for_forces
+from myowarp.coordinates.force_text import own_forces
 from myowarp.coordinates.path_text import ask as ask_for_paths
 from myowarp.coordinates.path_text import own_paths
 from myowarp.definitions.body import BODIES, POINT_JOINTS, Body
@@ -44,6 +46,7 @@ KINDS = ("pose", "reach")
 COUPLINGS = "couplings.json"  # beside the model's file; see `myowarp.coordinates.couplings`
 OPENSIM = ".osim"
 PATHS = "paths.json"  # likewise; see `myowarp.coordinates.path_text`
+FORCES = "forces.json"  # likewise; see `myowarp.coordinates.force_text`
 HILL = "muscles.csv"  # likewise; see `myowarp.definitions.muscle_table`
 STEPPED = ("EULER", "IMPLICITFAST")  # integrators; others call the muscles more than once in a step
 
@@ -81,7 +84,11 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
         reason = " ".join(str(error).split())
         raise ValueError(f"model {str(path)!r} must be an MJCF file; MuJoCo says: {reason}") from error
     _check(model, path)
-    for beside, ask_for, check in ((COUPLINGS, ask, exact), (PATHS, ask_for_paths, own_paths)):
+    for beside, ask_for, check in (
+        (COUPLINGS, ask, exact),
+        (PATHS, ask_for_paths, own_paths),
+        (FORCES, ask_for_forces, own_forces),
+    ):
         if (text := path.with_name(beside)).is_file():
             try:
                 ask_for(spec, text.read_text())

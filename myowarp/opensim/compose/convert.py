@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,9 @@ import mujoco
 import numpy as np
 
 from myowarp.coordinates.couplings import Exact
+from myowarp.coordinates.force_text import PassiveForces
 from myowarp.coordinates.path_text import Said
+from myowarp.opensim.compose.forces import own_forces
 from myowarp.opensim.compose.geometry import Build, begin, exact, starts_of, tie
 from myowarp.opensim.compose.meshes import add_shapes
 from myowarp.opensim.compose.passive import add_forces, path_tendon
@@ -44,8 +46,8 @@ class Options:
 
     Attributes:
         mesh_folders: Where to look for meshes, before the folders of the model.
-        tendons: Whether MuJoCo's tendons stand for paths; else they only show where the paths of our own
-            begin and end, and moving points have no bodies.
+        tendons: Whether MuJoCo's tendons and springs stand for paths, limits and ligaments; else tendons
+            only show where the paths of our own begin and end, and moving points have no bodies.
     """
 
     mesh_folders: tuple[Path, ...] = ()
@@ -63,6 +65,7 @@ class Converted:
         coordinates: How coordinates and joints belong together.
         exact: How joints follow each other in the document, and what its bodies weigh.
         paths: The document's paths in terms of the spec; None: it has none.
+        forces: The document's limits of coordinates and ligaments; None: it has none.
         moving: For each path, body at each of its moving points.
         meshes: Files that belong into the folder `meshes`.
         notes: Everything that is not carried over exactly, reading included.
@@ -74,6 +77,7 @@ class Converted:
     coordinates: CoordinateMap
     exact: Exact
     paths: Said | None
+    forces: PassiveForces | None
     moving: Mapping[str, Mapping[int, str]]
     meshes: Mapping[str, bytes]
     notes: tuple[Note, ...]
@@ -106,7 +110,11 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     add_markers(build)
     for muscle in model.muscles.values():
         _add_muscle(build, muscle, moving[muscle.name], stages)
-    add_forces(build, moving, stages.tendons)
+    paths = own_paths(build, source)
+    forces = own_forces(build, has_paths=paths is not None)
+    add_forces(build, moving, stages.tendons, forces, instead=options.tendons)
+    if forces is not None:
+        forces = replace(forces, springs=tuple(build.springs), dampers=build.dampers)
     meshes = add_shapes(build, options.mesh_folders)
     for name, text in (("credits", model.credits), ("publications", model.publications)):
         if text:
@@ -120,9 +128,9 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
         add_visible_body(build, compiled)
     build.spec.add_key(name=KEYFRAME, qpos=coordinates.qpos(compiled, {})[0])
     bodies = {name: body.name for name, body in build.bodies.items()}
-    said, paths = exact(build, coordinates), own_paths(build, source)
+    said = exact(build, coordinates)
     notes = (*model.notes, *build.notes)
-    return Converted(model, build.spec, bodies, coordinates, said, paths, moving, meshes, notes)
+    return Converted(model, build.spec, bodies, coordinates, said, paths, forces, moving, meshes, notes)
 
 
 def _skeleton(

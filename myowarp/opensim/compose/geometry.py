@@ -68,6 +68,10 @@ class Build:
     """OpenSim's joint and number of a move: MuJoCo's joint, sign and offset; move = sign joint + offset."""
     light: dict[str, tuple[float, tuple[float, ...]]] = field(default_factory=dict)
     """Bodies that the document gives another mass [kg] or other principal moments [kg m^2]."""
+    springs: list[str] = field(default_factory=list)
+    """Tendons whose springs stand for forces that MyoWarp has as the document says."""
+    dampers: dict[str, float] = field(default_factory=dict)
+    """Joint: damping that does so."""
     demands: list[Demand] = field(default_factory=list)
     notes: list[Note] = field(default_factory=list)
     names: set[tuple[str, str]] = field(default_factory=set)

@@ -10,8 +10,16 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
+from myowarp.coordinates.force_text import PassiveForces
 from myowarp.opensim.compose.geometry import TIGHT, Build, quaternion, reduced
-from myowarp.opensim.model.elements import BodyActuator, Bushing, ConditionalPathPoint, Ligament, Path
+from myowarp.opensim.model.elements import (
+    BodyActuator,
+    Bushing,
+    ConditionalPathPoint,
+    CoordinateLimitForce,
+    Ligament,
+    Path,
+)
 from myowarp.opensim.model.functions import IDENTITY
 from myowarp.opensim.model.kinematics import sampling_range
 from myowarp.opensim.model.model import GROUND, Joint, Loss, Note
@@ -34,9 +42,21 @@ SAME = 1e-9
 
 
 def add_forces(
-    build: Build, moving: Mapping[str, Mapping[int, str]], tendons: Mapping[str, TendonPath]
+    build: Build,
+    moving: Mapping[str, Mapping[int, str]],
+    tendons: Mapping[str, TendonPath],
+    exact: PassiveForces | None = None,
+    instead: bool = True,
 ) -> None:
-    """Add what acts on coordinates, bodies and paths, muscles left out; after `tie`."""
+    """Add what acts on coordinates, bodies and paths, muscles left out; after `tie`.
+
+    Args:
+        build: What grows.
+        moving: As in `Converted`.
+        tendons: As in `Stages`.
+        exact: What MyoWarp has as the document says.
+        instead: Whether MuJoCo's springs are to stand for that, too.
+    """
     _add_coordinate_actuators(build)
     for item in build.model.body_actuators:
         _add_body_actuator(build, item)
@@ -51,8 +71,16 @@ def add_forces(
             actuator.control_range,
         )
     for ligament in build.model.ligaments.values():
-        _add_ligament(build, ligament, moving[ligament.name], tendons)
-    _add_limits(build)
+        tendon = path_tendon(build, ligament.name, ligament.path, moving[ligament.name], tendons)
+        tendon.rgba = (0.9, 0.8, 0.3, 1.0)
+        alone = exact is None or ligament.name not in {own.tendon for own in exact.ligaments}
+        if instead or alone:
+            _add_ligament(build, ligament, tendon)
+        if not alone:
+            build.springs.append(ligament.name)
+    for limit in build.model.limit_forces:
+        if _has_joint(build, limit.name, "CoordinateLimitForce", limit.coordinate) and instead:
+            _add_limit(build, limit)
     for spring in build.model.coordinate_springs:
         if _has_joint(build, spring.name, "SpringGeneralizedForce", spring.coordinate):
             joint, scale = build.carriers[spring.coordinate]
@@ -136,11 +164,8 @@ def path_tendon(
     return add_tendon(build.spec, TendonPath(name, tuple(Via(number) for number in kept)), path, moving)
 
 
-def _add_ligament(
-    build: Build, ligament: Ligament, moving: Mapping[int, str], tendons: Mapping[str, TendonPath]
-) -> None:
-    """Add a spring along a path: the parabola through 0 that is nearest to the ligament's force."""
-    tendon = path_tendon(build, ligament.name, ligament.path, moving, tendons)
+def _add_ligament(build: Build, ligament: Ligament, tendon: mujoco.MjsTendon) -> None:
+    """Give a tendon a spring: the parabola through 0 that is nearest to the ligament's force."""
     length = STRAIN * ligament.resting_length
     force = np.asarray(ligament.force.value(1 + STRAIN))
     basis = np.stack([length, length**2], axis=1)
@@ -148,8 +173,7 @@ def _add_ligament(
     error = float(np.abs(basis @ [first, second] - force).max())
     tendon.stiffness[:2] = first, second
     tendon.springlength = 0.0, ligament.resting_length
-    tendon.rgba = (0.9, 0.8, 0.3, 1.0)
-    rule = "a spring with a parabola for its curve, without damping"
+    rule = "in plain MuJoCo a spring with a parabola for its curve, without damping"
     build.notes.append(
         Note(f"/forceset/{ligament.name}", rule, f"{error:.3g} N up to a strain of {STRAIN[-1]:g}")
     )
@@ -191,41 +215,39 @@ def _one_sided(
     below = springlength[1] >= FAR
     tendon.stiffness[:3] = stiffness * [1.0, -1.0 if below else 1.0, 1.0]
     tendon.springlength = springlength
+    build.springs.append(tendon.name)
 
 
-def _add_limits(build: Build) -> None:
-    """Add the springs beyond a coordinate's limits, and the damping that is there in its whole range."""
-    for item in build.model.limit_forces:
-        if not _has_joint(build, item.name, "CoordinateLimitForce", item.coordinate):
-            continue
-        low, high = sampling_range(build.model, item.coordinate)
-        sides = [(item.limits[0] - low, item.stiffness[0]), (high - item.limits[1], item.stiffness[1])]
-        errors, transition = [], max(item.transition, SAME)
-        for name, (beyond, stiffness), ends in zip(
-            ("low", "high"), sides, ((item.limits[0], FAR), (-FAR, item.limits[1])), strict=True
-        ):
-            reach = max(
-                beyond, min(item.transition, MARGIN[build.model.coordinates[item.coordinate].rotational])
-            )
-            x = np.linspace(0.0, reach, 41)[1:]
-            force = stiffness * x * onset(x / transition)
-            if force[-1] > WEAK:
-                sudden = transition <= reach
-                spring = np.array([stiffness, 0.0, 0.0]) if sudden else rising(x, force)
-                _one_sided(build, f"{item.name}-{name}", item.coordinate, ends, spring)
-                errors.append(float(np.abs(x[:, None] ** [1, 2, 3] @ spring - force).max()))
-        grid = np.linspace(low, high, 101)
-        share = onset((item.limits[0] - grid) / transition) + onset((grid - item.limits[1]) / transition)
-        joint, scale = build.carriers[item.coordinate]
-        _spring(build, joint, 0.0, 0.0, float(share.min()) * item.damping / scale**2)
-        path = f"/forceset/{item.name}"
-        if errors:
-            rule = "springs whose force is linear in the way beyond the limits, or a cubic that never falls"
-            build.notes.append(Note(path, rule, f"{max(errors):.2g} N m or N in the coordinate's range"))
-        left = float(np.ptp(share)) * item.damping
-        if left > 0:
-            rule = "its damping beyond the limits is left out"
-            build.notes.append(Note(path, rule, f"{left:.2g} N m s or N s/m at most"))
+def _add_limit(build: Build, item: CoordinateLimitForce) -> None:
+    """Add springs beyond a coordinate's limits, and the damping that is there in its whole range."""
+    low, high = sampling_range(build.model, item.coordinate)
+    sides = [(item.limits[0] - low, item.stiffness[0]), (high - item.limits[1], item.stiffness[1])]
+    errors, transition = [], max(item.transition, SAME)
+    for name, (beyond, stiffness), ends in zip(
+        ("low", "high"), sides, ((item.limits[0], FAR), (-FAR, item.limits[1])), strict=True
+    ):
+        reach = max(beyond, min(item.transition, MARGIN[build.model.coordinates[item.coordinate].rotational]))
+        x = np.linspace(0.0, reach, 41)[1:]
+        force = stiffness * x * onset(x / transition)
+        if force[-1] > WEAK:
+            sudden = transition <= reach
+            spring = np.array([stiffness, 0.0, 0.0]) if sudden else rising(x, force)
+            _one_sided(build, f"{item.name}-{name}", item.coordinate, ends, spring)
+            errors.append(float(np.abs(x[:, None] ** [1, 2, 3] @ spring - force).max()))
+    grid = np.linspace(low, high, 101)
+    share = onset((item.limits[0] - grid) / transition) + onset((grid - item.limits[1]) / transition)
+    joint, scale = build.carriers[item.coordinate]
+    steady = float(share.min()) * item.damping / scale**2
+    _spring(build, joint, 0.0, 0.0, steady)
+    build.dampers[joint] = build.dampers.get(joint, 0.0) + steady
+    path = f"/forceset/{item.name}"
+    if errors:
+        rule = "in plain MuJoCo springs linear in the way beyond the limits, or with a cubic that never falls"
+        build.notes.append(Note(path, rule, f"{max(errors):.2g} N m or N in the coordinate's range"))
+    left = float(np.ptp(share)) * item.damping
+    if left > 0:
+        rule = "in plain MuJoCo its damping beyond the limits is left out"
+        build.notes.append(Note(path, rule, f"{left:.2g} N m s or N s/m at most"))
 
 
 def onset(x: np.ndarray) -> np.ndarray:

@@ -193,9 +193,11 @@ class Ligament:
     resting_length: float
     """[m]; no force below."""
     force: Function
-    """Tension [N] over length / resting_length [1]."""
+    """Tension at rest [N] over length / resting_length [1]."""
+    dissipation: float
+    """By how much of that it grows with the speed of lengthening [s/m]."""
     damping: float
-    """[N s/m]."""
+    """What lengthening adds to it, beyond a strain of 0.01 [N s/m]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@
 """
 
 from myowarp.opensim.model.functions import Function, SimmSpline
+from myowarp.opensim.read.muscle_defaults import FORCE_LENGTH
 
 
 def _spline(x: str, y: str) -> SimmSpline:
@@ -26,10 +27,7 @@ ACTIVE = _spline(
 )
 """Over fiber length [optimal fiber lengths]."""
 
-PASSIVE = _spline(
-    "-5 0.998 0.999 1 1.1 1.2 1.3 1.4 1.5 1.6 1.601 1.602 5",
-    "0 0 0 0 0.035 0.12 0.26 0.55 1.17 2 2 2 2",
-)
+PASSIVE = FORCE_LENGTH
 """Over fiber length; Schutte's class has an exponential instead."""
 
 VELOCITY = _spline(

@@ -6,7 +6,15 @@ Optional properties (`curviness` of a Millard curve) have no default: their clas
 
 import math
 
+from myowarp.opensim.model.functions import SimmSpline
+
 MAX_PENNATION = math.acos(0.1)  # rad
+
+FORCE_LENGTH = SimmSpline(
+    (-5.0, 0.998, 0.999, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.601, 1.602, 5.0),
+    (0.0, 0.0, 0.0, 0.0, 0.035, 0.12, 0.26, 0.55, 1.17, 2.0, 2.0, 2.0, 2.0),
+)
+"""Of a ligament, over length / resting length; of fibers of spline muscles, over fiber length."""
 
 MILLARD_CURVES = {
     "ActiveForceLengthCurve.min_norm_active_fiber_length": 0.4441,

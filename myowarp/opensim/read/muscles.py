@@ -3,11 +3,11 @@
 import math
 
 from myowarp.opensim.model.elements import Ligament, PathActuator
-from myowarp.opensim.model.functions import Constant, Function, Linear, Multiplier, ToeThenLine
+from myowarp.opensim.model.functions import Function, Linear, Multiplier, ToeThenLine
 from myowarp.opensim.model.model import Muscle
 from myowarp.opensim.read.document import Element
 from myowarp.opensim.read.functions import READERS, function_in, read_function
-from myowarp.opensim.read.muscle_defaults import DEFAULTS
+from myowarp.opensim.read.muscle_defaults import DEFAULTS, FORCE_LENGTH
 from myowarp.opensim.read.paths import Scope, read_path
 
 COMMON = {
@@ -162,14 +162,16 @@ def read_ligament(element: Element, scope: Scope) -> Ligament:
     if length <= 0:
         raise element.error(f"must have a resting length above 0, got {length:g}")
     force: Function
+    dissipation = damping = 0.0
     if element.tag == "Ligament":
-        curve = function_in(element, "force_length_curve") or Constant(0.0)
-        force, damping = Multiplier(curve, element.number("pcsa_force", default=0.0)), 0.0
+        curve = function_in(element, "force_length_curve") or FORCE_LENGTH
+        force = Multiplier(curve, element.number("pcsa_force", default=0.0))
     elif element.tag == "Blankevoort1991Ligament":
         stiffness = element.number("linear_stiffness", default=1.0)
         force = ToeThenLine(stiffness, element.number("transition_strain", default=0.06))
-        damping = element.number("damping_coefficient", default=0.003)
+        damping = element.number("damping_coefficient", default=0.003) / length
     else:
         stiffness = element.number("stiffness") * length
-        force, damping = Linear(stiffness, -stiffness), element.number("dissipation", default=0.0)
-    return Ligament(element.name, element.tag, read_path(element, scope), length, force, damping)
+        force, dissipation = Linear(stiffness, -stiffness), element.number("dissipation", default=0.0)
+    path = read_path(element, scope)
+    return Ligament(element.name, element.tag, path, length, force, dissipation, damping)

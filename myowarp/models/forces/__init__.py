@@ -1,0 +1,1 @@
+"""Forces of OpenSim other than those of muscles and motors."""

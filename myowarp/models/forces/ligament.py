@@ -1,0 +1,43 @@
+"""Ligaments and springs along a path, which pull while it is longer than at rest.
+
+    T = f(l / l_0) (1 + d dl/dt) + c max(dl/dt, 0) S((l / l_0 - 1) / 0.01) for l > l_0, else 0
+
+f is a spline (Ligament; d = c = 0), a parabola over the toe and a line (Blankevoort1991Ligament; d = 0) or a
+line (PathSpring; c = 0), and S the step of coordinate_limit.py.
+
+Sources: OpenSim 4.6, classes of these names; Blankevoort, Huiskes 1991, doi:10.1115/1.2894883.
+"""
+
+import warp as wp
+
+from myowarp.models.forces.coordinate_limit import onset
+
+SETS_IN = wp.constant(0.01)
+"""Strain over which the damping of a ligament sets in."""
+
+
+@wp.struct
+class Ligament:
+    """A tendon that pulls by itself.
+
+    Attributes:
+        tendon: Its id.
+        resting_length: l_0 [m].
+        dissipation: d [s/m].
+        damping: c [N s/m].
+    """
+
+    tendon: int
+    resting_length: float
+    dissipation: float
+    damping: float
+
+
+@wp.func
+def ligament_tension(ligament: Ligament, spring: float, length: float, velocity: float) -> float:
+    """T [N]; `spring` is f(l / l_0)."""
+    strain = length / ligament.resting_length - 1.0
+    if strain <= 0.0:
+        return 0.0
+    lengthening = wp.max(velocity, 0.0) * onset(strain / SETS_IN)
+    return spring * (1.0 + ligament.dissipation * velocity) + ligament.damping * lengthening
