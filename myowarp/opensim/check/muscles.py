@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from myowarp.opensim.compose.convert import Converted
-from myowarp.opensim.muscle.hill import ACTIVATIONS, HillMuscle, known
+from myowarp.opensim.muscle.hill import ACTIVATIONS
 from myowarp.opensim.tendon.fitted import Fits, MuscleFit
 from myowarp.opensim.wrap.moment_arm import PRESENT, Poses, Reference
 
@@ -93,47 +93,6 @@ class MuscleError:
     force_in_pose: Spread
     force_peak: float
     excluded: float
-
-
-@dataclass(frozen=True)
-class Share:
-    """Error of a joint torque over poses and activations, as shares of the reference.
-
-    Attributes:
-        rms: Root mean square of the error over that of the reference.
-        worst: Greatest error over the greatest of the reference.
-    """
-
-    rms: float
-    worst: float
-
-    @classmethod
-    def of(cls, found: Array, reference: Array) -> "Share":
-        """Return the shares of torques of any shape."""
-        error = np.abs(found - reference)
-        square, most = np.sqrt(np.mean(reference**2)), np.abs(reference).max()
-        return cls(float(np.sqrt(np.mean(error**2)) / square), float(error.max() / most))
-
-
-@dataclass(frozen=True)
-class TorqueError:
-    """Torque of all muscles about a coordinate, static, in the poses of the check at five activations.
-
-    Attributes:
-        coordinate: Name.
-        path: With the muscles' own laws on the converted paths: what is left by default.
-        muscle: With MuJoCo's fitted muscles on OpenSim's paths.
-        both: With MuJoCo's fitted muscles on the converted paths, `--muscle mujoco`.
-        greatest: Greatest torque of the reference [N m], along a slide [N].
-        poses: Poses in which every muscle that crosses it has a length, an arm and a force.
-    """
-
-    coordinate: str
-    path: Share
-    muscle: Share
-    both: Share
-    greatest: float
-    poses: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,43 +183,6 @@ def muscle_errors(model: mujoco.MjModel, fits: Sequence[MuscleFit], found: Motio
             )
         )
     return errors
-
-
-def torque_errors(
-    converted: Converted, fits: Fits, model: mujoco.MjModel, found: Motion
-) -> list[TorqueError]:
-    """Return the errors of torques about all coordinates that muscles cross, path and muscle apart."""
-    free, errors = converted.coordinates.free(), []
-    own = {
-        fit.name: _forces(converted, fit, found.length[:, model.tendon(fit.name).id]) for fit in fits.muscles
-    }
-    for place, coordinate in enumerate(free):
-        crossing = [fit for fit in fits.muscles if coordinate in fit.expected.random.moment_arm]
-        sums = np.zeros((4, len(found.length), len(ACTIVATIONS)))  # reference, path, muscle, both
-        for fit in crossing:
-            reference, tendon = fit.expected.random, model.tendon(fit.name).id
-            agreed = reference.consistent(coordinate)
-            judge = np.where(agreed, reference.moment_arm[coordinate], reference.slope[coordinate])
-            judge = np.where(agreed | (np.abs(judge) <= JUMP), judge, np.nan)[:, None]
-            arm = found.moment_arm[:, tendon, place][:, None]
-            exact, fitted = own[fit.name]
-            peak = fit.max_isometric_force
-            sums[0] += peak * judge * fit.expected.forces
-            sums[1] += peak * arm * exact
-            sums[2] += peak * judge * engine_force(fit, np.nan_to_num(reference.length, nan=1.0))
-            sums[3] += peak * arm * fitted
-        kept = np.isfinite(sums).all(axis=(0, 2))
-        greatest = float(np.abs(sums[0, kept]).max(initial=0.0))
-        if greatest > 0.0:
-            path, muscle, both = (Share.of(part[kept], sums[0, kept]) for part in sums[1:])
-            errors.append(TorqueError(coordinate, path, muscle, both, greatest, int(kept.sum())))
-    return errors
-
-
-def _forces(converted: Converted, fit: MuscleFit, lengths: Array) -> tuple[Array, Array]:
-    """Return the static force at some lengths, under the muscle's own law and of MuJoCo's fit, in Fmax."""
-    muscle, _ = known(HillMuscle.of(converted.model.muscles[fit.name]))
-    return muscle.tendon_force(ACTIVATIONS, lengths[:, None]), engine_force(fit, lengths)
 
 
 def engine_force(fit: MuscleFit, lengths: Array) -> Array:

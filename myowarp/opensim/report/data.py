@@ -28,7 +28,7 @@ from myowarp.opensim.wrap.moment_arm import CONSISTENT
 
 if TYPE_CHECKING:
     from myowarp.opensim.check.judge import Judgement
-    from myowarp.opensim.check.muscles import MomentArmError, MuscleError, TorqueError
+    from myowarp.opensim.check.muscles import MomentArmError, MuscleError
     from myowarp.opensim.tendon.fits import Samples
     from myowarp.opensim.tendon.fitted import Fits
 
@@ -58,7 +58,6 @@ class Check:
     gates: list[Gate]
     moment_arms: list[MomentArmError] = field(default_factory=list)
     muscles: list[MuscleError] = field(default_factory=list)
-    torques: list[TorqueError] = field(default_factory=list)
     poses: int = 0
     """Of moment arms and forces."""
     notes: list[Note] = field(default_factory=list)
@@ -83,7 +82,7 @@ def check(
         return Check(kinematics, dynamics, gates, notes=lost)
     # Fits need SciPy, which may be missing.
     from myowarp.opensim.check.judge import judge
-    from myowarp.opensim.check.muscles import moment_arm_errors, motion, muscle_errors, torque_errors
+    from myowarp.opensim.check.muscles import moment_arm_errors, motion, muscle_errors
     from myowarp.opensim.report.approximations import approximations
 
     found = motion(converted, model, samples.check)
@@ -91,13 +90,10 @@ def check(
     muscles = muscle_errors(model, fits.muscles, found)
     notes = approximations(converted.model, model, fits, found, arms, muscles)
     gates += [*arm_gates(arms), *muscle_gates(muscles)]
-    torques = torque_errors(converted, fits, model, found)
     judged = judge(converted, model, fits, samples, found)
     gates += judged.gates()
     notes = [*lost, *notes]
-    return Check(
-        kinematics, dynamics, gates, arms, muscles, torques, len(found.length), notes, judgement=judged
-    )
+    return Check(kinematics, dynamics, gates, arms, muscles, len(found.length), notes, judgement=judged)
 
 
 ARM_FIGURES: dict[str, Callable[[Any], float]] = {
@@ -122,17 +118,6 @@ MUSCLE_FIGURES: dict[str, Callable[[Any], float]] = {
     "force_in_pose_worst": lambda muscle: muscle.force_in_pose.worst,
     "excluded": lambda muscle: muscle.excluded,
 }
-
-
-TORQUE_FIGURES: dict[str, Callable[[Any], float]] = {
-    "path": lambda torque: torque.path.rms,
-    "path_worst": lambda torque: torque.path.worst,
-    "muscle": lambda torque: torque.muscle.rms,
-    "muscle_worst": lambda torque: torque.muscle.worst,
-    "both": lambda torque: torque.both.rms,
-    "both_worst": lambda torque: torque.both.worst,
-}
-"""Of coordinates that muscles cross; what each is, `check.muscles.TorqueError` says."""
 
 
 def _summary(
@@ -243,11 +228,6 @@ def report_of(
                 "poses": result.poses,
                 "summary": _summary(muscles, MUSCLE_FIGURES),
                 "each": [dataclasses.asdict(muscle) for muscle in muscles],
-            },
-            "torques": {
-                "reference": FORCES,
-                "summary": _summary(result.torques, TORQUE_FIGURES),
-                "each": [dataclasses.asdict(torque) for torque in result.torques],
             },
             "judge": _judged(result.judgement),
             "notes": [dataclasses.asdict(note) for note in notes if not isinstance(note, Loss)],

@@ -81,7 +81,7 @@ def page(
         dynamics_section(report, dynamics),
     ]
     if samples is not None:
-        parts += [_torques(report), _heat(report), _muscles(converted, model, fits.muscles, samples, report)]
+        parts += [_heat(report), _muscles(converted, model, fits.muscles, samples, report)]
     parts.append(_notes(report["notes"]))
     for name in ("credits", "publications"):
         if report[name]:
@@ -140,34 +140,6 @@ def _gates(report: Mapping[str, Any]) -> str:
             f"isometric force.</p><table>{head}{''.join(rows)}</table>{_worst(report)}"
         )
     return f"<h2>Checks</h2>{table}"
-
-
-def _torques(report: Mapping[str, Any]) -> str:
-    """Return what path and muscle do to joint torques, the worst coordinate first."""
-    torques = report["torques"]["each"]
-
-    def size(torque: Mapping[str, Any]) -> float:
-        return max(
-            np.inf if torque[name]["rms"] is None else torque[name]["rms"] for name in ("path", "both")
-        )
-
-    rows = []
-    for torque in sorted(torques, key=size, reverse=True):
-        figures = [torque[name][key] for name in ("path", "muscle", "both") for key in ("rms", "worst")]
-        cells = "".join(f"<td>{_number(figure, 100)}</td>" for figure in figures)
-        most = f"<td>{torque['greatest']:.3g}</td><td>{torque['poses']}</td>"
-        rows.append(f'<tr><td class="text">{escape(torque["coordinate"])}</td>{cells}{most}</tr>')
-    if not rows:
-        return ""
-    heads = ("path, RMS [%]", "worst", "MuJoCo's muscle, RMS [%]", "worst", "both, RMS [%]", "worst")
-    head = "".join(f"<th>{name}</th>" for name in (*heads, "greatest torque [N m, N]", "poses"))
-    return (
-        "<h2>Joint torque of all muscles</h2><p>Static, at five activations; error over the reference's root "
-        "mean square, and greatest over greatest. <em>Path</em>: own muscles on converted paths, which is "
-        "what runs by default where each muscle's class has a law in MyoWarp. <em>MuJoCo's muscle</em>: "
-        "MuJoCo's fitted muscles on OpenSim's paths. <em>Both</em>: <code>--muscle mujoco</code>.</p>"
-        f'<table><tr><th class="text">coordinate</th>{head}</tr>{"".join(rows)}</table>'
-    )
 
 
 def _number(value: float | None, factor: float) -> str:
