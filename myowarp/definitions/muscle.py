@@ -143,6 +143,8 @@ class MuscleModel(abc.ABC):
         PARAMETERS: Least and greatest value of every parameter that a `MuscleTable` may set, by name.
         TAKES_HILL: Whether the Hill parameters of a converted model (`Body.muscles`) are its own, rather than
             what the compiled model has for MuJoCo's muscle.
+        TAKES_CURVES: Whether it takes the splines of a converted model: a parameter "curves", shape (1,
+            num_muscles, 3, 2, most knots), see `MuscleTable.knots`.
         actuator_id: Actuator of each muscle, shape (num_muscles,), host.
         names: Muscle names, in that order.
         activation: State [1], shape (num_worlds, num_muscles); so are the following four.
@@ -165,6 +167,7 @@ class MuscleModel(abc.ABC):
     RESULTS: ClassVar[tuple[str, ...]] = ("tension", "length", "velocity", "damping")
     PARAMETERS: ClassVar[Mapping[str, tuple[float, float]]] = {}
     TAKES_HILL: ClassVar[bool] = True
+    TAKES_CURVES: ClassVar[bool] = False
 
     coarse_step = math.inf
     midstep = False

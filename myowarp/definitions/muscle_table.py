@@ -9,8 +9,9 @@ env = gymnasium.make_vec("MyoWarp/myoElbowPose1D6MRandom-v0", num_envs=256, musc
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,22 @@ from myowarp.definitions.registry import check_choice, number_in
 from myowarp.definitions.worlds import Worlds
 from myowarp.kernels.write import is_finite
 
+SCHUTTE = "Schutte1993Muscle_Deprecated"
+
 OPENSIM_LAWS = {
     "Thelen2003Muscle": 0,
     "Millard2012EquilibriumMuscle": 1,
     "Millard2012AccelerationMuscle": 1,
     "DeGrooteFregly2016Muscle": 2,
+    SCHUTTE: 3,
 }
 """Law of OpenSim's muscle classes, as `models.muscles.hill_law` counts them."""
+
+CURVES = ("active_force_length_curve", "passive_force_length_curve", "tendon_force_length_curve")
+"""Splines of a muscle, in the order in which a muscle model takes them."""
+
+Knots = tuple[tuple[float, ...], tuple[float, ...]]
+"""x and y of a spline."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +52,12 @@ class MuscleTable:
         parameters: By name in the model's `PARAMETERS`: an array, shape (1 or num_worlds, 1 or num_muscles),
             one number, or a mapping from muscle names to a number or (num_worlds,) numbers each; the side
             suffix `_r` may be left out, and a muscle that is not named keeps the compiled model's.
+        curves: Splines of a body's own table, by muscle and name in `CURVES`.
     """
 
     model: str = "mujoco"
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    curves: Mapping[str, Mapping[str, Knots]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Raise ValueError if there is no such model, or it has no such parameter."""
@@ -119,17 +131,39 @@ class MuscleTable:
         if not (path.is_file() and path.read_bytes().startswith(b"name,class,")):
             return None
         rows: dict[str, dict[str, float]] = {}
+        curves: dict[str, dict[str, Knots]] = {}
         with path.open(newline="", encoding="utf-8") as file:
             for line in csv.DictReader(file, restval=""):
-                muscle, law = line.pop("name"), OPENSIM_LAWS.get(line.pop("class"))
-                rows[muscle] = {
+                muscle, kind = line.pop("name"), line.pop("class")
+                if muscle not in names:
+                    continue
+                rows[muscle] = row = {
                     column.partition(" [")[0]: _number(f"{path}: {column} of muscle {muscle!r}", cell)
                     for column, cell in line.items()
                     if " [" in column and cell not in ("", "inf", "-inf")  # curves have no unit
                 }
+                law: int | None = OPENSIM_LAWS.get(kind)
+                if kind == SCHUTTE:
+                    found = {curve: _knots(line[curve]) for curve in CURVES if line.get(curve)}
+                    curves[muscle] = {curve: knots for curve, knots in found.items() if knots is not None}
+                    law = law if curves[muscle].keys() == found.keys() else None
+                    row |= _of_schutte(row)
                 if law is not None:
-                    rows[muscle]["law"] = float(law)
-        return cls.by_muscle("", {muscle: row for muscle, row in rows.items() if muscle in names})
+                    row["law"] = float(law)
+        return replace(cls.by_muscle("", rows), curves=curves)
+
+    def knots(self, names: Sequence[str]) -> np.ndarray:
+        """Return x and y of the splines of muscles, shape (1, num_muscles, 3, 2, most knots).
+
+        NaN follows the last knot; a curve that is missing has none.
+        """
+        given = [[self.curves.get(name, {}).get(curve, ((), ())) for curve in CURVES] for name in names]
+        most = max((len(x) for each in given for x, _ in each), default=0)
+        table = np.full((1, len(names), len(CURVES), 2, max(most, 1)), np.nan)
+        for muscle, each in enumerate(given):
+            for number, (x, y) in enumerate(each):
+                table[0, muscle, number, :, : len(x)] = x, y
+        return table
 
     def of(self, names: Sequence[str], worlds: Worlds) -> dict[str, np.ndarray]:
         """Return the parameters of some worlds, shape (1 or their number, num_muscles) each.
@@ -167,7 +201,7 @@ class MuscleTable:
         known = {name: value for name, value in own.parameters.items() if name in kind.PARAMETERS}
         for name, values in MuscleTable(self.model, known).of(names, worlds).items():
             given[name] = np.where(np.isnan(given[name]), values, given[name]) if name in given else values
-        return given
+        return given | ({"curves": own.knots(names)} if kind.TAKES_CURVES and own.curves else {})
 
     def _array(self, name: str, value: Any, names: Sequence[str], total: int) -> np.ndarray:
         """Return a parameter of all worlds, shape (1 or total, num_muscles)."""
@@ -203,6 +237,30 @@ class MuscleTable:
             got = array[outside].flat[0] if np.isfinite(array).any() else value
             raise ValueError(f"{what} must be finite and from {low:g} to {high:g}, got {got}")
         return array
+
+
+def _knots(cell: str) -> Knots | None:
+    """Return the knots of a spline as `myowarp convert` writes it; None: it is another function."""
+    kind, *knots = json.loads(cell)
+    if kind != "SimmSpline":
+        return None
+    x, y = (tuple(map(float, values)) for values in knots)
+    return x, y
+
+
+def _of_schutte(row: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameters of Schutte's muscle under the names of all laws.
+
+    Velocities are in optimal fiber lengths in a time scale; the activation rises with activation1 u +
+    activation2 and falls with activation2 in a time scale.
+    """
+    scale = row["time_scale"]
+    return {
+        "fiber_damping": row["damping"],
+        "max_contraction_velocity": 1.0 / scale,
+        "activation_time_constant": scale / (row["activation1"] + row["activation2"]),
+        "deactivation_time_constant": scale / row["activation2"],
+    }
 
 
 def _number(what: str, cell: str) -> float:

@@ -99,11 +99,16 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
     name = "_".join((title, model_digest(model)[:8], *tips))
     muscles = MuscleTable.converted(path.with_name(HILL), [model.actuator(i).name for i in range(model.nu)])
     known = BODIES[name].muscles if name in BODIES else None
-    if name not in BODIES or (known and known.parameters) != (muscles and muscles.parameters):
+    if name not in BODIES or _of(known) != _of(muscles):
         own = own_model(muscles, [model.actuator(i).name for i in np.flatnonzero(_is_muscle(model))])
         body = Body(spec.copy, tips, groups=GROUPS, fatigue_rates=FATIGUE_RATES, muscles=muscles, muscle=own)
         BODIES.add(name, body, replace=True)
     return name
+
+
+def _of(table: MuscleTable | None) -> Any:
+    """Return what a body's table of muscles says."""
+    return table and (table.parameters, table.curves)
 
 
 def own_model(muscles: MuscleTable | None, names: list[str]) -> str:

@@ -10,12 +10,14 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.muscle import MUSCLES, FiberStates, MuscleGeometry, MuscleModel
+from myowarp.kernels.curves import KNOTS
 from myowarp.kernels.lanes import block_scratch
 from myowarp.kernels.launch import launch
-from myowarp.models.muscles import degroote_fregly2016, millard2012, thelen2003
+from myowarp.models.muscles import degroote_fregly2016, millard2012, schutte1993, thelen2003
 from myowarp.models.muscles.hill_law import (
     DEGROOTE,
     MILLARD,
+    SCHUTTE,
     THELEN,
     Fibers,
     HillMuscle,
@@ -52,6 +54,7 @@ LAWS: Mapping[int, Mapping[str, tuple[str | None, float, float, float]]] = {
     THELEN: thelen2003.PARAMETERS,
     MILLARD: millard2012.PARAMETERS,
     DEGROOTE: degroote_fregly2016.PARAMETERS,
+    SCHUTTE: schutte1993.PARAMETERS,
 }
 """Parameters of the curves."""
 
@@ -63,9 +66,9 @@ DEFAULTS: Mapping[int, Mapping[str, float]] = {
         "minimum_activation": floor,
         "ignore_passive_fiber_force": 0.0,
     }
-    for law, (damping, floor) in enumerate(((0.0, 0.01), (0.1, 0.01), (0.0, 0.0)))
+    for law, (damping, floor) in enumerate(((0.0, 0.01), (0.1, 0.01), (0.0, 0.0), (0.1, 0.0)))
 }
-"""OpenSim's, of what is not a curve; De Groote's muscle has no floor of the activation."""
+"""OpenSim's, of what is not a curve; De Groote's and Schutte's muscles have no floor of the activation."""
 
 FIBER_STATE = ("fiber_length", "expected_length", "fiber_share")
 """What a muscle with an elastic tendon remembers beside its activation, see `Fibers`."""
@@ -97,16 +100,21 @@ GRID = 4001
 
 
 def hill_parameters(
-    law: int, values: Mapping[str, np.ndarray], rigid: bool = False, real: type = wp.float32
+    law: int,
+    values: Mapping[str, np.ndarray],
+    rigid: bool = False,
+    real: type = wp.float32,
+    knots: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return parameters of muscles under a law, and the tables of Millard's curves.
+    """Return parameters of muscles under a law, and the tables of Millard's or Schutte's curves.
 
     Args:
-        law: `THELEN`, `MILLARD` or `DEGROOTE`.
+        law: `THELEN`, `MILLARD`, `DEGROOTE` or `SCHUTTE`.
         values: OpenSim's properties by name, SI units, all that broadcast to (rows, num_muscles); those of
             the law's curves that are missing are OpenSim's defaults.
         rigid: Whether no tendon stretches.
         real: Floating-point type of the parameters.
+        knots: Of Schutte's splines, as `schutte_tables` takes them, shape (num_muscles, 3, 2, most knots).
 
     Returns:
         `hill_muscle(real)`, shape (rows, num_muscles); values and spans for `tabulated`.
@@ -133,7 +141,8 @@ def hill_parameters(
     rows["fiber_damping"] = np.where(damping < LEAST_DAMPING, 0.0, damping)
     length = arrays["optimal_fiber_length"]
     width = length * np.sin(arrays["pennation_angle_at_optimal"])
-    shortest = width / np.sin(arrays["maximum_pennation_angle"]) if law != DEGROOTE else width
+    bounded = law in (THELEN, MILLARD)
+    shortest = width / np.sin(arrays["maximum_pennation_angle"]) if bounded else width
     if law == MILLARD:
         shortest = np.maximum(shortest, arrays[f"{ACTIVE}min_norm_active_fiber_length"] * length)
     rows["fiber_width"], rows["shortest_fiber"] = width, np.sqrt(shortest**2 - width**2)
@@ -142,8 +151,14 @@ def hill_parameters(
     for name, (field, *_) in own.items():
         if field is not None:
             rows[field] = arrays[name]
+    if law == SCHUTTE and rows.size and knots is not None:
+        flat = np.nan_to_num(knots.reshape(len(knots), -1), nan=np.inf)  # which is equal to itself
+        _, first, which = np.unique(flat, axis=0, return_index=True, return_inverse=True)
+        rows["curves"] = 3 * which.reshape(1, -1)
+        found = [schutte1993.schutte_tables(knots[one]) for one in first]
+        return rows, np.concatenate([t for t, _ in found]), np.concatenate([s for _, s in found])
     if law != MILLARD or not rows.size:
-        return rows, np.zeros((1, 2, 2)), np.zeros((1, 2))
+        return rows, np.zeros((0, KNOTS, 2)), np.zeros((0, 2))
     shaping = {name: arrays[name] for name in (*own, "fiber_damping")}
     shaping["ignore_tendon_compliance"] = rows["rigid"].astype(float)
     columns = np.stack([values.ravel() for values in shaping.values()], axis=-1)
@@ -222,17 +237,24 @@ class Hill(MuscleModel):
         return np.full(len(self.names), self.LAW)
 
     def _collect(self, model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return parameters, NaN where the slack length has to be derived, and Millard's tables."""
-        laws, tables, spans = self._laws(), np.zeros((1, 2, 2)), np.zeros((1, 2))
+        """Return parameters, NaN where the slack length has to be derived, and the tables of curves."""
+        laws, knots = self._laws(), self._given.get("curves")
+        tables, spans = np.zeros((0, KNOTS, 2)), np.zeros((0, 2))
         rows = np.zeros((1, len(laws)), HillMuscle.numpy_dtype())
         for law in np.unique(laws):
             chosen = np.flatnonzero(laws == law)
-            own, *curves = hill_parameters(int(law), self._values(model, int(law), chosen), self.RIGID)
+            values, curves = (
+                self._values(model, int(law), chosen),
+                None if knots is None else knots[0, chosen],
+            )
+            own, more, where = hill_parameters(int(law), values, self.RIGID, knots=curves)
+            own["curves"] += len(tables)
             rows = np.repeat(rows, len(own), axis=0) if len(rows) < len(own) else rows
             rows[:, chosen] = own
-            if law == MILLARD:
-                tables, spans = curves
+            tables, spans = np.concatenate([tables, more]), np.concatenate([spans, where])
         self._check_slack(rows["tendon_slack_length"])
+        if not len(tables):
+            tables, spans = np.zeros((1, KNOTS, 2)), np.zeros((1, 2))
         return rows, tables, spans
 
     def _values(self, model: mujoco.MjModel, law: int, chosen: np.ndarray) -> dict[str, np.ndarray]:
@@ -409,6 +431,8 @@ class OpenSimMuscles(ElasticHill):
     Where no class is known, as of a body that is not converted, the law is Millard's.
     """
 
+    TAKES_CURVES = True
+
     def _laws(self) -> np.ndarray:
         """Return the law of each muscle, shape (num_muscles,).
 
@@ -442,5 +466,5 @@ def _add(name: str, law: int) -> None:
 _add("thelen2003", THELEN)
 _add("millard2012", MILLARD)
 _add("degroote_fregly2016", DEGROOTE)
-OpenSimMuscles.PARAMETERS = _bounds(*LAWS) | {"law": (0.0, 2.0)}
+OpenSimMuscles.PARAMETERS = _bounds(*LAWS) | {"law": (0.0, float(SCHUTTE))}
 MUSCLES.add("opensim", OpenSimMuscles)

@@ -1,4 +1,4 @@
-"""Hill muscles with pennation and an elastic or rigid tendon, under the curves of three published models.
+"""Hill muscles with pennation and an elastic or rigid tendon, under the curves of four published models.
 
 With the fiber length l, its part z = l cos(phi) along the tendon and a constant width l sin(phi), the path's
 length L and forces in maximum isometric forces:
@@ -14,7 +14,7 @@ those of a leapfrog, whose velocities are half a step behind its positions. How 
 step reaches the body as damping. A rigid tendon has z = L - slack length, v from the path's velocity, and no
 state.
 
-Sources: thelen2003.py, millard2012.py, degroote_fregly2016.py; bounds of the fiber: OpenSim's
+Sources: thelen2003.py, millard2012.py, degroote_fregly2016.py, schutte1993.py; bounds of the fiber: OpenSim's
 MuscleFixedWidthPennationModel. Where we differ from OpenSim 4.6: the step is implicit and fixed instead of
 explicit and adaptive; De Groote's tendon does not push, and its state is the fiber length; activation under
 preset `fast` is that in the middle of a step.
@@ -46,6 +46,12 @@ from myowarp.models.muscles.millard2012 import (
     millard_tendon_force,
 )
 from myowarp.models.muscles.mujoco import activation_step
+from myowarp.models.muscles.schutte1993 import (
+    schutte_activation_rate,
+    schutte_fiber_force,
+    schutte_force_velocity,
+    schutte_tendon_force,
+)
 from myowarp.models.muscles.thelen2003 import (
     thelen_active_force_length,
     thelen_force_velocity,
@@ -53,7 +59,7 @@ from myowarp.models.muscles.thelen2003 import (
     thelen_tendon_force,
 )
 
-THELEN, MILLARD, DEGROOTE = wp.constant(0), wp.constant(1), wp.constant(2)
+THELEN, MILLARD, DEGROOTE, SCHUTTE = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
 
 
 NUMBERS = ("law", "rigid", "curves")
@@ -80,14 +86,14 @@ PARAMETERS = (
 def hill_muscle(real: type) -> Any:
     """Return the struct of one muscle's parameters in a floating-point type.
 
-    law: `THELEN`, `MILLARD` or `DEGROOTE`. rigid: 1: the tendon keeps its slack length. curves: number of the
-    first of Millard's four tables. max_isometric_force [N], optimal_fiber_length [m], tendon_slack_length
-    [m]; fiber_width: distance between the planes that fibers run between [m]; shortest_fiber: least z [m];
-    max_contraction_velocity [optimal fiber lengths / s]; fiber_damping: beta; minimum_activation: floor of
-    activation and excitation. Curves of Thelen and De Groote: active_width (KshapeActive,
-    active_force_width_scale), passive_shape (KshapePassive), passive_strain and tendon_strain where f_P and
-    f_T are 1, passive_scale (0: no f_P), velocity_shape (Af), eccentric_multiplier (Flen),
-    extrapolation_threshold (fv_linear_extrap_threshold).
+    law: `THELEN`, `MILLARD`, `DEGROOTE` or `SCHUTTE`. rigid: 1: the tendon keeps its slack length. curves:
+    number of the first of Millard's four or Schutte's three tables. max_isometric_force [N],
+    optimal_fiber_length [m], tendon_slack_length [m]; fiber_width: distance between the planes that fibers
+    run between [m]; shortest_fiber: least z [m]; max_contraction_velocity [optimal fiber lengths / s];
+    fiber_damping: beta; minimum_activation: floor of activation and excitation. Curves of Thelen and De
+    Groote: active_width (KshapeActive, active_force_width_scale), passive_shape (KshapePassive),
+    passive_strain and tendon_strain where f_P and f_T are 1, passive_scale (0: no f_P), velocity_shape (Af),
+    eccentric_multiplier (Flen), extrapolation_threshold (fv_linear_extrap_threshold).
     """
     fields = dict.fromkeys(NUMBERS, int) | dict.fromkeys(PARAMETERS, real)
     return wp.struct(type("HillMuscle", (), {"__annotations__": fields, "__module__": __name__}))
@@ -106,6 +112,8 @@ def active_force_length_curve(m: Any, tables: wp.array2d[Any], spans: wp.array[A
         return millard_active_force_length(m, tables, spans, length)
     if m.law == THELEN:
         return thelen_active_force_length(m, length)
+    if m.law == SCHUTTE:
+        return schutte_fiber_force(tables, spans, m.curves, length)
     return degroote_active_force_length(m, length)
 
 
@@ -116,6 +124,8 @@ def passive_force_curve(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], l
         return millard_passive_force(m, tables, spans, length)
     if m.law == THELEN:
         return thelen_passive_force(m, length)
+    if m.law == SCHUTTE:
+        return schutte_fiber_force(tables, spans, m.curves + 1, length)
     return degroote_passive_force(m, length)
 
 
@@ -126,6 +136,8 @@ def tendon_force_curve(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], st
         return millard_tendon_force(m, tables, spans, strain)
     if m.law == THELEN:
         return thelen_tendon_force(m, strain)
+    if m.law == SCHUTTE:
+        return schutte_tendon_force(m, tables, spans, strain)
     return degroote_tendon_force(m, strain)
 
 
@@ -138,6 +150,8 @@ def force_velocity_curve(
         return millard_force_velocity(m, tables, spans, velocity)
     if m.law == THELEN:
         return thelen_force_velocity(m, velocity, activation)
+    if m.law == SCHUTTE:
+        return schutte_force_velocity(m, velocity)
     return degroote_force_velocity(m, velocity, activation)
 
 
@@ -322,6 +336,9 @@ def hill_activation_step(
         middle = a + 0.5 * dt * degroote_activation_rate(u, a, rise, fall)
         middle = wp.clamp(middle, low, high)
         steps = wp.vec2(middle, a + dt * degroote_activation_rate(u, middle, rise, fall))
+    elif m.law == SCHUTTE:
+        rate = schutte_activation_rate(u, a, rise, fall)
+        steps = wp.vec2(u + (a - u) * wp.exp(-0.5 * dt * rate), u + (a - u) * wp.exp(-dt * rate))
     else:
         steps = activation_step(dt, True, u, a, rise, fall, 0.0)
     after = wp.clamp(steps[1], low, high)
@@ -340,7 +357,7 @@ class HillParams:
         activation_time_constant: Time constant at full rise [s].
         deactivation_time_constant: Time constant of decay [s].
         muscles: What the law needs, each row on its own.
-        tables: Millard's curves, for `tabulated`.
+        tables: Millard's and Schutte's curves, for `tabulated`.
         spans: Where they begin, and how dense they are.
     """
 

@@ -80,6 +80,37 @@ template <class V> struct Millard {
     Curve<V> force_velocity(V v, V) const { return velocity(v); }
 };
 
+template <class V> struct Schutte {
+    const Table<V> active, passive, tendon;
+    template <class Tables, class Spans>
+    Schutte(const Muscle<V>& m, Tables& tables, Spans& spans)
+        : active(tables, spans, m[CURVES], 0), passive(tables, spans, m[CURVES], 1),
+          tendon(tables, spans, m[CURVES], 2) {}
+    template <class Mask> static Curve<V> where(Mask acts, Curve<V> curve) {
+        const V zero = splat<V>(0.0f);
+        return {select(acts, curve.value, zero), select(acts, curve.slope, zero)};
+    }
+    Curve<V> active_force_length(V length) const {
+        const Curve<V> curve = active(length);
+        return where(curve.value > 0.0f, curve);
+    }
+    Curve<V> passive_force(V length) const {
+        const Curve<V> curve = passive(length);
+        return where(curve.value > 0.0f, curve);
+    }
+    Curve<V> tendon_force(V strain) const { return where(strain > 0.0f, tendon(strain)); }
+    Curve<V> force_velocity(V velocity, V) const {
+        const float k = 0.15f, q = 0.13f * k / (k + 1.0f);
+        const auto shortens = velocity <= 0.0f;
+        const V slower = larger(velocity, splat<V>(-1.0f));
+        const V pole = 1.0f / select(shortens, k - slower, q + velocity);
+        const V top = select(shortens, k * (1.0f + slower), q + 1.4f * velocity);
+        const V numerator = select(shortens, splat<V>(k * (1.0f + k)), splat<V>(q * 0.4f));
+        const V slope = numerator * pole * pole;
+        return {top * pole, select(velocity > -1.0f, slope, splat<V>(0.0f))};
+    }
+};
+
 template <class V> struct Thelen {
     const V toe_force = splat<V>(0.33f);
     V active_width, passive_rate, passive_scale, toe_strain, toe_rate, toe_scale, stiffness;
@@ -240,6 +271,11 @@ INLINE V hill_activation_step(int law, V dt, bool midstep, V u, V a, V rise, V f
         middle = clamp(a + 0.5f * dt * degroote_activation_rate(u, a, rise, fall), low, high);
         return clamp(a + dt * degroote_activation_rate(u, middle, rise, fall), low, high);
     }
+    if (law == SCHUTTE) {
+        const V share = select(u >= a, u, splat<V>(0.0f)), rate = (1.0f - share) / fall + share / rise;
+        middle = clamp(u + (a - u) * decay(-0.5f * dt * rate), low, high);
+        return clamp(u + (a - u) * decay(-dt * rate), low, high);
+    }
     if (midstep)
         middle = clamp(activation_after(0.5f * dt, u, a, rise, fall), low, high);
     return clamp(activation_after(dt, u, a, rise, fall), low, high);
@@ -338,6 +374,8 @@ void contract_hill_block(Block<V>& block, Params& params, Anatomy& anatomy, Time
             contract(Millard<V>(m, params.tables, params.spans));
         else if (kind == THELEN)
             contract(Thelen<V>(m, params.tables, params.spans));
+        else if (kind == SCHUTTE)
+            contract(Schutte<V>(m, params.tables, params.spans));
         else
             contract(DeGroote<V>(m, params.tables, params.spans));
     }

@@ -22,6 +22,7 @@ CONSTANTS: dict[str, float] = {name.upper(): place for place, name in enumerate(
     "THELEN": int(hill_law.THELEN),
     "MILLARD": int(hill_law.MILLARD),
     "DEGROOTE": int(hill_law.DEGROOTE),
+    "SCHUTTE": int(hill_law.SCHUTTE),
     "TOE_GROWTH": float(TOE_GROWTH),
     "TOE_SHARE": float(TOE_SHARE),
     "TOLERANCE": float(hill_law.TOLERANCE),

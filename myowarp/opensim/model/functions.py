@@ -20,11 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from myowarp.coordinates.couplings import Pieces, line
+from myowarp.kernels.simm_spline import LEAST_STEP, simm_coefficients
 
 Array = np.ndarray
-
-LEAST_STEP = 1e-7
-"""Between knots of a SimmSpline, in OpenSim."""
 
 
 class Function(Protocol):
@@ -219,35 +217,9 @@ class SimmSpline(Piecewise):
     @cached_property
     def pieces(self) -> Pieces:
         """Return a line before the first knot, a cubic from every knot and a line from the last."""
-        cubics = np.stack([self.y, *self._coefficients], axis=1)
+        cubics = simm_coefficients(np.array(self.x), np.array(self.y)).T
         rows = [cubics[0, :2], *cubics[:-1], cubics[-1, :2]]
         return Pieces((self.x[0], *self.x), tuple(tuple(row.tolist()) for row in rows))
-
-    @cached_property
-    def _coefficients(self) -> Array:
-        """Slope, quadratic and cubic coefficient at every knot, shape `(3, n)`."""
-        x, y = np.array(self.x), np.array(self.y)
-        step, n = np.maximum(np.diff(x), LEAST_STEP), len(x)
-        slope = np.diff(y) / step
-        if n == 2:
-            return np.array([[slope[0]] * 2, [0.0] * 2, [0.0] * 2])
-        matrix, right = np.zeros((n, n)), np.zeros(n)
-        rows = np.arange(1, n - 1)
-        matrix[rows, rows - 1], matrix[rows, rows + 1] = step[:-1], step[1:]
-        matrix[rows, rows] = 2 * (step[:-1] + step[1:])
-        right[1:-1] = np.diff(slope)
-        matrix[0, :2] = -step[0], step[0]
-        matrix[-1, -2:] = step[-1], -step[-1]
-        if n > 3:
-            second = np.diff(slope) / np.maximum(x[2:] - x[:-2], LEAST_STEP)
-            third = np.diff(second) / np.maximum(x[3:] - x[:-3], LEAST_STEP)
-            right[0] = step[0] ** 2 * third[0]
-            right[-1] = -(step[-1] ** 2) * third[-1]
-        sigma = np.linalg.solve(matrix, right)
-        linear = np.append(slope - step * (sigma[1:] + 2 * sigma[:-1]), 0.0)
-        linear[-1] = slope[-1] + step[-1] * (sigma[-2] + 2 * sigma[-1])
-        cubic = np.append(np.diff(sigma) / step, 0.0)
-        return np.array([linear, 3 * sigma, cubic])
 
 
 @dataclass(frozen=True)
