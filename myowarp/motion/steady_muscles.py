@@ -24,6 +24,7 @@ from myowarp.models.muscles.hill_law import (
     equilibrium,
     fiber_pull,
     hill_muscle,
+    steady_equilibrium,
 )
 from myowarp.opensim.muscle.hill import HillMuscle, known
 
@@ -93,11 +94,9 @@ def steady_muscles(
         if found[2] > zero and found[3] > zero:
             by_velocity = found[2] * found[3] / (found[2] + found[3]) / per_step
     elif free > m.shortest_fiber:
-        start = along[worldid, k]
-        if start <= zero:
-            start = free - wp.float64(0.02) * m.tendon_slack_length
-        found = equilibrium(
-            m, tables, spans, a, wp.float64(1.0), path, velocity[worldid, k], zero, zero, start, TOLERANCE
+        near = along[worldid, k]
+        found = steady_equilibrium(
+            m, tables, spans, a, wp.float64(1.0), path, velocity[worldid, k], near, TOLERANCE
         )
         z, force = found[0], found[1]
     along[worldid, k] = z

@@ -249,6 +249,26 @@ def equilibrium(
     return wp.vector(z, tension, stiffness, slope)
 
 
+@wp.func
+def steady_equilibrium(
+    m: Any,
+    tables: wp.array2d[Any],
+    spans: wp.array[Any],
+    activation: Any,
+    strength: Any,
+    length: Any,
+    velocity: Any,
+    near: Any,
+    tolerance: Any,
+):
+    """`equilibrium` while the tendon keeps its length; from a z near it, or, at 0, a tendon 2 % too long."""
+    zero = type(near)(0.0)
+    start = near
+    if near <= zero:
+        start = length - m.tendon_slack_length - type(near)(0.02) * m.tendon_slack_length
+    return equilibrium(m, tables, spans, activation, strength, length, velocity, zero, zero, start, tolerance)
+
+
 NEWTON = wp.constant(50.0)
 """How much longer than a step of bisection the last one of Newton's method may be."""
 
@@ -569,7 +589,7 @@ def settle_hill(
         slack = length[worldid, i] - m.tendon_slack_length
         z = wp.max(slack, m.shortest_fiber)
         if m.rigid == 0:
-            found = equilibrium(
+            found = steady_equilibrium(
                 m,
                 params.tables,
                 params.spans,
@@ -578,8 +598,6 @@ def settle_hill(
                 length[worldid, i],
                 velocity[worldid, i],
                 0.0,
-                0.0,
-                slack - 0.02 * m.tendon_slack_length,
                 TOLERANCE,
             )
             z = found[0]
