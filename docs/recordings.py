@@ -82,6 +82,13 @@ SHOWN = {
         4,
         "Random actions: no policy has been trained for walking.",
     ),
+    "terrain": Shown(
+        "myoLegStairTerrainWalk-v0",
+        "random",
+        60,
+        2,
+        "Random actions: no policy has been trained for walking.",
+    ),
 }
 """What is shown of each family."""
 

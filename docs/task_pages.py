@@ -26,6 +26,7 @@ TITLES = {
     "diereorient": "Die reorient",
     "baoding": "Baoding balls",
     "directional": "Directional walking",
+    "terrain": "Walking on terrain",
 }
 FOLDED = 60  # characters of names that a page folds
 UNBROKEN = 100_000  # characters of a line that is not broken

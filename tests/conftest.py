@@ -37,7 +37,7 @@ def registered(monkeypatch):
         del gym.registry[name]
 
 
-LARGE = re.compile(r"Torso|torso|LegWalk|LegDirectional|legs|ArmReach|\barm\b|DieReorientP[12]")
+LARGE = re.compile(r"Torso|torso|LegWalk|LegDirectional|TerrainWalk|legs|ArmReach|\barm\b|DieReorientP[12]")
 """Bodies and tasks that cost several seconds a test; their oracle tests are always run."""
 
 

@@ -25,7 +25,7 @@ PICTURES = Path(__file__).parent
 def scenes() -> list[str]:
     """Return one task for each family and body: the newest version of a random one."""
     best: dict[tuple[str, str], str] = {}
-    for key in sorted(TASKS, key=lambda key: ("Random" in key, key)):
+    for key in sorted(TASKS, key=lambda key: ("Random" in key or "Rough" in key, key)):
         best[TASKS[key].family, TASKS[key].body] = key
     return [best[pair] for pair in sorted(best)]
 

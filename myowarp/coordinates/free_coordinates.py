@@ -61,7 +61,7 @@ from myowarp.coordinates.reduction import (
 from myowarp.coordinates.reduction_lanes import reduce_blocks
 from myowarp.engine.stage import Obstacles, Stage, first_reason
 from myowarp.engine.stages.arrays import InertiaRows, any_of, filled
-from myowarp.engine.step import MOTION, Step, stage_launches
+from myowarp.engine.step import MOTION, Step
 from myowarp.engine.stepped import Stepped
 from myowarp.engine.verify import set_state
 from myowarp.kernels.lanes import block_scratch
@@ -323,7 +323,7 @@ class FreeCoordinates(Step):
 
     def places(self, stages: tuple[Stage, ...]) -> dict[str, Callable[[], None]]:
         """Return what is launched, place by place."""
-        places = self.bound(stage_launches(stages, self.stepped.paths, self.stepped.forces))
+        places = self.bound(self.stage_launches(stages))
         forces = {place: launches for place, launches in places.items() if place not in MOTION}
         motion = {place: launches for place, launches in places.items() if place in MOTION}
         return {"follow": self.follow, **forces, "reduce": self.reduce, **motion, "expand": self.expand}

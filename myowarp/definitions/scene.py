@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.forces import Forces
+from myowarp.definitions.ground import Ground
 from myowarp.definitions.muscle import MuscleModel
 from myowarp.definitions.paths import Paths
 from myowarp.definitions.task import TaskSpec
@@ -70,6 +71,7 @@ class Scene:
         parameters: Those of the conditions (`Parameter`), in the order of their binding.
         paths: Of tendons, where the model brings its own; None: they are the engine's.
         forces: Springs and dampers that the model brings along; None: it brings none.
+        ground: Height field whose contacts are ours; None: there is none.
     """
 
     spec: TaskSpec
@@ -90,6 +92,7 @@ class Scene:
     parameters: list[Any] = field(default_factory=list, repr=False)
     paths: Paths | None = None
     forces: Forces | None = None
+    ground: Ground | None = None
 
     @property
     def num_worlds(self) -> int:

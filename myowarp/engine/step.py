@@ -18,6 +18,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.forces import Forces
+from myowarp.definitions.ground import Ground
 from myowarp.definitions.paths import Paths
 from myowarp.engine.idle import pruned
 from myowarp.engine.patch import engine_kernels_alone, one_thread
@@ -146,13 +147,22 @@ def holds_bodies(stepped: Stepped) -> bool:
     return bool(np.isin(stepped.oracle.eq_type, kinds).any())
 
 
+def _then(first: Launches, second: Launches) -> Launches:
+    def launch_both(model: mjw.Model, data: mjw.Data) -> None:
+        first(model, data)
+        second(model, data)
+
+    return launch_both
+
+
 def stage_launches(
     stages: Iterable[Stage],
     paths: Paths | None = None,
     forces: Forces | None = None,
+    ground: Ground | None = None,
     mask: wp.array | None = None,
 ) -> dict[str, Launches]:
-    """Return what the physics step launches, place by place: stages of ours, a model's paths and forces.
+    """Return what the physics step launches, place by place: stages of ours, and what a model brings.
 
     In worlds outside of a mask, shape (num_worlds,) bool, stages may do nothing.
     """
@@ -165,6 +175,8 @@ def stage_launches(
         places[first] = stage.launcher(stages, mask)
         for place in others:
             del places[place]
+    if ground is not None:
+        places["collision"] = _then(places["collision"], ground.launch)
     if forces is None:
         return places
     ordered: dict[str, Launches] = {"damping": forces.launch_damping}
@@ -208,10 +220,14 @@ class Step:
 
         That takes velocities of the step before into welds and connects; there it is `ORDER`.
         """
-        paths, forces = self.stepped.paths, self.stepped.forces
-        held = holds_bodies(self.stepped) and uncovered(self.stepped) is None
-        in_order = stages or paths or forces or held
-        return self.bound(stage_launches(stages, paths, forces) if in_order else {"step": mjw.step})
+        own = stages or self.stepped.paths or self.stepped.forces or self.stepped.ground
+        in_order = own or (holds_bodies(self.stepped) and uncovered(self.stepped) is None)
+        return self.bound(self.stage_launches(stages) if in_order else {"step": mjw.step})
+
+    def stage_launches(self, stages: Iterable[Stage], mask: wp.array | None = None) -> dict[str, Launches]:
+        """Return what is launched, place by place, with some stages of ours and what the model brings."""
+        stepped = self.stepped
+        return stage_launches(stages, stepped.paths, stepped.forces, stepped.ground, mask)
 
     def bound(self, launches: Mapping[str, Launches]) -> dict[str, Callable[[], None]]:
         """Return launches with what their places step."""
@@ -241,7 +257,7 @@ class Step:
         else:
             # Without the others, all is written that they would not read.
             stages = tuple(stage for stage in stages if only.intersection(stage.replaces))
-            bound = self.bound(stage_launches(stages, self.stepped.paths, mask=mask))
+            bound = self.bound(self.stage_launches(stages, mask))
             places = tuple(launch_place for place, launch_place in bound.items() if place in only)
 
         def step() -> None:

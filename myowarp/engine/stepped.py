@@ -7,6 +7,7 @@ import mujoco_warp as mjw
 import warp as wp
 
 from myowarp.definitions.forces import Forces
+from myowarp.definitions.ground import Ground
 from myowarp.definitions.muscle import MuscleModel
 from myowarp.definitions.paths import Paths
 
@@ -25,6 +26,7 @@ class Stepped:
         num_substeps: Physics steps in a control step.
         paths: Of tendons, where the model brings its own; None: they are the engine's.
         forces: Springs and dampers that the model brings along; None: it brings none.
+        ground: Height field whose contacts are ours; None: there is none.
         remaining: How many of them are left, shape (1,), where all that acts within them is of this package;
             None: what they compute may be read in each.
     """
@@ -38,6 +40,7 @@ class Stepped:
     num_substeps: int
     paths: Paths | None = None
     forces: Forces | None = None
+    ground: Ground | None = None
     remaining: wp.array | None = None
 
     @property

@@ -25,7 +25,9 @@ from myowarp.definitions.task import PHYSICS, PhysicsPreset, TaskSpec
 from myowarp.definitions.worlds import Worlds
 from myowarp.disk import cached, files_digest, is_ours, model_bytes, model_from_bytes
 from myowarp.engine.build_lock import with_build_lock
+from myowarp.engine.ground import height_field
 from myowarp.engine.kernel_cache import start_warp
+from myowarp.engine.step import uncovered
 from myowarp.engine.stepped import Stepped
 from myowarp.engine.warn_once import warn_once
 from myowarp.kernels.action import MOTOR, MUSCLE
@@ -295,6 +297,8 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
             paths=paths_of(oracle, model, data),
             forces=forces_of(oracle, model, data),
         )
+        if uncovered(stepped_of(scene)) is None:
+            scene.ground = height_field(oracle, model)
         _adopt_arrays(scene, batched, individual=bool(conditions))
     return scene
 
@@ -311,6 +315,7 @@ def stepped_of(scene: Scene) -> Stepped:
         num_substeps=scene.num_substeps,
         paths=scene.paths,
         forces=scene.forces,
+        ground=scene.ground,
     )
 
 

@@ -10,5 +10,6 @@ from myowarp.tasks import (  # noqa: F401  (they register)
     pose_ids,
     reach_ids,
     stand,
+    terrain,
     walk,
 )

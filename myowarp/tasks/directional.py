@@ -6,8 +6,7 @@ with v the velocity of the root and v* the commanded one, in the plane [m/s]. It
 within 0.5 m/s; it fails when the root is below 0.7 m. Actions are excitations in proportion. Source: MyoSuite
 3.0.0, myoLegDirectional{Forward,Backward,Random}, whose actions are from 0 to 1.
 
-A second ground of upstream's, a flat height field 5 mm below the floor, is left out: feet are pressed in so
-deep in 43 of 96 recorded states, and move up to 1.2 mm or mrad differently in a control step.
+A flat height field lies 5 mm below the floor, as upstream's does: feet that sink in so deep touch both.
 
 A fall is fast enough: with zero actions every episode of a fixed direction counts as solved, and falls.
 """
@@ -26,6 +25,7 @@ from myowarp.definitions.program import Program
 from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
 from myowarp.kernels.reward import indicator
 from myowarp.kernels.world_function import Row
+from myowarp.tasks.field import FIELD_POINTS, add_field
 from myowarp.tasks.stand import STANDING_POSE
 from myowarp.tasks.walk import VELOCITY_NEAR
 
@@ -135,7 +135,8 @@ class DirectionalTask(TaskSpec):
         return (Draw("heading", "rad", (low,), (high,), doc, ("angle",), array="angle"),)
 
     def edit(self, spec: mujoco.MjSpec) -> None:
-        """Nothing is added."""
+        """Add the second ground."""
+        add_field(spec, np.zeros((FIELD_POINTS, FIELD_POINTS)), -0.005)
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
         command = "commanded direction, a unit vector"

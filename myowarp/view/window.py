@@ -52,6 +52,7 @@ class Window:
         self._threads = set(threading.enumerate()) - others
         atexit.register(self.close)
         self._shift: np.ndarray | None = None
+        self._fields = self._drawing.model.hfield_data.copy()
         with self._viewer.lock():
             draw_bones_alone(self._viewer.opt)
 
@@ -80,6 +81,10 @@ class Window:
             self._shift = shift
             scene.ngeom = 0
             drawing.add(scene, seen, np.array(camera.lookat), 2.0 * drawing.framing.radius / HEIGHT)
+        if not np.array_equal(self._fields, drawing.model.hfield_data):
+            self._fields = drawing.model.hfield_data.copy()
+            for field in range(drawing.model.nhfield):
+                self._viewer.update_hfield(field)
         self._viewer.sync()
 
     def close(self) -> None:

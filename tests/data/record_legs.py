@@ -19,6 +19,7 @@ from recording import (
     names_meta,
     replay,
     result_row,
+    rough_heights,
     run_episode,
     save,
     sigmoid_ctrl,
@@ -27,11 +28,13 @@ from recording import (
 
 STAND, WALK = "myoLegStandRandom-v0", "myoLegWalk-v0"
 DIRECTIONAL = [f"myoLegDirectional{name}-v0" for name in ("Forward", "Backward", "Random")]
-IDS = [STAND, WALK, *DIRECTIONAL]
-TERMS = {
-    STAND: ("reach", "bonus", "penalty", "act_reg"),
-    WALK: ("vel_reward", "cyclic_hip", "ref_rot", "joint_angle_rew", "done", "act_mag"),
-} | dict.fromkeys(DIRECTIONAL, ("heading", "act_reg"))
+ROUGH = "myoLegRoughTerrainWalk-v0"
+TERRAIN = [ROUGH, "myoLegHillyTerrainWalk-v0", "myoLegStairTerrainWalk-v0"]
+WALKING = [WALK, *TERRAIN]
+IDS = [STAND, WALK, *DIRECTIONAL, *TERRAIN]
+WALK_TERMS = ("vel_reward", "cyclic_hip", "ref_rot", "joint_angle_rew", "done", "act_mag")
+TERMS = {STAND: ("reach", "bonus", "penalty", "act_reg")} | dict.fromkeys(WALKING, WALK_TERMS)
+TERMS |= dict.fromkeys(DIRECTIONAL, ("heading", "act_reg"))
 ACTION_KINDS = ("uniform", "uniform", "uniform", "plus", "minus", "bang")
 STRIDE = 6
 NUM_REPLAYS = 32
@@ -68,10 +71,17 @@ def state_row(env):
     if env.spec.id in DIRECTIONAL:
         heading = env.get_obs_dict(env._accessor)["heading_cmd"]
         return copies(env.data, STATE) | {"time": env.data.time, "heading": heading}
-    if env.spec.id == WALK:
+    if env.spec.id in WALKING:
         return copies(env.data, STATE) | {"time": env.data.time}
     target, tip = (env.data.site_xpos[sites].ravel() for sites in (env.target_sids, env.tip_sids))
     return copies(env.data, STATE) | {"time": env.data.time, "target": target, "tip": tip}
+
+
+def replayed(env, row):
+    """Replay a control step on the ground of its episode."""
+    if env.spec.id == ROUGH:
+        env.model.hfield_data[:] = rough_heights(row["seed"])
+    return replay(env, row)[0]
 
 
 def force_walk(wrapped, rng, lift, turn, step):
@@ -168,20 +178,23 @@ def record(env_id, out, index):
     env, rng = wrapped.unwrapped, np.random.default_rng(index)
     runs, visited = [], []
     for i, kind in enumerate(ACTION_KINDS):
-        run = run_episode(wrapped, i, kind, 100 * index + i, state_row, TERMS[env_id], STRIDE)
-        visited += run[3]
+        seed = 100 * index + i
+        run = run_episode(wrapped, i, kind, seed, state_row, TERMS[env_id], STRIDE)
+        assert env_id != ROUGH or np.array_equal(env.model.hfield_data, rough_heights(seed))
+        visited += [row | {"seed": seed} for row in run[3]]
         runs.append(run[:3])
     facts, resets, steps = zip(*runs, strict=True)
     chosen = np.linspace(0, len(visited) - 1, NUM_REPLAYS).round().astype(int)
     arrays = stack(facts, "episode") | stack(resets, "reset")
     arrays |= stack([row for rows in steps for row in rows], "step")
-    arrays |= stack([replay(env, visited[i])[0] for i in chosen], "replay")
+    arrays |= stack([replayed(env, visited[i]) for i in chosen], "replay")
     arrays |= stack(force_states(wrapped, rng), "forced")
     arrays |= clip_rows(wrapped, rng)
     if env_id == STAND:
         arrays |= {f"model_{k}": np.array(getattr(env.model, k)) for k in MODEL_FIELDS.split()}
     worst = deviations(env, arrays)
-    task = {STAND: "stand", WALK: "walk"}.get(env_id, "directional")
+    task = {STAND: "stand", WALK: "walk"} | dict.fromkeys(TERRAIN, "terrain")
+    task = task.get(env_id, "directional")
     meta = common_meta(wrapped, env_id, task) | names_meta(env.model)
     meta |= {"frame_skip": env.frame_skip, "dt": env.dt}
     if env_id == STAND:

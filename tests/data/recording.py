@@ -135,6 +135,12 @@ def sigmoid_ctrl(action):
     return 1 / (1 + np.exp(-5 * (np.clip(action.astype(float), -1.0, 1.0) - 0.5)))
 
 
+def rough_heights(seed):
+    """Heights of MyoSuite's rough ground after a reset with a seed [m], its generator's first draws."""
+    drawn = np.random.default_rng(int(seed)).uniform(-0.5, 0.5, 10_000)
+    return (0.08 * (drawn - drawn.min()) / (drawn.max() - drawn.min()) - 0.02).astype(np.float32)
+
+
 def euler(quats):
     """Return the angles of Rx Ry Rz of quaternions, shape (n, 3)."""
     matrices = np.zeros((len(quats), 9))

@@ -83,7 +83,7 @@ def collided(model, qpos, room, ours=True, growth=0.0):
     data = mjw.make_data(model, nworld=len(qpos), nconmax=room)
     data.qpos.assign(qpos)
     mjw.kinematics(device, data)
-    scene = SimpleNamespace(model=device, data=data, oracle=model, device=wp.get_device("cpu"))
+    scene = SimpleNamespace(model=device, data=data, oracle=model, ground=None, device=wp.get_device("cpu"))
     launch_place(scene, "collision", [ContactSearch(scene)] if ours else [])
     return data
 

@@ -19,7 +19,7 @@ from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parents[1] / "data/myosuite"))
-WALKING = ("walk", "directional")
+WALKING = ("walk", "directional", "terrain")
 UPSTREAM = [
     key
     for key in recorded_ids(DATA)

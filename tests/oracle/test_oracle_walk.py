@@ -7,11 +7,13 @@ one control step from recorded states.
 import json
 from functools import lru_cache
 
+import mujoco
 import numpy as np
 import pytest
 import warp as wp
 from contact_oracle import recorded_ids
-from stepping import step
+from data.recording import rough_heights
+from stepping import forward, step
 from test_oracle import DATA, QPOS_TOLERANCE, WALKING
 
 from myowarp.definitions.task import TASKS
@@ -20,7 +22,7 @@ from myowarp.sim.simulation import Simulation
 KEYS = [key for key in recorded_ids(DATA) if TASKS[key].family in WALKING]
 
 VALUE_TOLERANCE = 1e-5  # relative to the largest value of a block, at least of 1 in its unit; measured 3e-6
-EDGE = 1e-5  # m, m/s
+ROUGH = "myoLegRoughTerrainWalk-v0"
 
 
 @lru_cache
@@ -37,6 +39,9 @@ def simulation(key, record, prefix, suffix=""):
     sim.scene.data.qpos.assign(record[f"{prefix}_qpos{suffix}"])
     sim.scene.data.qvel.assign(record[f"{prefix}_qvel{suffix}"])
     sim.scene.muscles.activation.assign(record[f"{prefix}_act{suffix}"])
+    if key == ROUGH and f"{prefix}_seed" in record:
+        drawn = np.array([rough_heights(seed) for seed in record[f"{prefix}_seed"]])
+        sim.shards[0].program.heights.assign(drawn.reshape(number, 100, 100))
     return sim
 
 
@@ -103,7 +108,7 @@ def test_start(key):
     sim.reset(seeds=np.arange(3))
     np.testing.assert_allclose(sim.scene.data.qpos.numpy(), record["reset_qpos"][:3], atol=VALUE_TOLERANCE)
     np.testing.assert_allclose(sim.scene.data.qvel.numpy(), record["reset_qvel"][:3], atol=VALUE_TOLERANCE)
-    assert (np.abs(record["reset_qvel"]).max() > 1.0) == (TASKS[key].family == "walk")
+    assert (np.abs(record["reset_qvel"]).max() > 1.0) == (TASKS[key].family in ("walk", "terrain"))
 
 
 @pytest.mark.parametrize("key", KEYS)
@@ -131,6 +136,36 @@ def test_one_control_step_of_physics(key, record_property):
     assert np.median(error) < QPOS_TOLERANCE
     moved = np.abs(record["replay_qpos_after"] - record["replay_qpos_before"]).max(axis=1)
     assert np.median(moved) > 10 * QPOS_TOLERANCE
+
+
+GROUND = [key for key in KEYS if TASKS[key].family in ("directional", "terrain")]
+FORCE_TOLERANCE = 0.02  # of the force of the ground on the root, total over states
+
+
+@pytest.mark.parametrize("key", GROUND)
+def test_force_of_the_ground(key, record_property):
+    """What ground and floor push the root with is what they do in MuJoCo C, in the recorded states."""
+    record, _ = recorded(key)
+    sim = simulation(key, record, "replay", "_before")
+    forward(sim.scene, sim.shards[0].stages)
+    ours, host = sim.scene.data.qfrc_constraint.numpy()[:, :3], sim.scene.oracle.__copy__()
+    data, theirs, touches = mujoco.MjData(host), [], 0
+    for world, (qpos, qvel, act) in enumerate(
+        zip(*(record[f"replay_{name}_before"] for name in ("qpos", "qvel", "act")), strict=True)
+    ):
+        if key == ROUGH:
+            heights = sim.shards[0].program.heights.numpy()[world]
+            host.hfield_data[:], host.hfield_size[0, 2] = heights.ravel(), 1.0
+        data.qpos[:], data.qvel[:], data.act[:] = qpos, qvel, act
+        data.qacc_warmstart[:] = 0.0
+        mujoco.mj_forward(host, data)
+        theirs.append(data.qfrc_constraint[:3].copy())
+        field = host.geom_type[data.contact.geom] == mujoco.mjtGeom.mjGEOM_HFIELD
+        touches += np.count_nonzero(field.any(axis=1) & (data.contact.efc_address >= 0))
+    assert touches > 20
+    error = np.linalg.norm(ours - theirs, axis=1)
+    record_property("force", float(error.sum() / np.linalg.norm(theirs, axis=1).sum()))
+    assert error.sum() < FORCE_TOLERANCE * np.linalg.norm(theirs, axis=1).sum()
 
 
 @pytest.mark.parametrize("key", KEYS)

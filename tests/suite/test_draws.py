@@ -49,6 +49,7 @@ DRAWS = {
         "offset": (28 * (-0.2,), 28 * (0.2,)),
     },
     "myoLegDirectionalRandom-v0": {"heading": (0, 2 * PI)},
+    "myoLegRoughTerrainWalk-v0": {"heights": (-0.02, 0.06)},
     "myoHandKeyTurnRandom-v1": {
         "key angle": (-PI / 2, PI / 2),
         "key position": ((-0.16, -0.56, 1.415), (-0.14, -0.54, 1.435)),
@@ -121,6 +122,7 @@ READ = {
     "key angle": lambda program: program.scene.data.qpos.numpy()[:, 23],
     "key position": lambda program: program.scene.model.body_pos.numpy()[:, program.key_body],
     "tilt": tilt,
+    "heights": lambda program: program.heights.numpy()[:, ::33, ::33].copy(),
     "weight": lambda program: program.weight.mass.numpy(),
     "ball mass": lambda program: of_balls(program, "body_mass"),
     "ball radius": lambda program: of_balls(program, "geom_size")[:, :, 0],

@@ -28,10 +28,11 @@ Kind = tuple[GeomType, GeomType]
 
 
 def _kinds(stepped: Stepped) -> set[Kind]:
-    """Return the kinds of pairs that can touch."""
+    """Return the kinds of pairs that can touch, but for those of a ground of ours."""
     types = stepped.oracle.geom_type
-    pairs = (sorted((types[first], types[second])) for first, second in colliding_pairs(stepped.oracle))
-    return {(GeomType(first), GeomType(second)) for first, second in pairs}
+    pairs = colliding_pairs(stepped.oracle) - (stepped.ground.pairs if stepped.ground else set())
+    kinds = (sorted((types[first], types[second])) for first, second in pairs)
+    return {(GeomType(first), GeomType(second)) for first, second in kinds}
 
 
 class ContactSearch(Stage):

@@ -1,9 +1,10 @@
 """Both legs under a rigid torso with a free root, on flat ground; 80 muscles.
 
-Source: the files of myo-sim 0.2.3, put together as MyoSuite 3.0.0 does for its leg tasks, without its height
-field, which lies 10 m below ground there. The legs are those of Rajagopal et al. (2016),
-doi:10.1109/TBME.2016.2586891. Fourteen soft equalities let the knees slide and the kneecaps follow the angles
-of the knees. The trunk, its arms included, is one rigid body with the mass of all that the legs carry.
+Source: the files of myo-sim 0.2.3, put together as MyoSuite 3.0.0 does for its leg tasks. Its height field is
+added by the tasks in which something touches it (`tasks/field.py`). The legs are those of Rajagopal et al.
+(2016), doi:10.1109/TBME.2016.2586891. Fourteen soft equalities let the knees slide and the kneecaps follow
+the angles of the knees. The trunk, its arms included, is one rigid body with the mass of all that the legs
+carry.
 """
 
 import mujoco

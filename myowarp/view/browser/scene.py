@@ -147,7 +147,7 @@ class Figure:
     def _draw(self, seen: Snapshot, color: str, hidden: Set[str], aside: np.ndarray) -> None:
         """Send what is posed, moved aside."""
         for body, geoms in self._geoms.items():
-            if not np.array_equal(self._sizes[body], self._model.geom_size[geoms]):
+            if not np.array_equal(self._sizes[body], self._extents(geoms)):
                 self._prepare_meshes(body)
             size = 0.0 if self._model.body(body).name in hidden else 1.0
             place, turn = self._data.xpos[[body]] + aside, self._data.xquat[[body]]
@@ -179,19 +179,25 @@ class Figure:
         """Return the geoms to draw of each body that has some; of a ghost those of the limb that move."""
         model = self._model
         geoms = look.drawn_geoms(model)
-        geoms = geoms[model.geom_type[geoms] != mujoco.mjtGeom.mjGEOM_HFIELD]
         if self._is_ghost:
             limb = look.moving_bodies(model) & look.limb_trees(model)
             geoms = geoms[limb[model.geom_bodyid[geoms]]]
         bodies = model.geom_bodyid[geoms]
         return {int(body): geoms[bodies == body] for body in np.unique(bodies)}
 
+    def _extents(self, geoms: np.ndarray) -> np.ndarray:
+        """Return sizes of geoms, and heights of those that are height fields, one after the other."""
+        model = self._model
+        fields = model.geom_dataid[geoms[model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_HFIELD]]
+        heights = [look.field_of(model, int(field)).ravel() for field in fields]
+        return np.concatenate([model.geom_size[geoms].ravel(), *heights])
+
     def _prepare_meshes(self, body: int) -> None:
         """Make meshes of the geoms of a body, in its frame, those of one colour as one."""
         for mesh in self._meshes.get(body, ()):
             mesh.remove()
         model, parts = self._model, defaultdict(list)
-        self._sizes[body] = model.geom_size[self._geoms[body]].copy()
+        self._sizes[body] = self._extents(self._geoms[body])
         for geom in self._geoms[body]:
             vertices, faces = _surface(model, int(geom), PLANE_REACH * self._radius)
             turn = np.zeros(9)
@@ -456,6 +462,8 @@ def _surface(model: mujoco.MjModel, geom: int, reach: float) -> tuple[np.ndarray
         used, renumbered = np.unique(faces, return_inverse=True)
         vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
         return vertices[used], renumbered.reshape(faces.shape)
+    if kind == mujoco.mjtGeom.mjGEOM_HFIELD:
+        return _landscape(model, int(model.geom_dataid[geom]))
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         box = trimesh.creation.box(2.0 * size)
         box.unmerge_vertices()  # else its edges look round
@@ -473,6 +481,17 @@ def _surface(model: mujoco.MjModel, geom: int, reach: float) -> tuple[np.ndarray
         round_ = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
         round_.apply_scale(size if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID else size[0])
     return round_.vertices, round_.faces
+
+
+def _landscape(model: mujoco.MjModel, hfield: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices [m] and faces of a height field: two triangles a cell, as MuJoCo cuts it."""
+    heights = look.field_of(model, hfield)
+    (x, y, z), (rows, columns) = model.hfield_size[hfield, :3], heights.shape
+    grid = np.meshgrid(np.linspace(-x, x, columns), np.linspace(-y, y, rows))
+    number = np.arange(heights.size).reshape(rows, columns)
+    start, right, up, end = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    faces = np.stack([start, right, end, start, end, up], axis=-1).reshape(-1, 3)
+    return np.stack([*grid, z * heights], axis=-1).reshape(-1, 3), faces
 
 
 def _joined(pieces: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:

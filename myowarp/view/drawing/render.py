@@ -77,7 +77,7 @@ class _Canvas:
         model.vis.quality.offsamples = 0
         model.vis.quality.numslices, model.vis.quality.numstacks = FACETS
         self._model, self._area = model, mujoco.MjrRect(0, 0, width, height)
-        self.scene = mujoco.MjvScene(model, MOST_GEOMS)
+        self.scene, self._fields = mujoco.MjvScene(model, MOST_GEOMS), model.hfield_data.copy()
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
@@ -93,6 +93,11 @@ class _Canvas:
 
     def update(self, data: mujoco.MjData, camera: mujoco.MjvCamera, option: mujoco.MjvOption) -> None:
         """Put what MuJoCo draws of the model into the scene, and nothing else."""
+        if not np.array_equal(self._fields, self._model.hfield_data):
+            self._fields = self._model.hfield_data.copy()
+            self._graphics.make_current()
+            for field in range(self._model.nhfield):
+                mujoco.mjr_uploadHField(self._model, self.context, field)
         category = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(self._model, data, option, None, camera, category, self.scene)
 

@@ -24,7 +24,8 @@ class Snapshot(NamedTuple):
             force [N]), `optimal_fiber_length` and present `tendon_length` [m], and `force` [N] and `fatigue`
             where they are computed.
         goals: World positions of the goal's markers [m] by the names of their sites.
-        shape: What the world has for itself: (field of the model or data, name of geom or body) to values.
+        shape: What the world has for itself: (field of the model or data, name of geom, body or height
+            field) to values.
         ghost: Configuration that the goal asks for, shape (nq,); None where it asks for none.
         paths: Points of each muscle's path [m], shape (n, 3) each; empty: MuJoCo's tendons are its paths.
         arrows: Begins and ends of the arrows of forces [m], shape (n, 2, 3).
@@ -106,4 +107,8 @@ def _shape(scene: Scene, world: int) -> dict[tuple[str, str], np.ndarray]:
     for body in np.flatnonzero(oracle.body_mocapid >= 0):
         quat = scene.data.mocap_quat.numpy()[world, oracle.body_mocapid[body]]
         shape["mocap_quat", oracle.body(int(body)).name] = quat.copy()
+    if scene.ground is not None and scene.ground.heights.shape[0] > 1:
+        hfield = scene.ground.hfield
+        heights = scene.ground.heights.numpy()[world].ravel() / oracle.hfield_size[hfield, 2]
+        shape["hfield_data", oracle.hfield(hfield).name] = heights
     return shape

@@ -51,12 +51,21 @@ def geometry(model: mujoco.MjModel, data: mujoco.MjData, key: tuple[str, str]) -
     Args:
         model: the model.
         data: the data.
-        key: name of the field, and of the geom or body.
+        key: name of the field, and of the geom, body or height field.
     """
     field, name = key
+    if field == "hfield_data":
+        return field_of(model, model.hfield(name).id).reshape(-1)
     if field == "mocap_quat":
         return data.mocap_quat[model.body(name).mocapid[0]]
     return getattr(model, field)[getattr(model, field.partition("_")[0])(name).id]
+
+
+def field_of(model: mujoco.MjModel, hfield: int) -> np.ndarray:
+    """Returns a view of the heights of a height field, in units of its size, shape ``(nrow, ncol)``."""
+    rows, columns = int(model.hfield_nrow[hfield]), int(model.hfield_ncol[hfield])
+    first = int(model.hfield_adr[hfield])
+    return model.hfield_data[first : first + rows * columns].reshape(rows, columns)
 
 
 def pose(
