@@ -37,7 +37,10 @@ def registered(monkeypatch):
         del gym.registry[name]
 
 
-LARGE = re.compile(r"Torso|torso|LegWalk|LegDirectional|TerrainWalk|legs|ArmReach|\barm\b|DieReorientP[12]")
+LARGE = re.compile(
+    r"Torso|torso|LegWalk|LegDirectional|TerrainWalk|legs|ArmReach|\barm\b|DieReorientP[12]|HandReorient|Relocate"
+    r"|whole_arm|full_body"
+)
 """Bodies and tasks that cost several seconds a test; their oracle tests are always run."""
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import mujoco_warp as mjw
 import warp as wp
 
-LARGE_WORLD = 2**20  # bytes; a hand that holds an object has 1e5
+LARGE_WORLD = 2**20  # bytes; a hand that holds an object has 1e5, the whole body 8e5
 MEMINFO, CGROUP_LIMIT = Path("/proc/meminfo"), Path("/sys/fs/cgroup/memory.max")
 
 

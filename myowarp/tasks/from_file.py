@@ -1,4 +1,4 @@
-"""A model from a file, MJCF such as `myowarp convert` writes, as a body, and as a pose or reach task.
+"""A model as a pose or reach task: a file, MJCF such as `myowarp convert` writes, or a body of the package.
 
 Targets are those of joints that the actuators move, or of sites. Joints that an equality ties to others
 follow, exactly if `couplings.json` lies beside the file, and a root that nothing holds falls. A `muscles.csv`
@@ -9,6 +9,7 @@ of the converter beside it has the parameters for muscle models that take those 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from dataclasses import replace as replaced
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -55,16 +56,18 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
     """Register the model of a file as a body, once; motors without a control range get -1 to 1.
 
     Args:
-        path: MJCF, or a model of OpenSim (.osim).
+        path: MJCF, or a model of OpenSim (.osim); or the name of a body that is registered.
         tips: Names of the sites that tasks show or steer.
 
     Returns:
-        Name in `BODIES`; it holds a digest of the compiled model, meshes and includes included, because
-        compiled scenes are kept by name.
+        Name in `BODIES`; that of a file holds a digest of the compiled model, meshes and includes included,
+        because compiled scenes are kept by name.
 
     Raises:
         ValueError: The file is no model that MuJoCo reads, or has actuators that we cannot step.
     """
+    if str(path) in BODIES and not path.exists():
+        return _with_tips(str(path), tips)
     if path.suffix.lower() == OPENSIM:
         from myowarp.opensim.load import load  # reading .osim files is not needed at every start
 
@@ -82,7 +85,10 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
         raise ValueError(f"model {str(path)!r} must be written in UTF-8; save it as that") from error
     except ValueError as error:
         reason = " ".join(str(error).split())
-        raise ValueError(f"model {str(path)!r} must be an MJCF file; MuJoCo says: {reason}") from error
+        bodies = "" if path.exists() else f"; bodies are {', '.join(BODIES)}"
+        raise ValueError(
+            f"model {str(path)!r} must be an MJCF file; MuJoCo says: {reason}{bodies}"
+        ) from error
     _check(model, path)
     for beside, ask_for, check in (
         (COUPLINGS, ask, exact),
@@ -109,6 +115,16 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
 def _of(table: MuscleTable | None) -> Any:
     """Return what a body's table of muscles says."""
     return table and (table.parameters, table.curves)
+
+
+def _with_tips(name: str, tips: tuple[str, ...]) -> str:
+    """Return the name of a body that is registered, with tips of a task in place of its own."""
+    if not tips:
+        return name
+    steered = "_".join((name, *tips))
+    if steered not in BODIES:
+        BODIES.add(steered, replaced(BODIES[name], tips=tips))
+    return steered
 
 
 def own_model(muscles: MuscleTable | None, names: list[str]) -> str:
@@ -181,7 +197,7 @@ def _numbers(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def pose_task(path: Path) -> PoseTask:
-    """Return the pose task of all joints that the actuators of a file's model move; it is registered.
+    """Return the pose task of all joints that the actuators of a model move; it is registered.
 
     Raises:
         ValueError: The file is unsuitable (`read_body`), or its actuators move no joint.
@@ -207,7 +223,8 @@ def from_mjcf(
     """Return a task on the model of a file, MJCF with muscles or motors; it is registered.
 
     Args:
-        path: MJCF; includes and meshes are found from it. Or .osim, as for `from_osim`.
+        path: MJCF; includes and meshes are found from it. Or .osim, as for `from_osim`; or the name of a body
+            of the package, such as "full_body".
         key: Id of the task, such as "myArmReach-v0"; None: from the model's name and content.
         kind: "pose" (bring joints to angles) or "reach" (bring sites to points).
         targets: Names of the joints, or of the sites; a mapping gives each its bounds: (low, high) [rad or

@@ -52,8 +52,8 @@ class Said:
 
 MODEL = _option(
     "FILE",
-    "Instead of a task: a model of OpenSim (.osim), or an MJCF file; random poses of its joints. Physics"
-    " parity is then the file's own integrator and step.",
+    "Instead of a task: a model of OpenSim (.osim), an MJCF file, or the name of a body, such as full_body;"
+    " random poses of its joints. Physics parity is then the model's own integrator and step.",
     UNSET,
 )
 

@@ -6,6 +6,7 @@ from myowarp.models.bodies import (
     elbow,  # noqa: F401
     elbow_exo,  # noqa: F401
     finger,  # noqa: F401
+    full_body,  # noqa: F401
     hand,  # noqa: F401
     legs,  # noqa: F401
     torso,  # noqa: F401

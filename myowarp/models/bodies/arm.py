@@ -6,10 +6,10 @@ equalities let clavicle, scapula and humerus follow the shoulder. Upper arm and 
 """
 
 import mujoco
-from myo_sim.build.compose import build_spec
 
 from myowarp.definitions.body import BODIES, Body
 from myowarp.models.bodies.arm_muscles import FATIGUE_RATES, GROUPS
+from myowarp.models.bodies.composed import composed
 
 ROOT = "Full Body"
 ROOT_POS = (0.00685025, -0.00150371, 0.91886071)  # m
@@ -22,14 +22,7 @@ TIP = "IFtip"
 
 def arm() -> mujoco.MjSpec:
     """Return the right arm from the clavicle to the wrist; all joint angles 0 is the hanging arm."""
-    # myo-sim puts trunk and arm together without a prefix for names, of which MuJoCo warns, at every
-    # compilation of that spec and not of a copy.
-    handler = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
-    try:
-        spec = build_spec("myoarm_r").copy()
-    finally:
-        mujoco.set_mju_user_warning(handler)
+    spec = composed("myoarm_r")
     root = spec.body(ROOT)
     root.pos, root.quat = ROOT_POS, ROOT_QUAT
     for bone in STIFF:
