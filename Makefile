@@ -126,9 +126,10 @@ parity: setup .venv-parity/.installed ## Install MyoSuite 3.0.0 beside us, recor
 	@mkdir -p out
 	$(BIN)/python -m benchmarks.parity --recorder .venv-parity/bin/python --output out/parity.json
 
-soak: setup ## Run random actions in all 204 ids of the paper's grid and pairs of conditions (15 minutes to two hours)
+soak: setup ## Run random actions in all 204 ids of the paper's grid, other ids and pairs of conditions (20 minutes to three hours)
 	@mkdir -p out
 	$(BIN)/python -m benchmarks.soak --output out/soak.json
+	$(BIN)/python -m benchmarks.soak --others --output out/soak_others.json
 	$(BIN)/python -m benchmarks.soak --pairs --output out/soak_pairs.json
 	$(BIN)/python -m benchmarks.soak --muscles --num-worlds 256 --output out/soak_muscles.json
 

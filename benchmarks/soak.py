@@ -1,14 +1,16 @@
 """Random actions in every cell of the paper's grid: does anything break, and how full are the arrays?
 
     python -m benchmarks.soak --output out/soak.json
+    python -m benchmarks.soak --others --output out/soak_others.json
     python -m benchmarks.soak --pairs --output out/soak_pairs.json
     python -m benchmarks.soak --muscles --num-worlds 256 --output out/soak_muscles.json
 
-With --pairs the runs are the hard task of each family with every two muscle conditions that its body can
-have together; what is refused is listed with its reason. With --muscles they are pose tasks of elbow and hand
-with every muscle model. Every run is 10,000 environment steps or more, split evenly over the worlds. The file
-is written after each run, and runs that it already holds are skipped, so that one that was interrupted goes
-on.
+With --others the runs are the ids of bodies and families that the grid does not have: arm, torso, legs,
+dice, objects to carry. With --pairs they are the hard task of each family with every two muscle conditions
+that its body can have together; what is refused is listed with its reason. With --muscles they are pose tasks
+of elbow and hand with every muscle model. Every run is 10,000 environment steps or more, split evenly over
+the worlds. The file is written after each run, and runs that it already holds are skipped, so that one that
+was interrupted goes on.
 """
 
 import argparse
@@ -50,6 +52,14 @@ def cells() -> Iterator[Soaked]:
     """Return the paper's grid."""
     for cell in grid():
         yield Soaked(cell.id, cell.task, cell.conditions, cell.reset)
+
+
+def others() -> Iterator[Soaked]:
+    """Return every id of a body or family that the paper's grid does not have."""
+    covered = {(TASKS[cell.task].family, TASKS[cell.task].body) for cell in grid()}
+    for key, spec in TASKS.items():
+        if (spec.family, spec.body) not in covered:
+            yield Soaked(spec.env_id, key, ())
 
 
 def pairs() -> Iterator[Soaked]:
@@ -127,21 +137,29 @@ def summary(rows: list[dict]) -> str:
     )
 
 
+ASKED = {
+    "others": (others, "ids that the grid does not have"),
+    "pairs": (pairs, "pairs of muscle conditions"),
+    "muscles": (muscles, "muscle models"),
+}
+"""Flag: runs in place of the grid, and what they are."""
+
+
 def main() -> None:
     """Run, print what is worst, write the JSON."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--pairs", action="store_true", help="pairs of muscle conditions, not the grid")
-    parser.add_argument("--muscles", action="store_true", help="muscle models, not the grid")
+    for asked, (_, text) in ASKED.items():
+        parser.add_argument(f"--{asked}", action="store_true", help=f"{text}, not the grid")
     parser.add_argument("--output", type=Path, default=Path("out/soak.json"), help="file to write")
     parser.add_argument("--num-worlds", type=int, default=NUM_WORLDS, help="worlds stepped together")
     options = parser.parse_args()
     options.output.parent.mkdir(parents=True, exist_ok=True)
     rows = json.loads(options.output.read_text()) if options.output.exists() else []
     done = {row["id"] for row in rows}
-    asked = pairs() if options.pairs else muscles() if options.muscles else cells()
-    runs = [run for run in asked if run.id not in done]
+    runs_of = next((runs for asked, (runs, _) in ASKED.items() if getattr(options, asked)), cells)
+    runs = [run for run in runs_of() if run.id not in done]
     with progress_bar("Soaking", "runs", Console(stderr=True)) as bar:
         for run in bar.track(runs):
             rows.append(soak(run, options.num_worlds))

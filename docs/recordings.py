@@ -75,6 +75,20 @@ SHOWN = {
         2,
         "Random actions: no policy has been trained for the balls.",
     ),
+    "reorient": Shown(
+        "myoHandReorient100-v0",
+        "random",
+        20,
+        1,
+        "Random actions: no policy has been trained for these objects.",
+    ),
+    "relocate": Shown(
+        "myoChallengeRelocateP1-v0",
+        "random",
+        40,
+        3,
+        "Random actions: no policy has been trained for carrying.",
+    ),
     "directional": Shown(
         "myoLegDirectionalForward-v1",
         "random",

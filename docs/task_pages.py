@@ -25,6 +25,7 @@ TITLES = {
     "pentwirl": "Pen twirl",
     "diereorient": "Die reorient",
     "baoding": "Baoding balls",
+    "reorient": "Hand reorient",
     "directional": "Directional walking",
     "terrain": "Walking on terrain",
 }

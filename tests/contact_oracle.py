@@ -15,6 +15,7 @@ from data.recording import euler
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.die_reorient import show_wanted
+from myowarp.tasks.relocate import put_bin, put_object
 from myowarp.tasks.variants import find_variant
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parent / "data/myosuite"))
@@ -32,7 +33,10 @@ def recorded_ids(folder):
     return [name for name in names if not find_variant(name).conditions]
 
 
-KEYS = [key for key in recorded_ids(DATA) if TASKS[key].body == "contact_hand"]
+SOLIDS = {"relocate": (3, 2, 5), "reorient": (2, 3, 4)}
+"""Families whose objects have a geom of every kind for each part: parts, first kind, number of kinds."""
+
+KEYS = [key for key in recorded_ids(DATA) if TASKS[key].body == "contact_hand" or TASKS[key].family in SOLIDS]
 """Ids of upstream, those that were recorded."""
 
 NUM_WORLDS = 200
@@ -87,6 +91,12 @@ def oracle_of(key, episode):
     model = copy.copy(simulation(key).scene.oracle)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE  # whose tree knows nominal sizes
     ids, row = object_ids(model, meta), reset_rows(record, [episode])[0]
+    ids["geom"] = geoms_there(simulation(key).scene.spec, record, row, ids["geom"])
+    if has_solids(key):
+        every = object_ids(model, meta)["geom"]
+        model.geom_contype[every] = model.geom_conaffinity[every] = 0
+        model.geom_contype[ids["geom"]] = model.geom_conaffinity[ids["geom"]] = 1
+        model.geom_sameframe[every] = model.body_sameframe[ids["body"]] = 0
     for name, values in record.items():
         _, kind, field = (*name.split("_", 2), "")[:3]
         if name.startswith("reset_") and kind in ids:
@@ -94,11 +104,62 @@ def oracle_of(key, episode):
     return model
 
 
+def has_solids(key):
+    """Return whether the objects of an id differ in kind."""
+    return "geom_margin" in TASKS[key].batched
+
+
+def geoms_there(spec, record, row, geoms):
+    """Return which of our objects' geoms are those of a recorded reset, in its order."""
+    if "geom_margin" not in spec.batched:
+        return geoms
+    parts, first, kinds = SOLIDS[spec.family]
+    there = [geoms[kinds * part + record["reset_geom_type"][row, part] - first] for part in range(parts)]
+    return np.concatenate([there, geoms[parts * kinds :]]).astype(int)
+
+
 def write(array, columns, values):
     """Write some columns of a model's field."""
     host = array.numpy()
     host[:, columns] = values.reshape(host[:, columns].shape)
     array.assign(host)
+
+
+def draw_relocated(program, record, rows):
+    """Let a program have drawn the parts of recorded resets."""
+    size = record["reset_geom_size"][rows, :3]
+    place = record["reset_geom_pos"][rows, :3] / size
+    turns = [euler(record["reset_geom_quat"][rows, part]) for part in range(3)]
+    for part in range(3):
+        getattr(program, f"kind_{part}").assign(record["reset_geom_type"][rows, part, None])
+    drawn = {"part_size": size, "part_place": place, "part_turn": np.stack(turns, axis=1)}
+    drawn |= {"part_friction": record["reset_geom_friction"][rows, :3]}
+    drawn |= {"object_mass": record["reset_body_mass"][rows, :1]}
+    for name, values in drawn.items():
+        getattr(program, name).assign(values.reshape(len(rows), -1))
+    program.object_place.assign(record["reset_body_pos"][rows, 0])
+    program.launch(put_object, mask=wp.ones(len(rows), dtype=bool))
+
+
+def draw_reoriented(program, record, rows):
+    """Let a program have drawn the shapes of recorded resets."""
+    table = program.table.numpy()
+    kinds, sizes = record["reset_geom_type"][rows, :1], record["reset_geom_size"][rows, 0]
+    wanted = np.concatenate([kinds, sizes], axis=1)
+    found = np.abs(table[None] - wanted[:, None]).max(axis=2).argmin(axis=1)
+    np.testing.assert_allclose(table[found], wanted, atol=1e-7)
+    program.row.assign(found[:, None] + 0.5)
+
+
+DRAWN_SOLIDS = {"relocate": draw_relocated, "reorient": draw_reoriented}
+"""Family: writes what recorded resets have drawn of an object."""
+
+
+def write_solids(sim, record, rows):
+    """Give the objects the kinds, sizes and masses of recorded resets, a row for each world."""
+    program = sim.shards[0].program
+    DRAWN_SOLIDS[sim.scene.spec.family](program, record, rows)
+    program.shape(wp.ones(len(rows), dtype=bool))
 
 
 def write_objects(sim, meta, values_of):
@@ -142,7 +203,20 @@ def aim_die(sim, record, prefix):
     program.launch(show_wanted, mask=wp.ones(n, dtype=bool))
 
 
+def aim_relocate(sim, record, prefix):
+    """Put the bin where it was, and the object's frame."""
+    program, n = sim.shards[0].program, sim.num_worlds
+    everywhere = wp.ones(n, dtype=bool)
+    program.goal_place.assign(padded(record[f"{prefix}_target_pos"], n))
+    program.goal_angles.assign(padded(euler(record[f"{prefix}_target_quat"]), n))
+    program.launch(put_bin, mask=everywhere)
+    if sim.scene.spec.varied:
+        program.object_place.assign(padded(record[f"{prefix}_object_origin"], n))
+        program.launch(put_object, mask=everywhere)
+
+
 AIMS = {"key": aim_key, "hold": aim_hold, "pen": aim_pen, "baoding": aim_baoding, "die": aim_die}
+AIMS |= {"relocate": aim_relocate, "reorient": aim_pen}
 """Task: writes what the goals of recorded states were."""
 
 
@@ -171,7 +245,10 @@ def oracle_data(key, episode, **state):
         getattr(data, name)[:] = values
     if model.nmocap:
         record = recorded(key)[0]
-        data.mocap_quat[:] = record["reset_target_quat"][reset_rows(record, [episode])]
+        row = reset_rows(record, [episode])
+        data.mocap_quat[:] = record["reset_target_quat"][row]
+        if TASKS[key].family == "relocate":
+            data.mocap_pos[:] = record["reset_target_pos"][row]
     return model, data
 
 
@@ -179,7 +256,12 @@ def write_episodes(key, table, suffix=""):
     """Put the first worlds into the states of a table, with their episodes' objects; returns how many."""
     (record, meta), sim = recorded(key), simulation(key)
     rows = reset_rows(record, record[f"{table}_episode"])
-    write_objects(sim, meta, lambda field: padded(record[f"reset_{field}"][rows]))
+    if has_solids(key):
+        write_solids(sim, record, padded(rows))
+    else:
+        write_objects(sim, meta, lambda field: padded(record[f"reset_{field}"][rows]))
     if sim.scene.oracle.nmocap:
         sim.scene.data.mocap_quat.assign(padded(record["reset_target_quat"][rows])[:, None])
+        if TASKS[key].family == "relocate":
+            sim.scene.data.mocap_pos.assign(padded(record["reset_target_pos"][rows])[:, None])
     return write_state(sim, record, table, suffix)

@@ -11,8 +11,10 @@ import numpy as np
 
 from myowarp.apps.rollouts.film import Film
 from myowarp.bridge_gym import MyoWarpVectorEnv
+from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TASKS
 from myowarp.progress import progress_bar
+from myowarp.tasks.from_file import pose_task
 from myowarp.view.drawing.render import tiled
 from myowarp.view.drawing.video import write_picture
 
@@ -23,7 +25,9 @@ PICTURES = Path(__file__).parent
 
 
 def scenes() -> list[str]:
-    """Return one task for each family and body: the newest version of a random one."""
+    """Return one task for each family and body: the newest version of a random one, or random poses."""
+    for body in set(BODIES) - {TASKS[key].body for key in TASKS}:
+        pose_task(Path(body))
     best: dict[tuple[str, str], str] = {}
     for key in sorted(TASKS, key=lambda key: ("Random" in key or "Rough" in key, key)):
         best[TASKS[key].family, TASKS[key].body] = key

@@ -276,6 +276,11 @@ class TaskSpec(abc.ABC):
         return ()
 
     @property
+    def loose(self) -> tuple[str, ...]:
+        """Names of the bodies that lie elsewhere; a random start posture leaves them where they are."""
+        return ()
+
+    @property
     def start_doc(self) -> str:
         """What `start` is, for people."""
         return "the model's zero pose"

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import mujoco
@@ -51,14 +51,20 @@ PLACES = ("body_pos",)
 def start_address(spec: TaskSpec, model: mujoco.MjModel) -> np.ndarray:
     """Return the addresses in qpos that a random start sets: posture, what follows it or lies in the hand."""
     carried = [palm.joint_address(model, model.body(name).id) for name in spec.carried]
-    posture = [*posture_joints(model), *(coupling.joint for coupling in couplings(model))]
+    posture = [*posture_joints(model, spec.loose), *(coupling.joint for coupling in couplings(model))]
     return np.concatenate([model.jnt_qposadr[posture], *carried]).astype(np.int32)
 
 
-def posture_joints(model: mujoco.MjModel) -> np.ndarray:
-    """Return the ids of the body's own joints: hinges and slides with a range that follow no other joint."""
+def posture_joints(model: mujoco.MjModel, loose: Iterable[str] = ()) -> np.ndarray:
+    """Return the ids of the body's own joints: hinges and slides with a range that follow no other joint.
+
+    Args:
+        model: The model.
+        loose: Names of bodies whose joints are none of them.
+    """
     free = np.isin(model.jnt_type, POINT_JOINTS) & (model.jnt_range[:, 0] < model.jnt_range[:, 1])
     free[[coupling.joint for coupling in couplings(model)]] = False
+    free[np.isin(model.jnt_bodyid, [model.body(name).id for name in loose])] = False
     return np.flatnonzero(free)
 
 
@@ -135,7 +141,7 @@ class Search:
         self.model = copy.copy(shard.scene.oracle)
         self.data = mujoco.MjData(self.model)
         self.start = spec.start(self.model)
-        joints = posture_joints(self.model)
+        joints = posture_joints(self.model, spec.loose)
         self.posture, self.address = self.model.jnt_qposadr[joints], start_address(spec, self.model)
         self.low, self.high = self.model.jnt_range[joints].T
         self.palm = palm.Palm(shard.scene.oracle, self.start, BODIES[spec.body].palm, spec.carried)

@@ -9,6 +9,8 @@ from myowarp.tasks import (  # noqa: F401  (they register)
     pen_twirl,
     pose_ids,
     reach_ids,
+    relocate,
+    reorient,
     stand,
     terrain,
     walk,

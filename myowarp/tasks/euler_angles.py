@@ -1,5 +1,7 @@
 """Euler angles (a, b, c) of R = Rx(a) Ry(b) Rz(c): about x, then about its own y and z."""
 
+import mujoco
+import numpy as np
 import warp as wp
 
 STRAIGHT = wp.constant(4.0 * 2.220446049250313e-16)  # cosine below which the first angle is 0
@@ -36,3 +38,10 @@ def turned(angles: wp.vec3) -> wp.quat:
     y = wp.quat_from_axis_angle(wp.vec3(0.0, 1.0, 0.0), angles[1])
     z = wp.quat_from_axis_angle(wp.vec3(0.0, 0.0, 1.0), angles[2])
     return x * y * z
+
+
+def quat_of(angles: tuple[float, float, float]) -> np.ndarray:
+    """Return Rx(a) Ry(b) Rz(c) as w, x, y, z; host."""
+    quat = np.zeros(4)
+    mujoco.mju_euler2Quat(quat, np.array(angles), "xyz")
+    return quat

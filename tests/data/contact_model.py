@@ -23,7 +23,7 @@ OPTIONS = """timestep gravity integrator cone solver jacobian iterations ls_iter
     density viscosity wind o_margin"""
 # What the episodes of the Random ids change in the model, of the bodies of the objects.
 BODY_CHANGES = "mass inertia ipos iquat pos quat invweight0"
-GEOM_CHANGES = "size pos rbound aabb friction"
+GEOM_CHANGES = "type size pos quat rbound aabb friction"
 DOF_CHANGES = "M0 invweight0"
 
 

@@ -16,6 +16,7 @@ from contact_states import (
     NUM_HAND,
     direction,
     hand_pose,
+    palm,
     place_at_palm,
     random_quat,
     rotation,
@@ -23,6 +24,8 @@ from contact_states import (
     start_forced,
 )
 from recording import euler
+
+MUSCLE = ("length", "velocity", "force")  # of MjData.actuator_*, which reorient observes
 
 
 def norm(vectors):
@@ -242,6 +245,92 @@ class Die:
         """Further from the palm than smaller objects, so that die and hand overlap as little as they do."""
         apart = rng.uniform(0.04, 0.07) * direction(rng)
         self.write(env, place_at_palm(env, rng) + apart, rng.uniform(-np.pi, np.pi, 3))
+
+
+class Relocate:
+    name = "relocate"
+    terms = ("pos_dist", "rot_dist", "act_reg")
+    objects = ("Object", "target")
+    distances = (0.0, 0.05, 0.0999, 0.1001, 0.2, 0.5)  # m, from the bin
+    reaches = (0.05, 0.3, 0.4999, 0.5001, 0.8)  # m, from the palm
+    angles = (0.0, 1.0, 3.0)
+
+    def state(self, env):
+        held, target = env.data.body("Object"), env.model.body("target")
+        row = {"object_pos": held.xpos.copy(), "object_quat": held.xquat.copy(), "palm_pos": palm(env)}
+        row["object_origin"] = env.model.body("Object").pos.copy()
+        return row | {"target_pos": target.pos.copy(), "target_quat": target.quat.copy()}
+
+    def expected(self, get, env):
+        place = get["target_pos"] - get["object_pos"]
+        held, wanted = euler(get["object_quat"]), euler(get["target_quat"])
+        p, r, reach = norm(place), norm(wanted - held), norm(get["palm_pos"] - get["object_pos"])
+        out = {"reward_pos_dist": -p, "reward_rot_dist": -r, "reward_act_reg": act_reg(get, env)}
+        out |= {"sparse": -r - 10.0 * p, "done": reach > env.drop_th}
+        out["solved"] = (p < env.pos_th) & (r < env.rot_th) & (reach <= env.drop_th)
+        columns = (
+            get["qpos"][:, :-6],
+            get["qvel"][:, :-6] * env._ctrl_dt,
+            get["object_pos"],
+            get["target_pos"],
+        )
+        return out | {"obs": np.hstack([*columns, place, held, wanted, wanted - held, get["act"]])}
+
+    def forced(self, wrapped, rng):
+        """All distances from the bin and the palm, around their thresholds."""
+        for distance, reach, angle in itertools.product(self.distances, self.reaches, self.angles):
+            env = start_forced(wrapped, rng, rng.uniform(0.0, 0.6))
+            place = palm(env) + reach * direction(rng)
+            self.write(env, place, angle * direction(rng))
+            env.model.body_pos[env.goal_bid] = place + distance * direction(rng)
+            env.data.mocap_pos[env.goal_mocap_id] = env.model.body_pos[env.goal_bid]
+            yield {"distance": distance, "reach": reach}
+
+    def write(self, env, position, angles):
+        """Put the object at a position, turned by angles about its three hinges."""
+        env.data.qpos[-6:-3] = position - env.model.body("Object").pos
+        env.data.qpos[-3:] = angles
+
+    def place(self, env, rng):
+        """Some way from the palm, as the die."""
+        apart = rng.uniform(0.03, 0.06) * direction(rng)
+        self.write(env, place_at_palm(env, rng) + apart, rng.uniform(-np.pi, np.pi, 3))
+
+
+class Reorient(PenTwirl):
+    name = "reorient"
+    objects = ("Object", "target")
+    middle = (-0.248, -0.532, 1.445)  # m, of the place on the palm
+
+    def state(self, env):
+        held, target = env.data.body("Object"), env.model.body("target")
+        row = {"object_pos": held.xpos.copy(), "object_quat": held.xquat.copy()}
+        row |= {f"muscle_{k}": getattr(env.data, f"actuator_{k}").copy() for k in MUSCLE}
+        return row | {"target_quat": target.quat.copy()}
+
+    def expected(self, get, env):
+        held, wanted = (
+            np.array([rotation(q)[:, 2] for q in get[f"{name}_quat"]]) for name in ("object", "target")
+        )
+        offset = get["object_pos"] - self.middle
+        p, c = norm(offset), np.sum(held * wanted, axis=1)
+        out = {"reward_pos_align": -p, "reward_rot_align": c, "reward_act_reg": act_reg(get, env)}
+        out |= {"reward_drop": -1.0 * (p > self.far), "sparse": c - p, "done": p > self.far}
+        out["reward_bonus"] = (1.0 * (c > 0.9) + 5.0 * (c > 0.95)) * (p < self.far)
+        out["solved"] = (c > 0.95) & (p <= self.far)
+        columns = (get["object_pos"], get["qvel"][:, -6:] * env._ctrl_dt, held, wanted, offset)
+        muscles = (get[f"muscle_{k}"] for k in MUSCLE)
+        return out | {"obs": np.hstack([get["qpos"][:, :-6], *columns, held - wanted, *muscles, get["act"]])}
+
+    def forced(self, wrapped, rng):
+        for distance, cosine, _ in itertools.product(self.distances, self.cosines, range(2)):
+            env = start_forced(wrapped, rng, rng.uniform(0.0, 0.6))
+            axis = rotation(env.model.body("target").quat)[:, 2]
+            side = np.cross(axis, direction(rng))
+            side /= np.linalg.norm(side)
+            axis = cosine * axis + np.sqrt(1 - cosine**2) * side
+            self.write(env, np.array(self.middle) + distance * direction(rng), axis, rng)
+            yield {"distance": distance, "cosine": cosine}
 
 
 class Baoding:

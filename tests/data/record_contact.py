@@ -1,9 +1,10 @@
 """Record oracle values of the contact environments of MyoSuite 3.0.0 for the tests.
 
-Key turn, object hold, pen twirl, baoding balls and dice, written like the files of `record_myosuite.py`
-plus rollouts, tables of contacts and the randomised quantities (`README.md` next to this file
-describes the arrays). Every recording is compared with the task formulas in float64 NumPy and the
-worst deviations are printed. Recorded with the same versions and run in the same way:
+Key turn, object hold, pen twirl, baoding balls, dice, objects to relocate and to reorient, written like
+the files of `record_myosuite.py` plus rollouts, tables of contacts and the randomised quantities
+(`README.md` next to this file describes the arrays). Every recording is compared with the task formulas
+in float64 NumPy and the worst deviations are printed. Recorded with the same versions and run in the same
+way:
     python tests/data/record_contact.py --out tests/data/myosuite
 """
 
@@ -12,7 +13,7 @@ import mujoco
 import myosuite  # noqa: F401  (registers the environments)
 import numpy as np
 from contact_model import contact_counts, model_arrays, model_meta, object_fields, object_geoms
-from contact_tasks import Baoding, Die, KeyTurn, ObjHold, PenTwirl
+from contact_tasks import Baoding, Die, KeyTurn, ObjHold, PenTwirl, Relocate, Reorient
 from recording import (
     STATE,
     clip_rows,
@@ -41,9 +42,12 @@ FAMILIES = {
     "myoChallengeDieReorientDemo-v0": Die(),
     "myoChallengeDieReorientP1-v0": Die(),
     "myoChallengeDieReorientP2-v0": Die(),
+    "myoChallengeRelocateP1-v0": Relocate(),
+    "myoChallengeRelocateP2-v0": Relocate(),
+    **{f"myoHandReorient{shapes}-v0": Reorient() for shapes in ("8", "100", "ID", "OOD")},
 }
 IDS = list(FAMILIES)
-RANDOMISED = {env_id for env_id in IDS if "Random" in env_id or "P2" in env_id}
+RANDOMISED = {env_id for env_id in IDS if any(name in env_id for name in ("Random", "P2", "HandReorient"))}
 
 ACTION_KINDS = ("uniform", "uniform", "weak", "weak", "steady", "minus", "plus", "bang")
 STRIDE = 10

@@ -4,14 +4,27 @@ As `test_oracle.py`; recorded states are written into the first worlds of one si
 in `test_oracle_contact_physics.py`.
 """
 
+import mujoco
 import numpy as np
 import pytest
-from contact_oracle import ALIASES, KEYS, NUM_WORLDS, object_ids, padded, recorded, simulation, written
+from contact_oracle import (
+    ALIASES,
+    KEYS,
+    NUM_WORLDS,
+    geoms_there,
+    has_solids,
+    object_ids,
+    padded,
+    recorded,
+    simulation,
+    write_solids,
+    written,
+)
 from data.recording import euler
 
 from myowarp.definitions.task import TASKS
 
-NUM_HAND = 23
+NUM_HAND, NUM_ARM = 23, 38
 
 VALUE_TOLERANCE = 1e-5  # observation and reward terms, in their units; float32 against float64
 EDGE = 1e-5  # values this close to a threshold may fall on either side of it in float32
@@ -26,12 +39,16 @@ def edges(record, prefix, task):
         yield record[f"{prefix}_key_angle"], (np.pi / 2, np.pi, 3.14, 2 * np.pi)
     elif task == "hold":
         yield -record[f"{prefix}_sparse"], (0.01, 0.02, 0.3)
-    elif task == "pen":
+    elif task in ("pen", "reorient"):
         yield -record[f"{prefix}_reward_pos_align"], (0.075,)
         yield record[f"{prefix}_reward_rot_align"], (0.9, 0.95)
     elif task == "die":
         yield -record[f"{prefix}_reward_pos_dist"], (0.025, 0.05, 0.2)
         yield -record[f"{prefix}_reward_rot_dist"], (0.262,)
+    elif task == "relocate":
+        yield -record[f"{prefix}_reward_pos_dist"], (0.1,)
+        reach = record[f"{prefix}_palm_pos"] - record[f"{prefix}_object_pos"]
+        yield np.linalg.norm(reach, axis=1), (0.5,)
     else:
         for i in (1, 2):
             yield -record[f"{prefix}_reward_pos_dist_{i}"], (0.015,)
@@ -53,6 +70,23 @@ def assert_close(values, expected, message=""):
     assert error.max() < VALUE_TOLERANCE, message
 
 
+def assert_observed(values, key, prefix):
+    """The same of an observation, whose forces have the accuracy of the largest of an episode."""
+    record, meta = recorded(key)
+    expected = record[f"{prefix}_obs"]
+    scaled, first = expected.astype(float), 0
+    for name, size in meta["obs"].items():
+        block = slice(first, first + size)
+        if name in FORCES:
+            scaled[:, block] = np.abs(record["step_obs"][:, block]).max()
+        first += size
+    error = np.abs(values - expected) / np.maximum(1, np.abs(scaled))
+    assert error.max() < VALUE_TOLERANCE
+
+
+FORCES = ("mforce",)  # blocks of observations [N]
+
+
 def counter(record, prefix):
     """Return the steps since the reset that recorded states stand for."""
     fallback = np.ones(len(record[f"{prefix}_qpos"]))
@@ -66,7 +100,7 @@ def test_observation_reward_and_ending(key, prefix, record_property):
     sim, n = written(key, prefix, counter(record, prefix))
     results = {k: getattr(sim.transition, k).numpy()[:n] for k in ("obs", "terms", "reward", "fault")}
     record_property("observation", float(np.abs(results["obs"] - record[f"{prefix}_obs"]).max()))
-    assert_close(results["obs"], record[f"{prefix}_obs"])
+    assert_observed(results["obs"], key, prefix)
     clear = away_from_edges(record, prefix, meta["task"])
     assert clear.mean() > 0.9
     for column, term in enumerate(sim.terms):
@@ -91,7 +125,7 @@ def test_recorded_states_reach_every_branch(key):
     for name in (*terms, "forced_sparse", "forced_solved", "forced_done"):
         everywhere = name == "forced_reward_bonus" and "Demo" in key  # which asks for no place
         assert len(np.unique(record[name])) > 1 or everywhere, name
-    levels = {"key": {0, 1, 2}, "hold": {0, 1, 2}, "pen": {0, 1, 6}}
+    levels = {"key": {0, 1, 2}, "hold": {0, 1, 2}, "pen": {0, 1, 6}, "reorient": {0, 1, 6}}
     if meta["task"] in levels:
         assert set(record["forced_reward_bonus"]) == levels[meta["task"]]
     assert len(record["episode_length"]) == 8
@@ -130,7 +164,7 @@ def test_reset(key):
     """Start state, and what upstream observes of it."""
     record, meta = recorded(key)
     sim, n = written(key, "reset", np.zeros(len(record["reset_qpos"])))
-    assert_close(sim.transition.obs.numpy()[:n], record["reset_obs"])
+    assert_observed(sim.transition.obs.numpy()[:n], key, "reset")
     assert not record["reset_qvel"].any()
     assert not record["reset_act"].any()
     sim.reset(seeds=np.arange(NUM_WORLDS))
@@ -138,7 +172,8 @@ def test_reset(key):
     assert not sim.scene.muscles.activation.numpy().any()
     fixed = NUM_HAND if meta["task"] == "key" else record["reset_qpos"].shape[1]
     qpos = sim.scene.data.qpos.numpy()[:n, :fixed]
-    np.testing.assert_allclose(qpos, record["reset_qpos"][:, :fixed], atol=VALUE_TOLERANCE)
+    drawn = 2 * getattr(TASKS[key], "offset", 0.0) * (meta["task"] == "relocate")
+    np.testing.assert_allclose(qpos, record["reset_qpos"][:, :fixed], atol=VALUE_TOLERANCE + drawn)
 
 
 @pytest.mark.parametrize("key", KEYS)
@@ -204,6 +239,25 @@ DICE = {
 """What the dice of each id draw."""
 
 
+RELOCATED = {
+    "myoChallengeRelocateP1-v0": {"goal": ((0, -0.35, 0.9), (0.2, -0.1, 0.9)), "turn": (3 * (0,), 3 * (0,))},
+    "myoChallengeRelocateP2-v0": {
+        "goal": ((0, -0.45, 0.9), (0.3, -0.1, 1.05)),
+        "turn": (3 * (-0.2,), 3 * (0.2,)),
+        "offset": (38 * (-0.01,), 38 * (0.01,)),
+        "place": ((-0.1, -0.35, 1.0), (0.1, -0.15, 1.0)),
+        "kind": (3 * (2,), 3 * (6,)),
+        "size": (9 * (0.015,), 9 * (0.025,)),
+        "center": (9 * (-1,), 9 * (1,)),
+        "part turn": (9 * (-np.pi / 2,), 9 * (np.pi / 2,)),
+        "friction": (3 * (0.8, 0.004, 0.00008), 3 * (1.2, 0.006, 0.00012)),
+        "mass": (0.05, 0.2),
+    },
+}
+REORIENTED = {"kind": (3, 6), "tilt": ((-1, -0.8), (1, 1.2))}
+"""What resets of relocate and reorient draw."""
+
+
 TARGET = (-0.34, -0.535, 1.46)  # m, the wanted die where nothing else is asked for
 HALF_EDGE = 0.0235  # m
 LEAST = 0.05  # of anything drawn, below which it is known to float32 of a place in the world
@@ -237,6 +291,19 @@ def drawn_by_us(sim, meta):
             "turn": program.goal_angles.numpy(),
             "friction": field("geom_friction"),
         }
+    if meta["task"] == "reorient":
+        kinds = program.table.numpy()[program.row.numpy()[:, 0].astype(int), 0]
+        return {"kind": kinds, "tilt": tilt(sim.scene.data.mocap_quat.numpy()[:, 0])}
+    if meta["task"] == "relocate":
+        data, arm = sim.scene.data, slice(0, NUM_ARM)
+        drawn = {"goal": data.mocap_pos.numpy()[:, 0], "turn": program.goal_angles.numpy()}
+        if not sim.scene.spec.varied:
+            return drawn
+        parts = {"size": "size", "center": "place", "part turn": "turn", "friction": "friction"}
+        drawn |= {name: getattr(program, f"part_{ours}").numpy() for name, ours in parts.items()}
+        drawn |= {"kind": np.hstack([getattr(program, f"kind_{part}").numpy() for part in range(3)])}
+        drawn |= {"mass": field("body_mass")[:, 0], "place": field("body_pos")[:, 0]}
+        return drawn | {"offset": data.qpos.numpy()[:, arm] - np.float32(sim.scene.spec.start_pose[arm])}
     balls = {"mass": field("body_mass"), "radius": field("geom_size")[:, :, 0]}
     balls["friction"] = field("geom_friction")
     orbits = {"sign": "direction", "start_angle": "start_angle", "period": "period", "radii": "radii"}
@@ -248,6 +315,10 @@ def drawn_by_upstream(record, meta):
     """Return what the recorded episodes have drawn."""
     if meta["task"] == "pen":
         return {"tilt": tilt(record["reset_target_quat"])}
+    if meta["task"] == "reorient":
+        return {"kind": record["reset_geom_type"][:, 0], "tilt": tilt(record["reset_target_quat"])}
+    if meta["task"] == "relocate":
+        return relocated_by_upstream(record, TASKS[meta["id"]])
     if meta["task"] == "die":
         growth = record["reset_geom_size"][:, 0, 1] - HALF_EDGE
         shape = {"mass": record["reset_body_mass"][:, 0], "friction": record["reset_geom_friction"]}
@@ -258,6 +329,20 @@ def drawn_by_upstream(record, meta):
     return {name: first[name] if name in first else record[f"reset_{name}"] for name in names}
 
 
+def relocated_by_upstream(record, spec):
+    """Return what recorded episodes of relocate have drawn."""
+    drawn = {"goal": record["reset_target_pos"], "turn": euler(record["reset_target_quat"])}
+    if not spec.varied:
+        return drawn
+    size, turns = record["reset_geom_size"][:, :3], record["reset_geom_quat"][:, :3]
+    parts = {"size": size, "center": record["reset_geom_pos"][:, :3] / size}
+    parts |= {"part turn": np.stack([euler(turns[:, part]) for part in range(3)], axis=1)}
+    parts |= {"friction": record["reset_geom_friction"][:, :3], "kind": record["reset_geom_type"][:, :3]}
+    drawn |= {name: values.reshape(len(values), -1) for name, values in parts.items()}
+    drawn |= {"mass": record["reset_body_mass"][:, 0], "place": record["reset_body_pos"][:, 0]}
+    return drawn | {"offset": record["reset_qpos"][:, :NUM_ARM] - spec.start_pose[:NUM_ARM]}
+
+
 @pytest.mark.parametrize("key", KEYS)
 def test_episodes_draw_like_upstream(key):
     """Bounds of everything randomised; ours fill them."""
@@ -266,7 +351,11 @@ def test_episodes_draw_like_upstream(key):
     sim = simulation(key)
     sim.reset(seeds=np.arange(NUM_WORLDS))
     ours, theirs = drawn_by_us(sim, meta), drawn_by_upstream(record, meta)
-    bounds = DICE.get(key) or (DRAWN if random else FIXED)[meta["task"]]
+    bounds = (
+        (DICE | RELOCATED).get(key)
+        or (REORIENTED if meta["task"] == "reorient" else None)
+        or (DRAWN if random else FIXED)[meta["task"]]
+    )
     assert set(ours) == set(theirs) == set(bounds)
     for name, (low, high) in bounds.items():
         low, spread = np.array(low), np.subtract(high, low)
@@ -289,7 +378,9 @@ def outer(task, size):
     return np.where(edge, length, np.linalg.norm(size, axis=-1)), box
 
 
-@pytest.mark.parametrize("key", [key for key in KEYS if "geom_size" in TASKS[key].batched])
+@pytest.mark.parametrize(
+    "key", [key for key in KEYS if "geom_size" in TASKS[key].batched and not has_solids(key)]
+)
 def test_fields_that_follow_from_what_is_drawn(key):
     """Bounds for the broad phase and inverse weights, as upstream's recompilation gives them."""
     record, meta = recorded(key)
@@ -319,3 +410,54 @@ def test_fields_that_follow_from_what_is_drawn(key):
             middle = np.linalg.norm(fields["geom_pos"], axis=-1)
             np.testing.assert_allclose(middle[:, :12], np.sqrt(2) * size[:, :12, 1], 1e-6)
             assert not middle[:, 12:].any()
+
+
+@pytest.mark.parametrize("key", [key for key in KEYS if has_solids(key)])
+def test_fields_of_solids(key):
+    """What upstream's recompilation gives for the kinds, sizes and masses that were drawn."""
+    record, meta = recorded(key)
+    sim, n = simulation(key), len(record["reset_qpos"])
+    write_solids(sim, record, padded(np.arange(n)))
+    ids, model = object_ids(sim.scene.oracle, meta), sim.scene.model
+
+    def ours(name, world, rows):
+        values = getattr(model, name).numpy()
+        return values[world % len(values)][rows].astype(float)
+
+    for row in range(n):
+        geoms = geoms_there(sim.scene.spec, record, row, ids["geom"])
+        every = ids["geom"][: len(ids["geom"]) - len(geoms) + SOLID_PARTS[meta["task"]]]
+        hidden = np.setdiff1d(every, geoms)
+        assert (ours("geom_margin", row, hidden) < -1.0).all()
+        assert not ours("geom_margin", row, geoms).any()
+        for name in ("geom_size", "geom_pos", "geom_rbound", "geom_friction"):
+            theirs = record[f"reset_{name}"][row]
+            np.testing.assert_allclose(ours(name, row, geoms), theirs, rtol=1e-5, atol=1e-7, err_msg=name)
+        box = ours("geom_aabb", row, geoms).reshape(-1, 6)
+        np.testing.assert_allclose(box, record["reset_geom_aabb"][row], rtol=1e-5, atol=1e-7)
+        body, theirs = ids["body"][0], {name: record[f"reset_body_{name}"][row, 0] for name in BODY}
+        for name in ("mass", "ipos", "invweight0"):
+            mine = ours(f"body_{name}", row, body)
+            np.testing.assert_allclose(mine, theirs[name], rtol=1e-5, atol=1e-7, err_msg=name)
+        tensors = [
+            inertia_of(ours("body_inertia", row, body), ours("body_iquat", row, body)),
+            inertia_of(theirs["inertia"], theirs["iquat"]),
+        ]
+        assert np.abs(tensors[0] - tensors[1]).max() < 1e-5 * np.abs(tensors[1]).max()
+        dofs = ours("dof_invweight0", row, ids["dof"])
+        np.testing.assert_allclose(dofs, record["reset_dof_invweight0"][row], rtol=1e-5)
+    if "P2" in key:
+        assert np.ptp(record["reset_geom_type"][:, :3], axis=0).min() >= 3
+        assert record["reset_body_inertia"][:, 0].max() > 1.05e-4  # the floor does not hide all
+
+
+SOLID_PARTS = {"relocate": 3, "reorient": 2}
+BODY = ("mass", "ipos", "inertia", "iquat", "invweight0")
+
+
+def inertia_of(moments, quat):
+    """Return the tensor of principal moments in a frame, w first."""
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quat / np.linalg.norm(quat))
+    axes = matrix.reshape(3, 3)
+    return axes @ np.diag(moments) @ axes.T

@@ -21,7 +21,10 @@ CONTACT_TOLERANCE = 2e-3
 other normal, sends a body of 1e-4 kg m^2 another way at once; measured 5e-4 in a step, 1e-3 in a rollout."""
 ROLLOUT_TOLERANCE = 1e-4  # rad, m; engine, median over rollouts with random excitations
 ROLLOUT_TOLERANCES = {"key": 2e-7, "hold": 5e-5, "pen": 1e-5, "baoding": 1e-6, "die": 1e-4}
+ROLLOUT_TOLERANCES |= {"relocate": 1e-4, "reorient": 1e-4}
 """rad, m; engine, worst relaxed rollout."""
+STEP_TOLERANCES = {"relocate": 1e-3}  # in place of CONTACT_TOLERANCE for one control step
+DEEP = {"relocate": 1}  # states of 200 in which a capsule deep in a box has one contact more or less
 ROUNDED = 2  # states in which float32 may count otherwise; measured 0 of 1,600
 MOST = {"die": 0.8}  # of the states have no pair of geoms within rounding of its margin; others: 0.85
 
@@ -48,14 +51,15 @@ def test_contacts_are_those_of_upstream(key):
     engine = np.stack([np.bincount(worlds, minlength=NUM_WORLDS), data.nefc.numpy()], axis=1)[:n]
     sure = record["contact_ncon_low"] == record["contact_ncon_high"]
     assert sure.mean() > MOST.get(meta["task"], 0.85)
-    np.testing.assert_array_equal(engine[sure], expected[sure])
+    otherwise = (engine[sure] != expected[sure]).any(axis=1).sum()
+    assert otherwise <= DEEP.get(meta["task"], 0)
     assert (engine != expected).any(axis=1).sum() <= ROUNDED
 
 
 @pytest.mark.parametrize("key", KEYS)
 def test_one_control_step_of_physics(key, record_property):
     """Forces and a control step of recorded states: of our model in MuJoCo C, and of the engine."""
-    record, sim = recorded(key)[0], simulation(key)
+    (record, meta), sim = recorded(key), simulation(key)
     n = write_episodes(key, "replay", "_before")
     num_substeps, after = TASKS[key].num_substeps, record["replay_qpos_after"]
     forces = {name: [] for name in ("actuator_force", "actuator_length", "qfrc_actuator")}
@@ -84,9 +88,10 @@ def test_one_control_step_of_physics(key, record_property):
     record_property("qpos median", float(np.median(error)))
     record_property("qpos worst", float(error.max()))
     assert np.median(error) < QPOS_TOLERANCE
-    assert error.max() < CONTACT_TOLERANCE
+    worst = STEP_TOLERANCES.get(meta["task"], CONTACT_TOLERANCE)
+    assert error.max() < worst
     moved = np.abs(after - record["replay_qpos_before"]).max(axis=1)
-    assert np.median(moved) > 10 * CONTACT_TOLERANCE
+    assert np.median(moved) > 10 * worst
     activation = sim.scene.muscles.activation.numpy()[:n]
     assert np.abs(activation - record["replay_act_after"]).max() < ACTIVATION_TOLERANCE
 
@@ -155,7 +160,8 @@ def test_model_is_that_of_upstream(key):
     for option in SOLVER_OPTIONS.split():
         compare(option, getattr(full.opt, option), meta["options"][option])
     ours = [full.body(i).name.removesuffix("_r") for i in range(full.nbody)]
-    names = [BONES.get(name, name) for name in meta["bodies"]]
+    theirs = [name.removesuffix("_r") for name in meta["bodies"]]
+    names = [BONES.get(name, name) for name in theirs]
     moving = [i for i in range(len(names)) if record["model_body_weldid"][i]]
     assert len(moving) > 25
     for i in moving:

@@ -70,6 +70,19 @@ DRAWS = {
         "die growth": (-0.007, 0.007),
         "die friction": (15 * (0.8, 0.004, 0.00008), 15 * (1.2, 0.006, 0.00012)),
     },
+    "myoHandReorient100-v0": {"shape row": (0, 100), "turn": ((-1, -0.8), (1, 1.2))},
+    "myoChallengeRelocateP2-v0": {
+        "goal": ((0, -0.45, 0.9), (0.3, -0.1, 1.05)),
+        "turn": (3 * (-0.2,), 3 * (0.2,)),
+        **{f"kind {part}": {2, 3, 4, 5, 6} for part in range(3)},
+        "object place": ((-0.1, -0.35, 1.0), (0.1, -0.15, 1.0)),
+        "part size": (9 * (0.015,), 9 * (0.025,)),
+        "part place": (9 * (-1,), 9 * (1,)),
+        "part turn": (9 * (-PI / 2,), 9 * (PI / 2,)),
+        "part friction": (3 * (0.8, 0.004, 0.00008), 3 * (1.2, 0.006, 0.00012)),
+        "object mass": (0.05, 0.2),
+        "offset": (38 * (-0.01,), 38 * (0.01,)),
+    },
     "myoHandBaodingRandom-v1": {
         "direction": {-1, 0, 1},
         "start angle": (0, 2 * PI),
@@ -90,7 +103,7 @@ ROUNDING = 1e-6  # of a quantity's size, float32
 GAP = 12 / NUM_WORLDS
 """Part of the range next to a bound; once in 160000 (exp(-12)) no draw of all worlds falls into it."""
 
-CHI_SQUARE = {3: 13.82}
+CHI_SQUARE = {3: 13.82, 5: 18.47}
 """Number of values: what the chi-square statistic of so many equally likely ones exceeds once in 1000."""
 
 SIGMAS = 5.0

@@ -4,6 +4,7 @@ An object is a body that the task added and that can move.
 """
 
 import copy
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -97,13 +98,19 @@ def overlaps(model: mujoco.MjModel, data: mujoco.MjData, objects: tuple[int, ...
     return deep[touching == 1].max(initial=0.0), deep[touching == 2].max(initial=0.0)
 
 
-def solid_inertia(body: mujoco.MjsBody, sizes: dict[str, np.ndarray], mass: float) -> np.ndarray:
+def solid_inertia(
+    body: mujoco.MjsBody,
+    sizes: Mapping[str, np.ndarray],
+    mass: float,
+    places: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
+) -> np.ndarray:
     """Return the principal inertia of a solid of the shape of a body's geoms, in ascending order.
 
     Args:
         body: The body; the densities, or masses, of its geoms say how its mass is distributed.
         sizes: Sizes of geoms by name where they are not those of `body` [m].
         mass: Its mass [kg].
+        places: Positions [m] and quaternions of geoms, likewise.
 
     Returns:
         Moments of inertia [kg m^2], shape (3,).
@@ -111,8 +118,9 @@ def solid_inertia(body: mujoco.MjsBody, sizes: dict[str, np.ndarray], mass: floa
     spec = mujoco.MjSpec()
     solid = spec.worldbody.add_body()
     for geom in body.geoms:
-        part = solid.add_geom(type=geom.type, size=sizes.get(geom.name, geom.size), pos=geom.pos)
-        part.quat, part.density, part.mass = geom.quat, geom.density, geom.mass
+        part = solid.add_geom(type=geom.type, size=sizes.get(geom.name, geom.size))
+        part.pos, part.quat = (places or {}).get(geom.name, (geom.pos, geom.quat))
+        part.density, part.mass = geom.density, geom.mass
     model = spec.compile()
     return np.sort(model.body_inertia[1]) * mass / model.body_mass[1]
 
@@ -128,9 +136,13 @@ def inertia_ratio(sim: Simulation) -> float | None:
         first = oracle.body_geomadr[body]
         geoms = range(first, first + oracle.body_geomnum[body])
         for world in range(sim.num_worlds if drawn else 1):
-            sizes = of_world(scene, "geom_size", world)
+            sizes, positions, turns = (
+                of_world(scene, f"geom_{field}", world) for field in ("size", "pos", "quat")
+            )
             mass = float(of_world(scene, "body_mass", world)[body])
-            true = solid_inertia(shape, {oracle.geom(g).name: sizes[g] for g in geoms}, mass)
+            own = {oracle.geom(g).name: sizes[g] for g in geoms}
+            places = {oracle.geom(g).name: (positions[g], turns[g]) for g in geoms}
+            true = solid_inertia(shape, own, mass, places)
             ratios.append((np.sort(of_world(scene, "body_inertia", world)[body]) / true).max())
     return float(max(ratios)) if ratios else None
 

@@ -11,4 +11,5 @@ from myowarp.models.bodies import (
     legs,  # noqa: F401
     torso,  # noqa: F401
     torso_exo,  # noqa: F401
+    whole_arm,  # noqa: F401
 )

@@ -92,5 +92,4 @@ def add_object(
 
 
 PALM_UP = -1.5  # rad, joint 0, the forearm's rotation: an object can lie on the palm
-PALM = "lunate_r"  # carries the wrist's joints; the metacarpals of the four fingers are fixed to it
-BODIES.add("contact_hand", replace(HAND, build=contact_hand, palm=PALM, coarse_step=CAUTIOUS_STEP))
+BODIES.add("contact_hand", replace(HAND, build=contact_hand, coarse_step=CAUTIOUS_STEP))

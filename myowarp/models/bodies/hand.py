@@ -23,6 +23,7 @@ def hand() -> mujoco.MjSpec:
     return spec
 
 
+PALM = "lunate_r"  # carries the wrist's joints; the metacarpals of the four fingers are fixed to it
 TIPS = ("THtip_r", "IFtip_r", "MFtip_r", "RFtip_r", "LFtip_r")
 TRANSFER = Transfer(
     donor="EIP",
@@ -55,6 +56,7 @@ HAND = BODIES.add(
     Body(
         hand,
         TIPS,
+        palm=PALM,
         coarse_step=CoarseStep(0.020 / 3, 0.5),
         groups=GROUPS,
         fatigue_rates=FATIGUE_RATES,

@@ -10,7 +10,8 @@ from myowarp.definitions.scene import Scene
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 
-SHAPE_FIELDS = ("geom_size", "body_pos")  # of the model, which pictures show and tasks draw
+SHAPE_FIELDS = ("geom_size", "geom_pos", "geom_quat", "body_pos")
+"""Fields of the model that pictures show and tasks draw."""
 FLOAT32 = 1e-6  # m, rounding of these fields
 
 
@@ -105,8 +106,9 @@ def _shape(scene: Scene, world: int) -> dict[tuple[str, str], np.ndarray]:
         for i in np.flatnonzero(np.abs(own - nominal).max(axis=1) > FLOAT32):
             shape[field, element(int(i)).name] = own[i].copy()
     for body in np.flatnonzero(oracle.body_mocapid >= 0):
-        quat = scene.data.mocap_quat.numpy()[world, oracle.body_mocapid[body]]
-        shape["mocap_quat", oracle.body(int(body)).name] = quat.copy()
+        for field in ("mocap_pos", "mocap_quat"):
+            values = getattr(scene.data, field).numpy()[world, oracle.body_mocapid[body]]
+            shape[field, oracle.body(int(body)).name] = values.copy()
     if scene.ground is not None and scene.ground.heights.shape[0] > 1:
         hfield = scene.ground.hfield
         heights = scene.ground.heights.numpy()[world].ravel() / oracle.hfield_size[hfield, 2]

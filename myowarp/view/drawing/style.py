@@ -46,7 +46,7 @@ def muscle_tendons(model: mujoco.MjModel) -> np.ndarray:
 
 
 def geometry(model: mujoco.MjModel, data: mujoco.MjData, key: tuple[str, str]) -> np.ndarray:
-    """Returns a view of the row of a field of the model, or of ``mocap_quat``, that a geom or body has.
+    """Returns a view of the row of a field of the model, or of ``mocap_*``, that a geom or body has.
 
     Args:
         model: the model.
@@ -56,8 +56,8 @@ def geometry(model: mujoco.MjModel, data: mujoco.MjData, key: tuple[str, str]) -
     field, name = key
     if field == "hfield_data":
         return field_of(model, model.hfield(name).id).reshape(-1)
-    if field == "mocap_quat":
-        return data.mocap_quat[model.body(name).mocapid[0]]
+    if field.startswith("mocap_"):
+        return getattr(data, field)[model.body(name).mocapid[0]]
     return getattr(model, field)[getattr(model, field.partition("_")[0])(name).id]
 
 

@@ -1,0 +1,533 @@
+"""Relocate: carry an object from a table into a bin, with the whole arm.
+
+    reward = -100 p - r
+
+with p the distance of the object from the bin's middle [m] and r the norm of the difference of their Euler
+angles about x, y and z [rad], which is not the angle between two orientations. p < 0.1 is solved, whatever
+the orientation; the episode fails when the palm is more than 0.5 m from the object. Source: MyoSuite 3.0.0,
+family Relocate of the MyoChallenge 2023.
+
+Table and bin are of its scene. There a reset is drawn again, up to 200 times, while anything touches. Only
+object and bin ever do; here the bin's place is drawn again while the bounding boxes of the object's parts may
+overlap that of the bin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+import warp as wp
+
+from myowarp.definitions.entries import ACTIVATION, COORDINATES, TURN, VELOCITIES, XYZ, Entry, coordinates
+from myowarp.definitions.program import Program
+from myowarp.definitions.scene import Scene
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
+from myowarp.engine.stages.arrays import filled
+from myowarp.kernels.random import RandomKeys, open_stream, stream_of
+from myowarp.kernels.reward import EFFORT, minus_error
+from myowarp.tasks.die_reorient import angles_error, minus_both, minus_rotation, rotation_size, wanted_angles
+from myowarp.tasks.euler_angles import quat_of, same_rotation, turned
+from myowarp.tasks.markers import add_tip_targets
+from myowarp.tasks.pen_twirl import AXES
+from myowarp.tasks.relocate_object import (
+    ASKEW,
+    BATCHED,
+    KINDS,
+    PARTS,
+    Parts,
+    Places,
+    add_parts,
+    kind_of,
+    shape_parts,
+    three,
+    weigh_parts,
+)
+from myowarp.tasks.solids import Shapes, Weights, half_box
+
+ARM_JOINTS = wp.constant(38)  # those of the object come after them
+PALM_SITE = "S_grasp_r"
+OBJECT_POS = (0.0, -0.25, 0.95)  # m, of the object's frame, where none is drawn
+OBJECT_START = (-0.2, 0.0, -0.02, 0.0, 0.0, 0.0)  # m, rad, of its joints
+REACH = ((-1.2, 1.55), (-1.1, 1.2), (-1.1, 1.35))  # m, of its three slides
+DAMPING = 0.001  # N s/m, N m s/rad, of its joints
+TABLE_POS = (0.0, -0.5, 0.85)  # m
+TABLE = (
+    ("table_top", (0.8, 0.5, 0.05), (0.0, 0.0, 0.0), 0.0),
+    ("table_base", (0.35, 0.6, 0.45), (0.0, 0.0, -0.45), 1.57),
+)  # boxes: name, half sides [m], position [m], turn about z [rad]
+BIN = (
+    ("base", (0.1, 0.1, 0.1), (0.0, 0.0, -0.09)),
+    ("wall0", (0.1, 0.01, 0.1), (0.0, 0.091, 0.1)),
+    ("wall1", (0.01, 0.1, 0.1), (0.091, 0.0, 0.1)),
+    ("wall2", (0.1, 0.01, 0.1), (0.0, -0.091, 0.1)),
+    ("wall3", (0.01, 0.1, 0.1), (-0.091, 0.0, 0.1)),
+)  # boxes, from the middle of its ground
+BIN_MIDDLE, BIN_HALF = wp.constant(wp.vec3(0.0, 0.0, 0.005)), wp.constant(wp.vec3(0.101, 0.101, 0.195))
+START = wp.constant(wp.vec3(*OBJECT_START[:3]))
+MOST_DRAWS = wp.constant(200)
+APART = wp.constant(stream_of("relocate, places of the bin apart from the object"))
+WOOD, STONE = (0.72, 0.58, 0.42, 1.0), (0.78, 0.78, 0.76, 1.0)
+
+
+@wp.func
+def object_position(xpos: wp.array[wp.vec3], object_body: int) -> wp.vec3:
+    """Origin of the object's frame."""
+    return xpos[object_body]
+
+
+@wp.func
+def goal_position(xpos: wp.array[wp.vec3], target_body: int) -> wp.vec3:
+    """Middle of the bin's ground."""
+    return xpos[target_body]
+
+
+@wp.func
+def way_to_goal(position: wp.vec3, goal: wp.vec3) -> wp.vec3:
+    """From the object to the bin."""
+    return goal - position
+
+
+@wp.func
+def goal_distance(position: wp.vec3, goal: wp.vec3) -> float:
+    """p = |bin - object|."""
+    return wp.length(goal - position)
+
+
+@wp.func
+def palm_distance(site_xpos: wp.array[wp.vec3], palm_site: int, position: wp.vec3) -> float:
+    """From the palm to the object."""
+    return wp.length(site_xpos[palm_site] - position)
+
+
+@wp.func
+def object_angles(qpos: wp.array[float], object_dof: int) -> wp.vec3:
+    """Euler angles of the object from its hinges."""
+    r = object_dof + 3
+    return same_rotation(wp.vec3(qpos[r], qpos[r + 1], qpos[r + 2]))
+
+
+@wp.func
+def is_out_of_reach(reach: float, far: float) -> bool:
+    """Reach > far."""
+    return reach > far
+
+
+@wp.func
+def is_in_bin(error: float, near: float, failed: bool) -> bool:
+    """p < near, and the object is within reach."""
+    return error < near and not failed
+
+
+@wp.func
+def may_overlap(parts: Parts, worldid: int, origin: wp.vec3, goal: wp.vec3, turn: wp.mat33) -> bool:
+    """Whether no axis of the bin parts its box from that of a part of an object that is not turned."""
+    middle = goal + turn @ BIN_MIDDLE
+    for part in range(PARTS):
+        size = three(parts.part_size, worldid, part)
+        box = half_box(kind_of(parts, worldid, part), size)
+        axes = wp.quat_to_matrix(turned(three(parts.part_turn, worldid, part)))
+        way = wp.transpose(turn) @ (origin + wp.cw_mul(size, three(parts.part_place, worldid, part)) - middle)
+        seen = wp.transpose(turn) @ axes
+        gap = float(-1.0)
+        for i in range(3):
+            reach = wp.abs(seen[i, 0]) * box[0] + wp.abs(seen[i, 1]) * box[1] + wp.abs(seen[i, 2]) * box[2]
+            gap = wp.max(gap, wp.abs(way[i]) - reach - BIN_HALF[i])
+        if gap <= 0.0:
+            return True
+    return False
+
+
+@wp.kernel(enable_backward=False)
+def keep_apart(
+    # Params:
+    place_low: wp.vec3,
+    place_high: wp.vec3,
+    # In:
+    parts: Parts,
+    object_place: wp.array2d[float],
+    goal_angles: wp.array2d[float],
+    keys: RandomKeys,
+    mask: wp.array[bool],
+    # Out:
+    goal_place: wp.array2d[float],
+):
+    """The bin's place ~ U(low, high), again while the object, at its start, may overlap the bin."""
+    worldid = wp.tid()
+    if not mask[worldid]:
+        return
+    state = open_stream(keys, worldid, APART)
+    origin = three(object_place, worldid, 0) + START
+    turn = wp.quat_to_matrix(turned(three(goal_angles, worldid, 0)))
+    for _ in range(MOST_DRAWS):
+        if not may_overlap(parts, worldid, origin, three(goal_place, worldid, 0), turn):
+            return
+        for i in range(3):
+            goal_place[worldid, i] = wp.randf(state, place_low[i], place_high[i])
+
+
+@wp.kernel(enable_backward=False)
+def put_bin(
+    # In:
+    goal_place: wp.array2d[float],
+    goal_angles: wp.array2d[float],
+    mask: wp.array[bool],
+    # Data out:
+    mocap_pos_out: wp.array2d[wp.vec3],
+    mocap_quat_out: wp.array2d[wp.quat],
+):
+    """The bin is where and as the episode asks; components w, x, y, z."""
+    worldid = wp.tid()
+    if not mask[worldid]:
+        return
+    q = turned(wp.vec3(goal_angles[worldid, 0], goal_angles[worldid, 1], goal_angles[worldid, 2]))
+    place = wp.vec3(goal_place[worldid, 0], goal_place[worldid, 1], goal_place[worldid, 2])
+    mocap_pos_out[worldid, 0] = place
+    mocap_quat_out[worldid, 0] = wp.quat(q[3], q[0], q[1], q[2])
+
+
+@wp.kernel(enable_backward=False)
+def put_object(
+    # Params:
+    object_body: int,
+    # In:
+    object_place: wp.array2d[float],
+    mask: wp.array[bool],
+    # Out:
+    body_pos: wp.array2d[wp.vec3],
+):
+    """The object's frame is where it was drawn."""
+    worldid = wp.tid()
+    if mask[worldid]:
+        body_pos[worldid, object_body] = wp.vec3(
+            object_place[worldid, 0], object_place[worldid, 1], object_place[worldid, 2]
+        )
+
+
+@wp.kernel(enable_backward=False)
+def move_arm(
+    # In:
+    offset: wp.array2d[float],
+    mask: wp.array[bool],
+    # Data out:
+    qpos_out: wp.array2d[float],
+):
+    """q += offset, of the arm's joints."""
+    worldid = wp.tid()
+    if mask[worldid]:
+        for i in range(offset.shape[1]):
+            qpos_out[worldid, i] += offset[worldid, i]
+
+
+def arm_entries(model: mujoco.MjModel) -> tuple[Entry, ...]:
+    """Return names and units of the arm's coordinates."""
+    return tuple(coordinates(model)[: int(ARM_JOINTS)])
+
+
+class RelocateProgram(Program):
+    """A relocate task bound to a scene.
+
+    Attributes:
+        goal_place: Where the bin is [m], world, shape (num_worlds, 3).
+        goal_angles: Its Euler angles [rad], shape (num_worlds, 3).
+        parts: What is drawn of the object's parts, where it varies.
+    """
+
+    spec: RelocateTask
+    goal_place: wp.array
+    goal_angles: wp.array
+
+    def __init__(self, spec: RelocateTask, scene: Scene) -> None:
+        """Resolve object, bin and palm."""
+        super().__init__(spec, scene)
+        oracle = scene.oracle
+        self.object_body, self.target_body = oracle.body("Object").id, oracle.body("target").id
+        self.object_geom, self.object_dof = oracle.body("Object").geomadr[0], int(ARM_JOINTS)
+        self.palm_site = scene.site_id(PALM_SITE)
+        if spec.varied:
+            self.parts = filled(Parts, self)
+            self.place_low, self.place_high = wp.vec3(*spec.goal_low), wp.vec3(*spec.goal_high)
+            self.shapes, self.places, self.weights = (
+                filled(kind, scene.model) for kind in (Shapes, Places, Weights)
+            )
+
+    def sample_start(self, mask: wp.array) -> None:
+        """Draw the object and its place; and the arm's posture, where the task's own start is asked for."""
+        super().sample_start(mask)
+        if not self.spec.varied:
+            return
+        self.launch(put_object, mask=mask)
+        self.shape(mask)
+        if self.scene.reset == "task":
+            self.launch(move_arm, mask=mask)
+
+    def shape(self, mask: wp.array) -> None:
+        """Write into the model what follows from the drawn parts in the worlds of `mask`."""
+        self.launch(shape_parts, mask=mask)
+        self.launch(weigh_parts, mask=mask)
+
+    def sample_goal(self, mask: wp.array) -> None:
+        super().sample_goal(mask)
+        if self.spec.varied:
+            self.launch(keep_apart, mask=mask)
+        self.launch(put_bin, mask=mask)
+
+    def goal_markers(self, world: int) -> dict[str, np.ndarray]:
+        """Where the object should be."""
+        return {"object_o_target": self.goal_place.numpy()[world]}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelocateTask(TaskSpec):
+    """Carry an object into a bin.
+
+    Attributes:
+        goal_low: Lower bounds of the bin's place [m], world.
+        goal_high: Upper bounds.
+        angle: Largest Euler angle of the bin [rad].
+        offset: Largest change of each coordinate of the arm's start [rad].
+        object_low: Lower bounds of the place of the object's frame [m]; () where objects do not vary.
+        object_high: Upper bounds.
+        size: Bounds of the sizes of the object's parts [m].
+        mass: Bounds of its mass [kg].
+        friction: Bounds of its coefficients of friction (slide, spin, roll).
+    """
+
+    program: ClassVar[type] = RelocateProgram
+    measures: ClassVar = {
+        "position": object_position,
+        "goal": goal_position,
+        "angles": object_angles,
+        "wanted": wanted_angles,
+        "rotation": angles_error,
+        "rotation_distance": rotation_size,
+        "error": goal_distance,
+        "reach": palm_distance,
+        "failed": is_out_of_reach,
+        "solved": is_in_bin,
+    }
+    near: ClassVar[float] = 0.1  # m, distance from the bin's middle below which the task counts as solved
+    far: ClassVar[float] = 0.5  # m, distance of the palm from the object beyond which it is lost
+
+    body: str = "whole_arm"
+    num_substeps: int = 5
+    horizon: int = 150
+    goal_low: tuple[float, float, float]
+    goal_high: tuple[float, float, float]
+    angle: float = 0.0
+    offset: float = 0.0
+    object_low: tuple[float, ...] = ()
+    object_high: tuple[float, ...] = ()
+    size: tuple[float, float] = (0.0, 0.0)
+    mass: tuple[float, float] = (0.0, 0.0)
+    friction: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+
+    @property
+    def varied(self) -> bool:
+        """Whether objects differ."""
+        return bool(self.object_low)
+
+    @property
+    def scene_key(self) -> tuple[object, ...]:
+        """Geoms of every kind are compiled in where objects differ."""
+        return (*super().scene_key, self.varied)
+
+    @property
+    def batched(self) -> tuple[str, ...]:
+        """What follows from the object's parts, and where it lies."""
+        return (*BATCHED, "body_pos") if self.varied else ()
+
+    @property
+    def sites(self) -> tuple[str, ...]:
+        """The palm."""
+        return (PALM_SITE,)
+
+    @property
+    def loose(self) -> tuple[str, ...]:
+        """The object."""
+        return ("Object",)
+
+    @property
+    def start_doc(self) -> str:
+        return "the arm bent over the table, the object in the air just above it"
+
+    @property
+    def solved_when(self) -> str:
+        return f"the object is less than {self.near:g} m from the middle of the bin's ground, within reach"
+
+    @property
+    def failed_when(self) -> str:
+        return f"the palm is more than {self.far:g} m from the object"
+
+    @property
+    def draws(self) -> tuple[Draw, ...]:
+        turn = "by what the bin is turned about x, then about its own y and z"
+        angle = 3 * (self.angle,)
+        goal = (
+            Draw("goal", "m", self.goal_low, self.goal_high, "place of the bin", XYZ, array="goal_place"),
+            Draw("turn", "rad", tuple(-a for a in angle), angle, turn, XYZ, array="goal_angles"),
+        )
+        return (*goal, *self._object_draws()) if self.varied else goal
+
+    def _object_draws(self) -> tuple[Draw, ...]:
+        """Return what is drawn of object and arm."""
+        parts = range(3)
+        size, whole, right = 9 * (1.0,), 9 * (1.0,), 9 * (np.pi / 2,)
+        offset = int(ARM_JOINTS) * (self.offset,)
+        axes = tuple(f"part {i} {axis}" for i in parts for axis in XYZ)
+        rough = tuple(f"part {i} {kind}" for i in parts for kind in ("slide", "spin", "roll"))
+        kinds = "kind of part {}: 2 sphere, 3 capsule, 4 ellipsoid, 5 cylinder, 6 box"
+        low, high = self.size
+        place = "place of the object's frame, world"
+        center = "center of each part, in shares of its sizes"
+        turns = "by what each part is turned about x, then about its own y and z"
+        return (
+            *(
+                Draw(f"kind {i}", "1", (), (), kinds.format(i), (), "start", KINDS, f"kind_{i}")
+                for i in parts
+            ),
+            Draw(
+                "object place",
+                "m",
+                self.object_low,
+                self.object_high,
+                place,
+                XYZ,
+                "start",
+                array="object_place",
+            ),
+            Draw(
+                "part size",
+                "m",
+                tuple(low * s for s in size),
+                tuple(high * s for s in size),
+                "sizes of each part: half sides, semi-axes, or radius and half length",
+                axes,
+                "start",
+                array="part_size",
+            ),
+            Draw(
+                "part place", "1", tuple(-s for s in whole), whole, center, axes, "start", array="part_place"
+            ),
+            Draw(
+                "part turn", "rad", tuple(-a for a in right), right, turns, axes, "start", array="part_turn"
+            ),
+            Draw(
+                "part friction",
+                "1",
+                3 * self.friction[0],
+                3 * self.friction[1],
+                "coefficients of each part",
+                rough,
+                "start",
+                array="part_friction",
+            ),
+            Draw(
+                "object mass",
+                "kg",
+                self.mass[:1],
+                self.mass[1:],
+                "mass of the object",
+                (),
+                "start",
+                array="object_mass",
+            ),
+            Draw(
+                "offset",
+                "rad",
+                tuple(-o for o in offset),
+                offset,
+                "added to each joint of the arm's start",
+                arm_entries,
+                "start",
+                array="offset",
+            ),
+        )
+
+    def edit(self, spec: mujoco.MjSpec) -> None:
+        """Add table, object and bin, and the marker of where the object should be."""
+        table = spec.worldbody.add_body(name="table", pos=TABLE_POS)
+        for name, half, pos, turn in TABLE:
+            box = table.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=pos, rgba=STONE)
+            box.quat = quat_of((0.0, 0.0, turn))
+            box.contype = box.conaffinity = 1
+        held = spec.worldbody.add_body(name="Object", pos=OBJECT_POS)
+        for (letter, axis), reach in zip(AXES.items(), REACH, strict=True):
+            slide = held.add_joint(name=f"OBJT{letter}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+            slide.limited, slide.range, slide.damping[0] = True, reach, DAMPING
+        for letter, axis in AXES.items():
+            hinge = held.add_joint(name=f"OBJR{letter}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
+            hinge.damping[0] = DAMPING
+        add_parts(held, self.varied)
+        held.add_site(name="object_o", size=(0.005, 0.005, 0.005))
+        # The engine never moves a static geom; a mocap body is as immovable, and placed for each world.
+        target = spec.worldbody.add_body(name="target", pos=(0.0, -0.25, 0.9), mocap=True)
+        target.quat = quat_of(ASKEW)
+        for name, half, pos in BIN:
+            wall = target.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=pos, rgba=WOOD)
+            wall.contype = wall.conaffinity = 1
+        add_tip_targets(spec, ("object_o",))
+
+    def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
+        turns = "Euler angles of the {}: about x, its own y, its own z"
+        return (
+            Column("hand_qpos", ARM_JOINTS, *COORDINATES),
+            Column("hand_qvel", ARM_JOINTS, *VELOCITIES),
+            Column("obj_pos", 3, "m", "position of the object's frame, world", XYZ, object_position),
+            Column("goal_pos", 3, "m", "middle of the bin's ground, world", XYZ, goal_position),
+            Column("pos_err", 3, "m", "from the object to the bin, world", XYZ, way_to_goal),
+            Column("obj_rot", 3, "rad", turns.format("object"), TURN, object_angles),
+            Column("goal_rot", 3, "rad", turns.format("bin"), TURN, wanted_angles),
+            Column("rot_err", 3, "rad", "goal_rot minus obj_rot", TURN, angles_error),
+            Column("act", num_muscles, *ACTIVATION),
+        )
+
+    def reward_terms(self) -> tuple[RewardTerm, ...]:
+        distance = "minus the distance of the object from the middle of the bin's ground"
+        return (
+            RewardTerm("pos_dist", 100.0, "m", distance, minus_error),
+            RewardTerm("rot_dist", 1.0, "rad", "minus the norm of rot_err", minus_rotation),
+            RewardTerm("act_reg", 0.0, *EFFORT),
+            RewardTerm("sparse", 0.0, "rad", "rot_dist plus 10 times pos_dist", minus_both),
+        )
+
+
+FINGERS = (
+    *(0.332, 0.4114, -0.177165, -0.26182, 0.18852, 0.17017, 0.447735, 0.26707, 0.28278, -0.010472),
+    *(0.0168535, 0.00701979, 0.09139, -0.06545, 0.243505, 0.337765, 0.23565, -0.101844, 0.000607067, 0.03142),
+)
+TRUNK_SIDE = (0.03876, 0.168055, 0.17281, -0.254074, -0.109975)
+OVER_TABLE = (
+    *(-0.022856, 0.00967764, -0.00968029, 0.10125, -0.00458344, 0.20262, 0.0828, -0.0168106, -0.2149),
+    *(*TRUNK_SIDE, 1.11181, 0.92689, 0.106468, 0.0, *FINGERS, *OBJECT_START),
+)
+FURTHER_BENT = (
+    *(-0.022856, 0.01113, -0.08268, 0.10125, -0.0494, 0.16578, 0.11868, -0.1932, -0.19648),
+    *(*TRUNK_SIDE, 1.47485, 1.28822, 0.106468, -0.27489, *FINGERS, *OBJECT_START),
+)
+"""Starts of phase 1 and 2 [rad, m]; MyoSuite 3.0.0."""
+
+
+@task("myoChallengeRelocateP1-v0")
+def first_phase() -> RelocateTask:
+    """Carry a box from the table into a bin at a random place on it."""
+    return RelocateTask(goal_low=(0.0, -0.35, 0.9), goal_high=(0.2, -0.1, 0.9), start_pose=OVER_TABLE)
+
+
+@task("myoChallengeRelocateP2-v0")
+def second_phase() -> RelocateTask:
+    """Carry an object of random shape, mass, friction and place into a tilted bin at a random place."""
+    return RelocateTask(
+        goal_low=(0.0, -0.45, 0.9),
+        goal_high=(0.3, -0.1, 1.05),
+        angle=0.2,
+        offset=0.01,
+        object_low=(-0.1, -0.35, 1.0),
+        object_high=(0.1, -0.15, 1.0),
+        size=(0.015, 0.025),
+        mass=(0.05, 0.2),
+        friction=((0.8, 0.004, 0.00008), (1.2, 0.006, 0.00012)),
+        start_pose=FURTHER_BENT,
+    )

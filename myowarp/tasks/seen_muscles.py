@@ -1,0 +1,37 @@
+"""Tasks that observe lengths, velocities and forces of muscles: those of the state that a step led to."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import warp as wp
+
+from myowarp.definitions.program import Program
+from myowarp.definitions.scene import Scene
+from myowarp.definitions.task import TaskSpec
+from myowarp.sim.present import present_muscles, present_paths
+
+
+class MuscleProgram(Program):
+    """A task, bound to a scene, that brings muscles to the present state before it scores and observes."""
+
+    def __init__(self, spec: TaskSpec, scene: Scene) -> None:
+        """Prepare the launches."""
+        super().__init__(spec, scene)
+        self._bring_muscles = present_muscles(scene, self._bring_paths)
+        self._is_present = False
+
+    def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
+        self._bring_muscles()
+        self._is_present = True
+        super().score(step_count, terms, solved, failed)
+
+    def observe(self, mask: wp.array, obs: wp.array) -> None:
+        """Observe; muscles and bodies of the scored state are those that `score` has found."""
+        if not self._is_present:
+            self._bring_muscles()
+        self._is_present = False
+        super().observe(mask, obs)
+
+    def _bring_paths(self) -> None:
+        (self.bring_paths or partial(present_paths, self.scene))()
