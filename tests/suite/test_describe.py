@@ -91,7 +91,9 @@ def test_draws_follow_the_name(key):
     """An id with Random in its name draws; the goal of one without does not differ between episodes."""
     goals = [draw["varies"] for draw in facts_of(key)["draws"] if draw["when"] == "goal"]
     starts = [draw["varies"] for draw in facts_of(key)["draws"] if draw["when"] == "start"]
-    assert any(goals + starts) == any(name in key for name in ("Random", "Rough", "P2", "Reorient", "Relocate"))
+    assert any(goals + starts) == any(
+        name in key for name in ("Random", "Rough", "P2", "Reorient", "Relocate")
+    )
 
 
 @pytest.mark.parametrize("key", SCENES)
