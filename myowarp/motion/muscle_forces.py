@@ -37,8 +37,9 @@ ROUNDS = 4
 LEAST = 0.01
 """Activation from which a secant is taken, at least."""
 
-FEASIBLE = 1e-6
-"""Share of the greatest moment of a coordinate up to which it counts as met."""
+FEASIBLE = 1e-5
+"""Share of the greatest moment of a coordinate up to which it counts as met; beside weak reserves
+the softness of the solver leaves less."""
 
 FRAMES = 4096
 """That are solved together."""

@@ -27,6 +27,7 @@ RATE, FRAMES = 60.0, 61
 NOISE = 2e-3  # m
 PUSH = np.array([20.0, 250.0, -5.0])  # N
 RESERVE = 10.0
+ACCURACY = 1e-9  # of inverse kinematics
 
 
 def table(path, name, labels, time, values):
@@ -75,7 +76,7 @@ def columns(path, labels):
     return rows[:, 0], rows[:, [names.index(label) for label in labels]], degrees
 
 
-def record(source, body, forces):
+def record(source, body, forces, accuracy=ACCURACY):
     """Return the arrays of one model; the working folder is where files may be written."""
     random = np.random.default_rng(5)
     model = opensim.Model(str(source))
@@ -109,7 +110,7 @@ def record(source, body, forces):
     table(Path("motion.mot"), "Coordinates", every, time, full)
     push(body, time, force, point)
     if markers:
-        out["fitted"] = fitted(source, out, seen, every)
+        out["fitted"] = fitted(source, out, seen, accuracy)
     tool = opensim.InverseDynamicsTool()
     tool.setModelFileName(str(source))
     tool.setCoordinatesFileName("motion.mot")
@@ -130,7 +131,7 @@ def record(source, body, forces):
     return {name: np.array(value) for name, value in out.items()}
 
 
-def fitted(source, out, seen, every):
+def fitted(source, out, seen, accuracy):
     """Return inverse kinematics."""
     names, time = out["markers"], out["time"]
     trc(Path("seen.trc"), names, time, seen)
@@ -145,7 +146,7 @@ def fitted(source, out, seen, every):
         tool.upd_IKTaskSet().cloneAndAppend(task)
     tool.setStartTime(time[0])
     tool.setEndTime(time[-1])
-    tool.set_accuracy(1e-9)
+    tool.set_accuracy(accuracy)
     tool.set_output_motion_file("fitted.mot")
     tool.run()
     _, values, degrees = columns(Path("fitted.mot"), out["coordinates"])

@@ -24,7 +24,7 @@ def table(folder, file, **columns):
 
 def named(text, title):
     """Return the names in the table of a section, in order."""
-    return re.findall(r"<td>([A-Za-z][\w.]*)</td>", text.split(f"<h2>{title}</h2>")[1].split("</table>")[0])
+    return re.findall(r"<tr[^>]*><td>([\w.]+)</td>", text.split(f"<h2>{title}</h2>")[1].split("</table>")[0])
 
 
 def test_the_worst_comes_first(tmp_path):
@@ -47,7 +47,7 @@ def test_the_worst_comes_first(tmp_path):
     assert named(text, "Marker errors") == ["WORST", "BAD", "GOOD"]
     assert text.count("<tr class=bad>") == 2
     assert named(text, "What muscles cannot hold") == ["knee_angle_r_moment"]
-    assert "<td>10</td><td>10</td><td>0</td>" in text, "what was not seen does not count"
+    assert "<td>10</td><td>10</td><td>mm</td><td>0</td>" in text, "what was not seen does not count"
     heads = re.findall("<h2>(.*?)</h2>", text)
     assert heads[:2] == ["What muscles cannot hold", "Marker errors"]
     assert "http" not in text

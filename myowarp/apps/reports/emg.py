@@ -32,12 +32,15 @@ def draw_emg(path: Path, envelope: Storage, activation: Storage, found: Sequence
             axes.plot(
                 activation.time, activation.values[:, activation.labels.index(one.muscle)], color=COLORS[0]
             )
-            axes.set_title(f"{one.muscle}: {one.correlation:.2f}, {1e3 * one.delay:.0f} ms")
+            axes.set_title(f"{one.muscle}: r {one.correlation:.2f}, {1e3 * one.delay:.0f} ms later")
             axes.set_xlim(activation.time[0], activation.time[-1])
             axes.set_ylim(0.0, 1.02)
-        for axes in grid.flat[len(found) :]:
-            axes.set_visible(False)
+        for place, axes in enumerate(grid.flat):
+            axes.set_visible(place < len(found))
+            axes.tick_params(labelbottom=place + columns >= len(found))  # below it, the column has no panel
         figure.supxlabel("Time [s]")
-        title = "Activation (line) over the envelope of the electromyogram; correlation, delay"
+        figure.supylabel("Activation; envelope over its maximum [1]")
+        title = "Activation (line) over the envelope of the electromyogram, moved by the delay with the "
+        title += "highest correlation r; the least alike first"
         figure.suptitle(title, x=0.01, ha="left", fontsize=9)
         save(figure, path)

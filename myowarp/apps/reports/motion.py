@@ -129,9 +129,10 @@ def page(folder: Path, model: Model, motion: Path | None = None) -> str:
     for part, table in shown:
         if part.file in (MISSING.file, RESERVES.file):
             acting = np.abs(table.values).max(axis=0, initial=0.0) > NOTHING
-            table = among(table, {label for label, on in zip(table.labels, acting, strict=True) if on})
+            on = {label for label, acts in zip(table.labels, acting, strict=True) if acts}
+            table = among(table, on - set(root) if part is RESERVES and MOMENTS.file in tables else on)
         if table.labels:
-            sections.append(_section(part, table))
+            sections.append(_section(part, table, [unit_of(part, label, model) for label in table.labels]))
     bullets = "".join(f"<li{' class=bad' if bad else ''}>{escape(text)}</li>" for text, bad in findings)
     title = escape(f"A motion of {model.name}")
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
@@ -205,7 +206,15 @@ def _residual(root: Storage) -> tuple[str, bool]:
     return f"The greatest residual at the root is {label}: {number(value)} {unit} at {time:.3g} s.", False
 
 
-def _section(part: Part, table: Storage) -> str:
+def unit_of(part: Part, label: str, model: Model) -> str:
+    """Return the unit of a column, of parts with forces beside moments, or places beside angles."""
+    turn, _, shift = part.unit.partition(", ")
+    if label in model.coordinates:
+        return turn if model.coordinates[label].rotational or not shift else shift
+    return shift if shift and label.endswith("_force") else turn
+
+
+def _section(part: Part, table: Storage, units: Sequence[str]) -> str:
     """Return a table with the worst lines, and a plot of each column."""
     values = part.scale * table.values
     order, mean = worst(table), root_mean_square(part.scale * table.values)
@@ -213,22 +222,17 @@ def _section(part: Part, table: Storage) -> str:
     for k in order[:LISTED]:
         at = int(np.nan_to_num(np.abs(values[:, k])).argmax())
         bad = part is MARKERS and (mean[k] > MARKER_RMS or values[at, k] > MARKER_MOST)
-        cells = (number(mean[k]), number(values[at, k]), f"{table.time[at]:.3g}")
+        cells = (number(mean[k]), number(values[at, k]), units[k], f"{table.time[at]:.3g}")
         rows.append(
             f"<tr{' class=bad' if bad else ''}><td>{escape(table.labels[k])}</td>"
             + "".join(f"<td>{cell}</td>" for cell in cells)
         )
     left = len(order) - len(rows)
-    heads = "".join(
-        f"<th>{head}</th>" for head in ("", f"rms [{part.unit}]", f"greatest [{part.unit}]", "at [s]")
-    )
+    heads = "".join(f"<th>{head}</th>" for head in ("", "rms", "greatest", "unit", "at [s]"))
     picture = base64.b64encode(draw(part, table)).decode()
     note = f'<p class="note">{escape(part.note)}</p>' if part.note else ""
-    rest = (
-        f'<p class="note">{left} more are in {escape(part.file)}; the first {DRAWN} are drawn.</p>'
-        if left
-        else ""
-    )
+    drawn = f"the first {DRAWN} are drawn" if len(order) > DRAWN else "all are drawn"
+    rest = f'<p class="note">{left} more are in {escape(part.file)}; {drawn}.</p>' if left else ""
     inner = (
         f"{note}<table><tr>{heads}</tr>{''.join(rows)}</table>{rest}"
         f'<img alt="{escape(part.title)} over time" src="data:image/png;base64,{picture}">'
