@@ -23,7 +23,7 @@ from myowarp.motion.parts import GRAIN, in_parts
 from myowarp.motion.static_optimization import Activations, optimal_activations
 from myowarp.motion.steady_muscles import SteadyMuscles
 from myowarp.opensim.model.model import Model
-from myowarp.opensim.muscle.hill import HillMuscle
+from myowarp.opensim.muscle.hill import HillMuscle, known
 
 Mode = Literal["equilibrium", "opensim"]
 
@@ -147,16 +147,17 @@ def muscle_forces(
         raise ValueError(f"reserve on {sorted(unknown)[0]!r}: unknown; available: {', '.join(coordinates)}")
     if not all(0.0 < force < np.inf for force in reserves.values()):
         raise ValueError("the force of a reserve must be above 0 and finite")
-    steady = SteadyMuscles([HillMuscle.of(model.muscles[name]) for name in paths.muscles], device)
-    share = _Share.of(steady, coordinates, paths, reserves, exponent, device, sequence)
+    muscles = [known(HillMuscle.of(model.muscles[name]))[0] for name in paths.muscles]
+    share = _Share.of(muscles, coordinates, paths, reserves, exponent, device, sequence)
+    steady = SteadyMuscles(muscles, device) if mode == "equilibrium" else None
     wanted = np.maximum(np.abs(joint_moment).max(axis=0, initial=0.0), 1.0)
     factors = strength, slack
 
     def solve(part: slice) -> MuscleForces:
         strong, long = (x[part] if len(x) > 1 else x for x in map(np.atleast_2d, factors))
-        found = share.rigid if mode == "opensim" else share.settled
-        return _made_of(share, paths.part(part), joint_moment[part], wanted, mode,
-                        *found(paths.part(part), joint_moment[part], strong, long))  # fmt: skip
+        given = paths.part(part), joint_moment[part], strong, long
+        found = share.rigid(*given) if steady is None else share.settled(steady, *given)
+        return _made_of(share, given[0], given[1], wanted, mode, found)
 
     grain = sequence or GRAIN
     return _together(in_parts(len(joint_moment), FRAMES, wp.get_device(device), solve, grain))
@@ -185,7 +186,7 @@ class _Share:
     """How muscles, and reserves behind them, share the moments of a motion.
 
     Attributes:
-        steady: The muscles.
+        muscles: Their parameters.
         coordinates: Names.
         held: Coordinates that any of them acts on.
         helped: Coordinates with a reserve.
@@ -199,7 +200,7 @@ class _Share:
         sequence: Frames of a recording.
     """
 
-    steady: SteadyMuscles
+    muscles: list[HillMuscle]
     coordinates: tuple[str, ...]
     held: list[int]
     helped: list[int]
@@ -214,11 +215,11 @@ class _Share:
 
     @classmethod
     def of(
-        cls, steady: SteadyMuscles, coordinates: tuple[str, ...], paths: MusclePaths,
+        cls, muscles: list[HillMuscle], coordinates: tuple[str, ...], paths: MusclePaths,
         reserves: Mapping[str, float], exponent: float, device: Any, sequence: int,
     ) -> _Share:  # fmt: skip
         """Return who shares which moments."""
-        count, helped = len(steady.muscles), [coordinates.index(name) for name in reserves]
+        count, helped = len(muscles), [coordinates.index(name) for name in reserves]
         held = sorted({row for rows in paths.crossed for row in rows} | set(helped))
         rows = np.full((count + len(helped), max([len(own) for own in paths.crossed] + [1])), -1)
         entries = rows.copy()
@@ -226,13 +227,11 @@ class _Share:
             rows[number, : len(own)] = [held.index(row) for row in own]
             entries[number, : len(own)] = number * len(coordinates) + np.array(own, int)
         rows[count:, 0] = [held.index(row) for row in helped]
-        bounds = [
-            (max(m.values["min_control"], 0.0), min(m.values["max_control"], 1.0)) for m in steady.muscles
-        ]
+        bounds = [(max(m.values["min_control"], 0.0), min(m.values["max_control"], 1.0)) for m in muscles]
         lower, upper = np.array([*bounds, *[(-np.inf, np.inf)] * len(helped)], float).reshape(-1, 2).T
         force = np.array(list(reserves.values()))
         return cls(
-            steady, coordinates, held, helped, force, rows, entries, lower, upper, exponent, device, sequence
+            muscles, coordinates, held, helped, force, rows, entries, lower, upper, exponent, device, sequence
         )
 
     def solve(
@@ -249,7 +248,7 @@ class _Share:
         self, paths: MusclePaths, moment: np.ndarray, strength: np.ndarray, slack: np.ndarray
     ) -> Solved:
         """Solve with rigid tendons and without passive force."""
-        muscles = self.steady.muscles
+        muscles = self.muscles
         longer = np.broadcast_to(slack, paths.length.shape)
         slacks = np.array([muscle.values["tendon_slack_length"] for muscle in muscles])
         shortest = np.array([muscle.shortest_fiber for muscle in muscles])
@@ -261,12 +260,17 @@ class _Share:
         return self.solve(paths, moment, capacity), capacity, np.zeros_like(capacity), along
 
     def settled(
-        self, paths: MusclePaths, moment: np.ndarray, strength: np.ndarray, slack: np.ndarray
+        self,
+        steady: SteadyMuscles,
+        paths: MusclePaths,
+        moment: np.ndarray,
+        strength: np.ndarray,
+        slack: np.ndarray,
     ) -> Solved:
         """Solve with fibers and tendons in equilibrium, by secants."""
 
         def at(activation: ArrayLike, near: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-            force, along, _ = self.steady.at(activation, paths.length, paths.velocity, slack, near)
+            force, along, _ = steady.at(activation, paths.length, paths.velocity, slack, near)
             return strength * force, along
 
         passive, _ = at(0.0)
@@ -275,7 +279,7 @@ class _Share:
         rest = moment - np.einsum("nmk,nm->nk", paths.moment_arm, passive)
         found = self.solve(paths, rest, capacity)
         for _ in range(ROUNDS - 1):
-            before = np.clip(found.activation[:, : len(self.steady.muscles)], LEAST, 1.0)
+            before = np.clip(found.activation[:, : len(self.muscles)], LEAST, 1.0)
             force, along = at(before, along)
             capacity = (force - passive) / before
             found = self.solve(paths, rest, capacity, found.dual)
@@ -283,14 +287,18 @@ class _Share:
 
 
 def _made_of(
-    share: _Share, paths: MusclePaths, joint_moment: np.ndarray, wanted: np.ndarray, mode: Mode,
-    found: Activations, capacity: np.ndarray, passive: np.ndarray, along: np.ndarray,
-) -> MuscleForces:  # fmt: skip
+    share: _Share,
+    paths: MusclePaths,
+    joint_moment: np.ndarray,
+    wanted: np.ndarray,
+    mode: Mode,
+    solved: Solved,
+) -> MuscleForces:
     """Return the forces of a solution; `wanted` are the greatest moments of all of the motion."""
-    count = len(share.steady.muscles)
+    (found, capacity, passive, along), count = solved, len(share.muscles)
     activation = found.activation[:, :count]
     force = passive + capacity * activation
-    widths = np.array([muscle.fiber_width for muscle in share.steady.muscles])
+    widths = np.array([muscle.fiber_width for muscle in share.muscles])
     missing = joint_moment.copy()
     missing[:, share.held] = found.missing
     reserve = np.zeros_like(joint_moment)
@@ -300,6 +308,6 @@ def _made_of(
     counts = {name: int(n) for name, n in zip(paths.muscles, full.sum(axis=0), strict=True) if n}
     feasible = (np.abs(found.missing) <= FEASIBLE * wanted[share.held]).all(axis=1)
     return MuscleForces(
-        paths.muscles, share.coordinates, activation, force, passive, np.hypot(along, widths),
+        paths.muscles, share.coordinates, activation, force, passive, np.sqrt(along**2 + widths**2),
         mode == "equilibrium", -force * paths.velocity, reserve, missing, feasible, counts,
     )  # fmt: skip

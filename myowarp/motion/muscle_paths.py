@@ -25,9 +25,8 @@ from myowarp.models.paths.path import Frames, PathTables, Pulls
 from myowarp.models.paths.tables import PathMemory
 from myowarp.motion.parts import in_parts, joined
 from myowarp.motion.skeleton import Bones, Placement, Skeleton, move_value, place
-from myowarp.motion.straight_paths import StraightPaths
+from myowarp.motion.straight_paths import StraightPaths, acted_on
 from myowarp.opensim.wrap.described import described
-from myowarp.opensim.wrap.moment_arm import crossed
 
 TOGETHER = 256
 """Frames whose paths are followed at once: working memory is 0.1 MB for each."""
@@ -135,6 +134,18 @@ def project_paths(
                     moment_arm[worldid, pathid, needed.free[number]] -= moved
 
 
+def pulling(bones: Bones) -> tuple[str, ...]:
+    """Return the names of muscles that apply force.
+
+    Raises:
+        ValueError: The model has none.
+    """
+    names = tuple(name for name, muscle in bones.model.muscles.items() if muscle.applies_force)
+    if not names:
+        raise ValueError(f"model {bones.model.name!r} has no muscle")
+    return names
+
+
 class PathsOfMuscles:
     """The muscles of a model, to be followed for a number of frames at once, by one thread.
 
@@ -156,17 +167,9 @@ class PathsOfMuscles:
             NotImplementedError: A point moves by a function that is no piecewise polynomial.
         """
         model, self._bones = bones.model, bones
-        if names is None:
-            names = [name for name, muscle in model.muscles.items() if muscle.applies_force]
-        paths = {name: model.muscles[name].path for name in names}
-        if not paths:
-            raise ValueError(f"model {model.name!r} has no muscle")
-        self.muscles = tuple(paths)
-        along = [crossed(model, path) for path in paths.values()]
-        self.crossed = tuple(
-            tuple(bones.coordinates.index(name) for name in names if name in bones.coordinates)
-            for names in along
-        )
+        self.muscles = pulling(bones) if names is None else tuple(names)
+        self.crossed = tuple(acted_on(bones, name) for name in self.muscles)
+        paths = {name: model.muscles[name].path for name in self.muscles}
         paths_of, depends = described(model, paths)
         handles = [paths_of.handles(path) for path in paths_of.paths.values()]
         self._handles = [len(own) for own in handles]
@@ -268,11 +271,12 @@ def muscle_paths(bones: Bones, values: np.ndarray, speeds: np.ndarray) -> Muscle
         NotImplementedError: A point moves by a function that is no piecewise polynomial.
     """
     values, speeds = (np.ascontiguousarray(array, float) for array in (values, speeds))
-    every = PathsOfMuscles(bones, 1)
-    names = every.muscles
+    names = pulling(bones)
+    crossed = {name: acted_on(bones, name) for name in names}
     over = [name for name in names if bones.model.muscles[name].path.wraps or not bones.device.is_cpu]
     straight = [name for name in names if name not in over]
-    in_lanes = StraightPaths(bones, straight, [names.index(name) for name in straight]) if straight else None
+    place = {name: (names.index(name), crossed[name]) for name in straight}
+    in_lanes = StraightPaths(bones, place) if straight else None
     columns = [names.index(name) for name in over]
     length, velocity = np.empty((2, len(values), len(names)))
     arm = np.zeros((len(values), len(names), len(bones.coordinates)))
@@ -288,4 +292,4 @@ def muscle_paths(bones: Bones, values: np.ndarray, speeds: np.ndarray) -> Muscle
             arm[part, columns] = found.moment_arm
 
     in_parts(len(values), 16 * TOGETHER, bones.device, solve)
-    return MusclePaths(names, length, velocity, arm, every.crossed)
+    return MusclePaths(names, length, velocity, arm, tuple(crossed.values()))

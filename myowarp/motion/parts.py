@@ -24,14 +24,15 @@ def in_parts(
 
     Args:
         count: Number of frames.
-        most: Of a part, if that is not less than `grain`.
+        most: Of a part, up to a `grain`.
         device: Where they are solved.
         solve: Called with the frames of a part.
         grain: What parts are multiples of, so that runs of frames begin at the same ones on any number of
             cores.
     """
     cores = num_cores() if device.is_cpu else 1
-    size = max(min(most // grain, -(-count // cores // grain)) * grain, grain)
+    parts = cores * max(-(-count // (most * cores)), 1)  # as many for each core
+    size = -(-count // (parts * grain)) * grain or grain
     slices = [slice(at, min(at + size, count)) for at in range(0, max(count, 1), size)]
     if cores == 1 or len(slices) == 1:
         return [solve(part) for part in slices]

@@ -6,7 +6,7 @@ time. What a muscle cannot act on keeps the moment arm 0.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -93,28 +93,30 @@ def follow_straight_paths(
     )
 
 
+def acted_on(bones: Bones, muscle: str) -> tuple[int, ...]:
+    """Return the numbers of the coordinates that a muscle can act on."""
+    names = crossed(bones.model, bones.model.muscles[muscle].path)
+    return tuple(bones.coordinates.index(name) for name in names if name in bones.coordinates)
+
+
 class StraightPaths:
     """Muscles of a model whose paths touch no wrap object."""
 
-    def __init__(self, bones: Bones, names: Sequence[str], columns: Sequence[int]) -> None:
+    def __init__(self, bones: Bones, place: Mapping[str, tuple[int, Sequence[int]]]) -> None:
         """Put paths on the bones' device, the CPU.
 
         Args:
             bones: The model.
-            names: Of muscles without wrap objects.
-            columns: Of these in the results.
+            place: For each muscle its column in the results, and the coordinates that it can act on.
 
         Raises:
             NotImplementedError: A point moves by a function that is no piecewise polynomial.
         """
-        paths = {name: bones.model.muscles[name].path for name in names}
+        paths = {name: bones.model.muscles[name].path for name in place}
         paths_of, depends = described(bones.model, paths)
         handles = [[bones.number(body) for body in paths_of.handles(one)] for one in paths_of.paths.values()]
         parent = bones.skeleton.parent.numpy()
-        acted = [
-            [bones.coordinates.index(own) for own in crossed(bones.model, path) if own in bones.coordinates]
-            for path in paths.values()
-        ]
+        columns, acted = zip(*place.values(), strict=True)
         table = np.full((len(acted), max([1, *map(len, acted)])), -1)
         for row, own in zip(table, acted, strict=True):
             row[: len(own)] = own
