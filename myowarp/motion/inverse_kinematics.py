@@ -365,17 +365,42 @@ class Fitted:
 
     def worst(self) -> list[tuple[str, float, float]]:
         """Return name, root mean square and largest error [m] of each marker, the worst first."""
-        rows = []
-        for name, error in zip(self.markers, self.error.T, strict=True):
-            seen = error[np.isfinite(error)]
-            if len(seen):
-                rows.append((name, float(np.sqrt(np.mean(seen**2))), float(seen.max())))
-        return sorted(rows, key=lambda row: -row[1])
+        return MarkerErrors().add(self).worst()
 
     def doubt(self) -> str | None:
         """Return what is likely wrong with the recording, None where markers fit."""
-        seen = self.error[np.isfinite(self.error)]
-        rms = float(np.sqrt(np.mean(seen**2))) if len(seen) else 0.0
+        return MarkerErrors().add(self).doubt()
+
+
+class MarkerErrors:
+    """How far markers are off, of all parts of a recording."""
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._markers: tuple[str, ...] = ()
+        self._squares, self._count, self._most = np.zeros((3, 0))
+
+    def add(self, fitted: Fitted) -> MarkerErrors:
+        """Count a part."""
+        if not self._markers:
+            self._markers = fitted.markers
+            self._squares, self._count, self._most = np.zeros((3, len(fitted.markers)))
+        seen = np.isfinite(fitted.error)
+        error = np.where(seen, fitted.error, 0.0)
+        self._squares = self._squares + (error**2).sum(axis=0)
+        self._count = self._count + seen.sum(axis=0)
+        self._most = np.maximum(self._most, error.max(axis=0, initial=0.0))
+        return self
+
+    def worst(self) -> list[tuple[str, float, float]]:
+        """Return name, root mean square and largest error [m] of each marker, the worst first."""
+        rms = np.sqrt(self._squares / np.maximum(self._count, 1))
+        rows = zip(self._markers, rms.tolist(), self._most.tolist(), self._count, strict=True)
+        return sorted(((name, mean, most) for name, mean, most, n in rows if n), key=lambda row: -row[1])
+
+    def doubt(self) -> str | None:
+        """Return what is likely wrong with the recording, None where markers fit."""
+        rms = float(np.sqrt(self._squares.sum() / max(self._count.sum(), 1)))
         if rms <= LARGE:
             return None
         return (

@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from myowarp.motion.storage import in_order
+from myowarp.motion.storage import Storage, in_order
+from myowarp.motion.streams import Stream
 
 UNITS = {"mm": 1e-3, "millimeters": 1e-3, "cm": 1e-2, "centimeters": 1e-2, "m": 1.0, "meters": 1.0}
 """Metres of each unit, by lower-case name."""
@@ -100,6 +101,20 @@ def read_trc(path: Path) -> Markers:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise ValueError(f"{str(path)!r} is no text file; markers come as .trc") from error
+    names, unit = _header(path, lines)
+    rows = [(number, line) for number, line in enumerate(lines[5:], 6) if line.strip()]
+    table = _numbers(path, names, rows)
+    if not len(table):
+        raise ValueError(f"{str(path)!r} has no frame")
+    return _placed(names, in_order(path, "frame", table), unit)
+
+
+def _header(path: Path, lines: Sequence[str]) -> tuple[tuple[str, ...], float]:
+    """Return names of markers, and the metres of a unit, of a file that begins with these lines.
+
+    Raises:
+        ValueError: They are not those of a `.trc` file, or the unit is unknown.
+    """
     if len(lines) < 6 or not lines[0].startswith("PathFileType"):
         raise ValueError(
             f"{str(path)!r} must begin with 'PathFileType' and have five lines before its numbers"
@@ -114,10 +129,18 @@ def read_trc(path: Path) -> Markers:
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"{str(path)!r} has the marker {twice!r} twice")
-    rows = [(number, line.split("\t")) for number, line in enumerate(lines[5:], 6) if line.strip()]
+    return names, UNITS[unit.lower()]
+
+
+def _numbers(path: Path, names: tuple[str, ...], rows: Sequence[tuple[int, str]]) -> np.ndarray:
+    """Return time and places of numbered lines, in the file's unit, NaN where a marker was not seen.
+
+    Raises:
+        ValueError: A row does not fit.
+    """
     table = np.full((len(rows), 1 + 3 * len(names)), np.nan)
-    for row, (number, cells) in zip(table, rows, strict=True):
-        cells = [cell.strip() for cell in cells[1:]]
+    for row, (number, line) in zip(table, rows, strict=True):
+        cells = [cell.strip() for cell in line.split("\t")[1:]]
         while len(cells) > len(row) and not cells[-1]:
             cells.pop()
         if len(cells) > len(row):
@@ -132,22 +155,40 @@ def read_trc(path: Path) -> Markers:
             raise ValueError(
                 f"line {number} of {str(path)!r} has a cell that is no number: {error}"
             ) from error
-    return _checked(path, names, table, UNITS[unit.lower()])
+    return table
 
 
-def _checked(path: Path, names: tuple[str, ...], table: np.ndarray, unit: float) -> Markers:
-    """Return the markers of the numbers of a file, in metres.
-
-    Raises:
-        ValueError: There is no frame, or a time is there twice or is none.
-    """
-    if not len(table):
-        raise ValueError(f"{str(path)!r} has no frame")
-    table = in_order(path, "frame", table)
+def _placed(names: tuple[str, ...], table: np.ndarray, unit: float) -> Markers:
+    """Return the markers of the numbers of a file, in metres."""
     time = table[:, 0]
     positions = unit * table[:, 1:].reshape(len(table), len(names), 3)
     positions[~np.isfinite(positions).all(axis=2)] = np.nan
     return Markers(names, time, positions)
+
+
+class MarkerStream(Stream):
+    """Rows of a `.trc` file, read forwards; in the file's unit, NaN where a marker was not seen."""
+
+    def _header(self) -> tuple[tuple[str, ...], bool]:
+        lines = list(itertools.islice(self._file, 5))
+        self._names, self._unit = _header(self.path, [*lines, ""])
+        return tuple(f"{name} {axis}" for name in self._names for axis in "XYZ"), False
+
+    def _numbers(self, lines: list[str]) -> np.ndarray:
+        rows = _numbers(self.path, self._names, list(enumerate(lines, self._read + 6)))
+        if not np.isfinite(rows[:, 0]).all():
+            late = self._read + 1 + int(np.argmin(np.isfinite(rows[:, 0])))
+            raise ValueError(
+                f"times of {str(self.path)!r} must be finite numbers; that of frame {late} is not"
+            )
+        return rows
+
+    def _time(self, line: str) -> float:
+        return float(line.split("\t", 2)[1])
+
+    def placed(self, table: Storage) -> Markers:
+        """Return the markers of some rows, in metres."""
+        return _placed(self._names, np.column_stack([table.time, table.values]), self._unit)
 
 
 def write_trc(path: Path, markers: Markers) -> None:

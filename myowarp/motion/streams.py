@@ -1,4 +1,4 @@
-"""Tables over time that are too long for memory: `.sto` and `.mot` files, read forwards, a part at a time.
+"""Tables over time that are too long for memory: files that are read forwards, a part at a time.
 
 Filters and splines act on a part with a margin on both sides, which is so long that what they have at its
 ends has died away: `Margin` says how long. Times must increase in the file.
@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Self
 
 import numpy as np
 
@@ -59,20 +60,54 @@ class Stream:
         """
         self.path = path
         self._file = path.open(encoding="utf-8-sig")
+        try:
+            self.labels, self.in_degrees = self._header()
+        except ValueError:
+            self.close()
+            raise
+        self._lines = (line for line in self._file if line.strip())
+        self._rows, self._read, self._ended = np.empty((0, 1 + len(self.labels))), 0, False
+
+    def _header(self) -> tuple[tuple[str, ...], bool]:
+        """Read the lines before the numbers; return names of columns, and whether angles are in degrees.
+
+        Raises:
+            ValueError: They are not what they should be.
+        """
         header = list(itertools.takewhile(lambda line: line.strip().lower() != "endheader", self._file))
         names = next((line for line in self._file if line.strip()), "")
         cells = [cell.strip() for cell in (names.split("\t") if "\t" in names else names.split())]
         while cells and not cells[-1]:
             cells.pop()
         if len(cells) < 2 or cells[0].lower() != "time":
-            self._file.close()
-            raise ValueError(f"{str(path)!r} must have a line 'endheader' and then a first column 'time'")
-        self.labels = tuple(cells[1:])
-        self.in_degrees = any(line.replace(" ", "").strip().lower() == "indegrees=yes" for line in header)
-        self._lines = (line for line in self._file if line.strip())
-        self._rows, self._read, self._ended = np.empty((0, len(cells))), 0, False
+            raise ValueError(
+                f"{str(self.path)!r} must have a line 'endheader' and then a first column 'time'"
+            )
+        degrees = any(line.replace(" ", "").strip().lower() == "indegrees=yes" for line in header)
+        return tuple(cells[1:]), degrees
 
-    def __enter__(self) -> Stream:
+    def _numbers(self, lines: list[str]) -> np.ndarray:
+        """Return time and values of some lines.
+
+        Raises:
+            ValueError: A line has not one finite number for each column.
+        """
+        where = f"rows {self._read + 1} to {self._read + len(lines)} of {str(self.path)!r}"
+        try:
+            rows = np.loadtxt(lines, comments=None, ndmin=2)
+        except ValueError as error:
+            raise ValueError(f"{where} must be numbers, one for each column: {error}") from error
+        if rows.shape[1] != self._rows.shape[1]:
+            raise ValueError(f"{where} must have {self._rows.shape[1]} cells, got {rows.shape[1]}")
+        if not np.isfinite(rows).all():
+            raise ValueError(f"{where} must be finite numbers")
+        return rows
+
+    def _time(self, line: str) -> float:
+        """Return the time of a line."""
+        return float(line.split(None, 1)[0])
+
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -89,30 +124,22 @@ class Stream:
         if span is None:
             return sum(1 for _ in self._lines)
         begin, end = span[0] - 1e-9, span[1] + 1e-9
-        return sum(begin <= float(line.split(None, 1)[0]) <= end for line in self._lines)
+        return sum(begin <= self._time(line) <= end for line in self._lines)
 
     def _more(self, count: int) -> None:
         """Read up to so many more rows.
 
         Raises:
-            ValueError: A row is not one of finite numbers, one for each column, or a time is not after the
-                one before.
+            ValueError: A row is not what it should be, or a time is not after the one before.
         """
         lines = list(itertools.islice(self._lines, count))
         if not lines:
             self._ended = True
             return
-        where = f"rows {self._read + 1} to {self._read + len(lines)} of {str(self.path)!r}"
-        try:
-            rows = np.loadtxt(lines, comments=None, ndmin=2)
-        except ValueError as error:
-            raise ValueError(f"{where} must be numbers, one for each column: {error}") from error
-        if rows.shape[1] != self._rows.shape[1]:
-            raise ValueError(f"{where} must have {self._rows.shape[1]} cells, got {rows.shape[1]}")
-        if not np.isfinite(rows).all():
-            raise ValueError(f"{where} must be finite numbers")
+        rows = self._numbers(lines)
         time = np.concatenate([self._rows[-1:, 0], rows[:, 0]])
         if not (np.diff(time) > 0.0).all():
+            where = f"rows {self._read + 1} to {self._read + len(lines)} of {str(self.path)!r}"
             raise ValueError(f"{where} must have times that increase, as the file is read in parts; sort it")
         self._rows, self._read = np.concatenate([self._rows, rows]), self._read + len(rows)
 
@@ -159,7 +186,7 @@ class Stream:
 
 
 def is_long(path: Path) -> bool:
-    """Whether a file is a `.sto` or `.mot` file with more rows than a part has.
+    """Whether a file has more rows than two parts; not of `.csv` files, which are read as a whole.
 
     Raises:
         OSError: It cannot be read.

@@ -17,7 +17,7 @@ from myowarp.motion.inverse_dynamics import Load, Needed, inverse_dynamics
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.joint_reactions import JointReactions, joint_reactions
 from myowarp.motion.loads import Loads, loads_at
-from myowarp.motion.markers import Markers, read_trc
+from myowarp.motion.markers import Markers, MarkerStream, read_trc
 from myowarp.motion.metabolic_power import metabolic_power
 from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces, rigid_capacity
 from myowarp.motion.muscle_paths import MusclePaths, muscle_paths
@@ -202,37 +202,108 @@ def kinematics(
         span: First and last time [s].
         fill: Longest gap of a marker that a spline bridges [s]; None: none is bridged.
 
+    Returns:
+        The joint angles, of a long recording those of its last part.
+
     Raises:
         ValueError: A file is not what it should be.
         OSError: A file cannot be read or written.
     """
-    seen = read_trc(markers)
-    recorded = seen if fill is None else seen.filled(fill)
-    if span is not None:
-        seen, recorded = seen.between(*span), recorded.between(*span)
-    _write_gaps(output / "gaps.csv", seen, recorded)
-    if setup is None:
-        fitted = inverse_kinematics(bones, recorded)
-    else:
-        tasks = tasks_of(parse(setup)[0])
-        weights = {name: weight for name, weight in tasks.markers.items() if name in recorded.names}
-        values: dict[str, float | np.ndarray] = {**tasks.values}
-        if tasks.recorded:
-            values |= _recorded(bones, setup, tasks.recorded, recorded.time)
-        fitted = inverse_kinematics(bones, recorded, weights, tasks.coordinates, values)
-    write_angles(output / "ik.mot", bones.model, fitted.coordinates, fitted.time, fitted.values)
-    error = Storage(fitted.markers, fitted.time, fitted.error)
-    write_storage(output / "marker_errors.sto", "distances of markers, m", error)
-    return fitted
+    *_, last = kinematics_in_parts(bones, markers, output, setup, span, fill)
+    return last
 
 
-def _write_gaps(path: Path, seen: Markers, filled: Markers) -> None:
-    """Write when markers were not seen, the longest gap first, and which gaps a spline bridges."""
-    left = filled.gaps()
-    rows = [(name, *gap, gap not in left.get(name, ())) for name, gaps in seen.gaps().items() for gap in gaps]
-    rows.sort(key=lambda row: row[1] - row[2])
-    lines = [f"{name},{first:.9g},{last:.9g},{'yes' if there else 'no'}" for name, first, last, there in rows]
-    path.write_text("\n".join(["marker,first [s],last [s],filled", *lines, ""]), encoding="utf-8")
+def kinematics_in_parts(
+    bones: Bones,
+    markers: Path,
+    output: Path,
+    setup: Path | None = None,
+    span: tuple[float, float] | None = None,
+    fill: float | None = None,
+) -> Iterator[Fitted]:
+    """Do what `kinematics` does, and yield the joint angles part by part; each begins at the one before."""
+    tasks = None if setup is None else tasks_of(parse(setup)[0])
+    gaps, start, first = Gaps(), None, 0
+    for seen, recorded, total in _marker_parts(markers, span, fill):
+        gaps.add(seen, recorded)
+        if tasks is None or setup is None:
+            fitted = inverse_kinematics(bones, recorded, start=start)
+        else:
+            weights = {name: weight for name, weight in tasks.markers.items() if name in recorded.names}
+            values: dict[str, float | np.ndarray] = {**tasks.values}
+            if tasks.recorded:
+                values |= _recorded(bones, setup, tasks.recorded, recorded.time)
+            fitted = inverse_kinematics(bones, recorded, weights, tasks.coordinates, values, start)
+        start = dict(zip(fitted.coordinates, fitted.values[-1], strict=True))
+        place = bones.model, fitted.coordinates, fitted.time, fitted.values, first, total
+        write_angles(output / "ik.mot", *place)
+        error = Storage(fitted.markers, fitted.time, fitted.error)
+        write_storage(output / "marker_errors.sto", "distances of markers, m", error, first, total)
+        first += len(fitted.time)
+        yield fitted
+    gaps.write(output / "gaps.csv")
+
+
+def _marker_parts(
+    path: Path, span: tuple[float, float] | None, fill: float | None
+) -> Iterator[tuple[Markers, Markers, int]]:
+    """Yield the markers of a file in parts: as they were seen, with gaps filled, and the frames of all.
+
+    Raises:
+        ValueError: The file is not what it should be, or there is no frame in the span.
+        OSError: It cannot be read.
+    """
+    if not is_long(path):
+        seen = read_trc(path)
+        recorded = seen if fill is None else seen.filled(fill)
+        if span is not None:
+            seen, recorded = seen.between(*span), recorded.between(*span)
+        yield seen, recorded, len(seen.time)
+        return
+    with MarkerStream(path) as stream:
+        total = stream.count(span)
+    begin, end = span or (-np.inf, np.inf)
+    if not total:
+        raise ValueError(f"no frame of {str(path)!r} is between {begin:g} and {end:g} s")
+    with MarkerStream(path) as stream:
+        for table, own in stream.parts(Margin(seconds=2.0 * (fill or 0.0))):
+            seen = stream.placed(table)
+            recorded = seen if fill is None else seen.filled(fill)
+            inside = [max(begin, seen.time[own][0]), min(end, seen.time[own][-1])]
+            if inside[0] <= inside[1]:
+                yield seen.between(*inside), recorded.between(*inside), total
+
+
+class Gaps:
+    """When markers were not seen, of all parts of a recording, and which gaps a spline bridged."""
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._rows: list[tuple[str, float, float, bool]] = []
+        self._open: dict[str, tuple[float, bool]] = {}
+
+    def add(self, seen: Markers, filled: Markers) -> None:
+        """Note the gaps of a part; one that the part before ended with goes on."""
+        left, before, self._open = filled.gaps(), self._open, {}
+        for name, gaps in seen.gaps().items():
+            for first, last in gaps:
+                bridged = (first, last) not in left.get(name, ())
+                if first == seen.time[0] and name in before:
+                    first, bridged = before[name][0], bridged and before[name][1]
+                    self._rows.pop(next(k for k, row in enumerate(self._rows) if row[:2] == (name, first)))
+                if last == seen.time[-1]:
+                    self._open[name] = first, bridged
+                self._rows.append((name, first, last, bridged))
+
+    def write(self, path: Path) -> None:
+        """Write them, the longest first.
+
+        Raises:
+            OSError: The file cannot be written.
+        """
+        rows = sorted(self._rows, key=lambda row: row[1] - row[2])
+        lines = [f"{name},{a:.9g},{b:.9g},{'yes' if there else 'no'}" for name, a, b, there in rows]
+        path.write_text("\n".join(["marker,first [s],last [s],filled", *lines, ""]), encoding="utf-8")
 
 
 def _recorded(bones: Bones, setup: Path, names: Sequence[str], time: np.ndarray) -> dict[str, np.ndarray]:
@@ -279,16 +350,24 @@ def marker_places(bones: Bones, time: np.ndarray, values: np.ndarray) -> Markers
 
 
 def write_angles(
-    path: Path, model: Model, coordinates: Sequence[str], time: np.ndarray, values: np.ndarray
+    path: Path,
+    model: Model,
+    coordinates: Sequence[str],
+    time: np.ndarray,
+    values: np.ndarray,
+    first: int = 0,
+    total: int | None = None,
 ) -> None:
-    """Write a motion in degrees, with all coordinates of the model.
+    """Write a motion in degrees, with all coordinates of the model, or a part of it behind those before.
 
     Raises:
         OSError: The file cannot be written.
     """
     whole = complete(model, dict(zip(coordinates, values.T, strict=True)), len(time))
     columns = [np.degrees(v) if model.coordinates[name].rotational else v for name, v in whole.items()]
-    write_storage(path, "Coordinates", Storage(tuple(whole), time, np.stack(columns, axis=1), True))
+    write_storage(
+        path, "Coordinates", Storage(tuple(whole), time, np.stack(columns, axis=1), True), first, total
+    )
 
 
 def dynamics(bones: Bones, motion: Movement, output: Path, loads: Path | Loads | None = None) -> Needed:

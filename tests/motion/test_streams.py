@@ -7,10 +7,11 @@ import pytest
 
 from myowarp.apps.cli.motion import Motion
 from myowarp.motion import streams
+from myowarp.motion.markers import Markers, write_trc
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.streams import Margin, Stream
-from myowarp.motion.trial import write_angles
+from myowarp.motion.trial import marker_places, write_angles
 from myowarp.opensim.read.model import read_model
 
 LEG = Path(__file__).parents[1] / "data/osim/leg6dof9musc.osim"
@@ -85,6 +86,33 @@ def test_results_are_those_of_the_whole_motion(folder, tmp_path, monkeypatch, ca
         assert head == (tmp_path / "whole" / name).read_text().splitlines()[:4]
     if what != "analyze":
         assert said.splitlines()[:-1] == capsys.readouterr().err.splitlines()[:-1]
+
+
+@pytest.mark.parametrize(("fill", "span"), [(None, None), (0.05, (0.5, 3.0))])
+def test_angles_are_those_of_all_markers(folder, tmp_path, monkeypatch, capsys, fill, span):
+    """A gap goes over two parts, and another from one part into the next but one; a short one is bridged."""
+    bones = Bones(read_model(LEG))
+    time = np.arange(400) / RATE
+    waves = np.sin(time[:, None] * np.random.default_rng(1).uniform(2.0, 5.0, len(bones.coordinates)))
+    markers = marker_places(bones, time, 0.1 * waves)
+    seen = markers.positions.copy()
+    seen[94:98, 0] = np.nan
+    seen[140:250, 1] = np.nan
+    write_trc(tmp_path / "walk.trc", Markers(markers.names, time, seen))
+    options = {"markers": tmp_path / "walk.trc", "fill": fill, "span": span}
+    Motion("kinematics", LEG, **options, output=tmp_path / "parts")()
+    said = capsys.readouterr().err
+    monkeypatch.setattr(streams, "FRAMES", ROWS)
+    Motion("kinematics", LEG, **options, output=tmp_path / "whole")()
+    assert said.splitlines()[:-1] == capsys.readouterr().err.splitlines()[:-1]
+    for name, off in (("ik.mot", 1e-4), ("marker_errors.sto", 1e-7)):
+        parts, whole = (read_storage(tmp_path / part / name, gaps=True) for part in ("parts", "whole"))
+        np.testing.assert_array_equal(parts.time, whole.time)
+        np.testing.assert_allclose(parts.values, whole.values, atol=off)
+    gaps = (tmp_path / "parts/gaps.csv").read_text()
+    assert gaps == (tmp_path / "whole/gaps.csv").read_text()
+    assert f"{markers.names[1]},1.4,2.49,no" in gaps
+    assert f"{markers.names[0]},0.94,0.97,{'no' if fill is None else 'yes'}" in gaps
 
 
 @pytest.mark.parametrize(("row", "message"), [

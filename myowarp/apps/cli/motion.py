@@ -207,6 +207,7 @@ class Motion:
     def _solve(self) -> None:
         """Do a step that reads a model."""
         from myowarp.motion import trial
+        from myowarp.motion.inverse_kinematics import MarkerErrors
         from myowarp.motion.skeleton import Bones
 
         source, name = {
@@ -229,7 +230,10 @@ class Motion:
         self.output.mkdir(parents=True, exist_ok=True)
         lines = []
         if self.what == "kinematics":
-            fitted = trial.kinematics(bones, source, self.output, self.setup, self.span, self.fill)
+            fitted = MarkerErrors()
+            steps = bones, source, self.output, self.setup, self.span, self.fill
+            for part in trial.kinematics_in_parts(*steps):
+                fitted.add(part)
             lines += gaps_in(self.output / "gaps.csv")
             lines += [f"{marker}: {1e3 * rms:.1f} mm rms, {1e3 * most:.1f} mm at most"
                       for marker, rms, most in fitted.worst()[:SHOWN]]  # fmt: skip
