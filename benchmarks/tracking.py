@@ -14,7 +14,7 @@ import json
 import shutil
 import subprocess
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,18 +31,14 @@ from myowarp.motion.loads import loads_at
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import spline
 from myowarp.motion.storage import Storage, read_storage, write_storage
+from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.tracking import track
 from myowarp.opensim.read.document import Element, parse
-from myowarp.opensim.read.model import read_model
 
 SETTLED, LAST = 0.03, 0.01
 """Time that CMC needs to settle, and its last window [s]."""
 STEP = 1.0 / 600.0
 """Of the motion [s]."""
-GAIN = {"subtalar_angle_r": 1600.0}
-"""Of the example's tasks [1/s^2]; the others have 100."""
-LEAST = 0.02
-"""Control that the example's muscles have at least."""
 PARTS = ("FX", "FY", "FZ", "MX", "MY", "MZ")
 """Names of the example's residual actuators."""
 
@@ -59,13 +55,6 @@ class Options:
     """Folder of CMC's files and results; where it has results, they are taken."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/tracking.json")
     """JSON file."""
-
-
-def person(trial: Path) -> Bones:
-    """Return the adjusted model, with the least controls of the example."""
-    model = read_model(trial / "reference_subject01_simbody_adjusted.osim")
-    muscles = {name: replace(muscle, control_range=(LEAST, 1.0)) for name, muscle in model.muscles.items()}
-    return Bones(replace(model, muscles=muscles))
 
 
 def motion(trial: Path) -> Storage:
@@ -136,7 +125,8 @@ def at_the_point(bones: Bones, trial: Path, values: np.ndarray, moment: np.ndarr
 def main() -> None:
     """Measure, print, write."""
     options = tyro.cli(Options)
-    bones = person(options.trial)
+    bones = Bones.read(options.trial / "reference_subject01_simbody_adjusted.osim")
+    example = read_tool_setup(options.trial / "subject01_Setup_CMC.xml")
     wanted = motion(options.trial)
     with tempfile.TemporaryDirectory() as scratch:
         results = theirs(options, wanted, options.work or Path(scratch))
@@ -146,10 +136,10 @@ def main() -> None:
     turns = np.array([bones.model.coordinates[name].rotational for name in bones.coordinates])
     columns = [wanted.labels.index(name) for name in bones.coordinates]
     values = np.where(turns, np.radians(wanted.values[:, columns]), wanted.values[:, columns])
-    grf, gains = options.trial / "subject01_walk1_grf.xml", dict.fromkeys(bones.coordinates, 100.0) | GAIN
+    grf = options.trial / "subject01_walk1_grf.xml"
     found = track(
         bones, wanted.time, values, lambda times: loads_at(grf, times),
-        reserves=reserves(options.trial, bones), gains=gains,
+        reserves=reserves(options.trial, bones), gains=example.gains, controls=example.controls,
         span=(wanted.time[0] + SETTLED, float(there.time[-1]) - LAST),
     )  # fmt: skip
     begin, end = found.time[0] - 1e-9, found.time[-1] + 1e-9

@@ -33,6 +33,8 @@ class ToolSetup:
         exponent: Of activations in the cost; None: it says none.
         reserves: Optimal force of its `CoordinateActuator`s, by coordinate [N m] or [N].
         unread: Actuators of other classes, which are left out.
+        gains: Of CMC's tasks, by coordinate [1/s^2].
+        controls: Least and greatest excitation of CMC's constraints, by muscle [1].
     """
 
     markers: Path | None = None
@@ -44,6 +46,8 @@ class ToolSetup:
     exponent: float | None = None
     reserves: Mapping[str, float] = field(default_factory=dict)
     unread: tuple[str, ...] = ()
+    gains: Mapping[str, float] = field(default_factory=dict)
+    controls: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def read_tool_setup(path: Path) -> ToolSetup:
@@ -51,7 +55,7 @@ def read_tool_setup(path: Path) -> ToolSetup:
 
     Raises:
         ValueError: It is none.
-        OSError: It, or a file of actuators, cannot be read.
+        OSError: It, or a file of actuators, tasks or constraints, cannot be read.
     """
     root, _ = parse(path)
     tool = next((element for element in root.walk() if element.tag in TOOLS), None)
@@ -83,12 +87,37 @@ def read_tool_setup(path: Path) -> ToolSetup:
         None if optimiser is None else optimiser.number("activation_exponent", default=2.0),
         reserves,
         tuple(unread),
+        _gains(file("task_set_file")),
+        _controls(file("constraints_file")),
     )
 
 
 def _actuators(path: Path) -> list[Element]:
     """Return the actuators of a file."""
     return [element for element in parse(path)[0].walk() if element.tag.endswith("Actuator")]
+
+
+def _gains(path: Path | None) -> dict[str, float]:
+    """Return the gains of the tasks of a file, by coordinate [1/s^2]."""
+    tasks = [] if path is None else [one for one in parse(path)[0].walk() if one.tag == "CMC_Joint"]
+    return {
+        one.string("coordinate", default=one.name): float(one.numbers("kp")[0])
+        for one in tasks
+        if one.flag("on", default=True) and one.name != "default"
+    }
+
+
+def _controls(path: Path | None) -> dict[str, tuple[float, float]]:
+    """Return least and greatest excitations of the constraints of a file, by muscle."""
+    found = [] if path is None else [one for one in parse(path)[0].walk() if one.tag == "ControlLinear"]
+    return {
+        one.name.removesuffix(".excitation"): (
+            one.number("default_min", default=0.0),
+            one.number("default_max", default=1.0),
+        )
+        for one in found
+        if one.name != "default"
+    }
 
 
 def _span(tool: Element) -> tuple[float, float] | None:

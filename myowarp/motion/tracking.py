@@ -26,7 +26,7 @@ Source: Thelen, Anderson, Delp (2003), J Biomech 36:321, doi:10.1016/S0021-9290(
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -123,6 +123,22 @@ def gains_of(bones: Bones, inertia: np.ndarray, gains: Mapping[str, float]) -> n
     turns = [bones.model.coordinates[name].rotational for name in bones.coordinates]
     usual = np.where(turns & (inertia < LIGHT), KP_LIGHT, KP)
     return np.array([gains.get(name, gain) for name, gain in zip(bones.coordinates, usual, strict=True)])
+
+
+def controlled(bones: Bones, controls: Mapping[str, tuple[float, float]]) -> Bones:
+    """Return a model whose muscles have other least and greatest excitations.
+
+    Raises:
+        ValueError: A muscle is unknown, or its excitations are not within 0 and 1.
+    """
+    muscles = dict(bones.model.muscles)
+    for name, (low, high) in controls.items():
+        if name not in muscles:
+            raise ValueError(f"controls of {name!r}: unknown; available: {', '.join(muscles)}")
+        if not 0.0 <= low <= high <= 1.0:
+            raise ValueError(f"controls of {name!r} must be within 0 and 1, got {low:g} to {high:g}")
+        muscles[name] = replace(muscles[name], control_range=(low, high))
+    return Bones(replace(bones.model, muscles=muscles), bones.device)
 
 
 def equations(
@@ -258,6 +274,7 @@ def track(
     reserves: Mapping[str, float],
     strength: np.ndarray | None = None,
     gains: Mapping[str, float] | None = None,
+    controls: Mapping[str, tuple[float, float]] | None = None,
     span: tuple[float, float] | None = None,
     replay: Tracked | None = None,
     advance: Callable[[int], None] = lambda count: None,
@@ -272,14 +289,17 @@ def track(
         reserves: By coordinate, the force of a reserve at cost 1 [N m] or [N]; all coordinates need one.
         strength: Factors on maximum isometric forces, shape (worlds, muscles); None: one world as it is.
         gains: `KP` of coordinates that have another one [1/s^2].
+        controls: Least and greatest excitation, by muscle, where they are not the model's [1].
         span: First and last time; by default all.
         replay: A simulation whose excitations and reserves drive this one.
         advance: Is told how many windows are done.
 
     Raises:
-        ValueError: A coordinate has no reserve, a gain is on none or not above 0, the span is not in the
-            motion, or a simulation is lost.
+        ValueError: A coordinate has no reserve, a gain is on none or not above 0, controls are on no muscle
+            or not within 0 and 1, the span is not in the motion, or a simulation is lost.
     """
+    if controls:
+        bones = controlled(bones, controls)
     coordinates = bones.coordinates
     if missing := [name for name in coordinates if not reserves.get(name, 0.0) > 0.0]:
         raise ValueError(f"tracking needs a reserve on every coordinate; {missing[0]!r} has none")

@@ -493,6 +493,7 @@ def follow(
     reserves: Mapping[str, float],
     factors: Mapping[str, float] | None = None,
     gains: Mapping[str, float] | None = None,
+    controls: Mapping[str, tuple[float, float]] | None = None,
     span: tuple[float, float] | None = None,
     advance: Callable[[int], None] = lambda count: None,
 ) -> Tracked:
@@ -506,6 +507,7 @@ def follow(
         reserves: By coordinate, the force of a reserve at cost 1 [N m] or [N].
         factors: On maximum isometric forces, by muscle.
         gains: Ways back to the motion [1/s^2], by coordinate, where they are not `tracking.KP`.
+        controls: Least and greatest excitation [1], by muscle, where they are not the model's.
         span: First and last time [s].
         advance: Is told how many windows are done.
 
@@ -527,6 +529,7 @@ def follow(
         reserves=reserves,
         strength=strength,
         gains=gains,
+        controls=controls,
         span=span,
         advance=advance,
     )

@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from myowarp.apps.cli.motion import WRITES, Motion
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.storage import read_storage
+from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.tracking import (
     KP,
     KP_LIGHT,
@@ -19,6 +20,7 @@ from myowarp.motion.tracking import (
     WINDOW,
     Activation,
     _excitation,
+    controlled,
     equations,
     gains_of,
     track,
@@ -142,6 +144,34 @@ def test_light_bodies_come_back_faster(bones):
     usual = track(bones, TIME, wave(), **options)
     quick = track(bones, TIME, wave(), gains=dict.fromkeys(bones.coordinates, 2500.0), **options)
     assert np.abs(quick.values - usual.values).max() > 1e-4
+
+
+def test_a_set_up_file_of_cmc(bones, tmp_path):
+    """Gains of its tasks and least excitations of its constraints; both act."""
+    task = '<CMC_Joint name="{0}"><on>{1}</on><kp>{2} 1 1</kp><kv>40 1 1</kv></CMC_Joint>'
+    tasks = task.format("r_shoulder_elev", "true", 400) + task.format("r_elbow_flex", "false", 9)
+    (tmp_path / "tasks.xml").write_text(f"<CMC_TaskSet><objects>{tasks}</objects></CMC_TaskSet>")
+    control = '<ControlLinear name="BRA.excitation"><default_min>0.3</default_min></ControlLinear>'
+    (tmp_path / "constraints.xml").write_text(f"<ControlSet><objects>{control}</objects></ControlSet>")
+    (tmp_path / "cmc.xml").write_text(
+        '<OpenSimDocument Version="40000"><CMCTool name="c"><task_set_file>tasks.xml</task_set_file>'
+        "<constraints_file>constraints.xml</constraints_file></CMCTool></OpenSimDocument>"
+    )
+    said = read_tool_setup(tmp_path / "cmc.xml")
+    assert said.gains == {"r_shoulder_elev": 400.0}
+    assert said.controls == {"BRA": (0.3, 1.0)}
+    write_angles(tmp_path / "wave.mot", bones.model, bones.coordinates, TIME, wave())
+    Motion("track", ARM, motion=tmp_path / "wave.mot", setup=tmp_path / "cmc.xml", reserve=1.0,
+           span=(0.0, 0.04), output=tmp_path / "out")()  # fmt: skip
+    excitation = read_storage(tmp_path / "out/excitations.sto")
+    assert excitation.values[:, excitation.labels.index("BRA")].min() >= 0.3
+    assert excitation.values.min() < 0.1
+    for controls, message in (
+        ({"BIC": (0.0, 1.0)}, "controls of 'BIC': unknown; available: TRIlong"),
+        ({"BRA": (0.5, 0.2)}, "controls of 'BRA' must be within 0 and 1, got 0.5 to 0.2"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            controlled(bones, controls)
 
 
 def test_the_command(bones, tmp_path, capsys):

@@ -319,18 +319,20 @@ class Motion:
     def _track(self, bones: Bones, motion: Movement) -> list[str]:
         """Simulate the motion; return what is worst, one line each."""
         from myowarp.motion import trial
+        from myowarp.motion.tool_setup import ToolSetup, read_tool_setup
         from myowarp.motion.tracking import WINDOW
         from myowarp.progress import progress_bar
 
         factors = numbers_of("strength", self.strength, "soleus_r=0.9")
-        gains = numbers_of("gain", self.gain, "mtp_angle_r=1600")
+        said = ToolSetup() if self.setup is None else read_tool_setup(self.setup)
+        gains = {**said.gains, **numbers_of("gain", self.gain, "mtp_angle_r=1600")}
         begin, end = self.span or (motion.time[0], motion.time[-1])
         with progress_bar("Tracking", "windows", Console(stderr=True)) as bar:
             task = bar.add_task("", total=max(1, round((end - begin) / WINDOW)))
             found = trial.follow(
                 bones, motion, self.output, self.loads, reserves=self._reserves(bones), factors=factors,
-                gains=gains,
-                span=self.span, advance=lambda count: bar.advance(task, count),
+                gains=gains, controls=said.controls, span=self.span,
+                advance=lambda count: bar.advance(task, count),
             )  # fmt: skip
         lines, off = [], found.off()[0]
         turns = [bones.model.coordinates[name].rotational for name in bones.coordinates]
