@@ -386,10 +386,11 @@ def _controls(
         np.concatenate([force / whole, end], axis=1)
         for force, end in ((np.minimum(weak, strong), -endless), (np.maximum(weak, strong), endless))
     )
-    stress = optimal_activations(rows, effects, needed, lower, upper).activation
-    target = stress[:, :count] * whole
+    found = optimal_activations(rows, effects, needed, lower, upper)
+    target = found.activation[:, :count] * whole
     excitation = _excitation(lambda e: ahead(e) - target, low, high, weak - target, strong - target)
-    return excitation, stress[:, count:] * cost
+    # Light bodies feel what the solver's softness leaves; a reserve has no bound.
+    return excitation, found.activation[:, count:] * cost + found.missing
 
 
 def _excitation(
