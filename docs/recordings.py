@@ -89,6 +89,20 @@ SHOWN = {
         3,
         "Random actions: no policy has been trained for carrying.",
     ),
+    "stand": Shown(
+        "myoLegStandRandom-v0",
+        "random",
+        60,
+        4,
+        "Random actions: no policy has been trained for standing.",
+    ),
+    "walk": Shown(
+        "myoLegWalk-v0",
+        "random",
+        60,
+        4,
+        "Random actions: no policy has been trained for walking.",
+    ),
     "directional": Shown(
         "myoLegDirectionalForward-v1",
         "random",
