@@ -14,6 +14,7 @@ from myowarp.disk import plain
 from myowarp.opensim.check.dynamics import dynamics
 from myowarp.opensim.check.engines import PlainMuJoCo
 from myowarp.opensim.check.gates import COORDINATES, arm_gates, dynamics_gates, muscle_gates
+from myowarp.opensim.check.judge import BENT, off_surfaces
 from myowarp.opensim.check.muscles import Spread, _pair, moment_arm_errors, motion, muscle_errors
 from myowarp.opensim.compose.convert import Options, Stages, convert
 from myowarp.opensim.compose.mjcf import mjcf
@@ -101,6 +102,22 @@ def test_a_result_without_numbers_fails():
     gates = arm_gates([pair(found, arm=np.full(COUNT, 0.02))])
     assert not passed(gates, "moment arms, mean RMS")
     assert not passed(gates, "moment arms, greatest error")
+
+
+def test_tendons_off_their_surface_are_found():
+    """Round a circle of 3 cm, from points 10 cm from its middle: the short way, the long way, straight."""
+    angle, radius, away = np.linspace(2.6, 3.6, 40), 0.03, 0.1
+    reach = np.sqrt(away**2 - radius**2)
+    chain = 2 * away * np.sin(angle / 2)
+    short = 2 * reach + radius * (angle - 2 * np.arccos(radius / away))
+    long = 2 * reach + radius * (2 * np.pi - angle - 2 * np.arccos(radius / away))
+    assert off_surfaces(short, chain, short) == (0.0, 0.0)
+    turned = np.where(np.arange(40) < 10, long + 0.1, short)
+    assert off_surfaces(short, chain, turned) == (0.25, 0.0)
+    bends = (short - chain > BENT).mean()
+    assert 0.5 < bends < 1.0
+    assert off_surfaces(short, chain, chain) == (0.0, bends)
+    assert off_surfaces(*np.zeros((3, 0))) == (0.0, 0.0)
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from myowarp.models.paths.tables import TURNS
 from myowarp.opensim.check.gates import Gate
 from myowarp.opensim.check.muscles import Motion, engine_force
 from myowarp.opensim.compose.convert import Converted
+from myowarp.opensim.model.elements import Path
 from myowarp.opensim.model.kinematics import independent
 from myowarp.opensim.muscle.hill import ACTIVATIONS, HillMuscle, known
 from myowarp.opensim.tendon.fits import Samples
@@ -31,6 +32,13 @@ OFTEN = 0.1
 """Share of poses beyond `FAR` or `STRONG` from which on a muscle is not to be trusted."""
 MEAN_TORQUE, TORQUE = 0.1, 0.5
 """[%]: of joint torques with OpenSim's paths, mean over coordinates and worst coordinate."""
+DETOUR = (0.02, 0.1)
+"""[m] and share of OpenSim's length by which a tendon is longer that takes the far side of a surface."""
+BENT, UNBENT = 5e-3, 1e-3
+"""[m] by which a path is longer than the straight line through its points where it goes round a surface, and
+by which it differs from that line where it does not."""
+FAR_SIDE, NEVER = 1.0, 10.0
+"""[%] of poses, worst muscle: on the far side of a surface, and straight where OpenSim's path is not."""
 GOOD = 5.0
 """[%]: torque of the worst coordinate up to which fitted tendons are said to be good for motion."""
 
@@ -71,12 +79,16 @@ class MuscleJudged:
         muscle: Name.
         own: OpenSim's path as MyoWarp runs it.
         tendon: The fitted tendon.
+        far_side: Share of poses in which the fitted tendon goes round the far side of a surface (`DETOUR`).
+        unbent: Share of poses in which it runs straight, and OpenSim's path goes round a surface.
         jumps: Poses in which OpenSim's path jumps, or has no length.
     """
 
     muscle: str
     own: PathOff
     tendon: PathOff
+    far_side: float
+    unbent: float
     jumps: int
 
 
@@ -117,15 +129,18 @@ class Judgement:
     torques: list[TorqueJudged]
 
     def gates(self) -> list[Gate]:
-        """Return the gates of torques with OpenSim's paths."""
+        """Return the gates of torques with OpenSim's paths, and of what no fit of tendons mends."""
         if not self.torques:
             return []
+        far, straight = (max(self.muscles, key=key) for key in (_far_side, _unbent))
         worst = max(self.torques, key=lambda torque: torque.own.rms)
         mean = float(np.mean([torque.own.rms for torque in self.torques]))
         name = "joint torque, OpenSim's paths"
         return [
             Gate(f"{name}, mean of coordinates", 100 * mean, MEAN_TORQUE, "%"),
             Gate(f"{name}, worst coordinate", 100 * worst.own.rms, TORQUE, "%", worst.coordinate),
+            Gate("poses on the far side of a surface", 100 * far.far_side, FAR_SIDE, "%", far.muscle),
+            Gate("poses straight, not round a surface", 100 * straight.unbent, NEVER, "%", straight.muscle),
         ]
 
     def verdict(self) -> list[str]:
@@ -155,10 +170,40 @@ class Judgement:
                 f"In plain MuJoCo do not trust {names}: in that share of poses they are {1e3 * FAR:g} mm or "
                 f"{100 * STRONG:g} % of the maximum isometric force off."
             )
+        for share, most, what in (
+            (_far_side, FAR_SIDE, "go round the far side of a surface"),
+            (_unbent, NEVER, "run straight where OpenSim's paths go round a surface"),
+        ):
+            if lost := [one for one in self.muscles if 100 * share(one) > most]:
+                names = ", ".join(f"{one.muscle} ({100 * share(one):.0f} %)" for one in lost)
+                said.append(f"Fitted tendons {what}, in that share of poses: {names}.")
         if jumping := [one for one in self.muscles if one.jumps]:
             names = ", ".join(f"{one.muscle} ({one.jumps})" for one in jumping)
             said.append(f"OpenSim's own path jumps in some poses, left out here: {names}.")
         return said
+
+
+def off_surfaces(own: Array, chain: Array, tendon: Array) -> tuple[float, float]:
+    """Return the shares of poses on the far side of a surface, and straight where OpenSim's path is not.
+
+    Args:
+        own: Lengths of OpenSim's path [m], shape (n,).
+        chain: Of the straight line through its points.
+        tendon: Of the fitted tendon.
+    """
+    if not own.size:
+        return 0.0, 0.0
+    detour = tendon - own > np.maximum(DETOUR[0], DETOUR[1] * own)
+    unbent = (own - chain > BENT) & (np.abs(tendon - chain) < UNBENT)
+    return float(detour.mean()), float(unbent.mean())
+
+
+def _far_side(one: MuscleJudged) -> float:
+    return one.far_side
+
+
+def _unbent(one: MuscleJudged) -> float:
+    return one.unbent
 
 
 def judge(
@@ -173,6 +218,8 @@ def judge(
     paths = {fit.name: source.muscles[fit.name].path for fit in fits.muscles}
     still = np.zeros((len(found.length), len(free)))
     own = lengths_and_moment_arms(source, paths, values, still, TURNS)
+    straight = {name: Path(path.points, ()) for name, path in paths.items()}
+    chain = lengths_and_moment_arms(source, straight, values, still).length
     muscles: list[MuscleJudged] = []
     laws: dict[str, HillMuscle] = {}
     calm = np.ones((len(fits.muscles), len(found.length)), bool)
@@ -189,7 +236,8 @@ def judge(
             )
             for length in (own.length[:, number], tendon)
         )
-        muscles.append(MuscleJudged(fit.name, ours, fitted, int((~kept).sum())))
+        shares = off_surfaces(own.length[kept, number], chain[kept, number], tendon[kept])
+        muscles.append(MuscleJudged(fit.name, ours, fitted, *shares, int((~kept).sum())))
     torques = [
         torque
         for coordinate in converted.coordinates.free()

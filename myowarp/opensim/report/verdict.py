@@ -45,12 +45,13 @@ def _muscles(muscles: list[Mapping[str, Any]]) -> str:
             f"<td>{_figure(one[way]['far'], 100)}; {_figure(one[way]['strong'], 100)}</td>"
             for way in ("own", "tendon")
         )
+        cells += f"<td>{_figure(one['far_side'], 100)}; {_figure(one['unbent'], 100)}</td>"
         rows.append(f'<tr><td class="text">{escape(one["muscle"])}</td>{cells}<td>{one["jumps"]}</td></tr>')
     heads = "".join(
         f"<th>{way}: median; worst [mm]</th><th>poses beyond 2 mm; 5 % [%]</th>"
         for way in ("OpenSim's path", "fitted tendon")
     )
-    heads += "<th>jumps</th>"
+    heads += "<th>fitted tendon on the far side; straight where OpenSim's path bends [%]</th><th>jumps</th>"
     return (
         "<h3>Lengths of muscles</h3><p>5 %: of the maximum isometric force, static, at any of five "
         "activations, with the file's muscle. Poses in which OpenSim's own path jumps, or has no length, are "
