@@ -5,6 +5,11 @@ A row of an equality gives way by 1e-4 of what a unit of force does to its joint
 far, so a row that holds one gives way to the load of a whole shank. MJCF has no field for these weights and
 therefore heavier bodies; a binary model keeps both, in the version of MuJoCo that wrote it. Moments of
 inertia that no solid has are refused by MuJoCo's compiler only, so a binary model keeps these, too.
+
+Where joints follow others its integrator is Euler. `implicitfast` takes the damping of muscles in after the
+constraints are solved, and light joints that a muscle crosses with them leave their equalities: at rest
+gait10dof18musc is 0.12 rad or m off them after 2 s of steps of 2 ms, and fails at 2.4 s. Under Euler it stays
+within 9e-6.
 """
 
 import copy
@@ -38,6 +43,8 @@ def stiff(model: mujoco.MjModel, said: Exact) -> mujoco.MjModel:
             model.body_mass[body] *= LIGHTER
             model.body_inertia[body] *= LIGHTER
     ties = couplings(model)
+    if ties:
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     followers = np.array([tie.joint for tie in ties], int)
     model.dof_armature[followers] = 0.0
     mujoco.mj_setConst(model, mujoco.MjData(model))

@@ -361,5 +361,6 @@ def _add_constraints(build: Build) -> None:
         equality.solref, equality.solimp = TIGHT
         if item.kind == "weld":
             equality.data[10] = 1.0
-        rule = "closes a loop in simulation; poses that are sampled and compared leave it open"
-        build.notes.append(Note(f"/constraintset/{item.name}", rule))
+        rule = "a soft equality closes its loop; poses that are sampled and compared leave it open"
+        code = "WeldConstraint" if item.kind == "weld" else "PointConstraint"
+        build.notes.append(Loss(f"/constraintset/{item.name}", rule, code=code, effect="motion"))
