@@ -271,6 +271,7 @@ class OwnPaths:
 
     Attributes:
         said: What the model's text says.
+        names: Of the tendons that are no sums of joints.
         memory: The paths; `memory.pulls.jumps` counts what its guard refused in the last step.
     """
 
@@ -282,6 +283,7 @@ class OwnPaths:
         for tendon, name in enumerate(names):
             if name not in described.paths and is_of(host, tendon, WRAP_SITE):
                 described.paths[name] = _of_sites(host, tendon)  # type: ignore[index]
+        self.names = tuple(described.paths)
         self.memory = PathMemory(described, data.nworld, len(said.values), said.guard, said.exact)
         self.bodies = wp.array([host.body(name).id for name in described.bodies], dtype=int)
         self.values, self.slopes = value_tables(host, said.values), wp.zeros_like(self.memory.frames.value)
@@ -348,6 +350,10 @@ class OwnPaths:
         room = data.actuator_moment.shape[1] + _added(host, sizes)
         data.actuator_moment = wp.zeros((data.nworld, room), dtype=float)
         data.moment_colind = wp.zeros((data.nworld, room), dtype=int)
+
+    def points(self, world: int) -> dict[str, np.ndarray]:
+        """Return the points of the tendons as last followed in a world, by name; see `PathMemory.points`."""
+        return dict(zip(self.names, self.memory.points(world), strict=True))
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Write lengths and Jacobian of all tendons; poses, `cdof` and `subtree_com` are those of qpos."""

@@ -11,6 +11,7 @@ from pathlib import Path
 from myowarp.disk import cache_dir, files_digest, version, writable_folder
 from myowarp.engine.warn_once import warn_once
 from myowarp.opensim.compose.convert import Options, convert
+from myowarp.opensim.compose.geometry import MIN_MASS
 from myowarp.opensim.compose.mjcf import mjcf
 from myowarp.opensim.convert import write
 from myowarp.opensim.model.model import Loss
@@ -20,6 +21,9 @@ from myowarp.opensim.read.model import read_model
 
 SOURCES = ("opensim/**/*.py", "coordinates/*.py", "models/paths/*.py", "disk.py")
 """Files of the package that decide what comes out."""
+
+MASSLESS = "massless"
+"""Code of a model without masses, as in the report of a conversion."""
 
 
 def load(path: Path) -> Path:
@@ -37,7 +41,13 @@ def load(path: Path) -> Path:
     folder = kept / f"{path.stem}-{digest}-mujoco-{version('mujoco')}"
     if not (folder / "model.xml").is_file():
         write(folder, _files(path))
-    if codes := json.loads((folder / "left_out.json").read_text()):
+    codes = json.loads((folder / "left_out.json").read_text())
+    if MASSLESS in codes:
+        warn_once(
+            f"{path.name} gives no body a mass; bodies of {MIN_MASS * 1e3:g} g stand for them, which muscles "
+            "throw: use the model for paths and forces, not for motion"
+        )
+    if codes:
         said = ", ".join(codes)
         warn_once(
             f"{path.name}: left out, or not as in OpenSim: {said}; the report of myowarp convert says how"
@@ -53,7 +63,9 @@ def _files(path: Path) -> dict[str, bytes]:
         raise ValueError(str(error)) from error
     converted = convert(model, Options(tendons=False))
     converted.spec.meshdir = "meshes" if converted.meshes else ""
-    left_out = sorted({note.code for note in converted.notes if isinstance(note, Loss)})
+    left_out = {note.code for note in converted.notes if isinstance(note, Loss)}
+    if not any(body.mass for body in model.bodies.values()):
+        left_out.add(MASSLESS)
     return {
         **{f"meshes/{name}": content for name, content in converted.meshes.items()},
         "coordinates.json": json.dumps(converted.coordinates.as_json(), indent=1).encode(),
@@ -61,6 +73,6 @@ def _files(path: Path) -> dict[str, bytes]:
         **({"paths.json": converted.paths.as_json().encode()} if converted.paths else {}),
         **({"forces.json": converted.forces.as_json().encode()} if converted.forces else {}),
         "muscles.csv": muscle_table(map(HillMuscle.of, model.muscles.values())).encode(),
-        "left_out.json": json.dumps(left_out).encode(),
+        "left_out.json": json.dumps(sorted(left_out)).encode(),
         "model.xml": mjcf(converted.spec, comment=f"{model.name}. {model.credits}").encode(),
     }

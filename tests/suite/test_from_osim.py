@@ -4,6 +4,7 @@ import logging
 import re
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -14,8 +15,11 @@ from myowarp.engine.warn_once import warn_once
 from myowarp.opensim import load as loading
 from myowarp.opensim.load import load
 from myowarp.opensim.read.model import read_model
-from myowarp.sim.build import compile_scene, stepped_of
+from myowarp.sim.build import compile_scene, full_spec, stepped_of
+from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import read_body
+from myowarp.view.drawing.snapshot import snapshot
+from myowarp.view.drawing.style import muscle_tendons, pose
 
 OSIM = Path(__file__).parents[1] / "data" / "osim"
 
@@ -77,6 +81,17 @@ def test_what_is_left_out_is_said_once_and_again_in_another_process(caplog, tmp_
         caplog.clear()
 
 
+def test_a_model_without_masses_is_said(caplog, tmp_path):
+    path = tmp_path / "weightless.osim"
+    text = (OSIM / "arm26.osim").read_text()
+    path.write_text(re.sub(r"<mass>[^<]*</mass>", "<mass>0</mass>", text))
+    with caplog.at_level(logging.WARNING, "myowarp"):
+        load(path)
+    (line,) = (line for line in caplog.messages if "gives no body a mass" in line)
+    assert line.startswith("weightless.osim gives")
+    assert line.endswith("use the model for paths and forces, not for motion")
+
+
 def test_a_file_is_read_once(monkeypatch):
     found = load(OSIM / "arm26.osim")
     monkeypatch.setattr(loading, "read_model", lambda path: pytest.fail(f"{path} is read again"))
@@ -121,3 +136,28 @@ def test_a_joint_that_nobody_knows_is_one_sentence(tmp_path):
     with pytest.raises(ValueError, match="OddJoint") as caught:
         read_body(path)
     assert "\n" not in str(caught.value)
+
+
+def test_pictures_show_wrapped_paths():
+    """Points of OpenSim's path where bodies are now, of which wrap points are chords of its arcs."""
+    task = myowarp.from_osim(OSIM / "arm26.osim", "osimPicture-v0", replace=True)
+    sim = Simulation(task, 2, device="cpu", progress=False)
+    sim.reset(seeds=np.arange(2))
+    for _ in range(3):
+        sim.action.fill_(0.3)
+        sim.step()
+    seen, scene = snapshot(sim, 1), sim.scene
+    model = full_spec(task).compile()
+    tendons = muscle_tendons(model)
+    data = mujoco.MjData(model)
+    pose(model, data, seen.qpos, paths=seen.paths)
+    drawn = data.ten_length[tendons].copy()
+    exact = scene.data.ten_length.numpy()[1, [scene.oracle.tendon(model.tendon(t).name).id for t in tendons]]
+    assert (exact > drawn - 1e-6).all()
+    assert (exact < 1.05 * drawn).all()
+    assert (exact - drawn).max() > 1e-4
+    pose(model, data, seen.qpos)
+    assert (exact - data.ten_length[tendons]).max() > 1e-3
+    ends = data.wrap_xpos.reshape(-1, 3)[data.ten_wrapadr[tendons]]
+    np.testing.assert_allclose([path[0] for path in seen.paths], ends, atol=1e-5)
+    sim.close()

@@ -156,6 +156,7 @@ class PathMemory:
         pulls: What it writes.
         moving: Of each moving point the numbers of its values.
         handles: Of each path its first handle, and the number of all.
+        places: Of each path its first place in `memory`.
     """
 
     def __init__(
@@ -178,12 +179,14 @@ class PathMemory:
         wraps: list[tuple[Any, ...]] = []
         paths: list[tuple[Any, ...]] = []
         self.handles = [0]
+        self.places: list[int] = []
         self.path_moving: list[range] = []
         place = 0
         for path in described.paths.values():
             own = {name: self.handles[-1] + number for number, name in enumerate(described.handles(path))}
             turns = sum(described.surfaces[wrap.surface].turn for wrap in path.wraps)
             spans = (len(points), len(path.points), len(wraps), len(path.wraps))
+            self.places.append(place)
             paths.append((*spans, place, self.handles[-1], len(own), guard * turns if guard else np.inf))
             first_moving = len(moving)
             for point in path.points:
@@ -243,6 +246,13 @@ class PathMemory:
             (self.pulls, "jumps", len(paths), int),
         ):
             setattr(owner, name, wp.zeros((worlds, max(columns, 1)), dtype=kind))
+
+    def points(self, world: int) -> list[np.ndarray]:
+        """Return the points of every path as last followed in a world, wrap points too [m], (n, 3) each."""
+        order, location = self.memory.order.numpy()[world], self.memory.location.numpy()[world]
+        sizes = self.pulls.size.numpy()[world].tolist()
+        spans = (order[place : place + size] + place for place, size in zip(self.places, sizes, strict=True))
+        return [location[span].copy() for span in spans]
 
     def launch(self) -> None:
         """Follow all paths in the frames as they are."""

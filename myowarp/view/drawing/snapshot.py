@@ -4,7 +4,9 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import mujoco
+import mujoco_warp as mjw
 import numpy as np
+import warp as wp
 
 from myowarp.definitions.scene import Scene
 from myowarp.sim.signals import Signals
@@ -64,7 +66,24 @@ def snapshot(sim: Simulation, world: int, signals: Signals | None = None) -> Sna
     if "fatigue" in part.shown:
         known["fatigue"] = part.shown["fatigue"].numpy()[row]
     muscles = _by_tendon(scene, row, known) if known else {}
-    return Snapshot(qpos, muscles, goals, _shape(scene, row), ghost)
+    return Snapshot(qpos, muscles, goals, _shape(scene, row), ghost, _paths(scene, row))
+
+
+def _paths(scene: Scene, world: int) -> list[np.ndarray]:
+    """Return `Snapshot.paths` of a world; empty where they are MuJoCo's, or have more points than fit."""
+    if scene.paths is None:
+        return []
+    oracle, data = scene.oracle, scene.data
+    with wp.ScopedDevice(scene.device):
+        mjw.kinematics(scene.model, data)
+        mjw.com_pos(scene.model, data)
+        scene.paths.launch(scene.model, data)
+    points = scene.paths.points(world)
+    on_tendon = oracle.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
+    names = [oracle.tendon(int(tendon)).name for tendon in oracle.actuator_trnid[on_tendon, 0]]
+    paths = [points[name] for name in names if name in points]
+    fit = len(paths) == len(names) and sum(map(len, paths)) <= 2 * oracle.nwrap
+    return paths if fit and all(np.isfinite(path).all() for path in paths) else []
 
 
 def _row(array: np.ndarray, world: int) -> np.ndarray:
