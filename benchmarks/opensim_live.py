@@ -114,8 +114,11 @@ def moving(model: Any, state: Any, muscles: list[Any]) -> dict[str, np.ndarray]:
     return {"moving": np.array(rows)}
 
 
-def forward(model_path: Path) -> dict[str, Any]:
-    """Return coordinates over time under each pattern, (samples, coordinates), and how long each took."""
+def forward(model_path: Path, accuracy: float, limit: float) -> dict[str, Any]:
+    """Return coordinates over time under each pattern, (samples, coordinates), and how long each took.
+
+    A motion ends early with the first sample after a limit [s].
+    """
     found: dict[str, Any] = {}
     model = opensim.Model(str(model_path))
     muscles = [model.getMuscles().get(i) for i in range(model.getMuscles().getSize())]
@@ -135,7 +138,7 @@ def forward(model_path: Path) -> dict[str, Any]:
             model.getMuscles().get(i).setActivation(state, START)
         model.equilibrateMuscles(state)
         manager = opensim.Manager(model)
-        manager.setIntegratorAccuracy(ACCURACY)
+        manager.setIntegratorAccuracy(accuracy)
         manager.initialize(state)
         coordinates = [model.getCoordinateSet().get(i) for i in range(model.getCoordinateSet().getSize())]
         begin, rows = time.perf_counter(), []
@@ -143,6 +146,8 @@ def forward(model_path: Path) -> dict[str, Any]:
             if k:
                 state = manager.integrate(k * EVERY)
             rows.append([coordinate.getValue(state) for coordinate in coordinates])
+            if time.perf_counter() - begin > limit:
+                break
         found[f"forward {name}"] = np.array(rows)
         found[f"seconds {name}"] = np.array(time.perf_counter() - begin)
         found[f"excitation {name}"] = excitations
@@ -156,6 +161,8 @@ def main() -> None:
     )
     parser.add_argument("model", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--accuracy", type=float, default=ACCURACY, help="of motions")
+    parser.add_argument("--limit", type=float, default=float("inf"), help="seconds after which a motion ends")
     arguments = parser.parse_args()
     opensim.Logger.setLevelString("Off")
     model = opensim.Model(str(arguments.model))
@@ -176,7 +183,7 @@ def main() -> None:
     arrays = {"length": np.array(lengths), "tendon_force": np.array(forces), **moving(model, state, muscles)}
     arrays |= torques(arguments.model)
     try:
-        arrays |= forward(arguments.model)
+        arrays |= forward(arguments.model, arguments.accuracy, arguments.limit)
     except RuntimeError as error:
         meta["no forward simulation"] = " ".join(str(error).split())[:300]
     np.savez_compressed(arguments.output, meta=json.dumps(meta), activation=np.array(ACTIVATIONS), **arrays)

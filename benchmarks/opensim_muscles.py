@@ -20,6 +20,7 @@ import json
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -31,6 +32,7 @@ import warp as wp
 from myowarp.apps.reports import panel
 from myowarp.coordinates.step import step_of
 from myowarp.definitions.muscle import MUSCLES
+from myowarp.definitions.muscle_table import OPENSIM_LAWS
 from myowarp.muscle import Muscles
 from myowarp.opensim import convert
 from myowarp.opensim.load import load
@@ -46,12 +48,13 @@ from myowarp.tasks.from_file import from_mjcf, from_osim
 RESULT = Path(__file__).parent / "results" / "opensim_muscles.json"
 PICTURE = Path(__file__).parents[1] / "docs" / "pictures" / "opensim_muscles.png"
 LIVE = Path(__file__).parent / "opensim_live.py"
-LAWS = {
+LAWS: Mapping[str, str] = {
     "Thelen2003Muscle": "thelen2003",
     "Millard2012EquilibriumMuscle": "millard2012",
     "DeGrooteFregly2016Muscle": "degroote_fregly2016",
 }
-EVERY, HELD = 0.01, 0.05  # s, as in opensim_live.py
+"""Classes whose laws are functions in float64, too (`myowarp.muscle`)."""
+EVERY, HELD, SECONDS = 0.01, 0.05, 0.5  # s, as in opensim_live.py
 FAR = 1e6
 """Pose error at which an episode ends early: none does."""
 DEGREES = 180.0 / np.pi
@@ -112,6 +115,8 @@ def static(task: Any, record: Any, meta: dict[str, Any]) -> dict[str, Any]:
     single = np.where(out, np.nan, on_device(task, record, meta) / peak - expected)
     double, velocity, force = np.full(expected.shape, np.nan), np.full((1, len(names)), np.nan), 0.0
     for i, (kind, p) in enumerate(zip(meta["classes"], meta["parameters"], strict=True)):
+        if kind not in LAWS:
+            continue
         known = MUSCLES[LAWS[kind]].PARAMETERS
         muscle = Muscles(LAWS[kind], **{name: value for name, value in p.items() if name in known})
         a, length = np.meshgrid(record["activation"], record["length"][:, i])
@@ -126,9 +131,10 @@ def static(task: Any, record: Any, meta: dict[str, Any]) -> dict[str, Any]:
         if inside.any():
             velocity[0, i] = np.abs(moved.fiber_velocity - speed)[inside].max() / scale
             force = max(force, float(np.abs(moved.tendon_force - tension)[inside].max() / peak[i]))
-    return {
-        "samples": int(np.isfinite(single).sum()),
-        "tendon force, float32": worst(np.abs(single), names),
+    found = {"samples": int(np.isfinite(single).sum()), "tendon force, float32": worst(np.abs(single), names)}
+    if not np.isfinite(double).any():
+        return found
+    return found | {
         "tendon force, float64": worst(np.abs(double), names),
         "fiber velocity, float64 [maximum contraction velocities]": worst(velocity, names),
         "tendon force off the equilibrium, float64": force,
@@ -249,7 +255,8 @@ def forward(
             settle_muscles(scene, wp.ones(len(names), dtype=bool))
     action = np.zeros(sim.action.shape, np.float32)
     places = scene.muscles.actuator_id
-    steps, errors = len(record[names[0]]) - 1, []
+    lengths = [len(record[name]) - 1 for name in names]  # one that took OpenSim long may have ended early
+    steps, errors = max(lengths), []
     for number in range(steps):
         for world, name in enumerate(names):
             u = record[name.replace("forward", "excitation")][
@@ -259,14 +266,16 @@ def forward(
         sim.action.assign(action)
         sim.step()
         found = scene.data.qpos.numpy()[:, joints] / scale
-        theirs = np.array([record[name][number + 1][columns] for name in names])
+        theirs = np.array([record[name][min(number + 1, len(record[name]) - 1)][columns] for name in names])
         errors.append(np.abs(found - theirs) * np.where(hinge, DEGREES, 1e3))
     sim.close()
     error = np.array(errors)
     result: dict[str, Any] = {}
     for world, name in enumerate(names):
         motion = record[name][1:, columns] * np.where(hinge, DEGREES, 1e3)
-        row = of_kinds(error[:, world], motion, names_of, hinge)
+        row = of_kinds(error[: lengths[world], world], motion, names_of, hinge)
+        if lengths[world] < round(SECONDS / EVERY):
+            row["seconds"] = round(lengths[world] * EVERY, 3)
         if name in jumping:
             sample, which, jump = jumping[name]
             row["until a path jumps"] = {
@@ -311,7 +320,7 @@ def check(source: Path, python: str, work: Path) -> dict[str, Any]:
     task = from_mjcf(folder / "model.xml", replace=True)
     row: dict[str, Any] = {"opensim": meta["opensim"], "muscles": len(meta["muscles"])}
     with wp.ScopedDevice("cpu"):
-        if lawless := sorted(set(meta["classes"]) - set(LAWS)):
+        if lawless := sorted(set(meta["classes"]) - set(OPENSIM_LAWS)):
             row["classes without a law here"] = lawless
         else:
             row |= static(task, record, meta)
@@ -341,7 +350,12 @@ def median_of(run: dict[str, Any]) -> float:
 
 def draw(result: dict[str, Any]) -> None:
     """Draw median errors of the motions, a panel for own muscles beside MuJoCo's, dots for the patterns."""
-    models = {name: row["forward"] for name, row in result["models"].items() if "opensim" in row["forward"]}
+    models = {
+        name: row["forward"]
+        for name, row in result["models"].items()
+        if "opensim" in row["forward"]
+        and not any("seconds" in run for run in row["forward"]["opensim"].values())
+    }
     with panel.style(9.0):
         figure = panel.blank(7.2, 0.5 * len(models) + 1.5)
         axes = figure.subplots()

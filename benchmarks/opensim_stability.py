@@ -1,12 +1,13 @@
 """Are converted models stable? 10 s from the key pose and from `mj_resetData`, in MuJoCo C and in MyoWarp.
 
-    python -m benchmarks.opensim_stability OUT/arm26 OUT/gait10dof18musc ...
+    python -m benchmarks.opensim_stability OUT/arm26 OUT/gait10dof18musc ... ../shared/osim/arm26.osim ...
 
 Folders are those that `myowarp convert` wrote. MuJoCo C steps model.mjb by 2 ms, without and with excitations
 that are drawn anew every 20 ms; what counts are MuJoCo's warnings of a state that is not a number or huge.
-MyoWarp steps model.xml with couplings.json in two worlds, without and with such excitations, in one episode;
+MyoWarp steps model.xml with its sidecars in two worlds, without and with such excitations, in one episode;
 then in 16 worlds for 1,000 control steps from its task's own starts, with all actuators and with muscles
-alone. What counts are faults. Writes benchmarks/results/opensim_stability.json, after each model.
+alone. What counts are faults. An .osim file is loaded as it is, and stepped by MyoWarp alone. Writes
+benchmarks/results/opensim_stability.json, after each model.
 """
 
 import argparse
@@ -17,6 +18,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from myowarp.opensim.load import load
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import from_mjcf
 
@@ -53,16 +55,17 @@ def in_mujoco(path: Path, start: str, excited: bool) -> dict[str, Any]:
 
 
 def in_myowarp(path: Path, worlds: int, steps: int, excite: str) -> dict[str, Any]:
-    """Return number of faults, the first of each world [control steps], and the greatest speed between steps.
+    """Return number of faults, the first ones [control steps, world], and the greatest speed between steps.
 
     Args:
-        path: The folder.
+        path: The folder, or the .osim file.
         worlds: Number of worlds.
         steps: Control steps, of one episode if there are two worlds.
         excite: "half": the second of two worlds; "muscles"; "all".
     """
     horizon = {"horizon": steps + 1} if excite == "half" else {}
-    task = from_mjcf(path / "model.xml", far=FAR, control_dt=HELD, replace=True, **horizon)
+    file = path if path.is_file() else path / "model.xml"
+    task = from_mjcf(file, far=FAR, control_dt=HELD, replace=True, **horizon)
     sim = Simulation(task, worlds, device="cpu", autoreset="same_step", progress=False)
     data, rng, top, faults = sim.scene.data, np.random.default_rng(0), 0.0, []
     motor = sim.scene.oracle.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
@@ -83,14 +86,15 @@ def in_myowarp(path: Path, worlds: int, steps: int, excite: str) -> dict[str, An
 
 def stability(path: Path) -> dict[str, Any]:
     """Return all runs of one model."""
-    model = mujoco.MjModel.from_binary_path(str(path / "model.mjb"))
-    row: dict[str, Any] = {
-        f"mujoco, from {start}, {'random excitation' if excited else 'at rest'}": in_mujoco(
-            path, start, excited
-        )
-        for start in ("reset", "key")
-        for excited in (False, True)
-    }
+    row: dict[str, Any] = {}
+    if path.is_file():
+        model = mujoco.MjModel.from_xml_path(str(load(path)))
+    else:
+        model = mujoco.MjModel.from_binary_path(str(path / "model.mjb"))
+        for start in ("reset", "key"):
+            for excited in (False, True):
+                title = f"mujoco, from {start}, {'random excitation' if excited else 'at rest'}"
+                row[title] = in_mujoco(path, start, excited)
     row["myowarp, from key, at rest and random excitation"] = in_myowarp(
         path, 2, round(SECONDS / HELD), "half"
     )
@@ -105,10 +109,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument("models", type=Path, nargs="+")
     options = parser.parse_args()
     result = json.loads(RESULT.read_text()) if RESULT.is_file() else {"models": {}}
-    for path in options.folders:
+    for path in options.models:
         result["models"][path.name] = stability(path)
         print(path.name, json.dumps(result["models"][path.name], indent=1), flush=True)
         RESULT.write_text(json.dumps(result, indent=1) + "\n")

@@ -2,6 +2,8 @@
 
     python benchmarks/replicas.py '{"kind": "mujoco_c", "model": "out/arm26/model.xml", "copies": 8, ...}'
 
+It serves `benchmarks.opensim_loaded`, too.
+
 Every muscle is there `copies` times, each with its share of the force, so that the motion stays the same.
 Each episode starts in the default pose, with all activations at the constant excitation. The protocol is that
 of `contestant.py`; steps are seconds of simulated time. It runs in OpenSim's environment too, so it imports
@@ -147,7 +149,10 @@ class MujocoC:
 
 
 class MyoWarp:
-    """A batch of worlds with the preset `parity`: step and integrator of the file."""
+    """A batch of worlds with the preset `parity`: step and integrator of the file.
+
+    A model with `copies` of 0 runs as it is, with its sidecars; it may be an .osim file.
+    """
 
     def __init__(self, model: str, copies: int, worlds: int, device: str, shards: int, **_: Any) -> None:
         import numpy as np
@@ -156,8 +161,10 @@ class MyoWarp:
         from myowarp.tasks.from_file import pose_task
 
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "model.xml"
-            path.write_text(replicate(Path(model), copies))
+            path = Path(model)
+            if copies:
+                path = Path(folder) / "model.xml"
+                path.write_text(replicate(Path(model), copies))
             options = {"autoreset": "disabled", "progress": False, "device": device}
             self.sim = Simulation(pose_task(path), worlds, shards=shards, **options)
         scene = self.sim.scene
