@@ -414,6 +414,69 @@ def along_present_tendon(m: HillMuscle, fibers: Fibers, worldid: int, muscleid: 
     return wp.max(along_tendon(m, fibers.fiber_length[worldid, muscleid]) + more, m.shortest_fiber)
 
 
+@wp.func
+def pull_rigid(
+    m: HillMuscle,
+    tables: wp.array2d[wp.vec2],
+    spans: wp.array[wp.vec2],
+    activation: float,
+    strength: float,
+    length: float,
+    velocity: float,
+) -> wp.vec3:
+    """(z, f, df/dvelocity) of a fiber on a tendon that keeps its slack length; f >= 0."""
+    free = length - m.tendon_slack_length
+    z = wp.max(free, m.shortest_fiber)
+    if free > m.shortest_fiber:
+        pull = fiber_pull(m, tables, spans, activation, strength, z, velocity, 0.0, 0.0)
+        if pull[0] > 0.0:
+            return wp.vec3(z, pull[0], pull[2])
+    return wp.vec3(z, 0.0, 0.0)
+
+
+@wp.func
+def step_elastic(
+    m: HillMuscle,
+    tables: wp.array2d[wp.vec2],
+    spans: wp.array[wp.vec2],
+    activation: float,
+    strength: float,
+    dt: float,
+    length: float,
+    velocity: float,
+    now: float,
+):
+    """(z after dt, f_T now, df_T/dvelocity, the fiber's share of what more the path is longer).
+
+    The derivative is dt times the stiffness of fiber and tendon in series. Less of it, as in the trapezoidal
+    rule, does not hold bodies that are light beside the muscle.
+    """
+    strain = (length - now - m.tendon_slack_length) / m.tendon_slack_length
+    force = wp.max(tendon_force_curve(m, tables, spans, strain)[0], 0.0)
+    z, share, by_velocity = float(now), float(0.0), float(0.0)
+    if dt > 0.0:
+        found = equilibrium(
+            m,
+            tables,
+            spans,
+            activation,
+            strength,
+            length + dt * velocity,
+            0.0,
+            fiber_of(m, now),
+            1.0 / dt,
+            now + dt * velocity,
+            TOLERANCE,
+        )
+        z = found[0]
+        both = found[2] + found[3]
+        if both > 0.0:
+            share = wp.clamp(found[2] / both, 0.0, 1.0)
+            if force > 0.0 and found[3] > 0.0:
+                by_velocity = dt * share * found[3]
+    return wp.vec4(z, force, by_velocity, share)
+
+
 @wp.kernel(enable_backward=False)
 def contract_hill(
     # Model:
@@ -436,8 +499,7 @@ def contract_hill(
 ):
     """T = transmission F_max f_T, or the pull of the fiber on a rigid tendon; l(t + dt), a(t + dt).
 
-    damping = implicitness dT/dvelocity: dt times fiber and tendon as springs in series, of a rigid tendon the
-    slope of f_V.
+    damping = implicitness dT/dvelocity.
     """
     worldid, thread = wp.tid()
     dt = opt_timestep[batched(worldid, opt_timestep.shape[0])]
@@ -462,38 +524,16 @@ def contract_hill(
         z, norm_force, by_velocity = float(0.0), float(0.0), float(0.0)
         expected, share = float(length), float(0.0)
         if m.rigid == 1:
-            free = length - m.tendon_slack_length
-            z = wp.max(free, m.shortest_fiber)
-            if free > m.shortest_fiber:
-                pull = fiber_pull(m, params.tables, params.spans, steps[0], strength, z, velocity, 0.0, 0.0)
-                norm_force, by_velocity = wp.max(pull[0], 0.0), wp.where(pull[0] > 0.0, pull[2], 0.0)
+            held = pull_rigid(m, params.tables, params.spans, steps[0], strength, length, velocity)
+            z, norm_force, by_velocity = held[0], held[1], held[2]
         else:
             now = along_present_tendon(m, fibers, worldid, i, length)
-            z = now
             before = wp.where(before >= 0.0, fiber_of(m, now), float(before))
-            strain = (length - now - m.tendon_slack_length) / m.tendon_slack_length
-            norm_force = wp.max(tendon_force_curve(m, params.tables, params.spans, strain)[0], 0.0)
-            if dt > 0.0:
-                expected = length + dt * velocity
-                found = equilibrium(
-                    m,
-                    params.tables,
-                    params.spans,
-                    steps[0],
-                    strength,
-                    expected,
-                    0.0,
-                    fiber_of(m, now),
-                    1.0 / dt,
-                    now + dt * velocity,
-                    TOLERANCE,
-                )
-                z = found[0]
-                both = found[2] + found[3]
-                if both > 0.0:
-                    share = wp.clamp(found[2] / both, 0.0, 1.0)
-                    if norm_force > 0.0 and found[3] > 0.0:
-                        by_velocity = dt * share * found[3]
+            moved = step_elastic(
+                m, params.tables, params.spans, steps[0], strength, dt, length, velocity, now
+            )
+            z, norm_force, by_velocity, share = moved[0], moved[1], moved[2], moved[3]
+            expected = wp.where(dt > 0.0, length + dt * velocity, length)
         after = fiber_of(m, z)
         if m.rigid == 0 and not before >= 0.0:  # no length, or none at all: a fault, not a repair
             after, norm_force, by_velocity = wp.nan, float(0.0), float(0.0)
