@@ -180,7 +180,9 @@ def main() -> None:
         "parameters": [parameters(muscle) for muscle in muscles],
         "coordinates": [coordinates.get(i).getName() for i in range(coordinates.getSize())],
     }
-    arrays = {"length": np.array(lengths), "tendon_force": np.array(forces), **moving(model, state, muscles)}
+    force, velocity = np.moveaxis(forces, 1, 0)
+    arrays = {"length": np.array(lengths), "tendon_force": force, "static_velocity": velocity}
+    arrays |= moving(model, state, muscles)
     arrays |= torques(arguments.model)
     try:
         arrays |= forward(arguments.model, arguments.accuracy, arguments.limit)

@@ -65,8 +65,11 @@ def poses(model, state, count, seed=0):
 
 
 def static(model, state, muscles):
-    """Return tendon forces, shape (activations, muscles); NaN where OpenSim finds no equilibrium."""
-    force = np.full((len(ACTIVATIONS), len(muscles)), np.nan)
+    """Return forces of tendons, and velocities of fibers over the greatest: 0 but where OpenSim gives up.
+
+    Both are (activations, muscles), NaN where OpenSim says that it finds no equilibrium.
+    """
+    force, velocity = np.full((2, len(ACTIVATIONS), len(muscles)), np.nan)
     for i, activation in enumerate(ACTIVATIONS):
         for muscle in muscles:
             muscle.setActivation(state, activation)
@@ -80,7 +83,8 @@ def static(model, state, muscles):
                 continue
         model.realizeDynamics(state)
         force[i, found] = [muscles[j].getTendonForce(state) for j in found]
-    return force
+        velocity[i, found] = [muscles[j].getNormalizedFiberVelocity(state) for j in found]
+    return force, velocity
 
 
 def record(model, path, name):
@@ -91,7 +95,7 @@ def record(model, path, name):
     for i, _ in enumerate(poses(model, state, NUM_LENGTHS)):
         lengths.append([muscle.getLength(state) for muscle in muscles])
         if i < NUM_STATIC:
-            forces.append(static(model, state, muscles))
+            forces.append(static(model, state, muscles)[0])
     meta = {
         "model": name,
         "credits": model.get_credits(),

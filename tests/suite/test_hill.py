@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 from converted import muscled
+from muscle_bench import PROTOCOLS, hold, trajectory
 from opensim_muscles import DATA, load
 
 import myowarp
@@ -274,57 +275,6 @@ def test_isometric_force_at_rest_is_mujocos(body, muscle):
     # Thelen's passive force at rest is above MuJoCo's whole in some muscles: the nearest force is theirs.
     assert np.median(error) < 1e-3
     assert (error < 1e-3).mean() > 0.6
-
-
-def hold(muscles, length, activation):
-    """Return the forces of muscles on paths that stand still."""
-    wp.copy(muscles.activation, wp.array(activation, dtype=float, device="cpu"))
-    wp.copy(muscles.length, wp.array(length, dtype=float, device="cpu"))
-    muscles.velocity.zero_()
-    muscles.settle(wp.ones(len(length), dtype=bool, device="cpu"))
-    step(muscles, 0.0, length, np.zeros_like(length), activation)
-    return muscles.tension.numpy()
-
-
-def step(muscles, dt, length, velocity, ctrl):
-    """Let muscles act for a step on given paths."""
-    ids, count = muscles.actuator_id, int(muscles.actuator_id.max()) + 1
-    full = [np.zeros((len(length), count)) for _ in range(3)]
-    for array, values in zip(full, (length, velocity, ctrl), strict=True):
-        array[:, ids] = values
-    names = "actuator_length", "actuator_velocity", "ctrl"
-    arrays = [wp.array(array, dtype=float, device="cpu") for array in full]
-    data = SimpleNamespace(**dict(zip(names, arrays, strict=True)))
-    opt = SimpleNamespace(timestep=wp.full(1, dt, dtype=float, device="cpu"))
-    forms = wp.zeros((len(length), count), dtype=wp.types.vector(10, float), device="cpu")
-    with wp.ScopedDevice("cpu"):
-        muscles.launch(SimpleNamespace(opt=opt, actuator_biasprm=forms), data)
-
-
-PROTOCOLS = {
-    "isometric": lambda t: 1.0 + 0.0 * t,
-    "quick release": lambda t: np.where(t < 0.15, 1.05, 0.95),
-    "ramp": lambda t: 0.95 + 0.4 * np.clip(t - 0.1, 0.0, 0.2),
-    "sinusoid": lambda t: 1.0 + 0.08 * np.sin(2 * np.pi * 1.5 * t),
-}
-
-
-def trajectory(name, dt, num=4):
-    """Return times and forces [F_max] of the protocols, excitation 1 from 0.02 s to 0.25 s, then 0."""
-    scene = compile_scene(BODY_TASKS["elbow"], num, device="cpu", physics="parity", muscle=name)
-    muscles = scene.muscles
-    rows = muscles.parameters.numpy()
-    rest = rows["optimal_fiber_length"] + rows["tendon_slack_length"]
-    times, forces = np.arange(0.0, 0.4, dt), []
-    paths = [path(times) for path in PROTOCOLS.values()]
-    hold(muscles, np.array([p[0] for p in paths])[:, None] * rest, np.zeros((num, rest.shape[1])))
-    for k, t in enumerate(times):
-        here = np.array([p[k] for p in paths])[:, None] * rest
-        # the engine moves by the velocity after it is known: a path's velocity is that of the coming step
-        after = np.array([path(t + dt) for path in PROTOCOLS.values()])[:, None] * rest
-        step(muscles, dt, here, (after - here) / dt, np.full(here.shape, float(0.02 <= t < 0.25)))
-        forces.append(muscles.tension.numpy() / muscles.geometry().max_isometric_force)
-    return times, np.array(forces)[..., rows["rigid"][0] == 0]
 
 
 @pytest.fixture(scope="module")
