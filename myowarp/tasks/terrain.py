@@ -137,6 +137,7 @@ class TerrainTask(WalkTask):
         "failed": is_down_or_kneels,
         "solved": keeps_up,
     }
+    least_contacts: ClassVar[int] = 40  # of legs that lie on an edge; the motion from the start shows 8
 
     speed: tuple[float, float] = (1.2, 1.2)
     start_pose: tuple[float, ...] = STEPPING_POSE
