@@ -140,7 +140,8 @@ class PhysicsPreset:
         integrator: Name of a `mujoco.mjtIntegrator` member without its prefix; None: the task's.
         midstep: Whether a muscle pulls with its activation in the middle of the physics step, exactly
             integrated, rather than with that at its start (MuJoCo's order).
-        coarse: Whether physics steps are the task's `coarse_step`, rather than upstream's.
+        coarse: Whether physics steps are the task's `coarse_step`, rather than upstream's, and joints that
+            follow others do so exactly, where they can, rather than by springs.
     """
 
     integrator: str | None

@@ -201,6 +201,9 @@ class Step:
         """Return what a place of `ORDER` steps."""
         return self.stepped
 
+    def follow(self) -> None:
+        """Put joints that follow others exactly to where these are; here none does."""
+
     def stages(self, names: Iterable[str] = STAGES) -> tuple[Stage, ...]:
         """Return the stages of these names that the step can use, in the order of the names."""
         found: list[Stage] = []

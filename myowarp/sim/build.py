@@ -12,7 +12,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.coordinates.couplings import settled
+from myowarp.coordinates.couplings import ask, settled
 from myowarp.coordinates.own_forces import forces_of
 from myowarp.coordinates.own_paths import paths_of
 from myowarp.definitions.body import BODIES, Body
@@ -74,9 +74,14 @@ def full_spec(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.
 
 
 @lru_cache(maxsize=1)
-def _slim_spec(spec: TaskSpec, conditions: tuple[Condition, ...], body: Body) -> mujoco.MjSpec:
+def _slim_spec(
+    spec: TaskSpec, conditions: tuple[Condition, ...], body: Body, exact: bool = False
+) -> mujoco.MjSpec:
     """Return the slim spec of a task; shared by the two models that are compiled from it."""
-    return slim(full_spec(spec, conditions), spec.sites)
+    small = slim(full_spec(spec, conditions), spec.sites)
+    if exact and any(held.type == mujoco.mjtEq.mjEQ_JOINT for held in small.equalities):
+        ask(small)
+    return small
 
 
 def _dense(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -89,14 +94,19 @@ def _dense(model: mujoco.MjModel) -> mujoco.MjModel:
     return model
 
 
-def slim_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
-    """Return the slim model of a task with MuJoCo's built-in muscles."""
-    return _dense(_slim_spec(spec, conditions, BODIES[spec.body]).copy().compile())
+def slim_model(spec: TaskSpec, conditions: tuple[Condition, ...] = (), exact: bool = False) -> mujoco.MjModel:
+    """Return the slim model of a task with MuJoCo's built-in muscles.
+
+    Where `exact`, joints that follow others ask to do so without springs (`coordinates.couplings`).
+    """
+    return _dense(_slim_spec(spec, conditions, BODIES[spec.body], exact).copy().compile())
 
 
-def stateless_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
+def stateless_model(
+    spec: TaskSpec, conditions: tuple[Condition, ...] = (), exact: bool = False
+) -> mujoco.MjModel:
     """Return the slim model with every muscle made a stateless AFFINE actuator (see `MuscleModel`)."""
-    small = _slim_spec(spec, conditions, BODIES[spec.body]).copy()
+    small = _slim_spec(spec, conditions, BODIES[spec.body], exact).copy()
     for actuator in small.actuators:
         if actuator.dyntype == mujoco.mjtDyn.mjDYN_MUSCLE:
             actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
@@ -126,27 +136,30 @@ def source_digest(more: Iterable[Path] = ()) -> str:
 def _cached_model(
     spec: TaskSpec,
     conditions: tuple[Condition, ...],
-    make: Callable[[TaskSpec, tuple[Condition, ...]], mujoco.MjModel],
+    make: Callable[[TaskSpec, tuple[Condition, ...], bool], mujoco.MjModel],
+    exact: bool = False,
 ) -> mujoco.MjModel:
-    """Return `make(spec, conditions)`, through the disk cache if all of it is ours.
+    """Return `make(spec, conditions, exact)`, through the disk cache if all of it is ours.
 
     What others write may depend on anything: on files that it reads, on fields that no key names.
     """
     edits = tuple(condition for condition in conditions if condition.scene_key)
     if not is_ours(type(spec), BODIES[spec.body].build, *map(type, conditions)):
-        return make(spec, conditions)
+        return make(spec, conditions, exact)
     key = (spec.scene_key, *(condition.scene_key for condition in edits))
     return cached(
-        (make.__name__, key, source_digest()),
-        make=lambda: make(spec, edits),
+        (make.__name__, key, exact, source_digest()),
+        make=lambda: make(spec, edits, exact),
         save=model_bytes,
         load=model_from_bytes,
     )
 
 
-def oracle_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.MjModel:
+def oracle_model(
+    spec: TaskSpec, conditions: tuple[Condition, ...] = (), exact: bool = False
+) -> mujoco.MjModel:
     """Return `slim_model` through the disk cache."""
-    return _cached_model(spec, conditions, slim_model)
+    return _cached_model(spec, conditions, slim_model, exact)
 
 
 def num_substeps_of(spec: TaskSpec, preset: PhysicsPreset, muscle: str = "mujoco") -> int:
@@ -261,7 +274,9 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
     worlds = num_worlds if isinstance(num_worlds, Worlds) else Worlds.all(checked_num_worlds(num_worlds))
     where = resolve_device(setup.device)
 
-    oracle, stepped = oracle_model(spec, conditions), _cached_model(spec, conditions, stateless_model)
+    exact = PHYSICS[physics].coarse
+    oracle = oracle_model(spec, conditions, exact)
+    stepped = _cached_model(spec, conditions, stateless_model, exact)
     num_substeps = set_physics(spec, PHYSICS[physics], (oracle, stepped), setup.muscles.model)
     start = settled(oracle, spec.start(oracle))
     if oracle.nv >= MANY_DOFS:

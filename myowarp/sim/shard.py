@@ -322,6 +322,7 @@ class Shard:
                 inputs=[self.starts, self.start_address, scene.keys, reset],
                 outputs=[scene.data.qpos],
             )
+        self.physics_step.follow()
         self.program.sample_goal(renew)
         self._launch_settling(reset)
         self._show(reset, fresh)

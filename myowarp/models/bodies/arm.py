@@ -7,7 +7,7 @@ equalities let clavicle, scapula and humerus follow the shoulder. Upper arm and 
 
 import mujoco
 
-from myowarp.definitions.body import BODIES, Body
+from myowarp.definitions.body import BODIES, Body, CoarseStep
 from myowarp.models.bodies.arm_muscles import FATIGUE_RATES, GROUPS
 from myowarp.models.bodies.composed import composed
 
@@ -42,6 +42,7 @@ BODIES.add(
     Body(
         arm,
         tips=(TIP,),
+        coarse_step=CoarseStep(0.010, 0.5),
         groups=GROUPS,
         fatigue_rates=FATIGUE_RATES,
     ),

@@ -10,7 +10,7 @@ carry.
 import mujoco
 from myo_sim import MODELS_DIR
 
-from myowarp.definitions.body import BODIES, Body
+from myowarp.definitions.body import BODIES, Body, CoarseStep
 from myowarp.models.bodies.leg_muscles import FATIGUE_RATES, GROUPS
 from myowarp.models.bodies.torso import including
 
@@ -37,4 +37,13 @@ def legs() -> mujoco.MjSpec:
     return spec
 
 
-BODIES.add("legs", Body(legs, tips=("pelvis",), groups=GROUPS, fatigue_rates=FATIGUE_RATES))
+BODIES.add(
+    "legs",
+    Body(
+        legs,
+        tips=("pelvis",),
+        coarse_step=CoarseStep(0.005, 0.35),
+        groups=GROUPS,
+        fatigue_rates=FATIGUE_RATES,
+    ),
+)

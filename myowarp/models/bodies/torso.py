@@ -8,7 +8,7 @@ descends from the Constrained Lumbar Spine model 210 of SimTK; muscles of the le
 import mujoco
 from myo_sim import MODELS_DIR
 
-from myowarp.definitions.body import BODIES, Body
+from myowarp.definitions.body import BODIES, Body, CoarseStep
 from myowarp.models.bodies.torso_muscles import GROUPS
 
 TIP = "arm_attach_r"  # the shoulder
@@ -40,4 +40,4 @@ def torso() -> mujoco.MjSpec:
     return including(FILES, torso_in("Torso", "-0.025 0.1 0.9"))
 
 
-TORSO = BODIES.add("torso", Body(torso, tips=(TIP,), groups=GROUPS))
+TORSO = BODIES.add("torso", Body(torso, tips=(TIP,), coarse_step=CoarseStep(0.010, 0.5), groups=GROUPS))
