@@ -110,6 +110,13 @@ SHOWN = {
         4,
         "Random actions: no policy has been trained for walking.",
     ),
+    "ground": Shown(
+        "myoLegStairTerrainWalk-v1",
+        "random",
+        60,
+        2,
+        "Random actions: no policy has been trained for walking.",
+    ),
     "terrain": Shown(
         "myoLegStairTerrainWalk-v0",
         "random",

@@ -28,6 +28,7 @@ TITLES = {
     "reorient": "Hand reorient",
     "directional": "Directional walking",
     "terrain": "Walking on terrain",
+    "ground": "Walking on drawn ground",
 }
 FOLDED = 60  # characters of names that a page folds
 UNBROKEN = 100_000  # characters of a line that is not broken

@@ -4,6 +4,7 @@ from myowarp.tasks import (  # noqa: F401  (they register)
     baoding_ids,
     die_reorient_ids,
     directional,
+    ground,
     key_turn,
     object_hold,
     pen_twirl,

@@ -92,7 +92,7 @@ def test_draws_follow_the_name(key):
     goals = [draw["varies"] for draw in facts_of(key)["draws"] if draw["when"] == "goal"]
     starts = [draw["varies"] for draw in facts_of(key)["draws"] if draw["when"] == "start"]
     assert any(goals + starts) == any(
-        name in key for name in ("Random", "Rough", "P2", "Reorient", "Relocate")
+        name in key for name in ("Random", "Rough", "TerrainWalk-v1", "P2", "Reorient", "Relocate")
     )
 
 

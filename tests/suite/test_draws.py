@@ -50,6 +50,7 @@ DRAWS = {
     },
     "myoLegDirectionalRandom-v0": {"heading": (0, 2 * PI)},
     "myoLegRoughTerrainWalk-v0": {"heights": (-0.02, 0.06)},
+    "myoLegHillyTerrainWalk-v1": {"grade": (0, 0.15), "hill": (0, 0.4), "length": (2, 6)},
     "myoHandKeyTurnRandom-v1": {
         "key angle": (-PI / 2, PI / 2),
         "key position": ((-0.16, -0.56, 1.415), (-0.14, -0.54, 1.435)),
