@@ -57,7 +57,8 @@ def cells() -> Iterator[Soaked]:
 def others() -> Iterator[Soaked]:
     """Return every id of a body or family that the paper's grid does not have."""
     covered = {(TASKS[cell.task].family, TASKS[cell.task].body) for cell in grid()}
-    for key, spec in TASKS.items():
+    for key in TASKS:
+        spec = TASKS[key]
         if (spec.family, spec.body) not in covered:
             yield Soaked(spec.env_id, key, ())
 

@@ -51,6 +51,21 @@ def motor_finger_random() -> PoseTask:
     return replace(bend_finger_anywhere(), body="motor_finger", num_substeps=5, horizon=200)
 
 
+STRONGER = "The motors have the gears of myo-sim 0.2.4, because those of version 0 are too weak."
+
+
+@task("motorFingerPoseFixed-v1", STRONGER)
+def strong_motor_finger_fixed() -> PoseTask:
+    """Bend the finger to one pose."""
+    return replace(motor_finger_fixed(), body="strong_motor_finger")
+
+
+@task("motorFingerPoseRandom-v1", STRONGER)
+def strong_motor_finger_random() -> PoseTask:
+    """Bend the finger to a pose drawn anew each episode."""
+    return replace(motor_finger_random(), body="strong_motor_finger")
+
+
 def turn_elbow(low: float, high: float) -> PoseTask:
     """Return the task of turning the elbow from a random angle to one between `low` and `high` [rad]."""
     return PoseTask(body="elbow", target_low=(low,), target_high=(high,), near=ELBOW_NEAR, random_start=True)

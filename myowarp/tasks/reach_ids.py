@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from myowarp.definitions.task import task
 from myowarp.tasks import reach_targets
+from myowarp.tasks.pose_ids import STRONGER
 from myowarp.tasks.reach import ReachTask
 
 FINGER_FAR, HAND_FAR, HAND_FAR_FIXED_V0 = 0.35, 0.075, 0.044  # m a tip; MyoSuite 3.0.0
@@ -49,6 +50,18 @@ def motor_finger_fixed() -> ReachTask:
 def motor_finger_random() -> ReachTask:
     """Touch a point drawn anew each episode from the reachable part of a box."""
     return replace(touch_points(), body="motor_finger", num_substeps=5, horizon=200)
+
+
+@task("motorFingerReachFixed-v1", STRONGER)
+def strong_motor_finger_fixed() -> ReachTask:
+    """Touch one point with the fingertip."""
+    return replace(motor_finger_fixed(), body="strong_motor_finger")
+
+
+@task("motorFingerReachRandom-v1", STRONGER)
+def strong_motor_finger_random() -> ReachTask:
+    """Touch a point drawn anew each episode from the reachable part of a box."""
+    return replace(motor_finger_random(), body="strong_motor_finger")
 
 
 HAND_CENTER = (

@@ -100,6 +100,17 @@ def test_recordings_tell_models_apart():
     assert np.abs(muscle_gears - gears).max() > 1.0
 
 
+def test_strong_motors_differ_in_nothing_but_gears():
+    """Those of myo-sim 0.2.4, read in its wheel; the finger is the same."""
+    weak, strong = compiled("motor_finger"), compiled("strong_motor_finger")
+    names = [strong.actuator(i).name for i in range(strong.nu)]
+    gears = {"extn": 160.0, "adabR": 80.0, "adabL": 80.0, "mflx": 160.0, "dflx": 160.0}
+    assert dict(zip(names, strong.actuator_gear[:, 0].tolist(), strict=True)) == gears
+    assert np.array_equal(strong.actuator_gear[:, 0] / weak.actuator_gear[:, 0], [2.0, 4.0, 4.0, 4.0, 4.0])
+    for field in ("body_mass", "body_pos", "jnt_range", "dof_damping", "actuator_ctrlrange", "tendon_range"):
+        assert np.array_equal(getattr(weak, field), getattr(strong, field)), field
+
+
 def test_bounds_of_the_exoskeleton():
     """Its control is unlimited in MyoSuite, whose actions stay within the bounds that ours has."""
     expected, ours = recording("elbow_exo")[0]["actuator_ctrlrange"], compiled("elbow_exo").actuator_ctrlrange

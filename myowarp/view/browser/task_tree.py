@@ -20,6 +20,7 @@ WORDS = {
     "contact_hand": "hand",
     "elbow_exo": "elbow with exoskeleton",
     "motor_finger": "finger with motors",
+    "strong_motor_finger": "finger with strong motors",
     "whole_arm": "arm",
     "objecthold": "object hold",
     "keyturn": "key turn",
