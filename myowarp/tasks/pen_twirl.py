@@ -87,15 +87,15 @@ def long_axis(frame: wp.mat33) -> wp.vec3:
 
 
 @wp.func
-def pen_position(xpos: wp.array[wp.vec3], pen_body: int) -> wp.vec3:
+def pen_position(xpos: wp.array[wp.vec3], object_body: int) -> wp.vec3:
     """Centre of the pen."""
-    return xpos[pen_body]
+    return xpos[object_body]
 
 
 @wp.func
-def pen_axis(xmat: wp.array[wp.mat33], pen_body: int) -> wp.vec3:
+def pen_axis(xmat: wp.array[wp.mat33], object_body: int) -> wp.vec3:
     """Axis of the pen."""
-    return long_axis(xmat[pen_body])
+    return long_axis(xmat[object_body])
 
 
 @wp.func
@@ -106,11 +106,11 @@ def wanted_axis(xmat: wp.array[wp.mat33], target_body: int) -> wp.vec3:
 
 @wp.func
 def free_rates(
-    qvel: wp.array[float], xmat: wp.array[wp.mat33], pen_body: int, control_dt: float
+    qvel: wp.array[float], xmat: wp.array[wp.mat33], object_body: int, control_dt: float
 ) -> wp.spatial_vector:
     """Linear and angular velocity of a free pen in the world, times the control step."""
     v = HAND_JOINTS
-    spin = control_dt * (xmat[pen_body] @ wp.vec3(qvel[v + 3], qvel[v + 4], qvel[v + 5]))
+    spin = control_dt * (xmat[object_body] @ wp.vec3(qvel[v + 3], qvel[v + 4], qvel[v + 5]))
     return wp.spatial_vector(
         control_dt * qvel[v], control_dt * qvel[v + 1], control_dt * qvel[v + 2], spin[0], spin[1], spin[2]
     )
@@ -171,7 +171,7 @@ class PenTwirlProgram(Program):
     def __init__(self, spec: PenTwirlTask, scene: Scene) -> None:
         """Resolve the two pens."""
         super().__init__(spec, scene)
-        self.pen_body = scene.oracle.body("Object").id
+        self.object_body = scene.oracle.body("Object").id
         self.target_body = scene.oracle.body("target").id
         self.target_quat = scene.data.mocap_quat
 

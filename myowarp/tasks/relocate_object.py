@@ -173,4 +173,5 @@ def weigh_parts(
         center,
         inertia,
         LEAST_INERTIA,
+        False,
     )

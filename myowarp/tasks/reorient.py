@@ -11,7 +11,7 @@ et al. 2023, arXiv:2307.03716); the sizes are recorded from its wheel, Apache-2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import ClassVar
@@ -39,11 +39,13 @@ from myowarp.tasks.pen_twirl import (
     aligned_bonus,
     axis_error,
     both_aligned,
+    free_rates,
     is_aligned,
-    long_axis,
+    pen_axis,
     pen_cosine,
+    pen_position,
+    wanted_axis,
 )
-from myowarp.tasks.relocate import object_position
 from myowarp.tasks.seen_muscles import MuscleProgram
 from myowarp.tasks.solids import (
     BATCHED_SHAPE,
@@ -97,18 +99,6 @@ def add_kinds(body: mujoco.MjsBody, name: str, condim: int, rgba: tuple[float, .
         geom.size = NOMINAL if kind == int(ELLIPSOID) else 3 * (TINY,)
         geom.contype, geom.conaffinity, geom.condim = 1, 1, condim
         geom.density = float(DENSITY)
-
-
-@wp.func
-def object_axis(xmat: wp.array[wp.mat33], object_body: int) -> wp.vec3:
-    """Axis of the object."""
-    return long_axis(xmat[object_body])
-
-
-@wp.func
-def wanted_direction(xmat: wp.array[wp.mat33], target_body: int) -> wp.vec3:
-    """The wanted axis."""
-    return long_axis(xmat[target_body])
 
 
 @wp.func
@@ -188,6 +178,7 @@ def weigh_shape(
     # Params:
     object_body: int,
     object_dof: int,
+    free: bool,
     table: wp.array2d[float],
     # In:
     row: wp.array2d[float],
@@ -214,6 +205,7 @@ def weigh_shape(
         wp.vec3(0.0, 0.0, 0.0),
         inertia,
         NO_LEAST,
+        free,
     )
 
 
@@ -279,13 +271,15 @@ class ReorientTask(TaskSpec):
     Attributes:
         table: Name of the table of shapes: "8", "100", "id" or "ood".
         condim: Dimensions of contacts with the object: 3 slide, 4 spin, too.
+        free: Whether the object has a free joint. Without, as in MyoSuite, it has three slides and three
+            hinges along its own axes.
     """
 
     program: ClassVar[type] = ReorientProgram
     measures: ClassVar = {
-        "position": object_position,
-        "axis": object_axis,
-        "wanted": wanted_direction,
+        "position": pen_position,
+        "axis": pen_axis,
+        "wanted": wanted_axis,
         "error": place_distance,
         "cosine": pen_cosine,
         "solved": is_aligned,
@@ -299,11 +293,12 @@ class ReorientTask(TaskSpec):
     horizon: int = 50
     table: str
     condim: int = SLIDING
+    free: bool = False
 
     @property
     def scene_key(self) -> tuple[object, ...]:
-        """The kind of contact is compiled in."""
-        return (*super().scene_key, self.condim)
+        """The kind of contact and the object's joints are compiled in."""
+        return (*super().scene_key, self.condim, self.free)
 
     @property
     def batched(self) -> tuple[str, ...]:
@@ -347,7 +342,11 @@ class ReorientTask(TaskSpec):
         """Add the object, the target above it, and the marker of where the object's end should be."""
         held = spec.worldbody.add_body(name="Object", pos=START_POS)
         held.quat = (np.cos(TILT / 2), 0.0, np.sin(TILT / 2), 0.0)
-        for prefix, kind in (("T", mujoco.mjtJoint.mjJNT_SLIDE), ("R", mujoco.mjtJoint.mjJNT_HINGE)):
+        if self.free:
+            held.add_joint(name="OBJ", type=mujoco.mjtJoint.mjJNT_FREE)
+        for prefix, kind in (
+            () if self.free else (("T", mujoco.mjtJoint.mjJNT_SLIDE), ("R", mujoco.mjtJoint.mjJNT_HINGE))
+        ):
             for letter, axis in AXES.items():
                 held.add_joint(name=f"OBJ{prefix}{letter}", type=kind, axis=axis)
         add_kinds(held, "object", self.condim, (0.25, 0.45, 0.8, 1.0))
@@ -358,20 +357,15 @@ class ReorientTask(TaskSpec):
         add_tip_targets(spec, ("object_top",))
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
-        rates = "velocities of the object, three slides and three hinges along its own axes, times the step"
+        frame = "world" if self.free else "of three slides and three hinges along the object's own axes"
+        meant = f"velocities of the object, {frame}, times the control step"
+        rates = free_rates if self.free else Row("qvel", HAND_JOINTS, "control_dt")
         return (
             Column("hand_jnt", HAND_JOINTS, *COORDINATES),
-            Column("obj_pos", 3, "m", "position of the object's center, world", XYZ, object_position),
-            Column(
-                "obj_vel",
-                6,
-                "m, rad per control step",
-                rates,
-                FREE_RATES,
-                Row("qvel", HAND_JOINTS, "control_dt"),
-            ),
-            Column("obj_rot", 3, "1", "unit vector along the object's axis, world", XYZ, object_axis),
-            Column("obj_des_rot", 3, "1", "unit vector along the wanted axis, world", XYZ, wanted_direction),
+            Column("obj_pos", 3, "m", "position of the object's center, world", XYZ, pen_position),
+            Column("obj_vel", 6, "m, rad per control step", meant, FREE_RATES, rates),
+            Column("obj_rot", 3, "1", "unit vector along the object's axis, world", XYZ, pen_axis),
+            Column("obj_des_rot", 3, "1", "unit vector along the wanted axis, world", XYZ, wanted_axis),
             Column("obj_err_pos", 3, "m", "from the place on the palm to the object", XYZ, from_place),
             Column("obj_err_rot", 3, "1", "obj_rot minus obj_des_rot", XYZ, axis_error),
             Column(
@@ -420,3 +414,34 @@ def reorient_in_distribution() -> ReorientTask:
 def reorient_out_of_distribution() -> ReorientTask:
     """Turn one of a thousand objects unlike those of the hundred on the hand to a random direction."""
     return ReorientTask(table="ood")
+
+
+FREE = (
+    "The object has a free joint; in v0, as in MyoSuite 3.0.0, it loses a direction of rotation where the"
+    " second of its three hinges is at a right angle, its rates are about turned axes, and a few of ten"
+    " thousand random steps have no finite result."
+)
+
+
+@task("myoHandReorient8-v1", FREE)
+def free_8() -> ReorientTask:
+    """Turn one of eight objects on the hand to a direction drawn anew each episode."""
+    return replace(reorient_8(), free=True)
+
+
+@task("myoHandReorient100-v1", FREE)
+def free_100() -> ReorientTask:
+    """Turn one of a hundred objects on the hand to a direction drawn anew each episode."""
+    return replace(reorient_100(), free=True)
+
+
+@task("myoHandReorientID-v1", FREE)
+def free_in_distribution() -> ReorientTask:
+    """Turn one of a thousand objects like those of the hundred on the hand to a random direction."""
+    return replace(reorient_in_distribution(), free=True)
+
+
+@task("myoHandReorientOOD-v1", FREE)
+def free_out_of_distribution() -> ReorientTask:
+    """Turn one of a thousand objects unlike those of the hundred on the hand to a random direction."""
+    return replace(reorient_out_of_distribution(), free=True)

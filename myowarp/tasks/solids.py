@@ -157,11 +157,13 @@ def write_weight(
     center: wp.vec3,
     inertia: wp.mat33,
     least_inertia: float,
+    free: bool,
 ):
-    """Give a body with three slides and three hinges mass, center and inertia about it, in one world.
+    """Give a body of three slides and three hinges, or a free one, mass, center and inertia, in one world.
 
     Principal moments are raised to `least_inertia`, as the compiler's `boundinertia` does. Inverse weights:
-    of the body 1/m and the mean of 1/I; of slides 1/m + (c x e)^T I^-1 (c x e), of hinges e^T I^-1 e.
+    of the body 1/m and the mean of 1/I; of slides 1/m + (c x e)^T I^-1 (c x e), of hinges e^T I^-1 e; of a
+    free joint the means of these three.
     """
     axes, moments = wp.eig3(inertia)
     if wp.determinant(axes) < 0.0:
@@ -180,9 +182,16 @@ def write_weight(
     weights.body_iquat[worldid, body] = wp.quat(turn[3], turn[0], turn[1], turn[2])  # w, x, y, z
     weights.body_invweight0[worldid, body] = wp.vec2(1.0 / mass, (inverse[0] + inverse[1] + inverse[2]) / 3.0)
     compliance = turned_inertia(axes, inverse)
+    slide, hinge = wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 0.0)
     for i in range(3):
         axis = wp.vec3(0.0, 0.0, 0.0)
         axis[i] = 1.0
         lever = wp.cross(center, axis)
-        weights.dof_invweight0[worldid, dof + i] = 1.0 / mass + wp.dot(lever, compliance @ lever)
-        weights.dof_invweight0[worldid, dof + 3 + i] = compliance[i, i]
+        slide[i] = 1.0 / mass + wp.dot(lever, compliance @ lever)
+        hinge[i] = compliance[i, i]
+    if free:
+        slide = wp.vec3(1.0, 1.0, 1.0) * (slide[0] + slide[1] + slide[2]) / 3.0
+        hinge = wp.vec3(1.0, 1.0, 1.0) * (hinge[0] + hinge[1] + hinge[2]) / 3.0
+    for i in range(3):
+        weights.dof_invweight0[worldid, dof + i] = slide[i]
+        weights.dof_invweight0[worldid, dof + 3 + i] = hinge[i]

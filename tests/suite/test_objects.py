@@ -119,7 +119,7 @@ def test_pen_is_the_same_pen(version):
 def test_rates_of_the_free_pen_are_those_of_the_world():
     """obj_vel of version 1 against the displacement and the turn of the pen over a short time."""
     sim = simulation("myoHandPenTwirlRandom-v1")
-    data, spec, body = sim.scene.data, sim.scene.spec, sim.shards[0].program.pen_body
+    data, spec, body = sim.scene.data, sim.scene.spec, sim.shards[0].program.object_body
     rng = np.random.default_rng(0)
     data.qpos.assign(np.tile(spec.start(sim.scene.oracle), (NUM_WORLDS, 1)))
     qvel = np.zeros((NUM_WORLDS, sim.scene.oracle.nv))
