@@ -310,6 +310,7 @@ class RelocateTask(TaskSpec):
     }
     near: ClassVar[float] = 0.1  # m, distance from the bin's middle below which the task counts as solved
     far: ClassVar[float] = 0.5  # m, distance of the palm from the object beyond which it is lost
+    least_contacts: ClassVar[int] = 48  # three parts in a corner, four with each side, and a hand around them
 
     body: str = "whole_arm"
     num_substeps: int = 5

@@ -46,7 +46,7 @@ from myowarp.tasks.pen_twirl import (
     pen_position,
     wanted_axis,
 )
-from myowarp.tasks.seen_muscles import MuscleProgram
+from myowarp.tasks.seen_muscles import MuscleProgram, of_muscles
 from myowarp.tasks.solids import (
     BATCHED_SHAPE,
     BATCHED_WEIGHT,
@@ -64,7 +64,6 @@ from myowarp.tasks.solids import (
     write_shape,
     write_weight,
 )
-from myowarp.tasks.walk import of_muscles
 
 TABLES = Path(__file__).with_name("reorient_shapes.npz")
 KINDS = tuple(int(kind) for kind in (CAPSULE, ELLIPSOID, CYLINDER, BOX))  # in this order
@@ -287,6 +286,7 @@ class ReorientTask(TaskSpec):
     }
     far: ClassVar[float] = float(DROPPED)
     coarse_step = CoarseStep(0.005, 0.5)
+    least_contacts: ClassVar[int] = 20  # boxes had 11 in 10,000 random steps
 
     body: str = "hand"
     num_substeps: int = 5

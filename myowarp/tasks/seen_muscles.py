@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
+import mujoco
 import warp as wp
 
+from myowarp.definitions.entries import Entry, muscles
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
 from myowarp.definitions.task import TaskSpec
@@ -35,3 +38,8 @@ class MuscleProgram(Program):
 
     def _bring_paths(self) -> None:
         (self.bring_paths or partial(present_paths, self.scene))()
+
+
+def of_muscles(unit: str) -> Callable[[mujoco.MjModel], tuple[Entry, ...]]:
+    """Return a function that finds the muscles of a model, one number of a unit for each."""
+    return lambda model: tuple(Entry(name, unit) for name, _ in muscles(model))

@@ -17,9 +17,7 @@ observed of muscles belongs to the state that the step led to.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import ClassVar
 
 import mujoco
@@ -34,14 +32,12 @@ from myowarp.definitions.entries import (
     Entry,
     axes,
     coordinates,
-    muscles,
 )
-from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
 from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
 from myowarp.kernels.reward import EFFORT, indicator, minus_effort
 from myowarp.kernels.world_function import Row
-from myowarp.sim.present import present_muscles, present_paths
+from myowarp.tasks.seen_muscles import MuscleProgram, of_muscles
 from myowarp.tasks.stand import STANDING_POSE
 
 PERIOD = wp.constant(100)  # steps of a cycle
@@ -201,7 +197,7 @@ def count_cycle(
     phase[worldid, 0] = float(step_count[worldid] % PERIOD) / float(PERIOD)
 
 
-class WalkProgram(Program):
+class WalkProgram(MuscleProgram):
     """A walking task bound to a scene.
 
     Attributes:
@@ -224,8 +220,6 @@ class WalkProgram(Program):
         self.hip = wp.array([model.joint(name).qposadr[0] for name in hips], dtype=int)
         self.ahead = wp.array(STANDING_POSE[3:7], dtype=float)
         self.start_velocity = wp.array(spec.start_velocity, dtype=float)
-        self._bring_muscles = present_muscles(scene, self._bring_paths)
-        self._is_present = False
 
     def sample_start(self, mask: wp.array) -> None:
         """Give the legs the velocity of the start, unless their posture is random."""
@@ -239,26 +233,6 @@ class WalkProgram(Program):
 
     def advance(self, step_count: wp.array) -> None:
         self.launch(count_cycle, step_count=step_count)
-
-    def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
-        self._bring_muscles()
-        self._is_present = True
-        super().score(step_count, terms, solved, failed)
-
-    def observe(self, mask: wp.array, obs: wp.array) -> None:
-        """Observe; muscles and bodies of the scored state are those that `score` has found."""
-        if not self._is_present:
-            self._bring_muscles()
-        self._is_present = False
-        super().observe(mask, obs)
-
-    def _bring_paths(self) -> None:
-        (self.bring_paths or partial(present_paths, self.scene))()
-
-
-def of_muscles(unit: str) -> Callable[[mujoco.MjModel], tuple[Entry, ...]]:
-    """Return a function that finds the muscles of a model, one number of a unit for each."""
-    return lambda model: tuple(Entry(name, unit) for name, _ in muscles(model))
 
 
 def coordinates_but_place(model: mujoco.MjModel) -> tuple[Entry, ...]:
