@@ -144,6 +144,8 @@ class Search:
         joints = posture_joints(self.model, spec.loose)
         self.posture, self.address = self.model.jnt_qposadr[joints], start_address(spec, self.model)
         self.low, self.high = self.model.jnt_range[joints].T
+        loose = [palm.joint_address(self.model, self.model.body(name).id) for name in spec.loose]
+        self.loose = np.concatenate(loose, dtype=int) if loose else np.zeros(0, dtype=int)
         self.palm = palm.Palm(shard.scene.oracle, self.start, BODIES[spec.body].palm, spec.carried)
         hold_steps = int(np.ceil(HOLD_TIME / spec.control_dt)) if spec.carried else 0
         self.num_steps = max(FAIL_STEPS, hold_steps)
@@ -275,9 +277,12 @@ class Search:
             scene.keys.episode.assign(episode + later)
             program.sample_start(self.everywhere)
             program.sample_goal(self.everywhere)
-            scene.data.qpos.assign(qpos)
+            tested = qpos.copy()
+            tested[:, self.loose] = scene.data.qpos.numpy()[:, self.loose]
+            scene.data.qpos.assign(tested)
             mjw.kinematics(scene.model, scene.data)
             program.advance(step_count)
             program.score(step_count, self.terms, self.solved, self.failed)
             failed |= self.failed.numpy()
+        scene.data.qpos.assign(qpos)
         return failed

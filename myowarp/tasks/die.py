@@ -108,7 +108,7 @@ def shape_die(
 @wp.kernel(enable_backward=False)
 def weigh_die(
     # Params:
-    die_body: int,
+    object_body: int,
     die_dof: int,
     least_inertia: float,
     # In:
@@ -127,10 +127,10 @@ def weigh_die(
         return
     mass = die_mass[worldid, 0]
     inertia = wp.max(GYRATION * mass, least_inertia)
-    body_mass[worldid, die_body] = mass
-    body_subtreemass[worldid, die_body] = mass
-    body_inertia[worldid, die_body] = wp.vec3(inertia, inertia, inertia)
-    body_invweight0[worldid, die_body] = wp.vec2(1.0 / mass, 1.0 / inertia)
+    body_mass[worldid, object_body] = mass
+    body_subtreemass[worldid, object_body] = mass
+    body_inertia[worldid, object_body] = wp.vec3(inertia, inertia, inertia)
+    body_invweight0[worldid, object_body] = wp.vec2(1.0 / mass, 1.0 / inertia)
     for i in range(3):
         dof_invweight0[worldid, die_dof + i] = 1.0 / mass
         dof_invweight0[worldid, die_dof + 3 + i] = 1.0 / inertia

@@ -49,9 +49,9 @@ SPARSE = wp.constant(10.0)  # rad/m
 
 
 @wp.func
-def die_position(xpos: wp.array[wp.vec3], die_body: int) -> wp.vec3:
+def die_position(xpos: wp.array[wp.vec3], object_body: int) -> wp.vec3:
     """Centre of the die."""
-    return xpos[die_body]
+    return xpos[object_body]
 
 
 @wp.func
@@ -80,9 +80,9 @@ def hinge_angles(qpos: wp.array[float]) -> wp.vec3:
 
 
 @wp.func
-def free_angles(xmat: wp.array[wp.mat33], die_body: int) -> wp.vec3:
+def free_angles(xmat: wp.array[wp.mat33], object_body: int) -> wp.vec3:
     """Euler angles of a free die."""
-    return euler_angles(xmat[die_body])
+    return euler_angles(xmat[object_body])
 
 
 @wp.func
@@ -98,9 +98,9 @@ def angles_error(angles: wp.vec3, wanted: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def rotation_error(xmat: wp.array[wp.mat33], die_body: int, target_body: int) -> wp.vec3:
+def rotation_error(xmat: wp.array[wp.mat33], object_body: int, target_body: int) -> wp.vec3:
     """Axis times angle, 0 to pi, of the rotation in the world that turns the die to the wanted one."""
-    turn = wp.quat_from_matrix(xmat[target_body] @ wp.transpose(xmat[die_body]))
+    turn = wp.quat_from_matrix(xmat[target_body] @ wp.transpose(xmat[object_body]))
     if turn[3] < 0.0:
         turn = -turn
     vector = wp.vec3(turn[0], turn[1], turn[2])
@@ -179,7 +179,7 @@ class DieReorientProgram(Program):
         """Resolve both dice."""
         super().__init__(spec, scene)
         oracle = scene.oracle
-        self.die_body, self.target_body = oracle.body("Object").id, oracle.body("target").id
+        self.object_body, self.target_body = oracle.body("Object").id, oracle.body("target").id
         self.die_geom, self.die_dof = oracle.body("Object").geomadr[0], int(HAND_JOINTS)
         self.least_inertia = 0.0 if spec.free else INERTIA_FLOOR
 

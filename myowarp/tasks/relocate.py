@@ -14,7 +14,7 @@ overlap that of the bin.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import mujoco
@@ -28,7 +28,17 @@ from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
 from myowarp.engine.stages.arrays import filled
 from myowarp.kernels.random import RandomKeys, open_stream, stream_of
 from myowarp.kernels.reward import EFFORT, minus_error
-from myowarp.tasks.die_reorient import angles_error, minus_both, minus_rotation, rotation_size, wanted_angles
+from myowarp.models.bodies.contact_hand import INERTIA_FLOOR, add_object
+from myowarp.tasks.die_reorient import (
+    angles_error,
+    die_position,
+    free_angles,
+    minus_both,
+    minus_rotation,
+    rotation_error,
+    rotation_size,
+    wanted_angles,
+)
 from myowarp.tasks.euler_angles import quat_of, same_rotation, turned
 from myowarp.tasks.markers import add_tip_targets
 from myowarp.tasks.pen_twirl import AXES
@@ -70,12 +80,6 @@ START = wp.constant(wp.vec3(*OBJECT_START[:3]))
 MOST_DRAWS = wp.constant(200)
 APART = wp.constant(stream_of("relocate, places of the bin apart from the object"))
 WOOD, STONE = (0.72, 0.58, 0.42, 1.0), (0.78, 0.78, 0.76, 1.0)
-
-
-@wp.func
-def object_position(xpos: wp.array[wp.vec3], object_body: int) -> wp.vec3:
-    """Origin of the object's frame."""
-    return xpos[object_body]
 
 
 @wp.func
@@ -201,9 +205,23 @@ def put_object(
     """The object's frame is where it was drawn."""
     worldid = wp.tid()
     if mask[worldid]:
-        body_pos[worldid, object_body] = wp.vec3(
-            object_place[worldid, 0], object_place[worldid, 1], object_place[worldid, 2]
-        )
+        body_pos[worldid, object_body] = three(object_place, worldid, 0)
+
+
+@wp.kernel(enable_backward=False)
+def put_free_object(
+    # In:
+    object_place: wp.array2d[float],
+    mask: wp.array[bool],
+    # Data out:
+    qpos_out: wp.array2d[float],
+):
+    """A free object is where that of version 0 would be with this frame."""
+    worldid = wp.tid()
+    if mask[worldid]:
+        place = three(object_place, worldid, 0) + START
+        for i in range(3):
+            qpos_out[worldid, ARM_JOINTS + i] = place[i]
 
 
 @wp.kernel(enable_backward=False)
@@ -246,6 +264,7 @@ class RelocateProgram(Program):
         self.object_body, self.target_body = oracle.body("Object").id, oracle.body("target").id
         self.object_geom, self.object_dof = oracle.body("Object").geomadr[0], int(ARM_JOINTS)
         self.palm_site = scene.site_id(PALM_SITE)
+        self.least_inertia = 0.0 if spec.free else INERTIA_FLOOR
         if spec.varied:
             self.parts = filled(Parts, self)
             self.place_low, self.place_high = wp.vec3(*spec.goal_low), wp.vec3(*spec.goal_high)
@@ -258,7 +277,7 @@ class RelocateProgram(Program):
         super().sample_start(mask)
         if not self.spec.varied:
             return
-        self.launch(put_object, mask=mask)
+        self.launch(put_free_object if self.spec.free else put_object, mask=mask)
         self.shape(mask)
         if self.scene.reset == "task":
             self.launch(move_arm, mask=mask)
@@ -293,21 +312,12 @@ class RelocateTask(TaskSpec):
         size: Bounds of the sizes of the object's parts [m].
         mass: Bounds of its mass [kg].
         friction: Bounds of its coefficients of friction (slide, spin, roll).
+        free: Whether the object has a free joint, its true inertia and the friction that was drawn, and its
+            turn against the bin is the angle between two orientations. Without, as in MyoSuite, it has three
+            slides and three hinges, the inertia floor, and the differences of Euler angles.
     """
 
     program: ClassVar[type] = RelocateProgram
-    measures: ClassVar = {
-        "position": object_position,
-        "goal": goal_position,
-        "angles": object_angles,
-        "wanted": wanted_angles,
-        "rotation": angles_error,
-        "rotation_distance": rotation_size,
-        "error": goal_distance,
-        "reach": palm_distance,
-        "failed": is_out_of_reach,
-        "solved": is_in_bin,
-    }
     near: ClassVar[float] = 0.1  # m, distance from the bin's middle below which the task counts as solved
     far: ClassVar[float] = 0.5  # m, distance of the palm from the object beyond which it is lost
     least_contacts: ClassVar[int] = 48  # three parts in a corner, four with each side, and a hand around them
@@ -324,6 +334,23 @@ class RelocateTask(TaskSpec):
     size: tuple[float, float] = (0.0, 0.0)
     mass: tuple[float, float] = (0.0, 0.0)
     friction: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+    free: bool = False
+
+    @property
+    def measures(self) -> dict[str, wp.Function]:  # type: ignore[override]
+        """Positions, angles and errors of the object."""
+        return {
+            "position": die_position,
+            "goal": goal_position,
+            "angles": free_angles if self.free else object_angles,
+            "wanted": wanted_angles,
+            "rotation": rotation_error if self.free else angles_error,
+            "rotation_distance": rotation_size,
+            "error": goal_distance,
+            "reach": palm_distance,
+            "failed": is_out_of_reach,
+            "solved": is_in_bin,
+        }
 
     @property
     def varied(self) -> bool:
@@ -332,13 +359,13 @@ class RelocateTask(TaskSpec):
 
     @property
     def scene_key(self) -> tuple[object, ...]:
-        """Geoms of every kind are compiled in where objects differ."""
-        return (*super().scene_key, self.varied)
+        """Geoms of every kind are compiled in where objects differ, and the object's joints."""
+        return (*super().scene_key, self.varied, self.free)
 
     @property
     def batched(self) -> tuple[str, ...]:
         """What follows from the object's parts, and where it lies."""
-        return (*BATCHED, "body_pos") if self.varied else ()
+        return (*BATCHED, *(() if self.free else ("body_pos",))) if self.varied else ()
 
     @property
     def sites(self) -> tuple[str, ...]:
@@ -447,6 +474,13 @@ class RelocateTask(TaskSpec):
             ),
         )
 
+    def start(self, model: mujoco.MjModel) -> np.ndarray:
+        """Return the arm over the table; a free object is where its joints would put it."""
+        if not self.free:
+            return super().start(model)
+        place = np.add(OBJECT_POS, OBJECT_START[:3])
+        return np.concatenate([self.start_pose[:ARM_JOINTS], place, (1.0, 0.0, 0.0, 0.0)])
+
     def edit(self, spec: mujoco.MjSpec) -> None:
         """Add table, object and bin, and the marker of where the object should be."""
         table = spec.worldbody.add_body(name="table", pos=TABLE_POS)
@@ -454,14 +488,16 @@ class RelocateTask(TaskSpec):
             box = table.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=pos, rgba=STONE)
             box.quat = quat_of((0.0, 0.0, turn))
             box.contype = box.conaffinity = 1
-        held = spec.worldbody.add_body(name="Object", pos=OBJECT_POS)
-        for (letter, axis), reach in zip(AXES.items(), REACH, strict=True):
+        held = add_object(spec, "Object", OBJECT_POS, floored=not self.free)
+        if self.free:
+            held.add_joint(name="OBJ", type=mujoco.mjtJoint.mjJNT_FREE)
+        for (letter, axis), reach in () if self.free else zip(AXES.items(), REACH, strict=True):
             slide = held.add_joint(name=f"OBJT{letter}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
             slide.limited, slide.range, slide.damping[0] = True, reach, DAMPING
-        for letter, axis in AXES.items():
+        for letter, axis in () if self.free else AXES.items():
             hinge = held.add_joint(name=f"OBJR{letter}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
             hinge.damping[0] = DAMPING
-        add_parts(held, self.varied)
+        add_parts(held, self.varied, priority=int(self.free))
         held.add_site(name="object_o", size=(0.005, 0.005, 0.005))
         # The engine never moves a static geom; a mocap body is as immovable, and placed for each world.
         target = spec.worldbody.add_body(name="target", pos=(0.0, -0.25, 0.9), mocap=True)
@@ -473,15 +509,20 @@ class RelocateTask(TaskSpec):
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
         turns = "Euler angles of the {}: about x, its own y, its own z"
+        rotation = (
+            "axis times angle of the rotation from the object to the bin, world"
+            if self.free
+            else "goal_rot minus obj_rot"
+        )
         return (
             Column("hand_qpos", ARM_JOINTS, *COORDINATES),
             Column("hand_qvel", ARM_JOINTS, *VELOCITIES),
-            Column("obj_pos", 3, "m", "position of the object's frame, world", XYZ, object_position),
+            Column("obj_pos", 3, "m", "position of the object's frame, world", XYZ, die_position),
             Column("goal_pos", 3, "m", "middle of the bin's ground, world", XYZ, goal_position),
             Column("pos_err", 3, "m", "from the object to the bin, world", XYZ, way_to_goal),
-            Column("obj_rot", 3, "rad", turns.format("object"), TURN, object_angles),
+            Column("obj_rot", 3, "rad", turns.format("object"), TURN, self.measures["angles"]),
             Column("goal_rot", 3, "rad", turns.format("bin"), TURN, wanted_angles),
-            Column("rot_err", 3, "rad", "goal_rot minus obj_rot", TURN, angles_error),
+            Column("rot_err", 3, "rad", rotation, TURN, self.measures["rotation"]),
             Column("act", num_muscles, *ACTIVATION),
         )
 
@@ -532,3 +573,22 @@ def second_phase() -> RelocateTask:
         friction=((0.8, 0.004, 0.00008), (1.2, 0.006, 0.00012)),
         start_pose=FURTHER_BENT,
     )
+
+
+FREE = (
+    "The object has a free joint, its true inertia, and the friction that was drawn, and its turn against the"
+    " bin is an angle; in v0, as in MyoSuite 3.0.0, it loses a direction of rotation where it lies on a side,"
+    " its inertia is raised to 1e-4 kg m^2, and friction below the table's has no effect."
+)
+
+
+@task("myoChallengeRelocateP1-v1", FREE)
+def free_first_phase() -> RelocateTask:
+    """Carry a box from the table into a bin at a random place on it."""
+    return replace(first_phase(), free=True)
+
+
+@task("myoChallengeRelocateP2-v1", FREE)
+def free_second_phase() -> RelocateTask:
+    """Carry an object of random shape, mass, friction and place into a tilted bin at a random place."""
+    return replace(second_phase(), free=True)

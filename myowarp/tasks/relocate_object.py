@@ -1,15 +1,14 @@
 """What is relocated: a box, or three solids of random kinds that overlap.
 
 Source: MyoSuite 3.0.0, `myoChallengeRelocateP1-v0` and `P2-v0`. P2 draws kind, size, place, turn and friction
-of each part and the mass of all; parts have one density. As there, the engine takes the larger friction of
-object and hand or table, so that draws below theirs (1, 0.005, 0.0001) have no effect, and principal
-moments of inertia are at least 1e-4 kg m^2.
+of each part and the mass of all; parts have one density. In MyoSuite the engine takes the larger friction of
+object and hand or table, so that draws below theirs (1, 0.005, 0.0001) have no effect, and principal moments
+of inertia are at least 1e-4 kg m^2.
 """
 
 import mujoco
 import warp as wp
 
-from myowarp.models.bodies.contact_hand import INERTIA_FLOOR
 from myowarp.tasks.euler_angles import quat_of, turned
 from myowarp.tasks.solids import (
     BATCHED_SHAPE,
@@ -36,7 +35,6 @@ NUM_KINDS = wp.constant(len(KINDS))
 PARTS = wp.constant(3)
 BOXES = (0.0284, 0.00284, 0.00284)  # m, half sides of the parts where none is drawn; one holds the others
 ASKEW = (0.001, 0.001, 0.001)  # rad, of these boxes and, in the model alone, of the bin
-LEAST_INERTIA = wp.constant(INERTIA_FLOOR)
 RGBA = (0.25, 0.45, 0.8, 1.0)
 
 BATCHED = (*BATCHED_SHAPE, *BATCHED_WEIGHT, "geom_pos", "geom_quat", "geom_friction")
@@ -77,7 +75,7 @@ class Places:
     geom_friction: wp.array2d[wp.vec3]
 
 
-def add_parts(body: mujoco.MjsBody, varied: bool) -> None:
+def add_parts(body: mujoco.MjsBody, varied: bool, priority: int) -> None:
     """Add the geoms of the object: three boxes; where parts are drawn, a geom of every kind for each."""
     for i, half in enumerate(BOXES):
         for kind in KINDS if varied else KINDS[-1:]:
@@ -85,7 +83,7 @@ def add_parts(body: mujoco.MjsBody, varied: bool) -> None:
             geom = body.add_geom(name=f"part_{i}_{kind}", type=mujoco.mjtGeom(kind), rgba=RGBA)
             geom.size = 3 * (half if there else TINY,)
             geom.contype, geom.conaffinity, geom.condim = 1, 1, 4
-            geom.quat = quat_of(ASKEW)
+            geom.quat, geom.priority = quat_of(ASKEW), priority
 
 
 @wp.func
@@ -139,6 +137,8 @@ def weigh_parts(
     # Params:
     object_body: int,
     object_dof: int,
+    least_inertia: float,
+    free: bool,
     # In:
     parts: Parts,
     mask: wp.array[bool],
@@ -172,6 +172,6 @@ def weigh_parts(
         parts.object_mass[worldid, 0],
         center,
         inertia,
-        LEAST_INERTIA,
-        False,
+        least_inertia,
+        free,
     )

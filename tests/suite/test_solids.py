@@ -7,6 +7,7 @@ import pytest
 from myowarp.apps.rollouts.objects import host_model
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
+from myowarp.tasks.euler_angles import quat_of
 
 NUM_WORLDS = 37
 SINGLE = 2e-5  # relative, float32; moments are found from a matrix of other moments
@@ -61,6 +62,43 @@ def test_objects_to_reorient(key):
         np.testing.assert_allclose(box, expected.geom_aabb[0], rtol=SINGLE, atol=1e-9)
     spread = model.body_inertia.numpy()[:, program.object_body]
     assert spread.max() > 2 * spread.min()
+
+
+@pytest.mark.parametrize("key", ["myoChallengeRelocateP2-v1"])
+def test_free_objects_to_relocate(key):
+    """Mass, center, inertia and inverse weights of three solids that overlap; without a floor."""
+    sim = Simulation(TASKS[key], NUM_WORLDS, device="cpu", graph=False, progress=False)
+    sim.reset(seeds=np.arange(NUM_WORLDS))
+    program, model = sim.shards[0].program, sim.scene.model
+    kinds = np.hstack([getattr(program, f"kind_{part}").numpy() for part in range(3)]).astype(int)
+    sizes, shares, turns, frictions = (
+        getattr(program, f"part_{name}").numpy().reshape(NUM_WORLDS, 3, 3).astype(float)
+        for name in ("size", "place", "turn", "friction")
+    )
+    body, dofs = program.object_body, slice(38, 44)
+    for world in range(NUM_WORLDS):
+        spec = mujoco.MjSpec()
+        solid = spec.worldbody.add_body()
+        solid.add_freejoint()
+        for part in range(3):
+            geom = solid.add_geom(type=mujoco.mjtGeom(kinds[world, part]), size=sizes[world, part])
+            geom.pos, geom.quat = sizes[world, part] * shares[world, part], quat_of(turns[world, part])
+        density = 1000.0 * program.object_mass.numpy()[world, 0] / spec.copy().compile().body_mass[1]
+        for geom in spec.geoms:
+            geom.density = density
+        expected = spec.compile()
+        for field in ("body_mass", "body_ipos", "body_invweight0"):
+            ours = getattr(model, field).numpy()[world, body]
+            theirs = getattr(expected, field)[1]
+            np.testing.assert_allclose(ours, theirs, rtol=SINGLE, atol=1e-8, err_msg=field)
+        moments = np.sort(model.body_inertia.numpy()[world, body])
+        np.testing.assert_allclose(moments, np.sort(expected.body_inertia[1]), rtol=SINGLE)
+        weights = model.dof_invweight0.numpy()[world, dofs]
+        np.testing.assert_allclose(weights, expected.dof_invweight0, rtol=SINGLE)
+        geoms = program.object_geom + 5 * np.arange(3) + kinds[world] - 2
+        np.testing.assert_allclose(model.geom_friction.numpy()[world, geoms], frictions[world], rtol=SINGLE)
+    assert model.body_inertia.numpy()[:, body].min() < 5e-5
+    assert (sim.scene.oracle.geom_priority[geoms] == 1).all()
 
 
 @pytest.mark.slow
