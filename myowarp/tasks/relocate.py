@@ -277,7 +277,10 @@ class RelocateProgram(Program):
         super().sample_start(mask)
         if not self.spec.varied:
             return
-        self.launch(put_free_object if self.spec.free else put_object, mask=mask)
+        if self.spec.free:
+            self.launch(put_free_object, mask=mask)
+        else:
+            self.launch(put_object, mask=mask)
         self.shape(mask)
         if self.scene.reset == "task":
             self.launch(move_arm, mask=mask)
