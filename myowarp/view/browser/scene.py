@@ -472,8 +472,10 @@ def _surface(model: mujoco.MjModel, geom: int, reach: float) -> tuple[np.ndarray
         x, y = (half or reach for half in size[:2])
         return np.array(((-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0))), np.array(((0, 1, 2), (0, 2, 3)))
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        round_ = trimesh.creation.capsule(2.0 * size[1], size[0], count=(16, 16))
+        # Of radius 1, as vertices of a tiny one would be merged.
+        round_ = trimesh.creation.capsule(2.0 * size[1] / size[0], 1.0, count=(16, 16))
         round_.apply_translation(-round_.bounds.mean(axis=0))
+        round_.apply_scale(size[0])
     elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
         round_ = trimesh.creation.cylinder(size[0], 2.0 * size[1], sections=32)
         round_.unmerge_vertices()
