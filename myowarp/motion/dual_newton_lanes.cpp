@@ -94,7 +94,7 @@ void optimize_runs(double* memory, Problem& problem, Runs& first, Rows& dual, Ro
     p.right = take(p.rows), p.soft = take(p.rows);
     Reals *a = take(p.count), *y = take(p.rows), *trial = take(p.rows), *slope = take(p.rows);
     Reals *step = take(p.rows), *size = take(p.rows), *factor = take(p.rows * p.rows);
-    const Reals zero = all(0.0), endless = all(__builtin_inf());
+    const Reals zero = all(0.0), endless = all((double)INFINITY);
 
     for (int begin = 0; begin < runs; begin += N) {
         Reals largest = endless;

@@ -12,7 +12,7 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 import warp as wp
-from contact_oracle import recorded_ids
+from contact_oracle import KEYS, recorded_ids
 from stepping import step
 
 from myowarp.definitions.task import TASKS
@@ -20,11 +20,7 @@ from myowarp.sim.simulation import Simulation
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parents[1] / "data/myosuite"))
 WALKING = ("walk", "directional", "terrain")
-UPSTREAM = [
-    key
-    for key in recorded_ids(DATA)
-    if TASKS[key].body != "contact_hand" and TASKS[key].family not in WALKING
-]
+UPSTREAM = [key for key in recorded_ids(DATA) if key not in KEYS and TASKS[key].family not in WALKING]
 """Ids of upstream, those that were recorded; tasks with objects: test_oracle_contact.py; walking:
 test_oracle_walk.py."""
 

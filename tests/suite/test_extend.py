@@ -274,6 +274,7 @@ def test_in_gymnasium():
         task.env_id, num_envs=8, device="cpu", progress=False, shards=2, conditions="motor_noise"
     )
     obs, _ = env.reset(seed=0)
+    env.action_space.seed(0)  # of all draws, one in eight excites no muscle of a world
     assert obs.shape == env.observation_space.shape
     *_, info = env.step(env.action_space.sample())
     assert {"terms/effort", "terms/height", "terms/pull", "terms/pose"} <= info.keys()
