@@ -20,6 +20,7 @@ from myowarp.definitions.body import BODIES
 from myowarp.progress import listening
 from myowarp.view.browser.controls import ERRORS, Controls
 from myowarp.view.browser.history import History
+from myowarp.view.browser.moments import at_once
 from myowarp.view.browser.page_style import SOFTWARE, STYLE
 from myowarp.view.browser.panel import Panel
 from myowarp.view.browser.readings import Moment, Readings
@@ -158,10 +159,13 @@ class Live(Controls):
         in_time = now < self._drawn + 2.0 * self._frame
         self._drawn = self._drawn + self._frame if in_time else now
         moment = self._moment()
-        with self.server.atomic():
+
+        def place() -> None:
             self._place(self._figure_shown, 0, moment, np.zeros(3))
             if self._twin is not None:
                 self._place(self._twin, 1, moment, self._side)
+
+        at_once(self.server, place)
         if now >= self._read + READING:
             self._read = now
             self._measure(now)

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from rich.console import Console
 
+from myowarp.view.browser.moments import at_once
 from myowarp.view.browser.scene import Figure
 from myowarp.view.browser.server import close_server, open_server
 from myowarp.view.drawing import style as look
@@ -44,8 +45,7 @@ class Page:
         Raises:
             ValueError: A position is not finite.
         """
-        with self.server.atomic():
-            self._figure.show(seen, self._color)
+        at_once(self.server, lambda: self._figure.show(seen, self._color))
 
     def close(self) -> None:
         """Stop serving."""

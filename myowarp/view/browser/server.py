@@ -11,6 +11,7 @@ import warnings
 import numpy as np
 import viser
 
+from myowarp.view.browser.moments import send_whole
 from myowarp.view.browser.origins import check_refusal, refusing_other_sites
 from myowarp.view.browser.updates import take_values_alone
 from myowarp.view.drawing.style import SKY_RGB
@@ -52,6 +53,7 @@ def open_server(port: int, title: str) -> viser.ViserServer:
         raise
     server.get_event_loop().set_exception_handler(lambda loop, context: None)
     take_values_alone(server)
+    send_whole(server)
     server.scene.configure_default_lights(cast_shadow=False)
     server.scene.set_background_image((255 * SKY_RGB).round().astype(np.uint8).reshape(1, 1, 3), "png")
     return server

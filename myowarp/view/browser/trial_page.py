@@ -20,6 +20,7 @@ from myowarp.definitions.registry import check_choice
 from myowarp.view.browser import status as html
 from myowarp.view.browser.controls import Wishes
 from myowarp.view.browser.history import History
+from myowarp.view.browser.moments import at_once
 from myowarp.view.browser.page_style import SOFTWARE, STYLE
 from myowarp.view.browser.readings import Kind, Moment
 from myowarp.view.browser.scene import Figure, Floor
@@ -162,7 +163,8 @@ class TrialPage(Wishes):
     def draw(self) -> None:
         """Send the shown frame, all of it together."""
         seen = self.recorded.seen(self.frame)
-        with self.server.atomic():
+
+        def send() -> None:
             self._figure.show(seen, self.color, shift=self._shift)
             self._floor.show(self._shift(self._figure.data))
             self._history.now = self.time
@@ -173,6 +175,8 @@ class TrialPage(Wishes):
             if tuple(self._drive.options) != self._buttons():
                 self._drive.options = self._buttons()
             self._name_picked()
+
+        at_once(self.server, send)
 
     def _go_on(self, seconds: float) -> None:
         """Let time pass; after the end comes the beginning."""
