@@ -11,9 +11,8 @@ import warnings
 import numpy as np
 import viser
 
-from myowarp.view.browser.moments import send_whole
 from myowarp.view.browser.origins import check_refusal, refusing_other_sites
-from myowarp.view.browser.updates import take_values_alone
+from myowarp.view.browser.updates import send_whole, take_values_alone
 from myowarp.view.drawing.style import SKY_RGB
 
 LOCAL = "127.0.0.1"

@@ -1,6 +1,8 @@
-"""What a browser may set of a control: its value. viser sets whatever attribute a message names.
+"""What viser does otherwise with messages than a page needs, and keeps private.
 
-What this needs is private to viser. Where it is gone, viser's own handler stays, and a line says so.
+A browser may set a control's value; viser sets whatever attribute a message names. What is sent together
+leaves together; viser cuts it after 128 messages, fewer than a hand takes, and a page draws one part a
+picture later. Where what this needs is gone, viser's own way stays, and a line says so.
 """
 
 from __future__ import annotations
@@ -9,6 +11,19 @@ import viser
 from viser.infra import ClientId, Message
 
 from myowarp.engine.warn_once import warn_once
+
+MOST_MESSAGES = 1 << 16
+"""That leave together: more than any body takes."""
+
+
+def send_whole(server: viser.ViserServer) -> None:
+    """Have all messages that there are leave together."""
+    try:
+        buffer = server._websock_server._broadcast_buffer
+        assert isinstance(buffer.max_window_size, int)
+        buffer.max_window_size = MOST_MESSAGES
+    except (AttributeError, AssertionError) as error:
+        warn_once(f"viser {viser.__version__} has changed, pictures may show two moments: {error!r}")
 
 
 def take_values_alone(server: viser.ViserServer) -> None:
