@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from myowarp.definitions.body import POINT_JOINTS
+from myowarp.coordinates.model_text import check_named, scalar_joints, set_text, text_of
 
 TEXT = "couplings"
 """Name of the model's text that says how its joints follow each other exactly."""
@@ -202,18 +202,11 @@ def exact(model: mujoco.MjModel) -> Exact | None:
     Raises:
         ValueError: The text is broken, or names joints that the model has not.
     """
-    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, TEXT)
-    if number < 0:
+    if (text := text_of(model, TEXT)) is None:
         return None
-    first, size = model.text_adr[number], model.text_size[number]
-    found = read(model.text_data[first : first + size].rstrip(b"\0").decode())
-    scalar = {model.joint(j).name for j in np.flatnonzero(np.isin(model.jnt_type, POINT_JOINTS))}
+    found = read(text)
     named = {*found.curves, *(of for of, _ in found.curves.values() if of is not None)}
-    if lost := named - scalar:
-        raise ValueError(
-            f"the couplings name {min(lost)!r}, and the model has no hinge or slide of that name; "
-            "they belong to another model"
-        )
+    check_named("couplings", "hinge or slide", named, scalar_joints(model))
     return found
 
 
@@ -223,9 +216,7 @@ def ask(spec: mujoco.MjSpec, text: str = NOTHING.as_json()) -> None:
     Raises:
         ValueError: The text is broken.
     """
-    for old in [old for old in spec.texts if old.name == TEXT]:
-        spec.delete(old)
-    spec.add_text(name=TEXT, data=text)
+    set_text(spec, TEXT, text)
     for body in filter(None, map(spec.body, read(text).bodies)):
         body.fuse = 0  # fused with its parent it could not be weighed
 

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from myowarp.coordinates.couplings import Pieces, driven
-from myowarp.definitions.body import POINT_JOINTS
+from myowarp.coordinates.model_text import check_named, scalar_joints, set_text, text_of
 
 TEXT = "forces"
 """Name of the model's text that says what acts."""
@@ -125,21 +125,14 @@ def own_forces(model: mujoco.MjModel) -> PassiveForces | None:
     Raises:
         ValueError: The text is broken, or names what the model has not.
     """
-    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, TEXT)
-    if number < 0:
+    if (text := text_of(model, TEXT)) is None:
         return None
-    first, size = model.text_adr[number], model.text_size[number]
-    acting = read(model.text_data[first : first + size].rstrip(b"\0").decode())
-    scalar = {model.joint(j).name for j in np.flatnonzero(np.isin(model.jnt_type, POINT_JOINTS))}
+    acting = read(text)
     tendons = {model.tendon(i).name for i in range(model.ntendon)}
     named = {*(limit.joint for limit in acting.limits), *acting.dampers}
     pulling = {*(ligament.tendon for ligament in acting.ligaments), *acting.springs}
-    for kind, lost in (("hinge or slide", named - scalar), ("tendon", pulling - tendons)):
-        if lost:
-            raise ValueError(
-                f"the forces name {min(lost)!r}, and the model has no {kind} of that name; "
-                "they belong to another model"
-            )
+    check_named("forces", "hinge or slide", named, scalar_joints(model))
+    check_named("forces", "tendon", pulling, tendons)
     return acting
 
 
@@ -150,6 +143,4 @@ def ask(spec: mujoco.MjSpec, text: str) -> None:
         ValueError: The text is broken.
     """
     read(text)
-    for old in [old for old in spec.texts if old.name == TEXT]:
-        spec.delete(old)
-    spec.add_text(name=TEXT, data=text)
+    set_text(spec, TEXT, text)

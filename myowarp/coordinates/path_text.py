@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from myowarp.coordinates.couplings import Pieces, driven
-from myowarp.definitions.body import POINT_JOINTS
+from myowarp.coordinates.model_text import check_named, scalar_joints, set_text, text_of
 from myowarp.models.paths.tables import KINDS, METHODS, TURNS, OsimPath, OsimPaths, Over, Via, WrapSurface
 
 TEXT = "paths"
@@ -121,24 +121,14 @@ def own_paths(model: mujoco.MjModel) -> Said | None:
     Raises:
         ValueError: The text is broken, or names what the model has not.
     """
-    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, TEXT)
-    if number < 0:
+    if (text := text_of(model, TEXT)) is None:
         return None
-    first, size = model.text_adr[number], model.text_size[number]
-    said = read(model.text_data[first : first + size].rstrip(b"\0").decode())
-    scalar = [model.joint(j).name for j in np.flatnonzero(np.isin(model.jnt_type, POINT_JOINTS))]
+    said = read(text)
     spatial = [model.tendon(i).name for i in range(model.ntendon) if not is_of(model, i, WRAP_JOINT)]
-    wanted = (
-        ("body", said.paths.bodies, [model.body(b).name for b in range(model.nbody)]),
-        ("hinge or slide", [of for of, _ in said.values if of is not None], scalar),
-        ("tendon", said.paths.paths, spatial),
-    )
-    for kind, names, known in wanted:
-        if lost := set(names) - set(known):
-            raise ValueError(
-                f"the paths name {min(lost)!r}, and the model has no {kind} of that name; "
-                "they belong to another model"
-            )
+    leading = [of for of, _ in said.values if of is not None]
+    check_named("paths", "body", said.paths.bodies, [model.body(b).name for b in range(model.nbody)])
+    check_named("paths", "hinge or slide", leading, scalar_joints(model))
+    check_named("paths", "tendon", said.paths.paths, spatial)
     for tendon in range(model.ntendon):
         name = model.tendon(tendon).name
         sites = is_of(model, tendon, WRAP_SITE) or is_of(model, tendon, WRAP_JOINT)
@@ -159,8 +149,6 @@ def ask(spec: mujoco.MjSpec, text: str) -> None:
     Raises:
         ValueError: The text is broken.
     """
-    for old in [old for old in spec.texts if old.name == TEXT]:
-        spec.delete(old)
-    spec.add_text(name=TEXT, data=text)
+    set_text(spec, TEXT, text)
     for body in filter(None, map(spec.body, read(text).paths.bodies)):
         body.fuse = 0  # fused with its parent it would have another frame
