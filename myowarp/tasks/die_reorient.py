@@ -24,7 +24,14 @@ from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
 from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec
 from myowarp.kernels.reward import EFFORT, is_far, minus_error, minus_failed, near_bonus
-from myowarp.models.bodies.contact_hand import HAND_JOINTS, INERTIA_FLOOR, PALM_UP, SOFT, add_object
+from myowarp.models.bodies.contact_hand import (
+    HAND_JOINTS,
+    INERTIA_FLOOR,
+    PALM_UP,
+    SOFT,
+    add_object,
+    add_object_joints,
+)
 from myowarp.tasks.die import (
     BATCHED_MASS,
     BATCHED_SHAPE,
@@ -35,9 +42,8 @@ from myowarp.tasks.die import (
     shape_die,
     weigh_die,
 )
-from myowarp.tasks.euler_angles import euler_angles, same_rotation, turned
+from myowarp.tasks.euler_angles import euler_angles, same_rotation, turned, wxyz
 from myowarp.tasks.markers import add_tip_targets
-from myowarp.tasks.pen_twirl import AXES
 
 DIE_POS = (-0.24, -0.535, 1.46)  # m, world; on the palm
 BESIDE = (-0.1, 0.0, 0.0)  # m, from where the die should be to where the wanted one is shown
@@ -151,7 +157,7 @@ def show_wanted(
     by = wp.vec3(goal_offset[worldid, 0], goal_offset[worldid, 1], goal_offset[worldid, 2])
     q = turned(wp.vec3(goal_angles[worldid, 0], goal_angles[worldid, 1], goal_angles[worldid, 2]))
     mocap_pos_out[worldid, 0] = START + SHOWN + by
-    mocap_quat_out[worldid, 0] = wp.quat(q[3], q[0], q[1], q[2])
+    mocap_quat_out[worldid, 0] = wxyz(q)
 
 
 def _minus(bounds: tuple[float, ...]) -> tuple[float, ...]:
@@ -330,15 +336,7 @@ class DieReorientTask(TaskSpec):
             if self.free:
                 part.priority, part.solimp = 1, 0.5 * (part.solimp + np.array(SOFT))
         die.add_site(name="object_o", size=(0.005, 0.005, 0.005))
-        if self.free:
-            die.add_joint(name="OBJ", type=mujoco.mjtJoint.mjJNT_FREE)
-        else:
-            for letter, axis in AXES.items():
-                slide = die.add_joint(name=f"OBJT{letter}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-                slide.limited, slide.range, slide.damping[0] = True, REACH, DAMPING
-            for letter, axis in AXES.items():
-                hinge = die.add_joint(name=f"OBJR{letter}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
-                hinge.damping[0] = DAMPING
+        add_object_joints(die, free=self.free, reach=3 * (REACH,), damping=DAMPING)
         # The engine never moves a static geom; a mocap body is as immovable, and placed for each world.
         wanted = add_object(spec, "target", tuple(np.add(DIE_POS, BESIDE)), mocap=True)
         for part in add_die(wanted, "wanted", (0.1, 0.68, 0.3, 1.0)):

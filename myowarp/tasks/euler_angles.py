@@ -40,6 +40,12 @@ def turned(angles: wp.vec3) -> wp.quat:
     return x * y * z
 
 
+@wp.func
+def wxyz(q: wp.quat) -> wp.quat:
+    """Components in MuJoCo's order of a rotation in Warp's."""
+    return wp.quat(q[3], q[0], q[1], q[2])
+
+
 def quat_of(angles: tuple[float, float, float]) -> np.ndarray:
     """Return Rx(a) Ry(b) Rz(c) as w, x, y, z; host."""
     quat = np.zeros(4)

@@ -24,7 +24,7 @@ from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
 from myowarp.kernels.reward import EFFORT, indicator, is_far, minus_error, minus_failed
 from myowarp.kernels.world_function import Row
-from myowarp.models.bodies.contact_hand import HAND_JOINTS, PALM_UP, add_object
+from myowarp.models.bodies.contact_hand import HAND_JOINTS, PALM_UP, add_object, add_object_joints
 from myowarp.tasks.markers import add_tip_targets
 
 DROPPED = wp.constant(0.075)  # m, distance from the start beyond which the pen is lost
@@ -43,7 +43,6 @@ TRIMMINGS = (
     (mujoco.mjtGeom.mjGEOM_BOX, (0.004, 0.006, 0.03), (-0.015, 0.0, -0.0255)),
 )  # cap, end and clip: shape, size [m], position [m]; they weigh, but touch nothing
 TRIMMING_DENSITY = 1000.0  # kg/m^3
-AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 def add_pen(body: mujoco.MjsBody, name: str, density: float, rgba: tuple[float, ...]) -> None:
@@ -253,12 +252,7 @@ class PenTwirlTask(TaskSpec):
         pen.quat = (np.cos(PEN_TILT / 2), 0.0, np.sin(PEN_TILT / 2), 0.0)
         add_pen(pen, "pen", 1500.0, (0.25, 0.45, 0.8, 1.0))
         pen.add_site(name="object_top", pos=(0.0, 0.0, HALF_LENGTH), size=(0.005, 0.005, 0.005))
-        if self.free:
-            pen.add_joint(name="OBJ", type=mujoco.mjtJoint.mjJNT_FREE)
-        else:
-            for prefix, kind in (("T", mujoco.mjtJoint.mjJNT_SLIDE), ("R", mujoco.mjtJoint.mjJNT_HINGE)):
-                for letter, axis in AXES.items():
-                    pen.add_joint(name=f"OBJ{prefix}{letter}", type=kind, axis=axis)
+        add_object_joints(pen, free=self.free)
         # The engine never moves a static geom; a mocap body is as immovable, and turned for each world.
         target = add_object(spec, "target", TARGET_POS, mocap=True)
         add_pen(target, "target", 1000.0, (0.1, 0.68, 0.3, 1.0))

@@ -28,7 +28,7 @@ from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
 from myowarp.engine.stages.arrays import filled
 from myowarp.kernels.random import RandomKeys, open_stream, stream_of
 from myowarp.kernels.reward import EFFORT, minus_error
-from myowarp.models.bodies.contact_hand import INERTIA_FLOOR, add_object
+from myowarp.models.bodies.contact_hand import INERTIA_FLOOR, add_object, add_object_joints
 from myowarp.tasks.die_reorient import (
     angles_error,
     die_position,
@@ -39,9 +39,8 @@ from myowarp.tasks.die_reorient import (
     rotation_size,
     wanted_angles,
 )
-from myowarp.tasks.euler_angles import quat_of, same_rotation, turned
+from myowarp.tasks.euler_angles import quat_of, same_rotation, turned, wxyz
 from myowarp.tasks.markers import add_tip_targets
-from myowarp.tasks.pen_twirl import AXES
 from myowarp.tasks.relocate_object import (
     ASKEW,
     BATCHED,
@@ -186,10 +185,8 @@ def put_bin(
     worldid = wp.tid()
     if not mask[worldid]:
         return
-    q = turned(wp.vec3(goal_angles[worldid, 0], goal_angles[worldid, 1], goal_angles[worldid, 2]))
-    place = wp.vec3(goal_place[worldid, 0], goal_place[worldid, 1], goal_place[worldid, 2])
-    mocap_pos_out[worldid, 0] = place
-    mocap_quat_out[worldid, 0] = wp.quat(q[3], q[0], q[1], q[2])
+    mocap_pos_out[worldid, 0] = three(goal_place, worldid, 0)
+    mocap_quat_out[worldid, 0] = wxyz(turned(three(goal_angles, worldid, 0)))
 
 
 @wp.kernel(enable_backward=False)
@@ -492,14 +489,7 @@ class RelocateTask(TaskSpec):
             box.quat = quat_of((0.0, 0.0, turn))
             box.contype = box.conaffinity = 1
         held = add_object(spec, "Object", OBJECT_POS, floored=not self.free)
-        if self.free:
-            held.add_joint(name="OBJ", type=mujoco.mjtJoint.mjJNT_FREE)
-        for (letter, axis), reach in () if self.free else zip(AXES.items(), REACH, strict=True):
-            slide = held.add_joint(name=f"OBJT{letter}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-            slide.limited, slide.range, slide.damping[0] = True, reach, DAMPING
-        for letter, axis in () if self.free else AXES.items():
-            hinge = held.add_joint(name=f"OBJR{letter}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
-            hinge.damping[0] = DAMPING
+        add_object_joints(held, free=self.free, reach=REACH, damping=DAMPING)
         add_parts(held, self.varied, priority=int(self.free))
         held.add_site(name="object_o", size=(0.005, 0.005, 0.005))
         # The engine never moves a static geom; a mocap body is as immovable, and placed for each world.

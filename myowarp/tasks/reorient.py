@@ -27,13 +27,12 @@ from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
 from myowarp.engine.stages.arrays import filled
 from myowarp.kernels.reward import EFFORT, is_far, minus_error, minus_failed
 from myowarp.kernels.world_function import Row
-from myowarp.models.bodies.contact_hand import HAND_JOINTS, PALM_UP
-from myowarp.tasks.euler_angles import turned
+from myowarp.models.bodies.contact_hand import HAND_JOINTS, PALM_UP, add_object_joints
+from myowarp.tasks.euler_angles import turned, wxyz
 from myowarp.tasks.markers import add_tip_targets
 from myowarp.tasks.pen_twirl import (
     ALIGNED,
     ALIGNED_BONUS,
-    AXES,
     CLOSE,
     DROPPED,
     aligned_bonus,
@@ -220,7 +219,7 @@ def turn_target(
     worldid = wp.tid()
     if mask[worldid]:
         q = turned(wp.vec3(wanted_turn[worldid, 0], wanted_turn[worldid, 1], 0.0))
-        mocap_quat_out[worldid, 0] = wp.quat(q[3], q[0], q[1], q[2])
+        mocap_quat_out[worldid, 0] = wxyz(q)
 
 
 class ReorientProgram(MuscleProgram):
@@ -342,13 +341,7 @@ class ReorientTask(TaskSpec):
         """Add the object, the target above it, and the marker of where the object's end should be."""
         held = spec.worldbody.add_body(name="Object", pos=START_POS)
         held.quat = (np.cos(TILT / 2), 0.0, np.sin(TILT / 2), 0.0)
-        if self.free:
-            held.add_joint(name="OBJ", type=mujoco.mjtJoint.mjJNT_FREE)
-        for prefix, kind in (
-            () if self.free else (("T", mujoco.mjtJoint.mjJNT_SLIDE), ("R", mujoco.mjtJoint.mjJNT_HINGE))
-        ):
-            for letter, axis in AXES.items():
-                held.add_joint(name=f"OBJ{prefix}{letter}", type=kind, axis=axis)
+        add_object_joints(held, free=self.free)
         add_kinds(held, "object", self.condim, (0.25, 0.45, 0.8, 1.0))
         held.add_site(name="object_top", pos=(0.0, 0.0, LENGTH_OF_AXIS), size=(0.005, 0.005, 0.005))
         target = spec.worldbody.add_body(name="target", pos=TARGET_POS, mocap=True)

@@ -27,6 +27,7 @@ LUNATE_FILLERS = (  # radius, half length [m], position [m], orientation: mass t
     (0.007, 0.02, (0.0, -0.01, -0.004), (0.807649, -0.0333177, 0.588355, 0.0207694)),
 )
 UNTOUCHABLE = ("humerus_coll_r", "radius_coll_r")
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 SOFT = (0.8, 0.8, 0.01, 0.5, 2.0)  # solimp of hand collision geoms
 
 
@@ -89,6 +90,33 @@ def add_object(
     body = spec.worldbody.add_frame().attach_body(own, "own_", "")
     body.name = name
     return body
+
+
+def add_object_joints(
+    body: mujoco.MjsBody,
+    *,
+    free: bool,
+    reach: tuple[tuple[float, float], ...] = (),
+    damping: float | None = None,
+) -> None:
+    """Let an object move: by a free joint or, as in MyoSuite, by three slides and three hinges.
+
+    Args:
+        body: The object.
+        free: Whether by a free joint.
+        reach: Ranges of the slides [m]; (): they have none.
+        damping: Of slides and hinges [N s/m, N m s/rad]; None: the spec's own.
+    """
+    if free:
+        body.add_joint(name="OBJ", type=mujoco.mjtJoint.mjJNT_FREE)
+        return
+    for prefix, kind in (("T", mujoco.mjtJoint.mjJNT_SLIDE), ("R", mujoco.mjtJoint.mjJNT_HINGE)):
+        for number, (letter, axis) in enumerate(AXES.items()):
+            joint = body.add_joint(name=f"OBJ{prefix}{letter}", type=kind, axis=axis)
+            if damping is not None:
+                joint.damping[0] = damping
+            if reach and prefix == "T":
+                joint.limited, joint.range = True, reach[number]
 
 
 PALM_UP = -1.5  # rad, joint 0, the forearm's rotation: an object can lie on the palm
