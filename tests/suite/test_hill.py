@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 from converted import muscled
+from hill_64 import Hill64, velocity_64
 from muscle_bench import PROTOCOLS, hold, trajectory
 from opensim_muscles import DATA, load
 
@@ -49,7 +50,6 @@ LAWS = {
 MODELS = [path.stem.removeprefix("muscles_") for path in sorted(DATA.glob("muscles_*.npz"))]
 MODELS.remove("moving")
 HILL = [name for name in MUSCLES if issubclass(MUSCLES[name], Hill)]
-Hill64 = hill_law.hill_muscle(wp.float64)
 
 
 @wp.func
@@ -108,22 +108,6 @@ def pull_64(
         m[0, 0], tables, spans, a[i], wp.float64(1.0), z[i], wp.float64(0.0), before[i], per_step
     )
     force[i] = pull[0]
-
-
-@wp.kernel
-def velocity_64(
-    m: wp.array2d[Hill64],
-    tables: wp.array2d[wp.vec2d],
-    spans: wp.array[wp.vec2d],
-    a: wp.array[wp.float64],
-    norm_length: wp.array[wp.float64],
-    pull: wp.array[wp.float64],
-    velocity: wp.array[wp.float64],
-):
-    i = wp.tid()
-    one, tolerance = wp.float64(1.0), wp.float64(1e-13)
-    found = hill_law.fiber_velocity(m[0, 0], tables, spans, a[i], one, norm_length[i], pull[i], tolerance)
-    velocity[i] = found[0]
 
 
 REALS = {

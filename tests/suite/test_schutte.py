@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import warp as wp
 from converted import muscled
+from hill_64 import Hill64, velocity_64
 
 import myowarp
 from myowarp.models.muscles.hill import hill_parameters
-from myowarp.models.muscles.hill_law import SCHUTTE, fiber_velocity, hill_muscle
+from myowarp.models.muscles.hill_law import SCHUTTE
 from myowarp.opensim.muscle.curves import SplineCurves
 from myowarp.opensim.muscle.hill import HillMuscle
 from myowarp.opensim.muscle.spline_tables import SPLINES
@@ -21,23 +22,6 @@ KIND = "Schutte1993Muscle_Deprecated"
 DAMPING = 0.1
 VELOCITY = 3e-4
 """Of the maximum contraction velocity: tables are off by 2e-5 at corners, which damping divides by 0.1."""
-
-Hill64 = hill_muscle(wp.float64)
-
-
-@wp.kernel
-def schutte_velocity(
-    m: wp.array2d[Hill64],
-    tables: wp.array2d[wp.vec2d],
-    spans: wp.array[wp.vec2d],
-    a: wp.array[wp.float64],
-    norm_length: wp.array[wp.float64],
-    pull: wp.array[wp.float64],
-    velocity: wp.array[wp.float64],
-):
-    i = wp.tid()
-    one, tolerance = wp.float64(1.0), wp.float64(1e-13)
-    velocity[i] = fiber_velocity(m[0, 0], tables, spans, a[i], one, norm_length[i], pull[i], tolerance)[0]
 
 
 def opensims_velocity(a, active, velocity_force):
@@ -81,7 +65,7 @@ def test_fibers_move_as_in_opensim(states_passive):
     given = (wp.array(x, dtype=wp.float64, device="cpu") for x in (a, length, pull))
     device = (wp.array(rows, dtype=Hill64, device="cpu"),)
     device += tuple(wp.array(x, dtype=wp.vec2d, device="cpu") for x in (tables, spans))
-    wp.launch(schutte_velocity, 500, [*device, *given, found], device="cpu")
+    wp.launch(velocity_64, 500, [*device, *given, found], device="cpu")
     expected = opensims_velocity(a, active, pull - passive)
     assert np.ptp(expected) > 1.0
     assert found.numpy() == pytest.approx(expected, abs=VELOCITY)
