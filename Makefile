@@ -2,6 +2,7 @@
 #   make PYTHON=python3.12 test      another interpreter (after `make clean` if .venv exists)
 #   make test PYTEST="-k fatigue"    more arguments for pytest
 #   make rivals RIVALS=--quick       three families and two rounds instead of all
+#   make rivals RIVALS=--whole-bodies  arm, legs, torso, relocate and full body instead
 #   make learning LEARNING=--quick   the elbow alone
 #   make test-view MINUTES=10        watch the memory for ten minutes instead of one
 #   make opensim OPENSIM=--quick     one model and two rounds instead of all

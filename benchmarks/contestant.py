@@ -20,6 +20,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+FULL_BODY = "full_body-v0"  # a model of ours on which nobody has a task: poses of all its joints
 ACTIONS = 64  # random actions drawn ahead, so that drawing costs no contestant anything
 
 
@@ -104,12 +105,18 @@ def envpool(task: str, cores: int, num_envs: int, **_: Any) -> VectorEnv:
     return VectorEnv(env, num_envs, threads=cores)
 
 
+def task_spec(task: str) -> Any:
+    """Return a task of MyoWarp, registered."""
+    import myowarp
+
+    return myowarp.from_mjcf("full_body") if task == FULL_BODY else myowarp.TASKS[task]
+
+
 def myowarp(task: str, cores: int, num_envs: int, physics: str, **_: Any) -> VectorEnv:
     """MyoWarp as a user makes it; all cores are its default."""
     import gymnasium
 
-    import myowarp  # noqa: F401
-
+    task_spec(task)
     env = gymnasium.make_vec(f"MyoWarp/{task}", num_envs=num_envs, physics=physics, device="cpu")
     return VectorEnv(env, num_envs, physics=physics)
 
@@ -124,11 +131,9 @@ class MujocoC:
         import mujoco
         from mujoco.rollout import Rollout
 
-        import myowarp.tasks  # noqa: F401 (it registers the tasks)
-        from myowarp.definitions.task import TASKS
         from myowarp.sim.build import full_spec
 
-        spec = TASKS[task]
+        spec = task_spec(task)
         model = full_spec(spec).compile()
         data = mujoco.MjData(model)
         data.qpos[:] = spec.start(model)

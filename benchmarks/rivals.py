@@ -1,12 +1,13 @@
 """MyoWarp beside its rivals on the same cores, in the same run.
 
     make rivals
+    make rivals RIVALS=--whole-bodies
 
-For each of the nine families: MyoSuite 3.0.0 alone and in Gymnasium's AsyncVectorEnv, EnvPool 1.2.5, MuJoCo C
-without any environment, and MyoWarp with both presets. Every contestant is a process of its own
-(`contestant.py`) that is up all the time; only one steps at a time, in rounds, so that a disturbance of the
-machine meets all of them alike. What others use meanwhile is read from /proc/stat; a disturbed measurement is
-made again. Linux only.
+For each of the nine families, or of the whole bodies: MyoSuite 3.0.0 alone and in Gymnasium's
+AsyncVectorEnv, EnvPool 1.2.5, MuJoCo C without any environment, and MyoWarp with both presets. Every
+contestant is a process of its own (`contestant.py`) that is up all the time; only one steps at a time, in
+rounds, so that a disturbance of the machine meets all of them alike. What others use meanwhile is read from
+/proc/stat; a disturbed measurement is made again. Linux only.
 """
 
 import json
@@ -26,8 +27,9 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
+from benchmarks.contestant import FULL_BODY
 from benchmarks.machine import IDLE_CORES, disturbances, least_disturbed, processor
-from benchmarks.rivals_report import draw, print_tables, summarize
+from benchmarks.rivals_report import JUDGED_SIZE, draw, print_tables, summarize
 
 ROOT = Path(__file__).parents[1]
 FAMILIES = {
@@ -41,7 +43,22 @@ FAMILIES = {
     "pen twirl": "myoHandPenTwirlRandom-v0",
     "baoding": "myoChallengeBaodingP2-v1",
 }
+WHOLE_BODIES = {
+    "arm reach": "myoArmReachRandom-v0",
+    "leg stand": "myoLegStandRandom-v0",
+    "leg walk": "myoLegWalk-v0",
+    "leg hills": "myoLegHillyTerrainWalk-v0",
+    "torso pose": "myoTorsoPoseFixed-v0",
+    "relocate": "myoChallengeRelocateP1-v0",
+    "full body": FULL_BODY,
+}
 QUICK = ("elbow pose", "hand pose", "key turn")
+AXES = {
+    "EnvPool": "EnvPool 1.2.5",
+    "MuJoCo C": "MuJoCo C (physics alone)",
+    "MyoSuite": "the better of MyoSuite 3.0.0's two",
+}
+TASK_OF = FAMILIES | WHOLE_BODIES
 FRESH = ("hand pose", "key turn")  # without and with contacts; each compiles for half a minute
 DIFFERENCES = {
     "MyoSuite": "MyoSuite 3.0.0: the same tasks; one Python environment in one process.",
@@ -67,6 +84,8 @@ class Options:
     """JSON file to write; the plot goes beside it."""
     families: tuple[str, ...] = tuple(FAMILIES)
     """Families to measure."""
+    whole_bodies: bool = False
+    """The whole bodies instead, with up to 256 worlds."""
     sizes: tuple[int, ...] = (1, 64, 256, 1024)
     """Numbers of worlds of MyoWarp."""
     rounds: int = 5
@@ -78,9 +97,12 @@ class Options:
 
     def __post_init__(self) -> None:
         """Check the names, and cut down to what is quick."""
-        unknown = sorted(set(self.families) - set(FAMILIES))
+        if self.whole_bodies:
+            self.families = tuple(WHOLE_BODIES)
+            self.sizes = tuple(size for size in self.sizes if size <= JUDGED_SIZE)
+        unknown = sorted(set(self.families) - set(TASK_OF))
         if unknown:
-            raise ValueError(f"family {unknown[0]!r} unknown; available: {', '.join(FAMILIES)}")
+            raise ValueError(f"family {unknown[0]!r} unknown; available: {', '.join(TASK_OF)}")
         if self.quick:
             self.families = tuple(name for name in self.families if name in QUICK)
             self.sizes, self.rounds, self.seconds = (64,), 2, 0.3
@@ -182,10 +204,13 @@ def start(
 def line_up(task: str, options: Options, log: Any, tell: Any) -> list[Worker]:
     """Start all contestants of a family: one after the other, but for sizes that differ from the first."""
     cores, ours = len(os.sched_getaffinity(0)), Path(sys.executable)
-    wanted: list[tuple[str, Path, dict[str, Any]]] = [
+    others: list[tuple[str, Path, dict[str, Any]]] = [
         ("MyoSuite", options.myosuite, {"kind": "myosuite"}),
         ("MyoSuite async", options.myosuite, {"kind": "myosuite_async"}),
         ("EnvPool", options.envpool, {"kind": "envpool", "num_envs": 64}),
+    ]
+    wanted = [
+        *(others if task != FULL_BODY else []),  # they have no task with it
         ("MuJoCo C, 1 thread", ours, {"kind": "mujoco_c", "threads": 1}),
         ("MuJoCo C", ours, {"kind": "mujoco_c", "threads": cores}),
     ]
@@ -256,7 +281,7 @@ def main() -> None:
     with log_path.open("w") as log, Progress(console=Console(stderr=True)) as progress:
         bar = progress.add_task("", total=2 * len(options.families))
         for family in options.families:
-            task = FAMILIES[family]
+            task = TASK_OF[family]
 
             def tell(what: str, family: str = family) -> None:
                 progress.update(bar, description=f"{family}: {what}")
@@ -280,11 +305,12 @@ def main() -> None:
         "load_before": round(load, 2),
         "cores_busy_with_others": disturbances(others),
         "differences": DIFFERENCES,
-        "families": summarize(samples, FAMILIES, options.sizes),
+        "families": summarize(samples, TASK_OF, options.sizes),
         "start_seconds_of_myowarp": starts,
     }
     options.output.write_text(json.dumps(report, indent=1) + "\n")
-    draw(report, options.output.with_suffix(".png"))
+    rivals = ("MuJoCo C" if options.whole_bodies else "EnvPool"), "MyoSuite"
+    draw(report, options.output.with_suffix(".png"), {name: AXES[name] for name in rivals})
     print_tables(report, Console(width=None if sys.stdout.isatty() else 160))
     if (disturbed := report["cores_busy_with_others"]["disturbed_measurements"]) > 0:
         Console(stderr=True).print(

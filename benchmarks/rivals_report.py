@@ -9,12 +9,12 @@ from rich.console import Console
 from rich.table import Table
 
 JUDGED_SIZE = 256  # worlds; the other sizes are in the table beside it
+AIMED_AT = ("parity/EnvPool", "fast/EnvPool", "parity/MyoSuite", "fast/MyoSuite")
 SIMPLE, FINGER, HAND, CONTACT = (
-    (5.0, 8.0, 6.0, 10.0),
-    (2.5, 4.0, 4.0, 6.0),
-    (2.0, 3.5, 2.0, 3.5),
-    (1.5, 2.5, 2.0, 3.3),
+    dict(zip(AIMED_AT, goals, strict=True))
+    for goals in ((5.0, 8.0, 6.0, 10.0), (2.5, 4.0, 4.0, 6.0), (2.0, 3.5, 2.0, 3.5), (1.5, 2.5, 2.0, 3.3))
 )
+LIMBS = {"parity/MuJoCo C": 1.5, "fast/MuJoCo C": 5.0}
 GOALS = {
     "elbow pose": SIMPLE,
     "finger pose": FINGER,
@@ -25,8 +25,13 @@ GOALS = {
     "object hold": CONTACT,
     "pen twirl": CONTACT,
     "baoding": CONTACT,
+    "arm reach": LIMBS,
+    "leg stand": LIMBS,
+    "leg walk": LIMBS,
+    "leg hills": LIMBS,
 }
-"""What we want to reach: parity and fast over EnvPool, parity and fast over the better of MyoSuite's two."""
+"""What we want to reach over EnvPool and the better of MyoSuite's two, or over MuJoCo C."""
+PRESETS = ("parity", "fast")
 COLORS = {"parity": "#1f5fa8", "fast": "#d9822b"}
 
 
@@ -64,25 +69,33 @@ def _summarize_family(rows: dict[str, Any], task: str, family: str, sizes: Seque
         for name, row in rows.items()
     }
     better = max(
-        ("MyoSuite", "MyoSuite async"), key=lambda name: contestants[name]["env_steps_per_s"]["median"]
+        (name for name in ("MyoSuite", "MyoSuite async") if name in rows),
+        key=lambda name: contestants[name]["env_steps_per_s"]["median"],
+        default=None,
     )
     ratios = {
         f"{physics} {size}": {
             rival: _ratios(rows[f"{physics} {size}"], rows[rival])
             for rival in ("EnvPool", "MyoSuite", "MyoSuite async", "MuJoCo C")
+            if rival in rows
         }
-        for physics in ("parity", "fast")
+        for physics in PRESETS
         for size in sizes
     }
     judged = JUDGED_SIZE if JUDGED_SIZE in sizes else sizes[0]
-    names = ("parity/EnvPool", "fast/EnvPool", "parity/MyoSuite", "fast/MyoSuite")
-    goals = {}
-    for name, goal in zip(names, GOALS[family], strict=True):
-        physics, _, rival = name.partition("/")
-        measured = ratios[f"{physics} {judged}"][better if rival == "MyoSuite" else rival]
-        goals[name] = {"goal": goal, "measured": measured, "reached": measured["median"] >= goal}
     summary = {"task": task, "contestants": contestants, "better_of_myosuite": better, "ratios": ratios}
-    return summary | {"judged_worlds": judged, "goals": goals}
+    summary["judged_worlds"] = judged
+    goals = {}
+    for name, goal in GOALS.get(family, {}).items():
+        measured = _ratio(summary, *name.split("/"))
+        goals[name] = {"goal": goal, "measured": measured, "reached": measured["median"] >= goal}
+    return summary | {"goals": goals}
+
+
+def _ratio(row: dict[str, Any], physics: str, rival: str) -> dict[str, float] | None:
+    """Return a family's ratio to a rival, or to the better of MyoSuite's two; None without the rival."""
+    name = row["better_of_myosuite"] if rival == "MyoSuite" else rival
+    return row["ratios"][f"{physics} {row['judged_worlds']}"].get(name)
 
 
 def print_tables(report: dict[str, Any], console: Console) -> None:
@@ -90,71 +103,81 @@ def print_tables(report: dict[str, Any], console: Console) -> None:
     families = report["families"]
     names = list(next(iter(families.values()))["contestants"])
     rates = Table(title=f"env steps/s, median of {report['rounds']} rounds, {report['cores']} cores")
-    for column in ("family", *names):
-        rates.add_column(column, justify="left" if column == "family" else "right")
-    for family, row in families.items():
-        cells = (f"{row['contestants'][name]['env_steps_per_s']['median']:,.0f}" for name in names)
-        rates.add_row(family, *cells)
-    console.print(rates)
     memory = Table(title="peak memory [MB] / seconds from process start to first step")
-    for column in ("family", *names):
-        memory.add_column(column, justify="left" if column == "family" else "right")
+    for table in (rates, memory):
+        for column in ("family", *names):
+            table.add_column(column, justify="left" if column == "family" else "right")
     for family, row in families.items():
-        figures = (row["contestants"][name] for name in names)
-        memory.add_row(family, *(f"{one['peak_memory_mb']:,} / {one['start_s'] or 0:.1f}" for one in figures))
-    console.print(memory)
+        figures = [row["contestants"].get(name) for name in names]
+        rates.add_row(family, *(one and f"{one['env_steps_per_s']['median']:,.0f}" for one in figures))
+        memory.add_row(
+            family, *(one and f"{one['peak_memory_mb']:,} / {one['start_s'] or 0:.1f}" for one in figures)
+        )
     goals = Table(title="ratio (least to greatest of the rounds) and goal")
-    for column in ("family", "worlds", *next(iter(families.values()))["goals"]):
+    wanted = list(dict.fromkeys(name for row in families.values() for name in row["goals"]))
+    for column in ("family", "worlds", *wanted):
         goals.add_column(column)
     for family, row in families.items():
-        goals.add_row(family, str(row["judged_worlds"]), *(_verdict(goal) for goal in row["goals"].values()))
-    console.print(goals)
+        cells = (_verdict(_ratio(row, *name.split("/")), row["goals"].get(name)) for name in wanted)
+        goals.add_row(family, str(row["judged_worlds"]), *cells)
+    for table in (rates, memory, goals):
+        console.print(table)
     for family, seconds in report["start_seconds_of_myowarp"].items():
         console.print(f"{family}: first start {seconds['fresh']} s, second start {seconds['second']} s")
 
 
-def _verdict(goal: dict[str, Any]) -> str:
-    """Return a ratio beside its goal."""
-    measured = goal["measured"]
+def _verdict(measured: dict[str, float] | None, goal: dict[str, Any] | None) -> str:
+    """Return a ratio, beside its goal where there is one."""
+    if measured is None:
+        return ""
     text = f"{measured['median']:.2f} ({measured['min']:.2f} to {measured['max']:.2f})"
+    if goal is None:
+        return text
     if goal["reached"]:
         return f"{text} [green]>= {goal['goal']:g}[/green]"
     return f"{text} [red]of {goal['goal']:g}, short by {1 - measured['median'] / goal['goal']:.0%}[/red]"
 
 
-def draw(report: dict[str, Any], path: Path) -> None:
-    """Draw the ratios to EnvPool and to the better of MyoSuite's two, with their goals."""
+def draw(report: dict[str, Any], path: Path, rivals: dict[str, str]) -> None:
+    """Draw the ratios to two rivals, with their goals.
+
+    Args:
+        report: What was measured.
+        path: PNG to write.
+        rivals: Which rivals, and what the axis calls each.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
     families = report["families"]
-    figure, axes = plt.subplots(1, 2, figsize=(11, 1.4 + 0.62 * len(families)), sharey=True)
-    for axis, rival, title in zip(
-        axes, ("EnvPool", "MyoSuite"), ("EnvPool 1.2.5", "better of MyoSuite 3.0.0's two"), strict=True
-    ):
-        for k, physics in enumerate(("parity", "fast")):
-            goals = [row["goals"][f"{physics}/{rival}"] for row in families.values()]
-            measured = [goal["measured"] for goal in goals]
-            medians = [one["median"] for one in measured]
-            whiskers = [
-                [one["median"] - one["min"] for one in measured],
-                [one["max"] - one["median"] for one in measured],
-            ]
-            heights = [i + 0.2 * (2 * k - 1) for i in range(len(families))]
+    size = (11, 1.4 + 0.62 * len(families))
+    figure, axes = plt.subplots(1, len(rivals), figsize=size, sharey=True)
+    for axis, (rival, title) in zip(axes, rivals.items(), strict=True):
+        for k, physics in enumerate(PRESETS):
+            bars, goals = [], []
+            for i, row in enumerate(families.values()):
+                height = i + 0.2 * (2 * k - 1)
+                if (one := _ratio(row, physics, rival)) is not None:
+                    bars.append(
+                        (height, one["median"], one["median"] - one["min"], one["max"] - one["median"])
+                    )
+                if (goal := row["goals"].get(f"{physics}/{rival}")) is not None:
+                    goals.append((goal["goal"], height))
+            heights, medians, *whiskers = zip(*bars, strict=True)
             axis.barh(
                 heights, medians, 0.36, xerr=whiskers, color=COLORS[physics], label=physics, ecolor="0.3"
             )
-            wanted = [goal["goal"] for goal in goals]
-            axis.plot(wanted, heights, "|", color="k", ms=13, mew=1.8, label="goal" if k else None)
+            if goals:
+                axis.plot(*zip(*goals, strict=True), "|k", ms=13, mew=1.8, label="goal" if k else None)
         axis.axvline(1.0, color="0.5", lw=1)
-        axis.set_xlabel(f"environment steps/s over those of the {title}".replace("the EnvPool", "EnvPool"))
+        axis.set_xlabel(f"environment steps/s over those of {title}")
         axis.set_yticks(range(len(families)), list(families))
         axis.spines[["top", "right"]].set_visible(False)
         axis.set_xlim(left=0)
+        axis.legend(frameon=False, loc="lower right")
     axes[0].invert_yaxis()
-    axes[1].legend(frameon=False, loc="lower right")
     worlds = next(iter(families.values()))["judged_worlds"]
     figure.suptitle(
         f"MyoWarp, {worlds} worlds, {report['cores']} cores, median and range of {report['rounds']} rounds"

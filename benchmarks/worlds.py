@@ -30,7 +30,7 @@ from rich.table import Table
 
 from benchmarks.__main__ import PACKAGES
 from benchmarks.machine import disturbances, least_disturbed, processor, timed_here
-from benchmarks.rivals import FAMILIES
+from benchmarks.rivals import FAMILIES, TASK_OF
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.task import PHYSICS, TASKS
 from myowarp.progress import progress_bar
@@ -47,7 +47,7 @@ class Options:
     output: Path = Path("out/worlds.json")
     """JSON file to write."""
     families: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["-f"])] = tuple(FAMILIES)
-    """Families of `benchmarks.rivals`."""
+    """Families or whole bodies of `benchmarks.rivals`."""
     sizes: tuple[int, ...] = (64, 256, 1024)
     """Numbers of worlds, growing."""
     steps: int = 10
@@ -162,8 +162,8 @@ def main() -> None:
     cases = [(family, physics) for family in options.families for physics in PHYSICS]
     with wp.ScopedMemoryTracker(print=False), progress_bar("Stepping", "cases") as bar:
         for family, physics in bar.track(cases):
-            names = {"family": family, "task": FAMILIES[family], "physics": physics}
-            rows.append(names | measure(FAMILIES[family], physics, options))
+            names = {"family": family, "task": TASK_OF[family], "physics": physics}
+            rows.append(names | measure(TASK_OF[family], physics, options))
             options.output.write_text(json.dumps(report, indent=1) + "\n")  # an early end loses none
     sizes = [f"us, {size}" for size in options.sizes]
     table = Table("family", "physics", "kB a world", "of a step", *sizes, "few / many")
