@@ -15,7 +15,8 @@ from data.recording import euler
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.die_reorient import show_wanted
-from myowarp.tasks.relocate import put_bin, put_object
+from myowarp.tasks.relocate import put_object
+from myowarp.tasks.relocate_scene import put_bin
 from myowarp.tasks.variants import find_variant
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parent / "data/myosuite"))

@@ -6,15 +6,11 @@ with p the distance of the object from the bin's middle [m] and r the norm of th
 angles about x, y and z [rad], which is not the angle between two orientations. p < 0.1 is solved, whatever
 the orientation; the episode fails when the palm is more than 0.5 m from the object. Source: MyoSuite 3.0.0,
 family Relocate of the MyoChallenge 2023.
-
-Table and bin are of its scene. There a reset is drawn again, up to 200 times, while anything touches. Only
-object and bin ever do; here the bin's place is drawn again while the bounding boxes of the object's parts may
-overlap that of the bin.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import mujoco
@@ -24,9 +20,8 @@ import warp as wp
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, TURN, VELOCITIES, XYZ, Entry, coordinates
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec
 from myowarp.engine.stages.arrays import filled
-from myowarp.kernels.random import RandomKeys, open_stream, stream_of
 from myowarp.kernels.reward import EFFORT, minus_error
 from myowarp.models.bodies.contact_hand import INERTIA_FLOOR, add_object, add_object_joints
 from myowarp.tasks.die_reorient import (
@@ -39,46 +34,29 @@ from myowarp.tasks.die_reorient import (
     rotation_size,
     wanted_angles,
 )
-from myowarp.tasks.euler_angles import quat_of, same_rotation, turned, wxyz
+from myowarp.tasks.euler_angles import same_rotation
 from myowarp.tasks.markers import add_tip_targets
 from myowarp.tasks.relocate_object import (
-    ASKEW,
     BATCHED,
-    KINDS,
-    PARTS,
+    OBJECT_POS,
+    OBJECT_START,
+    START,
     Parts,
     Places,
     add_parts,
-    kind_of,
+    kind_draws,
+    part_draws,
     shape_parts,
     three,
     weigh_parts,
 )
-from myowarp.tasks.solids import Shapes, Weights, half_box
+from myowarp.tasks.relocate_scene import add_bin, add_table, keep_apart, put_bin
+from myowarp.tasks.solids import Shapes, Weights
 
 ARM_JOINTS = wp.constant(38)  # those of the object come after them
 PALM_SITE = "S_grasp_r"
-OBJECT_POS = (0.0, -0.25, 0.95)  # m, of the object's frame, where none is drawn
-OBJECT_START = (-0.2, 0.0, -0.02, 0.0, 0.0, 0.0)  # m, rad, of its joints
 REACH = ((-1.2, 1.55), (-1.1, 1.2), (-1.1, 1.35))  # m, of its three slides
 DAMPING = 0.001  # N s/m, N m s/rad, of its joints
-TABLE_POS = (0.0, -0.5, 0.85)  # m
-TABLE = (
-    ("table_top", (0.8, 0.5, 0.05), (0.0, 0.0, 0.0), 0.0),
-    ("table_base", (0.35, 0.6, 0.45), (0.0, 0.0, -0.45), 1.57),
-)  # boxes: name, half sides [m], position [m], turn about z [rad]
-BIN = (
-    ("base", (0.1, 0.1, 0.1), (0.0, 0.0, -0.09)),
-    ("wall0", (0.1, 0.01, 0.1), (0.0, 0.091, 0.1)),
-    ("wall1", (0.01, 0.1, 0.1), (0.091, 0.0, 0.1)),
-    ("wall2", (0.1, 0.01, 0.1), (0.0, -0.091, 0.1)),
-    ("wall3", (0.01, 0.1, 0.1), (-0.091, 0.0, 0.1)),
-)  # boxes, from the middle of its ground
-BIN_MIDDLE, BIN_HALF = wp.constant(wp.vec3(0.0, 0.0, 0.005)), wp.constant(wp.vec3(0.101, 0.101, 0.195))
-START = wp.constant(wp.vec3(*OBJECT_START[:3]))
-MOST_DRAWS = wp.constant(200)
-APART = wp.constant(stream_of("relocate, places of the bin apart from the object"))
-WOOD, STONE = (0.72, 0.58, 0.42, 1.0), (0.78, 0.78, 0.76, 1.0)
 
 
 @wp.func
@@ -122,71 +100,6 @@ def is_out_of_reach(reach: float, far: float) -> bool:
 def is_in_bin(error: float, near: float, failed: bool) -> bool:
     """p < near, and the object is within reach."""
     return error < near and not failed
-
-
-@wp.func
-def may_overlap(parts: Parts, worldid: int, origin: wp.vec3, goal: wp.vec3, turn: wp.mat33) -> bool:
-    """Whether no axis of the bin parts its box from that of a part of an object that is not turned."""
-    middle = goal + turn @ BIN_MIDDLE
-    for part in range(PARTS):
-        size = three(parts.part_size, worldid, part)
-        box = half_box(kind_of(parts, worldid, part), size)
-        axes = wp.quat_to_matrix(turned(three(parts.part_turn, worldid, part)))
-        way = wp.transpose(turn) @ (origin + wp.cw_mul(size, three(parts.part_place, worldid, part)) - middle)
-        seen = wp.transpose(turn) @ axes
-        gap = float(-1.0)
-        for i in range(3):
-            reach = wp.abs(seen[i, 0]) * box[0] + wp.abs(seen[i, 1]) * box[1] + wp.abs(seen[i, 2]) * box[2]
-            gap = wp.max(gap, wp.abs(way[i]) - reach - BIN_HALF[i])
-        if gap <= 0.0:
-            return True
-    return False
-
-
-@wp.kernel(enable_backward=False)
-def keep_apart(
-    # Params:
-    place_low: wp.vec3,
-    place_high: wp.vec3,
-    # In:
-    parts: Parts,
-    object_place: wp.array2d[float],
-    goal_angles: wp.array2d[float],
-    keys: RandomKeys,
-    mask: wp.array[bool],
-    # Out:
-    goal_place: wp.array2d[float],
-):
-    """The bin's place ~ U(low, high), again while the object, at its start, may overlap the bin."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    state = open_stream(keys, worldid, APART)
-    origin = three(object_place, worldid, 0) + START
-    turn = wp.quat_to_matrix(turned(three(goal_angles, worldid, 0)))
-    for _ in range(MOST_DRAWS):
-        if not may_overlap(parts, worldid, origin, three(goal_place, worldid, 0), turn):
-            return
-        for i in range(3):
-            goal_place[worldid, i] = wp.randf(state, place_low[i], place_high[i])
-
-
-@wp.kernel(enable_backward=False)
-def put_bin(
-    # In:
-    goal_place: wp.array2d[float],
-    goal_angles: wp.array2d[float],
-    mask: wp.array[bool],
-    # Data out:
-    mocap_pos_out: wp.array2d[wp.vec3],
-    mocap_quat_out: wp.array2d[wp.quat],
-):
-    """The bin is where and as the episode asks; components w, x, y, z."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    mocap_pos_out[worldid, 0] = three(goal_place, worldid, 0)
-    mocap_quat_out[worldid, 0] = wxyz(turned(three(goal_angles, worldid, 0)))
 
 
 @wp.kernel(enable_backward=False)
@@ -397,81 +310,17 @@ class RelocateTask(TaskSpec):
             Draw("goal", "m", self.goal_low, self.goal_high, "place of the bin", XYZ, array="goal_place"),
             Draw("turn", "rad", tuple(-a for a in angle), angle, turn, XYZ, array="goal_angles"),
         )
-        return (*goal, *self._object_draws()) if self.varied else goal
-
-    def _object_draws(self) -> tuple[Draw, ...]:
-        """Return what is drawn of object and arm."""
-        parts = range(3)
-        size, whole, right = 9 * (1.0,), 9 * (1.0,), 9 * (np.pi / 2,)
+        if not self.varied:
+            return goal
         offset = int(ARM_JOINTS) * (self.offset,)
-        axes = tuple(f"part {i} {axis}" for i in parts for axis in XYZ)
-        rough = tuple(f"part {i} {kind}" for i in parts for kind in ("slide", "spin", "roll"))
-        kinds = "kind of part {}: 2 sphere, 3 capsule, 4 ellipsoid, 5 cylinder, 6 box"
-        low, high = self.size
-        place = "place of the object's frame, world"
-        center = "center of each part, in shares of its sizes"
-        turns = "by what each part is turned about x, then about its own y and z"
+        place, added = "place of the object's frame, world", "added to each joint of the arm's start"
+        bounds, minus = (self.object_low, self.object_high), tuple(-o for o in offset)
         return (
-            *(
-                Draw(f"kind {i}", "1", (), (), kinds.format(i), (), "start", KINDS, f"kind_{i}")
-                for i in parts
-            ),
-            Draw(
-                "object place",
-                "m",
-                self.object_low,
-                self.object_high,
-                place,
-                XYZ,
-                "start",
-                array="object_place",
-            ),
-            Draw(
-                "part size",
-                "m",
-                tuple(low * s for s in size),
-                tuple(high * s for s in size),
-                "sizes of each part: half sides, semi-axes, or radius and half length",
-                axes,
-                "start",
-                array="part_size",
-            ),
-            Draw(
-                "part place", "1", tuple(-s for s in whole), whole, center, axes, "start", array="part_place"
-            ),
-            Draw(
-                "part turn", "rad", tuple(-a for a in right), right, turns, axes, "start", array="part_turn"
-            ),
-            Draw(
-                "part friction",
-                "1",
-                3 * self.friction[0],
-                3 * self.friction[1],
-                "coefficients of each part",
-                rough,
-                "start",
-                array="part_friction",
-            ),
-            Draw(
-                "object mass",
-                "kg",
-                self.mass[:1],
-                self.mass[1:],
-                "mass of the object",
-                (),
-                "start",
-                array="object_mass",
-            ),
-            Draw(
-                "offset",
-                "rad",
-                tuple(-o for o in offset),
-                offset,
-                "added to each joint of the arm's start",
-                arm_entries,
-                "start",
-                array="offset",
-            ),
+            *goal,
+            *kind_draws(),
+            Draw("object place", "m", *bounds, place, XYZ, "start", array="object_place"),
+            *part_draws(self.size, self.friction, self.mass),
+            Draw("offset", "rad", minus, offset, added, arm_entries, "start", array="offset"),
         )
 
     def start(self, model: mujoco.MjModel) -> np.ndarray:
@@ -483,21 +332,12 @@ class RelocateTask(TaskSpec):
 
     def edit(self, spec: mujoco.MjSpec) -> None:
         """Add table, object and bin, and the marker of where the object should be."""
-        table = spec.worldbody.add_body(name="table", pos=TABLE_POS)
-        for name, half, pos, turn in TABLE:
-            box = table.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=pos, rgba=STONE)
-            box.quat = quat_of((0.0, 0.0, turn))
-            box.contype = box.conaffinity = 1
+        add_table(spec)
         held = add_object(spec, "Object", OBJECT_POS, floored=not self.free)
         add_object_joints(held, free=self.free, reach=REACH, damping=DAMPING)
         add_parts(held, self.varied, priority=int(self.free))
         held.add_site(name="object_o", size=(0.005, 0.005, 0.005))
-        # The engine never moves a static geom; a mocap body is as immovable, and placed for each world.
-        target = spec.worldbody.add_body(name="target", pos=(0.0, -0.25, 0.9), mocap=True)
-        target.quat = quat_of(ASKEW)
-        for name, half, pos in BIN:
-            wall = target.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=pos, rgba=WOOD)
-            wall.contype = wall.conaffinity = 1
+        add_bin(spec)
         add_tip_targets(spec, ("object_o",))
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
@@ -527,61 +367,3 @@ class RelocateTask(TaskSpec):
             RewardTerm("act_reg", 0.0, *EFFORT),
             RewardTerm("sparse", 0.0, "rad", "rot_dist plus 10 times pos_dist", minus_both),
         )
-
-
-FINGERS = (
-    *(0.332, 0.4114, -0.177165, -0.26182, 0.18852, 0.17017, 0.447735, 0.26707, 0.28278, -0.010472),
-    *(0.0168535, 0.00701979, 0.09139, -0.06545, 0.243505, 0.337765, 0.23565, -0.101844, 0.000607067, 0.03142),
-)
-TRUNK_SIDE = (0.03876, 0.168055, 0.17281, -0.254074, -0.109975)
-OVER_TABLE = (
-    *(-0.022856, 0.00967764, -0.00968029, 0.10125, -0.00458344, 0.20262, 0.0828, -0.0168106, -0.2149),
-    *(*TRUNK_SIDE, 1.11181, 0.92689, 0.106468, 0.0, *FINGERS, *OBJECT_START),
-)
-FURTHER_BENT = (
-    *(-0.022856, 0.01113, -0.08268, 0.10125, -0.0494, 0.16578, 0.11868, -0.1932, -0.19648),
-    *(*TRUNK_SIDE, 1.47485, 1.28822, 0.106468, -0.27489, *FINGERS, *OBJECT_START),
-)
-"""Starts of phase 1 and 2 [rad, m]; MyoSuite 3.0.0."""
-
-
-@task("myoChallengeRelocateP1-v0")
-def first_phase() -> RelocateTask:
-    """Carry a box from the table into a bin at a random place on it."""
-    return RelocateTask(goal_low=(0.0, -0.35, 0.9), goal_high=(0.2, -0.1, 0.9), start_pose=OVER_TABLE)
-
-
-@task("myoChallengeRelocateP2-v0")
-def second_phase() -> RelocateTask:
-    """Carry an object of random shape, mass, friction and place into a tilted bin at a random place."""
-    return RelocateTask(
-        goal_low=(0.0, -0.45, 0.9),
-        goal_high=(0.3, -0.1, 1.05),
-        angle=0.2,
-        offset=0.01,
-        object_low=(-0.1, -0.35, 1.0),
-        object_high=(0.1, -0.15, 1.0),
-        size=(0.015, 0.025),
-        mass=(0.05, 0.2),
-        friction=((0.8, 0.004, 0.00008), (1.2, 0.006, 0.00012)),
-        start_pose=FURTHER_BENT,
-    )
-
-
-FREE = (
-    "The object has a free joint, its true inertia, and the friction that was drawn, and its turn against the"
-    " bin is an angle; in v0, as in MyoSuite 3.0.0, it loses a direction of rotation where it lies on a side,"
-    " its inertia is raised to 1e-4 kg m^2, and friction below the table's has no effect."
-)
-
-
-@task("myoChallengeRelocateP1-v1", FREE)
-def free_first_phase() -> RelocateTask:
-    """Carry a box from the table into a bin at a random place on it."""
-    return replace(first_phase(), free=True)
-
-
-@task("myoChallengeRelocateP2-v1", FREE)
-def free_second_phase() -> RelocateTask:
-    """Carry an object of random shape, mass, friction and place into a tilted bin at a random place."""
-    return replace(second_phase(), free=True)

@@ -7,8 +7,11 @@ of inertia are at least 1e-4 kg m^2.
 """
 
 import mujoco
+import numpy as np
 import warp as wp
 
+from myowarp.definitions.entries import XYZ
+from myowarp.definitions.task import Draw
 from myowarp.tasks.euler_angles import quat_of, turned
 from myowarp.tasks.solids import (
     BATCHED_SHAPE,
@@ -30,6 +33,9 @@ from myowarp.tasks.solids import (
     write_weight,
 )
 
+OBJECT_POS = (0.0, -0.25, 0.95)  # m, of the object's frame, where none is drawn
+OBJECT_START = (-0.2, 0.0, -0.02, 0.0, 0.0, 0.0)  # m, rad, of its joints
+START = wp.constant(wp.vec3(*OBJECT_START[:3]))
 KINDS = tuple(int(kind) for kind in (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX))  # in this order
 NUM_KINDS = wp.constant(len(KINDS))
 PARTS = wp.constant(3)
@@ -84,6 +90,47 @@ def add_parts(body: mujoco.MjsBody, varied: bool, priority: int) -> None:
             geom.size = 3 * (half if there else TINY,)
             geom.contype, geom.conaffinity, geom.condim = 1, 1, 4
             geom.quat, geom.priority = quat_of(ASKEW), priority
+
+
+def kind_draws() -> tuple[Draw, ...]:
+    """Return how the kind of each part is drawn."""
+    kinds = "kind of part {}: 2 sphere, 3 capsule, 4 ellipsoid, 5 cylinder, 6 box"
+    return tuple(
+        Draw(f"kind {i}", "1", (), (), kinds.format(i), (), "start", KINDS, f"kind_{i}") for i in range(PARTS)
+    )
+
+
+def part_draws(
+    size: tuple[float, float],
+    friction: tuple[tuple[float, ...], tuple[float, ...]],
+    mass: tuple[float, float],
+) -> tuple[Draw, ...]:
+    """Return how size, place, turn and friction of the parts are drawn, and the mass of all.
+
+    Args:
+        size: Bounds of the sizes [m].
+        friction: Bounds of the coefficients (slide, spin, roll).
+        mass: Bounds of the mass [kg].
+    """
+
+    def draw(name: str, unit: str, low: float, high: float, meaning: str) -> Draw:
+        axes = tuple(f"part {i} {axis}" for i in range(PARTS) for axis in XYZ)
+        bounds = len(axes) * (low,), len(axes) * (high,)
+        return Draw(name, unit, *bounds, meaning, axes, "start", array=name.replace(" ", "_"))
+
+    rough = tuple(f"part {i} {kind}" for i in range(PARTS) for kind in ("slide", "spin", "roll"))
+    least, most = (PARTS * bound for bound in friction)
+    right = np.pi / 2
+    sizes = "sizes of each part: half sides, semi-axes, or radius and half length"
+    turns = "by what each part is turned about x, then about its own y and z"
+    coefficients = "coefficients of each part"
+    return (
+        draw("part size", "m", *size, sizes),
+        draw("part place", "1", -1.0, 1.0, "center of each part, in shares of its sizes"),
+        draw("part turn", "rad", -right, right, turns),
+        Draw("part friction", "1", least, most, coefficients, rough, "start", array="part_friction"),
+        Draw("object mass", "kg", mass[:1], mass[1:], "mass of the object", (), "start", array="object_mass"),
+    )
 
 
 @wp.func

@@ -11,9 +11,7 @@ et al. 2023, arXiv:2307.03716); the sizes are recorded from its wheel, Apache-2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cache
-from pathlib import Path
+from dataclasses import dataclass
 from typing import ClassVar
 
 import mujoco
@@ -23,7 +21,7 @@ import warp as wp
 from myowarp.definitions.body import CoarseStep
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, FREE_RATES, XYZ
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
+from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec
 from myowarp.engine.stages.arrays import filled
 from myowarp.kernels.reward import EFFORT, is_far, minus_error, minus_failed
 from myowarp.kernels.world_function import Row
@@ -45,58 +43,18 @@ from myowarp.tasks.pen_twirl import (
     pen_position,
     wanted_axis,
 )
+from myowarp.tasks.reorient_shapes import add_kinds, shape_drawn, shapes, weigh_shape
 from myowarp.tasks.seen_muscles import MuscleProgram, of_muscles
-from myowarp.tasks.solids import (
-    BATCHED_SHAPE,
-    BATCHED_WEIGHT,
-    BOX,
-    CAPSULE,
-    CYLINDER,
-    ELLIPSOID,
-    TINY,
-    Shapes,
-    Weights,
-    gyration,
-    hide,
-    shifted_inertia,
-    volume,
-    write_shape,
-    write_weight,
-)
+from myowarp.tasks.solids import BATCHED_SHAPE, BATCHED_WEIGHT, Shapes, Weights
 
-TABLES = Path(__file__).with_name("reorient_shapes.npz")
-KINDS = tuple(int(kind) for kind in (CAPSULE, ELLIPSOID, CYLINDER, BOX))  # in this order
-NUM_KINDS = wp.constant(len(KINDS))
 PLACE = (-0.248, -0.532, 1.445)  # m, world; on the palm
 ON_PALM = wp.constant(wp.vec3(*PLACE))
 START_POS = (-0.248, -0.532, 1.450)  # m, world
 TILT = 1.27  # rad about world y: nearly lying
 TARGET_POS = (-0.248, -0.54, 1.65)  # m, world; above the hand
-MASS = wp.constant(1.2)  # kg
-DENSITY, CAP_DENSITY = wp.constant(1500.0), wp.constant(1000.0)  # kg/m^3, before the mass is set
-CAP = wp.constant(wp.vec3(0.013, 0.002, 0.0))  # m: two discs at the ends of the axis, which weigh only
-CAPSULE_CAP = wp.constant(1.3)  # half lengths from a capsule's center to its discs
-NO_LEAST = wp.constant(0.0)
-NOMINAL = (0.015, 0.015, 0.045)  # m, semi-axes of the ellipsoid that is compiled in
 TURNS = (-1.0, -0.8), (1.0, 1.2)  # rad, of the wanted axis about x, then about its own y
 LENGTH_OF_AXIS = 0.045  # m
 SLIDING, SPINNING = 3, 4  # dimensions of contacts
-
-
-@cache
-def shapes(table: str) -> np.ndarray:
-    """Return a table of shapes: kind, a number of `mujoco.mjtGeom`, and sizes [m], shape (n, 4)."""
-    with np.load(TABLES) as tables:
-        return tables[table]
-
-
-def add_kinds(body: mujoco.MjsBody, name: str, condim: int, rgba: tuple[float, ...]) -> None:
-    """Add a geom of every kind, of which the ellipsoid is there until a shape is drawn."""
-    for kind in KINDS:
-        geom = body.add_geom(name=f"{name}_{kind}", type=mujoco.mjtGeom(kind), rgba=rgba)
-        geom.size = NOMINAL if kind == int(ELLIPSOID) else 3 * (TINY,)
-        geom.contype, geom.conaffinity, geom.condim = 1, 1, condim
-        geom.density = float(DENSITY)
 
 
 @wp.func
@@ -115,96 +73,6 @@ def place_distance(position: wp.vec3) -> float:
 def mujoco_force(tension: wp.array[float], i: int) -> float:
     """MuJoCo's force [N], minus the tension."""
     return -tension[i]
-
-
-@wp.func
-def kind_in(table: wp.array2d[float], row: int) -> int:
-    """Kind of a shape."""
-    return int(table[row, 0])
-
-
-@wp.func
-def size_in(table: wp.array2d[float], row: int) -> wp.vec3:
-    """Sizes of a shape [m]."""
-    return wp.vec3(table[row, 1], table[row, 2], table[row, 3])
-
-
-@wp.func
-def drawn_row(table: wp.array2d[float], row: wp.array2d[float], worldid: int) -> int:
-    """The drawn number, rounded down."""
-    return wp.min(int(row[worldid, 0]), table.shape[0] - 1)
-
-
-@wp.func
-def cap_height(kind: int, size: wp.vec3) -> float:
-    """From the center to the discs [m]."""
-    if kind == CAPSULE:
-        return CAPSULE_CAP * size[1]
-    if kind == CYLINDER:
-        return size[1]
-    return size[2]
-
-
-@wp.kernel(enable_backward=False)
-def shape_drawn(
-    # Params:
-    object_geom: int,
-    target_geom: int,
-    table: wp.array2d[float],
-    # In:
-    row: wp.array2d[float],
-    mask: wp.array[bool],
-    # Out:
-    shape_fields: Shapes,
-):
-    """Of object and target the geom of the drawn kind is there, in the drawn size."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    drawn = drawn_row(table, row, worldid)
-    for i in range(NUM_KINDS):
-        if CAPSULE + i == kind_in(table, drawn):
-            write_shape(shape_fields, worldid, object_geom + i, CAPSULE + i, size_in(table, drawn))
-            write_shape(shape_fields, worldid, target_geom + i, CAPSULE + i, size_in(table, drawn))
-        else:
-            hide(shape_fields, worldid, object_geom + i)
-            hide(shape_fields, worldid, target_geom + i)
-
-
-@wp.kernel(enable_backward=False)
-def weigh_shape(
-    # Params:
-    object_body: int,
-    object_dof: int,
-    free: bool,
-    table: wp.array2d[float],
-    # In:
-    row: wp.array2d[float],
-    mask: wp.array[bool],
-    # Out:
-    weights: Weights,
-):
-    """m = 1.2 kg, of a solid of 1500 kg/m^3 and two discs of 1000 kg/m^3 in proportion."""
-    worldid = wp.tid()
-    if not mask[worldid]:
-        return
-    drawn = drawn_row(table, row, worldid)
-    kind, size = kind_in(table, drawn), size_in(table, drawn)
-    solid, cap = DENSITY * volume(kind, size), CAP_DENSITY * volume(CYLINDER, CAP)
-    scale = MASS / (solid + 2.0 * cap)
-    inertia = wp.diag(scale * (solid * gyration(kind, size) + 2.0 * cap * gyration(CYLINDER, CAP)))
-    inertia += shifted_inertia(2.0 * scale * cap, wp.vec3(0.0, 0.0, cap_height(kind, size)))
-    write_weight(
-        weights,
-        worldid,
-        object_body,
-        object_dof,
-        MASS,
-        wp.vec3(0.0, 0.0, 0.0),
-        inertia,
-        NO_LEAST,
-        free,
-    )
 
 
 @wp.kernel(enable_backward=False)
@@ -383,58 +251,3 @@ class ReorientTask(TaskSpec):
             RewardTerm("bonus", 10.0, "1", bonus, aligned_bonus),
             RewardTerm("sparse", 0.0, "1", "rot_align plus pos_align", both_aligned),
         )
-
-
-@task("myoHandReorient8-v0")
-def reorient_8() -> ReorientTask:
-    """Turn one of eight objects on the hand to a direction drawn anew each episode."""
-    return ReorientTask(table="8", condim=SPINNING)
-
-
-@task("myoHandReorient100-v0")
-def reorient_100() -> ReorientTask:
-    """Turn one of a hundred objects on the hand to a direction drawn anew each episode."""
-    return ReorientTask(table="100")
-
-
-@task("myoHandReorientID-v0")
-def reorient_in_distribution() -> ReorientTask:
-    """Turn one of a thousand objects like those of the hundred on the hand to a random direction."""
-    return ReorientTask(table="id")
-
-
-@task("myoHandReorientOOD-v0")
-def reorient_out_of_distribution() -> ReorientTask:
-    """Turn one of a thousand objects unlike those of the hundred on the hand to a random direction."""
-    return ReorientTask(table="ood")
-
-
-FREE = (
-    "The object has a free joint; in v0, as in MyoSuite 3.0.0, it loses a direction of rotation where the"
-    " second of its three hinges is at a right angle, its rates are about turned axes, and a few of ten"
-    " thousand random steps have no finite result."
-)
-
-
-@task("myoHandReorient8-v1", FREE)
-def free_8() -> ReorientTask:
-    """Turn one of eight objects on the hand to a direction drawn anew each episode."""
-    return replace(reorient_8(), free=True)
-
-
-@task("myoHandReorient100-v1", FREE)
-def free_100() -> ReorientTask:
-    """Turn one of a hundred objects on the hand to a direction drawn anew each episode."""
-    return replace(reorient_100(), free=True)
-
-
-@task("myoHandReorientID-v1", FREE)
-def free_in_distribution() -> ReorientTask:
-    """Turn one of a thousand objects like those of the hundred on the hand to a random direction."""
-    return replace(reorient_in_distribution(), free=True)
-
-
-@task("myoHandReorientOOD-v1", FREE)
-def free_out_of_distribution() -> ReorientTask:
-    """Turn one of a thousand objects unlike those of the hundred on the hand to a random direction."""
-    return replace(reorient_out_of_distribution(), free=True)

@@ -20,7 +20,7 @@ from myowarp.definitions.task import TASKS
 from myowarp.kernels.curves import tabulated
 from myowarp.kernels.launch import launch
 from myowarp.kernels.millard_curves import millard_curves
-from myowarp.models.muscles import hill, hill_law
+from myowarp.models.muscles import hill, hill_kernels, hill_law
 from myowarp.models.muscles.hill import Hill
 from myowarp.models.muscles.hill_law import DEGROOTE, MILLARD, SCHUTTE, THELEN
 from myowarp.models.muscles.hill_native import native_contract_hill
@@ -500,7 +500,7 @@ def act(muscles, reads, dt, kernel=None):
         model = SimpleNamespace(opt=opt, actuator_biasprm=bias)
         if kernel is None:
             muscles.launch(model, data)
-        elif kernel is hill_law.contract_hill:
+        elif kernel is hill_kernels.contract_hill:
             launch(kernel, (shape[0], 1), muscles, data, model, opt_timestep=opt.timestep, threads=1)
         else:
             scratch = muscles._scratch
@@ -517,7 +517,7 @@ def test_native_twin_equals_the_readable_law(name, dt):
     muscles, reads = random_hill(name, midstep=True)
     peak = muscles.geometry().max_isometric_force
     native = act(muscles, reads, dt)
-    readable = act(*random_hill(name, midstep=True), dt, hill_law.contract_hill)
+    readable = act(*random_hill(name, midstep=True), dt, hill_kernels.contract_hill)
     scales = {"tension": peak + readable["tension"], "damping": readable["damping"].max()}
     assert np.isnan(readable.get("fiber_length", [])).sum() == ("fiber_length" in MUSCLES[name].STATE)
     assert (native["tension"] > 0.01 * peak).mean() > 0.3

@@ -14,20 +14,22 @@ from myowarp.kernels.curves import KNOTS
 from myowarp.kernels.lanes import block_scratch
 from myowarp.kernels.launch import launch
 from myowarp.models.muscles import degroote_fregly2016, millard2012, schutte1993, thelen2003
+from myowarp.models.muscles.hill_kernels import (
+    Fibers,
+    HillParams,
+    contract_hill,
+    read_hill_fibers,
+    sample_curves,
+    set_lengths,
+    settle_hill,
+)
 from myowarp.models.muscles.hill_law import (
     DEGROOTE,
     MILLARD,
     SCHUTTE,
     THELEN,
-    Fibers,
     HillMuscle,
-    HillParams,
-    contract_hill,
     hill_muscle,
-    read_hill_fibers,
-    sample_curves,
-    set_lengths,
-    settle_hill,
 )
 from myowarp.models.muscles.hill_native import PLACES, native_contract_hill
 from myowarp.models.muscles.millard2012 import ACTIVE, millard_tables
