@@ -289,7 +289,7 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
     def make_data(number: int) -> mjw.Data:
         return mjw.make_data(stepped, nworld=number, nconmax=capacity.contacts, njmax=capacity.rows)
 
-    check_memory(make_data, worlds.total, where)
+    check_memory(make_data, spec.world_bytes, worlds.total, where)
     with wp.ScopedDevice(where):
         batched = {"actuator_biasprm", *spec.batched}.union(*(c.batched for c in conditions))
         model = _put_model(spec, stepped, dict.fromkeys(sorted(batched), worlds.number))

@@ -17,11 +17,14 @@ LARGE_WORLD = 2**20  # bytes; a hand that holds an object has 1e5, the whole bod
 MEMINFO, CGROUP_LIMIT = Path("/proc/meminfo"), Path("/sys/fs/cgroup/memory.max")
 
 
-def check_memory(make_data: Callable[[int], mjw.Data], num_worlds: int, device: wp.Device) -> None:
+def check_memory(
+    make_data: Callable[[int], mjw.Data], further: int, num_worlds: int, device: wp.Device
+) -> None:
     """Raise if worlds need more memory than is available.
 
     Args:
         make_data: Allocates the engine's arrays of so many worlds, most of what a simulation needs.
+        further: What the task keeps of each world besides [bytes].
         num_worlds: Number of worlds.
         device: Where they are to live.
 
@@ -32,7 +35,7 @@ def check_memory(make_data: Callable[[int], mjw.Data], num_worlds: int, device: 
     if available is None or num_worlds * LARGE_WORLD <= available:
         return
     with wp.ScopedDevice("cpu"):
-        one, two = (_bytes(make_data(number)) for number in (1, 2))
+        one, two = (_bytes(make_data(number)) + number * further for number in (1, 2))
     needed = one + (num_worlds - 1) * (two - one)
     if needed > available:
         raise ValueError(

@@ -150,6 +150,11 @@ class TerrainTask(WalkTask):
         return self.terrain == "rough"
 
     @property
+    def world_bytes(self) -> int:  # type: ignore[override]
+        """The heights of a world's own ground."""
+        return 4 * FIELD_POINTS**2 if self.varies else 0
+
+    @property
     def scene_key(self) -> tuple[object, ...]:
         return (*super().scene_key, self.terrain)
 

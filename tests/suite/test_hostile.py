@@ -198,6 +198,24 @@ def test_estimated_memory_is_what_the_arrays_take():
 
     one, two, forty = (memory._bytes(make(number)) for number in (1, 2, 40))
     assert forty == pytest.approx(one + 39 * (two - one), rel=0.02)
+
+
+def test_memory_of_ground_per_world(monkeypatch):
+    """Is that of its heights, beside what the engine's arrays take."""
+    key = "myoLegHillyTerrainWalk-v1"
+    sim = simulation.Simulation(TASKS[key], 2, device="cpu", graph=False, progress=False)
+    heights, scene = sim.shards[0].program.heights, sim.scene
+
+    def engine(number):
+        rows = {"nconmax": scene.capacity.contacts, "njmax": scene.capacity.rows}
+        return memory._bytes(mjw.make_data(scene.oracle, nworld=number, **rows))
+
+    monkeypatch.setattr(memory, "available_memory", lambda device: 10**10)
+    with pytest.raises(ValueError, match="worlds need at least") as caught:
+        simulation.Simulation(TASKS[key], 10**6, device="cpu", progress=False)
+    fitting = int(str(caught.value).split()[-2].replace(",", ""))
+    by_heights = 1e10 / fitting - (engine(2) - engine(1))
+    assert by_heights == pytest.approx(heights.capacity / 2, rel=0.1)
     assert memory._bytes(sim.scene.data) == pytest.approx(forty, rel=0.05)
 
 

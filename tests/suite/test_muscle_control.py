@@ -11,6 +11,7 @@ from myowarp.apps.policies.find import acting, find_policy
 from myowarp.apps.policies.muscle_control import MuscleControl
 from myowarp.apps.rollouts.episodes import Episodes
 from myowarp.apps.rollouts.run import run
+from myowarp.coordinates.couplings import couplings, jacobian
 from myowarp.definitions.task import TASKS
 from myowarp.models.conditions.sarcopenia import Sarcopenia
 from myowarp.sim.build import full_model
@@ -92,6 +93,35 @@ def success(task, physics):
     return float(episodes.arrays()["success"].mean())
 
 
+ARM, FINGER_TIP = "myoArmReachRandom-v0", "myoFingerReachRandom-v0"
+
+
+@pytest.mark.parametrize("task", [ARM, FINGER_TIP])
+def test_its_way_leads_tips_to_their_targets_in_mujoco_c(task):
+    """A small part of it brings the tips nearer, straight towards the targets, by that part of their distance."""
+    sim = moving(task, 5)
+    control, model = MuscleControl(sim), full_model(sim.scene.spec)
+    data, ties, share = mujoco.MjData(model), couplings(model), 1e-5
+    sites = [model.site(name).id for name in sim.scene.spec.tips]
+    control(sim.transition.obs.numpy())
+    for world, qpos in enumerate(sim.scene.data.qpos.numpy().astype(float)):
+        data.qpos[:] = control._data.qpos[:] = qpos
+        mujoco.mj_fwdPosition(control._model, control._data)
+        leads, slopes, _ = jacobian(control._model, control._ties, qpos)
+        mujoco.mj_fwdPosition(model, data)
+        before = data.site_xpos[sites].copy()
+        mujoco.mj_integratePos(model, data.qpos, slopes @ control._way(world, leads, slopes), share)
+        mujoco.mj_fwdPosition(model, data)
+        target = np.array(list(sim.shards[0].program.goal_markers(world).values()))
+        np.testing.assert_allclose((data.site_xpos[sites] - before) / share, target - before, atol=0.02)
+        assert np.abs(target - before).max() > 0.2 or task == FINGER_TIP
+    assert len(ties) or task == FINGER_TIP
+
+
+def test_it_brings_the_arm_to_its_point():
+    assert success("myoArmReachFixed-v0", "parity") == 1.0
+
+
 def test_weak_muscles_are_asked_for_more():
     """Half the active force and as much passive force: twice the activation for the same torque."""
     whole = moving(ELBOW, 3)
@@ -161,7 +191,8 @@ def test_joints_that_follow_move_with_those_that_lead(tmp_path):
     ("task", "sentence"),
     [
         ("motorFingerPoseFixed-v0", "policy 'muscle-control' drives muscles; the body of task"),
-        ("myoHandReachFixed-v0", "policy 'muscle-control' follows joint errors, which task"),
+        ("myoHandKeyTurnFixed-v0", "policy 'muscle-control' follows errors of joints or tips, which task"),
+        ("myoLegStandRandom-v0", "policy 'muscle-control' moves limbs of a fixed body, not that of task"),
     ],
 )
 def test_where_it_cannot_act_it_says_so(task, sentence):

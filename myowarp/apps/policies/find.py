@@ -14,7 +14,7 @@ from myowarp.apps.policies.baselines import policy_folder
 from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.hold import Hold, check_hold
 from myowarp.apps.policies.learned import bind, read_policy
-from myowarp.apps.policies.muscle_control import MuscleControl
+from myowarp.apps.policies.muscle_control import MuscleControl, check_muscle_control
 from myowarp.apps.policies.replay import Replay, is_replay
 from myowarp.definitions.task import TaskSpec
 from myowarp.motion.storage import Storage, read_storage
@@ -25,7 +25,7 @@ Act = Callable[[np.ndarray], np.ndarray]
 """Observations (num_worlds, obs_size) to actions (num_worlds, num_actions) in [-1, 1]."""
 
 BUILT_IN = ("random", "zero", "hold", "muscle-control")
-FOLLOWS_ERRORS = ("hold", "muscle-control")
+CHECKS = {"hold": check_hold, "muscle-control": check_muscle_control}
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
         ValueError: No such policy, or it cannot act in this task.
         OSError: Its file cannot be read.
     """
-    if name in FOLLOWS_ERRORS:
-        check_hold(spec, name)
+    if name in CHECKS:
+        CHECKS[name](spec)
     if name in BUILT_IN:
         return Policy(name)
     if (folder := policy_folder(name, spec.key)) is not None:

@@ -33,11 +33,11 @@ LEAD = 0.05  # s; with 0.1 s and a healthy elbow the delay of the muscles makes 
 LEAST_ARM = 1e-9  # m; a muscle with less moves no joint
 
 
-def check_hold(spec: TaskSpec, policy: str = "hold") -> None:
-    """Raise ValueError if "hold", or another policy that follows joint errors, cannot act in a task."""
+def check_hold(spec: TaskSpec) -> None:
+    """Raise ValueError if a task does not observe joint errors."""
     if "pose_err" not in [column.name for column in spec.columns(1, 1, 1)]:
         raise ValueError(
-            f"policy {policy!r} follows joint errors, which task {spec.key!r} of family {spec.family!r} does "
+            f"policy 'hold' follows joint errors, which task {spec.key!r} of family {spec.family!r} does "
             "not observe; use it in pose tasks"
         )
 

@@ -1,15 +1,17 @@
-"""The policy "muscle-control": the activations whose joint torques bring a posture about, without training.
+"""The policy "muscle-control": activations whose joint torques lead to a posture or to points, without training.
 
 In every control step, for every world,
 
-    v' = clip((q_target - q) / T, -v_max, v_max)                      wanted velocity
+    v' = clip(way / T, -v_max, v_max)                                 wanted velocity
     tau = M (v' - v) / T_v + D v' + bias - passive                    torque of the muscles for it
     a = argmin |W (R F_1 a + R F_0 - tau)|^2 + ridge |a|^2,           lowest <= a <= highest
     u = act + (a - act) / (1 - exp(-dt / tau_a))                      excitation that gets there in dt
 
 with the mass matrix M, joint damping D, gravity and centripetal torques, torques of passive springs, moment
 arms R, tension F_0 at rest and F_1 more at full activation, of each muscle on its present path. W weighs each
-torque by the velocity that it would change. What follows by equalities moves with what leads.
+torque by the velocity that it would change. What follows by equalities moves with what leads. The way of a
+pose task is q_target - q, that of a reach task the least change of the coordinates that brings the tips to
+their targets: J^T (J J^T + softness)^-1 (targets - tips), with their Jacobian J.
 
 The law is greedy, and a limb that many muscles cross has more equilibria than one: the straight way of an
 open hand ends in a wrong one. So an episode begins with the muscles that bend and spread the limb
@@ -24,15 +26,16 @@ from typing import TYPE_CHECKING, cast
 import mujoco
 import numpy as np
 
-from myowarp.apps.policies.hold import check_hold
 from myowarp.coordinates.couplings import couplings, jacobian
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.muscle import muscle_index
 from myowarp.kernels.action import action_of, excitation
 from myowarp.kernels.bounded_least_squares import BoundedLeastSquares
 from myowarp.sim.present import tension_at
+from myowarp.tasks.reach import ReachProgram
 
 if TYPE_CHECKING:
+    from myowarp.definitions.task import TaskSpec
     from myowarp.sim.simulation import Simulation
     from myowarp.tasks.pose import PoseProgram
 
@@ -40,16 +43,26 @@ APPROACH = 0.52  # s
 REACH = 0.25  # s, T: the time in which the way that is left would be made
 REACTION = 0.05  # s, T_v: the time in which the wanted velocity is reached
 MOST_SPEED = 8.0  # v_max; rad/s or m/s
+SOFTNESS = 1e-4  # m^2 / rad^2, of the way to points near straight limbs
 RIDGE = 1e-5  # of activations; rad^2/s^2 or m^2/s^2
 LEAST_DAMPING = 1e-3  # N m s/rad: a joint with less counts as one with that
 """The first two are chosen by success in 128 random postures of the hand; the others hardly change it."""
 
 
+def check_muscle_control(spec: TaskSpec) -> None:
+    """Raise ValueError if a task asks neither for a posture nor for tips at points."""
+    if not {"pose_err", "reach_err"} & {column.name for column in spec.columns(1, 1, 1)}:
+        raise ValueError(
+            f"policy 'muscle-control' follows errors of joints or tips, which task {spec.key!r} of family "
+            f"{spec.family!r} does not observe; use it in pose and reach tasks"
+        )
+
+
 class MuscleControl:
-    """Actions that bring all worlds of a pose task to a posture.
+    """Actions that bring all worlds to a posture, or their tips to points.
 
     Attributes:
-        goal: Posture to reach, shape (num_worlds, nq); set anew to go another way. None: the task's own.
+        goal: Posture to reach, shape (num_worlds, nq); set anew to go another way. None: what the task asks.
     """
 
     goal: np.ndarray | None = None
@@ -58,16 +71,24 @@ class MuscleControl:
         """Allocate the problems of all worlds.
 
         Raises:
-            ValueError: The task has no joint targets, or its body no muscles.
+            ValueError: The task has neither joint targets nor target points, or its body no muscles.
         """
         scene = sim.scene
-        check_hold(scene.spec, "muscle-control")
+        check_muscle_control(scene.spec)
         muscles = scene.muscles
         if not muscles.names:
             raise ValueError(
                 f"policy 'muscle-control' drives muscles; the body of task {scene.spec.key!r} has none"
             )
         self._sim, self._model, self._data = sim, scene.oracle, mujoco.MjData(scene.oracle)
+        if (
+            isinstance(sim.shards[0].program, ReachProgram)
+            and mujoco.mjtJoint.mjJNT_FREE in self._model.jnt_type
+        ):
+            raise ValueError(
+                f"policy 'muscle-control' moves limbs of a fixed body, not that of task {scene.spec.key!r}, which "
+                "can fall"
+            )
         self._ties = couplings(self._model)
         first = BODIES[scene.spec.body].approach
         self._approach = np.zeros(scene.num_actions, dtype=np.float32)
@@ -109,7 +130,7 @@ class MuscleControl:
         qpos, qvel = sim.scene.data.qpos.numpy(), sim.scene.data.qvel.numpy()
         path = muscles.anatomy.path.numpy()
         matrix, right = np.zeros((*active.shape[:1], model.nv, active.shape[1])), np.zeros(qvel.shape)
-        moment, mass, way = np.zeros((model.nu, model.nv)), np.zeros((model.nv, model.nv)), np.zeros(model.nv)
+        moment, mass = np.zeros((model.nu, model.nv)), np.zeros((model.nv, model.nv))
         for world in range(len(qpos)):
             data.qpos[:], data.qvel[:] = qpos[world], qvel[world]
             mujoco.mj_fwdPosition(model, data)
@@ -118,9 +139,8 @@ class MuscleControl:
                 moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
             )
             mujoco.mj_fullM(model, data, mass)
-            mujoco.mj_differentiatePos(model, way, 1.0, data.qpos, self._goal(world))
             leads, slopes, _ = jacobian(model, self._ties, data.qpos)
-            wanted = slopes @ np.clip(way[leads] / REACH, -MOST_SPEED, MOST_SPEED)
+            wanted = slopes @ np.clip(self._way(world, leads, slopes) / REACH, -MOST_SPEED, MOST_SPEED)
             change = wanted - data.qvel
             torque = mass @ change / REACTION + model.dof_damping * change
             torque += data.qfrc_bias - data.qfrc_passive
@@ -130,9 +150,24 @@ class MuscleControl:
             right[world, : len(leads)] = weight * (slopes.T @ (torque - arms @ passive[world]))
         return matrix, right
 
-    def _goal(self, world: int) -> np.ndarray:
-        """Return the posture that a world is to reach."""
-        if self.goal is not None:
-            return np.asarray(self.goal[world], dtype=float)
+    def _way(self, world: int, leads: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """Return the change of the leading coordinates to where a world is to go, shape (num_leads,)."""
         shard = next(s for s in self._sim.shards if world < s.scene.worlds.first + s.num_worlds)
-        return cast("PoseProgram", shard.program).goal_pose(world - shard.scene.worlds.first)
+        program, row = shard.program, world - shard.scene.worlds.first
+        if self.goal is None and isinstance(program, ReachProgram):
+            return self._way_of_tips(program.target.numpy()[row], program.spec.tips, slopes)
+        goal = cast("PoseProgram", program).goal_pose(row) if self.goal is None else self.goal[world]
+        way = np.zeros(self._model.nv)
+        mujoco.mj_differentiatePos(self._model, way, 1.0, self._data.qpos, np.asarray(goal, dtype=float))
+        return way[leads]
+
+    def _way_of_tips(self, target: np.ndarray, tips: tuple[str, ...], slopes: np.ndarray) -> np.ndarray:
+        """Return the least change that brings tips to their targets, to first order."""
+        model, data = self._model, self._data
+        arms, error = np.zeros((len(target), model.nv)), target.astype(float)
+        for i, tip in enumerate(tips):
+            rows, site = slice(3 * i, 3 * i + 3), model.site(tip).id
+            mujoco.mj_jacSite(model, data, arms[rows], None, site)
+            error[rows] -= data.site_xpos[site]
+        led = arms @ slopes
+        return led.T @ np.linalg.solve(led @ led.T + SOFTNESS * np.eye(len(target)), error)
