@@ -164,7 +164,8 @@ class TaskSpec(abc.ABC):
             than by MyoSuite's sigmoid.
         least_contacts: Contacts that a world must have room for, where random motion from the start does not
             show how many there can be (`sim/capacity.py`).
-        world_bytes: Memory of what a world has besides the engine's arrays, where that is much (`sim/memory.py`).
+        world_bytes: Memory of what a world has besides the engine's arrays, where that is much
+            (`sim/memory.py`).
         name: Upstream's name of the task, such as `myoHandPoseFixed`; `@task` takes it from the id.
         version: Version of our id, from there too; 0 keeps MyoSuite 3.0.0's semantics.
         body: Name in `BODIES`.

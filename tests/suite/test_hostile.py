@@ -198,6 +198,7 @@ def test_estimated_memory_is_what_the_arrays_take():
 
     one, two, forty = (memory._bytes(make(number)) for number in (1, 2, 40))
     assert forty == pytest.approx(one + 39 * (two - one), rel=0.02)
+    assert memory._bytes(sim.scene.data) == pytest.approx(forty, rel=0.05)
 
 
 def test_memory_of_ground_per_world(monkeypatch):
@@ -216,7 +217,6 @@ def test_memory_of_ground_per_world(monkeypatch):
     fitting = int(str(caught.value).split()[-2].replace(",", ""))
     by_heights = 1e10 / fitting - (engine(2) - engine(1))
     assert by_heights == pytest.approx(heights.capacity / 2, rel=0.1)
-    assert memory._bytes(sim.scene.data) == pytest.approx(forty, rel=0.05)
 
 
 def as_people_write_it(text):

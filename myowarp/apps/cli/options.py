@@ -142,7 +142,7 @@ Policy = Annotated[
     _option(
         "NAME",
         "random, zero, hold (pose tasks: proportional control of the joints), muscle-control (pose and"
-        " reach tasks: activations whose torques lead to the target), baseline (the trained policy of the package for"
+        " reach tasks: activations whose torques lead there), baseline (the trained policy of the package for"
         " the task, or for another version of it; `myowarp baselines list`), baselines/ID (that of another"
         " task), the folder of a trained policy, excitations over time (.sto, .mot, .csv; a column a muscle),"
         " package.module:function or file.py:function: a function from observations (num_worlds, n) to"

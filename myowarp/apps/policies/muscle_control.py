@@ -1,4 +1,4 @@
-"""The policy "muscle-control": activations whose joint torques lead to a posture or to points, without training.
+"""The policy "muscle-control": activations whose torques lead to a posture or to points, without training.
 
 In every control step, for every world,
 
@@ -43,7 +43,8 @@ APPROACH = 0.52  # s
 REACH = 0.25  # s, T: the time in which the way that is left would be made
 REACTION = 0.05  # s, T_v: the time in which the wanted velocity is reached
 MOST_SPEED = 8.0  # v_max; rad/s or m/s
-SOFTNESS = 1e-4  # m^2 / rad^2, of the way to points near straight limbs
+SOFTNESS = 1e-5  # m^2 / rad^2, of the way to points near straight limbs
+MOST_HELD = 6  # times that joints are found at their limits
 RIDGE = 1e-5  # of activations; rad^2/s^2 or m^2/s^2
 LEAST_DAMPING = 1e-3  # N m s/rad: a joint with less counts as one with that
 """The first two are chosen by success in 128 random postures of the hand; the others hardly change it."""
@@ -86,8 +87,8 @@ class MuscleControl:
             and mujoco.mjtJoint.mjJNT_FREE in self._model.jnt_type
         ):
             raise ValueError(
-                f"policy 'muscle-control' moves limbs of a fixed body, not that of task {scene.spec.key!r}, which "
-                "can fall"
+                f"policy 'muscle-control' moves limbs of a fixed body, not that of task {scene.spec.key!r}, "
+                "which can fall"
             )
         self._ties = couplings(self._model)
         first = BODIES[scene.spec.body].approach
@@ -155,19 +156,34 @@ class MuscleControl:
         shard = next(s for s in self._sim.shards if world < s.scene.worlds.first + s.num_worlds)
         program, row = shard.program, world - shard.scene.worlds.first
         if self.goal is None and isinstance(program, ReachProgram):
-            return self._way_of_tips(program.target.numpy()[row], program.spec.tips, slopes)
+            return self._way_of_tips(program.target.numpy()[row], program.spec.tips, leads, slopes)
         goal = cast("PoseProgram", program).goal_pose(row) if self.goal is None else self.goal[world]
         way = np.zeros(self._model.nv)
         mujoco.mj_differentiatePos(self._model, way, 1.0, self._data.qpos, np.asarray(goal, dtype=float))
         return way[leads]
 
-    def _way_of_tips(self, target: np.ndarray, tips: tuple[str, ...], slopes: np.ndarray) -> np.ndarray:
-        """Return the least change that brings tips to their targets, to first order."""
-        model, data = self._model, self._data
+    def _way_of_tips(
+        self, target: np.ndarray, tips: tuple[str, ...], leads: np.ndarray, slopes: np.ndarray
+    ) -> np.ndarray:
+        """Return the least change that brings tips to their targets, to first order.
+
+        What would leave its joint's range goes to the limit, and the others make up for it.
+        """
+        model, data, joints = self._model, self._data, self._model.dof_jntid[leads]
         arms, error = np.zeros((len(target), model.nv)), target.astype(float)
         for i, tip in enumerate(tips):
             rows, site = slice(3 * i, 3 * i + 3), model.site(tip).id
             mujoco.mj_jacSite(model, data, arms[rows], None, site)
             error[rows] -= data.site_xpos[site]
-        led = arms @ slopes
-        return led.T @ np.linalg.solve(led @ led.T + SOFTNESS * np.eye(len(target)), error)
+        led, room = arms @ slopes, model.jnt_range[joints].T - data.qpos[model.jnt_qposadr[joints]]
+        room[:, model.jnt_limited[joints] == 0] = np.array([[-np.inf], [np.inf]])
+        way, held = np.zeros(len(leads)), np.zeros(len(leads), dtype=bool)
+        for _ in range(MOST_HELD):
+            free, rest = led[:, ~held], error - led[:, held] @ way[held]
+            way[~held] = free.T @ np.linalg.solve(free @ free.T + SOFTNESS * np.eye(len(rest)), rest)
+            out = (way < room[0]) | (way > room[1])
+            way = np.clip(way, *room)
+            if not (out & ~held).any():
+                break
+            held |= out
+        return way
