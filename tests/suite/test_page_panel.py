@@ -41,7 +41,7 @@ def test_every_task_has_one_place_in_the_tree():
     assert list(tree["pose, hand"]["easy"]) == ["v1", "v0"]
     assert tree["pose, hand"]["easy, pose 3"]["v0"] == "myoHandPose3Fixed-v0"
     assert tree["baoding, hand"]["P2"]["v2"] == "myoChallengeBaodingP2-v2"
-    assert place_of("out/arm26/model.xml") == (OWN, "out/arm26/model.xml", "-")
+    assert place_of("out/arm26/model.xml") == (OWN, "arm26/model.xml", "-")
 
 
 @pytest.mark.parametrize("key", TASKS)

@@ -271,7 +271,7 @@ def test_body_and_muscles_are_seen(shown, tmp_path):
     if shown.endswith(".osim"):
         convert = [sys.executable, "-m", "myowarp", "convert", str(OSIM / shown), "--output", str(tmp_path)]
         subprocess.run(convert, check=True, capture_output=True)
-        task = ["--model", tmp_path / "model.xml"]
+        task = ["--model", tmp_path / "model.xml", "--free"]
     with serving(*task) as (_, address), joined(address) as client, Chromium(SIZE) as window:
         window.open(address)
         window.wait_for("real time")

@@ -137,18 +137,16 @@ class Trial:
 
 Recording = Annotated[Trial, tyro.conf.arg(name="")]
 Steps = Annotated[int | None, _option("INT", "Control steps; by default one episode of the task.", UNSET)]
-Policy = Annotated[
-    str,
-    _option(
-        "NAME",
-        "random, zero, hold (pose tasks: proportional control of the joints), muscle-control (pose and"
-        " reach tasks: activations whose torques lead there), baseline (the trained policy of the package for"
-        " the task, or for another version of it; `myowarp baselines list`), baselines/ID (that of another"
-        " task), the folder of a trained policy, excitations over time (.sto, .mot, .csv; a column a muscle),"
-        " package.module:function or file.py:function: a function from observations (num_worlds, n) to"
-        " actions (num_worlds, m) in [-1, 1].",
-    ),
-]
+POLICIES = (
+    "random, zero, hold (pose tasks: proportional control of the joints), muscle-control (pose and"
+    " reach tasks: activations whose torques lead there), baseline (the trained policy of the package for"
+    " the task, or for another version of it; `myowarp baselines list`), baselines/ID (that of another"
+    " task), the folder of a trained policy, excitations over time (.sto, .mot, .csv; a column a muscle),"
+    " package.module:function or file.py:function: a function from observations (num_worlds, n) to"
+    " actions (num_worlds, m) in [-1, 1]."
+)
+Policy = Annotated[str, _option("NAME", POLICIES)]
+OwnPolicy = Annotated[str, _option("NAME", POLICIES, "(default: random; with --model zero)")]
 Overwrite = Annotated[bool, _option("", "Replace output files that exist.")]
 TaskIds = Annotated[
     tuple[str, ...],

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from rich.console import Console
 
-from myowarp.apps.cli.options import Environment, Policy, Recording, Said, Trial, optional
+from myowarp.apps.cli.options import Environment, OwnPolicy, Recording, Said, Trial, optional
 from myowarp.definitions.registry import check_least
 
 if TYPE_CHECKING:
@@ -48,7 +48,10 @@ class View:
     """
 
     asked: Environment
-    policy: Policy = "random"
+    policy: OwnPolicy = ""
+    free: bool = False
+    """Let a body of --model fall. By default the part that carries all others is held in place, as if in a
+    harness, unless a policy of yours acts."""
     worlds: int = 1
     """Worlds to choose from."""
     preset: Annotated[str | None, optional("NAME")] = None
@@ -74,11 +77,11 @@ class View:
             return self._play(source)
         if (run := self._run()) is not None:
             return run()
-        find_policy(self.policy, self._find(self._title).spec)
+        find_policy(self._policy, self._find(self._title).spec)
         if self.preset is not None:
             PRESETS[self.preset]
         check_port(self.port)
-        session, choices = self._open(self._title, self.policy), self._choices()
+        session, choices = self._open(self._title, self._policy), self._choices()
         if self.preset is not None:
             session.become(self.preset)
         server = open_server(self.port, "MyoWarp")
@@ -131,6 +134,11 @@ class View:
         return dataclasses.replace(self, asked=said, policy=asked.task)
 
     @property
+    def _policy(self) -> str:
+        """What acts at first: what was asked for, else what suits a model to look at, or a task."""
+        return self.policy or ("zero" if isinstance(self.asked.setup.task, Path) else "random")
+
+    @property
     def _title(self) -> str:
         """What the page calls the task of the command."""
         return str(self.asked.setup.task).removeprefix("MyoWarp/")
@@ -149,7 +157,7 @@ class View:
 
         return Choices(
             tasks=list(dict.fromkeys((self._title, *TASKS))),
-            policies=lambda spec: policies_for(spec, self.policy),
+            policies=lambda spec: policies_for(spec, self._policy),
             acting=self._acting,
             note=note_on,
             open=self._open,
@@ -158,18 +166,22 @@ class View:
     def _open(self, title: str, policy: str) -> Session:
         """Return the session of a task; a policy that cannot act there gives way to the best that can."""
         from myowarp.apps.policies.baselines import OWN, PREFIX
+        from myowarp.apps.policies.find import BUILT_IN
+        from myowarp.view.browser.held import held, root_of
         from myowarp.view.browser.session import Session
 
         setup = self._find(title)
-        offered = policies_for(setup.spec, self.policy)
-        if policy.startswith(PREFIX) and (title, policy) != (self._title, self.policy):
+        offered = policies_for(setup.spec, self._policy)
+        if policy.startswith(PREFIX) and (title, policy) != (self._title, self._policy):
             policy = OWN  # the baseline of this task, whichever it was before
         best = next(name for name in offered if not name.startswith(PREFIX))
+        acts, root = policy if policy in offered else best, ""
         file = self.asked.setup.task if title == self._title else None
-        acts = policy if policy in offered else best
-        return Session(
-            title, setup, self.worlds, acts, self._acting, file if isinstance(file, Path) else None
-        )
+        if not isinstance(file, Path):
+            return Session(title, setup, self.worlds, acts, self._acting)
+        if not self.free and self._policy in BUILT_IN and (root := root_of(setup.spec)):
+            setup = dataclasses.replace(setup, task=held(setup.spec, root))
+        return Session(title, setup, self.worlds, acts, self._acting, file, root)
 
     def _acting(self, name: str, sim: Simulation) -> Act:
         """Return what acts, with the errors of a user's policy as one sentence."""

@@ -73,7 +73,6 @@ class BodyTab:
     def _add_slider(self, widgets: Widgets, joint: int, name: str) -> None:
         """Add the slider of a coordinate; one that is moved stops the body."""
         low, high = self._ends(joint)
-        slides = self._model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
 
         def turn(value: float) -> None:
             self._live.look_back(0.0)
@@ -83,13 +82,17 @@ class BodyTab:
 
         self._sliders[joint] = widgets.slide(
             name,
-            f"{name} [{'m' if slides else 'rad'}]",
+            f"{name} [{self._unit(joint)}]",
             (low, high),
             float(f"{(high - low) / STEPS:.1g}"),
             lambda: self._value(joint),
             turn,
             "Puts the body there, at rest.",
         )
+
+    def _unit(self, joint: int) -> str:
+        """Return the unit of a joint's coordinate."""
+        return "m" if self._model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
 
     def _ends(self, joint: int) -> tuple[float, float]:
         """Return the range of a joint, rounded outwards."""
@@ -129,13 +132,16 @@ class BodyTab:
         muscle, joint = self._muscle.value, self._joint.value
         check_choice("muscle", muscle, muscles)
         check_choice("joint", joint, joints)
-        low, high = self._ends(self._model.joint(joint).id)
+        number = self._model.joint(joint).id
+        low, high = self._ends(number)
         along = np.linspace(low, high, POINTS)
         curves = [Curve("ours", 1e3 * moment_arm(self._model, muscle, joint, along), OURS)]
         theirs = self._curves.of(muscle, joint, along)
         if theirs is not None:
             curves.append(Curve("OpenSim", 1e3 * theirs, THEIRS, (6, 4)))
-        chart = Chart("moment arm / mm, others at rest", along, curves, axis=f"{joint}")
+        chart = Chart(
+            "moment arm / mm, others at rest", along, curves, axis=f"{joint} / {self._unit(number)}"
+        )
         self._picture.content = f"<div style='padding:0 0.5em'>{as_svg([chart], WIDTH, HEIGHT)}</div>"
 
 

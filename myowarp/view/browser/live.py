@@ -25,7 +25,7 @@ from myowarp.view.browser.page_style import SOFTWARE, STYLE
 from myowarp.view.browser.panel import Panel
 from myowarp.view.browser.readings import Moment, Readings
 from myowarp.view.browser.scene import Figure, Floor
-from myowarp.view.browser.session import OPEN_LOOP, Choices, Session
+from myowarp.view.browser.session import Choices, Session
 from myowarp.view.browser.traces import TRACES_HEIGHT
 from myowarp.view.drawing import style as look
 from myowarp.view.drawing.framing import Framing, motion_samples, view_axes
@@ -246,7 +246,7 @@ class Live(Controls):
         }
         file = self.session.file
         self._floor = Floor(self.server, "/world/floor", model, self._framing, always=file is not None)
-        if file is not None and self.session.policy == OPEN_LOOP:
+        if not self.session.scored:
             self.playing = False
             self.session.pose(look.rest_pose(model))
         self._panel = Panel(self, self._readings, self._history)

@@ -14,6 +14,8 @@ from myowarp.view.browser.widgets import Widgets
 
 BESIDE = "beside: the same without the change"
 UNDO = "Undo all changes"
+JOINER = "\u2060"
+"""Keeps a line from ending in a unit, as it would behind the stroke of 1/s."""
 
 
 class PatientTab:
@@ -73,7 +75,7 @@ class PatientTab:
             self._live.session.turn(knob, value, self._chosen)
             self._show_hints()
 
-        label = knob.field.replace("_", " ") + (f" [{knob.unit}]" if knob.unit else "")
+        label = knob.field.replace("_", " ") + (f" [{JOINER.join(knob.unit)}]" if knob.unit else "")
         ends = (knob.low, knob.high)
         now = lambda: self._value(knob)  # noqa: E731 (one name for the slider's present value)
         self._sliders[knob] = self._widgets.slide(knob.name, label, ends, knob.step, now, turn, knob.doc)

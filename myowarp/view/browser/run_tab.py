@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -12,6 +13,7 @@ from myowarp.definitions.registry import check_choice
 from myowarp.view.browser import status as html
 from myowarp.view.browser.controls import Controls
 from myowarp.view.browser.history import SECONDS
+from myowarp.view.browser.session import Session
 from myowarp.view.browser.task_tree import place_of, task_tree
 from myowarp.view.browser.widgets import Widgets
 from myowarp.view.drawing import style as look
@@ -121,7 +123,7 @@ class RunTab:
                 lambda chosen: self._open(versions[chosen]),
                 "The upstream version is MyoSuite's; the next one corrects it.",
             )
-        self._gui.add_markdown(session.sim.scene.spec.summary)
+        self._gui.add_markdown(_about(session))
 
     def _open(self, task: str) -> None:
         """Show another task."""
@@ -131,6 +133,18 @@ class RunTab:
         """Change what the colour of a muscle shows."""
         self._live.color = color
         self._legend.content = html.legend(QUANTITIES[color])
+
+
+def _about(session: Session) -> str:
+    """Return what runs: a task, or a model that is looked at, Markdown."""
+    if session.file is None:
+        return session.sim.scene.spec.summary
+    model = Path(*session.file.absolute().parts[-2:])
+    return f"The model {model}." + (
+        f" **{session.held} is held in place**, as if in a harness; `--free` lets the body fall."
+        if session.held
+        else ""
+    )
 
 
 def _marks(live: Controls) -> tuple[bool, bool, bool, list[tuple[str, np.ndarray]]]:

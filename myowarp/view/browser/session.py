@@ -32,6 +32,8 @@ HEALTHY = "as it began"
 """The patient without a preset: what the command's conditions say."""
 OPEN_LOOP = "random"
 """Policy that does not look at observations: the twin does what the shown world does."""
+AT_REST = "zero"
+"""Policy that commands nothing."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ class Session:
         solved: How many of its episodes before ended as a success.
         preset: Name of the patient that was chosen last.
         file: The file that its model is from; None: a task has its model.
+        held: Name of the body of that model that is held in place; "" for none.
     """
 
     def __init__(
@@ -80,6 +83,7 @@ class Session:
         policy: str,
         acting: Callable[[str, Simulation], Act],
         file: Path | None = None,
+        held: str = "",
     ) -> None:
         """Build the simulation, and reset it.
 
@@ -90,6 +94,7 @@ class Session:
             policy: Name of what acts.
             acting: As in `Choices`.
             file: The file that the model is from; None: the task has one.
+            held: Name of the body that is held in place; "" for none.
 
         Raises:
             ValueError: An argument is wrong.
@@ -106,7 +111,7 @@ class Session:
             adjustable=True,
         )
         self.title, self.world, self.twin, self.beside = title, 0, worlds, False
-        self.file = file
+        self.file, self.held = file, held
         self.signals = Signals(self.sim) if muscles else None
         self.patient = Patient(self.sim)
         self._acting = acting
@@ -131,6 +136,11 @@ class Session:
     def success(self) -> bool:
         """Whether the shown world's episode counts as a success so far."""
         return bool(self.sim.transition.success.numpy()[self.world])
+
+    @property
+    def scored(self) -> bool:
+        """Whether return and reward say something: nobody has asked for the task that is made of a file."""
+        return self.file is None or self.policy not in (OPEN_LOOP, AT_REST)
 
     @property
     def terms(self) -> dict[str, float]:

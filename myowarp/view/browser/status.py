@@ -23,20 +23,21 @@ def status(live: Controls) -> str:
     if live.back > 0.0:
         state = f"{live.back:.1f} s back · "
     length = session.sim.setup.episode_steps * session.sim.scene.control_dt
+    solved = f", {session.solved} of {session.episode - 1} before solved" if session.scored else ""
     rows = [
         f"<b>{state}{session.time:.2f} s of {length:.4g} s</b>"
-        + (f" · <b style='color:{GOOD}'>success</b>" if session.success else ""),
-        f"episode {session.episode}, {session.solved} of {session.episode - 1} before solved · "
-        f"{live.factor:.2f} × real time",
-        f"return {session.returns[session.world]:.2f}",
+        + (f" · <b style='color:{GOOD}'>success</b>" if session.scored and session.success else ""),
+        f"episode {session.episode}{solved} · {live.factor:.2f} × real time",
     ]
-    if session.beside:
-        rows[-1] += f" · before the change {session.returns[session.twin]:.2f}"
+    if session.scored:
+        rows.append(f"return {session.returns[session.world]:.2f}")
+        if session.beside:
+            rows[-1] += f" · before the change {session.returns[session.twin]:.2f}"
     if live.message:
         rows.append(f"<span style='color:{BAD}'>{html.escape(live.message)}</span>")
     return (
         f"<div style='padding:0.5em 1em;font-size:0.85em'>{'<br>'.join(rows)}"
-        f"<table>{_terms(session.terms)}</table></div>"
+        f"<table>{_terms(session.terms) if session.scored else ''}</table></div>"
     )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
 from myowarp.definitions.task import TASKS
 
@@ -50,9 +51,9 @@ def task_tree(tasks: Sequence[str]) -> Tree:
 
 
 def place_of(task: str) -> tuple[str, str, str]:
-    """Return family, level and version of a task."""
+    """Return family, level and version of a task; of a file the end of its path, as lists are narrow."""
     if task not in TASKS:
-        return OWN, task, "-"
+        return OWN, "/".join(Path(task).parts[-2:]), "-"
     spec = TASKS[task]
     family, body = (WORDS.get(name, name.replace("_", " ")) for name in (spec.family, spec.body))
     return f"{family}, {body}", _level(spec.name), f"v{spec.version}"

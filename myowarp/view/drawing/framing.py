@@ -77,7 +77,7 @@ class Framing:
         acting = acting_bodies(model)
         self._end = self._limb[acting[model.geom_bodyid[self._limb]]]
         self._is_long = bool(len(self._end)) and bool((moving & ~acting)[model.geom_bodyid[self._limb]].any())
-        self._root = _carried_root(model)
+        self._root = carried_root(model)
         half = np.tan(np.radians(model.vis.global_.fovy) / 2) * np.array((aspect, 1.0))
         self._half = (1.0 - 2.0 * BORDER) * half
         data = mujoco.MjData(model)
@@ -211,7 +211,7 @@ class Framing:
         return ends[0], np.concatenate(ends), np.concatenate(clouds), away
 
 
-def _carried_root(model: mujoco.MjModel) -> int:
+def carried_root(model: mujoco.MjModel) -> int:
     """Return the body of the limb that a free joint or long slides carry away; 0 for none."""
     limb = look.limb_trees(model)
     for joint in range(model.njnt):
