@@ -8,6 +8,7 @@ from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TASKS
 from myowarp.models.muscles.mujoco import peak_force
+from myowarp.sim.build import full_model
 from myowarp.sim.simulation import Simulation
 from myowarp.view.drawing import style as look
 from myowarp.view.drawing.framing import Framing, view_axes
@@ -172,6 +173,15 @@ def test_tubes_are_as_wide_as_muscles_are_strong(sim):
     assert (thin < 0.5 * radii).all()
     weak = muscles.belly_radius(0.25 * muscles.peak_force)
     np.testing.assert_allclose(weak, 0.5 * radii)
+
+
+def test_a_belly_keeps_to_one_branch_of_a_path():
+    """The extensor of the finger has a pulley; its rings follow each other all the same."""
+    model = full_model(TASKS["myoFingerPoseRandom-v0"])
+    data, muscles = posed(model, [0.0, 0.9, 0.6, 0.4]), Muscles(model, 0.1)
+    assert (model.wrap_type == mujoco.mjtWrap.mjWRAP_PULLEY).any()
+    steps = np.diff(muscles.bellies(data, {}, 0.0, 11).centers, axis=1)
+    assert (np.einsum("mrk,mrk->mr", steps[:, 1:], steps[:, :-1]) > 0.0).all()
 
 
 def test_colours_are_those_of_the_values(sim):

@@ -181,6 +181,12 @@ def test_pause_stops_the_counter_and_the_picture(window, tmp_path):
     until(lambda: step_of(window) > halted)
 
 
+def test_the_picture_is_never_pale(window):
+    """viser lets it fade in, frame by frame."""
+    faded = "(c => {c.style.opacity = '0.05'; return getComputedStyle(c).opacity})"
+    assert window.run(f"{faded}(document.querySelector('canvas'))") == "1"
+
+
 def test_the_patient_is_at_hand(window):
     window.press("Patient")
     window.wait_for("sarcopenia")

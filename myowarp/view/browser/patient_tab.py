@@ -15,7 +15,7 @@ from myowarp.view.browser.widgets import Widgets
 BESIDE = "beside: the same without the change"
 UNDO = "Undo all changes"
 JOINER = "\u2060"
-"""Keeps a line from ending in a unit, as it would behind the stroke of 1/s."""
+"""Keeps a line from ending behind the stroke of 1/s."""
 
 
 class PatientTab:
@@ -75,7 +75,8 @@ class PatientTab:
             self._live.session.turn(knob, value, self._chosen)
             self._show_hints()
 
-        label = knob.field.replace("_", " ") + (f" [{JOINER.join(knob.unit)}]" if knob.unit else "")
+        unit = knob.unit.replace("/", "/" + JOINER)
+        label = knob.field.replace("_", " ") + (f" [{unit}]" if unit else "")
         ends = (knob.low, knob.high)
         now = lambda: self._value(knob)  # noqa: E731 (one name for the slider's present value)
         self._sliders[knob] = self._widgets.slide(knob.name, label, ends, knob.step, now, turn, knob.doc)

@@ -158,6 +158,7 @@ def _marks(live: Controls) -> tuple[bool, bool, bool, list[tuple[str, np.ndarray
     for geom in look.drawn_geoms(model):
         body = int(model.geom_bodyid[geom])
         if objects[body] and model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_PLANE:
-            found.setdefault(model.body(body).name.replace("_", " "), rgba[geom, :3])
+            name = model.body(body).name.replace("_", " ").lower()
+            found.setdefault("wanted pose" if name == "target" else name, rgba[geom, :3])
     asked = session.file is None  # of a model's file no goals are shown
     return tips, asked and bool(seen.goals), asked and seen.ghost is not None, list(found.items())

@@ -53,8 +53,8 @@ THINNEST = 0.002
 """Least radius of a tendon, in units of the framed radius."""
 FLOOR_REACH, LINE = 6.0, 0.0015
 """Half a side of the squares on the floor, and the radius of their lines, in units of the framed radius."""
-PLANE_REACH = 20.0
-"""Half a side of a plane without end, in units of the framed radius."""
+PLANE_REACH = 200.0
+"""Half a side of a plane, which has no end, in units of the framed radius: its corners are at the horizon."""
 HEAD = 2.5
 """Radius of an arrow's head over that of the arrow."""
 SPACING = 2.3
@@ -469,8 +469,8 @@ def _surface(model: mujoco.MjModel, geom: int, reach: float) -> tuple[np.ndarray
         box.unmerge_vertices()  # else its edges look round
         return box.vertices, box.faces
     if kind == mujoco.mjtGeom.mjGEOM_PLANE:
-        x, y = (half or reach for half in size[:2])
-        return np.array(((-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0))), np.array(((0, 1, 2), (0, 2, 3)))
+        corners = reach * np.array(((-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)))
+        return corners, np.array(((0, 1, 2), (0, 2, 3)))
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
         # Of radius 1, as vertices of a tiny one would be merged.
         round_ = trimesh.creation.capsule(2.0 * size[1] / size[0], 1.0, count=(16, 16))

@@ -39,6 +39,8 @@ BULGE = (0.8, 1.25)
 """Least and greatest width of a belly over the one at optimal fiber length."""
 PROXIMAL = 0.35
 """Share of the tendon on the trunk's side."""
+JUMP = 1e-6
+"""m: farther than that from the end of a piece of a path, the next piece is another branch."""
 PIECES = 350
 """Pieces that all bellies together may have; each is a capsule."""
 
@@ -248,6 +250,8 @@ class Muscles:
             if bounds[muscle] < bounds[muscle + 1]:
                 length = float(data.ten_length[self.tendons[muscle]])
                 first, last, bulge = self._belly(muscle, length, optimal[muscle], tendon[muscle])
+                unbranched = _unbranched(starts[own], ends[own])
+                first, last = first * unbranched, last * unbranched
                 thick = max(bulge * bellies[muscle], 1.25 * thinnest)
                 thin = max(TENDON_WIDTH * bellies[muscle], thinnest)
                 yield muscle, (starts[own], ends[own], first, last, thick, thin)
@@ -295,6 +299,14 @@ def _depth(model: mujoco.MjModel, body: int) -> int:
 
 
 _Path = tuple[np.ndarray, np.ndarray, float, float, float, float]
+
+
+def _unbranched(starts: np.ndarray, ends: np.ndarray) -> float:
+    """Return which share of a path's length comes before a pulley, where it goes on from elsewhere."""
+    lengths = np.linalg.norm(ends - starts, axis=1)
+    elsewhere = np.linalg.norm(starts[1:] - ends[:-1], axis=1) > JUMP
+    pieces = int(elsewhere.argmax()) + 1 if elsewhere.any() else len(lengths)
+    return float(lengths[:pieces].sum() / max(lengths.sum(), 1e-12))
 
 
 def _along(starts: np.ndarray, ends: np.ndarray, shares: np.ndarray) -> np.ndarray:
