@@ -50,21 +50,25 @@ def main() -> None:
         bin_ = here / "venv/bin"
         myowarp = str(bin_ / "myowarp")
 
-        def run(*command: str | Path) -> None:
+        def run(*command: str | Path, **more: str) -> None:
             print("$", *command, flush=True)
-            subprocess.run([str(word) for word in command], cwd=here, check=True)
+            subprocess.run([str(word) for word in command], cwd=here, check=True, env=os.environ | more)
 
         pip = (bin_ / "pip", "install", "--quiet", "--disable-pip-version-check")
+        act = ("--policy", f"baselines/{ELBOW}", "--num-worlds", "16", "--json")
+        rollout = (myowarp, "rollout", ELBOW, *act)
         for own in (*older, wheel):
             run(*pip, f"{own}[cohort,convert,plot,view]")
             run(*pip, "--force-reinstall", "--no-deps", own)
+            if older:  # the newer one finds what the older one has left on the disk
+                run(*rollout, **caches(here / "upgraded"))
         (here / "snippet.py").write_text(
             re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)[0]
         )
         run(bin_ / "python", "snippet.py")
         for start in ("first", "second"):
             print(f"{start} start: {serve(here, myowarp, 'demo', '--port', '0'):.0f} s", flush=True)
-        run(myowarp, "rollout", ELBOW, "--policy", f"baselines/{ELBOW}", "--num-worlds", "16", "--json")
+        run(*rollout)
         run(myowarp, "reproduce", "speed", "--output", "speed")
         run(myowarp, "examples", "--copy")
         run(myowarp, "rollout", "examples/own_task.py:thrifty", "--policy", "hold", "--steps", "20", "--json")
@@ -78,11 +82,16 @@ def main() -> None:
     print(f"{wheel.name}, {size / 1e6:.1f} MB, works in an empty environment.")
 
 
+def caches(folder: Path) -> dict[str, str]:
+    """Return the environment under which nothing is kept but in a folder."""
+    return {"MYOWARP_CACHE_DIR": str(folder / "cache"), "WARP_CACHE_PATH": str(folder / "warp")}
+
+
 def serve(here: Path, *command: str) -> float:
     """Start a page, fetch it, end it; returns the time from start to page [s]."""
     print("$", *command, flush=True)
     # No cache of an earlier start counts, and no browser opens.
-    own = {"MYOWARP_CACHE_DIR": str(here / "cache"), "WARP_CACHE_PATH": str(here / "warp"), "DISPLAY": ""}
+    own = caches(here) | {"DISPLAY": ""}
     begin, address, said = time.monotonic(), "", []
     process = subprocess.Popen(
         command, cwd=here, env=os.environ | own, stderr=subprocess.PIPE, text=True, start_new_session=True

@@ -59,7 +59,10 @@ class Readings:
         self._model, oracle = sim.full_model, sim.scene.oracle
         self._data = mujoco.MjData(self._model)
         hinges = np.isin(self._model.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE))
+        root = self._model.body(session.held).id if session.held else -1
         self._joints = np.flatnonzero(hinges)
+        still = self._model.jnt_bodyid[self._joints] == root
+        self._joints = self._joints[np.argsort(still, kind="stable")]  # what is held says least
         self._dofs, self._places = self._model.jnt_dofadr[self._joints], self._model.jnt_qposadr[self._joints]
         self._tendons = {
             i: int(self._model.actuator(oracle.actuator(i).name).trnid[0])

@@ -141,7 +141,7 @@ def _about(session: Session) -> str:
         return session.sim.scene.spec.summary
     model = Path(*session.file.absolute().parts[-2:])
     return f"The model {model}." + (
-        f" **{session.held} is held in place**, as if in a harness; `--free` lets the body fall."
+        f" Its **{session.held} is held in place**, as if in a harness; `--free` lets the body fall."
         if session.held
         else ""
     )
