@@ -20,7 +20,7 @@ FILM = "docs/pictures/demo.gif"
 class Demo:
     """Open a page where a trained hand turns a key, with sliders that weaken its muscles.
 
-    Nothing is trained and no GPU is needed. The first start compiles kernels for half a minute.
+    Nothing is trained and no GPU is needed. The first start compiles kernels for about a minute.
 
     Example: myowarp demo
     """
