@@ -20,6 +20,7 @@ from myowarp.definitions.body import BODIES
 from myowarp.progress import listening
 from myowarp.view.browser.controls import ERRORS, Controls
 from myowarp.view.browser.history import History
+from myowarp.view.browser.lights import add_lights
 from myowarp.view.browser.moments import at_once
 from myowarp.view.browser.page_style import SOFTWARE, STYLE
 from myowarp.view.browser.panel import Panel
@@ -236,6 +237,7 @@ class Live(Controls):
         look.pose(model, self._figure_shown.data, look.rest_pose(model))
         self._camera = self._framing.camera(self._figure_shown.data, {})
         axes = view_axes(self._camera.azimuth, self._camera.elevation)
+        add_lights(self.server, "/world/lights", self._camera.azimuth, self._camera.elevation)
         self._side, self._farther = self._framing.twin()
         above = self._camera.lookat + 0.55 * self._framing.height * axes[1]
         self._labels = {

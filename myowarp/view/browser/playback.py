@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import viser
 
+from myowarp.view.browser.lights import add_lights
 from myowarp.view.browser.scene import SPACING, Figure, Floor
 from myowarp.view.browser.server import close_server, open_server
 from myowarp.view.drawing import style as look
@@ -87,8 +88,11 @@ def write_playback(path: Path, takes: Sequence[Sequence[Take]], color: str, fps:
     """
     server = open_server(0, "MyoWarp")
     try:
+        sky = (255 * look.SKY_RGB).round().astype(np.uint8)
+        server.scene.set_background_image(sky.reshape(1, 1, 3), "png")
         first = takes[0][0]
         framing = Framing(first.model, first.tips, 1.0)
+        add_lights(server, "/lights", framing.azimuth, framing.elevation)
         axes, apart = view_axes(framing.azimuth, framing.elevation), SPACING * framing.radius
         actors = [
             _Actor(server, f"/{row}_{column}", take, color, apart * (column * axes[0] - row * axes[1]))

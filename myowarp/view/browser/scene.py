@@ -29,10 +29,15 @@ from myowarp.view.drawing.skeleton import Skeleton
 from myowarp.view.drawing.snapshot import Snapshot
 from myowarp.view.drawing.world import ARROW_RADIUS, GHOST_ALPHA, LINK_RADIUS, MARKER_RADIUS
 
-CELL, GHOST_CELL = 1 / 150, 1 / 80
+CELL = 1 / 150
 """What is smaller in a mesh is not sent, in units of the framed radius: some browsers draw in software."""
-SIDES = 10
-"""Faces around a tube."""
+KEPT = ((0.8, 0.3), (4.0, 0.15))
+"""Shares of its faces that are drawn of a mesh beyond distances, in units of the framed radius: its outline
+stays."""
+SIDES, CONE_SIDES = 6, 20
+"""Faces around a tube and a cone."""
+BALL_SIDES = (8, 14)
+"""Rings of a ball, and points on each."""
 RINGS = 11
 """Rings of a belly."""
 BELLY_SIDES, CROWD_SIDES, CROWD = 8, 6, 20
@@ -59,6 +64,8 @@ HEAD = 2.5
 """Radius of an arrow's head over that of the arrow."""
 SPACING = 2.3
 """Distance from body to body, in units of the framed radius."""
+
+_Lod = Literal["off"] | tuple[tuple[float, float], ...]
 
 
 class Figure:
@@ -93,7 +100,7 @@ class Figure:
         self._server, self._name, self._radius, self._is_ghost = server, name, radius, ghost
         self._root = server.scene.add_frame(name, show_axes=False)
         self._model = copy.copy(model)
-        coarsen(self._model, (GHOST_CELL if ghost else CELL) * radius)
+        coarsen(self._model, CELL * radius)
         self._data = mujoco.MjData(self._model)
         self._nominal: dict[tuple[str, str], np.ndarray] = {}
         self._given, self._pick = model, pick
@@ -106,7 +113,8 @@ class Figure:
         self._rgba = look.shown_rgba(model)
         self._geoms = self._drawn()
         self._tubes = _Batch(server, f"{name}/tubes", *_tube(), GHOST_ALPHA if ghost else None)
-        ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+        self._lod = tuple((distance * radius, share) for distance, share in KEPT)
+        ball = trimesh.creation.uv_sphere(1.0, BALL_SIDES)
         self._balls = _Batch(server, f"{name}/balls", ball.vertices, ball.faces)
         self._heads = _Batch(server, f"{name}/heads", *_cone())
         self._ghost: Figure | None = None
@@ -204,13 +212,15 @@ class Figure:
             mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
             placed = vertices @ turn.reshape(3, 3).T + model.geom_pos[geom]
             parts[tuple(self._rgba[geom].round(3))].append((placed, faces))
+        kinds = model.geom_type[self._geoms[body]]
+        slopes = bool((kinds == mujoco.mjtGeom.mjGEOM_HFIELD).any())
         self._meshes[body] = [
             _Batch(
                 self._server,
                 f"{self._name}/body_{body}/mesh_{index}",
                 *_joined(pieces),
                 opacity=GHOST_ALPHA if self._is_ghost else rgba[3] if rgba[3] < 1.0 else None,
-                side="front" if self._is_ghost else "double",
+                lod="off" if slopes else self._lod,
                 rgb=look.TARGET_RGB if self._is_ghost else np.array(rgba[:3]),
             )
             for index, (rgba, pieces) in enumerate(parts.items())
@@ -259,7 +269,6 @@ class Figure:
                 vertices.astype(np.float32),
                 _around(RINGS, self._sides),
                 color=color,
-                side="double",
                 cast_shadow=False,
                 receive_shadow=False,
             )
@@ -359,11 +368,11 @@ class _Batch:
         vertices: np.ndarray,
         faces: np.ndarray,
         opacity: float | None = None,
-        side: Literal["front", "double"] = "double",
+        lod: _Lod = "off",
         rgb: np.ndarray | None = None,
     ) -> None:
         self._server, self._name, self._mesh = server, name, (vertices, faces)
-        self._opacity, self._side, self._rgb = opacity, side, rgb
+        self._opacity, self._lod, self._rgb = opacity, lod, rgb
         self._handle: viser.BatchedMeshHandle | None = None
         self.room = 0
 
@@ -406,8 +415,7 @@ class _Batch:
                 batched_scales=scales,
                 batched_colors=colors,
                 opacity=self._opacity,
-                lod="off",
-                side=self._side,
+                lod=self._lod,
                 cast_shadow=False,
                 receive_shadow=False,
             )
@@ -448,7 +456,7 @@ def _tube() -> tuple[np.ndarray, np.ndarray]:
 
 def _cone() -> tuple[np.ndarray, np.ndarray]:
     """Return vertices and faces of a cone along z, of length and radius 1, its middle at 0."""
-    cone = trimesh.creation.cone(1.0, 1.0, sections=2 * SIDES)
+    cone = trimesh.creation.cone(1.0, 1.0, sections=CONE_SIDES)
     return cone.vertices - (0.0, 0.0, 0.5), cone.faces
 
 

@@ -8,12 +8,10 @@ import logging
 import socket
 import warnings
 
-import numpy as np
 import viser
 
 from myowarp.view.browser.origins import check_refusal, refusing_other_sites
 from myowarp.view.browser.updates import send_whole, take_values_alone
-from myowarp.view.drawing.style import SKY_RGB
 
 LOCAL = "127.0.0.1"
 LEFT = "Queued a .* on a closed connection"
@@ -53,8 +51,9 @@ def open_server(port: int, title: str) -> viser.ViserServer:
     server.get_event_loop().set_exception_handler(lambda loop, context: None)
     take_values_alone(server)
     send_whole(server)
-    server.scene.configure_default_lights(cast_shadow=False)
-    server.scene.set_background_image((255 * SKY_RGB).round().astype(np.uint8).reshape(1, 1, 3), "png")
+    # `lights.py` has lights; light from a picture takes longer than all else where software draws.
+    server.scene.configure_environment_map(None)
+    server.scene.configure_default_lights(False)
     return server
 
 

@@ -38,6 +38,8 @@ FACETS = (14, 6)
 """Faces of round shapes, around and along."""
 COARSE = 1.0
 """px: what is smaller in a mesh is not drawn."""
+LEAST_CELLS = 6
+"""Cells that a mesh is long at least: one that is smaller than a pixel keeps a shape."""
 GL_ERRORS = (ImportError, RuntimeError, AttributeError, OSError, ctypes.ArgumentError, mujoco.FatalError)
 """What a missing or broken OpenGL raises: PyOpenGL looks functions up on a library that is None."""
 
@@ -315,7 +317,8 @@ def coarsen(model: mujoco.MjModel, cell: float) -> None:
         first, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
         faces = slice(face, face + model.mesh_facenum[mesh])
         vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
-        _, chosen, own = np.unique(np.round(vertices / cell), axis=0, return_index=True, return_inverse=True)
+        size = min(cell, np.ptp(vertices, axis=0).max(initial=0.0) / LEAST_CELLS)
+        _, chosen, own = np.unique(np.round(vertices / size), axis=0, return_index=True, return_inverse=True)
         merged = chosen[own.ravel()][model.mesh_face[faces]]
         kept = (merged != np.roll(merged, 1, axis=1)).all(axis=1)
         count = int(kept.sum())

@@ -9,6 +9,8 @@ from myowarp.view.drawing import style as look
 
 FLOOR_REACH = 4.0
 """Half a side of the floor, in units of the framed radius."""
+LAMP = np.array((0.5, -0.7, 0.6))
+"""Where the lamp above the viewer's left shoulder shines: to the right, up, forward."""
 CAPSULE, NOWHERE, UPRIGHT = mujoco.mjtGeom.mjGEOM_CAPSULE, np.zeros(3), np.eye(3).ravel()
 
 
@@ -112,6 +114,6 @@ def add_lamp(scene: mujoco.MjvScene) -> None:
     lamp.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     lamp.headlight, lamp.castshadow, lamp.texid = 0, 0, -1
     lamp.pos[:] = eye.pos
-    lamp.dir[:] = 0.6 * forward - 0.7 * up + 0.5 * right
+    lamp.dir[:] = LAMP @ (right, up, forward)
     lamp.attenuation[:] = (1.0, 0.0, 0.0)
     lamp.ambient[:], lamp.diffuse[:], lamp.specular[:] = 0.0, 0.35, 0.15
