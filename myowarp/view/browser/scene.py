@@ -36,7 +36,7 @@ KEPT = ((0.8, 0.3), (4.0, 0.15))
 stays."""
 SIDES, CONE_SIDES = 6, 20
 """Faces around a tube and a cone."""
-BALL_SIDES = (8, 14)
+BALL_SIDES = (6, 12)
 """Rings of a ball, and points on each."""
 RINGS = 11
 """Rings of a belly."""
@@ -234,7 +234,7 @@ class Figure:
             self._tubes.show_between(starts + aside, ends + aside, radii, rgb)
             return
         thinnest = THINNEST * self._radius
-        tubes = self.muscles.tubes(self._data, seen.muscles, thinnest)
+        tubes = self.muscles.tubes(self._data, seen.muscles, thinnest, pieces=1)
         belly = QUANTITIES[color].rgb(self.muscles.values(color, seen.muscles, self._data))
         tendon = (1.0 - TENDON_TINT) * TENDON_RGB + TENDON_TINT * belly
         known = np.ones(len(belly), bool) if seen.activation is None else ~np.isnan(seen.activation)

@@ -7,7 +7,7 @@ that muscles of a finger and of a leg are both readable. `QUANTITIES` are what c
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -41,6 +41,8 @@ PROXIMAL = 0.35
 """Share of the tendon on the trunk's side."""
 JUMP = 1e-6
 """m: farther than that from the end of a piece of a path, the next piece is another branch."""
+SHORTEST = 1e-12
+"""m: what is shorter has no direction."""
 PIECES = 350
 """Pieces that all bellies together may have; each is a capsule."""
 
@@ -192,6 +194,7 @@ class Muscles:
         data: mujoco.MjData,
         known: Mapping[str, np.ndarray] = MappingProxyType({}),
         thinnest: float = 0.0,
+        pieces: int | None = None,
     ) -> Tubes:
         """Return the capsules of all muscles in a pose.
 
@@ -199,15 +202,23 @@ class Muscles:
             data: The data, posed, tendons computed.
             known: What a snapshot says of the muscles, by name; the model's own where it says nothing.
             thinnest: Least radius [m]; one pixel, so that a tendon is seen.
+            pieces: Capsules of a straight belly at least; None: as many as it needs to look round.
         """
-        parts = [
-            (*_spindle(*path, self._samples), muscle) for muscle, path in self._paths(data, known, thinnest)
-        ]
-        if not parts:
-            return Tubes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, int), np.zeros(0, bool))
-        joined = [np.concatenate([part[k] for part in parts]) for k in range(4)]
-        owners = np.concatenate([np.full(len(part[2]), part[4]) for part in parts])
-        return Tubes(joined[0], joined[1], joined[2], owners, joined[3])
+        paths = self._paths(data, known, thinnest)
+        shares = np.linspace(0.0, 1.0, (self._samples if pieces is None else pieces) + 1)
+        cuts = np.unique(np.concatenate((paths.marks, paths.places(shares).ravel())))
+        cuts = cuts[np.diff(cuts, prepend=-1.0) > SHORTEST]
+        middle = (cuts[:-1] + cuts[1:]) / 2
+        segment = paths.segment(middle)
+        owner = paths.owner[segment]
+        first, last, thin = paths.first[owner], paths.last[owner], paths.thin[owner]
+        along = (middle - paths.begin[owner]) / np.maximum(paths.length[owner], SHORTEST)
+        u = (along - first) / np.maximum(last - first, SHORTEST)
+        belly = (u > 0.0) & (u < 1.0) & (last > first)
+        radii = np.where(belly, _width(u, paths.thick[owner], thin), thin)
+        cord = np.maximum(thin, 0.5 * paths.thick[owner])  # a motor's
+        starts, ends = paths.points(cuts[:-1], segment), paths.points(cuts[1:], segment)
+        return Tubes(starts, ends, np.where(last > first, radii, cord), owner, belly)
 
     def bellies(
         self, data: mujoco.MjData, known: Mapping[str, np.ndarray], thinnest: float, rings: int
@@ -220,41 +231,44 @@ class Muscles:
             thinnest: As for `tubes`.
             rings: Rings of each.
         """
-        muscles, centers, radii = [], [], []
-        for muscle, (starts, ends, first, last, thick, thin) in self._paths(data, known, thinnest):
-            if last > first:
-                shares = np.linspace(0.0, 1.0, rings)
-                muscles.append(muscle)
-                centers.append(_along(starts, ends, first + (last - first) * shares))
-                radii.append(_width(shares, thick, thin))
-        count = len(muscles)
-        return Bellies(
-            np.array(muscles, int),
-            np.reshape(centers, (count, rings, 3)),
-            np.reshape(radii, (count, rings)),
-        )
+        paths = self._paths(data, known, thinnest)
+        muscles = np.flatnonzero((paths.last > paths.first) & (paths.length > 0.0))
+        shares = np.linspace(0.0, 1.0, rings)
+        places, owner = paths.places(shares)[muscles].ravel(), muscles.repeat(rings)
+        segment = np.clip(paths.segment(places), paths.bounds[owner], paths.bounds[owner + 1] - 1)
+        centers = paths.points(places, segment)
+        radii = _width(shares, paths.thick[muscles, None], paths.thin[muscles, None])
+        return Bellies(muscles, centers.reshape(len(muscles), rings, 3), radii)
 
-    def _paths(
-        self, data: mujoco.MjData, known: Mapping[str, np.ndarray], thinnest: float
-    ) -> Iterator[tuple[int, _Path]]:
-        """Yield muscles with their paths: begins and ends, the belly's ends, widths of belly and tendon."""
+    def _paths(self, data: mujoco.MjData, known: Mapping[str, np.ndarray], thinnest: float) -> _Paths:
+        """Return where the bellies of all muscles lie on their paths, and how wide they are."""
         bellies = self.belly_radius(known.get("strength"))
         optimal, tendon = (
             own if name not in known else np.where(np.isnan(known[name]), own, known[name])
             for name, own in (("optimal_fiber_length", self.optimal), ("tendon_length", self.slack))
         )
         starts, ends, owner = look.tendon_segments(self._model, data, self.tendons)
+        marks = np.concatenate(([0.0], np.cumsum(np.linalg.norm(ends - starts, axis=1))))
         bounds = np.searchsorted(owner, np.arange(len(self.tendons) + 1))
-        for muscle in range(len(self.tendons)):
-            own = slice(bounds[muscle], bounds[muscle + 1])
-            if bounds[muscle] < bounds[muscle + 1]:
-                length = float(data.ten_length[self.tendons[muscle]])
-                first, last, bulge = self._belly(muscle, length, optimal[muscle], tendon[muscle])
-                unbranched = _unbranched(starts[own], ends[own])
-                first, last = first * unbranched, last * unbranched
-                thick = max(bulge * bellies[muscle], 1.25 * thinnest)
-                thin = max(TENDON_WIDTH * bellies[muscle], thinnest)
-                yield muscle, (starts[own], ends[own], first, last, thick, thin)
+        length = data.ten_length[self.tendons]
+        has = self._is_muscle & (length > 0.0)
+        length, optimal = np.where(has, length, 1.0), np.where(has, optimal, 1.0)
+        fiber = np.clip(length - np.where(has, tendon, 0.0), 0.4 * optimal, 1.7 * optimal)
+        share = np.clip(fiber / length, *BELLY)
+        before = (1.0 - share) * np.where(self._away, PROXIMAL, 1.0 - PROXIMAL)
+        bulge = np.where(has, np.clip(np.sqrt(optimal / fiber), *BULGE), 1.0)
+        unbranched = _unbranched(starts, ends, owner, marks, bounds)
+        return _Paths(
+            starts,
+            ends,
+            owner,
+            marks,
+            bounds,
+            first=np.where(has, before, 0.0) * unbranched,
+            last=np.where(has, before + share, 0.0) * unbranched,
+            thick=np.maximum(bulge * bellies, 1.25 * thinnest),
+            thin=np.maximum(TENDON_WIDTH * bellies, thinnest),
+        )
 
     def values(self, quantity: str, known: Mapping[str, np.ndarray], data: mujoco.MjData) -> np.ndarray:
         """Return what colours show of each muscle, NaN where it is not known, shape (num_muscles,).
@@ -271,15 +285,6 @@ class Muscles:
         if quantity == "force":
             return known.get("force", unknown) / np.maximum(known.get("strength", self.peak_force), 1e-9)
         return known.get(quantity, unknown)
-
-    def _belly(self, muscle: int, length: float, optimal: float, tendon: float) -> tuple[float, float, float]:
-        """Return where the belly begins and ends, as shares of the path, and its width over the usual one."""
-        if not self._is_muscle[muscle] or not length > 0.0:
-            return 0.0, 0.0, 1.0
-        fiber = np.clip(length - tendon, 0.4 * optimal, 1.7 * optimal)
-        share = float(np.clip(fiber / length, *BELLY))
-        before = (1.0 - share) * (PROXIMAL if self._away[muscle] else 1.0 - PROXIMAL)
-        return before, before + share, float(np.clip(np.sqrt(optimal / fiber), *BULGE))
 
     def _runs_outwards(self, tendon: int) -> bool:
         """Say whether the path of a tendon begins nearer to the root than it ends."""
@@ -298,53 +303,70 @@ def _depth(model: mujoco.MjModel, body: int) -> int:
     return 0 if body == 0 else 1 + _depth(model, int(model.body_parentid[body]))
 
 
-_Path = tuple[np.ndarray, np.ndarray, float, float, float, float]
+@dataclass(frozen=True)
+class _Paths:
+    """Paths of all muscles as one line, one after the other; places on it are lengths from its begin [m].
+
+    Attributes:
+        starts: Begin of each straight piece [m], shape (n, 3).
+        ends: End of each [m], shape (n, 3).
+        owner: Muscle of each, shape (n,).
+        marks: Where pieces begin, and where the last ends, shape (n + 1,).
+        bounds: First piece of each muscle, and the number of pieces, shape (num_muscles + 1,).
+        first: Where each belly begins, as a share of its path, shape (num_muscles,).
+        last: Where it ends.
+        thick: Its radius in the middle [m].
+        thin: Radius of the tendon [m].
+    """
+
+    starts: np.ndarray
+    ends: np.ndarray
+    owner: np.ndarray
+    marks: np.ndarray
+    bounds: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+    thick: np.ndarray
+    thin: np.ndarray
+
+    @property
+    def begin(self) -> np.ndarray:
+        """Where the path of each muscle begins, shape (num_muscles,)."""
+        return self.marks[self.bounds[:-1]]
+
+    @property
+    def length(self) -> np.ndarray:
+        """How long it is [m], shape (num_muscles,)."""
+        return np.diff(self.marks[self.bounds])
+
+    def places(self, shares: np.ndarray) -> np.ndarray:
+        """Return places at shares of each belly, shape (num_muscles, num_shares)."""
+        along = self.first[:, None] + (self.last - self.first)[:, None] * shares
+        return self.begin[:, None] + self.length[:, None] * along
+
+    def segment(self, places: np.ndarray) -> np.ndarray:
+        """Return the piece in which each place is, of two the later one."""
+        return np.clip(np.searchsorted(self.marks, places, side="right") - 1, 0, len(self.starts) - 1)
+
+    def points(self, places: np.ndarray, segment: np.ndarray) -> np.ndarray:
+        """Return points at places in these pieces [m], shape (n, 3)."""
+        along = self.ends[segment] - self.starts[segment]
+        share = (places - self.marks[segment]) / np.maximum(np.diff(self.marks)[segment], SHORTEST)
+        return self.starts[segment] + share[:, None] * along
 
 
-def _unbranched(starts: np.ndarray, ends: np.ndarray) -> float:
-    """Return which share of a path's length comes before a pulley, where it goes on from elsewhere."""
-    lengths = np.linalg.norm(ends - starts, axis=1)
+def _unbranched(
+    starts: np.ndarray, ends: np.ndarray, owner: np.ndarray, marks: np.ndarray, bounds: np.ndarray
+) -> np.ndarray:
+    """Return which share of each path's length comes before a pulley, where it goes on from elsewhere."""
     elsewhere = np.linalg.norm(starts[1:] - ends[:-1], axis=1) > JUMP
-    pieces = int(elsewhere.argmax()) + 1 if elsewhere.any() else len(lengths)
-    return float(lengths[:pieces].sum() / max(lengths.sum(), 1e-12))
+    begins = 1 + np.flatnonzero(elsewhere & (owner[1:] == owner[:-1]))
+    stop = bounds[1:].copy()
+    np.minimum.at(stop, owner[begins], begins)
+    whole = np.diff(marks[bounds])
+    return (marks[stop] - marks[bounds[:-1]]) / np.maximum(whole, SHORTEST)
 
 
-def _along(starts: np.ndarray, ends: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Return points of a path at shares of its length [m], shape (n, 3)."""
-    lengths = np.linalg.norm(ends - starts, axis=1)
-    marks = np.concatenate(([0.0], np.cumsum(lengths)))
-    places = shares * marks[-1]
-    piece = np.clip(np.searchsorted(marks, places, side="right") - 1, 0, len(lengths) - 1)
-    along = (ends - starts)[piece] / np.maximum(lengths[piece], 1e-12)[:, None]
-    return starts[piece] + (places - marks[piece])[:, None] * along
-
-
-def _width(u: np.ndarray, thick: float, thin: float) -> np.ndarray:
+def _width(u: np.ndarray, thick: np.ndarray, thin: np.ndarray) -> np.ndarray:
     """Return the radius of a belly at shares u of its length: thin + (thick - thin) sin(pi u)."""
     return thin + (thick - thin) * np.sin(np.pi * np.clip(u, 0.0, 1.0))
-
-
-def _spindle(
-    starts: np.ndarray, ends: np.ndarray, first: float, last: float, thick: float, thin: float, samples: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Cut a path into capsules: radius thin + (thick - thin) sin(pi u) over the belly, thin elsewhere.
-
-    Returns:
-        Begins and ends [m], radii [m], and whether each is part of the belly.
-    """
-    lengths = np.linalg.norm(ends - starts, axis=1)
-    marks = np.concatenate(([0.0], np.cumsum(lengths)))
-    whole = marks[-1]
-    cuts = np.unique(np.concatenate((marks, np.linspace(first, last, samples + 1) * whole)))
-    cuts = cuts[(cuts >= 0.0) & (cuts <= whole)]
-    middle = (cuts[:-1] + cuts[1:]) / 2
-    segment = np.clip(np.searchsorted(marks, middle, side="right") - 1, 0, len(lengths) - 1)
-    along = (ends - starts)[segment] / np.maximum(lengths[segment], 1e-12)[:, None]
-    begins = starts[segment] + (cuts[:-1] - marks[segment])[:, None] * along
-    finishes = starts[segment] + (cuts[1:] - marks[segment])[:, None] * along
-    u = (middle / max(whole, 1e-12) - first) / max(last - first, 1e-12)
-    belly = (u > 0.0) & (u < 1.0) & (last > first)
-    radii = np.where(belly, _width(u, thick, thin), thin)
-    if last <= first:
-        radii = np.full(len(middle), max(thin, 0.5 * thick))  # a motor's cord
-    return begins, finishes, radii, belly
