@@ -13,7 +13,7 @@ from myowarp.tasks.walk import STEPPING_POSE, STEPPING_VELOCITY, WalkTask
 
 NUM_WORLDS = 32
 TOLERANCE = 1e-4  # of the force of the ground
-SMALL = 0.1  # N; where a foot touches lightly, the solver ends an iteration earlier in float32
+SMALL = 0.1  # N; the engine's own tolerance is 100 times MuJoCo C's: a solve can end an iteration earlier
 DEPTHS = (0.001, 0.05)  # m, below where the first contact begins
 RISE, TREAD, HALF_WIDTH = 0.1, 0.25, 1.0  # m, of the stairs
 TILT = 0.15  # rad
@@ -85,15 +85,16 @@ def height_of_touch(model, pose):
 
 @pytest.mark.parametrize("ground", GROUNDS)
 def test_force_of_the_ground(ground, record_property):
-    """Force and moment of the ground on the root are those in MuJoCo C, as is the number of contacts."""
+    """Force and moment of the ground on the root are those in MuJoCo C, as is the number of contacts.
+
+    To the tolerance in every state where the solver goes on until nothing changes in float32; to a small
+    force where it ends as in a simulation.
+    """
     start = {"start_pose": STEPPING_POSE, "start_velocity": STEPPING_VELOCITY}
     spec = OnGround(ground=ground, speed=(1.2, 1.2), **start)
     sim = Simulation(spec, NUM_WORLDS, device="cpu", graph=False, progress=False)
     host, scene_data = sim.scene.oracle, sim.scene.data
     qpos, qvel = on_ground(host)
-    scene_data.qpos.assign(qpos)
-    scene_data.qvel.assign(qvel)
-    forward(sim.scene, sim.shards[0].stages)
     data, theirs, number = mujoco.MjData(host), [], []
     for data.qpos[:], data.qvel[:] in zip(qpos, qvel, strict=True):
         data.qacc_warmstart[:] = 0.0
@@ -101,11 +102,29 @@ def test_force_of_the_ground(ground, record_property):
         theirs.append(data.qfrc_constraint[:6].copy())
         number.append(data.ncon)
     force = np.linalg.norm(np.array(theirs)[:, :3], axis=1)
-    error = np.linalg.norm(scene_data.qfrc_constraint.numpy()[:, :6] - theirs, axis=1)
-    record_property("relative force, median and worst", np.quantile(error / force, [0.5, 1.0]).tolist())
-    worlds = scene_data.contact.worldid.numpy()[: scene_data.nacon.numpy()[0]]
-    np.testing.assert_array_equal(np.bincount(worlds, minlength=NUM_WORLDS), number)
     assert np.mean(number) > 2.0
     assert np.median(force) > 1000 * SMALL
-    assert (error < np.maximum(TOLERANCE * force, SMALL)).all()
-    assert np.median(error / force) < TOLERANCE / 10
+
+    def error():
+        scene_data.qpos.assign(qpos)
+        scene_data.qvel.assign(qvel)
+        scene_data.qacc_warmstart.zero_()
+        forward(sim.scene, sim.shards[0].stages)
+        return np.linalg.norm(scene_data.qfrc_constraint.numpy()[:, :6] - theirs, axis=1)
+
+    simulated = error()
+    worlds = scene_data.contact.worldid.numpy()[: scene_data.nacon.numpy()[0]]
+    np.testing.assert_array_equal(np.bincount(worlds, minlength=NUM_WORLDS), number)
+    sim.scene.model.opt.tolerance.zero_()
+    converged = error()
+    record_property("relative force, median and worst", quantiles(converged / force))
+    record_property("relative force as simulated, median and worst", quantiles(simulated / force))
+    print(f"{ground}: converged {quantiles(converged / force)}, as simulated {quantiles(simulated / force)}")
+    assert (converged < TOLERANCE * force).all()
+    assert (simulated < np.maximum(TOLERANCE * force, SMALL)).all()
+    assert np.median(simulated / force) < TOLERANCE / 10
+
+
+def quantiles(values):
+    """Return median and worst."""
+    return np.quantile(values, [0.5, 1.0]).tolist()
