@@ -283,21 +283,22 @@ def jacobian(
     Args:
         model: The model.
         ties: Its `couplings`.
-        qpos: Positions, shape (nq,).
+        qpos: Positions, shape (..., nq).
 
     Returns:
-        The dofs that follow none, (n,); dq/du, shape (nv, n); and d2q/du2 of each dof by the one that it
-        follows, shape (nv,).
+        The dofs that follow none, (n,); dq/du, shape (..., nv, n); and d2q/du2 of each dof by the one that it
+        follows, shape (..., nv).
     """
     followers = model.jnt_dofadr[[tie.joint for tie in ties]] if ties else ()
     free = np.setdiff1d(np.arange(model.nv), followers)
-    slopes, bends = np.zeros((model.nv, len(free))), np.zeros(model.nv)
-    slopes[free, np.arange(len(free))] = 1.0
+    shape = (*qpos.shape[:-1], model.nv)
+    slopes, bends = np.zeros((*shape, len(free))), np.zeros(shape)
+    slopes[..., free, np.arange(len(free))] = 1.0
     for tie in ties:
         if tie.driver >= 0:
             dof, driver = model.jnt_dofadr[[tie.joint, tie.driver]]
-            _, slope, bends[dof] = tie.derivatives(qpos[model.jnt_qposadr[tie.driver]])
-            slopes[dof, free == driver] = slope
+            _, slope, bends[..., dof] = tie.derivatives(qpos[..., model.jnt_qposadr[tie.driver]])
+            slopes[..., dof, free == driver] = slope[..., None]
     return free, slopes, bends
 
 

@@ -14,10 +14,12 @@ from scipy.interpolate import CubicSpline
 from myowarp.coordinates.couplings import Exact, Pieces, ask, couplings, exact, follow, jacobian, read
 from myowarp.coordinates.free_coordinates import FreeCoordinates
 from myowarp.coordinates.reduction import Reduced
+from myowarp.definitions.task import TASKS
 from myowarp.engine.stages.arrays import filled
 from myowarp.engine.step import Step
 from myowarp.engine.warn_once import warn_once
 from myowarp.opensim.compose.binary import binary, stiff
+from myowarp.sim.build import full_model
 
 RECORDED = Path(__file__).parents[1] / "data" / "opensim"
 
@@ -485,3 +487,25 @@ def test_the_binary_model_is_near(name, tmp_path):
     assert np.median(errors["mjb"]) < 0.005
     assert max(errors["mjb"]) < 0.05
     assert np.median(errors["xml"]) > 10 * np.median(errors["mjb"])
+
+
+def test_ways_of_many_postures_break_no_equality_of_mujoco_c():
+    """J_eq dq/du = 0, with MuJoCo's Jacobian of the equalities, in postures in which they hold."""
+    model = full_model(TASKS["myoArmReachRandom-v0"])
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    postures = rng.uniform(*model.jnt_range.T, (5, model.nq))
+    for qpos in postures:
+        follow(model, qpos)
+    free, slopes, _ = jacobian(model, couplings(model), postures)
+    assert slopes.shape == (5, model.nv, model.nv - model.neq)
+    np.testing.assert_array_equal(slopes[:, free], np.tile(np.eye(len(free)), (5, 1, 1)))
+    for qpos, slope in zip(postures, slopes, strict=True):
+        data.qpos[:] = qpos
+        mujoco.mj_forward(model, data)
+        rows = np.zeros((data.nefc, model.nv))
+        if mujoco.mj_isSparse(model):
+            mujoco.mju_sparse2dense(rows, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+        else:
+            rows[:] = data.efc_J.reshape(rows.shape)
+        np.testing.assert_allclose(rows[: data.ne] @ slope, 0.0, atol=1e-9)
+        assert data.ne == model.neq

@@ -132,7 +132,8 @@ class MuscleControl:
         path = muscles.anatomy.path.numpy()
         matrix, right = np.zeros((*active.shape[:1], model.nv, active.shape[1])), np.zeros(qvel.shape)
         moment, mass = np.zeros((model.nu, model.nv)), np.zeros((model.nv, model.nv))
-        for world in range(len(qpos)):
+        leads, all_slopes, _ = jacobian(model, self._ties, qpos.astype(float))
+        for world, slopes in enumerate(all_slopes):
             data.qpos[:], data.qvel[:] = qpos[world], qvel[world]
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
@@ -140,7 +141,6 @@ class MuscleControl:
                 moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
             )
             mujoco.mj_fullM(model, data, mass)
-            leads, slopes, _ = jacobian(model, self._ties, data.qpos)
             wanted = slopes @ np.clip(self._way(world, leads, slopes) / REACH, -MOST_SPEED, MOST_SPEED)
             change = wanted - data.qvel
             torque = mass @ change / REACTION + model.dof_damping * change
