@@ -47,7 +47,8 @@ OVERLAP = 0.45
 STILL = 2e-5
 """m or 1: what has moved by less is not sent."""
 SPARE = 1.25
-"""Room for more tubes than there are now: muscles take and leave wrapping surfaces."""
+"""Room for more tubes than there are now: muscles take and leave wrapping surfaces. A batch that needs more
+grows, as a new one is not in the first picture."""
 COPY_BYTES = 43
 """Place, turn, size and colour of a tube or ball."""
 BODY_BYTES = 160
@@ -396,8 +397,8 @@ class _Batch:
         if rgb is None:
             assert self._rgb is not None
             rgb = np.tile(self._rgb, (count, 1))
-        if count > self.room or (self._handle is None and count):
-            self.remove()
+        grown = count > self.room
+        if grown:
             self.room = int(np.ceil(SPARE * count)) if self._rgb is None else count
         if not self.room:
             return
@@ -421,9 +422,9 @@ class _Batch:
             )
             return
         for field, values in (("positions", places), ("wxyzs", turns), ("scales", scales)):
-            if np.abs(values - getattr(self._handle, f"batched_{field}")).max() > STILL:
+            if grown or np.abs(values - getattr(self._handle, f"batched_{field}")).max() > STILL:
                 setattr(self._handle, f"batched_{field}", values)
-        if not np.array_equal(colors, self._handle.batched_colors):
+        if grown or not np.array_equal(colors, self._handle.batched_colors):
             self._handle.batched_colors = colors
 
     def remove(self) -> None:
