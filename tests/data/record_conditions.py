@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 import record_contact
 import record_fatigue
+import record_legs
 import record_myosuite
 from contact_model import object_fields
 from recording import (
@@ -39,10 +40,20 @@ IDS = [
     for prefix, beginning in PREFIXES.items()
     if env_id.startswith(beginning)
 ]
+IDS += [
+    env_id.replace("myo", prefix, 1)
+    for env_id in (record_legs.STAND, *record_legs.WALKING)
+    for prefix in ("myoSarc", "myoFati")
+]
 IDS = [env_id for env_id in IDS if env_id not in record_fatigue.IDS]
 
 ACTION_KINDS = ("uniform", "bang")
-VARIED = ("baoding", "die")  # tasks whose episodes may change size, mass and friction of their objects
+VARIED = (
+    "baoding",
+    "die",
+    "relocate",
+    "reorient",
+)  # tasks whose episodes may change size, mass and friction of their objects
 STRIDE = 4
 NUM_ROWS = 16
 
@@ -50,7 +61,12 @@ NUM_ROWS = 16
 def description(env, env_id):
     """What observation and reward are functions of, the reward terms, and the task's name."""
     prefix = next(prefix for prefix in PREFIXES if env_id.startswith(prefix))
-    family = record_contact.FAMILIES.get(env_id.replace(prefix, "myo"))
+    healthy = env_id.replace(prefix, "myo")
+    if healthy in record_legs.WALKING:
+        return lambda env: copies(env.data, STATE), record_legs.WALK_TERMS, record_legs.task_of(healthy)
+    if healthy == record_legs.STAND:
+        return record_myosuite.state_row, record_legs.TERMS[healthy], record_legs.task_of(healthy)
+    family = record_contact.FAMILIES.get(healthy)
     if family is None:
         return record_myosuite.state_row, record_myosuite.terms_of(env), record_myosuite.task_of(env)
 
@@ -79,6 +95,7 @@ def run_episode(wrapped, kind, seed, state_row, terms):
         ended = result[2] or result[3]
         if step <= FIRST_STEPS or step % STRIDE == 0 or ended:
             row = before | {"step": step, "action": action, "ctrl": env.data.ctrl.copy()} | units(env)
+            row |= {"seed": seed}
             rows.append(row | result_row(state_row(env), result, terms))
     return {"length": step, "terminated": result[2], "kind": kind, "seed": seed}, rows
 
@@ -88,7 +105,10 @@ def expected_ctrl(env, env_id, arrays, actuators):
     muscle = env.model.actuator_dyntype == mujoco.mjtDyn.mjDYN_MUSCLE
     ctrl = arrays["step_ctrl"].copy()
     fatigued = env_id.startswith("myoFati")
-    ctrl[:, muscle] = arrays["step_active"] if fatigued else sigmoid_ctrl(arrays["step_action"])[:, muscle]
+    action = arrays["step_action"]
+    walks = env_id.replace("myoSarc", "myo") in record_legs.WALKING
+    asked = np.clip(action, 0.0, 1.0) if walks else sigmoid_ctrl(action)
+    ctrl[:, muscle] = arrays["step_active"] if fatigued else asked[:, muscle]
     if env_id.startswith("myoReaf"):
         eip, epl = (next(i for i, name in enumerate(actuators) if name.startswith(m)) for m in ("EIP", "EPL"))
         ctrl[:, epl], ctrl[:, eip] = ctrl[:, eip], 0.0

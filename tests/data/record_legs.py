@@ -44,6 +44,12 @@ DISTANCES += (1.01 * FAR, 3.0 * FAR)
 FORCED_STEPS = (1, 2, 3, 50)
 
 
+def task_of(env_id):
+    """Return the family of an id."""
+    tasks = {STAND: "stand", WALK: "walk"} | dict.fromkeys(TERRAIN, "terrain")
+    return tasks.get(env_id, "directional")
+
+
 def with_terms(result):
     """Name the terms of a directional task as those of the others are named."""
     obs, reward, terminated, truncated, info = result
@@ -193,9 +199,7 @@ def record(env_id, out, index):
     if env_id == STAND:
         arrays |= {f"model_{k}": np.array(getattr(env.model, k)) for k in MODEL_FIELDS.split()}
     worst = deviations(env, arrays)
-    task = {STAND: "stand", WALK: "walk"} | dict.fromkeys(TERRAIN, "terrain")
-    task = task.get(env_id, "directional")
-    meta = common_meta(wrapped, env_id, task) | names_meta(env.model)
+    meta = common_meta(wrapped, env_id, task_of(env_id)) | names_meta(env.model)
     meta |= {"frame_skip": env.frame_skip, "dt": env.dt}
     if env_id == STAND:
         meta |= {"tip_sites": [env.model.site(i).name for i in env.tip_sids]}

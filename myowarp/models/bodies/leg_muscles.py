@@ -1,15 +1,17 @@
 """Muscles of the leg by the names of Rajagopal et al. (2016), doi:10.1109/TBME.2016.2586891.
 
-Each is in the group of its principal anatomical action. Fatigue rates: Frey-Law et al. (2012),
-doi:10.1016/j.jbiomech.2012.04.018, table 1, knee and ankle, with r = 15 of Looft et al. (2018),
-doi:10.1016/j.jbiomech.2018.06.005; there are none for the hip.
+Each is in the group of its principal anatomical action. Fatigue rates: Rakshit et al. (2021),
+doi:10.1016/j.jbiomech.2021.110695, table 2, both sexes together, as in MyoSuite 3.0.0: extensors of the knee,
+dorsiflexors, and plantarflexors, whose r is that of Looft et al. (2018), doi:10.1016/j.jbiomech.2018.06.005.
+The others tire at the general rates.
 """
 
 from myowarp.definitions.body import FatigueRates
 from myowarp.models.bodies.by_muscle import by_muscle, grouped_by_side, on_both_sides
 
-KNEE = FatigueRates(0.015, 0.00149, 15.0)
-ANKLE = FatigueRates(0.00589, 0.00058, 15.0)
+KNEE_EXTENSOR = FatigueRates(0.00825, 0.00076, 14.85)
+DORSIFLEXOR = FatigueRates(0.00828, 0.00204, 7.07)
+PLANTARFLEXOR = FatigueRates(0.00695, 0.00096, 15.0)
 
 GROUPS = grouped_by_side(
     by_muscle(
@@ -34,8 +36,9 @@ GROUPS = grouped_by_side(
 FATIGUE_RATES = on_both_sides(
     by_muscle(
         {
-            KNEE: "recfem vasint vaslat vasmed bflh bfsh semimem semiten",
-            ANKLE: "gaslat gasmed soleus tibant tibpost perbrev perlong edl ehl fdl fhl",
+            KNEE_EXTENSOR: "recfem vasint vaslat vasmed",
+            DORSIFLEXOR: "tibant edl ehl",
+            PLANTARFLEXOR: "gaslat gasmed soleus tibpost perbrev perlong fdl fhl",
         }
     )
 )
