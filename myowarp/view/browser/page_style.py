@@ -15,9 +15,10 @@ canvas[data-engine] {{ background: rgb({", ".join(f"{255 * share:.0f}" for share
 body:has(#webgl-software-rendering) .myowarp-software {{ display: block; padding: 0 1rem;
   font-size: 0.75em; }}
 </style>"""
-"""The sky is behind what is drawn, and costs nothing there. The picture has its colours at once: viser fades it
-in over five frames, seconds where software draws. Numbers fit into their boxes; notices stand in the corner of
-the panel, off the picture; what viser says of a browser without a GPU becomes a line of the panel."""
+"""The sky is behind what is drawn, and costs nothing there. The picture has its colours at once: viser fades
+it in over five frames, seconds where software draws. Numbers fit into their boxes; notices stand in the
+corner of the panel, off the picture; what viser says of a browser without a GPU becomes a line of the panel.
+"""
 SOFTWARE = (
     "<div class='myowarp-software'>This browser draws without a GPU, so that pictures are rare; its settings "
     "may have hardware acceleration turned off.</div>"
