@@ -122,7 +122,7 @@ def test_its_way_leads_the_tip_to_its_target_in_mujoco_c():
 
 
 def test_its_way_keeps_within_the_limits_of_joints():
-    """And gets there all the same, where others can make up for those at their limits."""
+    """What would leave its range goes to its limit."""
     sim = moving(ARM, 5)
     control, limited = MuscleControl(sim), 0
     model, data = control._model, control._data
