@@ -1,9 +1,9 @@
 """Muscles of the leg by the names of Rajagopal et al. (2016), doi:10.1109/TBME.2016.2586891.
 
-Each is in the group of its principal anatomical action. Fatigue rates: Rakshit et al. (2021),
-doi:10.1016/j.jbiomech.2021.110695, table 2, both sexes together, as in MyoSuite 3.0.0: extensors of the knee,
-dorsiflexors, and plantarflexors, whose r is that of Looft et al. (2018), doi:10.1016/j.jbiomech.2018.06.005.
-The others tire at the general rates.
+Each is in the group of its principal anatomical action. Fatigue rates are those of MyoSuite 3.0.0, which
+names Rakshit et al. (2021), doi:10.1016/j.jbiomech.2021.110695, and Looft et al. (2018),
+doi:10.1016/j.jbiomech.2018.06.005: extensors of the knee, dorsiflexors and plantarflexors. The others tire at
+the general rates.
 """
 
 from myowarp.definitions.body import FatigueRates
