@@ -52,7 +52,7 @@ WHOLE_BODIES = {
     "relocate": "myoChallengeRelocateP1-v0",
     "full body": FULL_BODY,
 }
-QUICK = ("elbow pose", "hand pose", "key turn")
+QUICK = ("elbow pose", "hand pose", "key turn", "arm reach", "leg walk", "full body")
 AXES = {
     "EnvPool": "EnvPool 1.2.5",
     "MuJoCo C": "MuJoCo C (physics alone)",
@@ -93,7 +93,7 @@ class Options:
     seconds: float = 0.4
     """Duration of one measurement."""
     quick: bool = False
-    """Three families, 64 worlds, two short rounds: does everything run?"""
+    """Three families or bodies, 64 worlds, two short rounds: does everything run?"""
 
     def __post_init__(self) -> None:
         """Check the names, and cut down to what is quick."""

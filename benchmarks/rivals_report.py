@@ -156,16 +156,17 @@ def draw(report: dict[str, Any], path: Path, rivals: dict[str, str]) -> None:
     figure, axes = plt.subplots(1, len(rivals), figsize=size, sharey=True)
     for axis, (rival, title) in zip(axes, rivals.items(), strict=True):
         for k, physics in enumerate(PRESETS):
-            bars, goals = [], []
+            heights, medians, below, above, goals = [], [], [], [], []
             for i, row in enumerate(families.values()):
                 height = i + 0.2 * (2 * k - 1)
                 if (one := _ratio(row, physics, rival)) is not None:
-                    bars.append(
-                        (height, one["median"], one["median"] - one["min"], one["max"] - one["median"])
-                    )
+                    heights.append(height)
+                    medians.append(one["median"])
+                    below.append(one["median"] - one["min"])
+                    above.append(one["max"] - one["median"])
                 if (goal := row["goals"].get(f"{physics}/{rival}")) is not None:
                     goals.append((goal["goal"], height))
-            heights, medians, *whiskers = zip(*bars, strict=True)
+            whiskers = [below, above]
             axis.barh(
                 heights, medians, 0.36, xerr=whiskers, color=COLORS[physics], label=physics, ecolor="0.3"
             )

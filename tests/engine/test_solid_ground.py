@@ -119,7 +119,6 @@ def test_force_of_the_ground(ground, record_property):
     converged = error()
     record_property("relative force, median and worst", quantiles(converged / force))
     record_property("relative force as simulated, median and worst", quantiles(simulated / force))
-    print(f"{ground}: converged {quantiles(converged / force)}, as simulated {quantiles(simulated / force)}")
     assert (converged < TOLERANCE * force).all()
     assert (simulated < np.maximum(TOLERANCE * force, SMALL)).all()
     assert np.median(simulated / force) < TOLERANCE / 10
