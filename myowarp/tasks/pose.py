@@ -110,6 +110,11 @@ class PoseProgram(Program):
         """The body with all its sites, which the slim model lacks."""
         return full_model(self.spec)
 
+    @cached_property
+    def _posed(self) -> mujoco.MjData:
+        """The body in the target pose."""
+        return mujoco.MjData(self._full)
+
     def goal_pose(self, world: int) -> np.ndarray:
         """The present configuration with the target's angles; joints that follow others follow."""
         qpos = self.scene.data.qpos.numpy()[world].astype(float)
@@ -119,7 +124,7 @@ class PoseProgram(Program):
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
         """Where the tips are in the target pose, by forward kinematics."""
-        data = mujoco.MjData(self._full)
+        data = self._posed
         data.qpos[:] = self.goal_pose(world)
         mujoco.mj_kinematics(self._full, data)
         tips = BODIES[self.spec.body].tips

@@ -90,7 +90,9 @@ window.watch = (ends) => {
 
 
 def muscle_ends(model):
-    """Return (body, place in it [m]) where muscles end on bodies that are drawn."""
+    """Return (body, place in it [m]) where muscles end on bodies that are drawn; of rigid ones the first."""
+    roots, data = look.rigid_roots(model), mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
     drawn = set(model.geom_bodyid[look.drawn_geoms(model)])
     found = []
     for tendon in look.muscle_tendons(model):
@@ -99,7 +101,9 @@ def muscle_ends(model):
             assert model.wrap_type[at] == mujoco.mjtWrap.mjWRAP_SITE
             site = model.wrap_objid[at]
             if (body := int(model.site_bodyid[site])) in drawn:
-                found.append((body, model.site_pos[site].tolist()))
+                root = int(roots[body])
+                place = (data.site_xpos[site] - data.xpos[root]) @ data.xmat[root].reshape(3, 3)
+                found.append((root, place.tolist()))
     return found
 
 

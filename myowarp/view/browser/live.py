@@ -35,7 +35,7 @@ FRAME = 1.0 / 30.0
 """Least time between two frames [s]."""
 TRAFFIC = 1.9e6
 """Bytes per second that bodies and muscles may take to a page; before there are more, frames get rarer."""
-READING = 0.2
+READING = 0.5
 """Time between two readings and plots [s]."""
 LATE = 0.25
 """s: who is later than that does not catch up, but says that it is slower than real time."""

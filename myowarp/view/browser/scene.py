@@ -31,17 +31,15 @@ from myowarp.view.drawing.world import ARROW_RADIUS, GHOST_ALPHA, LINK_RADIUS, M
 
 CELL = 1 / 150
 """What is smaller in a mesh is not sent, in units of the framed radius: some browsers draw in software."""
-KEPT = ((0.8, 0.3), (4.0, 0.15))
+KEPT, KEPT_FAINT = ((0.8, 0.3), (4.0, 0.15)), ((0.8, 0.15), (4.0, 0.08))
 """Shares of its faces that are drawn of a mesh beyond distances, in units of the framed radius: its outline
-stays."""
+stays. Faint are bones that no muscle moves, and the posture that is wanted."""
 SIDES, CONE_SIDES = 6, 20
 """Faces around a tube and a cone."""
 BALL_SIDES = (6, 12)
 """Rings of a ball, and points on each."""
-RINGS = 11
-"""Rings of a belly."""
-BELLY_SIDES, CROWD_SIDES, CROWD = 8, 6, 20
-"""Points on a ring, and where there are more muscles than the last number, each of which is small."""
+BELLY, SMALL_BELLY, CROWD = (11, 8), (8, 6), 20
+"""Rings of a belly and points on each, and where there are more muscles than the last number, small ones."""
 OVERLAP = 0.45
 """How far a tube reaches into the next one, in units of its radius."""
 STILL = 2e-5
@@ -108,22 +106,25 @@ class Figure:
         on_tendon = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON)
         self._names = [model.actuator(int(actuator)).name for actuator in on_tendon]
         self.muscles, self._skeleton = Muscles(model, radius), Skeleton(model)
-        self._sides = CROWD_SIDES if len(self.muscles.tendons) > CROWD else BELLY_SIDES
+        self._rings, self._sides = SMALL_BELLY if len(self.muscles.tendons) > CROWD else BELLY
         self._tips = [] if ghost else look.tip_sites(model, tips)
         self._tip_radii = look.tip_radii(model, self._tips, radius)
         self._rgba = look.shown_rgba(model)
         self._geoms = self._drawn()
+        roots = look.rigid_roots(model)
+        leads = roots == np.arange(model.nbody)
+        self._followers = {root: np.flatnonzero((roots == root) & ~leads) for root in self._geoms}
         self._tubes = _Batch(server, f"{name}/tubes", *_tube(), GHOST_ALPHA if ghost else None)
-        self._lod = tuple((distance * radius, share) for distance, share in KEPT)
         ball = trimesh.creation.uv_sphere(1.0, BALL_SIDES)
         self._balls = _Batch(server, f"{name}/balls", ball.vertices, ball.faces)
         self._heads = _Batch(server, f"{name}/heads", *_cone())
         self._ghost: Figure | None = None
         self._bellies: dict[int, viser.MeshHandle] = {}
         self._meshes: dict[int, list[_Batch]] = {}
-        self._sizes: dict[int, np.ndarray] = {}
-        for body in self._geoms:
-            self._prepare_meshes(body)
+        self._lies: dict[int, np.ndarray] = {}
+        mujoco.mj_kinematics(self._model, self._data)
+        for root in self._geoms:
+            self._prepare_meshes(root, frozenset())
 
     @property
     def data(self) -> mujoco.MjData:
@@ -155,13 +156,11 @@ class Figure:
 
     def _draw(self, seen: Snapshot, color: str, hidden: Set[str], aside: np.ndarray) -> None:
         """Send what is posed, moved aside."""
-        for body, geoms in self._geoms.items():
-            if not np.array_equal(self._sizes[body], self._extents(geoms)):
-                self._prepare_meshes(body)
-            size = 0.0 if self._model.body(body).name in hidden else 1.0
-            place, turn = self._data.xpos[[body]] + aside, self._data.xquat[[body]]
-            for mesh in self._meshes[body]:
-                mesh.show(place, turn, np.full((1, 3), size))
+        for root in self._geoms:
+            if not np.array_equal(self._lies[root], self._layout(root, hidden)):
+                self._prepare_meshes(root, hidden)
+            for mesh in self._meshes[root]:
+                mesh.show(self._data.xpos[[root]] + aside, self._data.xquat[[root]], np.ones((1, 3)))
         self._show_tubes(seen, color, aside)
         if not self._is_ghost:
             self._show_balls(seen, aside)
@@ -176,7 +175,7 @@ class Figure:
     @property
     def bytes_per_frame(self) -> int:
         """What a frame sends at most, about."""
-        belly = BELLY_BYTES + 12 * RINGS * self._sides
+        belly = BELLY_BYTES + 12 * self._rings * self._sides
         meshes = BODY_BYTES * sum(map(len, self._meshes.values())) + belly * len(self._bellies)
         return meshes + COPY_BYTES * (self._tubes.room + self._balls.room)
 
@@ -185,46 +184,54 @@ class Figure:
         self._root.remove()
 
     def _drawn(self) -> dict[int, np.ndarray]:
-        """Return the geoms to draw of each body that has some; of a ghost those of the limb that move."""
+        """Return the geoms to draw of bodies that move as one, by the first; of a ghost the limb's."""
         model = self._model
         geoms = look.drawn_geoms(model)
         if self._is_ghost:
             limb = look.moving_bodies(model) & look.limb_trees(model)
             geoms = geoms[limb[model.geom_bodyid[geoms]]]
-        bodies = model.geom_bodyid[geoms]
-        return {int(body): geoms[bodies == body] for body in np.unique(bodies)}
+        roots = look.rigid_roots(model)[model.geom_bodyid[geoms]]
+        return {int(root): geoms[roots == root] for root in np.unique(roots)}
 
-    def _extents(self, geoms: np.ndarray) -> np.ndarray:
-        """Return sizes of geoms, and heights of those that are height fields, one after the other."""
-        model = self._model
+    def _layout(self, root: int, hidden: Set[str]) -> np.ndarray:
+        """Return what the meshes of bodies that move as one follow from, all in one array."""
+        model, geoms = self._model, self._geoms[root]
         fields = model.geom_dataid[geoms[model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_HFIELD]]
-        heights = [look.field_of(model, int(field)).ravel() for field in fields]
-        return np.concatenate([model.geom_size[geoms].ravel(), *heights])
+        parts = [model.geom_size[geoms], model.geom_pos[geoms], model.geom_quat[geoms]]
+        parts += [model.body_pos[self._followers[root]], self._worn(geoms, hidden)]
+        parts += [look.field_of(model, int(field)) for field in fields]
+        return np.concatenate([part.ravel() for part in parts])
 
-    def _prepare_meshes(self, body: int) -> None:
-        """Make meshes of the geoms of a body, in its frame, those of one colour as one."""
-        for mesh in self._meshes.get(body, ()):
+    def _worn(self, geoms: np.ndarray, hidden: Set[str]) -> np.ndarray:
+        """Return a mask over geoms: True where their bodies are there."""
+        bodies = self._model.geom_bodyid[geoms]
+        return np.array([not hidden or self._model.body(body).name not in hidden for body in bodies])
+
+    def _prepare_meshes(self, root: int, hidden: Set[str]) -> None:
+        """Make meshes of bodies that move as one, in the frame of the first, those of one colour as one."""
+        for mesh in self._meshes.get(root, ()):
             mesh.remove()
-        model, parts = self._model, defaultdict(list)
-        self._sizes[body] = self._extents(self._geoms[body])
-        for geom in self._geoms[body]:
+        model, data, parts = self._model, self._data, defaultdict(list)
+        self._lies[root] = self._layout(root, hidden)
+        geoms = self._geoms[root][self._worn(self._geoms[root], hidden)]
+        place, turn = data.xpos[root], data.xmat[root].reshape(3, 3)
+        faint = look.pale_geoms(model) | self._is_ghost
+        for geom in geoms:
             vertices, faces = _surface(model, int(geom), PLANE_REACH * self._radius)
-            turn = np.zeros(9)
-            mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
-            placed = vertices @ turn.reshape(3, 3).T + model.geom_pos[geom]
-            parts[tuple(self._rgba[geom].round(3))].append((placed, faces))
-        kinds = model.geom_type[self._geoms[body]]
-        slopes = bool((kinds == mujoco.mjtGeom.mjGEOM_HFIELD).any())
-        self._meshes[body] = [
+            placed = vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+            kept = KEPT_FAINT if faint[geom] else KEPT
+            parts[tuple(self._rgba[geom].round(3)), kept].append(((placed - place) @ turn, faces))
+        slopes = bool((model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_HFIELD).any())
+        self._meshes[root] = [
             _Batch(
                 self._server,
-                f"{self._name}/body_{body}/mesh_{index}",
+                f"{self._name}/body_{root}/mesh_{index}",
                 *_joined(pieces),
                 opacity=GHOST_ALPHA if self._is_ghost else rgba[3] if rgba[3] < 1.0 else None,
-                lod="off" if slopes else self._lod,
+                lod="off" if slopes else tuple((far * self._radius, share) for far, share in kept),
                 rgb=look.TARGET_RGB if self._is_ghost else np.array(rgba[:3]),
             )
-            for index, (rgba, pieces) in enumerate(parts.items())
+            for index, ((rgba, kept), pieces) in enumerate(parts.items())
         ]
 
     def _show_tubes(self, seen: Snapshot, color: str, aside: np.ndarray) -> None:
@@ -239,7 +246,7 @@ class Figure:
         belly = QUANTITIES[color].rgb(self.muscles.values(color, seen.muscles, self._data))
         tendon = (1.0 - TENDON_TINT) * TENDON_RGB + TENDON_TINT * belly
         known = np.ones(len(belly), bool) if seen.activation is None else ~np.isnan(seen.activation)
-        bellies = self.muscles.bellies(self._data, seen.muscles, thinnest, RINGS)
+        bellies = self.muscles.bellies(self._data, seen.muscles, thinnest, self._rings)
         shapes = bellies.vertices(self._sides) + aside
         for muscle, shape in zip(bellies.muscles, shapes, strict=True):
             self._show_belly(
@@ -268,7 +275,7 @@ class Figure:
             self._bellies[muscle] = self._server.scene.add_mesh_simple(
                 f"{self._name}/belly_{muscle}",
                 vertices.astype(np.float32),
-                _around(RINGS, self._sides),
+                _around(self._rings, self._sides),
                 color=color,
                 cast_shadow=False,
                 receive_shadow=False,

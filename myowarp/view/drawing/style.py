@@ -171,6 +171,14 @@ def mobile_bodies(model: mujoco.MjModel) -> np.ndarray:
     return moving_bodies(model) | (model.body_mocapid >= 0)
 
 
+def rigid_roots(model: mujoco.MjModel) -> np.ndarray:
+    """Returns for each body the first of those that move with it as one; in the world, its tree's.
+
+    What stands in the world are trees of their own, because a task may put each elsewhere.
+    """
+    return np.where(model.body_weldid == 0, model.body_rootid, model.body_weldid)
+
+
 def limb_trees(model: mujoco.MjModel) -> np.ndarray:
     """Returns a mask over bodies: True in the trees that muscles pull on; everywhere where there are none."""
     sites = model.wrap_objid[model.wrap_type == mujoco.mjtWrap.mjWRAP_SITE]
