@@ -42,6 +42,7 @@ LARGE = re.compile(
     r"|whole_arm|full_body"
 )
 """Bodies and tasks that cost several seconds a test; their oracle tests are always run."""
+QUICK = "test_conditions.py"  # one or two seconds
 
 
 @pytest.hookimpl(tryfirst=True)  # before slow ones are left out
@@ -49,5 +50,5 @@ def pytest_collection_modifyitems(items):
     """Leave large bodies to `make test-slow`, where a test is run for every body or task."""
     for item in items:
         case = item.callspec.id if hasattr(item, "callspec") else ""
-        if item.path.parent.name in ("suite", "engine") and LARGE.search(case):
+        if item.path.parent.name in ("suite", "engine") and item.path.name != QUICK and LARGE.search(case):
             item.add_marker(pytest.mark.slow)

@@ -22,6 +22,10 @@ from myowarp.sim.simulation import Simulation
 KEYS = [key for key in recorded_ids(DATA) if TASKS[key].family in WALKING]
 
 VALUE_TOLERANCE = 1e-5  # relative to the largest value of a block, at least of 1 in its unit; measured 3e-6
+FLUNG_TOLERANCE = 3e-5
+"""The same for rates and forces of muscles in written states, up to 2 m from the origin, whose joints have
+velocities of 2 m/s. Some paths have 4 mm between two points, so that float32 turns them: MuJoCo C is off by
+1.0e-5 where only the positions of its bodies are rounded to float32. Measured 1.2e-5 in 25 recordings."""
 ROUGH = "myoLegRoughTerrainWalk-v0"
 
 
@@ -74,7 +78,8 @@ def test_observation(key, prefix, record_property):
         scale = max(1.0, np.abs(expected[:, block]).max())
         error = np.abs(obs[:, block] - expected[:, block]).max() / scale
         record_property("observation", float(error))
-        assert error < VALUE_TOLERANCE, name
+        flung = prefix == "forced" and name in ("muscle_velocity", "muscle_force")
+        assert error < (FLUNG_TOLERANCE if flung else VALUE_TOLERANCE), name
         spread = np.ptp(expected[:, block], axis=0).max()
         assert prefix == "reset" or name == "heading_cmd" or spread > 10 * VALUE_TOLERANCE * scale, name
         first += size

@@ -11,16 +11,20 @@ import pytest
 import warp as wp
 
 import myowarp
+from myowarp.definitions.body import BODIES
 from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase, condition_from, resolve
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Ramp, Uniform, value_of
 from myowarp.definitions.task import TASKS
 from myowarp.definitions.worlds import Worlds
 from myowarp.models.conditions import Fatigue3CCR, Sarcopenia, TendonTear
+from myowarp.sim.patient import every_condition
 from myowarp.sim.simulation import Simulation
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 
 NAMES = sorted(CONDITIONS)
+OF_BODY = {TASKS[key].body: key for key in TASKS}
+EVERY_BODY = [key for body, key in OF_BODY.items() if BODIES[body].groups]  # a task of each with muscles
 HOSTS = ("myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1")  # the elbow's conditions, the hand's
 NUM_STEPS = 8
 HORIZON = 5  # so that resets happen within the test
@@ -130,6 +134,46 @@ def test_256_patients_are_256_simulations(key, names):
         np.testing.assert_array_equal(together[:, world], alone[:, 0], err_msg=str(world))
 
 
+def one_each(key, patients):
+    """Return all conditions of a body for patients 0, 1, ...: 0 is healthy, i has the i-th of them alone."""
+    conditions = []
+    for number, condition in enumerate(every_condition(TASKS[key]), 1):
+        default = {field.name: field.default for field in dataclasses.fields(condition)}
+        values = {
+            parameter: np.where(np.equal(patients, number), default[parameter], neutral)
+            for parameter, neutral in condition.NEUTRAL.items()
+        }
+        conditions.append(dataclasses.replace(condition, **values))
+    return conditions
+
+
+@lru_cache
+def side_by_side(key):
+    """Return how all patients of a body go from one state with the same actions."""
+    patients = np.arange(1 + len(every_condition(TASKS[key])))
+    return trajectory(key, one_each(key, patients), np.zeros_like(patients))
+
+
+@pytest.mark.parametrize("key", EVERY_BODY)
+def test_every_body_has_its_patients(key):
+    """Of patients side by side the healthy one goes as without conditions, bit for bit, and no other."""
+    conditions, together = every_condition(TASKS[key]), side_by_side(key)
+    assert len(conditions) >= 4
+    difference = np.abs(together - trajectory(key, (), 0)).max(axis=(0, 2))
+    assert difference[0] == 0.0
+    for condition, moved in zip(conditions, difference[1:], strict=True):
+        assert moved > 1e-5, condition.name
+
+
+@pytest.mark.parametrize("key", EVERY_BODY)
+def test_patients_of_every_body_go_as_alone(key):
+    """Bit for bit, launched one kernel after the other."""
+    together = side_by_side(key)
+    for patient in range(together.shape[1]):
+        alone = trajectory(key, one_each(key, [patient]), 0, graph=False)
+        np.testing.assert_array_equal(together[:, patient], alone[:, 0], err_msg=str(patient))
+
+
 @lru_cache
 def last_joint(key, *names):
     """Return how the last joint moves in four worlds with conditions."""
@@ -162,12 +206,19 @@ def test_eager_is_the_graph(hosted):
 
 @pytest.mark.parametrize("moment", [0, 3])
 def test_a_broken_world_comes_back(hosted, moment):
-    """NaN in one world: it is reset and healthy again; the others do not notice."""
     name, key = hosted
-    sims = [
-        Simulation(TASKS[key], 4, device="cpu", conditions=name, graph=False, progress=False, horizon=100)
-        for _ in range(2)
-    ]
+    assert_a_broken_world_comes_back(key, name, moment)
+
+
+@pytest.mark.parametrize("key", EVERY_BODY)
+def test_a_broken_patient_of_every_body_comes_back(key):
+    assert_a_broken_world_comes_back(key, one_each(key, np.arange(4)), 3)
+
+
+def assert_a_broken_world_comes_back(key, conditions, moment):
+    """NaN in one world: it is reset and healthy again; the others do not notice."""
+    options = {"device": "cpu", "graph": False, "progress": False, "horizon": 100}
+    sims = [Simulation(TASKS[key], 4, conditions=conditions, **options) for _ in range(2)]
     for step in range(7):
         for sim, broken in zip(sims, (False, True), strict=True):
             if step == 0:

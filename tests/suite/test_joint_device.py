@@ -5,6 +5,7 @@ import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import pytest
+from configurations import configurations
 from elbows import KEY, NUM_WORLDS, States, in_c, worn
 
 from myowarp.definitions.condition import resolve
@@ -40,17 +41,27 @@ def test_a_spring_with_a_limit_is_that_of_mujoco_c():
     np.testing.assert_allclose(shown, torque, rtol=0, atol=ROUNDING * limit)
 
 
-def test_assistance_at_one_of_many_joints():
-    """A share of MuJoCo C's torque of all muscles at the wrist, and none at other joints."""
+@pytest.mark.parametrize(
+    ("key", "joint"),
+    [
+        (HAND, WRIST),
+        ("myoArmReachFixed-v0", "elbow_flexion_r"),
+        ("myoLegWalk-v0", "knee_angle_l"),
+        ("myoLegWalk-v0", "ankle_angle_r"),
+        ("myoTorsoPoseFixed-v0", "flex_extension"),
+    ],
+)
+def test_assistance_at_one_of_many_joints(key, joint):
+    """A share of MuJoCo C's torque of all muscles at that joint, and none at others."""
     n, share = 16, 0.4
     options = {"device": "cpu", "graph": False, "progress": False}
-    plain = Simulation(TASKS[HAND], n, **options)
-    sim = Simulation(TASKS[HAND], n, conditions=JointDevice(WRIST, 0.0, assistance=share), **options)
-    model = plain.scene.oracle
-    rng = np.random.default_rng(0)
-    qpos = np.float32(rng.uniform(*(0.5 * model.jnt_range).T, (n, model.nq)))
-    act = np.float32(rng.uniform(size=(n, model.na)))
-    dof = int(model.joint(WRIST).dofadr[0])
+    device = JointDevice(joint, 0.0, assistance=share, limit=1000.0)  # N m
+    sim = Simulation(TASKS[key], n, conditions=device, **options)
+    scene = Simulation(TASKS[key], 1, **options).scene
+    model = scene.oracle
+    qpos = np.float32(configurations(model, scene.qpos_start.numpy(), n, seed=0))
+    act = np.float32(np.random.default_rng(0).uniform(size=(n, model.na)))
+    dof = int(model.joint(joint).dofadr[0])
     expected = np.zeros((n, model.nv))
     for world in range(n):
         data = mujoco.MjData(model)
@@ -60,6 +71,7 @@ def test_assistance_at_one_of_many_joints():
     expected[:, dof] *= 1.0 + share
     sim.shards[0].launch_conditions()
     sim.scene.data.qpos.assign(qpos)
+    sim.scene.data.qvel.zero_()  # legs start to walk
     sim.scene.muscles.activation.assign(act)
     mjw.forward(sim.scene.model, sim.scene.data)
     found = sim.scene.data.qfrc_actuator.numpy()
