@@ -32,7 +32,8 @@ TEXT = """
 - Trained policies, 256 episodes each, without exploration noise: in {good} of {easy} easy tasks at least
   {least:.0f} % of the episodes succeed in every training run, of {seeds[0]} to {seeds[1]} from different
   seeds{but}. Hard tasks succeed in these percentages, means over seeds: {hard}.
-  [Baselines](docs/baselines.md) has every seed, and baoding.
+  [Baselines](docs/baselines.md) has every seed, baoding, and the legs, which
+  do not walk yet.
 """
 LEARNED = 95.0  # percent of the episodes
 WIDTH = 118
