@@ -88,6 +88,7 @@ bench: setup ## Measure speed, conditions, overhead, what a world costs, policie
 	$(BIN)/python -m benchmarks.conditions --output out/conditions.json
 	$(BIN)/python -m benchmarks.overhead --output out/overhead.json
 	$(BIN)/python -m benchmarks.worlds --output out/worlds.json
+	$(BIN)/python -m benchmarks.memory --output out/memory.json
 	$(BIN)/python -m benchmarks.policies --output out/policies.json
 
 gpu: setup ## Measure on a GPU, JSON to out/gpu.json (8 minutes)

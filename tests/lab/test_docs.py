@@ -247,6 +247,17 @@ def test_steps_per_second_are_those_of_the_measurement():
         assert written == expected, family
 
 
+def test_memory_of_a_world_is_that_of_the_measurement():
+    rows = json.loads((ROOT / "benchmarks/results/memory.json").read_text())["rows"]
+    expected = {}
+    for kind in ("arrays", "process", "asked_for"):
+        for row in rows:
+            expected.setdefault(row["family"], []).append(round(row[kind] / 1e3))
+    text = (ROOT / "docs/speed.md").read_text().partition("**Memory.**")[2].partition("**Overhead.**")[0]
+    shown = re.findall(r"^\| ([a-z ]+) \| (\d.*) \|$", text, re.M)
+    assert {family: [int(number) for number in numbers.split(" | ")] for family, numbers in shown} == expected
+
+
 def test_install_names_every_extra():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     named = re.findall(r"^\| `(\w+)` \|", (ROOT / "docs/install.md").read_text(), re.M)

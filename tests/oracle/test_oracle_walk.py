@@ -145,16 +145,26 @@ def test_one_control_step_of_physics(key, record_property):
 
 GROUND = [key for key in KEYS if TASKS[key].family in ("directional", "terrain")]
 FORCE_TOLERANCE = 0.02  # of the force of the ground on the root, total over states
+CONVEX_TOLERANCE = 1e-4  # likewise; measured 1e-5
+DEEP = 0.1  # m, below all rough ground
 
 
-@pytest.mark.parametrize("key", GROUND)
-def test_force_of_the_ground(key, record_property):
-    """What ground and floor push the root with is what they do in MuJoCo C, in the recorded states."""
+@lru_cache
+def force_of_the_ground(key):
+    """Return the force on the root in the recorded states, and a simulation in them."""
     record, _ = recorded(key)
     sim = simulation(key, record, "replay", "_before")
     forward(sim.scene, sim.shards[0].stages)
-    ours, host = sim.scene.data.qfrc_constraint.numpy()[:, :3], sim.scene.oracle.__copy__()
-    data, theirs, touches = mujoco.MjData(host), [], 0
+    return sim.scene.data.qfrc_constraint.numpy()[:, :3], sim
+
+
+def force_in_c(key, base=None):
+    """Return the same of MuJoCo C, with another depth of the field's base, and the number of touches."""
+    (record, _), (_, sim) = recorded(key), force_of_the_ground(key)
+    host, forces, touches = sim.scene.oracle.__copy__(), [], 0
+    if base is not None:
+        host.hfield_size[0, 3] = base
+    data = mujoco.MjData(host)
     for world, (qpos, qvel, act) in enumerate(
         zip(*(record[f"replay_{name}_before"] for name in ("qpos", "qvel", "act")), strict=True)
     ):
@@ -164,13 +174,37 @@ def test_force_of_the_ground(key, record_property):
         data.qpos[:], data.qvel[:], data.act[:] = qpos, qvel, act
         data.qacc_warmstart[:] = 0.0
         mujoco.mj_forward(host, data)
-        theirs.append(data.qfrc_constraint[:3].copy())
+        forces.append(data.qfrc_constraint[:3].copy())
         field = host.geom_type[data.contact.geom] == mujoco.mjtGeom.mjGEOM_HFIELD
         touches += np.count_nonzero(field.any(axis=1) & (data.contact.efc_address >= 0))
+    return np.array(forces), touches
+
+
+def gap(ours, theirs):
+    """Return the difference of forces as a share of all force."""
+    return np.linalg.norm(ours - theirs, axis=1).sum() / np.linalg.norm(theirs, axis=1).sum()
+
+
+@pytest.mark.parametrize("key", GROUND)
+def test_force_of_the_ground(key, record_property):
+    """What ground and floor push the root with is what they do in MuJoCo C, in the recorded states."""
+    theirs, touches = force_in_c(key)
     assert touches > 20
-    error = np.linalg.norm(ours - theirs, axis=1)
-    record_property("force", float(error.sum() / np.linalg.norm(theirs, axis=1).sum()))
-    assert error.sum() < FORCE_TOLERANCE * np.linalg.norm(theirs, axis=1).sum()
+    error = gap(force_of_the_ground(key)[0], theirs)
+    record_property("force", float(error))
+    assert error < FORCE_TOLERANCE
+
+
+def test_force_of_rough_ground_is_that_of_prisms_with_a_deep_base():
+    """A quarter of the points are below upstream's base, where prisms are not convex, and MuJoCo errs.
+
+    In the committed states it is 1 % off what it finds with a deep base; all of that is in three states.
+    """
+    (ours, sim), (theirs, touches) = force_of_the_ground(ROUGH), force_in_c(ROUGH, DEEP)
+    heights, base = sim.shards[0].program.heights.numpy(), sim.scene.oracle.hfield_size[0, 3]
+    assert 0.2 < (heights < -base).mean() < 0.3
+    assert touches > 20
+    assert gap(ours, theirs) < CONVEX_TOLERANCE
 
 
 @pytest.mark.parametrize("key", KEYS)

@@ -12,8 +12,9 @@ finds the same contact, one a prism, by GJK and EPA (documentation, Computation,
 
 As there, each prism is taken for itself: a body that is deep below the ground, beside the border of a prism,
 may be pushed sideways. Edges of the base are left out, which only a body below the ground can touch. Where
-the ground is below the base there is no convex body to search; h_A is then that of the top for n upwards and
-that of the base otherwise, and in some states MuJoCo finds other contacts.
+the ground is below the base there is no convex body to search; h_A is then that of the top for n upwards, as
+if the base were deeper. MuJoCo's search may begin with a corner of the base there, and then finds a face
+through it that is above the ground.
 """
 
 import warp as wp
