@@ -12,7 +12,7 @@ canvas[data-engine] {{ background: rgb({", ".join(f"{255 * share:.0f}" for share
 .mantine-Notifications-root {{ top: auto !important; bottom: 0.5rem !important; left: auto !important;
   right: 0.5rem !important; width: 19rem !important; transform: none !important; }}
 #webgl-software-rendering, .myowarp-software {{ display: none; }}
-body:has(#webgl-software-rendering) .myowarp-software {{ display: block; padding: 0 1rem;
+body:has(#webgl-software-rendering) .myowarp-software {{ display: block; padding: 0 1rem 0.6rem;
   font-size: 0.75em; }}
 </style>"""
 """The sky is behind what is drawn, and costs nothing there. The picture has its colours at once: viser fades
