@@ -191,14 +191,21 @@ SHARED_ROWS = (
 """The same of `Data.efc`; the last say which neighbours have the same columns, where J is sparse."""
 
 
+def free_data(host: mujoco.MjModel, worlds: int, contacts: int, rows: int) -> mjw.Data:
+    """Return the engine's arrays for a chain of free coordinates."""
+    data = mjw.make_data(host, nworld=worlds, nconmax=contacts, njmax=rows, njmax_nnz=rows * host.nv)
+    data.moment_rownnz, data.moment_rowadr, data.moment_colind = full_rows(worlds, host.nu, host.nv)
+    data.actuator_moment = wp.zeros((worlds, host.nu * host.nv), dtype=float)
+    return data
+
+
 def free_part(stepped: Stepped, ties: list[Coupling]) -> Stepped:
     """Return what steps the free coordinates; its rows are those of all joints, but for their Jacobian."""
     full, worlds = stepped.model, stepped.data.nworld
     host = chain(stepped.oracle, ties)
     model, number = mjw.put_model(host), host.nv
     most = stepped.data.njmax
-    contacts = stepped.data.naconmax // worlds
-    data = mjw.make_data(host, nworld=worlds, nconmax=contacts, njmax=most, njmax_nnz=most * number)
+    data = free_data(host, worlds, stepped.data.naconmax // worlds, most)
     for name in vars(full):
         if name.startswith("actuator_") and name not in ("actuator_trntype", "actuator_trnid"):
             setattr(model, name, getattr(full, name))
@@ -207,9 +214,6 @@ def free_part(stepped: Stepped, ties: list[Coupling]) -> Stepped:
     for holder, source, names in ((data, stepped.data, SHARED), (data.efc, stepped.data.efc, SHARED_ROWS)):
         for name in names:
             setattr(holder, name, getattr(source, name))
-    data.moment_rownnz, data.moment_rowadr, columns = full_rows(worlds, full.nactuator, number)
-    data.moment_colind = columns
-    data.actuator_moment = wp.zeros((worlds, full.nactuator * number), dtype=float)
     if model.is_sparse:
         efc = data.efc
         efc.J_rownnz, efc.J_rowadr, columns = full_rows(worlds, most, number)

@@ -2,6 +2,9 @@
 
 import logging
 
+import mujoco
+import mujoco_warp as mjw
+
 from myowarp.coordinates.couplings import couplings, exact
 from myowarp.engine.stage import or_the_engines
 from myowarp.engine.step import Step, uncovered
@@ -16,8 +19,7 @@ def step_of(stepped: Stepped) -> Step:
     A line is logged where it asks for it and they cannot. The model loses equalities that its step does
     without.
     """
-    said = exact(stepped.oracle)
-    if said is None or not (couplings(stepped.oracle) or said.turns_otherwise):
+    if not _asks(stepped.oracle):
         return Step(stepped)
     with or_the_engines("free_coordinates"):
         from myowarp.coordinates.free_coordinates import FreeCoordinates
@@ -27,3 +29,26 @@ def step_of(stepped: Stepped) -> Step:
             return FreeCoordinates(stepped)
         logger.warning("joints follow others by the engine's springs, not exactly: %s", reason)
     return Step(stepped)
+
+
+def data_beside(model: mujoco.MjModel, worlds: int, contacts: int, rows: int) -> mjw.Data | None:
+    """Return what the step of a model allocates beside the engine's arrays, to be counted; None: nothing.
+
+    Args:
+        model: The model.
+        worlds: Number of worlds.
+        contacts: Contacts a world.
+        rows: Rows of constraints a world.
+    """
+    if _asks(model):
+        with or_the_engines("free_coordinates"):
+            from myowarp.coordinates.free_coordinates import chain, free_data
+
+            return free_data(chain(model, couplings(model)), worlds, contacts, rows)
+    return None
+
+
+def _asks(model: mujoco.MjModel) -> bool:
+    """Return whether a model asks for joints that follow exactly, and has some."""
+    said = exact(model)
+    return said is not None and bool(couplings(model) or said.turns_otherwise)

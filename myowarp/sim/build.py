@@ -15,6 +15,7 @@ import warp as wp
 from myowarp.coordinates.couplings import ask, settled
 from myowarp.coordinates.own_forces import forces_of
 from myowarp.coordinates.own_paths import paths_of
+from myowarp.coordinates.step import data_beside
 from myowarp.definitions.body import BODIES, Body
 from myowarp.definitions.condition import Condition, resolve
 from myowarp.definitions.muscle import MUSCLES, MuscleModel
@@ -289,7 +290,10 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
     def make_data(number: int) -> mjw.Data:
         return mjw.make_data(stepped, nworld=number, nconmax=capacity.contacts, njmax=capacity.rows)
 
-    check_memory(make_data, spec.world_bytes, worlds.total, where)
+    def all_data(number: int) -> tuple[mjw.Data | None, ...]:
+        return make_data(number), data_beside(oracle, number, capacity.contacts, capacity.rows)
+
+    check_memory(all_data, spec.world_bytes, worlds.total, where)
     with wp.ScopedDevice(where):
         batched = {"actuator_biasprm", *spec.batched}.union(*(c.batched for c in conditions))
         model = _put_model(spec, stepped, dict.fromkeys(sorted(batched), worlds.number))

@@ -6,24 +6,25 @@ Linux promises memory that it does not have, and ends the process once it is use
 import contextlib
 import dataclasses
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import mujoco_warp as mjw
 import warp as wp
 
-LARGE_WORLD = 2**20  # bytes; a hand that holds an object has 1e5, the whole body 8e5
+LARGE_WORLD = 2**21  # bytes; a hand that holds an object has 1e5, the whole body 9e5, under `fast` 1.8e6
 MEMINFO, CGROUP_LIMIT = Path("/proc/meminfo"), Path("/sys/fs/cgroup/memory.max")
 
 
 def check_memory(
-    make_data: Callable[[int], mjw.Data], further: int, num_worlds: int, device: wp.Device
+    make_data: Callable[[int], Iterable[mjw.Data | None]], further: int, num_worlds: int, device: wp.Device
 ) -> None:
     """Raise if worlds need more memory than is available.
 
     Args:
-        make_data: Allocates the engine's arrays of so many worlds, most of what a simulation needs.
+        make_data: Allocates the arrays of the engine and of the step in so many worlds, most of what a
+            simulation needs.
         further: What the task keeps of each world besides [bytes].
         num_worlds: Number of worlds.
         device: Where they are to live.
@@ -35,7 +36,7 @@ def check_memory(
     if available is None or num_worlds * LARGE_WORLD <= available:
         return
     with wp.ScopedDevice("cpu"):
-        one, two = (_bytes(make_data(number)) + number * further for number in (1, 2))
+        one, two = (sum(map(_bytes, make_data(number))) + number * further for number in (1, 2))
     needed = one + (num_worlds - 1) * (two - one)
     if needed > available:
         raise ValueError(

@@ -18,6 +18,7 @@ from gymnasium.utils.env_checker import check_env
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from benchmarks.memory import asked_for, count
 from myowarp.definitions.condition import CONDITIONS, resolve
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.registry import number_in
@@ -199,6 +200,14 @@ def test_estimated_memory_is_what_the_arrays_take():
     one, two, forty = (memory._bytes(make(number)) for number in (1, 2, 40))
     assert forty == pytest.approx(one + 39 * (two - one), rel=0.02)
     assert memory._bytes(sim.scene.data) == pytest.approx(forty, rel=0.05)
+
+
+@pytest.mark.parametrize("physics", ["parity", "fast"])
+def test_legs_are_asked_for_nearly_all_that_they_take(physics):
+    """Beside Warp's count of arrays; under `fast` they have free coordinates, too."""
+    key = "myoLegStandRandom-v0"
+    taken = count(key, physics, (2, 34))["arrays"]
+    assert 0.85 * taken < asked_for(key, physics) <= taken
 
 
 def test_memory_of_ground_per_world(monkeypatch):
