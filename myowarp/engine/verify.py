@@ -35,6 +35,9 @@ NUM_STATES = 16  # compared, at least
 CONTROL_STEPS = 8  # between two states, at most
 TRUSTED_SHARE = 0.9  # of the states that must agree: the engine itself loses single contacts
 LEAST_CHANGE = 1e-6, 1e-2  # of velocities and positions, that errors are a share of; positions are rounded
+USUAL_SHARE = 0.1
+"""Errors are a share of at least so much of the median change over all states: where forces cancel in a state
+of one joint, little changes but the rounding of its velocity."""
 ROUNDINGS = 16
 """A stage may differ by as much as that many roundings of the state move the engine's step. Stiff equalities,
 as in models converted from OpenSim, turn one rounding into up to 3e-4 of the change of velocity; stages were
@@ -268,8 +271,9 @@ def _changes(step: Step, batches: Iterable[State], stages: Iterable[Stage]) -> t
 
 def _error(ours: tuple[np.ndarray, np.ndarray], stock: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """Return by how much changes differ, as a share of the largest in each state, for the worse of both."""
-    shares = [
-        np.abs(mine - theirs).max(axis=1) / np.abs(theirs).max(axis=1).clip(min=least)
-        for mine, theirs, least in zip(ours, stock, LEAST_CHANGE, strict=True)
-    ]
+    shares = []
+    for mine, theirs, least in zip(ours, stock, LEAST_CHANGE, strict=True):
+        change = np.abs(theirs).max(axis=1)
+        usual = USUAL_SHARE * float(np.median(change))
+        shares.append(np.abs(mine - theirs).max(axis=1) / change.clip(min=max(least, usual)))
     return np.maximum(*shares)

@@ -236,9 +236,14 @@ def test_traces_show_what_is_chosen_and_the_twin_dashed(page, client):
         parts = list(client.parts.values())
         return next((p["content"] for p in parts if "time / s" in p.get("content", "")), "")
 
+    def offered():
+        return client.parts[client.uuid("of")]["options"]
+
     until(lambda: curves() and "BIClong" not in curves())
+    client.set("quantity", "joint angle")  # which no muscle has: so it is seen when another is offered
+    until(lambda: "BIClong" not in offered())
     client.set("quantity", "force")
-    until(lambda: "BIClong" in client.parts[client.uuid("of")]["options"])
+    until(lambda: "BIClong" in offered())
     client.set("of", "BIClong")
     until(lambda: ("force", "BIClong") in traces.chosen)
     until(lambda: "force / N" in curves() and "BIClong" in curves())

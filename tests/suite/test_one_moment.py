@@ -38,8 +38,8 @@ SCENES = {
 }
 PICTURES = 200  # in a row
 APART, MOVED = 3.0, 30.0  # px: between muscle and bone at most, and what ends move at least
-PATIENCE = 400.0  # s
-SIZE = (1000, 800)  # of which traces and panel take a part
+PATIENCE = 600.0  # s
+SIZE = (1600, 1000)  # of which traces and panel take a part
 SCALE = 0.2  # dots for each px: what is measured are places, and software draws few dots faster
 WATCH = """
 window.apart = []

@@ -127,8 +127,8 @@ class Traces:
     def _offer(self) -> None:
         """List what has the chosen quantity."""
         check_choice("quantity", self._kind.value, tuple(self._kinds))
+        self._item.value = NOTHING  # first: with the options comes the next choice
         self._item.options = (NOTHING, *self._kinds[self._kind.value].items)
-        self._item.value = NOTHING
 
     def _ask(self, item: str) -> None:
         """Have drawn what was chosen."""
