@@ -199,7 +199,8 @@ def test_all_versions_share_the_contract():
     """Whoever takes the baseline of another version can act with it."""
     for name in NAMES:
         for task in (task for task in TASKS if task.rpartition("-")[0] == name.rpartition("-")[0]):
-            assert baselines.policy_folder("baseline", task).name == name
+            taken = baselines.policy_folder("baseline", task).name
+            assert taken == task if task in NAMES else taken.rpartition("-")[0] == name.rpartition("-")[0]
             sim = Simulation(TASKS[task], 1, device="cpu", graph=False, progress=False)
             check_contract(baselines.load_baseline(name).checkpoint, sim)
 

@@ -748,6 +748,42 @@ def test_ctrl_c_leaves_a_checkpoint_and_a_report(run, tmp_path, monkeypatch):
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_a_run_goes_on_under_parity_physics(run, tmp_path, monkeypatch):
+    """After the turn its worlds do what parity physics alone does with their states and actions."""
+    from myowarp.apps.train.loop import Run
+
+    moved, steps, move, step = [], [], Run.move, MyoWarpVectorEnv.step
+
+    def noted_move(self, env):
+        moved.append((self.samples, len(steps), self.env.get_state()))
+        move(self, env)
+
+    def noted_step(self, actions):
+        result = step(self, actions)
+        steps.append((actions.numpy().copy(), result[0].numpy().copy()))
+        return result
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Run, "move", noted_move)
+        patched.setattr(MyoWarpVectorEnv, "step", noted_step)
+        turned = (*TINY, "--samples", 256, "--physics", "fast", "--parity-after", 100)
+        status, _, err = run("train", ELBOW, "--output", tmp_path / "run", *turned)
+    assert status == 0, err
+    assert "from 128 samples on under parity physics" in err
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert (report["physics"], report["parity_after"]) == ("fast", 100)
+    ((samples, at, state),) = moved
+    assert samples == 128
+    for physics in ("parity", "fast"):
+        setup = Setup(task=ELBOW, physics=physics, device="cpu")
+        env = MyoWarpVectorEnv(setup, 8, autoreset_mode="disabled", progress=False)
+        env.reset(seed=0)
+        env.set_state(state)
+        apart = max(np.abs(env.step(actions)[0] - obs).max() for actions, obs in steps[at:])
+        env.close()
+        assert apart == 0.0 if physics == "parity" else apart > 1e-2, physics
+
+
 OWN_TASK = """
 import myowarp
 thrifty = myowarp.extend("myoElbowPose1D6MRandom-v0", "thriftyTrain-v0", rewards={"act_reg": 5.0})

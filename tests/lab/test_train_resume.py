@@ -14,14 +14,17 @@ from myowarp.apps.policies.checkpoint import FOLDER, MANIFEST, find_folder, load
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 ALGORITHMS = {
-    "ppo": ("--minibatches", 2, "--epochs", 2),
+    "ppo": ("--minibatches", 2, "--epochs", 2, "--physics", "fast", "--parity-after", 8 * 16 * 5),
     "trpo": ("--minibatches", 2, "--epochs", 2),
     "sac": ("--replay", 2048, "--batch-size", 64, "--gradient-steps", 1, "--random-steps", 4),
     "flashsac": (
         *("--replay", 2048, "--batch-size", 64, "--gradient-steps", 1, "--random-steps", 4),
         *("--critic-width", 16, "--atoms", 21),
     ),
-    "dagger": ("--replay", 2048, "--batch-size", 64, "--gradient-steps", 1, "--expert-steps", 16),
+    "dagger": (
+        *("--replay", 2048, "--batch-size", 64, "--gradient-steps", 1, "--expert-steps", 16),
+        *("--physics", "fast", "--parity-after", 8 * 16 * 5),
+    ),
 }
 SAMPLES = 8 * 16 * 30  # thirty iterations, five episodes a world
 PATIENCE = 120.0  # s

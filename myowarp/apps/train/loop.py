@@ -104,14 +104,13 @@ class Run:
             start: States that episodes start in, world i in the i-th, over and over; None: resets.
             ranks: This process among those of the run.
         """
-        self.env, self.settings, self.ranks = env, settings, ranks
+        self.settings, self.ranks = settings, ranks
         self.device, seed = str(env.sim.scene.device), env.sim.setup.seed or 0
         torch.manual_seed(seed)
         observation, action = env.single_observation_space, env.single_action_space
         own = dataclasses.replace(settings, num_worlds=env.num_envs)
         self.agent = agents.make_agent(own, observation, action, self.device)
-        if isinstance(settings, DAggerSettings):
-            self.agent.expert = acting(find_policy(settings.expert, env.sim.scene.spec), env.sim)
+        self._enter(env)
         if parent is not None:
             seen, same = parent.manifest["samples"], parent.task == env.sim.scene.spec.key
             known = seen if same else settings.num_worlds * INHERITED_STEPS
@@ -172,6 +171,19 @@ class Run:
         self.faults = list(dict.fromkeys(chain(self.faults, *kinds)))
         self.tally.keep(np.concatenate(episodes))
         self.losses = {name: float(np.mean([own[name] for own in losses])) for name in losses[0]}
+
+    def move(self, env: MyoWarpVectorEnv) -> None:
+        """Let the worlds go on, as they are, in another environment of the task; the one before is closed."""
+        state = self.env.get_state()
+        self.env.close()
+        self._enter(env)
+        env.set_state(state)
+
+    def _enter(self, env: MyoWarpVectorEnv) -> None:
+        """Take an environment, in which an expert acts, too."""
+        self.env = env
+        if isinstance(self.settings, DAggerSettings):
+            self.agent.expert = acting(find_policy(self.settings.expert, env.sim.scene.spec), env.sim)
 
     def row(self) -> dict[str, float]:
         """Return the figures of the last iteration."""

@@ -26,6 +26,7 @@ from myowarp.tasks.setups import variant_of
 if TYPE_CHECKING:
     from myowarp.apps.train.loop import Run
     from myowarp.apps.train.progress import Progress
+    from myowarp.bridge_gym import MyoWarpVectorEnv
 
 REPORT = "report.json"
 STOPPED = "stopped by a signal"
@@ -75,13 +76,10 @@ def start(job: Job) -> Run:
     from myowarp.apps.policies.checkpoint import CheckpointError, check_contract
     from myowarp.apps.train.agents import replay_bytes
     from myowarp.apps.train.loop import Run
-    from myowarp.bridge_gym import MyoWarpVectorEnv
 
     settings, ranks = job.settings, job.ranks
     torch.set_num_threads(settings.threads)
-    setup = dataclasses.replace(job.setup, device=ranks.device(job.setup.device), rank=ranks.part)
-    number = ranks.share("--num-worlds", settings.num_worlds)
-    env = MyoWarpVectorEnv(setup, number, autoreset_mode="disabled", output="torch", copy=False)
+    env = _environment(job, job.checkpoint.manifest["samples"] if job.checkpoint else 0)
     if job.parent is not None:
         check_contract(job.parent, env.sim)
     obs, actions = env.sim.transition.obs.shape[1], env.sim.action.shape[1]
@@ -97,6 +95,24 @@ def start(job: Job) -> Run:
                 f"checkpoint {str(job.checkpoint.folder)!r} cannot be resumed: {reason}"
             ) from error
     return run
+
+
+def _environment(job: Job, samples: int) -> MyoWarpVectorEnv:
+    """Return this rank's worlds, under the physics that the run has after a number of samples."""
+    from myowarp.bridge_gym import MyoWarpVectorEnv
+
+    ranks, physics = job.ranks, _physics(job, samples)
+    setup = dataclasses.replace(
+        job.setup, physics=physics, device=ranks.device(job.setup.device), rank=ranks.part
+    )
+    number = ranks.share("--num-worlds", job.settings.num_worlds)
+    return MyoWarpVectorEnv(setup, number, autoreset_mode="disabled", output="torch", copy=False)
+
+
+def _physics(job: Job, samples: int) -> str | None:
+    """Return the physics that a run has after a number of samples."""
+    after = job.settings.parity_after
+    return "parity" if 0 < after <= samples else job.setup.physics
 
 
 def iterate(job: Job, run: Run, console: Console) -> str:
@@ -115,8 +131,8 @@ def iterate(job: Job, run: Run, console: Console) -> str:
         _save(job, run)  # whatever happens from here on, the run can go on
     over = f" over {ranks.size} ranks" if ranks.size > 1 else ""
     console.print(
-        f"{job.asked.task}: {job.algorithm}, {settings.num_worlds} worlds{over} under {job.setup.physics} "
-        "physics"
+        f"{job.asked.task}: {job.algorithm}, {settings.num_worlds} worlds{over} under "
+        f"{run.env.sim.setup.physics} physics"
         f"{f', from {settings.parent}' if settings.parent else ''}, into {job.folder}"
     )
     saved = time.monotonic()
@@ -147,6 +163,9 @@ def iterate(job: Job, run: Run, console: Console) -> str:
             if reason:
                 return reason
             said = len(run.faults)
+            if (physics := _physics(job, run.samples)) != run.env.sim.setup.physics:
+                run.move(_environment(job, run.samples))
+                console.print(f"from {run.samples:,} samples on under {physics} physics")
             try:
                 run.iterate()
             except DivergedError as error:
@@ -291,6 +310,7 @@ def _report(job: Job, run: Run, reason: str, watch: Stopwatch) -> dict[str, Any]
         "seed": job.setup.seed,
         "ranks": job.ranks.size,
         "physics": job.setup.physics,
+        "parity_after": job.settings.parity_after,
         "ended": reason,
         "samples": run.samples,
         "updates": run.updates,
@@ -315,7 +335,8 @@ def _publish(job: Job, report: dict[str, Any], console: Console) -> None:
     share = f"{100 * report['success']:.1f} %" if report["episodes"] else "none"
     console.print(
         f"Ended after {report['samples']:,} samples in {report['seconds']:.1f} s: {report['ended']}; of the "
-        f"last episodes {share} succeeded, sampled actions under {job.setup.physics} physics"
+        f"last episodes {share} succeeded, sampled actions under "
+        f"{_physics(job, report['samples'])} physics"
     )
     console.print(f"Saved {job.folder}" + (f" and {curve}" if curve else ""))
     if report["ended"] == STOPPED:

@@ -73,6 +73,9 @@ class Settings:
         choices=SUCCESSES,
         free=True,
     )
+    parity_after: int = setting(
+        0, "Samples after which the run goes on under parity physics; 0: it stays with its own.", least=0
+    )
     num_worlds: int = setting(256, "Worlds simulated together.", least=1)
     rollout_steps: int = setting(24, "Control steps of every world in an iteration.", least=1)
     cohort: str = setting("", "Patient table; every patient has as many worlds; empty: one body for all.")
