@@ -1,5 +1,7 @@
 """What pictures are made of: camera, tubes, colours, ghosts, captions; every registered body and family."""
 
+from contextlib import closing
+
 import mujoco
 import numpy as np
 import pytest
@@ -249,6 +251,23 @@ def test_every_family_is_drawn_with_tips_ghosts_and_captions(sim):
     assert np.array_equal(legend, plain) == (not sim.scene.muscles.names)  # motors have no activation
     np.testing.assert_array_equal(legend[:60], plain[:60])
     assert np.array_equal(without_ghost, plain) == (seen.ghost is None)
+
+
+def test_a_body_that_has_walked_away_looks_the_same():
+    """Its floor has no end, its lamps go along, and there is no room that it could walk out of."""
+    sim = Simulation(TASKS["myoLegWalk-v0"], 1, device="cpu", graph=False, progress=False)
+    with closing(sim):
+        sim.reset()
+        seen, model = snapshot(sim, 0), sim.full_model
+    far = seen.qpos.copy()
+    far[1] -= 20.0  # squares have sides of 0.5 m or of a power of ten
+    try:
+        with WorldRenderer(model, 200, 150) as renderer:
+            near, gone = (renderer.frame(one).astype(int) for one in (seen, seen._replace(qpos=far)))
+    except NoGraphicsError as error:
+        pytest.skip(str(error))
+    assert np.abs(gone - near).mean() < 0.5
+    assert np.abs(near - np.roll(near, 10, axis=1)).mean() > 5.0
 
 
 def test_frames_fit_their_limits():

@@ -319,7 +319,7 @@ class Figure:
 
 
 class Floor:
-    """Squares on the floor under a body that goes about, unless the model has a floor of its own."""
+    """Squares on the floor under a body that goes about."""
 
     def __init__(
         self,
@@ -337,7 +337,7 @@ class Floor:
             name: Its node in the page.
             model: The full model.
             framing: The camera, which goes along.
-            always: Whether there is a floor under what stays where it is, too.
+            always: Whether there is a floor under what stays where it is, too, unless the model has its own.
         """
         radius = framing.radius
         self._cell = float(10.0 ** np.floor(np.log10(radius)))
@@ -345,7 +345,7 @@ class Floor:
         self._height, self._radius, self._hidden = (
             floor_height(model),
             radius,
-            not (framing.follows or always) or has_plane(model),
+            not (framing.follows or (always and not has_plane(model))),
         )
         self._lines = _Batch(server, name, *_tube())
 

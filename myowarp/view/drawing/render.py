@@ -101,6 +101,7 @@ class _Canvas:
             for field in range(self._model.nhfield):
                 mujoco.mjr_uploadHField(self._model, self.context, field)
         category = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateCamera(self._model, data, camera, self.scene)  # floors without end lie below it
         mujoco.mjv_updateScene(self._model, data, option, None, camera, category, self.scene)
 
     def draw(self) -> None:

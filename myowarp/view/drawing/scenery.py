@@ -61,7 +61,10 @@ def has_plane(model: mujoco.MjModel) -> bool:
 
 
 def floor_height(model: mujoco.MjModel) -> float:
-    """Returns the height of the lowest body at rest [m], where a floor would be."""
+    """Returns the height of the floor [m]; without one that of the lowest body at rest."""
+    planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    if planes.size:
+        return float(model.geom_pos[planes, 2].min())
     data = mujoco.MjData(model)
     look.pose(model, data, look.rest_pose(model))
     points = (data.xpos[1:], data.site_xpos)

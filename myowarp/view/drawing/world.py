@@ -14,7 +14,7 @@ import numpy as np
 
 from myowarp.definitions.registry import check_choice
 from myowarp.view.drawing import style as look
-from myowarp.view.drawing.framing import Framing
+from myowarp.view.drawing.framing import Framing, carried_root
 from myowarp.view.drawing.muscles import QUANTITIES, TENDON_RGB, TENDON_TINT, Muscles
 from myowarp.view.drawing.scenery import (
     add_arrow,
@@ -22,7 +22,6 @@ from myowarp.view.drawing.scenery import (
     add_floor,
     add_sphere,
     floor_height,
-    has_plane,
 )
 from myowarp.view.drawing.skeleton import Skeleton
 from myowarp.view.drawing.snapshot import Snapshot
@@ -73,7 +72,7 @@ class WorldDrawing:
         drawn = look.drawn_geoms(self.model)
         moving = look.moving_bodies(model) & look.limb_trees(model)
         self._ghostly = drawn[moving[model.geom_bodyid[drawn]]]
-        self._floor = floor_height(model) if self.framing.follows and not has_plane(model) else None
+        self._floor = floor_height(model) if self.framing.follows else None
 
     def check(self, seen: Snapshot) -> None:
         """Raise ValueError if a snapshot does not fit the model."""
@@ -182,7 +181,26 @@ def _prepared(model: mujoco.MjModel, radius: float) -> mujoco.MjModel:
     model.vis.headlight.ambient[:] = 0.38
     model.vis.headlight.diffuse[:] = 0.45
     model.vis.headlight.specular[:] = 0.10
+    if root := carried_root(model):
+        _lead_outdoors(model, root)
     return model
+
+
+def _lead_outdoors(model: mujoco.MjModel, root: int) -> None:
+    """Takes a body that is carried away out of its room, onto a floor without end; lamps go along with it."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    fixed = model.body_weldid[model.geom_bodyid] == 0
+    idle = (model.geom_contype == 0) & (model.geom_conaffinity == 0)
+    walls = fixed & idle & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
+    model.geom_matid[walls], model.geom_rgba[walls, 3] = -1, 0.0
+    model.geom_size[fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE), :2] = 0.0
+    lamps = model.light_bodyid == 0
+    model.light_bodyid[lamps] = root
+    model.light_mode[lamps] = mujoco.mjtCamLight.mjCAMLIGHT_TRACK
+    model.light_type[lamps] = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    model.light_pos0[lamps] = model.light_pos[lamps] - data.xpos[root]
+    model.light_diffuse[lamps] *= 0.5  # they lit a room
 
 
 def draw_bones_alone(option: mujoco.MjvOption) -> None:
