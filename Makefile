@@ -143,7 +143,7 @@ docs: $(TEST_STAMP) ## Build the documentation site into out/docs
 	$(BIN)/sphinx-build -W --keep-going -j auto docs out/docs
 	@echo "Open out/docs/index.html"
 
-pictures: setup ## Draw every body and task family, and what trained hands do, into docs/pictures
+pictures: setup ## Draw every body and task family, and what trained policies do, into docs/pictures
 	$(BIN)/python docs/pictures/contact_sheet.py
 	$(BIN)/python docs/pictures/film_strips.py
 	$(BIN)/python docs/pictures/demo.py

@@ -1,4 +1,4 @@
-"""What trained hands do, a row of pictures for each task: strips.png.
+"""What trained hands and legs do, a row of pictures for each task: strips.png.
 
     python docs/pictures/film_strips.py
 
@@ -24,6 +24,7 @@ TASKS = {  # control steps that are shown
     "myoHandKeyTurnFixed-v0": (0, 8, 16, 24, 40, 100),
     "myoHandObjHoldFixed-v0": (0, 3, 6, 12, 30, 75),
     "myoHandPenTwirlFixed-v0": (0, 10, 20, 30, 40, 50),
+    "myoLegWalk-v0": (0, 20, 40, 60, 80, 1000),
 }
 
 
