@@ -163,6 +163,10 @@ class WorldDrawing:
             add_capsule(scene, self.data.site_xpos[tip], target, link, color, emission=0.25)
 
 
+SUNK = 0.005  # m; a floor lies as much below a height field, which else flickers where it is level
+DAYLIGHT = 1.41  # what falls on the ground, by which its colour is divided, for it to end as pale as the sky
+
+
 def _prepared(model: mujoco.MjModel, radius: float) -> mujoco.MjModel:
     """Copies the model and changes what only drawing reads."""
     model = copy.copy(model)
@@ -194,7 +198,13 @@ def _lead_outdoors(model: mujoco.MjModel, root: int) -> None:
     idle = (model.geom_contype == 0) & (model.geom_conaffinity == 0)
     walls = fixed & idle & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
     model.geom_matid[walls], model.geom_rgba[walls, 3] = -1, 0.0
-    model.geom_size[fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE), :2] = 0.0
+    planes = fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    fields = fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD)
+    ground = planes | fields
+    model.geom_size[planes, :2] = 0.0
+    model.geom_pos[planes, 2] -= SUNK * fields.any()
+    model.geom_sameframe[planes] = 0  # else they stay in the frame of the world
+    model.geom_rgba[ground, :3] = look.SKY_RGB / DAYLIGHT
     lamps = model.light_bodyid == 0
     model.light_bodyid[lamps] = root
     model.light_mode[lamps] = mujoco.mjtCamLight.mjCAMLIGHT_TRACK
