@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from functools import cache
 
 SCRIPT = """
 import gc, json, sys
@@ -23,6 +24,7 @@ print(json.dumps({
 """
 
 
+@cache
 def imported(mode="on"):
     done = subprocess.run([sys.executable, "-c", SCRIPT, mode], capture_output=True, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])

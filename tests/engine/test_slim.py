@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from configurations import configurations
+from often import often
 
 import myowarp.tasks  # noqa: F401
 from myowarp.definitions.task import TASKS
@@ -72,7 +73,7 @@ def untouched(scene):
         model.opt.disableflags = flag
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", often(SCENES, ONE_PER_BODY))
 @pytest.mark.usefixtures("untouched")
 def test_slim_moves_like_full(scene):
     """To rounding, but for contacts, which the next test is about."""

@@ -57,7 +57,10 @@ def test_built_at_once_as_built_in_turn():
     np.testing.assert_array_equal(build_and_play(0), expected[0])
 
 
-@pytest.mark.parametrize("options", [{"shards": 1}, {"shards": 2}, {"shards": 1, "graph": False}])
+@pytest.mark.parametrize(
+    "options",
+    [{"shards": 1}, {"shards": 2}, pytest.param({"shards": 1, "graph": False}, marks=pytest.mark.slow)],
+)
 def test_stepped_while_another_thread_builds(options):
     """Its first step, too, which starts the threads of the parts."""
     expected = play(build(**options), seed=5)

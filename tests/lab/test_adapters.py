@@ -105,7 +105,7 @@ def test_rsl_rl_may_start_within_episodes():
     [
         pytest.param("train_sb3.py", 160_000, marks=pytest.mark.slow),
         pytest.param("train_rsl_rl.py", 60, marks=pytest.mark.slow),
-        ("train_skrl.py", 1500),
+        pytest.param("train_skrl.py", 1500, marks=pytest.mark.slow),
     ],
 )
 def test_examples_learn(file, budget):

@@ -234,6 +234,7 @@ def test_run_remakes_a_baseline_and_compares(run, tmp_path):
     assert checkpoints.load_checkpoint(tmp_path / "run").manifest["algorithm"] == "ppo"
 
 
+@pytest.mark.slow
 def test_run_says_when_a_baseline_is_not_reached(run, tmp_path, copies):
     result = json.loads((copies / "result.json").read_text())
     for mode in ("deterministic", "sampled"):

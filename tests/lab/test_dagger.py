@@ -110,6 +110,7 @@ def test_a_gradient_step_is_one_of_the_squared_error():
     np.testing.assert_allclose(moved[clear].numpy(), -1e-3 * np.sign(last.grad[clear].numpy()), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_it_learns_what_its_expert_does(tmp_path):
     job = plan(
         ELBOW, algorithm="dagger", output=tmp_path, device="cpu", samples=19_200, stop_success=2.0,

@@ -55,6 +55,7 @@ def test_the_line_of_an_example_is_understood(line, monkeypatch):
     assert all(Path(word.partition(":")[0]).exists() for word in words if word.startswith("examples/"))
 
 
+@pytest.mark.slow
 def test_plain_ppo_learns_the_elbow():
     command = [sys.executable, ROOT / "examples/train_plain.py", str(SAMPLES)]
     pytest.importorskip("torch")

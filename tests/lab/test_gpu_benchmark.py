@@ -30,6 +30,7 @@ OPTIONS = Options(
 MOVED = 1e-4  # rad at least between worlds under different actions
 
 
+@pytest.mark.slow
 def test_rates():
     (row,) = rates(ELBOW, "parity", OPTIONS)
     assert row["num_worlds"] == 4
@@ -41,6 +42,7 @@ def test_rates():
     assert row["footprint"]["host_reads"] == 0  # views of arrays on the CPU are made once
 
 
+@pytest.mark.slow
 def test_host_reads_are_counted():
     env = Environment(ELBOW, "parity", 4, wp.get_device("cpu"))
     stock = env.step

@@ -23,7 +23,7 @@ SAMPLES = 8 * 16 * 150  # of a run that is killed
 ROUNDING = 1e-12  # of float64, over eighty samples
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", params=[pytest.param(2, marks=pytest.mark.scale)])
 def ranks(tmp_path_factory):
     """Return what two gloo ranks have found."""
     folder = tmp_path_factory.mktemp("ranks")

@@ -67,6 +67,7 @@ def test_what_a_tear_takes_is_missed(found):
     assert "agrees" not in claims(result).values()
 
 
+@pytest.mark.slow
 def test_conditions_take_success_from_policies(found):
     """The elbow loses nothing, the key's turn what a torn FPL gave it."""
     result, _ = found("conditions", num_worlds=8)

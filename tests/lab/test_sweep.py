@@ -77,6 +77,7 @@ def test_every_run_of_a_study_ends_once_whatever_dies(cluster, tmp_path):
     assert "24 runs, 24 done before" in said
 
 
+@pytest.mark.scale
 def test_two_nodes_do_a_study(tmp_path, cluster):
     """Nodes answer with their versions; runs write results; the table is that of the files."""
     path, output = study(tmp_path / "study.yaml", **EVAL, seeds=2), tmp_path / "out"

@@ -57,10 +57,15 @@ KINDS = {
 }
 
 
-@pytest.fixture(params=KINDS.values(), ids=list(KINDS))
+@pytest.fixture(params=KINDS)
 def trained(request):
+    """Return what `train` does, of each kind."""
+    return train(request.param)
+
+
+def train(kind):
     """Return an agent with weights and a normaliser far from the start, and its checkpoint's content."""
-    given = request.param | {"num_worlds": 4, "hidden": (9, 8)}
+    given = KINDS[kind] | {"num_worlds": 4, "hidden": (9, 8)}
     algorithm = given.pop("algorithm")
     torch.manual_seed(3)
     settings = choose("none", algorithm, given)
@@ -211,9 +216,10 @@ def test_what_cannot_be_exported_is_said(output, missing, sentence, run, tmp_pat
     assert [file.name for file in tmp_path.iterdir()] == ["there.onnx"]
 
 
-def test_playing_imports_no_torch(trained, tmp_path):
-    agent, manifest = trained
-    save_checkpoint(tmp_path, 12, plain(manifest), agents.policy_arrays(agent), {})
+def test_playing_imports_no_torch(tmp_path):
+    for kind in KINDS:
+        agent, manifest = train(kind)
+        save_checkpoint(tmp_path / kind, 12, plain(manifest), agents.policy_arrays(agent), {})
     code = f"""
 import sys
 sys.modules["torch"] = sys.modules["skrl"] = None
@@ -222,7 +228,8 @@ import numpy as np
 import myowarp.apps.train.evaluate
 from myowarp.apps.policies.learned import LearnedPolicy
 from myowarp.apps.policies.checkpoint import load_checkpoint
-print(LearnedPolicy(load_checkpoint(Path({str(tmp_path)!r})))(np.ones((2, 7))).shape)
+for run in Path({str(tmp_path)!r}).iterdir():
+    print(LearnedPolicy(load_checkpoint(run))(np.ones((2, 7))).shape)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stdout.strip().endswith("(2, 3)"), done.stderr
+    assert done.stdout.split("\n").count("(2, 3)") == len(KINDS), done.stderr

@@ -101,6 +101,7 @@ def test_residual_of_the_finger_is_the_distance_to_its_workspace():
     assert np.mean(residual > 10 * 1e-4) > 0.3  # many of them are out of reach
 
 
+@pytest.mark.slow
 def test_residual_of_the_hand_is_the_bounded_minimum():
     model, tips = full_model("hand")
     low, high = model.jnt_range.T
@@ -181,6 +182,7 @@ def test_answers_do_not_depend_on_the_batch():
     np.testing.assert_array_equal(together[[0, 599]], alone)
 
 
+@pytest.mark.slow
 def test_drawn_targets_are_reachable_and_fill_the_box():
     model, tips = full_model("finger")
     center, zero = np.array([0.185, 0.0, 0.2]), np.zeros(3)

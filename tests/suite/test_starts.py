@@ -203,6 +203,7 @@ def test_starts_do_not_fail_at_once(key):
     assert share_failing(key) < FAILING
 
 
+@pytest.mark.slow
 def test_without_the_trial_starts_fail_at_once(monkeypatch, tmp_path):
     """What the test above measures is due to the trial in the engine."""
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path))
