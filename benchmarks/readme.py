@@ -32,17 +32,17 @@ TEXT = """
 - Trained policies, 256 episodes each, without exploration noise: in {good} of {easy} easy tasks at least
   {least:.0f} % of the episodes succeed in every training run, of {seeds[0]} to {seeds[1]} from different
   seeds{but}. Hard tasks succeed in these percentages, means over seeds: {hard}.
-  [Baselines](docs/baselines.md) has every seed, baoding, and the legs, which
-  do not walk yet.
+  Legs walk for 10 s in {walks:.0f} % of the episodes, faster than they are told to
+  (training runs: {walkers}). [Baselines](docs/baselines.md) has every seed, and what fails.
 """
 LEARNED = 95.0  # percent of the episodes
 WIDTH = 118
 WHOLE = {"break_long_words": False, "break_on_hyphens": False}
 
 
-def success(task: str, actions: str = "deterministic") -> list[float]:
+def success(task: str, actions: str = "deterministic", rule: str = "success") -> list[float]:
     """Return success of all seeds under parity [%]."""
-    return [100.0 * run["evaluation"][actions]["success"] for run in load_baseline(task).runs]
+    return [100.0 * run["evaluation"][actions][rule] for run in load_baseline(task).runs]
 
 
 def exception(task: str) -> str:
@@ -70,6 +70,7 @@ def results() -> str:
     means = {name: sum(own) / len(own) for task, name in HARD.items() for own in [success(task)]}
     hard = ", ".join(f"{name} {mean:.0f}" for name, mean in means.items())
     seeds = [len(own) for own in easy.values()]
+    walking = success("myoLegWalk-v0", rule="success_last")
     good = {task: min(own) for task, own in easy.items() if min(own) >= LEARNED}
     hands = families["hand reach"]["contestants"]["parity 256"]["env_steps_per_s"]["median"]
     text = TEXT.format(
@@ -84,6 +85,8 @@ def results() -> str:
         but="".join(exception(task) for task in easy if task not in good),
         seeds=(min(seeds), max(seeds)),
         hard=hard,
+        walks=sum(walking) / len(walking),
+        walkers=len(walking),
     )
     bullets = (" ".join(bullet.split()) for bullet in text.split("\n- ")[1:])
     return "\n" + "".join(

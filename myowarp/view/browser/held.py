@@ -11,7 +11,7 @@ import mujoco
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TaskSpec
-from myowarp.view.drawing.framing import carried_root
+from myowarp.view.drawing.style import carried_root
 
 INERTIA = 1e7
 """kg and kg m^2 that joints of a held root have of their own: a man of 75 kg falls 0.3 mm in 2 s."""

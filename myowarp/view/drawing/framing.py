@@ -23,8 +23,6 @@ GAP = 0.15
 """Space between a body and its twin, in units of their width or height."""
 RUNS_OUT = 1.5
 """Size of all bones over that of the picture from which on they run out of it."""
-TRAVEL = 1.0
-"""m: range of a slide from which on it carries the whole body away."""
 TURN = 15.0
 """deg by which the camera goes round, so that the picture has some depth."""
 ABOVE = -12.0
@@ -77,7 +75,7 @@ class Framing:
         acting = acting_bodies(model)
         self._end = self._limb[acting[model.geom_bodyid[self._limb]]]
         self._is_long = bool(len(self._end)) and bool((moving & ~acting)[model.geom_bodyid[self._limb]].any())
-        self._root = carried_root(model)
+        self._root = look.carried_root(model)
         half = np.tan(np.radians(model.vis.global_.fovy) / 2) * np.array((aspect, 1.0))
         self._half = (1.0 - 2.0 * BORDER) * half
         data = mujoco.MjData(model)
@@ -211,21 +209,6 @@ class Framing:
         return ends[0], np.concatenate(ends), np.concatenate(clouds), away
 
 
-def carried_root(model: mujoco.MjModel) -> int:
-    """Return the body of the limb that a free joint or long slides carry away; 0 for none."""
-    limb = look.limb_trees(model)
-    for joint in range(model.njnt):
-        body, kind = int(model.jnt_bodyid[joint]), model.jnt_type[joint]
-        long = np.ptp(model.jnt_range[joint]) >= TRAVEL or not model.jnt_limited[joint]
-        slides = kind == mujoco.mjtJoint.mjJNT_SLIDE and long
-        outermost = (
-            model.body_rootid[body] == body or not look.moving_bodies(model)[model.body_parentid[body]]
-        )
-        if limb[body] and outermost and (kind == mujoco.mjtJoint.mjJNT_FREE or slides):
-            return body
-    return 0
-
-
 def motion_samples(model: mujoco.MjModel, ranges: bool = True) -> Iterator[np.ndarray]:
     """Yield the rest pose, and each joint of the limb at both ends of its range."""
     rest = look.rest_pose(model)
@@ -233,7 +216,7 @@ def motion_samples(model: mujoco.MjModel, ranges: bool = True) -> Iterator[np.nd
     limb = look.limb_trees(model)[model.jnt_bodyid]
     for joint in np.flatnonzero(np.isin(model.jnt_type, POINT_JOINTS) & limb) if ranges else ():
         span = np.ptp(model.jnt_range[joint])
-        if span > 0 and (model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE or span < TRAVEL):
+        if span > 0 and (model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE or span < look.TRAVEL):
             for end in model.jnt_range[joint]:
                 qpos = rest.copy()
                 qpos[model.jnt_qposadr[joint]] = end

@@ -171,7 +171,10 @@ class WorldRenderer:
         self.framing, self.muscles = self._drawing.framing, self._drawing.muscles
         self._model = self._drawing.model
         coarsen(self._model, COARSE * 2.0 * self.framing.radius / min(width, height))
-        self._pale = frozenset(np.flatnonzero(look.pale_geoms(model)).tolist())
+        pale = look.pale_geoms(model)
+        if look.carried_root(model):
+            pale &= ~look.ground_geoms(model)  # its slopes are seen by their shades
+        self._pale = frozenset(np.flatnonzero(pale).tolist())
         drawn = look.drawn_geoms(self._model)
         self._alpha = self._model.geom_rgba[:, 3].copy()
         self._cullable = drawn[self._model.geom_type[drawn] == mujoco.mjtGeom.mjGEOM_MESH]

@@ -26,6 +26,9 @@ SKY_RGB = np.array((0.88, 0.92, 0.97))
 FADED = 0.35
 """Opacity of bones that no muscle moves, in the page; in films light that they give off fades them."""
 
+TRAVEL = 1.0
+"""m: range of a slide from which on it carries the whole body away."""
+
 DEVICE, WORN = "exo_", 0.4
 """How names of bodies begin that are worn over muscles, and their opacity in the page."""
 
@@ -134,12 +137,38 @@ def wrapping_geoms(model: mujoco.MjModel) -> np.ndarray:
 
 
 def drawn_geoms(model: mujoco.MjModel) -> np.ndarray:
-    """Returns the ids of the geoms worth drawing: visible group, not transparent, no wrapping surface."""
+    """Returns the ids of the geoms worth drawing: visible group, opaque, no wrapping surface and no room."""
     own, alpha = model.geom_matid >= 0, model.geom_rgba[:, 3].copy()
     alpha[own] = model.mat_rgba[model.geom_matid[own], 3]
     keep = np.isin(model.geom_group, VISIBLE_GEOM_GROUPS) & (alpha > 0)
     keep[wrapping_geoms(model)] = False
-    return np.flatnonzero(keep)
+    return np.flatnonzero(keep & ~room_geoms(model))
+
+
+def carried_root(model: mujoco.MjModel) -> int:
+    """Return the body of the limb that a free joint or long slides carry away; 0 for none."""
+    limb = limb_trees(model)
+    for joint in range(model.njnt):
+        body, kind = int(model.jnt_bodyid[joint]), model.jnt_type[joint]
+        long = np.ptp(model.jnt_range[joint]) >= TRAVEL or not model.jnt_limited[joint]
+        slides = kind == mujoco.mjtJoint.mjJNT_SLIDE and long
+        outermost = model.body_rootid[body] == body or not moving_bodies(model)[model.body_parentid[body]]
+        if limb[body] and outermost and (kind == mujoco.mjtJoint.mjJNT_FREE or slides):
+            return body
+    return 0
+
+
+def room_geoms(model: mujoco.MjModel) -> np.ndarray:
+    """Returns a mask over geoms: True for a room around a body that would walk through its walls."""
+    still = model.body_weldid[model.geom_bodyid] == 0
+    idle = (model.geom_contype == 0) & (model.geom_conaffinity == 0)
+    meshes = still & idle & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
+    if not meshes.any() or not (root := carried_root(model)):
+        return np.zeros_like(meshes)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    around = np.linalg.norm(data.geom_xpos - data.xpos[root], axis=1) < model.geom_rbound
+    return meshes & (meshes & around).any()  # with what hangs on its walls
 
 
 def tip_sites(model: mujoco.MjModel, tips: Iterable[str]) -> list[int]:
@@ -150,9 +179,9 @@ def tip_sites(model: mujoco.MjModel, tips: Iterable[str]) -> list[int]:
 
 def tip_radii(model: mujoco.MjModel, tips: list[int], framed: float) -> list[float]:
     """Returns a radius [m] for each tip marker, larger than a round finger end that would hide it."""
-    radii = []
+    radii, drawn = [], drawn_geoms(model)
     for site in tips:
-        own = [g for g in drawn_geoms(model) if model.geom_bodyid[g] == model.site_bodyid[site]]
+        own = [g for g in drawn if model.geom_bodyid[g] == model.site_bodyid[site]]
         round_ends = [model.geom_size[g, 0] for g in own if model.geom_type[g] in ROUND_GEOMS]
         radii.append(float(np.clip(1.15 * max(round_ends, default=0.0), 0.022 * framed, 0.2 * framed)))
     return radii
@@ -200,6 +229,12 @@ def pale_geoms(model: mujoco.MjModel) -> np.ndarray:
     return ~limb_bodies(model)[model.geom_bodyid] | (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
 
 
+def ground_geoms(model: mujoco.MjModel) -> np.ndarray:
+    """Returns a mask over geoms: True for planes and height fields that stand still."""
+    level = np.isin(model.geom_type, (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD))
+    return level & (model.body_weldid[model.geom_bodyid] == 0)
+
+
 def bone_geoms(model: mujoco.MjModel) -> np.ndarray:
     """Returns a mask over geoms: True for light grey meshes of the limb, not for devices and objects."""
     light, spread = model.geom_rgba[:, :3].min(axis=1), np.ptp(model.geom_rgba[:, :3], axis=1)
@@ -217,7 +252,7 @@ def shown_rgba(model: mujoco.MjModel) -> np.ndarray:
     pale = pale_geoms(model)
     rgba[bone_geoms(model), :3] = BONE_RGB
     rgba[pale, :3] = PALE_RGB
-    rgba[pale & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE), 3] *= FADED
+    rgba[pale & ~ground_geoms(model), 3] *= FADED
     worn = [model.body(int(body)).name.startswith(DEVICE) for body in model.geom_bodyid]
     rgba[worn, 3] *= WORN
     return rgba

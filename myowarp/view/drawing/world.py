@@ -14,7 +14,7 @@ import numpy as np
 
 from myowarp.definitions.registry import check_choice
 from myowarp.view.drawing import style as look
-from myowarp.view.drawing.framing import Framing, carried_root
+from myowarp.view.drawing.framing import Framing
 from myowarp.view.drawing.muscles import QUANTITIES, TENDON_RGB, TENDON_TINT, Muscles
 from myowarp.view.drawing.scenery import (
     add_arrow,
@@ -164,7 +164,6 @@ class WorldDrawing:
 
 
 SUNK = 0.005  # m; a floor lies as much below a height field, which else flickers where it is level
-DAYLIGHT = 1.41  # what falls on the ground, by which its colour is divided, for it to end as pale as the sky
 
 
 def _prepared(model: mujoco.MjModel, radius: float) -> mujoco.MjModel:
@@ -185,7 +184,7 @@ def _prepared(model: mujoco.MjModel, radius: float) -> mujoco.MjModel:
     model.vis.headlight.ambient[:] = 0.38
     model.vis.headlight.diffuse[:] = 0.45
     model.vis.headlight.specular[:] = 0.10
-    if root := carried_root(model):
+    if root := look.carried_root(model):
         _lead_outdoors(model, root)
     return model
 
@@ -194,17 +193,14 @@ def _lead_outdoors(model: mujoco.MjModel, root: int) -> None:
     """Takes a body that is carried away out of its room, onto a floor without end; lamps go along with it."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    fixed = model.body_weldid[model.geom_bodyid] == 0
-    idle = (model.geom_contype == 0) & (model.geom_conaffinity == 0)
-    walls = fixed & idle & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
+    walls, ground = look.room_geoms(model), look.ground_geoms(model)
     model.geom_matid[walls], model.geom_rgba[walls, 3] = -1, 0.0
-    planes = fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
-    fields = fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD)
-    ground = planes | fields
+    planes = ground & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    slopes = ground & ~planes
     model.geom_size[planes, :2] = 0.0
-    model.geom_pos[planes, 2] -= SUNK * fields.any()
+    model.geom_pos[planes, 2] -= SUNK * slopes.any()
     model.geom_sameframe[planes] = 0  # else they stay in the frame of the world
-    model.geom_rgba[ground, :3] = look.SKY_RGB / DAYLIGHT
+    model.geom_rgba[planes, :3], model.geom_rgba[slopes, :3] = look.SKY_RGB, look.PALE_RGB
     lamps = model.light_bodyid == 0
     model.light_bodyid[lamps] = root
     model.light_mode[lamps] = mujoco.mjtCamLight.mjCAMLIGHT_TRACK
