@@ -32,7 +32,7 @@ TEXT = """
 - Trained policies, 256 episodes each, without exploration noise: in {good} of {easy} easy tasks at least
   {least:.0f} % of the episodes succeed in every training run, of {seeds[0]} to {seeds[1]} from different
   seeds{but}. Hard tasks succeed in these percentages, means over seeds: {hard}.
-  Legs walk for 10 s in {walks:.0f} % of the episodes, faster than they are told to
+  Legs walk for 10 s in {walks:.0f} % of the episodes, too fast
   (training runs: {walkers}). [Baselines](docs/baselines.md) has every seed, and what fails.
 """
 LEARNED = 95.0  # percent of the episodes
