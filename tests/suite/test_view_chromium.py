@@ -25,6 +25,7 @@ from myowarp.apps.cli.view import View
 from myowarp.definitions.setup import Setup
 from myowarp.view.browser.live import Live
 from myowarp.view.browser.server import close_server, open_server
+from myowarp.view.browser.traces import TRACES_HEIGHT
 from myowarp.view.drawing.style import SKY_RGB
 
 pytestmark = [pytest.mark.view, pytest.mark.skipif(NAME is None, reason="needs chromium")]
@@ -41,12 +42,12 @@ SHOWN = (
     ),
     *("myoHandPenTwirlRandom-v1", "myoChallengeBaodingP1-v2", "arm26.osim", "gait10dof18musc.osim"),
 )
-SIZE = (900, 560)
+SIZE = (1000, 700)
 MINUTES = float(os.environ.get("MYOWARP_VIEW_MINUTES", "1"))
 FRAMES, BYTES, GROWTH, CHANGE = 29.5, 2e6, 20.0, 0.1  # 1/s, 1/s, MB, of a signal
 WAITING = 0.1  # of the time
 TYPING = 0.1  # s; viser's page sends what was typed 20 times a second
-NOTICE = 160  # px; above, Chromium says that it draws in software
+PANEL = 350  # px, with a border
 EFFORT = """
 import itertools
 import numpy as np
@@ -131,12 +132,12 @@ def step_of(window):
 
 
 def pixels(window, path):
-    """Return the picture without the panel, (height, width, 3)."""
+    """Return the picture without the panel and the traces, (height, width, 3)."""
     path.write_bytes(window.screenshot())
     reader = imageio_ffmpeg.read_frames(str(path), pix_fmt="rgb24")
     width, height = next(reader)["size"]
     picture = np.frombuffer(next(reader), np.uint8).reshape(height, width, 3)
-    return picture.astype(int)[NOTICE:, : 2 * width // 3]
+    return picture.astype(int)[: height - TRACES_HEIGHT, : width - PANEL]
 
 
 def settled(window, path):

@@ -11,6 +11,7 @@ from myowarp.definitions.registry import check_choice
 from myowarp.view.browser.chart import TARGET_INK, Chart, Curve, as_png, as_svg
 from myowarp.view.browser.controls import Wishes
 from myowarp.view.browser.history import History
+from myowarp.view.browser.page_style import TRACES as CLASS
 from myowarp.view.browser.readings import Kind
 
 INKS = ("#1d4ed8", "#b91c1c", "#047857", "#b45309")
@@ -71,11 +72,9 @@ class Traces:
     def refresh(self) -> None:
         """Draw what is new."""
         charts = self.charts()
-        self._picture.content = (
-            f"<div style='padding:0 0.5em'>{as_svg(charts, WIDTH, HEIGHT)}</div>"
-            if charts
-            else "<div style='padding:1em'>Choose on the tab <i>Traces</i>, or click a muscle.</div>"
-        )
+        advice = "Choose on the tab <i>Traces</i>, or click a muscle."
+        shown, padding = (as_svg(charts, WIDTH, HEIGHT), "0 0.5em") if charts else (advice, "1em")
+        self._picture.content = f"<div class='{CLASS}' style='padding:{padding}'>{shown}</div>"
 
     def add(self, kind: str, item: str) -> None:
         """Draw one more; the oldest of its quantity, or the oldest quantity, makes room.
