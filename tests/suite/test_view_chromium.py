@@ -149,7 +149,7 @@ def settled(window, path):
     return now
 
 
-def shown(picture):
+def filled(picture):
     """Return a mask of pixels that are not the sky's."""
     return np.abs(picture - (255 * SKY_RGB).round()).max(axis=-1) > 12
 
@@ -162,7 +162,7 @@ def body_and_muscles(window, client, path):
     client.set("color", "fiber_length")
     window.wait_for("fiber length / optimal")
     recolored = settled(window, path.with_suffix(".fiber_length.png"))
-    return shown(picture), np.abs(picture - recolored).max(axis=-1) > 20
+    return filled(picture), np.abs(picture - recolored).max(axis=-1) > 20
 
 
 def test_pause_stops_the_counter_and_the_picture(window, tmp_path):
@@ -293,7 +293,7 @@ def test_body_and_muscles_are_seen(shown, tmp_path):
         assert muscles.sum() > 200
         assert (body & ~muscles).sum() > 1000
         if shown.startswith("gait"):
-            assert body.sum() > 0.5 * shown(first).sum()
+            assert body.sum() > 0.5 * filled(first).sum()
 
 
 def test_a_hand_comes_with_30_frames_a_second():
