@@ -281,7 +281,7 @@ def test_the_site_is_built_without_a_warning(builder, tmp_path):
     build += ["-b", builder, "-d", str(tmp_path / "doctrees")]
     done = subprocess.run([*build, "docs", str(tmp_path / "site")], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    for key in IDS if builder == "dummy" else ():
+    for key in IDS:
         assert (WRITTEN / f"{key}.md").read_text().startswith(f"# {key}\n")
     if builder == "dummy":
         return

@@ -147,12 +147,12 @@ def drawn_geoms(model: mujoco.MjModel) -> np.ndarray:
 
 def carried_root(model: mujoco.MjModel) -> int:
     """Return the body of the limb that a free joint or long slides carry away; 0 for none."""
-    limb = limb_trees(model)
+    limb, moving = limb_trees(model), moving_bodies(model)
     for joint in range(model.njnt):
         body, kind = int(model.jnt_bodyid[joint]), model.jnt_type[joint]
         long = np.ptp(model.jnt_range[joint]) >= TRAVEL or not model.jnt_limited[joint]
         slides = kind == mujoco.mjtJoint.mjJNT_SLIDE and long
-        outermost = model.body_rootid[body] == body or not moving_bodies(model)[model.body_parentid[body]]
+        outermost = model.body_rootid[body] == body or not moving[model.body_parentid[body]]
         if limb[body] and outermost and (kind == mujoco.mjtJoint.mjJNT_FREE or slides):
             return body
     return 0
