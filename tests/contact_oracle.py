@@ -20,6 +20,8 @@ from myowarp.tasks.relocate_scene import put_bin
 from myowarp.tasks.variants import find_variant
 
 DATA = Path(os.environ.get("MYOWARP_ORACLE", Path(__file__).parent / "data/myosuite"))
+FRESH = "MYOWARP_ORACLE" in os.environ
+"""Whether the recordings are those of `make parity`, in which no draw is certain."""
 ALIASES = {
     "myoHandBaodingFixed-v0": "myoChallengeBaodingP1-v1",
     "myoHandBaodingRandom-v0": "myoChallengeBaodingP2-v1",
