@@ -1,8 +1,8 @@
 """Change what the engine's own stages launch, without changing the engine.
 
 They launch by `wp.launch` and `wp.launch_tiled`; for a block these pass every kernel through a function of
-ours first. One function of the engine is exchanged for good (`gjk_direction`). What depends on private names
-of the engine does without them where they are gone, and says so once.
+ours first. How the engine finds shallow contacts is changed for good (`shallow_contacts`). What depends on
+private names of the engine does without them where they are gone, and says so once.
 """
 
 import contextlib
@@ -14,10 +14,10 @@ from typing import Any
 import warp as wp
 
 from myowarp.engine.build_lock import BUILD_LOCK, replaced
-from myowarp.engine.gjk_direction import search_along_normals
+from myowarp.engine.shallow_contacts import find_shallow_contacts
 from myowarp.engine.warn_once import warn_once
 
-search_along_normals()
+find_shallow_contacts()
 
 
 def is_empty(*args: Any, **kwargs: Any) -> bool:
