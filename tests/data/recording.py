@@ -17,6 +17,11 @@ STATE = ("qpos", "qvel", "act")
 FORCES = ("actuator_force", "actuator_length", "actuator_velocity", "qfrc_actuator")
 FORCES += ("qfrc_passive", "qacc")
 
+DIVERGED = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
 FIRST_STEPS = 3  # recorded whatever the stride
 NUM_CLIPS, CLIP_SCALE = 4, 3.0  # steps with actions in [-3, 3], beyond the action space
 
@@ -63,6 +68,9 @@ def run_episode(wrapped, index, kind, seed, state_row, terms, stride):
         action = draw_action(kind, rng, env.model.nu, action)
         before = copies(env.data, STATE, "_before")
         result = wrapped.step(action)
+        if any(env.data.warning[int(kind)].number for kind in DIVERGED):  # and MuJoCo has reset
+            step, terminated, truncated = step - 1, False, False
+            break
         terminated, truncated = result[2:4]
         ended = terminated or truncated
         ctrl = env.data.ctrl.copy()
