@@ -48,7 +48,7 @@ def find_axes(inertia: wp.array[wp.mat33], axes: wp.array[wp.mat33]):
 
 
 def test_principal_axes():
-    """Right-handed and orthonormal, and nothing is left beside the diagonal; of any, and of equal, moments."""
+    """Right-handed and orthonormal, and nothing is left beside the diagonal; also of equal moments."""
     rng = np.random.default_rng(0)
     moments = rng.uniform(2e-5, 1.3e-4, (NUM_TENSORS, 3))
     moments[::4, 1] = moments[::4, 0] * (1.0 + 1e-4 * rng.random(NUM_TENSORS // 4))
