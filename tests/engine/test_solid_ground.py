@@ -12,8 +12,8 @@ from myowarp.tasks.euler_angles import quat_of
 from myowarp.tasks.walk import STEPPING_POSE, STEPPING_VELOCITY, WalkTask
 
 NUM_WORLDS = 32
-TOLERANCE = 1e-4  # of the force of the ground
-SMALL = 0.1  # N; the engine's own tolerance is 100 times MuJoCo C's: a solve can end an iteration earlier
+TOLERANCE = 1e-4  # of the force of the ground; measured 3.1e-5
+TYPICAL = 100.0  # N, less than the median
 DEPTHS = (0.001, 0.05)  # m, below where the first contact begins
 RISE, TREAD, HALF_WIDTH = 0.1, 0.25, 1.0  # m, of the stairs
 TILT = 0.15  # rad
@@ -85,11 +85,7 @@ def height_of_touch(model, pose):
 
 @pytest.mark.parametrize("ground", GROUNDS)
 def test_force_of_the_ground(ground, record_property):
-    """Force and moment of the ground on the root are those in MuJoCo C, as is the number of contacts.
-
-    To the tolerance in every state where the solver goes on until nothing changes in float32; to a small
-    force where it ends as in a simulation.
-    """
+    """Force and moment of the ground on the root are those in MuJoCo C, as is the number of contacts."""
     start = {"start_pose": STEPPING_POSE, "start_velocity": STEPPING_VELOCITY}
     spec = OnGround(ground=ground, speed=(1.2, 1.2), **start)
     sim = Simulation(spec, NUM_WORLDS, device="cpu", graph=False, progress=False)
@@ -103,27 +99,14 @@ def test_force_of_the_ground(ground, record_property):
         number.append(data.ncon)
     force = np.linalg.norm(np.array(theirs)[:, :3], axis=1)
     assert np.mean(number) > 2.0
-    assert np.median(force) > 1000 * SMALL
+    assert np.median(force) > TYPICAL
 
-    def error():
-        scene_data.qpos.assign(qpos)
-        scene_data.qvel.assign(qvel)
-        scene_data.qacc_warmstart.zero_()
-        forward(sim.scene, sim.shards[0].stages)
-        return np.linalg.norm(scene_data.qfrc_constraint.numpy()[:, :6] - theirs, axis=1)
-
-    simulated = error()
+    scene_data.qpos.assign(qpos)
+    scene_data.qvel.assign(qvel)
+    scene_data.qacc_warmstart.zero_()
+    forward(sim.scene, sim.shards[0].stages)
     worlds = scene_data.contact.worldid.numpy()[: scene_data.nacon.numpy()[0]]
     np.testing.assert_array_equal(np.bincount(worlds, minlength=NUM_WORLDS), number)
-    sim.scene.model.opt.tolerance.zero_()
-    converged = error()
-    record_property("relative force, median and worst", quantiles(converged / force))
-    record_property("relative force as simulated, median and worst", quantiles(simulated / force))
-    assert (converged < TOLERANCE * force).all()
-    assert (simulated < np.maximum(TOLERANCE * force, SMALL)).all()
-    assert np.median(simulated / force) < TOLERANCE / 10
-
-
-def quantiles(values):
-    """Return median and worst."""
-    return np.quantile(values, [0.5, 1.0]).tolist()
+    error = np.linalg.norm(scene_data.qfrc_constraint.numpy()[:, :6] - theirs, axis=1) / force
+    record_property("relative force, median and worst", np.quantile(error, [0.5, 1.0]).tolist())
+    assert error.max() < TOLERANCE

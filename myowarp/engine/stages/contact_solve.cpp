@@ -222,6 +222,9 @@ auto improvement = [&](double step) __attribute__((noinline)) {
         falls += row_cost(b, 0.0) - row_cost(b, step);
     return sum(falls) - step * (smooth_slope + 0.5 * step * smooth_curvature);
 };
+const float tolerance = options.tolerance[world % options.tolerance.shape[0]];
+auto below_tolerance = [&](float value) { return !(scale * value >= tolerance); };  // NaN: nothing to gain
+
 // Root of the slope, which rises and is piecewise linear: Newton's method, halving where it leaves the
 // bracket. NaN passes through, so that a broken world is seen to be broken.
 auto find_step = [&]() __attribute__((noinline)) {
@@ -229,7 +232,7 @@ auto find_step = [&]() __attribute__((noinline)) {
     probe(0.0, slope, curvature);
     if (slope >= 0.0)
         return 0.0;
-    const double enough = 1e-9 * -slope;
+    const double enough = wp::max(1e-9 * -slope, 1e-6 * tolerance / scale);  // above the rounding of the slope
     double step = -slope / curvature;
     for (int i = 0; i < options.ls_iterations; ++i) {
         probe(step, slope, curvature);
@@ -242,9 +245,6 @@ auto find_step = [&]() __attribute__((noinline)) {
     result.overflow[world] |= LINE_SEARCH_OVERFLOW;
     return step;
 };
-
-const float tolerance = options.tolerance[world % options.tolerance.shape[0]];
-auto below_tolerance = [&](float value) { return !(scale * value >= tolerance); };  // NaN: nothing to gain
 
 copy(H, mass);
 update_states();
@@ -275,22 +275,12 @@ while (true) {
         residual[b] += (float)step * change[b];
     ++iterations;
 
-    bool done = step == 0.0 || (gain > 0.0f && below_tolerance(gain));
+    // A step that is to gain less than the tolerance is the last; without it, light touches are off by 1e-3.
+    bool done = step == 0.0 || (gain > 0.0f && below_tolerance(gain)) || below_tolerance(0.5f * decrement);
     const bool flipped = update_states();
-    if (flipped) {
-        norm = update_gradient();
-        done = done || below_tolerance(norm);
-        if (!done) {
-            factorize();
-            decrement = solve();
-        }
-    } else {  // the cost was quadratic all along the step, so the gradient only shrank
-        const float remaining = step < 1.0 ? 1.0 - step : step - 1.0;
-        norm *= remaining;
-        decrement *= remaining * remaining;
-        done = done || below_tolerance(norm);
-    }
-    done = done || below_tolerance(0.5f * decrement);
+    // Where nothing flipped, the cost was quadratic all along the step, so the gradient only shrank.
+    norm = flipped ? update_gradient() : norm * (step < 1.0 ? 1.0 - step : step - 1.0);
+    done = done || below_tolerance(norm);
     if (done || iterations == options.iterations) {
         if (!done)
             result.overflow[world] |= ITERATIONS_OVERFLOW;
@@ -298,10 +288,11 @@ while (true) {
             update_gradient();
         break;
     }
-    if (!flipped) {
+    if (flipped)
+        factorize();
+    else
         norm = update_gradient();
-        decrement = solve();
-    }
+    decrement = solve();
 }
 
 for (int i = 0; i < n; ++i) {
