@@ -19,7 +19,7 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-MOST_BYTES = 10e6
+MOST_BYTES = 11e6  # measured 10.1e6, of which policies 7e6
 NEEDED = (
     "myowarp/py.typed",
     "myowarp/kernels/action.cpp",
