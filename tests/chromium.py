@@ -75,6 +75,11 @@ class Chromium:
             assert time.monotonic() < until, f"{text!r} did not come; the page says {self.text()[:500]!r}"
             time.sleep(0.2)
 
+    def has(self, label):
+        """Whether there is a button that has this text."""
+        texts = self.run("[...document.querySelectorAll('button')].map(e => e.innerText.trim())")
+        return label in texts
+
     def press(self, label):
         """Click the button or tab that has this text."""
         self.click("button, [role=tab]", f"e.innerText.trim() === {json.dumps(label)}")
