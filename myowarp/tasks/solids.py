@@ -181,8 +181,7 @@ def write_weight(
     free joint the means of these three.
     """
     axes = principal_axes(inertia)
-    turned = wp.transpose(axes) @ inertia @ axes
-    moments = wp.get_diag(turned)
+    moments = wp.get_diag(wp.transpose(axes) @ inertia @ axes)
     bounded = wp.vec3(
         wp.max(moments[0], least_inertia),
         wp.max(moments[1], least_inertia),

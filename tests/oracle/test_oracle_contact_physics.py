@@ -6,7 +6,7 @@ In two links: our model in MuJoCo C against MyoSuite, nearly to rounding, and th
 import mujoco
 import numpy as np
 import pytest
-from contact_oracle import KEYS, NUM_WORLDS, oracle_data, padded, recorded, simulation, write_episodes
+from contact_oracle import FRESH, KEYS, NUM_WORLDS, oracle_data, padded, recorded, simulation, write_episodes
 from stepping import forward, step
 
 from myowarp.definitions.task import TASKS
@@ -26,7 +26,7 @@ ROLLOUT_TOLERANCES |= {"relocate": 1e-4, "reorient": 1e-4}
 STEP_TOLERANCES = {"relocate": 1e-3, "key": 1e-3}  # in place of CONTACT_TOLERANCE for one control step
 NUDGE = 1e-9  # rad, m
 SURE = 0.9  # of the states; in others MuJoCo C makes more than 1e-5 of it: the object was thrown, 100 rad/s
-DEEP = 1  # state of 200 in which a capsule along a face of a box has one contact more or less
+DEEP = {"relocate": 1}  # states of 200 in which a capsule along a face of a box has one contact more or less
 ROUNDED = 2  # states in which float32 may count otherwise; measured 0 of 1,600
 MOST = {"die": 0.8}  # of the states have no pair of geoms within rounding of its margin; others: 0.85
 
@@ -54,7 +54,7 @@ def test_contacts_are_those_of_upstream(key):
     sure = record["contact_ncon_low"] == record["contact_ncon_high"]
     assert sure.mean() > MOST.get(meta["task"], 0.85)
     otherwise = (engine[sure] != expected[sure]).any(axis=1).sum()
-    assert otherwise <= DEEP
+    assert otherwise <= DEEP.get(meta["task"], int(FRESH))
     assert (engine != expected).any(axis=1).sum() <= ROUNDED
 
 
