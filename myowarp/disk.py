@@ -6,6 +6,7 @@ cannot be written, a temporary one takes its place.
 """
 
 import contextlib
+import errno
 import hashlib
 import io
 import logging
@@ -22,7 +23,7 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -31,6 +32,9 @@ import platformdirs
 T = TypeVar("T")
 
 logger = logging.getLogger("myowarp")
+SCRATCH = ".myowarp-"
+"""How the names of files begin that are being written; readers of datasets skip names with a leading dot."""
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 OURS = frozenset({"myowarp", "abc", "builtins"})
 """Packages that define what is ours, base classes of Python's included."""
 
@@ -39,20 +43,84 @@ OURS = frozenset({"myowarp", "abc", "builtins"})
 def in_place(path: Path) -> Iterator[Path]:
     """Give the path of a scratch file beside `path`, and move it to `path` if the block succeeds.
 
-    Otherwise the scratch file is deleted, and what was at `path` stays.
+    Otherwise the scratch file is deleted, and what was at `path` stays. A link at `path` is replaced; what it
+    points to is left alone.
+
+    Raises:
+        OSError: Nothing can be written there, in one sentence that names the path.
     """
-    handle, name = tempfile.mkstemp(suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    scratch = Path(name)
+    if path.exists() and not path.is_file():
+        raise OSError(f"output {str(path)!r} is no file and is left alone; choose another name")
+    with naming(path):
+        handle, name = tempfile.mkstemp(suffix=path.suffix, prefix=SCRATCH, dir=path.parent)
+        scratch = Path(name)
+        try:
+            with os.fdopen(handle) as held:
+                with contextlib.suppress(OSError):
+                    _flock(held)
+                yield scratch
+            mask = os.umask(0)
+            os.umask(mask)
+            scratch.chmod(0o666 & ~mask)
+            scratch.replace(path)
+        except BaseException:
+            scratch.unlink(missing_ok=True)
+            raise
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Say of which output an error of the disk is, and what to do.
+
+    Raises:
+        OSError: The error in one sentence.
+    """
     try:
-        yield scratch
-        mask = os.umask(0)
-        os.umask(mask)
-        scratch.chmod(0o666 & ~mask)
-        scratch.replace(path)
-    except BaseException:
-        scratch.unlink(missing_ok=True)
-        raise
+        yield
+    except OSError as error:
+        ours = Path(str(error.filename or "")).name.startswith(SCRATCH)
+        if not (ours or error.errno in NO_ROOM):
+            raise
+        remedy = "make room there" if error.errno in NO_ROOM else "its folder must exist and be writable"
+        why = error.strerror or type(error).__name__
+        raise OSError(
+            f"output {str(path)!r} cannot be written ({why}); {remedy}, or choose another folder"
+        ) from error
+
+
+def sentence(error: BaseException) -> str:
+    """Return an error as a sentence; those of the system name the file, and no number."""
+    if isinstance(error, OSError) and error.strerror:
+        if error.errno in NO_ROOM:
+            return f"a file cannot be written ({error.strerror}); make room on the disk"
+        if error.filename is not None:
+            return f"{str(error.filename)!r} cannot be used: {error.strerror}"
+    return str(error)
+
+
+def sweep(folder: Path) -> None:
+    """Delete the scratch files that processes which died have left in a folder."""
+    for scratch in folder.glob(f"{SCRATCH}*"):
+        with contextlib.suppress(OSError), scratch.open("rb") as file:
+            if _flock(file):
+                scratch.unlink()
+
+
+def _flock(file: IO[Any], *, wait: bool = False) -> bool:
+    """Lock an open file until it is closed or the process dies; return False if another process holds it.
+
+    Raises:
+        OSError: This system or disk has no locks.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        raise OSError(errno.ENOLCK, "no locks on this system") from None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except BlockingIOError:
+        return False
+    return True
 
 
 @contextlib.contextmanager
@@ -64,26 +132,24 @@ def locked(path: Path, *, wait: bool) -> Iterator[None]:
         wait: Whether to wait for another process that holds it.
 
     Raises:
-        ValueError: Another process holds it.
+        ValueError: Another process holds it, or it is a link.
         OSError: The file cannot be written.
     """
-    try:
-        import fcntl
-    except ImportError:  # Windows has other locks
-        yield
-        return
+    if path.is_symlink():
+        raise ValueError(f"lock {str(path)!r} is a link, and a lock is a file of its own; delete the link")
     with path.open("a+") as file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except BlockingIOError:
+            free = _flock(file, wait=wait)
+        except OSError as error:  # Windows and some network file systems have none of these locks
+            free = True
+            logger.warning(
+                "folder %s cannot be locked (%s); start nothing else in it", path.parent, error.strerror
+            )
+        if not free:
             file.seek(0)
             raise ValueError(
                 f"folder {str(path.parent)!r} is in use by {file.read() or 'another process'}; wait for it, "
                 "or choose another --output"
-            ) from None
-        except OSError as error:  # some network file systems have no locks
-            logger.warning(
-                "folder %s cannot be locked (%s); start nothing else in it", path.parent, error.strerror
             )
         file.truncate(0)
         file.write(f"process {os.getpid()} on {socket.gethostname()}")
@@ -118,7 +184,7 @@ def check_folder(folder: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, and those in which it lies, where they do not exist.
+    """Make a folder, and those in which it lies, where they do not exist; sweep it.
 
     Raises:
         ValueError: It cannot be made.
@@ -130,6 +196,7 @@ def make_folder(folder: Path) -> None:
             f"output {str(folder)!r} cannot be made ({error.strerror}); it must be a folder, or a new one, "
             "and writable"
         ) from error
+    sweep(folder)
 
 
 def check_output(path: Path | None, *suffixes: str) -> None:
@@ -165,7 +232,7 @@ def check_overwrite(paths: Iterable[Path | None], overwrite: bool) -> None:
         if path.resolve() in seen:
             raise ValueError(f"output {str(path)!r} is asked for twice; give each output a file of its own")
         seen.add(path.resolve())
-        if path.exists() and not overwrite:
+        if os.path.lexists(path) and not overwrite:
             raise ValueError(
                 f"output {str(path)!r} exists; choose another name, or replace it with --overwrite"
             )

@@ -455,3 +455,84 @@ def test_planted_private_names_are_found(planted):
 def test_own_private_names_are_not_those_of_others():
     text = "import warp as wp\nwp.config.quiet = True\ndef f(seen, self): return seen._replace(self._mine)"
     assert uses_of_others(text, {"_mine"}) == []
+
+
+WRITES = {
+    *("write_text", "write_bytes", "tofile", "savetxt", "savez", "savez_compressed", "savefig"),
+    *("to_csv", "to_parquet", "to_json", "copyfile", "copy2", "copytree", "mkstemp", "mkdtemp"),
+    *("NamedTemporaryFile", "write_frames", "ParquetWriter", "CSVWriter", "RecordWriter"),
+}
+"""Calls that write a file, by the end of their name."""
+ALLOWED_WRITERS = {
+    "apps/train/progress.py:_Events.__init__": "grows while a training runs; readers skip a cut end",
+    "apps/train/progress.py:Progress.__init__": "likewise; the rows before are written whole",
+    "apps/policies/checkpoint.py:_write": "into a folder that is moved when it is whole, and summed",
+    "apps/reports/panel.py:picture": "into memory",
+    "apps/rollouts/recording_formats.py:open_parquet": "the scratch files of `_open_tables`",
+    "view/drawing/video.py:_encode": "the scratch file of `_write`",
+    "engine/kernel_cache.py:_remove": "an empty folder, for what is deleted",
+}
+"""Functions that write without `in_place`, and why."""
+
+
+def opens_for_writing(call):
+    """Whether a call writes a file: by its name, or by the mode that it is given."""
+    name = getattr(call.func, "attr", getattr(call.func, "id", ""))
+    if name == "save":
+        return ast.unparse(call.func).endswith(("np.save", "jit.save"))
+    modes = constants(call) if name in ("open", "ZipFile") else []
+    return name in WRITES or any(re.fullmatch(r"[rbt]*[wax+][bt+]*", mode) for mode in modes)
+
+
+def constants(call):
+    """Return the texts among the arguments of a call."""
+    every = [*call.args, *(keyword.value for keyword in call.keywords)]
+    return [one.value for one in every if isinstance(one, ast.Constant) and isinstance(one.value, str)]
+
+
+def writers(module):
+    """Yield the functions that write a file without `in_place`, by qualified name."""
+
+    def visit(node, names):
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.FunctionDef | ast.ClassDef):
+                if isinstance(child, ast.ClassDef) or not holds(child):
+                    yield from visit(child, [*names, child.name])
+                continue
+            if isinstance(child, ast.Call) and opens_for_writing(child):
+                yield ".".join(names)
+            yield from visit(child, names)
+
+    def holds(function):
+        calls = (node.func for node in ast.walk(function) if isinstance(node, ast.Call))
+        return any(isinstance(called, ast.Name) and called.id == "in_place" for called in calls)
+
+    yield from visit(module, [])
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name != "disk.py"])
+def test_files_are_written_whole(name):
+    """What opens a file for writing stands in a function with `in_place`, or in `ALLOWED_WRITERS`."""
+    assert {f"{name}:{function}" for function in writers(tree(name))} <= ALLOWED_WRITERS.keys()
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [
+        "def f(path): path.write_text('a')",
+        "def f(path):\n    with path.open('w') as file: file.write('a')",
+        "def f(path): open(path, mode='ab')",
+        "def f(path): open(path, 'r+b')",
+        "def f(table, path): table.to_parquet(path, index=False)",
+        "import shutil\ndef f(a, b): shutil.copyfile(a, b)",
+        "import numpy as np\nnp.savez('a.npz', a=1)",
+        "import zipfile\nclass A:\n    def f(self, path): zipfile.ZipFile(path, 'w')",
+    ],
+)
+def test_planted_writers_are_found(planted):
+    assert list(writers(ast.parse(planted)))
+
+
+def test_a_writer_with_in_place_is_none():
+    assert not list(writers(ast.parse("def f(p):\n    with in_place(p) as s: s.write_text('a')")))
+    assert not list(writers(ast.parse("def f(p):\n    with p.open() as s: return s.read()")))

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from myowarp.disk import in_place
 from myowarp.motion.storage import Storage, in_order
 from myowarp.motion.streams import Stream
 
@@ -214,4 +215,5 @@ def write_trc(path: Path, markers: Markers) -> None:
     for number, (time, row) in enumerate(zip(markers.time, markers.positions, strict=True), 1):
         cells = ["" if np.isnan(x) else f"{1e3 * x:.6f}" for x in row.ravel()]
         lines.append("\t".join([str(number), f"{time:.9g}", *cells]))
-    path.write_text("\n".join(lines) + "\n")
+    with in_place(path) as scratch:
+        scratch.write_text("\n".join(lines) + "\n", encoding="utf-8")

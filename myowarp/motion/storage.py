@@ -8,11 +8,16 @@ from __future__ import annotations
 
 import csv
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
+from typing import IO, Self
 
 import numpy as np
+
+from myowarp.disk import in_place, naming
 
 logger = logging.getLogger("myowarp")
 
@@ -36,28 +41,88 @@ class Storage:
     in_degrees: bool = False
 
 
-def write_storage(path: Path, name: str, storage: Storage, first: int = 0, total: int | None = None) -> None:
-    """Write a `.sto` or `.mot` file, or a part of it behind the parts before.
+class Tables:
+    """Tables in one folder, each whole or in parts; they take their places together, when all are whole.
+
+    A context manager: after an error, or where a process dies, the folder has what it had before.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Begin with none; the folder exists."""
+        self.folder = folder
+        self._places, self._files = ExitStack(), ExitStack()
+        self._open: dict[str, IO[str]] = {}
+        self._left: dict[str, int] = {}
+
+    def write(self, file: str, title: str, table: Storage, total: int | None = None) -> None:
+        """Write a `.sto` or `.mot` file, or the next part of one.
+
+        Args:
+            file: Its name.
+            title: What it calls itself.
+            table: Its rows, or the next ones.
+            total: Rows of the file; None: these are all.
+
+        Raises:
+            OSError: The file cannot be written.
+        """
+        path, rows = self.folder / file, len(table.time)
+        if file not in self._open:
+            scratch = self._places.enter_context(in_place(path))
+            self._open[file] = self._files.enter_context(scratch.open("w", encoding="utf-8"))
+            self._left[file] = rows if total is None else total
+            degrees = "yes" if table.in_degrees else "no"
+            head = (
+                f"version=1\nnRows={self._left[file]}\nnColumns={len(table.labels) + 1}\ninDegrees={degrees}"
+            )
+            labels = "\t".join(("time", *table.labels))
+            self._open[file].write(f"{title}\n{head}\nendheader\n{labels}\n")
+        self._left[file] -= rows
+        with naming(path):
+            numbers = np.column_stack([table.time, table.values])
+            np.savetxt(self._open[file], numbers, fmt="%.9g", delimiter="\t")
+            self._open[file].flush()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._places:
+            self._files.close()
+            if error is not None:
+                raise error
+            for file, left in self._left.items():
+                if left:
+                    raise RuntimeError(
+                        f"{str(self.folder / file)!r} must have {left} rows more; write all parts"
+                    )
+
+
+@contextmanager
+def tables_in(output: Path | Tables) -> Iterator[Tables]:
+    """Give the tables of a folder, or those that are open already, which stay open."""
+    if isinstance(output, Tables):
+        yield output
+        return
+    with Tables(output) as tables:
+        yield tables
+
+
+def write_storage(path: Path, title: str, table: Storage) -> None:
+    """Write a `.sto` or `.mot` file.
 
     Args:
         path: File to write.
-        name: What the file calls itself.
-        storage: The table.
-        first: Number of its first row in the file.
-        total: Rows of the file, where that is not all of them.
+        title: What it calls itself.
+        table: Its rows.
 
     Raises:
         OSError: The file cannot be written.
     """
-    rows, columns = storage.values.shape
-    degrees, rows = "yes" if storage.in_degrees else "no", total or rows
-    with path.open("a" if first else "w") as file:
-        if not first:
-            file.write(
-                f"{name}\nversion=1\nnRows={rows}\nnColumns={columns + 1}\ninDegrees={degrees}\nendheader\n"
-            )
-            file.write("\t".join(("time", *storage.labels)) + "\n")
-        np.savetxt(file, np.column_stack([storage.time, storage.values]), fmt="%.9g", delimiter="\t")
+    with Tables(path.parent) as tables:
+        tables.write(path.name, title, table)
 
 
 def read_storage(path: Path, gaps: bool = False) -> Storage:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from myowarp.disk import in_place
 from myowarp.motion.inverse_dynamics import Load, Needed, inverse_dynamics
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.joint_reactions import JointReactions, joint_reactions
@@ -24,7 +25,7 @@ from myowarp.motion.muscle_paths import MusclePaths, muscle_paths
 from myowarp.motion.scaling import Scaled, read_setup, scale, write_factors
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import derivatives
-from myowarp.motion.storage import Storage, read_storage, write_storage
+from myowarp.motion.storage import Storage, Tables, read_storage, tables_in, write_storage
 from myowarp.motion.streams import Margin, Stream, is_long
 from myowarp.motion.tasks import tasks_of
 from myowarp.motion.tool_setup import read_tool_setup
@@ -33,6 +34,9 @@ from myowarp.opensim.model.kinematics import complete, forward, station
 from myowarp.opensim.model.model import Model
 from myowarp.opensim.muscle.hill import HillMuscle, known
 from myowarp.opensim.read.document import parse, write
+
+ANGLES = "Coordinates"
+"""What a file of joint angles calls itself."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,25 +227,25 @@ def kinematics_in_parts(
 ) -> Iterator[Fitted]:
     """Do what `kinematics` does, and yield the joint angles part by part; each begins at the one before."""
     tasks = None if setup is None else tasks_of(parse(setup)[0])
-    gaps, start, first = Gaps(), None, 0
-    for seen, recorded, total in _marker_parts(markers, span, fill):
-        gaps.add(seen, recorded)
-        if tasks is None or setup is None:
-            fitted = inverse_kinematics(bones, recorded, start=start)
-        else:
-            weights = {name: weight for name, weight in tasks.markers.items() if name in recorded.names}
-            values: dict[str, float | np.ndarray] = {**tasks.values}
-            if tasks.recorded:
-                values |= _recorded(bones, setup, tasks.recorded, recorded.time)
-            fitted = inverse_kinematics(bones, recorded, weights, tasks.coordinates, values, start)
-        start = dict(zip(fitted.coordinates, fitted.values[-1], strict=True))
-        place = bones.model, fitted.coordinates, fitted.time, fitted.values, first, total
-        write_angles(output / "ik.mot", *place)
-        error = Storage(fitted.markers, fitted.time, fitted.error)
-        write_storage(output / "marker_errors.sto", "distances of markers, m", error, first, total)
-        first += len(fitted.time)
-        yield fitted
-    gaps.write(output / "gaps.csv")
+    gaps, start = Gaps(), None
+    with Tables(output) as tables:
+        for seen, recorded, total in _marker_parts(markers, span, fill):
+            gaps.add(seen, recorded)
+            if tasks is None or setup is None:
+                fitted = inverse_kinematics(bones, recorded, start=start)
+            else:
+                weights = {name: weight for name, weight in tasks.markers.items() if name in recorded.names}
+                values: dict[str, float | np.ndarray] = {**tasks.values}
+                if tasks.recorded:
+                    values |= _recorded(bones, setup, tasks.recorded, recorded.time)
+                fitted = inverse_kinematics(bones, recorded, weights, tasks.coordinates, values, start)
+            start = dict(zip(fitted.coordinates, fitted.values[-1], strict=True))
+            angles = angles_table(bones.model, fitted.coordinates, fitted.time, fitted.values)
+            tables.write("ik.mot", ANGLES, angles, total)
+            error = Storage(fitted.markers, fitted.time, fitted.error)
+            tables.write("marker_errors.sto", "distances of markers, m", error, total)
+            yield fitted
+        gaps.write(output / "gaps.csv")
 
 
 def _marker_parts(
@@ -303,7 +307,9 @@ class Gaps:
         """
         rows = sorted(self._rows, key=lambda row: row[1] - row[2])
         lines = [f"{name},{a:.9g},{b:.9g},{'yes' if there else 'no'}" for name, a, b, there in rows]
-        path.write_text("\n".join(["marker,first [s],last [s],filled", *lines, ""]), encoding="utf-8")
+        text = "\n".join(["marker,first [s],last [s],filled", *lines, ""])
+        with in_place(path) as scratch:
+            scratch.write_text(text, encoding="utf-8")
 
 
 def _recorded(bones: Bones, setup: Path, names: Sequence[str], time: np.ndarray) -> dict[str, np.ndarray]:
@@ -349,48 +355,58 @@ def marker_places(bones: Bones, time: np.ndarray, values: np.ndarray) -> Markers
     return Markers(tuple(model.markers), np.asarray(time, float), np.stack(places, axis=1))
 
 
+def angles_table(model: Model, coordinates: Sequence[str], time: np.ndarray, values: np.ndarray) -> Storage:
+    """Return a motion in degrees, with all coordinates of the model, as it is written."""
+    whole = complete(model, dict(zip(coordinates, values.T, strict=True)), len(time))
+    columns = [np.degrees(v) if model.coordinates[name].rotational else v for name, v in whole.items()]
+    return Storage(tuple(whole), time, np.stack(columns, axis=1), True)
+
+
 def write_angles(
-    path: Path,
-    model: Model,
-    coordinates: Sequence[str],
-    time: np.ndarray,
-    values: np.ndarray,
-    first: int = 0,
-    total: int | None = None,
+    path: Path, model: Model, coordinates: Sequence[str], time: np.ndarray, values: np.ndarray
 ) -> None:
-    """Write a motion in degrees, with all coordinates of the model, or a part of it behind those before.
+    """Write a motion in degrees, with all coordinates of the model.
 
     Raises:
         OSError: The file cannot be written.
     """
-    whole = complete(model, dict(zip(coordinates, values.T, strict=True)), len(time))
-    columns = [np.degrees(v) if model.coordinates[name].rotational else v for name, v in whole.items()]
-    write_storage(
-        path, "Coordinates", Storage(tuple(whole), time, np.stack(columns, axis=1), True), first, total
-    )
+    write_storage(path, ANGLES, angles_table(model, coordinates, time, values))
 
 
-def dynamics(bones: Bones, motion: Movement, output: Path, loads: Path | Loads | None = None) -> Needed:
+def dynamics(
+    bones: Bones, motion: Movement, output: Path | Tables, loads: Path | Loads | None = None
+) -> Needed:
     """Find what a motion takes; write `moments.sto`.
 
     Args:
         bones: The model.
         motion: From `read_motion`, or a part from `read_parts`.
-        output: Folder, which exists.
+        output: Folder, which exists, or its tables: those of a motion in parts are written into one.
         loads: A file of OpenSim's `ExternalLoads`, or what it says.
 
     Raises:
         ValueError: A file is not what it should be.
         OSError: A file cannot be read or written.
     """
-    known_loads = Loads(loads) if isinstance(loads, Path) else loads
-    acting: Sequence[Load] = () if known_loads is None else known_loads.at(motion.time)
-    needed = inverse_dynamics(bones, motion.values, motion.speeds, motion.accelerations, acting)
-    _write_along(output / "moments.sto", "joint moments, N m and N", bones, motion, needed.joint_moment)
+    needed = joint_moments(bones, motion, loads)
+    with tables_in(output) as tables:
+        _write_moments(tables, bones, motion, needed)
     return needed
 
 
-def analyze(bones: Bones, motion: Movement, output: Path) -> MusclePaths:
+def joint_moments(bones: Bones, motion: Movement, loads: Path | Loads | None = None) -> Needed:
+    """Return what a motion takes.
+
+    Raises:
+        ValueError: A file is not what it should be.
+        OSError: A file cannot be read.
+    """
+    known_loads = Loads(loads) if isinstance(loads, Path) else loads
+    acting: Sequence[Load] = () if known_loads is None else known_loads.at(motion.time)
+    return inverse_dynamics(bones, motion.values, motion.speeds, motion.accelerations, acting)
+
+
+def analyze(bones: Bones, motion: Movement, output: Path | Tables) -> MusclePaths:
     """Follow the muscles along a motion; write lengths, velocities, moment arms, forces and powers.
 
     Forces are those at full activation with a rigid tendon, and passive ones in equilibrium; powers those of
@@ -399,7 +415,7 @@ def analyze(bones: Bones, motion: Movement, output: Path) -> MusclePaths:
     Args:
         bones: The model.
         motion: From `read_motion`, or a part from `read_parts`.
-        output: Folder, which exists.
+        output: Folder, which exists, or its tables: those of a motion in parts are written into one.
 
     Raises:
         ValueError: The model has no muscle.
@@ -418,22 +434,24 @@ def analyze(bones: Bones, motion: Movement, output: Path) -> MusclePaths:
         length, velocity = paths.length[:, i], paths.velocity[:, i]
         active[:, i] = rigid_capacity(muscle, length, velocity)
         passive[:, i] = muscle.values["max_isometric_force"] * muscle.tendon_force(0.0, length, velocity)
-    for name, title, values in (
-        ("lengths", "lengths of muscle and tendon, m", paths.length),
-        ("velocities", "velocities of muscle and tendon, m/s, lengthening > 0", paths.velocity),
-        ("active_forces", "active forces at full activation, rigid tendon, N", active),
-        ("passive_forces", "passive forces, N", passive),
-        ("full_powers", "powers at full activation, W, shortening > 0", -(active + passive) * paths.velocity),
-    ):
-        _write(output / f"{name}.sto", title, paths.muscles, motion, values)
-    _write(output / "moment_arms.sto", "moment arms, m", arms, motion, np.stack(list(arms.values()), axis=1))
+    power = -(active + passive) * paths.velocity
+    with tables_in(output) as tables:
+        for name, title, values in (
+            ("lengths", "lengths of muscle and tendon, m", paths.length),
+            ("velocities", "velocities of muscle and tendon, m/s, lengthening > 0", paths.velocity),
+            ("active_forces", "active forces at full activation, rigid tendon, N", active),
+            ("passive_forces", "passive forces, N", passive),
+            ("full_powers", "powers at full activation, W, shortening > 0", power),
+        ):
+            _write(tables, name, title, paths.muscles, motion, values)
+        _write(tables, "moment_arms", "moment arms, m", arms, motion, np.stack(list(arms.values()), axis=1))
     return paths
 
 
 def forces(
     bones: Bones,
     motion: Movement,
-    output: Path,
+    output: Path | Tables,
     loads: Path | Loads | None = None,
     *,
     mode: Mode = "equilibrium",
@@ -445,7 +463,7 @@ def forces(
     Args:
         bones: The model.
         motion: From `read_motion`, or a part from `read_parts`.
-        output: Folder, which exists.
+        output: Folder, which exists, or its tables: those of a motion in parts are written into one.
         loads: A file of OpenSim's `ExternalLoads`, or what it says.
         mode: What a muscle can give, see `muscle_forces`.
         exponent: p of the cost sum |a|^p.
@@ -456,7 +474,7 @@ def forces(
         OSError: A file cannot be read or written.
     """
     paths = muscle_paths(bones, motion.values, motion.speeds)
-    needed = dynamics(bones, motion, output, loads)
+    needed = joint_moments(bones, motion, loads)
     found = muscle_forces(
         bones.model,
         bones.coordinates,
@@ -468,19 +486,20 @@ def forces(
         device=bones.device,
     )
     burnt = metabolic_power(bones.model, found, paths, bones.device)
-    for name, title, values in (
-        ("activations", "activations", found.activation),
-        ("forces", "forces of muscles, N", found.force),
-        ("powers", "powers of muscles, W, shortening > 0", found.power),
-        ("metabolic_powers", "metabolic powers of muscles, W, without the rate at rest", burnt),
-    ):
-        _write(output / f"{name}.sto", title, found.muscles, motion, values)
     tension = dict(zip(found.muscles, found.force.T, strict=True))
-    _write_reactions(
-        output / "joint_reactions.sto", motion, joint_reactions(bones, motion.values, needed, tension)
-    )
-    _write_along(output / "reserves.sto", "what reserves give, N m and N", bones, motion, found.reserve)
-    _write_along(output / "missing.sto", "what nobody gives, N m and N", bones, motion, found.missing)
+    reactions = joint_reactions(bones, motion.values, needed, tension)
+    with tables_in(output) as tables:
+        _write_moments(tables, bones, motion, needed)
+        for name, title, values in (
+            ("activations", "activations", found.activation),
+            ("forces", "forces of muscles, N", found.force),
+            ("powers", "powers of muscles, W, shortening > 0", found.power),
+            ("metabolic_powers", "metabolic powers of muscles, W, without the rate at rest", burnt),
+        ):
+            _write(tables, name, title, found.muscles, motion, values)
+        _write_reactions(tables, motion, reactions)
+        _write_along(tables, "reserves", "what reserves give, N m and N", bones, motion, found.reserve)
+        _write_along(tables, "missing", "what nobody gives, N m and N", bones, motion, found.missing)
     return found
 
 
@@ -533,21 +552,28 @@ def follow(
         span=span,
         advance=advance,
     )
-    write_angles(output / "tracked.mot", bones.model, bones.coordinates, found.time, found.values[:, 0])
     simulated = replace(motion, time=found.time)
-    for name, title, values in (
-        ("excitations", "excitations", found.excitation),
-        ("activations", "activations", found.activation),
-        ("fiber_lengths", "fiber lengths, m", found.fiber_length),
-        ("forces", "forces of muscles, N", found.force),
-    ):
-        _write(output / f"{name}.sto", title, found.muscles, simulated, values[:, 0])
-    given = found.reserve[:, 0]
-    _write_along(output / "reserves.sto", "what reserves give, N m and N", bones, simulated, given)
+    with Tables(output) as tables:
+        angles = angles_table(bones.model, bones.coordinates, found.time, found.values[:, 0])
+        tables.write("tracked.mot", ANGLES, angles)
+        for name, title, values in (
+            ("excitations", "excitations", found.excitation),
+            ("activations", "activations", found.activation),
+            ("fiber_lengths", "fiber lengths, m", found.fiber_length),
+            ("forces", "forces of muscles, N", found.force),
+        ):
+            _write(tables, name, title, found.muscles, simulated, values[:, 0])
+        given = found.reserve[:, 0]
+        _write_along(tables, "reserves", "what reserves give, N m and N", bones, simulated, given)
     return found
 
 
-def _write_reactions(path: Path, motion: Movement, found: JointReactions) -> None:
+def _write_moments(tables: Tables, bones: Bones, motion: Movement, needed: Needed) -> None:
+    """Write the joint moments that a motion takes."""
+    _write_along(tables, "moments", "joint moments, N m and N", bones, motion, needed.joint_moment)
+
+
+def _write_reactions(tables: Tables, motion: Movement, found: JointReactions) -> None:
     """Write joint reactions with the labels of OpenSim's `JointReaction`: on the child, in ground.
 
     Raises:
@@ -560,16 +586,20 @@ def _write_reactions(path: Path, motion: Movement, found: JointReactions) -> Non
         for axis in "xyz"
     ]
     table = np.concatenate([found.force, found.moment, found.point], axis=2).reshape(len(motion.time), -1)
-    _write(path, "joint reactions, N, N m and m", labels, motion, table)
+    _write(tables, "joint_reactions", "joint reactions, N, N m and m", labels, motion, table)
 
 
-def _write_along(path: Path, title: str, bones: Bones, motion: Movement, values: np.ndarray) -> None:
+def _write_along(
+    tables: Tables, name: str, title: str, bones: Bones, motion: Movement, values: np.ndarray
+) -> None:
     """Write what acts along the coordinates, named as OpenSim names it."""
     turns = [bones.model.coordinates[name].rotational for name in bones.coordinates]
     labels = (f"{n}_{'moment' if t else 'force'}" for n, t in zip(bones.coordinates, turns, strict=True))
-    _write(path, title, labels, motion, values)
+    _write(tables, name, title, labels, motion, values)
 
 
-def _write(path: Path, title: str, labels: Iterable[str], motion: Movement, values: np.ndarray) -> None:
+def _write(
+    tables: Tables, name: str, title: str, labels: Iterable[str], motion: Movement, values: np.ndarray
+) -> None:
     """Write a table of a motion, or of a part of it behind the parts before."""
-    write_storage(path, title, Storage(tuple(labels), motion.time, values), motion.first, motion.total)
+    tables.write(f"{name}.sto", title, Storage(tuple(labels), motion.time, values), motion.total)

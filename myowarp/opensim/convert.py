@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 
-from myowarp.disk import check_folder, files_digest, in_place
+from myowarp.disk import check_folder, files_digest, in_place, make_folder
 from myowarp.opensim.model.model import Loss, Model, pulling
 from myowarp.progress import patient_bar
 
@@ -28,6 +28,8 @@ PATIENCE = 1.0
 """[s] after which a progress bar is drawn."""
 COMPLETE = ("report.json", "report.html", "model.xml")
 """Files that show that a folder holds a whole result: the first to go and the last to come."""
+SIDECARS = ("couplings.json", "paths.json", "forces.json")
+"""Files that not every model has, and that act where they lie beside one."""
 
 
 def run(
@@ -114,6 +116,8 @@ def run(
         "report.html": page(report, converted, compiled, fits, samples, moved).encode(),
         "report.json": json.dumps(report, indent=1).encode(),
     }
+    for name in (*COMPLETE, *SIDECARS):
+        (output / name).unlink(missing_ok=True)
     write(output, files)
     return report
 
@@ -139,11 +143,9 @@ def _fits(model: Model, digest: str, method: str, workers: int) -> tuple["Fits",
 
 
 def write(output: Path, files: dict[str, bytes]) -> None:
-    """Write files into a folder, each whole; what marks an earlier result as complete goes first."""
-    for name in COMPLETE:
-        (output / name).unlink(missing_ok=True)
+    """Write files into a folder, each whole, in their order."""
+    for folder in dict.fromkeys((output / name).parent for name in files):
+        make_folder(folder)
     for name, content in files.items():
-        path = output / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with in_place(path) as scratch:
+        with in_place(output / name) as scratch:
             scratch.write_bytes(content)

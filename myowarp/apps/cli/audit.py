@@ -43,7 +43,7 @@ class Audit:
     def __call__(self) -> None:
         """Check everything, then audit and report."""
         from myowarp.apps.studies.audit import tasks as command
-        from myowarp.disk import check_folder, check_overwrite
+        from myowarp.disk import check_folder, check_overwrite, make_folder
         from myowarp.sim.build import resolve_device
 
         asked = self.asked.setup
@@ -52,7 +52,7 @@ class Audit:
         resolve_device(asked.device)
         check_folder(self.output)
         check_overwrite((self.output / name for name in command.FILES), self.overwrite)
-        self.output.mkdir(parents=True, exist_ok=True)
+        make_folder(self.output)
         console = Console(stderr=True, highlight=False, soft_wrap=True)
         audits = command.audit_all(
             jobs,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +11,7 @@ import tyro
 from rich.console import Console
 
 from myowarp.apps.cli.options import Overwrite
-from myowarp.disk import check_folder, check_overwrite, make_folder, shipped
+from myowarp.disk import check_folder, check_overwrite, in_place, make_folder, shipped
 
 LIST = "README.md"
 """Says of each example what it shows and how it is run."""
@@ -46,7 +45,8 @@ class Examples:
         check_overwrite((self.output / file.name for file in files), self.overwrite)
         make_folder(self.output)
         for file in files:
-            shutil.copyfile(file, self.output / file.name)
+            with in_place(self.output / file.name) as scratch:
+                scratch.write_bytes(file.read_bytes())
         Console(stderr=True, highlight=False, soft_wrap=True).print(
             f"Copied {len(files)} files to {self.output}; {self.output / LIST} says how each is run"
         )

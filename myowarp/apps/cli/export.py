@@ -34,7 +34,7 @@ class Export:
         from myowarp.apps.policies.baselines import policy_folder
         from myowarp.apps.policies.checkpoint import load_checkpoint
         from myowarp.apps.policies.export import write_onnx, write_torchscript
-        from myowarp.disk import check_output, check_overwrite, in_place
+        from myowarp.disk import check_output, check_overwrite
 
         check_output(self.output, *NEEDS)
         check_overwrite((self.output,), self.overwrite)
@@ -44,6 +44,5 @@ class Export:
             raise ImportError(f"{suffix} files need {package}, not installed; run `pip install {source}`")
         checkpoint = load_checkpoint(policy_folder(str(self.checkpoint), None) or self.checkpoint)
         write = write_onnx if suffix == ".onnx" else write_torchscript
-        with in_place(self.output) as scratch:
-            write(checkpoint, scratch)
+        write(checkpoint, self.output)
         Console(stderr=True, soft_wrap=True).print(f"Saved {self.output}")

@@ -31,6 +31,7 @@ from myowarp.apps.cli.tasks import Tasks
 from myowarp.apps.cli.train import Train
 from myowarp.apps.cli.view import View
 from myowarp.apps.cli.warmup import Warmup
+from myowarp.disk import sentence
 
 ABOUT = """Musculoskeletal motor control, simulated in thousands of worlds at once.
 
@@ -100,7 +101,7 @@ def main() -> None:
         raise
     except (ValueError, OSError, RuntimeError, ImportError, MemoryError) as error:
         Console(stderr=True, highlight=False, soft_wrap=True).print(
-            f"myowarp: {error}", style="red", markup=False
+            f"myowarp: {sentence(error)}", style="red", markup=False
         )
         sys.exit(2)
 

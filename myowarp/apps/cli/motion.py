@@ -15,7 +15,7 @@ from rich.console import Console
 
 from myowarp.apps.cli.options import Overwrite, optional
 from myowarp.definitions.registry import check_least
-from myowarp.disk import check_folder, check_overwrite
+from myowarp.disk import check_folder, check_overwrite, in_place, make_folder
 from myowarp.progress import patient_bar
 
 if TYPE_CHECKING:
@@ -180,7 +180,8 @@ class Motion:
         from myowarp.opensim.read.model import read_model
 
         text = page(self.output, read_model(self.model), motion)
-        (self.output / "report.html").write_text(text, encoding="utf-8")
+        with in_place(self.output / "report.html") as scratch:
+            scratch.write_text(text, encoding="utf-8")
 
     def _page(self, motion: Path) -> list[str]:
         """Write the page where matplotlib is installed; return what is to be said."""
@@ -220,14 +221,14 @@ class Motion:
         check_folder(self.output)
         check_overwrite((self.output / file for file in WRITES[self.what]), self.overwrite)
         if self.what == "scale":
-            self.output.mkdir(parents=True, exist_ok=True)
+            make_folder(self.output)
             self._say(said_of(trial.scale_to(self.model, self.output, source, self.markers)))
             return
         if self.what == "emg":
             self._say(self._beside_emg(source))
             return
         bones = Bones.read(self.model, markers=self.marker_set)
-        self.output.mkdir(parents=True, exist_ok=True)
+        make_folder(self.output)
         lines = []
         if self.what == "kinematics":
             fitted = MarkerErrors()
@@ -246,6 +247,7 @@ class Motion:
         """Do a step along a motion; return what is to be said, one line each."""
         from myowarp.motion import trial
         from myowarp.motion.loads import Loads
+        from myowarp.motion.storage import Tables
         from myowarp.motion.streams import is_long
 
         if self.what == "track":
@@ -257,6 +259,7 @@ class Motion:
         with contextlib.ExitStack() as stack:
             if self.loads is not None:
                 loads = stack.enter_context(contextlib.closing(Loads(self.loads, forwards=long)))
+            tables = stack.enter_context(Tables(self.output))
             for motion in trial.read_parts(source, bones, self.filter, self.span):
                 if motion.first == 0:
                     lines += absent_from(motion)
@@ -264,12 +267,12 @@ class Motion:
                     bar = patient_bar("Motion", "frames", frames, patience=PATIENCE)
                     advance = stack.enter_context(bar)
                 if self.what == "analyze":
-                    trial.analyze(bones, motion, self.output)
+                    trial.analyze(bones, motion, tables)
                 elif self.what == "dynamics":
-                    trial.dynamics(bones, motion, self.output, loads)
+                    trial.dynamics(bones, motion, tables, loads)
                 else:
                     found = trial.forces(
-                        bones, motion, self.output, loads,
+                        bones, motion, tables, loads,
                         mode=self.mode, exponent=self.exponent, reserves=self._reserves(bones) or None,
                     )  # fmt: skip
                     worst.add(found)
@@ -298,7 +301,8 @@ class Motion:
         write_storage(self.output / "emg.sto", "envelopes of electromyograms", envelope)
         rows = [f"{one.muscle},{one.delay:.3f},{one.correlation:.4f}" for one in found]
         text = "\n".join(["muscle,delay [s],correlation", *rows, ""])
-        (self.output / "emg_agreement.csv").write_text(text, encoding="utf-8")
+        with in_place(self.output / "emg_agreement.csv") as scratch:
+            scratch.write_text(text, encoding="utf-8")
         draw_emg(self.output / "emg.png", envelope, activation, found)
         return [f"{one.muscle}: correlation {one.correlation:.2f} at a delay of {1e3 * one.delay:.0f} ms"
                 for one in found[:SHOWN]]  # fmt: skip

@@ -66,14 +66,14 @@ class Plot:
     def __call__(self) -> None:
         """Check, read, draw."""
         from myowarp.apps.reports import panel
-        from myowarp.disk import check_folder, check_output, check_overwrite
+        from myowarp.disk import check_folder, check_output, check_overwrite, make_folder
 
         if importlib.util.find_spec("matplotlib") is None:
             raise ImportError(
                 'plot needs matplotlib, which is not installed; run `pip install "myowarp[plot]"`'
             )
         check_folder(self.output.parent)
-        self.output.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(self.output.parent)
         check_output(self.output, ".png", ".pdf")
         check_overwrite((self.output,), self.overwrite)
         with panel.style(10.0):

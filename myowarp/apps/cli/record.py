@@ -117,7 +117,7 @@ class Record:
             ValueError: It cannot be written, or is there.
         """
         from myowarp.apps.rollouts.film import PLAYBACKS, SUFFIXES
-        from myowarp.disk import check_folder, check_output, check_overwrite
+        from myowarp.disk import check_folder, check_output, check_overwrite, make_folder
         from myowarp.view.modes import check_viser
 
         turned = self.output.suffix.lower() in PLAYBACKS
@@ -126,7 +126,7 @@ class Record:
             if self.camera is not None:
                 raise ValueError(f"output {str(self.output)!r} is turned by its reader; leave out --camera")
         check_folder(self.output.parent)
-        self.output.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(self.output.parent)
         check_output(self.output, *SUFFIXES)
         check_overwrite((self.output,), self.overwrite)
         return turned

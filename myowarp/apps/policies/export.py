@@ -13,6 +13,7 @@ import numpy as np
 
 from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.learned import LearnedPolicy
+from myowarp.disk import in_place
 
 OPSET = 17  # of ONNX; 2022, every runtime in use reads it
 IR_VERSION = 8  # of the file; the one that came with that opset
@@ -72,7 +73,8 @@ def write_onnx(checkpoint: Checkpoint, path: Path) -> None:
     model = helper.make_model(graph, opset_imports=[opset], ir_version=IR_VERSION, producer_name="myowarp")
     helper.set_model_props(model, {"contract": json.dumps(checkpoint.manifest["contract"])})
     onnx.checker.check_model(model, full_check=True)
-    path.write_bytes(model.SerializeToString())
+    with in_place(path) as scratch:
+        scratch.write_bytes(model.SerializeToString())
 
 
 def write_torchscript(checkpoint: Checkpoint, path: Path) -> None:
@@ -113,4 +115,5 @@ def write_torchscript(checkpoint: Checkpoint, path: Path) -> None:
     with torch.no_grad():
         script = torch.jit.trace(Module(), torch.zeros(2, policy.obs_size))
     contract = json.dumps(checkpoint.manifest["contract"])
-    torch.jit.save(script, str(path), _extra_files={"contract": contract})
+    with in_place(path) as scratch:
+        torch.jit.save(script, str(scratch), _extra_files={"contract": contract})

@@ -16,7 +16,6 @@ from rich.console import Console
 
 from myowarp.apps.rollouts.run import Step, Watcher
 from myowarp.definitions.body import BODIES
-from myowarp.disk import in_place
 from myowarp.progress import progress_bar
 from myowarp.view.drawing.captions import Captions
 from myowarp.view.drawing.render import tiled
@@ -176,8 +175,7 @@ def write(
 
         takes = [film.takes() for film in films]
         rows = list(zip(*takes, strict=True)) if len(films) > 1 else takes
-        with in_place(path) as scratch:
-            write_playback(scratch, rows, films[0].color, rate)
+        write_playback(path, rows, films[0].color, rate)
         return
     if path.suffix.lower() in PICTURES:
         for film in films:

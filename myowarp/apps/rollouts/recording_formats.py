@@ -115,19 +115,18 @@ def _tidy(chunk: dict[str, np.ndarray], names: dict[str, Sequence[str]], schema:
 
 @contextlib.contextmanager
 def open_npz(path: Path, signals: Signals) -> Iterator[Write]:
-    """Write all arrays to one compressed file; until then they lie, one file each, in a folder beside it."""
+    """Write all arrays to one compressed file; until then they lie in files without a name beside it."""
     spools: dict[str, BinaryIO] = {}
     shapes: dict[str, list[int]] = {}
     dtypes: dict[str, np.dtype] = {}
 
     with contextlib.ExitStack() as stack:
         scratch = stack.enter_context(in_place(path))
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=path.parent)))
 
         def write(chunk: dict[str, np.ndarray]) -> None:
             for name, values in chunk.items():
                 if name not in spools:
-                    spools[name] = stack.enter_context((folder / name).open("w+b"))
+                    spools[name] = stack.enter_context(tempfile.TemporaryFile(dir=path.parent))
                     shapes[name], dtypes[name] = [0, *values.shape[1:]], values.dtype
                 if name not in KEYS:
                     values = np.where(chunk["valid"][..., None], values, np.float32(np.nan))

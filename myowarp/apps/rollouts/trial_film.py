@@ -11,7 +11,6 @@ from PIL import Image
 from rich.console import Console
 
 from myowarp.apps.rollouts.film import PLAYBACKS
-from myowarp.disk import in_place
 from myowarp.progress import progress_bar
 from myowarp.view.browser.chart import SHARPNESS, TARGET_INK, Chart, Curve, as_png
 from myowarp.view.browser.playback import Take, write_playback
@@ -59,8 +58,7 @@ def write_trial(
     if path.suffix.lower() in PLAYBACKS:
         seen = [recorded.seen(frame) for frame in frames]
         take = Take(recorded.model, (), seen, [[f"{recorded.time[frame]:.2f} s"] for frame in frames])
-        with in_place(path) as scratch:
-            write_playback(scratch, [[take]], color, rate)
+        write_playback(path, [[take]], color, rate)
         return
     picture = path.suffix.lower() in PICTURES
     frames = frames[-1:] if picture else frames

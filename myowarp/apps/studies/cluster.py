@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from myowarp.apps.policies.checkpoint import versions
+from myowarp.disk import sentence
 from myowarp.engine.threads import CORES, num_cores
 
 logger = logging.getLogger("myowarp")
@@ -178,7 +179,7 @@ def each(
             try:
                 yield name, ray.get(ready), ""
             except ray.exceptions.RayTaskError as error:
-                yield name, None, " ".join(str(error.cause or error).split())
+                yield name, None, " ".join(sentence(error.cause or error).split())
             except ray.exceptions.RayError as error:
                 yield name, None, f"{type(error).__name__}: {str(error).strip().splitlines()[0]}"
 

@@ -14,12 +14,12 @@ from typing import Any
 
 from myowarp.disk import in_place, version
 
-SETTINGS, RESULTS, SUMMARY, LOCK = "settings.json", "results", "summary", ".lock"
+SETTINGS, RESULTS, SUMMARY, LOCK, PART = "settings.json", "results", "summary", ".lock", "part-"
 
 
 def part(output: Path, folder: str, index: int) -> Path:
     """Return the file of a part."""
-    return output / folder / f"part-{index:05d}.parquet"
+    return output / folder / f"{PART}{index:05d}.parquet"
 
 
 def agree(output: Path, what: str, settings: Mapping[str, Any]) -> None:
@@ -31,11 +31,17 @@ def agree(output: Path, what: str, settings: Mapping[str, Any]) -> None:
         settings: All that the results depend on, as JSON holds it; the version of MyoWarp is added.
 
     Raises:
-        ValueError: Results of other settings are there.
+        ValueError: Results of other settings are there, or files that are no results.
     """
     wanted = {"myowarp": version("myowarp"), **settings}
     path = output / SETTINGS
-    if any((output / SUMMARY).iterdir()):
+    for folder in (RESULTS, SUMMARY):
+        for path in (output / folder).iterdir():
+            if not path.name.startswith((PART, ".")):
+                raise ValueError(
+                    f"{str(path)!r} is no part of a {what}, and is read as one; delete or move it"
+                )
+    if any((output / SUMMARY).glob(f"{PART}*")):
         try:
             recorded = {**json.loads(path.read_text())}
         except (OSError, ValueError, TypeError) as error:

@@ -21,6 +21,7 @@ from rich.text import Text
 from myowarp.apps.reports import panel
 from myowarp.apps.reports.table import read_numbers
 from myowarp.apps.train.settings import SUCCESSES
+from myowarp.disk import in_place
 
 CSV, CURVE = "progress.csv", "curve.png"
 PARTS = ("simulation", "learner", "rest")
@@ -88,11 +89,12 @@ class Progress:
         self.folder, self.total, self.console = folder, total, console
         kept = _rows_until(folder / CSV, after)
         self._events = _Events(folder, after)
-        self._file = (folder / CSV).open("w", newline="")
-        self._rows: csv.DictWriter[str] | None = None
-        for row in kept:
-            self._write_row(row)
-        self._file.flush()
+        columns = list(kept[0]) if kept else []
+        with in_place(folder / CSV) as scratch, scratch.open("w", newline="") as file:
+            rows = csv.DictWriter(file, columns)
+            rows.writerows([dict(zip(columns, columns, strict=True)), *kept] if kept else [])
+        self._file = (folder / CSV).open("a", newline="")
+        self._rows = csv.DictWriter(self._file, columns, restval="", extrasaction="ignore") if kept else None
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._wandb: Any = None
         self._begin, self._after, self._shown = time.monotonic(), after, 0.0

@@ -18,6 +18,8 @@ from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
+from myowarp.disk import in_place
+
 MAX_BYTES = 64 * 2**20  # the largest model in circulation has about 10 MB
 MAX_DEPTH = 64  # models need about 15
 MAX_ELEMENTS = 2_000_000
@@ -177,7 +179,9 @@ def write(path: Path, root: Element) -> None:
             yield from lines(child, depth + 1)
         yield f"{indent}</{element.tag}>"
 
-    path.write_text('<?xml version="1.0" encoding="UTF-8"?>\n' + "\n".join(lines(root, 0)) + "\n", "utf-8")
+    text = '<?xml version="1.0" encoding="UTF-8"?>\n' + "\n".join(lines(root, 0)) + "\n"
+    with in_place(path) as scratch:
+        scratch.write_text(text, "utf-8")
 
 
 def parse(path: Path) -> tuple[Element, bool]:

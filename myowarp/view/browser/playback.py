@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import viser
 
+from myowarp.disk import in_place
 from myowarp.view.browser.lights import add_lights
 from myowarp.view.browser.scene import SPACING, Figure, Floor
 from myowarp.view.browser.server import close_server, open_server
@@ -111,9 +112,11 @@ def write_playback(path: Path, takes: Sequence[Sequence[Take]], color: str, fps:
         if path.suffix.lower() == ".html":
             key = QUANTITIES[color]
             drawn = KEY.format(colors=key.css(), low=key.low, high=key.high, label=key.label)
-            path.write_text(serializer.as_html().replace("</body>", f"{drawn}</body>"))
+            content = serializer.as_html().replace("</body>", f"{drawn}</body>").encode()
         else:
-            path.write_bytes(serializer.serialize())
+            content = serializer.serialize()
+        with in_place(path) as scratch:
+            scratch.write_bytes(content)
     finally:
         close_server(server)
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-import uuid
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from myowarp.disk import in_place
 
 QUALITY = 7
 """imageio's scale, 0 to 10; 7 is libx264's constant rate factor 15."""
@@ -80,29 +81,10 @@ def write_picture(path: str | os.PathLike[str], picture: np.ndarray) -> Path:
 
 
 def _write(path: Path, frames: Iterable[np.ndarray], fps: float, options: dict[str, Any]) -> Path:
-    """Encodes beside the path, then moves."""
-    part = _open_part(path)
-    try:
-        _encode(part, frames, fps, options)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    """Encodes beside the path, then moves; a wrong path fails before any drawing."""
+    with in_place(path) as scratch:
+        _encode(scratch, frames, fps, options)
     return path
-
-
-def _open_part(path: Path) -> Path:
-    """Makes the file to encode into, beside the path, so that a wrong path fails before any drawing."""
-    if path.is_dir():
-        raise IsADirectoryError(f"write_video needs the path of a file, got the folder '{path}'")
-    part = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.part{path.suffix}")
-    try:
-        part.touch(exist_ok=False)
-    except OSError as error:
-        raise OSError(
-            f"write_video needs an existing folder that it may write to, got '{path.parent}' "
-            f"({error.strerror}); make it or choose another"
-        ) from error
-    return part
 
 
 def _encode(part: Path, frames: Iterable[np.ndarray], fps: float, options: dict[str, Any]) -> None:
@@ -129,6 +111,8 @@ def _encode(part: Path, frames: Iterable[np.ndarray], fps: float, options: dict[
                 )
                 writer.send(None)
             writer.send(np.ascontiguousarray(even))
+    except OSError as error:  # the encoder ended
+        raise OSError(f"write_video needs room for '{part.parent}', got no more from ffmpeg") from error
     finally:
         if writer is not None:
             writer.close()

@@ -21,7 +21,7 @@ from myowarp.apps.studies.cohort.plan import plan_cohort
 from myowarp.apps.studies.cohort.run import run_plan
 from myowarp.apps.studies.parts import LOCK, RESULTS, SUMMARY, agree, part, remove_damaged
 from myowarp.definitions.setup import DEFAULTS
-from myowarp.disk import check_folder, files_digest, in_place, locked
+from myowarp.disk import check_folder, files_digest, in_place, locked, make_folder
 from myowarp.progress import progress_bar
 from myowarp.sim.patient_table import PATIENT, Population
 
@@ -54,7 +54,7 @@ def run(
     total = len(population.patients)
     starts = range(0, total, chunk)
     for folder in (RESULTS, SUMMARY):
-        (output / folder).mkdir(parents=True, exist_ok=True)
+        make_folder(output / folder)
     output = output.resolve()
     with locked(output / LOCK, wait=False):
         rest = {name: value for name, value in settings.items() if name != "what"}

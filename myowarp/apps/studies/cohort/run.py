@@ -19,7 +19,7 @@ from myowarp.apps.studies.cohort.plan import Plan, plan_cohort
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import Column
-from myowarp.disk import in_place, version
+from myowarp.disk import in_place, make_folder, version
 from myowarp.kernels.episode import describe_fault
 from myowarp.sim.metabolics import WHOLE_BODY_UNITS
 from myowarp.sim.signals import Signals
@@ -90,7 +90,7 @@ class CohortResult:
             OSError: They cannot be written.
         """
         check_choice("cohort format", suffix, FORMATS)
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         paths = [folder / name for name in result_files(suffix)]
         with in_place(paths[0]) as scratch:
             if suffix == ".csv":

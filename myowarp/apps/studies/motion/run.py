@@ -27,7 +27,7 @@ from myowarp.apps.studies.cluster import check_ray, connected, each
 from myowarp.apps.studies.motion.figure import draw_forces
 from myowarp.apps.studies.motion.plan import Study, Trial, plan_study, recording_of
 from myowarp.apps.studies.parts import LOCK, RESULTS, SUMMARY, agree, part, remove_damaged
-from myowarp.disk import check_folder, in_place, locked
+from myowarp.disk import check_folder, in_place, locked, make_folder, sentence
 from myowarp.engine.threads import num_cores
 from myowarp.motion.draws import Drawn, Recording, draw_trial
 from myowarp.motion.storage import Storage, write_storage
@@ -88,7 +88,7 @@ def run(
     if cluster is not None:
         check_ray("a study over a cluster")
     for folder in (RESULTS, SUMMARY):
-        (output / folder).mkdir(parents=True, exist_ok=True)
+        make_folder(output / folder)
     with locked(output / LOCK, wait=False):
         agree(output, "motion study", study.settings())
         every = list(pieces(study))
@@ -154,7 +154,7 @@ def _each(
                 error = future.exception()
                 if error is not None and not isinstance(error, ValueError | NotImplementedError | OSError):
                     raise error
-                yield waiting[future], "" if error is None else " ".join(str(error).split())
+                yield waiting[future], "" if error is None else " ".join(sentence(error).split())
         finally:
             pool.shutdown(cancel_futures=True)
 
@@ -279,7 +279,7 @@ def spread(output: Path, trial: Trial, parts: range) -> Path:
     from pyarrow import parquet
 
     folder = output / "trials" / trial.name
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     files = [part(output, RESULTS, k) for k in parts]
     keys = [parquet.read_table(file, columns=["draw", "time"]) for file in files]
     draw = np.concatenate([np.asarray(table["draw"]) for table in keys])

@@ -12,7 +12,7 @@ from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.definitions.registry import check_flag, check_least
 from myowarp.definitions.setup import Setup
-from myowarp.disk import check_folder
+from myowarp.disk import check_folder, make_folder
 from myowarp.sim.build import MOST_WORLDS, check_device_name, resolve_device
 
 SEEDS, WORLDS = 5, 64
@@ -110,7 +110,7 @@ def reproduce(job: ExperimentJob) -> Findings:
         OSError: A file cannot be written.
     """
     resolve_device(job.setup.device)
-    job.folder.mkdir(parents=True, exist_ok=True)
+    make_folder(job.folder)
     lab = Lab(
         *(job.folder, tuple(range(job.seeds)), job.num_worlds, job.quick),
         *(job.retrain, job.overwrite, job.setup, job.models),

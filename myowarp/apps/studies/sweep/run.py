@@ -15,7 +15,7 @@ from myowarp.apps.studies.sweep import report, work
 from myowarp.apps.studies.sweep.study import Run, read_study
 from myowarp.definitions.setup import OPTIONS
 from myowarp.definitions.task import TASKS
-from myowarp.disk import check_folder, locked
+from myowarp.disk import check_folder, locked, make_folder
 from myowarp.engine.threads import num_cores
 from myowarp.tasks.outside import find_task
 
@@ -38,7 +38,7 @@ def run(study: Path, output: Path, address: str | None, cpus: int, gpus: float, 
             print(line)
         return
     check_ray("a sweep")
-    output.mkdir(parents=True, exist_ok=True)
+    make_folder(output)
     output = output.resolve()
     failures: dict[str, str] = {}
     with locked(output / work.LOCK, wait=False):

@@ -12,7 +12,7 @@ from typing import Any
 
 from myowarp.apps.studies.sweep.study import POLICY, Run, evaluation, experiment, training
 from myowarp.definitions.setup import Setup
-from myowarp.disk import in_place, locked, plain
+from myowarp.disk import in_place, locked, make_folder, plain
 
 RESULT, LOCK = "result.json", ".lock"
 
@@ -51,7 +51,7 @@ def do(run: Run, output: Path) -> dict[str, Any]:
         RuntimeError: It diverged, or was stopped.
     """
     folder = output / run.name
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     with locked(folder / LOCK, wait=True):  # a process that was given up may still be at it
         if (found := finished(run, output)) is not None:
             return found

@@ -1,0 +1,112 @@
+"""What `myowarp motion` writes is whole or not there: errors, full disks and kills in the middle of it."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from full_disk import full_disk
+
+from myowarp.disk import SCRATCH, sweep
+from myowarp.motion import streams
+from myowarp.motion.skeleton import Bones
+from myowarp.motion.storage import Storage, Tables, read_storage, write_storage
+from myowarp.motion.trial import forces, read_parts
+
+ROOT = Path(__file__).parents[2]
+ARM, BEND = ROOT / "examples/arm.osim", ROOT / "examples/arm_bend.mot"
+ENDLESS = """
+import sys
+from pathlib import Path
+import numpy as np
+from myowarp.motion.storage import Storage, Tables
+with Tables(Path(sys.argv[1])) as tables:
+    for k in range(10**9):
+        rows = Storage(("a",), np.arange(100.0 * k, 100.0 * (k + 1)), np.ones((100, 1)))
+        tables.write("moments.sto", "joint moments", rows, 10**11)
+        if k == 100:
+            print("begun", flush=True)
+"""
+"""Rows of one column, for ever."""
+
+
+def long_motion(folder, rows=700, bad=None):
+    """Write a motion of the arm; row number `bad` is no number."""
+    time = np.arange(rows) / 100.0
+    lines = [f"{t:.2f}\t{40 + 20 * np.sin(t):.6f}\t{50 + 20 * np.cos(t):.6f}" for t in time]
+    if bad is not None:
+        lines[bad] = f"{time[bad]:.2f}\tabc\t50"
+    head = BEND.read_text().splitlines()[:7]
+    (folder / "long.mot").write_text("\n".join([*head, *lines]) + "\n")
+    return folder / "long.mot"
+
+
+def solve(motion, bones, output):
+    with Tables(output) as tables:
+        for part in read_parts(motion, bones):
+            forces(bones, part, tables, reserves=dict.fromkeys(bones.coordinates, 1.0))
+
+
+def test_a_bad_row_at_the_end_leaves_nothing(tmp_path, monkeypatch):
+    """Parts before it were written already; the old file stays, and no scratch file."""
+    monkeypatch.setattr(streams, "FRAMES", 48)
+    bones = Bones.read(ARM)
+    (tmp_path / "out").mkdir()
+    solve(long_motion(tmp_path), bones, tmp_path / "out")
+    whole = read_storage(tmp_path / "out/moments.sto")
+    assert "nRows=700\n" in (tmp_path / "out/moments.sto").read_text()
+    assert len(whole.time) == 700
+    before = (tmp_path / "out/moments.sto").read_bytes()
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    with pytest.raises(ValueError, match="must be numbers"):
+        solve(long_motion(tmp_path, bad=690), bones, tmp_path / "out")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == names
+    assert (tmp_path / "out/moments.sto").read_bytes() == before
+
+
+def test_rows_that_a_file_announces_are_written(tmp_path):
+    table = Storage(("a",), np.arange(3.0), np.ones((3, 1)))
+    with pytest.raises(RuntimeError, match=r"'.*a\.sto' must have 2 rows more"), Tables(tmp_path) as tables:
+        tables.write("a.sto", "a", table, 5)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_full_disk_says_which_file(tmp_path):
+    """The second table does not fit: neither takes its place, and the message names it."""
+    small, large = (Storage(("a",), np.arange(float(n)), np.ones((n, 1))) for n in (2, 900))
+    write_storage(tmp_path / "b.sto", "b", small)
+    before = (tmp_path / "b.sto").read_bytes()
+    wanted = r"output '.*b\.sto' cannot be written \(File too large\); make room there, or choose another"
+
+    def write():
+        with full_disk(4096), Tables(tmp_path) as tables:
+            for name, table in (("a.sto", small), ("b.sto", large), ("c.sto", small)):
+                tables.write(name, name, table)
+
+    with pytest.raises(OSError, match=wanted):
+        write()
+    assert [path.name for path in tmp_path.iterdir()] == ["b.sto"]
+    assert (tmp_path / "b.sto").read_bytes() == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_kill_leaves_the_old_table(tmp_path, number):
+    """Ctrl-C cleans up; what a killed process leaves is hidden, and swept when the folder is next used."""
+    write_storage(tmp_path / "moments.sto", "joint moments", Storage(("a",), np.arange(2.0), np.ones((2, 1))))
+    before = (tmp_path / "moments.sto").read_bytes()
+    command = [sys.executable, "-c", ENDLESS, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as writer:
+        try:
+            assert writer.stdout.readline() == "begun\n"
+            writer.send_signal(number)
+            writer.wait(timeout=60)
+        finally:
+            writer.kill()
+    assert (tmp_path / "moments.sto").read_bytes() == before
+    left = [path.name for path in tmp_path.iterdir() if path.name != "moments.sto"]
+    assert len(left) == (0 if number == signal.SIGINT else 1)
+    assert all(name.startswith(SCRATCH) for name in left)
+    sweep(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["moments.sto"]
