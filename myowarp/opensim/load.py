@@ -2,7 +2,7 @@
 
 What `myowarp convert` writes for plain MuJoCo - fitted tendons, quartics, a report - is not needed here:
 paths are OpenSim's own on the device, joints follow exactly, and muscles take the file's parameters. The
-result is kept in the cache, so that it is made once for each file.
+result is kept in the cache, so that it is made once for each file and the meshes that it finds.
 """
 
 import json
@@ -12,6 +12,7 @@ from myowarp.disk import cache_dir, files_digest, version, writable_folder
 from myowarp.engine.warn_once import warn_once
 from myowarp.opensim.compose.convert import Options, convert
 from myowarp.opensim.compose.geometry import MIN_MASS
+from myowarp.opensim.compose.meshes import mesh_files
 from myowarp.opensim.compose.mjcf import mjcf
 from myowarp.opensim.convert import write
 from myowarp.opensim.model.model import Loss
@@ -36,7 +37,7 @@ def load(path: Path) -> Path:
         raise ValueError(f"model {str(path)!r} is no file; give the path of an .osim file")
     package = Path(__file__).parents[1]
     sources = sorted(file for pattern in SOURCES for file in package.glob(pattern))
-    digest = files_digest([path, *sources])[:16]
+    digest = files_digest([path, *mesh_files(path), *sources])[:16]
     kept = writable_folder(cache_dir(), "MYOWARP_CACHE_DIR") / "opensim"
     folder = kept / f"{path.stem}-{digest}-mujoco-{version('mujoco')}"
     if not (folder / "model.xml").is_file():

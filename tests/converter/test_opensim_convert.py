@@ -263,7 +263,9 @@ def test_charts():
 
 
 def test_without_scipy_the_geometry_is_converted(tmp_path):
-    """In a process of its own, where nothing has imported SciPy before."""
+    """In a process of its own, where nothing has imported SciPy before; what another model left there goes."""
+    for name in command.SIDECARS:
+        (tmp_path / name).write_text("of another model")
     code = 'import sys; sys.modules["scipy"] = None; from myowarp.apps.cli.main import main; main()'
     arguments = ("convert", OSIM / "Tug_of_War.osim", "--output", tmp_path)
     done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
@@ -272,6 +274,7 @@ def test_without_scipy_the_geometry_is_converted(tmp_path):
     report = json.loads((tmp_path / "report.json").read_text())
     assert [(loss["code"], loss["rule"]) for loss in report["left_out"]] == [("fits", command.NO_FITS)]
     assert report["moment_arms"]["pairs"] == []
+    assert not [path.name for path in tmp_path.iterdir() if path.read_bytes() == b"of another model"]
     assert (
         HillMuscle.of(next(iter(read_model(OSIM / "Tug_of_War.osim").muscles.values())))
         == (read_muscles(tmp_path / "muscles.csv")[0])

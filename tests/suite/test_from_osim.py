@@ -92,6 +92,21 @@ def test_a_model_without_masses_is_said(caplog, tmp_path):
     assert line.endswith("use the model for paths and forces, not for motion")
 
 
+def test_meshes_that_come_later_are_seen(tmp_path):
+    """The folder Geometry is not there at the first load; then it is, and then its bone is another one."""
+    text = (OSIM / "arm26.osim").read_text().replace("ground_ribs.vtp", "bone.obj")
+    assert "bone.obj" in text
+    (tmp_path / "arm.osim").write_text(text)
+    pyramid = "v 0 0 0\nv {0} 0 0\nv 0 {0} 0\nv 0 0 {0}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+    assert "<mesh " not in load(tmp_path / "arm.osim").read_text()
+    (tmp_path / "Geometry").mkdir()
+    for size in (1, 2):
+        (tmp_path / "Geometry/bone.obj").write_text(pyramid.format(size))
+        model = load(tmp_path / "arm.osim")
+        assert '<mesh name="bone"' in model.read_text()
+        assert (model.parent / "meshes/bone.obj").read_text() == pyramid.format(size)
+
+
 def test_a_file_is_read_once(monkeypatch):
     found = load(OSIM / "arm26.osim")
     monkeypatch.setattr(loading, "read_model", lambda path: pytest.fail(f"{path} is read again"))

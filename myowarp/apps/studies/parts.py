@@ -36,11 +36,9 @@ def agree(output: Path, what: str, settings: Mapping[str, Any]) -> None:
     wanted = {"myowarp": version("myowarp"), **settings}
     path = output / SETTINGS
     for folder in (RESULTS, SUMMARY):
-        for path in (output / folder).iterdir():
-            if not path.name.startswith((PART, ".")):
-                raise ValueError(
-                    f"{str(path)!r} is no part of a {what}, and is read as one; delete or move it"
-                )
+        for file in (output / folder).iterdir():
+            if not file.name.startswith((PART, ".")):
+                raise ValueError(f"{str(file)!r} is no part of a {what} but is read as one; move it away")
     if any((output / SUMMARY).glob(f"{PART}*")):
         try:
             recorded = {**json.loads(path.read_text())}

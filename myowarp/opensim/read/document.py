@@ -197,13 +197,13 @@ def parse(path: Path) -> tuple[Element, bool]:
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise ValueError(f"{path} has {size} bytes; a model may have at most {MAX_BYTES}")
-    text, latin = _decoded(path.read_bytes())
+    text, latin = decoded(path.read_bytes())
     text = BARE_AMPERSAND.sub("&amp;", _without_comments(text))
     text = re.sub(r"^\s*<\?xml[^>]{0,200}\?>", lambda match: "\n" * match[0].count("\n"), text)
     return _tree(path, text), latin
 
 
-def _decoded(raw: bytes) -> tuple[str, bool]:
+def decoded(raw: bytes) -> tuple[str, bool]:
     """Return the text, and whether it is no UTF-8 and was read as Latin-1."""
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return raw.decode("utf-16", errors="replace"), False
