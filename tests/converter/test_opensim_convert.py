@@ -263,7 +263,7 @@ def test_charts():
 
 
 def test_without_scipy_the_geometry_is_converted(tmp_path):
-    """In a process of its own, where nothing has imported SciPy before; what another model left there goes."""
+    """In a process of its own, where nothing has imported SciPy before; sidecars of another model go."""
     for name in command.SIDECARS:
         (tmp_path / name).write_text("of another model")
     code = 'import sys; sys.modules["scipy"] = None; from myowarp.apps.cli.main import main; main()'
