@@ -6,6 +6,7 @@ cannot be written, a temporary one takes its place.
 """
 
 import contextlib
+import csv
 import errno
 import hashlib
 import io
@@ -66,6 +67,16 @@ def in_place(path: Path) -> Iterator[Path]:
         except BaseException:
             scratch.unlink(missing_ok=True)
             raise
+
+
+def write_rows(path: Path, rows: Iterable[Iterable[object]]) -> None:
+    """Write a table of comma-separated values.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    with in_place(path) as scratch, scratch.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)
 
 
 @contextlib.contextmanager

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from myowarp.motion.inverse_dynamics import Load
-from myowarp.motion.storage import Storage, read_storage
+from myowarp.motion.setup_words import body_of, file_of, stated
+from myowarp.motion.storage import Storage, logger, read_storage
 from myowarp.motion.streams import Stream
 from myowarp.opensim.read.document import Element, parse
 
@@ -87,8 +88,9 @@ def read_loads(path: Path) -> tuple[tuple[LoadColumns, ...], Path | None]:
     if loads is None:
         raise root.error("holds no <ExternalLoads>")
     found = tuple(_columns(force) for force in loads.objects("objects") if _applies(force))
-    file = loads.string("datafile")
-    return found, path.parent / file if file not in ("", "Unassigned") else None
+    if not found:
+        logger.warning("%s has no <ExternalForce> that acts", path)
+    return found, file_of(loads, "datafile")
 
 
 def _applies(element: Element) -> bool:
@@ -96,16 +98,24 @@ def _applies(element: Element) -> bool:
 
 
 def _columns(element: Element) -> LoadColumns:
-    def said(tag: str, default: str = "") -> str:
-        value = element.string(tag)
-        return default if value in ("", "Unassigned") else value
+    """Return which columns an external force is.
 
-    body = said("applied_to_body")
+    Raises:
+        ValueError: It has no body, or no force and no torque.
+    """
+    body = body_of(stated(element, "applied_to_body"))
     if not body:
         raise element.error("says not on which body it acts; <applied_to_body> is needed")
-    frames = said("force_expressed_in_body", "ground"), said("point_expressed_in_body", "ground")
-    columns = said("force_identifier"), said("point_identifier"), said("torque_identifier")
-    return LoadColumns(element.name, body, *columns, *frames)
+    force, point, torque = (stated(element, f"{part}_identifier") for part in ("force", "point", "torque"))
+    if not force and (point or not torque):
+        raise element.error(
+            f"has {'a point of no force' if point else 'neither a force nor a torque'}; it needs the "
+            "columns of one in <force_identifier>, or in <torque_identifier>"
+        )
+    frames = (
+        body_of(stated(element, f"{part}_expressed_in_body") or "ground") for part in ("force", "point")
+    )
+    return LoadColumns(element.name, body, force, point, torque, *frames)
 
 
 class Loads:

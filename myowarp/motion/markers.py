@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from myowarp.disk import in_place
-from myowarp.motion.storage import Storage, in_order
+from myowarp.motion.storage import Header, Storage, logger
 from myowarp.motion.streams import Stream
 
 UNITS = {"mm": 1e-3, "millimeters": 1e-3, "cm": 1e-2, "centimeters": 1e-2, "m": 1.0, "meters": 1.0}
@@ -65,8 +65,8 @@ class Markers:
         """
         from scipy.interpolate import CubicSpline
 
-        if not most > 0.0:
-            raise ValueError(f"the longest gap that is filled must be above 0 s, got {most:g} s")
+        if not 0.0 < most < np.inf:
+            raise ValueError(f"the longest gap that is filled must be above 0 s and finite, got {most:g} s")
         positions = self.positions.copy()
         for number in range(len(self.names)):
             seen = np.flatnonzero(np.isfinite(positions[:, number]).all(axis=1))
@@ -98,98 +98,94 @@ def read_trc(path: Path) -> Markers:
         ValueError: It is none, its unit is unknown, a row does not fit, or a time is there twice.
         OSError: It cannot be read.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{str(path)!r} is no text file; markers come as .trc") from error
-    names, unit = _header(path, lines)
-    rows = [(number, line) for number, line in enumerate(lines[5:], 6) if line.strip()]
-    table = _numbers(path, names, rows)
-    if not len(table):
-        raise ValueError(f"{str(path)!r} has no frame")
-    return _placed(names, in_order(path, "frame", table), unit)
-
-
-def _header(path: Path, lines: Sequence[str]) -> tuple[tuple[str, ...], float]:
-    """Return names of markers, and the metres of a unit, of a file that begins with these lines.
-
-    Raises:
-        ValueError: They are not those of a `.trc` file, or the unit is unknown.
-    """
-    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
-        raise ValueError(
-            f"{str(path)!r} must begin with 'PathFileType' and have five lines before its numbers"
-        )
-    facts = dict(zip(lines[1].split(), lines[2].split(), strict=False))
-    unit = facts.get("Units", "")
-    if unit.lower() not in UNITS:
-        raise ValueError(f"{str(path)!r} has the unit {unit!r}; known are {', '.join(UNITS)}")
-    names = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
-    if not names:
-        raise ValueError(f"{str(path)!r} names no marker in line 4, or its cells are not separated by tabs")
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"{str(path)!r} has the marker {twice!r} twice")
-    return names, UNITS[unit.lower()]
-
-
-def _numbers(path: Path, names: tuple[str, ...], rows: Sequence[tuple[int, str]]) -> np.ndarray:
-    """Return time and places of numbered lines, in the file's unit, NaN where a marker was not seen.
-
-    Raises:
-        ValueError: A row does not fit.
-    """
-    table = np.full((len(rows), 1 + 3 * len(names)), np.nan)
-    for row, (number, line) in zip(table, rows, strict=True):
-        cells = [cell.strip() for cell in line.split("\t")[1:]]
-        while len(cells) > len(row) and not cells[-1]:
-            cells.pop()
-        if len(cells) > len(row):
-            raise ValueError(
-                f"line {number} of {str(path)!r} must have {len(row) + 1} cells for {len(names)} "
-                f"markers, got "
-                f"{len(cells) + 1}"
-            )
-        try:
-            row[: len(cells)] = [float(cell) if cell else np.nan for cell in cells]
-        except ValueError as error:
-            raise ValueError(
-                f"line {number} of {str(path)!r} has a cell that is no number: {error}"
-            ) from error
-    return table
-
-
-def _placed(names: tuple[str, ...], table: np.ndarray, unit: float) -> Markers:
-    """Return the markers of the numbers of a file, in metres."""
-    time = table[:, 0]
-    positions = unit * table[:, 1:].reshape(len(table), len(names), 3)
-    positions[~np.isfinite(positions).all(axis=2)] = np.nan
-    return Markers(names, time, positions)
+    with MarkerStream(path) as stream:
+        return stream.placed(stream.whole())
 
 
 class MarkerStream(Stream):
     """Rows of a `.trc` file, read forwards; in the file's unit, NaN where a marker was not seen."""
 
-    def _header(self) -> tuple[tuple[str, ...], bool]:
-        lines = list(itertools.islice(self._file, 5))
-        self._names, self._unit = _header(self.path, [*lines, ""])
-        return tuple(f"{name} {axis}" for name in self._names for axis in "XYZ"), False
+    WHAT = "frame"
+    COUNT = "NumFrames"
+
+    def __init__(self, path: Path) -> None:
+        """Read the header.
+
+        Raises:
+            ValueError: It is no such file, its unit is unknown, or it has not as many markers as it says.
+            OSError: It cannot be read.
+        """
+        super().__init__(path, gaps=True)
+        self._told = False
+
+    def _head(self) -> Header:
+        lines = self._text([self._file.readline() for _ in range(5)])
+        if not lines[0].startswith("PathFileType") or not lines[4].strip():
+            raise ValueError(
+                f"{str(self.path)!r} must begin with 'PathFileType' and have five lines before its numbers"
+            )
+        facts = dict(zip(lines[1].split(), lines[2].split(), strict=False))
+        unit = facts.get("Units", "")
+        if unit.lower() not in UNITS:
+            raise ValueError(f"{str(self.path)!r} has the unit {unit!r}; known are {', '.join(UNITS)}")
+        names = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
+        if not names:
+            raise ValueError(
+                f"{str(self.path)!r} names no marker in line 4, or its cells are not separated by tabs"
+            )
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"{str(self.path)!r} has the marker {name!r} twice")
+        self._compare("NumMarkers", facts.get("NumMarkers", ""), len(names), "markers", refused=True)
+        self._names, self._unit = names, UNITS[unit.lower()]
+        labels = tuple(f"{name} {axis}" for name in names for axis in "XYZ")
+        # OpenSim's inverse kinematics reads all frames that are there.
+        return Header(labels, rows=facts.get("NumFrames", ""), counts=False)
 
     def _numbers(self, lines: list[str]) -> np.ndarray:
-        rows = _numbers(self.path, self._names, list(enumerate(lines, self._read + 6)))
-        if not np.isfinite(rows[:, 0]).all():
-            late = self._read + 1 + int(np.argmin(np.isfinite(rows[:, 0])))
-            raise ValueError(
-                f"times of {str(self.path)!r} must be finite numbers; that of frame {late} is not"
-            )
-        return rows
+        columns = 1 + len(self.header.labels)
+        table = np.full((len(lines), columns), np.nan)
+        for number, (row, line) in enumerate(zip(table, lines, strict=True), self._read + 1):
+            cells = line.split("\t")[1:]
+            while len(cells) > columns and not cells[-1].strip():
+                cells.pop()
+            # Markers at the end that were not seen may be left out, unless it is the file that ends.
+            if len(cells) != columns and (
+                len(cells) > columns or len(cells) % 3 != 1 or not line.endswith("\n")
+            ):
+                raise ValueError(
+                    f"{self.WHAT} {number} of {str(self.path)!r} must have {columns + 1} cells for "
+                    f"{len(self._names)} markers, separated by tabs, got {len(cells) + 1}"
+                )
+            try:
+                row[: len(cells)] = [float(cell) if cell else np.nan for cell in cells]
+                plain = "_" not in line  # which Python's float takes for nothing
+            except ValueError:
+                plain = False
+            if not plain:
+                cells = [cell.strip() for cell in cells]
+                self._check_cells(number, cells)
+                row[: len(cells)] = [float(cell) if cell else np.nan for cell in cells]
+        return table
 
     def _time(self, line: str) -> float:
         return float(line.split("\t", 2)[1])
 
     def placed(self, table: Storage) -> Markers:
-        """Return the markers of some rows, in metres."""
-        return _placed(self._names, np.column_stack([table.time, table.values]), self._unit)
+        """Return the markers of some rows, in metres; those at exactly 0 0 0 were not seen, which is said."""
+        positions = self._unit * table.values.reshape(len(table.time), len(self._names), 3)
+        nowhere = (positions == 0.0).all(axis=2)
+        if nowhere.any() and not self._told:
+            frame, marker = np.argwhere(nowhere)[0]
+            logger.warning(
+                "%s: markers at exactly 0 0 0 count as not seen, first %s at %g s",
+                self.path,
+                self._names[marker],
+                table.time[frame],
+            )
+            self._told = True
+        positions[nowhere | ~np.isfinite(positions).all(axis=2)] = np.nan
+        return Markers(self._names, table.time, positions)
 
 
 def write_trc(path: Path, markers: Markers) -> None:
@@ -214,6 +210,6 @@ def write_trc(path: Path, markers: Markers) -> None:
     ]
     for number, (time, row) in enumerate(zip(markers.time, markers.positions, strict=True), 1):
         cells = ["" if np.isnan(x) else f"{1e3 * x:.6f}" for x in row.ravel()]
-        lines.append("\t".join([str(number), f"{time:.9g}", *cells]))
+        lines.append("\t".join([str(number), f"{time:.9g}", *cells, ""]))  # OpenSim needs the last tab
     with in_place(path) as scratch:
         scratch.write_text("\n".join(lines) + "\n", encoding="utf-8")

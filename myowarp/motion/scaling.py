@@ -21,6 +21,7 @@ import numpy as np
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.markers import Markers, read_trc
 from myowarp.motion.scale_document import Document, scale_document, set_markers
+from myowarp.motion.setup_words import Span, body_of, file_of, span_of
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.tasks import Tasks, tasks_of
 from myowarp.opensim.model.kinematics import complete, forward, station
@@ -28,7 +29,8 @@ from myowarp.opensim.model.model import GROUND, Model
 from myowarp.opensim.read.document import Element, parse, write
 
 AXES = ("X", "Y", "Z")
-UNSET = ("", "Unassigned")
+UNSTATED = (-1.0, -1.0)
+"""Times that ScaleTool writes where none are stated: it then takes the first frame."""
 
 Measured = tuple[float, tuple[tuple[str, str, float, float], ...]]
 """A factor, and for each pair the names, and distances in the model and in the recording [m]."""
@@ -70,11 +72,11 @@ class Setup:
     measurements: tuple[Measurement, ...]
     manual: Mapping[str, np.ndarray]
     static: Path | None
-    span: tuple[float, float] | None
+    span: Span
     keep_masses: bool
     tasks: Tasks | None
     pose: Path | None
-    pose_span: tuple[float, float] | None
+    pose_span: Span
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,43 +122,32 @@ def read_setup(path: Path) -> Setup:
             raise scaler.need("scaling_order").error(f"must name measurements or manualScale, got {word!r}")
     mass = tool.number("mass", default=-1.0)
     manual = {
-        scale.string("segment"): scale.numbers("scales", count=3)
+        body_of(scale.string("segment")): scale.numbers("scales", count=3)
         for scale in scaler.objects("ScaleSet")
         if scale.flag("apply", default=True)
     }
     if bad := [name for name, scales in manual.items() if (scales <= 0.0).any()]:
         raise scaler.error(f"must have factors above 0, got {manual[bad[0]]} for {bad[0]!r}")
     return Setup(
-        model=_file(maker, "model_file"),
-        markers=_file(maker, "marker_set_file"),
+        model=file_of(maker, "model_file"),
+        markers=file_of(maker, "marker_set_file"),
         mass=mass if mass > 0.0 else None,
         order=order,
         measurements=tuple(
             _measurement(one) for one in scaler.objects("MeasurementSet") if one.flag("apply", default=True)
         ),
         manual=manual,
-        static=_file(scaler, "marker_file"),
-        span=_span(scaler),
-        keep_masses=scaler.flag("preserve_mass_distribution", default=True),
+        static=file_of(scaler, "marker_file"),
+        span=span_of(scaler, UNSTATED),
+        keep_masses=scaler.flag("preserve_mass_distribution", default=False),
         tasks=tasks_of(placer) if _on(placer, empty) else None,
-        pose=_file(placer, "marker_file"),
-        pose_span=_span(placer),
+        pose=file_of(placer, "marker_file"),
+        pose_span=span_of(placer, UNSTATED),
     )
 
 
 def _on(element: Element, empty: Element) -> bool:
     return element is not empty and element.flag("apply", default=True)
-
-
-def _file(element: Element, tag: str) -> Path | None:
-    name = element.string(tag)
-    return None if name in UNSET else element.source.parent / name
-
-
-def _span(element: Element) -> tuple[float, float] | None:
-    """Return a range of time [s], None where none is stated."""
-    start, end = element.numbers("time_range", default=(-1.0, -1.0), count=2)
-    return None if (start, end) == (-1.0, -1.0) else (float(min(start, end)), float(max(start, end)))
 
 
 def _measurement(element: Element) -> Measurement:
@@ -178,16 +169,18 @@ def _measurement(element: Element) -> Measurement:
         axes = body.string("axes").upper().split()
         if unknown := [axis for axis in axes if axis not in AXES]:
             raise body.error(f"must have axes of X Y Z, got {unknown[0]!r}")
-        bodies[body.name] = tuple(AXES.index(axis) for axis in axes)
+        bodies[body_of(body.name)] = tuple(AXES.index(axis) for axis in axes)
     return Measurement(element.name, tuple(pairs), bodies)
 
 
-def window(recorded: Markers, span: tuple[float, float] | None) -> Markers:
-    """Return the frames from the last one not after the start to the first one not before the end."""
-    if span is None:
-        return recorded
+def window(recorded: Markers, span: Span) -> Markers:
+    """Return the frames from the last one not after the start to the first one not before the end.
+
+    Raises:
+        ValueError: The recording has ended, or not begun.
+    """
     time = recorded.time
-    if span[0] > time[-1] or span[1] < time[0]:
+    if span != UNSTATED and (span[0] > time[-1] or span[1] < time[0]):
         return recorded.between(*span)
     first = max(int(np.searchsorted(time, span[0], "right")) - 1, 0)
     last = min(max(int(np.searchsorted(time, span[1], "left")), first), len(time) - 1)

@@ -24,6 +24,12 @@ UNEVEN = 1e-9
 LEAST = 6
 """Frames that a spline of fifth degree needs."""
 
+LOWEST = 1e-4
+"""Of half of the rate, frequencies of the filter: below, float64 does not hold its coefficients."""
+
+MOST = 2**19
+"""Even steps, at the shortest one, that uneven ones are filled up to."""
+
 
 def spline(time: np.ndarray, values: np.ndarray) -> Any:
     """Return the natural spline of fifth degree through rows; called with times and an order of derivative.
@@ -46,6 +52,19 @@ def padded(values: np.ndarray, count: int) -> np.ndarray:
     return np.concatenate([before, values, after])
 
 
+def check_cutoff(cutoff: float, rate: float) -> None:
+    """Check the frequency of a filter [Hz] against the rate of a recording [Hz].
+
+    Raises:
+        ValueError: The filter cannot have it.
+    """
+    if not LOWEST * rate / 2 <= cutoff < rate / 2:
+        raise ValueError(
+            f"the filter's frequency must be at least {LOWEST * rate / 2:g} and below {rate / 2:g} Hz, half "
+            f"of the rate, got {cutoff:g}"
+        )
+
+
 def lowpass(time: np.ndarray, values: np.ndarray, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
     """Return what is left below a frequency, at equal steps, with half of the recording more at each end.
 
@@ -55,7 +74,8 @@ def lowpass(time: np.ndarray, values: np.ndarray, cutoff: float) -> tuple[np.nda
         cutoff: [Hz].
 
     Raises:
-        ValueError: There are too few rows, or the frequency is not below half of the rate.
+        ValueError: There are too few rows, steps differ too much, or the frequency is not below half of the
+            rate.
     """
     from scipy import signal
 
@@ -64,14 +84,17 @@ def lowpass(time: np.ndarray, values: np.ndarray, cutoff: float) -> tuple[np.nda
     longer, rows = padded(time, len(time) // 2), padded(values, len(time) // 2)
     steps = np.diff(longer)
     if steps.mean() - steps.min() > UNEVEN:
+        if longer[-1] - longer[0] > MOST * steps.min():
+            near = int(np.diff(time).argmin())
+            raise ValueError(
+                f"the filter needs steps that are nearly equal: the frames at {time[near]:.9g} and "
+                f"{time[near + 1]:.9g} s are {steps.min():g} s apart, others {steps.mean():g} s; leave one "
+                "out"
+            )
         even = longer[0] + steps.min() * np.arange(1 + int((longer[-1] - longer[0]) / steps.min() + 1e-9))
         longer, rows = even, spline(longer, rows)(even)
     rate = (len(longer) - 1) / (longer[-1] - longer[0])
-    if not 0.0 < cutoff < rate / 2:
-        raise ValueError(
-            f"the filter's frequency must be above 0 and below {rate / 2:g} Hz, half of the rate, got "
-            f"{cutoff:g}"
-        )
+    check_cutoff(cutoff, rate)
     b, a = signal.butter(ORDER, cutoff, fs=rate)
 
     def passed(x: np.ndarray) -> np.ndarray:

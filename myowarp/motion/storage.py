@@ -1,27 +1,46 @@
 """Motions as OpenSim and SCONE read and write them: tables over time, `.sto` and `.mot`; and plain `.csv`.
 
 A `.sto` or `.mot` file has header lines up to `endheader`, a line of column labels and a row for each time,
-separated by tabs or blanks (OpenSim's class `Storage`). Here values are in SI units and radians.
+separated by tabs or blanks (OpenSim's class `Storage`). Here values are in SI units and radians. Rows are
+read forwards, so that a file may be longer than memory (see `streams`).
+
+Header lines are read as OpenSim 4.6 reads them: a word, blanks or `=`, a value. Before version 1 a `.mot`
+file is in degrees, as SIMM's was; else `inDegrees` says so by `yes` or `y`.
 """
 
 from __future__ import annotations
 
 import csv
+import itertools
 import logging
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Self
+from typing import IO, NoReturn, Self
 
 import numpy as np
 
 from myowarp.disk import in_place, naming
+from myowarp.opensim.read.document import MAX_NUMBER, decoded, number_of
 
 logger = logging.getLogger("myowarp")
 
 SUFFIXES = (".sto", ".mot", ".csv")
+CLOSE = 1e-7
+"""[s] below which two times are no two samples, and splines through them no motion."""
+TAIL = 100
+"""Rows before the last one that its digits are compared with."""
+
+LINE = re.compile(r"\s*([^\s=]*)[\s=]*(.*?)\s*$", re.DOTALL)
+DEGREES = re.compile(r"\s*indegrees[\s=:]*(.*?)[\s,;]*$", re.IGNORECASE | re.DOTALL)
+NOTE = re.compile(r"\s*angles are in (degrees|radians)", re.IGNORECASE)
+UNITS = {
+    **dict.fromkeys(("yes", "y", "true", "1"), "degrees"),
+    **dict.fromkeys(("no", "n", "false", "0"), "radians"),
+}
 
 
 @dataclass(frozen=True)
@@ -32,13 +51,16 @@ class Storage:
         labels: Names of the columns, without `time`.
         time: Times [s], increasing, shape (rows,).
         values: One row for each time, shape (rows, columns).
-        in_degrees: Whether angles are in degrees.
+        in_degrees: Whether angles are in degrees, as OpenSim reads the file.
+        unit: Of angles as the words of the header have it: `degrees`, `radians`, what else it has there, or
+            empty.
     """
 
     labels: tuple[str, ...]
     time: np.ndarray
     values: np.ndarray
     in_degrees: bool = False
+    unit: str = ""
 
 
 class Tables:
@@ -136,78 +158,350 @@ def read_storage(path: Path, gaps: bool = False) -> Storage:
         ValueError: It is no such table, or a time is there twice.
         OSError: It cannot be read.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{str(path)!r} is no text file; a table over time is .sto, .mot or .csv") from error
-    in_degrees = False
-    if path.suffix.lower() != ".csv":
-        end = next((i for i, line in enumerate(lines) if line.strip().lower() == "endheader"), None)
-        if end is None:
-            raise ValueError(f"{str(path)!r} has no line 'endheader'; a .sto or .mot file needs one")
-        header = [line.replace(" ", "").lower() for line in lines[:end]]
-        in_degrees, lines = "indegrees=yes" in header, lines[end + 1 :]
-        table = [line.split("\t") if "\t" in line else line.split() for line in lines if line.strip()]
-    else:
-        try:
-            table = [row for row in csv.reader(lines) if row]
-        except csv.Error as error:
-            raise ValueError(f"{str(path)!r} is no table of comma-separated values: {error}") from error
-    table = [[cell.strip() for cell in row] for row in table]
-    while table and all(len(row) > 1 and not row[-1] for row in table):  # tabs at the end of every line
-        table = [row[:-1] for row in table]
-    if len(table) < 2 or not table[0] or table[0][0].lower() != "time":
-        raise ValueError(f"{str(path)!r} must have a first column 'time' and at least one row of numbers")
-    return _checked(path, table[0], table[1:], in_degrees, gaps)
+    with Rows(path, gaps) as rows:
+        return rows.whole()
 
 
-def _checked(
-    path: Path, labels: Sequence[str], rows: Sequence[Sequence[str]], in_degrees: bool, gaps: bool
-) -> Storage:
-    """Return the table of the cells of a file.
+@dataclass(frozen=True)
+class Header:
+    """What a file has before its rows.
 
-    Raises:
-        ValueError: A row is too short or too long, a cell is no finite number, or a time is there twice.
+    Attributes:
+        labels: Names of the columns, without `time`.
+        in_degrees: As in `Storage`.
+        unit: As in `Storage`.
+        rows: How many it says it has, in its own words; empty: it does not say.
+        columns: The same, with `time`.
+        counts: Whether OpenSim goes by these counts.
     """
-    for number, row in enumerate(rows, 1):
-        if len(row) != len(labels):
-            raise ValueError(f"row {number} of {str(path)!r} must have {len(labels)} cells, got {len(row)}")
-    try:
-        values = np.array(rows, dtype=float)
-    except ValueError as error:
-        raise ValueError(f"{str(path)!r} has a cell that is no number: {error}") from error
-    if not (np.isfinite(values) | (gaps & np.isnan(values) & (np.arange(len(labels)) > 0))).all():
-        raise ValueError(f"{str(path)!r} must hold finite numbers; row {_first_bad(values)} does not")
-    values = in_order(path, "row", values)
-    if len(set(labels)) < len(labels):
-        twice = next(label for label in labels if list(labels).count(label) > 1)
-        raise ValueError(f"{str(path)!r} has the column {twice!r} twice")
-    return Storage(tuple(labels[1:]), values[:, 0], values[:, 1:], in_degrees)
+
+    labels: tuple[str, ...]
+    in_degrees: bool = False
+    unit: str = ""
+    rows: str = ""
+    columns: str = ""
+    counts: bool = True
+
+
+def whole_number(text: str) -> int | None:
+    """Return the whole number that a text begins with, as C reads it; None: with none."""
+    found = re.match(r"[+-]?\d+", text)
+    return int(found[0]) if found else None
+
+
+def header_of(lines: Sequence[str], labels: Sequence[str], simm: bool) -> Header:
+    """Return what the lines before `endheader` say.
+
+    Args:
+        lines: The lines.
+        labels: Names of the columns, without `time`.
+        simm: Whether angles are in degrees before version 1.
+    """
+    version, rows, columns, degrees, unit, note = 0, "", "", False, "", ""
+    for line in lines:
+        key, value = LINE.match(line).groups()  # type: ignore[union-attr]
+        if key == "version":
+            version = whole_number(value) or 0
+        elif key in ("nRows", "nr", "datarows"):
+            rows = value
+        elif key in ("nColumns", "nc", "datacolumns"):
+            columns = value
+        elif key == "inDegrees":
+            degrees = value.lower() in ("yes", "y")
+        elif line.strip() == "Angles are in degrees." and not version:
+            degrees = True
+        if word := DEGREES.match(line):
+            unit = UNITS.get(word[1].lower(), word[1])
+        elif word := NOTE.match(line):
+            note = word[1].lower()
+    return Header(tuple(labels), degrees or (simm and version < 1), unit or note, rows, columns, version < 2)
+
+
+class Rows:
+    """Rows of a `.sto`, `.mot` or `.csv` file, read forwards; a context manager that closes it.
+
+    Attributes:
+        path: The file.
+        header: What it has before them.
+    """
+
+    WHAT = "row"
+    COUNT = "nRows"
+
+    def __init__(self, path: Path, gaps: bool = False) -> None:
+        """Read the header.
+
+        Args:
+            path: The file.
+            gaps: Whether cells may be NaN.
+
+        Raises:
+            ValueError: It is no such table.
+            OSError: It cannot be read.
+        """
+        self.path, self._gaps, self._csv = path, gaps, path.suffix.lower() == ".csv"
+        # Digits and letters that are not ASCII are in no number; the header is decoded by itself.
+        self._file = path.open(encoding="ascii", errors="surrogateescape")
+        try:
+            self.header = self._head()
+            self._begin = self._file.tell()
+        except BaseException:
+            self.close()
+            raise
+        self._rewind()
+        self._counted = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _rewind(self) -> None:
+        """Go back to the first row."""
+        self._file.seek(self._begin)
+        self._lines = (line for line in self._file if line.strip())
+        self._read = 0
+
+    def _text(self, lines: Sequence[str]) -> list[str]:
+        """Return lines as text, UTF-8 or else Latin-1, as models are read.
+
+        Raises:
+            ValueError: They are none.
+        """
+        whole = "".join(lines)
+        if "\0" in whole:
+            raise ValueError(f"{str(self.path)!r} is no text file in UTF-8 or Latin-1")
+        return decoded(whole.encode("ascii", "surrogateescape"))[0].split("\n")
+
+    def _head(self) -> Header:
+        """Read the lines before the rows.
+
+        Raises:
+            ValueError: They are not what they should be.
+        """
+        lines, ended = [], self._csv
+        while not ended and (line := self._file.readline()):
+            lines.append(line)
+            ended = LINE.match(line)[1].lower() == "endheader"  # type: ignore[index]
+        while (line := self._file.readline()) and not line.strip():
+            pass
+        *head, names = self._text([*lines, line.rstrip("\n")])
+        if not ended:
+            raise ValueError(f"{str(self.path)!r} has no line 'endheader'; a .sto or .mot file needs one")
+        labels = self._cells(names)
+        if len(labels) < 2 or labels[0].lower() != "time":
+            raise ValueError(
+                f"{str(self.path)!r} must have a first column 'time', and at least one more, got "
+                f"{names.strip()[:60]!r}"
+            )
+        header = header_of(head, labels[1:], self.path.suffix.lower() == ".mot")
+        for label in header.labels:
+            if header.labels.count(label) > 1:
+                raise ValueError(f"{str(self.path)!r} has the column {label!r} twice")
+        self._compare("nColumns", header.columns, len(labels), "columns", refused=header.counts)
+        return header
+
+    def _compare(self, name: str, stated: str, there: int, what: str, refused: bool) -> None:
+        """Refuse a count of the header that does not match, or say so where OpenSim does not go by it.
+
+        Raises:
+            ValueError: It is refused.
+        """
+        if not stated or whole_number(stated) == there:
+            return
+        text = f"{str(self.path)!r} says {name}={stated} and has {there} {what}"
+        if refused:
+            raise ValueError(f"{text}; restore what is missing, or correct its header")
+        logger.warning("%s", text)
+
+    def _cells(self, line: str, count: int = 0) -> list[str]:
+        """Return the cells of a line, at least so many where that many are there.
+
+        Raises:
+            ValueError: It is no line of comma-separated values.
+        """
+        if self._csv:
+            try:
+                cells = next(csv.reader([line]), [])
+            except csv.Error as error:
+                raise ValueError(
+                    f"{str(self.path)!r} is no table of comma-separated values: {error}"
+                ) from error
+        elif "\t" in line and len(line.split()) != count:
+            cells = line.split("\t")
+        else:
+            cells = line.split()
+        cells = [cell.strip() for cell in cells]
+        while len(cells) > count and not cells[-1]:  # tabs at the end of lines
+            cells.pop()
+        return cells
+
+    def _numbers(self, lines: list[str]) -> np.ndarray:
+        """Return time and values of some lines.
+
+        Raises:
+            ValueError: A line has not one number for each column.
+        """
+        columns = 1 + len(self.header.labels)
+        try:
+            if self._csv:
+                lines = [line.rstrip().rstrip(",") for line in lines]
+                table = np.loadtxt(lines, comments=None, ndmin=2, delimiter=",", quotechar='"')
+            else:
+                table = np.loadtxt(lines, comments=None, ndmin=2)
+        except ValueError:
+            self._explain(lines)
+        if table.shape[1] != columns:
+            self._explain(lines)
+        return table
+
+    def _explain(self, lines: Sequence[str]) -> NoReturn:
+        """Say what is wrong with the first of some lines that is no row of numbers.
+
+        Raises:
+            ValueError: Always.
+        """
+        labels = ("time", *self.header.labels)
+        for number, line in enumerate(lines, self._read + 1):
+            cells, where = self._cells(line, len(labels)), f"{self.WHAT} {number} of {str(self.path)!r}"
+            if len(cells) != len(labels):
+                raise ValueError(f"{where} must have {len(labels)} cells, got {len(cells)}")
+            if not all(cells):
+                raise ValueError(f"{where} has an empty cell in column {labels[cells.index('')]!r}")
+            self._check_cells(number, cells)
+        raise ValueError(f"{self.WHAT}s from {self._read + 1} on of {str(self.path)!r} are no numbers")
+
+    def _check_cells(self, number: int, cells: Sequence[str]) -> None:
+        """Check that the cells of the row of a number are numbers, or empty.
+
+        Raises:
+            ValueError: One is neither.
+        """
+        for label, cell in zip(("time", *self.header.labels), cells, strict=False):
+            try:
+                number_of(cell or "0")
+            except ValueError:
+                text = cell.encode("ascii", "surrogateescape").decode("utf-8", "replace")[:60]
+                raise ValueError(
+                    f"{self.WHAT} {number} of {str(self.path)!r} has a cell that is no number: {text!r} in "
+                    f"column {label!r}"
+                ) from None
+
+    def _within(self, table: np.ndarray) -> None:
+        """Check that numbers are finite, and that squares of them are.
+
+        Raises:
+            ValueError: One is not.
+        """
+        right = np.abs(table) < MAX_NUMBER
+        if self._gaps and not right.all():
+            right[:, 1:] |= np.isnan(table[:, 1:])
+        if not right.all():
+            row, column = np.argwhere(~right)[0]
+            raise ValueError(
+                f"{str(self.path)!r} must hold finite numbers below {MAX_NUMBER:g} in size; {self.WHAT} "
+                f"{self._read + row + 1} has {table[row, column]:g} in column "
+                f"{('time', *self.header.labels)[column]!r}"
+            )
+
+    def read(self, count: int | None = None) -> np.ndarray:
+        """Return time and values of up to so many more rows; None: of all. None are left where none comes.
+
+        Raises:
+            ValueError: A row is not what it should be, or the file has not as many as it says.
+        """
+        lines = list(itertools.islice(self._lines, count))
+        if not lines:
+            self._ended(self._read)
+            return np.empty((0, 1 + len(self.header.labels)))
+        if not lines[-1].endswith("\n"):
+            self._cut(lines[-1 - TAIL :])
+        table = self._numbers(lines)
+        self._within(table)
+        self._read += len(table)
+        return table
+
+    def _ended(self, count: int) -> None:
+        """Compare the number of rows with what the header says, once.
+
+        Raises:
+            ValueError: It is another one, and OpenSim goes by it.
+        """
+        if not self._counted:
+            self._counted = True
+            self._compare(self.COUNT, self.header.rows, count, f"{self.WHAT}s", refused=self.header.counts)
+
+    def _cut(self, lines: Sequence[str]) -> None:
+        """Say where a file ends in the middle of a line, and maybe of a number."""
+        *before, last = (re.split(r"[.eE]", self._cells(line)[-1])[-1].strip("+-") for line in lines)
+        if before and all(len(digits) > len(last) for digits in before):
+            logger.warning(
+                "%s ends without a line break, and its last number has fewer digits than those above it; if "
+                "the file was cut short, restore it",
+                self.path,
+            )
+
+    def whole(self) -> Storage:
+        """Return all rows, in the order of their times.
+
+        Raises:
+            ValueError: There is none, or one is not what it should be.
+        """
+        table = self.read()
+        if not len(table):
+            raise self._empty()
+        self._ended(len(table))
+        return self.table(in_order(self.path, self.WHAT, table))
+
+    def _empty(self) -> ValueError:
+        """Return what is wrong with a file without rows."""
+        return ValueError(f"{str(self.path)!r} must have at least one {self.WHAT} of numbers")
+
+    def table(self, rows: np.ndarray) -> Storage:
+        """Return rows, the first column of which is time, with the names of the columns."""
+        return Storage(self.header.labels, rows[:, 0], rows[:, 1:], self.header.in_degrees, self.header.unit)
 
 
 def in_order(path: Path, what: str, table: np.ndarray) -> np.ndarray:
     """Return rows in the order of their times, the first column, and say where they were not.
 
     Raises:
-        ValueError: A time is no number, or is there twice.
+        ValueError: A time is there twice, or nearly.
     """
     time = table[:, 0]
-    if not np.isfinite(time).all():
-        row = 1 + int(np.argmin(np.isfinite(time)))
-        raise ValueError(f"times of {str(path)!r} must be finite numbers; that of {what} {row} is not")
     order = np.argsort(time, kind="stable")
-    again = np.flatnonzero(np.diff(time[order]) <= 0.0)
-    if len(again):
-        one, other = sorted(order[again[0] : again[0] + 2] + 1)
-        raise ValueError(
-            f"times of {str(path)!r} must differ; those of {what}s {one} and {other} are both "
-            f"{time[one - 1]:g} s"
-        )
+    check_apart(path, what, time[order], order + 1)
     if late := int((np.diff(time) < 0.0).sum()):
         logger.warning("%s: %ss are not in the order of their times, in %d places; sorted", path, what, late)
     return table[order]
 
 
-def _first_bad(values: np.ndarray) -> int:
-    """Return the number of the first row with an entry that is not finite, from 1 on."""
-    return 1 + int(np.argmin(np.isfinite(values).all(axis=1)))
+def check_apart(path: Path, what: str, time: np.ndarray, number: np.ndarray) -> None:
+    """Check that times which do not decrease are those of different samples.
+
+    Args:
+        path: The file.
+        what: What a time is of.
+        time: [s].
+        number: Of each, in the file.
+
+    Raises:
+        ValueError: Two are the same, or nearly.
+    """
+    near = np.flatnonzero(np.diff(time) < CLOSE)
+    if not len(near):
+        return
+    (one, other), (begin, end) = sorted(number[near[0] : near[0] + 2]), time[near[0] : near[0] + 2]
+    raise ValueError(
+        f"times of {str(path)!r} must differ; those of {what}s {one} and {other} are both {begin:g} s"
+        if begin == end
+        else f"times of {str(path)!r} must be {CLOSE:g} s apart at least; those of {what}s {one} and {other} "
+        f"are {end - begin:g} s apart; leave one of them out"
+    )

@@ -10,15 +10,17 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
-from myowarp.motion.storage import Storage
+from myowarp.motion.smooth import check_cutoff
+from myowarp.motion.storage import Rows, Storage, check_apart
 
 FRAMES = 16384
 """Rows of a part; a longer file is read in parts."""
+
+FORGOTTEN = 12.0
+"""Of the filter: exp(-pi f t) is far below the rounding of float64 after this many 1 / f."""
 
 
 @dataclass(frozen=True)
@@ -31,100 +33,67 @@ class Margin:
     Attributes:
         rows: At least.
         seconds: At least [s].
+        cutoff: Frequency of the filter [Hz]; None: none.
     """
 
     rows: int = 64
     seconds: float = 0.0
+    cutoff: float | None = None
 
-    @classmethod
-    def of(cls, cutoff: float | None) -> Margin:
-        """Return the margin of a filter's frequency [Hz]; None: none."""
-        return cls() if cutoff is None else cls(seconds=12.0 / cutoff)
+    def at(self, step: float) -> int:
+        """Return how many rows that is, in steps of so long [s].
+
+        Raises:
+            ValueError: The filter's frequency does not go with such steps.
+        """
+        seconds = self.seconds if np.isfinite(self.seconds) else 0.0
+        if self.cutoff is not None:
+            check_cutoff(self.cutoff, 1.0 / step)
+            seconds = max(seconds, FORGOTTEN / self.cutoff)
+        return max(self.rows, 1, int(np.ceil(seconds / step)))
 
 
-class Stream:
-    """Rows of a `.sto` or `.mot` file, read forwards; a context manager that closes it.
+class Stream(Rows):
+    """Rows of a `.sto` or `.mot` file, read forwards in parts."""
 
-    Attributes:
-        path: The file.
-        labels: Names of the columns, without `time`.
-        in_degrees: Whether angles are in degrees.
-    """
-
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, gaps: bool = False) -> None:
         """Read the header.
+
+        Args:
+            path: The file.
+            gaps: Whether cells may be NaN.
 
         Raises:
             ValueError: It is no such table.
             OSError: It cannot be read.
         """
-        self.path = path
-        self._file = path.open(encoding="utf-8-sig")
-        try:
-            self.labels, self.in_degrees = self._header()
-        except ValueError:
-            self.close()
-            raise
-        self._lines = (line for line in self._file if line.strip())
-        self._rows, self._read, self._ended = np.empty((0, 1 + len(self.labels))), 0, False
-
-    def _header(self) -> tuple[tuple[str, ...], bool]:
-        """Read the lines before the numbers; return names of columns, and whether angles are in degrees.
-
-        Raises:
-            ValueError: They are not what they should be.
-        """
-        header = list(itertools.takewhile(lambda line: line.strip().lower() != "endheader", self._file))
-        names = next((line for line in self._file if line.strip()), "")
-        cells = [cell.strip() for cell in (names.split("\t") if "\t" in names else names.split())]
-        while cells and not cells[-1]:
-            cells.pop()
-        if len(cells) < 2 or cells[0].lower() != "time":
-            raise ValueError(
-                f"{str(self.path)!r} must have a line 'endheader' and then a first column 'time'"
-            )
-        degrees = any(line.replace(" ", "").strip().lower() == "indegrees=yes" for line in header)
-        return tuple(cells[1:]), degrees
-
-    def _numbers(self, lines: list[str]) -> np.ndarray:
-        """Return time and values of some lines.
-
-        Raises:
-            ValueError: A line has not one finite number for each column.
-        """
-        where = f"rows {self._read + 1} to {self._read + len(lines)} of {str(self.path)!r}"
-        try:
-            rows = np.loadtxt(lines, comments=None, ndmin=2)
-        except ValueError as error:
-            raise ValueError(f"{where} must be numbers, one for each column: {error}") from error
-        if rows.shape[1] != self._rows.shape[1]:
-            raise ValueError(f"{where} must have {self._rows.shape[1]} cells, got {rows.shape[1]}")
-        if not np.isfinite(rows).all():
-            raise ValueError(f"{where} must be finite numbers")
-        return rows
+        super().__init__(path, gaps)
+        self._rows, self._whole = np.empty((0, 1 + len(self.header.labels))), False
 
     def _time(self, line: str) -> float:
         """Return the time of a line."""
         return float(line.split(None, 1)[0])
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
     def count(self, span: tuple[float, float] | None = None) -> int:
-        """Read all rows, and return how many there are, or of how many the times are in a span [s]."""
-        if span is None:
-            return sum(1 for _ in self._lines)
-        begin, end = span[0] - 1e-9, span[1] + 1e-9
-        return sum(begin <= self._time(line) <= end for line in self._lines)
+        """Return how many rows there are, or of how many the times are in a span [s], before any is read.
+
+        Raises:
+            ValueError: A time is no number, or there are not as many rows as the header says.
+        """
+        begin, end = (-np.inf, np.inf) if span is None else (span[0] - 1e-9, span[1] + 1e-9)
+        inside = total = 0
+        for line in self._lines:
+            if span is not None:
+                try:
+                    inside += begin <= self._time(line) <= end
+                except (ValueError, IndexError):
+                    self._read = total
+                    self._numbers([line])  # says what is wrong
+                    raise
+            total += 1
+        self._ended(total)
+        self._rewind()
+        return total if span is None else inside
 
     def _more(self, count: int) -> None:
         """Read up to so many more rows.
@@ -132,20 +101,18 @@ class Stream:
         Raises:
             ValueError: A row is not what it should be, or a time is not after the one before.
         """
-        lines = list(itertools.islice(self._lines, count))
-        if not lines:
-            self._ended = True
-            return
-        rows = self._numbers(lines)
+        rows = self.read(count)
+        self._whole = not len(rows)
         time = np.concatenate([self._rows[-1:, 0], rows[:, 0]])
-        if not (np.diff(time) > 0.0).all():
-            where = f"rows {self._read + 1} to {self._read + len(lines)} of {str(self.path)!r}"
-            raise ValueError(f"{where} must have times that increase, as the file is read in parts; sort it")
-        self._rows, self._read = np.concatenate([self._rows, rows]), self._read + len(rows)
-
-    def _table(self, rows: slice) -> Storage:
-        """Return some of the rows that are here."""
-        return Storage(self.labels, self._rows[rows, 0], self._rows[rows, 1:], self.in_degrees)
+        number = np.arange(self._read - len(time), self._read) + 1
+        if late := np.flatnonzero(np.diff(time) < 0.0).tolist():
+            one, other = number[late[0] : late[0] + 2]
+            raise ValueError(
+                f"{self.WHAT}s {one} and {other} of {str(self.path)!r} must be in the order of their times; "
+                "sort the file, which is too long to be sorted here"
+            )
+        check_apart(self.path, self.WHAT, time, number)
+        self._rows = np.concatenate([self._rows, rows])
 
     def parts(self, margin: Margin) -> Iterator[tuple[Storage, slice]]:
         """Yield parts of `FRAMES` rows with their margins, and which of the rows are those of the part.
@@ -156,15 +123,14 @@ class Stream:
         size = FRAMES
         self._more(size)
         if not len(self._rows):
-            raise ValueError(f"{str(self.path)!r} has no row")
-        step = float(np.diff(self._rows[:, 0]).mean()) if len(self._rows) > 1 else 1.0
-        around = max(margin.rows, 1, int(np.ceil(margin.seconds / step)))
+            raise self._empty()
+        around = margin.at(float(np.diff(self._rows[:, 0]).mean()) if len(self._rows) > 1 else 1.0)
         first = 0
         while True:
-            while not self._ended and len(self._rows) < first + size + around:
+            while not self._whole and len(self._rows) < first + size + around:
                 self._more(first + size + around - len(self._rows))
             last = min(first + size, len(self._rows))
-            yield self._table(slice(None)), slice(first, last)
+            yield self.table(self._rows), slice(first, last)
             if last == len(self._rows):
                 return
             first = min(last, around)
@@ -177,12 +143,12 @@ class Stream:
             ValueError: A row is not as it should be.
         """
         beyond = int((self._rows[:, 0] > end).sum())
-        while not self._ended and beyond < rows:
+        while not self._whole and beyond < rows:
             self._more(FRAMES)
             beyond = int((self._rows[:, 0] > end).sum())
         first = max(int(np.searchsorted(self._rows[:, 0], begin)) - rows, 0)
         self._rows = self._rows[first:]
-        return self._table(slice(0, len(self._rows) - max(beyond - rows, 0)))
+        return self.table(self._rows[: len(self._rows) - max(beyond - rows, 0)])
 
 
 def is_long(path: Path) -> bool:

@@ -7,14 +7,22 @@ meaning here.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from myowarp.motion.setup_words import Span, file_of, files_of, in_order, span_of
 from myowarp.opensim.read.document import Element, parse
 
-TOOLS = ("InverseKinematicsTool", "InverseDynamicsTool", "AnalyzeTool", "CMCTool")
-UNSET = ("", "Unassigned")
+ALL = (-math.inf, math.inf)
+TOOLS = {
+    "InverseKinematicsTool": ALL,
+    "InverseDynamicsTool": ALL,
+    "AnalyzeTool": (0.0, 1.0),
+    "CMCTool": (0.0, 1.0),
+}
+"""What each does where its set-up file states no times [s]."""
 MOTIONS = ("coordinates_file", "desired_kinematics_file", "states_file")
 CUTOFFS = ("lowpass_cutoff_frequency_for_coordinates", "lowpass_cutoff_frequency")
 
@@ -29,7 +37,7 @@ class ToolSetup:
         loads: External loads.
         coordinates: Joint angles that kinematics should have.
         cutoff: Of the filter [Hz]; None: none.
-        span: First and last time [s]; None: all.
+        span: First and last time [s], of which one may be infinite; None: all.
         exponent: Of activations in the cost; None: it says none.
         reserves: Optimal force of its `CoordinateActuator`s, by coordinate [N m] or [N].
         unread: Actuators of other classes, which are left out.
@@ -63,32 +71,27 @@ def read_tool_setup(path: Path) -> ToolSetup:
         return ToolSetup()
     if tool is None:
         raise root.error(f"holds none of {', '.join(f'<{name}>' for name in TOOLS)}")
-
-    def file(*tags: str) -> Path | None:
-        found = (tool.string(tag) for tag in tags)
-        return next((path.parent / name for name in found if name not in UNSET), None)
-
     cutoff = max(tool.number(tag, default=-1.0) for tag in CUTOFFS)
     optimiser = next((element for element in tool.walk() if element.tag == "StaticOptimization"), None)
     reserves, unread = {}, []
-    for name in tool.string("force_set_files").split():
-        for actuator in _actuators(path.parent / name):
+    for file in files_of(tool, "force_set_files"):
+        for actuator in _actuators(file):
             if actuator.tag == "CoordinateActuator":
                 reserves[actuator.string("coordinate")] = actuator.number("optimal_force", default=1.0)
             else:
                 unread.append(f"{actuator.tag} {actuator.name}")
     return ToolSetup(
-        file("marker_file"),
-        file(*MOTIONS),
-        file("external_loads_file"),
-        file("coordinate_file"),
+        file_of(tool, "marker_file"),
+        file_of(tool, *MOTIONS),
+        file_of(tool, "external_loads_file"),
+        file_of(tool, "coordinate_file"),
         cutoff if cutoff > 0.0 else None,
         _span(tool),
         None if optimiser is None else optimiser.number("activation_exponent", default=2.0),
         reserves,
         tuple(unread),
-        _gains(file("task_set_file")),
-        _controls(file("constraints_file")),
+        _gains(file_of(tool, "task_set_file")),
+        _controls(file_of(tool, "constraints_file")),
     )
 
 
@@ -120,10 +123,16 @@ def _controls(path: Path | None) -> dict[str, tuple[float, float]]:
     }
 
 
-def _span(tool: Element) -> tuple[float, float] | None:
-    """Return the range of time [s], None where none is stated."""
-    if tool.string("time_range"):
-        begin, end = (float(x) for x in tool.numbers("time_range", count=2))
+def _span(tool: Element) -> Span | None:
+    """Return the range of time [s], None for all.
+
+    Raises:
+        ValueError: It is none.
+    """
+    begin, end = TOOLS[tool.tag]
+    if math.isinf(end):
+        begin, end = span_of(tool, ALL)
     else:
-        begin, end = (tool.number(tag, default=-1.0) for tag in ("initial_time", "final_time"))
-    return (begin, end) if begin < end else None
+        times = zip(("initial_time", "final_time"), (begin, end), strict=True)
+        begin, end = in_order(tool, *(tool.number(tag, default=x, finite=False) for tag, x in times))
+    return None if (begin, end) == ALL else (begin, end)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from myowarp.disk import in_place
+from myowarp.disk import write_rows
 from myowarp.motion.inverse_dynamics import Load, Needed, inverse_dynamics
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.joint_reactions import JointReactions, joint_reactions
@@ -30,6 +30,7 @@ from myowarp.motion.streams import Margin, Stream, is_long
 from myowarp.motion.tasks import tasks_of
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.tracking import Tracked, track
+from myowarp.motion.units import Angles
 from myowarp.opensim.model.kinematics import complete, forward, station
 from myowarp.opensim.model.model import Model
 from myowarp.opensim.muscle.hill import HillMuscle, known
@@ -96,27 +97,25 @@ def read_motion(path: Path, bones: Bones, cutoff: float | None = None) -> Moveme
         ValueError: The file is none, has no coordinate of the model, or is too short.
         OSError: It cannot be read.
     """
-    return _moved(path, read_storage(path), bones, cutoff)
+    return _moved(Angles(path, bones.model), read_storage(path), bones, cutoff)
 
 
-def _moved(path: Path, table: Storage, bones: Bones, cutoff: float | None) -> Movement:
+def _moved(angles: Angles, table: Storage, bones: Bones, cutoff: float | None) -> Movement:
     """Return the motion of a table.
 
     Raises:
-        ValueError: It has no coordinate of the model, or is too short.
+        ValueError: It has no coordinate of the model, is too short, or its unit is in doubt.
     """
-    model = bones.model
-    names = [label.split("/")[-2] if label.endswith("/value") else label for label in table.labels]
-    found = [name for name in bones.coordinates if name in names]
+    found = angles.of(table, bones.coordinates)
     if not found:
         raise ValueError(
-            f"{str(path)!r} has no column of a coordinate; the model has {', '.join(bones.coordinates)}"
+            f"{str(angles.path)!r} has no column of a coordinate; the model has "
+            f"{', '.join(bones.coordinates)}"
         )
-    values = np.tile([model.coordinates[name].default for name in bones.coordinates], (len(table.time), 1))
-    for name in found:
-        column = table.values[:, names.index(name)]
-        turns = table.in_degrees and model.coordinates[name].rotational
-        values[:, bones.coordinates.index(name)] = np.radians(column) if turns else column
+    still = np.full(len(table.time), 1.0)
+    defaults = (bones.model.coordinates[name].default for name in bones.coordinates)
+    columns = {name: still * x for name, x in zip(bones.coordinates, defaults, strict=True)} | found
+    values = np.stack(list(columns.values()), axis=1)
     return Movement(
         table.time,
         *derivatives(table.time, values, table.time, cutoff),
@@ -146,18 +145,17 @@ def read_parts(
         motion = read_motion(path, bones, cutoff)
         yield motion if span is None else motion.between(*span)
         return
+    begin, end = span or (-np.inf, np.inf)
+    angles, first = Angles(path, bones.model), 0
     with Stream(path) as stream:
         total = stream.count(span)
-    begin, end = span or (-np.inf, np.inf)
-    if not total:
-        raise ValueError(f"no frame of {str(path)!r} is between {begin:g} and {end:g} s")
-    first = 0
-    with Stream(path) as stream:
-        for table, own in stream.parts(Margin.of(cutoff)):
+        if not total:
+            raise ValueError(f"no frame of {str(path)!r} is between {begin:g} and {end:g} s")
+        for table, own in stream.parts(Margin(cutoff=cutoff)):
             kept = np.zeros(len(table.time), bool)
             kept[own] = (table.time[own] >= begin - 1e-9) & (table.time[own] <= end + 1e-9)
             if kept.any():
-                part = _moved(path, table, bones, cutoff)._part(kept)
+                part = _moved(angles, table, bones, cutoff)._part(kept)
                 yield replace(part, first=first, total=total)
                 first += len(part.time)
 
@@ -264,12 +262,11 @@ def _marker_parts(
             seen, recorded = seen.between(*span), recorded.between(*span)
         yield seen, recorded, len(seen.time)
         return
+    begin, end = span or (-np.inf, np.inf)
     with MarkerStream(path) as stream:
         total = stream.count(span)
-    begin, end = span or (-np.inf, np.inf)
-    if not total:
-        raise ValueError(f"no frame of {str(path)!r} is between {begin:g} and {end:g} s")
-    with MarkerStream(path) as stream:
+        if not total:
+            raise ValueError(f"no frame of {str(path)!r} is between {begin:g} and {end:g} s")
         for table, own in stream.parts(Margin(seconds=2.0 * (fill or 0.0))):
             seen = stream.placed(table)
             recorded = seen if fill is None else seen.filled(fill)
@@ -306,10 +303,8 @@ class Gaps:
             OSError: The file cannot be written.
         """
         rows = sorted(self._rows, key=lambda row: row[1] - row[2])
-        lines = [f"{name},{a:.9g},{b:.9g},{'yes' if there else 'no'}" for name, a, b, there in rows]
-        text = "\n".join(["marker,first [s],last [s],filled", *lines, ""])
-        with in_place(path) as scratch:
-            scratch.write_text(text, encoding="utf-8")
+        table = [(name, f"{a:.9g}", f"{b:.9g}", "yes" if there else "no") for name, a, b, there in rows]
+        write_rows(path, [("marker", "first [s]", "last [s]", "filled"), *table])
 
 
 def _recorded(bones: Bones, setup: Path, names: Sequence[str], time: np.ndarray) -> dict[str, np.ndarray]:

@@ -53,9 +53,22 @@ def test_what_is_written_is_read(tmp_path):
         (("\tmm\t", "\tinch\t"), "has the unit 'inch'; known are mm"),
         (("TOE", "HEEL"), "has the marker 'HEEL' twice"),
         (("0.02", "0.01"), "must differ; those of frames 2 and 3 are both 0.01 s"),
-        (("0.02", ""), "must be finite numbers; that of frame 3 is not"),
-        (("1001", "one"), "line 8 of .* has a cell that is no number"),
-        (("7\t8\t9", "7\t8\t9\t10"), "line 9 of .* must have 8 cells for 2 markers, got 9"),
+        (("0.02", ""), "must hold finite numbers .* frame 3 has nan in column 'time'"),
+        (("1001", "one"), "frame 2 of .* has a cell that is no number: 'one' in column 'HEEL X'"),
+        (("1001", "10_01"), "frame 2 of .* has a cell that is no number: '10_01' in column 'HEEL X'"),
+        (("1001", "\u0661"), "frame 2 of .* has a cell that is no number: '\u0661' in column 'HEEL X'"),
+        (("1001", "1e30"), "finite numbers below 1e.15 in size; frame 2 has 1e.30 in column 'HEEL X'"),
+        (
+            ("7\t8\t9", "7\t8\t9\t10"),
+            "frame 3 of .* must have 8 cells for 2 markers, separated by tabs, got 9",
+        ),
+        (
+            ("\t7\t8\t9\t", "\t7\t8"),
+            "frame 3 of .* must have 8 cells for 2 markers, separated by tabs, got 7",
+        ),
+        (("1\t0.00\t1000\t20\t-30\t4", "1 0.00 1000 20 -30 4"), "frame 1 of .* separated by tabs, got 3"),
+        (("3\t2\tmm", "3\t5\tmm"), "says NumMarkers=5 and has 2 markers; restore what is missing"),
+        (("0.02", "0.01000001"), "1e-07 s apart at least; those of frames 2 and 3 are 1e-08 s apart"),
         (("PathFileType", "Path"), "must begin with 'PathFileType'"),
         (("HEEL\t\t\tTOE\t\t", ""), "names no marker in line 4"),
     ],
@@ -71,7 +84,7 @@ def test_other_files_are_refused(tmp_path):
     with pytest.raises(ValueError, match="is no text file"):
         read_trc(tmp_path / "a.trc")
     empty = "\n".join(TRC.splitlines()[:6]) + "\n"
-    with pytest.raises(ValueError, match="has no frame"):
+    with pytest.raises(ValueError, match="must have at least one frame of numbers"):
         read_trc(written(tmp_path, empty))
     with pytest.raises(ValueError, match="no frame between 3 and 4 s"):
         read_trc(written(tmp_path, TRC)).between(3.0, 4.0)

@@ -149,9 +149,12 @@ def test_frames_around_a_span():
     markers = Markers(("A",), np.arange(5) / 10, np.zeros((5, 1, 3)))
     np.testing.assert_allclose(window(markers, (0.1, 0.15)).time, [0.1, 0.2])
     np.testing.assert_allclose(window(markers, (0.15, 9.0)).time, [0.1, 0.2, 0.3, 0.4])
-    assert len(window(markers, None).time) == 5
+    assert len(window(markers, (-np.inf, np.inf)).time) == 5
     with pytest.raises(ValueError, match="no frame between 7 and 8 s"):
         window(markers, (7.0, 8.0))
+    with pytest.raises(ValueError, match="no frame between -5 and -2 s"):
+        window(markers, (-5.0, -2.0))
+    np.testing.assert_allclose(window(markers, (-1.0, -1.0)).time, [0.0])
 
 
 @pytest.mark.parametrize(

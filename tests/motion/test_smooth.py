@@ -46,5 +46,5 @@ def test_what_cannot_be_filtered():
         lowpass(TIME[:5], sine(1.0)[:5], 6.0)
     with pytest.raises(ValueError, match="needs at least 6 frames, got 3"):
         derivatives(TIME[:3], sine(1.0)[:3], TIME[:1])
-    with pytest.raises(ValueError, match="must be above 0 and below 50 Hz, half of the rate, got 60"):
+    with pytest.raises(ValueError, match=r"must be at least 0.005 and below 50 Hz, half of the rate, got 60"):
         lowpass(TIME, sine(1.0), 60.0)

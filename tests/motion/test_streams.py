@@ -115,19 +115,85 @@ def test_angles_are_those_of_all_markers(folder, tmp_path, monkeypatch, capsys, 
     assert f"{markers.names[0]},0.94,0.97,{'no' if fill is None else 'yes'}" in gaps
 
 
-@pytest.mark.parametrize(("row", "message"), [
-    ("0.5\t1.0", "rows 50 to 97 of .* must be numbers, one for each column"),
-    ("\t".join(["0.5"] + ["x"] * 2), "rows 50 to 97 of .* must be numbers"),
-    ("0.5\tnan\t1.0", "rows 50 to 97 of .* must be finite numbers"),
-    ("0.1\t1.0\t1.0", "rows 50 to 97 of .* must have times that increase, as the file is read in parts"),
+FILE = (
+    "\n".join(
+        ["a", "nRows=200", "endheader", "time\ta\tb", *(f"{0.01 * k:.2f}\t1.0\t2.0" for k in range(200))]
+    )
+    + "\n"
+)
+HALF = "\n0.60\t1.0\t2.0"
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    (HALF, "\n0.60\t1.0", "row 61 of .* must have 3 cells, got 2"),
+    (HALF, "\n0.60\tx\tx", "row 61 of .* has a cell that is no number: 'x' in column 'a'"),
+    (HALF, "\nabc\t1.0\t2.0", "row 61 of .* has a cell that is no number: 'abc' in column 'time'"),
+    (HALF, "\n0.60\t1_0\t2.0", "row 61 of .* has a cell that is no number: '1_0' in column 'a'"),
+    (HALF, "\n0.60\t\u0663\t2.0", "row 61 of .* has a cell that is no number: '\u0663' in column 'a'"),
+    (HALF, "\n0.60\t\t2.0", "row 61 of .* has an empty cell in column 'a'"),
+    (HALF, "\n0.60\tnan\t1.0", "must hold finite numbers below 1e.15 in size; row 61 has nan in column 'a'"),
+    (HALF, "\n0.60\t1e30\t1.0", "finite numbers below 1e.15 in size; row 61 has 1e.30 in column 'a'"),
+    (HALF, "\n0.59\t1.0\t1.0", "must differ; those of rows 60 and 61 are both 0.59 s"),
+    (HALF, "\n0.59000001\t1.0\t1.0", "1e-07 s apart at least; those of rows 60 and 61 are 1e-08 s apart"),
+    (HALF, HALF + HALF.replace("0.60", "0.605"), "says nRows=200 and has 201 rows; restore what is missing"),
+    (HALF, "", "says nRows=200 and has 199 rows; restore what is missing, or correct its header"),
+    ("time\ta\tb", "time\ta\ta", "has the column 'a' twice"),
+    ("time\ta\tb", "frame\ta\tb", "must have a first column 'time', and at least one more"),
+    ("endheader", "header", "has no line 'endheader'; a .sto or .mot file needs one"),
+    ("a\nnRows", "a\0\nnRows", "is no text file in UTF-8 or Latin-1"),
+    ("nRows=200", "nColumns=4", "says nColumns=4 and has 3 columns"),
 ])  # fmt: skip
-def test_bad_rows_are_one_sentence(tmp_path, row, message):
-    lines = [f"{0.01 * k:.2f}\t1.0\t2.0" for k in range(200)]
-    lines[60] = row
-    (tmp_path / "a.sto").write_text("\n".join(["a", "endheader", "time\ta\tb", *lines]) + "\n")
-    with Stream(tmp_path / "a.sto") as stream, pytest.raises(ValueError, match=message) as caught:
+def test_bad_files_are_one_sentence_the_same_for_long_and_short_ones(tmp_path, old, new, message):
+    path, said = tmp_path / "a.sto", []
+    assert FILE.count(old) == 1
+    path.write_text(FILE.replace(old, new), encoding="utf-8")
+
+    def parts():
+        with Stream(path) as stream:
+            stream.count((0.0, 0.1))
+            return list(stream.parts(Margin(rows=0)))
+
+    for read in (lambda: read_storage(path), parts):
+        with pytest.raises(ValueError, match=message) as caught:
+            read()
+        assert "\n" not in str(caught.value)
+        said.append(str(caught.value))
+    assert said[0] == said[1]
+
+
+def test_long_files_are_not_sorted(tmp_path):
+    (tmp_path / "a.sto").write_text(FILE.replace(HALF, "\n0.30\t1.0\t2.0").replace("\n0.30", "\n0.305", 1))
+    with (
+        Stream(tmp_path / "a.sto") as stream,
+        pytest.raises(
+            ValueError, match=r"rows 60 and 61 of .* must be in the order of their times; sort the file"
+        ),
+    ):
         list(stream.parts(Margin(rows=0)))
-    assert "\n" not in str(caught.value)
-    (tmp_path / "b.sto").write_text("a\nendheader\nframe\ta\n1\t2\n")
-    with pytest.raises(ValueError, match="must have a line 'endheader' and then a first column 'time'"):
-        Stream(tmp_path / "b.sto")
+
+
+@pytest.mark.parametrize("text", ["B\u00e4r", "B\u00e4r\t\t"])
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-8", "utf-8-sig"])
+def test_letters_of_both_encodings(tmp_path, text, encoding):
+    """In the header and in names, as in models."""
+    (tmp_path / "a.sto").write_bytes(
+        FILE.replace("a\n", f"{text}\n", 1).replace("\tb\n", "\t\u00fc\n").encode(encoding)
+    )
+    with Stream(tmp_path / "a.sto") as stream:
+        ((part, _), *_) = stream.parts(Margin(rows=0))
+    whole = read_storage(tmp_path / "a.sto")
+    assert part.labels == whole.labels == ("a", "\u00fc")
+
+
+@pytest.mark.parametrize(("cutoff", "message"), [
+    (0.0, "must be at least 0.005 and below 50 Hz, half of the rate, got 0"), (np.nan, "got nan"),
+    (1e-300, "got 1e-300"), (-1.0, "got -1"), (np.inf, "got inf"), (60.0, "below 50 Hz"),
+])  # fmt: skip
+def test_filters_of_long_files(folder, tmp_path, monkeypatch, cutoff, message):
+    said = []
+    for size in (SIZE, ROWS):
+        monkeypatch.setattr(streams, "FRAMES", size)
+        with pytest.raises(ValueError, match=message) as caught:
+            Motion("dynamics", LEG, motion=folder / "motion.mot", filter=cutoff, output=tmp_path / "out")()
+        said.append(str(caught.value))
+    assert said[0] == said[1]

@@ -140,7 +140,7 @@ def test_gaps_are_listed_and_filled_up_to_a_length(leg, capsys):
     said = capsys.readouterr().err
     assert f"{names[1]} was not seen from" in said
     assert "1 gaps were filled; gaps.csv lists all 3" in said
-    with pytest.raises(ValueError, match="must be above 0 s, got -1 s"):
+    with pytest.raises(ValueError, match="must be above 0 s and finite, got -1 s"):
         recorded.filled(-1.0)
 
 

@@ -86,7 +86,7 @@ def test_kinematics(tmp_path, capsys):
     [
         ({"motion": None}, "motion dynamics needs --motion FILE"),
         ({"reserve": -1.0}, "--reserve must be at least 0 and finite, got -1"),
-        ({"filter": 500.0}, "must be above 0 and below"),
+        ({"filter": 500.0}, "must be at least 0.003 and below 30 Hz, half of the rate, got 500"),
         ({"loads": "other.xml"}, "body 'nose' unknown; available: ground, pelvis"),
         ({"motion": "push.mot"}, "has no column of a coordinate; the model has pelvis_tilt"),
     ],

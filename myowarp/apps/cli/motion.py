@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import importlib.util
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -15,7 +16,7 @@ from rich.console import Console
 
 from myowarp.apps.cli.options import Overwrite, optional
 from myowarp.definitions.registry import check_least
-from myowarp.disk import check_folder, check_overwrite, in_place, make_folder
+from myowarp.disk import check_folder, check_overwrite, in_place, make_folder, write_rows
 from myowarp.progress import patient_bar
 
 if TYPE_CHECKING:
@@ -299,10 +300,8 @@ class Motion:
         activation, envelope = read_storage(path), envelopes(read_storage(source))
         found = agreement(envelope, activation)
         write_storage(self.output / "emg.sto", "envelopes of electromyograms", envelope)
-        rows = [f"{one.muscle},{one.delay:.3f},{one.correlation:.4f}" for one in found]
-        text = "\n".join(["muscle,delay [s],correlation", *rows, ""])
-        with in_place(self.output / "emg_agreement.csv") as scratch:
-            scratch.write_text(text, encoding="utf-8")
+        rows = [(one.muscle, f"{one.delay:.3f}", f"{one.correlation:.4f}") for one in found]
+        write_rows(self.output / "emg_agreement.csv", [("muscle", "delay [s]", "correlation"), *rows])
         draw_emg(self.output / "emg.png", envelope, activation, found)
         return [f"{one.muscle}: correlation {one.correlation:.2f} at a delay of {1e3 * one.delay:.0f} ms"
                 for one in found[:SHOWN]]  # fmt: skip
@@ -330,12 +329,13 @@ class Motion:
         factors = numbers_of("strength", self.strength, "soleus_r=0.9")
         said = ToolSetup() if self.setup is None else read_tool_setup(self.setup)
         gains = {**said.gains, **numbers_of("gain", self.gain, "mtp_angle_r=1600")}
-        begin, end = self.span or (motion.time[0], motion.time[-1])
+        ends = zip(self.span or (-np.inf, np.inf), motion.time[[0, -1]], strict=True)
+        begin, end = (edge if np.isinf(x) else x for x, edge in ends)
         with progress_bar("Tracking", "windows", Console(stderr=True)) as bar:
             task = bar.add_task("", total=max(1, round((end - begin) / WINDOW)))
             found = trial.follow(
                 bones, motion, self.output, self.loads, reserves=self._reserves(bones), factors=factors,
-                gains=gains, controls=said.controls, span=self.span,
+                gains=gains, controls=said.controls, span=(begin, end),
                 advance=lambda count: bar.advance(task, count),
             )  # fmt: skip
         lines, off = [], found.off()[0]
@@ -392,7 +392,7 @@ def numbers_of(option: str, words: tuple[str, ...], example: str) -> dict[str, f
 
 def gaps_in(path: Path) -> list[str]:
     """Return the longest gaps of markers that were not filled, one line each."""
-    rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()[1:]]
+    rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))[1:]
     left = [row for row in rows if row[3] == "no"]
     lines = [f"{name} was not seen from {first} to {last} s" for name, first, last, _ in left[:SHOWN]]
     if filled := len(rows) - len(left):

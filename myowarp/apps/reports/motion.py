@@ -20,6 +20,7 @@ import numpy as np
 from myowarp.apps.reports import panel
 from myowarp.apps.reports.table import number
 from myowarp.motion.storage import Storage, read_storage
+from myowarp.motion.units import Angles
 from myowarp.opensim.model.kinematics import independent
 from myowarp.opensim.model.model import GROUND, Model
 
@@ -106,7 +107,7 @@ def page(folder: Path, model: Model, motion: Path | None = None) -> str:
     tables = {part.file: read_storage(folder / part.file, gaps=True) for part in (MARKERS, MISSING, *PARTS)
               if (folder / part.file).exists()}  # fmt: skip
     if motion is not None:
-        tables["ik.mot"] = read_storage(motion)
+        tables["ik.mot"] = angles_of(motion, read_storage(motion), model)
     if not tables:
         raise ValueError(
             f"{str(folder)!r} has no table of a motion; write one with myowarp motion kinematics, dynamics, "
@@ -138,6 +139,18 @@ def page(folder: Path, model: Model, motion: Path | None = None) -> str:
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         title=title, findings=bullets, sections="".join(sections)
     )
+
+
+def angles_of(path: Path, table: Storage, model: Model) -> Storage:
+    """Return the coordinates of a recording, angles in degrees.
+
+    Raises:
+        ValueError: The unit of its angles is in doubt.
+    """
+    found = Angles(path, model).of(table, model.coordinates)
+    columns = [np.degrees(x) if model.coordinates[name].rotational else x for name, x in found.items()]
+    values = np.stack(columns, axis=1) if columns else np.empty((len(table.time), 0))
+    return Storage(tuple(found), table.time, values, in_degrees=True)
 
 
 def floating(model: Model) -> list[str]:

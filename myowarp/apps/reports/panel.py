@@ -24,6 +24,8 @@ COLORS = (
 )
 """Of lines in one panel: no two look alike."""
 DPI = 110
+TICK = r"\mathdefault"
+"""What matplotlib writes powers of ten on axes with."""
 
 
 @contextmanager
@@ -65,6 +67,11 @@ def blank(width: float, height: float) -> Figure:
 
 def picture(figure: Figure, form: str, dpi: float = DPI) -> bytes:
     """Return a figure in a format of matplotlib's, such as png, svg or pdf; no date is in it."""
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        if "$" in text.get_text() and TICK not in text.get_text():  # a name of a model's, no formula
+            text.set_parse_math(False)
     date = {"svg": "Date", "pdf": "CreationDate"}.get(form)
     buffer = io.BytesIO()
     figure.savefig(buffer, format=form, dpi=dpi, metadata=date and {date: None})

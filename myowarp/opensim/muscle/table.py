@@ -18,6 +18,7 @@ from myowarp.disk import in_place
 from myowarp.opensim.model import functions
 from myowarp.opensim.model.functions import Function
 from myowarp.opensim.muscle.hill import HillMuscle
+from myowarp.opensim.read.document import number_of
 
 UNITS = {
     "max_isometric_force": "N",
@@ -95,7 +96,7 @@ def _unit(name: str) -> str:
 def _number(text: str, place: str) -> float:
     """Return the number that a cell holds."""
     try:
-        return float(text)
+        return number_of(text)
     except ValueError as error:
         raise ValueError(f"{place} must be a number, got {text!r}") from error
 

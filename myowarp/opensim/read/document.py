@@ -45,8 +45,8 @@ class Element:
 
     @property
     def name(self) -> str:
-        """Its attribute `name`, or ""."""
-        return self.attributes.get("name", "").strip()
+        """Its attribute `name`, or ""; tabs and line breaks are blanks, as in the texts that refer to it."""
+        return " ".join(self.attributes.get("name", "").split())
 
     def error(self, message: str) -> ValueError:
         """Return an error that says where: file, line, element."""
@@ -118,7 +118,7 @@ class Element:
         """Return the text of this element as numbers."""
         words = self.text.replace(",", " ").strip(" \t\r\n()~[]").split()
         try:
-            values = np.array([float(word) for word in words])
+            values = np.array([number_of(word) for word in words])
         except ValueError:
             raise self.error(f"must be numbers, got {self.text.strip()[:60]!r}") from None
         if finite and not (np.abs(values) < MAX_NUMBER).all():
@@ -201,6 +201,17 @@ def parse(path: Path) -> tuple[Element, bool]:
     text = BARE_AMPERSAND.sub("&amp;", _without_comments(text))
     text = re.sub(r"^\s*<\?xml[^>]{0,200}\?>", lambda match: "\n" * match[0].count("\n"), text)
     return _tree(path, text), latin
+
+
+def number_of(word: str) -> float:
+    """Return a number as it stands in files: in ASCII, and without the underscores that Python lets pass.
+
+    Raises:
+        ValueError: It is none.
+    """
+    if "_" in word or not word.isascii():
+        raise ValueError(f"{word!r} is no number")
+    return float(word)
 
 
 def decoded(raw: bytes) -> tuple[str, bool]:

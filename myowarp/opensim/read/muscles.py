@@ -5,7 +5,7 @@ import math
 from myowarp.opensim.model.elements import Ligament, PathActuator
 from myowarp.opensim.model.functions import Function, Linear, Multiplier, ToeThenLine
 from myowarp.opensim.model.model import Muscle
-from myowarp.opensim.read.document import Element
+from myowarp.opensim.read.document import Element, number_of
 from myowarp.opensim.read.functions import READERS, function_in, read_function
 from myowarp.opensim.read.muscle_defaults import DEFAULTS, FORCE_LENGTH
 from myowarp.opensim.read.paths import Scope, read_path
@@ -22,6 +22,9 @@ COMMON = {
     "max_control": 1.0,
 }
 """What every muscle has, with OpenSim's defaults."""
+
+NEEDED = ("max_isometric_force", "optimal_fiber_length", "tendon_slack_length")
+"""Parameters that may not be empty."""
 
 RENAMED = {"pennation_angle": "pennation_angle_at_optimal"}
 """Names before 3.0."""
@@ -87,10 +90,20 @@ def _leaves(element: Element) -> tuple[dict[str, float], dict[str, Function]]:
     return numbers, curves
 
 
+def _leaf(element: Element, name: str) -> Element | None:
+    """Return the element of a parameter, under its name or the one before 3.0, here or in a curve."""
+    *outer, last = name.split(".")
+    inner: Element | None = element
+    for tag in outer:
+        inner = None if inner is None else inner.find(tag)
+    before = [old for old, new in RENAMED.items() if new == last]
+    return None if inner is None else inner.find(last, *before)
+
+
 def _is_number(word: str) -> bool:
     """Return whether a text is one number; NaN is one, and refused later."""
     try:
-        float(word)
+        number_of(word)
     except ValueError:
         return False
     return True
@@ -106,10 +119,11 @@ def read_muscle(element: Element, scope: Scope) -> Muscle:
     given, curves = ({}, {}) if element.fallback is None else _leaves(element.fallback)
     own_numbers, own_curves = _leaves(element)
     given, curves = {**given, **own_numbers}, {**curves, **own_curves}
-    for name in ("max_isometric_force", "optimal_fiber_length", "tendon_slack_length"):
-        if (found := element.find(name)) is not None and name not in given:
-            raise found.error(f"must be one number, got {found.text.strip()[:60]!r}")
     own = {**COMMON, **DEFAULTS[element.tag]}
+    for name in own:
+        found = _leaf(element, name)
+        if found is not None and name not in given and (name in NEEDED or found.text.strip()):
+            raise found.error(f"must be one number, got {found.text.strip()[:60]!r}")
     # OpenSim ignores parameters of other classes, such as a damping that a Thelen2003Muscle had before 3.0.
     values = {**own, **{name: given[name] for name in given if name in own or name not in OTHERS}}
     for name, low, high in (

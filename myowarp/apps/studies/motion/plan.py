@@ -20,7 +20,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from myowarp.definitions.registry import check_least
+from myowarp.definitions.registry import check_least, number_in
 from myowarp.disk import files_digest
 from myowarp.motion.draws import Recording, Uncertainty
 from myowarp.motion.inverse_kinematics import inverse_kinematics
@@ -30,7 +30,7 @@ from myowarp.motion.muscle_forces import Mode
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.tasks import tasks_of
 from myowarp.motion.trial import read_motion
-from myowarp.opensim.read.document import parse
+from myowarp.opensim.read.document import MAX_NUMBER, parse
 from myowarp.sim.patient_table import read_table
 
 TRIAL = "trial"
@@ -155,9 +155,13 @@ def _trial(folder: Path, header: list[str], row: list[Any], number: int) -> Tria
     numbers = {}
     for column, cell in cells.items():
         try:
-            numbers[column] = float(cell)
+            numbers[column] = number_in(cell)
         except ValueError:
             raise ValueError(f"{where}, column {column!r}: needs a number, got {cell!r}") from None
+        if not abs(numbers[column]) < MAX_NUMBER:
+            raise ValueError(
+                f"{where}, column {column!r}: needs a number below {MAX_NUMBER:g} in size, got {cell!r}"
+            )
     spread = {what: numbers.pop(column) for column, what in SPREADS.items() if column in numbers}
     own = {column: numbers.pop(column) for column in NUMBERS if column in numbers}
     return Trial(name, files, own, numbers, Uncertainty(**spread))

@@ -12,7 +12,6 @@ What is there is not done again, unless files or row of its trial changed.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -27,7 +26,7 @@ from myowarp.apps.studies.cluster import check_ray, connected, each
 from myowarp.apps.studies.motion.figure import draw_forces
 from myowarp.apps.studies.motion.plan import Study, Trial, plan_study, recording_of
 from myowarp.apps.studies.parts import LOCK, RESULTS, SUMMARY, agree, part, remove_damaged
-from myowarp.disk import check_folder, in_place, locked, make_folder, sentence
+from myowarp.disk import check_folder, in_place, locked, make_folder, sentence, write_rows
 from myowarp.engine.threads import num_cores
 from myowarp.motion.draws import Drawn, Recording, draw_trial
 from myowarp.motion.storage import Storage, write_storage
@@ -112,8 +111,7 @@ def run(
         done = [k for k, trial in enumerate(study.trials) if trial.name not in failures]
         per = len(every) // len(study.trials)
         folders = [spread(output, study.trials[k], range(per * k, per * (k + 1))) for k in done]
-        with in_place(output / "failed.csv") as scratch, scratch.open("w", newline="") as file:
-            csv.writer(file).writerows([("trial", "why"), *failures.items()])
+        write_rows(output / "failed.csv", [("trial", "why"), *failures.items()])
     total = len(study.trials)
     console.print(
         f"Saved {len(done)} of {total} trials, each with {study.draws} draws, in {output}", markup=False

@@ -1,0 +1,121 @@
+"""Angles of a recording, in radians: what its header says of their unit, and whether that can be.
+
+OpenSim's rule gives the unit (see `storage`). It is not enough where the header says nothing, says something
+else in its words, or is wrong: a knee at 60 rad, or a walk within 1.2 degrees. Both readings are said then;
+the file is refused where its header does not decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from myowarp.motion.storage import Storage, logger
+from myowarp.opensim.model.model import Coordinate, Model
+
+TURN = 2.0 * np.pi
+BEYOND = np.pi / 2
+"""[rad] behind the end of a range from which, beyond a turn, an angle is doubted."""
+STILL = 0.1
+"""[rad] within which a whole recording in degrees is doubted, where it would be a pose in radians."""
+POSED = np.radians(20.0)
+"""[rad] that such a pose has somewhere."""
+
+
+def coordinate_of(label: str) -> str:
+    """Return the coordinate of a column, called like it or like its state, `/jointset/knee/angle/value`."""
+    return label.split("/")[-2] if label.endswith("/value") else label
+
+
+class Angles:
+    """Coordinates of a recording, which may come in parts; what is doubtful of it is said once.
+
+    Attributes:
+        path: The recording.
+    """
+
+    def __init__(self, path: Path, model: Model) -> None:
+        """Begin with none.
+
+        Args:
+            path: The recording.
+            model: Whose coordinates they are.
+        """
+        self.path, self._model, self._told = path, model, False
+
+    def of(self, table: Storage, coordinates: Iterable[str]) -> dict[str, np.ndarray]:
+        """Return those of some coordinates that a table of the recording has [rad] or [m].
+
+        Raises:
+            ValueError: A coordinate is there twice, or the header leaves the unit open and it matters.
+        """
+        names = [coordinate_of(label) for label in table.labels]
+        columns: dict[str, np.ndarray] = {}
+        for name in coordinates:
+            if names.count(name) > 1:
+                raise ValueError(f"{str(self.path)!r} has two columns of the coordinate {name!r}")
+            if name in names:
+                columns[name] = table.values[:, names.index(name)]
+        turning = {name: x for name, x in columns.items() if self._model.coordinates[name].rotational}
+        if turning and len(table.time):
+            self._check(table, turning)
+        return columns | ({name: np.radians(x) for name, x in turning.items()} if table.in_degrees else {})
+
+    def _check(self, table: Storage, turning: dict[str, np.ndarray]) -> None:
+        """Ask whether angles, as they stand in the file, can have the unit that it is read in.
+
+        Raises:
+            ValueError: The header does not decide, or its words and OpenSim's reading differ.
+        """
+        path, unit = str(self.path), "degrees" if table.in_degrees else "radians"
+        if table.unit not in ("", "degrees", "radians"):
+            raise ValueError(f"{path!r} has inDegrees={table.unit}; it must be yes or no")
+        if table.unit not in ("", unit):
+            raise ValueError(
+                f"the header of {path!r} says {table.unit}, and OpenSim reads it in {unit}; write the lines "
+                "version=1 and inDegrees=yes, or inDegrees=no, into it"
+            )
+        scale = np.pi / 180.0 if table.in_degrees else 1.0
+        most = {name: float(x[np.abs(x).argmax()]) for name, x in turning.items()}
+        beyond = [name for name, x in most.items() if is_beyond(self._model.coordinates[name], scale * x)]
+        if beyond:
+            name = max(beyond, key=lambda one: abs(most[one]))
+            low, high = np.degrees(self._model.coordinates[name].range)
+            text = (
+                f"{name} of {path!r} goes to {most[name]:.4g} {unit}, its range is {low:.4g} to {high:.4g} "
+                f"degrees; in {'radians' if table.in_degrees else 'degrees'} it would be "
+                f"{(57.29578 if table.in_degrees else 1.0) * most[name]:.4g} degrees"
+            )
+            if not table.unit and not table.in_degrees:
+                raise ValueError(
+                    f"{text}, and the file does not say which; a .mot or .sto file does so by a line "
+                    "inDegrees=yes or inDegrees=no"
+                )
+            self._say(text)
+        elif table.in_degrees and self._still(most):
+            size = max(map(abs, most.values()))
+            self._say(
+                f"all angles of {path!r} are within {size:.3g} degrees; if they are radians, up to "
+                f"{np.degrees(size):.3g} degrees, its header must say inDegrees=no"
+            )
+
+    def _still(self, most: dict[str, float]) -> bool:
+        """Whether angles hardly leave 0 in degrees, and are a pose within all ranges in radians."""
+        sizes = [abs(x) for x in most.values()]
+        return POSED <= max(sizes) <= np.degrees(STILL) and not any(
+            is_beyond(self._model.coordinates[name], x, turn=0.0) for name, x in most.items()
+        )
+
+    def _say(self, text: str) -> None:
+        """Say it, unless something was said of the recording before."""
+        if not self._told:
+            logger.warning("%s", text)
+        self._told = True
+
+
+def is_beyond(coordinate: Coordinate, angle: float, turn: float = TURN) -> bool:
+    """Whether an angle [rad] is far outside of the range of a coordinate, and beyond a turn."""
+    low, high = coordinate.range
+    return abs(angle) > turn and not low - BEYOND <= angle <= high + BEYOND
