@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 
+from myowarp.motion.actuators import actuators_of
 from myowarp.motion.inverse_dynamics import Load, Needed, inverse_dynamics
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.joint_reactions import JointReactions, joint_reactions
 from myowarp.motion.loads import Loads, loads_at
 from myowarp.motion.markers import Markers, MarkerStream, read_trc
 from myowarp.motion.metabolic_power import metabolic_power
+from myowarp.motion.model_forces import acts, left_out
 from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces, rigid_capacity
 from myowarp.motion.muscle_paths import MusclePaths, muscle_paths
 from myowarp.motion.scaling import Scaled, read_setup, scale, write_factors
@@ -371,7 +373,7 @@ def write_angles(
 
 
 def dynamics(bones: Bones, motion: Movement, output: Path, loads: Path | Loads | None = None) -> Needed:
-    """Find what a motion takes; write `moments.sto`.
+    """Find what a motion takes; write `moments.sto`, and what the model's springs do, `passive_moments.sto`.
 
     Args:
         bones: The model.
@@ -383,11 +385,28 @@ def dynamics(bones: Bones, motion: Movement, output: Path, loads: Path | Loads |
         ValueError: A file is not what it should be.
         OSError: A file cannot be read or written.
     """
+    return _dynamics(bones, motion, output, _acting(loads, motion))
+
+
+def _acting(loads: Path | Loads | None, motion: Movement) -> Sequence[Load]:
+    """Return the loads of a motion."""
     known_loads = Loads(loads) if isinstance(loads, Path) else loads
-    acting: Sequence[Load] = () if known_loads is None else known_loads.at(motion.time)
+    return () if known_loads is None else known_loads.at(motion.time)
+
+
+def _dynamics(bones: Bones, motion: Movement, output: Path, acting: Sequence[Load]) -> Needed:
+    """Find what a motion takes under loads, and write it."""
     needed = inverse_dynamics(bones, motion.values, motion.speeds, motion.accelerations, acting)
     _write_along(output / "moments.sto", "joint moments, N m and N", bones, motion, needed.joint_moment)
+    if acts(bones.model):
+        _write_passive(output, bones, motion, needed)
     return needed
+
+
+def _write_passive(output: Path, bones: Bones, motion: Movement, needed: Needed) -> None:
+    """Write what springs, limits, bushings and ligaments of a model do."""
+    title = "what springs, limits, bushings and ligaments of the model give, N m and N"
+    _write_along(output / "passive_moments.sto", title, bones, motion, needed.passive)
 
 
 def analyze(bones: Bones, motion: Movement, output: Path) -> MusclePaths:
@@ -427,6 +446,9 @@ def analyze(bones: Bones, motion: Movement, output: Path) -> MusclePaths:
     ):
         _write(output / f"{name}.sto", title, paths.muscles, motion, values)
     _write(output / "moment_arms.sto", "moment arms, m", arms, motion, np.stack(list(arms.values()), axis=1))
+    if acts(bones.model):
+        moved = motion.values, motion.speeds, motion.accelerations
+        _write_passive(output, bones, motion, inverse_dynamics(bones, *moved))
     return paths
 
 
@@ -456,7 +478,9 @@ def forces(
         OSError: A file cannot be read or written.
     """
     paths = muscle_paths(bones, motion.values, motion.speeds)
-    needed = dynamics(bones, motion, output, loads)
+    acting = _acting(loads, motion)
+    needed = _dynamics(bones, motion, output, acting)
+    actuators = actuators_of(bones, motion.values)
     found = muscle_forces(
         bones.model,
         bones.coordinates,
@@ -465,6 +489,7 @@ def forces(
         mode=mode,
         exponent=exponent,
         reserves=reserves,
+        actuators=actuators,
         device=bones.device,
     )
     burnt = metabolic_power(bones.model, found, paths, bones.device)
@@ -474,12 +499,21 @@ def forces(
         ("powers", "powers of muscles, W, shortening > 0", found.power),
         ("metabolic_powers", "metabolic powers of muscles, W, without the rate at rest", burnt),
     ):
-        _write(output / f"{name}.sto", title, found.muscles, motion, values)
+        _write(output / f"{name}.sto", _titled(title, bones), found.muscles, motion, values)
     tension = dict(zip(found.muscles, found.force.T, strict=True))
-    _write_reactions(
-        output / "joint_reactions.sto", motion, joint_reactions(bones, motion.values, needed, tension)
-    )
-    _write_along(output / "reserves.sto", "what reserves give, N m and N", bones, motion, found.reserve)
+    if actuators is not None:
+        given = found.control * actuators.optimal
+        title = _titled("what motors give, N m and N", bones)
+        _write(output / "actuators.sto", title, found.motors, motion, given)
+        pulls = zip(found.motors, given.T, strict=True)
+        tension |= {name: force for name, force in pulls if name in actuators.paths}
+        if pushed := actuators.acting(found.control):
+            moved = motion.values, motion.speeds, motion.accelerations
+            needed = inverse_dynamics(bones, *moved, [*acting, *pushed])
+    reactions = joint_reactions(bones, motion.values, needed, tension)
+    _write_reactions(output / "joint_reactions.sto", bones, motion, reactions)
+    title = "what reserves and motors give, N m and N"
+    _write_along(output / "reserves.sto", title, bones, motion, found.reserve)
     _write_along(output / "missing.sto", "what nobody gives, N m and N", bones, motion, found.missing)
     return found
 
@@ -541,13 +575,14 @@ def follow(
         ("fiber_lengths", "fiber lengths, m", found.fiber_length),
         ("forces", "forces of muscles, N", found.force),
     ):
-        _write(output / f"{name}.sto", title, found.muscles, simulated, values[:, 0])
+        _write(output / f"{name}.sto", _titled(title, bones), found.muscles, simulated, values[:, 0])
     given = found.reserve[:, 0]
-    _write_along(output / "reserves.sto", "what reserves give, N m and N", bones, simulated, given)
+    title = "what reserves and motors give, N m and N"
+    _write_along(output / "reserves.sto", title, bones, simulated, given)
     return found
 
 
-def _write_reactions(path: Path, motion: Movement, found: JointReactions) -> None:
+def _write_reactions(path: Path, bones: Bones, motion: Movement, found: JointReactions) -> None:
     """Write joint reactions with the labels of OpenSim's `JointReaction`: on the child, in ground.
 
     Raises:
@@ -560,14 +595,20 @@ def _write_reactions(path: Path, motion: Movement, found: JointReactions) -> Non
         for axis in "xyz"
     ]
     table = np.concatenate([found.force, found.moment, found.point], axis=2).reshape(len(motion.time), -1)
-    _write(path, "joint reactions, N, N m and m", labels, motion, table)
+    _write(path, _titled("joint reactions, N, N m and m", bones), labels, motion, table)
 
 
 def _write_along(path: Path, title: str, bones: Bones, motion: Movement, values: np.ndarray) -> None:
-    """Write what acts along the coordinates, named as OpenSim names it."""
+    """Write what acts along the coordinates, named as OpenSim names it; the title has what is left out."""
     turns = [bones.model.coordinates[name].rotational for name in bones.coordinates]
     labels = (f"{n}_{'moment' if t else 'force'}" for n, t in zip(bones.coordinates, turns, strict=True))
-    _write(path, title, labels, motion, values)
+    _write(path, _titled(title, bones), labels, motion, values)
+
+
+def _titled(title: str, bones: Bones) -> str:
+    """Return the title of a result of joint moments: with what acts in OpenSim and is left out here."""
+    lost = left_out(bones.model)
+    return f"{title}; {lost}" if lost else title
 
 
 def _write(path: Path, title: str, labels: Iterable[str], motion: Movement, values: np.ndarray) -> None:
