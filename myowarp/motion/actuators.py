@@ -16,7 +16,9 @@ from myowarp.motion.muscle_paths import muscle_paths
 from myowarp.motion.skeleton import Bones
 from myowarp.opensim.model.dynamics import rates
 from myowarp.opensim.model.elements import BodyActuator, CoordinateActuator, PathActuator
-from myowarp.opensim.model.model import GROUND
+from myowarp.opensim.model.model import GROUND, Model
+from myowarp.opensim.wrap.moment_arm import coordinates_between, leading
+from myowarp.opensim.wrap.moment_arm import crossed as of_path
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +64,9 @@ def actuators_of(bones: Bones, values: np.ndarray) -> Actuators | None:
     model, still = bones.model, np.zeros_like(values)
     items: list[CoordinateActuator | PathActuator | BodyActuator] = [*model.coordinate_actuators]
     items += [*model.path_actuators, *model.body_actuators]
-    if not items:
+    crossed = [_crossed(model, item) for item in items]
+    kept = [number for number, own in enumerate(crossed) if own]
+    if not kept:
         return None
     effects: list[np.ndarray] = []
     if model.coordinate_actuators:
@@ -78,12 +82,6 @@ def actuators_of(bones: Bones, values: np.ndarray) -> Actuators | None:
         bare = inverse_dynamics(bones, values, still, still, passive=False).joint_moment
         pushed = (inverse_dynamics(bones, values, still, still, own, passive=False) for own in loads)
         effects += [bare - needed.joint_moment for needed in pushed]
-    effect = np.stack(effects, axis=1)
-    most = np.abs(effect).max(axis=0, initial=0.0)
-    felt = most > 1e-9 * most.max(axis=1, keepdims=True, initial=0.0)
-    kept = np.flatnonzero(felt.any(axis=1))
-    if not len(kept):
-        return None
     each: list[Sequence[Load]] = [*[()] * (len(items) - len(loads)), *loads]
     low, high = np.array([items[k].control_range for k in kept]).T
     return Actuators(
@@ -91,11 +89,20 @@ def actuators_of(bones: Bones, values: np.ndarray) -> Actuators | None:
         np.array([items[k].optimal_force for k in kept]),
         low,
         high,
-        effect[:, kept],
-        tuple(tuple(np.flatnonzero(felt[k]).tolist()) for k in kept),
+        np.stack(effects, axis=1)[:, kept],
+        tuple(tuple(bones.coordinates.index(name) for name in crossed[k]) for k in kept),
         tuple(tuple(each[k]) for k in kept),
         frozenset(one.name for one in model.path_actuators),
     )
+
+
+def _crossed(model: Model, item: CoordinateActuator | PathActuator | BodyActuator) -> list[str]:
+    """Return the independent coordinates that a motor can act on."""
+    if isinstance(item, PathActuator):
+        return of_path(model, item.path)
+    if isinstance(item, CoordinateActuator):
+        return leading(model, [item.coordinate])
+    return leading(model, coordinates_between(model, [item.body, item.reaction]))
 
 
 def _loads(item: BodyActuator, frames: int) -> Sequence[Load]:

@@ -6,6 +6,7 @@ in degrees in `.mot`, all else in `.sto`.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,10 +32,15 @@ from myowarp.motion.streams import Margin, Stream, is_long
 from myowarp.motion.tasks import tasks_of
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.tracking import Tracked, track
-from myowarp.opensim.model.kinematics import complete, forward, station
+from myowarp.opensim.model.kinematics import complete, floating, forward, station
 from myowarp.opensim.model.model import Model
 from myowarp.opensim.muscle.hill import HillMuscle, known
 from myowarp.opensim.read.document import parse, write
+
+HELD = 0.05
+"""Share of the weight that a root may give without external loads, unsaid."""
+
+logger = logging.getLogger("myowarp")
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,6 +394,31 @@ def dynamics(bones: Bones, motion: Movement, output: Path, loads: Path | Loads |
     return _dynamics(bones, motion, output, _acting(loads, motion))
 
 
+def held_up(bones: Bones, time: np.ndarray, moment: np.ndarray) -> str:
+    """Return what stands for the weight at a root without external loads; "": less than `HELD` of it.
+
+    Args:
+        bones: The model.
+        time: [s], shape (frames,).
+        moment: What the motion takes along independent coordinates [N m] or [N], shape (frames, coordinates).
+    """
+    model = bones.model
+    weight = sum(body.mass for body in model.bodies.values()) * float(np.linalg.norm(model.gravity))
+    slides = [name for name in floating(model) if not model.coordinates[name].rotational]
+    roots = list(dict.fromkeys(model.coordinates[name].joint for name in slides))
+    forces = [
+        np.linalg.norm(moment[:, [bones.coordinates.index(name) for name in slides
+                                  if model.coordinates[name].joint == root]], axis=1)
+        for root in roots
+    ]  # fmt: skip
+    if not roots or not np.max(forces) > HELD * weight:
+        return ""
+    root, frame = np.unravel_index(int(np.argmax(forces)), np.shape(forces))
+    body = model.joints[roots[int(root)]].child
+    worst = f"{np.max(forces):.0f} N at the {body}, at {time[frame]:.4g} s"
+    return f"no external loads: {worst}, carry the weight"
+
+
 def _acting(loads: Path | Loads | None, motion: Movement) -> Sequence[Load]:
     """Return the loads of a motion."""
     known_loads = Loads(loads) if isinstance(loads, Path) else loads
@@ -397,16 +428,24 @@ def _acting(loads: Path | Loads | None, motion: Movement) -> Sequence[Load]:
 def _dynamics(bones: Bones, motion: Movement, output: Path, acting: Sequence[Load]) -> Needed:
     """Find what a motion takes under loads, and write it."""
     needed = inverse_dynamics(bones, motion.values, motion.speeds, motion.accelerations, acting)
-    _write_along(output / "moments.sto", "joint moments, N m and N", bones, motion, needed.joint_moment)
-    if acts(bones.model):
-        _write_passive(output, bones, motion, needed)
+    title = "joint moments, N m and N"
+    if not acting and (sentence := held_up(bones, motion.time, needed.joint_moment)):
+        title = f"{title}; {sentence}"
+        if not motion.first:
+            logger.warning("%s", sentence)
+    _write_along(output / "moments.sto", title, bones, motion, needed.joint_moment)
+    _write_passive(output, bones, motion, needed.passive)
     return needed
 
 
-def _write_passive(output: Path, bones: Bones, motion: Movement, needed: Needed) -> None:
-    """Write what springs, limits, bushings and ligaments of a model do."""
+def _write_passive(output: Path, bones: Bones, motion: Movement, passive: np.ndarray) -> None:
+    """Write what springs, limits, bushings and ligaments of a model do; no file of a model without them."""
+    path = output / "passive_moments.sto"
+    if not acts(bones.model):
+        path.unlink(missing_ok=True)
+        return
     title = "what springs, limits, bushings and ligaments of the model give, N m and N"
-    _write_along(output / "passive_moments.sto", title, bones, motion, needed.passive)
+    _write_along(path, title, bones, motion, passive)
 
 
 def analyze(bones: Bones, motion: Movement, output: Path) -> MusclePaths:
@@ -446,9 +485,9 @@ def analyze(bones: Bones, motion: Movement, output: Path) -> MusclePaths:
     ):
         _write(output / f"{name}.sto", title, paths.muscles, motion, values)
     _write(output / "moment_arms.sto", "moment arms, m", arms, motion, np.stack(list(arms.values()), axis=1))
-    if acts(bones.model):
-        moved = motion.values, motion.speeds, motion.accelerations
-        _write_passive(output, bones, motion, inverse_dynamics(bones, *moved))
+    moved = motion.values, motion.speeds, motion.accelerations
+    passive = inverse_dynamics(bones, *moved).passive if acts(bones.model) else np.zeros_like(motion.values)
+    _write_passive(output, bones, motion, passive)
     return paths
 
 
@@ -501,7 +540,9 @@ def forces(
     ):
         _write(output / f"{name}.sto", _titled(title, bones), found.muscles, motion, values)
     tension = dict(zip(found.muscles, found.force.T, strict=True))
-    if actuators is not None:
+    if actuators is None:
+        (output / "actuators.sto").unlink(missing_ok=True)
+    else:
         given = found.control * actuators.optimal
         title = _titled("what motors give, N m and N", bones)
         _write(output / "actuators.sto", title, found.motors, motion, given)
@@ -552,6 +593,10 @@ def follow(
     names = [name for name, muscle in bones.model.muscles.items() if muscle.applies_force]
     if unknown := set(factors or {}) - set(names):
         raise ValueError(f"muscle {sorted(unknown)[0]!r} unknown; available: {', '.join(names)}")
+    if loads is None:
+        needed = inverse_dynamics(bones, motion.values, motion.speeds, motion.accelerations)
+        if sentence := held_up(bones, motion.time, needed.joint_moment):
+            logger.warning("%s", sentence)
     strength = np.array([(factors or {}).get(name, 1.0) for name in names])
     if not ((strength >= 0.0) & np.isfinite(strength)).all():
         raise ValueError("the strength of a muscle must be at least 0 and finite")

@@ -39,10 +39,10 @@ BODIES = """<socket_frame1>{0}</socket_frame1><socket_frame2>{1}</socket_frame2>
 <orientation>{5}</orientation></PhysicalOffsetFrame></frames>"""
 PATH = """<GeometryPath name="path"><PathPointSet><objects>
 <PathPoint name="a"><socket_parent_frame>/bodyset/base</socket_parent_frame>
-<location>0.02 0.03 0.12</location></PathPoint><PathPoint name="b"><socket_parent_frame>/bodyset/r_humerus</socket_parent_frame>
-<location>0.025 -0.22 0.01</location></PathPoint><PathPoint name="c">
-<socket_parent_frame>/bodyset/r_ulna_radius_hand</socket_parent_frame><location>0.01 -0.06 0.02</location>
-</PathPoint></objects></PathPointSet></GeometryPath>"""
+<location>0.02 0.03 0.12</location></PathPoint><PathPoint name="b">
+<socket_parent_frame>/bodyset/r_humerus</socket_parent_frame><location>0.025 -0.22 0.01</location></PathPoint>
+<PathPoint name="c"><socket_parent_frame>/bodyset/r_ulna_radius_hand</socket_parent_frame>
+<location>0.01 -0.06 0.02</location></PathPoint></objects></PathPointSet></GeometryPath>"""
 FORCES = {
     "spring": """<SpringGeneralizedForce name="spring"><coordinate>r_elbow_flex</coordinate>
 <stiffness>5</stiffness><rest_length>0.3</rest_length><viscosity>0.5</viscosity></SpringGeneralizedForce>""",

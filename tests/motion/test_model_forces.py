@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from myowarp.apps.cli.motion import Motion
+from myowarp.apps.reports.motion import page
 from myowarp.engine.warn_once import warn_once
 from myowarp.motion.actuators import actuators_of
 from myowarp.motion.draws import Recording, Uncertainty, draw_trial
@@ -20,7 +22,9 @@ from myowarp.motion.muscle_forces import muscle_forces
 from myowarp.motion.muscle_paths import muscle_paths
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import derivatives
+from myowarp.motion.storage import read_storage
 from myowarp.motion.tracking import equations, track
+from myowarp.motion.trial import dynamics, held_up, read_motion, write_angles
 from myowarp.opensim.read.model import read_model
 
 DATA = Path(__file__).parents[1] / "data"
@@ -128,7 +132,9 @@ def test_coordinates_that_follow_push_those_that_lead():
     for kept in (*(name for name in forces if name not in ("cable", "push")), None):
         model, unknown = without(bones.model, [name for name in forces if name != kept] if kept else [])
         assert not unknown
-        chosen = [forces.index(kept)] if kept else [k for k, n in enumerate(forces) if n not in ("cable", "push")]
+        chosen = (
+            [forces.index(kept)] if kept else [k for k, n in enumerate(forces) if n not in ("cable", "push")]
+        )
         theirs = FORCES["acting"][:, chosen].sum(axis=1)[:, along]
         found = inverse_dynamics(Bones(model, "cpu"), values, rates, np.zeros_like(values))
         scale = np.abs(theirs).max()
@@ -159,7 +165,14 @@ def static(bones, **options):
     motors = actuators_of(bones, motion[0])
     moment = inverted.joint_moment
     found = muscle_forces(
-        bones.model, bones.coordinates, paths, moment, mode="opensim", actuators=motors, device="cpu", **options
+        bones.model,
+        bones.coordinates,
+        paths,
+        moment,
+        mode="opensim",
+        actuators=motors,
+        device="cpu",
+        **options,
     )
     return found, motors, motion, inverted
 
@@ -249,3 +262,76 @@ def test_what_is_left_out_is_named_with_its_coordinates(tmp_path, caplog):
     assert left_out(read_model(DATA / "osim/forces.osim")) == ""
     theirs, bare = (np.array(RECORDED["moments"][name]) for name in ("expression", ""))
     assert np.abs(theirs - bare).max() > 1.0, "it matters"
+
+
+def written(folder, bones):
+    """Write the recorded motion of an arm; return the options of `myowarp motion`."""
+    write_angles(folder / "motion.mot", bones.model, bones.coordinates, TIME, VALUES)
+    return {"motion": folder / "motion.mot", "output": folder / "out", "overwrite": True}
+
+
+def title(path):
+    """Return the first line of a table."""
+    return path.read_text().partition("\n")[0]
+
+
+def test_the_commands(tmp_path, capsys):
+    """Moments, what springs and motors give, what a set-up file excludes; files of another model go."""
+    names = f"{RECORDED['driven']}+expression"
+    options, out = written(tmp_path, arm(tmp_path, names)), tmp_path / "out"
+    model = tmp_path / "arm.osim"
+    Motion("dynamics", model, **options)()
+    passive = read_storage(out / "passive_moments.sto")
+    bare = np.array(RECORDED["moments"][""])
+    np.testing.assert_allclose(read_storage(out / "moments.sto").values + passive.values, bare, atol=1e-5)
+    lost = "left out, though OpenSim has it act: ExpressionBasedCoordinateForce 'expression' (r_elbow_flex)"
+    assert title(out / "moments.sto") == f"joint moments, N m and N; {lost}"
+    assert read_storage(out / "moments.sto").labels == ("r_shoulder_elev_moment", "r_elbow_flex_moment")
+    assert lost in page(out, read_model(model)).replace("&#x27;", "'")
+    Motion("forces", model, **options)()
+    assert read_storage(out / "actuators.sto").labels == ("motor", "cable", "twist", "thrust")
+    for name in ("activations", "actuators", "joint_reactions", "reserves", "missing"):
+        assert title(out / f"{name}.sto").endswith(lost)
+    setup = tmp_path / "id.xml"
+    setup.write_text(
+        '<OpenSimDocument Version="40000"><InverseDynamicsTool name="id"><forces_to_exclude>muscles spring '
+        "band bushing nobody</forces_to_exclude></InverseDynamicsTool></OpenSimDocument>"
+    )
+    Motion("dynamics", model, setup=setup, **options)()
+    np.testing.assert_allclose(read_storage(out / "moments.sto").values, bare, atol=1e-5)
+    assert not (out / "passive_moments.sto").exists()
+    said = capsys.readouterr().err
+    assert "forces_to_exclude names 'nobody', which the model has not" in said
+    assert "has no Muscles" not in said
+    setup.write_text(setup.read_text().replace("muscles", ""))
+    Motion("dynamics", model, setup=setup, **options)()
+    assert (
+        "forces_to_exclude has no Muscles: OpenSim's moments are then what muscles" in capsys.readouterr().err
+    )
+    arm(tmp_path, "")
+    Motion("forces", model, **options)()
+    assert not (out / "actuators.sto").exists()
+
+
+def test_a_motion_without_loads_says_what_carries_the_weight(tmp_path, caplog):
+    """The pelvis of a gait model in the air: its root gives the weight and what the masses take."""
+    bones = Bones.read(DATA / "osim/gait10dof18musc.osim", "cpu")
+    time = np.linspace(0.0, 1.0, 41)
+    values = np.tile([bones.model.coordinates[name].default for name in bones.coordinates], (41, 1))
+    up = bones.coordinates.index("pelvis_ty")
+    values[:, up] += 0.02 * np.cos(4.0 * np.pi * time)
+    write_angles(tmp_path / "motion.mot", bones.model, bones.coordinates, time, values)
+    motion = read_motion(tmp_path / "motion.mot", bones)
+    with caplog.at_level(logging.WARNING, "myowarp"):
+        found = dynamics(bones, motion, tmp_path)
+    mass = sum(body.mass for body in bones.model.bodies.values())
+    most = mass * (np.linalg.norm(bones.model.gravity) + 0.02 * (4.0 * np.pi) ** 2)
+    force = np.abs(found.joint_moment[:, up])
+    np.testing.assert_allclose(force.max(), most, rtol=0.02)
+    worst = f"{force.max():.0f} N at the pelvis, at {time[force.argmax()]:.4g} s"
+    sentence = f"no external loads: {worst}, carry the weight"
+    assert [record.getMessage() for record in caplog.records] == [sentence]
+    assert title(tmp_path / "moments.sto") == f"joint moments, N m and N; {sentence}"
+    assert held_up(bones, time, 0.03 * found.joint_moment) == ""
+    still = arm(tmp_path, "")
+    assert held_up(still, TIME, np.full(VALUES.shape, 1e3)) == ""
