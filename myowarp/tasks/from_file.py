@@ -25,7 +25,6 @@ from myowarp.definitions.body import BODIES, POINT_JOINTS, Body
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.task import MOST_SUBSTEPS, TaskSpec, register, split_key
-from myowarp.definitions.worlds import Worlds
 from myowarp.disk import model_digest
 from myowarp.engine.warn_once import warn_once
 from myowarp.models.bodies.arm_muscles import FATIGUE_RATES, GROUPS
@@ -66,6 +65,7 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
     Raises:
         ValueError: The file is no model that MuJoCo reads, or has actuators that we cannot step.
     """
+    source = path
     if str(path) in BODIES and not path.exists():
         return _with_tips(str(path), tips)
     if path.suffix.lower() == OPENSIM:
@@ -89,7 +89,7 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
         raise ValueError(
             f"model {str(path)!r} must be an MJCF file; MuJoCo says: {reason}{bodies}"
         ) from error
-    _check(model, path)
+    _check(model, source)
     for beside, ask_for, check in (
         (COUPLINGS, ask, exact),
         (PATHS, ask_for_paths, own_paths),
@@ -104,6 +104,10 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
     title = re.sub(r"[^A-Za-z0-9]+", "_", spec.modelname).strip("_")
     name = "_".join((title, model_digest(model)[:8], *tips))
     muscles = MuscleTable.converted(path.with_name(HILL), [model.actuator(i).name for i in range(model.nu)])
+    if muscles is not None:
+        muscles, moved = muscles.bounded("opensim")
+        for change in moved:
+            warn_once(f"{source.name}: {change}")
     known = BODIES[name].muscles if name in BODIES else None
     if name not in BODIES or _of(known) != _of(muscles):
         own = own_model(muscles, [model.actuator(i).name for i in np.flatnonzero(_is_muscle(model))])
@@ -132,15 +136,10 @@ def own_model(muscles: MuscleTable | None, names: list[str]) -> str:
     if muscles is None or not names:
         return "mujoco"
     laws = muscles.parameters.get("law", {})
-    instead = "; all muscles are MuJoCo's, fitted to their static forces"
     if without := [name for name in names if name not in laws]:
         some = f"{len(without)} of {len(names)} muscles, such as {without[0]!r}"
-        warn_once(f"{some}, are of a class without a law here{instead}")
-        return "mujoco"
-    try:
-        MuscleTable("opensim").over(muscles, names, Worlds.all(1))
-    except ValueError as error:
-        warn_once(f"{error}{instead}")
+        instead = "all muscles are MuJoCo's, fitted to their static forces"
+        warn_once(f"{some}, are of a class without a law here; {instead}")
         return "mujoco"
     return "opensim"
 
