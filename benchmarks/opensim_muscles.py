@@ -11,8 +11,8 @@ equilibrium, where OpenSim's equation has a solution. Joint torque: of all muscl
 full ranges; poses in which the guard refuses a jump of OpenSim are counted and left out. Forward: 0.5 s from
 the default pose at rest, three patterns of excitation and the least one, OpenSim at 1e-6; the model as it is
 loaded at its own step of 2 ms and at shorter ones, so that the step's share is seen; its muscles on fitted
-tendons, for what paths do; MuJoCo's muscles on OpenSim's paths, for what muscles do. Ranges stop no joint, as
-in OpenSim. A path may jump in OpenSim, mostly beyond ranges; what comes before is compared once more. Writes
+tendons, for what paths do; MuJoCo's muscles on OpenSim's paths, for what muscles do. Ranges stop no joint
+(`stops=False`), as in OpenSim. A path may jump in OpenSim, mostly beyond ranges; what comes before is compared once more. Writes
 benchmarks/results/opensim_muscles.json after each model.
 """
 
@@ -27,7 +27,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import mujoco
 import numpy as np
 import warp as wp
 
@@ -220,19 +219,11 @@ def jumps(source: Path, record: Any, meta: dict[str, Any]) -> dict[str, tuple[in
     return found
 
 
-def unstopped(file: Path, paths: bool = True) -> Path:
-    """Return a copy of a model, sidecars beside it, whose ranges stop no joint, as OpenSim's stop none.
-
-    Without OpenSim's own paths the muscles pull the tendons that were fitted to them.
-    """
-    folder = file.parent.with_name(f"{file.parent.name}-unstopped{'' if paths else '-fitted'}")
+def fitted_tendons(file: Path) -> Path:
+    """Return a copy of a model, sidecars beside it, whose muscles pull the tendons fitted to OpenSim's paths."""
+    folder = file.parent.with_name(f"{file.parent.name}-fitted")
     shutil.copytree(file.parent, folder, dirs_exist_ok=True)
-    if not paths:
-        (folder / "paths.json").unlink(missing_ok=True)
-    spec = mujoco.MjSpec.from_file(str(folder / file.name))
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
-    spec.compile()
-    (folder / file.name).write_text(spec.to_xml())
+    (folder / "paths.json").unlink(missing_ok=True)
     return folder / file.name
 
 
@@ -246,10 +237,10 @@ def forward(
 ) -> dict[str, Any]:
     """Return how far coordinates are from OpenSim's, by pattern; angles in degrees, slides in mm.
 
-    The file's joints must have no stops; muscles and physics step are the file's if none are given. `jumping`
-    is what `jumps` returned: samples before that are compared once more.
+    Muscles and physics step are the file's if none are given. `jumping` is what `jumps` returned: samples
+    before that are compared once more.
     """
-    task = from_mjcf(file, far=FAR, control_dt=EVERY, horizon=10_000, replace=True)
+    task = from_mjcf(file, stops=False, far=FAR, control_dt=EVERY, horizon=10_000, replace=True)
     if step is not None:
         task = dataclasses.replace(task, physics_dt=step, num_substeps=round(EVERY / step))
     names = [name for name in record if name.startswith("forward ")]
@@ -347,8 +338,8 @@ def check(source: Path, python: str, work: Path) -> dict[str, Any]:
         row["forward"] = meta["no forward simulation"]
     else:
         row["forward"], jumping = {}, jumps(source, record, meta)
-        loaded, converted = unstopped(load(source)), unstopped(folder / "model.xml")
-        fitted = unstopped(folder / "model.xml", paths=False)
+        loaded, converted = load(source), folder / "model.xml"
+        fitted = fitted_tendons(converted)
         for title, file, muscle, step in (
             ("opensim", loaded, None, None),
             *((f"opensim, {1e3 * step:g} ms", loaded, None, step) for step in SHORTER),

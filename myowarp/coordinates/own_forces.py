@@ -36,7 +36,7 @@ def damp_limits(
         dof_damping[worldid, limits[i].dof] = steady[limits[i].dof]
     for i in range(limits.shape[0]):
         limit = limits[i]
-        more = limit_damping(limit, qpos_in[worldid, limit.address])
+        more = float(limit_damping(limit, wp.float64(qpos_in[worldid, limit.address])))
         dof_damping[worldid, limit.dof] = dof_damping[worldid, limit.dof] + more
 
 
@@ -62,15 +62,15 @@ def push_and_pull(
     worldid = wp.tid()
     for i in range(limits.shape[0]):
         limit = limits[i]
-        spring = limit_spring(limit, qpos_in[worldid, limit.address])
-        qfrc_passive_out[worldid, limit.dof] = qfrc_passive_out[worldid, limit.dof] + spring
+        push = float(limit_spring(limit, wp.float64(qpos_in[worldid, limit.address])))
+        qfrc_passive_out[worldid, limit.dof] = qfrc_passive_out[worldid, limit.dof] + push
     for i in range(ligaments.shape[0]):
         ligament = ligaments[i]
         tendon = ligament.tendon
-        length = ten_length_in[worldid, tendon]
-        norm_length = wp.float64(length) / wp.float64(ligament.resting_length)
-        spring = float(evaluated(curves, i, norm_length)[0])
-        tension = ligament_tension(ligament, spring, length, ten_velocity_in[worldid, tendon])
+        length = wp.float64(ten_length_in[worldid, tendon])
+        spring = evaluated(curves, i, length / ligament.resting_length)[0]
+        velocity = wp.float64(ten_velocity_in[worldid, tendon])
+        tension = float(ligament_tension(ligament, spring, length, velocity))
         first = ten_J_rowadr[tendon]
         for k in range(first, first + ten_J_rownnz[tendon]):
             dof = ten_J_colind[k]

@@ -152,6 +152,26 @@ class MuscleTable:
                     row["law"] = float(law)
         return replace(cls.by_muscle("", rows), curves=curves)
 
+    def bounded(self, model: str) -> tuple[MuscleTable, list[str]]:
+        """Return a body's own table with values that a muscle model takes, and what was moved to a bound.
+
+        Args:
+            model: Name in `MUSCLES`.
+        """
+        found: dict[str, Any] = dict(self.parameters)
+        moved = []
+        for name in found.keys() & MUSCLES[model].PARAMETERS.keys():
+            low, high = MUSCLES[model].PARAMETERS[name]
+            own = {muscle: min(max(value, low), high) for muscle, value in found[name].items()}
+            for muscle, value in own.items():
+                if value != (was := found[name][muscle]):
+                    bounds = f"must be from {low:g} to {high:g}"
+                    moved.append(
+                        f"{name} of muscle {muscle!r} {bounds}, got {was:g}; it is taken as {value:g}"
+                    )
+            found[name] = own
+        return replace(self, parameters=found), sorted(moved)
+
     def knots(self, names: Sequence[str]) -> np.ndarray:
         """Return x and y of the splines of muscles, shape (1, num_muscles, 3, 2, most knots).
 

@@ -31,6 +31,7 @@ def option(
     *,
     choices: Iterable[str] = (),
     check: Callable[[Any], object] = lambda value: None,
+    flag: bool = False,
 ) -> Any:
     """Return the field of an option.
 
@@ -39,8 +40,10 @@ def option(
         form: What a command line shows of its value where it has no choices; without both no command has it.
         choices: Texts that are allowed.
         check: Raises ValueError for a value that is not allowed.
+        flag: Whether it is true unless a command line says --no-NAME.
     """
-    return field(default=None, metadata={"text": text, "form": form, "choices": choices, "check": check})
+    told = {"text": text, "form": form, "choices": choices, "check": check, "flag": flag}
+    return field(default=None, metadata=told)
 
 
 def _check_conditions(conditions: tuple[str | Condition, ...]) -> None:
@@ -85,6 +88,11 @@ class Setup:
         "Muscle conditions besides those of the id, such as fatigue_3ccr 'sarcopenia(strength=0.3)'.",
         "[NAME ...]",
         check=_check_conditions,
+    )
+    stops: bool | None = option(
+        "Of --model: joints go beyond their ranges, as coordinates do in OpenSim; by default ranges of"
+        " clamped coordinates, and limits of joints of an MJCF file, stop them.",
+        flag=True,
     )
     horizon: int | None = option("Control steps in an episode; by default the task's.", "INT")
     device: str | None = option(

@@ -17,6 +17,7 @@ from zlib import crc32
 
 import numpy as np
 
+from myowarp.motion.actuators import actuators_of
 from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.markers import Markers
@@ -188,6 +189,7 @@ def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int
         mode=recording.mode,
         exponent=recording.exponent,
         reserves=recording.reserves,
+        actuators=actuators_of(bones, motion[0]),
         strength=spread("max_isometric_force", muscles),
         slack=spread("tendon_slack_length", muscles),
         device=bones.device,

@@ -1,14 +1,15 @@
 """Inverse dynamics: which generalised forces does a motion take, given the loads from outside?
 
-    joint_moment = M(q) q'' + c(q, q') - sum of J^T load
+    joint_moment = M(q) q'' + c(q, q') - sum of J^T load - passive
 
-by two recursions over the bodies: accelerations from ground outwards, forces back. What the root joint needs
-is no muscle's: it is the residual, what motion and loads disagree by.
+by two recursions over the bodies: accelerations from ground outwards, forces back. Passive is what springs,
+limits, bushings and ligaments of the model do (`model_forces`). What the root joint needs is no muscle's: it
+is the residual, what motion and loads disagree by.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,15 @@ import warp as wp
 
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
+from myowarp.motion.model_forces import (
+    Acting,
+    ModelForces,
+    acting_in,
+    along_moves,
+    bushing_wrench,
+    ligament_pulls,
+    push_coordinates,
+)
 from myowarp.motion.parts import in_parts, joined
 from myowarp.motion.skeleton import HINGE, Bones, Placement, Skeleton, place, station
 
@@ -52,6 +62,8 @@ class Needed:
 
     Attributes:
         joint_moment: Along the independent coordinates [N m] or [N], shape (frames, coordinates).
+        passive: What the model's own springs, limits, bushings and ligaments do of what it takes, likewise.
+        tension: Of its ligaments and path springs [N], by name, each of shape (frames,).
         force: What a joint, and the muscles over it, pass to its body [N], in ground, shape (frames, bodies,
             3).
         torque: The same about ground's origin [N m].
@@ -60,6 +72,8 @@ class Needed:
     """
 
     joint_moment: np.ndarray
+    passive: np.ndarray
+    tension: Mapping[str, np.ndarray]
     force: np.ndarray
     torque: np.ndarray
     origin: np.ndarray
@@ -165,6 +179,7 @@ def invert_dynamics(
     skeleton: Skeleton,
     load_body: wp.array2d[int],
     mass_factor: wp.array2d[wp.float64],
+    acting: ModelForces,
     # In:
     values: wp.array2d[wp.float64],
     speeds: wp.array2d[wp.float64],
@@ -173,11 +188,13 @@ def invert_dynamics(
     # Out:
     placement: Placement,
     flow: Flow,
+    passive: wp.array2d[wp.float64],
     joint_moment: wp.array2d[wp.float64],
 ):
     """tau_k = sum of s_k . (force, torque) of what a coordinate moves.
 
     `load_body` is (body, axes of force and torque, frame of the point), `load` (force, point, torque).
+    `passive` has no columns where nothing acts.
     """
     worldid = wp.tid()
     place(worldid, skeleton, values, worldid, placement)
@@ -196,6 +213,20 @@ def invert_dynamics(
             flow.torque[worldid, body] -= torque + wp.cross(point, force)
     for k in range(joint_moment.shape[1]):
         joint_moment[worldid, k] = wp.float64(0.0)
+    if passive.shape[1] > 0:
+        push_coordinates(worldid, acting, values, speeds, passive)
+        for k in range(joint_moment.shape[1]):
+            joint_moment[worldid, k] -= passive[worldid, k]
+        for number in range(acting.bushings.shape[0]):
+            bushing = acting.bushings[number]
+            force, torque = bushing_wrench(worldid, bushing, skeleton, speeds, placement)
+            for end in range(2):
+                body = wp.where(end == 0, bushing.first, bushing.second)
+                sign = wp.where(end == 0, wp.float64(-1.0), wp.float64(1.0))
+                if body >= 0:
+                    flow.force[worldid, body] -= sign * force
+                    flow.torque[worldid, body] -= sign * torque
+                along_moves(worldid, body, sign * force, sign * torque, skeleton, placement, passive)
     for back in range(count):
         body = count - 1 - back
         force = flow.force[worldid, body]
@@ -218,6 +249,7 @@ def inverse_dynamics(
     accelerations: np.ndarray,
     loads: Sequence[Load] = (),
     masses: np.ndarray | float = 1.0,
+    passive: bool = True,
 ) -> Needed:
     """Return the generalised forces of a motion.
 
@@ -228,6 +260,7 @@ def inverse_dynamics(
         accelerations: Their second derivatives.
         loads: From outside.
         masses: Factors on masses and inertias, which broadcast to (frames, bodies).
+        passive: Whether springs, limits, bushings and ligaments of the model act.
 
     Raises:
         ValueError: Shapes do not fit, or a load acts on an unknown body.
@@ -242,45 +275,55 @@ def inverse_dynamics(
     for number, load in enumerate(loads):
         for part, given in enumerate((load.force, load.point, load.torque)):
             acting[:, number, part] = given
+    tables = acting_in(bones)
     heavy = np.atleast_2d(np.asarray(masses, float))
     heavy = np.broadcast_to(heavy, (len(heavy), len(bones.bodies) - 1))
 
     def solve(c: slice) -> tuple[np.ndarray, ...]:
         masses = heavy[c] if len(heavy) > 1 else heavy
-        return _chunk(bones, values[c], speeds[c], accelerations[c], acting[c], frames, masses)
+        motion = values[c], speeds[c], accelerations[c]
+        return _chunk(bones, motion, acting[c], frames, masses, tables, passive and tables.any)
 
-    return Needed(*joined(in_parts(len(values), CHUNK, bones.device, solve)))
+    moment, pushed, *rest = joined(in_parts(len(values), CHUNK, bones.device, solve))
+    pushed = pushed if pushed.shape[1] else np.broadcast_to(0.0, moment.shape)
+    if not (passive and tables.ligaments):
+        return Needed(moment, pushed, {}, *rest)
+    tension, pulled = ligament_pulls(bones, values, speeds)
+    pulls = dict(zip(tables.ligaments, tension.T, strict=True))
+    return Needed(moment - pulled, pushed + pulled, pulls, *rest)
 
 
 def _chunk(
     bones: Bones,
-    values: np.ndarray,
-    speeds: np.ndarray,
-    accelerations: np.ndarray,
-    acting: np.ndarray,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    loads: np.ndarray,
     frames: Sequence[tuple[int, int, int]],
     masses: np.ndarray,
+    acting: Acting,
+    passive: bool,
 ) -> tuple[np.ndarray, ...]:
-    """Return the arrays of `Needed` for some frames."""
-    count = len(values)
+    """Return the arrays of `Needed` for some frames, without ligaments."""
+    count = len(loads)
     placement, flow = bones.placement(count), Flow()
     with wp.ScopedDevice(bones.device):
         for name in ("turn", "spin", "acceleration", "force", "torque"):
             setattr(flow, name, wp.zeros((count, len(bones.bodies) - 1), dtype=wp.vec3d))
         moment = wp.zeros((count, len(bones.coordinates)), dtype=wp.float64)
+        pushed = wp.zeros((count, len(bones.coordinates) * passive), dtype=wp.float64)
         launch(
             invert_dynamics,
             count,
             skeleton=bones.skeleton,
             load_body=wp.array(np.array(frames, np.int32).reshape(-1, 3), dtype=int),
             mass_factor=wp.array(masses, dtype=wp.float64),
-            values=wp.array(values, dtype=wp.float64),
-            speeds=wp.array(speeds, dtype=wp.float64),
-            accelerations=wp.array(accelerations, dtype=wp.float64),
-            load=wp.array(acting, dtype=wp.vec3d),
+            acting=acting.tables,
+            **{name: wp.array(array, dtype=wp.float64)
+               for name, array in zip(("values", "speeds", "accelerations"), motion, strict=True)},
+            load=wp.array(loads, dtype=wp.vec3d),
             placement=placement,
             flow=flow,
+            passive=pushed,
             joint_moment=moment,
-        )
-    arrays = (moment, flow.force, flow.torque, placement.origin, placement.rotation)
+        )  # fmt: skip
+    arrays = (moment, pushed, flow.force, flow.torque, placement.origin, placement.rotation)
     return tuple(array.numpy().copy() for array in arrays)

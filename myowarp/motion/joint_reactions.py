@@ -2,8 +2,9 @@
 
     reaction_i = sum over the bodies j that joint i carries of (m a - loads - muscles)_j
 
-A muscle pulls with its tension along the straight pieces of its path, at its points and at those where it
-touches a wrap surface. Reserves and what nobody gives are moments of joints, and so in the reaction.
+A muscle, and likewise a ligament, pulls with its tension along the straight pieces of its path, at its points
+and at those where it touches a wrap surface. Springs of coordinates, reserves and what nobody gives are
+moments of joints, and so in the reaction.
 
 Source: OpenSim's `JointReaction`; Steele et al. (2012), doi:10.1016/j.gaitpost.2011.11.023.
 """
@@ -52,10 +53,10 @@ def joint_reactions(
         bones: The model.
         values: Of the independent coordinates [rad] or [m], shape (frames, coordinates).
         needed: What the motion takes, from `inverse_dynamics`.
-        tension: By muscle [N], each of shape (frames,).
+        tension: By muscle, or by what else pulls along a path [N], each of shape (frames,).
     """
     joints = list(bones.model.joints.values())
-    force, torque = muscle_wrenches(bones, values, tension)
+    force, torque = muscle_wrenches(bones, values, {**tension, **needed.tension})
     for number in range(len(joints) - 1, -1, -1):
         parent = bones.bodies[joints[number].parent]
         if parent >= 0:
@@ -72,17 +73,17 @@ def joint_reactions(
 def muscle_wrenches(
     bones: Bones, values: np.ndarray, tension: Mapping[str, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return force [N] and torque about ground's origin [N m] of muscles on each body, ground the last one.
+    """Return force [N] and torque about ground's origin [N m] of paths on each body, ground the last one.
 
     Returns:
         Two arrays of shape (frames, bodies + 1, 3).
     """
-    muscles = PathsOfMuscles(bones, 1).muscles
-    none = np.zeros(len(values))
-    pull = np.stack([tension.get(name, none) for name in muscles], axis=1)
+    if not tension:
+        return np.zeros((len(values), len(bones.bodies), 3)), np.zeros((len(values), len(bones.bodies), 3))
+    names, pull = tuple(tension), np.stack(list(tension.values()), axis=1)
 
     def solve(part: slice) -> tuple[np.ndarray, np.ndarray]:
-        own = PathsOfMuscles(bones, min(len(values[part]), TOGETHER))
+        own = PathsOfMuscles(bones, min(len(values[part]), TOGETHER), names)
         return own.wrenches(values[part], pull[part])
 
     force, torque = joined(in_parts(len(values), FRAMES, bones.device, solve))

@@ -18,6 +18,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from myowarp.motion.actuators import Actuators
 from myowarp.motion.muscle_paths import MusclePaths
 from myowarp.motion.parts import GRAIN, in_parts
 from myowarp.motion.static_optimization import Activations, optimal_activations
@@ -61,7 +62,9 @@ class MuscleForces:
         fiber_length: Of fibers [m].
         steady: Whether fiber and tendon are in equilibrium, as in mode `equilibrium`.
         power: That muscles give to the skeleton [W], shortening > 0.
-        reserve: What reserves give [N m] or [N], shape (frames, coordinates); 0 without.
+        motors: Names of motors.
+        control: Of motors [1], shape (frames, motors).
+        reserve: What reserves and motors give [N m] or [N], shape (frames, coordinates); 0 without.
         missing: What nobody gives, likewise.
         feasible: Frames in which nothing is missing.
         saturated: Frames in which each muscle is at its upper bound, by name, those of no frame left out.
@@ -75,6 +78,8 @@ class MuscleForces:
     fiber_length: np.ndarray
     steady: bool
     power: np.ndarray
+    motors: tuple[str, ...]
+    control: np.ndarray
     reserve: np.ndarray
     missing: np.ndarray
     feasible: np.ndarray
@@ -114,6 +119,7 @@ def muscle_forces(
     mode: Mode = "equilibrium",
     exponent: float = 2.0,
     reserves: Mapping[str, float] | None = None,
+    actuators: Actuators | None = None,
     strength: np.ndarray | float = 1.0,
     slack: np.ndarray | float = 1.0,
     device: Any = None,
@@ -121,7 +127,7 @@ def muscle_forces(
 ) -> MuscleForces:
     """Return the muscle forces of least cost that give the moments of a motion.
 
-    Coordinates that no muscle and no reserve acts on are left out; what they need is missing, as the
+    Coordinates that no muscle, motor or reserve acts on are left out; what they need is missing, as the
     residuals of the root are.
 
     Args:
@@ -132,6 +138,7 @@ def muscle_forces(
         mode: What a muscle can give, see the module.
         exponent: p of the cost sum |a|^p, which counts reserves with their force over `reserves`.
         reserves: By coordinate, the force of a reserve at cost 1 [N m] or [N].
+        actuators: Motors of the model, whose controls cost as activations do; None: they rest.
         strength: Factors on maximum isometric forces, which broadcast to (frames, muscles).
         slack: Factors on tendon slack lengths, likewise.
         device: Where it is solved.
@@ -148,7 +155,7 @@ def muscle_forces(
     if not all(0.0 < force < np.inf for force in reserves.values()):
         raise ValueError("the force of a reserve must be above 0 and finite")
     muscles = [known(HillMuscle.of(model.muscles[name]))[0] for name in paths.muscles]
-    share = _Share.of(muscles, coordinates, paths, reserves, exponent, device, sequence)
+    share = _Share.of(muscles, coordinates, paths, reserves, actuators, exponent, device, sequence)
     steady = SteadyMuscles(muscles, device) if mode == "equilibrium" else None
     wanted = np.maximum(np.abs(joint_moment).max(axis=0, initial=0.0), 1.0)
     factors = strength, slack
@@ -156,8 +163,9 @@ def muscle_forces(
     def solve(part: slice) -> MuscleForces:
         strong, long = (x[part] if len(x) > 1 else x for x in map(np.atleast_2d, factors))
         given = paths.part(part), joint_moment[part], strong, long
-        found = share.rigid(*given) if steady is None else share.settled(steady, *given)
-        return _made_of(share, given[0], given[1], wanted, mode, found)
+        own = share if actuators is None else replace(share, motor=actuators.effect[part])
+        found = own.rigid(*given) if steady is None else own.settled(steady, *given)
+        return _made_of(own, given[0], given[1], wanted, mode, found)
 
     grain = sequence or GRAIN
     return _together(in_parts(len(joint_moment), FRAMES, wp.get_device(device), solve, grain))
@@ -183,15 +191,17 @@ Solved = tuple[Activations, np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class _Share:
-    """How muscles, and reserves behind them, share the moments of a motion.
+    """How muscles, and motors and reserves behind them, share the moments of a motion.
 
     Attributes:
         muscles: Their parameters.
         coordinates: Names.
+        motors: Names of motors.
+        motor: What each does at control 1 [N m] or [N], shape (frames, motors, coordinates).
         held: Coordinates that any of them acts on.
         helped: Coordinates with a reserve.
         reserve: Its force [N m] or [N].
-        rows: For each muscle and reserve the numbers of these in `held`, -1 behind them.
+        rows: For each of them the numbers of these in `held`, -1 behind them.
         entries: Where their moment arms are in those of a frame; -1: a reserve has none.
         lower: Least activations.
         upper: Greatest.
@@ -202,6 +212,8 @@ class _Share:
 
     muscles: list[HillMuscle]
     coordinates: tuple[str, ...]
+    motors: tuple[str, ...]
+    motor: np.ndarray
     held: list[int]
     helped: list[int]
     reserve: np.ndarray
@@ -216,32 +228,42 @@ class _Share:
     @classmethod
     def of(
         cls, muscles: list[HillMuscle], coordinates: tuple[str, ...], paths: MusclePaths,
-        reserves: Mapping[str, float], exponent: float, device: Any, sequence: int,
+        reserves: Mapping[str, float], actuators: Actuators | None, exponent: float, device: Any,
+        sequence: int,
     ) -> _Share:  # fmt: skip
         """Return who shares which moments."""
-        count, helped = len(muscles), [coordinates.index(name) for name in reserves]
-        held = sorted({row for rows in paths.crossed for row in rows} | set(helped))
-        rows = np.full((count + len(helped), max([len(own) for own in paths.crossed] + [1])), -1)
+        motors = () if actuators is None else actuators.names
+        motor = np.zeros((1, 0, len(coordinates))) if actuators is None else actuators.effect
+        crossed = (*paths.crossed, *(() if actuators is None else actuators.crossed))
+        count, helped = len(crossed), [coordinates.index(name) for name in reserves]
+        held = sorted({row for rows in crossed for row in rows} | set(helped))
+        rows = np.full((count + len(helped), max([len(own) for own in crossed] + [1])), -1)
         entries = rows.copy()
-        for number, own in enumerate(paths.crossed):
+        for number, own in enumerate(crossed):
             rows[number, : len(own)] = [held.index(row) for row in own]
             entries[number, : len(own)] = number * len(coordinates) + np.array(own, int)
         rows[count:, 0] = [held.index(row) for row in helped]
         bounds = [(max(m.values["min_control"], 0.0), min(m.values["max_control"], 1.0)) for m in muscles]
+        bounds += [] if actuators is None else zip(actuators.lower, actuators.upper, strict=True)
         lower, upper = np.array([*bounds, *[(-np.inf, np.inf)] * len(helped)], float).reshape(-1, 2).T
         force = np.array(list(reserves.values()))
         return cls(
-            muscles, coordinates, held, helped, force, rows, entries, lower, upper, exponent, device, sequence
-        )
+            muscles, coordinates, motors, motor, held, helped, force, rows, entries, lower, upper, exponent,
+            device, sequence,
+        )  # fmt: skip
 
     def solve(
         self, paths: MusclePaths, moment: np.ndarray, capacity: np.ndarray, near: np.ndarray | None = None
     ) -> Activations:
         """Return the activations that give moments, with muscles that have these forces at activation 1."""
-        reserve = np.broadcast_to(self.reserve, (len(capacity), len(self.reserve)))
+        behind = np.concatenate([np.ones(len(self.motors)), self.reserve])
+        scale = np.concatenate([capacity, np.broadcast_to(behind, (len(capacity), len(behind)))], axis=1)
+        effects = paths.moment_arm
+        if self.motors:
+            effects = np.concatenate([effects, self.motor], axis=1)
         return optimal_activations(
-            self.rows, paths.moment_arm, moment[:, self.held], self.lower, self.upper, self.exponent,
-            self.device, near, self.sequence, np.concatenate([capacity, reserve], axis=1), self.entries,
+            self.rows, effects, moment[:, self.held], self.lower, self.upper, self.exponent,
+            self.device, near, self.sequence, scale, self.entries,
         )  # fmt: skip
 
     def rigid(
@@ -301,13 +323,17 @@ def _made_of(
     widths = np.array([muscle.fiber_width for muscle in share.muscles])
     missing = joint_moment.copy()
     missing[:, share.held] = found.missing
+    control = found.activation[:, count : count + len(share.motors)]
     reserve = np.zeros_like(joint_moment)
-    reserve[:, share.helped] = found.activation[:, count:] * share.reserve
+    reserve[:, share.helped] = found.activation[:, count + len(share.motors) :] * share.reserve
+    if share.motors:
+        reserve += np.einsum("nm,nmk->nk", control, share.motor)
     lower, upper = share.lower[:count], share.upper[:count]
     full = activation >= lower + SATURATED * (upper - lower)
     counts = {name: int(n) for name, n in zip(paths.muscles, full.sum(axis=0), strict=True) if n}
     feasible = (np.abs(found.missing) <= FEASIBLE * wanted[share.held]).all(axis=1)
     return MuscleForces(
         paths.muscles, share.coordinates, activation, force, passive, np.sqrt(along**2 + widths**2),
-        mode == "equilibrium", -force * paths.velocity, reserve, missing, feasible, counts,
+        mode == "equilibrium", -force * paths.velocity, share.motors, control, reserve, missing, feasible,
+        counts,
     )  # fmt: skip

@@ -26,6 +26,7 @@ from myowarp.models.paths.tables import PathMemory
 from myowarp.motion.parts import in_parts, joined
 from myowarp.motion.skeleton import Bones, Placement, Skeleton, move_value, place
 from myowarp.motion.straight_paths import StraightPaths, acted_on
+from myowarp.opensim.model.model import pulling
 from myowarp.opensim.wrap.described import described
 
 TOGETHER = 256
@@ -134,7 +135,7 @@ def project_paths(
                     moment_arm[worldid, pathid, needed.free[number]] -= moved
 
 
-def pulling(bones: Bones) -> tuple[str, ...]:
+def muscles_of(bones: Bones) -> tuple[str, ...]:
     """Return the names of muscles that apply force.
 
     Raises:
@@ -160,16 +161,17 @@ class PathsOfMuscles:
         Args:
             bones: The model.
             together: Frames that are followed at once.
-            names: Of muscles; None: of all that apply force.
+            names: Of muscles, ligaments and path actuators; None: of all muscles that apply force.
 
         Raises:
             ValueError: The model has no muscle.
             NotImplementedError: A point moves by a function that is no piecewise polynomial.
         """
         model, self._bones = bones.model, bones
-        self.muscles = pulling(bones) if names is None else tuple(names)
-        self.crossed = tuple(acted_on(bones, name) for name in self.muscles)
-        paths = {name: model.muscles[name].path for name in self.muscles}
+        self.muscles = muscles_of(bones) if names is None else tuple(names)
+        every = pulling(model)
+        paths = {name: every[name] for name in self.muscles}
+        self.crossed = tuple(acted_on(bones, path) for path in paths.values())
         paths_of, depends = described(model, paths)
         handles = [paths_of.handles(path) for path in paths_of.paths.values()]
         self._handles = [len(own) for own in handles]
@@ -258,22 +260,26 @@ class PathsOfMuscles:
         return MusclePaths(self.muscles, length, velocity, arm, self.crossed)
 
 
-def muscle_paths(bones: Bones, values: np.ndarray, speeds: np.ndarray) -> MusclePaths:
+def muscle_paths(
+    bones: Bones, values: np.ndarray, speeds: np.ndarray, names: Sequence[str] | None = None
+) -> MusclePaths:
     """Return the paths of all muscles of a motion, on all cores.
 
     Args:
         bones: The model.
         values: Of its independent coordinates [rad] or [m], shape (frames, coordinates).
         speeds: Their derivatives by time.
+        names: Of muscles, ligaments and path actuators; None: of all muscles that apply force.
 
     Raises:
         ValueError: The model has no muscle.
         NotImplementedError: A point moves by a function that is no piecewise polynomial.
     """
     values, speeds = (np.ascontiguousarray(array, float) for array in (values, speeds))
-    names = pulling(bones)
-    crossed = {name: acted_on(bones, name) for name in names}
-    over = [name for name in names if bones.model.muscles[name].path.wraps or not bones.device.is_cpu]
+    names = muscles_of(bones) if names is None else tuple(names)
+    every = pulling(bones.model)
+    crossed = {name: acted_on(bones, every[name]) for name in names}
+    over = [name for name in names if every[name].wraps or not bones.device.is_cpu]
     straight = [name for name in names if name not in over]
     place = {name: (names.index(name), crossed[name]) for name in straight}
     in_lanes = StraightPaths(bones, place) if straight else None

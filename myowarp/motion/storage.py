@@ -75,6 +75,7 @@ class Tables:
         self._places, self._files = ExitStack(), ExitStack()
         self._open: dict[str, IO[str]] = {}
         self._left: dict[str, int] = {}
+        self._removed: set[str] = set()
 
     def write(self, file: str, title: str, table: Storage, total: int | None = None) -> None:
         """Write a `.sto` or `.mot` file, or the next part of one.
@@ -105,6 +106,10 @@ class Tables:
             np.savetxt(self._open[file], numbers, fmt="%.9g", delimiter="\t")
             self._open[file].flush()
 
+    def remove(self, file: str) -> None:
+        """Let a file of an earlier result go, when the others take their places."""
+        self._removed.add(file)
+
     def __enter__(self) -> Self:
         return self
 
@@ -120,6 +125,8 @@ class Tables:
                     raise RuntimeError(
                         f"{str(self.folder / file)!r} must have {left} rows more; write all parts"
                     )
+        for file in self._removed:
+            (self.folder / file).unlink(missing_ok=True)
 
 
 @contextmanager

@@ -17,6 +17,8 @@ from myowarp.kernels.launch import launch
 from myowarp.models.paths.path import PathTables
 from myowarp.models.paths.tables import PathMemory
 from myowarp.motion.skeleton import HINGE, Bones, Skeleton
+from myowarp.opensim.model import elements
+from myowarp.opensim.model.model import pulling
 from myowarp.opensim.wrap.described import described
 from myowarp.opensim.wrap.moment_arm import crossed
 
@@ -93,9 +95,9 @@ def follow_straight_paths(
     )
 
 
-def acted_on(bones: Bones, muscle: str) -> tuple[int, ...]:
-    """Return the numbers of the coordinates that a muscle can act on."""
-    names = crossed(bones.model, bones.model.muscles[muscle].path)
+def acted_on(bones: Bones, path: elements.Path) -> tuple[int, ...]:
+    """Return the numbers of the coordinates that what pulls along a path can act on."""
+    names = crossed(bones.model, path)
     return tuple(bones.coordinates.index(name) for name in names if name in bones.coordinates)
 
 
@@ -112,7 +114,8 @@ class StraightPaths:
         Raises:
             NotImplementedError: A point moves by a function that is no piecewise polynomial.
         """
-        paths = {name: bones.model.muscles[name].path for name in place}
+        every = pulling(bones.model)
+        paths = {name: every[name] for name in place}
         paths_of, depends = described(bones.model, paths)
         handles = [[bones.number(body) for body in paths_of.handles(one)] for one in paths_of.paths.values()]
         parent = bones.skeleton.parent.numpy()

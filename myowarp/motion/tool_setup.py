@@ -43,6 +43,7 @@ class ToolSetup:
         unread: Actuators of other classes, which are left out.
         gains: Of CMC's tasks, by coordinate [1/s^2].
         controls: Least and greatest excitation of CMC's constraints, by muscle [1].
+        excluded: Forces that inverse dynamics leaves out; None: the tool is another one.
     """
 
     markers: Path | None = None
@@ -56,6 +57,7 @@ class ToolSetup:
     unread: tuple[str, ...] = ()
     gains: Mapping[str, float] = field(default_factory=dict)
     controls: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    excluded: tuple[str, ...] | None = None
 
 
 def read_tool_setup(path: Path) -> ToolSetup:
@@ -92,6 +94,7 @@ def read_tool_setup(path: Path) -> ToolSetup:
         tuple(unread),
         _gains(file_of(tool, "task_set_file")),
         _controls(file_of(tool, "constraints_file")),
+        tuple(tool.string("forces_to_exclude").split()) if tool.tag == "InverseDynamicsTool" else None,
     )
 
 

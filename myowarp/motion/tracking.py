@@ -9,8 +9,8 @@ those that excitations can reach by then, with tendons that stretch meanwhile; t
 reaches each. It is constant in the window and drives activations, fibers and bones through it in `SUBSTEPS`
 steps: activations by the midpoint rule, fibers by backward Euler, speeds with inertias and loads of the
 step's middle and the mean force of its ends, coordinates with the mean speed. Loads from outside are those
-that were recorded. Reserves are optimised with the muscles, and change linearly in the window. What they give
-at the root is the residual.
+that were recorded. Reserves and motors of the model are optimised with the muscles, and what they do along
+coordinates changes linearly in the window. What reserves give at the root is the residual.
 
 Worlds are simulations of one motion with other strengths. A replay drives them by given excitations and
 reserves, without a way back to the motion.
@@ -30,6 +30,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from myowarp.motion.actuators import Actuators, actuators_of
 from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
 from myowarp.motion.muscle_forces import muscle_forces
 from myowarp.motion.muscle_paths import MusclePaths, PathsOfMuscles
@@ -72,7 +73,7 @@ class Tracked:
         activation: [1].
         fiber_length: [m].
         force: In the tendon [N].
-        reserve: What reserves give [N m] or [N]; linear in between.
+        reserve: What reserves and motors give [N m] or [N]; linear in between.
     """
 
     time: np.ndarray
@@ -144,15 +145,17 @@ def controlled(bones: Bones, controls: Mapping[str, tuple[float, float]]) -> Bon
 def equations(
     bones: Bones, values: np.ndarray, speeds: np.ndarray, loads: Sequence[Load]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return M and c - sum J^T load of M q'' + c = moments + sum J^T load, shapes (n, k, k) and (n, k)."""
+    """Return M and c - sum J^T load - passive of M q'' + c = moments + sum J^T load + passive.
+
+    Their shapes are (n, k, k) and (n, k); passive is what springs and ligaments of the model do.
+    """
     count, free = values.shape
     still = np.zeros_like(values)
     bias = inverse_dynamics(bones, values, speeds, still, loads).joint_moment
     rows = np.repeat(values, free + 1, axis=0)
     unit = np.tile(np.eye(free + 1, free), (count, 1))
-    moment = inverse_dynamics(bones, rows, np.zeros_like(rows), unit).joint_moment.reshape(
-        count, free + 1, free
-    )
+    moment = inverse_dynamics(bones, rows, np.zeros_like(rows), unit, passive=False).joint_moment
+    moment = moment.reshape(count, free + 1, free)
     return moment[:, :free] - moment[:, free:], bias
 
 
@@ -190,7 +193,7 @@ class _Simulations:
         fiber: Lengths [m].
         force: In the tendon [N].
         mass: Of the beginning, shape (worlds, coordinates, coordinates).
-        reserve: What reserves give [N m] or [N]; at first what holds the beginning.
+        reserve: What reserves and motors give [N m] or [N]; at first what holds the beginning.
     """
 
     def __init__(
@@ -207,8 +210,8 @@ class _Simulations:
         needed = np.einsum("njk,k->nj", self.mass, acceleration) + bias
         first = muscle_forces(
             bones.model, bones.coordinates, paths, needed,
-            reserves=dict(zip(bones.coordinates, cost, strict=True)), strength=muscles.strength,
-            device=bones.device,
+            reserves=dict(zip(bones.coordinates, cost, strict=True)),
+            actuators=actuators_of(bones, self.values), strength=muscles.strength, device=bones.device,
         )  # fmt: skip
         self.activation = np.clip(first.activation, muscles.lower, muscles.upper)
         force, along, _ = muscles.steady.at(self.activation, paths.length, paths.velocity)
@@ -222,7 +225,7 @@ class _Simulations:
                 for x in self._loads]  # fmt: skip
 
     def controls(self, window: int, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return excitations and what reserves give, for these accelerations at the end of a window."""
+        """Return excitations and what else gives, for these accelerations at the end of a window."""
         q, u = self.values, self.speeds
         q_end, u_end = q + WINDOW * (u + 0.5 * WINDOW * wanted), u + WINDOW * wanted
         mass, bias = equations(self.bones, q_end, u_end, self._acting(2 * (window + 1) * SUBSTEPS))
@@ -230,10 +233,10 @@ class _Simulations:
         times = WINDOW / SUBSTEPS * np.arange(1, SUBSTEPS + 1)
         ahead = [self._followed.along(q + t * (u + 0.5 * t * wanted), u + t * wanted) for t in times]
         state = self.activation, self.fiber
-        return _controls(self.muscles, ahead, needed, *state, self._cost)
+        return _controls(self.muscles, ahead, needed, *state, self._cost, actuators_of(self.bones, q_end))
 
     def advance(self, window: int, excitation: np.ndarray, reserve: np.ndarray) -> None:
-        """Simulate a window, at whose end reserves give as much.
+        """Simulate a window, at whose end reserves and motors give as much.
 
         Raises:
             ValueError: A simulation is lost.
@@ -355,8 +358,9 @@ def _controls(
     activation: np.ndarray,
     fiber: np.ndarray,
     cost: np.ndarray,
+    motors: Actuators | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return excitations and what reserves give, so that moments are met at the end of a window.
+    """Return excitations and what reserves and motors give, so that moments are met at the end of a window.
 
     `paths` are those of its steps, with the wanted accelerations.
     """
@@ -373,24 +377,30 @@ def _controls(
     low, high = (np.broadcast_to(bound, activation.shape) for bound in (body.lower, body.upper))
     weak, strong = ahead(low), ahead(high)
     whole = np.where(body.whole > 0.0, body.whole, 1.0)
-    arms, crossed = paths[-1].moment_arm, paths[-1].crossed
-    rows = np.full((count + free, max([1, *map(len, crossed)])), -1)
+    each, crossed = paths[-1].moment_arm * whole[:, :, None], paths[-1].crossed
+    least, most = np.empty((2, worlds, 0))
+    if motors is not None:
+        each, crossed = np.concatenate([each, motors.effect], axis=1), (*crossed, *motors.crossed)
+        least, most = (np.broadcast_to(x, (worlds, len(x))) for x in (motors.lower, motors.upper))
+    driven = len(crossed)
+    rows = np.full((driven + free, max([1, *map(len, crossed)])), -1)
     effects = np.zeros((worlds, *rows.shape))
     for k, own in enumerate(crossed):
         rows[k, : len(own)] = own
-        effects[:, k, : len(own)] = arms[:, k, list(own)] * whole[:, k, None]
-    rows[count:, 0] = np.arange(free)
-    effects[:, count:, 0] = cost
+        effects[:, k, : len(own)] = each[:, k, list(own)]
+    rows[driven:, 0] = np.arange(free)
+    effects[:, driven:, 0] = cost
     endless = np.full((worlds, free), np.inf)
-    lower, upper = (
-        np.concatenate([force / whole, end], axis=1)
-        for force, end in ((np.minimum(weak, strong), -endless), (np.maximum(weak, strong), endless))
-    )
+    lower = np.concatenate([np.minimum(weak, strong) / whole, least, -endless], axis=1)
+    upper = np.concatenate([np.maximum(weak, strong) / whole, most, endless], axis=1)
     found = optimal_activations(rows, effects, needed, lower, upper)
     target = found.activation[:, :count] * whole
     excitation = _excitation(lambda e: ahead(e) - target, low, high, weak - target, strong - target)
     # Light bodies feel what the solver's softness leaves; a reserve has no bound.
-    return excitation, found.activation[:, count:] * cost + found.missing
+    given = found.activation[:, driven:] * cost + found.missing
+    if motors is not None:
+        given += np.einsum("nm,nmk->nk", found.activation[:, count:driven], motors.effect)
+    return excitation, given
 
 
 def _excitation(

@@ -6,6 +6,7 @@ in degrees in `.mot`, all else in `.sto`.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,12 +15,14 @@ from typing import Any
 import numpy as np
 
 from myowarp.disk import write_rows
+from myowarp.motion.actuators import actuators_of
 from myowarp.motion.inverse_dynamics import Load, Needed, inverse_dynamics
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.joint_reactions import JointReactions, joint_reactions
 from myowarp.motion.loads import Loads, loads_at
 from myowarp.motion.markers import Markers, MarkerStream, read_trc
 from myowarp.motion.metabolic_power import metabolic_power
+from myowarp.motion.model_forces import acts, left_out
 from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces, rigid_capacity
 from myowarp.motion.muscle_paths import MusclePaths, muscle_paths
 from myowarp.motion.scaling import Scaled, read_setup, scale, write_factors
@@ -31,13 +34,17 @@ from myowarp.motion.tasks import tasks_of
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.tracking import Tracked, track
 from myowarp.motion.units import Angles
-from myowarp.opensim.model.kinematics import complete, forward, station
+from myowarp.opensim.model.kinematics import complete, floating, forward, station
 from myowarp.opensim.model.model import Model
 from myowarp.opensim.muscle.hill import HillMuscle, known
 from myowarp.opensim.read.document import parse, write
 
 ANGLES = "Coordinates"
 """What a file of joint angles calls itself."""
+HELD = 0.05
+"""Share of the weight that a root may give without external loads, unsaid."""
+
+logger = logging.getLogger("myowarp")
 
 
 @dataclass(frozen=True, eq=False)
@@ -371,7 +378,7 @@ def write_angles(
 def dynamics(
     bones: Bones, motion: Movement, output: Path | Tables, loads: Path | Loads | None = None
 ) -> Needed:
-    """Find what a motion takes; write `moments.sto`.
+    """Find what a motion takes; write `moments.sto`, and what the model's springs do, `passive_moments.sto`.
 
     Args:
         bones: The model.
@@ -383,22 +390,64 @@ def dynamics(
         ValueError: A file is not what it should be.
         OSError: A file cannot be read or written.
     """
-    needed = joint_moments(bones, motion, loads)
+    acting = _acting(loads, motion)
+    needed = inverse_dynamics(bones, motion.values, motion.speeds, motion.accelerations, acting)
     with tables_in(output) as tables:
-        _write_moments(tables, bones, motion, needed)
+        _write_moments(tables, bones, motion, needed, acting)
     return needed
 
 
-def joint_moments(bones: Bones, motion: Movement, loads: Path | Loads | None = None) -> Needed:
-    """Return what a motion takes.
+def held_up(bones: Bones, time: np.ndarray, moment: np.ndarray) -> str:
+    """Return what stands for the weight at a root without external loads; "": less than `HELD` of it.
 
-    Raises:
-        ValueError: A file is not what it should be.
-        OSError: A file cannot be read.
+    Args:
+        bones: The model.
+        time: [s], shape (frames,).
+        moment: What the motion takes along independent coordinates [N m] or [N], shape (frames, coordinates).
     """
+    model = bones.model
+    weight = sum(body.mass for body in model.bodies.values()) * float(np.linalg.norm(model.gravity))
+    slides = [name for name in floating(model) if not model.coordinates[name].rotational]
+    roots = list(dict.fromkeys(model.coordinates[name].joint for name in slides))
+    forces = [
+        np.linalg.norm(moment[:, [bones.coordinates.index(name) for name in slides
+                                  if model.coordinates[name].joint == root]], axis=1)
+        for root in roots
+    ]  # fmt: skip
+    if not roots or not np.max(forces) > HELD * weight:
+        return ""
+    root, frame = np.unravel_index(int(np.argmax(forces)), np.shape(forces))
+    body = model.joints[roots[int(root)]].child
+    worst = f"{np.max(forces):.0f} N at the {body}, at {time[frame]:.4g} s"
+    return f"no external loads: {worst}, carry the weight"
+
+
+def _acting(loads: Path | Loads | None, motion: Movement) -> Sequence[Load]:
+    """Return the loads of a motion."""
     known_loads = Loads(loads) if isinstance(loads, Path) else loads
-    acting: Sequence[Load] = () if known_loads is None else known_loads.at(motion.time)
-    return inverse_dynamics(bones, motion.values, motion.speeds, motion.accelerations, acting)
+    return () if known_loads is None else known_loads.at(motion.time)
+
+
+def _write_moments(
+    tables: Tables, bones: Bones, motion: Movement, needed: Needed, acting: Sequence[Load]
+) -> None:
+    """Write the joint moments that a motion takes under loads, and what springs of the model do."""
+    title = "joint moments, N m and N"
+    if not acting and (sentence := held_up(bones, motion.time, needed.joint_moment)):
+        title = f"{title}; {sentence}"
+        if not motion.first:
+            logger.warning("%s", sentence)
+    _write_along(tables, "moments", title, bones, motion, needed.joint_moment)
+    _write_passive(tables, bones, motion, needed.passive)
+
+
+def _write_passive(tables: Tables, bones: Bones, motion: Movement, passive: np.ndarray) -> None:
+    """Write what springs, limits, bushings and ligaments of a model do; no file of a model without them."""
+    if not acts(bones.model):
+        tables.remove("passive_moments.sto")
+        return
+    title = "what springs, limits, bushings and ligaments of the model give, N m and N"
+    _write_along(tables, "passive_moments", title, bones, motion, passive)
 
 
 def analyze(bones: Bones, motion: Movement, output: Path | Tables) -> MusclePaths:
@@ -430,6 +479,8 @@ def analyze(bones: Bones, motion: Movement, output: Path | Tables) -> MusclePath
         active[:, i] = rigid_capacity(muscle, length, velocity)
         passive[:, i] = muscle.values["max_isometric_force"] * muscle.tendon_force(0.0, length, velocity)
     power = -(active + passive) * paths.velocity
+    moved = motion.values, motion.speeds, motion.accelerations
+    springs = inverse_dynamics(bones, *moved).passive if acts(bones.model) else np.zeros_like(motion.values)
     with tables_in(output) as tables:
         for name, title, values in (
             ("lengths", "lengths of muscle and tendon, m", paths.length),
@@ -440,6 +491,7 @@ def analyze(bones: Bones, motion: Movement, output: Path | Tables) -> MusclePath
         ):
             _write(tables, name, title, paths.muscles, motion, values)
         _write(tables, "moment_arms", "moment arms, m", arms, motion, np.stack(list(arms.values()), axis=1))
+        _write_passive(tables, bones, motion, springs)
     return paths
 
 
@@ -469,7 +521,9 @@ def forces(
         OSError: A file cannot be read or written.
     """
     paths = muscle_paths(bones, motion.values, motion.speeds)
-    needed = joint_moments(bones, motion, loads)
+    acting = _acting(loads, motion)
+    needed = inverse_dynamics(bones, motion.values, motion.speeds, motion.accelerations, acting)
+    actuators = actuators_of(bones, motion.values)
     found = muscle_forces(
         bones.model,
         bones.coordinates,
@@ -478,22 +532,36 @@ def forces(
         mode=mode,
         exponent=exponent,
         reserves=reserves,
+        actuators=actuators,
         device=bones.device,
     )
     burnt = metabolic_power(bones.model, found, paths, bones.device)
-    tension = dict(zip(found.muscles, found.force.T, strict=True))
-    reactions = joint_reactions(bones, motion.values, needed, tension)
+    tension, under = dict(zip(found.muscles, found.force.T, strict=True)), needed
+    given = None if actuators is None else found.control * actuators.optimal
+    if actuators is not None and given is not None:
+        pulls = zip(found.motors, given.T, strict=True)
+        tension |= {name: force for name, force in pulls if name in actuators.paths}
+        if pushed := actuators.acting(found.control):
+            moved = motion.values, motion.speeds, motion.accelerations
+            under = inverse_dynamics(bones, *moved, [*acting, *pushed])
+    reactions = joint_reactions(bones, motion.values, under, tension)
     with tables_in(output) as tables:
-        _write_moments(tables, bones, motion, needed)
+        _write_moments(tables, bones, motion, needed, acting)
         for name, title, values in (
             ("activations", "activations", found.activation),
             ("forces", "forces of muscles, N", found.force),
             ("powers", "powers of muscles, W, shortening > 0", found.power),
             ("metabolic_powers", "metabolic powers of muscles, W, without the rate at rest", burnt),
         ):
-            _write(tables, name, title, found.muscles, motion, values)
-        _write_reactions(tables, motion, reactions)
-        _write_along(tables, "reserves", "what reserves give, N m and N", bones, motion, found.reserve)
+            _write(tables, name, _titled(title, bones), found.muscles, motion, values)
+        if given is None:
+            tables.remove("actuators.sto")
+        else:
+            title = _titled("what motors give, N m and N", bones)
+            _write(tables, "actuators", title, found.motors, motion, given)
+        _write_reactions(tables, bones, motion, reactions)
+        title = "what reserves and motors give, N m and N"
+        _write_along(tables, "reserves", title, bones, motion, found.reserve)
         _write_along(tables, "missing", "what nobody gives, N m and N", bones, motion, found.missing)
     return found
 
@@ -532,6 +600,10 @@ def follow(
     names = [name for name, muscle in bones.model.muscles.items() if muscle.applies_force]
     if unknown := set(factors or {}) - set(names):
         raise ValueError(f"muscle {sorted(unknown)[0]!r} unknown; available: {', '.join(names)}")
+    if loads is None:
+        needed = inverse_dynamics(bones, motion.values, motion.speeds, motion.accelerations)
+        if sentence := held_up(bones, motion.time, needed.joint_moment):
+            logger.warning("%s", sentence)
     strength = np.array([(factors or {}).get(name, 1.0) for name in names])
     if not ((strength >= 0.0) & np.isfinite(strength)).all():
         raise ValueError("the strength of a muscle must be at least 0 and finite")
@@ -557,18 +629,14 @@ def follow(
             ("fiber_lengths", "fiber lengths, m", found.fiber_length),
             ("forces", "forces of muscles, N", found.force),
         ):
-            _write(tables, name, title, found.muscles, simulated, values[:, 0])
+            _write(tables, name, _titled(title, bones), found.muscles, simulated, values[:, 0])
         given = found.reserve[:, 0]
-        _write_along(tables, "reserves", "what reserves give, N m and N", bones, simulated, given)
+        title = "what reserves and motors give, N m and N"
+        _write_along(tables, "reserves", title, bones, simulated, given)
     return found
 
 
-def _write_moments(tables: Tables, bones: Bones, motion: Movement, needed: Needed) -> None:
-    """Write the joint moments that a motion takes."""
-    _write_along(tables, "moments", "joint moments, N m and N", bones, motion, needed.joint_moment)
-
-
-def _write_reactions(tables: Tables, motion: Movement, found: JointReactions) -> None:
+def _write_reactions(tables: Tables, bones: Bones, motion: Movement, found: JointReactions) -> None:
     """Write joint reactions with the labels of OpenSim's `JointReaction`: on the child, in ground.
 
     Raises:
@@ -581,16 +649,23 @@ def _write_reactions(tables: Tables, motion: Movement, found: JointReactions) ->
         for axis in "xyz"
     ]
     table = np.concatenate([found.force, found.moment, found.point], axis=2).reshape(len(motion.time), -1)
-    _write(tables, "joint_reactions", "joint reactions, N, N m and m", labels, motion, table)
+    title = _titled("joint reactions, N, N m and m", bones)
+    _write(tables, "joint_reactions", title, labels, motion, table)
 
 
 def _write_along(
     tables: Tables, name: str, title: str, bones: Bones, motion: Movement, values: np.ndarray
 ) -> None:
-    """Write what acts along the coordinates, named as OpenSim names it."""
+    """Write what acts along the coordinates, named as OpenSim names it; the title has what is left out."""
     turns = [bones.model.coordinates[name].rotational for name in bones.coordinates]
     labels = (f"{n}_{'moment' if t else 'force'}" for n, t in zip(bones.coordinates, turns, strict=True))
-    _write(tables, name, title, labels, motion, values)
+    _write(tables, name, _titled(title, bones), labels, motion, values)
+
+
+def _titled(title: str, bones: Bones) -> str:
+    """Return the title of a result of joint moments: with what acts in OpenSim and is left out here."""
+    lost = left_out(bones.model)
+    return f"{title}; {lost}" if lost else title
 
 
 def _write(

@@ -25,7 +25,6 @@ from myowarp.definitions.body import BODIES, POINT_JOINTS, Body
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.task import MOST_SUBSTEPS, TaskSpec, register, split_key
-from myowarp.definitions.worlds import Worlds
 from myowarp.disk import model_digest
 from myowarp.engine.warn_once import warn_once
 from myowarp.models.bodies.arm_muscles import FATIGUE_RATES, GROUPS
@@ -52,21 +51,26 @@ HILL = "muscles.csv"  # likewise; see `myowarp.definitions.muscle_table`
 STEPPED = ("EULER", "IMPLICITFAST")  # integrators; others call the muscles more than once in a step
 
 
-def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
+def read_body(path: Path, tips: tuple[str, ...] = (), stops: bool = True) -> str:
     """Register the model of a file as a body, once; motors without a control range get -1 to 1.
 
     Args:
         path: MJCF, or a model of OpenSim (.osim); or the name of a body that is registered.
         tips: Names of the sites that tasks show or steer.
+        stops: Whether ranges stop joints; a line says which holds in a model of OpenSim, whose own stop none.
 
     Returns:
         Name in `BODIES`; that of a file holds a digest of the compiled model, meshes and includes included,
         because compiled scenes are kept by name.
 
     Raises:
-        ValueError: The file is no model that MuJoCo reads, or has actuators that we cannot step.
+        ValueError: The file is no model that MuJoCo reads, or has actuators that we cannot step; or a body of
+            the package is to have no stops.
     """
+    source = path
     if str(path) in BODIES and not path.exists():
+        if not stops:
+            raise ValueError(f"stops are an option of a model's file; {str(path)!r} is a body with its own")
         return _with_tips(str(path), tips)
     if path.suffix.lower() == OPENSIM:
         from myowarp.opensim.load import load  # reading .osim files is not needed at every start
@@ -79,6 +83,8 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
         for actuator in spec.actuators:
             if actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE and not np.any(actuator.ctrlrange):
                 actuator.ctrlrange = (-1.0, 1.0)
+        for joint in spec.joints if not stops else ():
+            joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
         model = spec.compile()
         model.names.decode()
     except UnicodeDecodeError as error:
@@ -89,7 +95,9 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
         raise ValueError(
             f"model {str(path)!r} must be an MJCF file; MuJoCo says: {reason}{bodies}"
         ) from error
-    _check(model, path)
+    _check(model, source)
+    if source.suffix.lower() == OPENSIM:
+        _say_stops(model, source, stops)
     for beside, ask_for, check in (
         (COUPLINGS, ask, exact),
         (PATHS, ask_for_paths, own_paths),
@@ -104,12 +112,27 @@ def read_body(path: Path, tips: tuple[str, ...] = ()) -> str:
     title = re.sub(r"[^A-Za-z0-9]+", "_", spec.modelname).strip("_")
     name = "_".join((title, model_digest(model)[:8], *tips))
     muscles = MuscleTable.converted(path.with_name(HILL), [model.actuator(i).name for i in range(model.nu)])
+    if muscles is not None:
+        muscles, moved = muscles.bounded("opensim")
+        for change in moved:
+            warn_once(f"{source.name}: {change}")
     known = BODIES[name].muscles if name in BODIES else None
     if name not in BODIES or _of(known) != _of(muscles):
         own = own_model(muscles, [model.actuator(i).name for i in np.flatnonzero(_is_muscle(model))])
         body = Body(spec.copy, tips, groups=GROUPS, fatigue_rates=FATIGUE_RATES, muscles=muscles, muscle=own)
         BODIES.add(name, body, replace=True)
     return name
+
+
+def _say_stops(model: mujoco.MjModel, source: Path, stops: bool) -> None:
+    """Log whether ranges of a model of OpenSim stop its joints, where it has any that could."""
+    if not stops:
+        warn_once(f"{source.name}: no range stops a joint, as in OpenSim's simulations")
+    elif count := int(model.jnt_limited.sum()):
+        warn_once(
+            f"{source.name}: ranges stop {count} clamped joints, which they do not in OpenSim's simulations; "
+            "--no-stops, or stops=False, lets them go on"
+        )
 
 
 def _of(table: MuscleTable | None) -> Any:
@@ -132,15 +155,10 @@ def own_model(muscles: MuscleTable | None, names: list[str]) -> str:
     if muscles is None or not names:
         return "mujoco"
     laws = muscles.parameters.get("law", {})
-    instead = "; all muscles are MuJoCo's, fitted to their static forces"
     if without := [name for name in names if name not in laws]:
         some = f"{len(without)} of {len(names)} muscles, such as {without[0]!r}"
-        warn_once(f"{some}, are of a class without a law here{instead}")
-        return "mujoco"
-    try:
-        MuscleTable("opensim").over(muscles, names, Worlds.all(1))
-    except ValueError as error:
-        warn_once(f"{error}{instead}")
+        instead = "all muscles are MuJoCo's, fitted to their static forces"
+        warn_once(f"{some}, are of a class without a law here; {instead}")
         return "mujoco"
     return "opensim"
 
@@ -196,13 +214,17 @@ def _numbers(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:
                     yield name, values.astype(np.float32)
 
 
-def pose_task(path: Path) -> PoseTask:
+def pose_task(path: Path, stops: bool = True) -> PoseTask:
     """Return the pose task of all joints that the actuators of a model move; it is registered.
+
+    Args:
+        path: As for `from_mjcf`.
+        stops: As for `from_mjcf`.
 
     Raises:
         ValueError: The file is unsuitable (`read_body`), or its actuators move no joint.
     """
-    return cast(PoseTask, from_mjcf(path))
+    return cast(PoseTask, from_mjcf(path, stops=stops))
 
 
 def from_mjcf(
@@ -217,6 +239,7 @@ def from_mjcf(
     near: float | None = None,
     far: float | None = None,
     rewards: Mapping[str, Reward] | None = None,
+    stops: bool = True,
     doc: str = "",
     replace: bool = False,
 ) -> TaskSpec:
@@ -238,6 +261,8 @@ def from_mjcf(
             the number of joints, 0.0125 m times the number of sites.
         far: Error norm beyond which an episode fails; None: twice that between the farthest targets.
         rewards: New weights of terms and new terms, as in `extend`.
+        stops: Whether joints stop at their ranges; in OpenSim's simulations coordinates do not. Targets stay
+            those within the ranges.
         doc: One sentence: what the task asks for; "": what follows from the above.
         replace: Whether it may take the place of a task that is registered.
 
@@ -257,7 +282,9 @@ def from_mjcf(
         if value is not None and not (_is_number(value) and 0 < value < np.inf):
             raise ValueError(f"{what} must be a positive number, got {value!r}")
     bounds = dict(targets) if isinstance(targets, Mapping) else dict.fromkeys(names)
-    body = read_body(path, tuple(bounds) if kind == "reach" else ())
+    if not isinstance(stops, bool):
+        raise ValueError(f"stops must be True or False, got {stops!r}")
+    body = read_body(path, tuple(bounds) if kind == "reach" else (), stops)
     model = BODIES[body].build().compile()
     name, version = split_key(key) if key is not None else (body if kind == "pose" else f"{body}_{kind}", 0)
     start = _start(model, path, keyframe)

@@ -21,10 +21,12 @@ def variant_of(setup: Setup) -> Variant:
         ValueError: There is no such task, or the file is unsuitable.
     """
     task = setup.task
+    if isinstance(task, Path):
+        return Variant(pose_task(task, setup.stops is not False).key)
+    if setup.stops is not None:
+        raise ValueError("stops are an option of a model's file; give it with --model FILE, or to from_osim")
     if isinstance(task, TaskSpec):
         return Variant(task.key)
-    if isinstance(task, Path):
-        return Variant(pose_task(task).key)
     if task is None:
         raise ValueError("what to run is a task id or --model with a file, one of them; got neither")
     return find_task(task)
@@ -46,7 +48,7 @@ def complete(what: Setup | TaskSpec | str | Path) -> Setup:
     setup.check()
     check_device_name(setup.device)
     if not isinstance(setup.task, TaskSpec):
-        setup = dataclasses.replace(setup, task=variant.task)
+        setup = dataclasses.replace(setup, task=variant.task, stops=None)
     setup = setup.over(Setup(reset=variant.reset)).finished()
     if setup.horizon is not None:
         checked_horizon(setup.horizon)

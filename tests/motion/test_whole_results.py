@@ -38,7 +38,7 @@ def long_motion(folder, rows=700, bad=None):
     lines = [f"{t:.2f}\t{40 + 20 * np.sin(t):.6f}\t{50 + 20 * np.cos(t):.6f}" for t in time]
     if bad is not None:
         lines[bad] = f"{time[bad]:.2f}\tabc\t50"
-    head = BEND.read_text().splitlines()[:7]
+    head = BEND.read_text().replace("nRows=61", f"nRows={rows}").splitlines()[:7]
     (folder / "long.mot").write_text("\n".join([*head, *lines]) + "\n")
     return folder / "long.mot"
 
@@ -60,7 +60,7 @@ def test_a_bad_row_at_the_end_leaves_nothing(tmp_path, monkeypatch):
     assert len(whole.time) == 700
     before = (tmp_path / "out/moments.sto").read_bytes()
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    with pytest.raises(ValueError, match="must be numbers"):
+    with pytest.raises(ValueError, match="a cell that is no number"):
         solve(long_motion(tmp_path, bad=690), bones, tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} == names
     assert (tmp_path / "out/moments.sto").read_bytes() == before

@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from muscle_bench import hold
 
 import myowarp
 from myowarp.coordinates.step import step_of
@@ -143,6 +144,41 @@ def test_a_range_that_runs_backwards_is_one_sentence(tmp_path):
     message = r"back.osim:\d+: <PathWrap name='TRIlong.*'> has a range from point 3 back to 1, .*; swap them$"
     with pytest.raises(ValueError, match=message):
         read_body(path)
+
+
+def test_a_muscle_out_of_bounds_changes_itself_alone(tmp_path, caplog):
+    """A paralysed muscle, as OpenSim has it: its force is 0, those of the others stay bit for bit."""
+    text, forces = (OSIM / "arm26.osim").read_text(), {}
+    weak = tmp_path / "paralysed.osim"
+    given = text.index("<max_isometric_force>", text.index('<Thelen2003Muscle name="BIClong">'))
+    end = text.index("</max_isometric_force>", given)
+    weak.write_text(f"{text[:given]}<max_isometric_force>0{text[end:]}")
+    warn_once.cache_clear()
+    for path in (OSIM / "arm26.osim", weak):
+        scene = compile_scene(myowarp.from_osim(path, replace=True), 1, device="cpu", physics="parity")
+        model = read_model(path)
+        lengths = {
+            name: muscle.tendon_slack_length + 0.9 * muscle.optimal_fiber_length
+            for name, muscle in model.muscles.items()
+        }
+        length = np.array([[lengths[name] for name in scene.muscles.names]])
+        found = hold(scene.muscles, length, np.full(length.shape, 0.5))[0]
+        forces[path.stem] = dict(zip(scene.muscles.names, found.tolist(), strict=True))
+    healthy, paralysed = forces.values()
+    assert healthy.pop("BIClong") > 50.0
+    assert abs(paralysed.pop("BIClong")) < 1e-5
+    assert healthy == paralysed
+    said = "max_isometric_force of muscle 'BIClong' must be from 1e-06 to inf, got 0; it is taken as 1e-06"
+    assert [r.getMessage() for r in caplog.records] == [f"paralysed.osim: {said}"]
+
+
+def test_a_model_without_muscles_is_named_as_the_user_does(tmp_path):
+    path = tmp_path / "bones.osim"
+    text = (OSIM / "arm26.osim").read_text()
+    path.write_text(re.sub(r"<ForceSet.*</ForceSet>", "", text, flags=re.DOTALL))
+    message = f"model {str(path)!r} has no actuators; a policy needs muscles or motors"
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        myowarp.from_osim(path)
 
 
 def test_a_joint_that_nobody_knows_is_one_sentence(tmp_path):

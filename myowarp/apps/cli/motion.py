@@ -28,21 +28,23 @@ if TYPE_CHECKING:
 WRITES = {
     "analyze": (
         *("lengths.sto", "velocities.sto", "moment_arms.sto", "active_forces.sto", "passive_forces.sto"),
-        *("full_powers.sto", "report.html"),
+        *("full_powers.sto", "passive_moments.sto", "report.html"),
     ),
     "scale": ("scaled.osim", "scale_factors.xml", "static.mot"),
     "kinematics": ("ik.mot", "marker_errors.sto", "gaps.csv"),
-    "dynamics": ("moments.sto",),
+    "dynamics": ("moments.sto", "passive_moments.sto"),
     "forces": tuple(
         f"{name}.sto"
         for name in (
             *(
                 "moments",
+                "passive_moments",
                 "activations",
                 "forces",
                 "powers",
                 "metabolic_powers",
                 "joint_reactions",
+                "actuators",
                 "reserves",
             ),
             "missing",
@@ -55,7 +57,7 @@ WRITES = {
     "emg": ("emg.sto", "emg_agreement.csv", "emg.png"),
     "report": ("report.html",),
 }
-"""Files of each step."""
+"""Files of each step; some are there only where the model has what they are about."""
 
 EXPONENT = 2.0
 """Of activations in the cost, by default."""
@@ -241,8 +243,27 @@ class Motion:
                       for marker, rms, most in fitted.worst()[:SHOWN]]  # fmt: skip
             lines += [doubt] if (doubt := fitted.doubt()) else []
         else:
+            bones, lines = self._without_excluded(bones)
             lines += self._along(bones, source)
         self._say(lines)
+
+    def _without_excluded(self, bones: Bones) -> tuple[Bones, list[str]]:
+        """Return the model without the forces that a set-up file excludes, and what is to be said."""
+        from myowarp.motion.model_forces import without
+        from myowarp.motion.skeleton import Bones
+        from myowarp.motion.tool_setup import read_tool_setup
+
+        excluded = None if self.setup is None else read_tool_setup(self.setup).excluded
+        if excluded is None:
+            return bones, []
+        model, unknown = without(bones.model, excluded)
+        lines = [f"forces_to_exclude names {name!r}, which the model has not" for name in unknown]
+        if not {"ALL", "ACTUATORS", "MUSCLES"} & {name.upper() for name in excluded}:
+            lines.append(
+                "forces_to_exclude has no Muscles: OpenSim's moments are then what muscles at their default "
+                "activations leave over; these are what muscles have to give"
+            )
+        return Bones(model, bones.device), lines
 
     def _along(self, bones: Bones, source: Path) -> list[str]:
         """Do a step along a motion; return what is to be said, one line each."""
@@ -308,8 +329,8 @@ class Motion:
 
     def _reserves(self, bones: Bones) -> dict[str, float]:
         """Return the force of the reserve of each coordinate that has one."""
-        from myowarp.apps.reports.motion import floating
         from myowarp.motion.tool_setup import read_tool_setup
+        from myowarp.opensim.model.kinematics import floating
 
         root = floating(bones.model)
         at_root = self.reserve if self.residual is None else self.residual

@@ -71,13 +71,15 @@ def environment(*, flag: bool = False, only: Iterable[str] = OPTIONS, leave_out:
     for name, option in OPTIONS.items():
         choices = ",".join(option.metadata["choices"])
         form = f"{{{choices}}}" if choices else option.metadata["form"]
-        if not form or name not in only or name in leave_out:
+        switch = option.metadata["flag"]
+        if not (form or switch) or name not in only or name in leave_out:
             continue
-        kind = COMMAND_LINE.get(name, kinds[name])
+        kind = bool if switch else COMMAND_LINE.get(name, kinds[name])
         told: list[object] = [_option(form, option.metadata["text"], UNSET)]
         if name == "task" and not flag:
             told.append(tyro.conf.Positional)
-        fields.append((name, Annotated[(kind, *told)], dataclasses.field(default=None)))
+        default = dataclasses.field(default=True if switch else None)
+        fields.append((name, Annotated[(kind, *told)], default))
         if name == "task":
             fields.append(("model", Annotated[Path | None, MODEL], dataclasses.field(default=None)))
     made = dataclasses.make_dataclass(
@@ -92,7 +94,7 @@ COMMAND_LINE = {"task": str | None, "muscle": str | None, "conditions": tuple[st
 
 def _setup(self: Any) -> Setup:
     """Return the setup of an `Asked`."""
-    said = vars(self).copy()
+    said = {name: None if value is True else value for name, value in vars(self).items()}
     model = said.pop("model", None)
     if model is not None and said["task"] is not None:
         raise ValueError(
@@ -129,6 +131,8 @@ class Trial:
                 if getattr(self, name) is not None:
                     raise ValueError(f"--{name} belongs to a recorded motion; give it with --motion FILE")
             return None
+        if asked.setup.stops is not None:
+            raise ValueError("--no-stops is of a simulation; leave it out where a recorded motion is played")
         model = asked.setup.task
         if not isinstance(model, Path) or model.suffix.lower() != ".osim":
             raise ValueError("--motion needs the model that moves, --model FILE.osim")

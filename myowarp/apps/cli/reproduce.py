@@ -10,7 +10,7 @@ from rich.console import Console
 
 from myowarp.apps.cli.options import Asked, environment, optional
 
-PROTOCOLS = ("task", "physics", "reset", "conditions", "horizon", "seed")
+PROTOCOLS = ("task", "physics", "reset", "conditions", "stops", "horizon", "seed")
 """Options that the experiments set themselves."""
 
 

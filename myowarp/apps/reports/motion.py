@@ -21,8 +21,8 @@ from myowarp.apps.reports import panel
 from myowarp.apps.reports.table import number
 from myowarp.motion.storage import Storage, read_storage
 from myowarp.motion.units import Angles
-from myowarp.opensim.model.kinematics import independent
-from myowarp.opensim.model.model import GROUND, Model
+from myowarp.opensim.model.kinematics import floating
+from myowarp.opensim.model.model import Model
 
 MARKER_RMS, MARKER_MOST = 20.0, 40.0
 """[mm]."""
@@ -30,8 +30,6 @@ NOTHING = 1e-3
 """[N m, N] below which nothing is missing."""
 FULL = 0.999
 """Activation from which a muscle is fully active."""
-FLOATING = 3
-"""Coordinates of a joint with ground from which its moments are residuals."""
 LISTED, DRAWN, COLUMNS, DPI = 12, 24, 6, 110
 TEMPLATE = Path(__file__).with_suffix(".html")
 
@@ -120,6 +118,8 @@ def page(folder: Path, model: Model, motion: Path | None = None) -> str:
         findings += _full(tables[ACTIVATIONS.file])
     if MARKERS.file in tables:
         findings.append(_fitting(tables[MARKERS.file]))
+    if said := said_in(folder / MOMENTS.file):
+        findings.append((f"{MOMENTS.file}: {said}.", True))
     root = [f"{name}_{kind}" for name in floating(model) for kind in ("moment", "force")]
     shown = [(part, tables[part.file]) for part in (MISSING, MARKERS) if part.file in tables]
     if MOMENTS.file in tables and (held := among(tables[MOMENTS.file], root)).labels:
@@ -153,14 +153,12 @@ def angles_of(path: Path, table: Storage, model: Model) -> Storage:
     return Storage(tuple(found), table.time, values, in_degrees=True)
 
 
-def floating(model: Model) -> list[str]:
-    """Return the coordinates of joints that carry the model through space."""
-    found = []
-    for joint in model.joints.values():
-        own = [name for name in independent(model) if model.coordinates[name].joint == joint.name]
-        if joint.parent == GROUND and len(own) >= FLOATING:
-            found += own
-    return found
+def said_in(path: Path) -> str:
+    """Return what the title of a table says behind what it holds, "" where it says no more."""
+    if not path.exists():
+        return ""
+    with path.open(encoding="utf-8") as file:
+        return file.readline().strip().partition("; ")[2]
 
 
 def among(table: Storage, labels: Sequence[str] | set[str]) -> Storage:

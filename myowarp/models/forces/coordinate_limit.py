@@ -13,11 +13,11 @@ import warp as wp
 
 @wp.struct
 class CoordinateLimit:
-    """Limits of a joint [rad or m].
+    """Limits of a joint or of a coordinate [rad or m].
 
     Attributes:
-        address: Of the joint in qpos.
-        dof: Of the joint.
+        address: Where its value stands, of a joint in qpos.
+        dof: Along which degree of freedom it acts.
         low: Where the lower spring begins.
         high: Where the upper spring begins.
         low_stiffness: Of the lower spring [N m/rad or N/m].
@@ -28,23 +28,23 @@ class CoordinateLimit:
 
     address: int
     dof: int
-    low: float
-    high: float
-    low_stiffness: float
-    high_stiffness: float
-    damping: float
-    transition: float
+    low: wp.float64
+    high: wp.float64
+    low_stiffness: wp.float64
+    high_stiffness: wp.float64
+    damping: wp.float64
+    transition: wp.float64
 
 
 @wp.func
-def onset(x: float) -> float:
+def onset(x: wp.float64) -> wp.float64:
     """S(x), 0 below 0 and 1 above 1."""
-    t = wp.clamp(x, 0.0, 1.0)
-    return t * t * t * (10.0 + t * (6.0 * t - 15.0))
+    t = wp.clamp(x, wp.float64(0.0), wp.float64(1.0))
+    return t * t * t * (wp.float64(10.0) + t * (wp.float64(6.0) * t - wp.float64(15.0)))
 
 
 @wp.func
-def limit_spring(limit: CoordinateLimit, q: float) -> float:
+def limit_spring(limit: CoordinateLimit, q: wp.float64) -> wp.float64:
     """k_low S_low (low - q) - k_high S_high (q - high) [N m or N]."""
     below, above = limit.low - q, q - limit.high
     force = limit.low_stiffness * onset(below / limit.transition) * below
@@ -52,7 +52,7 @@ def limit_spring(limit: CoordinateLimit, q: float) -> float:
 
 
 @wp.func
-def limit_damping(limit: CoordinateLimit, q: float) -> float:
+def limit_damping(limit: CoordinateLimit, q: wp.float64) -> wp.float64:
     """c (S_low + S_high) [N m s/rad or N s/m]."""
     below, above = limit.low - q, q - limit.high
     return limit.damping * (onset(below / limit.transition) + onset(above / limit.transition))

@@ -12,7 +12,7 @@ import warp as wp
 
 from myowarp.models.forces.coordinate_limit import onset
 
-SETS_IN = wp.constant(0.01)
+SETS_IN = wp.constant(wp.float64(0.01))
 """Strain over which the damping of a ligament sets in."""
 
 
@@ -21,23 +21,25 @@ class Ligament:
     """A tendon that pulls by itself.
 
     Attributes:
-        tendon: Its id.
+        tendon: Its id, or number.
         resting_length: l_0 [m].
         dissipation: d [s/m].
         damping: c [N s/m].
     """
 
     tendon: int
-    resting_length: float
-    dissipation: float
-    damping: float
+    resting_length: wp.float64
+    dissipation: wp.float64
+    damping: wp.float64
 
 
 @wp.func
-def ligament_tension(ligament: Ligament, spring: float, length: float, velocity: float) -> float:
+def ligament_tension(
+    ligament: Ligament, spring: wp.float64, length: wp.float64, velocity: wp.float64
+) -> wp.float64:
     """T [N]; `spring` is f(l / l_0)."""
-    strain = length / ligament.resting_length - 1.0
-    if strain <= 0.0:
-        return 0.0
-    lengthening = wp.max(velocity, 0.0) * onset(strain / SETS_IN)
-    return spring * (1.0 + ligament.dissipation * velocity) + ligament.damping * lengthening
+    strain = length / ligament.resting_length - wp.float64(1.0)
+    if strain <= wp.float64(0.0):
+        return wp.float64(0.0)
+    lengthening = wp.max(velocity, wp.float64(0.0)) * onset(strain / SETS_IN)
+    return spring * (wp.float64(1.0) + ligament.dissipation * velocity) + ligament.damping * lengthening

@@ -2,12 +2,9 @@
 
 from myowarp.coordinates.force_text import JointLimit, PassiveForces, TendonSpring
 from myowarp.opensim.compose.geometry import Build
-from myowarp.opensim.model.elements import CoordinateLimitForce, Ligament
+from myowarp.opensim.model.elements import LEAST_TRANSITION, CoordinateLimitForce, Ligament
 from myowarp.opensim.model.functions import curves
 from myowarp.opensim.model.model import Note
-
-LEAST_TRANSITION = 1e-6
-"""rad or m: a spring that sets in at once does so over this."""
 
 
 def own_forces(build: Build, has_paths: bool) -> PassiveForces | None:

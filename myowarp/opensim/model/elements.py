@@ -135,6 +135,10 @@ class BodyActuator:
     control_range: tuple[float, float]
 
 
+LEAST_TRANSITION = 1e-6
+"""rad or m: a limit that sets in at once does so over this."""
+
+
 @dataclass(frozen=True)
 class CoordinateLimitForce:
     """Springs that push a coordinate back from its limits."""

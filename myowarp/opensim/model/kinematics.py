@@ -20,6 +20,8 @@ Frames = dict[str, tuple[Array, Array]]
 
 UNBOUNDED = 2 * math.pi
 """A coordinate whose stated range is wider on one side [rad, m] was given none by its author."""
+FLOATING = 3
+"""Coordinates of a joint with ground from which it carries the model through space."""
 DEFAULT_REACH = {True: math.pi / 2, False: 0.5}
 """Sampled to both sides of the default where there is no range; by `rotational` [rad, m]."""
 
@@ -31,6 +33,16 @@ def independent(model: Model) -> list[str]:
         for name, coordinate in model.coordinates.items()
         if not coordinate.locked and name not in model.couplers
     ]
+
+
+def floating(model: Model) -> list[str]:
+    """Return the coordinates of joints that carry the model through space."""
+    found = []
+    for joint in model.joints.values():
+        own = [name for name in independent(model) if model.coordinates[name].joint == joint.name]
+        if joint.parent == GROUND and len(own) >= FLOATING:
+            found += own
+    return found
 
 
 def sampling_range(model: Model, name: str) -> tuple[float, float]:

@@ -57,6 +57,8 @@ class Loss(Note):
     """Its greatest force in the poses of the check; None: not measured."""
     unit: str = "N"
     """Of that."""
+    names: frozenset[str] = frozenset()
+    """Words of its element, of paths the last part; coordinates and bodies that it names are among them."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 from myowarp.opensim.model.elements import Shape
 from myowarp.opensim.model.model import Coupler, Loss, Note
@@ -58,9 +58,10 @@ def unread(path: str, element: Element) -> Note:
     if where == "controllerset" or element.tag.endswith("Controller"):
         return Loss(path, rule, code=element.tag, effect="control")
     if element.tag in CONTACT:
-        return Loss(path, rule, code=element.tag, effect="contact")
+        return Loss(path, rule, code=element.tag, effect="contact", names=element.words())
     constraint = where == "constraintset" or element.tag.endswith("Constraint")
-    return Loss(path, rule, code=element.tag, effect="motion" if constraint else "force")
+    effect: Literal["motion", "force"] = "motion" if constraint else "force"
+    return Loss(path, rule, code=element.tag, effect=effect, names=element.words())
 
 
 def read_components(components: list[tuple[str, Element]], scope: Scope) -> dict[str, Any]:
@@ -84,7 +85,9 @@ def read_components(components: list[tuple[str, Element]], scope: Scope) -> dict
                 raise element.error(f"drives coordinate {key!r}, as {found[field][key].name!r} does")
             again = f"a second {element.tag} of that name; left out"
             scope.notes.append(
-                Note(path, again) if field == "markers" else Loss(path, again, code=element.tag)
+                Note(path, again)
+                if field == "markers"
+                else Loss(path, again, code=element.tag, names=element.words())
             )
             continue
         found[field][key] = item

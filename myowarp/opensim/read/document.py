@@ -90,6 +90,11 @@ class Element:
             yield element
             stack.extend(reversed(element.children))
 
+    def words(self) -> frozenset[str]:
+        """Return the words of its texts, of paths the last part."""
+        words = (word for element in self.walk() for word in element.text.split())
+        return frozenset(word.rstrip("/").rpartition("/")[2] for word in words)
+
     def string(self, *tags: str, default: str = "") -> str:
         """Return the text of a child."""
         found = self.find(*tags)

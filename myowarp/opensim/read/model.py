@@ -189,7 +189,7 @@ def _inside(model: Element, components: list[tuple[str, Element]]) -> list[Note]
     listed = {id(element) for _, element in components}
     rule = "is listed inside of another component; left out"
     return [
-        Loss(f"/{element.name}", f"{element.tag} {rule}", code=element.tag)
+        Loss(f"/{element.name}", f"{element.tag} {rule}", code=element.tag, names=element.words())
         for element in model.walk()
         if element.tag in READERS and element.tag != "Marker" and id(element) not in listed
     ]

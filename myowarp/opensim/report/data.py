@@ -137,6 +137,11 @@ def _summary(
     return found
 
 
+def _lost(loss: Loss) -> dict[str, Any]:
+    """Return a loss as JSON holds it, without the words of its element."""
+    return {name: value for name, value in vars(loss).items() if name != "names"}
+
+
 def _dynamics(dynamics: Dynamics) -> dict[str, Any]:
     """Return what a report says about dynamics; shares of what the reference has."""
     samples = dynamics.samples
@@ -211,7 +216,7 @@ def report_of(
                 "muscles": len(source.muscles),
                 "markers": len(source.markers),
             },
-            "left_out": [{**dataclasses.asdict(loss), "accepted": loss.code in accepted} for loss in losses],
+            "left_out": [_lost(loss) | {"accepted": loss.code in accepted} for loss in losses],
             "gates": [{**dataclasses.asdict(gate), "passed": gate.passed} for gate in result.gates],
             "kinematics": {"reference": FRAMES, **dataclasses.asdict(result.kinematics)},
             "dynamics": _dynamics(result.dynamics),

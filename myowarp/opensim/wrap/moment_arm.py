@@ -6,7 +6,7 @@ couplers included (Sherman, Seth, Delp 2013, doi:10.1115/DETC2013-13633). The ot
 derivative of the length. Both agree only where the path that OpenSim reports has stationary length.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -78,13 +78,24 @@ def poses_of(model: Model, coordinates: Mapping[str, np.ndarray], along: list[st
 
 def crossed(model: Model, path: Path) -> list[str]:
     """Return the free coordinates on which the length of a path can depend."""
-    chains = [_chain(model, point.body) for point in path.points]
-    chains += [_chain(model, model.wraps[wrap.object].body) for wrap in path.wraps]
-    joints = set().union(*chains) - set(chains[0]).intersection(*chains)
-    moved = {move.coordinate for joint in joints for move in model.joints[joint].moves}
+    bodies = [point.body for point in path.points]
+    bodies += [model.wraps[wrap.object].body for wrap in path.wraps]
+    moved = coordinates_between(model, bodies)
     for point in path.points:
         if isinstance(point, MovingPathPoint):
             moved |= set(point.coordinates)
+    return leading(model, moved)
+
+
+def coordinates_between(model: Model, bodies: Sequence[str]) -> set[str | None]:
+    """Return the coordinates that move some bodies against each other; None of moves without one."""
+    chains = [_chain(model, body) for body in bodies]
+    joints = set().union(*chains) - set(chains[0]).intersection(*chains)
+    return {move.coordinate for joint in joints for move in model.joints[joint].moves}
+
+
+def leading(model: Model, moved: Iterable[str | None]) -> list[str]:
+    """Return the free coordinates that some coordinates are, or follow, in the order of the model."""
     names = {name for name in moved if name is not None}
     while driven := names & set(model.couplers):
         names = names - driven | {model.couplers[name].independent for name in driven}
