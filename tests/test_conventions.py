@@ -255,7 +255,7 @@ NOT_OPTIONS = {
     "apps/train/ranks.py": {"device", "rank"},
     "apps/adapters/rsl_rl.py": {"seed"},
     # A recorded motion has no environment.
-    "apps/cli/motion.py": {"seed"},
+    "apps/cli/motion/study.py": {"seed"},
     "apps/studies/motion/plan.py": {"seed"},
     # Here they are what a result says of how it was made, or where it is kept.
     "apps/policies/baselines.py": {"task", "seed"},

@@ -45,6 +45,17 @@ class Uncertainty:
     marker_weight: float = 0.0
     marker_noise: float = 0.0
 
+    def __post_init__(self) -> None:
+        """Check the spreads.
+
+        Raises:
+            ValueError: One is below 0 or not finite.
+        """
+        for one in fields(self):
+            width = getattr(self, one.name)
+            if not 0.0 <= width < np.inf:
+                raise ValueError(f"the spread of {one.name} must be at least 0 and finite, got {width:g}")
+
     @property
     def moves(self) -> bool:
         """Whether joint angles differ between draws."""
@@ -57,12 +68,12 @@ class Recording:
 
     Attributes:
         bones: The model.
-        time: [s], shape (frames,).
-        values: Of the independent coordinates, before the filter [rad] or [m], shape (frames, coordinates).
+        time: Of what is solved [s], shape (frames,).
+        values: Of the independent coordinates, before the filter [rad] or [m], shape (rows, coordinates).
         markers: Where the values come from; None: a file of angles.
         marker_weights: By marker.
         coordinate_weights: By coordinate.
-        coordinate_values: Wanted values, by coordinate.
+        coordinate_values: Wanted values, by coordinate, one or one for each frame.
         loads: From outside.
         cutoff: Of the filter [Hz]; None: none.
         mode: What muscles can give, see `muscle_forces`.
@@ -70,6 +81,7 @@ class Recording:
         reserves: By coordinate [N m] or [N].
         factors: On `max_isometric_force`, `tendon_slack_length` and `mass`, by name; with a colon and the
             name of a muscle or body behind, on its alone.
+        known: Times of the values [s], shape (rows,), where there are more of them; None: those of `time`.
     """
 
     bones: Bones
@@ -78,13 +90,14 @@ class Recording:
     markers: Markers | None = None
     marker_weights: Mapping[str, float] | None = None
     coordinate_weights: Mapping[str, float] = field(default_factory=dict)
-    coordinate_values: Mapping[str, float] = field(default_factory=dict)
+    coordinate_values: Mapping[str, float | np.ndarray] = field(default_factory=dict)
     loads: Sequence[Load] = ()
     cutoff: float | None = None
     mode: Mode = "equilibrium"
     exponent: float = 2.0
     reserves: Mapping[str, float] | None = None
     factors: Mapping[str, float] = field(default_factory=dict)
+    known: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +128,13 @@ def normal(seed: int, draw: int, what: str, *shape: int) -> np.ndarray:
     return np.random.default_rng([seed, draw, crc32(what.encode())]).normal(size=shape)
 
 
+def check_factors(factors: Mapping[str, float]) -> None:
+    """Raise ValueError if a factor is not above 0 and finite."""
+    for key, factor in factors.items():
+        if not 0.0 < factor < np.inf:
+            raise ValueError(f"factor {key} must be above 0 and finite, got {factor:g}")
+
+
 def named_factors(recording: Recording, what: str, names: Sequence[str]) -> np.ndarray:
     """Return the factors that a trial states on something, one for each name.
 
@@ -122,10 +142,9 @@ def named_factors(recording: Recording, what: str, names: Sequence[str]) -> np.n
         ValueError: A factor is on a name that is not there, or not above 0 and finite.
     """
     found = np.full(len(names), recording.factors.get(what, 1.0))
+    check_factors(recording.factors)
     for key, factor in recording.factors.items():
         kind, _, name = key.partition(":")
-        if not 0.0 < factor < np.inf:
-            raise ValueError(f"factor {key} must be above 0 and finite, got {factor:g}")
         if kind == what and name:
             if name not in names:
                 raise ValueError(f"factor {key}: {name!r} unknown; available: {', '.join(names)}")
@@ -145,10 +164,6 @@ def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int
     Raises:
         ValueError: A spread is below 0, or the trial is not what it should be.
     """
-    for one in fields(uncertain):
-        width = getattr(uncertain, one.name)
-        if not 0.0 <= width < np.inf:
-            raise ValueError(f"the spread of {one.name} must be at least 0 and finite, got {width:g}")
     bones, count, frames = recording.bones, len(draws), len(recording.time)
     muscles = tuple(name for name, muscle in bones.model.muscles.items() if muscle.applies_force)
     if not muscles:
@@ -157,8 +172,15 @@ def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int
     def spread(what: str, names: Sequence[str]) -> np.ndarray:
         """Return factors, each frame's own, shape (count * frames, names)."""
         scale = getattr(uncertain, what)
-        rows = [np.exp(scale * normal(seed, draw, what, len(names))) for draw in draws]
-        return np.repeat(named_factors(recording, what, names) * rows, frames, axis=0)
+        with np.errstate(over="ignore", under="ignore"):
+            rows = [np.exp(scale * normal(seed, draw, what, len(names))) for draw in draws]
+            found = named_factors(recording, what, names) * rows
+        if not ((found > 0.0) & (found < np.inf)).all():
+            raise ValueError(
+                f"a spread of {scale:g} gives factors on {what} that no number holds; it is the standard "
+                "deviation of a logarithm, such as 0.1"
+            )
+        return np.repeat(found, frames, axis=0)
 
     def tiled(array: np.ndarray) -> np.ndarray:
         """Return rows of the trial once for each draw."""
@@ -166,7 +188,8 @@ def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int
 
     fitted = _fitted(recording, uncertain, draws, seed) if uncertain.moves else None
     if fitted is None:
-        found = derivatives(recording.time, recording.values, recording.time, recording.cutoff)
+        known = recording.time if recording.known is None else recording.known
+        found = derivatives(known, recording.values, recording.time, recording.cutoff)
         once = muscle_paths(bones, found[0], found[1])
         whole = tiled(once.length), tiled(once.velocity), tiled(once.moment_arm)
         paths, motion = MusclePaths(muscles, *whole, once.crossed), [tiled(part) for part in found]
@@ -199,6 +222,20 @@ def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int
     rms = np.full(count, np.nan)
     if fitted is not None:
         rms = np.sqrt(np.nanmean(fitted.error.reshape(shape) ** 2, axis=(1, 2)))
+    results = {
+        "joint angles": motion[0],
+        "joint moments": needed.joint_moment,
+        "forces of muscles": forces.force,
+        "activations": forces.activation,
+        "reserves": forces.reserve,
+        "missing moments": forces.missing,
+    }
+    for name, values in results.items():
+        if not np.isfinite(values).all():
+            draw = draws[int(np.argmin(np.isfinite(values.reshape(count, -1)).all(axis=1)))]
+            raise ValueError(
+                f"{name} of draw {draw} are not finite; its motion, factors or loads are too large"
+            )
     return Drawn(
         np.array(draws), motion[0].reshape(shape), needed.joint_moment.reshape(shape), muscles, forces, rms
     )
@@ -225,7 +262,10 @@ def _fitted(recording: Recording, uncertain: Uncertainty, draws: Sequence[int], 
         many,
         recording.marker_weights,
         recording.coordinate_weights,
-        recording.coordinate_values,
+        {
+            name: np.tile(value, len(draws)) if np.ndim(value) else value
+            for name, value in recording.coordinate_values.items()
+        },
         near=np.tile(recording.values, (len(draws), 1)),
         weight_factors=np.repeat(factors, shape[0], axis=0) if used else 1.0,
     )

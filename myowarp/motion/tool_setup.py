@@ -8,11 +8,11 @@ meaning here.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 
+from myowarp.motion.setup import TrialSetup
 from myowarp.motion.setup_words import Span, file_of, files_of, in_order, span_of
+from myowarp.motion.tasks import tasks_of
 from myowarp.opensim.read.document import Element, parse
 
 ALL = (-math.inf, math.inf)
@@ -27,40 +27,7 @@ MOTIONS = ("coordinates_file", "desired_kinematics_file", "states_file")
 CUTOFFS = ("lowpass_cutoff_frequency_for_coordinates", "lowpass_cutoff_frequency")
 
 
-@dataclass(frozen=True)
-class ToolSetup:
-    """What a set-up file says.
-
-    Attributes:
-        markers: Recorded markers, .trc.
-        motion: Joint angles.
-        loads: External loads.
-        coordinates: Joint angles that kinematics should have.
-        cutoff: Of the filter [Hz]; None: none.
-        span: First and last time [s], of which one may be infinite; None: all.
-        exponent: Of activations in the cost; None: it says none.
-        reserves: Optimal force of its `CoordinateActuator`s, by coordinate [N m] or [N].
-        unread: Actuators of other classes, which are left out.
-        gains: Of CMC's tasks, by coordinate [1/s^2].
-        controls: Least and greatest excitation of CMC's constraints, by muscle [1].
-        excluded: Forces that inverse dynamics leaves out; None: the tool is another one.
-    """
-
-    markers: Path | None = None
-    motion: Path | None = None
-    loads: Path | None = None
-    coordinates: Path | None = None
-    cutoff: float | None = None
-    span: tuple[float, float] | None = None
-    exponent: float | None = None
-    reserves: Mapping[str, float] = field(default_factory=dict)
-    unread: tuple[str, ...] = ()
-    gains: Mapping[str, float] = field(default_factory=dict)
-    controls: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    excluded: tuple[str, ...] | None = None
-
-
-def read_tool_setup(path: Path) -> ToolSetup:
+def read_tool_setup(path: Path) -> TrialSetup:
     """Read a set-up file; a set of tasks alone says nothing else.
 
     Raises:
@@ -70,31 +37,38 @@ def read_tool_setup(path: Path) -> ToolSetup:
     root, _ = parse(path)
     tool = next((element for element in root.walk() if element.tag in TOOLS), None)
     if tool is None and any(element.tag == "IKTaskSet" for element in root.walk()):
-        return ToolSetup()
+        return TrialSetup(path, tasks=tasks_of(root), sources=(path,))
     if tool is None:
         raise root.error(f"holds none of {', '.join(f'<{name}>' for name in TOOLS)}")
     cutoff = max(tool.number(tag, default=-1.0) for tag in CUTOFFS)
     optimiser = next((element for element in tool.walk() if element.tag == "StaticOptimization"), None)
+    force_sets = files_of(tool, "force_set_files")
+    tasks, constraints = file_of(tool, "task_set_file"), file_of(tool, "constraints_file")
     reserves, unread = {}, []
-    for file in files_of(tool, "force_set_files"):
+    for file in force_sets:
         for actuator in _actuators(file):
             if actuator.tag == "CoordinateActuator":
                 reserves[actuator.string("coordinate")] = actuator.number("optimal_force", default=1.0)
             else:
                 unread.append(f"{actuator.tag} {actuator.name}")
-    return ToolSetup(
-        file_of(tool, "marker_file"),
-        file_of(tool, *MOTIONS),
-        file_of(tool, "external_loads_file"),
-        file_of(tool, "coordinate_file"),
-        cutoff if cutoff > 0.0 else None,
-        _span(tool),
-        None if optimiser is None else optimiser.number("activation_exponent", default=2.0),
-        reserves,
-        tuple(unread),
-        _gains(file_of(tool, "task_set_file")),
-        _controls(file_of(tool, "constraints_file")),
-        tuple(tool.string("forces_to_exclude").split()) if tool.tag == "InverseDynamicsTool" else None,
+    return TrialSetup(
+        file=path,
+        markers=file_of(tool, "marker_file"),
+        motion=file_of(tool, *MOTIONS),
+        loads=file_of(tool, "external_loads_file"),
+        coordinates=file_of(tool, "coordinate_file"),
+        cutoff=cutoff if cutoff > 0.0 else None,
+        span=_span(tool),
+        tasks=tasks_of(root) if tool.tag == "InverseKinematicsTool" else None,
+        exponent=None if optimiser is None else optimiser.number("activation_exponent", default=2.0),
+        reserves=reserves,
+        unread=tuple(unread),
+        gains=_gains(tasks),
+        controls=_controls(constraints),
+        excluded=(
+            tuple(tool.string("forces_to_exclude").split()) if tool.tag == "InverseDynamicsTool" else None
+        ),
+        sources=(path, *force_sets, *filter(None, (tasks, constraints))),
     )
 
 

@@ -26,18 +26,18 @@ from myowarp.motion.model_forces import acts, left_out
 from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces, rigid_capacity
 from myowarp.motion.muscle_paths import MusclePaths, muscle_paths
 from myowarp.motion.scaling import Scaled, read_setup, scale, write_factors
+from myowarp.motion.setup import TrialSetup
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.storage import Storage, Tables, read_storage, tables_in, write_storage
 from myowarp.motion.streams import Margin, Stream, is_long
-from myowarp.motion.tasks import tasks_of
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.tracking import Tracked, track
 from myowarp.motion.units import Angles
 from myowarp.opensim.model.kinematics import complete, floating, forward, station
 from myowarp.opensim.model.model import Model
 from myowarp.opensim.muscle.hill import HillMuscle, known
-from myowarp.opensim.read.document import parse, write
+from myowarp.opensim.read.document import write
 
 ANGLES = "Coordinates"
 """What a file of joint angles calls itself."""
@@ -218,32 +218,22 @@ def kinematics(
         ValueError: A file is not what it should be.
         OSError: A file cannot be read or written.
     """
-    *_, last = kinematics_in_parts(bones, markers, output, setup, span, fill)
+    said = TrialSetup() if setup is None else read_tool_setup(setup)
+    *_, last = kinematics_in_parts(bones, output, said.stating(markers=markers, span=span, fill=fill))
     return last
 
 
-def kinematics_in_parts(
-    bones: Bones,
-    markers: Path,
-    output: Path,
-    setup: Path | None = None,
-    span: tuple[float, float] | None = None,
-    fill: float | None = None,
-) -> Iterator[Fitted]:
-    """Do what `kinematics` does, and yield the joint angles part by part; each begins at the one before."""
-    tasks = None if setup is None else tasks_of(parse(setup)[0])
+def kinematics_in_parts(bones: Bones, output: Path, setup: TrialSetup) -> Iterator[Fitted]:
+    """Do what `kinematics` does, and yield the joint angles part by part; each begins at the one before.
+
+    Raises:
+        As `kinematics`; or the set-up has no file of markers.
+    """
     gaps, start = Gaps(), None
     with Tables(output) as tables:
-        for seen, recorded, total in _marker_parts(markers, span, fill):
+        for seen, recorded, total in _marker_parts(setup):
             gaps.add(seen, recorded)
-            if tasks is None or setup is None:
-                fitted = inverse_kinematics(bones, recorded, start=start)
-            else:
-                weights = {name: weight for name, weight in tasks.markers.items() if name in recorded.names}
-                values: dict[str, float | np.ndarray] = {**tasks.values}
-                if tasks.recorded:
-                    values |= _recorded(bones, setup, tasks.recorded, recorded.time)
-                fitted = inverse_kinematics(bones, recorded, weights, tasks.coordinates, values, start)
+            fitted = inverse_kinematics(bones, recorded, **targets(bones, setup, recorded), start=start)
             start = dict(zip(fitted.coordinates, fitted.values[-1], strict=True))
             angles = angles_table(bones.model, fitted.coordinates, fitted.time, fitted.values)
             tables.write("ik.mot", ANGLES, angles, total)
@@ -253,20 +243,53 @@ def kinematics_in_parts(
         gaps.write(output / "gaps.csv")
 
 
-def _marker_parts(
-    path: Path, span: tuple[float, float] | None, fill: float | None
-) -> Iterator[tuple[Markers, Markers, int]]:
+def targets(bones: Bones, setup: TrialSetup, recorded: Markers) -> dict[str, Any]:
+    """Return what a set-up has a pose fit, as `inverse_kinematics` takes it: weights, and wanted values.
+
+    Raises:
+        ValueError: The set-up file has no weights, or lacks the values of a coordinate.
+        OSError: The file of the values cannot be read.
+    """
+    tasks = setup.tasks
+    if tasks is None and setup.file is not None:
+        raise ValueError(
+            f"{str(setup.file)!r} has no <IKMarkerTask>; a set-up file of inverse kinematics or scaling has"
+        )
+    if tasks is None:
+        return {}
+    values: dict[str, float | np.ndarray] = {**tasks.values}
+    if tasks.recorded:
+        values |= _recorded(bones, setup, tasks.recorded, recorded.time)
+    return {
+        "marker_weights": {name: weight for name, weight in tasks.markers.items() if name in recorded.names},
+        "coordinate_weights": tasks.coordinates,
+        "coordinate_values": values,
+    }
+
+
+def read_markers(setup: TrialSetup) -> tuple[Markers, Markers]:
+    """Return the markers of a set-up in its times: as they were seen, and with gaps filled.
+
+    Raises:
+        ValueError: The file is not what it should be, or there is no frame in the times.
+        OSError: It cannot be read.
+    """
+    seen = read_trc(setup.recording)
+    recorded = seen if setup.fill is None else seen.filled(setup.fill)
+    if setup.span is not None:
+        seen, recorded = seen.between(*setup.span), recorded.between(*setup.span)
+    return seen, recorded
+
+
+def _marker_parts(setup: TrialSetup) -> Iterator[tuple[Markers, Markers, int]]:
     """Yield the markers of a file in parts: as they were seen, with gaps filled, and the frames of all.
 
     Raises:
-        ValueError: The file is not what it should be, or there is no frame in the span.
-        OSError: It cannot be read.
+        As `read_markers`.
     """
+    path, span, fill = setup.recording, setup.span, setup.fill
     if not is_long(path):
-        seen = read_trc(path)
-        recorded = seen if fill is None else seen.filled(fill)
-        if span is not None:
-            seen, recorded = seen.between(*span), recorded.between(*span)
+        seen, recorded = read_markers(setup)
         yield seen, recorded, len(seen.time)
         return
     begin, end = span or (-np.inf, np.inf)
@@ -314,16 +337,18 @@ class Gaps:
         write_rows(path, [("marker", "first [s]", "last [s]", "filled"), *table])
 
 
-def _recorded(bones: Bones, setup: Path, names: Sequence[str], time: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the values that coordinates have in the file of joint angles of a set-up file.
+def _recorded(
+    bones: Bones, setup: TrialSetup, names: Sequence[str], time: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return the values that coordinates have in the file of joint angles of a set-up.
 
     Raises:
         ValueError: The set-up file names none, or the file lacks a coordinate or the time.
     """
-    path = read_tool_setup(setup).coordinates
+    path = setup.coordinates
     if path is None:
         raise ValueError(
-            f"{str(setup)!r} has coordinates whose values are in a file, and names no <coordinate_file>"
+            f"{str(setup.file)!r} has coordinates whose values are in a file, and names no <coordinate_file>"
         )
     motion = read_motion(path, bones)
     if unknown := [name for name in names if name in motion.absent or name not in bones.coordinates]:

@@ -1,5 +1,6 @@
 """The command line: what it prints, what it writes, and how it says no."""
 
+import dataclasses
 import json
 import os
 import re
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from myowarp.apps.cli.main import COMMANDS, command
+from myowarp.apps.cli.motion import Motion
 from myowarp.definitions.task import TASKS
 from myowarp.tasks.paper import grid
 from myowarp.view.drawing.render import NoGraphicsError, WorldRenderer
@@ -137,6 +139,53 @@ def test_help_can_be_read(run, monkeypatch, name):
         assert "Example" not in text
     else:
         assert " ".join(COMMANDS[name].__doc__.split())[:150] in text
+
+
+@pytest.mark.parametrize("name", Motion.COMMANDS)
+def test_help_of_a_step_is_its_own(run, monkeypatch, name):
+    """It says what the step is, and its options alone; the list of steps says one sentence each."""
+    monkeypatch.setenv("COLUMNS", "80")
+    own, listed = (run("motion", *of, "--help")[1] for of in ([name], []))
+    step, shown = Motion.COMMANDS[name], set(re.findall(r"^[│ ] (?:-o PATH, )?--([a-z-]+)", own, re.M))
+    assert shown == {one.name.replace("_", "-") for one in dataclasses.fields(step)[1:]}
+    own, listed = (" ".join(re.sub("[│╭╮╰╯─•]", " ", out).split()) for out in (own, listed))
+    assert " ".join(step.__doc__.split())[:150] in own
+    assert f"{name} {step.__doc__.splitlines()[0]}" in listed
+
+
+@pytest.mark.parametrize(
+    ("step", "options", "known"),
+    [
+        ("forces", ("--strength", "BRA=0.1"), "track"),
+        ("forces", ("--draws", "5"), "study"),
+        ("forces", ("--cpus", "0"), "study"),
+        ("forces", ("--markers", "none.trc"), "kinematics"),
+        ("forces", ("--fill", "-3"), "kinematics"),
+        ("forces", ("--emg", "none.sto"), "emg"),
+        ("forces", ("--ray",), "study"),
+        ("dynamics", ("--reserve", "1"), "forces"),
+        ("analyze", ("--loads", "none.xml"), "forces"),
+        ("study", ("--span", "0", "1"), "forces"),
+        ("study", ("--residual", "3"), "forces"),
+        ("study", ("--strength", "BRA=0.1"), "track"),
+        ("study", ("--motion", "a.mot"), "forces"),
+    ],
+)
+def test_options_of_other_steps_are_refused(run, tmp_path, step, options, known):
+    """By name, before anything is read or written; where the option is known is said."""
+    status, _, err = run("motion", step, "none.osim", *options, "--output", tmp_path / "out")
+    assert status == 2
+    said = " ".join(re.sub("[│╭╮╰╯─]", " ", err).split())
+    assert f"Unrecognized or misplaced options: {options[0]} (applied to myowarp motion {step})" in said
+    assert f"myowarp motion {known} --help" in said
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("option", [("--address", "auto"), ("--cpus", "2")])
+def test_options_of_a_cluster_need_one(run, tmp_path, option):
+    status, _, err = run("motion", "study", "none.csv", *option, "--output", tmp_path / "out")
+    assert status == 2
+    assert err == f"myowarp: {option[0]} belongs to a cluster; give it with --ray\n"
 
 
 def test_version_and_module(tmp_path):

@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.apps.cli.motion import Motion
+from myowarp.apps.cli.motion.dynamics import Dynamics
+from myowarp.apps.cli.motion.report import Report
+from myowarp.apps.cli.motion.steps import RENEWED
 from myowarp.apps.reports.motion import DRAWN, draw, floating, page
 from myowarp.apps.reports.motion import PARTS as LIST
 from myowarp.motion.storage import Storage, read_storage, write_storage
@@ -93,14 +95,16 @@ def test_a_panel_for_each_column(tmp_path):
 
 def test_the_command(tmp_path):
     arm, motion = (Path(__file__).parents[2] / "examples" / name for name in ("arm.osim", "arm_bend.mot"))
-    Motion("dynamics", arm, motion=motion, filter=6.0, output=tmp_path / "out")()
-    Motion("report", arm, motion=motion, output=tmp_path / "out")()
+    Dynamics(arm, motion=motion, filter=6.0, output=tmp_path / "out")()
+    Report(arm, motion=motion, output=tmp_path / "out")()
     text = (tmp_path / "out/report.html").read_text()
     assert "<h2>Joint angles</h2>" in text
     assert "Residuals" not in text
+    assert text.startswith(RENEWED["report.html"]), "so that a later step may write it again"
     peak = np.abs(read_storage(tmp_path / "out/moments.sto").values).max()
     assert f"<td>{peak:.3g}</td>" in text or f"<td>-{peak:.3g}</td>" in text
+    (tmp_path / "out/report.html").write_text("mine")
     with pytest.raises(ValueError, match="exists; choose another name"):
-        Motion("report", arm, output=tmp_path / "out")()
+        Report(arm, output=tmp_path / "out")()
     with pytest.raises(ValueError, match="has no table of a motion; write one with"):
-        Motion("report", arm, output=tmp_path)()
+        Report(arm, output=tmp_path)()

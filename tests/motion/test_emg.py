@@ -1,12 +1,16 @@
 """Electromyograms of a known envelope and delay."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from myowarp.apps.cli.motion import Motion
+from myowarp.apps.cli.motion.emg import Emg
 from myowarp.motion.emg import agreement, envelopes
 from myowarp.motion.storage import Storage, read_storage, write_storage
 
+OSIM = Path(__file__).parents[1] / "data/osim"
+LEG, ARM = (OSIM / f"{name}.osim" for name in ("leg6dof9musc", "arm26"))
 TIME = np.arange(0.0, 4.0, 1e-3)
 
 
@@ -57,9 +61,11 @@ def test_the_command(tmp_path, capsys):
     with pytest.raises(
         ValueError, match=r"has no activations\.sto; write it with myowarp motion forces or track"
     ):
-        Motion("emg", tmp_path / "leg.osim", **options)()
+        Emg(LEG, **options)()
     write_storage(tmp_path / "activations.sto", "a", activations(0.05))
-    Motion("emg", tmp_path / "leg.osim", **options)()
+    Emg(LEG, **options)()
+    with pytest.raises(ValueError, match=r"has the muscle 'soleus_r', which the model '.*' has not"):
+        Emg(ARM, **options, overwrite=True)()
     assert read_storage(tmp_path / "emg.sto").values.max() == 1.0
     lines = (tmp_path / "emg_agreement.csv").read_text().splitlines()
     assert lines[0] == "muscle,delay [s],correlation"

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.apps.cli.motion import Motion
+from myowarp.apps.cli.motion.dynamics import Dynamics
+from myowarp.apps.cli.motion.forces import Forces
 from myowarp.apps.reports.motion import page
 from myowarp.engine.warn_once import warn_once
 from myowarp.motion.actuators import actuators_of
@@ -280,7 +281,7 @@ def test_the_commands(tmp_path, capsys):
     names = f"{RECORDED['driven']}+expression"
     options, out = written(tmp_path, arm(tmp_path, names)), tmp_path / "out"
     model = tmp_path / "arm.osim"
-    Motion("dynamics", model, **options)()
+    Dynamics(model, **options)()
     passive = read_storage(out / "passive_moments.sto")
     bare = np.array(RECORDED["moments"][""])
     np.testing.assert_allclose(read_storage(out / "moments.sto").values + passive.values, bare, atol=1e-5)
@@ -288,7 +289,7 @@ def test_the_commands(tmp_path, capsys):
     assert title(out / "moments.sto") == f"joint moments, N m and N; {lost}"
     assert read_storage(out / "moments.sto").labels == ("r_shoulder_elev_moment", "r_elbow_flex_moment")
     assert lost in page(out, read_model(model)).replace("&#x27;", "'")
-    Motion("forces", model, **options)()
+    Forces(model, **options)()
     assert read_storage(out / "actuators.sto").labels == ("motor", "cable", "twist", "thrust")
     for name in ("activations", "actuators", "joint_reactions", "reserves", "missing"):
         assert title(out / f"{name}.sto").endswith(lost)
@@ -297,19 +298,19 @@ def test_the_commands(tmp_path, capsys):
         '<OpenSimDocument Version="40000"><InverseDynamicsTool name="id"><forces_to_exclude>muscles spring '
         "band bushing nobody</forces_to_exclude></InverseDynamicsTool></OpenSimDocument>"
     )
-    Motion("dynamics", model, setup=setup, **options)()
+    Dynamics(model, setup=setup, **options)()
     np.testing.assert_allclose(read_storage(out / "moments.sto").values, bare, atol=1e-5)
     assert not (out / "passive_moments.sto").exists()
     said = capsys.readouterr().err
     assert "forces_to_exclude names 'nobody', which the model has not" in said
     assert "has no Muscles" not in said
     setup.write_text(setup.read_text().replace("muscles", ""))
-    Motion("dynamics", model, setup=setup, **options)()
+    Dynamics(model, setup=setup, **options)()
     assert (
         "forces_to_exclude has no Muscles: OpenSim's moments are then what muscles" in capsys.readouterr().err
     )
     arm(tmp_path, "")
-    Motion("forces", model, **options)()
+    Forces(model, **options)()
     assert not (out / "actuators.sto").exists()
 
 

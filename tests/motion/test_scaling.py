@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.apps.cli.motion import WRITES, Motion
+from myowarp.apps.cli.motion.kinematics import Kinematics
+from myowarp.apps.cli.motion.scale import FILES, Scale
 from myowarp.motion.markers import Markers, write_trc
 from myowarp.motion.muscle_paths import muscle_paths
 from myowarp.motion.scale_document import Document, scale_document, scaled_inertia, set_markers
@@ -113,15 +114,15 @@ def test_as_the_scale_tool(recorded, person):
 def test_the_command(person, capsys):
     out = person.parent / "out"
     model = DATA / "osim/leg6dof9musc.osim"
-    Motion("scale", model, setup=SETUP, markers=person, output=out)()
-    assert {path.name for path in out.iterdir()} == set(WRITES["scale"])
+    Scale(model, setup=SETUP, markers=person, output=out)()
+    assert {path.name for path in out.iterdir()} == set(FILES)
     said = capsys.readouterr().err
     assert "not in the model, and left out: wing_r" in said
     assert "31.5 kg in 7 bodies" in said
-    Motion("kinematics", out / "scaled.osim", setup=SETUP, markers=person, output=out / "ik")()
+    Kinematics(out / "scaled.osim", setup=SETUP, markers=person, output=out / "ik")()
     assert "pelvis_tilt" in (out / "ik/ik.mot").read_text()
     with pytest.raises(ValueError, match="motion scale needs --setup FILE"):
-        Motion("scale", model, markers=person, output=out / "again")()
+        Scale(model, markers=person, output=out / "again")()
 
 
 def test_markers_of_a_set(tmp_path):

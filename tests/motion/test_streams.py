@@ -5,7 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.apps.cli.motion import Motion
+from myowarp.apps.cli.motion import analyze
+from myowarp.apps.cli.motion.analyze import Analyze
+from myowarp.apps.cli.motion.dynamics import Dynamics
+from myowarp.apps.cli.motion.forces import Forces
+from myowarp.apps.cli.motion.kinematics import Kinematics
 from myowarp.motion import streams
 from myowarp.motion.markers import Markers, write_trc
 from myowarp.motion.skeleton import Bones
@@ -63,17 +67,17 @@ def test_rows_are_those_of_the_file(folder):
 
 
 @pytest.mark.parametrize(("what", "options"), [
-    ("forces", {"loads": "push.xml", "mode": "opensim", "reserve": 100.0}), ("analyze", {}),
-    ("dynamics", {"loads": "push.xml", "span": (1.0, 5.5)}),
+    (Forces, {"loads": "push.xml", "mode": "opensim", "reserve": 100.0}), (Analyze, {}),
+    (Dynamics, {"loads": "push.xml", "span": (1.0, 5.5)}),
 ])  # fmt: skip
 def test_results_are_those_of_the_whole_motion(folder, tmp_path, monkeypatch, capsys, what, options):
-    monkeypatch.setattr(Motion, "_page", lambda self, motion: [])
+    monkeypatch.setattr(analyze, "page_of", lambda *rest: [])
     options = options | ({"loads": folder / options["loads"]} if "loads" in options else {})
     options |= {"motion": folder / "motion.mot", "filter": 6.0}
-    Motion(what, LEG, **options, output=tmp_path / "parts")()
+    what(LEG, **options, output=tmp_path / "parts")()
     said = capsys.readouterr().err
     monkeypatch.setattr(streams, "FRAMES", ROWS)
-    Motion(what, LEG, **options, output=tmp_path / "whole")()
+    what(LEG, **options, output=tmp_path / "whole")()
     files = sorted(path.name for path in (tmp_path / "whole").iterdir())
     assert files == sorted(path.name for path in (tmp_path / "parts").iterdir())
     for name in files:
@@ -84,7 +88,7 @@ def test_results_are_those_of_the_whole_motion(folder, tmp_path, monkeypatch, ca
         np.testing.assert_allclose(parts.values, whole.values, atol=DIGITS * scale, err_msg=name)
         head = (tmp_path / "parts" / name).read_text().splitlines()[:4]
         assert head == (tmp_path / "whole" / name).read_text().splitlines()[:4]
-    if what != "analyze":
+    if what is not Analyze:
         assert said.splitlines()[:-1] == capsys.readouterr().err.splitlines()[:-1]
 
 
@@ -100,10 +104,10 @@ def test_angles_are_those_of_all_markers(folder, tmp_path, monkeypatch, capsys, 
     seen[140:250, 1] = np.nan
     write_trc(tmp_path / "walk.trc", Markers(markers.names, time, seen))
     options = {"markers": tmp_path / "walk.trc", "fill": fill, "span": span}
-    Motion("kinematics", LEG, **options, output=tmp_path / "parts")()
+    Kinematics(LEG, **options, output=tmp_path / "parts")()
     said = capsys.readouterr().err
     monkeypatch.setattr(streams, "FRAMES", ROWS)
-    Motion("kinematics", LEG, **options, output=tmp_path / "whole")()
+    Kinematics(LEG, **options, output=tmp_path / "whole")()
     assert said.splitlines()[:-1] == capsys.readouterr().err.splitlines()[:-1]
     for name, off in (("ik.mot", 1e-4), ("marker_errors.sto", 1e-7)):
         parts, whole = (read_storage(tmp_path / part / name, gaps=True) for part in ("parts", "whole"))
@@ -194,6 +198,6 @@ def test_filters_of_long_files(folder, tmp_path, monkeypatch, cutoff, message):
     for size in (SIZE, ROWS):
         monkeypatch.setattr(streams, "FRAMES", size)
         with pytest.raises(ValueError, match=message) as caught:
-            Motion("dynamics", LEG, motion=folder / "motion.mot", filter=cutoff, output=tmp_path / "out")()
+            Dynamics(LEG, motion=folder / "motion.mot", filter=cutoff, output=tmp_path / "out")()
         said.append(str(caught.value))
     assert said[0] == said[1]

@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.apps.cli.motion import Motion
+from myowarp.apps.cli.motion.dynamics import Dynamics
+from myowarp.apps.cli.motion.forces import Forces
+from myowarp.apps.cli.motion.kinematics import Kinematics
 from myowarp.motion.markers import Markers, read_trc, write_trc
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.storage import Storage, read_storage, write_storage
@@ -63,13 +65,13 @@ def gait(tmp_path):
 def test_dynamics_of_a_set_up_file(gait):
     """Files, filter and times are the tool's; the moments those that OpenSim recorded. What is given wins."""
     folder, there = gait
-    Motion("dynamics", GAIT, setup=folder / "id.xml", output=folder / "out")()
+    Dynamics(GAIT, setup=folder / "id.xml", output=folder / "out")()
     found = read_storage(folder / "out/moments.sto")
     kept = (there["time"] >= 0.2 - 1e-9) & (there["time"] <= 0.8 + 1e-9)
     np.testing.assert_allclose(found.time, there["time"][kept], atol=1e-8)
     scale = np.abs(there["moments"]).max()
     assert np.abs(found.values - there["moments"][kept]).max() < 1e-5 * scale
-    Motion("dynamics", GAIT, setup=folder / "id.xml", filter=2.0, output=folder / "slow")()
+    Dynamics(GAIT, setup=folder / "id.xml", filter=2.0, output=folder / "slow")()
     other = read_storage(folder / "slow/moments.sto").values
     assert np.abs(other - found.values).max() > 1e-3 * scale
 
@@ -79,7 +81,7 @@ def test_forces_of_a_set_up_file(gait, capsys):
     folder, _ = gait
     said = read_tool_setup(folder / "so.xml")
     assert (said.exponent, said.span, said.cutoff) == (3.0, (0.3, 0.5), 6.0)
-    Motion("forces", GAIT, setup=folder / "so.xml", output=folder / "out")()
+    Forces(GAIT, setup=folder / "so.xml", output=folder / "out")()
     assert "left out of" in (err := capsys.readouterr().err)
     assert "PointActuator FX" in err
     assert np.abs(read_storage(folder / "out/missing.sto").values).max() < 1e-2, "N or N m"
@@ -89,8 +91,8 @@ def test_forces_of_a_set_up_file(gait, capsys):
         "filter": 6.0,
         "span": (0.3, 0.5),
     }
-    Motion("forces", GAIT, **options, exponent=3.0, reserve=1000.0, output=folder / "same")()
-    Motion("forces", GAIT, **options, exponent=2.0, reserve=1000.0, output=folder / "square")()
+    Forces(GAIT, **options, exponent=3.0, reserve=1000.0, output=folder / "same")()
+    Forces(GAIT, **options, exponent=2.0, reserve=1000.0, output=folder / "square")()
     cubic, same, square = (
         read_storage(folder / k / "activations.sto").values for k in ("out", "same", "square")
     )
@@ -105,10 +107,10 @@ def test_unequal_rates(gait):
 
     fine = np.linspace(there["time"][0], there["time"][-1], 6 * (len(there["time"]) - 1) + 1)
     whole = np.hstack([there["force"], there["point"]])
-    Motion("dynamics", GAIT, setup=folder / "id.xml", output=folder / "out")()
+    Dynamics(GAIT, setup=folder / "id.xml", output=folder / "out")()
     labels = tuple(part + axis for part in "fp" for axis in "xyz")
     write_storage(folder / "push.mot", "push", Storage(labels, fine, CubicSpline(there["time"], whole)(fine)))
-    Motion("dynamics", GAIT, setup=folder / "id.xml", output=folder / "fine")()
+    Dynamics(GAIT, setup=folder / "id.xml", output=folder / "fine")()
     ours, finer = (read_storage(folder / k / "moments.sto").values for k in ("out", "fine"))
     np.testing.assert_allclose(finer, ours, atol=1e-3)
 
@@ -133,7 +135,7 @@ def test_gaps_are_listed_and_filled_up_to_a_length(leg, capsys):
     assert np.isnan(filled.positions[20:45, 1]).all(), "too long"
     assert np.isnan(filled.positions[:4, 2]).all(), "no end"
     np.testing.assert_array_equal(np.isnan(recorded.filled(1.0).positions[20:45, 1]).any(), False)
-    Motion("kinematics", LEG, markers=folder / "walk.trc", fill=0.1, output=folder / "out")()
+    Kinematics(LEG, markers=folder / "walk.trc", fill=0.1, output=folder / "out")()
     rows = (folder / "out/gaps.csv").read_text().splitlines()[1:]
     assert [row.split(",")[0] for row in rows] == [names[1], names[2], names[0]], "the longest first"
     assert [row.split(",")[3] for row in rows] == ["no", "no", "yes"]
@@ -178,7 +180,7 @@ def test_kinematics_of_a_set_up_file(leg):
     write_angles(folder / "held.mot", bones.model, bones.coordinates, there["time"], held)
     tasks = "".join(f'<IKMarkerTask name="{name}"><weight>1</weight></IKMarkerTask>' for name in names)
     (folder / "ik.xml").write_text(KINEMATICS.format(tasks))
-    Motion("kinematics", LEG, setup=folder / "ik.xml", output=folder / "out")()
+    Kinematics(LEG, setup=folder / "ik.xml", output=folder / "out")()
     found = read_motion(folder / "out/ik.mot", bones)
     np.testing.assert_allclose(found.values[:, knee], held[:, knee], atol=1e-4)
     assert np.abs(there["fitted"][:, knee] - held[:, knee]).max() > 0.01
@@ -194,18 +196,18 @@ def test_a_set_of_markers(leg):
     )
     write_trc(folder / "walk.trc", Markers(names, there["time"], there["seen"]))
     options = {"markers": folder / "walk.trc"}
-    Motion("kinematics", LEG, **options, output=folder / "as_is")()
-    Motion("kinematics", LEG, **options, marker_set=folder / "set.xml", output=folder / "moved")()
+    Kinematics(LEG, **options, output=folder / "as_is")()
+    Kinematics(LEG, **options, marker_set=folder / "set.xml", output=folder / "moved")()
     as_is, moved = (read_storage(folder / k / "marker_errors.sto") for k in ("as_is", "moved"))
     own = moved.labels.index(names[0])
     assert moved.values[:, own].mean() > 3 * as_is.values[:, own].mean()
     (folder / "set.xml").write_text(MARKERS.format(names[0], "nose", 0, 0, 0))
     with pytest.raises(ValueError, match="is on the body 'nose', which the model does not have"):
-        Motion("kinematics", LEG, **options, marker_set=folder / "set.xml", output=folder / "nose")()
+        Kinematics(LEG, **options, marker_set=folder / "set.xml", output=folder / "nose")()
 
 
 def test_other_files_are_refused(gait):
     folder, _ = gait
     with pytest.raises(ValueError, match="holds none of <InverseKinematicsTool>") as caught:
-        Motion("dynamics", GAIT, setup=folder / "push.xml", output=folder / "out")()
+        Dynamics(GAIT, setup=folder / "push.xml", output=folder / "out")()
     assert "\n" not in str(caught.value)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from myowarp.apps.cli.motion import WRITES, Motion
+from myowarp.apps.cli.motion.track import FILES, Track
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.storage import read_storage
 from myowarp.motion.tool_setup import read_tool_setup
@@ -161,7 +161,7 @@ def test_a_set_up_file_of_cmc(bones, tmp_path):
     assert said.gains == {"r_shoulder_elev": 400.0}
     assert said.controls == {"BRA": (0.3, 1.0)}
     write_angles(tmp_path / "wave.mot", bones.model, bones.coordinates, TIME, wave())
-    Motion("track", ARM, motion=tmp_path / "wave.mot", setup=tmp_path / "cmc.xml", reserve=1.0,
+    Track(ARM, motion=tmp_path / "wave.mot", setup=tmp_path / "cmc.xml", reserve=1.0,
            span=(0.0, 0.04), output=tmp_path / "out")()  # fmt: skip
     excitation = read_storage(tmp_path / "out/excitations.sto")
     assert excitation.values[:, excitation.labels.index("BRA")].min() >= 0.3
@@ -182,8 +182,8 @@ def test_the_command(bones, tmp_path, capsys):
         "span": (0.1, 0.14),
         "output": tmp_path / "out",
     }
-    Motion("track", ARM, **options, strength=("BIClong=0.5", "BRA=0"))()
-    assert {path.name for path in (tmp_path / "out").iterdir()} == set(WRITES["track"])
+    Track(ARM, **options, strength=("BIClong=0.5", "BRA=0"))()
+    assert {path.name for path in (tmp_path / "out").iterdir()} == set(FILES)
     force = read_storage(tmp_path / "out/forces.sto")
     assert len(force.time) == 5
     assert force.values[:, force.labels.index("BRA")].max() == 0.0
@@ -199,5 +199,5 @@ def test_the_command(bones, tmp_path, capsys):
         ({"span": (0.1, 9.0)}, r"the span must lie within 0 to 0\.2 s, got 0\.1 to 9 s"),
     ):
         with pytest.raises(ValueError, match=message) as caught:
-            Motion("track", ARM, **{**options, **change}, overwrite=True)()
+            Track(ARM, **{**options, **change}, overwrite=True)()
         assert "\n" not in str(caught.value)

@@ -5,7 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.apps.cli.motion import WRITES, Motion
+from myowarp.apps.cli.motion import analyze
+from myowarp.apps.cli.motion.analyze import Analyze
+from myowarp.apps.cli.motion.dynamics import Dynamics
+from myowarp.apps.cli.motion.forces import FILES, Forces
+from myowarp.apps.cli.motion.kinematics import Kinematics
+from myowarp.apps.cli.motion.report import Report
+from myowarp.apps.cli.motion.steps import RENEWED
 from myowarp.motion.markers import Markers, write_trc
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.storage import Storage, read_storage, write_storage
@@ -38,16 +44,16 @@ def gait(tmp_path):
 
 def test_forces(gait, capsys, monkeypatch):
     folder, there = gait
-    monkeypatch.setattr(Motion, "_page", lambda self, motion: [])  # drawn in the tests of the documentation
+    monkeypatch.setattr(analyze, "page_of", lambda *rest: [])  # drawn in the tests of the documentation
     options = {"motion": folder / "motion.mot", "loads": folder / "push.xml", "filter": 6.0}
-    Motion("forces", GAIT, **options, mode="opensim", reserve=1000.0, output=folder / "out")()
+    Forces(GAIT, **options, mode="opensim", reserve=1000.0, output=folder / "out")()
     moments = read_storage(folder / "out/moments.sto")
     assert moments.labels[:2] == ("pelvis_tilt_moment", "pelvis_tx_force")
     scale = np.abs(there["moments"]).max()
     assert np.abs(moments.values - there["moments"]).max() < DIGITS * scale
     activation = read_storage(folder / "out/activations.sto").values
     assert ((activation >= 0.0) & (activation <= 1.0)).all()
-    arms = Motion("analyze", GAIT, motion=folder / "motion.mot", filter=6.0, output=folder / "arms")
+    arms = Analyze(GAIT, motion=folder / "motion.mot", filter=6.0, output=folder / "arms")
     arms()
     arm, force = read_storage(folder / "arms/moment_arms.sto"), read_storage(folder / "out/forces.sto")
     total = read_storage(folder / "out/reserves.sto").values + read_storage(folder / "out/missing.sto").values
@@ -58,14 +64,14 @@ def test_forces(gait, capsys, monkeypatch):
     np.testing.assert_allclose(total, moments.values, atol=DIGITS * scale)
     assert "reserve at pelvis_ty" in capsys.readouterr().err
     of_others = {"passive_moments.sto", "actuators.sto"}  # the model has neither springs nor motors
-    assert {path.name for path in (folder / "out").iterdir()} == set(WRITES["forces"]) - of_others
+    assert {path.name for path in (folder / "out").iterdir()} == set(FILES) - of_others
     with pytest.raises(ValueError, match="exists; choose another name, or replace it with --overwrite"):
         arms()
 
 
 def test_without_reserves_the_weak_are_named(gait, capsys):
     folder, _ = gait
-    Motion("forces", GAIT, motion=folder / "motion.mot", loads=folder / "push.xml", filter=6.0,
+    Forces(GAIT, motion=folder / "motion.mot", loads=folder / "push.xml", filter=6.0,
            output=folder / "out")()  # fmt: skip
     said = capsys.readouterr().err
     assert "muscles cannot hold" in said
@@ -75,7 +81,7 @@ def test_without_reserves_the_weak_are_named(gait, capsys):
 def test_kinematics(tmp_path, capsys):
     there = np.load(DATA / "opensim/motion_leg6dof9musc.npz")
     write_trc(tmp_path / "walk.trc", Markers(tuple(there["markers"]), there["time"], there["seen"]))
-    Motion("kinematics", LEG, markers=tmp_path / "walk.trc", output=tmp_path / "out")()
+    Kinematics(LEG, markers=tmp_path / "walk.trc", output=tmp_path / "out")()
     back = read_motion(tmp_path / "out/ik.mot", Bones(read_model(LEG)))
     np.testing.assert_allclose(back.values, there["fitted"], atol=2e-5)
     assert not back.absent
@@ -85,8 +91,11 @@ def test_kinematics(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"motion": None}, "motion dynamics needs --motion FILE"),
+        ({"motion": None}, "motion forces needs --motion FILE"),
         ({"reserve": -1.0}, "--reserve must be at least 0 and finite, got -1"),
+        ({"residual": np.nan}, "--residual must be at least 0 and finite, got nan"),
+        ({"residual": np.inf}, "--residual must be at least 0 and finite, got inf"),
+        ({"exponent": np.nan}, "--exponent must be at least 1 and finite, got nan"),
         ({"filter": 500.0}, "must be at least 0.003 and below 30 Hz, half of the rate, got 500"),
         ({"loads": "other.xml"}, "body 'nose' unknown; available: ground, pelvis"),
         ({"motion": "push.mot"}, "has no column of a coordinate; the model has pelvis_tilt"),
@@ -98,5 +107,35 @@ def test_bad_input_is_one_sentence(gait, change, message):
     options = {"motion": folder / "motion.mot", "output": folder / "out"}
     options |= {k: folder / v if isinstance(v, str) else v for k, v in change.items()}
     with pytest.raises(ValueError, match=message) as caught:
-        Motion("dynamics", GAIT, **options)()
+        Forces(GAIT, **options)()
     assert "\n" not in str(caught.value)
+
+
+def test_residuals_need_a_root(tmp_path):
+    """An arm hangs on a wall: nothing carries it through space."""
+    arm, bend = (DATA.parents[1] / "examples" / name for name in ("arm.osim", "arm_bend.mot"))
+    with pytest.raises(ValueError, match="--residual is of coordinates that carry a model through space; "):
+        Forces(arm, motion=bend, residual=5.0, output=tmp_path / "out")()
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_step_renews_what_an_earlier_one_wrote(tmp_path, monkeypatch):
+    """`dynamics`, `forces`, `analyze`, `report` into one folder; what others wrote there stays."""
+    arm, bend = (DATA.parents[1] / "examples" / name for name in ("arm.osim", "arm_bend.mot"))
+    monkeypatch.setattr("myowarp.apps.reports.motion.page", lambda *rest: RENEWED["report.html"])
+    folder, options = tmp_path, {"motion": bend, "output": tmp_path / "out"}
+    Dynamics(arm, **options)()
+    rough = (folder / "out/moments.sto").read_bytes()
+    Forces(arm, **options, filter=6.0)()
+    smooth = (folder / "out/moments.sto").read_bytes()
+    assert smooth != rough
+    Analyze(arm, **options)()
+    Report(arm, output=folder / "out")()
+    Report(arm, output=folder / "out")()
+    for step in (Dynamics, Forces, Analyze):
+        with pytest.raises(ValueError, match="exists; choose another name, or replace it with --overwrite"):
+            step(arm, **options)()
+    (folder / "out/report.html").write_text("<!doctype html>mine")
+    with pytest.raises(ValueError, match=r"report\.html' exists; choose another name"):
+        Report(arm, output=folder / "out")()
+    assert (folder / "out/moments.sto").read_bytes() == smooth

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from socket_client import Client, until
 
-from myowarp.apps.cli.motion import Motion
+from myowarp.apps.cli.motion.forces import Forces
 from myowarp.apps.cli.options import Said, Trial
 from myowarp.apps.cli.record import Record
 from myowarp.apps.cli.view import View
@@ -39,7 +39,7 @@ LOADS = """<OpenSimDocument Version="40000"><ExternalLoads name="l"><objects><Ex
 def folder(tmp_path_factory):
     """A folder of `myowarp motion forces`, with electromyograms and a load that grows."""
     folder = tmp_path_factory.mktemp("arm")
-    Motion("forces", ARM, motion=BEND, reserve=1.0, output=folder)()
+    Forces(ARM, motion=BEND, reserve=1.0, output=folder)()
     table = read_storage(folder / "activations.sto")
     write_storage(
         folder / "emg.sto", "emg", Storage(table.labels[:1], table.time, 0.5 + 0 * table.values[:, :1])

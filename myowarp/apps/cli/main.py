@@ -4,9 +4,10 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import make_dataclass
 from importlib.metadata import version
-from typing import Annotated, Union
+from typing import Annotated, Any, Union
 
 import tyro
 import warp as wp
@@ -61,11 +62,21 @@ VERSIONS = ("mujoco", "mujoco-warp", "warp-lang", "myo-sim")
 """Packages that numbers depend on, besides ours."""
 
 
-def _subcommand(name: str) -> object:
-    """Return a command as tyro has it: with its whole help if it is asked for, else with one sentence."""
-    kind = COMMANDS[name]
-    brief = None if name in sys.argv[1:2] else (kind.__doc__ or "").splitlines()[0]
-    return Annotated[kind, tyro.conf.subcommand(name=name, description=brief, prefix_name=False)]
+def _one_of(commands: Mapping[str, type], depth: int = 1) -> Any:
+    """Return commands as tyro has them: with the whole help of the one asked for, else with one sentence.
+
+    Args:
+        commands: By name; one that has `COMMANDS` of its own has the chosen one as `chosen`.
+        depth: Where the name stands on the command line.
+    """
+    kinds = []
+    for name, kind in commands.items():
+        brief = None if name in sys.argv[depth : depth + 1] else (kind.__doc__ or "").splitlines()[0]
+        if below := getattr(kind, "COMMANDS", None):
+            chosen = ("chosen", Annotated[_one_of(below, depth + 1), tyro.conf.arg(name="")])
+            kind = make_dataclass(kind.__name__, [chosen], bases=(kind,), namespace={"__doc__": kind.__doc__})
+        kinds.append(Annotated[kind, tyro.conf.subcommand(name=name, description=brief, prefix_name=False)])
+    return Union[tuple(kinds)]  # noqa: UP007
 
 
 def command() -> None:
@@ -89,8 +100,8 @@ def main() -> None:
         print(f"myowarp {version('myowarp')} ({', '.join(f'{name} {version(name)}' for name in VERSIONS)})")
         return
     wp.config.log_level = wp.LOG_ERROR
-    chosen: Callable[[], None] = tyro.cli(  # type: ignore[call-overload]  # the checker cannot know the union
-        Union[tuple(map(_subcommand, COMMANDS))],  # noqa: UP007
+    chosen: Callable[[], None] = tyro.cli(
+        _one_of(COMMANDS),
         prog="myowarp",
         description=ABOUT,
         config=(tyro.conf.FlagCreatePairsOff,),

@@ -26,7 +26,7 @@ def optional(metavar: str) -> object:
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=UNSET)
 
 
-def _option(metavar: str, text: str, hint: str | None = None) -> object:
+def described(metavar: str, text: str, hint: str | None = None) -> object:
     """Return what tyro is told about an option; `hint` replaces what it says of the default."""
     return tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=hint)
 
@@ -50,7 +50,7 @@ class Said:
     setup: Setup
 
 
-MODEL = _option(
+MODEL = described(
     "FILE",
     "Instead of a task: a model of OpenSim (.osim), an MJCF file, or the name of a body, such as full_body;"
     " random poses of its joints. Physics parity is then the model's own integrator and step.",
@@ -75,7 +75,7 @@ def environment(*, flag: bool = False, only: Iterable[str] = OPTIONS, leave_out:
         if not (form or switch) or name not in only or name in leave_out:
             continue
         kind = bool if switch else COMMAND_LINE.get(name, kinds[name])
-        told: list[object] = [_option(form, option.metadata["text"], UNSET)]
+        told: list[object] = [described(form, option.metadata["text"], UNSET)]
         if name == "task" and not flag:
             told.append(tyro.conf.Positional)
         default = dataclasses.field(default=True if switch else None)
@@ -140,7 +140,7 @@ class Trial:
 
 
 Recording = Annotated[Trial, tyro.conf.arg(name="")]
-Steps = Annotated[int | None, _option("INT", "Control steps; by default one episode of the task.", UNSET)]
+Steps = Annotated[int | None, described("INT", "Control steps; by default one episode of the task.", UNSET)]
 POLICIES = (
     "random, zero, hold (pose tasks: proportional control of the joints), muscle-control (pose and"
     " reach tasks: activations whose torques lead there), baseline (the trained policy of the package for"
@@ -149,13 +149,13 @@ POLICIES = (
     " package.module:function or file.py:function: a function from observations (num_worlds, n) to"
     " actions (num_worlds, m) in [-1, 1]."
 )
-Policy = Annotated[str, _option("NAME", POLICIES)]
-OwnPolicy = Annotated[str, _option("NAME", POLICIES, "(default: random; with --model zero)")]
-Overwrite = Annotated[bool, _option("", "Replace output files that exist.")]
+Policy = Annotated[str, described("NAME", POLICIES)]
+OwnPolicy = Annotated[str, described("NAME", POLICIES, "(default: random; with --model zero)")]
+Overwrite = Annotated[bool, described("", "Replace output files that exist.")]
 TaskIds = Annotated[
     tuple[str, ...],
     tyro.conf.Positional,
-    _option(
+    described(
         "[ID ...]",
         'Task ids, with or without "MyoWarp/", or file.py:name; none means every registered id.',
         UNSET,

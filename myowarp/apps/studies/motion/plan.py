@@ -2,8 +2,9 @@
 
 One row is one trial. Paths are beside the table. Columns and entries may be missing.
 
-    trial, model, markers or motion, setup, loads      name and files, as `myowarp motion` takes them
-    start, end, filter                                 [s], [s], [Hz]
+    trial, model, marker_set, markers or motion, setup, loads
+                                                       name and files, as `myowarp motion` takes them
+    start, end, filter, fill                           [s], [s], [Hz], [s]
     max_isometric_force, tendon_slack_length, mass     factors on those of all muscles or bodies, and with
                                                        a colon and a name behind, of one alone
     max_isometric_force_spread, tendon_slack_length_spread, mass_spread, marker_weight_spread, marker_noise
@@ -14,34 +15,43 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from functools import lru_cache
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, fields, replace
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
 from myowarp.definitions.registry import check_least, number_in
 from myowarp.disk import files_digest
-from myowarp.motion.draws import Recording, Uncertainty
+from myowarp.engine.warn_once import warn_once
+from myowarp.motion.draws import Recording, Uncertainty, check_factors
 from myowarp.motion.inverse_kinematics import inverse_kinematics
-from myowarp.motion.loads import loads_at
-from myowarp.motion.markers import read_trc
+from myowarp.motion.loads import loads_at, read_loads
 from myowarp.motion.muscle_forces import Mode
+from myowarp.motion.setup import EXPONENT, TrialSetup
 from myowarp.motion.skeleton import Bones
-from myowarp.motion.tasks import tasks_of
-from myowarp.motion.trial import read_motion
-from myowarp.opensim.read.document import MAX_NUMBER, parse
+from myowarp.motion.tool_setup import read_tool_setup
+from myowarp.motion.trial import read_markers, read_motion, targets
+from myowarp.opensim.read.document import MAX_NUMBER
 from myowarp.sim.patient_table import read_table
 
 TRIAL = "trial"
-FILES = ("model", "markers", "motion", "setup", "loads")
-NUMBERS = ("start", "end", "filter")
+FILES = ("model", "marker_set", "markers", "motion", "setup", "loads")
+NUMBERS = ("start", "end", "filter", "fill")
 FACTORS = ("max_isometric_force", "tendon_slack_length", "mass")
 SPREADS = {
     one.name if one.name == "marker_noise" else f"{one.name}_spread": one.name for one in fields(Uncertainty)
 }
 """Column: what spreads."""
 NAME = re.compile(r"[\w][\w .+-]*")
+LONGEST = 200
+"""Bytes of a trial's name, which becomes a folder's."""
+DRAWS = 50
+"""Of a part."""
+MOST = 100_000
+"""Parts of a study, which are numbered with five digits."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +61,7 @@ class Trial:
     Attributes:
         name: Of the trial.
         files: Paths by column.
-        numbers: `start`, `end`, `filter`.
+        numbers: Of the columns `NUMBERS`.
         factors: On muscles and bodies.
         uncertain: How far draws spread.
     """
@@ -62,13 +72,42 @@ class Trial:
     factors: Mapping[str, float]
     uncertain: Uncertainty
 
-    def digest(self) -> str:
-        """Return a digest of the row and of the files that are there."""
-        there = files_digest(path for path in self.files.values() if path.is_file())
-        row = repr(
-            (self.name, sorted(self.files), sorted(self.numbers.items()), sorted(self.factors.items()))
+    def setup(self) -> TrialSetup:
+        """Return how it is solved: what the row states, and else what its set-up file has.
+
+        Raises:
+            ValueError: A file is not what it should be, or there are neither markers nor joint angles.
+            OSError: A file cannot be read.
+        """
+        files, numbers = self.files, self.numbers
+        said = _tool_setup(*_version(files["setup"])) if "setup" in files else TrialSetup()
+        begin, end = said.span or (-float("inf"), float("inf"))
+        if "markers" in files or "motion" in files:
+            said = replace(said, markers=files.get("markers"), motion=files.get("motion"))
+        if said.markers is None and said.motion is None:
+            raise ValueError(f"{str(said.file)!r} names neither markers nor joint angles; the row needs one")
+        return said.stating(
+            loads=files.get("loads"),
+            cutoff=numbers.get("filter"),
+            fill=numbers.get("fill"),
+            span=(numbers.get("start", begin), numbers.get("end", end)),
         )
-        return hashlib.sha256(f"{row}{self.uncertain}{there}".encode()).hexdigest()[:16]
+
+    def sources(self) -> list[Path]:
+        """Return the files that it is solved from: those of the row, and those that they name."""
+        found = list(self.files.values())
+        with suppress(ValueError, OSError):  # what cannot be read is said when the trial is solved
+            setup = self.setup()
+            found += [*setup.sources, *filter(None, (setup.markers, setup.motion, setup.coordinates))]
+            if setup.loads is not None:
+                found += [setup.loads, *filter(None, (read_loads(setup.loads)[1],))]
+        return found
+
+    def digest(self, content: Callable[[Path], str]) -> str:
+        """Return a digest of the row and of its sources; `content` returns that of a file, "" for none."""
+        row = self.name, sorted(self.files), sorted(self.numbers.items()), sorted(self.factors.items())
+        said = repr((row, self.uncertain, [content(path) for path in self.sources()]))
+        return hashlib.sha256(said.encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True)
@@ -80,16 +119,16 @@ class Study:
         draws: Of each, besides the trial as it is.
         seed: Of the draws.
         mode: What muscles can give.
-        exponent: Of activations in the cost.
-        reserve: Of every coordinate [N m] or [N]; 0: none.
+        exponent: Of activations in the cost; None: as the set-up of a trial has it, or the default.
+        reserve: Of every coordinate [N m] or [N]; None: as the set-up of a trial has it, or none.
     """
 
     trials: tuple[Trial, ...]
     draws: int = 0
     seed: int = 0
     mode: Mode = "equilibrium"
-    exponent: float = 2.0
-    reserve: float = 0.0
+    exponent: float | None = None
+    reserve: float | None = None
     columns: tuple[str, ...] = field(default=())
 
     def settings(self) -> dict[str, Any]:
@@ -98,6 +137,17 @@ class Study:
         return {"trials": [trial.name for trial in self.trials]} | {
             name: getattr(self, name) for name in names
         }
+
+    def pieces(self) -> Iterator[tuple[Trial, range]]:
+        """Yield trial and numbers of draws of each part."""
+        for trial in self.trials:
+            for begin in range(0, self.draws + 1, DRAWS):
+                yield trial, range(begin, min(begin + DRAWS, self.draws + 1))
+
+    def inputs(self) -> dict[str, str]:
+        """Return the digest of each trial; a file that several have is read once."""
+        content = cache(lambda path: files_digest([path]) if path.is_file() else "")
+        return {trial.name: trial.digest(content) for trial in self.trials}
 
 
 def plan_study(table: Path, **settings: Any) -> Study:
@@ -126,12 +176,17 @@ def plan_study(table: Path, **settings: Any) -> Study:
         if name in header[:number]:
             raise ValueError(f"motion column {name!r} is there twice; leave one out")
     trials = tuple(_trial(table.parent, header, row, number) for number, row in enumerate(rows, 1))
-    names = [trial.name for trial in trials]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"motion table {str(table)!r} has the trial {name!r} twice; names differ")
+    name, often = Counter(trial.name for trial in trials).most_common(1)[0]
+    if often > 1:
+        raise ValueError(f"motion table {str(table)!r} has the trial {name!r} twice; names differ")
     study = Study(trials, columns=tuple(header), **settings)
+    TrialSetup(exponent=study.exponent, reserve=study.reserve)  # says what is out of bounds
     check_least(0, draws=study.draws, seed=study.seed)
+    if (parts := len(trials) * (study.draws // DRAWS + 1)) > MOST:
+        raise ValueError(
+            f"a study has at most {MOST} parts of {DRAWS} draws, got {parts}, with --draws {study.draws} of "
+            f"{len(trials)} trials; ask for fewer draws, or divide the table"
+        )
     return study
 
 
@@ -145,13 +200,17 @@ def _trial(folder: Path, header: list[str], row: list[Any], number: int) -> Tria
              if cell is not None and str(cell).strip() not in ("", "nan", "<NA>")}  # fmt: skip
     name = cells.pop(TRIAL, str(number))
     where = f"motion row {number} (trial {name!r})"
-    if not NAME.fullmatch(name):
-        raise ValueError(f"{where}: a name has letters, digits, blanks and . + - _ alone")
+    if not NAME.fullmatch(name) or len(name.encode()) > LONGEST:
+        raise ValueError(
+            f"motion row {number} (trial {name[:LONGEST]!r}): a name has letters, digits, blanks and . + - _ "
+            f"alone, and at most {LONGEST} bytes"
+        )
     files = {kind: folder / cells.pop(kind) for kind in FILES if kind in cells}
     if "model" not in files:
         raise ValueError(f"{where}, column 'model': needs an .osim file, got nothing")
-    if ("markers" in files) == ("motion" in files):
-        raise ValueError(f"{where}: needs one of markers (.trc) and motion (.mot, .sto)")
+    recorded = {"markers", "motion"} & files.keys()
+    if len(recorded) == 2 or (not recorded and "setup" not in files):
+        raise ValueError(f"{where}: needs one of markers (.trc) and motion (.mot, .sto), or a setup with one")
     numbers = {}
     for column, cell in cells.items():
         try:
@@ -164,12 +223,26 @@ def _trial(folder: Path, header: list[str], row: list[Any], number: int) -> Tria
             )
     spread = {what: numbers.pop(column) for column, what in SPREADS.items() if column in numbers}
     own = {column: numbers.pop(column) for column in NUMBERS if column in numbers}
-    return Trial(name, files, own, numbers, Uncertainty(**spread))
+    try:
+        check_factors(numbers)
+        return Trial(name, files, own, numbers, Uncertainty(**spread))
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _version(path: Path) -> tuple[Path, int]:
+    """Return a file, and what tells whether it is still the one that was read."""
+    return path, path.stat().st_mtime_ns
 
 
 @lru_cache(maxsize=4)
-def _bones(model: Path, changed: int) -> Bones:
-    return Bones.read(model)
+def _bones(model: Path, changed: int, markers: Path | None) -> Bones:
+    return Bones.read(model, markers=markers)
+
+
+@lru_cache(maxsize=64)
+def _tool_setup(path: Path, changed: int) -> TrialSetup:
+    return read_tool_setup(path)
 
 
 def recording_of(trial: Trial, study: Study) -> Recording:
@@ -180,45 +253,31 @@ def recording_of(trial: Trial, study: Study) -> Recording:
         NotImplementedError: The model has something that is not supported.
         OSError: A file cannot be read.
     """
-    files, numbers = trial.files, trial.numbers
-    bones = _bones(files["model"], files["model"].stat().st_mtime_ns)
-    span = numbers.get("start", -float("inf")), numbers.get("end", float("inf"))
-    of_markers: dict[str, Any] = {}
-    if "markers" in files:
-        markers = read_trc(files["markers"]).between(*span)
-        if "setup" in files:
-            tasks = tasks_of(parse(files["setup"])[0])
-            of_markers["coordinate_weights"], of_markers["coordinate_values"] = (
-                tasks.coordinates,
-                tasks.values,
-            )
-            weights = {
-                name: weight for name, weight in tasks.markers.items() if name in markers.names and weight > 0
-            }
-        else:
-            weights = {name: 1.0 for name in markers.names if name in bones.model.markers}
-        fitted = inverse_kinematics(
-            bones, markers, weights, of_markers.get("coordinate_weights"), of_markers.get("coordinate_values")
-        )
+    setup = trial.setup().stating(exponent=study.exponent, reserve=study.reserve)
+    bones, lines = setup.model_of(_bones(*_version(trial.files["model"]), trial.files.get("marker_set")))
+    for line in lines:
+        warn_once(line)
+    how: dict[str, Any] = {
+        "cutoff": setup.cutoff,
+        "mode": study.mode,
+        "exponent": setup.exponent or EXPONENT,
+        "reserves": setup.reserves_of(bones) or None,
+        "factors": trial.factors,
+    }
+    if setup.motion is None:
+        _, recorded = read_markers(setup)
+        fit = targets(bones, setup, recorded)
+        fitted = inverse_kinematics(bones, recorded, **fit)
         if doubt := fitted.doubt():
             raise ValueError(doubt)
-        time, values = fitted.time, fitted.values
-        of_markers |= {"markers": markers, "marker_weights": weights}
+        weights = fit.get("marker_weights", {})
+        how |= {**fit, "markers": recorded}
+        how["marker_weights"] = {name: weights.get(name, 1.0) for name in fitted.markers}
+        time, known, values = fitted.time, fitted.time, fitted.values
     else:
-        motion = read_motion(files["motion"], bones)
-        kept = (motion.time >= span[0] - 1e-9) & (motion.time <= span[1] + 1e-9)
-        if not kept.any():
-            raise ValueError(f"no frame between {span[0]:g} and {span[1]:g} s in {str(files['motion'])!r}")
-        time, values = motion.time[kept], motion.values[kept]
-    return Recording(
-        bones,
-        time,
-        values,
-        loads=loads_at(files["loads"], time) if "loads" in files else (),
-        cutoff=numbers.get("filter"),
-        mode=study.mode,
-        exponent=study.exponent,
-        reserves=dict.fromkeys(bones.coordinates, study.reserve) if study.reserve else None,
-        factors=trial.factors,
-        **of_markers,
-    )
+        motion = read_motion(setup.motion, bones)
+        time = motion.time if setup.span is None else motion.between(*setup.span).time
+        known, values = motion.time, motion.values
+    if setup.loads is not None:
+        how["loads"] = loads_at(setup.loads, time)
+    return Recording(bones, time, values, known=known, **how)

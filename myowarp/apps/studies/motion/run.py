@@ -35,8 +35,6 @@ from myowarp.progress import progress_bar
 if TYPE_CHECKING:
     import pandas as pd
 
-DRAWS = 50
-"""Of a part."""
 FRAMES = 4096
 """That are solved together, unless one draw has more."""
 LOW, HIGH = 0.05, 0.95
@@ -90,8 +88,7 @@ def run(
         make_folder(output / folder)
     with locked(output / LOCK, wait=False):
         agree(output, "motion study", study.settings())
-        every = list(pieces(study))
-        inputs = {trial.name: trial.digest() for trial in study.trials}
+        every, inputs = list(study.pieces()), study.inputs()
         keys = [(trial.name, inputs[trial.name], draws) for trial, draws in every]
         if damaged := remove_damaged(output, (_keys(*key) for key in keys)):
             console.print(f"{damaged} parts in {output} are damaged or of other files, and done again")
@@ -123,13 +120,6 @@ def run(
             "the same command tries these again"
         )
     return folders
-
-
-def pieces(study: Study) -> Iterator[tuple[Trial, range]]:
-    """Yield trial and numbers of draws of each part."""
-    for trial in study.trials:
-        for begin in range(0, study.draws + 1, DRAWS):
-            yield trial, range(begin, min(begin + DRAWS, study.draws + 1))
 
 
 def _keys(name: str, inputs: str, draws: range) -> dict[str, list[Any]]:

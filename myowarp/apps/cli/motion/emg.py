@@ -1,0 +1,58 @@
+"""The step `myowarp motion emg`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from myowarp.apps.cli.motion.steps import OUT, SHOWN, Model, Output, check_results, needed, say_saved
+from myowarp.apps.cli.options import Overwrite, optional
+from myowarp.disk import write_rows
+
+FILES = "emg.sto", "emg_agreement.csv", "emg.png"
+
+
+@dataclass
+class Emg:
+    """Compare raw electromyograms, columns named by muscles, with the activations of the same folder.
+
+    Example: myowarp motion emg gait.osim --emg emg.csv -o out/trial
+    """
+
+    model: Model
+    emg: Annotated[Path | None, optional("FILE")] = None
+    """Raw electromyograms over time, .sto, .mot or .csv."""
+    output: Output = OUT
+    overwrite: Overwrite = False
+
+    def __call__(self) -> None:
+        """Check, compare, write."""
+        from myowarp.apps.reports.emg import draw_emg
+        from myowarp.motion.emg import agreement, envelopes
+        from myowarp.motion.storage import read_storage, write_storage
+        from myowarp.opensim.read.model import read_model
+
+        source = needed(self.emg, "emg", "emg")
+        check_results(self.output, FILES, self.overwrite)
+        path = self.output / "activations.sto"
+        if not path.is_file():
+            raise ValueError(
+                f"{str(self.output)!r} has no activations.sto; write it with myowarp motion forces or track "
+                "and the same --output"
+            )
+        activation, model = read_storage(path), read_model(self.model)
+        if unknown := [name for name in activation.labels if name not in model.muscles]:
+            raise ValueError(
+                f"{str(path)!r} has the muscle {unknown[0]!r}, which the model {model.name!r} has not; give "
+                "the model that it was found with"
+            )
+        envelope = envelopes(read_storage(source))
+        found = agreement(envelope, activation)
+        write_storage(self.output / "emg.sto", "envelopes of electromyograms", envelope)
+        rows = [(one.muscle, f"{one.delay:.3f}", f"{one.correlation:.4f}") for one in found]
+        write_rows(self.output / "emg_agreement.csv", [("muscle", "delay [s]", "correlation"), *rows])
+        draw_emg(self.output / "emg.png", envelope, activation, found)
+        lines = [f"{one.muscle}: correlation {one.correlation:.2f} at a delay of {1e3 * one.delay:.0f} ms"
+                 for one in found[:SHOWN]]  # fmt: skip
+        say_saved(lines, FILES, self.output)

@@ -1,0 +1,126 @@
+"""How a trial is solved: its files, filter, times, weights and reserves, which steps and studies take.
+
+What a user states comes before what a set-up file of one of OpenSim's tools says (`tool_setup`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from myowarp.motion.model_forces import without
+from myowarp.motion.skeleton import Bones
+from myowarp.opensim.model.kinematics import floating
+
+if TYPE_CHECKING:
+    from myowarp.motion.tasks import Tasks
+
+EXPONENT = 2.0
+"""Of activations in the cost, by default."""
+
+
+@dataclass(frozen=True)
+class TrialSetup:
+    """What a trial is solved from, and how; None and nothing mean the default of a step.
+
+    Attributes:
+        file: The set-up file.
+        markers: Recorded markers, .trc.
+        motion: Joint angles.
+        loads: External loads.
+        coordinates: Joint angles that kinematics should have.
+        cutoff: Of the filter [Hz].
+        span: First and last time [s], of which one may be infinite.
+        fill: Longest gap of a marker that a spline bridges [s].
+        tasks: Weights of markers and coordinates.
+        exponent: Of activations in the cost.
+        reserve: Force of a reserve at cost 1 on every coordinate [N m] or [N], in place of `reserves`.
+        residual: The same on the coordinates that carry the model through space.
+        reserves: The same of the actuators of a set-up file, by coordinate.
+        unread: Actuators of other classes, which are left out.
+        gains: Ways back to a motion that is tracked, by coordinate [1/s^2].
+        controls: Least and greatest excitation of a motion that is tracked, by muscle [1].
+        excluded: Forces that inverse dynamics leaves out; None: the tool is another one.
+        sources: Files that were read for this: the set-up file, and those that it is spread over.
+    """
+
+    file: Path | None = None
+    markers: Path | None = None
+    motion: Path | None = None
+    loads: Path | None = None
+    coordinates: Path | None = None
+    cutoff: float | None = None
+    span: tuple[float, float] | None = None
+    fill: float | None = None
+    tasks: Tasks | None = None
+    exponent: float | None = None
+    reserve: float | None = None
+    residual: float | None = None
+    reserves: Mapping[str, float] = field(default_factory=dict)
+    unread: tuple[str, ...] = ()
+    gains: Mapping[str, float] = field(default_factory=dict)
+    controls: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    excluded: tuple[str, ...] | None = None
+    sources: tuple[Path, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check what is stated.
+
+        Raises:
+            ValueError: A number is out of bounds.
+        """
+        for name, least in (("reserve", 0.0), ("residual", 0.0), ("exponent", 1.0)):
+            value = getattr(self, name)
+            if value is not None and not least <= value < float("inf"):
+                raise ValueError(f"--{name} must be at least {least:g} and finite, got {value:g}")
+
+    @property
+    def recording(self) -> Path:
+        """The file of recorded markers.
+
+        Raises:
+            ValueError: There is none.
+        """
+        if self.markers is None:
+            raise ValueError("joint angles need recorded markers; give a .trc file with --markers FILE")
+        return self.markers
+
+    def stating(self, **stated: Any) -> Self:
+        """Return this with what a user states in place of what it has; None: nothing is stated."""
+        return replace(self, **{name: value for name, value in stated.items() if value is not None})
+
+    def reserves_of(self, bones: Bones) -> dict[str, float]:
+        """Return the force of the reserve of each coordinate that has one [N m] or [N].
+
+        Raises:
+            ValueError: A residual is stated, and nothing carries the model through space.
+        """
+        root = floating(bones.model)
+        if self.residual is not None and not root:
+            raise ValueError(
+                f"--residual is of coordinates that carry a model through space; {bones.model.name!r} has "
+                "none, so leave it out"
+            )
+        if self.reserve is None:
+            found = {name: force for name, force in self.reserves.items() if name in bones.coordinates}
+        else:
+            found = dict.fromkeys(bones.coordinates, self.reserve)
+        if self.residual is not None:
+            found |= dict.fromkeys(root, self.residual)
+        return {name: force for name, force in found.items() if force}
+
+    def model_of(self, bones: Bones) -> tuple[Bones, list[str]]:
+        """Return the model without the forces that are excluded, and what is to be said of them."""
+        lines = [f"left out of {self.file}: {', '.join(self.unread)}"] if self.unread else []
+        if self.excluded is None:
+            return bones, lines
+        model, unknown = without(bones.model, self.excluded)
+        lines += [f"forces_to_exclude names {name!r}, which the model has not" for name in unknown]
+        if not {"ALL", "ACTUATORS", "MUSCLES"} & {name.upper() for name in self.excluded}:
+            lines.append(
+                "forces_to_exclude has no Muscles: OpenSim's moments are then what muscles at their default "
+                "activations leave over; these are what muscles have to give"
+            )
+        return Bones(model, bones.device), lines
