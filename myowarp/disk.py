@@ -93,7 +93,7 @@ def naming(path: Path) -> Iterator[None]:
         if not (ours or error.errno in NO_ROOM):
             raise
         remedy = "make room there" if error.errno in NO_ROOM else "its folder must exist and be writable"
-        why = error.strerror or type(error).__name__
+        why = os.strerror(error.errno) if error.errno else type(error).__name__
         raise OSError(
             f"output {str(path)!r} cannot be written ({why}); {remedy}, or choose another folder"
         ) from error
@@ -103,7 +103,7 @@ def sentence(error: BaseException) -> str:
     """Return an error as a sentence; those of the system name the file, and no number."""
     if isinstance(error, OSError) and error.strerror:
         if error.errno in NO_ROOM:
-            return f"a file cannot be written ({error.strerror}); make room on the disk"
+            return f"a file cannot be written ({os.strerror(error.errno)}); make room on the disk"
         if error.filename is not None:
             return f"{str(error.filename)!r} cannot be used: {error.strerror}"
     return str(error)

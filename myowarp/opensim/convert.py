@@ -6,6 +6,7 @@ import json
 import os
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,9 +117,7 @@ def run(
         "report.html": page(report, converted, compiled, fits, samples, moved).encode(),
         "report.json": json.dumps(report, indent=1).encode(),
     }
-    for name in (*COMPLETE, *SIDECARS):
-        (output / name).unlink(missing_ok=True)
-    write(output, files)
+    write(output, files, instead_of=(*COMPLETE, *SIDECARS))
     return report
 
 
@@ -142,10 +141,21 @@ def _fits(model: Model, digest: str, method: str, workers: int) -> tuple["Fits",
     return Fits(muscles, [fit for fit in found if not isinstance(fit, MuscleFit)]), samples
 
 
-def write(output: Path, files: dict[str, bytes]) -> None:
-    """Write files into a folder, each whole, in their order."""
+def write(output: Path, files: dict[str, bytes], instead_of: Sequence[str] = ()) -> None:
+    """Write files into a folder; when all are on the disk, they take their places in their order.
+
+    Args:
+        output: The folder.
+        files: Contents by name.
+        instead_of: Files of an earlier result, which go before.
+
+    Raises:
+        OSError: A file cannot be written; those before are there as they were.
+    """
     for folder in dict.fromkeys((output / name).parent for name in files):
         make_folder(folder)
-    for name, content in files.items():
-        with in_place(output / name) as scratch:
-            scratch.write_bytes(content)
+    with ExitStack() as places:
+        for name in reversed(files):  # the last one that is entered is the first that is moved
+            places.enter_context(in_place(output / name)).write_bytes(files[name])
+        for name in instead_of:
+            (output / name).unlink(missing_ok=True)

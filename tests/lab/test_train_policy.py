@@ -3,6 +3,7 @@
 import dataclasses
 import importlib.util
 import json
+import re
 import subprocess
 import sys
 
@@ -10,6 +11,7 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from full_disk import full_disk
 from gymnasium.spaces import Box
 from onnx.reference import ReferenceEvaluator
 
@@ -192,6 +194,18 @@ def test_exported_policies_act_like_the_original(trained, tmp_path, run):
     assert np.abs(script(torch.from_numpy(obs)).numpy() - expected).max() < SAME
     assert script(torch.from_numpy(obs[:1])).shape == (1, NUM_ACTIONS)
     assert json.loads(files["contract"]) == CONTRACT
+
+
+@pytest.mark.parametrize("name", ["policy.onnx", "policy.pt"])
+def test_a_full_disk_ends_an_export_with_a_sentence(trained, tmp_path, run, name):
+    """Torch itself ends the process where it writes the file."""
+    agent, manifest = trained
+    save_checkpoint(tmp_path / "run", 12, plain(manifest), agents.policy_arrays(agent), {})
+    with full_disk(500):
+        status, _, err = run("export", tmp_path / "run", tmp_path / name)
+    assert status == 2
+    assert re.match(rf"myowarp: output '.*{name}' cannot be written \(File too large\); make room there", err)
+    assert not (tmp_path / name).exists()
 
 
 @pytest.mark.parametrize(

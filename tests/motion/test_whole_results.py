@@ -1,5 +1,6 @@
 """What `myowarp motion` writes is whole or not there: errors, full disks and kills in the middle of it."""
 
+import re
 import signal
 import subprocess
 import sys
@@ -89,6 +90,21 @@ def test_a_full_disk_says_which_file(tmp_path):
         write()
     assert [path.name for path in tmp_path.iterdir()] == ["b.sto"]
     assert (tmp_path / "b.sto").read_bytes() == before
+
+
+def test_a_full_disk_in_the_middle_of_a_step(tmp_path, run):
+    """The command says in one sentence which file, and what to do; no result of it is there."""
+    step = ("motion", "forces", ARM, "--motion", BEND, "--reserve", "1", "--output")
+    assert run(*step, tmp_path / "whole")[0] == 0
+    with full_disk(4096):
+        status, _, err = run(*step, tmp_path / "out")
+    assert status == 2
+    wanted = (
+        r"myowarp: output '.*/out/activations\.sto' cannot be written \(File too large\); make room there"
+    )
+    assert re.match(wanted, err)
+    assert "Errno" not in err
+    assert not any((tmp_path / "out").iterdir())
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])

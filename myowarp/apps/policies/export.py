@@ -5,6 +5,7 @@ ONNX is written node by node from the arrays, which needs the package onnx alone
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -115,5 +116,7 @@ def write_torchscript(checkpoint: Checkpoint, path: Path) -> None:
     with torch.no_grad():
         script = torch.jit.trace(Module(), torch.zeros(2, policy.obs_size))
     contract = json.dumps(checkpoint.manifest["contract"])
+    content = io.BytesIO()  # a full disk ends the process where torch writes a file itself
+    torch.jit.save(script, content, _extra_files={"contract": contract})
     with in_place(path) as scratch:
-        torch.jit.save(script, str(scratch), _extra_files={"contract": contract})
+        scratch.write_bytes(content.getvalue())
