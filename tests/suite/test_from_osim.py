@@ -188,8 +188,8 @@ def test_a_model_that_cannot_move_says_so(tmp_path, caplog):
     assert said() == []
     fast = 2.0 * 60.0 / (0.01 + 0.1**2)
     assert said(force=60.0) == [
-        f"light.osim: at full control motors throw light bodies, by up to {fast:.2g} rad/s^2, which may end in "
-        "faults: motor; give them less optimal force, or bound their controls"
+        f"light.osim: at full control motors throw light bodies, by up to {fast:.2g} rad/s^2, which may end "
+        "in faults: motor; give them less optimal force, or bound their controls"
     ]
     light = {"mass": 1e-6, "inertia": 1e-10, "force": 1e-6}
     found = said(**light).copy()
@@ -199,8 +199,8 @@ def test_a_model_that_cannot_move_says_so(tmp_path, caplog):
     rest = moment / (1e-10 + 1e-6 * 0.1**2)
     assert rest > 1e6
     assert found == [
-        f"light.osim: at rest in its default pose angle accelerates by {rest:.2g} rad/s^2: bodies have next to "
-        "no inertia, no time step follows them, and the model cannot move"
+        f"light.osim: at rest in its default pose angle accelerates by {rest:.2g} rad/s^2: bodies have next "
+        "to no inertia, no time step follows them, and the model cannot move"
     ]
     assert said(**light) == found, "from the cache, too"
 

@@ -44,8 +44,8 @@ def too_fast(model: Model) -> list[str]:
         if np.abs(rest).max() > STILL:
             size = _size(model, name, rest)
             said.append(
-                f"at rest in its default pose {name} accelerates by {size}: bodies have next to no inertia, no "
-                "time step follows them, and the model cannot move"
+                f"at rest in its default pose {name} accelerates by {size}: bodies have next to no inertia, "
+                "no time step follows them, and the model cannot move"
             )
     thrown = {}
     for motor in model.coordinate_actuators:
