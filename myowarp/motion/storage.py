@@ -240,6 +240,8 @@ class Rows:
                 f"{names.strip()[:60]!r}"
             )
         header = header_of(head, labels[1:], self.path.suffix.lower() == ".mot")
+        if not all(labels):
+            raise ValueError(f"{str(self.path)!r} has a column without a name, before {labels[-1]!r}")
         for label in header.labels:
             if header.labels.count(label) > 1:
                 raise ValueError(f"{str(self.path)!r} has the column {label!r} twice")
