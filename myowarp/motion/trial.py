@@ -228,7 +228,7 @@ def kinematics_in_parts(
         if tasks is None or setup is None:
             fitted = inverse_kinematics(bones, recorded, start=start)
         else:
-            weights = {name: weight for name, weight in tasks.markers.items() if name in recorded.names}
+            weights = tasks.among(recorded.names)
             values: dict[str, float | np.ndarray] = {**tasks.values}
             if tasks.recorded:
                 values |= _recorded(bones, setup, tasks.recorded, recorded.time)
