@@ -134,9 +134,7 @@ class MarkerStream(Stream):
             raise ValueError(
                 f"{str(self.path)!r} names no marker in line 4, or its cells are not separated by tabs"
             )
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"{str(self.path)!r} has the marker {name!r} twice")
+        self._once("marker", names)
         self._compare("NumMarkers", facts.get("NumMarkers", ""), len(names), "markers", refused=True)
         self._names, self._unit = names, UNITS[unit.lower()]
         labels = tuple(f"{name} {axis}" for name in names for axis in "XYZ")
