@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.apps.cli.motion import Motion
+from myowarp.apps.cli.motion.dynamics import Dynamics
 from myowarp.motion.loads import loads_at, read_loads
 from myowarp.motion.markers import Markers, write_trc
 from myowarp.motion.scaling import read_setup, scale
@@ -237,6 +237,6 @@ def test_moments_with_a_load_on_a_path(tmp_path):
     write_storage(tmp_path / "grf.mot", "grf", Storage(labels, time, push))
     text = FORCE.format(BODY.format("/bodyset/r_ulna_radius_hand") + "".join(COLUMNS.values()))
     loads = written(tmp_path, text)
-    Motion("dynamics", ARM, motion=tmp_path / "walk.mot", loads=loads, output=tmp_path / "out")()
+    Dynamics(ARM, motion=tmp_path / "walk.mot", loads=loads, output=tmp_path / "out")()
     found = read_storage(tmp_path / "out/moments.sto").values[10]
     np.testing.assert_allclose(found, [1.2014, 1.4502], atol=1e-4)

@@ -153,7 +153,7 @@ def test_names_with_commas(leg, capsys):
     seen[20:45, 1] = np.nan
     names = (names[0], f"{names[1]},b", *names[2:])
     write_trc(folder / "walk.trc", Markers(names, there["time"], seen))
-    Motion("kinematics", LEG, markers=folder / "walk.trc", output=folder / "out")()
+    Kinematics(LEG, markers=folder / "walk.trc", output=folder / "out")()
     assert f"{names[1]} was not seen from" in (said := capsys.readouterr().err)
     assert "filled" not in said
 

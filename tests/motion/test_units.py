@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import reader_cases as cases
 
-from myowarp.apps.cli.motion import Motion
+from myowarp.apps.cli.motion.dynamics import Dynamics
 from myowarp.apps.reports.motion import angles_of
 from myowarp.motion import streams
 from myowarp.motion.skeleton import Bones
@@ -153,7 +153,7 @@ def test_moments_of_a_spreadsheet(tmp_path):
     head = ["walk\t\t", "version=1\t\t", f"nRows={ROWS}\t\t", "nColumns=3\t\t", "inDegrees=yes\t\t"]
     wave = np.sin(2.0 * np.pi * np.arange(ROWS) / RATE)
     path = recording(tmp_path, head, np.stack([10.0 + 10.0 * wave, 40.0 + 20.0 * wave], axis=1))
-    Motion("dynamics", ARM, motion=path, output=tmp_path / "out")()
+    Dynamics(ARM, motion=path, output=tmp_path / "out")()
     found = read_storage(tmp_path / "out/moments.sto").values[[10, 30, 45]]
     theirs = [[1.78990678, 1.50756974], [1.40872827, 1.01560056], [2.28238741, 1.83371413]]
     np.testing.assert_allclose(found, theirs, atol=1e-6)
