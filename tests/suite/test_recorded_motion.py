@@ -150,7 +150,7 @@ def test_a_picture_is_one_moment(recorded):
         np.testing.assert_allclose(qpos, recorded.seen(recorded.frame_at(time)).qpos, atol=1e-12)
 
 
-def test_the_page_is_lit_and_no_camera_ends_it(recorded):
+def test_the_page_is_lit_and_no_message_ends_it(recorded):
     server = open_server(0, "test")
     page = TrialPage(server, recorded, "bend")
     thread = threading.Thread(target=page.run, daemon=True)
@@ -165,6 +165,13 @@ def test_the_page_is_lit_and_no_camera_ends_it(recorded):
             until(lambda frames=frames: browser.frames > frames + 1)
             rude.leave()
         assert page.message == ""
+        labels = [part["label"] for part in browser.parts.values() if part.get("label")]
+        assert {"time [s]", "color", "Save CSV"} <= set(labels)
+        for label in labels:
+            for value in (float("nan"), 1e308, 2**63, "x", None, [], {}, True):
+                browser.set(label, value)
+        browser.set("time [s]", 0.5)
+        until(lambda: not page.playing and abs(page.time - 0.5) < 0.01)
         assert thread.is_alive()
     finally:
         page.stop()
