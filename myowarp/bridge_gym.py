@@ -55,7 +55,7 @@ class MyoWarpVectorEnv(VectorEnv):
     `step` returns observation (num_envs, n) float32, reward (num_envs,) float32, terminated and truncated
     (num_envs,) bool, and an info dictionary of arrays with one entry a world:
 
-    - `success`: more than 5 steps of the episode were solved so far (MyoSuite's metric),
+    - `success`: more than 5 steps of the episode were solved so far (MyoSuite's rule), and it has not failed,
     - `solved`: the task is solved in this state,
     - `terms/<name>`: reward terms before weighting,
     - what conditions show of their state, such as `fatigue` (num_envs, num_muscles),
