@@ -6,6 +6,7 @@ ONNX is written node by node from the arrays, which needs the package onnx alone
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -110,7 +111,8 @@ def write_torchscript(checkpoint: Checkpoint, path: Path) -> None:
             x = x[:, : policy.num_actions]
             return x.tanh() if policy.squashed else x.clamp(-1.0, 1.0)
 
-    with torch.no_grad():
+    with torch.no_grad(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "`torch.jit")  # is deprecated, and torch.export needs Python to run
         script = torch.jit.trace(Module(), torch.zeros(2, policy.obs_size))
-    contract = json.dumps(checkpoint.manifest["contract"])
-    torch.jit.save(script, str(path), _extra_files={"contract": contract})
+        contract = json.dumps(checkpoint.manifest["contract"])
+        torch.jit.save(script, str(path), _extra_files={"contract": contract})
