@@ -27,6 +27,8 @@ from myowarp.apps.train.settings import SUCCESSES, success_text
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 from myowarp.disk import in_place
+from myowarp.kernels.episode import MYOSUITE
+from myowarp.sim.economy import as_text
 
 DOCS = Path(__file__).parents[1] / "docs"
 PUBLISHED = Path(__file__).with_name("published_success.json")
@@ -36,7 +38,11 @@ MOST_BYTES = 800_000  # of a policy; legs, 403 observations and 80 muscles, take
 CURVE_ROWS = 150
 CURVE_COLUMNS = ("samples", "return", *SUCCESSES)
 MODES = ("deterministic", "sampled")
-SAME_EPISODES = 1e-3  # spread of their returns: below it, all were the same
+RULES = {MYOSUITE: "more than 5 solved steps"} | {
+    rule: text for rule, text in SUCCESSES.items() if rule != "success"
+}
+"""Success as MyoSuite and the paper count it, and two more rules; all that evaluations of before have."""
+WALK = "myoLegWalk-v0"
 LEFT_OUT = ("checkpoint",)  # of an evaluation: a path of the machine
 
 
@@ -114,6 +120,8 @@ def page() -> str:
     return PAGE.read_text().format(
         summary=_summary_table(found, published),
         success=_success_table(found),
+        failed=_failed_table(found),
+        **{f"walk_{mode}": _walk(found, mode) for mode in MODES},
         faults=faults,
         reachable=_reachable(found),
         met=met,
@@ -130,7 +138,7 @@ def _faults(run: dict[str, Any]) -> int:
     return sum(evaluation[mode]["faults"] for evaluation in evaluations for mode in MODES)
 
 
-def _over_seeds(baseline: Baseline, mode: str, rule: str = "success") -> str:
+def _over_seeds(baseline: Baseline, mode: str, rule: str = MYOSUITE) -> str:
     """Return mean, and the worst where there are several seeds [%]."""
     shares = [100.0 * run["evaluation"][mode][rule] for run in baseline.runs]
     worst = f" ({min(shares):.1f})" if len(shares) > 1 else ""
@@ -157,13 +165,6 @@ def _summary_table(found: list[Baseline], published: dict[str, Any]) -> str:
     )
 
 
-def _share(figures: dict[str, Any], rule: str) -> str:
-    """Return a share with its interval; without one where all episodes were the same."""
-    if figures["return_std"] < SAME_EPISODES:
-        return f"{100.0 * figures[rule]:.0f} % (one episode)"
-    return success_text(figures, rule)
-
-
 def _success_table(found: list[Baseline]) -> str:
     """Return success by three rules, deterministic over sampled."""
     rows = []
@@ -171,10 +172,30 @@ def _success_table(found: list[Baseline]) -> str:
         for run in baseline.runs:
             for evaluation in (run["evaluation"], run.get("corrected")):
                 for mode in MODES if evaluation else ():
-                    shares = (_share(evaluation[mode], rule) for rule in SUCCESSES)
+                    shares = (success_text(evaluation[mode], rule) for rule in RULES)
                     task = evaluation["task"].removeprefix("MyoWarp/")
                     rows.append([f"`{task}`", str(run["training"]["seed"]), mode, *shares])
-    return markdown(["task", "seed", "actions", *SUCCESSES.values()], rows) + "\n"
+    return markdown(["task", "seed", "actions", *RULES.values()], rows) + "\n"
+
+
+def _failed_table(found: list[Baseline]) -> str:
+    """Return what is left of success where episodes failed, of the policies that come with the package."""
+    rows = []
+    for baseline in found:
+        run = baseline.runs[0]
+        for evaluation in (run["evaluation"], run.get("corrected")):
+            for mode in MODES if evaluation else ():
+                figures = evaluation[mode]
+                if figures.get("failed"):
+                    shares = (success_text(figures, rule) for rule in (MYOSUITE, "success"))
+                    task = evaluation["task"].removeprefix("MyoWarp/")
+                    rows.append([f"`{task}`", mode, *shares, f"{figures['failed']} of {figures['episodes']}"])
+    return markdown(["task", "actions", RULES[MYOSUITE], SUCCESSES["success"], "failed"], rows) + "\n"
+
+
+def _walk(found: list[Baseline], mode: str) -> str:
+    """Return speed, metabolic rate and cost of transport of the legs that walk."""
+    return as_text(next(b for b in found if b.task == WALK).runs[0]["evaluation"][mode])
 
 
 def _reachable(found: list[Baseline]) -> str:
@@ -256,7 +277,7 @@ def draw(path: Path) -> None:
     for panel, task in zip(panels, tasks, strict=False):
         with (baselines.FOLDER / task / CURVE).open(newline="") as file:
             points = [(float(row["samples"]) / 1e6, row) for row in csv.DictReader(file)]
-        for rule, text in SUCCESSES.items():
+        for rule, text in zip(SUCCESSES, RULES.values(), strict=True):
             panel.plot([x for x, _ in points], [100 * float(row[rule]) for _, row in points], label=text)
         panel.set_title(task, fontsize="small")
         panel.set(ylim=(-2, 102), xlim=(0, None))

@@ -26,6 +26,7 @@ from myowarp.definitions.registry import check_choice, check_flag
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS, TaskSpec
 from myowarp.kernels.episode import EpisodeState, Transition
+from myowarp.sim.build import checked_horizon, checked_num_worlds
 from myowarp.sim.interop import ActionInput, Output
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import State, Worlds, get_state, place, rows_of, set_state, start_arrays
@@ -55,7 +56,7 @@ class MyoWarpVectorEnv(VectorEnv):
     `step` returns observation (num_envs, n) float32, reward (num_envs,) float32, terminated and truncated
     (num_envs,) bool, and an info dictionary of arrays with one entry a world:
 
-    - `success`: more than 5 steps of the episode were solved so far (MyoSuite's metric),
+    - `success`: more than 5 steps of the episode were solved so far (MyoSuite's rule), and it has not failed,
     - `solved`: the task is solved in this state,
     - `terms/<name>`: reward terms before weighting,
     - what conditions show of their state, such as `fatigue` (num_envs, num_muscles),
@@ -136,6 +137,9 @@ class MyoWarpVectorEnv(VectorEnv):
         """
         self._made_with = {name: value for name, value in locals().items() if name != "self"}  # for pickle
         check_render_mode(render_mode)
+        checked_num_worlds(num_envs, "num_envs")
+        if max_episode_steps is not None:
+            checked_horizon(max_episode_steps, "max_episode_steps")
         flags = {"deterministic": deterministic, "progress": progress, "render_text": render_text}
         for name, flag in (flags if copy is None else flags | {"copy": copy}).items():
             check_flag(name, flag)
@@ -504,7 +508,8 @@ class MyoWarpEnv(gym.Env):
         shape = self.action_space.shape
         if np.shape(action) != shape:
             raise ValueError(f"action must be floating point of shape {shape}, got shape {np.shape(action)}")
-        obs, reward, terminated, truncated, info = self._vector.step(np.asarray(action)[None])
+        one = action.detach() if hasattr(action, "detach") else np.asarray(action)
+        obs, reward, terminated, truncated, info = self._vector.step(one[None])
         info = {k: v[0].item() if v.ndim == 1 else v[0] for k, v in info.items() if not k.startswith("_")}
         return obs[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
 

@@ -26,6 +26,7 @@ have no gradient; torch does not record what happens here.
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -66,6 +67,7 @@ DIRECT = (
     *("activation_time_constant", "deactivation_time_constant"),
 )
 OWN = {"pennation_angle_at_optimal": 0.0, "max_contraction_velocity": 10.0}
+SHARES, ROUNDING = ("activation", "excitation"), 1e-6
 TIMES = {THELEN: (0.015, 0.05), MILLARD: (0.01, 0.04), DEGROOTE: (0.015, 0.06)}  # s, rise and fall
 
 
@@ -141,8 +143,9 @@ class Muscles:
         for name, value in {**own, **parameters}.items():
             check_choice(f"parameter of muscle model {model!r}", name, kind.PARAMETERS)
             low, high = kind.PARAMETERS[name]
-            values[name] = np.atleast_1d(np.asarray(value, dtype=float))
-            wrong = values[name][~((values[name] >= low) & (values[name] <= high))]
+            values[name] = np.atleast_1d(_numbers(name, value))
+            inside = (values[name] >= low) & (values[name] <= high) & np.isfinite(values[name])
+            wrong = values[name][~inside]
             if wrong.size or values[name].ndim > 1:
                 got = f"{wrong.flat[0]:g}" if wrong.size else f"shape {values[name].shape}"
                 raise ValueError(f"{name} must be numbers, one a muscle, from {low:g} to {high:g}, got {got}")
@@ -302,12 +305,13 @@ class Muscles:
         """Return results of a computation on flat arrays, as arrays of the kind and shape of what was given.
 
         Raises:
-            ValueError: Shapes do not fit each other or the muscles, or Warp arrays are not float64.
+            ValueError: Something is no number, activation or excitation is beyond 0 to 1, shapes do not fit
+                each other or the muscles, or Warp arrays are not float64.
         """
         if any(isinstance(value, wp.array) for value in given.values()):
             return self._apply_warp(compute, given)
         torch = next((type(v) for v in given.values() if type(v).__module__.startswith("torch")), None)
-        arrays = {name: np.asarray(_host(value), dtype=float) for name, value in given.items()}
+        arrays = {name: _numbers(name, value) for name, value in given.items()}
         try:
             shape = np.broadcast_shapes((self.num_muscles,), *(array.shape for array in arrays.values()))
         except ValueError:
@@ -335,12 +339,14 @@ class Muscles:
         number, flat = int(np.prod(shape)), []
         for name, value in given.items():
             if not isinstance(value, wp.array):
-                value = wp.array(np.broadcast_to(value, shape), dtype=wp.float64, device=self.device)
+                numbers = np.broadcast_to(_numbers(name, value), shape)
+                value = wp.array(numbers, dtype=wp.float64, device=self.device)
             if value.dtype is not wp.float64 or value.shape != shape or shape[-1] != self.num_muscles:
                 raise ValueError(
                     f"{name} must be a float64 Warp array (..., {self.num_muscles}), shaped like the others, "
                     f"got {value.dtype.__name__} of shape {value.shape}"
                 )
+            _check_share(name, value.numpy())
             flat.append(value.reshape((number,)))
         found = compute(
             *flat, lambda: wp.zeros(number, dtype=wp.float64, device=self.device, requires_grad=True)
@@ -348,6 +354,25 @@ class Muscles:
         return tuple(array.reshape(shape) for array in found)
 
 
-def _host(value: Any) -> Any:
-    """Return a torch tensor as NumPy sees it; anything else as it is."""
-    return value.detach().cpu().numpy() if type(value).__module__.startswith("torch") else value
+def _numbers(name: str, value: Any) -> np.ndarray:
+    """Return numbers as a float64 array.
+
+    Raises:
+        ValueError: It has something else, or activation or excitation is beyond 0 to 1.
+    """
+    try:
+        array = np.asarray(value.detach().cpu() if type(value).__module__.startswith("torch") else value)
+    except (TypeError, ValueError, RuntimeError):  # a ragged list; a tensor without values
+        array = np.array(None)
+    if array.dtype.kind not in "biuf":
+        got = "an integer beyond float64" if isinstance(value, int) else reprlib.repr(value)
+        raise ValueError(f"{name} must be numbers, got {got}")
+    array = array.astype(float)
+    _check_share(name, array)
+    return array
+
+
+def _check_share(name: str, array: np.ndarray) -> None:
+    """Raise ValueError where activation or excitation is beyond 0 to 1; NaN goes through."""
+    if name in SHARES and (wrong := array[(array < -ROUNDING) | (array > 1.0 + ROUNDING)]).size:
+        raise ValueError(f"{name} must be from 0 to 1, got {wrong.flat[0]:g}")

@@ -16,18 +16,29 @@ CAMERA = {
     "up_direction": [0.0, 0.0, 1.0],
 }
 
+MISSTATED = (
+    *({"image_height": 0}, {"image_width": 0}, {"image_height": 0, "image_width": 0}, {"image_height": -1}),
+    *({"image_height": "x"}, {"image_height": None}, {"image_height": 2**40, "image_width": 0}),
+    *({"position": [float("nan")] * 3}, {"position": "x"}, {"look_at": [1.0, 0.0, 0.0]}, {"fov": "x"}),
+    *({"position": [1e308] * 3}, {"look_at": []}, {"up_direction": [0.0] * 3}, {"wxyz": None}),
+)
+"""What a client may say of its camera, in place of what `CAMERA` has."""
+LIGHTS = {"AmbientLightMessage": 1, "DirectionalLightMessage": 2}
+"""How many messages of each type light a page."""
+
 
 class Client:
     """A browser without a screen: counts bytes, messages by type, and pictures of the body's muscles."""
 
-    def __init__(self, address):
+    def __init__(self, address, **camera):
+        """Open a page; what is given is said of its camera in place of what `CAMERA` has."""
         # A browser acknowledges pings, and reads on while nobody looks.
         self._socket = connect(
             address, subprotocols=[f"viser-v{viser.__version__}"], max_size=None, compression=None
         )
         self.parts, self.bytes, self.types, self.done = {}, 0, Counter(), False
         self.frames = 0
-        self.send(CAMERA)
+        self.send(CAMERA | camera)
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         # Until then controls have the values that they were made with, not those that they have now.
@@ -77,6 +88,12 @@ class Client:
         return next(
             (p["content"] for p in list(self.parts.values()) if "real time" in p.get("content", "")), ""
         )
+
+    def lights(self):
+        """How many lights of each kind there are."""
+        return {
+            kind: self.types[kind] for kind in self.types if "Light" in kind and kind != "EnableLightsMessage"
+        }
 
     def leave(self):
         self._socket.close()

@@ -316,6 +316,38 @@ def test_imports_go_down_inside_of_rooms(name):
             assert order.index(there[1]) >= order.index(folder), f"{name}:{line} imports {module}"
 
 
+BUILDS = {
+    "engine/graph.py: Graph.__init__",
+    "engine/graph.py: Replay.__init__",
+    "engine/kernel_cache.py: start_warp",
+    "sim/build.py: _cached_model",
+    "sim/build.py: resolve_device",
+    "sim/interop.py: _cloned",
+    "sim/shard.py: Shard.__init__",
+    "sim/shard.py: Shard.attach",
+    "sim/signals.py: Signals.__init__",
+    "sim/simulation.py: Simulation.__init__",
+    "sim/starts.py: find_starts",
+}
+"""What changes the whole process and so waits for its turn; a decorator that slides off is missed here."""
+
+
+def decorated(node, decorator, above=""):
+    """Yield the names of the functions in a tree that have a decorator."""
+    for part in ast.iter_child_nodes(node):
+        named = isinstance(part, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+        name = f"{above}.{part.name}".lstrip(".") if named else above
+        if named and decorator in map(ast.unparse, part.decorator_list):
+            yield name
+        yield from decorated(part, decorator, name)
+
+
+def test_constructions_take_turns():
+    files = [file for file, path in FILES.items() if "@with_build_lock" in path.read_text()]
+    found = {f"{file}: {name}" for file in files for name in decorated(tree(file), "with_build_lock")}
+    assert found == BUILDS
+
+
 def modules_of(name):
     """Return the files of ours that a file imports."""
     for _, module in imports(name):

@@ -119,14 +119,14 @@ class Body:
     tips: tuple[str, ...]
     palm: str | None = None
     coarse_step: CoarseStep = CAUTIOUS_STEP
-    groups: Mapping[str, str] = field(default_factory=dict)
-    fatigue_rates: Mapping[str, FatigueRates] = field(default_factory=dict)
+    groups: Mapping[str, str] = field(default_factory=dict, repr=False)
+    fatigue_rates: Mapping[str, FatigueRates] = field(default_factory=dict, repr=False)
     load: Place | None = None
     exoskeleton: Brace | None = None
     transfer: Transfer | None = None
     torn: tuple[str, ...] = ()
     approach: tuple[str, ...] = ()
-    muscles: MuscleTable | None = None
+    muscles: MuscleTable | None = field(default=None, repr=False)
     muscle: str = "mujoco"
 
     @property

@@ -189,6 +189,8 @@ def condition_from(text: str) -> Condition:
         call = ast.parse(text.strip(), mode="eval").body
         if not isinstance(call, ast.Call) or call.args:
             raise ValueError("it has values without names")
+        if not isinstance(call.func, ast.Name):
+            raise ValueError("more than one pair of brackets")
         values = {str(keyword.arg): _value(keyword.value) for keyword in call.keywords}
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise ValueError(
@@ -213,7 +215,14 @@ def _value(node: ast.expr) -> Any:
             return VALUES[node.func.id](*map(_value, node.args), **named)
         except TypeError as error:
             raise ValueError(str(error)) from error
-    return ast.literal_eval(node)
+    try:
+        return ast.literal_eval(node)
+    except ValueError:
+        parts = list(ast.walk(node))
+        bare = [part.id for part in parts if isinstance(part, ast.Name)]
+        if bare and not any(isinstance(part, ast.Call) for part in parts):
+            raise ValueError(f'{bare[0]}, which is no number; a text has quotes: "{bare[0]}"') from None
+        raise ValueError(f"{ast.unparse(node)}, which is code") from None
 
 
 def resolve(conditions: str | Condition | Iterable[str | Condition], spec: TaskSpec) -> tuple[Condition, ...]:

@@ -117,7 +117,7 @@ class Registry(Generic[T]):
         Raises:
             ValueError: No such entry; the message lists the close names, or all, or says where they are.
         """
-        if name in self._entries:
+        if name in self:
             return self._entries[name]
         close = difflib.get_close_matches(str(name), self._entries, n=3)
         hint = f"did you mean {', '.join(close)}?" if close else self._available()
@@ -131,7 +131,7 @@ class Registry(Generic[T]):
         return f"there are {len(self)}, such as {some}" + (f"; {self.listed_by}" if self.listed_by else "")
 
     def __contains__(self, name: object) -> bool:
-        return name in self._entries
+        return isinstance(name, str) and name in self._entries  # others may have no hash
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._entries)

@@ -19,6 +19,7 @@ from pathlib import Path
 import warp as wp
 
 from myowarp.disk import in_place, writable_folder
+from myowarp.engine.build_lock import with_build_lock
 from myowarp.engine.warn_once import warn_once
 
 SUMS = "myowarp.json"
@@ -30,6 +31,7 @@ _sound: set[tuple[Path, str]] = set()
 """Folder and device of what this process has compared."""
 
 
+@with_build_lock
 @cache
 def start_warp() -> str:
     """Start Warp, with a folder for its machine code that can be written.

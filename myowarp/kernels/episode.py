@@ -31,13 +31,18 @@ def describe_fault(bits: int) -> str:
 
 STATE_LIMIT = wp.constant(1.0e10)  # largest state entry that MuJoCo accepts, mjMAXVAL
 LARGEST = wp.constant(3.4028234663852886e38)  # finite float32
-SUCCESS_STEPS = wp.constant(5)  # an episode succeeds with more solved steps than this; MyoSuite
+SUCCESS_STEPS = wp.constant(5)  # an episode that succeeds has more solved steps than this; MyoSuite
 
 ROW_BITS = wp.constant(int(OverflowType.NEFC | OverflowType.NJMAX_NNZ))
 CONTACT_BITS = wp.constant(int(OverflowType.BROADPHASE | OverflowType.NARROWPHASE | OverflowType.CCD))
 
-SUCCESS_RULE = f"more than {int(SUCCESS_STEPS)} steps of the episode are solved, in a row or not"
+SUCCESS_RULE = (
+    f"more than {int(SUCCESS_STEPS)} steps of the episode are solved, in a row or not (MyoSuite's rule), and "
+    "neither failure nor fault ends it"
+)
 """When an episode counts as a success, for people."""
+MYOSUITE = "success_myosuite"
+"""Name of the figure by MyoSuite's rule alone, the paper's: more than 5 solved steps, failed or not."""
 
 RESET_DISABLED = wp.constant(0)  # Gymnasium's autoreset modes
 RESET_NEXT_STEP = wp.constant(1)
@@ -76,7 +81,7 @@ class Transition:
         reward: Weighted sum of the terms.
         solved: The task is solved in this state.
         failed: The task has failed in this state.
-        success: The episode counts as a success so far.
+        success: The episode counts as a success so far: `SUCCESS_RULE`.
         terminated: The episode ended by failure or fault.
         truncated: The episode ended by its horizon.
         fault: Bits of `FAULTS`.
@@ -288,7 +293,8 @@ def advance_episode(
 
     transition.reward[worldid] = reward
     transition.solved[worldid] = solved
-    transition.success[worldid] = not had_ended and episode.solved_count[worldid] > SUCCESS_STEPS
+    enough = not had_ended and episode.solved_count[worldid] > SUCCESS_STEPS
+    transition.success[worldid] = enough and not terminated
     transition.terminated[worldid] = terminated
     transition.truncated[worldid] = truncated
     episode.ended[worldid] = ended and not reset_now

@@ -25,6 +25,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.coordinates.couplings import Pieces
+from myowarp.engine.kernel_cache import start_warp
 from myowarp.motion.scale_document import Document, set_markers
 from myowarp.opensim.model.functions import Function, curves
 from myowarp.opensim.model.kinematics import independent
@@ -235,6 +236,7 @@ class Bones:
         backs = [joint.child_frame.inverse() for joint in joints]
         tensor = [body.inertia[[0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(3, 3) for body in bodies]
 
+        start_warp()
         with wp.ScopedDevice(device):
             self.device = wp.get_device()
             s = self.skeleton = self.values_of([(move.function, move.coordinate) for move in moves])

@@ -206,27 +206,27 @@ def new_muscles(
     return muscles
 
 
-def checked_num_worlds(num_worlds: int) -> int:
-    """Return the number of worlds as a plain integer.
+def checked_num_worlds(num_worlds: int, name: str = "num_worlds") -> int:
+    """Return the number of worlds, which its caller calls by some name, as a plain integer.
 
     Raises:
         ValueError: It is no positive integer.
     """
     if isinstance(num_worlds, bool) or not isinstance(num_worlds, (int, np.integer)) or num_worlds < 1:
-        raise ValueError(f"num_envs must be a positive integer, got {num_worlds!r}")
+        raise ValueError(f"{name} must be a positive integer, got {num_worlds!r}")
     return int(num_worlds)
 
 
-def checked_horizon(horizon: int) -> int:
-    """Return the number of control steps in an episode as it was given.
+def checked_horizon(horizon: int, name: str = "horizon") -> int:
+    """Return the number of control steps in an episode, which its caller calls by some name.
 
     Raises:
         ValueError: It is no positive integer, or more than the device counts.
     """
     if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 1:
-        raise ValueError(f"max_episode_steps must be a positive integer, got {horizon!r}")
+        raise ValueError(f"{name} must be a positive integer, got {horizon!r}")
     if horizon > MOST_STEPS:
-        raise ValueError(f"max_episode_steps must be at most {MOST_STEPS}, got {horizon}")
+        raise ValueError(f"{name} must be at most {MOST_STEPS}, got {horizon}")
     return int(horizon)
 
 
@@ -356,13 +356,13 @@ def _adopt_arrays(scene: Scene, batched: set[str], individual: bool) -> None:
         scene.adopt("condition.anatomy", muscles.anatomy)
 
 
-@with_build_lock
 def check_device_name(device: object) -> None:
-    """Raise ValueError if no machine has a Warp device called `device`; None and "" are the preferred one."""
+    """Raise ValueError for what is a Warp device's name on no machine; None and "" leave the device open."""
     if device not in (None, "") and not DEVICE.fullmatch(str(device)):
         raise ValueError(f"device must be cpu, cuda or cuda:N, got {device!r}")
 
 
+@with_build_lock
 def resolve_device(device: str | None) -> wp.Device:
     """Return the Warp device called `device`, the preferred one for None.
 

@@ -77,8 +77,9 @@ class ActionInput:
             actions: NumPy array, torch tensor or Warp array of floating point numbers.
 
         Raises:
-            ValueError: Wrong shape or dtype; or on the host an entry that is not finite. Entries on another
-                device are not looked at, which would wait for it. Nothing is written.
+            ValueError: Wrong shape or dtype, or a tensor without values; or on the host an entry that is not
+                finite. Entries on another device are not looked at, which would wait for it. Nothing is
+                written.
         """
         if isinstance(actions, wp.array):
             if actions.shape != self._action.shape or actions.dtype != wp.float32:
@@ -90,6 +91,10 @@ class ActionInput:
             return
         if hasattr(actions, "detach"):
             tensor = actions.detach()
+            if tensor.is_meta or str(tensor.layout) != "torch.strided":
+                raise ValueError(
+                    f"actions must be a dense tensor with values, got {tensor.layout} on {tensor.device}"
+                )
             self._check(tensor.dtype, tensor.is_floating_point(), tuple(tensor.shape))
             if tensor.device.type != "cpu":
                 self._action.assign(wp.from_torch(tensor.float().contiguous()))

@@ -27,7 +27,7 @@ from myowarp.definitions.registry import check_choice
 from myowarp.definitions.task import MOST_SUBSTEPS, TaskSpec, register, split_key
 from myowarp.disk import model_digest
 from myowarp.engine.warn_once import warn_once
-from myowarp.models.bodies.arm_muscles import FATIGUE_RATES, GROUPS
+from myowarp.models.bodies import arm_muscles, leg_muscles
 from myowarp.models.reachability import tip_positions
 from myowarp.sim.build import checked_horizon, full_model
 from myowarp.tasks.extend import Reward, extend
@@ -118,8 +118,9 @@ def read_body(path: Path, tips: tuple[str, ...] = (), stops: bool = True) -> str
             warn_once(f"{source.name}: {change}")
     known = BODIES[name].muscles if name in BODIES else None
     if name not in BODIES or _of(known) != _of(muscles):
-        own = own_model(muscles, [model.actuator(i).name for i in np.flatnonzero(_is_muscle(model))])
-        body = Body(spec.copy, tips, groups=GROUPS, fatigue_rates=FATIGUE_RATES, muscles=muscles, muscle=own)
+        names = [model.actuator(i).name for i in np.flatnonzero(_is_muscle(model))]
+        own = own_model(muscles, names)
+        body = Body(spec.copy, tips, muscles=muscles, muscle=own, **_facts(names))
         BODIES.add(name, body, replace=True)
     return name
 
@@ -133,6 +134,14 @@ def _say_stops(model: mujoco.MjModel, source: Path, stops: bool) -> None:
             f"{source.name}: ranges stop {count} clamped joints, which they do not in OpenSim's simulations; "
             "--no-stops, or stops=False, lets them go on"
         )
+
+
+def _facts(names: list[str]) -> dict[str, Any]:
+    """Return groups and fatigue rates of muscles: an arm's, a leg's, or none where most are neither."""
+    for known in (arm_muscles, leg_muscles):
+        if 2 * sum(name.removesuffix("_r") in known.GROUPS for name in names) > len(names):
+            return {"groups": known.GROUPS, "fatigue_rates": known.FATIGUE_RATES}
+    return {}
 
 
 def _of(table: MuscleTable | None) -> Any:

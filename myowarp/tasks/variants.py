@@ -61,6 +61,8 @@ def find_variant(name: str) -> Variant:
     Raises:
         ValueError: No such id; the message lists the close ones.
     """
+    if not isinstance(name, str):
+        raise ValueError(f"task must be an id, got {name!r}; {LISTED_BY}")
     name, found = name.removeprefix("MyoWarp/"), variants()
     if (variant := found.get(f"MyoWarp/{name}")) is not None:
         return variant

@@ -126,7 +126,7 @@ def test_bad_input_is_refused_before_anything_runs(run, monkeypatch, tmp_path, a
     [
         ({"steps": 0}, "--steps must be at least 1, got 0"),
         ({"seed": -1}, "--seed must be at least 0, got -1"),
-        ({"num_worlds": 0}, "num_envs must be a positive integer, got 0"),
+        ({"num_worlds": 0}, "num_worlds must be a positive integer, got 0"),
         ({"reset": "maybe"}, "reset 'maybe' unknown; available: task, fixed, random, none"),
     ],
 )

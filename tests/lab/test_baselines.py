@@ -117,9 +117,9 @@ def test_a_policy_that_forgot_does_not_reach_it(copies):
 
 
 def test_shortfall_looks_at_the_lower_end_of_the_interval():
-    table = {"sampled": {"intervals": {"success": (0.9, 0.97)}}}
-    assert baselines.shortfall({"sampled": {"success": 0.9}}, table) == ""
-    assert baselines.shortfall({"sampled": {"success": 0.896}}, table) == (
+    table = {"sampled": {"intervals": {"success_myosuite": (0.9, 0.97)}}}
+    assert baselines.shortfall({"sampled": {"success_myosuite": 0.9}}, table) == ""
+    assert baselines.shortfall({"sampled": {"success_myosuite": 0.896}}, table) == (
         "89.6 % sampled, at least 90.0 % are needed"
     )
 
@@ -238,7 +238,7 @@ def test_run_remakes_a_baseline_and_compares(run, tmp_path):
 def test_run_says_when_a_baseline_is_not_reached(run, tmp_path, copies):
     result = json.loads((copies / "result.json").read_text())
     for mode in ("deterministic", "sampled"):
-        result["runs"][0]["evaluation"][mode]["intervals"]["success"][0] = 1.001
+        result["runs"][0]["evaluation"][mode]["intervals"]["success_myosuite"][0] = 1.001
     (copies / "result.json").write_text(json.dumps(result))
     words = said(run("baselines", "run", copies.name, "--output", tmp_path / "run", "--device", "cpu"))
     assert words.startswith(f"baseline {copies.name!r} was not reached: ")

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 
 import gymnasium as gym
 import mujoco
@@ -16,8 +17,11 @@ import pytest
 from myowarp.apps.cli.main import COMMANDS, command
 from myowarp.apps.cli.motion import Motion
 from myowarp.definitions.task import TASKS
+from myowarp.kernels.episode import SUCCESS_RULE
 from myowarp.tasks.paper import grid
 from myowarp.view.drawing.render import NoGraphicsError, WorldRenderer
+
+ROOT = Path(__file__).parents[2]
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 SCENES = sorted({TASKS[key].scene_key: key for key in TASKS}.values())
@@ -93,6 +97,29 @@ def assert_recorded(path, expected):
 def ids_in(out):
     """Return the first words of the lines of a list."""
     return [line.split()[0] for line in out.splitlines() if line.strip()]
+
+
+def test_an_error_in_line_100_has_no_picture(run):
+    """Rich makes pictures of words between colons."""
+    _, _, err = run("rollout", ELBOW, "--policy", "model.osim:100: no such line.py:act")
+    assert "file 'model.osim:100: no such line.py' does not exist" in err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("describe", ELBOW),
+        ("motion", "dynamics", "examples/arm.osim", "--motion", "examples/arm_bend.mot", "-o", "{out}"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_machine_without_a_gpu_is_told_nothing(words, tmp_path):
+    """Warp's native code says so at the start of a process, past Python's error stream."""
+    words = [word.format(out=tmp_path / "out") for word in words]
+    done = subprocess.run(
+        [sys.executable, "-m", "myowarp", *words], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert "CUDA driver" not in done.stderr
 
 
 def test_tasks_prints_every_id(run):
@@ -247,6 +274,7 @@ def test_rollout_of_one_episode(rollout, tmp_path):
         "num_worlds": 3,
         "steps": 100,
         "episodes": 3,
+        "failed": 0,
         "faults": 0,
     }
 
@@ -308,7 +336,8 @@ def test_success_is_explained(run):
     """Where a rollout says how many episodes succeed, it says what that means here."""
     _, out, _ = run("rollout", ELBOW, "--num-worlds", 2, "--policy", "zero", "--device", "cpu")
     said = " ".join(out.split())
-    assert "Success: more than 5 steps of the episode are solved" in said
+    assert f"Success: {SUCCESS_RULE}." in said
+    assert "solved, in a row or not (MyoSuite's rule), and neither failure nor fault ends it" in SUCCESS_RULE
     assert TASKS[ELBOW].solved_when in said
 
 
@@ -337,7 +366,7 @@ BAD = {
     ),
 }
 BAD_LATER = {
-    "no worlds": (["--num-worlds", "0"], "num_envs must be a positive integer, got 0"),
+    "no worlds": (["--num-worlds", "0"], "num_worlds must be a positive integer, got 0"),
     "no such device": (["--device", "cuda:77"], "device 'cuda:77' is not available; available: "),
     "no such physics": (["--physics", "exact"], "physics 'exact' unknown; available: parity, fast"),
     "negative seed": (["--seed", "-1"], "seed"),

@@ -284,7 +284,7 @@ def test_success_is_that_of_the_evaluations(found):
     for task in baselines.baseline_tasks():
         runs = load_baseline(task).runs
         for mode in ("deterministic", "sampled"):
-            own = np.mean([100.0 * run["evaluation"][mode]["success"] for run in runs])
+            own = np.mean([100.0 * run["evaluation"][mode]["success_myosuite"] for run in runs])
             if task in baselines.TASKS:
                 assert ours(result, f"success, {mode} actions")[task] == pytest.approx(own)
     needed = ours(result, "samples to 90 % in training")

@@ -119,7 +119,7 @@ def test_an_id_brings_its_reset_and_conditions():
         ({"muscle": "steel"}, "muscle model 'steel' unknown; available: mujoco"),
         ({"seed": -1}, "--seed must be at least 0, got -1"),
         ({"shards": 0}, "--shards must be at least 1, got 0"),
-        ({"horizon": 0}, "max_episode_steps must be a positive integer, got 0"),
+        ({"horizon": 0}, "horizon must be a positive integer, got 0"),
         ({"device": "tpu"}, "device must be cpu, cuda or cuda:N, got 'tpu'"),
         ({"conditions": ("sarcopeny",)}, "condition 'sarcopeny' unknown; did you mean sarcopenia?"),
         ({"task": None}, "what to run is a task id or --model with a file, one of them; got neither"),

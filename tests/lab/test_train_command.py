@@ -87,7 +87,7 @@ def said(result):
 
 def test_the_elbow_learns_in_seconds(learned, run):
     report = json.loads((learned / "report.json").read_text())
-    assert report["ended"] == "99.5 % more than 5 solved steps"
+    assert report["ended"] == "99.5 % more than 5 solved steps, no failure"
     assert report["samples"] <= 250_000
     assert 0.0 < report["training_seconds"] < report["seconds"]
     assert 0.0 < report["training_cpu_seconds"] < report["cpu_seconds"] < report["seconds"] * report["cores"]

@@ -212,8 +212,16 @@ def test_a_full_disk_ends_an_export_with_a_sentence(trained, tmp_path, run, name
     ("output", "missing", "sentence"),
     [
         ("policy.h5", None, "must end in .onnx or .pt"),
-        ("policy.onnx", "onnx", ".onnx files need onnx, not installed; run `pip install onnx`"),
-        ("policy.pt", "torch", '.pt files need torch, not installed; run `pip install "myowarp[torch]"`'),
+        (
+            "policy.onnx",
+            "onnx",
+            "need onnx, which is not installed; run `pip install onnx`; a .pt file needs torch alone",
+        ),
+        (
+            "policy.pt",
+            "torch",
+            'need torch, which is not installed; run `pip install "myowarp[torch]"`',
+        ),
         ("nowhere/policy.pt", None, "its folder must exist and be writable"),
         ("there.onnx", None, "exists; choose another name, or replace it with --overwrite"),
         ("new.onnx", None, "holds no checkpoint"),

@@ -9,8 +9,13 @@ import pytest
 import warp as wp
 from gymnasium.error import NameNotFound, ResetNeeded
 
+import myowarp
 from myowarp.bridge_gym import MyoWarpEnv, MyoWarpVectorEnv
+from myowarp.definitions.muscle import MUSCLES
+from myowarp.definitions.setup import Setup
+from myowarp.definitions.task import LISTED_BY
 from myowarp.kernels.episode import FAULTS
+from myowarp.sim.simulation import Simulation
 from myowarp.view.drawing.snapshot import snapshot
 
 TASK = "myoElbowPose1D6MRandom-v0"
@@ -169,6 +174,7 @@ BAD_OPTIONS = {
     "num_envs -1": ({"num_envs": -1}, "num_envs must be a positive integer, got -1"),
     "num_envs 2.5": ({"num_envs": 2.5}, "num_envs must be a positive integer, got 2.5"),
     "num_envs True": ({"num_envs": True}, "num_envs must be a positive integer, got True"),
+    "no muscle model": ({"muscle": []}, f"muscle model [] unknown; available: {', '.join(MUSCLES)}"),
     "num_envs text": ({"num_envs": "3"}, "num_envs must be a positive integer, got '3'"),
     "no such GPU": ({"device": "cuda:77"}, f"device 'cuda:77' is not available; available: {AVAILABLE}"),
     "no such kind": ({"device": "tpu"}, f"device 'tpu' is not available; available: {AVAILABLE}"),
@@ -191,6 +197,42 @@ BAD_OPTIONS = {
         "max_episode_steps must be a positive integer, got 2.5",
     ),
 }
+
+
+@pytest.mark.parametrize("task", [0, None, [], {}, 1.5, b"myoElbowPose1D6MFixed-v0"])
+def test_what_is_no_id_is_no_task(task):
+    with refused(ValueError, f"task must be an id, got {task!r}; {LISTED_BY}"):
+        myowarp.make_vec(task)
+
+
+@pytest.mark.parametrize("given", [{"num_worlds": 0}, {"horizon": 0}])
+def test_a_simulation_speaks_of_its_own_arguments(given):
+    setup = Setup(task="myoElbowPose1D6MFixed-v0", device="cpu", horizon=given.get("horizon"))
+    with refused(ValueError, f"{next(iter(given))} must be a positive integer, got 0"):
+        Simulation(setup, given.get("num_worlds", 1))
+
+
+def test_tensors_without_values_are_refused(unchanged):
+    torch = pytest.importorskip("torch")
+    shape = unchanged.action_space.shape
+    for tensor in (torch.empty(shape, device="meta"), torch.zeros(shape).to_sparse()):
+        said = f"actions must be a dense tensor with values, got {tensor.layout} on {tensor.device}"
+        with refused(ValueError, said):
+            unchanged.step(tensor)
+
+
+def test_a_single_environment_takes_what_many_take():
+    """A tensor whose gradient is wanted, too."""
+    torch = pytest.importorskip("torch")
+    env = myowarp.make("myoElbowPose1D6MFixed-v0", device="cpu")
+    action = np.linspace(-0.5, 0.5, 6, dtype=np.float32)
+    seen = []
+    for given in (action, torch.from_numpy(action), torch.from_numpy(action).requires_grad_()):
+        env.reset(seed=0)
+        seen.append(env.step(given)[0])
+    assert np.ptp(seen, axis=0).max() == 0.0
+    with refused(ValueError, "actions must be a dense tensor with values, got torch.strided on meta"):
+        env.step(torch.empty(6, device="meta"))
 
 
 @pytest.mark.parametrize("case", BAD_OPTIONS)

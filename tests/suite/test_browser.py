@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import viser
-from socket_client import Client, until
+from socket_client import LIGHTS, MISSTATED, Client, until
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -194,6 +194,42 @@ def test_what_is_no_message_changes_nothing(page, client, capfd, caplog):
     for value in (0.75, 1.0):
         client.set("strength", value)
         until(lambda value=value: live._panel.patient._value(knob) == value)
+
+
+@pytest.mark.parametrize("camera", MISSTATED, ids=str)
+def test_a_camera_that_cannot_be_is_dropped(page, client, camera):
+    """And so it is when all pages are aimed anew."""
+    live, address = page
+    rude = Client(address, **camera)  # some of these viser itself drops: it then is no client
+    halted, aimed = steps(live), client.types["SetCameraPositionMessage"]
+    live.ask("test", lambda: live.show_twin(True))
+    live.ask("test again", lambda: live.show_twin(False))
+    until(lambda: client.types["SetCameraPositionMessage"] > aimed and steps(live) > halted + 2)
+    assert live.message == ""
+    rude.leave()
+
+
+def test_whatever_a_wish_raises_the_page_goes_on(page, client):
+    """Also what no list of exceptions has."""
+    live = page[0]
+    for error in (ZeroDivisionError("no such camera"), AssertionError("never"), Exception("unheard of")):
+        live.ask("test", lambda error=error: (_ for _ in ()).throw(error))
+        until(lambda error=error: live.message == str(error))
+        halted = steps(live)
+        until(lambda halted=halted: steps(live) > halted + 2)
+    live.ask("test", lambda: setattr(live, "message", ""))
+    until(lambda: not live.message)
+
+
+def test_a_page_is_lit_after_another_task_is_shown_too(page, client):
+    live, address = page
+    assert client.lights() == LIGHTS
+    live.ask("test", lambda: live.open(KEY, "random"))
+    drawn = client.frames
+    until(lambda: client.frames > drawn + 3)
+    later = Client(address)
+    assert later.lights() == LIGHTS
+    later.leave()
 
 
 def test_reset_recovers_whatever_happened(page, client):
@@ -462,6 +498,7 @@ def test_human_mode_without_a_display_is_a_page(monkeypatch, display, caplog):
     page = Client(f"ws://127.0.0.1:{env.unwrapped._pictures._viewer.server.get_port()}")
     env.step(env.action_space.sample())
     until(lambda: {"MeshMessage", "BatchedMeshesMessage"} <= page.types.keys())
+    assert page.lights() == LIGHTS
     env.close()
     until(lambda: page.done)
     said = [record.message for record in caplog.records if "a page in the browser" in record.message]

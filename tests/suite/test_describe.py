@@ -484,6 +484,16 @@ MODEL = """<mujoco model="mixed"><worldbody><body><joint name="base" type="slide
 </mujoco>"""
 
 
+@pytest.mark.usefixtures("registered")
+def test_a_task_from_a_file_has_its_id(run, tmp_path):
+    """Not the path of the file, by which Gymnasium knows nothing."""
+    lines = ("import myowarp", f'calm = myowarp.extend("{ELBOW}", "myCalm-v0", rewards={{"act_reg": -2.0}})')
+    (tmp_path / "my_tasks.py").write_text("\n".join(lines))
+    status, out, err = run("describe", f"{tmp_path}/my_tasks.py:calm", "--json")
+    assert status == 0, err
+    assert json.loads(out)["id"] == "MyoWarp/myCalm-v0"
+
+
 def test_a_model_from_a_file_has_units_of_its_own(run, tmp_path, monkeypatch):
     """A slide is in metres; a motor's torque follows its gear and the control range that it gets."""
     for registry in (TASKS, BODIES):  # what the file registers goes again

@@ -469,7 +469,7 @@ BAD = {
     "horizon": (
         "mjcf.py:pose",
         ("horizon=20", "horizon=2.5"),
-        "max_episode_steps must be a positive integer",
+        "horizon must be a positive integer",
     ),
     "control step": (
         "mjcf.py:knee",

@@ -193,6 +193,24 @@ def test_camera_finds_bodies_without_geoms():
     assert framing.follows
 
 
+@pytest.mark.parametrize(
+    ("muscle", "group", "tires"),
+    [
+        ("BIClong", "elbow flexors", True),
+        ("recfem_r", "right knee extensors", True),
+        ("soleus_l", "left ankle plantarflexors", True),
+        ("sternocleidomastoid", "", False),
+    ],
+)
+def test_muscles_have_the_facts_of_their_limb(plain, muscle, group, tires):
+    """Those of an arm by their names, those of a leg likewise; of others nothing is known."""
+    plain.write_text(plain.read_text().replace('<muscle name="muscle"', f'<muscle name="{muscle}"'))
+    body = BODIES[from_mjcf(plain).body]
+    assert body.group_of(muscle) == group
+    assert (muscle.removesuffix("_r") in body.fatigue_rates) == tires
+    assert body.group_of("OP") == ("thumb opposers" if muscle == "BIClong" else "")
+
+
 def test_another_content_is_another_body(plain, tmp_path):
     first = pose_task(plain)
     plain.write_text(plain.read_text().replace('force="50"', 'force="51"'))

@@ -143,6 +143,7 @@ def test_arrays_come_back_as_they_are():
         ({"max_isometric_force": [624.0, -1.0]}, "max_isometric_force must be numbers, .*, got -1"),
         ({"pennation_angle_at_optimal": np.pi / 2}, "pennation_angle_at_optimal must be .*, got 1.5708"),
         ({"optimal_fiber_length": np.nan}, "optimal_fiber_length must be .*, got nan"),
+        ({"optimal_fiber_length": np.inf}, "optimal_fiber_length must be .*, got inf"),
         ({"max_contraction_velocity": [1.0, 2.0, 3.0]}, "must be one number or 3, got 2"),
         ({"mass": 1.0}, "parameter of muscle model 'millard2012' 'mass' unknown"),
     ],
@@ -161,6 +162,100 @@ def test_bad_arrays_are_refused():
         ValueError, match=r"length must be a float64 Warp array \(\.\.\., 2\), .*, got float32"
     ):
         muscles.equilibrium(0.5, wp.array(LENGTH, dtype=wp.float32, device="cpu"))
+
+
+CALLS = {
+    "active_force_length": {"norm_length": 0.9},
+    "passive_force": {"norm_length": 1.2},
+    "tendon_force": {"strain": 0.02},
+    "force_velocity": {"norm_velocity": -0.1, "activation": 0.5},
+    "equilibrium": {"activation": 0.5, "length": 0.4, "velocity": 0.1},
+    "contraction": {"activation": 0.5, "length": 0.4, "velocity": 0.1, "fiber_length": 0.11},
+    "activation_rate": {"excitation": 0.4, "activation": 0.5},
+}
+"""Every method, with arguments at which all results are finite."""
+
+
+@pytest.mark.parametrize("model", NAMES)
+@pytest.mark.parametrize("method", CALLS)
+def test_what_is_not_finite_gives_no_number(model, method):
+    """NaN in one muscle of one row makes that muscle's results NaN, and no other's; and so does infinity."""
+    muscles, own = Muscles(model, **FLEXORS), CALLS[method]
+    expected = np.array(
+        getattr(muscles, method)(**{name: np.full((2, 2), value) for name, value in own.items()})
+    )
+    assert np.isfinite(expected).all()
+    for name in own:
+        for lost in (np.nan, np.inf, -np.inf) if name not in ("activation", "excitation") else (np.nan,):
+            given = {other: np.full((2, 2), value) for other, value in own.items()}
+            given[name][1, 0] = lost
+            found = np.array(getattr(muscles, method)(**given))
+            assert np.isnan(found[..., 1, 0]).all(), (name, lost, found[..., 1, 0])
+            found[..., 1, 0] = expected[..., 1, 0]
+            np.testing.assert_array_equal(found, expected)
+            on_device = np.array(
+                [
+                    a.numpy()
+                    for a in _tuple(
+                        getattr(muscles, method)(**{n: device_array(v) for n, v in given.items()})
+                    )
+                ]
+            )
+            assert np.isnan(on_device[..., 1, 0]).all()
+
+
+def _tuple(found):
+    return found if isinstance(found, tuple) else (found,)
+
+
+@pytest.mark.parametrize(
+    ("length", "said"),
+    [
+        (None, "length must be numbers, got None"),
+        ("0.4", "length must be numbers, got '0.4'"),
+        (0.4 + 0j, r"length must be numbers, got \(0.4\+0j\)"),
+        (10**400, "length must be numbers, got an integer beyond float64"),
+        ([0.4, None], r"length must be numbers, got \[0.4, None\]"),
+        ([[0.4], [0.3, 0.3]], r"length must be numbers, got \[\[0.4\], \[0.3, 0.3\]\]"),
+        (
+            np.array([0.4, 0.3], dtype=object),
+            r"length must be numbers, got array\(.*dtype=object\)",
+        ),
+        ({}, r"length must be numbers, got \{\}"),
+    ],
+    ids=str,
+)
+def test_what_is_no_number_is_refused(length, said):
+    muscles = Muscles("millard2012", **FLEXORS)
+    with pytest.raises(ValueError, match=f"^{said}$"):
+        muscles.equilibrium(0.5, length)
+    with pytest.raises(ValueError, match=f"^{said.replace('length', 'tendon_slack_length')}$"):
+        Muscles("millard2012", **(FLEXORS | {"tendon_slack_length": length}))
+
+
+def test_tensors_without_values_are_refused():
+    torch = pytest.importorskip("torch")
+    muscles = Muscles("millard2012", **FLEXORS)
+    for tensor in (
+        torch.empty(2, device="meta"),
+        torch.eye(2).to_sparse(),
+        torch.ones(2, dtype=torch.complex64),
+    ):
+        with pytest.raises(ValueError, match="length must be numbers, got "):
+            muscles.equilibrium(0.5, tensor)
+
+
+@pytest.mark.parametrize("kind", [np.array, device_array])
+def test_activation_beyond_its_range_is_refused(kind):
+    """Below 0 a law would take its least activation, above 1 it would pull with more than it has."""
+    muscles = Muscles("millard2012", **FLEXORS)
+    for wrong in (-1.0, 2.0, np.inf):
+        with pytest.raises(ValueError, match=rf"^activation must be from 0 to 1, got {wrong:g}$"):
+            muscles.equilibrium(kind([0.5, wrong]), kind([0.4, 0.34]))
+        with pytest.raises(ValueError, match=rf"^excitation must be from 0 to 1, got {wrong:g}$"):
+            muscles.activation_rate(kind([wrong, 0.5]), kind([0.5, 0.5]))
+    rounded = muscles.equilibrium(np.array([0.0, 1.0 + 1e-9]), [0.4, 0.34]).tendon_force
+    np.testing.assert_allclose(rounded, muscles.equilibrium([0.0, 1.0], [0.4, 0.34]).tendon_force, rtol=1e-6)
 
 
 def test_the_example_finds_the_flexors():

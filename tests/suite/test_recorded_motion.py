@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from socket_client import Client, until
+from socket_client import LIGHTS, MISSTATED, Client, until
 
 from myowarp.apps.cli.motion.forces import Forces
 from myowarp.apps.cli.options import Said, Trial
@@ -148,6 +148,35 @@ def test_a_picture_is_one_moment(recorded):
         assert traced == slider == time
         assert abs(written - time) < 1e-3
         np.testing.assert_allclose(qpos, recorded.seen(recorded.frame_at(time)).qpos, atol=1e-12)
+
+
+def test_the_page_is_lit_and_no_message_ends_it(recorded):
+    server = open_server(0, "test")
+    page = TrialPage(server, recorded, "bend")
+    thread = threading.Thread(target=page.run, daemon=True)
+    thread.start()
+    address = f"ws://127.0.0.1:{server.get_port()}"
+    try:
+        browser = Client(address)
+        assert browser.lights() == LIGHTS
+        for camera in MISSTATED:
+            rude = Client(address, **camera)
+            frames = browser.frames
+            until(lambda frames=frames: browser.frames > frames + 1)
+            rude.leave()
+        assert page.message == ""
+        labels = [part["label"] for part in browser.parts.values() if part.get("label")]
+        assert {"time [s]", "color", "Save CSV"} <= set(labels)
+        for label in labels:
+            for value in (float("nan"), 1e308, 2**63, "x", None, [], {}, True):
+                browser.set(label, value)
+        browser.set("time [s]", 0.5)
+        until(lambda: not page.playing and abs(page.time - 0.5) < 0.01)
+        assert thread.is_alive()
+    finally:
+        page.stop()
+        thread.join()
+        close_server(server)
 
 
 def test_a_film_of_a_motion_has_traces_below(folder, tmp_path):

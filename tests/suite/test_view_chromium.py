@@ -45,6 +45,7 @@ SHOWN = (
 SIZE = (1000, 700)
 MINUTES = float(os.environ.get("MYOWARP_VIEW_MINUTES", "1"))
 FRAMES, BYTES, GROWTH, CHANGE = 29.5, 2e6, 20.0, 0.1  # 1/s, 1/s, MB, of a signal
+LIT = 90.0  # of 255, the mean colour of a body in the page of a trial: 164, and 9 without lights
 WAITING = 0.1  # of the time
 TYPING = 0.1  # s; viser's page sends what was typed 20 times a second
 PANEL = 350  # px, with a border
@@ -294,6 +295,24 @@ def test_body_and_muscles_are_seen(shown, tmp_path):
         assert (body & ~muscles).sum() > 1000
         if shown.startswith("gait"):
             assert body.sum() > 0.5 * filled(first).sum()
+
+
+def test_a_trial_is_lit():
+    """What is bone and what is muscle has the colours of the legend, not black."""
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    trial = (ROOT / "examples/arm.osim", "--motion", ROOT / "examples/arm_bend.mot")
+    with serving("--model", *trial) as (_, address), Chromium(SIZE) as window:
+        window.open(address)
+        window.wait_for("frame")
+        window.press("Pause")
+        window.wait_for("paused")
+        picture = settled(window, PICTURES / "trial.png")
+    seen = picture[filled(picture)]
+    above = picture[: len(picture) // 4]  # the sky's half, where the arm is and no floor
+    limb = above[filled(above)]
+    assert len(limb) > 1000
+    assert seen.mean() > LIT
+    assert limb.mean() > LIT
 
 
 def test_a_hand_comes_with_30_frames_a_second():

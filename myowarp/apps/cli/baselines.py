@@ -14,6 +14,9 @@ from rich.table import Table
 from myowarp.apps.cli.options import Asked, environment, optional
 from myowarp.apps.train.settings import SUCCESSES, divided, success_text
 from myowarp.definitions.setup import Setup
+from myowarp.kernels.episode import MYOSUITE
+
+RULES = {MYOSUITE: "more than 5 solved steps, failed or not", **SUCCESSES}
 
 if TYPE_CHECKING:
     from myowarp.apps.policies.baselines import Baseline
@@ -73,7 +76,7 @@ class Baselines:
         else:
             console, table = Console(highlight=False), Table("", "baseline", "remade")
             for mode in now:
-                for rule, text in SUCCESSES.items():
+                for rule, text in RULES.items():
                     table.add_row(
                         f"{mode}: {text}", success_text(before[mode], rule), success_text(now[mode], rule)
                     )
@@ -115,11 +118,11 @@ def _list(found: list[Baseline], as_json: bool) -> None:
     table.columns[0].no_wrap = True
     for baseline in found:
         run = baseline.runs[0]
-        shares = (f"{100 * run['evaluation'][mode]['success']:.1f} %" for mode in modes)
+        shares = (f"{100 * run['evaluation'][mode][MYOSUITE]:.1f} %" for mode in modes)
         table.add_row(baseline.task, f"{run['training']['samples'] / 1e6:.2f} M", *shares)
     console = Console(highlight=False, soft_wrap=True)
     console.print(table)
     console.print(
-        f"Episodes with {SUCCESSES['success']}, of 256 with deterministic and 256 with sampled actions under "
+        f"Episodes with {RULES[MYOSUITE]}, of 256 with deterministic and 256 with sampled actions under "
         "parity physics; --json has intervals and two more rules."
     )

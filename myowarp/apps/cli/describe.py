@@ -31,7 +31,9 @@ class Describe:
 
         asked = self.asked.setup
         setup = complete(asked)
-        name = asked.task.removeprefix("MyoWarp/") if isinstance(asked.task, str) else setup.spec.key
+        name, is_text = str(asked.task).removeprefix("MyoWarp/"), isinstance(asked.task, str)
+        if not is_text or ":" in name or name.endswith(".py"):  # others are ids, which say their conditions
+            name = setup.spec.key
         facts = describe(setup, f"MyoWarp/{name}")
         width = min(Console().width, WIDEST) if sys.stdout.isatty() else WIDTH
         print(json.dumps(facts, indent=1) if self.json else as_text(facts, width))

@@ -15,6 +15,9 @@ from rich.table import Table
 from myowarp.apps.cli.options import Asked, environment
 from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
 from myowarp.apps.train.settings import SUCCESSES, success_text
+from myowarp.kernels.episode import MYOSUITE
+from myowarp.sim.economy import UNITS as ECONOMY
+from myowarp.sim.economy import WALKING_UNITS, word
 
 
 @dataclass
@@ -59,22 +62,27 @@ def _print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> No
         f"[bold]{head['task']}[/bold]: {head['physics']} physics{with_conditions}, seed {head['seed']}"
     )
     table = Table("", *results)
-    for name, text in SUCCESSES.items():
+    for name, text in (SUCCESSES | {MYOSUITE: "more than 5 solved steps, failed or not (MyoSuite)"}).items():
         table.add_row(text, *(success_text(figures, name) for figures in results.values()))
     some = next(iter(results.values()))
     if some["reachable"] and some["reachable"] < some["episodes"]:
         text = f"{SUCCESSES['success']}, {some['reachable']} reachable targets"
         table.add_row(text, *(success_text(figures, "success_reachable") for figures in results.values()))
-    table.add_row("return", *(f"{f['return_mean']:.1f} ± {f['return_std']:.1f}" for f in results.values()))
+    table.add_row("return", *(_return_text(figures) for figures in results.values()))
     plain = {
         "length_mean": "length [steps]",
         "mean_activation": "mean activation",
         "activation_rate": "activation rate [1/s]",
-        "bhargava2004": "metabolic rate, Bhargava 2004 [W]",
-        "bhargava2004_per_kg": "metabolic rate, Bhargava 2004 [W/kg]",
-        "umberger2010": "metabolic rate, Umberger 2010 [W]",
-        "umberger2010_per_kg": "metabolic rate, Umberger 2010 [W/kg]",
+        **{name: f"{word(name)} [{unit}]" for name, unit in ECONOMY.items()},
+        **{name: name for name in ("episodes", "failed", "faults")},
     }
-    for name, text in (plain | {"episodes": "episodes", "faults": "faults"}).items():
-        table.add_row(text, *("-" if f[name] is None else f"{f[name]:.4g}" for f in results.values()))
+    for name, text in plain.items():
+        if name not in WALKING_UNITS or any(f[name] is not None for f in results.values()):
+            table.add_row(text, *("-" if f[name] is None else f"{f[name]:.4g}" for f in results.values()))
     console.print(table)
+
+
+def _return_text(figures: dict[str, Any]) -> str:
+    """Return mean and spread of the returns; of one episode there is no spread."""
+    spread = "" if figures["one_episode"] else f" ± {figures['return_std']:.1f}"
+    return f"{figures['return_mean']:.1f}{spread}"

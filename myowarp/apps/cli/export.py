@@ -41,7 +41,10 @@ class Export:
         suffix = self.output.suffix.lower()
         package, source = NEEDS[suffix]
         if importlib.util.find_spec(package) is None:
-            raise ImportError(f"{suffix} files need {package}, not installed; run `pip install {source}`")
+            instead = "; a .pt file needs torch alone" if suffix == ".onnx" else ""
+            raise ImportError(
+                f"{suffix} files need {package}, which is not installed; run `pip install {source}`{instead}"
+            )
         checkpoint = load_checkpoint(policy_folder(str(self.checkpoint), None) or self.checkpoint)
         write = write_onnx if suffix == ".onnx" else write_torchscript
         write(checkpoint, self.output)

@@ -111,9 +111,8 @@ def main() -> None:
     except BrokenPipeError:
         raise
     except (ValueError, OSError, RuntimeError, ImportError, MemoryError) as error:
-        Console(stderr=True, highlight=False, soft_wrap=True).print(
-            f"myowarp: {sentence(error)}", style="red", markup=False
-        )
+        console = Console(stderr=True, highlight=False, soft_wrap=True)
+        console.print(f"myowarp: {sentence(error)}", style="red", markup=False, emoji=False)
         sys.exit(2)
 
 

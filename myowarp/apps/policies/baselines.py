@@ -18,6 +18,7 @@ from typing import Any
 
 from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, load_checkpoint
 from myowarp.engine.warn_once import warn_once
+from myowarp.kernels.episode import MYOSUITE
 
 FOLDER = Path(__file__).parents[2] / "baselines"
 RESULT, CURVE = "result.json", "curve.csv"
@@ -127,7 +128,7 @@ def shortfall(figures: dict[str, dict[str, Any]], table: dict[str, dict[str, Any
     """
     found = []
     for mode, now in figures.items():
-        least = table[mode]["intervals"]["success"][0]
-        if now["success"] < least:
-            found.append(f"{100 * now['success']:.1f} % {mode}, at least {100 * least:.1f} % are needed")
+        least = table[mode]["intervals"][MYOSUITE][0]
+        if now[MYOSUITE] < least:
+            found.append(f"{100 * now[MYOSUITE]:.1f} % {mode}, at least {100 * least:.1f} % are needed")
     return "; ".join(found)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -113,10 +114,11 @@ def write_torchscript(checkpoint: Checkpoint, path: Path) -> None:
             x = x[:, : policy.num_actions]
             return x.tanh() if policy.squashed else x.clamp(-1.0, 1.0)
 
-    with torch.no_grad():
+    with torch.no_grad(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "`torch.jit")  # is deprecated, and torch.export needs Python to run
         script = torch.jit.trace(Module(), torch.zeros(2, policy.obs_size))
-    contract = json.dumps(checkpoint.manifest["contract"])
-    content = io.BytesIO()  # a full disk ends the process where torch writes a file itself
-    torch.jit.save(script, content, _extra_files={"contract": contract})
+        contract = json.dumps(checkpoint.manifest["contract"])
+        content = io.BytesIO()  # a full disk ends the process where torch writes a file itself
+        torch.jit.save(script, content, _extra_files={"contract": contract})
     with in_place(path) as scratch:
         scratch.write_bytes(content.getvalue())

@@ -28,7 +28,7 @@ from myowarp.definitions.task import PHYSICS, RESETS, TASKS, Draw, TaskSpec
 from myowarp.engine.compile import quiet
 from myowarp.kernels.action import EXCITATION, LINEAR_EXCITATION, MUSCLE, excitation
 from myowarp.kernels.episode import FAULTS, SUCCESS_RULE
-from myowarp.sim.build import actuator_kinds, compile_scene, num_substeps_of
+from myowarp.sim.build import actuator_kinds, compile_scene, num_substeps_of, resolve_device
 from myowarp.sim.shard import bind_conditions
 
 LIMITS = "actions are clipped to -1..1"
@@ -61,7 +61,7 @@ def describe(what: Setup | TaskSpec, env_id: str | None = None, **fields: Any) -
     """
     setup = Setup.of(what, **fields)
     spec, found = setup.spec, resolve(setup.conditions or (), setup.spec)
-    with quiet(), wp.ScopedDevice("cpu"):
+    with quiet(), wp.ScopedDevice(resolve_device("cpu")):
         scene = compile_scene(setup, 1, device="cpu", conditions=found)
         spec.program(spec, scene)
         _, effects = bind_conditions(scene, found)

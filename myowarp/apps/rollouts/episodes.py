@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from myowarp.apps.rollouts.run import Step, Watcher
+from myowarp.definitions.setup import Setup
+from myowarp.kernels.episode import MYOSUITE, SUCCESS_STEPS
 
 
 class Episodes(Watcher):
@@ -17,19 +19,19 @@ class Episodes(Watcher):
     def __init__(self, num_worlds: int) -> None:
         self.ended_once = np.zeros(num_worlds, dtype=bool)
         self._begin, self._total = np.zeros(num_worlds, dtype=int), np.zeros(num_worlds)
-        self._solved = np.zeros(num_worlds, dtype=bool)
+        self._solved = np.zeros(num_worlds, dtype=int)
         self._rows: list[dict[str, np.ndarray]] = []
         self._step = 0
 
     def start(self, mask: np.ndarray) -> None:
         """Count anew where an episode starts."""
-        self._begin[mask], self._total[mask], self._solved[mask] = self._step, 0.0, False
+        self._begin[mask], self._total[mask], self._solved[mask] = self._step, 0.0, 0
 
     def see(self, step: Step) -> None:
         """Count a step."""
         self._step = step.number
         self._total += step.reward
-        self._solved |= step.solved
+        self._solved += step.solved
         world = np.flatnonzero(step.ended)
         if not world.size:
             return
@@ -41,7 +43,8 @@ class Episodes(Watcher):
                 "return": self._total[world],
                 "success": step.success[world],
                 "success_last": step.solved[world],
-                "success_any": self._solved[world],
+                "success_any": self._solved[world] > 0,
+                MYOSUITE: self._solved[world] > int(SUCCESS_STEPS),
                 "failed": step.terminated[world] & (step.fault[world] == 0),
                 "fault": step.fault[world],
             }
@@ -53,8 +56,9 @@ class Episodes(Watcher):
 
         Returns:
             `world`; `begin`, steps of the run before its first; `length` [control steps]; `return`;
-            `success` (MyoSuite's: more than 5 steps solved), `success_last` (solved in the last step),
-            `success_any` (in any step); `failed`: whether the task ended it; `fault`: bits, 0 for none.
+            `success` (`SUCCESS_RULE`), `success_last` (solved in the last step), `success_any` (in any
+            step), `success_myosuite` (in more than 5 steps, failed or not: MyoSuite's rule); `failed`:
+            whether the task ended it; `fault`: bits, 0 for none.
         """
         if not self._rows:
             return {name: np.zeros(0, dtype=kind) for name, kind in KINDS.items()}
@@ -67,10 +71,23 @@ class Episodes(Watcher):
         return {name: array[first] for name, array in arrays.items()}
 
 
+SAME_EPISODES = 1e-3
+"""Spread of the returns of one episode that many worlds run: rounding, in units of their mean or of 1."""
+
+
+def are_one(setup: Setup, lengths: np.ndarray, returns: np.ndarray) -> bool:
+    """Return whether episodes are all the same one: nothing is drawn at their start, and they end alike."""
+    postures = setup.reset == "task"
+    drawn = any(draw.varies and (draw.when != "posture" or postures) for draw in setup.spec.draws)
+    if drawn or setup.reset == "random" or len(returns) < 2 or np.ptp(lengths):
+        return False
+    return bool(returns.std() < SAME_EPISODES * max(1.0, abs(returns.mean())))
+
+
 KINDS: dict[str, type] = {
     **dict.fromkeys(("world", "begin", "length"), int),
     "return": float,
-    **dict.fromkeys(("success", "success_last", "success_any", "failed"), bool),
+    **dict.fromkeys(("success", "success_last", "success_any", MYOSUITE, "failed"), bool),
     "fault": int,
 }
 """What is known of an episode, and its type."""

@@ -30,6 +30,7 @@ class Summary:
         return_mean: Mean of their returns; None: none ended.
         return_std: Standard deviation of their returns.
         success_percent: Share of them that counts as a success [%].
+        failed: Number of them that the task's failure ended.
         faults: Number of them that a fault ended.
     """
 
@@ -44,6 +45,7 @@ class Summary:
     return_mean: float | None
     return_std: float | None
     success_percent: float | None
+    failed: int
     faults: int
 
 
@@ -86,6 +88,7 @@ def roll_out(
         return_mean=float(found["return"].mean()) if finished else None,
         return_std=float(found["return"].std()) if finished else None,
         success_percent=100.0 * float(found["success"].mean()) if finished else None,
+        failed=int(np.count_nonzero(found["failed"])),
         faults=int(np.count_nonzero(found["fault"])),
     )
 

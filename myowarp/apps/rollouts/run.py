@@ -40,7 +40,7 @@ class Step:
         terminated: Whether the task or a fault ended the episode.
         truncated: Whether the horizon ended it.
         solved: Whether the task is solved in the state that it led to.
-        success: Whether more than 5 steps of the episode were solved so far (MyoSuite's metric).
+        success: Whether the episode counts as a success so far: `myowarp.kernels.episode.SUCCESS_RULE`.
         fault: 0, or bits of `myowarp.kernels.episode.FAULTS`.
         seconds: What stepping has taken so far [s], without acting and watching.
     """

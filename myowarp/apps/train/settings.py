@@ -19,7 +19,7 @@ from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import OPTIONS, Setup
 
 SUCCESSES = {
-    "success": "more than 5 solved steps",  # the paper's rule
+    "success": "more than 5 solved steps, no failure",
     "success_last": "solved on the last step",
     "success_any": "solved at any step",
 }
@@ -28,7 +28,11 @@ TRAINING = Setup(physics="fast", muscle="mujoco", seed=0)  # unless the preset o
 
 
 def success_text(figures: Mapping[str, Any], rule: str) -> str:
-    """Return a success of an evaluation with its interval, in percent."""
+    """Return a success of an evaluation in percent, with its interval unless all episodes are one."""
+    if rule not in figures:  # of an evaluation of before
+        return "-"
+    if figures["one_episode"]:
+        return f"{100 * figures[rule]:.0f} % (one episode)"
     low, high = figures["intervals"][rule]
     return f"{100 * figures[rule]:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
 
@@ -69,7 +73,7 @@ class Settings:
     )
     stop_rule: str = setting(
         "success",
-        "What counts there: success (more than 5 solved steps), success_last or success_any (solved steps).",
+        "What counts there: success (over 5 solved steps, no failure), success_last or success_any (solved).",
         choices=SUCCESSES,
         free=True,
     )

@@ -89,6 +89,12 @@ def muscle_of(p: Parameters, i: int):
     return m
 
 
+@wp.func
+def unknown(x: wp.float64):
+    """0 of a number, NaN of NaN and infinity, which comparisons and bounds of the laws would make numbers."""
+    return x - x
+
+
 @wp.kernel
 def evaluate_curve(
     # Params:
@@ -111,6 +117,7 @@ def evaluate_curve(
         multiplier[k] = wp.max(tendon_force_curve(m, p.tables, p.spans, x[k])[0], wp.float64(0.0))
     else:
         multiplier[k] = force_velocity_curve(m, p.tables, p.spans, x[k], activation[k])[0]
+    multiplier[k] += unknown(x[k]) + unknown(activation[k])
 
 
 @wp.kernel(enable_backward=False)
@@ -158,6 +165,7 @@ def hold_muscles(
     a = wp.max(activation[k], m.minimum_activation)
     z = root[k][0]
     force = zero
+    missing = unknown(activation[k]) + unknown(length[k]) + unknown(velocity[k])
     if m.rigid == 0:
         pull = fiber_pull(m, p.tables, p.spans, a, one, z, velocity[k], zero, zero)[0]
         strain = (length[k] - z - m.tendon_slack_length) / m.tendon_slack_length
@@ -176,7 +184,8 @@ def hold_muscles(
             force = fiber_pull(m, p.tables, p.spans, a, one, settled, velocity[k], zero, zero)[0]
         else:
             fiber_length[k] = fiber_of(m, m.shortest_fiber)
-    tendon_force[k] = m.max_isometric_force * wp.max(force, zero)
+    fiber_length[k] += missing
+    tendon_force[k] = m.max_isometric_force * wp.max(force, zero) + missing
 
 
 @wp.func
@@ -265,6 +274,12 @@ def contract_muscles(
             speed[k] = velocity[k] * z / fiber_of(m, z)
             tendon_force[k] = force
             fiber_power[k] = -force * velocity[k]
+    missing = unknown(activation[k]) + unknown(length[k])
+    missing += unknown(velocity[k]) + unknown(fiber_length[k])
+    speed[k] += missing
+    tendon_force[k] += missing
+    fiber_power[k] += missing
+    tendon_power[k] += missing
 
 
 @wp.kernel
@@ -280,13 +295,14 @@ def rate_of_activation(
     """da/dt = (u - a) / tau [1/s], tau = tau_act (0.5 + 1.5 a) or tau_deact / (0.5 + 1.5 a); De Groote's."""
     k = wp.tid()
     i = k % p.kind.shape[0]
+    missing = unknown(excitation[k]) + unknown(activation[k])
     u = wp.max(excitation[k], p.minimum_activation[i])
     a = wp.max(activation[k], p.minimum_activation[i])
     rise, fall = p.activation_time_constant[i], p.deactivation_time_constant[i]
     scale = wp.float64(0.5) + wp.float64(1.5) * a
     if p.kind[i].law == DEGROOTE:
-        rate[k] = degroote_activation_rate(u, a, rise, fall)
+        rate[k] = degroote_activation_rate(u, a, rise, fall) + missing
     elif u > a:
-        rate[k] = (u - a) / (rise * scale)
+        rate[k] = (u - a) / (rise * scale) + missing
     else:
-        rate[k] = (u - a) * scale / fall
+        rate[k] = (u - a) * scale / fall + missing

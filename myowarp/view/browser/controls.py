@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import abc
+import contextlib
 import threading
 from collections.abc import Callable
 from typing import Literal
 
+import numpy as np
 import viser
 
+from myowarp.view.browser.lights import add_lights
 from myowarp.view.browser.session import Choices, Session
 
-ERRORS = (ValueError, OSError, RuntimeError, ImportError, MemoryError, LookupError, TypeError)
-"""What a wish may raise; the page shows it and everything goes on."""
 NOTICE_SECONDS = 10.0
+USUAL = (950, 760)
+"""px of a picture beside the panel, of a page that has not said what it has."""
+Hotkey = Literal["space", "arrowright", "R"]
+View = tuple[np.ndarray, np.ndarray, float]
+"""Where a camera stands and looks [m], and its opening [rad]."""
 
 
-class Wishes:
+class Wishes(abc.ABC):
     """What browsers have asked a page for, and how it plays; changed by its loop alone.
 
     Attributes:
@@ -33,7 +39,14 @@ class Wishes:
         self.server, self.playing, self.speed = server, True, 1.0
         self.color, self.follow, self.message = "activation", True, ""
         self._asked: dict[str, Callable[[], object]] = {}
-        self._lock = threading.Lock()
+        self._lock, self._stopped = threading.Lock(), threading.Event()
+        server.on_client_connect(
+            lambda client: self.ask(f"aim {client.client_id}", lambda: self._aim_client(client))
+        )
+
+    def stop(self) -> None:
+        """End the loop, from any thread."""
+        self._stopped.set()
 
     @property
     def beside(self) -> bool:
@@ -50,11 +63,42 @@ class Wishes:
         with self._lock:
             asked, self._asked = self._asked, {}
         for wish in asked.values():
-            try:
-                wish()
-            except ERRORS as error:
-                self.complain(str(error))
+            self.attempt(wish)
         return bool(asked)
+
+    def attempt(self, wish: Callable[[], object]) -> bool:
+        """Do what a browser asks for, say in all pages why it failed, and return whether it was done."""
+        try:
+            wish()
+        except Exception as error:  # noqa: BLE001 (whatever it is, the page goes on)
+            self.complain(str(error) or type(error).__name__)
+            return False
+        return True
+
+    def bind(self, label: str, hotkey: Hotkey, wish: Callable[[], None]) -> None:
+        """Have a key do something."""
+        command = self.server.gui.add_command(label, hotkey=hotkey)
+        command.on_trigger(lambda _: self.ask(label, wish))
+
+    @abc.abstractmethod
+    def view(self, width: int, height: int) -> View:
+        """Return the camera for a picture of a size [px]."""
+
+    def aim(self) -> None:
+        """Point the camera of all pages, also of those that open later, and light the scene for it."""
+        start = self.server.initial_camera
+        start.position, start.look_at, start.fov = self.view(*USUAL)
+        add_lights(self.server, start.look_at - start.position)
+        for client in self.server.get_clients().values():
+            self._aim_client(client)
+
+    def _aim_client(self, client: viser.ClientHandle) -> None:
+        """Point the camera of a page."""
+        camera = client.camera
+        # A browser says what it likes of its camera: of one that cannot be, nothing is moved.
+        with contextlib.suppress(Exception), client.atomic():
+            size = camera.image_width, camera.image_height
+            camera.position, camera.look_at, camera.fov = self.view(*size)
 
     def complain(self, text: str) -> None:
         """Show in all pages what went wrong."""

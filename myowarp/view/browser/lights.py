@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import viser
 
 from myowarp.view.drawing.framing import view_axes
@@ -11,16 +12,13 @@ AMBIENT, HEADLIGHT, SHOULDER = 0.7, 1.7, 1.7
 """Intensities, so that muscles look like their legend."""
 
 
-def add_lights(server: viser.ViserServer, name: str, azimuth: float, elevation: float) -> None:
-    """Light a scene for a camera at these angles [deg]; the lights stay where they are when it moves.
+def add_lights(server: viser.ViserServer, forward: np.ndarray) -> None:
+    """Light a page for a camera that looks along a direction (3,), in place of the lights that it has.
 
-    Args:
-        server: Where.
-        name: Their node in the page, a path.
-        azimuth: As of MuJoCo's free camera.
-        elevation: As of MuJoCo's free camera.
+    The lights stay where they are when the camera moves.
     """
-    axes = view_axes(azimuth, elevation)
-    server.scene.add_light_ambient(f"{name}/ambient", intensity=AMBIENT)
+    across = float(np.hypot(forward[0], forward[1]))
+    axes = view_axes(*np.degrees((np.arctan2(forward[1], forward[0]), np.arctan2(forward[2], across))))
+    server.scene.add_light_ambient("/lights/ambient", intensity=AMBIENT)
     for kind, intensity, along in (("headlight", HEADLIGHT, axes[2]), ("lamp", SHOULDER, LAMP @ axes)):
-        server.scene.add_light_directional(f"{name}/{kind}", intensity=intensity, position=tuple(-along))
+        server.scene.add_light_directional(f"/lights/{kind}", intensity=intensity, position=tuple(-along))

@@ -6,11 +6,10 @@ that once. While no page is open, nothing moves.
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from typing import Any, Literal
+from collections.abc import Iterator
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,9 +17,8 @@ import viser
 
 from myowarp.definitions.body import BODIES
 from myowarp.progress import listening
-from myowarp.view.browser.controls import ERRORS, Controls
+from myowarp.view.browser.controls import Controls, View
 from myowarp.view.browser.history import History
-from myowarp.view.browser.lights import add_lights
 from myowarp.view.browser.moments import at_once
 from myowarp.view.browser.page_style import SOFTWARE, STYLE
 from myowarp.view.browser.panel import Panel
@@ -43,11 +41,8 @@ LETTERS = 1.5
 """Size of the text above bodies over viser's."""
 PICKED = ("activation", "force")
 """What is written beside a muscle that was clicked, and traced."""
-Hotkey = Literal["space", "arrowright", "R"]
 ASPECT = 1.75
 """Of the picture beside the panel and above the traces, about."""
-USUAL = (950, 760)
-"""px of a picture beside the panel, of a page that has not said what it has."""
 NEAR_REST = 0.25
 """Share of the way to the ends of its ranges on which a model's file is in the picture."""
 LEAST_FREE = 0.5
@@ -71,21 +66,13 @@ class Live(Controls):
             choices: What can be chosen.
         """
         super().__init__(server, session, choices)
-        self._stopped = threading.Event()
         server.gui.add_html(STYLE + SOFTWARE)
-        self._bind("Play or pause", "space", self._toggle)
-        self._bind("Step", "arrowright", self.single_step)
-        self._bind("Reset", "R", self.reset)
+        self.bind("Play or pause", "space", self._toggle)
+        self.bind("Step", "arrowright", self.single_step)
+        self.bind("Reset", "R", self.reset)
         self._progress: deque[tuple[float, int]] = deque()
         self._due = self._drawn = self._read = 0.0
         self._open()
-        server.on_client_connect(
-            lambda client: self.ask(f"aim {client.client_id}", lambda: self._aim(client))
-        )
-
-    def stop(self) -> None:
-        """End `run`, from any thread."""
-        self._stopped.set()
 
     def run(self) -> None:
         """Run until `stop`."""
@@ -130,7 +117,7 @@ class Live(Controls):
             self._twin = None
         self.session.beside = beside
         self._labels["/twin"].visible = self._labels["/world"].visible = beside
-        self._set_up_view()
+        self.aim()
 
     def single_step(self) -> None:
         """Pause, and make one step."""
@@ -149,11 +136,6 @@ class Live(Controls):
     def _toggle(self) -> None:
         """Play, or pause."""
         (self.pause if self.playing else self.play)()
-
-    def _bind(self, label: str, hotkey: Hotkey, wish: Callable[[], None]) -> None:
-        """Have a key do something."""
-        command = self.server.gui.add_command(label, hotkey=hotkey)
-        command.on_trigger(lambda _: self.ask(label, wish))
 
     def draw(self, now: float) -> None:
         """Send what is new."""
@@ -207,11 +189,8 @@ class Live(Controls):
         """Make the step that is due."""
         dt = self.session.sim.scene.control_dt / self.speed
         self._due = self._due + dt if now < self._due + dt + LATE else now + dt
-        try:
-            self.session.step()
-        except ERRORS as error:
+        if not self.attempt(self.session.step):
             self.playing = False
-            self.complain(str(error))
 
     def _measure(self, now: float) -> None:
         """Find out how fast it is, over the last second."""
@@ -237,7 +216,6 @@ class Live(Controls):
         look.pose(model, self._figure_shown.data, look.rest_pose(model))
         self._camera = self._framing.camera(self._figure_shown.data, {})
         axes = view_axes(self._camera.azimuth, self._camera.elevation)
-        add_lights(self.server, "/world/lights", self._camera.azimuth, self._camera.elevation)
         self._side, self._farther = self._framing.twin()
         above = self._camera.lookat + 0.55 * self._framing.height * axes[1]
         self._labels = {
@@ -252,7 +230,7 @@ class Live(Controls):
             self.playing = False
             self.session.pose(look.rest_pose(model))
         self._panel = Panel(self, self._readings, self._history)
-        self._set_up_view()
+        self.aim()
 
     def _near_rest(self, model: mujoco.MjModel) -> Iterator[tuple[mujoco.MjData, dict[str, np.ndarray]]]:
         """Yield poses near rest: those at the ends of joints without limits make the body small."""
@@ -299,21 +277,8 @@ class Live(Controls):
         if figure is self._figure_shown:
             self._floor.show(shift(figure.data))
 
-    def _set_up_view(self) -> None:
-        """Point the camera of pages at what there is, now and where they are set back to it."""
-        start = self.server.initial_camera
-        start.position, start.look_at, start.fov = self._view(*USUAL)
-        for client in self.server.get_clients().values():
-            self._aim(client)
-
-    def _aim(self, client: viser.ClientHandle) -> None:
-        """Point the camera of a page."""
-        camera = client.camera
-        with client.atomic():
-            camera.position, camera.look_at, camera.fov = self._view(camera.image_width, camera.image_height)
-
-    def _view(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return where the camera stands and looks [m], and its opening [rad]: all is above the traces."""
+    def view(self, width: int, height: int) -> View:
+        """Return the camera for a picture of a size [px]: all is above the traces."""
         camera, beside = self._camera, self.session.beside
         _, up, forward = view_axes(camera.azimuth, camera.elevation)
         opening = float(np.radians(self.session.sim.full_model.vis.global_.fovy))

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from rich.console import Console
 
+from myowarp.view.browser.lights import add_lights
 from myowarp.view.browser.moments import at_once
 from myowarp.view.browser.scene import Figure
 from myowarp.view.browser.server import close_server, open_server
@@ -36,7 +37,9 @@ class Page:
         look.pose(model, self._figure.data, look.rest_pose(model))
         camera, start = framing.camera(self._figure.data, {}), self.server.initial_camera
         start.look_at, start.fov = camera.lookat, float(np.radians(model.vis.global_.fovy))
-        start.position = camera.lookat - camera.distance * view_axes(camera.azimuth, camera.elevation)[2]
+        forward = view_axes(camera.azimuth, camera.elevation)[2]
+        start.position = camera.lookat - camera.distance * forward
+        add_lights(self.server, forward)
         Console(stderr=True, highlight=False).print(f"Open http://localhost:{self.server.get_port()}")
 
     def show(self, seen: Snapshot) -> None:

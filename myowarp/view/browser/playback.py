@@ -93,8 +93,8 @@ def write_playback(path: Path, takes: Sequence[Sequence[Take]], color: str, fps:
         server.scene.set_background_image(sky.reshape(1, 1, 3), "png")
         first = takes[0][0]
         framing = Framing(first.model, first.tips, 1.0)
-        add_lights(server, "/lights", framing.azimuth, framing.elevation)
         axes, apart = view_axes(framing.azimuth, framing.elevation), SPACING * framing.radius
+        add_lights(server, axes[2])
         actors = [
             _Actor(server, f"/{row}_{column}", take, color, apart * (column * axes[0] - row * axes[1]))
             for row, line in enumerate(takes)

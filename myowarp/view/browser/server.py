@@ -8,12 +8,16 @@ import logging
 import socket
 import warnings
 
+import numpy as np
 import viser
 
+from myowarp.view.browser.lights import add_lights
 from myowarp.view.browser.origins import check_refusal, refusing_other_sites
 from myowarp.view.browser.updates import send_whole, take_values_alone
 
 LOCAL = "127.0.0.1"
+AHEAD = np.array((0.0, 1.0, -0.2))
+"""Where a camera looks until the page has pointed it, a direction."""
 LEFT = "Queued a .* on a closed connection"
 """viser's warning about a browser that has left while something was sent to it."""
 
@@ -26,7 +30,7 @@ class _LocalServer(viser.ViserServer):
 
 
 def open_server(port: int, title: str) -> viser.ViserServer:
-    """Open a server on this machine.
+    """Open a server on this machine; its scene is lit.
 
     Args:
         port: Its port; 0 for any that is free.
@@ -51,9 +55,10 @@ def open_server(port: int, title: str) -> viser.ViserServer:
     server.get_event_loop().set_exception_handler(lambda loop, context: None)
     take_values_alone(server)
     send_whole(server)
-    # `lights.py` has lights; light from a picture takes longer than all else where software draws.
+    # Light from a picture takes longer than all else where software draws.
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(False)
+    add_lights(server, AHEAD)
     return server
 
 

@@ -18,6 +18,7 @@ from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.kernels.write import write
 from myowarp.sim.build import full_spec
+from myowarp.sim.economy import Economy
 from myowarp.sim.patient import Knob, Patient, every_condition
 from myowarp.sim.presets import PRESETS
 from myowarp.sim.signals import Signals
@@ -69,7 +70,7 @@ class Session:
         returns: Sum of rewards in the present episode, shape (num_worlds,).
         steps: Control steps since the session was opened.
         episode: Number of the shown world's episode, from 1 on.
-        solved: How many of its episodes before ended as a success.
+        succeeded: How many of its episodes before ended as a success.
         preset: Name of the patient that was chosen last.
         file: The file that its model is from; None: a task has its model.
         held: Name of the body of that model that is held in place; "" for none.
@@ -113,11 +114,12 @@ class Session:
         self.title, self.world, self.twin, self.beside = title, 0, worlds, False
         self.file, self.held = file, held
         self.signals = Signals(self.sim) if muscles else None
+        self.economy = Economy(self.sim, self.signals) if self.signals is not None else None
         self.patient = Patient(self.sim)
         self._acting = acting
         self._own = {body.name for body in plain.bodies}
         self.returns, self.steps = np.zeros(worlds + 1), 0
-        self.episode, self.solved, self.preset = 0, 0, HEALTHY
+        self.episode, self.succeeded, self.preset = 0, 0, HEALTHY
         self.act(policy)
         self._seeds: np.ndarray | None = (setup.seed or 0) + np.arange(worlds + 1)
         self.restart()
@@ -134,8 +136,19 @@ class Session:
 
     @property
     def success(self) -> bool:
-        """Whether the shown world's episode counts as a success so far."""
-        return bool(self.sim.transition.success.numpy()[self.world])
+        """Whether the shown world's episode counts as a success so far; it may yet fail."""
+        return self.time > 0.0 and bool(self.sim.transition.success.numpy()[self.world])
+
+    @property
+    def failed(self) -> bool:
+        """Whether failure or a fault has ended the shown world's episode."""
+        return self.time > 0.0 and bool(self.sim.transition.terminated.numpy()[self.world])
+
+    def walk(self, world: int) -> dict[str, float]:
+        """Return rate, speed and cost of transport of a world's episode so far; {} of what fell or hangs."""
+        if self.economy is None or self.held or self.sim.transition.terminated.numpy()[world]:
+            return {}
+        return {name: float(values[world]) for name, values in self.economy.means().items()}
 
     @property
     def scored(self) -> bool:
@@ -177,6 +190,8 @@ class Session:
         """Put the twin into the state of the shown world; its conditions stay its own."""
         set_state(self.sim, get_state(self.sim, self.world), self.twin, conditions=False)
         self.returns[self.twin] = self.returns[self.world]
+        if self.economy is not None:
+            self.economy.copy(self.world, self.twin)
 
     def turn(self, knob: Knob, value: float, muscles: Sequence[str]) -> None:
         """Change the patient in all worlds but the twin.
@@ -212,6 +227,8 @@ class Session:
             {"data.qpos": np.tile(qpos, (2, 1)), "data.qvel": np.zeros((2, self.sim.scene.oracle.nv))},
             pair,
         )
+        if self.economy is not None:
+            self.economy.start(np.isin(np.arange(self.twin + 1), pair))
 
     def restart(self, mask: np.ndarray | None = None) -> None:
         """Begin new episodes, in all worlds or a mask; the twin's begins like that of the shown world."""
@@ -220,6 +237,8 @@ class Session:
         self.sim.reset(mask, self._seeds)
         self._seeds = None
         self.returns[mask] = 0.0
+        if self.economy is not None:
+            self.economy.start(mask)
         self.patient.renew()
         if mask[self.world]:
             self.episode += 1
@@ -233,7 +252,7 @@ class Session:
         """
         sim = self.sim
         if (ended := self._ended()).any():
-            self.solved += bool(ended[self.world] and self.success)
+            self.succeeded += bool(ended[self.world] and self.success)
             self.restart(ended)
         actions = np.array(self._act(sim.transition.obs.numpy()), dtype=np.float32)
         shape = tuple(sim.action.shape)
@@ -247,6 +266,8 @@ class Session:
         sim.step()
         self.steps += 1
         self.returns += sim.transition.reward.numpy()
+        if self.economy is not None:
+            self.economy.see(sim.transition.fault.numpy() == 0)
 
     def _ended(self) -> np.ndarray:
         """Return whose episode has ended, shape (num_worlds,)."""

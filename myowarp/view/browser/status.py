@@ -7,7 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from myowarp.kernels.episode import SUCCESS_RULE
+from myowarp.sim.economy import as_text
 from myowarp.view.browser.controls import Controls
+from myowarp.view.browser.session import Session
 from myowarp.view.drawing import style as look
 from myowarp.view.drawing.muscles import Quantity
 
@@ -23,12 +26,15 @@ def status(live: Controls) -> str:
     if live.back > 0.0:
         state = f"{live.back:.1f} s back · "
     length = session.sim.setup.episode_steps * session.sim.scene.control_dt
-    solved = f", {session.solved} of {session.episode - 1} before solved" if session.scored else ""
+    before = f", {session.succeeded} of {session.episode - 1} before succeeded" if session.scored else ""
     rows = [
-        f"<b>{state}{session.time:.2f} s of {length:.4g} s</b>"
-        + (f" · <b style='color:{GOOD}'>success</b>" if session.scored and session.success else ""),
-        f"episode {session.episode}{solved} · {live.factor:.2f} × real time",
+        f"<b>{state}{session.time:.2f} s of {length:.4g} s</b>{_verdict(session)}",
+        f"episode {session.episode}{before} · {live.factor:.2f} × real time",
     ]
+    if walk := as_text(session.walk(session.world)):
+        rows.append(f"{walk} since its start")
+        if session.beside and (walk := as_text(session.walk(session.twin))):
+            rows[-1] += f" · before the change {walk}"
     if session.scored:
         rows.append(f"return {session.returns[session.world]:.2f}")
         if session.beside:
@@ -39,6 +45,14 @@ def status(live: Controls) -> str:
         f"<div style='padding:0.5em 1em;font-size:0.85em'>{'<br>'.join(rows)}"
         f"<table>{_terms(session.terms) if session.scored else ''}</table></div>"
     )
+
+
+def _verdict(session: Session) -> str:
+    """Return whether the episode has failed, or counts as a success so far."""
+    if not session.scored or not (session.failed or session.success):
+        return ""
+    text, color = ("failed", BAD) if session.failed else ("success so far", GOOD)
+    return f" · <b style='color:{color}' title='{html.escape(SUCCESS_RULE)}'>{text}</b>"
 
 
 def _terms(terms: dict[str, float]) -> str:

@@ -6,19 +6,17 @@ is written. So one picture is one moment. While no page is open, nothing moves.
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
-from collections.abc import Callable
 from html import escape
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import viser
 
 from myowarp.definitions.registry import check_choice
 from myowarp.view.browser import status as html
-from myowarp.view.browser.controls import Wishes
+from myowarp.view.browser.controls import USUAL, View, Wishes
 from myowarp.view.browser.history import History
 from myowarp.view.browser.moments import at_once
 from myowarp.view.browser.page_style import SOFTWARE, STYLE
@@ -43,11 +41,8 @@ FASTEST, SLOWEST = 4.0, 0.05
 """Speeds over real time that can be chosen."""
 LEGIBLE = 0.9
 """Share of the space above the traces that the body takes."""
-USUAL = (950, 760)
-"""px of a picture beside the panel, of a page that has not said what it has."""
 FIRST = {"activation": 3, "force": 2, "joint angle": 1}
 """How many of the largest of each quantity are traced at first."""
-Hotkey = Literal["space", "arrowright", "R"]
 PLAY, PAUSE, STEP, RESET = "Play", "Pause", "Step", "Reset"
 
 
@@ -88,8 +83,7 @@ class TrialPage(Wishes):
         """
         super().__init__(server)
         self.recorded, self.frame, self._title = recorded, 0, title
-        self.color, self._stopped = recorded.colored, threading.Event()
-        self._clock, self._last = float(recorded.time[0]), 0.0
+        self.color, self._clock, self._last = recorded.colored, float(recorded.time[0]), 0.0
         self._picked, self._drawn = "", 0.0
         model, scene = recorded.model, server.scene
         server.gui.add_html(STYLE + SOFTWARE)
@@ -104,20 +98,17 @@ class TrialPage(Wishes):
         self._tag = scene.add_label("/picked", "", visible=False)
         self._history = traced(recorded)
         self._add_panel()
-        self._aim_start()
-        server.on_client_connect(
-            lambda client: self.ask(f"aim {client.client_id}", lambda: self._aim(client))
-        )
+        seen = recorded.seen(0)
+        look.pose(model, self._figure.data, seen.qpos, paths=seen.paths)
+        self._camera = self._framing.camera(self._figure.data, {})
+        self._camera.lookat[:] -= self._framing.shift(self._figure.data)
+        self.aim()
         self.draw()
 
     @property
     def time(self) -> float:
         """Time of what is shown [s]."""
         return float(self.recorded.time[self.frame])
-
-    def stop(self) -> None:
-        """End `run`, from any thread."""
-        self._stopped.set()
 
     def run(self) -> None:
         """Run until `stop`."""
@@ -237,14 +228,9 @@ class TrialPage(Wishes):
             if kind in recorded.courses
             for k in largest(recorded, kind)[:number]
         ]
-        self._bind("Play or pause", "space", self.toggle)
-        self._bind("Step", "arrowright", self.step)
-        self._bind("Begin anew", "R", self.restart)
-
-    def _bind(self, label: str, hotkey: Hotkey, wish: Callable[[], None]) -> None:
-        """Have a key do something."""
-        command = self.server.gui.add_command(label, hotkey=hotkey)
-        command.on_trigger(lambda _: self.ask(label, wish))
+        self.bind("Play or pause", "space", self.toggle)
+        self.bind("Step", "arrowright", self.step)
+        self.bind("Begin anew", "R", self.restart)
 
     def _paint(self, color: str) -> None:
         """Change what the colour of a muscle shows."""
@@ -296,22 +282,8 @@ class TrialPage(Wishes):
 
         self._framing.fit(moments())
 
-    def _aim_start(self) -> None:
-        """Point the camera of pages that open."""
-        seen, start = self.recorded.seen(0), self.server.initial_camera
-        look.pose(self.recorded.model, self._figure.data, seen.qpos, paths=seen.paths)
-        self._camera = self._framing.camera(self._figure.data, {})
-        self._camera.lookat[:] -= self._framing.shift(self._figure.data)
-        start.position, start.look_at, start.fov = self._view(*USUAL)
-
-    def _aim(self, client: viser.ClientHandle) -> None:
-        """Point the camera of a page."""
-        camera = client.camera
-        with client.atomic():
-            camera.position, camera.look_at, camera.fov = self._view(camera.image_width, camera.image_height)
-
-    def _view(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return where the camera stands and looks [m], and its opening [rad]: all is above the traces."""
+    def view(self, width: int, height: int) -> View:
+        """Return the camera for a picture of a size [px]: all is above the traces."""
         camera = self._camera
         _, up, forward = view_axes(camera.azimuth, camera.elevation)
         opening = float(np.radians(self.recorded.model.vis.global_.fovy))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from myowarp.definitions.registry import check_choice
-from myowarp.view.browser.controls import ERRORS, Wishes
+from myowarp.view.browser.controls import Wishes
 
 
 class Widgets:
@@ -72,7 +72,7 @@ class Widgets:
                 return
             try:
                 do(handle.value)
-            except ERRORS:
+            except Exception:
                 handle.value = now()
                 raise
             self._live.message = ""

@@ -10,10 +10,13 @@ from rich.console import Console
 from rich.table import Table
 
 from myowarp.apps.reports import panel
-from myowarp.apps.reports.table import terminal
+from myowarp.apps.reports.table import number, terminal
 from myowarp.apps.studies.cohort.plan import plan_cohort
 from myowarp.apps.studies.cohort.run import CohortResult, result_files, run_plan
+from myowarp.apps.train.settings import SUCCESSES
 from myowarp.disk import check_folder, check_overwrite
+from myowarp.sim.economy import UNITS as ECONOMY
+from myowarp.sim.economy import word
 
 PLOT, ASSISTANCE = "plot.png", "assistance.png"
 
@@ -58,14 +61,15 @@ def figures(result: CohortResult) -> Table:
         "trials of each": str(settings["trials"]),
         "control steps": str(settings["steps"]),
         "conditions": ", ".join(settings["conditions"]) or "none",
-        "successful": f"{100 * summary['success'].mean():.1f} %",
+        "successful": f"{100 * summary['success'].mean():.1f} % ({SUCCESSES['success']})",
+        "failed": f"{summary['failed'].sum():,} of {len(summary):,} episodes",
     }
     if "final_error" in summary:
         low, middle, high = summary["final_error"].quantile([0.25, 0.5, 0.75])
         unit = settings["units"]["final_error"]
         rows["error in the last quarter"] = f"{middle:.3g} {unit} (middle half {low:.3g} to {high:.3g})"
     rows["mean activation"] = f"{summary['mean_activation'].mean():.3f}"
-    rows["metabolic rate, Bhargava 2004"] = f"{summary['bhargava2004'].mean():.1f} W"
-    rows["metabolic rate, Umberger 2010"] = f"{summary['umberger2010'].mean():.1f} W"
+    known = {name: summary[name].mean() for name in settings["units"] if name in ECONOMY}
+    rows |= {f"{word(name)} [{ECONOMY[name]}]": number(mean) for name, mean in known.items()}
     rows["faults"] = str(summary["fault"].notna().sum())
     return terminal((), rows.items())

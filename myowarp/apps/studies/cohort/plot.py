@@ -39,7 +39,7 @@ PALE = "#666666"
 PADS = "figure.constrained_layout."
 LOOK = {"axes.grid": False, PADS + "h_pad": 0.08, PADS + "w_pad": 0.06}
 CAPTION = (
-    "Top: share of successful episodes (more than 5 control steps within the goal), n patients. "
+    "Top: share of successful episodes (more than 5 solved steps, no failure), n patients. "
     "Middle: each dot is a patient; median and middle half of tenths of the patients, or of those with "
     "one entry. Bottom: median and middle half of the groups at the top, over time."
 )

@@ -21,6 +21,7 @@ from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import Column
 from myowarp.disk import in_place, make_folder, version
 from myowarp.kernels.episode import describe_fault
+from myowarp.sim.economy import Economy
 from myowarp.sim.metabolics import WHOLE_BODY_UNITS
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
@@ -61,10 +62,11 @@ class CohortResult:
         samples: One row per patient, trial and sampled time: `tracking_error` where the task has one,
             `mean_activation`, `total_force`, metabolic rates of the whole body, `reward`, `solved`, and what
             conditions show, as means over the muscles.
-        summary: One row per patient and trial: the patient's entries, `success` (MyoSuite's: more than 5
-            steps solved), `failed` (the episode ended by the task's failure), `return`, `time_to_solve` (NaN:
-            never), `solved_share` of the steps, `mean_error`, `final_error` (mean over the last quarter; of
-            one who failed before, the last), means of activation, force and metabolic rates, last
+        summary: One row per patient and trial: the patient's entries, `success` (more than 5 steps solved,
+            and no failure), `failed` (the episode ended by the task's failure), `return`, `time_to_solve`
+            (NaN: never), `solved_share` of the steps, `mean_error`, `final_error` (mean over the last
+            quarter; of one who failed before, the last), means of activation, force and metabolic rates, of
+            a free root `speed` and cost of transport (these and the rates are missing where it failed), last
             values and means of what conditions show, `duration`, `fault` (missing: none).
         settings: Task, policy, seed and so on, and the units of the results.
     """
@@ -179,7 +181,7 @@ class _Tally(Watcher):
 
     def __init__(self, plan: Plan, sim: Simulation) -> None:
         self._plan, self._sim, self._signals = plan, sim, Signals(sim)
-        self._episodes = Episodes(sim.num_worlds)
+        self._episodes, self._economy = Episodes(sim.num_worlds), Economy(sim, self._signals)
         self._blocks, self._unit = tracking_blocks(sim.columns)
         n = sim.num_worlds
         self._alive = np.ones(n, dtype=bool)
@@ -209,11 +211,17 @@ class _Tally(Watcher):
             values[name] = shown.mean(axis=1) if shown.ndim == 2 else shown.copy()
         return values
 
+    def start(self, mask: np.ndarray) -> None:
+        """Count from the start of the episodes."""
+        self._episodes.start(mask)
+        self._economy.start(mask)
+
     def see(self, step: Step) -> None:
         """Count a step of all worlds."""
         self._episodes.see(step)
         values, control_dt = self._values(), self._sim.scene.control_dt
         valid = self._alive & (step.fault == 0)
+        self._economy.see(valid)
         self._steps += valid
         for name, value in values.items():
             total = self._sums.setdefault(name, np.zeros(len(valid)))
@@ -268,8 +276,9 @@ class _Tally(Watcher):
             )
             table["mean_error"] = self._sums["tracking_error"] / steps
             table["final_error"] = np.where(self._late_steps > 0, late, self._last["tracking_error"])
-        for name in ("mean_activation", "total_force", *WHOLE_BODY_UNITS):
+        for name in ("mean_activation", "total_force"):
             table[name] = self._sums[name] / steps
+        table |= self._economy.means(episode["failed"])
         for name in self._signals.info:
             table |= {name: self._last[name], f"mean_{name}": self._sums[name] / steps}
         table["duration"] = self._steps * self._sim.scene.control_dt
@@ -297,5 +306,5 @@ class _Tally(Watcher):
             "device": str(scene.device),
             "conditions": [condition.name for condition in self._sim.conditions],
             "columns": list(plan.population.entries),
-            "units": UNITS | error,
+            "units": UNITS | self._economy.units | error,
         }

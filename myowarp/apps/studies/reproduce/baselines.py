@@ -15,6 +15,7 @@ from myowarp.apps.reports.result import PERCENT, Merit
 from myowarp.apps.reports.table import read_numbers
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.apps.studies.reproduce.policies import Training
+from myowarp.kernels.episode import MYOSUITE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -107,7 +108,7 @@ def of_package(task: str) -> Ours:
         algorithm=manifest["algorithm"],
         samples=manifest["samples"],
         curve=read_curve(FOLDER / task / CURVE),
-        success={mode: np.array([100.0 * e[mode]["success"] for e in evaluations]) for mode in MODES},
+        success={mode: np.array([100.0 * e[mode][MYOSUITE] for e in evaluations]) for mode in MODES},
     )
 
 

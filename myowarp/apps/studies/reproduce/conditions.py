@@ -31,6 +31,7 @@ from myowarp.apps.studies.reproduce.policies import NEVER, Training, available
 from myowarp.definitions.condition import condition_from, resolve
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
+from myowarp.kernels.episode import MYOSUITE
 from myowarp.sim.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ PART = 10  # times fewer samples than the policy had
 SEED = 2_000_000
 QUICK_TASKS = ("myoElbowPose1D6MRandom-v0", "myoHandKeyTurnFixed-v0")
 Runs = Mapping[tuple[str, str], Mapping[str, np.ndarray]]
-"""By task and condition: whether each episode succeeded, `success`, and its `fault`, shape (episodes,)."""
+"""By task and condition: whether each episode succeeded by the paper's rule, `success`, and its `fault`."""
 
 Shares = Mapping[tuple[str, str], np.ndarray]
 """Of these, `success`."""
@@ -80,7 +81,7 @@ def solved() -> list[str]:
 
 def _drawn(baseline: Baseline) -> float:
     """Return the success of a baseline's policy with drawn actions [%]."""
-    return 100.0 * float(baseline.runs[0]["evaluation"]["sampled"]["success"])
+    return 100.0 * float(baseline.runs[0]["evaluation"]["sampled"][MYOSUITE])
 
 
 def adaptation(task: str, condition: str) -> Training:
@@ -132,7 +133,8 @@ def _episodes(lab: Lab, when: str, task: str, condition: str, policy: Checkpoint
         act = LearnedPolicy(policy, Setup(seed=SEED))
         roll(sim, act, sim.horizon, episodes, bar, until=lambda: bool(episodes.ended_once.all()))
         sim.close()
-        return {name: episodes.first()[name] for name in ("success", "fault")}
+        first = episodes.first()
+        return {"success": first[MYOSUITE], "fault": first["fault"]}
 
     settings = {"task": task, "conditions": list(conditions), "seed": SEED, "num_worlds": lab.num_worlds}
     return lab.kept(f"{when}_{task}_{condition}", settings, measure, policy)
