@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from myowarp.definitions.registry import NUMBER
 from myowarp.disk import in_place
 from myowarp.motion.storage import Header, Storage, logger
 from myowarp.motion.streams import Stream
@@ -120,7 +121,8 @@ class MarkerStream(Stream):
 
     def _head(self) -> Header:
         lines = self._text([self._file.readline() for _ in range(5)])
-        if not lines[0].startswith("PathFileType") or not lines[4].strip():
+        axes = lines[4].split("\t") if len(lines) > 5 else []
+        if not lines[0].startswith("PathFileType") or not axes or NUMBER.fullmatch((axes * 2)[1]):
             raise ValueError(
                 f"{str(self.path)!r} must begin with 'PathFileType' and have five lines before its numbers"
             )
@@ -133,9 +135,7 @@ class MarkerStream(Stream):
             raise ValueError(
                 f"{str(self.path)!r} names no marker in line 4, or its cells are not separated by tabs"
             )
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"{str(self.path)!r} has the marker {name!r} twice")
+        self._once("marker", names)
         self._compare("NumMarkers", facts.get("NumMarkers", ""), len(names), "markers", refused=True)
         self._names, self._unit = names, UNITS[unit.lower()]
         labels = tuple(f"{name} {axis}" for name in names for axis in "XYZ")
@@ -151,7 +151,7 @@ class MarkerStream(Stream):
                 cells.pop()
             # Markers at the end that were not seen may be left out, unless it is the file that ends.
             if len(cells) != columns and (
-                len(cells) > columns or len(cells) % 3 != 1 or not line.endswith("\n")
+                len(cells) > columns or len(cells) % 3 != 1 or not cells[-1].strip() or line[-1] != "\n"
             ):
                 raise ValueError(
                     f"{self.WHAT} {number} of {str(self.path)!r} must have {columns + 1} cells for "
@@ -166,6 +166,13 @@ class MarkerStream(Stream):
                 cells = [cell.strip() for cell in cells]
                 self._check_cells(number, cells)
                 row[: len(cells)] = [float(cell) if cell else np.nan for cell in cells]
+        seen = ~np.isnan(table[:, 1:].reshape(len(lines), -1, 3))
+        if len(part := np.argwhere(seen.any(axis=2) & ~seen.all(axis=2))):
+            frame, marker = part[0]
+            raise ValueError(
+                f"{self.WHAT} {self._read + frame + 1} of {str(self.path)!r} has only a part of the "
+                f"coordinates of marker {self._names[marker]!r}; it must have all three, or none"
+            )
         return table
 
     def _time(self, line: str) -> float:

@@ -292,8 +292,7 @@ def place_markers(
     mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     still = Markers(recorded.names, recorded.time[:1], mean[None])
     bones = Bones(document.model, device)
-    weights = {name: weight for name, weight in tasks.markers.items() if name in still.names}
-    pose = inverse_kinematics(bones, still, weights, tasks.coordinates, tasks.values)
+    pose = inverse_kinematics(bones, still, tasks.among(still.names), tasks.coordinates, tasks.values)
     frames = forward(
         document.model, complete(document.model, dict(zip(pose.coordinates, pose.values.T, strict=True)), 1)
     )

@@ -309,11 +309,21 @@ class Rows:
                 f"{names.strip()[:60]!r}"
             )
         header = header_of(head, labels[1:], self.path.suffix.lower() == ".mot")
-        for label in header.labels:
-            if header.labels.count(label) > 1:
-                raise ValueError(f"{str(self.path)!r} has the column {label!r} twice")
+        if not all(labels):
+            raise ValueError(f"{str(self.path)!r} has a column without a name, before {labels[-1]!r}")
+        self._once("column", header.labels)
         self._compare("nColumns", header.columns, len(labels), "columns", refused=header.counts)
         return header
+
+    def _once(self, what: str, names: Sequence[str]) -> None:
+        """Check that names differ.
+
+        Raises:
+            ValueError: They do not.
+        """
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise ValueError(f"{str(self.path)!r} has the {what} {twice!r} twice")
 
     def _compare(self, name: str, stated: str, there: int, what: str, refused: bool) -> None:
         """Refuse a count of the header that does not match, or say so where OpenSim does not go by it.

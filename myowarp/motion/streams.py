@@ -19,6 +19,9 @@ from myowarp.motion.storage import Rows, Storage, check_apart
 FRAMES = 16384
 """Rows of a part; a longer file is read in parts."""
 
+WHOLE = 2.0**40
+"""Rows that no file has."""
+
 FORGOTTEN = 12.0
 """Of the filter: exp(-pi f t) is far below the rounding of float64 after this many 1 / f."""
 
@@ -46,11 +49,11 @@ class Margin:
         Raises:
             ValueError: The filter's frequency does not go with such steps.
         """
-        seconds = self.seconds if np.isfinite(self.seconds) else 0.0
+        seconds = self.seconds
         if self.cutoff is not None:
             check_cutoff(self.cutoff, 1.0 / step)
             seconds = max(seconds, FORGOTTEN / self.cutoff)
-        return max(self.rows, 1, int(np.ceil(seconds / step)))
+        return max(self.rows, 1, int(np.ceil(np.fmin(np.nan_to_num(seconds) / step, WHOLE))))
 
 
 class Stream(Rows):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from myowarp.opensim.read.document import Element
+
+WITH = ("InverseKinematicsTool", "MarkerPlacer")
+"""What has a set of tasks, which may be empty."""
 
 
 @dataclass(frozen=True)
@@ -24,12 +27,19 @@ class Tasks:
     values: Mapping[str, float]
     recorded: tuple[str, ...] = ()
 
+    def among(self, names: Sequence[str]) -> dict[str, float] | None:
+        """Return the weights of those of some markers that have one; None: the file leaves them out.
+
+        All markers count the same then, as in OpenSim.
+        """
+        return {name: self.markers[name] for name in self.markers if name in names} if self.markers else None
+
 
 def tasks_of(root: Element) -> Tasks:
     """Return the tasks in an element of a set-up file.
 
     Raises:
-        ValueError: It has none of markers.
+        ValueError: It has none of markers, and is no tool's without such tasks.
     """
     weights: dict[str, dict[str, float]] = {"IKMarkerTask": {}, "IKCoordinateTask": {}}
     wanted, recorded = {}, []
@@ -42,6 +52,8 @@ def tasks_of(root: Element) -> Tasks:
                 recorded.append(element.name)
             if kind == "manual_value":
                 wanted[element.name] = element.number("value", default=0.0)
-    if not weights["IKMarkerTask"]:
+    holders = [one for one in root.walk() if one.tag in WITH]
+    others = [one for holder in holders for one in holder.objects("IKTaskSet") if one.tag not in weights]
+    if not weights["IKMarkerTask"] and (others or not holders):
         raise root.error("has no <IKMarkerTask>; a set-up file of inverse kinematics or of scaling has")
     return Tasks(weights["IKMarkerTask"], weights["IKCoordinateTask"], wanted, tuple(recorded))

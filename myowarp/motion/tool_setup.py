@@ -22,7 +22,7 @@ TOOLS = {
     "AnalyzeTool": (0.0, 1.0),
     "CMCTool": (0.0, 1.0),
 }
-"""What each does where its set-up file states no times [s]."""
+"""Times of each where its set-up file states none [s]; that OpenSim 4.6 ends kinematics at 2 s is a slip."""
 MOTIONS = ("coordinates_file", "desired_kinematics_file", "states_file")
 CUTOFFS = ("lowpass_cutoff_frequency_for_coordinates", "lowpass_cutoff_frequency")
 

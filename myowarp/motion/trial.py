@@ -261,7 +261,7 @@ def targets(bones: Bones, setup: TrialSetup, recorded: Markers) -> dict[str, Any
     if tasks.recorded:
         values |= _recorded(bones, setup, tasks.recorded, recorded.time)
     return {
-        "marker_weights": {name: weight for name, weight in tasks.markers.items() if name in recorded.names},
+        "marker_weights": tasks.among(recorded.names),
         "coordinate_weights": tasks.coordinates,
         "coordinate_values": values,
     }

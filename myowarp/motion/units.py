@@ -13,11 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from myowarp.motion.storage import Storage, logger
-from myowarp.opensim.model.model import Coordinate, Model
+from myowarp.opensim.model.model import Model
 
 TURN = 2.0 * np.pi
 BEYOND = np.pi / 2
 """[rad] behind the end of a range from which, beyond a turn, an angle is doubted."""
+NEAR = 0.2
+"""[rad] behind the end of a range up to which it may be one of a pose."""
 STILL = 0.1
 """[rad] within which a whole recording in degrees is doubted, where it would be a pose in radians."""
 POSED = np.radians(20.0)
@@ -79,43 +81,45 @@ class Angles:
             )
         scale = np.pi / 180.0 if table.in_degrees else 1.0
         most = {name: float(x[np.abs(x).argmax()]) for name, x in turning.items()}
-        beyond = [name for name, x in most.items() if is_beyond(self._model.coordinates[name], scale * x)]
+        beyond = [
+            name
+            for name, x in most.items()
+            if abs(scale * x) > TURN and not self._in_range(name, scale * x, BEYOND)
+        ]
         if beyond:
             name = max(beyond, key=lambda one: abs(most[one]))
             low, high = np.degrees(self._model.coordinates[name].range)
+            turned = np.degrees(most[name])
             text = (
-                f"{name} of {path!r} goes to {most[name]:.4g} {unit}, its range is {low:.4g} to {high:.4g} "
-                f"degrees; in {'radians' if table.in_degrees else 'degrees'} it would be "
-                f"{(57.29578 if table.in_degrees else 1.0) * most[name]:.4g} degrees"
+                f"{name} of {path!r} goes to {most[name]:.4g}, in radians {turned:.4g} degrees; its range is "
+                f"{low:.4g} to {high:.4g} degrees"
             )
             if not table.unit and not table.in_degrees:
                 raise ValueError(
-                    f"{text}, and the file does not say which; a .mot or .sto file does so by a line "
-                    "inDegrees=yes or inDegrees=no"
+                    f"{text}; a .mot or .sto file says which by a line inDegrees=yes or inDegrees=no"
                 )
-            self._say(text)
+            self._say(f"{text}; the file is read in {unit}, as its header says")
         elif table.in_degrees and self._still(most):
             size = max(map(abs, most.values()))
             self._say(
                 f"all angles of {path!r} are within {size:.3g} degrees; if they are radians, up to "
-                f"{np.degrees(size):.3g} degrees, its header must say inDegrees=no"
+                f"{np.degrees(size):.3g} degrees, its header must say version=1 and inDegrees=no"
             )
 
     def _still(self, most: dict[str, float]) -> bool:
         """Whether angles hardly leave 0 in degrees, and are a pose within all ranges in radians."""
-        sizes = [abs(x) for x in most.values()]
-        return POSED <= max(sizes) <= np.degrees(STILL) and not any(
-            is_beyond(self._model.coordinates[name], x, turn=0.0) for name, x in most.items()
+        size = max(map(abs, most.values()))
+        return POSED <= size <= np.degrees(STILL) and all(
+            self._in_range(name, x, NEAR) for name, x in most.items()
         )
+
+    def _in_range(self, name: str, angle: float, slack: float) -> bool:
+        """Whether an angle [rad] is in the range of a coordinate, or so far from it at most."""
+        low, high = self._model.coordinates[name].range
+        return bool(low - slack <= angle <= high + slack)
 
     def _say(self, text: str) -> None:
         """Say it, unless something was said of the recording before."""
         if not self._told:
             logger.warning("%s", text)
         self._told = True
-
-
-def is_beyond(coordinate: Coordinate, angle: float, turn: float = TURN) -> bool:
-    """Whether an angle [rad] is far outside of the range of a coordinate, and beyond a turn."""
-    low, high = coordinate.range
-    return abs(angle) > turn and not low - BEYOND <= angle <= high + BEYOND

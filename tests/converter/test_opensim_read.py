@@ -355,3 +355,23 @@ def test_lines_are_those_of_the_file():
     lines = OLD.read_text().splitlines()
     assert not latin
     assert all(f"<{element.tag}" in lines[element.line - 1] for element in root.walk())
+
+
+@pytest.mark.parametrize("text", ["x", "1 2", "0 0 0", "1_0", "\u0663"])
+@pytest.mark.parametrize(
+    "name", ["pennation_angle_at_optimal", "FmaxTendonStrain", "deactivation_time_constant"]
+)
+def test_parameters_that_are_no_number_are_refused(tmp_path, name, text):
+    """Each parameter that a class has, not the three most important ones alone."""
+    source = (MODELS / "arm26.osim").read_text()
+    found = re.search(rf"<{name}>[^<]*</{name}>", source)
+    path = tmp_path / "arm.osim"
+    path.write_text(source.replace(found[0], f"<{name}>{text}</{name}>", 1), encoding="utf-8")
+    with pytest.raises(ValueError, match=rf"<{name}> must be (one number|numbers), got '{text}'"):
+        read_model(path)
+
+
+def test_tabs_and_line_breaks_in_names_are_blanks(tmp_path):
+    """As in the texts that refer to them; else a table with such a column is no table."""
+    path = changed(tmp_path, MODELS / "arm26.osim", 'name="BRA"', 'name="BRA&#9;&#10;  a"')
+    assert "BRA a" in read_model(path).muscles

@@ -9,6 +9,7 @@ import pytest
 from myowarp.apps.cli.motion.dynamics import Dynamics
 from myowarp.apps.cli.motion.report import Report
 from myowarp.apps.cli.motion.steps import RENEWED
+from myowarp.apps.reports import panel
 from myowarp.apps.reports.motion import DRAWN, draw, floating, page
 from myowarp.apps.reports.motion import PARTS as LIST
 from myowarp.motion.storage import Storage, read_storage, write_storage
@@ -108,3 +109,27 @@ def test_the_command(tmp_path):
         Report(arm, output=tmp_path / "out")()
     with pytest.raises(ValueError, match="has no table of a motion; write one with"):
         Report(arm, output=tmp_path)()
+
+
+def test_names_are_no_formulas(tmp_path):
+    r"""A muscle called $\input{x}$ ended the page; a power of ten on an axis is one still."""
+    table(tmp_path, "activations.sto", **{r"$\input{x}$": 0.5, "a $ b": 0.4, "time": 0.3, "a,b": 0.2})
+    assert r"<td>$\input{x}$</td>" in page(tmp_path, read_model(LEG))
+    assert read_storage(tmp_path / "activations.sto").labels[2] == "time"
+    figure = panel.blank(3.0, 2.0)
+    axes = figure.subplots()
+    axes.set(title=r"$\input{x}$", yscale="log", ylim=(1.0, 1e4))
+    panel.picture(figure, "svg")
+    assert not axes.title.get_parse_math()
+    assert axes.get_yticklabels()[1].get_parse_math()
+
+
+def test_angles_of_another_file_are_in_degrees(tmp_path):
+    """Joint angles in radians, as OpenSim's states are, were shown as degrees."""
+    model = read_model(ARM)
+    labels = tuple(f"/jointset/{model.coordinates[name].joint}/{name}/value" for name in model.coordinates)
+    values = np.radians([[30.0, 60.0]] * len(TIME))
+    write_storage(tmp_path / "states.sto", "states", Storage(labels, TIME, values))
+    text = page(tmp_path, model, tmp_path / "states.sto")
+    assert named(text, "Joint angles") == list(model.coordinates)[::-1]
+    assert "<td>60</td><td>60</td><td>\u00b0</td>" in text

@@ -177,6 +177,10 @@ def test_a_study(table, capsys):
     [
         ({"strength": 1.0}, "motion column 'strength' unknown; available: trial, model"),
         ({"filter": "six"}, r"motion row 1 \(trial 'one'\), column 'filter': needs a number, got 'six'"),
+        ({"filter": "1_0"}, r"column 'filter': needs a number, got '1_0'"),
+        ({"filter": "\u0666"}, r"column 'filter': needs a number, got '\u0666'"),
+        ({"mass": "1e308"}, r"column 'mass': needs a number below 1e.15 in size, got '1e.*308'"),
+        ({"filter": "inf"}, r"column 'filter': needs a number, got 'inf'"),
         ({"markers": "x.trc"}, "needs one of markers"),
         ({"model": None}, "column 'model': needs an .osim file, got nothing"),
         ({"trial": "../one"}, "a name has letters"),

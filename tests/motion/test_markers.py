@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+import reader_cases as cases
 
 from myowarp.motion.loads import loads_at, read_loads
 from myowarp.motion.markers import Markers, read_trc, write_trc
@@ -131,3 +132,78 @@ def test_bad_loads_are_refused(loads, tmp_path):
         read_loads(written(tmp_path, text.replace("calcn_r", ""), "e.xml"))
     with pytest.raises(ValueError, match="holds no <ExternalLoads>"):
         read_loads(written(tmp_path, '<OpenSimDocument Version="40000"></OpenSimDocument>', "f.xml"))
+
+
+def test_markers_at_the_origin_are_unseen(tmp_path, caplog):
+    """No camera gives exactly 0 0 0; exporters do where nothing was seen."""
+    text = TRC.replace("2\t0.01\t1001\t21\t-31\t\t\t", "2\t0.01\t1001\t21\t-31\t0\t0.00\t-0")
+    assert read_trc(written(tmp_path, text)).gaps() == {"TOE": [(0.01, 0.01)]}
+    (said,) = (record.getMessage() for record in caplog.records)
+    assert said.endswith("a.trc: markers at exactly 0 0 0 count as not seen, first TOE at 0.01 s")
+    caplog.clear()
+    text = TRC.replace("\t4\t5\t6", "\t0\t0\t6")
+    assert read_trc(written(tmp_path, text)).gaps() == {"TOE": [(0.01, 0.01)]}
+    assert not caplog.records
+
+
+SECOND = "2\t0.01\t1001\t21\t-31\t\t\t\n"
+
+
+def test_rows_without_tabs_at_the_end(tmp_path):
+    """What an editor strips, markers at the end that were not seen, may be left out."""
+    stripped = read_trc(written(tmp_path, TRC.replace(SECOND, SECOND.rstrip() + "\n")))
+    np.testing.assert_array_equal(stripped.positions, read_trc(written(tmp_path, TRC, "b.trc")).positions)
+
+
+@pytest.mark.parametrize(("row", "message"), [
+    ("2\t0.01\t1001\t21\t-31\t4\t5\n", r"frame 2 of .* must have 8 cells for 2 markers, .* got 7"),
+    ("2\t0.01\t1001\t21\t-31\t4\t5\t\n", r"frame 2 of .* a part of the coordinates of marker 'TOE'; it must"),
+    ("2\t0.01\t21\t-31\t4\t5\t6\t\n", r"frame 2 of .* a part of the coordinates of marker 'TOE'"),
+    ("2\t0.01\t1001\t\t-31\t4\t5\t6\n", r"frame 2 of .* a part of the coordinates of marker 'HEEL'"),
+    ("2\t0.01\t1001\t21\t-31\t\n", r"frame 2 of .* must have 8 cells for 2 markers, .* got 6"),
+])  # fmt: skip
+def test_rows_with_a_cell_less_are_refused(tmp_path, row, message):
+    """Its neighbours would be taken for it."""
+    with pytest.raises(ValueError, match=message):
+        read_trc(written(tmp_path, TRC.replace(SECOND, row)))
+
+
+def test_a_file_that_ends_in_a_row_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"frame 2 of .* must have 8 cells for 2 markers, .* got 5"):
+        read_trc(written(tmp_path, TRC[: TRC.index(SECOND)] + SECOND.rstrip()))
+
+
+def test_numbers_of_frames_that_do_not_match_are_said(tmp_path, caplog):
+    """OpenSim's kinematics reads the frames that are there."""
+    assert len(read_trc(written(tmp_path, TRC.replace("100\t3\t2", "100\t5\t2"))).time) == 3
+    (said,) = (record.getMessage() for record in caplog.records)
+    assert said.endswith("a.trc' says NumFrames=5 and has 3 frames")
+
+
+def test_a_file_that_ends_in_a_number_is_said(tmp_path, caplog):
+    """Where all numbers above have more digits."""
+    rows = "1\t0.00\t1\t2\t3\t4\t5\t6.25\n2\t0.01\t1\t2\t3\t4\t5\t57.30\n3\t0.02\t1\t2\t3\t4\t5\t"
+    text = "\n".join([*TRC.splitlines()[:6], rows])
+    for last in ("57.30\n", "57.3\n", "57.30"):
+        read_trc(written(tmp_path, text + last))
+    assert not caplog.records
+    for last in ("57.3", "57.", "5"):
+        read_trc(written(tmp_path, text + last))
+        assert "ends without a line break, and its last number has fewer digits" in caplog.text
+        caplog.clear()
+
+
+def test_latin_1(tmp_path):
+    path = tmp_path / "a.trc"
+    path.write_bytes(TRC.replace("HEEL", "Kn\u00f6chel").encode("latin-1"))
+    assert read_trc(path).names == ("Kn\u00f6chel", "TOE")
+
+
+def test_rows_are_written_as_opensim_reads_them(tmp_path):
+    """It wants one more tab where the last marker was not seen, as in this file, which `readers.json` has."""
+    path = tmp_path / "walk.trc"
+    path.write_text(cases.MARKERS)
+    write_trc(tmp_path / "again.trc", read_trc(path))
+    read, again = (file.read_text().split("\n")[6:] for file in (path, tmp_path / "again.trc"))
+    assert [row.count("\t") for row in again] == [row.count("\t") for row in read]
+    assert again[2].endswith("\t\t\t\t")

@@ -48,3 +48,21 @@ def test_what_cannot_be_filtered():
         derivatives(TIME[:3], sine(1.0)[:3], TIME[:1])
     with pytest.raises(ValueError, match=r"must be at least 0.005 and below 50 Hz, half of the rate, got 60"):
         lowpass(TIME, sine(1.0), 60.0)
+
+
+@pytest.mark.parametrize("apart", [1e-6, 1e-7])
+def test_two_frames_that_nearly_coincide(apart):
+    """Steps at the shortest one would be millions."""
+    time = np.sort(np.append(np.arange(60) / 60.0, 29 / 60.0 + apart))
+    with pytest.raises(
+        ValueError, match=r"nearly equal: the frames at 0\.483333333 and 0\.48333.* s are 1e-0[67] s"
+    ):
+        lowpass(time, np.sin(time)[:, None], 6.0)
+
+
+def test_frequencies_that_float64_does_not_hold():
+    for cutoff in (0.0, -1.0, np.nan, np.inf, 1e-300, 1e-3):
+        with pytest.raises(
+            ValueError, match=f"at least 0.005 and below 50 Hz, half of the rate, got {cutoff:g}"
+        ):
+            lowpass(TIME, sine(1.0), cutoff)

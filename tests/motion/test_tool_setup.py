@@ -146,6 +146,18 @@ def test_gaps_are_listed_and_filled_up_to_a_length(leg, capsys):
         recorded.filled(-1.0)
 
 
+def test_names_with_commas(leg, capsys):
+    """A gap of a marker "a,b" is none that was filled."""
+    folder, there, names = leg
+    seen = there["seen"].copy()
+    seen[20:45, 1] = np.nan
+    names = (names[0], f"{names[1]},b", *names[2:])
+    write_trc(folder / "walk.trc", Markers(names, there["time"], seen))
+    Kinematics(LEG, markers=folder / "walk.trc", output=folder / "out")()
+    assert f"{names[1]} was not seen from" in (said := capsys.readouterr().err)
+    assert "filled" not in said
+
+
 def test_a_spline_of_a_parabola_is_exact():
     """Natural cubic splines bridge a straight line exactly, and a parabola away from its ends."""
     time = np.linspace(0.0, 1.0, 101)
