@@ -12,8 +12,8 @@ full ranges; poses in which the guard refuses a jump of OpenSim are counted and 
 the default pose at rest, three patterns of excitation and the least one, OpenSim at 1e-6; the model as it is
 loaded at its own step of 2 ms and at shorter ones, so that the step's share is seen; its muscles on fitted
 tendons, for what paths do; MuJoCo's muscles on OpenSim's paths, for what muscles do. Ranges stop no joint
-(`stops=False`), as in OpenSim. A path may jump in OpenSim, mostly beyond ranges; what comes before is compared once more. Writes
-benchmarks/results/opensim_muscles.json after each model.
+(`stops=False`), as in OpenSim. A path may jump in OpenSim, mostly beyond ranges; what comes before is
+compared once more. Writes benchmarks/results/opensim_muscles.json after each model.
 """
 
 import argparse
@@ -220,7 +220,7 @@ def jumps(source: Path, record: Any, meta: dict[str, Any]) -> dict[str, tuple[in
 
 
 def fitted_tendons(file: Path) -> Path:
-    """Return a copy of a model, sidecars beside it, whose muscles pull the tendons fitted to OpenSim's paths."""
+    """Return a copy of a model, sidecars beside it, whose muscles pull tendons fitted to OpenSim's paths."""
     folder = file.parent.with_name(f"{file.parent.name}-fitted")
     shutil.copytree(file.parent, folder, dirs_exist_ok=True)
     (folder / "paths.json").unlink(missing_ok=True)

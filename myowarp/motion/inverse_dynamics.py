@@ -271,25 +271,25 @@ def inverse_dynamics(
         if given.shape != wanted:
             raise ValueError(f"{name} must have the shape {wanted} (frames, coordinates), got {given.shape}")
     frames = [(bones.number(x.body), bones.number(x.force_frame), bones.number(x.point_frame)) for x in loads]
-    acting = np.zeros((len(values), len(loads), 3, 3))
+    loading = np.zeros((len(values), len(loads), 3, 3))
     for number, load in enumerate(loads):
         for part, given in enumerate((load.force, load.point, load.torque)):
-            acting[:, number, part] = given
-    tables = acting_in(bones)
+            loading[:, number, part] = given
+    acting = acting_in(bones)
     heavy = np.atleast_2d(np.asarray(masses, float))
     heavy = np.broadcast_to(heavy, (len(heavy), len(bones.bodies) - 1))
 
     def solve(c: slice) -> tuple[np.ndarray, ...]:
         masses = heavy[c] if len(heavy) > 1 else heavy
         motion = values[c], speeds[c], accelerations[c]
-        return _chunk(bones, motion, acting[c], frames, masses, tables, passive and tables.any)
+        return _chunk(bones, motion, loading[c], frames, masses, acting, passive and acting.any)
 
     moment, pushed, *rest = joined(in_parts(len(values), CHUNK, bones.device, solve))
     pushed = pushed if pushed.shape[1] else np.broadcast_to(0.0, moment.shape)
-    if not (passive and tables.ligaments):
+    if not (passive and acting.ligaments):
         return Needed(moment, pushed, {}, *rest)
     tension, pulled = ligament_pulls(bones, values, speeds)
-    pulls = dict(zip(tables.ligaments, tension.T, strict=True))
+    pulls = dict(zip(acting.ligaments, tension.T, strict=True))
     return Needed(moment - pulled, pushed + pulled, pulls, *rest)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from myowarp.disk import cache_dir, files_digest, version, writable_folder
 from myowarp.engine.warn_once import warn_once
+from myowarp.opensim.check.accelerations import too_fast
 from myowarp.opensim.compose.convert import Options, convert
 from myowarp.opensim.compose.geometry import MIN_MASS
 from myowarp.opensim.compose.meshes import mesh_files
@@ -22,6 +23,9 @@ from myowarp.opensim.read.model import read_model
 
 SOURCES = ("opensim/**/*.py", "coordinates/*.py", "models/paths/*.py", "disk.py")
 """Files of the package that decide what comes out."""
+
+TOO_FAST = "accelerations.json"
+"""Beside the model: sentences on what accelerates too fast in it."""
 
 MASSLESS = "massless"
 """Code of a model without masses, as in the report of a conversion."""
@@ -42,6 +46,8 @@ def load(path: Path) -> Path:
     folder = kept / f"{path.stem}-{digest}-mujoco-{version('mujoco')}"
     if not (folder / "model.xml").is_file():
         write(folder, _files(path))
+    for line in json.loads((folder / TOO_FAST).read_text()):
+        warn_once(f"{path.name}: {line}")
     codes = json.loads((folder / "left_out.json").read_text())
     if MASSLESS in codes:
         warn_once(
@@ -75,5 +81,6 @@ def _files(path: Path) -> dict[str, bytes]:
         **({"forces.json": converted.forces.as_json().encode()} if converted.forces else {}),
         "muscles.csv": muscle_table(map(HillMuscle.of, model.muscles.values())).encode(),
         "left_out.json": json.dumps(sorted(left_out)).encode(),
+        TOO_FAST: json.dumps(too_fast(model)).encode(),
         "model.xml": mjcf(converted.spec, comment=f"{model.name}. {model.credits}").encode(),
     }

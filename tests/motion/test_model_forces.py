@@ -288,8 +288,11 @@ def test_the_commands(tmp_path, capsys):
     lost = "left out, though OpenSim has it act: ExpressionBasedCoordinateForce 'expression' (r_elbow_flex)"
     assert title(out / "moments.sto") == f"joint moments, N m and N; {lost}"
     assert read_storage(out / "moments.sto").labels == ("r_shoulder_elev_moment", "r_elbow_flex_moment")
-    assert lost in page(out, read_model(model)).replace("&#x27;", "'")
+    text = page(out, read_model(model)).replace("&#x27;", "'")
+    assert lost in text
+    assert "Moments of springs and ligaments" in text
     Forces(model, **options)()
+    assert "Motors of the model" in page(out, read_model(model))
     assert read_storage(out / "actuators.sto").labels == ("motor", "cable", "twist", "thrust")
     for name in ("activations", "actuators", "joint_reactions", "reserves", "missing"):
         assert title(out / f"{name}.sto").endswith(lost)

@@ -15,6 +15,7 @@ from myowarp.definitions.body import BODIES
 from myowarp.engine.warn_once import warn_once
 from myowarp.opensim import load as loading
 from myowarp.opensim.load import load
+from myowarp.opensim.muscle.hill import HillMuscle, known
 from myowarp.opensim.read.model import read_model
 from myowarp.sim.build import compile_scene, full_spec, stepped_of
 from myowarp.sim.simulation import Simulation
@@ -114,7 +115,8 @@ def test_a_file_is_read_once(monkeypatch):
     assert load(OSIM / "arm26.osim") == found
     names = {file.name for file in found.parent.iterdir()}
     assert names == {
-        *("model.xml", "coordinates.json", "couplings.json", "paths.json", "muscles.csv", "left_out.json")
+        *("model.xml", "coordinates.json", "couplings.json", "paths.json", "muscles.csv", "left_out.json"),
+        "accelerations.json",
     }
 
 
@@ -170,6 +172,52 @@ def test_a_muscle_out_of_bounds_changes_itself_alone(tmp_path, caplog):
     assert healthy == paralysed
     said = "max_isometric_force of muscle 'BIClong' must be from 1e-06 to inf, got 0; it is taken as 1e-06"
     assert [r.getMessage() for r in caplog.records] == [f"paralysed.osim: {said}"]
+
+
+LIGHT = """<OpenSimDocument Version="40600"><Model name="light"><BodySet><objects><Body name="rod">
+<mass>{mass}</mass><mass_center>0.1 0 0</mass_center><inertia>{inertia} {inertia} {inertia} 0 0 0</inertia>
+</Body></objects></BodySet><JointSet><objects><PinJoint name="hinge">
+<socket_parent_frame>/ground</socket_parent_frame><socket_child_frame>/bodyset/rod</socket_child_frame>
+<coordinates><Coordinate name="angle"/></coordinates></PinJoint></objects></JointSet><ForceSet><objects>
+<CoordinateActuator name="motor"><coordinate>angle</coordinate><optimal_force>{force}</optimal_force>
+<min_control>-2</min_control><max_control>1</max_control></CoordinateActuator>
+<Millard2012EquilibriumMuscle name="flexor"><GeometryPath><PathPointSet><objects><PathPoint name="a">
+<socket_parent_frame>/ground</socket_parent_frame><location>0 0.3 0</location></PathPoint><PathPoint name="b">
+<socket_parent_frame>/bodyset/rod</socket_parent_frame><location>0.1 0 0</location></PathPoint></objects>
+</PathPointSet></GeometryPath><max_isometric_force>100</max_isometric_force>
+<optimal_fiber_length>0.1</optimal_fiber_length><tendon_slack_length>0.18</tendon_slack_length>
+</Millard2012EquilibriumMuscle></objects></ForceSet></Model></OpenSimDocument>"""
+
+
+def test_a_model_that_cannot_move_says_so(tmp_path, caplog):
+    """A rod without inertia under its muscle; a motor by its torque over the inertia about the hinge."""
+    path = tmp_path / "light.osim"
+
+    def said(**numbers):
+        warn_once.cache_clear()
+        caplog.clear()
+        path.write_text(LIGHT.format(**{"mass": 1.0, "inertia": 0.01, "force": 5.0} | numbers))
+        load(path)
+        return caplog.messages
+
+    assert said() == []
+    fast = 2.0 * 60.0 / (0.01 + 0.1**2)
+    assert said(force=60.0) == [
+        f"light.osim: at full control motors throw light bodies, by up to {fast:.2g} rad/s^2, which may end "
+        "in faults: motor; give them less optimal force, or bound their controls"
+    ]
+    light = {"mass": 1e-6, "inertia": 1e-10, "force": 1e-6}
+    found = said(**light).copy()
+    muscle = known(HillMuscle.of(read_model(path).muscles["flexor"]))[0]
+    length = np.hypot(0.3, 0.1)
+    moment = 100.0 * float(muscle.tendon_force(0.01, length)) * 0.3 * 0.1 / length - 1e-6 * 9.80665 * 0.1
+    rest = moment / (1e-10 + 1e-6 * 0.1**2)
+    assert rest > 1e6
+    assert found == [
+        f"light.osim: at rest in its default pose angle accelerates by {rest:.2g} rad/s^2: bodies have next "
+        "to no inertia, no time step follows them, and the model cannot move"
+    ]
+    assert said(**light) == found, "from the cache, too"
 
 
 def test_a_model_without_muscles_is_named_as_the_user_does(tmp_path):

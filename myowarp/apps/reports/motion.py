@@ -65,11 +65,18 @@ ROOT = replace(
     "motion do not agree on; without them it is the weight, too.",
 )
 ACTIVATIONS = Part("activations.sto", "Activations", "1")
-RESERVES = Part("reserves.sto", "Reserves", "N m, N", "What reserve actuators had to add.")
+RESERVES = Part("reserves.sto", "Reserves", "N m, N", "What reserves, and motors of the model, had to add.")
 PARTS = (
     RESERVES,
     Part("ik.mot", "Joint angles", "°, m"),
     MOMENTS,
+    Part(
+        "passive_moments.sto",
+        "Moments of springs and ligaments",
+        "N m, N",
+        "What springs, limits, bushings and ligaments of the model give; joint moments are what is left.",
+    ),
+    Part("actuators.sto", "Motors of the model", "N m or N", "Moment or force of each, by its name."),
     ACTIVATIONS,
     Part("forces.sto", "Muscle forces", "N", open=False),
     Part("powers.sto", "Muscle powers", "W", "Shortening is positive.", open=False),

@@ -44,7 +44,7 @@ QUANTITIES = {
     "moment": ("moments", "joint moments, N m and N"),
     "activation": ("activations", "activations"),
     "force": ("forces", "forces of muscles, N"),
-    "reserve": ("reserves", "what reserves give, N m and N"),
+    "reserve": ("reserves", "what reserves and motors give, N m and N"),
     "missing": ("missing", "what nobody gives, N m and N"),
 }
 """First part of a column of the results: file, and what it is."""
