@@ -1,6 +1,7 @@
 """Set-ups as OpenSim's tools and OpenCap write them where nothing is stated, and what OpenSim does then."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,11 @@ from myowarp.apps.cli.motion.dynamics import Dynamics
 from myowarp.motion.loads import loads_at, read_loads
 from myowarp.motion.markers import Markers, write_trc
 from myowarp.motion.scaling import read_setup, scale
+from myowarp.motion.setup import TrialSetup
 from myowarp.motion.skeleton import Bones
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.tasks import tasks_of
-from myowarp.motion.tool_setup import ToolSetup, read_tool_setup
+from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.trial import kinematics
 from myowarp.opensim.read.document import parse
 
@@ -33,41 +35,41 @@ ABSTRACT = """<model_file /><replace_force_set>false</replace_force_set><force_s
 # As OpenSim 4.6 writes each tool before anything is set, without what has no meaning here; the last three are
 # what OpenCap and the GUI write, and what a tool takes where a file leaves an element out.
 TOOLS = {
-    "kinematics": ("<InverseKinematicsTool></InverseKinematicsTool>", ToolSetup()),
+    "kinematics": ("<InverseKinematicsTool></InverseKinematicsTool>", TrialSetup()),
     "kinematics, all": (
         f"<InverseKinematicsTool><model_file></model_file><time_range>-Inf 2</time_range>{TASKS}"
         "<marker_file></marker_file><coordinate_file></coordinate_file></InverseKinematicsTool>",
-        ToolSetup(span=(-math.inf, 2.0)),
+        TrialSetup(span=(-math.inf, 2.0)),
     ),
     "dynamics": (
         "<InverseDynamicsTool><model_file>Unassigned</model_file><time_range> -inf inf</time_range>"
         "<forces_to_exclude /><external_loads_file>Unassigned</external_loads_file>"
         "<coordinates_file>Unassigned</coordinates_file><lowpass_cutoff_frequency_for_coordinates>-1"
         "</lowpass_cutoff_frequency_for_coordinates></InverseDynamicsTool>",
-        ToolSetup(),
+        TrialSetup(),
     ),
     "analysis": (
         f"<AnalyzeTool>{ABSTRACT}<states_file /><coordinates_file /><speeds_file />"
         "<lowpass_cutoff_frequency_for_coordinates>-1</lowpass_cutoff_frequency_for_coordinates></AnalyzeTool>",
-        ToolSetup(span=(0.0, 1.0)),
+        TrialSetup(span=(0.0, 1.0)),
     ),
     "static optimization": (
         f"<AnalyzeTool>{ABSTRACT}{STATIC}</AnalyzeTool>",
-        ToolSetup(span=(0.0, 1.0), exponent=2.0),
+        TrialSetup(span=(0.0, 1.0), exponent=2.0),
     ),
-    "tracking": (f"<CMCTool>{ABSTRACT}{CMC}</CMCTool>", ToolSetup(span=(0.0, 1.0))),
+    "tracking": (f"<CMCTool>{ABSTRACT}{CMC}</CMCTool>", TrialSetup(span=(0.0, 1.0))),
     "OpenCap": (
         f"<InverseKinematicsTool><model_file>Unassigned</model_file><constraint_weight>Inf</constraint_weight>"
         f"<time_range>-Inf Inf</time_range>{TASKS}<marker_file>Unassigned</marker_file>"
         "<coordinate_file>Unassigned</coordinate_file></InverseKinematicsTool>",
-        ToolSetup(),
+        TrialSetup(),
     ),
     "unassigned times": (
         "<InverseKinematicsTool><time_range>Unassigned</time_range></InverseKinematicsTool>",
-        ToolSetup(),
+        TrialSetup(),
     ),
     "no times": ("<AnalyzeTool><force_set_files>Unassigned</force_set_files></AnalyzeTool>",
-                 ToolSetup(span=(0.0, 1.0))),
+                 TrialSetup(span=(0.0, 1.0))),
 }  # fmt: skip
 SCALING = """<ScaleTool><mass>-1</mass><height>-1</height><age>-1</age><notes>Unassigned</notes>
 <GenericModelMaker><model_file>Unassigned</model_file><marker_set_file>Unassigned</marker_set_file>
@@ -93,7 +95,13 @@ def written(folder, text, name="setup.xml"):
 @pytest.mark.parametrize("name", TOOLS)
 def test_tools(tmp_path, name):
     text, expected = TOOLS[name]
-    assert read_tool_setup(written(tmp_path, text)) == expected
+    found, kinematics = read_tool_setup(written(tmp_path, text)), "InverseKinematicsTool" in text
+    assert (found.tasks is not None, found.excluded) == (
+        kinematics,
+        () if "InverseDynamics" in text else None,
+    )
+    assert found.sources == (found.file,)
+    assert replace(found, file=None, sources=(), tasks=None, excluded=None) == expected
 
 
 def test_scale_tool(tmp_path):

@@ -270,7 +270,7 @@ def recording_of(trial: Trial, study: Study) -> Recording:
         fitted = inverse_kinematics(bones, recorded, **fit)
         if doubt := fitted.doubt():
             raise ValueError(doubt)
-        weights = fit.get("marker_weights", {})
+        weights = fit.get("marker_weights") or {}
         how |= {**fit, "markers": recorded}
         how["marker_weights"] = {name: weights.get(name, 1.0) for name in fitted.markers}
         time, known, values = fitted.time, fitted.time, fitted.values
