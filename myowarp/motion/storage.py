@@ -3,9 +3,6 @@
 A `.sto` or `.mot` file has header lines up to `endheader`, a line of column labels and a row for each time,
 separated by tabs or blanks (OpenSim's class `Storage`). Here values are in SI units and radians. Rows are
 read forwards, so that a file may be longer than memory (see `streams`).
-
-Header lines are read as OpenSim 4.6 reads them: a word, blanks or `=`, a value. Before version 1 a `.mot`
-file is in degrees, as SIMM's was; else `inDegrees` says so by `yes` or `y`.
 """
 
 from __future__ import annotations
@@ -24,6 +21,7 @@ from typing import IO, NoReturn, Self
 import numpy as np
 
 from myowarp.disk import in_place, naming
+from myowarp.motion.headers import Header, header_of, pair_of, whole_number
 from myowarp.opensim.read.document import MAX_NUMBER, decoded, number_of
 
 logger = logging.getLogger("myowarp")
@@ -33,14 +31,6 @@ CLOSE = 1e-7
 """[s] below which two times are no two samples, and splines through them no motion."""
 TAIL = 100
 """Rows before the last one that its digits are compared with."""
-
-LINE = re.compile(r"\s*([^\s=]*)[\s=]*(.*?)\s*$", re.DOTALL)
-DEGREES = re.compile(r"\s*indegrees[\s=:]*(.*?)[\s,;]*$", re.IGNORECASE | re.DOTALL)
-NOTE = re.compile(r"\s*angles are in (degrees|radians)", re.IGNORECASE)
-UNITS = {
-    **dict.fromkeys(("yes", "y", "true", "1"), "degrees"),
-    **dict.fromkeys(("no", "n", "false", "0"), "radians"),
-}
 
 
 @dataclass(frozen=True)
@@ -169,61 +159,6 @@ def read_storage(path: Path, gaps: bool = False) -> Storage:
         return rows.whole()
 
 
-@dataclass(frozen=True)
-class Header:
-    """What a file has before its rows.
-
-    Attributes:
-        labels: Names of the columns, without `time`.
-        in_degrees: As in `Storage`.
-        unit: As in `Storage`.
-        rows: How many it says it has, in its own words; empty: it does not say.
-        columns: The same, with `time`.
-        counts: Whether OpenSim goes by these counts.
-    """
-
-    labels: tuple[str, ...]
-    in_degrees: bool = False
-    unit: str = ""
-    rows: str = ""
-    columns: str = ""
-    counts: bool = True
-
-
-def whole_number(text: str) -> int | None:
-    """Return the whole number that a text begins with, as C reads it; None: with none."""
-    found = re.match(r"[+-]?\d+", text)
-    return int(found[0]) if found else None
-
-
-def header_of(lines: Sequence[str], labels: Sequence[str], simm: bool) -> Header:
-    """Return what the lines before `endheader` say.
-
-    Args:
-        lines: The lines.
-        labels: Names of the columns, without `time`.
-        simm: Whether angles are in degrees before version 1.
-    """
-    version, rows, columns, degrees, unit, note = 0, "", "", False, "", ""
-    for line in lines:
-        key, value = LINE.match(line).groups()  # type: ignore[union-attr]
-        if key == "version":
-            version = whole_number(value) or 0
-        elif key in ("nRows", "nr", "datarows"):
-            rows = value
-        elif key in ("nColumns", "nc", "datacolumns"):
-            columns = value
-        elif key == "inDegrees":
-            degrees = value.lower() in ("yes", "y")
-        elif line.strip() == "Angles are in degrees." and not version:
-            degrees = True
-        if word := DEGREES.match(line):
-            unit = UNITS.get(word[1].lower(), word[1])
-        elif word := NOTE.match(line):
-            note = word[1].lower()
-    return Header(tuple(labels), degrees or (simm and version < 1), unit or note, rows, columns, version < 2)
-
-
 class Rows:
     """Rows of a `.sto`, `.mot` or `.csv` file, read forwards; a context manager that closes it.
 
@@ -296,13 +231,14 @@ class Rows:
         lines, ended = [], self._csv
         while not ended and (line := self._file.readline()):
             lines.append(line)
-            ended = LINE.match(line)[1].lower() == "endheader"  # type: ignore[index]
+            ended = pair_of(line)[0].lower() == "endheader"
         while (line := self._file.readline()) and not line.strip():
             pass
         *head, names = self._text([*lines, line.rstrip("\n")])
         if not ended:
             raise ValueError(f"{str(self.path)!r} has no line 'endheader'; a .sto or .mot file needs one")
         labels = self._cells(names)
+        self._spare = names[len(names.rstrip(", ")) :].count(",")  # at the end of every line
         if len(labels) < 2 or labels[0].lower() != "time":
             raise ValueError(
                 f"{str(self.path)!r} must have a first column 'time', and at least one more, got "
@@ -366,16 +302,15 @@ class Rows:
         Raises:
             ValueError: A line has not one number for each column.
         """
-        columns = 1 + len(self.header.labels)
         try:
             if self._csv:
-                lines = [line.rstrip().rstrip(",") for line in lines]
+                lines = [line.rstrip().removesuffix("," * self._spare) or "," for line in lines]
                 table = np.loadtxt(lines, comments=None, ndmin=2, delimiter=",", quotechar='"')
             else:
                 table = np.loadtxt(lines, comments=None, ndmin=2)
         except ValueError:
             self._explain(lines)
-        if table.shape[1] != columns:
+        if table.shape != (len(lines), 1 + len(self.header.labels)):
             self._explain(lines)
         return table
 
@@ -429,7 +364,7 @@ class Rows:
             )
 
     def read(self, count: int | None = None) -> np.ndarray:
-        """Return time and values of up to so many more rows; None: of all. None are left where none comes.
+        """Return time and values of up to so many more rows, or of all; no rows at the end of the file.
 
         Raises:
             ValueError: A row is not what it should be, or the file has not as many as it says.
@@ -457,7 +392,8 @@ class Rows:
 
     def _cut(self, lines: Sequence[str]) -> None:
         """Say where a file ends in the middle of a line, and maybe of a number."""
-        *before, last = (re.split(r"[.eE]", self._cells(line)[-1])[-1].strip("+-") for line in lines)
+        words = (self._cells(line, count=1)[-1] for line in lines)
+        *before, last = (re.split(r"[.eE]", word)[-1].strip("+-") for word in words)
         if before and all(len(digits) > len(last) for digits in before):
             logger.warning(
                 "%s ends without a line break, and its last number has fewer digits than those above it; if "

@@ -1,5 +1,7 @@
 """Tables over time: files of OpenSim, recordings for it, and excitations that are played back."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -63,11 +65,11 @@ def test_files_of_others(tmp_path, text, suffix, in_degrees):
 
 
 def test_what_is_written_is_read(tmp_path):
-    path, time = tmp_path / "run.sto", np.arange(3) / 3
-    write_storage(path, "run", Storage(("a",), time, np.sin(time)[:, None]))
+    path, at = tmp_path / "run.sto", np.arange(3) / 3
+    write_storage(path, "run", Storage(("a",), at, np.sin(at)[:, None]))
     storage = read_storage(path)
-    np.testing.assert_allclose(storage.time, time, rtol=1e-8)
-    np.testing.assert_allclose(storage.values[:, 0], np.sin(time), rtol=1e-8)
+    np.testing.assert_allclose(storage.time, at, rtol=1e-8)
+    np.testing.assert_allclose(storage.values[:, 0], np.sin(at), rtol=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -106,6 +108,50 @@ def test_bad_files_are_refused(tmp_path, text, message):
         read_storage(path)
     with pytest.raises(ValueError, match=message):
         find_policy(str(path), TASKS["myoElbowPose1D6MRandom-v0"])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,a\n0,x\n", "row 1 of .* has a cell that is no number: 'x' in column 'a'"),
+        ("time,a,b\n0,,1\n", "row 1 of .* has an empty cell in column 'a'"),
+        ("time,a,b\n0,1,2\n1,2,\n", "row 2 of .* has an empty cell in column 'b'"),
+        ("time,a\n0,1e400\n", "row 1 has inf in column 'a'"),
+        ("time;a\n0;1\n", "must have a first column 'time', and at least one more, got 'time;a'"),
+        ("time,,b\n0,1,2\n", "has a column without a name, before 'b'"),
+        (",,\n,,", "must have a first column 'time'"),
+        ("time,a\n0,1\n,\n", "row 2 of .* has an empty cell in column 'time'"),
+        ("time,a,\n0,1,\n,\n", "row 2 of .* has an empty cell in column 'time'"),
+        ("time,a,\n0,1,\n,,", "row 2 of .* has an empty cell in column 'time'"),
+        ("time,a\n0,1\n1,2,3\n", "row 2 of .* must have 2 cells, got 3"),
+    ],
+)
+def test_bad_tables_of_commas_are_refused(tmp_path, text, message):
+    path = tmp_path / "file.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        read_storage(path)
+
+
+def test_tables_of_commas(tmp_path):
+    """With quotes, blanks, and commas at the end of every line."""
+    path = tmp_path / "file.csv"
+    path.write_text('\ufefftime,"a, b",c,\n"0",1, 2,\n\n0.5,"3",4,\n', encoding="utf-8")
+    table = read_storage(path)
+    assert table.labels == ("a, b", "c")
+    np.testing.assert_array_equal(table.values, [[1.0, 2.0], [3.0, 4.0]])
+
+
+@pytest.mark.parametrize(
+    "line", [" " * 10**6 + "x", "inDegrees" + " =" * 10**6 + "x", "a" * 10**6 + " " * 10**6]
+)
+def test_long_lines_cost_their_length(tmp_path, line):
+    """A search that goes back at every blank would take hours."""
+    path = tmp_path / "file.sto"
+    path.write_text(f"{line}\nendheader\ntime\ta\n0\t1\n")
+    begin = time.process_time()
+    assert read_storage(path).labels == ("a",)
+    assert time.process_time() - begin < 2.0, "s"
 
 
 def test_recording_for_opensim(elbow, tmp_path):
