@@ -291,6 +291,7 @@ def writable_folder(folder: Path, variable: str) -> Path:
     except OSError as error:
         reason = error.strerror or type(error).__name__
     if not reason:
+        sweep(folder)
         return folder
     instead = _temporary_folder() / variable.lower()
     instead.mkdir(exist_ok=True)

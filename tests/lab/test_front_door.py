@@ -43,6 +43,19 @@ def test_copying_replaces_nothing_unasked(run, tmp_path):
     assert (tmp_path / "own_task.py").read_text() != "mine"
 
 
+def test_examples_are_not_copied_through_links(run, tmp_path):
+    """A link that points nowhere counts as a file; it is replaced, and nothing is made where it points."""
+    (tmp_path / "out").mkdir()
+    link = tmp_path / "out/arm.osim"
+    link.symlink_to(tmp_path / "elsewhere")
+    status, _, err = run("examples", "--copy", "--output", tmp_path / "out")
+    assert (status, "arm.osim' exists" in err) == (2, True)
+    assert run("examples", "--copy", "--output", tmp_path / "out", "--overwrite")[0] == 0
+    assert link.is_file()
+    assert not link.is_symlink()
+    assert not (tmp_path / "elsewhere").exists()
+
+
 @pytest.mark.parametrize("line", [line for *_, line in examples() if line.startswith("myowarp ")])
 def test_the_line_of_an_example_is_understood(line, monkeypatch):
     called = []
