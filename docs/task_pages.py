@@ -95,8 +95,8 @@ def _baseline(key: str) -> str:
     result, training = run["evaluation"]["deterministic"], run["training"]
     share = success_text(result, MYOSUITE)
     return (
-        f"`--policy baselines/{key}` has more than 5 solved steps in {share} of {result['episodes']} episodes "
-        f"(95 % interval; deterministic actions, `parity` physics). It took "
+        f"`--policy baselines/{key}` has more than 5 solved steps in {share} of {result['episodes']} "
+        f"episodes (95 % interval; deterministic actions, `parity` physics). It took "
         f"{training['samples'] / 1e6:.2f} million samples of {training['algorithm'].upper()}, seed "
         f"{training['seed']}. [All baselines](../baselines.md)"
     )
