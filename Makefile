@@ -106,6 +106,7 @@ opensim: setup .venv-opensim/.installed ## Measure speed beside OpenSim with 1 t
 opensim-check: setup .venv-opensim/.installed ## Compare muscles, paths and recorded motions with OpenSim's (MODELS="ARM.osim GAIT.osim", TRIAL=FOLDER)
 	$(BIN)/python -m benchmarks.opensim_muscles --work out/opensim_muscles $(CHECKED)
 	$(BIN)/python -m benchmarks.muscle_bench
+	$(BIN)/python -m benchmarks.opensim_energy $(CHECKED)
 	.venv-opensim/bin/python benchmarks/opensim_paths_record.py $(CHECKED) -o out/paths
 	$(BIN)/python -m benchmarks.opensim_paths $(CHECKED) --recorded out/paths -o out/opensim_paths.json
 	.venv-opensim/bin/python benchmarks/opensim_motion_record.py $(MOTIONS) $(addprefix --trial ,$(TRIAL)) -o out/motion

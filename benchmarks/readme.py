@@ -7,7 +7,6 @@ from textwrap import fill
 from myowarp.apps.policies.baselines import load_baseline
 from myowarp.disk import in_place
 from myowarp.kernels.episode import MYOSUITE
-from myowarp.sim.economy import as_text
 
 ROOT = Path(__file__).parents[1]
 README, RESULTS = ROOT / "README.md", ROOT / "benchmarks/results"
@@ -31,11 +30,11 @@ TEXT = """
   EnvPool, and {async_env:.1f} times as many as in MyoSuite's AsyncVectorEnv (MyoSuite's integrator and
   step, random actions, medians of five rounds). All nine families make {slowest:.1f} to {fastest:.1f} times
   the steps of MuJoCo C's thread pool on the same cores ([speed](docs/speed.md)).
-- Trained policies, 256 episodes each, without exploration noise, by MyoSuite's rule (more than 5 solved
-  steps): in {good} of {easy} easy tasks at least {least:.0f} % of the episodes succeed in every training run,
-  of {seeds[0]} to {seeds[1]} from different seeds{but}. Hard tasks succeed in these percentages, means over
-  seeds: {hard}. Legs walk for 10 s (training runs: {walkers}), at {walk}, where 1.2 m/s is asked and a person
-  spends a tenth. [Baselines](docs/baselines.md) has every seed, and what fails.
+- Trained policies, 256 episodes each without exploration noise, MyoSuite's rule (more than 5 solved steps):
+  {good} of {easy} easy tasks have at least {least:.0f} % in every training run ({seeds[0]} to {seeds[1]}
+  seeds){but}. Hard tasks, means over seeds [%]: {hard}. Legs walk 10 s ({walkers} training run) at {walk},
+  where 1.2 m/s is asked and a person spends a tenth. [Baselines](docs/baselines.md) has every seed, and what
+  fails.
 """
 LEARNED = 95.0  # percent of the episodes
 WIDTH = 118
@@ -87,7 +86,7 @@ def results() -> str:
         but="".join(exception(task) for task in easy if task not in good),
         seeds=(min(seeds), max(seeds)),
         hard=hard,
-        walk=as_text(walking[0]),
+        walk="{speed:.2f} m/s, {bhargava2004_per_kg_m:.0f} J/kg/m".format(**walking[0]),
         walkers=len(walking),
     )
     bullets = (" ".join(bullet.split()) for bullet in text.split("\n- ")[1:])

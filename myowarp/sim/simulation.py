@@ -103,7 +103,7 @@ class Simulation:
             num_worlds: Worlds to step together.
             autoreset: Gymnasium's mode, a key of `AUTORESET`.
             graph: Whether to capture the step as a graph.
-            deterministic: Whether a run gives the same bits every time on CUDA, which is slower.
+            deterministic: Whether CUDA launches in a fixed order, as in `MyoWarpVectorEnv`.
             stages: Names in `engine.stage.STAGES` to use where they apply; None: all.
             progress: Whether to show progress bars while kernels compile and random starts are found.
             adjustable: Whether conditions can be changed later, as `myowarp.sim.patient` does.
