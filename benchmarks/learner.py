@@ -1,4 +1,4 @@
-"""One training of `benchmarks.learning`: the loop and the agent of `myowarp train` on any of its contestants.
+"""One training of `benchmarks.learning`: loop and learner of `myowarp train` on any of its contestants.
 
     python -m benchmarks.learner '{"kind": "myowarp", "task": "myoHandReachFixed-v0", "seconds": 60, ...}'
 
@@ -45,7 +45,12 @@ class ServedEnv:
         box = gymnasium.spaces.Box
         self.single_observation_space = box(-np.inf, np.inf, (self._obs_size,), np.float32)
         self.single_action_space = box(-1.0, 1.0, (sizes["num_actions"],), np.float32)
-        self.sim = SimpleNamespace(scene=SimpleNamespace(device="cpu"), setup=Setup(seed=0))
+        self.sim = SimpleNamespace(
+            scene=SimpleNamespace(device="cpu"),
+            setup=Setup(seed=0),
+            transition=SimpleNamespace(obs=np.empty((num_envs, self._obs_size))),
+            action=np.empty((num_envs, sizes["num_actions"])),
+        )
         self._solved = np.zeros(num_envs, int)
 
     def reset(
@@ -69,6 +74,7 @@ class ServedEnv:
         self._solved += solved
         success = torch.from_numpy(self._solved > int(SUCCESS_STEPS))
         info = {"solved": torch.from_numpy(solved), "success": success}
+        info["fault"] = torch.zeros(self.num_envs, dtype=torch.int32)  # a rival tells of none
         return obs, reward, torch.from_numpy(terminated), torch.from_numpy(truncated), info
 
     def close(self) -> None:
@@ -116,10 +122,10 @@ def main() -> None:
     run = make_run(**options)
     while True:
         run.iterate()
-        figures, wall = run.tally.figures(), time.time() - begin
+        figures, wall = run.worlds.tally.figures(), time.time() - begin
         row = {"seconds": wall, "cpu": cpu_seconds(), "samples": run.samples, "success": figures["success"]}
-        reached = run.tally.reached(share, "success")
-        print(json.dumps(row | run.clock.shares() | {"reached": reached}), file=answers)
+        reached = run.worlds.tally.reached(share, "success")
+        print(json.dumps(row | run.worlds.clock.shares() | {"reached": reached}), file=answers)
         if reached or wall > seconds:
             break
     run.env.close()

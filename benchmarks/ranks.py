@@ -67,6 +67,7 @@ def measured(options: Options, ranks: int, worlds: int) -> dict[str, Any]:
         start = ["-m", "torch.distributed.run", "--nproc-per-node", str(ranks)] if ranks > 1 else []
         train = ["-m", "myowarp", "train", options.task, "--output", f"{folder}/run", "--device", "cpu"]
         sizes = ["--samples", samples, "--num-worlds", worlds, "--stop-success", 2, "--save-seconds", 1e9]
+        sizes += ["--selections", 0]
         command = [sys.executable, *start, *train, *map(str, sizes)]
         done = subprocess.run(
             command, capture_output=True, text=True, preexec_fn=lambda: os.sched_setaffinity(0, range(ranks))

@@ -18,6 +18,7 @@ SETTINGS = {
     "minibatches": 4,
     "epochs": 3,
     "hidden": [16, 16],
+    "noise": "repeated",
     "device": "cpu",
 }
 ITERATIONS = 8  # past the first end of an episode, at 100 steps
@@ -49,18 +50,26 @@ def moved(rank=(0, 1)):
     return np.concatenate(seen, axis=1)
 
 
-def learned(ranks):
-    """Return everything that a learner holds after a few iterations."""
-    from myowarp.apps.train import agents
+def learned(**settings):
+    """Return everything that a learner holds after a few iterations, and what a checkpoint has of it."""
     from myowarp.apps.train.plan import plan
     from myowarp.apps.train.run import start
 
-    run = start(plan(TASK, algorithm="ppo", output=Path("unwritten"), **SETTINGS))
+    run, actions = start(plan(TASK, algorithm="ppo", output=Path("unwritten"), **SETTINGS | settings)), []
+    update = run.learner.update
+
+    def noted(rollout):
+        actions[:] = [rollout.action.numpy().copy()]
+        update(rollout)
+
+    run.learner.update = noted
     for _ in range(ITERATIONS):
         run.iterate()
-    arrays = agents.policy_arrays(run.agent) | agents.learner_arrays(run.agent)
-    arrays["actions"] = run.agent.memory.get_tensor_by_name("actions").numpy()
-    arrays["figures"] = np.array(list(run.tally.figures().values()))
+    arrays = {f"learned.{name}": array.copy() for name, array in run.learner.arrays().items()}
+    arrays |= {f"average.{name}": array for name, array in run.average.arrays().items()}
+    arrays["actions"] = actions[0]
+    arrays["figures"] = np.array(list(run.worlds.tally.figures().values()))
+    arrays |= {f"saved.{name}": array.copy() for name, array in run.arrays().items()}
     run.env.close()
     return arrays
 
@@ -84,19 +93,20 @@ def main():
 
     ranks = Ranks.started()
     with ranks.together("cpu"):
-        from myowarp.apps.train import agents, skrl_names  # not before: skrl would start NCCL
+        from myowarp.apps.train.networks import Normaliser
 
-        samples = torch.from_numpy(batch()[ranks.rank])
-        mean, variance, count = skrl_names.merged_moments(samples.mean(0), samples.var(0), len(samples))
+        normaliser = Normaliser(3)
+        normaliser.see(torch.from_numpy(batch()[ranks.rank]), ranks)
         with counted() as calls:
-            arrays = {f"learned.{name}": array for name, array in learned(ranks).items()}
-        arrays["sums"] = np.array(len(calls))
-        agents.average_together = lambda policy, value: None
-        arrays |= {f"by skrl.{name}": array for name, array in learned(ranks).items()}
+            arrays = learned()
+        with counted() as aimed:
+            learned(kl=1e-3)
+        arrays |= {"sums": np.array(len(calls)), "sums with an aim": np.array(len(aimed))}
     arrays["threads"] = np.array(
         [path.read_text().strip() for path in Path("/proc/self/task").glob("*/comm")]
     )
-    arrays |= {"moved": moved(ranks.part), "mean": mean, "variance": variance, "count": count}
+    arrays |= {name: tensor.numpy() for name, tensor in normaliser.state_dict().items()}
+    arrays |= {"moved": moved(ranks.part)}
     np.savez(Path(sys.argv[1]) / f"rank_{ranks.rank}.npz", **arrays)
 
 
@@ -107,9 +117,11 @@ def batch():
 
 
 def alone():
-    """Return the moments of the samples of both, by NumPy."""
+    """Return the moments of the samples of both, by NumPy, beside one of mean 0 and variance 1."""
     both = np.concatenate(batch())
-    return both.mean(axis=0), both.var(axis=0, ddof=1), len(both)
+    count = len(both) + 1
+    mean = both.sum(axis=0) / count
+    return mean, (1.0 + (both**2).sum(axis=0)) / count - mean**2, count
 
 
 if __name__ == "__main__":

@@ -92,12 +92,12 @@ class State:
         return len(next(iter(self.arrays.values())))
 
     def __getitem__(self, worlds: Worlds) -> State:
-        """Return copies of the states of some worlds.
+        """Return copies of the states of some worlds; a number may be named more than once.
 
         Raises:
             ValueError: There are no such worlds.
         """
-        rows = rows_of(worlds, len(self))
+        rows = rows_of(worlds, len(self), repeated=True)
         return State(self.task, {name: array[rows] for name, array in self.arrays.items()}, self.physics)
 
     def save(self, path: str | Path) -> None:
@@ -136,11 +136,16 @@ class State:
             ) from error
 
 
-def rows_of(worlds: Worlds, num_worlds: int) -> np.ndarray:
+def rows_of(worlds: Worlds, num_worlds: int, *, repeated: bool = False) -> np.ndarray:
     """Return the numbers of worlds, shape (number,).
 
+    Args:
+        worlds: Which worlds.
+        num_worlds: How many there are.
+        repeated: Whether one may be named more than once.
+
     Raises:
-        ValueError: There are no such worlds, or one is named twice.
+        ValueError: There are no such worlds, or one is named twice and may not be.
     """
     if worlds is None:
         return np.arange(num_worlds)
@@ -148,10 +153,11 @@ def rows_of(worlds: Worlds, num_worlds: int) -> np.ndarray:
     if rows.dtype == np.bool_ and rows.shape == (num_worlds,):
         rows = np.flatnonzero(rows)
     good = rows.ndim == 1 and rows.size and np.issubdtype(rows.dtype, np.integer)
-    if not good or rows.min() < 0 or rows.max() >= num_worlds or len(np.unique(rows)) != len(rows):
+    twice = good and not repeated and len(np.unique(rows)) != len(rows)
+    if not good or rows.min() < 0 or rows.max() >= num_worlds or twice:
         raise ValueError(
-            f"worlds must be different numbers from 0 to {num_worlds - 1}, or a bool mask of shape "
-            f"({num_worlds},) with a True entry, got {worlds!r}"
+            f"worlds must be {'' if repeated else 'different '}numbers from 0 to {num_worlds - 1}, or a bool "
+            f"mask of shape ({num_worlds},) with a True entry, got {worlds!r}"
         )
     return rows
 

@@ -16,7 +16,10 @@ from myowarp.apps.policies import baselines
 from myowarp.apps.policies import checkpoint as checkpoints
 from myowarp.apps.policies.checkpoint import check_contract
 from myowarp.apps.policies.learned import LearnedPolicy, read_policy
+from myowarp.apps.train import selection
 from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
+from myowarp.apps.train.plan import plan
+from myowarp.apps.train.run import STOPPED, train
 from myowarp.apps.train.settings import ALGORITHMS, TRAINING, divided, preset, restore
 from myowarp.definitions.task import TASKS
 from myowarp.engine.warn_once import warn_once
@@ -62,7 +65,8 @@ def test_a_baseline_is_whole_small_and_what_its_table_is_about(name):
     baseline = baselines.load_baseline(name)
     manifest, first = baseline.checkpoint.manifest, baseline.runs[0]
     assert manifest["contract"]["task"] == name == TASKS[name].key
-    assert manifest["samples"] == first["training"]["samples"] == first["evaluation"]["samples"]
+    # A run goes on after its best policy.
+    assert manifest["samples"] == first["evaluation"]["samples"] <= first["training"]["samples"]
     assert manifest["settings"]["seed"] == first["training"]["seed"]
     corrected = name.replace("-v0", "-v1")
     for run in baseline.runs:
@@ -82,6 +86,8 @@ def test_a_baseline_is_whole_small_and_what_its_table_is_about(name):
 def test_train_remakes_a_baseline_by_its_preset(name):
     """The settings of the run are those of `myowarp train`, apart from when it stops and where it runs."""
     manifest = baselines.load_baseline(name).checkpoint.manifest
+    if manifest.get("learner") != checkpoints.LEARNER:
+        pytest.skip("it is of the trainer before this one, whose settings were others")
     kind = ALGORITHMS[manifest["algorithm"]]
     wanted, found = (
         divided(values) for values in (preset(TASKS[name].name, manifest["algorithm"]), manifest["settings"])
@@ -89,7 +95,7 @@ def test_train_remakes_a_baseline_by_its_preset(name):
     now, then = (vars(restore(kind, settings)) for _, settings in (wanted, found))
     now |= dataclasses.replace(wanted[0].over(TRAINING), device="cpu", seed=found[0].seed).plain()
     then |= dataclasses.replace(found[0], device="cpu").plain()
-    ends = ("samples", "stop_success", "stop_rule")
+    ends = ("samples", "stop_success", "stop_rule", "precision")
     assert not [key for key, value in then.items() if value != now[key] and key not in ends]
 
 
@@ -144,6 +150,7 @@ def test_a_baseline_acts_wherever_a_policy_is_taken(run, tmp_path):
 def test_a_run_becomes_a_baseline(run, tmp_path, monkeypatch):
     """Its policy, figures and curve; a second seed is a row more, the first seed again takes its place."""
     monkeypatch.setattr(baselines, "FOLDER", tmp_path / "baselines")
+    monkeypatch.setattr(selection, "EPISODES", 8)
     for name, seed, steps in (("a", 1, 64), ("b", 3, 128), ("c", 1, 192)):
         options = (
             "--num-worlds",
@@ -156,6 +163,8 @@ def test_a_run_becomes_a_baseline(run, tmp_path, monkeypatch):
             16,
             "--samples",
             steps,
+            "--selections",
+            1,
         )
         options += ("--device", "cpu", "--seed", seed, "--output", tmp_path / name)
         assert run("train", REACHED[0], *options)[0] == 0
@@ -164,6 +173,7 @@ def test_a_run_becomes_a_baseline(run, tmp_path, monkeypatch):
     assert [(r["training"]["seed"], r["training"]["samples"]) for r in baseline.runs] == [(1, 192), (3, 128)]
     policy = checkpoints.load_checkpoint(tmp_path / "c").policy
     assert all(np.array_equal(policy[key], array) for key, array in baseline.checkpoint.policy.items())
+    assert baseline.checkpoint.manifest["learner"] == checkpoints.LEARNER
     _, figures = evaluate_policy(plan_evaluation(tmp_path / "c", device="cpu"))
     evaluated = baseline.runs[0]["evaluation"]
     assert evaluated["sampled"]["return_mean"] == figures["sampled"]["return_mean"]
@@ -222,20 +232,49 @@ def test_list_prints_what_is_committed(run):
     assert f"{training['samples'] / 1e6:.2f}" in out
 
 
-def test_run_remakes_a_baseline_and_compares(run, tmp_path):
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Make the elbow's baseline by this trainer; return the folder of all baselines."""
+    folder = tmp_path_factory.mktemp("made")
+    train(plan(REACHED[0], output=folder / "run", device="cpu"))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(baselines, "FOLDER", folder / "baselines")
+        add(folder / "run")
+    return folder / "baselines"
+
+
+def test_run_remakes_a_baseline_and_compares(made, run, tmp_path, monkeypatch):
+    """Bit for bit, on the processor that made it: it stops by itself after as many samples."""
+    monkeypatch.setattr(baselines, "FOLDER", made)
     status, out, err = run(
         "baselines", "run", REACHED[0], "--output", tmp_path / "run", "--device", "cpu", "--json"
     )
     assert status == 0, err
-    remade = json.loads(out)
-    assert not baselines.shortfall(
-        remade["remade"], baselines.load_baseline(REACHED[0]).runs[0]["evaluation"]
-    )
-    assert checkpoints.load_checkpoint(tmp_path / "run").manifest["algorithm"] == "ppo"
+    remade, baseline = json.loads(out), baselines.load_baseline(REACHED[0])
+    assert not baselines.shortfall(remade["remade"], baseline.runs[0]["evaluation"])
+    manifest = checkpoints.load_checkpoint(tmp_path / "run").manifest
+    assert manifest["algorithm"] == "ppo"
+    assert remade["same_policy"]
+    assert manifest["samples"] == baseline.checkpoint.manifest["samples"] < manifest["settings"]["samples"]
+
+
+def test_a_baseline_has_the_settings_of_its_run(made, monkeypatch):
+    """A run that ended by itself has all samples, for its rates; one that was stopped has as many."""
+    monkeypatch.setattr(baselines, "FOLDER", made)
+    baseline = baselines.load_baseline(REACHED[0])
+    (first,) = baseline.runs
+    assert baseline.settings()["samples"] == baseline.checkpoint.manifest["settings"]["samples"]
+    assert baseline.settings(seed=7) == baseline.settings() | {"seed": 7}
+    stopped = first | {"training": first["training"] | {"ended": STOPPED}}
+    other = dataclasses.replace(baseline, runs=[stopped])
+    assert other.settings()["samples"] == first["training"]["samples"] < baseline.settings()["samples"]
 
 
 @pytest.mark.slow
-def test_run_says_when_a_baseline_is_not_reached(run, tmp_path, copies):
+def test_run_says_when_a_baseline_is_not_reached(made, run, tmp_path, monkeypatch):
+    copies = tmp_path / "baselines" / REACHED[0]
+    shutil.copytree(made / REACHED[0], copies)
+    monkeypatch.setattr(baselines, "FOLDER", copies.parent)
     result = json.loads((copies / "result.json").read_text())
     for mode in ("deterministic", "sampled"):
         result["runs"][0]["evaluation"][mode]["intervals"]["success_myosuite"][0] = 1.001
@@ -248,7 +287,7 @@ def test_run_says_when_a_baseline_is_not_reached(run, tmp_path, copies):
 def test_listing_and_playing_import_no_torch():
     code = f"""
 import sys
-sys.modules["torch"] = sys.modules["skrl"] = None
+sys.modules["torch"] = None
 from myowarp.apps.cli.baselines import Baselines
 from myowarp.apps.cli.rollout import Rollout
 from myowarp.apps.cli.options import Said
@@ -292,6 +331,18 @@ def test_a_damaged_table_is_refused(damage, copies, run, no_simulation):
     damage(copies / "result.json")
     assert said(run("baselines", "list", copies.name)).startswith(
         f"baseline {copies.name!r} has no readable result.json ("
+    )
+
+
+def test_a_baseline_of_the_trainer_before_is_not_remade(copies, run, no_simulation):
+    manifest = checkpoints.load_checkpoint(copies).manifest
+    if manifest.get("learner") == checkpoints.LEARNER:
+        entries = {name: entry for name, entry in manifest.items() if name not in ("learner", "files")}
+        whole = checkpoints.Checkpoint(copies, entries, checkpoints.load_checkpoint(copies).policy)
+        checkpoints.save_policy(copies, whole)
+    assert said(run("baselines", "run", copies.name)) == (
+        f"baseline {copies.name!r} is of the trainer before this one, whose settings were others; train a "
+        f"policy with `myowarp train {copies.name}`"
     )
 
 

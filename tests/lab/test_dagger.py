@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 import torch
 from elbows import learner_env
-from gymnasium.spaces import Box
+from learners import make_learner
 
 from myowarp.apps.policies.checkpoint import load_checkpoint
 from myowarp.apps.policies.learned import LearnedPolicy
-from myowarp.apps.train import agents
 from myowarp.apps.train.dagger import NOISE_LEVELS
 from myowarp.apps.train.loop import Run
 from myowarp.apps.train.plan import plan
+from myowarp.apps.train.replay import replay_bytes
 from myowarp.apps.train.run import start, train
 from myowarp.apps.train.settings import choose
 
@@ -36,13 +36,13 @@ def make_run(**settings):
     """Return a run of a few elbows with short episodes, and what its expert was asked and said."""
     env = learner_env(WORLDS, HORIZON)
     run, said = Run(env, choose("none", "dagger", SMALL | settings)), []
-    expert = run.agent.expert
+    expert = run.learner.expert
 
     def noted(obs):
         said.append((obs.copy(), expert(obs)))
         return said[-1][1]
 
-    run.agent.expert = noted
+    run.learner.expert = noted
     return run, said
 
 
@@ -62,14 +62,14 @@ def test_the_expert_acts_first_and_then_the_policy_with_noise_of_three_sizes():
     run, said = make_run(initial_std=0.2, gradient_steps=1)
     actions, quiet = acted(run), np.arange(WORLDS) % NOISE_LEVELS == 0
     run.iterate()
-    own = agents.policy_arrays(run.agent)
+    spread = np.exp(run.average.arrays()["log_std"])
     for number, (action, (_, label)) in enumerate(zip(actions, said, strict=True)):
         if number < EXPERT_STEPS:
             np.testing.assert_array_equal(action[quiet], label[quiet])
             assert np.abs(action - label)[~quiet].max() > 0.01
         else:
             assert np.abs(action - label).max() > 0.1  # a policy that has learned next to nothing
-    assert np.exp(own["log_std"]) == pytest.approx(0.2)
+    assert spread == pytest.approx(0.2)
     spread = [np.std([(a - e)[w] for a, (_, e) in zip(actions[:4], said, strict=False)]) for w in (1, 2)]
     assert 0.02 < spread[0] < spread[1] < 0.4
 
@@ -77,34 +77,33 @@ def test_the_expert_acts_first_and_then_the_policy_with_noise_of_three_sizes():
 def test_everything_that_was_said_is_kept_also_where_an_episode_begins():
     run, said = make_run()
     run.iterate()
-    for name, index in (("observations", 0), ("actions", 1)):
-        kept = run.agent.memory.get_tensor_by_name(name)[:10].numpy()
-        np.testing.assert_array_equal(kept, np.array([pair[index] for pair in said], dtype=np.float32))
+    for name, index in (("obs", 0), ("action", 1)):
+        kept = run.learner.replay.arrays()[f"replay.{name}"]
+        rows = np.concatenate([pair[index] for pair in said]).astype(np.float32)
+        np.testing.assert_array_equal(kept, rows)
 
 
 def test_a_gradient_step_is_one_of_the_squared_error():
     """Adam's first step is learning rate times the sign of the gradient of mean |mean(o) - a|^2."""
-    run, _ = make_run(gradient_steps=1, learning_rate=1e-3)
-    agent = run.agent
-    for _ in range(EXPERT_STEPS - 1):
-        run._step()
-    before = {k: v.clone() for k, v in agent.policy.state_dict().items()}
-    sample = agent.memory.sample
-    seen = {}
+    rows = {"rollout_steps": EXPERT_STEPS, "last_rate": 1.0}  # the last one alone is followed by a step
+    run, _ = make_run(gradient_steps=1, learning_rate=1e-3, precision="float32", **rows)
+    learner = run.learner
+    before = {k: v.clone() for k, v in learner.policy.state_dict().items()}
+    draw, seen = learner.replay.draw, {}
 
-    def noted(**arguments):
-        seen["batch"] = sample(**arguments)
+    def noted(*shape):
+        seen["batch"] = draw(*shape)
         return seen["batch"]
 
-    agent.memory.sample = noted
-    run._step()
-    obs, label = (part.clone() for part in seen["batch"][0])
+    learner.replay.draw = noted
+    run.iterate()
+    obs, label = seen["batch"]["obs"][0], seen["batch"]["action"][0]
     last = before["net.2.weight"].clone().requires_grad_()
-    scaled = agent.normalise(obs)
+    scaled = learner.normaliser(obs)
     hidden = torch.nn.functional.elu(scaled @ before["net.0.weight"].T + before["net.0.bias"])
     loss = (torch.tanh(hidden @ last.T + before["net.2.bias"]) - label).square().mean()
     loss.backward()
-    moved = agent.policy.state_dict()["net.2.weight"] - before["net.2.weight"]
+    moved = learner.policy.state_dict()["net.2.weight"] - before["net.2.weight"]
     clear = last.grad.abs() > 1e-4
     assert clear.sum() > 20
     np.testing.assert_allclose(moved[clear].numpy(), -1e-3 * np.sign(last.grad[clear].numpy()), rtol=1e-3)
@@ -115,6 +114,7 @@ def test_it_learns_what_its_expert_does(tmp_path):
     job = plan(
         ELBOW, algorithm="dagger", output=tmp_path, device="cpu", samples=19_200, stop_success=2.0,
         num_worlds=64, rollout_steps=20, hidden=(64, 64), expert="hold", expert_steps=40, replay=19_200,
+        selections=0,
     )  # fmt: skip
     train(job)
     policy, (run, said) = LearnedPolicy(load_checkpoint(tmp_path)), make_run()
@@ -145,14 +145,15 @@ def test_what_cannot_be_imitated_is_refused_before_anything_is_built(task, setti
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("algorithm", ["dagger", "sac", "flashsac"])
+@pytest.mark.parametrize("algorithm", ["dagger", "sac"])
 def test_a_replay_that_does_not_fit_is_refused_before_the_first_step(algorithm, tmp_path, monkeypatch):
     small = {"samples": 640, "num_worlds": 8, "replay": 6400}
     job = plan(ELBOW, algorithm=algorithm, output=tmp_path / "run", device="cpu", **small)
-    space = Box(-1.0, 1.0, (9,), np.float32), Box(-1.0, 1.0, (6,), np.float32)
-    memory = agents.make_agent(job.settings, *space, "cpu").memory
-    held = sum(tensor.nbytes for tensor in memory.tensors.values())
-    assert held <= agents.replay_bytes(job.settings, 9, 6) < 1.2 * held
+    replay = make_learner(algorithm, 9, 6, num_worlds=8, replay=6400).replay
+    for _ in range(800):
+        replay.add(**{name: torch.zeros(8, rows.shape[1]) for name, rows in replay._rows.items()})
+    held = sum(array.nbytes for array in replay.arrays().values())
+    assert held <= replay_bytes(job.settings, 9, 6) + 8 < 1.2 * held
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1e5))
     with pytest.raises(ValueError, match=r"--replay needs 0\.0 GB of disk .* has 0\.0 GB; choose a smaller"):
         start(job)

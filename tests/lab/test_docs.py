@@ -57,7 +57,10 @@ SMALL = {
     "demo": {"--port": "0"},
     "cohort": {"--steps": "5"},
     "audit": {"--num-worlds": "2"},
-    "train": {"--num-worlds": "8", "--rollout-steps": "8", "--minibatches": "2", "--samples": "64"},
+    "train": {
+        **{"--num-worlds": "8", "--rollout-steps": "8", "--minibatches": "2", "--samples": "64"},
+        "--selections": "0",
+    },
     "eval": {"--episodes": "2"},
     "reproduce": {"--seeds": "1", "--num-worlds": "2"},
 }

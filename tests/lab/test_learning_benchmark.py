@@ -10,6 +10,8 @@ import torch
 
 from benchmarks.learner import ServedEnv
 from benchmarks.learning import draw, print_table, summary
+from myowarp.apps.train.loop import Run
+from myowarp.apps.train.settings import choose
 
 FAKE = '''
 import numpy as np
@@ -70,6 +72,19 @@ def test_a_rival_is_stepped_through_a_pipe(served):
     assert info["success"].tolist() == [False, False, True]  # counted anew in the world that was reset
     obs, *_ = served.step(torch.full((3, 2), -7.0))
     assert obs[:, 2].tolist() == [-1.0] * 3  # clipped
+
+
+def test_a_rival_is_learned_in_with_the_learner_of_ours(served):
+    """Bootstraps, restarts by mask and figures of episodes, of which two a world end in as many steps."""
+    run = Run(served, choose("none", "ppo", {"num_worlds": 3, "rollout_steps": 17, "minibatches": 1}))
+    run.iterate()
+    assert run.samples == 3 * 17
+    figures = run.worlds.tally.figures()
+    assert figures["episodes"] == 6
+    assert figures["return"] == 2.0 * sum(range(1, 9))
+    assert figures["success"] == pytest.approx(2 / 3)
+    assert np.isfinite(run.losses["value_loss"])
+    np.testing.assert_array_equal(run.worlds.obs[:, 1], [1.0, 1.0, 1.0])
 
 
 def test_the_summary_counts_a_rival_that_did_not_succeed(tmp_path, capsys):

@@ -177,7 +177,6 @@ def test_policies_are_small_and_of_five_seeds():
 def test_a_policy_is_trained_again(tmp_path):
     """Its conditions act in the training; a finished one is taken; another one's folder is refused."""
     pytest.importorskip("torch")
-    pytest.importorskip("skrl")
     console = Console(quiet=True)
     settings = {"num_worlds": 4, "hidden": (8,)}
     training = Training("x", arm.TASK, arm.ASSISTED.conditions, 2560, settings)

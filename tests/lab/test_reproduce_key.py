@@ -1,5 +1,6 @@
 """The experiments of the hand, of validation, speed and learning: each runs once in its `--quick` form."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -11,9 +12,10 @@ from rich.console import Console
 from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.reproduce import Reproduce
 from myowarp.apps.policies.baselines import load_baseline
-from myowarp.apps.policies.checkpoint import load_checkpoint
+from myowarp.apps.policies.checkpoint import CheckpointError, load_checkpoint
 from myowarp.apps.studies.reproduce import baselines, conditions, speed, transfer, validation
 from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
+from myowarp.apps.studies.reproduce.experiment import Lab
 from myowarp.apps.studies.reproduce.policies import Training, retrained
 from myowarp.apps.studies.reproduce.report import FILES
 from myowarp.definitions.body import BODIES
@@ -304,7 +306,7 @@ def test_the_papers_curves_end_where_its_table_does():
 
 
 def test_a_policy_is_trained_on_from_its_parent(tmp_path):
-    pytest.importorskip("skrl")
+    pytest.importorskip("torch")
     small = {"num_worlds": 8, "rollout_steps": 8}
     parent = Training("parent", "myoElbowPose1D6MFixed-v0", samples=640, settings=small)
     given = small | {"value_first": 1}
@@ -317,3 +319,28 @@ def test_a_policy_is_trained_on_from_its_parent(tmp_path):
     for name, array in found.policy.items():
         if name.startswith("net."):
             np.testing.assert_array_equal(array, before.policy[name])
+
+
+def test_policies_of_the_trainer_before_are_not_trained_on(tmp_path, monkeypatch):
+    """Settings of baselines that it made are none of today's."""
+    own = load_baseline(conditions.QUICK_TASKS[0])
+    manifest = {name: entry for name, entry in own.checkpoint.manifest.items() if name != "learner"}
+    old = dataclasses.replace(own, checkpoint=dataclasses.replace(own.checkpoint, manifest=manifest))
+    monkeypatch.setattr(conditions, "_baseline", lambda task: old)
+    lab = Lab(tmp_path, (0,), 4, quick=True, retrain=True, setup=Setup(device="cpu"))
+    with pytest.raises(CheckpointError, match=f"^baseline {own.task!r} is of the trainer before this one"):
+        conditions.run(lab)
+
+
+def test_trpo_is_trained_again(tmp_path, monkeypatch):
+    """Its curves are those of the runs' folders."""
+    pytest.importorskip("torch")
+    elbow = baselines.QUICK_TASKS[1]
+    monkeypatch.setattr(baselines, "SAMPLES", 10 * 4 * 2048)
+    monkeypatch.setattr(baselines, "QUICK_TASKS", [elbow])
+    lab = Lab(
+        tmp_path, (0,), 4, quick=True, retrain=True, setup=Setup(device="cpu"), console=Console(quiet=True)
+    )
+    ((samples, success),) = baselines.trpo(lab)[elbow]
+    assert samples[-1] == 4 * 2048
+    assert ((success >= 0.0) & (success <= 1.0)).all()

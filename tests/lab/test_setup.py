@@ -27,6 +27,7 @@ ARGUMENTS = {
     "cohort": ("{folder}/patients.csv", "--task", ELBOW, "--output", "{folder}/cohort"),
     "plot": ("force-length", ELBOW, "--output", "{folder}/plot.png"),
     "train": (ELBOW, "--output", "{folder}/run"),
+    "improve": (f"baselines/{ELBOW}", "--output", "{folder}/improved"),
     "eval": (f"baselines/{ELBOW}",),
     "reproduce": ("exo1", "--quick", "--output", "{folder}/exo1"),
 }

@@ -30,7 +30,7 @@ def study(path, **entries):
 
 def train_study(path, seeds, iterations):
     """Write a study of trainings of so many iterations, two conditions with these seeds."""
-    settings = TINY | {"samples": 8 * 16 * iterations, "stop_success": 2.0, "device": "cpu"}
+    settings = TINY | {"samples": 8 * 16 * iterations, "stop_success": 2.0, "device": "cpu", "selections": 0}
     return study(path, **TRAIN, conditions=["none", "sarcopenia"], seeds=seeds, settings=settings)
 
 

@@ -10,6 +10,7 @@ import pickle
 import re
 import shlex
 import signal
+import time
 from importlib import resources
 from pathlib import Path
 
@@ -37,6 +38,7 @@ pytestmark = pytest.mark.usefixtures("registered")
 
 ELBOW, OTHER = "myoElbowPose1D6MRandom-v0", "myoElbowPose1D6MFixed-v0"
 TINY = ("--num-worlds", 8, "--rollout-steps", 8, "--minibatches", 2, "--hidden", 16, "--device", "cpu")
+TINY += ("--selections", 0)
 PRESETS = sorted(f.name for f in resources.files("myowarp.apps.train").joinpath("presets").iterdir())
 
 
@@ -53,7 +55,7 @@ def tiny(tmp_path_factory):
     """Return the folder of a run of two iterations."""
     folder = tmp_path_factory.mktemp("runs") / "tiny"
     settings = {"num_worlds": 8, "rollout_steps": 8, "minibatches": 2, "hidden": (16,), "samples": 128}
-    train(plan(ELBOW, output=folder, device="cpu", **settings))
+    train(plan(ELBOW, output=folder, device="cpu", selections=0, **settings))
     return folder
 
 
@@ -89,6 +91,10 @@ def test_the_elbow_learns_in_seconds(learned, run):
     report = json.loads((learned / "report.json").read_text())
     assert report["ended"] == "99.5 % more than 5 solved steps, no failure"
     assert report["samples"] <= 250_000
+    best, last = report["selection"]["best"], report["selection"]["last"]
+    assert best == last
+    assert best["samples"] == report["samples"]
+    assert best["success"] >= 0.995
     assert 0.0 < report["training_seconds"] < report["seconds"]
     assert 0.0 < report["training_cpu_seconds"] < report["cpu_seconds"] < report["seconds"] * report["cores"]
     assert 0.0 <= report["cores_busy_with_others"] < report["cores"] + 1
@@ -106,7 +112,7 @@ def test_the_elbow_learns_in_seconds(learned, run):
         assert 3.0 < figures["deterministic"][law] < figures["sampled"][law] < 300.0
         per_kg = figures["deterministic"][law] / figures["deterministic"][f"{law}_per_kg"]
         assert per_kg == pytest.approx(1.534, rel=1e-3)  # mass of the moved arm, kg
-    assert {path.name for path in learned.iterdir()} >= {"progress.csv", "curve.png", "checkpoints"}
+    assert {path.name for path in learned.iterdir()} >= {"progress.csv", "curve.png", "checkpoints", "best"}
     assert any(path.name.startswith("events.out") for path in learned.iterdir())
 
 
@@ -158,12 +164,13 @@ def test_a_video_is_refused_before_the_training(run, no_simulation, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("algorithm", ["trpo", "sac", "flashsac"])
+@pytest.mark.parametrize("algorithm", ["trpo", "sac"])
 def test_the_elbow_learns_with_other_algorithms(algorithm, run, tmp_path):
     options = ("--algorithm", algorithm, "--stop-success", 0.95, "--samples", 120_000, "--device", "cpu")
     status, _, err = run("train", ELBOW, "--output", tmp_path / "run", *options)
     assert status == 0, err
-    assert json.loads((tmp_path / "run" / "report.json").read_text())["success"] >= 0.9
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert report["selection"]["best"]["success"] >= 0.9
 
 
 def test_a_checkpoint_that_is_replaced_while_it_is_read_is_read_again(tiny, tmp_path, monkeypatch):
@@ -242,7 +249,7 @@ def test_presets_are_of_tasks_and_within_bounds(name):
     assert task in {TASKS[key].name for key in TASKS}
     assert preset_algorithm(task) in ALGORITHMS
     for algorithm in ALGORITHMS:
-        choose(task, algorithm, {})
+        choose(task, algorithm, {"expert": "hold"} if algorithm == "improve" else {})
 
 
 @pytest.mark.parametrize(
@@ -253,7 +260,14 @@ def test_presets_are_of_tasks_and_within_bounds(name):
         (("--learning-rate", "nan"), "--learning-rate must be at least 0.0, got nan"),
         (("--discount", 1.5), "--discount must be from 0.0 to 1.0, got 1.5"),
         (("--save-seconds", -1), "--save-seconds must be at least 0, got -1.0"),
-        (("--replay", 64), "ppo has no setting --replay; it belongs to sac and flashsac"),
+        (("--replay", 64), "ppo has no setting --replay; it belongs to sac and dagger and improve"),
+        (("--algorithm", "flashsac"), "algorithm 'flashsac' is called sac now"),
+        (("--algorithm", "a3c"), "algorithm 'a3c' unknown; available: ppo, trpo, sac, dagger"),
+        (("--selections", -1), "--selections must be at least 0, got -1"),
+        (("--average", 1), "--average must be from 0.0 to 0.9999, got 1.0"),
+        (("--start-share", 1.5), "--start-share must be from 0.0 to 1.0, got 1.5"),
+        (("--precision", "float16"), "--precision 'float16' unknown; available: auto, bfloat16, float32"),
+        (("--bonus", "solved=4", "key=1"), "term of --bonus 'key' unknown; available: solved, success, pose"),
         (("--physics", "quick"), "physics 'quick' unknown; available: parity, fast"),
         (
             ("--num-worlds", 8, "--rollout-steps", 8, "--minibatches", 7),
@@ -265,7 +279,7 @@ def test_presets_are_of_tasks_and_within_bounds(name):
         ),
         (
             ("--algorithm", "sac", "--num-worlds", 48),
-            "--replay must be a multiple of the 48 worlds, got 262144",
+            "--replay must be a multiple of the 48 worlds, got 1048576",
         ),
         (
             ("--algorithm", "sac", "--num-worlds", 8, "--replay", 64),
@@ -343,6 +357,10 @@ def test_a_killed_start_does_not_occupy_its_folder(run, tmp_path):
         (("--epochs", 7), "--resume goes on with the settings of its run, where --epochs is 5, got 7"),
         (("--hidden", 8), "--resume goes on with the settings of its run, where --hidden is [16], got (8,)"),
         (("--replay", 8), "--resume goes on with the settings of its run, where --replay is None, got 8"),
+        (
+            ("--stop-rule", "success_any"),
+            "--resume goes on with the settings of its run, where --stop-rule is ",
+        ),
         (("--algorithm", "sac"), "--resume goes on with algorithm 'ppo', got 'sac'; leave it out"),
         ((OTHER,), f"--resume goes on with task {ELBOW!r}, got {OTHER!r}; leave it out"),
     ],
@@ -538,6 +556,36 @@ def test_damaged_checkpoints_are_refused(damage, file, words, copy, run, no_simu
     assert not (copy / f"{file}.ran").exists()
 
 
+def test_a_run_of_the_trainer_before_plays_and_does_not_go_on(copy, run, tmp_path):
+    """A baseline has no number of its trainer, and arrays that nothing here understands."""
+    rewrite(copy, lambda manifest: manifest.pop("learner"))
+    root = tmp_path / "old" / checkpoints.FOLDER
+    root.mkdir(parents=True)
+    copy.rename(root / "000000000128")
+    assert said(run("train", "--resume", tmp_path / "old")) == (
+        f"run {str(tmp_path / 'old')!r} is one of the trainer before this one, and cannot go on; its policy "
+        f"plays, and a new run can start from it with --parent {tmp_path / 'old'}"
+    )
+    options = ("--num-worlds", 2, "--steps", 2, "--device", "cpu")
+    status, _, err = run("rollout", ELBOW, "--policy", tmp_path / "old", *options)
+    assert status == 0, err
+    options = ("--output", tmp_path / "new", *TINY, "--samples", 64, "--parent", tmp_path / "old")
+    status, _, err = run("train", ELBOW, *options)
+    assert status == 0, err
+
+
+def test_the_best_policy_alone_does_not_go_on(tiny, run, tmp_path):
+    whole = checkpoints.load_checkpoint(tiny)
+    content = {k: v for k, v in whole.manifest.items() if k != "files"}, whole.policy
+    best = checkpoints.save_checkpoint(tmp_path, 64, *content, root=checkpoints.BEST)
+    assert said(run("train", "--resume", best)) == (
+        f"checkpoint {str(best)!r} holds a policy alone and cannot be resumed"
+    )
+    assert said(run("train", "--resume", tmp_path)).startswith(
+        f"{str(tmp_path)!r} holds no checkpoint; a run"
+    )
+
+
 def test_a_damaged_state_is_refused_when_a_run_goes_on(copy, run):
     flip(copy / "state.safetensors")
     assert "state.safetensors does not have its checksum" in said(run("train", "--resume", copy))
@@ -670,14 +718,32 @@ def test_a_full_disk_keeps_the_checkpoint_before(call, tiny, tmp_path, monkeypat
     assert set(checkpoints.load_checkpoint(tmp_path).state()) == set(arrays)
 
 
+@pytest.mark.parametrize("seconds", [0.0, 1e-4])
+def test_saving_takes_little_of_a_run(seconds, tmp_path, monkeypatch):
+    """After a checkpoint that takes long, such as one with a replay, it waits; 0 means every iteration."""
+    save, at = checkpoints.save_checkpoint, []
+
+    def slow(folder, samples, *content):
+        at.append(samples)
+        time.sleep(0.2)
+        return save(folder, samples, *content)
+
+    monkeypatch.setattr(checkpoints, "save_checkpoint", slow)
+    small = {"num_worlds": 8, "rollout_steps": 8, "minibatches": 2, "hidden": (16,), "samples": 6 * 64}
+    train(plan(ELBOW, output=tmp_path / "run", device="cpu", selections=0, save_seconds=seconds, **small))
+    assert at[0] == 0
+    assert at[-1] == 6 * 64
+    assert len(set(at)) == 7 if seconds == 0.0 else len(at) <= 3  # at the begin, once, at the end
+
+
 def test_a_full_disk_ends_the_run_with_one_sentence(run, tmp_path, monkeypatch):
     save, calls = checkpoints.save_checkpoint, []
 
-    def full(*arguments):
+    def full(*arguments, **options):
         calls.append(arguments)
         if len(calls) == 3:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return save(*arguments)
+        return save(*arguments, **options)
 
     monkeypatch.setattr(checkpoints, "save_checkpoint", full)
     folder = tmp_path / "full"
@@ -844,14 +910,14 @@ def test_a_diverged_run_keeps_the_last_good_checkpoint(run, tmp_path, monkeypatc
     def broken(self):
         if self.updates == 2:
             with __import__("torch").no_grad():
-                next(self.agent.value.parameters())[0, 0] = float("nan")
+                next(self.learner.value.parameters())[0, 0] = float("nan")
         iterate(self)
 
     monkeypatch.setattr(Run, "iterate", broken)
     folder = tmp_path / "run"
     sentence = said(run("train", ELBOW, "--output", folder, *TINY, "--save-seconds", 0))
     assert sentence == (
-        f"policy loss was not finite in update 3; the last good checkpoint is in {folder}, try a lower "
+        f"value loss was not finite in update 3; the last good checkpoint is in {folder}, try a lower "
         "--learning-rate"
     )
     assert checkpoints.load_checkpoint(folder).manifest["samples"] == 2 * 64
@@ -897,7 +963,7 @@ def test_settings_are_all_in_the_manifest(tiny):
 @pytest.mark.parametrize(
     ("package", "arguments", "sentence"),
     [
-        ("skrl", (), 'training needs skrl; run `pip install "myowarp[train]"`'),
+        ("tensorboard", (), 'training needs tensorboard; run `pip install "myowarp[train]"`'),
         ("wandb", ("--wandb",), "--wandb needs wandb, which is not installed; run `pip install wandb`"),
     ],
 )
@@ -908,12 +974,12 @@ def test_a_missing_package_is_named(package, arguments, sentence, run, no_simula
 
 
 def test_a_preset_chooses_the_algorithm(run, no_simulation, tmp_path):
-    task = next(name.removesuffix(".toml") for name in PRESETS if preset_algorithm(name[:-5]) == "flashsac")
+    task = next(name.removesuffix(".toml") for name in PRESETS if preset_algorithm(name[:-5]) == "sac")
     options = ("--output", tmp_path / "new", "--num-worlds", 48)
     assert said(run("train", f"{task}-v0", *options)).startswith(
         "--replay must be a multiple of the 48 worlds"
     )
-    sentence = "flashsac has no setting --epochs; it belongs to ppo and trpo"
+    sentence = "sac has no setting --epochs; it belongs to ppo and trpo"
     assert said(run("train", f"{task}-v0", *options, "--epochs", 4)) == sentence
     assert said(run("train", f"{task}-v0", *options, "--algorithm", "ppo", "--epochs", 0)).startswith(
         "--epochs"

@@ -12,21 +12,18 @@ import onnx
 import pytest
 import torch
 from full_disk import full_disk
-from gymnasium.spaces import Box
+from learners import make_learner
 from onnx.reference import ReferenceEvaluator
 
 from myowarp.apps.policies.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from myowarp.apps.policies.learned import LearnedPolicy
-from myowarp.apps.train import agents
-from myowarp.apps.train.loop import Clock
-from myowarp.apps.train.settings import ALGORITHMS, choose
+from myowarp.apps.train.learner import Average
+from myowarp.apps.train.worlds import Clock
 from myowarp.definitions.setup import Setup
 from myowarp.disk import plain
 
 NUM_OBS, NUM_ACTIONS, ROWS = 7, 3, 400
 SAME = 1e-6
-SCALER = "observation_preprocessor"
-OBS, ACTIONS = Box(-np.inf, np.inf, (NUM_OBS,), np.float32), Box(-1.0, 1.0, (NUM_ACTIONS,), np.float32)
 CONTRACT = {
     "task": "myoTest-v0",
     "family": "test",
@@ -51,10 +48,10 @@ REST |= {"samples": 12, "steps": 3, "updates": 1, "clock": dataclasses.asdict(Cl
 
 KINDS = {
     "ppo": {"algorithm": "ppo", "activation": "elu"},
-    "ppo, tanh": {"algorithm": "ppo", "activation": "elu", "mean_bound": "tanh"},
+    "ppo, clip": {"algorithm": "ppo", "activation": "elu", "mean_bound": "clip"},
     "trpo": {"algorithm": "trpo", "activation": "tanh"},
     "sac": {"algorithm": "sac", "activation": "relu"},
-    "flashsac": {"algorithm": "flashsac", "activation": "elu"},
+    "improve": {"algorithm": "improve", "activation": "elu", "copies": 2},
     "dagger": {"algorithm": "dagger", "activation": "relu"},
 }
 
@@ -66,22 +63,27 @@ def trained(request):
 
 
 def train(kind):
-    """Return an agent with weights and a normaliser far from the start, and its checkpoint's content."""
+    """Return a learner with weights and a normaliser far from the start, and its checkpoint's content."""
     given = KINDS[kind] | {"num_worlds": 4, "hidden": (9, 8)}
     algorithm = given.pop("algorithm")
     torch.manual_seed(3)
-    settings = choose("none", algorithm, given)
-    agent = agents.make_agent(settings, OBS, ACTIONS, "cpu")
+    learner = make_learner(algorithm, NUM_OBS, NUM_ACTIONS, **given)
     with torch.no_grad():
-        for parameter in agent.policy.parameters():
+        for parameter in learner.policy.parameters():
             parameter += 0.3 * torch.randn_like(parameter)
-    agent.checkpoint_modules[SCALER](10.0 + 3.0 * torch.randn(500, NUM_OBS), train=True)
+    learner.normaliser.see(10.0 + 3.0 * torch.randn(500, NUM_OBS))
+    setup = Setup(physics="fast", muscle="mujoco", seed=0).plain()
     own = {
         "algorithm": algorithm,
-        "settings": dataclasses.asdict(settings) | Setup(physics="fast", muscle="mujoco", seed=0).plain(),
+        "settings": dataclasses.asdict(learner.settings) | setup,
         "contract": CONTRACT,
     }
-    return agent, REST | own | {"policy": agents.policy_form(settings)}
+    return learner, REST | own | {"policy": learner.form()}
+
+
+def arrays_of(learner):
+    """Return what a checkpoint has of a policy."""
+    return Average(learner, 0.0).arrays()
 
 
 def observations():
@@ -91,82 +93,92 @@ def observations():
     return obs
 
 
-def agent_activation(agent):
-    """Return the name of the function between an agent's layers."""
-    return type(agent.policy.net[1]).__name__.lower()
-
-
-def torch_means(agent, obs):
+def torch_means(learner, obs):
     """Return the actions of highest probability, by torch."""
     with torch.no_grad():
-        inputs = {"observations": agent.checkpoint_modules[SCALER](torch.from_numpy(obs))}
-        return agent.policy.act(inputs, role="policy")[1]["mean_actions"].clamp(-1.0, 1.0).numpy()
+        means = learner.policy(learner.normaliser(torch.from_numpy(obs)))
+        if isinstance(means, tuple):  # of what is squashed, and logarithms of its spread
+            means = means[0].tanh()
+        return means.clamp(-1.0, 1.0).numpy()
+
+
+def torch_draws(learner, obs):
+    """Return actions that torch draws."""
+    with torch.no_grad():
+        seen = learner.normaliser(torch.from_numpy(obs))
+        if hasattr(learner.policy, "draw"):
+            return learner.policy.draw(seen)[0].numpy()
+        mean = learner.policy(seen)
+        return (mean + learner.policy.std * torch.randn_like(mean)).clamp(-1.0, 1.0).numpy()
 
 
 def test_numpy_acts_like_torch(trained, tmp_path):
-    agent, manifest = trained
-    save_checkpoint(tmp_path, 12, plain(manifest), agents.policy_arrays(agent), {})
+    learner, manifest = trained
+    save_checkpoint(tmp_path, 12, plain(manifest), arrays_of(learner), {})
     act = LearnedPolicy(load_checkpoint(tmp_path))
     obs = observations()
-    assert np.abs(act(obs) - torch_means(agent, obs)).max() < SAME
+    assert np.abs(act(obs) - torch_means(learner, obs)).max() < SAME
     assert np.abs(act(obs[:1]) - act(obs)[:1]).max() < SAME
     assert np.ptp(act(obs), axis=0).min() > 0.1  # it looks at the observation
 
 
 def test_a_run_starts_with_the_policy_of_another(trained):
     """The child acts like its parent, apart from a column that never changed while the parent learned."""
-    agent, _ = trained
-    arrays, samples, fixed = agents.policy_arrays(agent), 10**6, 3
+    learner, _ = trained
+    arrays, samples, fixed = arrays_of(learner), 10**6, 3
     arrays["observation_mean"][fixed], arrays["observation_variance"][fixed] = 0.0, 1.0 / samples
-    given = {"num_worlds": 4, "hidden": (9, 8), "activation": agent_activation(agent)}
+    given = {"num_worlds": 4, "hidden": (9, 8), "activation": learner.settings.activation}
     if "log_std" in arrays:
-        given["mean_bound"] = agent.policy.bound
-    settings = ALGORITHMS["ppo" if "log_std" in arrays else "sac"](**given)
-    child = agents.make_agent(settings, OBS, ACTIONS, "cpu")
-    agents.inherit(child, arrays, samples, count=96)
+        given["mean_bound"] = learner.policy.mean_bound
+    child = make_learner("ppo" if "log_std" in arrays else "sac", NUM_OBS, NUM_ACTIONS, **given)
+    child.inherit(arrays, samples, count=96)
     obs = observations()
     obs[:, fixed] = 0.0
-    agent.checkpoint_modules[SCALER].running_mean[fixed] = 0.0  # a column at its mean says nothing
-    assert np.abs(torch_means(child, obs) - torch_means(agent, obs)).max() < SAME
+    learner.normaliser.mean[fixed] = 0.0  # a column at its mean says nothing
+    assert np.abs(torch_means(child, obs) - torch_means(learner, obs)).max() < SAME
     obs[:, fixed] = 7.0
-    assert np.abs(torch_means(agent, obs) - torch_means(child, obs)).max() > 0.1
-    scaler = child.checkpoint_modules[SCALER]
-    scaler(torch.from_numpy(obs), train=True)
-    assert scaler.running_mean[fixed] > 5.0  # the new task soon says what is usual
+    assert np.abs(torch_means(learner, obs) - torch_means(child, obs)).max() > 0.1
+    child.normaliser.see(torch.from_numpy(obs))
+    assert child.normaliser.mean[fixed] > 5.0  # the new task soon says what is usual
+
+
+def test_a_search_starts_from_the_means_of_any_policy(trained):
+    """Also of one whose spread depends on the state, which is the second half of its last layer."""
+    learner, _ = trained
+    given = {"hidden": (9, 8), "activation": learner.settings.activation, "num_worlds": 4, "copies": 2}
+    child = make_learner("improve", NUM_OBS, NUM_ACTIONS, mean_bound=learner.policy.mean_bound, **given)
+    child.inherit(arrays_of(learner), 500, count=96)
+    obs = observations()
+    assert np.abs(torch_means(child, obs) - torch_means(learner, obs)).max() < SAME
 
 
 @pytest.mark.parametrize("bound", ["clip", "tanh"])
 def test_a_policy_starts_at_its_first_mean(bound):
-    settings = choose("none", "ppo", {"initial_mean": -0.7, "mean_bound": bound, "num_worlds": 4})
-    agent = agents.make_agent(settings, OBS, ACTIONS, "cpu")
-    means = torch_means(agent, observations())
+    given = {"initial_mean": -0.7, "mean_bound": bound, "num_worlds": 4}
+    means = torch_means(make_learner("ppo", NUM_OBS, NUM_ACTIONS, **given), observations())
     assert np.abs(means + 0.7).max() < 0.05
     assert np.ptp(means, axis=0).min() > 1e-4
 
 
 def test_only_the_tangent_has_a_gradient_beyond_the_bounds():
     """d min(max(m, -1), 1) / dm is 0 there; that of tanh is 1 - tanh(m)^2."""
-    given = {"mean_bound": "tanh", "num_worlds": 4}
-    agent = agents.make_agent(choose("none", "ppo", given), OBS, ACTIONS, "cpu")
-    last = agent.policy.net[-1]
+    learner = make_learner("ppo", NUM_OBS, NUM_ACTIONS, mean_bound="tanh", num_worlds=4)
+    last = learner.policy.net[-1]
     with torch.no_grad():
         last.weight.zero_()
         last.bias.fill_(-3.0)
-    seen = {"observations": torch.from_numpy(observations())}
-    agent.policy.compute(seen)[0].sum().backward()
+    learner.policy(torch.from_numpy(observations())).sum().backward()
     expected = ROWS * (1.0 - np.tanh(-3.0) ** 2)
     np.testing.assert_allclose(last.bias.grad.numpy(), expected, rtol=1e-5)
-    assert torch_means(agent, observations()).min() > -1.0
+    assert torch_means(learner, observations()).min() > -1.0
 
 
 def test_drawn_actions_have_the_spread_of_torch(trained, tmp_path):
-    agent, manifest = trained
-    checkpoint = Checkpoint(tmp_path, manifest, agents.policy_arrays(agent))
+    learner, manifest = trained
+    checkpoint = Checkpoint(tmp_path, manifest, arrays_of(learner))
     obs = np.repeat(observations()[1:2], 40_000, axis=0)
-    with torch.no_grad():
-        torch.manual_seed(0)
-        inputs = {"observations": agent.checkpoint_modules[SCALER](torch.from_numpy(obs))}
-        expected = agent.policy.act(inputs, role="policy")[0].clamp(-1.0, 1.0).numpy()
+    torch.manual_seed(0)
+    expected = torch_draws(learner, obs)
     got = LearnedPolicy(checkpoint, Setup(seed=1))(obs)
     assert expected.std(axis=0).min() > 0.05
     np.testing.assert_allclose(got.mean(axis=0), expected.mean(axis=0), atol=0.02)  # 5 standard errors
@@ -177,15 +189,15 @@ def test_drawn_actions_have_the_spread_of_torch(trained, tmp_path):
 
 def test_exported_policies_act_like_the_original(trained, tmp_path, run):
     """ONNX by the reference evaluator of its own package, TorchScript as another program loads it."""
-    agent, manifest = trained
-    save_checkpoint(tmp_path / "run", 12, plain(manifest), agents.policy_arrays(agent), {})
+    learner, manifest = trained
+    save_checkpoint(tmp_path / "run", 12, plain(manifest), arrays_of(learner), {})
     for name in ("policy.onnx", "policy.pt"):
         status, _, err = run("export", tmp_path / "run", tmp_path / name)
         assert status == 0, err
     obs = observations()
     model = onnx.load(tmp_path / "policy.onnx")
     (got,) = ReferenceEvaluator(model).run(None, {"obs": obs})
-    expected = torch_means(agent, obs)
+    expected = torch_means(learner, obs)
     assert np.abs(got - expected).max() < SAME
     (contract,) = [entry.value for entry in model.metadata_props if entry.key == "contract"]
     assert json.loads(contract) == CONTRACT
@@ -200,7 +212,7 @@ def test_exported_policies_act_like_the_original(trained, tmp_path, run):
 def test_a_full_disk_ends_an_export_with_a_sentence(trained, tmp_path, run, name):
     """Torch itself ends the process where it writes the file."""
     agent, manifest = trained
-    save_checkpoint(tmp_path / "run", 12, plain(manifest), agents.policy_arrays(agent), {})
+    save_checkpoint(tmp_path / "run", 12, plain(manifest), arrays_of(agent), {})
     with full_disk(500):
         status, _, err = run("export", tmp_path / "run", tmp_path / name)
     assert status == 2
@@ -240,11 +252,11 @@ def test_what_cannot_be_exported_is_said(output, missing, sentence, run, tmp_pat
 
 def test_playing_imports_no_torch(tmp_path):
     for kind in KINDS:
-        agent, manifest = train(kind)
-        save_checkpoint(tmp_path / kind, 12, plain(manifest), agents.policy_arrays(agent), {})
+        learner, manifest = train(kind)
+        save_checkpoint(tmp_path / kind, 12, plain(manifest), arrays_of(learner), {})
     code = f"""
 import sys
-sys.modules["torch"] = sys.modules["skrl"] = None
+sys.modules["torch"] = None
 from pathlib import Path
 import numpy as np
 import myowarp.apps.train.evaluate

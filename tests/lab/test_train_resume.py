@@ -11,32 +11,32 @@ import numpy as np
 import pytest
 from often import often
 
-from myowarp.apps.policies.checkpoint import FOLDER, MANIFEST, find_folder, load_checkpoint
+from myowarp.apps.policies.checkpoint import BEST, FOLDER, MANIFEST, find_folder, load_checkpoint
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
+KEPT = ("--replay", 2048, "--batch-size", 64, "--gradient-steps", 1)
 ALGORITHMS = {
-    "ppo": ("--minibatches", 2, "--epochs", 2, "--physics", "fast", "--parity-after", 8 * 16 * 5),
+    "ppo": (
+        *("--minibatches", 2, "--epochs", 2, "--physics", "fast", "--parity-after", 8 * 16 * 35),
+        *("--kl", 1e-3, "--noise", "repeated", "--start-share", 0.5, "--bonus", "solved=2"),
+        *("--selections", 4),
+    ),
     "trpo": ("--minibatches", 2, "--epochs", 2),
-    "sac": ("--replay", 2048, "--batch-size", 64, "--gradient-steps", 1, "--random-steps", 4),
-    "flashsac": (
-        *("--replay", 2048, "--batch-size", 64, "--gradient-steps", 1, "--random-steps", 4),
-        *("--critic-width", 16, "--atoms", 21),
-    ),
-    "dagger": (
-        *("--replay", 2048, "--batch-size", 64, "--gradient-steps", 1, "--expert-steps", 16),
-        *("--physics", "fast", "--parity-after", 8 * 16 * 5),
-    ),
+    "sac": (*KEPT, "--random-steps", 4, "--critic-width", 16, "--atoms", 21, "--start-share", 0.5),
+    "dagger": (*KEPT, "--expert-steps", 16, "--physics", "fast", "--parity-after", 8 * 16 * 35),
+    "improve": (*KEPT, "--expert", "hold", "--copies", 4),
 }
-SAMPLES = 8 * 16 * 30  # thirty iterations, five episodes a world
+KILLED = 8 * 16 * 30  # samples before the kill, five episodes a world
+SAMPLES = 8 * 16 * 120  # of a run; more than it can have when it is killed
 PATIENCE = 120.0  # s
 TIMES = ("seconds", "samples_per_s", "share_simulation", "share_learner", "share_rest")
 
 
-def arguments(algorithm, samples=SAMPLES):
+def arguments(algorithm):
     """Return the command of a small run with a checkpoint after every iteration."""
-    sizes = ("--num-worlds", 8, "--rollout-steps", 16, "--hidden", 16, 16, "--samples", samples)
+    sizes = ("--num-worlds", 8, "--rollout-steps", 16, "--hidden", 16, 16, "--samples", SAMPLES)
     places = ("--device", "cpu", "--save-seconds", 0, "--stop-success", 2, "--seed", 3)
-    own = ALGORITHMS[algorithm]
+    own = ("--selections", 0, *ALGORITHMS[algorithm])
     return [str(a) for a in ("train", ELBOW, "--algorithm", algorithm, *sizes, *places, *own)]
 
 
@@ -46,13 +46,13 @@ def killed(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("killed") / request.param
     command = [sys.executable, "-m", "myowarp.apps.cli.main"]
     process = subprocess.Popen(
-        [*command, *arguments(request.param, 10**7), "--output", str(folder)],
+        [*command, *arguments(request.param), "--output", str(folder)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
     )
     begin = time.monotonic()
-    while samples_of(folder) < 8 * 16 * 4:
+    while samples_of(folder) < KILLED:
         assert process.poll() is None, process.stderr.read()
         assert time.monotonic() - begin < PATIENCE
         time.sleep(0.002)
@@ -65,7 +65,7 @@ def killed(request, tmp_path_factory):
 def samples_of(run):
     """Return the samples of the last checkpoint of a run, 0 while there is none."""
     try:
-        return int(find_folder(run).name)
+        return int(find_folder(run, learning=True).name)
     except (ValueError, OSError):
         return 0
 
@@ -77,22 +77,28 @@ def rows(run):
 
 def test_killed_and_resumed_is_undisturbed(killed, run, tmp_path):
     at = samples_of(killed)
-    total = at + 8 * 16 * 12
-    status, _, err = run("train", "--resume", killed, "--samples", total, "--save-seconds", 0)
+    if "--start-share" in ALGORITHMS[killed.name]:
+        assert load_checkpoint(killed, learning=True).state()["starts.counts"][1] > 0
+    status, _, err = run("train", "--resume", killed, "--save-seconds", 0)
     assert status == 0, err
     undisturbed = tmp_path / "undisturbed"
-    status, _, err = run(*arguments(killed.name, total), "--output", undisturbed)
+    status, _, err = run(*arguments(killed.name), "--output", undisturbed)
     assert status == 0, err
-    one, other = load_checkpoint(killed), load_checkpoint(undisturbed)
-    assert one.manifest["samples"] == other.manifest["samples"] == total > at >= 8 * 16 * 4
+    one, other = (load_checkpoint(folder, learning=True) for folder in (killed, undisturbed))
+    assert one.manifest["samples"] == other.manifest["samples"] >= SAMPLES > at >= KILLED
     for before, after in ((one.policy, other.policy), (one.state(), other.state())):
         assert before.keys() == after.keys()
         for name, array in before.items():
             np.testing.assert_array_equal(array, after[name], err_msg=name)
     assert rows(killed) == rows(undisturbed)
-    assert len(rows(killed)) == total // (8 * 16)
+    assert len(rows(killed)) == one.manifest["updates"] == other.manifest["updates"]
+    assert one.manifest["selection"] == other.manifest["selection"]
+    best = [load_checkpoint(folder) for folder in (killed, undisturbed)]
+    assert best[0].folder.relative_to(killed) == best[1].folder.relative_to(undisturbed)
+    assert best[0].manifest["files"] == best[1].manifest["files"]
+    assert (best[0].folder.parent.name == BEST) == ("--selections" in ALGORITHMS[killed.name])
 
 
 def test_a_kill_leaves_one_whole_checkpoint_and_nothing_that_is_taken_for_one(killed):
-    assert load_checkpoint(killed).state()
+    assert load_checkpoint(killed, learning=True).state()
     assert 1 <= sum((folder / MANIFEST).is_file() for folder in (killed / FOLDER).iterdir()) <= 3

@@ -149,12 +149,13 @@ def test_settled_stepped_filmed_plotted_and_restored(task, tmp_path):
 
 @pytest.mark.slow
 def test_trained_and_evaluated(task, tmp_path):
-    pytest.importorskip("skrl")
+    pytest.importorskip("torch")
     from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
     from myowarp.apps.train.plan import plan
     from myowarp.apps.train.run import train
 
     setup = Setup(task=task[1] or task[0].key, muscle=NAME, device="cpu")
-    train(plan(setup, output=tmp_path / "run", num_worlds=8, rollout_steps=4, samples=32, minibatches=1))
+    small = {"num_worlds": 8, "rollout_steps": 4, "samples": 32, "minibatches": 1, "selections": 1}
+    train(plan(setup, output=tmp_path / "run", **small))
     head, figures = evaluate_policy(plan_evaluation(tmp_path / "run", setup, episodes=4, mode="sampled"))
     assert (head["muscle"], figures["sampled"]["episodes"], figures["sampled"]["faults"]) == (NAME, 4, 0)

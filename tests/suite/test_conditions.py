@@ -489,6 +489,7 @@ def test_values_act_wherever_a_name_does(run, tmp_path):
     np.testing.assert_array_equal(seen[0], seen[1])
     assert np.abs(seen[0] - seen[2]).max() > 0.01
     tiny = ("--num-worlds", 8, "--rollout-steps", 8, "--minibatches", 2, "--hidden", 8, "--samples", 64)
+    tiny += ("--selections", 0)
     options = ("--output", tmp_path / "run", "--device", "cpu", "--conditions", texts[0])
     status, _, err = run("train", ELBOW, *tiny, *options)
     assert status == 0, err

@@ -287,6 +287,29 @@ def test_copies_go_on():
             np.testing.assert_array_equal(one.step(actions[0])[0], alone[0])
 
 
+def test_a_world_may_be_copied_to_others():
+    """`state[rows]` names rows as often as wished; what is set is named once."""
+    env = hold()
+    state = env.get_state()
+    copies = state[[1, 1]]
+    assert (len(copies), copies.task, copies.physics) == (2, state.task, state.physics)
+    for name, array in copies.arrays.items():
+        np.testing.assert_array_equal(array, state.arrays[name][[1, 1]], err_msg=name)
+        assert not np.shares_memory(array, state.arrays[name])
+    env.set_state(State(state.task, {n: a for n, a in copies.arrays.items() if not n.startswith("keys.")}))
+    alike = [env.step(np.zeros(env.action_space.shape))[:2] for _ in range(5)]
+    for obs, reward in alike:
+        np.testing.assert_array_equal(obs[0], obs[1])
+        assert reward[0] == reward[1]
+    env.set_state(state)
+    assert len(state[[0, 1, 0]]) == 3
+    for rows in ([0, 2], [-1], [], [0.5]):
+        with pytest.raises(ValueError, match=r"^worlds must be numbers from 0 to 1, or a bool mask of shape"):
+            state[rows]
+    with pytest.raises(ValueError, match=r"^worlds must be different numbers from 0 to 1, or a bool mask"):
+        env.set_state(copies, [1, 1])
+
+
 def test_start_from_a_configuration():
     """Against MuJoCo C: the first step from a given state; worlds that are not reset stay."""
     env = gym.make_vec(ID, num_envs=3, device="cpu", progress=False)

@@ -53,6 +53,7 @@ class Baselines:
         if task is None:
             raise ValueError(f"baselines run needs a task: {', '.join(baselines.baseline_tasks())}")
         baseline = baselines.load_baseline(task)
+        baseline.check_trainer()
         setup, settings = divided(baseline.settings(asked.seed))
         setup = asked.over(setup)
         output = self.output or Path("runs") / f"baseline_{task}_{setup.seed}"

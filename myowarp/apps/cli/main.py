@@ -22,6 +22,7 @@ from myowarp.apps.cli.describe import Describe
 from myowarp.apps.cli.eval import Eval
 from myowarp.apps.cli.examples import Examples
 from myowarp.apps.cli.export import Export
+from myowarp.apps.cli.improve import Improve
 from myowarp.apps.cli.motion import Motion
 from myowarp.apps.cli.plot import Plot
 from myowarp.apps.cli.record import Record
@@ -49,6 +50,7 @@ COMMANDS: dict[str, type[Callable[[], None]]] = {
     "cohort": Cohort,
     "audit": Audit,
     "train": Train,
+    "improve": Improve,
     "eval": Eval,
     "baselines": Baselines,
     "reproduce": Reproduce,

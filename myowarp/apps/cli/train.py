@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Optional
+from typing import Annotated, Any, Optional
 
 import tyro
 
@@ -20,7 +21,7 @@ from myowarp.disk import check_output
 
 @dataclass
 class TrainCommand:
-    """Train a policy: PPO, TRPO, SAC, FlashSAC or DAgger, with a preset for the task.
+    """Train a policy: PPO, TRPO, SAC, DAgger or a search, with a preset for the task.
 
     Writes a folder with the last checkpoint, progress.csv, TensorBoard events, curve.png and report.json.
     Ctrl-C finishes the iteration and saves; a run that was stopped or killed goes on with --resume, bit for
@@ -34,18 +35,16 @@ class TrainCommand:
     """
 
     asked: Environment
-    algorithm: Annotated[
-        Literal["ppo", "trpo", "sac", "flashsac", "dagger"] | None, optional("{ppo,trpo,sac,flashsac,dagger}")
-    ] = None
+    algorithm: Annotated[str | None, optional("{" + ",".join(ALGORITHMS) + "}")] = None
     """Algorithm; by default that of the task's preset, which is ppo but for a few."""
     output: Annotated[Path | None, optional("FOLDER")] = None
     """New folder of the run; by default runs/<task>_<algorithm>_<seed>."""
     resume: Annotated[Path | None, optional("FOLDER")] = None
-    """Folder of a run that is to go on; its settings hold, only --samples and when to stop may change."""
+    """Folder of a run that is to go on; its settings hold, only --samples and --stop-success may change."""
     video: Annotated[Path | None, optional("FILE")] = None
     """Write a video of the trained policy to this .mp4: deterministic actions, parity physics."""
     save_seconds: float = SAVE_SECONDS
-    """Seconds from one checkpoint to the next; 0: after every iteration."""
+    """Seconds from one checkpoint to the next, more where saving takes long; 0: after every iteration."""
     wandb: bool = False
     """Send the figures to Weights & Biases too."""
 
@@ -68,21 +67,25 @@ def _film(job: Job, video: Path) -> None:
     Rollout(Said(asked), policy=str(job.folder), video=video)()
 
 
-def _overrides() -> list[tuple[str, Any, Any]]:
-    """Return the settings as fields of the command, each None where it is not given."""
+def setting_fields(algorithms: Iterable[str], leave_out: Iterable[str] = ()) -> list[tuple[str, Any, Any]]:
+    """Return the settings of algorithms as fields of a command, each None where it is not given."""
+    kinds = {name: {f.name for f in dataclasses.fields(ALGORITHMS[name])} for name in algorithms}
     fields: list[tuple[str, Any, Any]] = []
     for name, entry in all_settings().items():
+        owners = [algorithm for algorithm, names in kinds.items() if name in names]
+        if not owners or name in leave_out:
+            continue
         kind: Any = type(entry.default)
         metavar = "{" + ",".join(filter(None, entry.metadata["choices"])) + "}"
         if kind is tuple:
-            kind, metavar = (
-                (tuple[int, ...], "[INT ...]") if name == "hidden" else (tuple[str, ...], "[NAME ...]")
-            )
+            numbers = entry.metadata["items"] is int
+            kind = tuple[int, ...] if numbers else tuple[str, ...]
+            metavar = "[INT ...]" if numbers else "[NAME=WEIGHT ...]"
         elif not entry.metadata["choices"]:
             metavar = {int: "INT", float: "FLOAT"}.get(kind, "NAME")
-        owners = [a for a, k in ALGORITHMS.items() if name in {f.name for f in dataclasses.fields(k)}]
-        only = "" if len(owners) == len(ALGORITHMS) else f" ({', '.join(owners)})"
-        hint = f"(preset, else {shown(entry.default)})"
+        only = "" if len(owners) == len(kinds) else f" ({', '.join(owners)})"
+        own = {f.name: f for f in dataclasses.fields(ALGORITHMS[owners[0]])}[name]
+        hint = f"(preset, else {shown(own.default if len(kinds) == 1 else entry.default)})"
         text = entry.metadata["text"] + only
         fields.append(
             (
@@ -94,5 +97,5 @@ def _overrides() -> list[tuple[str, Any, Any]]:
     return fields
 
 
-Train = dataclasses.make_dataclass("Train", _overrides(), bases=(TrainCommand,))
+Train = dataclasses.make_dataclass("Train", setting_fields(ALGORITHMS), bases=(TrainCommand,))
 Train.__doc__ = TrainCommand.__doc__

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, load_checkpoint
+from myowarp.apps.policies.checkpoint import LEARNER, Checkpoint, CheckpointError, load_checkpoint
 from myowarp.engine.warn_once import warn_once
 from myowarp.kernels.episode import MYOSUITE
 
@@ -41,15 +41,27 @@ class Baseline:
     runs: list[dict[str, Any]]
 
     def settings(self, seed: int | None = None) -> dict[str, Any]:
-        """Return the settings of a seed's run, up to the samples after which it ended.
+        """Return the settings of a seed's run.
+
+        They end where it ended: by itself, for rates depend on all samples that it had, or, of a run that was
+        stopped, by as many samples.
 
         Args:
             seed: None: that of the policy, which they remake. A seed that had no run has all samples.
         """
         settings = self.checkpoint.manifest["settings"]
         seed = settings["seed"] if seed is None else seed
-        ended = {run["training"]["seed"]: run["training"]["samples"] for run in self.runs}
-        return settings | {"seed": seed, "samples": ended.get(seed, settings["samples"])}
+        trainings = {run["training"]["seed"]: run["training"] for run in self.runs}
+        stopped = trainings.get(seed, {"ended": ""})["ended"].startswith("stopped")
+        return settings | {"seed": seed} | ({"samples": trainings[seed]["samples"]} if stopped else {})
+
+    def check_trainer(self) -> None:
+        """Raise CheckpointError if the trainer before this one made it, whose settings were others."""
+        if self.checkpoint.manifest.get("learner") != LEARNER:
+            raise CheckpointError(
+                f"baseline {self.task!r} is of the trainer before this one, whose settings were others; "
+                f"train a policy with `myowarp train {self.task}`"
+            )
 
 
 def baseline_tasks() -> list[str]:

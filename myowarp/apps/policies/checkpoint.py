@@ -4,6 +4,7 @@
         manifest.json          what it is: task contract, settings, versions, checksums
         policy.safetensors     what acts: weights and normaliser
         state.safetensors      what a resumed run needs besides
+    runs/x/best/000000307200/  manifest.json and policy.safetensors of the best policy, which plays
 
 It is written under a temporary name, flushed to the disk and renamed; only then the one before is deleted. So
 the last good one survives a kill at any moment and a full disk. Reading runs no code: JSON and plain arrays,
@@ -35,9 +36,10 @@ from myowarp.sim.simulation import Simulation
 
 FORMAT = 1
 MANIFEST, POLICY, STATE = "manifest.json", "policy.safetensors", "state.safetensors"
-FOLDER, TEMPORARY = "checkpoints", ".part"
+FOLDER, BEST, TEMPORARY = "checkpoints", "best", ".part"
+LEARNER = 2  # of which kind the arrays of a resumed run are; 1, without a number: those of skrl's agents
 ACTING = ("family", "body", "columns", "actuators", "action")  # entries of a contract that a policy needs
-PACKAGES = ("myowarp", "mujoco", "mujoco-warp", "warp-lang", "myo-sim", "numpy", "torch", "skrl")
+PACKAGES = ("myowarp", "mujoco", "mujoco-warp", "warp-lang", "myo-sim", "numpy", "torch")
 
 
 class CheckpointError(ValueError):
@@ -135,7 +137,9 @@ def save_checkpoint(
     samples: int,
     manifest: Mapping[str, Any],
     policy: Mapping[str, np.ndarray],
-    state: Mapping[str, np.ndarray],
+    state: Mapping[str, np.ndarray] | None = None,
+    *,
+    root: str = FOLDER,
 ) -> Path:
     """Write a checkpoint of a run, and delete the ones before; returns its folder.
 
@@ -144,28 +148,30 @@ def save_checkpoint(
         samples: Samples so far; the folder's name.
         manifest: What it is; format and checksums are added.
         policy: Arrays of the policy.
-        state: Arrays that a resumed run needs besides.
+        state: Arrays that a resumed run needs besides; None: it holds a policy alone.
+        root: Folder of the run in which it is, `FOLDER` or `BEST`.
 
     Raises:
         OSError: It cannot be written; the one before is still there.
     """
-    root = run / FOLDER
-    root.mkdir(parents=True, exist_ok=True)
-    final, part = root / f"{samples:012d}", root / f"{samples:012d}{TEMPORARY}"
+    above = run / root
+    above.mkdir(parents=True, exist_ok=True)
+    final, part = above / f"{samples:012d}", above / f"{samples:012d}{TEMPORARY}"
     if final.exists():  # a resumed run that ends before its first step
         return final
     shutil.rmtree(part, ignore_errors=True)
     try:
         part.mkdir()
-        for name, content in _contents(manifest, {POLICY: policy, STATE: state}).items():
+        files = {POLICY: policy} | ({} if state is None else {STATE: state})
+        for name, content in _contents(manifest, files).items():
             _write(part / name, content)
         _flush_folder(part)
         part.rename(final)
-        _flush_folder(root)
+        _flush_folder(above)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise
-    for other in root.iterdir():
+    for other in above.iterdir():
         if other != final:
             shutil.rmtree(other, ignore_errors=True)
     return final
@@ -192,42 +198,43 @@ def _contents(manifest: Mapping[str, Any], files: Mapping[str, Mapping[str, np.n
     return contents
 
 
-def find_folder(path: Path) -> Path:
-    """Return the folder of a checkpoint, or the last one of a run's folder.
+def find_folder(path: Path, *, learning: bool = False) -> Path:
+    """Return the folder of a checkpoint; of a run's folder that of the best policy, else the last one.
+
+    Args:
+        path: The folder.
+        learning: Whether the run is to go on: then its last checkpoint.
 
     Raises:
         CheckpointError: There is none.
     """
     if (path / MANIFEST).is_file():
         return path
-    root = path / FOLDER
-    found = (
-        [f for f in root.iterdir() if (f / MANIFEST).is_file() and not f.name.endswith(TEMPORARY)]
-        if root.is_dir()
-        else []
+    for root in (path / FOLDER,) if learning else (path / BEST, path / FOLDER):
+        folders = root.iterdir() if root.is_dir() else ()
+        found = [f for f in folders if (f / MANIFEST).is_file() and not f.name.endswith(TEMPORARY)]
+        if found:
+            return max(found, key=lambda folder: folder.name)
+    raise CheckpointError(
+        f"{str(path)!r} holds no checkpoint; a run's folder has {FOLDER}/<samples>/{MANIFEST}"
     )
-    if not found:
-        raise CheckpointError(
-            f"{str(path)!r} holds no checkpoint; a run's folder has {FOLDER}/<samples>/{MANIFEST}"
-        )
-    return max(found, key=lambda folder: folder.name)
 
 
-def load_checkpoint(path: Path) -> Checkpoint:
-    """Read a checkpoint, or the last one of a run.
+def load_checkpoint(path: Path, *, learning: bool = False) -> Checkpoint:
+    """Read a checkpoint, or of a run's folder the best policy or, where it is to go on, the last checkpoint.
 
     Raises:
         CheckpointError: There is none, it is damaged, or another version wrote it.
     """
-    folder = find_folder(path)
+    folder = find_folder(path, learning=learning)
     try:
         manifest = _read_manifest(folder)
         policy = _read_arrays(folder, POLICY, manifest)
         _agreed(folder, check_policy, manifest, policy)
     except CheckpointError:
-        if find_folder(path) == folder:
+        if find_folder(path, learning=learning) == folder:
             raise
-        return load_checkpoint(path)  # the run goes on, and has replaced it meanwhile
+        return load_checkpoint(path, learning=learning)  # the run goes on, and has replaced it meanwhile
     return Checkpoint(folder, manifest, policy)
 
 

@@ -1,4 +1,4 @@
-"""A trained policy from a checkpoint, in NumPy: playing one needs neither torch nor skrl.
+"""A trained policy from a checkpoint, in NumPy: playing one needs no torch.
 
     x = clip((obs - mean) / (sqrt(variance) + eps), -c, c)
     x = f(W x + b)  for every hidden layer

@@ -1,16 +1,16 @@
-"""Training: PPO, TRPO, SAC and FlashSAC in a loop of ours, exact checkpoints, and evaluation.
+"""Training: PPO, TRPO, SAC and DAgger, each a file; exact checkpoints, and evaluation.
 
 | file | what it holds |
 |---|---|
-| `settings.py` | what a run can be told, presets of tasks |
+| `settings.py`, `bonus.py` | what a run can be told, presets of tasks; terms of the training's reward |
 | `plan.py` | a run that was asked for, checked before anything is built |
-| `networks.py` | policies and value functions |
-| `flash_sac.py` | FlashSAC, the agent of the hard contact tasks, on skrl's SAC |
-| `agents.py` | skrl's agents from settings; all their numbers as named arrays, and back |
-| `loop.py` | act, step, record, update, save, stop |
-| `tally.py` | returns and successes of finished episodes |
-| `checkpoint.py` | a folder of manifest and tensors: written whole, refused when damaged; needs no torch |
+| `worlds.py`, `starts.py`, `tally.py` | steps and restarts; where episodes start; figures of episodes |
+| `ppo.py`, `trpo.py`, `sac.py`, `dagger.py`, `improve.py` | an algorithm each, from the first step on |
+| `learner.py` | what they share: rates, optimisers, all numbers by name, the average of the policy |
+| `networks.py`, `noise.py`, `replay.py` | policies, critics; noise that lasts; a memory of samples |
+| `loop.py`, `run.py` | a run between two iterations; from its first step to its report |
+| `selection.py` | evaluations on the way, of which the best policy is kept |
+| `ranks.py` | processes that share a policy |
 | `progress.py` | the live line, CSV, TensorBoard, the curve |
-| `evaluate.py` | episodes of a checkpoint, three success rules; needs no torch |
-| `command.py`, `eval_command.py` | `myowarp train` and `myowarp eval` |
+| `evaluate.py`, `evaluation.py` | episodes of a policy, three success rules; needs no torch |
 """

@@ -11,96 +11,76 @@ Noise while samples are taken: Laskey et al. (2017), *DART*, arXiv:1703.09327; h
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
-from skrl.agents.torch import Agent, AgentCfg
 
+from myowarp.apps.train.learner import Learner
+from myowarp.apps.train.networks import GaussianPolicy
+from myowarp.apps.train.ranks import Ranks
+from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import DAggerSettings
-
-
-@dataclass(kw_only=True)
-class DAGGER_CFG(AgentCfg):  # noqa: N801 (as skrl's are called)
-    """What skrl's agents share of their configuration, as far as it is used here."""
-
-    discount_factor: float
-    learning_rate: float
-    observation_preprocessor: type
-    observation_preprocessor_kwargs: dict[str, Any]
-
+from myowarp.apps.train.worlds import Worlds
 
 NOISE_LEVELS = 3  # of worlds in turn: none, half of the noise, all of it
-KEPT = ("observations", "actions")
-"""What the memory holds: what was seen, and what the expert would have done."""
 
 
-class DAgger(Agent):
-    """An agent in skrl's form that imitates an expert.
+class DAgger(Learner):
+    """A policy that imitates an expert.
 
     Attributes:
         expert: Observations (num_worlds, obs_size), on the host, to actions (num_worlds, num_actions) in
             [-1, 1]; called once in every control step, before it.
     """
 
+    settings: DAggerSettings
+    policy: GaussianPolicy
+    replay: Replay
     expert: Callable[[np.ndarray], np.ndarray]
 
-    def __init__(self, *, settings: DAggerSettings, **skrl: Any) -> None:
-        """Make the optimiser; see skrl's `Agent`."""
-        super().__init__(**skrl)
-        self.settings = settings
-        self.policy = self.models["policy"]
-        cfg = self.cfg
-        self.normalise = cfg.observation_preprocessor(**cfg.observation_preprocessor_kwargs)
-        self.optimizer = torch.optim.Adam(self.policy.parameters(), lr=settings.learning_rate)
-        self.checkpoint_modules |= {
-            "policy": self.policy,
-            "optimizer": self.optimizer,
-            "observation_preprocessor": self.normalise,
-        }
+    def __init__(self, settings: DAggerSettings, worlds: Worlds, ranks: Ranks) -> None:
+        super().__init__(settings, worlds, ranks)
+        self.policy = GaussianPolicy(worlds.num_obs, worlds.num_actions, settings)
+        self.to(self.device)
+        self.optimizers = {"policy": self.adam(self.policy.net.parameters(), settings.learning_rate)}
+        self.replay = Replay(settings.replay, self.device, obs=worlds.num_obs, action=worlds.num_actions)
         levels = torch.arange(settings.num_worlds, device=self.device) % NOISE_LEVELS
-        self.noise = settings.initial_std * levels[:, None] / (NOISE_LEVELS - 1)
-        self.said = torch.empty(0)
+        self._noise = settings.initial_std * levels[:, None] / (NOISE_LEVELS - 1)
 
-    def init(self, *, trainer_cfg: Any = None) -> None:
-        """Allocate the memory."""
-        super().init(trainer_cfg=trainer_cfg)
-        for name, space in zip(KEPT, (self.observation_space, self.action_space), strict=True):
-            self.memory.create_tensor(name, size=space, dtype=torch.float32)
+    def iterate(self, worlds: Worlds) -> dict[str, float]:
+        """Alternate between a control step of all worlds and some gradient steps."""
+        self.set_rates()
+        for _ in range(self.settings.rollout_steps):
+            begin = time.perf_counter()
+            obs = worlds.obs.clone()
+            advice = self._advice(obs)
+            with torch.no_grad(), self.products():
+                expert_acts = worlds.steps < self.settings.expert_steps
+                mean = advice if expert_acts else self.policy(self.normaliser(obs))
+            acted = time.perf_counter()
+            worlds.step((mean + self._noise * torch.randn_like(mean)).clamp(-1.0, 1.0))
+            stepped = time.perf_counter()
+            self.replay.add(obs=obs, action=advice)
+            if worlds.steps >= self.settings.expert_steps:
+                self._update()
+            worlds.clock.learner += acted - begin + time.perf_counter() - stepped
+        return self.figures()
 
-    def act(self, observations: torch.Tensor, states: Any, *, timestep: int, timesteps: int) -> Any:
-        """Return the actions of the policy, at first those of the expert, with noise."""
-        said = np.clip(self.expert(observations.cpu().numpy().copy()), -1.0, 1.0)
-        self.said = torch.from_numpy(np.asarray(said, dtype=np.float32)).to(observations.device)
-        if timestep < self.settings.expert_steps:
-            mean = self.said
-        else:
-            mean = self.policy.compute({"observations": self.normalise(observations)})[0]
-        return (mean + self.noise * torch.randn_like(mean)).clamp(-1.0, 1.0), {}
+    def _advice(self, obs: torch.Tensor) -> torch.Tensor:
+        """Return what the expert would do."""
+        actions = np.clip(self.expert(obs.cpu().numpy().copy()), -1.0, 1.0)
+        return torch.from_numpy(np.asarray(actions, dtype=np.float32)).to(obs.device)
 
-    def pre_interaction(self, *, timestep: int, timesteps: int) -> None:
-        """Do nothing."""
-
-    def record_transition(self, *, observations: torch.Tensor, **others: Any) -> None:
-        """Keep what was seen and said."""
-        self.memory.add_samples(observations=observations, actions=self.said)
-
-    def post_interaction(self, *, timestep: int, timesteps: int) -> None:
-        """Fit the networks once the expert has shown enough."""
-        if timestep + 1 >= self.settings.expert_steps:
-            self.update(timestep=timestep, timesteps=timesteps)
-
-    def update(self, *, timestep: int, timesteps: int) -> None:
+    def _update(self) -> None:
         """Do the gradient steps of one control step."""
-        losses = []
-        for number in range(self.settings.gradient_steps):
-            seen, said = self.memory.sample(names=KEPT, batch_size=self.settings.batch_size)[0]
-            seen = self.normalise(seen, train=number == 0)
-            loss = (self.policy.compute({"observations": seen})[0] - said).square().mean()
-            self.optimizer.zero_grad()
-            loss.backward()
-            self.optimizer.step()
-            losses.append(loss.detach())
-        self.track_data("Loss / Policy loss", float(torch.stack(losses).mean()))
+        batch = self.replay.draw(self.settings.gradient_steps, self.settings.batch_size)
+        self.normaliser.see(batch["obs"][0])
+        obs = self.normaliser(batch["obs"])
+        for part, advice in zip(obs, batch["action"], strict=True):
+            with self.products():
+                mean = self.policy(part)
+            loss = (mean - advice).square().mean()
+            self.descend("policy", loss)
+            self.note("policy_loss", loss)

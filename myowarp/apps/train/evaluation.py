@@ -103,7 +103,7 @@ def evaluate_policy(job: EvaluationJob) -> tuple[dict[str, Any], dict[str, dict[
     number, device = ranks.share("--episodes", job.episodes), ranks.device(job.setup.device)
     console = Console(stderr=True, quiet=not ranks.leads)
     setup = dataclasses.replace(job.setup, device=device, rank=ranks.part)
-    with ranks.together(device, learning=False):
+    with ranks.together(device):
         sim = Simulation(setup, number, autoreset="same_step")
         check_contract(checkpoint, sim)
         signals = Signals(sim) if sim.scene.muscles.names else None

@@ -23,6 +23,13 @@ def processor() -> str:
     return platform.processor() or platform.machine()
 
 
+def multiplies_bfloat16() -> bool:
+    """Return whether the processor multiplies bfloat16 (Linux tells); without, it is slow."""
+    info = Path("/proc/cpuinfo")
+    words = info.read_text().split() if info.exists() else []
+    return not {"avx512_bf16", "amx_bf16", "bf16"}.isdisjoint(words)
+
+
 def used_seconds() -> tuple[float, float]:
     """Return the processor time that all processes here have used so far, and that the host has kept [s].
 

@@ -1,4 +1,4 @@
-"""Policies and value functions: plain multilayer perceptrons in the form that skrl's agents ask for.
+"""Policies, value functions and critics: plain networks, and the normaliser in front of them.
 
 A policy's tensors are `net.<i>.weight`, `net.<i>.bias` and, with one spread for all states, `log_std`;
 `myowarp.apps.policies.learned` repeats the forward pass in NumPy.
@@ -7,17 +7,21 @@ A policy's tensors are `net.<i>.weight`, `net.<i>.bias` and, with one spread for
 from __future__ import annotations
 
 import math
-from typing import Any
+from contextlib import AbstractContextManager
 
 import torch
-from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
 from torch import nn
+
+from myowarp.apps.train.ranks import ALONE, Ranks
+from myowarp.apps.train.settings import Gaussian, Settings
 
 ACTIVATION = {"elu": nn.ELU, "tanh": nn.Tanh, "relu": nn.ReLU}
 FIRST_GAIN = 0.01  # of a policy's last layer: the first actions have about the same mean in every state
 LOG_STD = (-5.0, 2.0)  # bounds of a spread that depends on the state; as in SAC's reference implementation
-GAUSSIAN_LOG_STD = (-20.0, 2.0)  # bounds of a spread that is one for all states; skrl's
+GAUSSIAN_LOG_STD = (-20.0, 2.0)  # bounds of a spread that is one for all states
 HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+CLIP, EPSILON = 5.0, 1e-8  # of normalised observations; of their standard deviation
+EXPANSION = 4  # of a residual block's inner layer
 
 
 def perceptron(inputs: int, hidden: tuple[int, ...], outputs: int, activation: str) -> nn.Sequential:
@@ -29,6 +33,148 @@ def perceptron(inputs: int, hidden: tuple[int, ...], outputs: int, activation: s
     return nn.Sequential(*layers, nn.Linear(inputs, outputs))
 
 
+def products(precision: str, device: torch.device | str) -> AbstractContextManager[object]:
+    """Return the context in which products of matrices have a precision; all else stays float32."""
+    return torch.autocast(torch.device(device).type, torch.bfloat16, enabled=precision == "bfloat16")
+
+
+class Normaliser(nn.Module):
+    """Mean and variance of all rows that it was shown.
+
+    Merged after Chan, Golub and LeVeque 1983, The American Statistician 37:242; it begins as one sample of
+    mean 0 and variance 1, so that a column that never changes keeps a variance.
+    """
+
+    mean: torch.Tensor
+    variance: torch.Tensor
+    count: torch.Tensor
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
+        self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
+        self.register_buffer("count", torch.ones((), dtype=torch.float64))
+
+    def see(self, rows: torch.Tensor, ranks: Ranks = ALONE) -> None:
+        """Take rows (number, size) into account, those of all ranks, each with as many."""
+        rows = rows.double()
+        mean, square = ranks.mean(torch.stack((rows.mean(0), rows.square().mean(0))))
+        number = len(rows) * ranks.size
+        variance, shift, total = square - mean.square(), mean - self.mean, self.count + number
+        squares = self.variance * self.count + variance * number
+        self.variance.copy_((squares + shift.square() * self.count * number / total) / total)
+        self.mean += shift * number / total
+        self.count += number
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        """Return normalised rows, cut at `CLIP` standard deviations."""
+        spread = self.variance.float().sqrt() + EPSILON
+        return ((rows - self.mean.float()) / spread).clamp(-CLIP, CLIP)
+
+    def inverse(self, rows: torch.Tensor) -> torch.Tensor:
+        """Return what normalised rows stand for."""
+        return rows * self.variance.float().sqrt() + self.mean.float()
+
+
+class GaussianPolicy(nn.Module):
+    """Actions N(mean(observation), std), std one for all states; the environment clips them.
+
+    A mean beyond -1 or 1 hides its noise behind that clip, and with it the gradient that could bring it back;
+    the hyperbolic tangent of it does not.
+    """
+
+    log_std_bounds = GAUSSIAN_LOG_STD
+
+    def __init__(self, num_obs: int, num_actions: int, settings: Gaussian) -> None:
+        super().__init__()
+        self.net = perceptron(num_obs, settings.hidden, num_actions, settings.activation)
+        self.log_std = nn.Parameter(torch.full((num_actions,), math.log(settings.initial_std)))
+        self.mean_bound, mean = settings.mean_bound, settings.initial_mean
+        _soften(self.net, math.atanh(mean) if self.mean_bound == "tanh" else mean)
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Return means, float32."""
+        return self.bounded(self.net(observations).float())
+
+    def bounded(self, mean: torch.Tensor) -> torch.Tensor:
+        """Return what the last layer's output stands for."""
+        return mean.tanh() if self.mean_bound == "tanh" else mean
+
+    @property
+    def std(self) -> torch.Tensor:
+        """Standard deviations of an action's entries."""
+        return self.log_std.clamp(*GAUSSIAN_LOG_STD).exp()
+
+
+class SquashedPolicy(nn.Module):
+    """Actions tanh(u), u ~ N(mean, std) of the observation. Source: Haarnoja et al. 2018, appendix C."""
+
+    log_std_bounds = LOG_STD
+    mean_bound = "tanh"
+
+    def __init__(self, num_obs: int, num_actions: int, settings: Settings) -> None:
+        super().__init__()
+        self.net = perceptron(num_obs, settings.hidden, 2 * num_actions, settings.activation)
+        _soften(self.net)
+
+    def forward(self, observations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return means of u and the logarithms of their standard deviations, float32."""
+        mean, log_std = self.net(observations).float().chunk(2, dim=-1)
+        return mean, log_std.clamp(*LOG_STD)
+
+    def draw(self, observations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return actions and the logarithms of their densities.
+
+        log p(a) = log p(u) - sum log(1 - tanh(u)^2)
+        """
+        mean, log_std = self(observations)
+        noise = torch.randn_like(mean)
+        u = mean + log_std.exp() * noise
+        log_slope = 2.0 * (math.log(2.0) - u - nn.functional.softplus(-2.0 * u))
+        log_density = -0.5 * noise.square() - log_std - HALF_LOG_2PI - log_slope
+        return u.tanh(), log_density.sum(dim=-1)
+
+
+class Critics(nn.Module):
+    """Two critics of observation and action side by side, each product of matrices one for both.
+
+    Each has residual blocks x + W2 relu(W1 normalise(x)) and returns logits of the atoms of a value.
+    Source: FlashSAC, arXiv:2604.04539; layer normalisation in place of its batch normalisation.
+    """
+
+    def __init__(self, inputs: int, width: int, blocks: int, atoms: int) -> None:
+        super().__init__()
+        self.first = Pair(inputs, width)
+        self.blocks = nn.ModuleList(
+            nn.Sequential(
+                nn.LayerNorm(width), Pair(width, EXPANSION * width), nn.ReLU(), Pair(EXPANSION * width, width)
+            )
+            for _ in range(blocks)
+        )
+        self.last = nn.Sequential(nn.LayerNorm(width), Pair(width, atoms))
+
+    def forward(self, observations: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+        """Return logits, shape (2, rows, atoms), float32."""
+        x = self.first(torch.cat((observations, actions), dim=-1))
+        for block in self.blocks:
+            x = x + block(x)
+        return self.last(x).float()
+
+
+class Pair(nn.Module):
+    """Two linear layers: (rows, inputs) or (2, rows, inputs) to (2, rows, outputs)."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        bound = inputs**-0.5  # as of nn.Linear
+        self.weight = nn.Parameter(torch.empty(2, inputs, outputs).uniform_(-bound, bound))
+        self.bias = nn.Parameter(torch.empty(2, 1, outputs).uniform_(-bound, bound))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return W x + b of both."""
+        return torch.baddbmm(self.bias, x.expand(2, -1, -1), self.weight)
+
+
 def _soften(net: nn.Sequential, bias: float = 0.0) -> None:
     """Make the last layer of a policy small, so that it returns about the bias in every state."""
     last = net[-1]
@@ -36,88 +182,3 @@ def _soften(net: nn.Sequential, bias: float = 0.0) -> None:
     with torch.no_grad():
         last.weight.mul_(FIRST_GAIN)
         last.bias.fill_(bias)
-
-
-class GaussianPolicy(GaussianMixin, Model):
-    """Actions N(mean(observation), std), std one for all states; the environment clips them.
-
-    A mean beyond -1 or 1 hides its noise behind that clip, and with it the gradient that could bring it back;
-    the hyperbolic tangent of it does not.
-    """
-
-    def __init__(
-        self,
-        spaces: dict[str, Any],
-        device: str,
-        hidden: tuple[int, ...],
-        activation: str,
-        std: float,
-        mean: float,
-        bound: str,
-    ) -> None:
-        Model.__init__(self, **spaces, device=device)
-        GaussianMixin.__init__(self, min_log_std=GAUSSIAN_LOG_STD[0], max_log_std=GAUSSIAN_LOG_STD[1])
-        self.net = perceptron(self.num_observations, hidden, self.num_actions, activation)
-        self.log_std = nn.Parameter(torch.full((self.num_actions,), math.log(std)))
-        self.bound = bound
-        _soften(self.net, math.atanh(mean) if bound == "tanh" else mean)
-
-    def compute(self, inputs: dict[str, Any], role: str = "") -> tuple[torch.Tensor, dict[str, Any]]:
-        """Return means and, as extra, the logarithm of the standard deviation."""
-        mean = self.net(inputs["observations"])
-        return mean.tanh() if self.bound == "tanh" else mean, {"log_std": self.log_std}
-
-
-class SquashedPolicy(Model):
-    """Actions tanh(u), u ~ N(mean, std) of the observation. Source: Haarnoja et al. 2018, appendix C."""
-
-    def __init__(self, spaces: dict[str, Any], device: str, hidden: tuple[int, ...], activation: str) -> None:
-        super().__init__(**spaces, device=device)
-        self.net = perceptron(self.num_observations, hidden, 2 * self.num_actions, activation)
-        _soften(self.net)
-
-    def compute(self, inputs: dict[str, Any], role: str = "") -> tuple[torch.Tensor, dict[str, Any]]:
-        """Return the means of u and, as extra, the logarithm of their standard deviations."""
-        mean, log_std = self.net(inputs["observations"]).chunk(2, dim=-1)
-        return mean, {"log_std": log_std.clamp(*LOG_STD)}
-
-    def act(self, inputs: dict[str, Any], *, role: str = "") -> tuple[torch.Tensor, dict[str, Any]]:
-        """Sample; log p(a) = log p(u) - sum log(1 - tanh(u)^2)."""
-        mean, outputs = self.compute(inputs, role)
-        noise = torch.randn_like(mean)
-        u = mean + outputs["log_std"].exp() * noise
-        log_slope = 2.0 * (math.log(2.0) - u - nn.functional.softplus(-2.0 * u))
-        log_prob = -0.5 * noise.square() - outputs["log_std"] - HALF_LOG_2PI - log_slope
-        outputs |= {"log_prob": log_prob.sum(dim=-1, keepdim=True), "mean_actions": mean.tanh()}
-        return u.tanh(), outputs
-
-    def random_act(self, inputs: dict[str, Any], *, role: str = "") -> tuple[torch.Tensor, dict[str, Any]]:
-        """Return uniform actions, from torch's generator, which a checkpoint holds."""
-        rows = len(inputs["observations"])
-        return 2.0 * torch.rand(rows, self.num_actions, device=self.device) - 1.0, {}
-
-
-class Value(DeterministicMixin, Model):
-    """Value of an observation, or, with actions, of both."""
-
-    def __init__(
-        self,
-        spaces: dict[str, Any],
-        device: str,
-        hidden: tuple[int, ...],
-        activation: str,
-        *,
-        of_actions: bool = False,
-    ) -> None:
-        Model.__init__(self, **spaces, device=device)
-        DeterministicMixin.__init__(self)
-        self.of_actions = of_actions
-        inputs = self.num_observations + (self.num_actions if of_actions else 0)
-        self.net = perceptron(inputs, hidden, 1, activation)
-
-    def compute(self, inputs: dict[str, Any], role: str = "") -> tuple[torch.Tensor, dict[str, Any]]:
-        """Return values, shape (rows, 1)."""
-        seen = inputs["observations"]
-        if self.of_actions:
-            seen = torch.cat((seen, inputs["taken_actions"]), dim=-1)
-        return self.net(seen), {}

@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from myowarp.apps.policies.find import find_policy
-from myowarp.apps.policies.form import MEAN_BOUNDS
+from myowarp.apps.train import bonus
 from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import (
     ALGORITHMS,
     TRAINING,
-    DAggerSettings,
     Gaussian,
     PPOSettings,
     Settings,
@@ -47,7 +46,7 @@ if TYPE_CHECKING:
 
 SAVE_SECONDS = 30.0  # from one checkpoint to the next
 LOCK = ".lock"
-NEEDS = ("torch", "skrl", "safetensors", "tensorboard")
+NEEDS = ("torch", "safetensors", "tensorboard")
 
 
 @dataclass(frozen=True)
@@ -119,6 +118,19 @@ def trained_setup(manifest: Mapping[str, Any]) -> Setup:
     return Setup(task=task).over(divided(manifest["settings"])[0])
 
 
+def policy_task(name: str) -> Path | str | None:
+    """Return the task that a network was trained in; None where the name is of no network.
+
+    Raises:
+        ValueError: It is damaged.
+    """
+    from myowarp.apps.policies.baselines import policy_folder
+    from myowarp.apps.policies.checkpoint import load_checkpoint
+
+    folder = None if name == "baseline" else policy_folder(name, None)
+    return folder and trained_setup(load_checkpoint(folder).manifest).task  # type: ignore[return-value]
+
+
 def check_packages() -> None:
     """Raise ImportError if a package that training needs is not installed."""
     missing = [name for name in NEEDS if importlib.util.find_spec(name) is None]
@@ -177,9 +189,13 @@ def plan(
             f"output {str(folder)!r} is not empty; choose a new folder, or go on with "
             f"{resume_command(asked, folder, ranks.size)}"
         )
-    parent = _parent(chosen, algorithm, spec) if chosen.parent else None
-    if isinstance(chosen, DAggerSettings):
-        find_policy(chosen.expert, spec)
+    for name in bonus.weights(chosen.bonus):
+        check_choice("term of --bonus", name, bonus.names(spec))
+    parent = None
+    if chosen.parent:
+        chosen, parent = _with_parent(chosen, algorithm, spec, settings)
+    if expert := getattr(chosen, "expert", ""):
+        find_policy(expert, spec)
     return _with_files(Job(asked, complete(asked), algorithm, chosen, folder, parent=parent, **how))
 
 
@@ -221,7 +237,7 @@ def last_saved(folder: Path) -> Path | None:
     from myowarp.apps.policies.checkpoint import CheckpointError, find_folder
 
     try:
-        return find_folder(folder)
+        return find_folder(folder, learning=True)
     except CheckpointError:
         return None
 
@@ -262,11 +278,13 @@ def _check_ranks(job: Job) -> None:
     if ranks.size == 1:
         return
     if not isinstance(settings, PPOSettings):
-        # skrl's TRPO does not average its step over ranks, its SAC not the entropy weight.
+        # TRPO's step and SAC's replay are those of one process.
         raise ValueError(
             f"training over {ranks.size} ranks is for ppo; start {job.algorithm} without torchrun, or pass "
             "--algorithm ppo"
         )
+    if settings.start_share:  # states that one rank has kept are not those of another
+        raise ValueError(f"--start-share is for one process, got {ranks.size} ranks; leave one of both out")
     rows = ranks.share("--num-worlds", settings.num_worlds) * settings.rollout_steps
     if rows % settings.minibatches:
         raise ValueError(
@@ -283,11 +301,19 @@ def _digests(job: Job) -> dict[str, str]:
     return {k: hashlib.sha256(Path(path).read_bytes()).hexdigest() for k, path in paths.items() if path}
 
 
-def _parent(settings: Settings, algorithm: str, spec: TaskSpec) -> Checkpoint:
-    """Return the checkpoint whose policy a run starts from.
+def _with_parent(
+    settings: Settings, algorithm: str, spec: TaskSpec, given: Mapping[str, Any]
+) -> tuple[Settings, Checkpoint]:
+    """Return settings with the shape of a parent's policy, and the checkpoint that holds it.
+
+    Args:
+        settings: Those of the run.
+        algorithm: Key in `ALGORITHMS`.
+        spec: The task.
+        given: Settings that were named; where they say another shape, they are refused.
 
     Raises:
-        ValueError: There is none, or its policy is not one that the run can train.
+        ValueError: There is no such policy, or it is not one that the run can train.
     """
     from myowarp.apps.policies.baselines import policy_folder
     from myowarp.apps.policies.checkpoint import CheckpointError
@@ -297,19 +323,23 @@ def _parent(settings: Settings, algorithm: str, spec: TaskSpec) -> Checkpoint:
     if folder is None:
         raise ValueError(f"--parent {settings.parent!r} must be a run's folder, baseline or baselines/<id>")
     parent = read_policy(settings.parent, folder, spec)
-    theirs = parent.manifest["settings"]
-    if ("log_std" in parent.policy) != issubclass(ALGORITHMS[algorithm], Gaussian):
+    gaussian, trains = "log_std" in parent.policy, issubclass(ALGORITHMS[algorithm], Gaussian)
+    if gaussian != trains and algorithm != "improve":  # which takes the means of any policy
         raise CheckpointError(
             f"--parent {settings.parent!r} was trained by {parent.manifest['algorithm']}, whose policies "
             f"{algorithm} cannot train"
         )
-    for name in ("hidden", "activation", "mean_bound"):
-        own = _listed(getattr(settings, name, MEAN_BOUNDS[0]))
-        if own != (its := theirs.get(name, MEAN_BOUNDS[0])):
+    theirs = {name: parent.manifest["settings"][name] for name in ("hidden", "activation")}
+    theirs["hidden"] = tuple(theirs["hidden"])
+    if trains:
+        theirs["mean_bound"] = parent.manifest["policy"].get("mean_bound", "clip") if gaussian else "tanh"
+    for name, shape in theirs.items():
+        if name in given and _listed(given[name]) != _listed(shape):
             raise CheckpointError(
-                f"{flag(name)} must be that of --parent {settings.parent!r}, {shown(its)}; got {shown(own)}"
+                f"{flag(name)} must be that of --parent {settings.parent!r}, {shown(shape)}; got "
+                f"{shown(given[name])}; leave it out"
             )
-    return parent
+    return dataclasses.replace(settings, **theirs), parent
 
 
 def _plan_resume(
@@ -324,12 +354,17 @@ def _plan_resume(
         given: Settings that were named.
         how: Fields of the job that belong to this process.
     """
-    from myowarp.apps.policies.checkpoint import FOLDER, STATE, CheckpointError, load_checkpoint
+    from myowarp.apps.policies.checkpoint import FOLDER, LEARNER, STATE, CheckpointError, load_checkpoint
 
-    checkpoint, ranks = load_checkpoint(folder), how["ranks"]
+    checkpoint, ranks = load_checkpoint(folder, learning=True), how["ranks"]
     manifest = checkpoint.manifest
     if STATE not in manifest["files"]:
         raise CheckpointError(f"checkpoint {str(folder)!r} holds a policy alone and cannot be resumed")
+    if manifest.get("learner") != LEARNER:
+        raise CheckpointError(
+            f"run {str(folder)!r} is one of the trainer before this one, and cannot go on; its policy plays, "
+            f"and a new run can start from it with --parent {folder}"
+        )
     if checkpoint.folder == folder and folder.absolute().parent.name == FOLDER:
         raise CheckpointError(f"--resume {str(folder)!r} is a checkpoint in a run; name the run's folder")
     if (before := manifest.get("ranks", 1)) != ranks.size:

@@ -25,6 +25,7 @@ from myowarp.disk import in_place
 
 CSV, CURVE = "progress.csv", "curve.png"
 PARTS = ("simulation", "learner", "rest")
+SELECTED = "means under parity (selection)"
 REFRESH = 0.25  # s between changes of the live line
 LINE_EVERY = 10.0  # s between lines where the error stream is no terminal
 
@@ -204,6 +205,9 @@ def draw_curve(folder: Path, title: str) -> Path | None:
         left.set(xlabel="samples [million]", ylabel="return")
         for name, rule in SUCCESSES.items():
             right.plot(samples, 100.0 * columns[name][known], label=rule)
+        chosen = columns.get("selection_success", np.full(len(known), np.nan))[known]
+        if np.isfinite(chosen).any():
+            right.plot(samples, 100.0 * chosen, "k", drawstyle="steps-post", label=SELECTED)
         right.set(xlabel="samples [million]", ylabel="success [%]", ylim=(-2, 102))
         right.legend(fontsize="small")
         figure.suptitle(title, fontsize="medium")

@@ -3,22 +3,24 @@
     torchrun --nproc-per-node 2 -m myowarp train myoElbowPose1D6MRandom-v0
 
 Rank r of R owns worlds r n to (r + 1) n - 1 of one numbered set, n = --num-worlds / R. Every rank has the
-same weights: skrl averages gradients over ranks, and the KL divergence that sets the learning rate; moments
-of normalisers are merged (`skrl_names.MergedScaler`). Gloo carries what is on the host, NCCL what is on CUDA.
+same weights: gradients are averaged over ranks, and so is the KL divergence that sets the learning rate;
+moments of normalisers are those of all samples. Gloo carries what is on the host, NCCL what is on CUDA.
 """
 
 from __future__ import annotations
 
-import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from myowarp.engine.threads import CORES, num_cores
+
+if TYPE_CHECKING:
+    import torch
 
 
 class LostRankError(RuntimeError):
@@ -92,12 +94,11 @@ class Ranks:
         return f"cuda:{self.local}"
 
     @contextmanager
-    def together(self, device: str | None, *, learning: bool = True) -> Iterator[None]:
+    def together(self, device: str | None) -> Iterator[None]:
         """Meet the other ranks, and part from them after the block.
 
         Args:
             device: Warp device of this rank.
-            learning: Whether skrl is to average over them.
 
         Raises:
             LostRankError: Another rank ended.
@@ -108,8 +109,6 @@ class Ranks:
         import torch
 
         self._join(device)
-        if learning:
-            self._teach_skrl()
         try:
             yield
             self.everyones(None)  # nobody leaves while another one still reads
@@ -141,15 +140,25 @@ class Ranks:
         backend = "cpu:gloo,cuda:nccl" if on_cuda else "gloo"
         torch.distributed.init_process_group(backend, store=store, rank=rank, world_size=size)
 
-    def _teach_skrl(self) -> None:
-        """Let skrl average over the ranks; if it sees them when it is imported, it starts NCCL by itself."""
-        size = os.environ.pop("WORLD_SIZE")
-        try:
-            from myowarp.apps.train.skrl_names import average_over_ranks
-        finally:
-            os.environ["WORLD_SIZE"] = size
-        average_over_ranks(self.size)
-        logging.getLogger("skrl").setLevel(logging.WARNING)  # else each rank says what it broadcasts
+    def mean(self, tensor: torch.Tensor) -> torch.Tensor:
+        """Return the mean of a tensor over all ranks."""
+        if self.size == 1:
+            return tensor
+        import torch
+
+        torch.distributed.all_reduce(tensor := tensor.clone())
+        return tensor / self.size
+
+    def average_gradients(self, parameters: Sequence[torch.nn.Parameter]) -> None:
+        """Give all ranks the mean of their gradients, in one message."""
+        if self.size == 1 or not parameters:
+            return
+        import torch
+
+        gradients = [p.grad for p in parameters if p.grad is not None]
+        means = self.mean(torch.cat([gradient.view(-1) for gradient in gradients]))
+        for gradient, mean in zip(gradients, means.split([g.numel() for g in gradients]), strict=True):
+            gradient.copy_(mean.view_as(gradient))
 
     def everyones(self, value: Any) -> list[Any]:
         """Return the values of all ranks, in their order."""

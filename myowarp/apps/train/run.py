@@ -18,6 +18,7 @@ from rich.console import Console
 
 from myowarp.apps.train.machine import Stopwatch, check_replay, processor
 from myowarp.apps.train.plan import Job, eval_command, held, last_saved, task_name
+from myowarp.apps.train.selection import Selection
 from myowarp.apps.train.settings import SUCCESSES
 from myowarp.definitions.condition import Condition
 from myowarp.disk import in_place, plain
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 REPORT = "report.json"
 STOPPED = "stopped by a signal"
+SAVE_COST = 50.0  # least time between two checkpoints over the time that the last one took
 
 
 def train(job: Job, console: Console | None = None) -> dict[str, Any]:
@@ -56,9 +58,11 @@ def train(job: Job, console: Console | None = None) -> dict[str, Any]:
     with held(job):
         with job.ranks.together(job.ranks.device(job.setup.device)):
             run = start(job)
-            reason = iterate(job, run, console)
+            selection = Selection(job)
+            reason = iterate(job, run, selection, console)
             run.env.close()
-        report = _report(job, run, reason, watch)
+            selection.close()
+        report = _report(job, run, selection, reason, watch)
         if job.ranks.leads:
             with _written(job, "report"):
                 _publish(job, report, console)
@@ -74,8 +78,8 @@ def start(job: Job) -> Run:
     import torch
 
     from myowarp.apps.policies.checkpoint import CheckpointError, check_contract
-    from myowarp.apps.train.agents import replay_bytes
     from myowarp.apps.train.loop import Run
+    from myowarp.apps.train.replay import replay_bytes
 
     settings, ranks = job.settings, job.ranks
     torch.set_num_threads(settings.threads)
@@ -115,7 +119,7 @@ def _physics(job: Job, samples: int) -> str | None:
     return "parity" if 0 < after <= samples else job.setup.physics
 
 
-def iterate(job: Job, run: Run, console: Console) -> str:
+def iterate(job: Job, run: Run, selection: Selection, console: Console) -> str:
     """Iterate until something ends the run; returns what.
 
     Raises:
@@ -128,14 +132,14 @@ def iterate(job: Job, run: Run, console: Console) -> str:
     settings, ranks = job.settings, job.ranks
     _note_versions(job, console)
     if job.checkpoint is None:
-        _save(job, run)  # whatever happens from here on, the run can go on
+        _save(job, run, selection)  # whatever happens from here on, the run can go on
     over = f" over {ranks.size} ranks" if ranks.size > 1 else ""
     console.print(
         f"{job.asked.task}: {job.algorithm}, {settings.num_worlds} worlds{over} under "
         f"{run.env.sim.setup.physics} physics"
         f"{f', from {settings.parent}' if settings.parent else ''}, into {job.folder}"
     )
-    saved = time.monotonic()
+    saved, taken = time.monotonic(), 0.0
     with (
         _stop_asked() as asked,
         _written(job, "figures"),
@@ -144,12 +148,13 @@ def iterate(job: Job, run: Run, console: Console) -> str:
     ):
         warnings.filterwarnings("ignore", ".* was reset after a fault")  # the environment's; see below
         while True:
-            due = time.monotonic() - saved >= job.save_seconds
+            every = max(job.save_seconds, SAVE_COST * taken) if job.save_seconds else 0.0
+            due = time.monotonic() - saved >= every
             # Signals and clocks differ from rank to rank; what to do may not.
             stop, save = map(any, zip(*ranks.everyones((asked(), due)), strict=True))
             if stop:
                 reason = STOPPED
-            elif run.tally.reached(settings.stop_success, settings.stop_rule):
+            elif _succeeds(run, selection):
                 reason = f"{100 * settings.stop_success:.1f} % {SUCCESSES[settings.stop_rule]}"
             elif run.samples >= settings.samples:
                 reason = "all samples"
@@ -158,8 +163,10 @@ def iterate(job: Job, run: Run, console: Console) -> str:
             if reason or save:
                 if progress:
                     progress.flush()
-                _save(job, run)
+                begin = time.monotonic()
+                _save(job, run, selection)
                 saved = time.monotonic()
+                taken = saved - begin
             if reason:
                 return reason
             said = len(run.faults)
@@ -177,8 +184,9 @@ def iterate(job: Job, run: Run, console: Console) -> str:
                 console.print(
                     f"worlds of {job.asked.task} ended by a fault, with reward 0: {kind}", style="yellow"
                 )
+            found = _select(job, run, selection)
             if progress:
-                progress.add(run.row())
+                progress.add(run.row() | found)
 
 
 @contextmanager
@@ -191,7 +199,7 @@ def _progress(job: Job, run: Run, console: Console) -> Iterator[Progress | None]
         return
     with Progress(job.folder, job.settings.samples, console, after=run.samples) as progress:
         if job.wandb:
-            progress.start_wandb(job.folder.name, _settings(job))
+            progress.start_wandb(job.folder.name, _settings(job, run))
         yield progress
 
 
@@ -236,17 +244,54 @@ def _note_versions(job: Job, console: Console) -> None:
             )
 
 
-def _settings(job: Job) -> dict[str, Any]:
+def _settings(job: Job, run: Run) -> dict[str, Any]:
     """Return the settings and what was said of the environment, side by side; the other way: `divided`."""
-    return dataclasses.asdict(job.settings) | job.asked.plain() | {"muscle": job.setup.muscles.model}
+    return dataclasses.asdict(run.settings) | job.asked.plain() | {"muscle": job.setup.muscles.model}
 
 
-def _save(job: Job, run: Run) -> None:
+def _succeeds(run: Run, selection: Selection) -> bool:
+    """Whether enough episodes succeed to stop: of the last selection, or of the training without any."""
+    settings = run.settings
+    if not settings.selections:
+        return run.worlds.tally.reached(settings.stop_success, settings.stop_rule)
+    return selection.last is not None and selection.last.success >= settings.stop_success
+
+
+def _save(job: Job, run: Run, selection: Selection) -> None:
     """Write a checkpoint, with the worlds of all ranks.
 
     Raises:
         OSError: It cannot be written; the one before is still there.
     """
+    from myowarp.apps.policies.checkpoint import save_checkpoint
+
+    manifest, policy, state = _manifest(job, run, selection), run.average.arrays(), run.arrays()
+    if not job.ranks.leads:
+        return
+    with _written(job, f"checkpoint after {run.samples} samples"):
+        save_checkpoint(job.folder, run.samples, manifest, policy, state)
+
+
+def _select(job: Job, run: Run, selection: Selection) -> dict[str, float]:
+    """Evaluate the average policy where that is due, and keep it if it is the best; returns its figures.
+
+    Raises:
+        OSError: It cannot be written; the best one before is still there.
+    """
+    from myowarp.apps.policies.checkpoint import BEST, save_checkpoint
+
+    if not selection.is_due(run.samples):
+        return selection.figures()
+    policy = run.average.arrays()
+    better = selection.evaluate(run.samples, _manifest(job, run, selection), policy)
+    if better and job.ranks.leads:
+        with _written(job, f"the best policy, after {run.samples} samples"):
+            save_checkpoint(job.folder, run.samples, _manifest(job, run, selection), policy, root=BEST)
+    return selection.figures()
+
+
+def _manifest(job: Job, run: Run, selection: Selection) -> dict[str, Any]:
+    """Return what a checkpoint is."""
     from myowarp.apps.policies import checkpoint
 
     variant, asked = variant_of(job.asked), job.asked.conditions or ()
@@ -257,18 +302,16 @@ def _save(job: Job, run: Run) -> None:
         "reset": variant.reset,
         "conditions": [*variant.conditions, *objects],
         "algorithm": job.algorithm,
+        "learner": checkpoint.LEARNER,
         "contract": checkpoint.task_contract(run.env.sim),
-        "settings": _settings(job),
+        "settings": _settings(job, run),
         "versions": checkpoint.versions(),
         "parent": _origin(job),
         "files_read": job.files_read,
+        "selection": selection.manifest(),
         **run.manifest(),
     }
-    arrays = run.arrays()
-    if not job.ranks.leads:
-        return
-    with _written(job, f"checkpoint after {run.samples} samples"):
-        checkpoint.save_checkpoint(job.folder, run.samples, plain(manifest), *arrays)
+    return dict(plain(manifest))
 
 
 @contextmanager
@@ -302,8 +345,9 @@ def _origin(job: Job) -> dict[str, Any] | None:
     return {"task": job.parent.task, "samples": manifest["samples"], **manifest["files"][POLICY]}
 
 
-def _report(job: Job, run: Run, reason: str, watch: Stopwatch) -> dict[str, Any]:
+def _report(job: Job, run: Run, selection: Selection, reason: str, watch: Stopwatch) -> dict[str, Any]:
     """Return what came out."""
+    clock = run.worlds.clock
     return {
         "task": task_name(job.asked),
         "algorithm": job.algorithm,
@@ -318,10 +362,11 @@ def _report(job: Job, run: Run, reason: str, watch: Stopwatch) -> dict[str, Any]
         **{name: round(value, 2) for name, value in watch.read().items()},
         "processor": processor(),
         "cores": os.cpu_count(),
-        "training_seconds": round(run.clock.total, 1),
-        "training_cpu_seconds": round(run.clock.cpu, 1),
-        **{name: value for name, value in run.tally.figures().items()},
-        **{f"share_{name}": round(share, 3) for name, share in run.clock.shares().items()},
+        "training_seconds": round(clock.total, 1),
+        "training_cpu_seconds": round(clock.cpu, 1),
+        "selection": selection.manifest(),
+        **run.worlds.tally.figures(),
+        **{f"share_{name}": round(share, 3) for name, share in clock.shares().items()},
     }
 
 

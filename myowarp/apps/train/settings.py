@@ -15,6 +15,7 @@ from importlib import resources
 from typing import Any, TypeVar
 
 from myowarp.apps.policies.form import ACTIVATIONS, MEAN_BOUNDS
+from myowarp.apps.train import bonus
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import OPTIONS, Setup
 
@@ -23,7 +24,8 @@ SUCCESSES = {
     "success_last": "solved on the last step",
     "success_any": "solved at any step",
 }
-PRECISIONS = ("bfloat16", "float32")
+PRECISIONS = ("auto", "bfloat16", "float32")
+NOISES = ("white", "repeated")
 TRAINING = Setup(physics="fast", muscle="mujoco", seed=0)  # unless the preset of a task says otherwise
 
 
@@ -44,6 +46,7 @@ def setting(
     least: float | None = None,
     most: float | None = None,
     choices: Iterable[str] = (),
+    items: type = int,
     free: bool = False,
 ) -> Any:
     """Return the field of a setting.
@@ -54,9 +57,10 @@ def setting(
         least: Smallest value that is allowed.
         most: Largest value that is allowed.
         choices: Names that are allowed.
+        items: Type of the entries of a tuple.
         free: Whether a run may be resumed with another value, because no number of the run depends on it.
     """
-    bounds = {"least": least, "most": most, "choices": tuple(choices)}
+    bounds = {"least": least, "most": most, "choices": tuple(choices), "items": items}
     return field(default=default, metadata={"text": text, "free": free, **bounds})
 
 
@@ -67,7 +71,7 @@ class Settings:
     samples: int = setting(3_000_000, "Control steps of all worlds together.", least=1, free=True)
     stop_success: float = setting(
         0.995,
-        "Stop when this share of the last 256 episodes succeeded; above 1: never.",
+        "Stop when this share of the episodes of a selection succeeded; above 1: never.",
         least=0.0,
         free=True,
     )
@@ -75,23 +79,39 @@ class Settings:
         "success",
         "What counts there: success (over 5 solved steps, no failure), success_last or success_any (solved).",
         choices=SUCCESSES,
-        free=True,
+    )
+    selections: int = setting(
+        20,
+        "Evaluations of the average policy over the run, its means under parity, of which the best is kept;"
+        " 0: none, the last policy is kept and the stop rule counts the last 256 episodes of the training.",
+        least=0,
     )
     parity_after: int = setting(
         0, "Samples after which the run goes on under parity physics; 0: it stays with its own.", least=0
     )
     num_worlds: int = setting(256, "Worlds simulated together.", least=1)
     rollout_steps: int = setting(24, "Control steps of every world in an iteration.", least=1)
+    bonus: tuple[str, ...] = setting(
+        (),
+        "Added to the training's reward alone, NAME=WEIGHT: solved, success, precision (of reach) or a term.",
+        items=str,
+    )
     cohort: str = setting("", "Patient table; every patient has as many worlds; empty: one body for all.")
     start: str = setting(
         "", "State file (`State.save`): episodes start in its worlds, with their goals; empty: resets."
+    )
+    start_share: float = setting(
+        0.0,
+        "Share of the episodes that start on the way of an earlier success, in its states, with its goal.",
+        least=0.0,
+        most=1.0,
     )
     parent: str = setting(
         "", "Policy that the training starts from: a run's folder or baselines/<id>; empty: none."
     )
     parent_samples: int = setting(
         0,
-        "Samples as which the parent's normaliser of observations counts; 0: all that it has seen in the same"
+        "Weight of the parent's observation normaliser, in samples; 0: all that it has seen in the same"
         " task, 32 steps of all worlds in another one.",
         least=0,
     )
@@ -100,14 +120,25 @@ class Settings:
     threads: int = setting(
         1, "Threads of torch on the CPU; more pay on idle cores alone.", least=1, most=1024
     )
+    precision: str = setting(
+        "auto",
+        "Of products of matrices; auto: bfloat16 where the processor multiplies it, else float32.",
+        choices=PRECISIONS,
+    )
     discount: float = setting(
         0.97, "Discount of rewards from one control step to the next.", least=0.0, most=1.0
     )
     hidden: tuple[int, ...] = setting(
-        (128, 128), "Widths of the hidden layers of every network.", least=1, most=16384
+        (128, 128), "Widths of the hidden layers of policy and value function.", least=1, most=16384
     )
     activation: str = setting("elu", "Function between the layers.", choices=ACTIVATIONS)
-    learning_rate: float = setting(3e-4, "Learning rate of Adam, the first one if it adapts.", least=0.0)
+    learning_rate: float = setting(3e-4, "Learning rate of Adam at the start.", least=0.0)
+    last_rate: float = setting(
+        0.5, "Share of all learning rates at the end; they fall along half a cosine.", least=0.0, most=1.0
+    )
+    average: float = setting(
+        0.9, "Weight of what was before in the average of the policy, an iteration.", least=0.0, most=0.9999
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,8 +152,8 @@ class Gaussian(Settings):
         0.0, "Mean of actions at the start, without a parent; below 0: quiet.", least=-0.99, most=0.99
     )
     mean_bound: str = setting(
-        "clip",
-        "What keeps the mean of actions from -1 to 1: clip, behind which noise and gradient vanish, or tanh.",
+        "tanh",
+        "What keeps the mean of actions from -1 to 1: tanh, or clip, behind which noise and gradient vanish.",
         choices=MEAN_BOUNDS,
     )
 
@@ -131,9 +162,11 @@ class Gaussian(Settings):
 class OnPolicy(Gaussian):
     """What PPO and TRPO share."""
 
+    num_worlds: int = setting(512, "Worlds simulated together.", least=1)
     trace_decay: float = setting(0.95, "Lambda of generalised advantage estimation.", least=0.0, most=1.0)
     epochs: int = setting(5, "Passes over the samples in an update.", least=1)
-    minibatches: int = setting(8, "Parts of a pass.", least=1)
+    minibatches: int = setting(4, "Parts of a pass.", least=1)
+    value_rate: float = setting(1e-3, "Learning rate of the value function at the start.", least=0.0)
     value_first: int = setting(
         0, "Iterations at the start in which the value function alone learns, with a parent.", least=0
     )
@@ -145,14 +178,22 @@ class PPOSettings(OnPolicy):
     """Proximal policy optimisation."""
 
     clip: float = setting(0.2, "Clip of the ratio of probabilities.", least=0.0)
-    value_clip: float = setting(
-        0.2, "Clip of a value's change, in standard deviations of returns; 0: none.", least=0.0
+    kl: float = setting(
+        0.0,
+        "KL divergence an entry of the action that the policy's learning rate aims at, 3e-4 say; 0: no aim.",
+        least=0.0,
     )
-    kl: float = setting(0.01, "KL divergence that the learning rate aims at; 0: constant rate.", least=0.0)
-    least_rate: float = setting(1e-5, "Smallest learning rate.", least=0.0)
-    largest_rate: float = setting(1e-2, "Largest learning rate.", least=0.0)
+    least_rate: float = setting(1e-5, "Smallest learning rate with an aim.", least=0.0)
+    largest_rate: float = setting(1e-2, "Largest learning rate with an aim.", least=0.0)
+    spread_rate: float = setting(1e-3, "Learning rate of the spread of actions at the start.", least=0.0)
+    noise: str = setting(
+        "white", "Noise of actions: white, or repeated for up to 16 control steps.", choices=NOISES
+    )
     entropy: float = setting(0.0, "Weight of the entropy.", least=0.0)
-    value_loss: float = setting(1.0, "Weight of the value's loss.", least=0.0)
+    learning_rate: float = setting(1e-3, "Learning rate of Adam at the start.", least=0.0)
+    last_rate: float = setting(
+        0.1, "Share of all learning rates at the end; they fall along half a cosine.", least=0.0, most=1.0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,44 +207,26 @@ class TRPOSettings(OnPolicy):
 
 @dataclass(frozen=True, kw_only=True)
 class Replaying(Settings):
-    """What SAC, FlashSAC and DAgger share: a memory of samples."""
+    """What SAC and DAgger share: a memory of samples."""
 
     batch_size: int = setting(512, "Samples of a gradient step.", least=1)
-    gradient_steps: int = setting(4, "Gradient steps after each control step of the worlds.", least=1)
-    replay: int = setting(262_144, "Samples in the replay memory; a checkpoint holds them.", least=1)
+    gradient_steps: int = setting(8, "Gradient steps after each control step of the worlds.", least=1)
+    replay: int = setting(1_048_576, "Samples in the replay memory; a checkpoint holds them.", least=1)
 
 
 @dataclass(frozen=True, kw_only=True)
-class OffPolicy(Replaying):
-    """What SAC and FlashSAC share."""
-
-    random_steps: int = setting(10, "Control steps of every world with random actions.", least=0)
-    target_rate: float = setting(0.01, "Rate at which target networks follow.", least=0.0, most=1.0)
-    temperature: float = setting(0.05, "Weight of the entropy at the start; it is learned.", least=1e-9)
-    target_entropy: float = setting(-0.5, "Entropy that the weight aims at, for each action.")
-
-
-@dataclass(frozen=True, kw_only=True)
-class SACSettings(OffPolicy):
-    """Soft actor-critic."""
-
-    reward_scale: float = setting(0.05, "Factor of rewards.", least=0.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FlashSACSettings(OffPolicy):
+class SACSettings(Replaying):
     """Soft actor-critic with categorical critics and repeated noise."""
 
-    temperature: float = setting(0.002, "Weight of the entropy at the start; it is learned.", least=1e-9)
+    num_worlds: int = setting(64, "Worlds simulated together.", least=1)
+    random_steps: int = setting(160, "Control steps of every world with random actions.", least=0)
+    target_rate: float = setting(0.01, "Rate at which target networks follow.", least=0.0, most=1.0)
+    temperature: float = setting(0.01, "Weight of the entropy at the start; it is learned.", least=1e-9)
+    target_entropy: float = setting(-0.5, "Entropy that the weight aims at, for each action.")
     critic_width: int = setting(128, "Width of the critics' residual blocks.", least=1)
     critic_blocks: int = setting(2, "Residual blocks of a critic.", least=1)
     atoms: int = setting(101, "Values whose probabilities a critic learns.", least=2)
     policy_every: int = setting(2, "Gradient steps of the critics for one of the policy.", least=1)
-    precision: str = setting(
-        "bfloat16",
-        "Of products of matrices; on a CPU without bfloat16, float32 is faster.",
-        choices=PRECISIONS,
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,18 +242,38 @@ class DAggerSettings(Gaussian, Replaying):
         "Standard deviation of the noise; a third of the worlds has none, a third half of it.",
         least=1e-3,
     )
-    mean_bound: str = setting("tanh", "What keeps the mean of actions from -1 to 1.", choices=MEAN_BOUNDS)
-    learning_rate: float = setting(5e-4, "Learning rate of Adam.", least=0.0)
+    learning_rate: float = setting(5e-4, "Learning rate of Adam at the start.", least=0.0)
     gradient_steps: int = setting(16, "Gradient steps after each control step of the worlds.", least=1)
+    replay: int = setting(262_144, "Samples in the replay memory; a checkpoint holds them.", least=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImproveSettings(Gaussian, Replaying):
+    """A search by particles around a policy, and imitation of what succeeded."""
+
+    expert: str = setting("", "Policy that the search is around; empty: the parent, as it improves.")
+    copies: int = setting(32, "Worlds that begin in the same state.", least=2)
+    keep: int = setting(2, "Copies of a state that are copied over the others.", least=1)
+    every: int = setting(10, "Control steps from one copying to the next.", least=1)
+    num_worlds: int = setting(1024, "Worlds simulated together, a multiple of --copies.", least=1)
+    initial_std: float = setting(
+        0.8, "Standard deviation of the noise, which lasts and comes before the tanh.", least=1e-3
+    )
+    learning_rate: float = setting(1e-4, "Learning rate of Adam at the start.", least=0.0)
+    gradient_steps: int = setting(500, "Gradient steps after each search.", least=1)
+    average: float = setting(
+        0.5, "Weight of what was before in the average of the policy, an iteration.", least=0.0, most=0.9999
+    )
 
 
 ALGORITHMS: dict[str, type[Settings]] = {
     "ppo": PPOSettings,
     "trpo": TRPOSettings,
     "sac": SACSettings,
-    "flashsac": FlashSACSettings,
     "dagger": DAggerSettings,
+    "improve": ImproveSettings,
 }
+RENAMED = {"flashsac": "sac"}
 RECORDED = TypeVar("RECORDED", bound=Settings)
 
 
@@ -276,6 +319,8 @@ def choose(name: str, algorithm: str, given: Mapping[str, Any]) -> Settings:
     Raises:
         ValueError: A setting does not belong to the algorithm, is out of its range or does not fit to others.
     """
+    if algorithm in RENAMED:
+        raise ValueError(f"algorithm {algorithm!r} is called {RENAMED[algorithm]} now")
     check_choice("algorithm", algorithm, ALGORITHMS)
     kind = ALGORITHMS[algorithm]
     known = {f.name for f in dataclasses.fields(kind)}
@@ -324,8 +369,9 @@ def _checked(entry: dataclasses.Field[Any], value: Any) -> Any:
     for item in value if isinstance(value, tuple) else (value,):
         if bounds["choices"]:
             check_choice(name, item, bounds["choices"])
-        elif kind is tuple and type(item) is not int:
-            raise ValueError(f"{name} must be integers, got {item!r}")
+        elif kind is tuple and type(item) is not bounds["items"]:
+            wanted = "integers" if bounds["items"] is int else "texts"
+            raise ValueError(f"{name} must be {wanted}, got {item!r}")
         elif isinstance(item, int | float):
             _check_bounds(name, item, bounds["least"], bounds["most"])
     return value
@@ -342,6 +388,7 @@ def _check_bounds(name: str, value: float, least: float | None, most: float | No
 
 def _check_together(settings: Settings) -> None:
     """Raise ValueError if settings do not fit together."""
+    bonus.weights(settings.bonus)
     iteration = settings.num_worlds * settings.rollout_steps
     if settings.samples < iteration:
         raise ValueError(
@@ -357,7 +404,17 @@ def _check_together(settings: Settings) -> None:
         raise ValueError(
             f"--least-rate must be at most --largest-rate, {settings.largest_rate}, got {settings.least_rate}"
         )
-    if isinstance(settings, Replaying):
+    if isinstance(settings, ImproveSettings):
+        if settings.num_worlds % settings.copies:
+            raise ValueError(
+                f"--num-worlds must be a multiple of the {settings.copies} --copies, got "
+                f"{settings.num_worlds}"
+            )
+        if not settings.parent and not settings.expert:
+            raise ValueError("improve needs a policy to search around; name it with --parent or --expert")
+        if settings.keep > settings.copies:
+            raise ValueError(f"--keep must be at most --copies, {settings.copies}, got {settings.keep}")
+    elif isinstance(settings, Replaying):
         if settings.replay % settings.num_worlds:
             raise ValueError(
                 f"--replay must be a multiple of the {settings.num_worlds} worlds, got {settings.replay}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,16 @@ class Tally:
         self._length[ended] = 0.0
         self._any[ended] = False
 
+    def forget(self, worlds: np.ndarray) -> None:
+        """Begin anew in the worlds of a mask."""
+        mask = torch.from_numpy(worlds).to(self._return.device)
+        for column in (self._return, self._length, self._any):
+            column[mask] = 0
+
+    def copy(self, rows: torch.Tensor) -> None:
+        """Give every world the numbers of another one."""
+        self._return, self._length, self._any = (c[rows] for c in (self._return, self._length, self._any))
+
     def take(self) -> np.ndarray:
         """Return the episodes that ended since the last call, shape (episodes, columns)."""
         rows = np.concatenate([np.empty((0, len(COLUMNS))), *self._new])
@@ -77,7 +88,7 @@ class Tally:
             "tally.episodes": np.array([self.episodes]),
         }
 
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+    def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Put all numbers back."""
         device = self._return.device
         self._return = torch.from_numpy(arrays["tally.return"].copy()).to(device)

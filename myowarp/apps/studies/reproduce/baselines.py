@@ -15,6 +15,7 @@ from myowarp.apps.reports.result import PERCENT, Merit
 from myowarp.apps.reports.table import read_numbers
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.apps.studies.reproduce.policies import Training
+from myowarp.apps.train.progress import CSV
 from myowarp.kernels.episode import MYOSUITE
 
 if TYPE_CHECKING:
@@ -33,7 +34,14 @@ HARDLY = 50.0  # percent of the episodes
 MODES = ("deterministic", "sampled")
 SAMPLES, ENDING = 5_000_000, {"stop_success": 0.995}
 QUICK_TASKS = ("myoElbowPose1D6MFixed-v0", "myoElbowPose1D6MRandom-v0")
-COLORS = {"ppo": "#1f5fa8", "flashsac": "#3f9b63", "dagger": "#7d5ba6"}
+COLORS = {
+    "ppo": "#1f5fa8",
+    "sac": "#3f9b63",
+    "flashsac": "#3f9b63",
+    "dagger": "#7d5ba6",
+    "improve": "#b5651d",
+}
+"""Of lines by algorithm; `flashsac` is what versions before the trainer of our own called SAC."""
 Curve = tuple[np.ndarray, np.ndarray]
 """Samples, and share of successful episodes."""
 
@@ -60,7 +68,8 @@ def trpo(lab: Lab) -> dict[str, list[Curve]]:
     found = {}
     for task in QUICK_TASKS if lab.quick else baseline_tasks():
         training = Training(f"trpo_{task}", task, samples=SAMPLES, settings=ENDING, algorithm="trpo")
-        found[task] = [read_curve(lab.policy(training, seed).folder / "progress.csv") for seed in lab.seeds]
+        runs = [lab.policy(training, seed).folder.parents[1] for seed in lab.seeds]
+        found[task] = [read_curve(folder / CSV) for folder in runs]
     return found
 
 
@@ -106,7 +115,7 @@ def of_package(task: str) -> Ours:
     manifest, evaluations = baseline.checkpoint.manifest, [run["evaluation"] for run in baseline.runs]
     return Ours(
         algorithm=manifest["algorithm"],
-        samples=manifest["samples"],
+        samples=baseline.runs[0]["training"]["samples"],  # its best policy may be from before its end
         curve=read_curve(FOLDER / task / CURVE),
         success={mode: np.array([100.0 * e[mode][MYOSUITE] for e in evaluations]) for mode in MODES},
     )

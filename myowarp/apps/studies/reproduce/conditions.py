@@ -89,7 +89,8 @@ def adaptation(task: str, condition: str) -> Training:
     baseline = _baseline(task)
     manifest, policy = baseline.checkpoint.manifest, baseline.checkpoint.policy
     settings: dict[str, Any] = {name: value for name, value in baseline.settings().items() if name != "seed"}
-    settings |= {"physics": "parity", "stop_success": NEVER, "samples": manifest["samples"] // PART}
+    samples = baseline.runs[0]["training"]["samples"] // PART
+    settings |= {"physics": "parity", "stop_success": NEVER, "samples": samples, "selections": 0}
     if manifest["algorithm"] == "ppo":
         settings["value_first"] = 5
     if "log_std" in policy:
@@ -98,7 +99,7 @@ def adaptation(task: str, condition: str) -> Training:
         name=f"adapted_{task}_{condition}",
         task=task,
         conditions=lambda: () if condition == NONE else (condition_from(CONDITIONS[condition]),),
-        samples=settings["samples"],
+        samples=samples,
         settings=settings,
         algorithm=manifest["algorithm"],
         parent=PREFIX + task,
@@ -109,6 +110,9 @@ def run(lab: Lab) -> Findings:
     """Run the protocol: every policy under every condition, then those that lost and were trained on."""
     tasks = [task for task in solved() if not lab.quick or task in QUICK_TASKS]
     cells = [(t, c) for t in tasks for c in (NONE, *CONDITIONS) if c == NONE or applies(c, t)]
+    if lab.retrain:
+        for task in tasks:
+            _baseline(task).check_trainer()
     lab.expect(len(cells))
     before = {(t, c): _episodes(lab, "before", t, c, _baseline(t).checkpoint) for t, c in cells}
     shares = {cell: found["success"] for cell, found in before.items()}

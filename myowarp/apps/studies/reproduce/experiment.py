@@ -120,7 +120,7 @@ class Lab:
 
         Raises:
             ValueError: The package has none of this name and seed, or it is damaged.
-            ImportError: It is to be trained, and torch or skrl is not installed.
+            ImportError: It is to be trained, and torch is not installed.
         """
         if not self.retrain:
             return committed(training, seed)

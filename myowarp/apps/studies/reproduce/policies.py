@@ -93,7 +93,7 @@ def retrained(training: Training, setup: Setup, folder: Path, console: Console, 
 
     Raises:
         ValueError: The folder holds another run, or another process trains in it.
-        ImportError: torch or skrl is not installed.
+        ImportError: torch is not installed.
     """
     from myowarp.apps.train.plan import Job, check_packages, occupied
     from myowarp.apps.train.run import STOPPED, train
@@ -113,11 +113,13 @@ def retrained(training: Training, setup: Setup, folder: Path, console: Console, 
         home = folder.parents[1] / training.parent.name / str(setup.seed)
         parent = retrained(training.parent, setup, home, console, quick=quick)
     own, given = divided(training.settings)
-    given = {"samples": training.samples // (QUICK if quick else 1), "stop_success": NEVER} | given
+    samples = training.samples // (QUICK if quick else 1)
+    # All seeds of a protocol learn from as many samples: what it compares is not the best of each training.
+    given = {"samples": samples, "stop_success": NEVER, "selections": 0} | given
     settings = choose(name, training.algorithm, given)
     asked = Setup(task=task, conditions=training.conditions()).over(own)
     asked = setup.over(asked).over(divided(preset(name, training.algorithm))[0]).over(TRAINING)
-    checkpoint = load_checkpoint(folder) if occupied(folder) else None
+    checkpoint = load_checkpoint(folder, learning=True) if occupied(folder) else None
     if checkpoint is not None:
         _check_same(checkpoint, training, asked)
         if checkpoint.manifest["samples"] >= settings.samples or _ended(folder):

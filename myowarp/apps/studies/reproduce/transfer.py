@@ -28,7 +28,7 @@ RETRAINING = {  # half of the noise, so that what is learned holds without it
     "rollout_steps": 50,
     "value_first": 5,
     "initial_std": 0.25,
-    "kl": 0.02,
+    "kl": 5e-4,  # of each of the hand's 39 actions
 }
 TRANSFER = Training(
     "key_turn_transfer", key.TASK, lambda: (TendonTransfer(),), 112_000, RETRAINING, parent=key.INTACT

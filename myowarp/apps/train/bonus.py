@@ -1,0 +1,54 @@
+"""What `--bonus` adds to a reward in training alone: evaluations are always of the task's own reward.
+
+A reward may pay nothing for the last step to the goal: a key's has bonuses at half of the turn that counts, a
+reach's none within the radius that counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from myowarp.definitions.registry import NUMBER
+from myowarp.definitions.task import TaskSpec
+
+if TYPE_CHECKING:
+    import torch
+
+OUTCOMES = ("solved", "success")  # of a control step, 0 or 1
+REACH, PRECISION = "reach", "precision"  # a term that is minus a distance; 1 - distance / near, at least 0
+
+
+def weights(bonus: Sequence[str]) -> dict[str, float]:
+    """Return weights by name.
+
+    Raises:
+        ValueError: An entry is not NAME=WEIGHT, or a name comes twice.
+    """
+    found: dict[str, float] = {}
+    for entry in bonus:
+        name, _, weight = entry.partition("=")
+        number = float(weight) if NUMBER.fullmatch(weight) else math.inf
+        if not math.isfinite(number):
+            raise ValueError(f"--bonus must be NAME=WEIGHT with a number, such as solved=4, got {entry!r}")
+        if name in found:
+            raise ValueError(f"--bonus has {name!r} twice; give it one weight")
+        found[name] = number
+    return found
+
+
+def names(spec: TaskSpec) -> tuple[str, ...]:
+    """Return what can be weighed in a task."""
+    terms = tuple(term.name for term in spec.reward_terms())
+    return (*OUTCOMES, *((PRECISION,) if REACH in terms and hasattr(spec, "near") else ()), *terms)
+
+
+def value(name: str, info: Mapping[str, torch.Tensor], spec: TaskSpec) -> torch.Tensor:
+    """Return what is weighed, shape (num_worlds,), of the `info` of a control step."""
+    if name in OUTCOMES:
+        return info[name].float()
+    if name == PRECISION:
+        near: float = getattr(spec, "near")  # noqa: B009 (not every task has one; `names` asks)
+        return (1.0 + info[f"terms/{REACH}"] / near).clamp_min(0.0)
+    return info[f"terms/{name}"]

@@ -1,0 +1,222 @@
+"""What every algorithm has: a policy, a normaliser, optimisers, a memory; and all their numbers by name.
+
+An algorithm is a file: `ppo.py`, `trpo.py`, `sac.py`, `dagger.py`. Its class says in `iterate` what one
+iteration is, from the worlds' first step to the last step of an optimiser.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager
+
+import numpy as np
+import torch
+from torch import nn
+
+from myowarp.apps.train.networks import CLIP, EPSILON, GaussianPolicy, Normaliser, SquashedPolicy, products
+from myowarp.apps.train.ranks import Ranks
+from myowarp.apps.train.replay import Replay
+from myowarp.apps.train.settings import Settings
+from myowarp.apps.train.worlds import Worlds
+
+Arrays = dict[str, np.ndarray]
+GENERATORS = ("torch_generator", "cuda_generator")
+"""Arrays of which every rank has one of its own."""
+NOISE = "noise."
+"""Arrays of which every world has a row begin so."""
+
+
+class Learner(nn.Module):
+    """A policy that learns.
+
+    Attributes:
+        policy: What acts.
+        normaliser: Of its observations.
+        optimizers: By name.
+        replay: Samples that are used more than once; None: none.
+        share: How much of the run's samples has been taken, from 0 to 1.
+    """
+
+    policy: GaussianPolicy | SquashedPolicy
+    optimizers: dict[str, torch.optim.Optimizer]
+    replay: Replay | None = None
+
+    def __init__(self, settings: Settings, worlds: Worlds, ranks: Ranks) -> None:
+        """Make the normaliser; the algorithm makes all else, with torch's generator."""
+        super().__init__()
+        self.settings, self.device, self.ranks = settings, worlds.device, ranks
+        self.normaliser = Normaliser(worlds.num_obs).to(self.device)
+        self.share = 0.0
+        self._noted: dict[str, list[torch.Tensor]] = {}
+
+    def iterate(self, worlds: Worlds) -> dict[str, float]:
+        """Do one iteration: control steps, and the updates that belong to them; returns figures by name."""
+        raise NotImplementedError
+
+    def products(self) -> AbstractContextManager[object]:
+        """Return the context in which products of matrices have the run's precision."""
+        return products(self.settings.precision, self.device)
+
+    def set_rates(self) -> None:
+        """Let all rates of learning fall along half a cosine, as the run goes on."""
+        last = self.settings.last_rate
+        share = last + (1.0 - last) * 0.5 * (1.0 + math.cos(math.pi * min(self.share, 1.0)))
+        for optimizer in self.optimizers.values():
+            for group in optimizer.param_groups:
+                group["lr"] = share * group["first_rate"]
+
+    def descend(
+        self, name: str, loss: torch.Tensor, clipped: Iterable[nn.Parameter] = (), norm: float = 0.0
+    ) -> None:
+        """Do one step of an optimiser, on the mean gradient of all ranks.
+
+        Args:
+            name: Of the optimiser.
+            loss: What is to fall.
+            clipped: Parameters whose gradients are clipped together.
+            norm: To which norm; 0: not at all.
+        """
+        self.optimizers[name].zero_grad()
+        loss.backward()
+        clipped = [*clipped]
+        self.ranks.average_gradients(clipped)
+        if norm:
+            nn.utils.clip_grad_norm_(clipped, norm)
+        self.optimizers[name].step()
+        if name == "policy":
+            self.note("learning_rate", torch.tensor(self.optimizers[name].param_groups[0]["lr"]))
+
+    def note(self, name: str, value: torch.Tensor) -> None:
+        """Keep a figure of the iteration."""
+        self._noted.setdefault(name, []).append(value.detach())
+
+    def figures(self) -> dict[str, float]:
+        """Return the means of what was noted since the last call."""
+        means = {name: float(torch.stack(values).mean()) for name, values in self._noted.items()}
+        self._noted.clear()
+        return means
+
+    def adam(
+        self, parameters: Iterable[nn.Parameter], rate: float, decay: float = 0.0
+    ) -> torch.optim.Optimizer:
+        """Return an optimiser whose rate falls as the run goes on."""
+        group = {"params": list(parameters), "lr": rate, "first_rate": rate}
+        return torch.optim.AdamW([group], weight_decay=decay, fused=True)
+
+    def inherit(self, parent: Mapping[str, np.ndarray], samples: int, count: int) -> None:
+        """Start from the policy of another run, with a spread and a value function of this one.
+
+        Args:
+            parent: Arrays of that policy.
+            samples: Samples that its normaliser of observations has seen.
+            count: Samples as which they count here, few enough for the new task's to outweigh them soon.
+        """
+        own = self.policy.state_dict()
+        self.policy.load_state_dict({k: v if k == "log_std" else _tensor(parent[k]) for k, v in own.items()})
+        mean, variance = parent["observation_mean"], parent["observation_variance"]
+        # A column that never changed, such as a fixed goal, has weights that nothing trained, and no more
+        # variance than a normaliser starts with: that of one sample beside the mean 0.
+        unseen = variance * samples < 1.01 * (1.0 + mean * mean)
+        first = self.policy.net[0]
+        assert isinstance(first, nn.Linear)
+        with torch.no_grad():
+            first.weight[:, torch.from_numpy(unseen)] = 0.0
+        self.normaliser.mean.copy_(_tensor(mean))
+        self.normaliser.variance.copy_(_tensor(variance))
+        self.normaliser.count.fill_(count)
+
+    def is_finite(self) -> bool:
+        """Return whether every weight is finite."""
+        return bool(torch.stack([p.detach().sum() for p in self.parameters()]).isfinite().all())
+
+    def form(self) -> dict[str, object]:
+        """Return what the arrays of the policy leave open, for `myowarp.apps.policies.learned`."""
+        return {
+            "mean_bound": self.policy.mean_bound,
+            "activation": self.settings.activation,
+            "clip": CLIP,
+            "epsilon": EPSILON,
+            "log_std_bounds": list(self.policy.log_std_bounds),
+        }
+
+    def arrays(self) -> Arrays:
+        """Return everything that the next iteration depends on.
+
+        The samples of PPO and TRPO are not among it: a checkpoint is written between two iterations, and the
+        next one takes others.
+        """
+        tensors = dict(self.state_dict()) | {"torch_generator": torch.get_rng_state()}
+        if self.device.type == "cuda":
+            tensors["cuda_generator"] = torch.cuda.get_rng_state(self.device)
+        for name, optimizer in self.optimizers.items():
+            for index, entries in optimizer.state_dict()["state"].items():
+                tensors |= {f"optimizer.{name}.{index}.{key}": value for key, value in entries.items()}
+        arrays = {name: array(tensor) for name, tensor in tensors.items()}
+        return arrays | ({} if self.replay is None else self.replay.arrays())
+
+    def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Put all numbers back; torch's generators too.
+
+        Raises:
+            KeyError: An array is missing.
+            RuntimeError: An array has another shape.
+        """
+        self.load_state_dict({name: _tensor(arrays[name]) for name in self.state_dict()})
+        for name, optimizer in self.optimizers.items():
+            states: dict[int, dict[str, torch.Tensor]] = {}
+            for key, value in _below(arrays, f"optimizer.{name}."):
+                index, _, entry = key.partition(".")
+                states.setdefault(int(index), {})[entry] = _tensor(value)
+            groups = optimizer.state_dict()["param_groups"]
+            optimizer.load_state_dict({"state": states, "param_groups": groups})
+        if self.replay is not None:
+            self.replay.restore(arrays)
+        torch.set_rng_state(_tensor(arrays["torch_generator"]))
+        if "cuda_generator" in arrays:
+            torch.cuda.set_rng_state(_tensor(arrays["cuda_generator"]), self.device)
+
+
+class Average:
+    """An average of a policy over the last iterations: w <- keep w + (1 - keep) policy.
+
+    It acts in evaluations, and is what a run leaves; the policy itself takes the samples.
+    """
+
+    def __init__(self, learner: Learner, keep: float) -> None:
+        """Begin with the policy as it is."""
+        self._learner, self._keep = learner, keep
+        self.tensors = {name: tensor.clone() for name, tensor in learner.policy.state_dict().items()}
+
+    def follow(self) -> None:
+        """Take the policy of the last iteration into account."""
+        for name, tensor in self._learner.policy.state_dict().items():
+            self.tensors[name].lerp_(tensor, 1.0 - self._keep)
+
+    def arrays(self) -> Arrays:
+        """Return what acts: weights, and the normaliser of observations."""
+        normaliser = self._learner.normaliser
+        moments = {"observation_mean": normaliser.mean, "observation_variance": normaliser.variance}
+        return {name: array(tensor) for name, tensor in (self.tensors | moments).items()}
+
+    def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Put the average back."""
+        for name, tensor in self.tensors.items():
+            tensor.copy_(_tensor(arrays[name]))
+
+
+def _below(arrays: Mapping[str, np.ndarray], prefix: str) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the arrays whose names begin with a prefix, without it."""
+    for name, value in arrays.items():
+        if name.startswith(prefix):
+            yield name.removeprefix(prefix), value
+
+
+def array(tensor: torch.Tensor) -> np.ndarray:
+    """Return a copy on the host."""
+    return tensor.detach().cpu().numpy().copy()
+
+
+def _tensor(values: np.ndarray) -> torch.Tensor:
+    """Return a tensor that owns its memory."""
+    return torch.from_numpy(np.array(values))

@@ -1,0 +1,108 @@
+"""Which policy of a run is kept: the best of the averages that were evaluated on the way.
+
+Mean actions, `parity` physics, one episode in each of 128 worlds, whose seeds are neither those of the
+training nor those of `myowarp eval`. Patients have as many worlds here as in the training.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from myowarp.apps.policies.checkpoint import Checkpoint
+from myowarp.apps.policies.learned import LearnedPolicy
+from myowarp.apps.train.evaluate import evaluate
+from myowarp.apps.train.plan import Job
+from myowarp.definitions.condition import Condition
+from myowarp.sim.simulation import Simulation
+
+EPISODES = 128
+SEED = 2_000_000
+
+
+@dataclass(frozen=True)
+class Score:
+    """What an evaluation found.
+
+    Attributes:
+        samples: Samples of the run before it.
+        success: Share of its episodes that succeeded, by the rule that the run stops by.
+        returns: Mean return.
+    """
+
+    samples: int
+    success: float
+    returns: float
+
+
+class Selection:
+    """The evaluations of a run.
+
+    Attributes:
+        best: The best one; None: there was none.
+        last: The last one.
+    """
+
+    def __init__(self, job: Job) -> None:
+        """Go on with what a resumed run has found."""
+        manifest: dict[str, Any] = {"samples": 0, "selection": {}}
+        if job.checkpoint:
+            manifest = job.checkpoint.manifest
+        found = {name: Score(**score) for name, score in manifest["selection"].items() if score}
+        self.best, self.last = found.get("best"), found.get("last")
+        self._job, self._taken = job, manifest["samples"]
+        self._sim: Simulation | None = None
+
+    def is_due(self, samples: int) -> bool:
+        """Whether an evaluation falls between the samples of the last call and these."""
+        settings, before = self._job.settings, self._taken
+        self._taken = samples
+        parts = (number * settings.selections // settings.samples for number in (before, samples))
+        return next(parts) < next(parts)
+
+    def evaluate(self, samples: int, manifest: Mapping[str, Any], policy: Mapping[str, np.ndarray]) -> bool:
+        """Evaluate a policy; returns whether it is the best one so far."""
+        job = self._job
+        if self._sim is None:
+            self._sim = self._build()
+        act = LearnedPolicy(Checkpoint(job.folder, dict(manifest), dict(policy)))
+        quiet = Console(quiet=True)
+        figures = dataclasses.asdict(evaluate(self._sim, act, console=quiet, ranks=job.ranks))
+        self.last = Score(samples, figures[job.settings.stop_rule], figures["return_mean"])
+        if self.best and (self.best.success, self.best.returns) >= (self.last.success, self.last.returns):
+            return False
+        self.best = self.last
+        return True
+
+    def _build(self) -> Simulation:
+        """Return this rank's worlds."""
+        job, ranks = self._job, self._job.ranks
+        patients = any(isinstance(condition, Condition) for condition in job.setup.conditions or ())
+        episodes = job.settings.num_worlds if patients else EPISODES
+        setup = dataclasses.replace(
+            job.setup, physics="parity", device=ranks.device(job.setup.device), rank=ranks.part, seed=SEED
+        )
+        return Simulation(setup, -(-episodes // ranks.size), autoreset="same_step")
+
+    def figures(self) -> dict[str, float]:
+        """Return columns of `progress.csv`: the last evaluation, NaN before the first one."""
+        score = self.last or Score(0, math.nan, math.nan)
+        return {"selection_success": score.success, "selection_return": score.returns}
+
+    def manifest(self) -> dict[str, Any]:
+        """Return what a checkpoint says of the evaluations."""
+        return {
+            name: score and dataclasses.asdict(score)
+            for name, score in (("best", self.best), ("last", self.last))
+        }
+
+    def close(self) -> None:
+        """End the worlds."""
+        if self._sim is not None:
+            self._sim.close()

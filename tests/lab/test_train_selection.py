@@ -1,0 +1,265 @@
+"""Selection: which policy of a run is kept, what stops a run, what plays, and what the evaluations are of."""
+
+import csv
+import dataclasses
+import errno
+import json
+import os
+import signal
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from myowarp.apps.policies import checkpoint as checkpoints
+from myowarp.apps.policies.checkpoint import BEST, STATE, find_folder, load_checkpoint
+from myowarp.apps.train import selection
+from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
+from myowarp.apps.train.loop import Run
+from myowarp.apps.train.plan import plan
+from myowarp.apps.train.progress import SELECTED, draw_curve
+from myowarp.apps.train.run import train
+from myowarp.definitions.setup import Setup
+from myowarp.models.conditions.sarcopenia import Sarcopenia
+
+ELBOW = "myoElbowPose1D6MRandom-v0"
+ITERATION = 8 * 8  # samples
+SMALL = {"num_worlds": 8, "rollout_steps": 8, "minibatches": 2, "hidden": (16,)}
+SMALL |= {"device": "cpu", "samples": 12 * ITERATION, "selections": 6, "stop_success": 0.9}
+
+
+@dataclasses.dataclass
+class Found:
+    """What an evaluation is made to find."""
+
+    success: float
+    success_last: float
+    return_mean: float
+
+
+@pytest.fixture
+def scripted(monkeypatch):
+    """Let evaluations find what a test wants.
+
+    Returns the list that it fills with (success, return), and the policies that were evaluated.
+    """
+    wanted, policies = [], []
+
+    class Nothing:
+        def close(self):
+            pass
+
+    def found(sim, act, **options):
+        policies.append(act.checkpoint)
+        success, returns = wanted[len(policies) - 1]
+        return Found(success, success / 2, returns)
+
+    monkeypatch.setattr(selection, "evaluate", found)
+    monkeypatch.setattr(selection.Selection, "_build", lambda self: Nothing())
+    return wanted, policies
+
+
+def run_of(folder, **given):
+    return train(plan(ELBOW, output=folder, **SMALL | given))
+
+
+def rows(folder):
+    with (folder / "progress.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_the_best_is_kept_and_plays(scripted, tmp_path, run):
+    """Success counts first, then the return; of two alike the first. What resumes is the last."""
+    wanted, policies = scripted
+    wanted += [(0.25, 1.0), (0.5, 3.0), (0.5, 4.0), (0.375, 9.0), (0.5, 4.0), (0.25, 8.0)]
+    report = run_of(tmp_path)
+    assert report["ended"] == "all samples"
+    taken = [int(policy.manifest["samples"]) for policy in policies]
+    assert taken == [number * ITERATION for number in (2, 4, 6, 8, 10, 12)]
+    best, last = load_checkpoint(tmp_path), load_checkpoint(tmp_path, learning=True)
+    assert (best.folder, last.folder) == (
+        tmp_path / BEST / f"{6 * ITERATION:012d}",
+        tmp_path / "checkpoints" / f"{12 * ITERATION:012d}",
+    )
+    assert [folder.name for folder in (tmp_path / BEST).iterdir()] == [best.folder.name]
+    assert best.manifest["samples"] == 6 * ITERATION
+    assert STATE not in best.manifest["files"]
+    for name, array in policies[2].policy.items():
+        np.testing.assert_array_equal(best.policy[name], array)
+    assert any((array != last.policy[name]).any() for name, array in best.policy.items())
+    scores = {
+        "best": {"samples": 6 * ITERATION, "success": 0.5, "returns": 4.0},
+        "last": {"samples": 12 * ITERATION, "success": 0.25, "returns": 8.0},
+    }
+    assert report["selection"] == last.manifest["selection"] == scores
+    assert best.manifest["selection"]["best"] == scores["best"]
+    shown = [float(row["selection_success"]) for row in rows(tmp_path)]
+    np.testing.assert_array_equal(shown, [np.nan, *np.repeat([0.25, 0.5, 0.5, 0.375, 0.5], 2), 0.25])
+    assert float(rows(tmp_path)[7]["selection_return"]) == 9.0
+    status, out, err = run("eval", tmp_path, "--episodes", 4, "--device", "cpu", "--json")
+    assert status == 0, err
+    assert json.loads(out)["checkpoint"] == str(best.folder)
+    assert json.loads(out)["samples"] == 6 * ITERATION
+
+
+def test_the_last_selection_stops_a_run(scripted, tmp_path):
+    wanted, _ = scripted
+    wanted += [(0.89, 1.0), (0.91, 0.0)]
+    report = run_of(tmp_path)
+    assert (report["ended"], report["samples"]) == (
+        "90.0 % more than 5 solved steps, no failure",
+        4 * ITERATION,
+    )
+    assert report["success"] != report["success"]  # no episode of the training has ended
+    assert load_checkpoint(tmp_path).manifest["samples"] == 4 * ITERATION
+
+
+def test_the_rule_that_stops_is_the_one_that_selects(scripted, tmp_path):
+    """Here half of them succeed on the last step."""
+    wanted, _ = scripted
+    wanted += [(0.95, 1.0), (1.0, 0.0)]
+    report = run_of(tmp_path, stop_rule="success_last", stop_success=0.5)
+    assert (report["ended"], report["samples"]) == ("50.0 % solved on the last step", 4 * ITERATION)
+    assert report["selection"]["best"]["success"] == 0.5
+
+
+def test_a_resumed_run_goes_on_with_the_same_best(scripted, tmp_path, run):
+    wanted, policies = scripted
+    wanted += [(0.25, 1.0), (0.75, 2.0), (0.5, 5.0), (0.75, 1.0), (0.8, 0.0), (0.5, 0.0)]
+    report = stopped(tmp_path, updates=7)
+    assert (report["ended"], len(policies)) == ("stopped by a signal", 3)
+    assert load_checkpoint(tmp_path).manifest["samples"] == 4 * ITERATION
+    job = plan(resume=tmp_path)
+    resumed = selection.Selection(job)
+    assert dataclasses.asdict(resumed.best) == {"samples": 4 * ITERATION, "success": 0.75, "returns": 2.0}
+    assert resumed.last.success == 0.5
+    train(job)
+    assert [policy.manifest["samples"] for policy in policies[3:]] == [n * ITERATION for n in (8, 10, 12)]
+    assert load_checkpoint(tmp_path).manifest["samples"] == 10 * ITERATION
+    assert len(list((tmp_path / BEST).iterdir())) == 1
+    shown = [float(row["selection_success"]) for row in rows(tmp_path)][1:]
+    np.testing.assert_array_equal(shown, [*np.repeat([0.25, 0.75, 0.5, 0.75, 0.8], 2), 0.5])
+
+
+def stopped(folder, updates):
+    """Run until a signal comes in an iteration."""
+    iterate = Run.iterate
+
+    def interrupted(self):
+        iterate(self)
+        if self.updates == updates:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Run, "iterate", interrupted)
+        return run_of(folder)
+
+
+def test_a_killed_run_takes_its_best_again(scripted, tmp_path, monkeypatch):
+    """The best policy was written, the checkpoint after it was not: the run finds the same once more."""
+    wanted, policies = scripted
+    wanted += [(0.25, 1.0), (0.75, 2.0)]
+    saved, save = [], checkpoints.save_checkpoint
+
+    def killed(run, samples, *content, root="checkpoints", **more):
+        if root == "checkpoints" and samples >= 4 * ITERATION:
+            raise KeyboardInterrupt
+        saved.append((root, samples))
+        return save(run, samples, *content, root=root, **more)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(checkpoints, "save_checkpoint", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run_of(tmp_path, save_seconds=0.0)
+    assert saved[-1] == (BEST, 4 * ITERATION)
+    last = load_checkpoint(tmp_path, learning=True)
+    assert (last.manifest["samples"], last.manifest["selection"]["best"]["success"]) == (3 * ITERATION, 0.25)
+    wanted += [(0.75, 2.0), (0.5, 0.0), (0.5, 0.0), (0.5, 0.0), (0.5, 0.0)]
+    assert train(plan(resume=tmp_path))["selection"]["best"]["samples"] == 4 * ITERATION
+    assert load_checkpoint(tmp_path).manifest["samples"] == 4 * ITERATION
+    for name, array in policies[1].policy.items():
+        np.testing.assert_array_equal(policies[2].policy[name], array)
+
+
+def test_a_full_disk_at_the_best_policy_is_a_sentence(scripted, tmp_path, monkeypatch):
+    wanted, _ = scripted
+    wanted += [(0.25, 1.0), (0.75, 2.0)]
+    save = checkpoints.save_checkpoint
+
+    def full(run, samples, *content, root="checkpoints", **more):
+        if root == BEST and samples == 4 * ITERATION:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return save(run, samples, *content, root=root, **more)
+
+    monkeypatch.setattr(checkpoints, "save_checkpoint", full)
+    sentence = (
+        f"^the best policy, after {4 * ITERATION} samples could not be written \\(No space left on device"
+    )
+    with pytest.raises(OSError, match=sentence):
+        run_of(tmp_path)
+    assert load_checkpoint(tmp_path).manifest["samples"] == 2 * ITERATION
+
+
+def test_without_selections_the_last_policy_plays(scripted, tmp_path):
+    """And the last 256 episodes of the training stop it."""
+    _, policies = scripted
+    report = run_of(tmp_path, selections=0)
+    assert not policies
+    assert not (tmp_path / BEST).exists()
+    assert load_checkpoint(tmp_path).folder == find_folder(tmp_path, learning=True)
+    assert report["selection"] == {"best": None, "last": None}
+    assert {row["selection_success"] for row in rows(tmp_path)} == {"nan"}
+
+
+def test_more_selections_than_iterations_are_one_an_iteration(scripted, tmp_path):
+    wanted, policies = scripted
+    wanted += [(0.0, 0.0)] * 12
+    run_of(tmp_path, selections=500)
+    assert [policy.manifest["samples"] for policy in policies] == [n * ITERATION for n in range(1, 13)]
+
+
+def test_a_selection_is_what_myowarp_eval_finds(tmp_path, monkeypatch):
+    """Means under parity, the task's own reward and condition, other seeds; whatever the training is paid."""
+    monkeypatch.setattr(selection, "EPISODES", 16)
+    given = {"physics": "fast", "bonus": ("solved=50", "pose=7"), "conditions": ("sarcopenia",)}
+    report = run_of(tmp_path, selections=1, samples=20 * ITERATION, **given)
+    where = Setup(seed=selection.SEED, device="cpu")
+    head, figures = evaluate_policy(plan_evaluation(tmp_path, where, episodes=16, mode="deterministic"))
+    assert (head["physics"], head["conditions"]) == ("parity", ["sarcopenia"])
+    best, found = report["selection"]["best"], figures["deterministic"]
+    assert best["returns"] == pytest.approx(found["return_mean"], rel=1e-6)
+    assert best["success"] == found["success"]
+    assert len({report["seed"], selection.SEED, 1_000_000}) == 3
+
+
+@pytest.mark.parametrize("given", ["cohort", "conditions"])
+def test_patients_have_as_many_worlds_as_in_the_training(given, tmp_path, monkeypatch):
+    worlds, evaluate = [], selection.evaluate
+
+    def counted(sim, act, **options):
+        worlds.append(sim.num_worlds)
+        return evaluate(sim, act, **options)
+
+    monkeypatch.setattr(selection, "evaluate", counted)
+    if given == "cohort":
+        (tmp_path / "patients.csv").write_text("strength\n1.0\n0.3\n")
+        own = {"cohort": str(tmp_path / "patients.csv")}
+    else:
+        own = {"conditions": (Sarcopenia(np.linspace(0.3, 1.0, 8)),)}
+    run_of(tmp_path / "run", selections=1, samples=2 * ITERATION, **own)
+    assert worlds == [8]
+
+
+def test_the_curve_shows_the_selections(scripted, tmp_path, monkeypatch):
+    wanted, _ = scripted
+    wanted += [(0.25, 1.0)] * 12
+    run_of(tmp_path, samples=16 * ITERATION)
+    lines, savefig = [], Figure.savefig
+    monkeypatch.setattr(
+        Figure,
+        "savefig",
+        lambda self, *of, **more: (lines.extend(self.axes[1].lines), savefig(self, *of, **more))[1],
+    )
+    assert draw_curve(tmp_path, "elbow").is_file()
+    (line,) = [line for line in lines if line.get_label() == SELECTED]
+    assert set(np.asarray(line.get_ydata())[np.isfinite(line.get_ydata())]) == {25.0}
