@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import abc
-import contextlib
 import threading
 from collections.abc import Callable
 from typing import Literal
@@ -66,12 +65,13 @@ class Wishes(abc.ABC):
             self.attempt(wish)
         return bool(asked)
 
-    def attempt(self, wish: Callable[[], object]) -> bool:
-        """Do what a browser asks for, say in all pages why it failed, and return whether it was done."""
+    def attempt(self, wish: Callable[[], object], aloud: bool = True) -> bool:
+        """Do what a browser asks for, and return whether it was done; if `aloud`, all pages say why not."""
         try:
             wish()
         except Exception as error:  # noqa: BLE001 (whatever it is, the page goes on)
-            self.complain(str(error) or type(error).__name__)
+            if aloud:
+                self.complain(str(error) or type(error).__name__)
             return False
         return True
 
@@ -93,12 +93,15 @@ class Wishes(abc.ABC):
             self._aim_client(client)
 
     def _aim_client(self, client: viser.ClientHandle) -> None:
-        """Point the camera of a page."""
-        camera = client.camera
-        # A browser says what it likes of its camera: of one that cannot be, nothing is moved.
-        with contextlib.suppress(Exception), client.atomic():
-            size = camera.image_width, camera.image_height
-            camera.position, camera.look_at, camera.fov = self.view(*size)
+        """Point the camera of a page; a browser says what it likes of it, and one that cannot be stays."""
+
+        def point() -> None:
+            camera = client.camera
+            with client.atomic():
+                view = self.view(camera.image_width, camera.image_height)
+                camera.position, camera.look_at, camera.fov = view
+
+        self.attempt(point, aloud=False)
 
     def complain(self, text: str) -> None:
         """Show in all pages what went wrong."""
