@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from myowarp.apps.cli.options import Asked, environment
@@ -78,7 +79,9 @@ def _print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> No
     }
     for name, text in plain.items():
         if name not in WALKING_UNITS or any(f[name] is not None for f in results.values()):
-            table.add_row(text, *("-" if f[name] is None else f"{f[name]:.4g}" for f in results.values()))
+            table.add_row(
+                escape(text), *("-" if f[name] is None else f"{f[name]:.4g}" for f in results.values())
+            )
     console.print(table)
 
 
