@@ -205,8 +205,9 @@ def test_a_page_says_that_it_failed_and_how_it_walks(task, known):
     assert ">failed<" not in status(live)
 
 
-def test_eval_prints_rules_units_and_one_episode(task, capsys):
+def test_eval_prints_rules_units_and_one_episode(capsys, monkeypatch):
     """A unit such as m/s is no markup; without a spread there is no interval."""
+    monkeypatch.setenv("COLUMNS", "200")
     names = ("success", "success_last", "success_any", "success_myosuite")
     figures = dict.fromkeys(UNITS, 1.234) | dict.fromkeys(names, 1.0)
     figures |= {"intervals": dict.fromkeys(names, (0.5, 1.0)), "return_mean": 20.0, "return_std": 1e-9}
