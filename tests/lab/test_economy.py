@@ -1,14 +1,18 @@
 """An episode that failed has not succeeded; rates, speed and cost of transport are of those who stay up."""
 
+import io
+import re
 from functools import lru_cache
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from rich.console import Console
 from thrown import AHEAD, thrown
 
 import myowarp
+from myowarp.apps.cli.eval import _print_table
 from myowarp.apps.policies.find import find_policy
 from myowarp.apps.reports.intervals import wilson
 from myowarp.apps.rollouts.episodes import Episodes, are_one
@@ -19,7 +23,7 @@ from myowarp.apps.studies.cohort.run import run_cohort
 from myowarp.apps.train.evaluate import evaluate
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.setup import Setup
-from myowarp.sim.economy import Economy, as_text, free_root
+from myowarp.sim.economy import UNITS, Economy, as_text, free_root
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 from myowarp.view.browser.session import Session
@@ -131,8 +135,10 @@ def test_a_cohort_counts_falls_apart(task, known):
         np.testing.assert_allclose(own["bhargava2004_per_kg_m"], cost, rtol=ROUNDING)
     units = result.settings["units"]
     assert (units["speed"], units["bhargava2004_per_kg_m"]) == ("m/s", "J/kg/m")
-    cells = [list(column.cells) for column in cohort_figures(result).columns]
-    shown = dict(zip(*cells, strict=True))
+    with Console(record=True, width=200, file=io.StringIO()) as console:
+        console.print(cohort_figures(result))
+    lines = [line.strip("│ ").split("│") for line in console.export_text().splitlines()]
+    shown = {cells[0].strip(): cells[1].strip() for cells in lines if len(cells) == 2}
     share = f"{100 * (~fell).mean():.1f} %"
     assert shown["successful"] == f"{share} (more than 5 solved steps, no failure)"
     assert shown["failed"] == f"{2 * fell.sum()} of {2 * WORLDS} episodes"
@@ -197,3 +203,22 @@ def test_a_page_says_that_it_failed_and_how_it_walks(task, known):
     session.step()
     assert session.succeeded == 1
     assert ">failed<" not in status(live)
+
+
+def test_eval_prints_rules_units_and_one_episode(capsys, monkeypatch):
+    """A unit such as m/s is no markup; without a spread there is no interval."""
+    monkeypatch.setenv("COLUMNS", "200")
+    names = ("success", "success_last", "success_any", "success_myosuite")
+    figures = dict.fromkeys(UNITS, 1.234) | dict.fromkeys(names, 1.0)
+    figures |= {"intervals": dict.fromkeys(names, (0.5, 1.0)), "return_mean": 20.0, "return_std": 1e-9}
+    figures |= {"mean_activation": None, "activation_rate": None, "length_mean": 20.0, "reachable": None}
+    figures |= {"episodes": 4, "failed": 1, "faults": 0}
+    head = {"task": "thrown", "physics": "parity", "conditions": [], "seed": 0}
+    one, many = figures | {"one_episode": True}, figures | {"one_episode": False}
+    _print_table(head, {"deterministic": one, "sampled": many})
+    said = capsys.readouterr().out
+    for text in ("length [steps]", "speed [m/s]", "cost of transport, Bhargava 2004 [J/kg/m]", "failed"):
+        assert text in said
+    assert said.count("100 % (one episode)") == said.count("100.0 % (50.0 to 100.0)") == 4
+    assert "more than 5 solved steps, failed or not (MyoSuite)" in said
+    assert re.search(r"return +│ 20.0 +│ 20.0 ± 0.0", said)

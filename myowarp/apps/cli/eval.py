@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from myowarp.apps.cli.options import Asked, environment
@@ -77,8 +78,10 @@ def _print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> No
         **{name: name for name in ("episodes", "failed", "faults")},
     }
     for name, text in plain.items():
-        if name not in WALKING_UNITS or any(f[name] is not None for f in results.values()):
-            table.add_row(text, *("-" if f[name] is None else f"{f[name]:.4g}" for f in results.values()))
+        values = [figures[name] for figures in results.values()]
+        if name not in WALKING_UNITS or any(value is not None for value in values):
+            cells = ("-" if value is None else f"{value:.4g}" for value in values)
+            table.add_row(escape(text), *cells)  # rich would take [m/s] for a tag
     console.print(table)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.markup import escape
 from rich.table import Column, Table
 
 from myowarp.disk import in_place
@@ -30,7 +31,7 @@ def terminal(heads: Sequence[str | Column], rows: Iterable[Sequence[str]]) -> Ta
     """Return a table for the terminal; without heads it has no line for them."""
     table = Table(*heads, show_header=bool(heads))
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(escape, row))  # rich would take [m/s] for a tag
     return table
 
 
