@@ -1,5 +1,7 @@
 """The worlds of a learner: what `--bonus` adds in training alone, and where episodes start."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -9,6 +11,8 @@ from elbows import learner_env
 from myowarp.apps.policies.find import acting, find_policy
 from myowarp.apps.train import bonus, starts
 from myowarp.apps.train.plan import plan
+from myowarp.apps.train.run import manifest_of, start
+from myowarp.apps.train.selection import Selection
 from myowarp.apps.train.worlds import Worlds
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.setup import Setup
@@ -262,3 +266,17 @@ def test_states_on_the_way_go_on_from_a_checkpoint(monkeypatch):
         assert before.keys() == after.keys()
         for name, array in before.items():
             np.testing.assert_array_equal(array, after[name], err_msg=name)
+
+
+def test_a_checkpoint_does_not_read_a_models_file_again(tmp_path):
+    """It took seconds at every checkpoint, and ended the run where the file had gone."""
+    model = tmp_path / "arm.osim"
+    model.write_bytes((Path(__file__).parents[2] / "examples/arm.osim").read_bytes())
+    small = {"num_worlds": 2, "samples": 48, "minibatches": 1, "selections": 0, "device": "cpu"}
+    job = plan(Setup(task=model), algorithm="ppo", output=tmp_path / "run", **small)
+    run = start(job)
+    before = manifest_of(job, run, Selection(job))
+    model.unlink()
+    assert manifest_of(job, run, Selection(job)) == before
+    assert before["model"]
+    run.env.close()

@@ -265,7 +265,7 @@ def _save(job: Job, run: Run, selection: Selection) -> None:
     """
     from myowarp.apps.policies.checkpoint import save_checkpoint
 
-    manifest, policy, state = _manifest(job, run, selection), run.average.arrays(), run.arrays()
+    manifest, policy, state = manifest_of(job, run, selection), run.average.arrays(), run.arrays()
     if not job.ranks.leads:
         return
     with _written(job, f"checkpoint after {run.samples} samples"):
@@ -283,22 +283,25 @@ def _select(job: Job, run: Run, selection: Selection) -> dict[str, float]:
     if not selection.is_due(run.samples):
         return selection.figures()
     policy = run.average.arrays()
-    better = selection.evaluate(run.samples, _manifest(job, run, selection), policy)
+    better = selection.evaluate(run.samples, manifest_of(job, run, selection), policy)
     if better and job.ranks.leads:
         with _written(job, f"the best policy, after {run.samples} samples"):
-            save_checkpoint(job.folder, run.samples, _manifest(job, run, selection), policy, root=BEST)
+            save_checkpoint(job.folder, run.samples, manifest_of(job, run, selection), policy, root=BEST)
     return selection.figures()
 
 
-def _manifest(job: Job, run: Run, selection: Selection) -> dict[str, Any]:
+def manifest_of(job: Job, run: Run, selection: Selection) -> dict[str, Any]:
     """Return what a checkpoint is."""
     from myowarp.apps.policies import checkpoint
 
-    variant, asked = variant_of(job.asked), job.asked.conditions or ()
+    # A model's file was read at the start, and may be gone by now.
+    from_file = isinstance(job.asked.task, Path)
+    task = job.setup.spec.key if from_file else job.asked.task
+    variant, asked = variant_of(dataclasses.replace(job.asked, task=task)), job.asked.conditions or ()
     objects = [condition.name for condition in asked if isinstance(condition, Condition)]
     manifest = {
         "task": task_name(job.asked),
-        "model": isinstance(job.asked.task, Path),
+        "model": from_file,
         "reset": variant.reset,
         "conditions": [*variant.conditions, *objects],
         "algorithm": job.algorithm,
