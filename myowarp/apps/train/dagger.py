@@ -24,6 +24,9 @@ from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import DAggerSettings
 from myowarp.apps.train.worlds import Worlds
 
+Expert = Callable[[np.ndarray], np.ndarray]
+"""Observations (num_worlds, obs_size), on the host, to actions (num_worlds, num_actions) in [-1, 1]."""
+
 NOISE_LEVELS = 3  # of worlds in turn: none, half of the noise, all of it
 
 
@@ -31,14 +34,13 @@ class DAgger(Learner):
     """A policy that imitates an expert.
 
     Attributes:
-        expert: Observations (num_worlds, obs_size), on the host, to actions (num_worlds, num_actions) in
-            [-1, 1]; called once in every control step, before it.
+        expert: What is imitated; called once in every control step, before it.
     """
 
     settings: DAggerSettings
     policy: GaussianPolicy
     replay: Replay
-    expert: Callable[[np.ndarray], np.ndarray]
+    expert: Expert
 
     def __init__(self, settings: DAggerSettings, worlds: Worlds, ranks: Ranks) -> None:
         super().__init__(settings, worlds, ranks)
@@ -55,7 +57,7 @@ class DAgger(Learner):
         for _ in range(self.settings.rollout_steps):
             begin = time.perf_counter()
             obs = worlds.obs.clone()
-            advice = self._advice(obs)
+            advice = advice_of(self.expert, obs, 1.0)
             with torch.no_grad(), self.products():
                 expert_acts = worlds.steps < self.settings.expert_steps
                 mean = advice if expert_acts else self.policy(self.normaliser(obs))
@@ -68,11 +70,6 @@ class DAgger(Learner):
             worlds.clock.learner += acted - begin + time.perf_counter() - stepped
         return self.figures()
 
-    def _advice(self, obs: torch.Tensor) -> torch.Tensor:
-        """Return what the expert would do."""
-        actions = np.clip(self.expert(obs.cpu().numpy().copy()), -1.0, 1.0)
-        return torch.from_numpy(np.asarray(actions, dtype=np.float32)).to(obs.device)
-
     def _update(self) -> None:
         """Do the gradient steps of one control step."""
         batch = self.replay.draw(self.settings.gradient_steps, self.settings.batch_size)
@@ -84,3 +81,9 @@ class DAgger(Learner):
             loss = (mean - advice).square().mean()
             self.descend("policy", loss)
             self.note("policy_loss", loss)
+
+
+def advice_of(expert: Expert, obs: torch.Tensor, most: float) -> torch.Tensor:
+    """Return what an expert would do, cut to a size."""
+    actions = np.clip(expert(obs.cpu().numpy().copy()), -most, most)
+    return torch.from_numpy(np.asarray(actions, dtype=np.float32)).to(obs.device)

@@ -13,11 +13,12 @@ the best episodes as in Oh et al. 2018, arXiv:1806.05635.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 import torch
 
+from myowarp.apps.train.dagger import Expert, advice_of
 from myowarp.apps.train.learner import Learner
 from myowarp.apps.train.networks import GaussianPolicy
 from myowarp.apps.train.noise import RepeatedNoise
@@ -39,7 +40,7 @@ class Improve(Learner):
     settings: ImproveSettings
     policy: GaussianPolicy
     replay: Replay
-    expert: Callable[[np.ndarray], np.ndarray] | None = None
+    expert: Expert | None = None
 
     def __init__(self, settings: ImproveSettings, worlds: Worlds, ranks: Ranks) -> None:
         super().__init__(settings, worlds, ranks)
@@ -90,14 +91,12 @@ class Improve(Learner):
         """
         settings, steps, number = self.settings, worlds.env.sim.horizon, worlds.num_worlds
         copies = settings.copies
-        starts = torch.arange(number) // copies
         worlds.restart()
-        worlds.copy(starts * copies)
+        worlds.copy(torch.arange(number, device=self.device) // copies * copies)
         obs = torch.empty(steps, number, worlds.num_obs, device=self.device)
         output = torch.empty(steps, number, worlds.num_actions, device=self.device)
-        score, alive = torch.zeros(number, device=self.device), torch.ones(number, dtype=torch.bool)
-        success = torch.zeros(number, dtype=torch.bool)
-        alive, success = alive.to(self.device), success.to(self.device)
+        score = torch.zeros(number, device=self.device)
+        alive, success = torch.ones_like(score, dtype=torch.bool), torch.zeros_like(score, dtype=torch.bool)
         for t in range(steps):
             begin = time.perf_counter()
             obs[t] = worlds.obs
@@ -121,9 +120,8 @@ class Improve(Learner):
         if self.expert is None:
             with self.products():
                 return self.policy.net(self.normaliser(obs)).float()
-        action = np.clip(self.expert(obs.cpu().numpy().copy()), -MOST, MOST)
-        output = np.arctanh(action) if self.policy.mean_bound == "tanh" else action
-        return torch.from_numpy(np.asarray(output, np.float32)).to(obs.device)
+        action = advice_of(self.expert, obs, MOST)
+        return action.atanh() if self.policy.mean_bound == "tanh" else action
 
     def _fit(self) -> None:
         """Do the gradient steps of an iteration."""

@@ -9,12 +9,13 @@ practised from every point of its way.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import torch
 
 from myowarp.bridge_gym import MyoWarpVectorEnv
-from myowarp.sim.state import State
+from myowarp.sim.state import KEYS, State
 
 EVERY = 10  # control steps from one note to the next
 KEPT = 4096  # states to start from, the newest in place of the oldest
@@ -40,7 +41,7 @@ class Backplay:
         self._noted: dict[str, np.ndarray] = {}
         self._kept: dict[str, np.ndarray] = {}
         longest = env.sim.horizon // EVERY + 1
-        for name, rows in _arrays(env).items():
+        for name, rows in without_keys(env.get_state()).items():
             self._noted[name] = np.zeros((len(rows), longest, *rows.shape[1:]), rows.dtype)
             self._kept[name] = np.zeros((KEPT, *rows.shape[1:]), rows.dtype)
         self._task = env.sim.scene.spec.key
@@ -56,12 +57,12 @@ class Backplay:
         due = (self._length % EVERY == 0) & ~success & ~ended
         if due.any():
             worlds, notes = np.flatnonzero(due), self._notes[due]
-            for name, rows in _arrays(env).items():
+            for name, rows in without_keys(env.get_state()).items():
                 self._noted[name][worlds, notes] = rows[worlds]
             self._notes[due] += 1
         self._length[ended] = self._notes[ended] = 0
 
-    def place(self, env: MyoWarpVectorEnv, ended: np.ndarray) -> torch.Tensor | None:
+    def place(self, env: MyoWarpVectorEnv, ended: np.ndarray) -> Any:
         """Set some of the worlds that were reset to kept states; returns all observations, None: none was."""
         worlds = np.flatnonzero(ended)
         drawn = torch.rand(len(worlds)).numpy() < self._share
@@ -69,8 +70,7 @@ class Backplay:
         if not self.filled or not drawn.any():
             return None
         state = State(self._task, {name: kept[rows[drawn]] for name, kept in self._kept.items()})
-        obs = env.set_state(state, worlds[drawn], conditions=False)
-        return obs if isinstance(obs, torch.Tensor) else None
+        return env.set_state(state, worlds[drawn], conditions=False)
 
     def forget(self) -> None:
         """Begin anew in every world, with what is kept."""
@@ -114,6 +114,6 @@ class Backplay:
         self._length[:], self._notes[:] = arrays[f"{NOTES}length"], arrays[f"{NOTES}number"]
 
 
-def _arrays(env: MyoWarpVectorEnv) -> dict[str, np.ndarray]:
-    """Return what worlds are, but for random numbers to come: each episode has its own."""
-    return {n: a for n, a in env.get_state().arrays.items() if not n.startswith("keys.")}
+def without_keys(state: State) -> dict[str, np.ndarray]:
+    """Return the arrays of a state but for random numbers to come: each episode has its own."""
+    return {name: array for name, array in state.arrays.items() if not name.startswith(KEYS)}

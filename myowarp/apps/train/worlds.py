@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from myowarp.apps.train import bonus
-from myowarp.apps.train.starts import Backplay
+from myowarp.apps.train.starts import Backplay, without_keys
 from myowarp.apps.train.tally import Tally
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.sim.state import State
@@ -118,8 +118,7 @@ class Worlds:
         if start is not None:
             rows = (env.sim.scene.worlds.offset + np.arange(env.num_envs)) % len(start)
             # Each episode has random numbers of its own, and draws its patients and noise anew.
-            kept = {name: array for name, array in start.arrays.items() if not name.startswith("keys.")}
-            self._start = State(start.task, {name: array[rows] for name, array in kept.items()})
+            self._start = State(start.task, without_keys(start[rows]))
             obs = env.set_state(self._start, conditions=False)
         self._backplay = Backplay(env, start_share) if start_share else None
         self.obs = obs.clone()
@@ -165,9 +164,9 @@ class Worlds:
         Args:
             rows: The other world, shape (num_worlds,).
         """
-        begin, state, others = time.perf_counter(), self.env.get_state(), rows.cpu().numpy()
-        kept = {n: a[others] for n, a in state.arrays.items() if not n.startswith("keys.")}
-        self.obs.copy_(self.env.set_state(State(state.task, kept), conditions=False))
+        begin, others = time.perf_counter(), rows.cpu().numpy()
+        state = self.env.get_state()[others]
+        self.obs.copy_(self.env.set_state(State(state.task, without_keys(state)), conditions=False))
         self.tally.copy(rows)
         if self._backplay:
             self._backplay.copy(others)
