@@ -15,9 +15,9 @@ import warp as wp
 from myowarp.coordinates.force_text import PassiveForces, own_forces
 from myowarp.coordinates.own_paths import ValueTables, evaluated, value_tables
 from myowarp.kernels.launch import launch
+from myowarp.kernels.structs import struct_array
 from myowarp.models.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
 from myowarp.models.forces.ligament import Ligament, ligament_tension
-from myowarp.models.paths.tables import rows_of
 
 
 @wp.kernel(enable_backward=False)
@@ -86,8 +86,8 @@ class OwnForces:
         for limit in acting.limits:
             joint = host.joint(limit.joint)
             limits.append((joint.qposadr[0], joint.dofadr[0], *list(vars(limit).values())[1:]))
-        self.limits = rows_of(CoordinateLimit, limits)
-        self.ligaments = rows_of(
+        self.limits = struct_array(CoordinateLimit, limits)
+        self.ligaments = struct_array(
             Ligament,
             [
                 (host.tendon(g.tendon).id, g.resting_length, g.dissipation, g.damping)

@@ -22,8 +22,9 @@ import warp as wp
 from myowarp.coordinates.path_text import WRAP_SITE, Driven, Said, is_of, own_paths
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
+from myowarp.kernels.structs import struct_array
 from myowarp.models.paths.path import Frames, Pulls
-from myowarp.models.paths.tables import OsimPath, OsimPaths, PathMemory, Via, rows_of
+from myowarp.models.paths.tables import OsimPath, OsimPaths, PathMemory, Via
 
 
 @wp.struct
@@ -341,7 +342,7 @@ class OwnPaths:
             ("moving", MovingEntry, moving),
             ("joints", JointEntry, joints),
         ):
-            setattr(self.rows, name, rows_of(struct, values))
+            setattr(self.rows, name, struct_array(struct, values))
         self.rows.handles = wp.array(handles, dtype=int)
         sizes = np.diff([*begins, len(columns)])
         model.ten_J_rownnz, model.ten_J_rowadr = wp.array(sizes, dtype=int), wp.array(begins, dtype=int)

@@ -17,10 +17,10 @@ import warp as wp
 
 from myowarp.engine.warn_once import warn_once
 from myowarp.kernels.launch import launch
+from myowarp.kernels.structs import struct_array
 from myowarp.models.forces.bushing import Bushing, bushing_force, bushing_torque
 from myowarp.models.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
 from myowarp.models.forces.ligament import Ligament, ligament_tension
-from myowarp.models.paths.tables import rows_of
 from myowarp.motion.muscle_paths import muscle_paths
 from myowarp.motion.skeleton import Bones, Placement, Skeleton, move_value, station
 from myowarp.opensim.model.elements import LEAST_TRANSITION
@@ -291,10 +291,13 @@ def acting_in(bones: Bones) -> Acting:
     tables = ModelForces()
     with wp.ScopedDevice(bones.device):
         tables.coordinates = bones.values_of([(IDENTITY, name) for name in on])
-        tables.limits, tables.springs = rows_of(CoordinateLimit, limits), rows_of(CoordinateSpring, springs)
-        tables.bushings = rows_of(Bushing, bushings)
+        tables.limits, tables.springs = (
+            struct_array(CoordinateLimit, limits),
+            struct_array(CoordinateSpring, springs),
+        )
+        tables.bushings = struct_array(Bushing, bushings)
         ligaments = tuple(model.ligaments.values())
-        rows = rows_of(
+        rows = struct_array(
             Ligament,
             [(i, own.resting_length, own.dissipation, own.damping) for i, own in enumerate(ligaments)],
         )

@@ -26,6 +26,7 @@ from myowarp.engine.stages.muscle_path_kernel import (
 from myowarp.engine.stepped import Stepped
 from myowarp.kernels.lanes import block_scratch
 from myowarp.kernels.launch import launch
+from myowarp.kernels.structs import struct_array
 
 _WRAP = mujoco.mjtWrap
 _KINDS = {_WRAP.mjWRAP_SPHERE.value: SPHERE, _WRAP.mjWRAP_CYLINDER.value: CYLINDER}
@@ -56,11 +57,6 @@ PATH_OBSTACLES = {
     "an actuator on a ball or free joint": _drives_quaternions,
 }
 """What in a model a path program cannot express."""
-
-
-def _struct_array(struct: Any, values: list[tuple[Any, ...]]) -> wp.array:
-    """Return an array of Warp structs, each given by its fields in order."""
-    return wp.array(np.array(values, dtype=struct.numpy_dtype()), dtype=struct)
 
 
 class MusclePaths:
@@ -102,9 +98,9 @@ class MusclePaths:
 
         self.program = PathProgram()
         with wp.ScopedDevice(data.qpos.device):
-            self.program.paths = _struct_array(Path, paths)
-            self.program.ops = _struct_array(PathOp, self._ops)
-            self.program.drives = _struct_array(Drive, drives)
+            self.program.paths = struct_array(Path, paths)
+            self.program.ops = struct_array(PathOp, self._ops)
+            self.program.drives = struct_array(Drive, drives)
             self.program.crossings = wp.array(np.array(self._crossings).reshape(-1, 2), dtype=wp.vec2i)
             self.program.dofs = wp.array(host.ten_J_colind, dtype=int)
         self.program.first_joint_drive, self.program.num_moments = first_joint_drive, int(sizes.sum())

@@ -1,6 +1,6 @@
 """OpenSim's paths as tables for the kernel of `path`, and the memory that it works in."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from myowarp.kernels.structs import struct_array
 from myowarp.models.paths.ellipsoid import AXIAL, HYBRID, MIDPOINT, SAMPLED
 from myowarp.models.paths.path import (
     CYLINDER,
@@ -141,11 +142,6 @@ class OsimPaths:
         return tuple(dict.fromkeys(names))
 
 
-def rows_of(struct: Any, values: Sequence[tuple[Any, ...]]) -> wp.array:
-    """Return an array of Warp structs, each given by its fields in order."""
-    return wp.array(np.array(list(values), dtype=struct.numpy_dtype()), dtype=struct)
-
-
 class PathMemory:
     """Paths on the current Warp device, for a number of worlds.
 
@@ -216,9 +212,11 @@ class PathMemory:
             self.handles.append(self.handles[-1] + len(own))
         self.moving = [tuple(values) for values, _, _ in moving]
         self.tables = PathTables()
-        self.tables.paths, self.tables.points = rows_of(MusclePath, paths), rows_of(Point, points)
-        self.tables.moving, self.tables.wraps = rows_of(MovingPoint, moving), rows_of(PathWrap, wraps)
-        self.tables.surfaces = rows_of(
+        self.tables.paths = struct_array(MusclePath, paths)
+        self.tables.points = struct_array(Point, points)
+        self.tables.moving = struct_array(MovingPoint, moving)
+        self.tables.wraps = struct_array(PathWrap, wraps)
+        self.tables.surfaces = struct_array(
             Surface,
             [
                 (KINDS[s.kind], bodies[s.body], s.axis, s.sign, s.active, s.size, s.position, s.rotation)
