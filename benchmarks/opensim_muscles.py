@@ -33,7 +33,7 @@ import warp as wp
 from myowarp.apps.reports import panel
 from myowarp.coordinates.step import step_of
 from myowarp.definitions.muscle import MUSCLES
-from myowarp.definitions.muscle_table import OPENSIM_LAWS
+from myowarp.laws.muscles.hill_law import OPENSIM_LAWS
 from myowarp.muscle import Muscles
 from myowarp.opensim import convert
 from myowarp.opensim.load import load

@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.machine import processor
 from myowarp.coordinates.step import step_of
-from myowarp.models.paths.tables import TURNS
+from myowarp.laws.paths.tables import TURNS
 from myowarp.opensim.load import load
 from myowarp.opensim.model.kinematics import independent
 from myowarp.opensim.model.mapping import CoordinateMap

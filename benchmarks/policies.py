@@ -32,7 +32,7 @@ from benchmarks.machine import disturbances, least_disturbed, processor, timed_h
 from benchmarks.rivals import FAMILIES
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.task import PHYSICS
-from myowarp.engine.threads import num_cores
+from myowarp.process import num_cores
 from myowarp.progress import progress_bar
 
 QUIETED = {"numpy": {"OPENBLAS_NUM_THREADS": "1"}, "torch": {"OMP_WAIT_POLICY": "PASSIVE"}}

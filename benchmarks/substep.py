@@ -44,7 +44,7 @@ from myowarp.engine.compile import quiet
 from myowarp.engine.graph import Graph
 from myowarp.engine.idle import idle_kernels
 from myowarp.engine.stage import STAGES
-from myowarp.engine.threads import num_cores
+from myowarp.process import num_cores
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import COUPLINGS, pose_task
 

@@ -13,6 +13,7 @@ import io
 import logging
 import math
 import os
+import re
 import secrets
 import socket
 import stat
@@ -36,6 +37,7 @@ logger = logging.getLogger("myowarp")
 SCRATCH = ".myowarp-"
 """How the names of files begin that are being written; readers of datasets skip names with a leading dot."""
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+NUMBER = re.compile(r"[ \t]*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?[ \t]*")
 OURS = frozenset({"myowarp", "abc", "builtins"})
 """Packages that define what is ours, base classes of Python's included."""
 
@@ -450,3 +452,14 @@ def _checked(data: bytes) -> bytes:
     if hashlib.sha256(data[size:]).digest() != data[:size]:
         raise ValueError("it was damaged or changed")
     return data[size:]
+
+
+def number_in(cell: str) -> float:
+    """Return the number that a cell of a table holds, as one would write it.
+
+    Raises:
+        ValueError: It holds none; Python's own `float` takes "1_0" for 10, digits of all scripts and more.
+    """
+    if not NUMBER.fullmatch(cell):
+        raise ValueError(f"{cell!r} is no number")
+    return float(cell)

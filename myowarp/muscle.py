@@ -20,7 +20,7 @@ device of `Muscles`. Warp arrays are float64, have all axes, and are recorded by
     flexors.parameters["tendon_slack_length"].grad
 
 Newton's method finds an equilibrium, whose derivatives are those of the implicit function theorem. Kernels
-and laws are in `models/muscles/hill_arrays.py` and `hill_law.py`. Shapes of Millard's curves are tables and
+and laws are in `laws/muscles/hill_arrays.py` and `hill_law.py`. Shapes of Millard's curves are tables and
 have no gradient; torch does not record what happens here.
 """
 
@@ -35,8 +35,7 @@ import warp as wp
 
 from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.registry import check_choice
-from myowarp.models.muscles.hill import LAWS, Hill, hill_parameters
-from myowarp.models.muscles.hill_arrays import (
+from myowarp.laws.muscles.hill_arrays import (
     ACTIVE,
     CURVES,
     PASSIVE,
@@ -51,7 +50,9 @@ from myowarp.models.muscles.hill_arrays import (
     hold_muscles,
     rate_of_activation,
 )
-from myowarp.models.muscles.hill_law import DEGROOTE, MILLARD, THELEN
+from myowarp.laws.muscles.hill_law import DEGROOTE, MILLARD, THELEN
+from myowarp.laws.muscles.hill_parameters import LAWS, hill_parameters
+from myowarp.models.muscles.hill import Hill
 
 NAMES = {
     f"{name}{tail}": (law, bool(tail))

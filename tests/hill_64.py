@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from myowarp.models.muscles import hill_law
+from myowarp.laws.muscles import hill_law
 
 Hill64 = hill_law.hill_muscle(wp.float64)
 

@@ -35,7 +35,9 @@ ROOMS = (
     "muscle",
     "models",
     "definitions",
+    "laws",
     "kernels",
+    "process",
     "disk",
     "progress",
 )
@@ -334,7 +336,7 @@ def test_imports_go_down_inside_of_rooms(name):
 BUILDS = {
     "engine/graph.py: Graph.__init__",
     "engine/graph.py: Replay.__init__",
-    "engine/kernel_cache.py: start_warp",
+    "process.py: start_warp",
     "sim/build.py: _cached_model",
     "sim/build.py: resolve_device",
     "sim/interop.py: _cloned",

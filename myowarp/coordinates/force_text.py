@@ -1,6 +1,6 @@
 """Springs and dampers that a model brings along: the text `forces`, `forces.json` of `myowarp convert`.
 
-It has OpenSim's limits of coordinates, ligaments and path springs (`models.forces`), along the model's joints
+It has OpenSim's limits of coordinates, ligaments and path springs (`laws.forces`), along the model's joints
 and tendons, and names the springs and dampers that stand for them in plain MuJoCo (`coordinates.own_forces`).
 """
 
@@ -12,8 +12,9 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 
-from myowarp.coordinates.couplings import Pieces, driven
+from myowarp.coordinates.couplings import driven
 from myowarp.coordinates.model_text import check_named, scalar_joints, set_text, text_of
+from myowarp.laws.pieces import Pieces
 
 TEXT = "forces"
 """Name of the model's text that says what acts."""
@@ -21,7 +22,7 @@ TEXT = "forces"
 
 @dataclasses.dataclass(frozen=True)
 class JointLimit:
-    """Spring and damper beyond limits; as `models.forces.coordinate_limit.CoordinateLimit`.
+    """Spring and damper beyond limits; as `laws.forces.coordinate_limit.CoordinateLimit`.
 
     Attributes:
         joint: Name of the hinge or slide.
@@ -38,7 +39,7 @@ class JointLimit:
 
 @dataclasses.dataclass(frozen=True)
 class TendonSpring:
-    """A ligament; as `models.forces.ligament.Ligament`.
+    """A ligament; as `laws.forces.ligament.Ligament`.
 
     Attributes:
         tendon: Name of the tendon.

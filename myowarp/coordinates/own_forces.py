@@ -16,8 +16,8 @@ from myowarp.coordinates.force_text import PassiveForces, own_forces
 from myowarp.coordinates.own_paths import ValueTables, evaluated, value_tables
 from myowarp.kernels.launch import launch
 from myowarp.kernels.structs import struct_array
-from myowarp.models.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
-from myowarp.models.forces.ligament import Ligament, ligament_tension
+from myowarp.laws.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
+from myowarp.laws.forces.ligament import Ligament, ligament_tension
 
 
 @wp.kernel(enable_backward=False)

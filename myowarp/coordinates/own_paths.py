@@ -1,6 +1,6 @@
 """Muscle paths that a model brings along: OpenSim's own, in place of MuJoCo's tendons of the same names.
 
-What a model's text says (`coordinates.path_text`) is followed by `models.paths.path`, in float64 from the
+What a model's text says (`coordinates.path_text`) is followed by `laws.paths.path`, in float64 from the
 engine's poses. Lengths and moment arms of its tendons are then
 
     J_j = sum over bodies b that dof j moves of cdof_j . (torque_b - com x force_b, force_b),
@@ -23,8 +23,8 @@ from myowarp.coordinates.path_text import WRAP_SITE, Driven, Said, is_of, own_pa
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
 from myowarp.kernels.structs import struct_array
-from myowarp.models.paths.path import Frames, Pulls
-from myowarp.models.paths.tables import OsimPath, OsimPaths, PathMemory, Via
+from myowarp.laws.paths.path import Frames, Pulls
+from myowarp.laws.paths.tables import OsimPath, OsimPaths, PathMemory, Via
 
 
 @wp.struct

@@ -12,9 +12,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from myowarp.coordinates.couplings import Pieces, driven
+from myowarp.coordinates.couplings import driven
 from myowarp.coordinates.model_text import check_named, scalar_joints, set_text, text_of
-from myowarp.models.paths.tables import KINDS, METHODS, TURNS, OsimPath, OsimPaths, Over, Via, WrapSurface
+from myowarp.laws.paths.tables import KINDS, METHODS, TURNS, OsimPath, OsimPaths, Over, Via, WrapSurface
+from myowarp.laws.pieces import Pieces
 
 TEXT = "paths"
 """Name of the model's text that says how its muscles run."""

@@ -18,20 +18,11 @@ from typing import Any
 import numpy as np
 
 from myowarp.definitions.muscle import MUSCLES, muscle_index
-from myowarp.definitions.registry import check_choice, number_in
+from myowarp.definitions.registry import check_choice
 from myowarp.definitions.worlds import Worlds
+from myowarp.disk import number_in
 from myowarp.kernels.write import is_finite
-
-SCHUTTE = "Schutte1993Muscle_Deprecated"
-
-OPENSIM_LAWS = {
-    "Thelen2003Muscle": 0,
-    "Millard2012EquilibriumMuscle": 1,
-    "Millard2012AccelerationMuscle": 1,
-    "DeGrooteFregly2016Muscle": 2,
-    SCHUTTE: 3,
-}
-"""Law of OpenSim's muscle classes, as `models.muscles.hill_law` counts them."""
+from myowarp.laws.muscles.hill_law import OPENSIM_LAWS, SCHUTTE_CLASS
 
 CURVES = ("active_force_length_curve", "passive_force_length_curve", "tendon_force_length_curve")
 """Splines of a muscle, in the order in which a muscle model takes them."""
@@ -143,7 +134,7 @@ class MuscleTable:
                     if " [" in column and cell not in ("", "inf", "-inf")  # curves have no unit
                 }
                 law: int | None = OPENSIM_LAWS.get(kind)
-                if kind == SCHUTTE:
+                if kind == SCHUTTE_CLASS:
                     found = {curve: _knots(line[curve]) for curve in CURVES if line.get(curve)}
                     curves[muscle] = {curve: knots for curve, knots in found.items() if knots is not None}
                     law = law if curves[muscle].keys() == found.keys() else None

@@ -7,14 +7,12 @@ in the tests, which run over everything registered.
 import difflib
 import itertools
 import math
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Generic, TypeVar
 
 import numpy as np
 
 T = TypeVar("T")
-NUMBER = re.compile(r"[ \t]*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?[ \t]*")
 
 
 def check_flag(name: str, value: object) -> None:
@@ -38,17 +36,6 @@ def check_bounds(name: str, low: Sequence[float], high: Sequence[float]) -> None
     for i, (bottom, top) in enumerate(zip(low, high, strict=False)):
         if bottom > top:
             raise ValueError(f"{name} must not be above its upper bound, got {bottom:g} > {top:g} at {i}")
-
-
-def number_in(cell: str) -> float:
-    """Return the number that a cell of a table holds, as one would write it.
-
-    Raises:
-        ValueError: It holds none; Python's own `float` takes "1_0" for 10, digits of all scripts and more.
-    """
-    if not NUMBER.fullmatch(cell):
-        raise ValueError(f"{cell!r} is no number")
-    return float(cell)
 
 
 class Registry(Generic[T]):

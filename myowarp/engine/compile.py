@@ -16,10 +16,10 @@ from typing import Any
 
 import warp as wp
 
-from myowarp.engine.build_lock import BUILD_LOCK, replaced
 from myowarp.engine.kernel_cache import load_module
 from myowarp.engine.patch import is_empty
-from myowarp.engine.warn_once import warn_once
+from myowarp.engine.replaced import replaced
+from myowarp.process import BUILD_LOCK, warn_once
 from myowarp.progress import patient_bar
 
 logger = logging.getLogger("myowarp")

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import warp as wp
 
-from myowarp.engine.build_lock import replaced, with_build_lock
+from myowarp.engine.replaced import replaced
 from myowarp.engine.replay import Operation, replay
-from myowarp.engine.warn_once import warn_once
+from myowarp.process import warn_once, with_build_lock
 
 Row: TypeAlias = tuple[int, ...]
 Rows: TypeAlias = list[Row]

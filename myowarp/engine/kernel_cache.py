@@ -8,78 +8,20 @@ loaded. Files without a list were left by other programs or an older version, an
 import contextlib
 import hashlib
 import json
-import os
 import shutil
-import sys
 import tempfile
-from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
 import warp as wp
 
-from myowarp.disk import in_place, writable_folder
-from myowarp.engine.build_lock import with_build_lock
-from myowarp.engine.warn_once import warn_once
+from myowarp.disk import in_place
+from myowarp.process import warn_once
 
 SUMS = "myowarp.json"
 SOURCES = (".cpp", ".cu")  # are not read again
-NO_DRIVER = "Could not find or load the NVIDIA CUDA driver"  # as Warp's native code says
-GPU_FILES = ("/dev/nvidiactl", "/dev/dxg")  # of a machine that has an NVIDIA GPU: Linux, WSL
 
 _sound: set[tuple[Path, str]] = set()
 """Folder and device of what this process has compared."""
-
-
-@with_build_lock
-@cache
-def start_warp() -> str:
-    """Start Warp, with a folder for its machine code that can be written.
-
-    Returns:
-        Why there is no CUDA device, as far as Warp said so; it is not printed where there is no GPU either.
-    """
-    with _without_driver_warning() as said:
-        try:
-            wp.init()
-        except OSError as error:
-            folder = Path(error.filename or wp.config.kernel_cache_dir or "warp")
-            wp.config.kernel_cache_dir = str(writable_folder(folder, "WARP_CACHE_PATH"))
-            wp.init()
-    given = Path(wp.config.kernel_cache_dir)
-    folder = writable_folder(given, "WARP_CACHE_PATH")
-    if folder != given:
-        for module in given.glob("wp_*"):
-            with contextlib.suppress(FileExistsError):
-                (folder / module.name).symlink_to(module, target_is_directory=True)
-        wp.config.kernel_cache_dir = str(folder)
-    return "".join(said)
-
-
-@contextlib.contextmanager
-def _without_driver_warning() -> Iterator[list[str]]:
-    """Keep one line of Warp's native code off the error stream where it says what everybody knows: no GPU."""
-    said: list[str] = []
-    try:
-        stream = os.dup(2)
-    except OSError:  # there is no error stream
-        yield said
-        return
-    with tempfile.TemporaryFile() as held:
-        if sys.stderr is not None:
-            sys.stderr.flush()
-        os.dup2(held.fileno(), 2)
-        try:
-            yield said
-        finally:
-            os.dup2(stream, 2)
-            os.close(stream)
-            held.seek(0)
-            for line in held:
-                if NO_DRIVER.encode() in line and not any(map(os.path.exists, GPU_FILES)):
-                    said[:] = [NO_DRIVER]
-                else:
-                    os.write(2, line)
 
 
 def load_module(module: wp.Module, device: wp.Device, block_dim: int) -> Path | None:

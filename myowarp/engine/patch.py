@@ -13,9 +13,9 @@ from typing import Any
 
 import warp as wp
 
-from myowarp.engine.build_lock import BUILD_LOCK, replaced
+from myowarp.engine.replaced import replaced
 from myowarp.engine.shallow_contacts import find_shallow_contacts
-from myowarp.engine.warn_once import warn_once
+from myowarp.process import BUILD_LOCK, warn_once
 
 find_shallow_contacts()
 

@@ -16,7 +16,7 @@ import warp as wp
 from mujoco_warp._src import collision_gjk
 from mujoco_warp._src.collision_gjk import Geom, mat43
 
-from myowarp.engine.warn_once import warn_once
+from myowarp.process import warn_once
 
 NEAREST_FACE = 1e-14  # m^2
 _engine_support: Any = getattr(collision_gjk, "_gjk_support", None)

@@ -19,7 +19,7 @@ import mujoco_warp as mjw
 import warp as wp
 
 from myowarp.engine.stepped import Stepped
-from myowarp.engine.warn_once import warn_once
+from myowarp.process import warn_once
 
 Launches = Callable[[mjw.Model, mjw.Data], None]
 Obstacles = dict[str, Callable[[Stepped], bool]]

@@ -18,23 +18,13 @@ import numpy as np
 
 from myowarp.engine.graph import FINISH, Replay, Row, Rows, code_address
 from myowarp.engine.replay import Operation
+from myowarp.process import num_cores
 
 ALLOCATE = PYFUNCTYPE(c_void_p)(("PyThread_allocate_lock", pythonapi))
 ACQUIRE = PYFUNCTYPE(c_int, c_void_p, c_int)(("PyThread_acquire_lock", pythonapi))
 RELEASE = PYFUNCTYPE(None, c_void_p)(("PyThread_release_lock", pythonapi))
 FREE = PYFUNCTYPE(None, c_void_p)(("PyThread_free_lock", pythonapi))
 YIELD = PYFUNCTYPE(c_int)(("sched_yield", pythonapi)) if os.name == "posix" else None
-
-
-CORES = "MYOWARP_CORES"
-"""Environment variable: most cores that a process uses, where several share a machine."""
-
-
-def num_cores() -> int:
-    """Return how many cores this process may use."""
-    found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    most = os.environ.get(CORES, "")
-    return max(1, min(found, int(most))) if most.isdecimal() else found
 
 
 class Team:

@@ -27,7 +27,7 @@ logger = logging.getLogger("myowarp")
 
 SOURCES = (
     *("engine/**/*.py", "engine/**/*.cpp", "coordinates/*.py", "coordinates/*.cpp"),
-    *("sim/*.py", "kernels/*", "models/forces/*", "models/muscles/*", "models/paths/*"),
+    *("sim/*.py", "kernels/*", "laws/**/*.py", "models/muscles/*"),
 )
 """Files of the package that decide a verdict."""
 

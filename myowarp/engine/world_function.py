@@ -11,8 +11,8 @@ from pathlib import Path
 
 import warp as wp
 
-from myowarp.engine.warn_once import warn_once
 from myowarp.kernels.world_function import parameters, world_kernels
+from myowarp.process import warn_once
 
 PLACE = re.compile(r'Error while parsing function "([^"]+)" at (.+):(\d+):\n.*\n;')  # in what Warp says
 

@@ -16,8 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from myowarp.definitions.registry import NUMBER
-from myowarp.disk import in_place
+from myowarp.disk import NUMBER, in_place
 from myowarp.motion.storage import Header, Storage, logger
 from myowarp.motion.streams import Stream
 

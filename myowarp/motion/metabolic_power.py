@@ -2,7 +2,7 @@
 
 Fibers have the lengths and forces that `muscle_forces` found, and the velocity that the path leaves them with
 a tendon that keeps its length. Activations stand for excitations, which nothing in a frame says. The law is
-that of `kernels.metabolics`, and so of OpenSim's probe of this name, with its default half of slow fibers.
+that of `laws.metabolics`, and so of OpenSim's probe of this name, with its default half of slow fibers.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.kernels.launch import launch
-from myowarp.kernels.metabolics import bhargava2004, muscle_mass
+from myowarp.laws.metabolics import bhargava2004, muscle_mass
 from myowarp.motion.muscle_forces import ALONG_TENDON, MuscleForces
 from myowarp.motion.muscle_paths import MusclePaths
 from myowarp.opensim.model.model import Model

@@ -1,6 +1,6 @@
 """What acts in a model beside muscles: springs and limits of coordinates, bushings, ligaments, path springs.
 
-The laws are those of the simulation (`models.forces`). A coordinate that follows another one pushes that one
+The laws are those of the simulation (`laws.forces`). A coordinate that follows another one pushes that one
 with its slope. OpenSim's inverse dynamics and static optimisation have these forces act, too; what acts there
 and not here is named (`left_out`), and what a set-up file excludes is taken out of the model (`without`).
 """
@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from myowarp.engine.warn_once import warn_once
 from myowarp.kernels.launch import launch
 from myowarp.kernels.structs import struct_array
-from myowarp.models.forces.bushing import Bushing, bushing_force, bushing_torque
-from myowarp.models.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
-from myowarp.models.forces.ligament import Ligament, ligament_tension
+from myowarp.laws.forces.bushing import Bushing, bushing_force, bushing_torque
+from myowarp.laws.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
+from myowarp.laws.forces.ligament import Ligament, ligament_tension
 from myowarp.motion.muscle_paths import muscle_paths
 from myowarp.motion.skeleton import Bones, Placement, Skeleton, move_value, station
 from myowarp.opensim.model.elements import LEAST_TRANSITION
 from myowarp.opensim.model.functions import IDENTITY, Function
 from myowarp.opensim.model.model import GROUND, Loss, Model, Note
 from myowarp.opensim.wrap.moment_arm import coordinates_between, leading
+from myowarp.process import warn_once
 
 LISTED = 4
 """Coordinates that are named of what is left out."""

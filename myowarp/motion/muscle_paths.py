@@ -1,6 +1,6 @@
 """Lengths, velocities and moment arms of a model's muscles along a motion, on the device.
 
-Paths are those of `models.paths`, OpenSim's, in float64. At unit tension a path pulls with a force F and a
+Paths are those of `laws.paths`, OpenSim's, in float64. At unit tension a path pulls with a force F and a
 torque T about ground's origin on each body that it is fixed to, and on a moving point along its axes. Moment
 arms are what these do at unit speed of a coordinate (`skeleton`: a move shifts with v and turns with w):
 
@@ -21,8 +21,8 @@ import numpy as np
 import warp as wp
 
 from myowarp.kernels.launch import launch
-from myowarp.models.paths.path import Frames, PathTables, Pulls
-from myowarp.models.paths.tables import PathMemory
+from myowarp.laws.paths.path import Frames, PathTables, Pulls
+from myowarp.laws.paths.tables import PathMemory
 from myowarp.motion.parts import in_parts, joined
 from myowarp.motion.skeleton import Bones, Placement, Skeleton, move_value, place
 from myowarp.motion.straight_paths import StraightPaths, acted_on

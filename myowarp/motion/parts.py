@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from myowarp.engine.threads import num_cores
+from myowarp.process import num_cores
 
 Found = TypeVar("Found")
 GRAIN = 16

@@ -24,14 +24,14 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from myowarp.coordinates.couplings import Pieces
-from myowarp.engine.kernel_cache import start_warp
+from myowarp.laws.pieces import Pieces
 from myowarp.motion.scale_document import Document, set_markers
 from myowarp.opensim.model.functions import Function, curves
 from myowarp.opensim.model.kinematics import independent
 from myowarp.opensim.model.model import GROUND, Model
 from myowarp.opensim.read.document import parse
 from myowarp.opensim.read.model import read_model
+from myowarp.process import start_warp
 
 HINGE, SLIDE = 0, 1
 

@@ -1,6 +1,6 @@
 """Muscles of a document held steady: tendon force where fiber and tendon agree, of many frames at once.
 
-The law is that of `models.muscles.hill_law`, in float64, with the velocity of the path and a tendon that
+The law is that of `laws.muscles.hill_law`, in float64, with the velocity of the path and a tendon that
 keeps its length. Classes that the law does not know, with curves of splines, are solved in NumPy.
 """
 
@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike
 
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
-from myowarp.models.muscles.hill import COMMON, DEFAULTS, LAWS, hill_parameters
-from myowarp.models.muscles.hill_law import (
+from myowarp.laws.muscles.hill_law import (
     DEGROOTE,
     MILLARD,
     THELEN,
@@ -26,6 +25,7 @@ from myowarp.models.muscles.hill_law import (
     hill_muscle,
     steady_equilibrium,
 )
+from myowarp.laws.muscles.hill_parameters import COMMON, DEFAULTS, LAWS, hill_parameters
 from myowarp.opensim.muscle.hill import HillMuscle, known
 
 KINDS = {

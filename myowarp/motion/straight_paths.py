@@ -14,8 +14,8 @@ import warp as wp
 
 from myowarp.kernels.lanes import DOUBLES, WIDEST, at_namespace_level
 from myowarp.kernels.launch import launch
-from myowarp.models.paths.path import PathTables
-from myowarp.models.paths.tables import PathMemory
+from myowarp.laws.paths.path import PathTables
+from myowarp.laws.paths.tables import PathMemory
 from myowarp.motion.skeleton import HINGE, Bones, Skeleton
 from myowarp.opensim.model import elements
 from myowarp.opensim.model.model import pulling

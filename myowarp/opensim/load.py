@@ -9,7 +9,6 @@ import json
 from pathlib import Path
 
 from myowarp.disk import cache_dir, files_digest, version, writable_folder
-from myowarp.engine.warn_once import warn_once
 from myowarp.opensim.check.accelerations import too_fast
 from myowarp.opensim.compose.convert import Options, convert
 from myowarp.opensim.compose.geometry import MIN_MASS
@@ -20,8 +19,9 @@ from myowarp.opensim.model.model import Loss
 from myowarp.opensim.muscle.hill import HillMuscle
 from myowarp.opensim.muscle.table import muscle_table
 from myowarp.opensim.read.model import read_model
+from myowarp.process import warn_once
 
-SOURCES = ("opensim/**/*.py", "coordinates/*.py", "models/paths/*.py", "disk.py")
+SOURCES = ("opensim/**/*.py", "coordinates/*.py", "laws/**/*.py", "disk.py")
 """Files of the package that decide what comes out."""
 
 TOO_FAST = "accelerations.json"

@@ -25,15 +25,13 @@ from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import PHYSICS, PhysicsPreset, TaskSpec
 from myowarp.definitions.worlds import Worlds
 from myowarp.disk import cached, files_digest, is_ours, model_bytes, model_from_bytes
-from myowarp.engine.build_lock import with_build_lock
 from myowarp.engine.ground import height_field
-from myowarp.engine.kernel_cache import start_warp
 from myowarp.engine.step import uncovered
 from myowarp.engine.stepped import Stepped
-from myowarp.engine.warn_once import warn_once
 from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import new_keys
 from myowarp.models.slim import slim
+from myowarp.process import start_warp, warn_once, with_build_lock
 from myowarp.sim.capacity import calibrate
 from myowarp.sim.memory import check_memory
 

@@ -8,8 +8,8 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.registry import check_choice
-from myowarp.engine.build_lock import with_build_lock
 from myowarp.kernels.write import write
+from myowarp.process import with_build_lock
 
 OUTPUTS = ("numpy", "torch", "warp")
 

@@ -1,6 +1,6 @@
 """Metabolic rates of every muscle and of the whole body in every world, under whatever muscle model runs.
 
-The laws are those of `kernels/metabolics.py`. Half of the fibers are slow, and the specific tension is that
+The laws are those of `laws/metabolics.py`. Half of the fibers are slow, and the specific tension is that
 of OpenSim's probes; heat of recovery is in Umberger's rates (aerobic factor 1.5), as in OpenSim. A condition
 that weakens a muscle takes away force, not mass: the fibers that are left to pull less cost as much heat.
 Under MuJoCo's muscle fibers are in line with a tendon that keeps its length, and as long as the body's range
@@ -17,7 +17,7 @@ from myowarp.definitions.muscle import FiberStates, new_fiber_states
 from myowarp.definitions.scene import Scene
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
-from myowarp.kernels.metabolics import BASAL_RATE, bhargava2004, muscle_mass, umberger2010
+from myowarp.laws.metabolics import BASAL_RATE, bhargava2004, muscle_mass, umberger2010
 
 LAWS = ("bhargava2004", "umberger2010")
 SLOW_TWITCH_RATIO = wp.constant(0.5)

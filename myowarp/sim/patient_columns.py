@@ -16,8 +16,9 @@ import numpy as np
 
 from myowarp.definitions.condition import CONDITIONS, Condition, resolve
 from myowarp.definitions.muscle import muscle_index
-from myowarp.definitions.registry import Registry, number_in
+from myowarp.definitions.registry import Registry
 from myowarp.definitions.task import TaskSpec
+from myowarp.disk import number_in
 
 T = TypeVar("T")
 

@@ -22,7 +22,6 @@ from myowarp.definitions.parameter import Clock
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene, Starts
 from myowarp.disk import is_ours
-from myowarp.engine.build_lock import BUILD_LOCK, with_build_lock
 from myowarp.engine.compile import compile_kernels, quiet, renew_code
 from myowarp.engine.graph import Graph, replay_nothing
 from myowarp.engine.idle import pruned
@@ -50,6 +49,7 @@ from myowarp.kernels.episode import (
 from myowarp.kernels.random import seed_worlds
 from myowarp.kernels.reset import place_start, reset_worlds
 from myowarp.kernels.write import write
+from myowarp.process import BUILD_LOCK, with_build_lock
 from myowarp.sim.build import stepped_of
 from myowarp.sim.present import settle_muscles
 

@@ -22,8 +22,8 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.body import BODIES, POINT_JOINTS
-from myowarp.engine.build_lock import with_build_lock
 from myowarp.kernels.reset import masked_copy
+from myowarp.process import with_build_lock
 from myowarp.sim.metabolics import LAWS, WHOLE_BODY_UNITS, Metabolics, MuscleRates, moved_mass
 from myowarp.sim.present import present_muscles
 

@@ -27,11 +27,10 @@ from myowarp.definitions.scene import Scene
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.definitions.worlds import Worlds
-from myowarp.engine.build_lock import with_build_lock
 from myowarp.engine.compile import can_renew_code, quiet
 from myowarp.engine.graph import Graph, Replay
 from myowarp.engine.stage import STAGES
-from myowarp.engine.threads import Team, num_cores
+from myowarp.engine.threads import Team
 from myowarp.kernels.episode import (
     AUTORESET,
     FAULT_OBSERVATION,
@@ -42,6 +41,7 @@ from myowarp.kernels.episode import (
     describe_fault,
 )
 from myowarp.kernels.random import RandomKeys
+from myowarp.process import num_cores, with_build_lock
 from myowarp.progress import patient_bar
 from myowarp.sim.build import (
     checked_horizon,

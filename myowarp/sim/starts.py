@@ -27,8 +27,8 @@ from myowarp.definitions.body import BODIES, POINT_JOINTS
 from myowarp.definitions.scene import Starts
 from myowarp.definitions.task import TaskSpec
 from myowarp.disk import array_bytes, array_from_bytes, cached, code_digest, model_digest
-from myowarp.engine.build_lock import with_build_lock
 from myowarp.engine.compile import quiet
+from myowarp.process import with_build_lock
 from myowarp.progress import patient_bar
 from myowarp.sim import palm
 from myowarp.sim.build import compile_scene, oracle_model, source_digest

@@ -26,9 +26,9 @@ from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.task import MOST_SUBSTEPS, TaskSpec, register, split_key
 from myowarp.disk import model_digest
-from myowarp.engine.warn_once import warn_once
 from myowarp.models.bodies import arm_muscles, leg_muscles
 from myowarp.models.reachability import tip_positions
+from myowarp.process import warn_once
 from myowarp.sim.build import checked_horizon, full_model
 from myowarp.tasks.extend import Reward, extend
 from myowarp.tasks.pose import PoseTask

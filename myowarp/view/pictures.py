@@ -10,7 +10,7 @@ import numpy as np
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.registry import check_choice
-from myowarp.engine.warn_once import warn_once
+from myowarp.process import warn_once
 from myowarp.sim.signals import Signals
 from myowarp.view.drawing.muscles import QUANTITIES
 from myowarp.view.drawing.snapshot import Snapshot, snapshot

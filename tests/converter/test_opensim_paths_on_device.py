@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from myowarp.models.paths.tables import TURNS, PathMemory
+from myowarp.laws.paths.tables import TURNS, PathMemory
 from myowarp.opensim.model.elements import (
     ConditionalPathPoint,
     MovingPathPoint,

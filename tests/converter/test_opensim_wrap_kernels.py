@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import warp as wp
 
-from myowarp.models.paths.cylinder import wrap_cylinder
-from myowarp.models.paths.ellipsoid import AXIAL, HYBRID, MIDPOINT, wrap_ellipsoid
-from myowarp.models.paths.sphere import wrap_sphere
-from myowarp.models.paths.torus import wrap_torus
-from myowarp.models.paths.wrap import Wrap, real
+from myowarp.laws.paths.cylinder import wrap_cylinder
+from myowarp.laws.paths.ellipsoid import AXIAL, HYBRID, MIDPOINT, wrap_ellipsoid
+from myowarp.laws.paths.sphere import wrap_sphere
+from myowarp.laws.paths.torus import wrap_torus
+from myowarp.laws.paths.wrap import Wrap, real
 from myowarp.opensim.wrap import cylinder, ellipsoid, sphere
 
 RECORDED = Path(__file__).parents[1] / "data" / "opensim" / "paths_wraps.npz"

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from benchmarks.cold_starts import first_starts
 from myowarp.disk import writable_folder
 from myowarp.engine import compile as compile_
+from myowarp import process
 from myowarp.engine import kernel_cache
 from myowarp.engine.compile import compile_kernels, quiet
 
@@ -121,9 +122,9 @@ def test_read_only_folder_is_read_and_a_temporary_one_written(folder, tmp_path_f
     monkeypatch.setattr(kernel_cache.tempfile, "tempdir", str(elsewhere))
     monkeypatch.setattr(os, "access", lambda path, mode, **k: Path(path) != full and usual(path, mode, **k))
     writable_folder.cache_clear()
-    kernel_cache.start_warp.__wrapped__.cache_clear()
+    process.start_warp.__wrapped__.cache_clear()
     before = {file: file.stat().st_mtime_ns for file in full.rglob("*")}
-    kernel_cache.start_warp()
+    process.start_warp()
     assert Path(wp.config.kernel_cache_dir).is_relative_to(elsewhere)
     assert "set WARP_CACHE_PATH to a folder that can be written" in caplog.records[0].getMessage()
     caplog.clear()
@@ -135,7 +136,7 @@ def test_read_only_folder_is_read_and_a_temporary_one_written(folder, tmp_path_f
     assert not link.is_symlink()
     assert len(caplog.records) == 1
     writable_folder.cache_clear()
-    kernel_cache.start_warp.__wrapped__.cache_clear()
+    process.start_warp.__wrapped__.cache_clear()
 
 
 START = """
@@ -176,7 +177,7 @@ def test_machine_without_gpu():
     """Nothing is said about CUDA until somebody asks for it."""
     out, err = start()
     assert "CUDA" not in "".join(err)
-    assert out[-1] == f"device 'cuda:0' is not available; available: cpu ({kernel_cache.NO_DRIVER})"
+    assert out[-1] == f"device 'cuda:0' is not available; available: cpu ({process.NO_DRIVER})"
 
 
 def test_each_process_begins_with_other_modules(monkeypatch):

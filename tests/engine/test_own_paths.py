@@ -10,7 +10,7 @@ import pytest
 from myowarp.coordinates.path_text import TEXT, Said, own_paths, read
 from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES
-from myowarp.models.paths.tables import TURNS, OsimPath, OsimPaths, Over, Via, WrapSurface
+from myowarp.laws.paths.tables import TURNS, OsimPath, OsimPaths, Over, Via, WrapSurface
 from myowarp.opensim.compose.convert import convert
 from myowarp.opensim.compose.mjcf import mjcf
 from myowarp.opensim.model.kinematics import independent, random_poses

@@ -17,7 +17,7 @@ import pytest
 
 from myowarp.definitions.task import TASKS
 from myowarp.engine import graph
-from myowarp.engine.warn_once import warn_once
+from myowarp.process import warn_once
 from myowarp.sim.simulation import Simulation
 
 ELBOW = "myoElbowPose1D6MRandom-v0"

@@ -11,7 +11,8 @@ import warp as wp
 
 import myowarp  # noqa: F401  (registers the ids)
 from myowarp.definitions.task import TASKS
-from myowarp.engine.build_lock import BUILD_LOCK, replaced
+from myowarp.engine.replaced import replaced
+from myowarp.process import BUILD_LOCK
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 

@@ -22,7 +22,7 @@ from myowarp.apps.train.plan import plan
 from myowarp.apps.train.run import STOPPED, train
 from myowarp.apps.train.settings import ALGORITHMS, TRAINING, divided, preset, restore
 from myowarp.definitions.task import TASKS
-from myowarp.engine.warn_once import warn_once
+from myowarp.process import warn_once
 from myowarp.sim.simulation import Simulation
 
 NAMES = baselines.baseline_tasks()

@@ -14,7 +14,7 @@ from myowarp.apps.policies.checkpoint import POLICY, Checkpoint, CheckpointError
 from myowarp.apps.policies.follow import Following, is_run
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
-from myowarp.engine.warn_once import warn_once
+from myowarp.process import warn_once
 from myowarp.sim.simulation import Simulation
 
 KEY = "myoElbowPose1D6MFixed-v0"

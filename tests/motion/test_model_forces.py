@@ -13,7 +13,6 @@ import pytest
 from myowarp.apps.cli.motion.dynamics import Dynamics
 from myowarp.apps.cli.motion.forces import Forces
 from myowarp.apps.reports.motion import page
-from myowarp.engine.warn_once import warn_once
 from myowarp.motion.actuators import actuators_of
 from myowarp.motion.draws import Recording, Uncertainty, draw_trial
 from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
@@ -27,6 +26,7 @@ from myowarp.motion.storage import read_storage
 from myowarp.motion.tracking import equations, track
 from myowarp.motion.trial import dynamics, held_up, read_motion, write_angles
 from myowarp.opensim.read.model import read_model
+from myowarp.process import warn_once
 
 DATA = Path(__file__).parents[1] / "data"
 ARM = (DATA / "osim/arm26.osim").read_text()

@@ -20,7 +20,7 @@ from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.view import View, policies_for
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
-from myowarp.engine.warn_once import warn_once
+from myowarp.process import warn_once
 from myowarp.view.browser import live as live_module
 from myowarp.view.browser.live import Live
 from myowarp.view.browser.server import check_port, close_server, open_server

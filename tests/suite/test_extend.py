@@ -15,7 +15,7 @@ import pytest
 import warp as wp
 
 import myowarp
-from myowarp.engine.warn_once import warn_once
+from myowarp.process import warn_once
 from myowarp.sim.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("registered")

@@ -13,12 +13,12 @@ import pytest
 from myowarp.coordinates.couplings import couplings, follow
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TASKS
-from myowarp.engine.warn_once import warn_once
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.models.slim import slim
 from myowarp.opensim.compose.convert import convert
 from myowarp.opensim.compose.mjcf import mjcf
 from myowarp.opensim.read.model import read_model
+from myowarp.process import warn_once
 from myowarp.sim import build
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.starts import posture_joints

@@ -12,11 +12,11 @@ from muscle_bench import hold
 import myowarp
 from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES
-from myowarp.engine.warn_once import warn_once
 from myowarp.opensim import load as loading
 from myowarp.opensim.load import load
 from myowarp.opensim.muscle.hill import HillMuscle, known
 from myowarp.opensim.read.model import read_model
+from myowarp.process import warn_once
 from myowarp.sim.build import compile_scene, full_spec, stepped_of
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import read_body

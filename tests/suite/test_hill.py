@@ -17,12 +17,13 @@ import myowarp
 from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.task import TASKS
-from myowarp.kernels.curves import tabulated
 from myowarp.kernels.launch import launch
-from myowarp.kernels.millard_curves import millard_curves
-from myowarp.models.muscles import hill, hill_kernels, hill_law
+from myowarp.laws.curves import tabulated
+from myowarp.laws.millard_curves import millard_curves
+from myowarp.laws.muscles import hill_law
+from myowarp.laws.muscles.hill_law import DEGROOTE, MILLARD, SCHUTTE, THELEN
+from myowarp.models.muscles import hill, hill_kernels
 from myowarp.models.muscles.hill import Hill
-from myowarp.models.muscles.hill_law import DEGROOTE, MILLARD, SCHUTTE, THELEN
 from myowarp.models.muscles.hill_native import native_contract_hill
 from myowarp.opensim.muscle.hill import HillMuscle
 from myowarp.opensim.muscle.spline_tables import SPLINES

@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 from benchmarks.memory import asked_for, count
 from myowarp.definitions.condition import CONDITIONS, resolve
 from myowarp.definitions.muscle_table import MuscleTable
-from myowarp.definitions.registry import number_in
 from myowarp.definitions.task import TASKS
+from myowarp.disk import number_in
 from myowarp.models.conditions.exoskeleton import Exoskeleton
 from myowarp.sim import memory, simulation
 from myowarp.sim.patient_columns import COLUMNS, CohortColumn

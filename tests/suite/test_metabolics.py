@@ -11,7 +11,7 @@ from reference import mujoco_muscle as reference
 import myowarp
 from myowarp.definitions.muscle import FiberStates, new_fiber_states
 from myowarp.definitions.setup import Setup
-from myowarp.kernels.metabolics import bhargava2004, muscle_mass, umberger2010
+from myowarp.laws.metabolics import bhargava2004, muscle_mass, umberger2010
 from myowarp.sim.metabolics import LAWS
 from myowarp.sim.simulation import Simulation
 

@@ -9,8 +9,8 @@ from converted import muscled
 from hill_64 import Hill64, velocity_64
 
 import myowarp
-from myowarp.models.muscles.hill import hill_parameters
-from myowarp.models.muscles.hill_law import SCHUTTE
+from myowarp.laws.muscles.hill_law import SCHUTTE
+from myowarp.laws.muscles.hill_parameters import hill_parameters
 from myowarp.opensim.muscle.curves import SplineCurves
 from myowarp.opensim.muscle.hill import HillMuscle
 from myowarp.opensim.muscle.spline_tables import SPLINES

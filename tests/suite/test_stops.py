@@ -12,7 +12,7 @@ from myowarp.apps.train.plan import trained_setup
 from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.setup import Setup
-from myowarp.engine.warn_once import warn_once
+from myowarp.process import warn_once
 from myowarp.sim.build import compile_scene, stepped_of
 from myowarp.tasks.setups import complete
 

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from myowarp.apps.policies.checkpoint import LEARNER, Checkpoint, CheckpointError, load_checkpoint
-from myowarp.engine.warn_once import warn_once
 from myowarp.kernels.episode import MYOSUITE
+from myowarp.process import warn_once
 
 FOLDER = Path(__file__).parents[2] / "baselines"
 RESULT, CURVE = "result.json", "curve.csv"

@@ -30,8 +30,8 @@ from safetensors.numpy import load, save
 
 from myowarp.apps.policies.form import check_manifest, check_policy
 from myowarp.definitions.task import TaskSpec
-from myowarp.engine.warn_once import warn_once
 from myowarp.kernels.action import CENTER, STEEPNESS
+from myowarp.process import warn_once
 from myowarp.sim.simulation import Simulation
 
 FORMAT = 1

@@ -13,7 +13,7 @@ import numpy as np
 
 from myowarp.apps.policies.checkpoint import FOLDER, CheckpointError, find_folder, load_checkpoint
 from myowarp.apps.policies.learned import bind
-from myowarp.engine.warn_once import warn_once
+from myowarp.process import warn_once
 from myowarp.sim.simulation import Simulation
 
 LOOK = 1.0

@@ -16,8 +16,8 @@ import warp as wp
 from myowarp.apps.rollouts.objects import host_model, object_bodies, overlaps, place
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TaskSpec
-from myowarp.engine.warn_once import warn_once
 from myowarp.models.reachability import reachable, unsolved
+from myowarp.process import warn_once
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks import baoding, pen_twirl
 from myowarp.tasks.baoding import BaodingTask

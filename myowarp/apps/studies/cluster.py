@@ -17,7 +17,7 @@ from typing import Any
 
 from myowarp.apps.policies.checkpoint import versions
 from myowarp.disk import sentence
-from myowarp.engine.threads import CORES, num_cores
+from myowarp.process import CORES, num_cores
 
 logger = logging.getLogger("myowarp")
 

@@ -10,8 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from myowarp.definitions.registry import NUMBER
 from myowarp.definitions.task import TaskSpec
+from myowarp.disk import NUMBER
 
 if TYPE_CHECKING:
     import torch

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from myowarp.engine.threads import CORES, num_cores
+from myowarp.process import CORES, num_cores
 
 if TYPE_CHECKING:
     import torch

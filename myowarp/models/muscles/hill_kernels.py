@@ -13,7 +13,7 @@ from myowarp.definitions.muscle import (
     affine_bias,
 )
 from myowarp.kernels.batching import batched, of_world
-from myowarp.models.muscles.hill_law import (
+from myowarp.laws.muscles.hill_law import (
     TOLERANCE,
     HillMuscle,
     active_force_length_curve,

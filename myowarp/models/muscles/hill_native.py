@@ -11,13 +11,13 @@ import warp as wp
 from myowarp.definitions.muscle import Anatomy, BiasParams, MuscleResults
 from myowarp.kernels.decay import DECAY
 from myowarp.kernels.lanes import at_namespace_level
-from myowarp.models.muscles import hill_law
+from myowarp.laws.muscles import hill_law
+from myowarp.laws.muscles.thelen2003 import TOE_GROWTH, TOE_SHARE
 from myowarp.models.muscles.hill_kernels import (
     Fibers,
     HillParams,
 )
 from myowarp.models.muscles.mujoco_native import MUSCLE_BLOCK
-from myowarp.models.muscles.thelen2003 import TOE_GROWTH, TOE_SHARE
 
 PLACES = (*hill_law.NUMBERS, *hill_law.PARAMETERS)
 CONSTANTS: dict[str, float] = {name.upper(): place for place, name in enumerate(PLACES)} | {

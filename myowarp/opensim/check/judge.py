@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from myowarp.models.paths.tables import TURNS
+from myowarp.laws.paths.tables import TURNS
 from myowarp.opensim.check.gates import Gate
 from myowarp.opensim.check.muscles import Motion, engine_force
 from myowarp.opensim.compose.convert import Converted

@@ -14,7 +14,8 @@ import mujoco
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from myowarp.coordinates.couplings import REGULAR, Exact, Pieces, line, regularity
+from myowarp.coordinates.couplings import REGULAR, Exact, regularity
+from myowarp.laws.pieces import Pieces, line
 from myowarp.opensim.compose.quartics import Quartic, fit_all
 from myowarp.opensim.model.dynamics import equations
 from myowarp.opensim.model.elements import Pose

@@ -2,9 +2,9 @@
 
 import dataclasses
 
-from myowarp.coordinates.couplings import line
 from myowarp.coordinates.path_text import Driven, Said
-from myowarp.models.paths.tables import TURNS, OsimPaths
+from myowarp.laws.paths.tables import TURNS, OsimPaths
+from myowarp.laws.pieces import line
 from myowarp.opensim.compose.geometry import Build, default_of, reduced
 from myowarp.opensim.model.functions import curves
 from myowarp.opensim.model.model import Model, Note, pulling

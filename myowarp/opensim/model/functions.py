@@ -19,8 +19,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from myowarp.coordinates.couplings import Pieces, line
-from myowarp.kernels.simm_spline import LEAST_STEP, simm_coefficients
+from myowarp.laws.pieces import Pieces, line
+from myowarp.laws.simm_spline import LEAST_STEP, simm_coefficients
 
 Array = np.ndarray
 

@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from myowarp.kernels.millard_curves import MIN_DAMPING, millard_curves
+from myowarp.laws.millard_curves import MIN_DAMPING, millard_curves
 from myowarp.opensim.model.functions import Function
 from myowarp.opensim.model.model import Muscle, Note
 from myowarp.opensim.muscle.curves import DeGrooteCurves, MuscleCurves, SplineCurves, ThelenCurves

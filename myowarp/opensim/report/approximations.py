@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from myowarp.definitions.muscle_table import OPENSIM_LAWS
+from myowarp.laws.muscles.hill_law import OPENSIM_LAWS
 from myowarp.opensim.check.gates import ARM, LENGTH
 from myowarp.opensim.check.muscles import MomentArmError, Motion, MuscleError
 from myowarp.opensim.model.elements import ConditionalPathPoint, Path

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from myowarp.models.paths.tables import OsimPath, OsimPaths, Over, Vector, Via, WrapSurface
+from myowarp.laws.paths.tables import OsimPath, OsimPaths, Over, Vector, Via, WrapSurface
 from myowarp.opensim.model.elements import ConditionalPathPoint, MovingPathPoint, Path, Point
 from myowarp.opensim.model.functions import IDENTITY, Function, Held
 from myowarp.opensim.model.model import Model, WrapObject

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from myowarp.models.paths.tables import PathMemory
+from myowarp.laws.paths.tables import PathMemory
 from myowarp.opensim.model.dynamics import moving_frames, rates
 from myowarp.opensim.model.elements import Path
 from myowarp.opensim.model.functions import derivatives

@@ -10,7 +10,7 @@ from __future__ import annotations
 import viser
 from viser.infra import ClientId, Message
 
-from myowarp.engine.warn_once import warn_once
+from myowarp.process import warn_once
 
 MOST_MESSAGES = 1 << 16
 """That leave together: more than any body takes."""

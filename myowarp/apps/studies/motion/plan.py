@@ -23,9 +23,8 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
-from myowarp.definitions.registry import check_least, number_in
-from myowarp.disk import files_digest
-from myowarp.engine.warn_once import warn_once
+from myowarp.definitions.registry import check_least
+from myowarp.disk import files_digest, number_in
 from myowarp.motion.draws import Recording, Uncertainty, check_factors
 from myowarp.motion.inverse_kinematics import inverse_kinematics
 from myowarp.motion.loads import loads_at, read_loads
@@ -35,6 +34,7 @@ from myowarp.motion.skeleton import Bones
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.trial import read_markers, read_motion, targets
 from myowarp.opensim.read.document import MAX_NUMBER
+from myowarp.process import warn_once
 from myowarp.sim.patient_table import read_table
 
 TRIAL = "trial"

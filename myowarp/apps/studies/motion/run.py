@@ -27,9 +27,9 @@ from myowarp.apps.studies.motion.figure import draw_forces
 from myowarp.apps.studies.motion.plan import Study, Trial, plan_study, recording_of
 from myowarp.apps.studies.parts import LOCK, RESULTS, SUMMARY, agree, part, remove_damaged
 from myowarp.disk import check_folder, in_place, locked, make_folder, sentence, write_rows
-from myowarp.engine.threads import num_cores
 from myowarp.motion.draws import Drawn, Recording, draw_trial
 from myowarp.motion.storage import Storage, write_storage
+from myowarp.process import num_cores
 from myowarp.progress import progress_bar
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from myowarp.apps.studies.sweep.study import Run, read_study
 from myowarp.definitions.setup import OPTIONS
 from myowarp.definitions.task import TASKS
 from myowarp.disk import check_folder, locked, make_folder
-from myowarp.engine.threads import num_cores
+from myowarp.process import num_cores
 from myowarp.tasks.outside import find_task
 
 

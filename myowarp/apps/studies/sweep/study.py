@@ -28,8 +28,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from myowarp.definitions.registry import check_choice, check_least, number_in
+from myowarp.definitions.registry import check_choice, check_least
 from myowarp.definitions.setup import OPTIONS, Setup
+from myowarp.disk import number_in
 from myowarp.sim.build import MOST_WORLDS
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from myowarp.models.muscles.hill_law import (
+from myowarp.laws.muscles.hill_law import (
     DEGROOTE,
     active_force_length_curve,
     degroote_activation_rate,

@@ -5,7 +5,7 @@ Rules and their source: `myowarp.opensim.wrap.cylinder`.
 
 import warp as wp
 
-from myowarp.models.paths.wrap import (
+from myowarp.laws.paths.wrap import (
     INSIDE,
     MANDATORY,
     NONE,

@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from myowarp.kernels.curves import growth
+from myowarp.laws.curves import growth
 
 TOE_SHAPE, TOE_FORCE, LINEAR_FORCE = wp.constant(3.0), wp.constant(0.33), wp.constant(0.67)
 TOE_GROWTH = wp.constant(math.expm1(3.0))

@@ -10,7 +10,7 @@ Sources: OpenSim 4.6, classes of these names; Blankevoort, Huiskes 1991, doi:10.
 
 import warp as wp
 
-from myowarp.models.forces.coordinate_limit import onset
+from myowarp.laws.forces.coordinate_limit import onset
 
 SETS_IN = wp.constant(wp.float64(0.01))
 """Strain over which the damping of a ligament sets in."""

@@ -5,7 +5,7 @@ Rules and their source: `myowarp.opensim.wrap.ellipsoid`. All is scaled so that 
 
 import warp as wp
 
-from myowarp.models.paths.wrap import INSIDE, MANDATORY, NONE, Wrap, line_of_sight, on_side, real
+from myowarp.laws.paths.wrap import INSIDE, MANDATORY, NONE, Wrap, line_of_sight, on_side, real
 
 HYBRID = wp.constant(0)
 MIDPOINT = wp.constant(1)

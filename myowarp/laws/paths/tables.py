@@ -9,8 +9,8 @@ import numpy as np
 import warp as wp
 
 from myowarp.kernels.structs import struct_array
-from myowarp.models.paths.ellipsoid import AXIAL, HYBRID, MIDPOINT, SAMPLED
-from myowarp.models.paths.path import (
+from myowarp.laws.paths.ellipsoid import AXIAL, HYBRID, MIDPOINT, SAMPLED
+from myowarp.laws.paths.path import (
     CYLINDER,
     ELLIPSOID,
     SPHERE,

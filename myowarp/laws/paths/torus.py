@@ -7,8 +7,8 @@ that has the ring's term twice, so what it finds depends on how `lmdif` limits i
 
 import warp as wp
 
-from myowarp.models.paths.cylinder import wrap_cylinder
-from myowarp.models.paths.wrap import NONE, WRAPPED, Wrap, flat_dot, flat_length, on_side, real
+from myowarp.laws.paths.cylinder import wrap_cylinder
+from myowarp.laws.paths.wrap import NONE, WRAPPED, Wrap, flat_dot, flat_length, on_side, real
 
 TUBE_LENGTH = wp.constant(wp.float64(10000.0))  # m
 EVALUATIONS = wp.constant(500)

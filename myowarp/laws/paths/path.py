@@ -11,11 +11,11 @@ doi:10.1115/DETC2013-13633).
 
 import warp as wp
 
-from myowarp.models.paths.cylinder import wrap_cylinder
-from myowarp.models.paths.ellipsoid import wrap_ellipsoid
-from myowarp.models.paths.sphere import wrap_sphere
-from myowarp.models.paths.torus import wrap_torus
-from myowarp.models.paths.wrap import INSIDE, MANDATORY, NONE, WRAPPED, Wrap, real
+from myowarp.laws.paths.cylinder import wrap_cylinder
+from myowarp.laws.paths.ellipsoid import wrap_ellipsoid
+from myowarp.laws.paths.sphere import wrap_sphere
+from myowarp.laws.paths.torus import wrap_torus
+from myowarp.laws.paths.wrap import INSIDE, MANDATORY, NONE, WRAPPED, Wrap, real
 
 CYLINDER = wp.constant(0)
 SPHERE = wp.constant(1)

@@ -5,7 +5,7 @@ Rules and their source: `myowarp.opensim.wrap.sphere`.
 
 import warp as wp
 
-from myowarp.models.paths.wrap import INSIDE, MANDATORY, NONE, WRAPPED, Wrap, line_of_sight, on_side, real
+from myowarp.laws.paths.wrap import INSIDE, MANDATORY, NONE, WRAPPED, Wrap, line_of_sight, on_side, real
 
 
 @wp.func

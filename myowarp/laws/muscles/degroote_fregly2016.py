@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from myowarp.kernels.curves import growth
+from myowarp.laws.curves import growth
 
 
 @wp.func

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from myowarp.kernels.curves import tabulate, tabulated
-from myowarp.kernels.simm_spline import simm_spline
+from myowarp.laws.curves import tabulate, tabulated
+from myowarp.laws.simm_spline import simm_spline
 
 SHORTENING, STEEPER, MOST = wp.constant(0.15), wp.constant(0.13), wp.constant(1.4)
 """Curvature of the hyperbola of shortening, ratio of slopes, and the greatest f_V."""

@@ -1,8 +1,8 @@
 """The curves of Millard's muscle: chains of quintic Bezier corners, as tables.
 
 Source: Millard, Uchida, Seth, Delp 2013 (doi:10.1115/1.4023390) in the form of OpenSim's
-Millard2012EquilibriumMuscle; the corners are those of kernels/millard_curves.py, the error of their tables
-that of kernels/curves.py. Each function returns the multiplier and its slope, of float32 or float64; `m` is
+Millard2012EquilibriumMuscle; the corners are those of laws/millard_curves.py, the error of their tables
+that of laws/curves.py. Each function returns the multiplier and its slope, of float32 or float64; `m` is
 a `hill_muscle`, whose `curves` is the number of the first of four tables: f_L, f_P, f_T over strain, f_V.
 """
 
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from myowarp.kernels.curves import tabulate, tabulated
-from myowarp.kernels.millard_curves import BezierChain, millard_curves
+from myowarp.laws.curves import tabulate, tabulated
+from myowarp.laws.millard_curves import BezierChain, millard_curves
 
 
 @wp.func

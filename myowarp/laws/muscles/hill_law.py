@@ -24,27 +24,27 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from myowarp.models.muscles.degroote_fregly2016 import (
+from myowarp.laws.muscles.activation import activation_step
+from myowarp.laws.muscles.degroote_fregly2016 import (
     degroote_activation_rate,
     degroote_active_force_length,
     degroote_force_velocity,
     degroote_passive_force,
     degroote_tendon_force,
 )
-from myowarp.models.muscles.millard2012 import (
+from myowarp.laws.muscles.millard2012 import (
     millard_active_force_length,
     millard_force_velocity,
     millard_passive_force,
     millard_tendon_force,
 )
-from myowarp.models.muscles.mujoco import activation_step
-from myowarp.models.muscles.schutte1993 import (
+from myowarp.laws.muscles.schutte1993 import (
     schutte_activation_rate,
     schutte_fiber_force,
     schutte_force_velocity,
     schutte_tendon_force,
 )
-from myowarp.models.muscles.thelen2003 import (
+from myowarp.laws.muscles.thelen2003 import (
     thelen_active_force_length,
     thelen_force_velocity,
     thelen_passive_force,
@@ -52,6 +52,16 @@ from myowarp.models.muscles.thelen2003 import (
 )
 
 THELEN, MILLARD, DEGROOTE, SCHUTTE = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
+
+SCHUTTE_CLASS = "Schutte1993Muscle_Deprecated"
+OPENSIM_LAWS = {
+    "Thelen2003Muscle": 0,
+    "Millard2012EquilibriumMuscle": 1,
+    "Millard2012AccelerationMuscle": 1,
+    "DeGrooteFregly2016Muscle": 2,
+    SCHUTTE_CLASS: 3,
+}
+"""Law of OpenSim's muscle classes."""
 
 
 NUMBERS = ("law", "rigid", "curves")

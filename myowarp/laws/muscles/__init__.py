@@ -1,0 +1,1 @@
+"""Laws of muscles: curves of four published models, activation, and Hill's equation."""
