@@ -23,8 +23,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from myowarp.coordinates.couplings import follow
 from myowarp.definitions.task import PHYSICS, TASKS
+from myowarp.osim.bundle.couplings import follow
 from myowarp.progress import progress_bar
 from myowarp.sim.simulation import Simulation
 from tests.reference.mujoco_muscle import activation_after, gain

@@ -22,12 +22,12 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from myowarp.coordinates.couplings import couplings, follow, jacobian
 from myowarp.coordinates.free_coordinates import document_model, inertia_of
-from myowarp.opensim.compose.convert import convert
-from myowarp.opensim.compose.mjcf import mjcf
-from myowarp.opensim.model.model import Model
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.bundle.couplings import couplings, follow, jacobian
+from myowarp.osim.convert.compose.convert import convert
+from myowarp.osim.convert.compose.mjcf import mjcf
+from myowarp.osim.document.model import Model
+from myowarp.osim.document.read.model import read_model
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import pose_task
 

@@ -64,8 +64,8 @@ def judge(source: Path, file: Path) -> None:
 
 def ours(source: Path, file: Path) -> None:
     """Add the accelerations of the document's equations of motion in float64."""
-    from myowarp.opensim.model.dynamics import equations
-    from myowarp.opensim.read.model import read_model
+    from myowarp.osim.document.dynamics import equations
+    from myowarp.osim.document.read.model import read_model
 
     known = dict(np.load(file))
     names = known["coordinates"].tolist()

@@ -22,7 +22,7 @@ from typing import Any
 from benchmarks.machine import processor
 from benchmarks.opensim_speed import spread
 from benchmarks.rivals import ROOT, start, take_turns
-from myowarp.opensim.load import load
+from myowarp.osim.convert.load import load
 
 RESULT = Path(__file__).parent / "results" / "opensim_loaded.json"
 OPENSIM = "OpenSim"

@@ -25,13 +25,13 @@ from myowarp.motion.joint_reactions import joint_reactions
 from myowarp.motion.loads import loads_at
 from myowarp.motion.markers import Markers, read_trc
 from myowarp.motion.muscle_forces import muscle_forces
-from myowarp.motion.muscle_paths import muscle_paths
 from myowarp.motion.scaling import read_setup, scale
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.tasks import tasks_of
-from myowarp.opensim.read.document import parse
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.body.muscle_paths import muscle_paths
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.read.element import parse
+from myowarp.osim.document.read.model import read_model
 
 RESULT = Path(__file__).parent / "results" / "opensim_motion.json"
 RESERVE, AT_ROOT = 10.0, 100.0

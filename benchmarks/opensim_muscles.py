@@ -35,13 +35,14 @@ from myowarp.coordinates.step import step_of
 from myowarp.definitions.muscle import MUSCLES
 from myowarp.laws.muscles.hill_law import OPENSIM_LAWS
 from myowarp.muscle import Muscles
-from myowarp.opensim import convert
-from myowarp.opensim.load import load
-from myowarp.opensim.model.kinematics import independent
-from myowarp.opensim.model.mapping import CoordinateMap
-from myowarp.opensim.read.model import read_model
-from myowarp.opensim.wrap.on_device import lengths_and_moment_arms
+from myowarp.osim.body.on_device import lengths_and_moment_arms
+from myowarp.osim.bundle.coordinate_map import CoordinateMap
+from myowarp.osim.convert import run as convert
+from myowarp.osim.convert.load import load
+from myowarp.osim.document.kinematics import independent
+from myowarp.osim.document.read.model import read_model
 from myowarp.sim.build import compile_scene, stepped_of
+from myowarp.sim.converted_step import OurStep
 from myowarp.sim.present import settle_muscles
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import from_mjcf, from_osim
@@ -323,7 +324,7 @@ def check(source: Path, python: str, work: Path) -> dict[str, Any]:
     if not live.is_file() or live.stat().st_mtime < LIVE.stat().st_mtime:
         subprocess.run([python, str(LIVE), str(source), "-o", str(live)], check=True)
     if not (folder / "report.json").is_file():
-        convert.run(source, folder)
+        convert.run(source, folder, OurStep)
     record = dict(np.load(live))
     meta = json.loads(str(record.pop("meta")))
     task = from_mjcf(folder / "model.xml", replace=True)

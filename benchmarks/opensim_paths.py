@@ -21,12 +21,12 @@ import numpy as np
 from benchmarks.machine import processor
 from myowarp.coordinates.step import step_of
 from myowarp.laws.paths.tables import TURNS
-from myowarp.opensim.load import load
-from myowarp.opensim.model.kinematics import independent
-from myowarp.opensim.model.mapping import CoordinateMap
-from myowarp.opensim.model.model import Model
-from myowarp.opensim.read.model import read_model
-from myowarp.opensim.wrap.on_device import lengths_and_moment_arms
+from myowarp.osim.body.on_device import lengths_and_moment_arms
+from myowarp.osim.bundle.coordinate_map import CoordinateMap
+from myowarp.osim.convert.load import load
+from myowarp.osim.document.kinematics import independent
+from myowarp.osim.document.model import Model
+from myowarp.osim.document.read.model import read_model
 from myowarp.sim.build import compile_scene, stepped_of
 from myowarp.tasks.from_file import from_osim
 

@@ -18,7 +18,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from myowarp.opensim.load import load
+from myowarp.osim.convert.load import load
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import from_mjcf
 

@@ -28,12 +28,12 @@ from benchmarks.machine import processor
 from benchmarks.rivals import ROOT
 from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
 from myowarp.motion.loads import loads_at
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import spline
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.tracking import track
-from myowarp.opensim.read.document import Element, parse
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.read.element import Element, parse
 
 SETTLED, LAST = 0.03, 0.01
 """Time that CMC needs to settle, and its last window [s]."""

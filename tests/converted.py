@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from myowarp.opensim.compose.convert import convert
-from myowarp.opensim.compose.mjcf import mjcf
-from myowarp.opensim.muscle.hill import HillMuscle
-from myowarp.opensim.muscle.table import write_muscles
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.body.hill_muscle import HillMuscle
+from myowarp.osim.convert.compose.convert import convert
+from myowarp.osim.convert.compose.mjcf import mjcf
+from myowarp.osim.convert.muscle_table import write_muscles
+from myowarp.osim.document.read.model import read_model
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import pose_task
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from myowarp.opensim.muscle.hill import HillMuscle
+from myowarp.osim.body.hill_muscle import HillMuscle
 
 DATA = Path(__file__).parent / "data" / "opensim"
 

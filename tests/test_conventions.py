@@ -27,14 +27,14 @@ ROOMS = (
     "bridge_gym",
     "tasks",
     "view",
-    "motion",
-    "opensim",
     "sim",
     "coordinates",
     "engine",
     "muscle",
     "models",
     "definitions",
+    "motion",
+    "osim",
     "laws",
     "kernels",
     "process",
@@ -45,7 +45,7 @@ ROOMS = (
 
 FOLDERS = {
     "apps": ("cli", "studies", "train", "reports", "rollouts", "policies", "adapters"),
-    "opensim": ("load", "convert", "report", "check", "compose", "tendon", "wrap", "muscle", "read", "model"),
+    "osim": ("convert", "body", "bundle", "document"),
     "view": ("pictures", "window", "modes", "browser", "drawing"),
 }
 """Folders and files of large rooms, likewise; the faces of packages (`__init__.py`) may import anything."""

@@ -25,16 +25,6 @@ import numpy as np
 import warp as wp
 from mujoco_warp import IntegratorType
 
-from myowarp.coordinates.couplings import (
-    NOTHING,
-    REGULAR,
-    Coupling,
-    Exact,
-    couplings,
-    exact,
-    jacobian,
-    regularity,
-)
 from myowarp.coordinates.hinge_triples import (
     Bodies,
     LimitRows,
@@ -66,6 +56,16 @@ from myowarp.engine.stepped import Stepped
 from myowarp.engine.verify import set_state
 from myowarp.kernels.lanes import block_scratch
 from myowarp.kernels.launch import launch
+from myowarp.osim.bundle.couplings import (
+    NOTHING,
+    REGULAR,
+    Coupling,
+    Exact,
+    couplings,
+    exact,
+    jacobian,
+    regularity,
+)
 
 SAME_MASS = 1e-9  # relative; a body that has taken in others, or was made heavier, keeps its mass
 MOST_DENSE = 60  # columns of J that mujoco-warp holds densely

@@ -19,10 +19,10 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from myowarp.coordinates.couplings import Coupling
 from myowarp.coordinates.reduction import Followers
 from myowarp.engine.inertia import inert_vec, vec10
 from myowarp.kernels.batching import batched
+from myowarp.osim.bundle.couplings import Coupling
 
 HINGE = mujoco.mjtJoint.mjJNT_HINGE.value
 RIGHT = 1e-6  # cosine between axes that count as at right angles

@@ -1,6 +1,6 @@
 """Springs and dampers that a model brings along: OpenSim's limits of coordinates, and its ligaments.
 
-What a model's text says (`coordinates.force_text`) acts as passive forces, along joints and along the moment
+What a model's text says (`osim.bundle.forces`) acts as passive forces, along joints and along the moment
 arms of tendons. The damping of limits is written into the model in each step, so that integrators take it in
 implicitly. Springs and dampers that stand for these forces in plain MuJoCo are off.
 """
@@ -12,12 +12,12 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.coordinates.force_text import PassiveForces, own_forces
 from myowarp.coordinates.own_paths import ValueTables, evaluated, value_tables
 from myowarp.kernels.launch import launch
 from myowarp.kernels.structs import struct_array
 from myowarp.laws.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
 from myowarp.laws.forces.ligament import Ligament, ligament_tension
+from myowarp.osim.bundle.forces import PassiveForces, own_forces
 
 
 @wp.kernel(enable_backward=False)

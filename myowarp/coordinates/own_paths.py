@@ -1,6 +1,6 @@
 """Muscle paths that a model brings along: OpenSim's own, in place of MuJoCo's tendons of the same names.
 
-What a model's text says (`coordinates.path_text`) is followed by `laws.paths.path`, in float64 from the
+What a model's text says (`osim.bundle.paths`) is followed by `laws.paths.path`, in float64 from the
 engine's poses. Lengths and moment arms of its tendons are then
 
     J_j = sum over bodies b that dof j moves of cdof_j . (torque_b - com x force_b, force_b),
@@ -19,12 +19,12 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.coordinates.path_text import WRAP_SITE, Driven, Said, is_of, own_paths
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
 from myowarp.kernels.structs import struct_array
 from myowarp.laws.paths.path import Frames, Pulls
 from myowarp.laws.paths.tables import OsimPath, OsimPaths, PathMemory, Via
+from myowarp.osim.bundle.paths import WRAP_SITE, Driven, Said, is_of, own_paths
 
 
 @wp.struct

@@ -5,10 +5,10 @@ import logging
 import mujoco
 import mujoco_warp as mjw
 
-from myowarp.coordinates.couplings import couplings, exact
 from myowarp.engine.stage import or_the_engines
 from myowarp.engine.step import Step, uncovered
 from myowarp.engine.stepped import Stepped
+from myowarp.osim.bundle.couplings import couplings, exact
 
 logger = logging.getLogger("myowarp")
 

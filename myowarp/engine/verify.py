@@ -26,7 +26,7 @@ from myowarp.engine.stepped import Stepped
 logger = logging.getLogger("myowarp")
 
 SOURCES = (
-    *("engine/**/*.py", "engine/**/*.cpp", "coordinates/*.py", "coordinates/*.cpp"),
+    *("engine/**/*.py", "engine/**/*.cpp", "coordinates/*.py", "coordinates/*.cpp", "osim/bundle/*.py"),
     *("sim/*.py", "kernels/*", "laws/**/*.py", "models/muscles/*"),
 )
 """Files of the package that decide a verdict."""

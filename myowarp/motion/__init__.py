@@ -10,7 +10,7 @@ import importlib
 from typing import Any
 
 _LATER = {
-    "Bones": "skeleton",
+    "Bones": "osim.body.skeleton",
     **dict.fromkeys(
         (
             "analyze",
@@ -22,9 +22,9 @@ _LATER = {
             "read_motion",
             "write_angles",
         ),
-        "trial",
+        "motion.trial",
     ),
-    **dict.fromkeys(("Markers", "read_trc", "write_trc"), "markers"),
+    **dict.fromkeys(("Markers", "read_trc", "write_trc"), "motion.markers"),
 }
 __all__ = list(_LATER)
 
@@ -33,4 +33,4 @@ def __getattr__(name: str) -> Any:
     """Import what is asked for."""
     if name not in _LATER:
         raise AttributeError(f"module 'myowarp.motion' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"myowarp.motion.{_LATER[name]}"), name)
+    return getattr(importlib.import_module(f"myowarp.{_LATER[name]}"), name)

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
-from myowarp.motion.muscle_paths import muscle_paths
-from myowarp.motion.skeleton import Bones
-from myowarp.opensim.model.dynamics import rates
-from myowarp.opensim.model.elements import BodyActuator, CoordinateActuator, PathActuator
-from myowarp.opensim.model.model import GROUND, Model
-from myowarp.opensim.wrap.moment_arm import coordinates_between, leading
-from myowarp.opensim.wrap.moment_arm import crossed as of_path
+from myowarp.osim.body.moment_arm import coordinates_between, leading
+from myowarp.osim.body.moment_arm import crossed as of_path
+from myowarp.osim.body.muscle_paths import muscle_paths
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.dynamics import rates
+from myowarp.osim.document.elements import BodyActuator, CoordinateActuator, PathActuator
+from myowarp.osim.document.model import GROUND, Model
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,9 +22,9 @@ from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.markers import Markers
 from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces
-from myowarp.motion.muscle_paths import MusclePaths, muscle_paths
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import derivatives
+from myowarp.osim.body.muscle_paths import MusclePaths, muscle_paths
+from myowarp.osim.body.skeleton import Bones
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import warp as wp
 
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
-from myowarp.motion.model_forces import (
+from myowarp.osim.body.model_forces import (
     Acting,
     ModelForces,
     acting_in,
@@ -26,8 +26,8 @@ from myowarp.motion.model_forces import (
     ligament_pulls,
     push_coordinates,
 )
-from myowarp.motion.parts import in_parts, joined
-from myowarp.motion.skeleton import HINGE, Bones, Placement, Skeleton, place, station
+from myowarp.osim.body.parts import in_parts, joined
+from myowarp.osim.body.skeleton import HINGE, Bones, Placement, Skeleton, place, station
 
 CHUNK = 4096
 """Frames that are on the device at once."""

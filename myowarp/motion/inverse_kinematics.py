@@ -27,8 +27,8 @@ from myowarp.kernels.batching import batched
 from myowarp.kernels.cholesky import eliminated, substitute
 from myowarp.kernels.launch import launch
 from myowarp.motion.markers import Markers
-from myowarp.motion.parts import in_parts
-from myowarp.motion.skeleton import Bones, Placement, Skeleton, place, station
+from myowarp.osim.body.parts import in_parts
+from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, place, station
 
 STRIDE = 16
 """Frames that follow each other in one world."""

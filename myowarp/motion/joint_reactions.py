@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from myowarp.motion.inverse_dynamics import Needed
-from myowarp.motion.muscle_paths import TOGETHER, PathsOfMuscles
-from myowarp.motion.parts import in_parts, joined
-from myowarp.motion.skeleton import Bones
+from myowarp.osim.body.muscle_paths import TOGETHER, PathsOfMuscles
+from myowarp.osim.body.parts import in_parts, joined
+from myowarp.osim.body.skeleton import Bones
 
 FRAMES = 4096
 """That are solved together."""

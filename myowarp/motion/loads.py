@@ -11,7 +11,7 @@ from myowarp.motion.inverse_dynamics import Load
 from myowarp.motion.setup_words import body_of, file_of, stated
 from myowarp.motion.storage import Storage, logger, read_storage
 from myowarp.motion.streams import Stream
-from myowarp.opensim.read.document import Element, parse
+from myowarp.osim.document.read.element import Element, parse
 
 AXES = ("x", "y", "z")
 

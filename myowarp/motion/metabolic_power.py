@@ -15,9 +15,9 @@ import warp as wp
 from myowarp.kernels.launch import launch
 from myowarp.laws.metabolics import bhargava2004, muscle_mass
 from myowarp.motion.muscle_forces import ALONG_TENDON, MuscleForces
-from myowarp.motion.muscle_paths import MusclePaths
-from myowarp.opensim.model.model import Model
-from myowarp.opensim.muscle.hill import HillMuscle, known
+from myowarp.osim.body.hill_muscle import HillMuscle, known
+from myowarp.osim.body.muscle_paths import MusclePaths
+from myowarp.osim.document.model import Model
 
 SLOW_TWITCH_RATIO = 0.5
 """Share of slow fibers."""

@@ -19,12 +19,12 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from myowarp.motion.actuators import Actuators
-from myowarp.motion.muscle_paths import MusclePaths
-from myowarp.motion.parts import GRAIN, in_parts
 from myowarp.motion.static_optimization import Activations, optimal_activations
-from myowarp.motion.steady_muscles import SteadyMuscles
-from myowarp.opensim.model.model import Model
-from myowarp.opensim.muscle.hill import HillMuscle, known
+from myowarp.osim.body.hill_muscle import HillMuscle, known
+from myowarp.osim.body.muscle_paths import MusclePaths
+from myowarp.osim.body.parts import GRAIN, in_parts
+from myowarp.osim.body.steady_muscles import SteadyMuscles
+from myowarp.osim.document.model import Model
 
 Mode = Literal["equilibrium", "opensim"]
 

@@ -20,13 +20,13 @@ import numpy as np
 
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.markers import Markers, read_trc
-from myowarp.motion.scale_document import Document, scale_document, set_markers
 from myowarp.motion.setup_words import Span, body_of, file_of, span_of
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.tasks import Tasks, tasks_of
-from myowarp.opensim.model.kinematics import complete, forward, station
-from myowarp.opensim.model.model import GROUND, Model
-from myowarp.opensim.read.document import Element, parse, write
+from myowarp.osim.body.scale_document import Document, scale_document, set_markers
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.kinematics import complete, forward, station
+from myowarp.osim.document.model import GROUND, Model
+from myowarp.osim.document.read.element import Element, parse, write
 
 AXES = ("X", "Y", "Z")
 UNSTATED = (-1.0, -1.0)

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from myowarp.motion.model_forces import without
-from myowarp.motion.skeleton import Bones
-from myowarp.opensim.model.kinematics import floating
+from myowarp.osim.body.model_forces import without
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.kinematics import floating
 
 if TYPE_CHECKING:
     from myowarp.motion.tasks import Tasks

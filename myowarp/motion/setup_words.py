@@ -7,7 +7,7 @@ from pathlib import Path, PureWindowsPath
 
 import numpy as np
 
-from myowarp.opensim.read.document import Element
+from myowarp.osim.document.read.element import Element
 
 UNSET = ("", "Unassigned")
 BODY = re.compile(r"/?(?:bodyset/)?([^/]+)")

@@ -22,7 +22,7 @@ import numpy as np
 
 from myowarp.disk import in_place, naming
 from myowarp.motion.headers import Header, header_of, pair_of, whole_number
-from myowarp.opensim.read.document import MAX_NUMBER, decoded, number_of
+from myowarp.osim.document.read.element import MAX_NUMBER, decoded, number_of
 
 logger = logging.getLogger("myowarp")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from myowarp.opensim.read.document import Element
+from myowarp.osim.document.read.element import Element
 
 WITH = ("InverseKinematicsTool", "MarkerPlacer")
 """What has a set of tasks, which may be empty."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from myowarp.motion.setup import TrialSetup
 from myowarp.motion.setup_words import Span, file_of, files_of, in_order, span_of
 from myowarp.motion.tasks import tasks_of
-from myowarp.opensim.read.document import Element, parse
+from myowarp.osim.document.read.element import Element, parse
 
 ALL = (-math.inf, math.inf)
 TOOLS = {

@@ -33,13 +33,13 @@ import numpy as np
 from myowarp.motion.actuators import Actuators, actuators_of
 from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
 from myowarp.motion.muscle_forces import muscle_forces
-from myowarp.motion.muscle_paths import MusclePaths, PathsOfMuscles
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import spline
 from myowarp.motion.static_optimization import optimal_activations
-from myowarp.motion.steady_muscles import SteadyMuscles
-from myowarp.opensim.muscle.activation import activation_dynamics
-from myowarp.opensim.muscle.hill import HillMuscle
+from myowarp.osim.body.activation import activation_dynamics
+from myowarp.osim.body.hill_muscle import HillMuscle
+from myowarp.osim.body.muscle_paths import MusclePaths, PathsOfMuscles
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.body.steady_muscles import SteadyMuscles
 
 WINDOW = 0.01
 """Time over which an excitation is constant [s]."""

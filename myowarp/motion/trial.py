@@ -22,22 +22,22 @@ from myowarp.motion.joint_reactions import JointReactions, joint_reactions
 from myowarp.motion.loads import Loads, loads_at
 from myowarp.motion.markers import Markers, MarkerStream, read_trc
 from myowarp.motion.metabolic_power import metabolic_power
-from myowarp.motion.model_forces import acts, left_out
 from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces, rigid_capacity
-from myowarp.motion.muscle_paths import MusclePaths, muscle_paths
 from myowarp.motion.scaling import Scaled, read_setup, scale, write_factors
 from myowarp.motion.setup import TrialSetup
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.storage import Storage, Tables, read_storage, tables_in, write_storage
 from myowarp.motion.streams import Margin, Stream, is_long
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.tracking import Tracked, track
 from myowarp.motion.units import Angles
-from myowarp.opensim.model.kinematics import complete, floating, forward, station
-from myowarp.opensim.model.model import Model
-from myowarp.opensim.muscle.hill import HillMuscle, known
-from myowarp.opensim.read.document import write
+from myowarp.osim.body.hill_muscle import HillMuscle, known
+from myowarp.osim.body.model_forces import acts, left_out
+from myowarp.osim.body.muscle_paths import MusclePaths, muscle_paths
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.kinematics import complete, floating, forward, station
+from myowarp.osim.document.model import Model
+from myowarp.osim.document.read.element import write
 
 ANGLES = "Coordinates"
 """What a file of joint angles calls itself."""

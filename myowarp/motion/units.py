@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from myowarp.motion.storage import Storage, logger
-from myowarp.opensim.model.model import Model
+from myowarp.osim.document.model import Model
 
 TURN = 2.0 * np.pi
 BEYOND = np.pi / 2

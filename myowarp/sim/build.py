@@ -12,7 +12,6 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.coordinates.couplings import ask, settled
 from myowarp.coordinates.own_forces import forces_of
 from myowarp.coordinates.own_paths import paths_of
 from myowarp.coordinates.step import data_beside
@@ -31,6 +30,7 @@ from myowarp.engine.stepped import Stepped
 from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import new_keys
 from myowarp.models.slim import slim
+from myowarp.osim.bundle.couplings import ask, settled
 from myowarp.process import start_warp, warn_once, with_build_lock
 from myowarp.sim.capacity import calibrate
 from myowarp.sim.memory import check_memory
@@ -96,7 +96,7 @@ def _dense(model: mujoco.MjModel) -> mujoco.MjModel:
 def slim_model(spec: TaskSpec, conditions: tuple[Condition, ...] = (), exact: bool = False) -> mujoco.MjModel:
     """Return the slim model of a task with MuJoCo's built-in muscles.
 
-    Where `exact`, joints that follow others ask to do so without springs (`coordinates.couplings`).
+    Where `exact`, joints that follow others ask to do so without springs (`osim.bundle.couplings`).
     """
     return _dense(_slim_spec(spec, conditions, BODIES[spec.body], exact).copy().compile())
 

@@ -22,12 +22,12 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.coordinates.couplings import couplings, follow
 from myowarp.definitions.body import BODIES, POINT_JOINTS
 from myowarp.definitions.scene import Starts
 from myowarp.definitions.task import TaskSpec
 from myowarp.disk import array_bytes, array_from_bytes, cached, code_digest, model_digest
 from myowarp.engine.compile import quiet
+from myowarp.osim.bundle.couplings import couplings, follow
 from myowarp.process import with_build_lock
 from myowarp.progress import patient_bar
 from myowarp.sim import palm

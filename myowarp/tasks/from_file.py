@@ -16,11 +16,6 @@ from typing import Any, NamedTuple, cast
 import mujoco
 import numpy as np
 
-from myowarp.coordinates.couplings import ask, couplings, exact, follow, settled
-from myowarp.coordinates.force_text import ask as ask_for_forces
-from myowarp.coordinates.force_text import own_forces
-from myowarp.coordinates.path_text import ask as ask_for_paths
-from myowarp.coordinates.path_text import own_paths
 from myowarp.definitions.body import BODIES, POINT_JOINTS, Body
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.registry import check_choice
@@ -28,6 +23,11 @@ from myowarp.definitions.task import MOST_SUBSTEPS, TaskSpec, register, split_ke
 from myowarp.disk import model_digest
 from myowarp.models.bodies import arm_muscles, leg_muscles
 from myowarp.models.reachability import tip_positions
+from myowarp.osim.bundle.couplings import ask, couplings, exact, follow, settled
+from myowarp.osim.bundle.forces import ask as ask_for_forces
+from myowarp.osim.bundle.forces import own_forces
+from myowarp.osim.bundle.paths import ask as ask_for_paths
+from myowarp.osim.bundle.paths import own_paths
 from myowarp.process import warn_once
 from myowarp.sim.build import checked_horizon, full_model
 from myowarp.tasks.extend import Reward, extend
@@ -43,10 +43,10 @@ NUM_POSES = 16  # in which a joint is looked at for moment arms
 NUM_TARGETS = 1024  # points to reach
 STEP_ROUNDING = 1e-6  # of a time step
 KINDS = ("pose", "reach")
-COUPLINGS = "couplings.json"  # beside the model's file; see `myowarp.coordinates.couplings`
+COUPLINGS = "couplings.json"  # beside the model's file; see `myowarp.osim.bundle.couplings`
 OPENSIM = ".osim"
-PATHS = "paths.json"  # likewise; see `myowarp.coordinates.path_text`
-FORCES = "forces.json"  # likewise; see `myowarp.coordinates.force_text`
+PATHS = "paths.json"  # likewise; see `myowarp.osim.bundle.paths`
+FORCES = "forces.json"  # likewise; see `myowarp.osim.bundle.forces`
 HILL = "muscles.csv"  # likewise; see `myowarp.definitions.muscle_table`
 STEPPED = ("EULER", "IMPLICITFAST")  # integrators; others call the muscles more than once in a step
 
@@ -73,7 +73,7 @@ def read_body(path: Path, tips: tuple[str, ...] = (), stops: bool = True) -> str
             raise ValueError(f"stops are an option of a model's file; {str(path)!r} is a body with its own")
         return _with_tips(str(path), tips)
     if path.suffix.lower() == OPENSIM:
-        from myowarp.opensim.load import load  # reading .osim files is not needed at every start
+        from myowarp.osim.convert.load import load  # reading .osim files is not needed at every start
 
         path = load(path)
     try:

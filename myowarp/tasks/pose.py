@@ -17,7 +17,6 @@ import numpy as np
 import warp as wp
 from mujoco_warp import JointType
 
-from myowarp.coordinates.couplings import follow
 from myowarp.definitions.body import BODIES, POINT_JOINTS
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, VELOCITIES, Entry, of_joints
 from myowarp.definitions.program import Program
@@ -26,6 +25,7 @@ from myowarp.definitions.scene import Scene
 from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
 from myowarp.kernels.reward import EFFORT, is_far, is_near, minus_error, minus_failed, near_bonus
+from myowarp.osim.bundle.couplings import follow
 from myowarp.sim.build import full_model
 from myowarp.tasks.carried_weight import BATCHED, CarriedWeight
 from myowarp.tasks.markers import add_tip_targets

@@ -13,12 +13,13 @@ import pytest
 pytest.importorskip("scipy")
 
 from myowarp.apps.cli.convert import Convert
-from myowarp.opensim import convert as command
-from myowarp.opensim.muscle.hill import HillMuscle
-from myowarp.opensim.muscle.table import read_muscles
-from myowarp.opensim.read.model import read_model
-from myowarp.opensim.report.charts import Line, chart, colors, png
-from myowarp.opensim.tendon import fits as muscle_fit
+from myowarp.osim.body.hill_muscle import HillMuscle
+from myowarp.osim.convert import run as command
+from myowarp.osim.convert.muscle_table import read_muscles
+from myowarp.osim.convert.report.charts import Line, chart, colors, png
+from myowarp.osim.convert.tendon import fits as muscle_fit
+from myowarp.osim.document.read.model import read_model
+from myowarp.sim.converted_step import OurStep
 
 OSIM = Path(__file__).parents[1] / "data" / "osim"
 
@@ -40,7 +41,7 @@ def arm(tmp_path_factory):
     folder, cache = tmp_path_factory.mktemp("arm"), tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MYOWARP_CACHE_DIR", str(cache))
-        report = command.run(OSIM / "arm26.osim", folder, workers=1)
+        report = command.run(OSIM / "arm26.osim", folder, OurStep, workers=1)
     return folder, report, cache
 
 
@@ -168,7 +169,7 @@ def test_interrupted_conversion_continues(arm, tmp_path, monkeypatch):
         "fit_muscle",
         lambda model, name, *rest: made.append(name) or fit_muscle(model, name, *rest),
     )
-    again = command.run(OSIM / "arm26.osim", tmp_path / "again", workers=1)
+    again = command.run(OSIM / "arm26.osim", tmp_path / "again", OurStep, workers=1)
     assert len(made) == 1
     assert (tmp_path / "again" / "model.xml").read_text() == (folder / "model.xml").read_text()
     assert {**again, "seconds": 0} == {**report, "seconds": 0}
@@ -221,7 +222,7 @@ def test_all_that_pulls_wraps(kind, properties, tmp_path, monkeypatch):
         text = recast(text, name, "Unheard", "")
     source = tmp_path / "arm.osim"
     source.write_text(text)
-    report = command.run(source, tmp_path / "out", workers=1)
+    report = command.run(source, tmp_path / "out", OurStep, workers=1)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "model.xml"))
     recorded = np.load(OSIM.parent / "opensim" / "paths_arm26.npz")
     expected = recorded["length"][:, recorded["muscles"].tolist().index("BRA")]
@@ -244,7 +245,7 @@ def test_all_that_pulls_wraps(kind, properties, tmp_path, monkeypatch):
 def test_methods_of_the_paper(tmp_path, monkeypatch):
     """Annealing and differential evolution end in a whole result, with paths as good as the gate."""
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path / "cache"))
-    report = command.run(OSIM / "arm26.osim", tmp_path / "out", method="paper")
+    report = command.run(OSIM / "arm26.osim", tmp_path / "out", OurStep, method="paper")
     assert report["moment_arms"]["summary"]["rms_consistent"]["mean"] < MOMENT_ARM
     # The least squares reach a third of it.
     assert FORCE_MAP < report["muscles"]["summary"]["force"]["mean"] < 5 * FORCE_MAP
@@ -287,7 +288,7 @@ def test_opensim_agrees(tmp_path, monkeypatch):
     pytest.importorskip("opensim")
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path / "cache"))
     own, other = (
-        command.run(OSIM / "arm26.osim", tmp_path / name, workers=1, reference=name)
+        command.run(OSIM / "arm26.osim", tmp_path / name, OurStep, workers=1, reference=name)
         for name in ("own", "opensim")
     )
     for one, two in zip(own["moment_arms"]["pairs"], other["moment_arms"]["pairs"], strict=True):

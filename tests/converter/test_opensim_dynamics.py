@@ -6,14 +6,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.opensim.check.engines import OurStep, PlainMuJoCo, States
-from myowarp.opensim.check.oracle import opensim_equations
-from myowarp.opensim.compose.binary import stiff
-from myowarp.opensim.compose.convert import convert
-from myowarp.opensim.model.dynamics import equations
-from myowarp.opensim.model.kinematics import independent, random_poses
-from myowarp.opensim.model.mapping import CoordinateMap, MappedCoordinate
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.bundle.coordinate_map import CoordinateMap, MappedCoordinate
+from myowarp.osim.convert.check.engines import PlainMuJoCo, States
+from myowarp.osim.convert.check.oracle import opensim_equations
+from myowarp.osim.convert.compose.binary import stiff
+from myowarp.osim.convert.compose.convert import convert
+from myowarp.osim.document.dynamics import equations
+from myowarp.osim.document.kinematics import independent, random_poses
+from myowarp.osim.document.read.model import read_model
+from myowarp.sim.converted_step import OurStep
 
 DATA = Path(__file__).parents[1] / "data"
 

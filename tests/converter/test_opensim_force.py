@@ -8,13 +8,13 @@ import pytest
 from opensim_muscles import load
 from reference import mujoco_muscle as reference
 
-from myowarp.opensim.muscle.activation import activation_dynamics
-from myowarp.opensim.muscle.hill import HillMuscle
-from myowarp.opensim.muscle.spline_tables import SPLINES
+from myowarp.osim.body.activation import activation_dynamics
+from myowarp.osim.body.hill_muscle import HillMuscle
+from myowarp.osim.body.spline_tables import SPLINES
 
 pytest.importorskip("scipy")
 
-from myowarp.opensim.muscle import force
+from myowarp.osim.convert.tendon import force
 
 GATES = {"arm26": 0.02, "leg6dof9musc": 0.025, "gait10dof18musc": 0.025}
 """Mean error of the force map over the muscles [max_isometric_force]; the converter's promise."""

@@ -7,13 +7,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.coordinates.force_text import own_forces, read
 from myowarp.coordinates.step import step_of
-from myowarp.opensim.compose.convert import convert
-from myowarp.opensim.compose.mjcf import mjcf
-from myowarp.opensim.load import load
-from myowarp.opensim.model.mapping import CoordinateMap
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.bundle.coordinate_map import CoordinateMap
+from myowarp.osim.bundle.forces import own_forces, read
+from myowarp.osim.convert.compose.convert import convert
+from myowarp.osim.convert.compose.mjcf import mjcf
+from myowarp.osim.convert.load import load
+from myowarp.osim.document.read.model import read_model
 from myowarp.sim.build import compile_scene, stepped_of
 from myowarp.tasks.from_file import from_mjcf, from_osim
 

@@ -13,8 +13,9 @@ pytest.importorskip("scipy")
 if not hasattr(signal, "setitimer"):
     pytest.skip("needs a timer of processor time", allow_module_level=True)
 
-from myowarp.opensim import convert as command
-from myowarp.opensim.tendon import fits as muscle_fit
+from myowarp.osim.convert import run as command
+from myowarp.osim.convert.tendon import fits as muscle_fit
+from myowarp.sim.converted_step import OurStep
 
 OSIM = Path(__file__).parents[1] / "data" / "osim"
 SMALL = ("Tug_of_War", "joints", "old", "arm26")
@@ -80,7 +81,7 @@ def outcome(source, output):
     signal.setitimer(signal.ITIMER_PROF, LIMIT)
     said = None
     try:
-        report = command.run(source, output, workers=1)
+        report = command.run(source, output, OurStep, workers=1)
     except (ValueError, NotImplementedError) as error:
         said = str(error)
     finally:

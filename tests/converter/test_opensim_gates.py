@@ -11,17 +11,17 @@ import pytest
 from converted import OSIM
 
 from myowarp.disk import plain
-from myowarp.opensim.check.dynamics import dynamics
-from myowarp.opensim.check.engines import PlainMuJoCo
-from myowarp.opensim.check.gates import COORDINATES, arm_gates, dynamics_gates, muscle_gates
-from myowarp.opensim.check.judge import BENT, off_surfaces
-from myowarp.opensim.check.muscles import Spread, _pair, moment_arm_errors, motion, muscle_errors
-from myowarp.opensim.compose.convert import Options, Stages, convert
-from myowarp.opensim.compose.mjcf import mjcf
-from myowarp.opensim.read.model import read_model
-from myowarp.opensim.tendon import fits as muscle_fit
-from myowarp.opensim.tendon.fitted import Fits
-from myowarp.opensim.wrap.moment_arm import Reference
+from myowarp.osim.body.moment_arm import Reference
+from myowarp.osim.convert.check.dynamics import dynamics
+from myowarp.osim.convert.check.engines import PlainMuJoCo
+from myowarp.osim.convert.check.gates import COORDINATES, arm_gates, dynamics_gates, muscle_gates
+from myowarp.osim.convert.check.judge import BENT, off_surfaces
+from myowarp.osim.convert.check.muscles import Spread, _pair, moment_arm_errors, motion, muscle_errors
+from myowarp.osim.convert.compose.convert import Options, Stages, convert
+from myowarp.osim.convert.compose.mjcf import mjcf
+from myowarp.osim.convert.tendon import fits as muscle_fit
+from myowarp.osim.convert.tendon.fitted import Fits
+from myowarp.osim.document.read.model import read_model
 
 FOLDER = Path(os.environ.get("MYOWARP_OSIM_DIR", Path(__file__).parents[2] / ".." / "shared" / "osim"))
 GAIT = FOLDER / "more" / "gait2392_millard2012muscle.osim"

@@ -7,15 +7,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.coordinates.couplings import couplings, follow
-from myowarp.opensim.check.frames import kinematics_error
-from myowarp.opensim.compose.convert import Options, convert
-from myowarp.opensim.compose.mjcf import mjcf
-from myowarp.opensim.compose.passive import onset, rising
-from myowarp.opensim.compose.quartics import fit_all
-from myowarp.opensim.convert import run, write
-from myowarp.opensim.model.functions import SimmSpline
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.bundle.couplings import couplings, follow
+from myowarp.osim.convert.check.frames import kinematics_error
+from myowarp.osim.convert.compose.convert import Options, convert
+from myowarp.osim.convert.compose.mjcf import mjcf
+from myowarp.osim.convert.compose.passive import onset, rising
+from myowarp.osim.convert.compose.quartics import fit_all
+from myowarp.osim.convert.run import run, write
+from myowarp.osim.document.functions import SimmSpline
+from myowarp.osim.document.read.model import read_model
+from myowarp.sim.converted_step import OurStep
 
 DATA = Path(__file__).parents[1] / "data"
 EXACT = 1e-12
@@ -272,7 +273,7 @@ def test_visible_body():
 
 
 def test_command_writes_a_model_that_loads(tmp_path):
-    report = run(DATA / "osim" / "arm26.osim", tmp_path / "arm")
+    report = run(DATA / "osim" / "arm26.osim", tmp_path / "arm", OurStep)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "arm" / "model.xml"))
     assert (model.njnt, model.nu, model.nkey) == (2, 6, 1)
     assert "CCBY 3.0" in (tmp_path / "arm" / "model.xml").read_text()
@@ -292,10 +293,10 @@ def test_failure_leaves_nothing_that_looks_complete(tmp_path):
     bad = tmp_path / "bad.osim"
     bad.write_text((DATA / "osim" / "old.osim").read_text().replace("PinJoint", "ConstantCurvatureJoint"))
     with pytest.raises(NotImplementedError, match=r"bad.osim:\d+: <ConstantCurvatureJoint name='elbow'>"):
-        run(bad, tmp_path / "out")
+        run(bad, tmp_path / "out", OurStep)
     assert not (tmp_path / "out").exists()
     with pytest.raises(ValueError, match=r"none.osim' is no file; give the path of an .osim file"):
-        run(tmp_path / "none.osim", tmp_path / "out")
+        run(tmp_path / "none.osim", tmp_path / "out", OurStep)
     # An older result stays as it was where a new one fails.
     write(tmp_path / "out", {"model.xml": b"old", "report.json": b"old"})
     with pytest.raises(TypeError):

@@ -7,11 +7,11 @@ import pytest
 from opensim_muscles import DATA, load
 from reference import hill as reference
 
-from myowarp.opensim.model.model import Muscle
-from myowarp.opensim.muscle.hill import HillMuscle, known
-from myowarp.opensim.muscle.spline_tables import PASSIVE, SPLINES
-from myowarp.opensim.muscle.table import read_muscles, write_muscles
-from myowarp.opensim.read.muscle_defaults import DEFAULTS
+from myowarp.osim.body.hill_muscle import HillMuscle, known
+from myowarp.osim.body.spline_tables import PASSIVE, SPLINES
+from myowarp.osim.convert.muscle_table import read_muscles, write_muscles
+from myowarp.osim.document.model import Muscle
+from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 
 MODELS = [path.stem.removeprefix("muscles_") for path in sorted(DATA.glob("muscles_*.npz"))]
 MODELS.remove("moving")

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.opensim.model.functions import (
+from myowarp.osim.body.wrap.path import locations
+from myowarp.osim.document.functions import (
     GCVSpline,
     Multiplier,
     PiecewiseLinear,
@@ -18,7 +19,7 @@ from myowarp.opensim.model.functions import (
     ToeThenLine,
     affine,
 )
-from myowarp.opensim.model.kinematics import (
+from myowarp.osim.document.kinematics import (
     complete,
     forward,
     independent,
@@ -26,8 +27,7 @@ from myowarp.opensim.model.kinematics import (
     sampling_range,
     station,
 )
-from myowarp.opensim.read.model import read_model
-from myowarp.opensim.wrap.path import locations
+from myowarp.osim.document.read.model import read_model
 
 DATA = Path(__file__).parents[1] / "data"
 MODELS = sorted(path.stem for path in (DATA / "osim").glob("*.osim"))

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from myowarp.apps.cli.convert import Convert
-from myowarp.opensim import convert as command
-from myowarp.opensim.model.model import Note
-from myowarp.opensim.read.components import READERS
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.convert import run as command
+from myowarp.osim.document.model import Note
+from myowarp.osim.document.read.components import READERS
+from myowarp.osim.document.read.model import read_model
+from myowarp.sim.converted_step import OurStep
 
 TORSION, TENSION = 30.0, 400.0
 """N m/rad and N/m of the bushings."""
@@ -146,7 +147,7 @@ def test_a_bushing_elsewhere_is_measured(tmp_path):
     force = BUSHING.format(frame="/bodyset/bob", torsion=TORSION, tension="1 2 3")
     path = written(tmp_path, force)
     assert "--accept-losses BushingForce " in converted(path, tmp_path)
-    (loss,) = command.run(path, tmp_path / "again")["left_out"]
+    (loss,) = command.run(path, tmp_path / "again", OurStep)["left_out"]
     assert loss["code"] == "BushingForce"
     assert loss["effect"] == "force"
     assert loss["unit"] == "N m"
@@ -173,7 +174,7 @@ def test_a_bushing_at_a_joint_is_springs_on_its_joints(tmp_path):
     path = written(tmp_path, force)
     assert converted(path, tmp_path) == ""
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "model.xml"))
-    report = command.run(path, tmp_path / "again")
+    report = command.run(path, tmp_path / "again", OurStep)
     assert not report["left_out"]
     assert [note["error_bound"] for note in report["notes"] if note["path"] == "/forceset/lost"] == ["0"]
     coordinates = command.json.loads((tmp_path / "out" / "coordinates.json").read_text())
@@ -215,7 +216,7 @@ def test_actuators_of_locked_coordinates_are_no_loss(tmp_path):
         tmp_path, '<CoordinateActuator name="idle"><coordinate>swing</coordinate></CoordinateActuator>'
     )
     path.write_text(path.read_text().replace("<range>-1 1</range>", "<locked>true</locked>", 1))
-    report = command.run(path, tmp_path / "out")
+    report = command.run(path, tmp_path / "out", OurStep)
     assert report["left_out"] == []
     assert {note["error_bound"] for note in report["notes"] if note["path"] == "/forceset/idle"} == {
         "0: the coordinate is locked"
@@ -227,7 +228,7 @@ def test_a_negative_moment_is_as_in_the_document(tmp_path):
     path = written(tmp_path)
     old = "<mass_center>0 -.1 0</mass_center><inertia>.1 .1 .1 0 0 0<"
     path.write_text(path.read_text().replace(old, old.replace(".1 .1 .1", ".1 .1 -.001")))
-    report = command.run(path, tmp_path / "out")
+    report = command.run(path, tmp_path / "out", OurStep)
     errors = {key: engine["accelerations"] for key, engine in report["dynamics"]["engines"].items()}
     assert errors["step"]["worst"] < 1e-4
     assert errors["mjb"]["median"] > 1e-3

@@ -5,15 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.opensim.model.elements import ConditionalPathPoint
-from myowarp.opensim.model.elements import Path as MusclePath
-from myowarp.opensim.model.kinematics import complete, forward
-from myowarp.opensim.read.model import read_model
-from myowarp.opensim.wrap.cylinder import MANDATORY, wrap_cylinder
-from myowarp.opensim.wrap.ellipsoid import wrap_ellipsoid
-from myowarp.opensim.wrap.moment_arm import PRESENT, crossed, own_reference, poses_of
-from myowarp.opensim.wrap.path import activity, quadrant, solve
-from myowarp.opensim.wrap.sphere import wrap_sphere, wrap_torus
+from myowarp.osim.body.moment_arm import PRESENT, crossed, own_reference, poses_of
+from myowarp.osim.body.wrap.cylinder import MANDATORY, wrap_cylinder
+from myowarp.osim.body.wrap.ellipsoid import wrap_ellipsoid
+from myowarp.osim.body.wrap.path import activity, quadrant, solve
+from myowarp.osim.body.wrap.sphere import wrap_sphere, wrap_torus
+from myowarp.osim.document.elements import ConditionalPathPoint
+from myowarp.osim.document.elements import Path as MusclePath
+from myowarp.osim.document.kinematics import complete, forward
+from myowarp.osim.document.read.model import read_model
 
 DATA = Path(__file__).parents[1] / "data"
 MODELS = ("arm26", "gait10dof18musc", "leg6dof9musc")

@@ -8,7 +8,11 @@ import pytest
 import warp as wp
 
 from myowarp.laws.paths.tables import TURNS, PathMemory
-from myowarp.opensim.model.elements import (
+from myowarp.osim.body.described import described
+from myowarp.osim.body.moment_arm import crossed, own_reference, poses_of
+from myowarp.osim.body.on_device import lengths_and_moment_arms
+from myowarp.osim.body.wrap.path import solve
+from myowarp.osim.document.elements import (
     ConditionalPathPoint,
     MovingPathPoint,
     Path,
@@ -16,14 +20,10 @@ from myowarp.opensim.model.elements import (
     PathWrap,
     Pose,
 )
-from myowarp.opensim.model.functions import Linear, Polynomial, SimmSpline
-from myowarp.opensim.model.kinematics import about, forward, independent, random_poses
-from myowarp.opensim.model.model import WrapObject
-from myowarp.opensim.read.model import read_model
-from myowarp.opensim.wrap.described import described
-from myowarp.opensim.wrap.moment_arm import crossed, own_reference, poses_of
-from myowarp.opensim.wrap.on_device import lengths_and_moment_arms
-from myowarp.opensim.wrap.path import solve
+from myowarp.osim.document.functions import Linear, Polynomial, SimmSpline
+from myowarp.osim.document.kinematics import about, forward, independent, random_poses
+from myowarp.osim.document.model import WrapObject
+from myowarp.osim.document.read.model import read_model
 
 DATA = FilePath(__file__).parents[1] / "data"
 MODELS = ("arm26", "gait10dof18musc", "leg6dof9musc")

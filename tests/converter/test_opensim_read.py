@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.opensim.model.elements import ConditionalPathPoint, MovingPathPoint, PathPoint
-from myowarp.opensim.model.functions import Constant, Linear, SimmSpline
-from myowarp.opensim.read.document import MAX_DEPTH, parse
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.document.elements import ConditionalPathPoint, MovingPathPoint, PathPoint
+from myowarp.osim.document.functions import Constant, Linear, SimmSpline
+from myowarp.osim.document.read.element import MAX_DEPTH, parse
+from myowarp.osim.document.read.model import read_model
 
 MODELS = Path(__file__).parents[1] / "data" / "osim"
 ARM, OLD, JOINTS = (MODELS / f"{name}.osim" for name in ("arm26", "old", "joints"))

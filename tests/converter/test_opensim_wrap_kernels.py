@@ -11,7 +11,7 @@ from myowarp.laws.paths.ellipsoid import AXIAL, HYBRID, MIDPOINT, wrap_ellipsoid
 from myowarp.laws.paths.sphere import wrap_sphere
 from myowarp.laws.paths.torus import wrap_torus
 from myowarp.laws.paths.wrap import Wrap, real
-from myowarp.opensim.wrap import cylinder, ellipsoid, sphere
+from myowarp.osim.body.wrap import cylinder, ellipsoid, sphere
 
 RECORDED = Path(__file__).parents[1] / "data" / "opensim" / "paths_wraps.npz"
 

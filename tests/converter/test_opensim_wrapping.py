@@ -7,15 +7,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.opensim.check.muscles import motion
-from myowarp.opensim.compose.convert import Stages, convert
-from myowarp.opensim.model.kinematics import independent, random_poses
-from myowarp.opensim.read.model import read_model
-from myowarp.opensim.tendon.choice import fit_path
-from myowarp.opensim.tendon.fit import PathProblem, fit_surfaces, turn_sides
-from myowarp.opensim.tendon.path import Over, TendonPath, Via, lengths
-from myowarp.opensim.tendon.surface import Surface, over_surface
-from myowarp.opensim.wrap.moment_arm import crossed, own_reference, poses_of
+from myowarp.osim.body.moment_arm import crossed, own_reference, poses_of
+from myowarp.osim.convert.check.muscles import motion
+from myowarp.osim.convert.compose.convert import Stages, convert
+from myowarp.osim.convert.tendon.choice import fit_path
+from myowarp.osim.convert.tendon.fit import PathProblem, fit_surfaces, turn_sides
+from myowarp.osim.convert.tendon.path import Over, TendonPath, Via, lengths
+from myowarp.osim.convert.tendon.surface import Surface, over_surface
+from myowarp.osim.document.kinematics import independent, random_poses
+from myowarp.osim.document.read.model import read_model
 
 OSIM = Path(__file__).parents[1] / "data" / "osim"
 

@@ -11,14 +11,14 @@ import warp as wp
 from converted import motorised, simulation
 from scipy.interpolate import CubicSpline
 
-from myowarp.coordinates.couplings import Exact, ask, couplings, exact, follow, jacobian, read
 from myowarp.coordinates.free_coordinates import FreeCoordinates
 from myowarp.coordinates.reduction import Reduced
 from myowarp.definitions.task import TASKS
 from myowarp.engine.stages.arrays import filled
 from myowarp.engine.step import Step
 from myowarp.laws.pieces import Pieces
-from myowarp.opensim.compose.binary import binary, stiff
+from myowarp.osim.bundle.couplings import Exact, ask, couplings, exact, follow, jacobian, read
+from myowarp.osim.convert.compose.binary import binary, stiff
 from myowarp.process import warn_once
 from myowarp.sim.build import full_model
 

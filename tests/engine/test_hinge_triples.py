@@ -6,9 +6,9 @@ import pytest
 import warp as wp
 from converted import simulation
 
-from myowarp.coordinates.couplings import Exact, couplings
 from myowarp.coordinates.free_coordinates import FreeCoordinates
 from myowarp.coordinates.hinge_triples import NEAR, RETURN, triples_of
+from myowarp.osim.bundle.couplings import Exact, couplings
 
 ARM = """
 <mujoco model="arm">

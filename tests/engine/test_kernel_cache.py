@@ -11,9 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.cold_starts import first_starts
+from myowarp import process
 from myowarp.disk import writable_folder
 from myowarp.engine import compile as compile_
-from myowarp import process
 from myowarp.engine import kernel_cache
 from myowarp.engine.compile import compile_kernels, quiet
 

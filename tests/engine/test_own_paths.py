@@ -7,15 +7,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.coordinates.path_text import TEXT, Said, own_paths, read
 from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES
 from myowarp.laws.paths.tables import TURNS, OsimPath, OsimPaths, Over, Via, WrapSurface
-from myowarp.opensim.compose.convert import convert
-from myowarp.opensim.compose.mjcf import mjcf
-from myowarp.opensim.model.kinematics import independent, random_poses
-from myowarp.opensim.read.model import read_model
-from myowarp.opensim.wrap.on_device import lengths_and_moment_arms
+from myowarp.osim.body.on_device import lengths_and_moment_arms
+from myowarp.osim.bundle.paths import TEXT, Said, own_paths, read
+from myowarp.osim.convert.compose.convert import convert
+from myowarp.osim.convert.compose.mjcf import mjcf
+from myowarp.osim.document.kinematics import independent, random_poses
+from myowarp.osim.document.read.model import read_model
 from myowarp.sim.build import compile_scene, stepped_of
 from myowarp.tasks.from_file import pose_task, read_body
 from tests.converted import OSIM, simulation

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks.replicas import MujocoC, replicate
-from myowarp.opensim.compose.convert import convert
-from myowarp.opensim.compose.mjcf import mjcf
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.convert.compose.convert import convert
+from myowarp.osim.convert.compose.mjcf import mjcf
+from myowarp.osim.document.read.model import read_model
 
 OSIM = Path(__file__).parents[1] / "data" / "osim"
 

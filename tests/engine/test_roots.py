@@ -7,8 +7,8 @@ import warp as wp
 from configurations import configurations
 from converted import simulation
 
-from myowarp.coordinates.couplings import NOTHING, Exact
 from myowarp.coordinates.free_coordinates import MOST_DENSE, FreeCoordinates
+from myowarp.osim.bundle.couplings import NOTHING, Exact
 
 NUM_WORLDS = 11
 CLOSE = 3e-5  # of a world's largest acceleration; float32

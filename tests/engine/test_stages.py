@@ -22,9 +22,9 @@ from myowarp.engine.stage import STAGES, Stage, load
 from myowarp.engine.stages.muscle_path import MusclePath, MusclePaths
 from myowarp.engine.step import ORDER, uncovered
 from myowarp.engine.verify import verified_stages
-from myowarp.opensim.compose.convert import convert
-from myowarp.opensim.compose.mjcf import mjcf
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.convert.compose.convert import convert
+from myowarp.osim.convert.compose.mjcf import mjcf
+from myowarp.osim.document.read.model import read_model
 from myowarp.process import warn_once
 from myowarp.sim.build import stepped_of
 from myowarp.sim.simulation import Simulation

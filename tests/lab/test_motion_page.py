@@ -13,7 +13,7 @@ from myowarp.apps.reports import panel
 from myowarp.apps.reports.motion import DRAWN, draw, floating, page
 from myowarp.apps.reports.motion import PARTS as LIST
 from myowarp.motion.storage import Storage, read_storage, write_storage
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.document.read.model import read_model
 
 OSIM = Path(__file__).parents[1] / "data/osim"
 LEG, ARM = (OSIM / f"{name}.osim" for name in ("leg6dof9musc", "arm26"))

@@ -17,10 +17,10 @@ from myowarp.disk import SCRATCH  # noqa: E402
 from myowarp.motion.draws import Recording, Uncertainty, draw_trial, normal  # noqa: E402
 from myowarp.motion.inverse_kinematics import inverse_kinematics  # noqa: E402
 from myowarp.motion.markers import Markers, write_trc  # noqa: E402
-from myowarp.motion.skeleton import Bones  # noqa: E402
 from myowarp.motion.storage import Storage, read_storage, write_storage  # noqa: E402
 from myowarp.motion.trial import read_motion, write_angles  # noqa: E402
-from myowarp.opensim.read.model import read_model  # noqa: E402
+from myowarp.osim.body.skeleton import Bones  # noqa: E402
+from myowarp.osim.document.read.model import read_model  # noqa: E402
 
 DATA = Path(__file__).parents[1] / "data"
 ARM, LEG = (DATA / f"osim/{name}.osim" for name in ("arm26", "leg6dof9musc"))

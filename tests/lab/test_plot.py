@@ -6,9 +6,9 @@ import pytest
 
 from myowarp.apps.cli.main import main
 from myowarp.apps.reports import figures
-from myowarp.coordinates.couplings import couplings
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
+from myowarp.osim.bundle.couplings import couplings
 from myowarp.sim.build import oracle_model
 
 pytest.importorskip("matplotlib")

@@ -17,15 +17,15 @@ from myowarp.motion.actuators import actuators_of
 from myowarp.motion.draws import Recording, Uncertainty, draw_trial
 from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
 from myowarp.motion.joint_reactions import joint_reactions
-from myowarp.motion.model_forces import left_out, without
 from myowarp.motion.muscle_forces import muscle_forces
-from myowarp.motion.muscle_paths import muscle_paths
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.storage import read_storage
 from myowarp.motion.tracking import equations, track
 from myowarp.motion.trial import dynamics, held_up, read_motion, write_angles
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.body.model_forces import left_out, without
+from myowarp.osim.body.muscle_paths import muscle_paths
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.read.model import read_model
 from myowarp.process import warn_once
 
 DATA = Path(__file__).parents[1] / "data"

@@ -11,13 +11,13 @@ from myowarp.motion.inverse_kinematics import inverse_kinematics
 from myowarp.motion.joint_reactions import joint_reactions, muscle_wrenches
 from myowarp.motion.markers import Markers
 from myowarp.motion.muscle_forces import muscle_forces
-from myowarp.motion.muscle_paths import muscle_paths
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.smooth import derivatives
-from myowarp.opensim.model.dynamics import equations
-from myowarp.opensim.model.kinematics import random_poses
-from myowarp.opensim.read.model import read_model
-from myowarp.opensim.wrap.moment_arm import own_reference, poses_of
+from myowarp.osim.body.moment_arm import own_reference, poses_of
+from myowarp.osim.body.muscle_paths import muscle_paths
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.dynamics import equations
+from myowarp.osim.document.kinematics import random_poses
+from myowarp.osim.document.read.model import read_model
 
 DATA = Path(__file__).parents[1] / "data"
 MODELS = ("gait10dof18musc", "leg6dof9musc")

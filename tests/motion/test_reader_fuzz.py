@@ -24,7 +24,7 @@ from myowarp.motion.storage import read_storage
 from myowarp.motion.streams import Margin, Stream
 from myowarp.motion.tasks import tasks_of
 from myowarp.motion.tool_setup import read_tool_setup
-from myowarp.opensim.read.document import parse
+from myowarp.osim.document.read.element import parse
 
 THEIRS = json.loads((Path(__file__).parents[1] / "data/opensim/readers.json").read_text())
 SLOWEST = 5.0

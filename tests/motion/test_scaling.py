@@ -8,13 +8,13 @@ import pytest
 from myowarp.apps.cli.motion.kinematics import Kinematics
 from myowarp.apps.cli.motion.scale import FILES, Scale
 from myowarp.motion.markers import Markers, write_trc
-from myowarp.motion.muscle_paths import muscle_paths
-from myowarp.motion.scale_document import Document, scale_document, scaled_inertia, set_markers
 from myowarp.motion.scaling import read_setup, scale, window
-from myowarp.motion.skeleton import Bones
-from myowarp.opensim.model.kinematics import complete, forward
-from myowarp.opensim.read.document import parse, write
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.body.muscle_paths import muscle_paths
+from myowarp.osim.body.scale_document import Document, scale_document, scaled_inertia, set_markers
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.kinematics import complete, forward
+from myowarp.osim.document.read.element import parse, write
+from myowarp.osim.document.read.model import read_model
 
 DATA = Path(__file__).parents[1] / "data"
 MODELS = ("arm26", "ellipsoids", "gait10dof18musc", "joints", "leg6dof9musc", "old")

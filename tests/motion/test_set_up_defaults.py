@@ -12,12 +12,12 @@ from myowarp.motion.loads import loads_at, read_loads
 from myowarp.motion.markers import Markers, write_trc
 from myowarp.motion.scaling import read_setup, scale
 from myowarp.motion.setup import TrialSetup
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.tasks import tasks_of
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.trial import kinematics
-from myowarp.opensim.read.document import parse
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.read.element import parse
 
 ARM = Path(__file__).parents[1] / "data/osim/arm26.osim"
 ALL = (-math.inf, math.inf)

@@ -9,13 +9,13 @@ import pytest
 
 from myowarp.motion.metabolic_power import metabolic_power
 from myowarp.motion.muscle_forces import muscle_forces, rigid_capacity
-from myowarp.motion.muscle_paths import muscle_paths
-from myowarp.motion.skeleton import Bones
-from myowarp.motion.steady_muscles import SteadyMuscles
-from myowarp.opensim.muscle.hill import HillMuscle, known
-from myowarp.opensim.muscle.spline_tables import SPLINES
-from myowarp.opensim.read.model import read_model
-from myowarp.opensim.read.muscle_defaults import DEFAULTS
+from myowarp.osim.body.hill_muscle import HillMuscle, known
+from myowarp.osim.body.muscle_paths import muscle_paths
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.body.spline_tables import SPLINES
+from myowarp.osim.body.steady_muscles import SteadyMuscles
+from myowarp.osim.document.read.model import read_model
+from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 
 DATA = Path(__file__).parents[1] / "data"
 TABLES = 5e-6

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.motion.muscle_paths import PathsOfMuscles, muscle_paths
-from myowarp.motion.skeleton import Bones
-from myowarp.opensim.model.elements import ConditionalPathPoint, MovingPathPoint
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.body.muscle_paths import PathsOfMuscles, muscle_paths
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.elements import ConditionalPathPoint, MovingPathPoint
+from myowarp.osim.document.read.model import read_model
 
 OSIM = Path(__file__).parents[1] / "data/osim"
 FRAMES = 37

@@ -8,7 +8,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from myowarp.apps.cli.motion.track import FILES, Track
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.storage import read_storage
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.tracking import (
@@ -26,9 +25,10 @@ from myowarp.motion.tracking import (
     track,
 )
 from myowarp.motion.trial import write_angles
-from myowarp.opensim.model import dynamics
-from myowarp.opensim.muscle.hill import HillMuscle
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.body.hill_muscle import HillMuscle
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document import dynamics
+from myowarp.osim.document.read.model import read_model
 
 ARM = Path(__file__).parents[1] / "data/osim/arm26.osim"
 TIME = np.linspace(0.0, 0.2, 21)

@@ -13,10 +13,10 @@ from myowarp.apps.cli.motion.kinematics import Kinematics
 from myowarp.apps.cli.motion.report import Report
 from myowarp.apps.cli.motion.steps import RENEWED
 from myowarp.motion.markers import Markers, write_trc
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.trial import read_motion, write_angles
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.read.model import read_model
 
 DATA = Path(__file__).parents[1] / "data"
 GAIT, LEG = (DATA / "osim" / f"{name}.osim" for name in ("gait10dof18musc", "leg6dof9musc"))

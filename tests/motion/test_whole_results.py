@@ -12,9 +12,9 @@ from full_disk import full_disk
 
 from myowarp.disk import SCRATCH, sweep
 from myowarp.motion import streams
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.storage import Storage, Tables, read_storage, write_storage
 from myowarp.motion.trial import forces, read_parts
+from myowarp.osim.body.skeleton import Bones
 
 ROOT = Path(__file__).parents[2]
 ARM, BEND = ROOT / "examples/arm.osim", ROOT / "examples/arm_bend.mot"

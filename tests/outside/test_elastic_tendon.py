@@ -14,7 +14,7 @@ import myowarp
 from myowarp.apps.reports.figures import contraction_curves
 from myowarp.apps.rollouts.film import Film, write
 from myowarp.definitions.setup import Setup
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.document.read.model import read_model
 from myowarp.view.drawing.muscles import Muscles
 from myowarp.view.drawing.style import pose
 

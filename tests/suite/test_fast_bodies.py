@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks import accuracy
-from myowarp.coordinates.couplings import couplings, follow
 from myowarp.definitions.task import TASKS
+from myowarp.osim.bundle.couplings import couplings, follow
 from myowarp.sim.simulation import Simulation
 
 FOLLOWED = 2e-6  # rad or m: polynomials in float32

@@ -10,14 +10,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from myowarp.coordinates.couplings import couplings, follow
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TASKS
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.models.slim import slim
-from myowarp.opensim.compose.convert import convert
-from myowarp.opensim.compose.mjcf import mjcf
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.bundle.couplings import couplings, follow
+from myowarp.osim.convert.compose.convert import convert
+from myowarp.osim.convert.compose.mjcf import mjcf
+from myowarp.osim.document.read.model import read_model
 from myowarp.process import warn_once
 from myowarp.sim import build
 from myowarp.sim.simulation import Simulation

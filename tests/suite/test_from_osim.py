@@ -12,10 +12,10 @@ from muscle_bench import hold
 import myowarp
 from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES
-from myowarp.opensim import load as loading
-from myowarp.opensim.load import load
-from myowarp.opensim.muscle.hill import HillMuscle, known
-from myowarp.opensim.read.model import read_model
+from myowarp.osim.body.hill_muscle import HillMuscle, known
+from myowarp.osim.convert import load as loading
+from myowarp.osim.convert.load import load
+from myowarp.osim.document.read.model import read_model
 from myowarp.process import warn_once
 from myowarp.sim.build import compile_scene, full_spec, stepped_of
 from myowarp.sim.simulation import Simulation

@@ -25,10 +25,10 @@ from myowarp.laws.muscles.hill_law import DEGROOTE, MILLARD, SCHUTTE, THELEN
 from myowarp.models.muscles import hill, hill_kernels
 from myowarp.models.muscles.hill import Hill
 from myowarp.models.muscles.hill_native import native_contract_hill
-from myowarp.opensim.muscle.hill import HillMuscle
-from myowarp.opensim.muscle.spline_tables import SPLINES
-from myowarp.opensim.muscle.table import read_muscles, write_muscles
-from myowarp.opensim.read.muscle_defaults import DEFAULTS
+from myowarp.osim.body.hill_muscle import HillMuscle
+from myowarp.osim.body.spline_tables import SPLINES
+from myowarp.osim.convert.muscle_table import read_muscles, write_muscles
+from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 from myowarp.sim.build import compile_scene, oracle_model
 
 FORCE = {"float32": 1e-4, "float64": 1e-6}

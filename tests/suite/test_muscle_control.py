@@ -11,9 +11,9 @@ from myowarp.apps.policies.find import acting, find_policy
 from myowarp.apps.policies.muscle_control import MuscleControl
 from myowarp.apps.rollouts.episodes import Episodes
 from myowarp.apps.rollouts.run import run
-from myowarp.coordinates.couplings import jacobian
 from myowarp.definitions.task import TASKS
 from myowarp.models.conditions.sarcopenia import Sarcopenia
+from myowarp.osim.bundle.couplings import jacobian
 from myowarp.sim.build import full_model
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import get_state, set_state

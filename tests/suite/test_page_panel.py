@@ -14,7 +14,8 @@ from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.view import View, note_on, policies_for
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
-from myowarp.opensim.convert import run as convert
+from myowarp.osim.convert.run import run as convert
+from myowarp.sim.converted_step import OurStep
 from myowarp.sim.presets import PRESETS, fatigued_after, offered
 from myowarp.view.browser.body_tab import OpenSimArms, moment_arm
 from myowarp.view.browser.chart import Chart, Curve, as_png, as_svg
@@ -159,7 +160,7 @@ def test_quantities_agree_with_mujoco(sessions, key):
 
 def test_moment_arms_over_a_coordinate_are_those_of_opensim(tmp_path):
     """Muscles whose fitted path is exact have OpenSim's moment arms; followers move a muscle, too."""
-    convert(OSIM / "arm26.osim", tmp_path, workers=1)
+    convert(OSIM / "arm26.osim", tmp_path, OurStep, workers=1)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
     known, along = OpenSimArms(tmp_path / "model.xml"), np.linspace(0.1, 2.2, 30)
     assert len(known.pairs()) == 9

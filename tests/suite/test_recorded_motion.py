@@ -14,11 +14,11 @@ from myowarp.apps.cli.options import Said, Trial
 from myowarp.apps.cli.record import Record
 from myowarp.apps.cli.view import View
 from myowarp.definitions.setup import Setup
-from myowarp.motion.muscle_paths import muscle_paths
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.trial import read_motion
-from myowarp.opensim.model.kinematics import complete, forward
+from myowarp.osim.body.muscle_paths import muscle_paths
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.kinematics import complete, forward
 from myowarp.view.browser.server import close_server, open_server
 from myowarp.view.browser.trial_page import TrialPage
 from myowarp.view.drawing import style as look

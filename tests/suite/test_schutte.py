@@ -11,11 +11,11 @@ from hill_64 import Hill64, velocity_64
 import myowarp
 from myowarp.laws.muscles.hill_law import SCHUTTE
 from myowarp.laws.muscles.hill_parameters import hill_parameters
-from myowarp.opensim.muscle.curves import SplineCurves
-from myowarp.opensim.muscle.hill import HillMuscle
-from myowarp.opensim.muscle.spline_tables import SPLINES
-from myowarp.opensim.muscle.table import read_muscles, write_muscles
-from myowarp.opensim.read.muscle_defaults import DEFAULTS
+from myowarp.osim.body.hill_curves import SplineCurves
+from myowarp.osim.body.hill_muscle import HillMuscle
+from myowarp.osim.body.spline_tables import SPLINES
+from myowarp.osim.convert.muscle_table import read_muscles, write_muscles
+from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 from myowarp.sim.build import compile_scene
 
 KIND = "Schutte1993Muscle_Deprecated"

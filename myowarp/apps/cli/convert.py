@@ -9,7 +9,7 @@ import tyro
 from rich.console import Console
 
 from myowarp.disk import check_overwrite
-from myowarp.opensim.convert import COMPLETE, run
+from myowarp.osim.convert.run import COMPLETE, run
 
 
 @dataclass
@@ -47,10 +47,13 @@ class Convert:
 
     def __call__(self) -> None:
         """Convert, check, write."""
+        from myowarp.sim.converted_step import OurStep  # compiles nothing that help needs
+
         check_overwrite((self.output / name for name in COMPLETE), self.overwrite)
         report = run(
             self.model,
             self.output,
+            OurStep,
             self.meshes,
             self.method,
             self.workers,
@@ -87,7 +90,7 @@ def _figure(gate: dict[str, Any]) -> str:
 
 
 def _summarize(report: dict[str, Any], output: Path, accepted: tuple[str, ...]) -> None:
-    from myowarp.opensim.report.data import alike, left_out
+    from myowarp.osim.convert.report.data import alike, left_out
 
     console = Console(highlight=False, soft_wrap=True)
     counts = report["counts"]

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, cast
 import mujoco
 import numpy as np
 
-from myowarp.coordinates.couplings import follow
 from myowarp.definitions.body import POINT_JOINTS
 from myowarp.kernels.action import action_of
+from myowarp.osim.bundle.couplings import follow
 
 if TYPE_CHECKING:
     from myowarp.definitions.scene import Scene

@@ -26,11 +26,11 @@ from typing import TYPE_CHECKING, cast
 import mujoco
 import numpy as np
 
-from myowarp.coordinates.couplings import couplings, jacobian
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.muscle import muscle_index
 from myowarp.kernels.action import action_of, excitation
 from myowarp.kernels.bounded_least_squares import BoundedLeastSquares
+from myowarp.osim.bundle.couplings import couplings, jacobian
 from myowarp.sim.present import tension_at
 from myowarp.tasks.reach import ReachProgram
 

@@ -17,7 +17,6 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from myowarp.coordinates.couplings import couplings
 from myowarp.definitions.body import BODIES, POINT_JOINTS, Body
 from myowarp.definitions.condition import Condition, Effect, attributes_of, resolve
 from myowarp.definitions.entries import entries, of_joints
@@ -28,6 +27,7 @@ from myowarp.definitions.task import PHYSICS, RESETS, TASKS, Draw, TaskSpec
 from myowarp.engine.compile import quiet
 from myowarp.kernels.action import EXCITATION, LINEAR_EXCITATION, MUSCLE, excitation
 from myowarp.kernels.episode import FAULTS, SUCCESS_RULE
+from myowarp.osim.bundle.couplings import couplings
 from myowarp.sim.build import actuator_kinds, compile_scene, num_substeps_of, resolve_device
 from myowarp.sim.shard import bind_conditions
 

@@ -14,13 +14,13 @@ import warp as wp
 
 from myowarp.apps.reports import panel
 from myowarp.apps.reports.table import read_numbers
-from myowarp.coordinates.couplings import couplings, follow
 from myowarp.definitions.body import POINT_JOINTS
 from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import PHYSICS
 from myowarp.definitions.worlds import Worlds
+from myowarp.osim.bundle.couplings import couplings, follow
 from myowarp.sim import build
 from myowarp.sim.signals import UNITS
 

@@ -21,8 +21,8 @@ from myowarp.apps.reports import panel
 from myowarp.apps.reports.table import number
 from myowarp.motion.storage import Storage, read_storage
 from myowarp.motion.units import Angles
-from myowarp.opensim.model.kinematics import floating
-from myowarp.opensim.model.model import Model
+from myowarp.osim.document.kinematics import floating
+from myowarp.osim.document.model import Model
 
 MARKER_RMS, MARKER_MOST = 20.0, 40.0
 """[mm]."""

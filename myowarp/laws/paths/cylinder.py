@@ -1,6 +1,6 @@
 """The path of a line over a wrapping cylinder about z, as OpenSim 4.6 computes it.
 
-Rules and their source: `myowarp.opensim.wrap.cylinder`.
+Rules and their source: `myowarp.osim.body.wrap.cylinder`.
 """
 
 import warp as wp

@@ -1,6 +1,6 @@
 """The path of a line over a wrapping ellipsoid, as OpenSim 4.6 computes it.
 
-Rules and their source: `myowarp.opensim.wrap.ellipsoid`. All is scaled so that the mean half axis is 1.
+Rules and their source: `myowarp.osim.body.wrap.ellipsoid`. All is scaled so that the mean half axis is 1.
 """
 
 import warp as wp

@@ -3,7 +3,7 @@
 A thread follows one path in one world: conditional points while their value is in range, then every wrap
 object in turn takes the first straight piece that intersects it, else the one that it lengthens least; with
 several objects up to eight rounds. Rules, their source, and what OpenSim remembers:
-`myowarp.opensim.wrap.path`, whose float64 NumPy is the oracle. What pulls on bodies is what
+`myowarp.osim.body.wrap.path`, whose float64 NumPy is the oracle. What pulls on bodies is what
 `computeMomentArm` and OpenSim's forces use: unit tension along the straight pieces between different bodies,
 wrap points being fixed in the bodies of their objects (Sherman, Seth, Delp 2013,
 doi:10.1115/DETC2013-13633).
@@ -74,7 +74,7 @@ class Surface:
         axis: Coordinate that the quadrant looks at.
         sign: Side of it that a path must take; 0: any.
         active: 0: no path wraps over it.
-        size: [m], as in `opensim.model.model.WrapObject`.
+        size: [m], as in `osim.document.model.WrapObject`.
         position: Of its frame in the body [m].
         rotation: Of its frame in the body.
     """

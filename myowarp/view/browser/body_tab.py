@@ -14,9 +14,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from myowarp.coordinates.couplings import couplings, follow
 from myowarp.definitions.body import BODIES, POINT_JOINTS
 from myowarp.definitions.registry import check_choice
+from myowarp.osim.bundle.couplings import couplings, follow
 from myowarp.view.browser.chart import Chart, Curve, as_svg
 from myowarp.view.browser.controls import Controls
 from myowarp.view.browser.readings import jacobian

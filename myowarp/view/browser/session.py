@@ -13,10 +13,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from myowarp.coordinates.couplings import follow
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.kernels.write import write
+from myowarp.osim.bundle.couplings import follow
 from myowarp.sim.build import full_spec
 from myowarp.sim.economy import Economy
 from myowarp.sim.patient import Knob, Patient, every_condition

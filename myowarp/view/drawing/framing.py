@@ -12,8 +12,8 @@ from collections.abc import Iterable, Iterator, Mapping
 import mujoco
 import numpy as np
 
-from myowarp.coordinates.couplings import follow
 from myowarp.definitions.body import POINT_JOINTS
+from myowarp.osim.bundle.couplings import follow
 from myowarp.view.drawing import style as look
 from myowarp.view.drawing.skeleton import Skeleton
 

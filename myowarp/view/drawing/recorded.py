@@ -13,17 +13,17 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from myowarp.coordinates.couplings import ask
 from myowarp.motion.loads import loads_at
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.storage import Storage, read_storage
 from myowarp.motion.trial import read_motion
-from myowarp.opensim.compose.convert import Options, convert
-from myowarp.opensim.model.kinematics import Frames
-from myowarp.opensim.model.model import GROUND, Model
-from myowarp.opensim.muscle.hill import HillMuscle
-from myowarp.opensim.wrap.moment_arm import Poses, poses_of, stacked
-from myowarp.opensim.wrap.path import solve
+from myowarp.osim.body.hill_muscle import HillMuscle
+from myowarp.osim.body.moment_arm import Poses, poses_of, stacked
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.body.wrap.path import solve
+from myowarp.osim.bundle.couplings import ask
+from myowarp.osim.convert.compose.convert import Options, convert
+from myowarp.osim.document.kinematics import Frames
+from myowarp.osim.document.model import GROUND, Model
 from myowarp.view.drawing.framing import Framing
 from myowarp.view.drawing.snapshot import Snapshot
 

@@ -31,7 +31,7 @@ class Emg:
         from myowarp.apps.reports.emg import draw_emg
         from myowarp.motion.emg import agreement, envelopes
         from myowarp.motion.storage import read_storage, write_storage
-        from myowarp.opensim.read.model import read_model
+        from myowarp.osim.document.read.model import read_model
 
         source = needed(self.emg, "emg", "emg")
         check_results(self.output, FILES, self.overwrite)

@@ -34,9 +34,9 @@ from myowarp.apps.cli.options import Overwrite
 if TYPE_CHECKING:
     from myowarp.motion.loads import Loads
     from myowarp.motion.muscle_forces import MuscleForces
-    from myowarp.motion.skeleton import Bones
     from myowarp.motion.storage import Tables
     from myowarp.motion.trial import Movement
+    from myowarp.osim.body.skeleton import Bones
 
 RENEWS = "moments.sto", "passive_moments.sto"
 FILES = (

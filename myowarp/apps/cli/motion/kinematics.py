@@ -49,7 +49,7 @@ class Kinematics:
         """Check, solve, write."""
         from myowarp.motion import trial
         from myowarp.motion.inverse_kinematics import MarkerErrors
-        from myowarp.motion.skeleton import Bones
+        from myowarp.osim.body.skeleton import Bones
 
         setup = setup_of(self.setup, markers=self.markers, span=self.span, fill=self.fill)
         needed(setup.markers, "kinematics", "markers")

@@ -18,9 +18,9 @@ from myowarp.progress import patient_bar
 if TYPE_CHECKING:
     from myowarp.motion.loads import Loads
     from myowarp.motion.setup import TrialSetup
-    from myowarp.motion.skeleton import Bones
     from myowarp.motion.storage import Tables
     from myowarp.motion.trial import Movement
+    from myowarp.osim.body.skeleton import Bones
 
 Model = Annotated[Path, tyro.conf.Positional, described("MODEL", "The model, .osim.")]
 Recorded = Annotated[Path | None, described("FILE", "Joint angles over time, .mot or .sto.", UNSET)]
@@ -150,7 +150,7 @@ def bones_of(model: Path, setup: TrialSetup) -> Bones:
     Raises:
         As `Bones.read`.
     """
-    from myowarp.motion.skeleton import Bones
+    from myowarp.osim.body.skeleton import Bones
 
     bones, lines = setup.model_of(Bones.read(model))
     say(lines)
@@ -214,7 +214,7 @@ def write_page(output: Path, model: Path, motion: Path | None) -> None:
         ImportError: matplotlib is not installed.
     """
     from myowarp.apps.reports.motion import page
-    from myowarp.opensim.read.model import read_model
+    from myowarp.osim.document.read.model import read_model
 
     text = page(output, read_model(model), motion)
     with in_place(output / "report.html") as scratch:

@@ -32,8 +32,8 @@ from myowarp.disk import make_folder
 from myowarp.progress import progress_bar
 
 if TYPE_CHECKING:
-    from myowarp.motion.skeleton import Bones
     from myowarp.motion.tracking import Tracked
+    from myowarp.osim.body.skeleton import Bones
 
 FILES = (
     "tracked.mot",

@@ -30,10 +30,10 @@ from myowarp.motion.inverse_kinematics import inverse_kinematics
 from myowarp.motion.loads import loads_at, read_loads
 from myowarp.motion.muscle_forces import Mode
 from myowarp.motion.setup import EXPONENT, TrialSetup
-from myowarp.motion.skeleton import Bones
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.trial import read_markers, read_motion, targets
-from myowarp.opensim.read.document import MAX_NUMBER
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.read.element import MAX_NUMBER
 from myowarp.process import warn_once
 from myowarp.sim.patient_table import read_table
 

@@ -15,8 +15,8 @@ import numpy as np
 from myowarp.apps.reports.panel import COLORS
 from myowarp.apps.reports.result import POSITIVE, Merit, both, rises
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
-from myowarp.coordinates.couplings import follow
 from myowarp.definitions.body import BODIES
+from myowarp.osim.bundle.couplings import follow
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -284,15 +284,16 @@ def _joints(lab: Lab, path: Path) -> dict[str, tuple[str, float]]:
 def _converted(lab: Lab, path: Path) -> tuple[mujoco.MjModel, mujoco.MjModel]:
     """Return the converted model of a file, with and without fitted paths and forces."""
     from myowarp.disk import files_digest
-    from myowarp.opensim.compose.convert import convert as compose
-    from myowarp.opensim.compose.mjcf import mjcf
-    from myowarp.opensim.convert import run as convert
-    from myowarp.opensim.read.model import read_model
+    from myowarp.osim.convert.compose.convert import convert as compose
+    from myowarp.osim.convert.compose.mjcf import mjcf
+    from myowarp.osim.convert.run import run as convert
+    from myowarp.osim.document.read.model import read_model
+    from myowarp.sim.converted_step import OurStep
 
     folder = _folder(lab, path)
 
     def measure(_: Tick) -> dict[str, np.ndarray]:
-        convert(path, folder)
+        convert(path, folder, OurStep)
         return {}
 
     lab.kept(f"convert_{path.stem}", {"file": files_digest([path])}, measure)

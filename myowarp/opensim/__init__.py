@@ -1,1 +1,0 @@
-"""OpenSim models: reading, forward kinematics, and conversion to MuJoCo."""

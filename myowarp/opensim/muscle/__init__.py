@@ -1,1 +1,0 @@
-"""Muscle laws of OpenSim, and MuJoCo's muscle fitted to them."""

@@ -1,0 +1,67 @@
+"""The paths of a `Model` as the device's tables take them."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from myowarp.laws.paths.tables import OsimPath, OsimPaths, Over, Vector, Via, WrapSurface
+from myowarp.osim.body.wrap.path import RANGE_SLACK, path_range, quadrant
+from myowarp.osim.document.elements import ConditionalPathPoint, MovingPathPoint, Path, Point
+from myowarp.osim.document.functions import IDENTITY, Function, Held
+from myowarp.osim.document.model import Model, WrapObject
+
+Value = tuple[Function, str]
+"""What points depend on: a function, and the coordinate that is its argument."""
+
+
+def described(model: Model, paths: Mapping[str, Path]) -> tuple[OsimPaths, list[Value]]:
+    """Return paths of a model, and the values that their points depend on."""
+    values: list[Value] = []
+    objects = dict.fromkeys(wrap.object for path in paths.values() for wrap in path.wraps)
+    found = {name: _path(model, path, values) for name, path in paths.items()}
+    return OsimPaths(found, {name: _surface(model.wraps[name]) for name in objects}), values
+
+
+def _path(model: Model, path: Path, values: list[Value]) -> OsimPath:
+    over = [Over(wrap.object, wrap.method, *path_range(wrap, len(path.points))) for wrap in path.wraps]
+    return OsimPath(tuple(_point(model, point, values) for point in path.points), tuple(over))
+
+
+def _point(model: Model, point: Point, values: list[Value]) -> Via:
+    if isinstance(point, MovingPathPoint):
+        numbers, rest = [-1, -1, -1], [0.0, 0.0, 0.0]
+        for axis, (function, coordinate) in enumerate(zip(point.functions, point.coordinates, strict=True)):
+            if coordinate is None:
+                rest[axis] = float(function.value(0.0))
+            else:
+                held = Held(function, *model.coordinates[coordinate].range)
+                numbers[axis] = _number((held, coordinate), values)
+        rotation = tuple(vector(row) for row in point.frame.rotation)
+        x, y, z = numbers
+        return Via(point.body, vector(point.frame.position), rotation, (x, y, z), vector(rest))  # type: ignore[arg-type]
+    if isinstance(point, ConditionalPathPoint):
+        condition = _number((IDENTITY, point.coordinate), values)
+        low, high = point.range[0] - RANGE_SLACK, point.range[1] + RANGE_SLACK
+        return Via(point.body, vector(point.location), condition=condition, range=(low, high))
+    return Via(point.body, vector(point.location))
+
+
+def _number(value: Value, values: list[Value]) -> int:
+    """Return the number of a value, which is added if it is new."""
+    if value not in values:
+        values.append(value)
+    return values.index(value)
+
+
+def _surface(wrap: WrapObject) -> WrapSurface:
+    axis, sign = quadrant(wrap.quadrant)
+    rotation = tuple(vector(row) for row in wrap.frame.rotation)
+    size = vector([*wrap.size, 0.0, 0.0][:3])
+    position = vector(wrap.frame.position)
+    return WrapSurface(wrap.kind, wrap.body, position, rotation, size, axis, sign, wrap.active)  # type: ignore[arg-type]
+
+
+def vector(values: np.ndarray | list[float]) -> Vector:
+    """Return three numbers as a tuple."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z

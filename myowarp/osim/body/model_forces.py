@@ -1,0 +1,338 @@
+"""What acts in a model beside muscles: springs and limits of coordinates, bushings, ligaments, path springs.
+
+The laws are those of the simulation (`laws.forces`). A coordinate that follows another one pushes that one
+with its slope. OpenSim's inverse dynamics and static optimisation have these forces act, too; what acts there
+and not here is named (`left_out`), and what a set-up file excludes is taken out of the model (`without`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from myowarp.kernels.launch import launch
+from myowarp.kernels.structs import struct_array
+from myowarp.laws.forces.bushing import Bushing, bushing_force, bushing_torque
+from myowarp.laws.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
+from myowarp.laws.forces.ligament import Ligament, ligament_tension
+from myowarp.osim.body.moment_arm import coordinates_between, leading
+from myowarp.osim.body.muscle_paths import muscle_paths
+from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, move_value, station
+from myowarp.osim.document.elements import LEAST_TRANSITION
+from myowarp.osim.document.functions import IDENTITY, Function
+from myowarp.osim.document.model import GROUND, Loss, Model, Note
+from myowarp.process import warn_once
+
+LISTED = 4
+"""Coordinates that are named of what is left out."""
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class CoordinateSpring:
+    """A linear spring and damper on a coordinate: f = -k (q - rest) - c dq/dt.
+
+    Attributes:
+        address: Number of its coordinate among those that something acts on.
+        stiffness: k [N m/rad or N/m].
+        rest: [rad or m].
+        damping: c [N m s/rad or N s/m].
+    """
+
+    address: int
+    stiffness: wp.float64
+    rest: wp.float64
+    damping: wp.float64
+
+
+@wp.struct
+class ModelForces:
+    """What acts in a model on coordinates and between bodies.
+
+    Attributes:
+        coordinates: Those that something acts on, as functions of independent ones.
+        limits: Limits of coordinates; their address is a number in `coordinates`.
+        springs: Springs of coordinates.
+        bushings: Between bodies.
+    """
+
+    coordinates: Skeleton
+    limits: wp.array[CoordinateLimit]
+    springs: wp.array[CoordinateSpring]
+    bushings: wp.array[Bushing]
+
+
+@wp.func
+def push_coordinates(
+    worldid: int,
+    acting: ModelForces,
+    values: wp.array2d[wp.float64],
+    speeds: wp.array2d[wp.float64],
+    passive: wp.array2d[wp.float64],
+):
+    """Add f dq/du of limits and springs of coordinates q to what acts along the independent u."""
+    for i in range(acting.limits.shape[0]):
+        limit = acting.limits[i]
+        k = acting.coordinates.free[limit.address]
+        if k >= 0:
+            q = move_value(acting.coordinates, limit.address, values[worldid, k])
+            rate = q[1] * speeds[worldid, k]
+            force = limit_spring(limit, q[0]) - limit_damping(limit, q[0]) * rate
+            passive[worldid, k] += q[1] * force
+    for i in range(acting.springs.shape[0]):
+        spring = acting.springs[i]
+        k = acting.coordinates.free[spring.address]
+        if k >= 0:
+            q = move_value(acting.coordinates, spring.address, values[worldid, k])
+            rate = q[1] * speeds[worldid, k]
+            force = -spring.stiffness * (q[0] - spring.rest) - spring.damping * rate
+            passive[worldid, k] += q[1] * force
+
+
+@wp.func
+def motion_of(
+    worldid: int, body: int, skeleton: Skeleton, speeds: wp.array2d[wp.float64], placement: Placement
+):
+    """Return the angular velocity of a body, and its velocity where ground's origin is."""
+    turn = wp.vec3d()
+    shift = wp.vec3d()
+    carried = int(body)
+    while carried >= 0:
+        for move in range(skeleton.first[carried], skeleton.first[carried + 1]):
+            k = skeleton.free[move]
+            if k >= 0:
+                turn += speeds[worldid, k] * placement.turn[worldid, move]
+                shift += speeds[worldid, k] * placement.shift[worldid, move]
+        carried = skeleton.parent[carried]
+    return turn, shift
+
+
+@wp.func
+def axes_of(worldid: int, body: int, rotation: wp.mat33d, placement: Placement) -> wp.mat33d:
+    """Return axes of a frame of a body in ground."""
+    if body < 0:
+        return rotation
+    return placement.rotation[worldid, body] * rotation
+
+
+@wp.func
+def bushing_wrench(
+    worldid: int,
+    bushing: Bushing,
+    skeleton: Skeleton,
+    speeds: wp.array2d[wp.float64],
+    placement: Placement,
+):
+    """Return force and torque about ground's origin on the second body; the first gets the opposite."""
+    first_turn, first_shift = motion_of(worldid, bushing.first, skeleton, speeds, placement)
+    second_turn, second_shift = motion_of(worldid, bushing.second, skeleton, speeds, placement)
+    first_axes = axes_of(worldid, bushing.first, bushing.first_rotation, placement)
+    second_axes = axes_of(worldid, bushing.second, bushing.second_rotation, placement)
+    begin = station(worldid, bushing.first, bushing.first_origin, placement)
+    end = station(worldid, bushing.second, bushing.second_origin, placement)
+    to_first = wp.transpose(first_axes)
+    spin = second_turn - first_turn
+    # How the second origin moves in the first frame.
+    velocity = to_first * (second_shift - first_shift + wp.cross(spin, end))
+    force = first_axes * bushing_force(bushing, to_first * (end - begin), velocity)
+    along = wp.transpose(second_axes) * spin
+    torque = second_axes * bushing_torque(bushing, to_first * second_axes, along)
+    return force, torque + wp.cross(end, force)
+
+
+@wp.func
+def along_moves(
+    worldid: int,
+    body: int,
+    force: wp.vec3d,
+    torque: wp.vec3d,
+    skeleton: Skeleton,
+    placement: Placement,
+    passive: wp.array2d[wp.float64],
+):
+    """Add what a force and a torque about ground's origin on a body do along independent coordinates."""
+    carried = int(body)
+    while carried >= 0:
+        for move in range(skeleton.first[carried], skeleton.first[carried + 1]):
+            k = skeleton.free[move]
+            if k >= 0:
+                passive[worldid, k] += wp.dot(placement.turn[worldid, move], torque)
+                passive[worldid, k] += wp.dot(placement.shift[worldid, move], force)
+        carried = skeleton.parent[carried]
+
+
+@wp.kernel(enable_backward=False)
+def pull_ligaments(
+    # Params:
+    ligaments: wp.array[Ligament],
+    # In:
+    spring: wp.array2d[wp.float64],
+    length: wp.array2d[wp.float64],
+    velocity: wp.array2d[wp.float64],
+    # Out:
+    tension: wp.array2d[wp.float64],
+):
+    """T of ligaments and path springs [N]."""
+    worldid, i = wp.tid()
+    tension[worldid, i] = ligament_tension(
+        ligaments[i], spring[worldid, i], length[worldid, i], velocity[worldid, i]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Acting:
+    """What acts in a model beside muscles.
+
+    Attributes:
+        tables: What kernels read.
+        any: Whether these have anything.
+        ligaments: Names of what pulls along a path.
+        rows: Their laws.
+        curves: Tension at rest of each [N] over length / resting length.
+    """
+
+    tables: ModelForces
+    any: bool
+    ligaments: tuple[str, ...]
+    rows: wp.array
+    curves: tuple[Function, ...]
+
+
+def acts(model: Model) -> bool:
+    """Whether anything acts in a model beside muscles and motors."""
+    return bool(model.limit_forces or model.coordinate_springs or model.bushings or model.ligaments)
+
+
+def left_out(model: Model) -> str:
+    """Return what acts in OpenSim beside muscles and not here, with the coordinates whose moments it changes.
+
+    It is one sentence; "": nothing is left out.
+    """
+    lost = [note for note in model.notes if isinstance(note, Loss) and note.effect in ("force", "contact")]
+    shapes = {shape.name: shape.body for shape in model.shapes if shape.contact}
+    said = []
+    for note in lost:
+        moved: Iterable[str | None] = note.names & set(model.coordinates)
+        if not moved:
+            bodies = [name for name in (*model.bodies, GROUND) if name in note.names]
+            bodies += [body for name, body in shapes.items() if name in note.names]
+            moved = coordinates_between(model, bodies if len(set(bodies)) > 1 else [*bodies, GROUND])
+        on = leading(model, moved)
+        more = f" and {len(on) - LISTED} more" if len(on) > LISTED else ""
+        where = f"{', '.join(on[:LISTED])}{more}" if on else "on which coordinates is not known"
+        said.append(f"{note.code} {note.path.rpartition('/')[2]!r} ({where})")
+    return f"left out, though OpenSim has it act: {'; '.join(said)}" if said else ""
+
+
+def without(model: Model, names: Iterable[str]) -> tuple[Model, list[str]]:
+    """Return a model without some forces, named as OpenSim's `forces_to_exclude` names them.
+
+    Args:
+        model: The model.
+        names: Of forces, or All, Actuators and Muscles in letters of any size. External loads stay.
+
+    Returns:
+        The model, and the names that are neither.
+    """
+    wanted = [name for name in names if name.upper() not in ("ACTUATORS", "MUSCLES")]
+    every = "ALL" in {name.upper() for name in wanted}
+
+    def stays(name: str) -> bool:
+        return not every and name not in wanted
+
+    def place(note: Note) -> str:
+        return note.path.rpartition("/")[2]
+
+    kinds = ("limit_forces", "coordinate_springs", "bushings")
+    motors = ("coordinate_actuators", "path_actuators", "body_actuators")
+    left: dict[str, Any] = {
+        kind: tuple(one for one in getattr(model, kind) if stays(one.name)) for kind in kinds
+    }
+    left["ligaments"] = {name: one for name, one in model.ligaments.items() if stays(name)}
+    left["notes"] = tuple(note for note in model.notes if not isinstance(note, Loss) or stays(place(note)))
+    there = {one.name for kind in (*kinds, *motors) for one in getattr(model, kind)}
+    there |= {*model.ligaments, *model.muscles, *map(place, model.notes)}
+    return replace(model, **left), [] if every else [name for name in wanted if name not in there]
+
+
+@lru_cache(maxsize=8)
+def acting_in(bones: Bones) -> Acting:
+    """Return what acts in a model beside muscles, on the bones' device; what is left out is logged once."""
+    model = bones.model
+    if sentence := left_out(model):
+        warn_once(f"{model.source.name}: {sentence}")
+    on = [item.coordinate for item in model.limit_forces]
+    on += [item.coordinate for item in model.coordinate_springs]
+    limits = [
+        (number, 0, *item.limits, *item.stiffness, item.damping, max(item.transition, LEAST_TRANSITION))
+        for number, item in enumerate(model.limit_forces)
+    ]
+    springs = [
+        (len(limits) + number, item.stiffness, item.rest, item.damping)
+        for number, item in enumerate(model.coordinate_springs)
+    ]
+    bushings = [
+        (
+            *(bones.number(body) for body in item.bodies),
+            *(part for frame in item.frames for part in (frame.rotation, frame.position)),
+            item.rotational_stiffness,
+            item.translational_stiffness,
+            item.rotational_damping,
+            item.translational_damping,
+        )
+        for item in model.bushings
+    ]
+    tables = ModelForces()
+    with wp.ScopedDevice(bones.device):
+        tables.coordinates = bones.values_of([(IDENTITY, name) for name in on])
+        tables.limits, tables.springs = (
+            struct_array(CoordinateLimit, limits),
+            struct_array(CoordinateSpring, springs),
+        )
+        tables.bushings = struct_array(Bushing, bushings)
+        ligaments = tuple(model.ligaments.values())
+        rows = struct_array(
+            Ligament,
+            [(i, own.resting_length, own.dissipation, own.damping) for i, own in enumerate(ligaments)],
+        )
+    curves = tuple(ligament.force for ligament in ligaments)
+    return Acting(tables, bool(on or bushings), tuple(model.ligaments), rows, curves)
+
+
+def ligament_pulls(bones: Bones, values: np.ndarray, speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return tensions of ligaments and path springs [N], and what these do along coordinates [N m] or [N].
+
+    Args:
+        bones: The model.
+        values: Of the independent coordinates [rad] or [m], shape (frames, coordinates).
+        speeds: Their derivatives by time.
+
+    Returns:
+        Arrays of shape (frames, ligaments) and (frames, coordinates).
+    """
+    acting = acting_in(bones)
+    if not acting.ligaments:
+        return np.zeros((len(values), 0)), np.zeros(values.shape)
+    paths = muscle_paths(bones, values, speeds, acting.ligaments)
+    rest = [ligament.resting_length for ligament in bones.model.ligaments.values()]
+    shares = (paths.length / rest).T
+    spring = np.stack([curve.value(x) for curve, x in zip(acting.curves, shares, strict=True)], axis=1)
+    with wp.ScopedDevice(bones.device):
+        tension = wp.empty(paths.length.shape, dtype=wp.float64)
+        launch(
+            pull_ligaments,
+            paths.length.shape,
+            ligaments=acting.rows,
+            spring=wp.array(spring, dtype=wp.float64),
+            length=wp.array(paths.length, dtype=wp.float64),
+            velocity=wp.array(paths.velocity, dtype=wp.float64),
+            tension=tension,
+        )
+        found = tension.numpy().copy()
+    return found, np.einsum("nm,nmk->nk", found, paths.moment_arm)

@@ -1,0 +1,248 @@
+"""Joints that follow others: q_i = f_i(q_j), f_i piecewise polynomial.
+
+MuJoCo has a joint equality for that, one quartic, held by a spring. A model may carry better: a text named
+`couplings` (what `myowarp convert` writes as `couplings.json` beside `model.xml`) with the document's own
+functions, and with the masses and moments of inertia that MuJoCo refuses. Such a model asks for coordinates
+that follow exactly (`coordinates.free_coordinates`); a text without functions asks so for its equalities.
+
+Source: MuJoCo documentation, *XML reference, equality/joint*: q_i - q0_i = sum_k c_k (q_j - q0_j)^k, k <= 4.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from myowarp.laws.pieces import EVERYWHERE, Pieces
+from myowarp.osim.bundle.text import check_named, scalar_joints, set_text, text_of
+
+TEXT = "couplings"
+"""Name of the model's text that says how its joints follow each other exactly."""
+
+
+REGULAR = 1e-9
+"""Least `regularity` of a mass matrix along free coordinates with which float32 finds accelerations."""
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A joint that follows.
+
+    Attributes:
+        joint: Id of the joint.
+        driver: Id of the joint that it follows, which follows none itself unless joints follow each other in
+            a ring; -1 for none, it then stays where it is put.
+        curves: The joint's value is last(...(first(driver's value))).
+    """
+
+    joint: int
+    driver: int
+    curves: tuple[Pieces, ...]
+
+    def derivatives(self, x: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the joint's value, slope and second derivative at driver's values `x`, in its shape."""
+        value = np.asarray(x, float)
+        slope, bend = np.ones(value.shape), np.zeros(value.shape)
+        for curve in self.curves:
+            value, outer, outer_bend = curve.derivatives(value)
+            slope, bend = outer * slope, outer_bend * slope**2 + outer * bend
+        return value, slope, bend
+
+
+@dataclass(frozen=True)
+class Exact:
+    """What a model's text says.
+
+    Attributes:
+        curves: Of joints that follow, by name: the joint that each follows, None for none, and its curves.
+        bodies: Mass [kg] and principal moments of inertia [kg m^2], in the model's axes, of bodies that are
+            heavier in the model, because MuJoCo needs it.
+    """
+
+    curves: Mapping[str, tuple[str | None, tuple[Pieces, ...]]]
+    bodies: Mapping[str, tuple[float, tuple[float, ...]]]
+
+    @property
+    def turns_otherwise(self) -> bool:
+        """Whether a body with a mass has other moments of inertia than in the model."""
+        return any(mass > 0 for mass, _ in self.bodies.values())
+
+    def as_json(self) -> str:
+        """Return the text."""
+        curves = {
+            joint: {"of": of, "curves": [p.entry() for p in pieces]}
+            for joint, (of, pieces) in self.curves.items()
+        }
+        bodies = {name: {"mass": mass, "inertia": inertia} for name, (mass, inertia) in self.bodies.items()}
+        return json.dumps({"joints": curves, "bodies": bodies})
+
+
+NOTHING = Exact({}, {})
+"""Asks that joint equalities be exact."""
+
+
+@lru_cache(maxsize=8)
+def read(text: str) -> Exact:
+    """Return what a text says.
+
+    Raises:
+        ValueError: It is not one that `Exact.as_json` writes.
+    """
+    try:
+        entry = json.loads(text)
+        return Exact({joint: driven(e) for joint, e in entry["joints"].items()}, _bodies(entry["bodies"]))
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ValueError(
+            "the couplings of the model must be JSON with 'joints' and 'bodies' as `myowarp convert` writes "
+            f"it; {type(error).__name__}: {error}"
+        ) from error
+
+
+def driven(entry: Mapping[str, object]) -> tuple[str | None, tuple[Pieces, ...]]:
+    """Return the joint that an entry of a text follows, None for none, and its curves.
+
+    Raises:
+        ValueError: Its pieces are broken.
+        KeyError: It has no joint or no curves.
+    """
+    of, curves = entry["of"], entry["curves"]
+    pieces = []
+    for breaks, rows, *held in curves:  # type: ignore[attr-defined]
+        if not breaks or len(breaks) != len(rows) or not all(rows) or (np.diff(breaks) < 0).any():
+            raise ValueError("a curve needs as many pieces as breaks, and these must ascend")
+        numbers = np.concatenate([breaks, *rows]).astype(float)
+        if not np.isfinite(numbers).all():
+            raise ValueError("a curve has a number that is not finite")
+        low, high = held[0] if held else EVERYWHERE
+        if not low <= high:
+            raise ValueError(f"a curve must be held from a lower to a higher value, got {low} and {high}")
+        table = tuple(tuple(map(float, row)) for row in rows)
+        pieces.append(Pieces(tuple(map(float, breaks)), table, (float(low), float(high))))
+    return (None if of is None else str(of)), tuple(pieces)
+
+
+def _bodies(entries: Mapping[str, Mapping[str, object]]) -> dict[str, tuple[float, tuple[float, ...]]]:
+    bodies = {}
+    for name, entry in entries.items():
+        mass, inertia = np.array(entry["mass"], float), np.array(entry["inertia"], float)
+        if mass.shape or inertia.shape != (3,) or not (mass >= 0 and np.isfinite([mass, *inertia]).all()):
+            raise ValueError(f"body {name!r} needs a mass and three moments of inertia")
+        bodies[name] = float(mass), tuple(inertia.tolist())
+    return bodies
+
+
+def exact(model: mujoco.MjModel) -> Exact | None:
+    """Return what a model's text says, None for a model without one: its joints follow by equalities.
+
+    Raises:
+        ValueError: The text is broken, or names joints that the model has not.
+    """
+    if (text := text_of(model, TEXT)) is None:
+        return None
+    found = read(text)
+    named = {*found.curves, *(of for of, _ in found.curves.values() if of is not None)}
+    check_named("couplings", "hinge or slide", named, scalar_joints(model))
+    return found
+
+
+def ask(spec: mujoco.MjSpec, text: str = NOTHING.as_json()) -> None:
+    """Have the joints of a spec follow exactly, as a text says; one that it has already is replaced.
+
+    Raises:
+        ValueError: The text is broken.
+    """
+    set_text(spec, TEXT, text)
+    for body in filter(None, map(spec.body, read(text).bodies)):
+        body.fuse = 0  # fused with its parent it could not be weighed
+
+
+def couplings(model: mujoco.MjModel) -> list[Coupling]:
+    """Return the active couplings of a model, each from the joint at the root of its chain.
+
+    What the model's text says comes before its equalities of the same joint.
+    """
+    said = exact(model) or NOTHING
+    waiting = [
+        Coupling(model.joint(joint).id, -1 if of is None else model.joint(of).id, curves)
+        for joint, (of, curves) in said.curves.items()
+    ]
+    ties = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_active0.astype(bool)
+    for i in np.flatnonzero(ties):
+        joint, driver = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+        if model.joint(joint).name not in said.curves:
+            waiting.append(_equality(model, joint, driver, model.eq_data[i, :5].tolist()))
+    ordered: list[Coupling] = []
+    chains: dict[int, Coupling] = {}
+    while waiting:
+        late = {coupling.joint for coupling in waiting}
+        ready = [coupling for coupling in waiting if coupling.driver not in late]
+        for coupling in ready or waiting:  # a ring has no beginning
+            before = chains.get(coupling.driver)
+            if before is not None:
+                coupling = Coupling(coupling.joint, before.driver, before.curves + coupling.curves)
+            ordered.append(coupling)
+        chains |= {coupling.joint: coupling for coupling in ordered} if ready else {}
+        waiting = [coupling for coupling in waiting if ready and coupling.driver in late]
+    return ordered
+
+
+def _equality(model: mujoco.MjModel, joint: int, driver: int, polynomial: list[float]) -> Coupling:
+    """Return a joint equality as a coupling."""
+    own = float(model.qpos0[model.jnt_qposadr[joint]])
+    if driver < 0:
+        return Coupling(joint, -1, (Pieces((0.0,), ((own + polynomial[0],),)),))
+    start = float(model.qpos0[model.jnt_qposadr[driver]])
+    return Coupling(joint, driver, (Pieces((start,), ((own + polynomial[0], *polynomial[1:]),)),))
+
+
+def follow(model: mujoco.MjModel, qpos: np.ndarray) -> None:
+    """Put the joints that follow to where their drivers are in `qpos` (nq,), in place."""
+    for coupling in couplings(model):
+        driver, address = model.jnt_qposadr[[coupling.driver, coupling.joint]]
+        qpos[address] = coupling.derivatives(qpos[driver] if coupling.driver >= 0 else 0.0)[0]
+
+
+def settled(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """Return a copy of a configuration (nq,) in which the joints that follow exactly do."""
+    qpos = qpos.copy()
+    if exact(model) is not None:
+        follow(model, qpos)
+    return qpos
+
+
+def jacobian(
+    model: mujoco.MjModel, ties: Sequence[Coupling], qpos: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how degrees of freedom move with those that follow none.
+
+    Args:
+        model: The model.
+        ties: Its `couplings`.
+        qpos: Positions, shape (..., nq).
+
+    Returns:
+        The dofs that follow none, (n,); dq/du, shape (..., nv, n); and d2q/du2 of each dof by the one that it
+        follows, shape (..., nv).
+    """
+    followers = model.jnt_dofadr[[tie.joint for tie in ties]] if ties else ()
+    free = np.setdiff1d(np.arange(model.nv), followers)
+    shape = (*qpos.shape[:-1], model.nv)
+    slopes, bends = np.zeros((*shape, len(free))), np.zeros(shape)
+    slopes[..., free, np.arange(len(free))] = 1.0
+    for tie in ties:
+        if tie.driver >= 0:
+            dof, driver = model.jnt_dofadr[[tie.joint, tie.driver]]
+            _, slope, bends[..., dof] = tie.derivatives(qpos[..., model.jnt_qposadr[tie.driver]])
+            slopes[..., dof, free == driver] = slope[..., None]
+    return free, slopes, bends
+
+
+def regularity(M: np.ndarray) -> float:
+    """Return the least eigenvalue of a mass matrix, its diagonal scaled to 1; 0 if that has a zero."""
+    scale = np.sqrt(np.diag(M).clip(min=0.0))
+    scaled = M / scale[:, None] / scale if scale.all() else np.zeros_like(M)
+    return float(np.linalg.eigvalsh(scaled)[0]) if np.isfinite(scaled).all() else 0.0

@@ -1,0 +1,155 @@
+"""Muscle paths that a model brings along: the text `paths`, which `myowarp convert` writes as `paths.json`.
+
+It names points, wrap objects, and how moving and conditional points depend on joints. Tendons of these names
+then run as OpenSim's paths do (`coordinates.own_paths`).
+"""
+
+import dataclasses
+import json
+from functools import lru_cache
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from myowarp.laws.paths.tables import KINDS, METHODS, TURNS, OsimPath, OsimPaths, Over, Via, WrapSurface
+from myowarp.laws.pieces import Pieces
+from myowarp.osim.bundle.couplings import driven
+from myowarp.osim.bundle.text import check_named, scalar_joints, set_text, text_of
+
+TEXT = "paths"
+"""Name of the model's text that says how its muscles run."""
+
+WRAP_SITE, WRAP_JOINT = mujoco.mjtWrap.mjWRAP_SITE.value, mujoco.mjtWrap.mjWRAP_JOINT.value
+
+Driven = tuple[str | None, tuple[Pieces, ...]]
+"""A value: the joint that it depends on, None for none, and the curves that are applied to it in turn."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Said:
+    """What a model's text says.
+
+    Attributes:
+        paths: The paths, by name of the tendon.
+        values: What their points depend on.
+        guard: As in `PathMemory`.
+        exact: As in `PathMemory`.
+    """
+
+    paths: OsimPaths
+    values: tuple[Driven, ...]
+    guard: float = TURNS
+    exact: bool = False
+
+    def as_json(self) -> str:
+        """Return the text."""
+        values = [{"of": of, "curves": [curve.entry() for curve in curves]} for of, curves in self.values]
+        surfaces = {name: dataclasses.asdict(surface) for name, surface in self.paths.surfaces.items()}
+        paths = {name: dataclasses.asdict(path) for name, path in self.paths.paths.items()}
+        chosen = {"guard": self.guard, "exact": self.exact}
+        return json.dumps({**chosen, "values": values, "surfaces": surfaces, "paths": paths})
+
+
+@lru_cache(maxsize=8)
+def read(text: str) -> Said:
+    """Return what a text says.
+
+    Raises:
+        ValueError: It is not one that `Said.as_json` writes.
+    """
+    try:
+        entry = json.loads(text)
+        surfaces = {name: WrapSurface(**_tuples(surface)) for name, surface in entry["surfaces"].items()}
+        paths = {
+            name: OsimPath(
+                tuple(Via(**_tuples(point)) for point in path["points"]),
+                tuple(Over(**_tuples(wrap)) for wrap in path["wraps"]),
+            )
+            for name, path in entry["paths"].items()
+        }
+        values = tuple(map(driven, entry["values"]))
+        said = Said(OsimPaths(paths, surfaces), values, float(entry["guard"]), bool(entry["exact"]))
+        _check(said)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ValueError(
+            "the paths of the model must be JSON with 'guard', 'exact', 'values', 'surfaces' and 'paths' as "
+            f"`myowarp convert` writes it; {type(error).__name__}: {error}"
+        ) from error
+    return said
+
+
+def _tuples(entry: dict[str, Any]) -> dict[str, Any]:
+    """Return an entry with tuples in place of lists."""
+
+    def frozen(value: Any) -> Any:
+        return tuple(map(frozen, value)) if isinstance(value, list) else value
+
+    return {name: frozen(value) for name, value in entry.items()}
+
+
+def _check(said: Said) -> None:
+    """Raise ValueError if the kernel would read beside its tables, or compute with what is no number."""
+    if not said.guard >= 0:
+        raise ValueError(f"guard must be at least 0, got {said.guard}")
+    for name, surface in said.paths.surfaces.items():
+        numbers = np.array([*surface.position, *surface.size, *np.ravel(surface.rotation)], float)
+        if surface.kind not in KINDS or surface.axis not in (0, 1, 2) or surface.sign not in (-1, 0, 1):
+            raise ValueError(f"surface {name!r} has a kind, axis or sign that does not exist")
+        if numbers.shape != (15,) or not np.isfinite(numbers).all() or min(surface.size) < 0:
+            raise ValueError(f"surface {name!r} needs position, rotation and sizes, finite and not negative")
+    for name, path in said.paths.paths.items():
+        if len(path.points) < 2:
+            raise ValueError(f"path {name!r} needs at least 2 points, got {len(path.points)}")
+        for point in path.points:
+            numbers = np.array(
+                [*point.location, *point.rest, *point.range, *np.ravel(point.rotation or ())], float
+            )
+            if len(numbers) not in (8, 17) or not np.isfinite(numbers[:6]).all() or np.isnan(numbers).any():
+                raise ValueError(f"path {name!r} has a point whose numbers are not as they must be")
+            if not all(-1 <= number < len(said.values) for number in (*point.values, point.condition)):
+                raise ValueError(f"path {name!r} has a point that depends on a value that does not exist")
+        for wrap in path.wraps:
+            if wrap.surface not in said.paths.surfaces or wrap.method not in METHODS:
+                raise ValueError(f"path {name!r} wraps over a surface, or by a method, that does not exist")
+            if not (0 <= wrap.first < len(path.points) and 0 <= wrap.last < len(path.points)):
+                raise ValueError(f"path {name!r} wraps between points that it has not")
+
+
+def own_paths(model: mujoco.MjModel) -> Said | None:
+    """Return what a model's text says, None for a model without one.
+
+    Raises:
+        ValueError: The text is broken, or names what the model has not.
+    """
+    if (text := text_of(model, TEXT)) is None:
+        return None
+    said = read(text)
+    spatial = [model.tendon(i).name for i in range(model.ntendon) if not is_of(model, i, WRAP_JOINT)]
+    leading = [of for of, _ in said.values if of is not None]
+    check_named("paths", "body", said.paths.bodies, [model.body(b).name for b in range(model.nbody)])
+    check_named("paths", "hinge or slide", leading, scalar_joints(model))
+    check_named("paths", "tendon", said.paths.paths, spatial)
+    for tendon in range(model.ntendon):
+        name = model.tendon(tendon).name
+        sites = is_of(model, tendon, WRAP_SITE) or is_of(model, tendon, WRAP_JOINT)
+        if name not in said.paths.paths and not sites:
+            raise ValueError(f"the paths of the model must name tendon {name!r}, which wraps; they do not")
+    return said
+
+
+def is_of(model: mujoco.MjModel, tendon: int, kind: int) -> bool:
+    """Whether a tendon consists of things of one kind."""
+    first = model.tendon_adr[tendon]
+    return bool((model.wrap_type[first : first + model.tendon_num[tendon]] == kind).all())
+
+
+def ask(spec: mujoco.MjSpec, text: str) -> None:
+    """Have the tendons of a spec run as a text says; one that it has already is replaced.
+
+    Raises:
+        ValueError: The text is broken.
+    """
+    set_text(spec, TEXT, text)
+    for body in filter(None, map(spec.body, read(text).paths.bodies)):
+        body.fuse = 0  # fused with its parent it would have another frame

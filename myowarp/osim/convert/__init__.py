@@ -1,0 +1,1 @@
+"""From .osim to MJCF: composed, fitted to plain MuJoCo, checked and reported."""

@@ -1,0 +1,200 @@
+"""Actuators, springs, constraints and shapes of an .osim file."""
+
+import math
+from typing import Any, Literal
+
+import numpy as np
+
+from myowarp.osim.document.elements import (
+    BodyActuator,
+    Bushing,
+    CoordinateActuator,
+    CoordinateLimitForce,
+    CoordinateSpring,
+    Pose,
+    Shape,
+)
+from myowarp.osim.document.functions import IDENTITY, Multiplier
+from myowarp.osim.document.model import GROUND, Constraint, Coupler, Marker
+from myowarp.osim.document.read.element import Element
+from myowarp.osim.document.read.frames import Frames, euler_xyz, pose_of, socket
+from myowarp.osim.document.read.functions import function_in
+from myowarp.osim.document.read.muscles import control_range
+from myowarp.osim.document.read.paths import Scope
+
+ZERO = (0.0, 0.0, 0.0)
+
+
+def read_coordinate_actuator(element: Element, scope: Scope) -> CoordinateActuator:
+    """Return an actuator on a coordinate."""
+    coordinate = scope.coordinate(element, "coordinate")
+    limits = control_range(element, -math.inf, math.inf)
+    return CoordinateActuator(element.name, coordinate, element.number("optimal_force", default=1.0), limits)
+
+
+def read_body_actuator(element: Element, scope: Scope) -> BodyActuator:
+    """Return a `PointActuator` or a `TorqueActuator`.
+
+    Raises:
+        ValueError: It names no body, or its direction is zero.
+    """
+    torque = element.tag == "TorqueActuator"
+    kind: Literal["point", "torque"] = "torque" if torque else "point"
+    body, frame = scope.frames.attached(element, *(("bodyA",) if torque else ("body",)))
+    reaction = GROUND
+    if torque and (other := socket(element, "bodyB")):
+        reaction, _ = scope.frames.resolve(other, element)
+    axis = element.numbers("axis" if torque else "direction", default=(0.0, 0.0, 1.0), count=3)
+    if np.linalg.norm(axis) < 1e-9:
+        raise element.error("must have a direction other than 0 0 0")
+    if element.flag("point_is_global", default=False):
+        raise element.unsupported("acts at a point fixed in ground; only points of the body are supported")
+    in_ground = element.flag("torque_is_global" if torque else "force_is_global", default=torque)
+    return BodyActuator(
+        element.name,
+        kind,
+        body,
+        reaction,
+        frame.point(element.numbers("point", default=ZERO, count=3)),
+        axis / np.linalg.norm(axis) if in_ground else frame.rotation @ axis / np.linalg.norm(axis),
+        in_ground,
+        element.number("optimal_force", default=1.0),
+        control_range(element, -math.inf, math.inf),
+    )
+
+
+def read_limit_force(element: Element, scope: Scope) -> CoordinateLimitForce:
+    """Return the springs at a coordinate's limits; OpenSim writes those of angles in degrees."""
+    name = scope.coordinate(element, "coordinate")
+    unit = math.radians(1.0) if scope.coordinates[name].rotational else 1.0
+    low, high = element.number("lower_limit", default=0.0), element.number("upper_limit", default=0.0)
+    if low > high:
+        raise element.error(f"must have lower_limit at most upper_limit, got {low:g} and {high:g}")
+    stiff = element.number("lower_stiffness", default=1.0), element.number("upper_stiffness", default=1.0)
+    return CoordinateLimitForce(
+        element.name,
+        name,
+        (low * unit, high * unit),
+        (stiff[0] / unit, stiff[1] / unit),
+        element.number("damping", default=0.001) / unit,
+        element.number("transition", default=0.1) * unit,
+    )
+
+
+def read_coordinate_spring(element: Element, scope: Scope) -> CoordinateSpring:
+    """Return a `SpringGeneralizedForce`."""
+    return CoordinateSpring(
+        element.name,
+        scope.coordinate(element, "coordinate"),
+        element.number("stiffness", default=0.0),
+        element.number("rest_length", default=0.0),
+        element.number("viscosity", default=0.0),
+    )
+
+
+def _two_frames(element: Element, frames: Frames) -> tuple[tuple[str, str], tuple[Any, Any]]:
+    """Return bodies and poses of `frame1` and `frame2`, before 4.0 `body_1` and `body_2`."""
+    bodies, poses = [], []
+    for side in ("1", "2"):
+        body, base = frames.attached(element, f"frame{side}", f"body_{side}")
+        offset = pose_of(element, (f"location_body_{side}",), (f"orientation_body_{side}",))
+        bodies.append(body)
+        poses.append(base @ offset)
+    return (bodies[0], bodies[1]), (poses[0], poses[1])
+
+
+def read_bushing(element: Element, scope: Scope) -> Bushing:
+    """Return a `BushingForce`."""
+    bodies, poses = _two_frames(element, scope.frames)
+    properties = (
+        "rotational_stiffness",
+        "translational_stiffness",
+        "rotational_damping",
+        "translational_damping",
+    )
+    return Bushing(
+        element.name, bodies, poses, *(element.numbers(name, default=ZERO, count=3) for name in properties)
+    )
+
+
+def read_constraint(element: Element, scope: Scope) -> Constraint:
+    """Return a `WeldConstraint` or a `PointConstraint`."""
+    kind: Literal["weld", "point"] = "weld" if element.tag == "WeldConstraint" else "point"
+    return Constraint(element.name, kind, *_two_frames(element, scope.frames))
+
+
+def read_coupler(element: Element, scope: Scope) -> Coupler:
+    """Return a `CoordinateCouplerConstraint`.
+
+    Raises:
+        NotImplementedError: It has several independent coordinates.
+        ValueError: It has none, or names one that the model does not have.
+    """
+    function = function_in(element, "coupled_coordinates_function") or IDENTITY
+    independent = element.string("independent_coordinate_names").strip("()").split()
+    dependent = element.string("dependent_coordinate_name")
+    if len(independent) > 1:
+        raise element.unsupported(f"depends on {len(independent)} coordinates; one is supported")
+    for name in (*independent, dependent):
+        if name not in scope.coordinates:
+            raise element.error(f"refers to coordinate {name!r}, which the model does not have")
+    if not independent or independent[0] == dependent:
+        raise element.error("must have an independent coordinate other than the dependent one")
+    scale = element.number("scale_factor", default=1.0)
+    return Coupler(
+        element.name, dependent, independent[0], function if scale == 1 else Multiplier(function, scale)
+    )
+
+
+def read_marker(element: Element, scope: Scope) -> Marker:
+    """Return a marker."""
+    body, frame = scope.frames.attached(element, "parent_frame", "body")
+    return Marker(element.name, body, frame.point(element.numbers("location", default=ZERO, count=3)))
+
+
+SHAPES: dict[str, Any] = {
+    "Mesh": ("mesh", "scale_factors", 3),
+    "DisplayGeometry": ("mesh", "scale_factors", 3),
+    "Sphere": ("sphere", "radius", 1),
+    "Cylinder": ("cylinder", "radius half_height", 2),
+    "Ellipsoid": ("ellipsoid", "radii", 3),
+    "Brick": ("box", "half_lengths", 3),
+    "ContactSphere": ("sphere", "radius", 1),
+    "ContactHalfSpace": ("plane", "", 0),
+    "ContactMesh": ("mesh", "", 0),
+    "ContactEllipsoid": ("ellipsoid", "radii", 3),
+}
+"""OpenSim's class: kind, the properties that are its size, and how many numbers these have."""
+
+
+def read_shape(element: Element, frames: Frames) -> Shape:
+    """Return something to look at or to collide with.
+
+    Raises:
+        ValueError: Its size is not above 0, or a mesh names no file.
+    """
+    kind, properties, count = SHAPES[element.tag]
+    contact = element.tag.startswith("Contact")
+    if contact:
+        body, base = frames.attached(element, "frame", "body_name")
+        frame = base @ pose_of(element, ("location",), ("orientation",))
+    else:
+        body, base = frames.of_owner(element)
+        transform = element.numbers("transform", default=(0.0,) * 6, count=6)
+        frame = base @ Pose(transform[3:], euler_xyz(transform[:3]))
+    size = np.array(
+        [value for name in properties.split() for value in element.numbers(name, default=(1.0,) * count)]
+    )
+    size = size[:count] if count else np.ones(3)
+    scale = element.numbers("scale_factors", default=(1.0,) * 3, count=3)
+    if kind != "mesh" and count:
+        size = size * (scale if count == 3 else scale[0])
+    if len(size) < count or (kind != "mesh" and (size <= 0).any()):
+        raise element.error(f"must have {properties} above 0")
+    file = element.string("mesh_file", "geometry_file", "filename") if kind == "mesh" else None
+    look = element.find("Appearance")
+    color = (element if look is None else look).numbers("color", default=(1.0, 1.0, 1.0))
+    opacity = (element if look is None else look).number("opacity", default=1.0)
+    red, green, blue = np.clip(color[:3] if len(color) >= 3 else (1, 1, 1), 0, 1)
+    rgba = (float(red), float(green), float(blue), min(max(opacity, 0.0), 1.0))
+    return Shape(element.name, kind, body, frame, size, file, rgba, contact)

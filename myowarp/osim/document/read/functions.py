@@ -1,0 +1,129 @@
+"""Functions in an .osim file -> `functions`."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from myowarp.osim.document.functions import (
+    Constant,
+    Function,
+    GCVSpline,
+    Linear,
+    Multiplier,
+    PiecewiseConstant,
+    PiecewiseLinear,
+    Polynomial,
+    SimmSpline,
+    Sine,
+    Step,
+)
+from myowarp.osim.document.read.element import Element
+
+MAX_KNOTS = 2000
+
+
+def read_function(element: Element) -> Function:
+    """Return the function that an element such as `<SimmSpline>` describes.
+
+    Raises:
+        NotImplementedError: Its class is unknown.
+        ValueError: Its numbers make no function.
+    """
+    if element.tag not in READERS:
+        raise element.unsupported(f"is no supported function; these are: {', '.join(sorted(READERS))}")
+    return READERS[element.tag](element)
+
+
+def function_in(owner: Element, *tags: str) -> Function | None:
+    """Return the function that a property holds, None if the property is missing or empty.
+
+    OpenSim writes `<tag><SimmSpline>...` or, for some classes, `<SimmSpline name="tag">...`.
+    """
+    for place in (owner, owner.fallback):
+        for child in () if place is None else place.children:
+            if child.tag in tags and child.children:
+                return read_function(child.children[0])
+            if child.name in tags and child.tag in READERS:
+                return read_function(child)
+    return None
+
+
+def _knots(element: Element, least: int, repeat: bool = False) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return x and y; x ascends, and may repeat where OpenSim has a rule for it."""
+    x, y = element.numbers("x"), element.numbers("y")
+    if len(x) != len(y) or len(x) < least:
+        raise element.error(f"must have at least {least} knots, as many x as y, got {len(x)} and {len(y)}")
+    if len(x) > MAX_KNOTS:
+        raise element.unsupported(f"has {len(x)} knots; at most {MAX_KNOTS} are supported")
+    if (np.diff(x) < 0).any() or not (repeat or np.diff(x).all()):
+        raise element.error("must have knots with ascending x")
+    return tuple(x.tolist()), tuple(y.tolist())
+
+
+def _linear(element: Element) -> Function:
+    slope, offset = element.numbers("coefficients", default=(1.0, 0.0), count=2)
+    return Linear(float(slope), float(offset))
+
+
+def _polynomial(element: Element) -> Function:
+    coefficients = element.numbers("coefficients", default=(1.0,))
+    if len(coefficients) > 64:
+        raise element.error(f"has {len(coefficients)} coefficients; at most 64 are supported")
+    return Polynomial(tuple(coefficients.tolist()))
+
+
+def _multiplier(element: Element) -> Function:
+    inner = function_in(element, "function")
+    if inner is None:
+        raise element.error("has no <function>")
+    return Multiplier(inner, element.number("scale", default=1.0))
+
+
+def _step(element: Element) -> Function:
+    start = element.number("transition_start_time", "start_time", default=0.99)
+    end = element.number("transition_end_time", "end_time", default=1.01)
+    if end <= start:
+        raise element.error(f"must end after it starts, got {start} and {end}")
+    return Step(
+        start, end, element.number("start_value", default=0.0), element.number("end_value", default=1.0)
+    )
+
+
+def _gcv_spline(element: Element) -> Function:
+    half_order = int(element.number("half_order", default=3.0))
+    if not 1 <= half_order <= 4:
+        raise element.error(f"must have a half_order of 1 to 4, got {half_order}")
+    if element.number("error_variance", default=0.0) != 0:
+        raise element.unsupported("smooths its knots; only error_variance 0 is supported")
+    x, y = _knots(element, max(2, half_order))
+    return GCVSpline(x, y, half_order)
+
+
+def _sine(element: Element) -> Function:
+    amplitude, omega = element.number("amplitude", default=1.0), element.number("omega", default=1.0)
+    return Sine(amplitude, omega, element.number("phase", default=0.0), element.number("offset", default=0.0))
+
+
+def _piecewise_constant(element: Element) -> Function:
+    return PiecewiseConstant(*_knots(element, 1))
+
+
+def _simm_spline(element: Element) -> Function:
+    return SimmSpline(*_knots(element, 2, repeat=True))
+
+
+READERS: dict[str, Callable[[Element], Function]] = {
+    "Constant": lambda element: Constant(element.number("value", default=0.0)),
+    "LinearFunction": _linear,
+    "PolynomialFunction": _polynomial,
+    "MultiplierFunction": _multiplier,
+    "SimmSpline": _simm_spline,
+    "NaturalCubicSpline": _simm_spline,
+    "natCubicSpline": _simm_spline,
+    "GCVSpline": _gcv_spline,
+    "PiecewiseLinearFunction": lambda element: PiecewiseLinear(*_knots(element, 2)),
+    "PiecewiseConstantFunction": _piecewise_constant,
+    "StepFunction": _step,
+    "Sine": _sine,
+}
+"""By OpenSim's class; the two natural splines are the older names of SimmSpline."""

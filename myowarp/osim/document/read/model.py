@@ -1,0 +1,267 @@
+"""Read an .osim file, documents 20101 to 40600, without OpenSim.
+
+What the file cannot say legally is an error that names file, line and element; what is legal but has no
+counterpart here is skipped with a `Note`. Documents before 4.0 keep joints inside their child bodies
+and know no offset frames; both forms end in the same `Model`.
+"""
+
+from collections import Counter
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from myowarp.osim.document.elements import Pose
+from myowarp.osim.document.model import GROUND, Body, Constraint, Coordinate, Joint, Loss, Model, Note
+from myowarp.osim.document.read.components import READERS, read_components, read_shapes
+from myowarp.osim.document.read.element import Element, parse
+from myowarp.osim.document.read.frames import Frames
+from myowarp.osim.document.read.joints import JOINTS, in_order, read_coordinate, read_joint
+from myowarp.osim.document.read.muscle_defaults import DEFAULTS
+from myowarp.osim.document.read.paths import Scope, read_wraps
+
+VERSIONS = (20101, 40699)
+"""First and last version of a document that is read; the later ones of 4.6 add nothing."""
+
+RENAMED = {
+    "ActuatorSet": "ForceSet",
+    "MusclePointSet": "PathPointSet",
+    "MusclePoint": "PathPoint",
+    "MuscleViaPoint": "ConditionalPathPoint",
+    "MovingMusclePoint": "MovingPathPoint",
+    "MuscleWrapSet": "PathWrapSet",
+    "MuscleWrap": "PathWrap",
+    "GeneralizedForce": "CoordinateActuator",
+    "Force": "PointActuator",
+    "Torque": "TorqueActuator",
+    "Schutte1993Muscle": "Schutte1993Muscle_Deprecated",
+    "Delp1990Muscle": "Delp1990Muscle_Deprecated",
+}
+"""Classes and sets of documents before 30000, and what OpenSim 4.6 reads them as."""
+
+STATED = 30513
+"""First version in which a muscle's `min_control` of 0 counts; OpenSim 4.6 drops that of earlier ones."""
+
+MAX_BODIES = 400  # published models have up to about 100; a chain of bodies is walked recursively
+
+SETS = (
+    ("BodySet", "bodyset"),
+    ("JointSet", "jointset"),
+    ("ConstraintSet", "constraintset"),
+    ("ForceSet", "forceset"),
+    ("MarkerSet", "markerset"),
+    ("ContactGeometrySet", "contactgeometryset"),
+    ("ControllerSet", "controllerset"),
+    ("ProbeSet", "probeset"),
+    ("ComponentSet", "componentset"),
+    ("components", "componentset"),
+)
+"""Lists of components in a `<Model>`, and the first part of their members' paths."""
+
+
+def read_model(path: Path) -> Model:
+    """Read an .osim file.
+
+    Raises:
+        ValueError: The file is no OpenSim model or says something impossible, with file and line.
+        NotImplementedError: It needs something that has no counterpart here, such as an unknown joint class.
+        OSError: The file cannot be read.
+    """
+    root, latin = parse(path)
+    notes = [Note("/", "the file is not UTF-8 as it says; read as Latin-1")] if latin else []
+    return model_of(path, checked(root), root, notes)
+
+
+def frames_of(model: Element) -> Frames:
+    """Return all frames of a `<Model>`."""
+    return Frames.of(model, [element for _, element in _components(model) if element.tag == "Body"])
+
+
+def model_of(path: Path, version: int, root: Element, notes: list[Note]) -> Model:
+    """Return what a document says whose tags are those of today, by `checked`.
+
+    Raises:
+        ValueError: It says something impossible, with file and line.
+        NotImplementedError: It needs something that has no counterpart here, such as an unknown joint class.
+    """
+    model = root.need("Model")
+    components = _components(model)
+    frames = frames_of(model)
+    _refuse_duplicates(components)
+    joints, coordinates, copies = _joints(components, frames, notes)
+    bodies = {element.name: _body(element) for _, element in components if _is_body(element)}
+    bodies.update((copy, Body(copy, 0.0, np.zeros(3), np.zeros(6))) for copy in copies)
+    wraps, more = read_wraps(model, frames)
+    notes += more
+    found = read_components(components, Scope(frames, coordinates, wraps, notes))
+    notes += _inside(model, components)
+    here = Pose(np.zeros(3), np.eye(3))
+    closed = [Constraint(copy, "weld", (body, copy), (here, here)) for copy, body in copies.items()]
+    found["constraints"] = (*found["constraints"], *closed)
+    shapes = read_shapes(model, frames, notes)
+    length_units, force_units = (
+        model.string("length_units", default="meters"),
+        model.string("force_units", default="N"),
+    )
+    if length_units.lower() not in ("m", "meter", "meters") or force_units.lower() not in (
+        "n",
+        "newton",
+        "newtons",
+    ):
+        notes.append(
+            Note("/", f"units {length_units!r} and {force_units!r} are taken as m and N, as OpenSim does")
+        )
+    return Model(
+        name=model.name or path.stem,
+        source=path,
+        version=version,
+        credits=model.string("credits"),
+        publications=model.string("publications"),
+        length_units=length_units,
+        force_units=force_units,
+        gravity=model.numbers("gravity", default=(0.0, -9.80665, 0.0), count=3),
+        bodies=MappingProxyType(bodies),
+        joints=MappingProxyType(joints),
+        coordinates=MappingProxyType(coordinates),
+        wraps=MappingProxyType(wraps),
+        shapes=shapes,
+        **found,
+        notes=tuple(notes),
+    )
+
+
+def checked(root: Element) -> int:
+    """Return the version of a document; tie every element to its class's defaults, and rename old classes.
+
+    Raises:
+        ValueError: It is no OpenSim document, or of a version that is not read.
+    """
+    if root.tag != "OpenSimDocument":
+        raise root.error("is no OpenSim model; its root must be <OpenSimDocument>")
+    version = root.attributes.get("Version", "")
+    if not (version.isascii() and version.isdigit() and VERSIONS[0] <= int(version[:9]) <= VERSIONS[1]):
+        raise root.error(
+            f"has version {version[:60]!r}; documents {VERSIONS[0]} to {VERSIONS[1]} are read, "
+            "older ones after saving them with OpenSim"
+        )
+    for element in root.walk():
+        if int(version) < 30000:
+            element.tag = RENAMED.get(element.tag, element.tag)
+        if int(version) < STATED and element.tag in DEFAULTS and (control := element.own("min_control")):
+            if not control.parsed(finite=False).any():
+                element.children.remove(control)
+    classes: dict[str, Element] = {}
+    for place in (root, root.own("Model")):
+        block = None if place is None else place.own("defaults")
+        if place is not None and block is not None:
+            classes.update((entry.tag, entry) for entry in block.children)
+            place.children.remove(block)
+    for element in root.walk() if classes else ():
+        element.fallback = classes.get(element.tag)
+    return int(version)
+
+
+def _components(model: Element) -> list[tuple[str, Element]]:
+    """Return all components with their paths, those inside joints and frames left out."""
+    listed = []
+    for tag, name in SETS:
+        whole = model.find(tag)
+        if whole is not None and "file" in whole.attributes:
+            listed.append((name, whole))
+        for element in model.objects(tag):
+            listed.append((name, element))
+            if tag == "BodySet" and (inside := element.own("Joint")) is not None:
+                listed += [("jointset", joint) for joint in inside.children]
+    # As OpenSim does: the class's name, and a number from the second one on.
+    names, unnamed = {element.name for _, element in listed}, Counter[str]()
+    for _, element in listed:
+        if not element.name and element.tag in (*JOINTS, *READERS):
+            base = element.tag.lower()
+            while not element.name or element.name in names:
+                number, unnamed[base] = unnamed[base], unnamed[base] + 1
+                element.attributes["name"] = f"{base}_{number - 1}" if number else base
+            names.add(element.name)
+    return [(f"/{name}/{element.name}", element) for name, element in listed]
+
+
+def _inside(model: Element, components: list[tuple[str, Element]]) -> list[Note]:
+    """Return what is lost because it is listed inside of another component."""
+    listed = {id(element) for _, element in components}
+    rule = "is listed inside of another component; left out"
+    return [
+        Loss(f"/{element.name}", f"{element.tag} {rule}", code=element.tag, names=element.words())
+        for element in model.walk()
+        if element.tag in READERS and element.tag != "Marker" and id(element) not in listed
+    ]
+
+
+def _is_body(element: Element) -> bool:
+    return element.tag == "Body" and element.name != GROUND
+
+
+def _refuse_duplicates(components: list[tuple[str, Element]]) -> None:
+    """Raise if two components of a kind that others refer to have one name, or one has none."""
+    seen: dict[str, Element] = {}
+    for path, element in components:
+        if element.tag not in ("Body", *JOINTS, *READERS) or element.tag == "Marker":
+            continue
+        if not element.name:
+            raise element.error("has no name")
+        if path in seen:
+            raise element.error(f"has the name of another component, in line {seen[path].line}")
+        seen[path] = element
+
+
+def _body(element: Element) -> Body:
+    """Return a body."""
+    mass = element.number("mass")
+    if mass < 0:
+        raise element.error(f"must have a mass of at least 0, got {mass:g}")
+    if element.find("inertia") is not None:
+        inertia = element.numbers("inertia", count=6)
+    else:
+        inertia = np.array(
+            [element.number(f"inertia_{ij}", default=0.0) for ij in ["xx", "yy", "zz", "xy", "xz", "yz"]]
+        )
+    return Body(element.name, mass, element.numbers("mass_center", default=(0.0, 0.0, 0.0), count=3), inertia)
+
+
+def _joints(
+    components: list[tuple[str, Element]], frames: Frames, notes: list[Note]
+) -> tuple[dict[str, Joint], dict[str, Coordinate], dict[str, str]]:
+    """Return joints, parents first, coordinates in the order of the file, and copies of bodies."""
+    read: dict[str, tuple[Joint, Element]] = {}
+    elements: dict[str, tuple[Element | None, str]] = {}
+    bodies = [element.name for _, element in components if _is_body(element)]
+    if len(bodies) > MAX_BODIES:
+        raise ValueError(
+            f"{components[0][1].source} has {len(bodies)} bodies; at most {MAX_BODIES} are supported"
+        )
+    for path, element in components:
+        if not path.startswith("/jointset/") and element.tag not in JOINTS:
+            continue
+        inside = (
+            element.parent is not None and element.parent.tag == "Joint" and element.parent.parent is not None
+        )
+        owner = element.parent.parent.name if inside and element.parent and element.parent.parent else None
+        joint, listed, names = read_joint(element, frames, owner, notes)
+        read[joint.name] = joint, element
+        for index, name in enumerate(names):
+            item = listed[index] if index < len(listed) else None
+            if name in elements:
+                raise (item or element).error(
+                    f"has the coordinate {name!r} of another joint; names must differ"
+                )
+            elements[name] = item, joint.name
+    ordered, copies, more = in_order(read, bodies)
+    notes += more
+    by_name = {joint.name: joint for joint in ordered}
+    for joint in ordered:
+        for move in joint.moves:
+            if move.coordinate is not None:
+                elements.setdefault(move.coordinate, (None, joint.name))
+    coordinates: dict[str, Coordinate] = {}
+    for name, (item, owner) in elements.items():
+        coordinates[name], more = read_coordinate(item, name, by_name[owner])
+        notes += more
+    return by_name, coordinates, copies
