@@ -24,8 +24,8 @@ import warp as wp
 
 from myowarp.coordinates.free_coordinates import document_model, inertia_of
 from myowarp.osim.bundle.couplings import couplings, follow, jacobian
+from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.convert.compose.convert import convert
-from myowarp.osim.convert.compose.mjcf import mjcf
 from myowarp.osim.document.model import Model
 from myowarp.osim.document.read.model import read_model
 from myowarp.sim.simulation import Simulation
@@ -60,7 +60,7 @@ def compare(source: Path, recorded: Path) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.xml"
         path.write_text(mjcf(spec))
-        (path.parent / "couplings.json").write_text(converted.exact.as_json())
+        (path.parent / "couplings.json").write_text(converted.couplings.as_json())
         count = len(record["values"])
         sim = Simulation(pose_task(path), count, device="cpu", graph=False, progress=False)
     model, data = sim.scene.oracle, sim.scene.data

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from myowarp.osim.body.hill_muscle import HillMuscle
+from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.convert.compose.convert import convert
-from myowarp.osim.convert.compose.mjcf import mjcf
 from myowarp.osim.convert.muscle_table import write_muscles
 from myowarp.osim.document.read.model import read_model
 from myowarp.sim.simulation import Simulation
@@ -24,7 +24,7 @@ def motorised(folder, name):
             spec.add_actuator(name=entry.name, target=entry.joint, trntype=0, ctrlrange=(-1, 1))
     path = folder / "model.xml"
     path.write_text(mjcf(spec))
-    (folder / "couplings.json").write_text(converted.exact.as_json())
+    (folder / "couplings.json").write_text(converted.couplings.as_json())
     return converted, path
 
 

@@ -60,9 +60,8 @@ from myowarp.osim.bundle.couplings import (
     NOTHING,
     REGULAR,
     Coupling,
-    Exact,
+    Couplings,
     couplings,
-    exact,
     jacobian,
     regularity,
 )
@@ -117,7 +116,7 @@ def tables(model: mujoco.MjModel, ties: list[Coupling]) -> Followers:
     return followers
 
 
-def document_masses(model: mujoco.MjModel, said: Exact) -> None:
+def document_masses(model: mujoco.MjModel, said: Couplings) -> None:
     """Give bodies their masses in the document, and joints that follow no inertia of their own, in place."""
     for name, (mass, inertia) in said.bodies.items():
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
@@ -149,7 +148,7 @@ def inertia_of(
 
 def document_model(oracle: mujoco.MjModel) -> mujoco.MjModel:
     """Return a model with the masses of the document."""
-    model, said = copy.copy(oracle), exact(oracle)
+    model, said = copy.copy(oracle), Couplings.of(oracle)
     document_masses(model, NOTHING if said is None else said)
     return model
 

@@ -17,7 +17,7 @@ from myowarp.kernels.launch import launch
 from myowarp.kernels.structs import struct_array
 from myowarp.laws.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
 from myowarp.laws.forces.ligament import Ligament, ligament_tension
-from myowarp.osim.bundle.forces import PassiveForces, own_forces
+from myowarp.osim.bundle.forces import PassiveForces
 
 
 @wp.kernel(enable_backward=False)
@@ -121,5 +121,5 @@ class OwnForces:
 
 def forces_of(host: mujoco.MjModel, model: mjw.Model, data: mjw.Data) -> OwnForces | None:
     """Return the forces that a model brings along, on the current Warp device; None: it brings none."""
-    acting = own_forces(host)
+    acting = PassiveForces.of(host)
     return None if acting is None else OwnForces(acting, host, model, data)

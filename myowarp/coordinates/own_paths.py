@@ -24,7 +24,7 @@ from myowarp.kernels.launch import launch
 from myowarp.kernels.structs import struct_array
 from myowarp.laws.paths.path import Frames, Pulls
 from myowarp.laws.paths.tables import OsimPath, OsimPaths, PathMemory, Via
-from myowarp.osim.bundle.paths import WRAP_SITE, Driven, Said, is_of, own_paths
+from myowarp.osim.bundle.paths import WRAP_SITE, DocumentPaths, Driven, is_of
 
 
 @wp.struct
@@ -276,7 +276,7 @@ class OwnPaths:
         memory: The paths; `memory.pulls.jumps` counts what its guard refused in the last step.
     """
 
-    def __init__(self, said: Said, host: mujoco.MjModel, model: mjw.Model, data: mjw.Data) -> None:
+    def __init__(self, said: DocumentPaths, host: mujoco.MjModel, model: mjw.Model, data: mjw.Data) -> None:
         """Write tables on the current Warp device, and give `ten_J` and moments of actuators their rows."""
         self.said = said
         names = [host.tendon(tendon).name for tendon in range(host.ntendon)]
@@ -394,7 +394,7 @@ class OwnPaths:
 
 def paths_of(host: mujoco.MjModel, model: mjw.Model, data: mjw.Data) -> OwnPaths | None:
     """Return the paths that a model brings along, on the current Warp device; None: it brings none."""
-    said = own_paths(host)
+    said = DocumentPaths.of(host)
     return None if said is None else OwnPaths(said, host, model, data)
 
 

@@ -8,7 +8,7 @@ import mujoco_warp as mjw
 from myowarp.engine.stage import or_the_engines
 from myowarp.engine.step import Step, uncovered
 from myowarp.engine.stepped import Stepped
-from myowarp.osim.bundle.couplings import couplings, exact
+from myowarp.osim.bundle.couplings import Couplings, couplings
 
 logger = logging.getLogger("myowarp")
 
@@ -50,5 +50,5 @@ def data_beside(model: mujoco.MjModel, worlds: int, contacts: int, rows: int) ->
 
 def _asks(model: mujoco.MjModel) -> bool:
     """Return whether a model asks for joints that follow exactly, and has some."""
-    said = exact(model)
-    return said is not None and bool(couplings(model) or said.turns_otherwise)
+    said = Couplings.of(model)
+    return said is not None and bool(couplings(model) or said.acts)

@@ -9,6 +9,7 @@ env = gymnasium.make_vec("MyoWarp/myoElbowPose1D6MRandom-v0", num_envs=256, musc
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -113,34 +114,38 @@ class MuscleTable:
         return cls.by_muscle(model, rows)
 
     @classmethod
-    def converted(cls, path: Path, names: Collection[str]) -> MuscleTable | None:
-        """Return the Hill parameters of muscles in a file that `myowarp convert` wrote; None: it is none.
+    def converted(cls, text: str, names: Collection[str], path: Path) -> MuscleTable | None:
+        """Return the Hill parameters of muscles as `myowarp convert` writes them; None: there are none.
+
+        Args:
+            text: Of a `muscles.csv`, "" for none.
+            names: Of the muscles.
+            path: Of the file, for what is said of it.
 
         Raises:
             ValueError: A number is none.
         """
-        if not (path.is_file() and path.read_bytes().startswith(b"name,class,")):
+        if not text:
             return None
         rows: dict[str, dict[str, float]] = {}
         curves: dict[str, dict[str, Knots]] = {}
-        with path.open(newline="", encoding="utf-8") as file:
-            for line in csv.DictReader(file, restval=""):
-                muscle, kind = line.pop("name"), line.pop("class")
-                if muscle not in names:
-                    continue
-                rows[muscle] = row = {
-                    column.partition(" [")[0]: _number(f"{path}: {column} of muscle {muscle!r}", cell)
-                    for column, cell in line.items()
-                    if " [" in column and cell not in ("", "inf", "-inf")  # curves have no unit
-                }
-                law: int | None = OPENSIM_LAWS.get(kind)
-                if kind == SCHUTTE_CLASS:
-                    found = {curve: _knots(line[curve]) for curve in CURVES if line.get(curve)}
-                    curves[muscle] = {curve: knots for curve, knots in found.items() if knots is not None}
-                    law = law if curves[muscle].keys() == found.keys() else None
-                    row |= _of_schutte(row)
-                if law is not None:
-                    row["law"] = float(law)
+        for line in csv.DictReader(io.StringIO(text, newline=""), restval=""):
+            muscle, kind = line.pop("name"), line.pop("class")
+            if muscle not in names:
+                continue
+            rows[muscle] = row = {
+                column.partition(" [")[0]: _number(f"{path}: {column} of muscle {muscle!r}", cell)
+                for column, cell in line.items()
+                if " [" in column and cell not in ("", "inf", "-inf")  # curves have no unit
+            }
+            law: int | None = OPENSIM_LAWS.get(kind)
+            if kind == SCHUTTE_CLASS:
+                found = {curve: _knots(line[curve]) for curve in CURVES if line.get(curve)}
+                curves[muscle] = {curve: knots for curve, knots in found.items() if knots is not None}
+                law = law if curves[muscle].keys() == found.keys() else None
+                row |= _of_schutte(row)
+            if law is not None:
+                row["law"] = float(law)
         return replace(cls.by_muscle("", rows), curves=curves)
 
     def bounded(self, model: str) -> tuple[MuscleTable, list[str]]:

@@ -30,7 +30,7 @@ from myowarp.engine.stepped import Stepped
 from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import new_keys
 from myowarp.models.slim import slim
-from myowarp.osim.bundle.couplings import ask, settled
+from myowarp.osim.bundle.couplings import NOTHING, settled
 from myowarp.process import start_warp, warn_once, with_build_lock
 from myowarp.sim.capacity import calibrate
 from myowarp.sim.memory import check_memory
@@ -79,7 +79,7 @@ def _slim_spec(
     """Return the slim spec of a task; shared by the two models that are compiled from it."""
     small = slim(full_spec(spec, conditions), spec.sites)
     if exact and any(held.type == mujoco.mjtEq.mjEQ_JOINT for held in small.equalities):
-        ask(small)
+        NOTHING.put_into(small)
     return small
 
 

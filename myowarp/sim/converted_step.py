@@ -14,7 +14,7 @@ from myowarp.definitions.task import Column, RewardTerm, TaskSpec
 from myowarp.disk import model_digest
 from myowarp.engine.compile import compile_kernels, quiet
 from myowarp.osim.bundle.coordinate_map import CoordinateMap
-from myowarp.osim.bundle.couplings import ask, couplings
+from myowarp.osim.bundle.couplings import couplings
 from myowarp.osim.convert.check.engines import OFF, Joints, States
 from myowarp.sim.build import compile_scene, stepped_of
 
@@ -49,13 +49,12 @@ class OurStep:
         exact: Whether they do; else equalities hold them, and a line was logged.
     """
 
-    def __init__(self, coordinates: CoordinateMap, spec: mujoco.MjSpec, said: str) -> None:
+    def __init__(self, coordinates: CoordinateMap, spec: mujoco.MjSpec) -> None:
         """Compile the step of a spec, which loses all that does not act here.
 
         Args:
             coordinates: Of the model.
             spec: The model; it is changed.
-            said: Its `couplings.json`; "": it has none.
         """
         loops = [equality for equality in spec.equalities if equality.type != mujoco.mjtEq.mjEQ_JOINT]
         for element in (*spec.actuators, *spec.tendons, *loops, *spec.geoms, *spec.meshes):
@@ -63,8 +62,6 @@ class OurStep:
         spec.option.disableflags |= OFF
         # What the file says is for MuJoCo C; mujoco-warp has dense Jacobians of up to 60 joints only.
         spec.option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
-        if said:
-            ask(spec, said)
         host = spec.compile()
         body = f"check_{model_digest(host)[:16]}"
         if body not in BODIES:

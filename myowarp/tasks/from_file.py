@@ -23,11 +23,8 @@ from myowarp.definitions.task import MOST_SUBSTEPS, TaskSpec, register, split_ke
 from myowarp.disk import model_digest
 from myowarp.models.bodies import arm_muscles, leg_muscles
 from myowarp.models.reachability import tip_positions
-from myowarp.osim.bundle.couplings import ask, couplings, exact, follow, settled
-from myowarp.osim.bundle.forces import ask as ask_for_forces
-from myowarp.osim.bundle.forces import own_forces
-from myowarp.osim.bundle.paths import ask as ask_for_paths
-from myowarp.osim.bundle.paths import own_paths
+from myowarp.osim.bundle.bundle import MUSCLES, Bundle, ForeignPartError
+from myowarp.osim.bundle.couplings import couplings, follow, settled
 from myowarp.process import warn_once
 from myowarp.sim.build import checked_horizon, full_model
 from myowarp.tasks.extend import Reward, extend
@@ -43,11 +40,7 @@ NUM_POSES = 16  # in which a joint is looked at for moment arms
 NUM_TARGETS = 1024  # points to reach
 STEP_ROUNDING = 1e-6  # of a time step
 KINDS = ("pose", "reach")
-COUPLINGS = "couplings.json"  # beside the model's file; see `myowarp.osim.bundle.couplings`
 OPENSIM = ".osim"
-PATHS = "paths.json"  # likewise; see `myowarp.osim.bundle.paths`
-FORCES = "forces.json"  # likewise; see `myowarp.osim.bundle.forces`
-HILL = "muscles.csv"  # likewise; see `myowarp.definitions.muscle_table`
 STEPPED = ("EULER", "IMPLICITFAST")  # integrators; others call the muscles more than once in a step
 
 
@@ -77,7 +70,8 @@ def read_body(path: Path, tips: tuple[str, ...] = (), stops: bool = True) -> str
 
         path = load(path)
     try:
-        spec = mujoco.MjSpec.from_file(str(path.absolute()))
+        bundle = Bundle.load(path)
+        spec = bundle.into(bundle.spec)
         # What the file says of it is for MuJoCo C; mujoco-warp has dense Jacobians of small models only.
         spec.option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
         for actuator in spec.actuators:
@@ -87,6 +81,8 @@ def read_body(path: Path, tips: tuple[str, ...] = (), stops: bool = True) -> str
             joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
         model = spec.compile()
         model.names.decode()
+    except ForeignPartError:
+        raise
     except UnicodeDecodeError as error:
         raise ValueError(f"model {str(path)!r} must be written in UTF-8; save it as that") from error
     except ValueError as error:
@@ -98,20 +94,11 @@ def read_body(path: Path, tips: tuple[str, ...] = (), stops: bool = True) -> str
     _check(model, source)
     if source.suffix.lower() == OPENSIM:
         _say_stops(model, source, stops)
-    for beside, ask_for, check in (
-        (COUPLINGS, ask, exact),
-        (PATHS, ask_for_paths, own_paths),
-        (FORCES, ask_for_forces, own_forces),
-    ):
-        if (text := path.with_name(beside)).is_file():
-            try:
-                ask_for(spec, text.read_text())
-                check(model := spec.compile())
-            except ValueError as error:
-                raise ValueError(f"file {str(text)!r} must belong to {path.name}: {error}") from error
+    bundle.check(model, path)
     title = re.sub(r"[^A-Za-z0-9]+", "_", spec.modelname).strip("_")
     name = "_".join((title, model_digest(model)[:8], *tips))
-    muscles = MuscleTable.converted(path.with_name(HILL), [model.actuator(i).name for i in range(model.nu)])
+    actuators = [model.actuator(i).name for i in range(model.nu)]
+    muscles = MuscleTable.converted(bundle.muscles, actuators, path.with_name(MUSCLES))
     if muscles is not None:
         muscles, moved = muscles.bounded("opensim")
         for change in moved:

@@ -65,7 +65,7 @@ def test_step_of_more_joints_than_a_dense_jacobian_holds():
         body.add_joint(name=str(index), type=mujoco.mjtJoint.mjJNT_SLIDE)
     ends = "free", False, 0.0, (-1.0, 1.0), False
     shown = tuple(MappedCoordinate(str(index), str(index), 1.0, *ends) for index in range(number))
-    step = OurStep(CoordinateMap(shown, ()), spec, "")
+    step = OurStep(CoordinateMap(shown, ()), spec)
     still, forces = np.zeros((2, number)), np.arange(2.0 * number).reshape(2, number)
     found = step.accelerations(States(still, still, forces, gravity=False))
     np.testing.assert_allclose(found, forces / mass, rtol=1e-6)
@@ -96,7 +96,7 @@ def test_model_mjb_has_moments_that_no_solid_has(tmp_path):
     """MuJoCo's compiler wants greater ones, and with these the top would turn otherwise."""
     model, converted = top(tmp_path, FLAT)
     compiled = converted.spec.compile()
-    true = stiff(compiled, converted.exact)
+    true = stiff(compiled, converted.couplings)
     states = States(VALUES, SPEEDS, np.zeros((1, 3)))
     found, raised = (
         PlainMuJoCo(converted.coordinates, host).accelerations(states)[0] for host in (true, compiled)
@@ -112,7 +112,7 @@ def test_model_mjb_has_moments_that_no_solid_has(tmp_path):
 def test_light_joints_of_model_mjb_stay_at_their_equalities():
     """A fall of a second: knees with light bodies that muscles cross and must not pull off."""
     converted = convert(read_model(DATA / "osim" / "gait10dof18musc.osim"))
-    model, worst = stiff(converted.spec.compile(), converted.exact), []
+    model, worst = stiff(converted.spec.compile(), converted.couplings), []
     for integrator in (model.opt.integrator, mujoco.mjtIntegrator.mjINT_IMPLICITFAST):
         model.opt.integrator, off = integrator, 0.0
         data = mujoco.MjData(model)
@@ -128,7 +128,7 @@ def test_light_joints_of_model_mjb_stay_at_their_equalities():
 def test_the_step_has_moments_that_no_solid_has(tmp_path):
     """Also without joints that follow others; there is no spring that could hold them."""
     _, converted = top(tmp_path, FLAT)
-    step = OurStep(converted.coordinates, converted.spec, converted.exact.as_json())
+    step = OurStep(converted.coordinates, converted.into(converted.spec))
     found = step.accelerations(States(VALUES, SPEEDS, np.zeros((1, 3))))[0]
     np.testing.assert_allclose(found, FLAT_TURNS, rtol=1e-5)
 
@@ -136,10 +136,10 @@ def test_the_step_has_moments_that_no_solid_has(tmp_path):
 def test_a_negative_moment_that_lets_nothing_move_is_zero(tmp_path):
     """OpenSim loads the file; forces would accelerate the top against themselves."""
     _, converted = top(tmp_path, ".05 .05 -5 0 0 0")
-    assert converted.exact.bodies["top"] == (1.0, (0.0, 0.05, 0.05))
+    assert converted.couplings.bodies["top"] == (1.0, (0.0, 0.05, 0.05))
     (note,) = converted.notes
     assert note.rule.endswith(
         "in model.xml and model.mjb, and to 0 in couplings.json: no accelerations follow from them"
     )
     assert note.error_bound == "5 kg m^2"
-    assert stiff(converted.spec.compile(), converted.exact).body_inertia.min(axis=1)[-1] > 0
+    assert stiff(converted.spec.compile(), converted.couplings).body_inertia.min(axis=1)[-1] > 0

@@ -9,9 +9,9 @@ import pytest
 
 from myowarp.coordinates.step import step_of
 from myowarp.osim.bundle.coordinate_map import CoordinateMap
-from myowarp.osim.bundle.forces import own_forces, read
+from myowarp.osim.bundle.forces import PassiveForces
+from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.convert.compose.convert import convert
-from myowarp.osim.convert.compose.mjcf import mjcf
 from myowarp.osim.convert.load import load
 from myowarp.osim.document.read.model import read_model
 from myowarp.sim.build import compile_scene, stepped_of
@@ -97,7 +97,7 @@ def test_a_converted_model_has_no_springs_besides(tmp_path):
     converted = convert(read_model(MODEL))
     path = tmp_path / "model.xml"
     path.write_text(mjcf(converted.spec))
-    (tmp_path / "couplings.json").write_text(converted.exact.as_json())
+    (tmp_path / "couplings.json").write_text(converted.couplings.as_json())
     (tmp_path / "paths.json").write_text(converted.paths.as_json())
     (tmp_path / "forces.json").write_text(converted.forces.as_json())
     found = acting(from_mjcf(path, replace=True), converted.coordinates)
@@ -172,7 +172,7 @@ def test_broken_texts_are_one_sentence(kind, number, name, value, reason, tmp_pa
 
 def test_a_text_is_read_as_it_was_written():
     forces = convert(read_model(MODEL)).forces
-    again = read(forces.as_json())
+    again = PassiveForces.read(forces.as_json())
     assert again.limits == forces.limits
     assert again.as_json() == forces.as_json()
-    assert own_forces(mujoco.MjModel.from_xml_string("<mujoco/>")) is None
+    assert PassiveForces.of(mujoco.MjModel.from_xml_string("<mujoco/>")) is None

@@ -12,13 +12,13 @@ from converted import OSIM
 
 from myowarp.disk import plain
 from myowarp.osim.body.moment_arm import Reference
+from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.convert.check.dynamics import dynamics
 from myowarp.osim.convert.check.engines import PlainMuJoCo
 from myowarp.osim.convert.check.gates import COORDINATES, arm_gates, dynamics_gates, muscle_gates
 from myowarp.osim.convert.check.judge import BENT, off_surfaces
 from myowarp.osim.convert.check.muscles import Spread, _pair, moment_arm_errors, motion, muscle_errors
 from myowarp.osim.convert.compose.convert import Options, Stages, convert
-from myowarp.osim.convert.compose.mjcf import mjcf
 from myowarp.osim.convert.tendon import fits as muscle_fit
 from myowarp.osim.convert.tendon.fitted import Fits
 from myowarp.osim.document.read.model import read_model

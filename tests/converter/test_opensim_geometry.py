@@ -7,13 +7,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from myowarp.osim.bundle.bundle import write
 from myowarp.osim.bundle.couplings import couplings, follow
+from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.convert.check.frames import kinematics_error
 from myowarp.osim.convert.compose.convert import Options, convert
-from myowarp.osim.convert.compose.mjcf import mjcf
 from myowarp.osim.convert.compose.passive import onset, rising
 from myowarp.osim.convert.compose.quartics import fit_all
-from myowarp.osim.convert.run import run, write
+from myowarp.osim.convert.run import run
 from myowarp.osim.document.functions import SimmSpline
 from myowarp.osim.document.read.model import read_model
 from myowarp.sim.converted_step import OurStep
@@ -173,7 +174,7 @@ def test_a_reset_leaves_joints_where_they_follow(conversions, name):
     ties = data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value]
     assert not len(ties) or np.abs(ties).max() < 1e-12
     assert name == "joints" or np.abs(model.qpos0).max() > 0.5
-    exact = {model.joint(joint).id: curves for joint, (_, curves) in converted.exact.curves.items()}
+    exact = {model.joint(joint).id: curves for joint, (_, curves) in converted.couplings.curves.items()}
     assert exact.keys() <= {tie.joint for tie in couplings(model)}
 
 

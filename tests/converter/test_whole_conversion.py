@@ -3,7 +3,8 @@
 import pytest
 from full_disk import full_disk
 
-from myowarp.osim.convert.run import COMPLETE, SIDECARS, write
+from myowarp.osim.bundle.bundle import SIDECARS, write
+from myowarp.osim.convert.run import COMPLETE
 
 
 def test_a_full_disk_leaves_the_conversion_before(tmp_path):

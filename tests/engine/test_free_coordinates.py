@@ -17,7 +17,7 @@ from myowarp.definitions.task import TASKS
 from myowarp.engine.stages.arrays import filled
 from myowarp.engine.step import Step
 from myowarp.laws.pieces import Pieces
-from myowarp.osim.bundle.couplings import Exact, ask, couplings, exact, follow, jacobian, read
+from myowarp.osim.bundle.couplings import NOTHING, Couplings, couplings, follow, jacobian
 from myowarp.osim.convert.compose.binary import binary, stiff
 from myowarp.process import warn_once
 from myowarp.sim.build import full_model
@@ -79,7 +79,7 @@ def pieces(spline):
     return Pieces((KNOTS[0], *KNOTS), (ends[0], *inside, ends[1]))
 
 
-SAID = Exact(
+SAID = Couplings(
     {
         "glide": ("knee", (pieces(TRAVEL),)),
         "tilt": ("knee", (Pieces((0.0,), ((0.1, 0.8),)), pieces(TURN))),
@@ -270,7 +270,7 @@ def test_phantoms_stop_beyond_the_range(tmp_path):
     """Inside they follow the quartics of model.xml; beyond, quartics of quartics would run away."""
     converted, path = motorised(tmp_path, "gait10dof18musc")
     spec = mujoco.MjSpec.from_file(str(path))
-    ask(spec, converted.exact.as_json())
+    converted.couplings.put_into(spec)
     model = spec.compile()
     quartics, found = {d.joint: d for d in converted.coordinates.dependents}, 0
     for tie in couplings(model):
@@ -354,8 +354,8 @@ def test_a_model_asks_for_it(tmp_path, caplog):
     assert not isinstance(sim.shards[0].physics_step, FreeCoordinates)
     assert not caplog.records
     spec = mujoco.MjSpec.from_file(str(path))
-    ask(spec)
-    (tmp_path / "couplings.json").write_text(Exact({}, {}).as_json())
+    NOTHING.put_into(spec)
+    (tmp_path / "couplings.json").write_text(Couplings({}, {}).as_json())
     sim = simulation(path, 1)
     assert isinstance(sim.shards[0].physics_step, FreeCoordinates)
     place(sim, np.array([[0.2, -0.7]]), np.zeros((1, 2)), np.zeros((1, 2)))
@@ -405,7 +405,7 @@ def test_what_it_does_not_cover_is_said_once(tmp_path, caplog, changes, reason):
 
 def test_massless_coordinates_are_refused(tmp_path, caplog):
     """A document that weighs nothing along a coordinate: MuJoCo's own small masses stay."""
-    said = Exact(
+    said = Couplings(
         SAID.curves, {name: (0.0, (0.0, 0.0, 0.0)) for name in ("thigh", "shank", "patella", "phantom")}
     )
     with caplog.at_level(logging.WARNING, logger="myowarp"):
@@ -437,12 +437,12 @@ def test_broken_couplings_are_refused(tmp_path, text, message):
 
 
 def test_text_reads_back_the_same(tmp_path):
-    assert read(SAID.as_json()) == SAID
+    assert Couplings.read(SAID.as_json()) == SAID
     spec = mujoco.MjSpec.from_file(str(leg(tmp_path)))
-    ask(spec)
-    ask(spec, SAID.as_json())
+    NOTHING.put_into(spec)
+    SAID.put_into(spec)
     model = spec.compile()
-    assert exact(model) == SAID
+    assert Couplings.of(model) == SAID
     roots = {model.joint(tie.joint).name: tie.driver for tie in couplings(model)}
     knee = model.joint("knee").id
     assert roots == {"glide": knee, "tilt": knee, "ghost": knee, "rise": -1}
@@ -465,7 +465,7 @@ def test_the_binary_model_is_near(name, tmp_path):
     """In MuJoCo C, against OpenSim; the XML, which cannot say how stiff rows are, is ten times as far off."""
     recorded, (converted, path) = np.load(RECORDED / f"accelerations_{name}.npz"), motorised(tmp_path, name)
     model = mujoco.MjModel.from_xml_path(str(path))
-    (tmp_path / "model.mjb").write_bytes(binary(stiff(model, converted.exact)))
+    (tmp_path / "model.mjb").write_bytes(binary(stiff(model, converted.couplings)))
     entries = {entry.name: entry for entry in converted.coordinates.coordinates}
     names = [str(c) for c in recorded["coordinates"]]
     joints = [model.joint(entries[c].joint).id for c in names]

@@ -8,7 +8,7 @@ from converted import simulation
 
 from myowarp.coordinates.free_coordinates import FreeCoordinates
 from myowarp.coordinates.hinge_triples import NEAR, RETURN, triples_of
-from myowarp.osim.bundle.couplings import Exact, couplings
+from myowarp.osim.bundle.couplings import Couplings, couplings
 
 ARM = """
 <mujoco model="arm">
@@ -37,7 +37,7 @@ PHANTOM = (
     '<body name="phantom"><joint name="ghost"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
 )
 TIED = '<equality><joint joint1="ghost" joint2="elbow" polycoef="0 .5 0 0 0"/></equality>'
-SAID = Exact({}, {"phantom": (0.0, (0.0, 0.0, 0.0))})
+SAID = Couplings({}, {"phantom": (0.0, (0.0, 0.0, 0.0))})
 LEANS = (0.0, 0.4, np.pi)
 """rad; by which the third axis leans from the normal of the others at `ref`."""
 ACCELERATION = 1e-3  # of the largest; at 1e-3 rad from a pole a rounding of b alone makes 1e-4

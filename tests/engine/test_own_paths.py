@@ -11,9 +11,9 @@ from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES
 from myowarp.laws.paths.tables import TURNS, OsimPath, OsimPaths, Over, Via, WrapSurface
 from myowarp.osim.body.on_device import lengths_and_moment_arms
-from myowarp.osim.bundle.paths import TEXT, Said, own_paths, read
+from myowarp.osim.bundle.mjcf import mjcf
+from myowarp.osim.bundle.paths import DocumentPaths
 from myowarp.osim.convert.compose.convert import convert
-from myowarp.osim.convert.compose.mjcf import mjcf
 from myowarp.osim.document.kinematics import independent, random_poses
 from myowarp.osim.document.read.model import read_model
 from myowarp.sim.build import compile_scene, stepped_of
@@ -32,7 +32,7 @@ def written(folder, name):
     converted = convert(read_model(OSIM / f"{name}.osim"))
     path = folder / "model.xml"
     path.write_text(mjcf(converted.spec))
-    (folder / "couplings.json").write_text(converted.exact.as_json())
+    (folder / "couplings.json").write_text(converted.couplings.as_json())
     (folder / "paths.json").write_text(converted.paths.as_json())
     return converted, path
 
@@ -108,7 +108,7 @@ SURFACE = WrapSurface(
     "sphere", "b", (0.0, 0.0, 0.0), ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)), (0.1, 0.0, 0.0)
 )
 PATH = OsimPath((Via("world", (0.0, 0.0, 0.3)), Via("b", (0.0, 0.2, 0.0))), (Over("s", "hybrid", 0, 1),))
-SAID = Said(OsimPaths({"t": PATH}, {"s": SURFACE}), ())
+SAID = DocumentPaths(OsimPaths({"t": PATH}, {"s": SURFACE}), ())
 MJCF = """<mujoco model="own">
 <worldbody>
   <site name="a" pos="0 0 .3"/>
@@ -183,8 +183,8 @@ def test_a_wrapping_tendon_needs_a_path_and_one_of_sites_does_not(tmp_path):
 
 def test_a_text_reads_back_as_written(tmp_path):
     converted, path = written(tmp_path, "gait10dof18musc")
-    assert read(converted.paths.as_json()) == converted.paths
-    said = own_paths(BODIES[read_body(path)].build().compile())
+    assert DocumentPaths.read(converted.paths.as_json()) == converted.paths
+    said = DocumentPaths.of(BODIES[read_body(path)].build().compile())
     assert said == converted.paths
-    assert TEXT == "paths"
+    assert DocumentPaths.NAME == "paths"
     assert Path(tmp_path / "paths.json").is_file()

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.replicas import MujocoC, replicate
+from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.convert.compose.convert import convert
-from myowarp.osim.convert.compose.mjcf import mjcf
 from myowarp.osim.document.read.model import read_model
 
 OSIM = Path(__file__).parents[1] / "data" / "osim"

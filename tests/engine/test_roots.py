@@ -8,7 +8,7 @@ from configurations import configurations
 from converted import simulation
 
 from myowarp.coordinates.free_coordinates import MOST_DENSE, FreeCoordinates
-from myowarp.osim.bundle.couplings import NOTHING, Exact
+from myowarp.osim.bundle.couplings import NOTHING, Couplings
 
 NUM_WORLDS = 11
 CLOSE = 3e-5  # of a world's largest acceleration; float32
@@ -106,7 +106,7 @@ def placed(sim, model):
 )
 def test_steps_are_those_of_mujoco_c(tmp_path, integrator, more, stages):
     """With contacts and limits; in the document a body has other moments of inertia than in the model."""
-    said = Exact({}, {"shank": (1.0, INERTIA)})
+    said = Couplings({}, {"shank": (1.0, INERTIA)})
     sim = simulated(tmp_path, said, stages, integrator=integrator, inertia=".06 .06 .05", more=more)
     assert not mujoco.mj_isSparse(sim.scene.oracle)
     model = mujoco.MjModel.from_xml_string(written(integrator=integrator, more=more))

@@ -22,8 +22,8 @@ from myowarp.engine.stage import STAGES, Stage, load
 from myowarp.engine.stages.muscle_path import MusclePath, MusclePaths
 from myowarp.engine.step import ORDER, uncovered
 from myowarp.engine.verify import verified_stages
+from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.convert.compose.convert import convert
-from myowarp.osim.convert.compose.mjcf import mjcf
 from myowarp.osim.document.read.model import read_model
 from myowarp.process import warn_once
 from myowarp.sim.build import stepped_of

@@ -15,8 +15,8 @@ from myowarp.definitions.task import TASKS
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.models.slim import slim
 from myowarp.osim.bundle.couplings import couplings, follow
+from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.convert.compose.convert import convert
-from myowarp.osim.convert.compose.mjcf import mjcf
 from myowarp.osim.document.read.model import read_model
 from myowarp.process import warn_once
 from myowarp.sim import build

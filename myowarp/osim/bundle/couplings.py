@@ -9,20 +9,16 @@ Source: MuJoCo documentation, *XML reference, equality/joint*: q_i - q0_i = sum_
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from typing import Any, Self
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from myowarp.laws.pieces import EVERYWHERE, Pieces
-from myowarp.osim.bundle.text import check_named, scalar_joints, set_text, text_of
-
-TEXT = "couplings"
-"""Name of the model's text that says how its joints follow each other exactly."""
-
+from myowarp.osim.bundle.text import Sidecar, scalar_joints
 
 REGULAR = 1e-9
 """Least `regularity` of a mass matrix along free coordinates with which float32 finds accelerations."""
@@ -54,8 +50,8 @@ class Coupling:
 
 
 @dataclass(frozen=True)
-class Exact:
-    """What a model's text says.
+class Couplings(Sidecar):
+    """How joints follow each other exactly, and what bodies weigh.
 
     Attributes:
         curves: Of joints that follow, by name: the joint that each follows, None for none, and its curves.
@@ -63,43 +59,45 @@ class Exact:
             heavier in the model, because MuJoCo needs it.
     """
 
+    NAME = "couplings"
+    KEYS = "'joints' and 'bodies'"
     curves: Mapping[str, tuple[str | None, tuple[Pieces, ...]]]
     bodies: Mapping[str, tuple[float, tuple[float, ...]]]
 
     @property
-    def turns_otherwise(self) -> bool:
-        """Whether a body with a mass has other moments of inertia than in the model."""
-        return any(mass > 0 for mass, _ in self.bodies.values())
+    def acts(self) -> bool:
+        """Whether a joint follows, or a body with a mass has other moments of inertia than in the model."""
+        return bool(self.curves) or any(mass > 0 for mass, _ in self.bodies.values())
+
+    @property
+    def bodies_apart(self) -> Iterable[str]:
+        """Bodies that are weighed."""
+        return self.bodies
+
+    @classmethod
+    def from_entry(cls, entry: Any) -> Self:
+        """Return what parsed JSON says; see `Sidecar.from_entry`."""
+        return cls({joint: driven(e) for joint, e in entry["joints"].items()}, _bodies(entry["bodies"]))
 
     def as_json(self) -> str:
         """Return the text."""
-        curves = {
-            joint: {"of": of, "curves": [p.entry() for p in pieces]}
-            for joint, (of, pieces) in self.curves.items()
-        }
+        curves = {joint: entry_of(*follows) for joint, follows in self.curves.items()}
         bodies = {name: {"mass": mass, "inertia": inertia} for name, (mass, inertia) in self.bodies.items()}
         return json.dumps({"joints": curves, "bodies": bodies})
 
+    def check(self, model: mujoco.MjModel) -> None:
+        """Raise ValueError if it names joints that a model has not."""
+        named = {*self.curves, *(of for of, _ in self.curves.values() if of is not None)}
+        self.check_named("hinge or slide", named, scalar_joints(model))
 
-NOTHING = Exact({}, {})
+
+NOTHING = Couplings({}, {})
 """Asks that joint equalities be exact."""
 
 
-@lru_cache(maxsize=8)
-def read(text: str) -> Exact:
-    """Return what a text says.
-
-    Raises:
-        ValueError: It is not one that `Exact.as_json` writes.
-    """
-    try:
-        entry = json.loads(text)
-        return Exact({joint: driven(e) for joint, e in entry["joints"].items()}, _bodies(entry["bodies"]))
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise ValueError(
-            "the couplings of the model must be JSON with 'joints' and 'bodies' as `myowarp convert` writes "
-            f"it; {type(error).__name__}: {error}"
-        ) from error
+def entry_of(of: str | None, curves: Iterable[Pieces]) -> dict[str, Any]:
+    """Return a value that follows a joint as `driven` reads it."""
+    return {"of": of, "curves": [piece.entry() for piece in curves]}
 
 
 def driven(entry: Mapping[str, object]) -> tuple[str | None, tuple[Pieces, ...]]:
@@ -135,37 +133,12 @@ def _bodies(entries: Mapping[str, Mapping[str, object]]) -> dict[str, tuple[floa
     return bodies
 
 
-def exact(model: mujoco.MjModel) -> Exact | None:
-    """Return what a model's text says, None for a model without one: its joints follow by equalities.
-
-    Raises:
-        ValueError: The text is broken, or names joints that the model has not.
-    """
-    if (text := text_of(model, TEXT)) is None:
-        return None
-    found = read(text)
-    named = {*found.curves, *(of for of, _ in found.curves.values() if of is not None)}
-    check_named("couplings", "hinge or slide", named, scalar_joints(model))
-    return found
-
-
-def ask(spec: mujoco.MjSpec, text: str = NOTHING.as_json()) -> None:
-    """Have the joints of a spec follow exactly, as a text says; one that it has already is replaced.
-
-    Raises:
-        ValueError: The text is broken.
-    """
-    set_text(spec, TEXT, text)
-    for body in filter(None, map(spec.body, read(text).bodies)):
-        body.fuse = 0  # fused with its parent it could not be weighed
-
-
 def couplings(model: mujoco.MjModel) -> list[Coupling]:
     """Return the active couplings of a model, each from the joint at the root of its chain.
 
     What the model's text says comes before its equalities of the same joint.
     """
-    said = exact(model) or NOTHING
+    said = Couplings.of(model) or NOTHING
     waiting = [
         Coupling(model.joint(joint).id, -1 if of is None else model.joint(of).id, curves)
         for joint, (of, curves) in said.curves.items()
@@ -209,7 +182,7 @@ def follow(model: mujoco.MjModel, qpos: np.ndarray) -> None:
 def settled(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     """Return a copy of a configuration (nq,) in which the joints that follow exactly do."""
     qpos = qpos.copy()
-    if exact(model) is not None:
+    if Couplings.of(model) is not None:
         follow(model, qpos)
     return qpos
 

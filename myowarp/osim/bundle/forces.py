@@ -7,17 +7,14 @@ and tendons, and names the springs and dampers that stand for them in plain MuJo
 import dataclasses
 import json
 from collections.abc import Mapping
-from functools import lru_cache
+from typing import Any, Self
 
 import mujoco
 import numpy as np
 
 from myowarp.laws.pieces import Pieces
 from myowarp.osim.bundle.couplings import driven
-from myowarp.osim.bundle.text import check_named, scalar_joints, set_text, text_of
-
-TEXT = "forces"
-"""Name of the model's text that says what acts."""
+from myowarp.osim.bundle.text import Sidecar, scalar_joints
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,8 +51,8 @@ class TendonSpring:
 
 
 @dataclasses.dataclass(frozen=True)
-class PassiveForces:
-    """What a model's text says.
+class PassiveForces(Sidecar):
+    """Limits and ligaments of an OpenSim document in terms of a MuJoCo model.
 
     Attributes:
         limits: Beyond which joints are pushed back.
@@ -64,10 +61,25 @@ class PassiveForces:
         dampers: Damping that stands for them, by joint [N m s/rad or N s/m].
     """
 
+    NAME = "forces"
+    KEYS = "'limits', 'ligaments', 'springs' and 'dampers'"
     limits: tuple[JointLimit, ...] = ()
     ligaments: tuple[TendonSpring, ...] = ()
     springs: tuple[str, ...] = ()
     dampers: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def from_entry(cls, entry: Any) -> Self:
+        """Return what parsed JSON says; see `Sidecar.from_entry`."""
+        limits = tuple(JointLimit(**limit) for limit in entry["limits"])
+        ligaments = tuple(
+            TendonSpring(**ligament | {"curves": driven({"of": None, "curves": ligament["curves"]})[1]})
+            for ligament in entry["ligaments"]
+        )
+        dampers = {str(joint): float(damping) for joint, damping in entry["dampers"].items()}
+        found = cls(limits, ligaments, tuple(map(str, entry["springs"])), dampers)
+        _check(found)
+        return found
 
     def as_json(self) -> str:
         """Return the text."""
@@ -79,30 +91,12 @@ class PassiveForces:
         instead = {"springs": self.springs, "dampers": dict(self.dampers)}
         return json.dumps({"limits": limits, "ligaments": ligaments, **instead})
 
-
-@lru_cache(maxsize=8)
-def read(text: str) -> PassiveForces:
-    """Return what a text says.
-
-    Raises:
-        ValueError: It is not one that `PassiveForces.as_json` writes.
-    """
-    try:
-        entry = json.loads(text)
-        limits = tuple(JointLimit(**limit) for limit in entry["limits"])
-        ligaments = tuple(
-            TendonSpring(**ligament | {"curves": driven({"of": None, "curves": ligament["curves"]})[1]})
-            for ligament in entry["ligaments"]
-        )
-        dampers = {str(joint): float(damping) for joint, damping in entry["dampers"].items()}
-        acting = PassiveForces(limits, ligaments, tuple(map(str, entry["springs"])), dampers)
-        _check(acting)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise ValueError(
-            "the forces of the model must be JSON with 'limits', 'ligaments', 'springs' and 'dampers' as "
-            f"`myowarp convert` writes it; {type(error).__name__}: {error}"
-        ) from error
-    return acting
+    def check(self, model: mujoco.MjModel) -> None:
+        """Raise ValueError if it names what a model has not."""
+        joints = {*(limit.joint for limit in self.limits), *self.dampers}
+        tendons = {*(ligament.tendon for ligament in self.ligaments), *self.springs}
+        self.check_named("hinge or slide", joints, scalar_joints(model))
+        self.check_named("tendon", tendons, {model.tendon(i).name for i in range(model.ntendon)})
 
 
 def _check(acting: PassiveForces) -> None:
@@ -118,30 +112,3 @@ def _check(acting: PassiveForces) -> None:
     for joint, damping in acting.dampers.items():
         if not np.isfinite(damping):
             raise ValueError(f"the damping of joint {joint!r} must be finite, got {damping}")
-
-
-def own_forces(model: mujoco.MjModel) -> PassiveForces | None:
-    """Return what a model's text says, None for a model without one.
-
-    Raises:
-        ValueError: The text is broken, or names what the model has not.
-    """
-    if (text := text_of(model, TEXT)) is None:
-        return None
-    acting = read(text)
-    tendons = {model.tendon(i).name for i in range(model.ntendon)}
-    named = {*(limit.joint for limit in acting.limits), *acting.dampers}
-    pulling = {*(ligament.tendon for ligament in acting.ligaments), *acting.springs}
-    check_named("forces", "hinge or slide", named, scalar_joints(model))
-    check_named("forces", "tendon", pulling, tendons)
-    return acting
-
-
-def ask(spec: mujoco.MjSpec, text: str) -> None:
-    """Have what a text says act in a spec; a text that it has already is replaced.
-
-    Raises:
-        ValueError: The text is broken.
-    """
-    read(text)
-    set_text(spec, TEXT, text)

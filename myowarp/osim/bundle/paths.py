@@ -6,19 +6,16 @@ then run as OpenSim's paths do (`coordinates.own_paths`).
 
 import dataclasses
 import json
-from functools import lru_cache
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, Self
 
 import mujoco
 import numpy as np
 
 from myowarp.laws.paths.tables import KINDS, METHODS, TURNS, OsimPath, OsimPaths, Over, Via, WrapSurface
 from myowarp.laws.pieces import Pieces
-from myowarp.osim.bundle.couplings import driven
-from myowarp.osim.bundle.text import check_named, scalar_joints, set_text, text_of
-
-TEXT = "paths"
-"""Name of the model's text that says how its muscles run."""
+from myowarp.osim.bundle.couplings import driven, entry_of
+from myowarp.osim.bundle.text import Sidecar, scalar_joints
 
 WRAP_SITE, WRAP_JOINT = mujoco.mjtWrap.mjWRAP_SITE.value, mujoco.mjtWrap.mjWRAP_JOINT.value
 
@@ -27,8 +24,8 @@ Driven = tuple[str | None, tuple[Pieces, ...]]
 
 
 @dataclasses.dataclass(frozen=True)
-class Said:
-    """What a model's text says.
+class DocumentPaths(Sidecar):
+    """Paths of an OpenSim document in terms of a MuJoCo model.
 
     Attributes:
         paths: The paths, by name of the tendon.
@@ -37,29 +34,21 @@ class Said:
         exact: As in `PathMemory`.
     """
 
+    NAME = "paths"
+    KEYS = "'guard', 'exact', 'values', 'surfaces' and 'paths'"
     paths: OsimPaths
     values: tuple[Driven, ...]
     guard: float = TURNS
     exact: bool = False
 
-    def as_json(self) -> str:
-        """Return the text."""
-        values = [{"of": of, "curves": [curve.entry() for curve in curves]} for of, curves in self.values]
-        surfaces = {name: dataclasses.asdict(surface) for name, surface in self.paths.surfaces.items()}
-        paths = {name: dataclasses.asdict(path) for name, path in self.paths.paths.items()}
-        chosen = {"guard": self.guard, "exact": self.exact}
-        return json.dumps({**chosen, "values": values, "surfaces": surfaces, "paths": paths})
+    @property
+    def bodies_apart(self) -> Iterable[str]:
+        """Bodies that paths are fixed to."""
+        return self.paths.bodies
 
-
-@lru_cache(maxsize=8)
-def read(text: str) -> Said:
-    """Return what a text says.
-
-    Raises:
-        ValueError: It is not one that `Said.as_json` writes.
-    """
-    try:
-        entry = json.loads(text)
+    @classmethod
+    def from_entry(cls, entry: Any) -> Self:
+        """Return what parsed JSON says; see `Sidecar.from_entry`."""
         surfaces = {name: WrapSurface(**_tuples(surface)) for name, surface in entry["surfaces"].items()}
         paths = {
             name: OsimPath(
@@ -69,14 +58,32 @@ def read(text: str) -> Said:
             for name, path in entry["paths"].items()
         }
         values = tuple(map(driven, entry["values"]))
-        said = Said(OsimPaths(paths, surfaces), values, float(entry["guard"]), bool(entry["exact"]))
-        _check(said)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise ValueError(
-            "the paths of the model must be JSON with 'guard', 'exact', 'values', 'surfaces' and 'paths' as "
-            f"`myowarp convert` writes it; {type(error).__name__}: {error}"
-        ) from error
-    return said
+        found = cls(OsimPaths(paths, surfaces), values, float(entry["guard"]), bool(entry["exact"]))
+        _check(found)
+        return found
+
+    def as_json(self) -> str:
+        """Return the text."""
+        values = [entry_of(*value) for value in self.values]
+        surfaces = {name: dataclasses.asdict(surface) for name, surface in self.paths.surfaces.items()}
+        paths = {name: dataclasses.asdict(path) for name, path in self.paths.paths.items()}
+        chosen = {"guard": self.guard, "exact": self.exact}
+        return json.dumps({**chosen, "values": values, "surfaces": surfaces, "paths": paths})
+
+    def check(self, model: mujoco.MjModel) -> None:
+        """Raise ValueError if it names what a model has not, or leaves a tendon out that wraps."""
+        spatial = [model.tendon(i).name for i in range(model.ntendon) if not is_of(model, i, WRAP_JOINT)]
+        leading = [of for of, _ in self.values if of is not None]
+        self.check_named("body", self.paths.bodies, [model.body(b).name for b in range(model.nbody)])
+        self.check_named("hinge or slide", leading, scalar_joints(model))
+        self.check_named("tendon", self.paths.paths, spatial)
+        for tendon in range(model.ntendon):
+            name = model.tendon(tendon).name
+            sites = is_of(model, tendon, WRAP_SITE) or is_of(model, tendon, WRAP_JOINT)
+            if name not in self.paths.paths and not sites:
+                raise ValueError(
+                    f"the paths of the model must name tendon {name!r}, which wraps; they do not"
+                )
 
 
 def _tuples(entry: dict[str, Any]) -> dict[str, Any]:
@@ -88,7 +95,7 @@ def _tuples(entry: dict[str, Any]) -> dict[str, Any]:
     return {name: frozen(value) for name, value in entry.items()}
 
 
-def _check(said: Said) -> None:
+def _check(said: DocumentPaths) -> None:
     """Raise ValueError if the kernel would read beside its tables, or compute with what is no number."""
     if not said.guard >= 0:
         raise ValueError(f"guard must be at least 0, got {said.guard}")
@@ -116,40 +123,7 @@ def _check(said: Said) -> None:
                 raise ValueError(f"path {name!r} wraps between points that it has not")
 
 
-def own_paths(model: mujoco.MjModel) -> Said | None:
-    """Return what a model's text says, None for a model without one.
-
-    Raises:
-        ValueError: The text is broken, or names what the model has not.
-    """
-    if (text := text_of(model, TEXT)) is None:
-        return None
-    said = read(text)
-    spatial = [model.tendon(i).name for i in range(model.ntendon) if not is_of(model, i, WRAP_JOINT)]
-    leading = [of for of, _ in said.values if of is not None]
-    check_named("paths", "body", said.paths.bodies, [model.body(b).name for b in range(model.nbody)])
-    check_named("paths", "hinge or slide", leading, scalar_joints(model))
-    check_named("paths", "tendon", said.paths.paths, spatial)
-    for tendon in range(model.ntendon):
-        name = model.tendon(tendon).name
-        sites = is_of(model, tendon, WRAP_SITE) or is_of(model, tendon, WRAP_JOINT)
-        if name not in said.paths.paths and not sites:
-            raise ValueError(f"the paths of the model must name tendon {name!r}, which wraps; they do not")
-    return said
-
-
 def is_of(model: mujoco.MjModel, tendon: int, kind: int) -> bool:
     """Whether a tendon consists of things of one kind."""
     first = model.tendon_adr[tendon]
     return bool((model.wrap_type[first : first + model.tendon_num[tendon]] == kind).all())
-
-
-def ask(spec: mujoco.MjSpec, text: str) -> None:
-    """Have the tendons of a spec run as a text says; one that it has already is replaced.
-
-    Raises:
-        ValueError: The text is broken.
-    """
-    set_text(spec, TEXT, text)
-    for body in filter(None, map(spec.body, read(text).paths.bodies)):
-        body.fuse = 0  # fused with its parent it would have another frame

@@ -9,14 +9,11 @@ import json
 from pathlib import Path
 
 from myowarp.disk import cache_dir, files_digest, version, writable_folder
-from myowarp.osim.body.hill_muscle import HillMuscle
+from myowarp.osim.bundle.bundle import MODEL
 from myowarp.osim.convert.check.accelerations import too_fast
 from myowarp.osim.convert.compose.convert import Options, convert
 from myowarp.osim.convert.compose.geometry import MIN_MASS
 from myowarp.osim.convert.compose.meshes import mesh_files
-from myowarp.osim.convert.compose.mjcf import mjcf
-from myowarp.osim.convert.muscle_table import muscle_table
-from myowarp.osim.convert.run import write
 from myowarp.osim.document.model import Loss
 from myowarp.osim.document.read.model import read_model
 from myowarp.process import warn_once
@@ -24,15 +21,16 @@ from myowarp.process import warn_once
 SOURCES = ("osim/**/*.py", "laws/**/*.py", "disk.py")
 """Files of the package that decide what comes out."""
 
+LEFT_OUT = "left_out.json"
 TOO_FAST = "accelerations.json"
-"""Beside the model: sentences on what accelerates too fast in it."""
+"""Beside the model: codes of what is left out, and sentences on what accelerates too fast."""
 
 MASSLESS = "massless"
 """Code of a model without masses, as in the report of a conversion."""
 
 
 def load(path: Path) -> Path:
-    """Return model.xml of an .osim file, its sidecars beside it; a line is logged for what is left out.
+    """Return model.xml of the bundle of an .osim file; a line is logged for what is left out.
 
     Raises:
         ValueError: The file is no usable model, or contains something that is not supported.
@@ -44,43 +42,34 @@ def load(path: Path) -> Path:
     digest = files_digest([path, *mesh_files(path), *sources])[:16]
     kept = writable_folder(cache_dir(), "MYOWARP_CACHE_DIR") / "opensim"
     folder = kept / f"{path.stem}-{digest}-mujoco-{version('mujoco')}"
-    if not (folder / "model.xml").is_file():
-        write(folder, _files(path))
+    if not (folder / MODEL).is_file():
+        _convert(path, folder)
     for line in json.loads((folder / TOO_FAST).read_text()):
         warn_once(f"{path.name}: {line}")
-    codes = json.loads((folder / "left_out.json").read_text())
+    codes = json.loads((folder / LEFT_OUT).read_text())
     if MASSLESS in codes:
         warn_once(
             f"{path.name} gives no body a mass; bodies of {MIN_MASS * 1e3:g} g stand for them, which muscles "
             "throw: use the model for paths and forces, not for motion"
         )
     if codes:
-        said = ", ".join(codes)
         warn_once(
-            f"{path.name}: left out, or not as in OpenSim: {said}; the report of myowarp convert says how"
+            f"{path.name}: left out, or not as in OpenSim: {', '.join(codes)}; the report of myowarp convert "
+            "says how"
         )
-    return folder / "model.xml"
+    return folder / MODEL
 
 
-def _files(path: Path) -> dict[str, bytes]:
-    """Return what is kept of a model, model.xml last."""
+def _convert(path: Path, folder: Path) -> None:
+    """Keep the bundle of a model, and what is said of it, in a folder."""
     try:
         model = read_model(path)
     except NotImplementedError as error:
         raise ValueError(str(error)) from error
-    converted = convert(model, Options(tendons=False))
-    converted.spec.meshdir = "meshes" if converted.meshes else ""
-    left_out = {note.code for note in converted.notes if isinstance(note, Loss)}
+    bundle = convert(model, Options(tendons=False))
+    left_out = {note.code for note in bundle.notes if isinstance(note, Loss)}
     if not any(body.mass for body in model.bodies.values()):
         left_out.add(MASSLESS)
-    return {
-        **{f"meshes/{name}": content for name, content in converted.meshes.items()},
-        "coordinates.json": json.dumps(converted.coordinates.as_json(), indent=1).encode(),
-        "couplings.json": converted.exact.as_json().encode(),
-        **({"paths.json": converted.paths.as_json().encode()} if converted.paths else {}),
-        **({"forces.json": converted.forces.as_json().encode()} if converted.forces else {}),
-        "muscles.csv": muscle_table(map(HillMuscle.of, model.muscles.values())).encode(),
-        "left_out.json": json.dumps(sorted(left_out)).encode(),
-        TOO_FAST: json.dumps(too_fast(model)).encode(),
-        "model.xml": mjcf(converted.spec, comment=f"{model.name}. {model.credits}").encode(),
-    }
+    said = {LEFT_OUT: sorted(left_out), TOO_FAST: too_fast(model)}
+    more = {name: json.dumps(lines).encode() for name, lines in said.items()}
+    bundle.save(folder, f"{model.name}. {model.credits}", more)

@@ -6,13 +6,13 @@ import json
 import os
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 
-from myowarp.disk import check_folder, files_digest, in_place, make_folder
+from myowarp.disk import check_folder, files_digest
+from myowarp.osim.bundle.bundle import MODEL, SIDECARS, write
 from myowarp.osim.document.model import Loss, Model, pulling
 from myowarp.progress import patient_bar
 
@@ -30,8 +30,6 @@ PATIENCE = 1.0
 """[s] after which a progress bar is drawn."""
 COMPLETE = ("report.json", "report.html", "model.xml")
 """Files that show that a folder holds a whole result: the first to go and the last to come."""
-SIDECARS = ("couplings.json", "paths.json", "forces.json")
-"""Files that not every model has, and that act where they lie beside one."""
 
 
 def run(
@@ -61,14 +59,11 @@ def run(
         NotImplementedError: The model contains something that is not supported.
         OSError: A file cannot be read or written.
     """
-    from myowarp.osim.body.hill_muscle import HillMuscle
     from myowarp.osim.convert.check.dynamics import dynamics
     from myowarp.osim.convert.check.engines import Engine, PlainMuJoCo
     from myowarp.osim.convert.check.left_out import sized
     from myowarp.osim.convert.compose.binary import binary, stiff
     from myowarp.osim.convert.compose.convert import Options, Stages, convert
-    from myowarp.osim.convert.compose.mjcf import mjcf
-    from myowarp.osim.convert.muscle_table import muscle_table
     from myowarp.osim.convert.report.data import along_coordinates, check, report_of
     from myowarp.osim.convert.report.page import page
     from myowarp.osim.document.read.model import read_model
@@ -93,19 +88,19 @@ def run(
     if pulling(model) and samples is None:
         note = Loss("/forceset", NO_FITS, code="fits")
         converted = dataclasses.replace(converted, notes=(*converted.notes, note))
-    converted.spec.meshdir = "meshes" if converted.meshes else ""
-    text = mjcf(
-        converted.spec, comment=f"{model.name}. {LACKS if converted.exact.curves else ''}{model.credits}"
-    )
+    couplings = converted.couplings
+    files = converted.files(f"{model.name}. {LACKS if couplings.curves else ''}{model.credits}")
+    if not couplings.acts:
+        del files[f"{couplings.NAME}.json"]
+    text = files[MODEL].decode()
     compiled = mujoco.MjModel.from_xml_string(text, {**converted.meshes})
-    asks = converted.exact.curves or converted.exact.turns_otherwise
-    said = converted.exact.as_json() if asks else ""
-    stiffer = stiff(compiled, converted.exact)
+    stiffer = stiff(compiled, couplings)
     coordinates = converted.coordinates
     engines: dict[str, Engine] = {}
     if coordinates.free():
         try:
-            engines["step"] = step(coordinates, mujoco.MjSpec.from_string(text), said)
+            spec = mujoco.MjSpec.from_string(text)
+            engines["step"] = step(coordinates, couplings.put_into(spec) if couplings.acts else spec)
         except ValueError as error:
             reason = " ".join(str(error).split())
             raise ValueError(f"{source}: MyoWarp cannot step the converted model: {reason}") from error
@@ -117,14 +112,7 @@ def run(
     report = report_of(converted, compiled, checked, digest, reference, accepted)
     report["moment_arms"]["along"] = {} if samples is None else along_coordinates(fits, samples)
     report["seconds"] = round(time.perf_counter() - begin, 3)
-    files = {
-        **{f"meshes/{name}": content for name, content in converted.meshes.items()},
-        "coordinates.json": json.dumps(converted.coordinates.as_json(), indent=1).encode(),
-        **({"couplings.json": said.encode()} if said else {}),
-        **({"paths.json": converted.paths.as_json().encode()} if converted.paths else {}),
-        **({"forces.json": converted.forces.as_json().encode()} if converted.forces else {}),
-        "muscles.csv": muscle_table(map(HillMuscle.of, model.muscles.values())).encode(),
-        "model.xml": text.encode(),
+    files |= {
         "model.mjb": binary(stiffer),
         "report.html": page(report, converted, compiled, fits, samples, moved).encode(),
         "report.json": json.dumps(report, indent=1).encode(),
@@ -151,23 +139,3 @@ def _fits(model: Model, digest: str, method: str, workers: int) -> tuple["Fits",
     found.sort(key=lambda fit: order.index(fit.name))
     muscles = [fit for fit in found if isinstance(fit, MuscleFit)]
     return Fits(muscles, [fit for fit in found if not isinstance(fit, MuscleFit)]), samples
-
-
-def write(output: Path, files: dict[str, bytes], instead_of: Sequence[str] = ()) -> None:
-    """Write files into a folder; when all are on the disk, they take their places in their order.
-
-    Args:
-        output: The folder.
-        files: Contents by name.
-        instead_of: Files of an earlier result, which go before.
-
-    Raises:
-        OSError: A file cannot be written; those before are there as they were.
-    """
-    for folder in dict.fromkeys((output / name).parent for name in files):
-        make_folder(folder)
-    with ExitStack() as places:
-        for name in reversed(files):  # the last one that is entered is the first that is moved
-            places.enter_context(in_place(output / name)).write_bytes(files[name])
-        for name in instead_of:
-            (output / name).unlink(missing_ok=True)

@@ -20,7 +20,6 @@ from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.body.moment_arm import Poses, poses_of, stacked
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.body.wrap.path import solve
-from myowarp.osim.bundle.couplings import ask
 from myowarp.osim.convert.compose.convert import Options, convert
 from myowarp.osim.document.kinematics import Frames
 from myowarp.osim.document.model import GROUND, Model
@@ -104,8 +103,7 @@ class Recorded:
         self.time, values = moved.time[kept], moved.values[kept]
         angles = dict(zip(bones.coordinates, values.T, strict=True))
         converted = convert(bones.model, Options((source.parent, source.parent / "Geometry"), tendons=False))
-        ask(converted.spec, converted.exact.as_json())
-        self.model = converted.spec.compile(dict(converted.meshes) or None)
+        self.model = converted.couplings.put_into(converted.spec).compile(dict(converted.meshes) or None)
         free = {name: angles[name] for name in converted.coordinates.free() if name in angles}
         shape = len(self.time), self.model.nq
         self._qpos = np.broadcast_to(converted.coordinates.qpos(self.model, free), shape)

@@ -284,8 +284,8 @@ def _joints(lab: Lab, path: Path) -> dict[str, tuple[str, float]]:
 def _converted(lab: Lab, path: Path) -> tuple[mujoco.MjModel, mujoco.MjModel]:
     """Return the converted model of a file, with and without fitted paths and forces."""
     from myowarp.disk import files_digest
+    from myowarp.osim.bundle.mjcf import mjcf
     from myowarp.osim.convert.compose.convert import convert as compose
-    from myowarp.osim.convert.compose.mjcf import mjcf
     from myowarp.osim.convert.run import run as convert
     from myowarp.osim.document.read.model import read_model
     from myowarp.sim.converted_step import OurStep

@@ -51,8 +51,8 @@ class Engine(Protocol):
         """Return the mass matrix at coordinates (n, k), shape (n, k, k); None: only seen in accelerations."""
 
 
-NewStep = Callable[[CoordinateMap, mujoco.MjSpec, str], Engine]
-"""Makes the step that is checked of a map, a spec, which it may change, and `couplings.json`, "" for none."""
+NewStep = Callable[[CoordinateMap, mujoco.MjSpec], Engine]
+"""Makes the step that is checked, of a map and of a spec, which it may change."""
 
 
 class Joints:

@@ -17,7 +17,7 @@ import copy
 import mujoco
 import numpy as np
 
-from myowarp.osim.bundle.couplings import Exact, couplings
+from myowarp.osim.bundle.couplings import Couplings, couplings
 from myowarp.osim.convert.compose.geometry import positive
 
 LIGHTER = 1e-3
@@ -26,7 +26,7 @@ STIFFER = 1e-6
 """Weights of joints that follow, or are followed, as a share of MuJoCo's."""
 
 
-def stiff(model: mujoco.MjModel, said: Exact) -> mujoco.MjModel:
+def stiff(model: mujoco.MjModel, said: Couplings) -> mujoco.MjModel:
     """Return a converted model with the document's inertias, joints following as stiffly as float64 allows.
 
     A document that weighs nothing keeps the masses that it was given.

@@ -17,17 +17,17 @@ import mujoco
 import numpy as np
 
 from myowarp.osim.body.hill_muscle import HillMuscle
+from myowarp.osim.bundle.bundle import Bundle
 from myowarp.osim.bundle.coordinate_map import CoordinateMap
-from myowarp.osim.bundle.couplings import Exact
-from myowarp.osim.bundle.forces import PassiveForces
-from myowarp.osim.bundle.paths import Said
-from myowarp.osim.convert.compose.forces import own_forces
-from myowarp.osim.convert.compose.geometry import Build, begin, exact, starts_of, tie
+from myowarp.osim.bundle.couplings import Couplings
+from myowarp.osim.convert.compose.forces import passive_forces
+from myowarp.osim.convert.compose.geometry import Build, begin, exact_couplings, starts_of, tie
 from myowarp.osim.convert.compose.meshes import add_shapes
 from myowarp.osim.convert.compose.passive import add_forces, path_tendon
-from myowarp.osim.convert.compose.paths import own_paths
+from myowarp.osim.convert.compose.paths import document_paths
 from myowarp.osim.convert.compose.points import add_markers, add_moving_points, stilled
 from myowarp.osim.convert.compose.visible_body import add_visible_body
+from myowarp.osim.convert.muscle_table import muscle_table
 from myowarp.osim.convert.tendon.path import TendonPath
 from myowarp.osim.document.model import Model, Muscle, Note
 
@@ -54,33 +54,23 @@ class Options:
     tendons: bool = True
 
 
-@dataclass(frozen=True)
-class Converted:
-    """A MuJoCo model and what belongs to it.
+@dataclass(frozen=True, kw_only=True)
+class Converted(Bundle):
+    """A bundle with what its checks need.
 
     Attributes:
         model: What was converted.
-        spec: MuJoCo's model, with a keyframe at the default pose.
-        bodies: Name in MuJoCo of every body, ground included.
         coordinates: How coordinates and joints belong together.
-        exact: How joints follow each other in the document, and what its bodies weigh.
-        paths: The document's paths in terms of the spec; None: it has none.
-        forces: The document's limits of coordinates and ligaments; None: it has none.
+        couplings: How joints follow each other in the document, and what its bodies weigh.
+        bodies: Name in MuJoCo of every body, ground included.
         moving: For each path, body at each of its moving points.
-        meshes: Files that belong into the folder `meshes`.
-        notes: Everything that is not carried over exactly, reading included.
     """
 
     model: Model
-    spec: mujoco.MjSpec
-    bodies: Mapping[str, str]
     coordinates: CoordinateMap
-    exact: Exact
-    paths: Said | None
-    forces: PassiveForces | None
+    couplings: Couplings
+    bodies: Mapping[str, str]
     moving: Mapping[str, Mapping[int, str]]
-    meshes: Mapping[str, bytes]
-    notes: tuple[Note, ...]
 
 
 @dataclass(frozen=True)
@@ -110,8 +100,8 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     add_markers(build)
     for muscle in model.muscles.values():
         _add_muscle(build, muscle, moving[muscle.name], stages)
-    paths = own_paths(build, source)
-    forces = own_forces(build, has_paths=paths is not None)
+    paths = document_paths(build, source)
+    forces = passive_forces(build, has_paths=paths is not None)
     add_forces(build, moving, stages.tendons, forces, instead=options.tendons)
     if forces is not None:
         forces = replace(forces, springs=tuple(build.springs), dampers=build.dampers)
@@ -127,10 +117,19 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     if not meshes:
         add_visible_body(build, compiled)
     build.spec.add_key(name=KEYFRAME, qpos=coordinates.qpos(compiled, {})[0])
-    bodies = {name: body.name for name, body in build.bodies.items()}
-    said = exact(build, coordinates)
-    notes = (*model.notes, *build.notes)
-    return Converted(model, build.spec, bodies, coordinates, said, paths, forces, moving, meshes, notes)
+    return Converted(
+        spec=build.spec,
+        couplings=exact_couplings(build, coordinates),
+        paths=paths,
+        forces=forces,
+        coordinates=coordinates,
+        muscles=muscle_table(map(HillMuscle.of, source.muscles.values())),
+        meshes=meshes,
+        notes=(*model.notes, *build.notes),
+        model=model,
+        bodies={name: body.name for name, body in build.bodies.items()},
+        moving=moving,
+    )
 
 
 def _skeleton(

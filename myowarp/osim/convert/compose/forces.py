@@ -7,7 +7,7 @@ from myowarp.osim.document.functions import curves
 from myowarp.osim.document.model import Note
 
 
-def own_forces(build: Build, has_paths: bool) -> PassiveForces | None:
+def passive_forces(build: Build, has_paths: bool) -> PassiveForces | None:
     """Return what pushes joints back and what ligaments pull, after `tie`; None: nothing does.
 
     A ligament whose curve is no polynomial is noted; MuJoCo's spring is to stand for it.

@@ -16,7 +16,7 @@ from numpy.polynomial import Polynomial
 
 from myowarp.laws.pieces import Pieces, line
 from myowarp.osim.bundle.coordinate_map import CoordinateMap, Dependent, MappedCoordinate
-from myowarp.osim.bundle.couplings import REGULAR, Exact, regularity
+from myowarp.osim.bundle.couplings import REGULAR, Couplings, regularity
 from myowarp.osim.convert.compose.quartics import Quartic, fit_all
 from myowarp.osim.document.dynamics import equations
 from myowarp.osim.document.elements import Pose
@@ -373,7 +373,7 @@ def starts_of(coordinates: CoordinateMap) -> dict[str, float]:
     return values
 
 
-def exact(build: Build, coordinates: CoordinateMap) -> Exact:
+def exact_couplings(build: Build, coordinates: CoordinateMap) -> Couplings:
     """Return what the document says of joints that follow, and of bodies that are lighter there.
 
     Phantoms whose quartics nothing needs then stay at their ends beyond the range of the coordinate: there
@@ -393,7 +393,7 @@ def exact(build: Build, coordinates: CoordinateMap) -> Exact:
     for dependent in coordinates.dependents:
         if dependent.joint not in said and dependent.of in followed:
             said[dependent.joint] = dependent.of, (_held(dependent.polynomial, *ranges[dependent.of]),)
-    return Exact(said, build.light)
+    return Couplings(said, build.light)
 
 
 def _held(polynomial: Sequence[float], low: float, high: float) -> Pieces:

@@ -5,13 +5,13 @@ import dataclasses
 from myowarp.laws.paths.tables import TURNS, OsimPaths
 from myowarp.laws.pieces import line
 from myowarp.osim.body.described import Value, described
-from myowarp.osim.bundle.paths import Driven, Said
+from myowarp.osim.bundle.paths import DocumentPaths, Driven
 from myowarp.osim.convert.compose.geometry import Build, default_of, reduced
 from myowarp.osim.document.functions import curves
 from myowarp.osim.document.model import Model, Note, pulling
 
 
-def own_paths(build: Build, model: Model, guard: float = TURNS) -> Said | None:
+def document_paths(build: Build, model: Model, guard: float = TURNS) -> DocumentPaths | None:
     """Return the paths of a model's muscles, ligaments and path actuators, after `tie`; None: it has none.
 
     A path that depends on a coordinate by a function that is no polynomial is noted, and so are all others
@@ -28,7 +28,7 @@ def own_paths(build: Build, model: Model, guard: float = TURNS) -> Said | None:
         driven.append(one)
     if not found.paths:
         return None
-    return Said(
+    return DocumentPaths(
         _renamed(found, {name: body.name for name, body in build.bodies.items()}), tuple(driven), guard
     )
 

@@ -75,7 +75,7 @@ def check(
     gates = [*frame_gates(kinematics, fitted), *dynamics_gates(dynamics)]
     lost: list[Note] = []
     if dynamics.coordinates and dynamics.samples is None:
-        bodies = converted.exact.bodies
+        bodies = converted.couplings.bodies
         added = sum(model.body(name).mass[0] - mass for name, (mass, _) in bodies.items())
         lost.append(dataclasses.replace(MASSLESS, largest=float(added), unit="kg"))
     if samples is None:
