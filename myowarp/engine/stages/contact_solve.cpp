@@ -52,6 +52,7 @@ const int ne = counts.ne[world], nf = counts.nf[world];
 const int num_rows = wp::min(counts.nefc[world], rows.aref.shape[1]);
 const int row_blocks = (num_rows + 7) / 8;
 
+// Part: gather
 // Inertia, symmetric, and what a row needs. J is gathered: it comes dense or sparse, here rows are dense.
 lanes mass[WIDTH][BLOCKS], J[num_rows + 1][BLOCKS];
 lanes x[BLOCKS], Mx[BLOCKS], smooth[BLOCKS], pull[BLOCKS], gradient[BLOCKS], search[BLOCKS], Ms[BLOCKS];
@@ -246,13 +247,18 @@ auto find_step = [&]() __attribute__((noinline)) {
     return step;
 };
 
+// Part: first Hessian
 copy(H, mass);
 update_states();
+// Part: gradients
 float norm = update_gradient();
+// Part: factors
 factorize();
+// Part: substitutions
 float decrement = solve();
 int iterations = 0;
 while (true) {
+    // Part: products
     for (int k = 0; k < BLOCKS; ++k)
         Ms[k] = 0.0f;
     for (int j = 0; j < n; ++j)
@@ -267,6 +273,7 @@ while (true) {
     smooth_slope = sum(slopes);
     smooth_curvature = sum(curvatures);
 
+    // Part: line searches
     const double step = find_step();
     const float gain = improvement(step);
     add(x, step, search);
@@ -277,7 +284,9 @@ while (true) {
 
     // A step that is to gain less than the tolerance is the last; without it, light touches are off by 1e-3.
     bool done = step == 0.0 || (gain > 0.0f && below_tolerance(gain)) || below_tolerance(0.5f * decrement);
+    // Part: states and Hessian
     const bool flipped = update_states();
+    // Part: gradients
     // Where nothing flipped, the cost was quadratic all along the step, so the gradient only shrank.
     norm = flipped ? update_gradient() : norm * (step < 1.0 ? 1.0 - step : step - 1.0);
     done = done || below_tolerance(norm);
@@ -288,13 +297,16 @@ while (true) {
             update_gradient();
         break;
     }
+    // Part: factors
     if (flipped)
         factorize();
     else
         norm = update_gradient();
+    // Part: substitutions
     decrement = solve();
 }
 
+// Part: results
 for (int i = 0; i < n; ++i) {
     qacc[i] = at(x, i);
     qfrc_constraint[i] = at(pull, i);
