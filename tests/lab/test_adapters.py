@@ -12,16 +12,27 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 torch = pytest.importorskip("torch")
-pytest.importorskip("stable_baselines3")
-pytest.importorskip("rsl_rl")
-
-from myowarp.apps.adapters.rsl_rl import RslRlVecEnv  # noqa: E402
-from myowarp.apps.adapters.stable_baselines3 import Sb3VecEnv  # noqa: E402
 
 ID = "MyoWarp/myoElbowPose1D6MRandom-v0"
 FALLING = "MyoWarp/myoHandObjHoldRandom-v1"  # terminates as well
 OPTIONS = {"device": "cpu", "progress": False}
 NUM_WORLDS = 5
+
+
+def sb3_env(env):
+    """Return an environment as Stable-Baselines3 wants it; imported here, as that takes seconds."""
+    pytest.importorskip("stable_baselines3")
+    from myowarp.apps.adapters.stable_baselines3 import Sb3VecEnv
+
+    return Sb3VecEnv(env)
+
+
+def rsl_rl_env(env, **options):
+    """Return an environment as RSL-RL wants it."""
+    pytest.importorskip("rsl_rl")
+    from myowarp.apps.adapters.rsl_rl import RslRlVecEnv
+
+    return RslRlVecEnv(env, **options)
 
 
 def actions(step):
@@ -35,7 +46,7 @@ def bare(env_id=ID, **options):
 @pytest.mark.parametrize("env_id", [ID, FALLING])
 def test_stable_baselines3_sees_what_gymnasium_sees(env_id):
     """Terminal observations, and which endings were time limits; the next episode's start in their place."""
-    ours, theirs = Sb3VecEnv(bare(env_id)), bare(env_id)
+    ours, theirs = sb3_env(bare(env_id)), bare(env_id)
     ours.seed(3)
     np.testing.assert_array_equal(ours.reset(), theirs.reset(seed=3)[0])
     limits, failures = 0, 0
@@ -60,9 +71,8 @@ def test_stable_baselines3_sees_what_gymnasium_sees(env_id):
 
 
 def test_stable_baselines3_counts_episodes():
-    from stable_baselines3.common.vec_env import VecMonitor
-
-    env = VecMonitor(Sb3VecEnv(bare()))
+    monitors = pytest.importorskip("stable_baselines3.common.vec_env")
+    env = monitors.VecMonitor(sb3_env(bare()))
     env.reset()
     rewards = []
     for step in range(100):
@@ -73,7 +83,7 @@ def test_stable_baselines3_counts_episodes():
 
 
 def test_rsl_rl_sees_what_gymnasium_sees():
-    ours, theirs = RslRlVecEnv(bare(output="torch"), seed=4), bare()
+    ours, theirs = rsl_rl_env(bare(output="torch"), seed=4), bare()
     obs, _ = theirs.reset(seed=4)
     np.testing.assert_array_equal(ours.get_observations()["policy"].numpy(), obs)
     ended = 0
@@ -93,7 +103,7 @@ def test_rsl_rl_sees_what_gymnasium_sees():
 
 def test_rsl_rl_may_start_within_episodes():
     """What it writes into `episode_length_buf` ends episodes earlier, each world its own."""
-    env = RslRlVecEnv(bare(output="torch"))
+    env = rsl_rl_env(bare(output="torch"))
     env.episode_length_buf = torch.tensor([0, 95, 98, 50, 99])
     ends = np.stack([env.step(torch.zeros(NUM_WORLDS, 6))[2].numpy() for _ in range(5)])
     np.testing.assert_array_equal(ends.argmax(axis=0)[[1, 2, 4]], [4, 1, 0])
@@ -118,7 +128,7 @@ def test_examples_learn(file, budget):
     assert int(re.search(r"success (\d+)%", run.stdout)[1]) >= 90, run.stdout
 
 
-@pytest.mark.parametrize("adapter", [Sb3VecEnv, RslRlVecEnv])
+@pytest.mark.parametrize("adapter", [sb3_env, rsl_rl_env])
 def test_what_does_not_fit_is_refused(adapter):
     env = gym.make_vec(ID, 1, **OPTIONS)
     with pytest.raises(

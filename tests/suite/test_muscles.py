@@ -13,11 +13,12 @@ from reference import mujoco_muscle as reference
 from stepping import step
 
 import myowarp.tasks  # noqa: F401
+from myowarp.definitions.body import BODIES
 from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.task import PHYSICS, TASKS
 from myowarp.models.muscles.mujoco import MujocoMuscle, MujocoMuscleParams
 from myowarp.models.muscles.mujoco_native import NativeMujocoMuscle
-from myowarp.sim.build import compile_scene, slim_model, stateless_model
+from myowarp.sim.build import compile_scene, stateless_model
 
 NUM_WORLDS = 250  # no multiple of 32
 
@@ -47,14 +48,9 @@ EFFECT = 10.0
 V_STEP = 1e-6  # m/s, of central differences
 
 
-def _tasks_with_muscles():
-    """Return the first task of each body that has muscles."""
-    first = {TASKS[key].body: TASKS[key] for key in reversed(list(TASKS))}
-    muscle = mujoco.mjtDyn.mjDYN_MUSCLE
-    return [spec for spec in first.values() if (slim_model(spec).actuator_dyntype == muscle).any()]
-
-
-BODY_TASKS = {spec.body: spec for spec in _tasks_with_muscles()}
+FIRST = {TASKS[key].body: TASKS[key] for key in reversed(list(TASKS))}
+BODY_TASKS = {body: spec for body, spec in FIRST.items() if BODIES[body].groups}
+"""The first task of each body that has muscles."""
 
 
 def muscle_scene(body, num_worlds, physics, muscle):
