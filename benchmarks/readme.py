@@ -1,15 +1,13 @@
-"""Speed and learning in README.md, from the committed measurements: python -m benchmarks.readme."""
+"""The table of results in README.md, from the committed measurements: python -m benchmarks.readme."""
 
-import json
-from pathlib import Path
-from textwrap import fill
+from typing import Any
 
+from benchmarks.result_pages import ROOT, TEXTS, rates, read
 from myowarp.apps.policies.baselines import load_baseline
 from myowarp.disk import in_place
 from myowarp.kernels.episode import MYOSUITE
 
-ROOT = Path(__file__).parents[1]
-README, RESULTS = ROOT / "README.md", ROOT / "benchmarks/results"
+README = ROOT / "README.md"
 BEGIN, END = "<!-- written by: python -m benchmarks.readme -->\n", "<!-- end of what is written -->"
 EASY = (
     *("myoElbowPose1D6MFixed-v0", "myoElbowPose1D6MRandom-v0", "myoFingerPoseFixed-v0"),
@@ -24,21 +22,7 @@ HARD = {
     "myoHandPoseRandom-v1": "hand pose (`-v1`)",
     "myoHandKeyTurnRandom-v0": "key turn",
 }
-
-TEXT = """
-- 256 hands that reach make {own:,.0f} control steps a second on two cores: {pool:.1f} times as many as in
-  EnvPool, and {async_env:.1f} times as many as in MyoSuite's AsyncVectorEnv (MyoSuite's integrator and
-  step, random actions, medians of five rounds). All nine families make {slowest:.1f} to {fastest:.1f} times
-  the steps of MuJoCo C's thread pool on the same cores ([speed](docs/speed.md)).
-- Trained policies, 256 episodes each without exploration noise, MyoSuite's rule (more than 5 solved steps):
-  {good} of {easy} easy tasks have at least {least:.0f} % in every training run ({seeds[0]} to {seeds[1]}
-  seeds){but}. Hard tasks, means over seeds [%]: {hard}. Legs walk 10 s ({walkers} training run) at {walk},
-  where 1.2 m/s is asked and a person spends a tenth. [Baselines](docs/baselines.md) has every seed, and what
-  fails.
-"""
 LEARNED = 95.0  # percent of the episodes
-WIDTH = 118
-WHOLE = {"break_long_words": False, "break_on_hyphens": False}
 
 
 def success(task: str, actions: str = "deterministic", rule: str = MYOSUITE) -> list[float]:
@@ -51,54 +35,71 @@ def exception(task: str) -> str:
     own, drawn = success(task), success(task, "sampled")
     low = sum(value < LEARNED for value in own)
     return (
-        f"; in `{task}` {low} of {len(own)} runs fails ({min(own):.0f} %, though "
-        f"{drawn[own.index(min(own))]:.0f} % with exploration noise)"
+        f"`{task}`: {low} of {len(own)} seeds fails ({min(own):.0f} %; with noise "
+        f"{drawn[own.index(min(own))]:.0f} %)"
     )
 
 
-def results() -> str:
-    """Return the list of results."""
-    families = json.loads((RESULTS / "rivals.json").read_text())["families"]
+def speed() -> dict[str, float]:
+    """Return the rate of hands that reach, and ratios of medians under `parity`."""
+    rivals = read("rivals")
+    families = {family: rates(row) for family, row in rivals["families"].items()}
+    hand, pool = families["hand reach"], [row["parity 256"] / row["MuJoCo C"] for row in families.values()]
+    return {
+        "rate": float(f"{hand['parity 256']:.2g}"),
+        "pool": hand["parity 256"] / hand["EnvPool"],
+        "suite": hand["parity 256"] / hand["MyoSuite"],
+        "slowest": min(pool),
+        "fastest": max(pool),
+        "rounds": rivals["rounds"],
+    }
 
-    def ratio(family: str, rival: str) -> float:
-        """Return by how much 256 worlds are faster under `parity`: of medians, as in docs/speed.md."""
-        rows = families[family]["contestants"]
-        ours, theirs = (rows[who]["env_steps_per_s"]["median"] for who in ("parity 256", rival))
-        return float(ours / theirs)
 
-    pool = [ratio(family, "MuJoCo C") for family in families]
+def learning() -> dict[str, Any]:
+    """Return what trained policies reach."""
     easy = {task: success(task) for task in EASY}
+    good = [min(own) for own in easy.values() if min(own) >= LEARNED]
     means = {name: sum(own) / len(own) for task, name in HARD.items() for own in [success(task)]}
-    hard = ", ".join(f"{name} {mean:.0f}" for name, mean in means.items())
-    seeds = [len(own) for own in easy.values()]
+    counts = [len(own) for own in easy.values()]
     walking = [run["evaluation"]["deterministic"] for run in load_baseline("myoLegWalk-v0").runs]
-    good = {task: min(own) for task, own in easy.items() if min(own) >= LEARNED}
-    hands = families["hand reach"]["contestants"]["parity 256"]["env_steps_per_s"]["median"]
-    text = TEXT.format(
-        own=float(f"{hands:.2g}"),
-        pool=ratio("hand reach", "EnvPool"),
-        async_env=ratio("hand reach", "MyoSuite async"),
-        slowest=min(pool),
-        fastest=max(pool),
-        easy=len(easy),
-        good=len(good),
-        least=min(good.values()),
-        but="".join(exception(task) for task in easy if task not in good),
-        seeds=(min(seeds), max(seeds)),
-        hard=hard,
-        walk="{speed:.2f} m/s, {bhargava2004_per_kg_m:.0f} J/kg/m".format(**walking[0]),
-        walkers=len(walking),
-    )
-    bullets = (" ".join(bullet.split()) for bullet in text.split("\n- ")[1:])
-    return "\n" + "".join(
-        f"{fill('- ' + bullet, WIDTH, subsequent_indent='  ', **WHOLE)}\n" for bullet in bullets
-    )
+    return {
+        "easy": len(easy),
+        "good": len(good),
+        "least": min(good),
+        "exception": "; ".join(exception(task) for task in easy if min(easy[task]) < LEARNED),
+        "seeds": f"{min(counts)} to {max(counts)}",
+        "hard": ", ".join(f"{name} {mean:.0f}" for name, mean in means.items()),
+        "speed": walking[0]["speed"],
+        "cost": walking[0]["bhargava2004_per_kg_m"],
+        "walkers": len(walking),
+    }
+
+
+def opensim() -> dict[str, float]:
+    """Return how near OpenSim's gait2354 is [%, degrees], and the speed of its static optimisation."""
+    muscles = read("opensim_muscles")["models"]["gait2354_simbody"]
+    angles = [motion["angles [degrees]"] for motion in muscles["forward"]["opensim"].values()]
+    trial = next(row for row in read("opensim_motion")["models"] if row["model"] == "gait2354, public trial")
+    times = read("motion")
+    whole = "paths and static optimisation"
+    return {
+        "torque": 100.0 * muscles["joint torque of all muscles"]["worst"],
+        "acceleration": 100.0
+        * read("opensim_accelerations")["models"]["gait2354_simbody"]["step_float32"]["median"],
+        "motion": max(angle["median"] for angle in angles),
+        "toes": max(angle["worst"] for angle in angles),
+        "forces": 100.0 * trial["forces / peak"],
+        "frames": float(f"{1.0 / times['myowarp'][whole]['wall']:.2g}"),
+        "faster": float(f"{times['opensim'][whole] / times['myowarp'][whole]['wall']:.2g}"),
+    }
 
 
 def page() -> str:
     """Return README with the results made anew."""
     before, _, rest = README.read_text().partition(BEGIN)
-    return before + BEGIN + results() + "\n" + END + rest.partition(END)[2]
+    text = (TEXTS / "readme.md").read_text()
+    table = text.format(**speed(), **learning(), **opensim())
+    return f"{before}{BEGIN}\n{table}\n{END}{rest.partition(END)[2]}"
 
 
 if __name__ == "__main__":
