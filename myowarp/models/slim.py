@@ -59,7 +59,7 @@ def slim(full: mujoco.MjSpec, keep_sites: Iterable[str]) -> mujoco.MjSpec:
     spec.compiler.discardvisual = True
     spec.compiler.fusestatic = True
     # Fused into its parent, a static body hands its exclusions on to all of the parent's geoms.
-    if _pair_names(spec.copy().compile()) != _pair_names(model):
+    if colliding and _pair_names(spec.copy().compile()) != _pair_names(model):
         spec.compiler.fusestatic = False
     return spec
 

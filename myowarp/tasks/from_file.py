@@ -60,11 +60,17 @@ def read_body(path: Path, tips: tuple[str, ...] = (), stops: bool = True) -> str
         ValueError: The file is no model that MuJoCo reads, or has actuators that we cannot step; or a body of
             the package is to have no stops.
     """
+    return _read(path, tips, stops)[0]
+
+
+def _read(path: Path, tips: tuple[str, ...], stops: bool) -> tuple[str, mujoco.MjModel]:
+    """Return the name of a body, which is registered, and its model; see `read_body`."""
     source = path
     if str(path) in BODIES and not path.exists():
         if not stops:
             raise ValueError(f"stops are an option of a model's file; {str(path)!r} is a body with its own")
-        return _with_tips(str(path), tips)
+        body = _with_tips(str(path), tips)
+        return body, BODIES[body].build().compile()
     if path.suffix.lower() == OPENSIM:
         from myowarp.osim.convert.load import load  # reading .osim files is not needed at every start
 
@@ -107,9 +113,8 @@ def read_body(path: Path, tips: tuple[str, ...] = (), stops: bool = True) -> str
     if name not in BODIES or _of(known) != _of(muscles):
         names = [model.actuator(i).name for i in np.flatnonzero(_is_muscle(model))]
         own = own_model(muscles, names)
-        body = Body(spec.copy, tips, muscles=muscles, muscle=own, **_facts(names))
-        BODIES.add(name, body, replace=True)
-    return name
+        BODIES.add(name, Body(spec.copy, tips, muscles=muscles, muscle=own, **_facts(names)), replace=True)
+    return name, model
 
 
 def _say_stops(model: mujoco.MjModel, source: Path, stops: bool) -> None:
@@ -280,8 +285,7 @@ def from_mjcf(
     bounds = dict(targets) if isinstance(targets, Mapping) else dict.fromkeys(names)
     if not isinstance(stops, bool):
         raise ValueError(f"stops must be True or False, got {stops!r}")
-    body = read_body(path, tuple(bounds) if kind == "reach" else (), stops)
-    model = BODIES[body].build().compile()
+    body, model = _read(path, tuple(bounds) if kind == "reach" else (), stops)
     name, version = split_key(key) if key is not None else (body if kind == "pose" else f"{body}_{kind}", 0)
     start = _start(model, path, keyframe)
     common: dict[str, Any] = {

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myowarp.osim.body.wrap.path import locations
+from myowarp.osim.body.path_solution import locations
 from myowarp.osim.document.functions import (
     GCVSpline,
     Multiplier,

@@ -4,12 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reference.osim_paths.cylinder import MANDATORY, wrap_cylinder
+from reference.osim_paths.ellipsoid import wrap_ellipsoid
+from reference.osim_paths.sphere import wrap_sphere, wrap_torus
 
+from myowarp.osim.body.described import quadrant
 from myowarp.osim.body.moment_arm import PRESENT, crossed, own_reference, poses_of
-from myowarp.osim.body.wrap.cylinder import MANDATORY, wrap_cylinder
-from myowarp.osim.body.wrap.ellipsoid import wrap_ellipsoid
-from myowarp.osim.body.wrap.path import activity, quadrant, solve
-from myowarp.osim.body.wrap.sphere import wrap_sphere, wrap_torus
+from myowarp.osim.body.path_solution import activity, solve
 from myowarp.osim.document.elements import ConditionalPathPoint
 from myowarp.osim.document.elements import Path as MusclePath
 from myowarp.osim.document.kinematics import complete, forward

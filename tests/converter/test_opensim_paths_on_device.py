@@ -6,12 +6,13 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 import warp as wp
+from reference.osim_paths.path import solve as reference_solve
 
 from myowarp.laws.paths.tables import TURNS, PathMemory
 from myowarp.osim.body.described import described
 from myowarp.osim.body.moment_arm import crossed, own_reference, poses_of
 from myowarp.osim.body.on_device import lengths_and_moment_arms
-from myowarp.osim.body.wrap.path import solve
+from myowarp.osim.body.path_solution import solve
 from myowarp.osim.document.elements import (
     ConditionalPathPoint,
     MovingPathPoint,
@@ -119,11 +120,19 @@ def test_hostile_paths_go_as_in_numpy(seed):
     values = random_poses(model, 23, seed)
     free, frames = independent(model), forward(model, values)
     with np.errstate(all="ignore"):
-        expected = np.stack([solve(model, path, frames, values).length for path in paths.values()], axis=1)
+        references = [reference_solve(model, path, frames, values) for path in paths.values()]
+        solutions = [solve(model, path, frames, values) for path in paths.values()]
         found = followed(model, paths, {name: values[name] for name in free})
+    expected = np.stack([reference.length for reference in references], axis=1)
     sane = np.isfinite(expected) & (expected < 2.0)  # what runs away does so differently with each rounding
     assert sane.mean() > 0.9
     assert np.abs(found.length - expected)[sane].max() < LENGTH_TOLERANCE
+    for ours, theirs, rows in zip(solutions, references, sane.T, strict=True):
+        np.testing.assert_array_equal(ours.order[rows], theirs.order[rows])
+        for name in ("length", "location", "cached", "arc"):
+            np.testing.assert_allclose(
+                getattr(ours, name)[rows], getattr(theirs, name)[rows], atol=LENGTH_TOLERANCE, err_msg=name
+            )
     chain = followed(model, {n: Path(p.points, ()) for n, p in paths.items()}, {n: values[n] for n in free})
     assert (np.abs(found.length - chain.length)[sane] > 1e-3).mean() > 0.1
     assert np.isfinite(found.length).all()

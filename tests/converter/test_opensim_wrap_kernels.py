@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
+from reference.osim_paths import cylinder, ellipsoid, sphere
 
 from myowarp.laws.paths.cylinder import wrap_cylinder
 from myowarp.laws.paths.ellipsoid import AXIAL, HYBRID, MIDPOINT, wrap_ellipsoid
 from myowarp.laws.paths.sphere import wrap_sphere
 from myowarp.laws.paths.torus import wrap_torus
 from myowarp.laws.paths.wrap import Wrap, real
-from myowarp.osim.body.wrap import cylinder, ellipsoid, sphere
 
 RECORDED = Path(__file__).parents[1] / "data" / "opensim" / "paths_wraps.npz"
 

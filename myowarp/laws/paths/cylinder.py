@@ -1,6 +1,10 @@
 """The path of a line over a wrapping cylinder about z, as OpenSim 4.6 computes it.
 
-Rules and their source: `myowarp.osim.body.wrap.cylinder`.
+A quadrant or the smaller angle picks one of two tangent points of each end point, which follow from the
+circle that the axis sees. How far they slide along the axis comes from the plane through both end points
+and an apex of the cylinder, so the path is close to the geodesic but is not the geodesic. Only a muscle
+with several wrap objects has its tangent points adjusted until the spiral leaves them straight on, to 0.1
+degrees. Source of the rules: `WrapCylinder.cpp` of opensim-core.
 """
 
 import warp as wp

@@ -1,6 +1,11 @@
 """The path of a line over a wrapping ellipsoid, as OpenSim 4.6 computes it.
 
-Rules and their source: `myowarp.osim.body.wrap.ellipsoid`. All is scaled so that the mean half axis is 1.
+The path lies in the plane through both end points and one point of the surface, so it is no geodesic and
+the lengths that OpenSim reports are not an exact integral of its moment arms. The point comes from the
+middle of the line inside the ellipsoid (midpoint), from where the line meets a plane of symmetry (axial),
+or from a blend of that and of the mean direction to the surface (hybrid). All is scaled so that the mean
+half axis is 1. Source of the rules and of all constants: `WrapEllipsoid.cpp` of opensim-core; nearest
+points after D. Eberly.
 """
 
 import warp as wp

@@ -2,11 +2,15 @@
 
 A thread follows one path in one world: conditional points while their value is in range, then every wrap
 object in turn takes the first straight piece that intersects it, else the one that it lengthens least; with
-several objects up to eight rounds. Rules, their source, and what OpenSim remembers:
-`myowarp.osim.body.wrap.path`, whose float64 NumPy is the oracle. What pulls on bodies is what
-`computeMomentArm` and OpenSim's forces use: unit tension along the straight pieces between different bodies,
-wrap points being fixed in the bodies of their objects (Sherman, Seth, Delp 2013,
-doi:10.1115/DETC2013-13633).
+several objects up to eight rounds, until the length changes by less than 0.5 mm. That is what OpenSim
+reports, not the shortest path: it caches where a wrap point is in ground when it first asks, so lengths and
+directions keep the wrap points of the first round, while arcs are those of the last. Source of the rules:
+`GeometryPath.cpp` of opensim-core, and what 4.6 returns; the oracle is
+`tests/reference/osim_paths/path.py`.
+
+What pulls on bodies is what `computeMomentArm` and OpenSim's forces use: unit tension along the straight
+pieces between different bodies, wrap points being fixed in the bodies of their objects (Sherman, Seth, Delp
+2013, doi:10.1115/DETC2013-13633).
 """
 
 import warp as wp

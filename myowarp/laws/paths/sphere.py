@@ -1,6 +1,6 @@
 """The path of a line over a wrapping sphere, as OpenSim 4.6 computes it.
 
-Rules and their source: `myowarp.osim.body.wrap.sphere`.
+Source of the rules: `WrapSphere.cpp` of opensim-core.
 """
 
 import warp as wp

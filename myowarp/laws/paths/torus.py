@@ -1,6 +1,6 @@
 """The path of a line over the inside of a wrapping torus about z, as OpenSim 4.6 computes it.
 
-Rules and their source: `osim.body.wrap.sphere`. The line wraps over a cylinder where it passes the ring
+Source of the rules: `WrapTorus.cpp` of opensim-core. The line wraps over a cylinder where it passes the ring
 nearest; OpenSim finds that place by MINPACK's `lmdif` (Moré 1978, doi:10.1007/BFb0067700) from a derivative
 that has the ring's term twice, so what it finds depends on how `lmdif` limits its steps.
 """

@@ -1,6 +1,6 @@
 """What lines over OpenSim's wrap objects have in common, in float64: float32 would change which way some go.
 
-The oracle of this folder is the float64 NumPy of `myowarp.osim.body.wrap`, one function beside each here.
+The oracle of this folder is the float64 NumPy of `tests/reference/osim_paths`, one function beside each here.
 """
 
 import warp as wp

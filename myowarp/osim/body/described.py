@@ -5,11 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from myowarp.laws.paths.tables import OsimPath, OsimPaths, Over, Vector, Via, WrapSurface
-from myowarp.osim.body.wrap.path import RANGE_SLACK, path_range, quadrant
-from myowarp.osim.document.elements import ConditionalPathPoint, MovingPathPoint, Path, Point
+from myowarp.osim.document.elements import ConditionalPathPoint, MovingPathPoint, Path, PathWrap, Point
 from myowarp.osim.document.functions import IDENTITY, Function, Held
 from myowarp.osim.document.model import Model, WrapObject
 
+RANGE_SLACK = 1e-5
+"""[rad] or [m] beyond the ends of its range in which OpenSim still counts a conditional point."""
 Value = tuple[Function, str]
 """What points depend on: a function, and the coordinate that is its argument."""
 
@@ -65,3 +66,17 @@ def vector(values: np.ndarray | list[float]) -> Vector:
     """Return three numbers as a tuple."""
     x, y, z = (float(value) for value in values)
     return x, y, z
+
+
+def quadrant(name: str) -> tuple[int, int]:
+    """Return axis and sign that a quadrant's name stands for; sign 0 for `all`."""
+    letter = name.strip().lower().lstrip("+-")
+    if letter not in ("x", "y", "z"):
+        return 0, 0
+    return "xyz".index(letter), -1 if name.strip().startswith("-") else 1
+
+
+def path_range(wrap: PathWrap, points: int) -> tuple[int, int]:
+    """Return the first and last path point between which a path may wrap, counted from 0."""
+    first, last = wrap.range
+    return (0 if first < 1 else first - 1), (points if last < 1 else min(last, points)) - 1

@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from myowarp.osim.body.wrap.path import Solution, locations, solve
+from myowarp.osim.body.path_solution import Solution, locations, solve
 from myowarp.osim.document.elements import ConditionalPathPoint, MovingPathPoint, Path
 from myowarp.osim.document.kinematics import Frames, complete, forward
 from myowarp.osim.document.model import GROUND, Model

@@ -1,7 +1,7 @@
 """Lengths, speeds and moment arms of paths in many poses at once, by the device's kernel in float64.
 
-The same numbers as `moment_arm.own_reference` in NumPy, 3 to 100 times faster: one launch for all paths, and
-partial velocities of bodies in place of poses beside each pose.
+The same numbers as `moment_arm.own_reference`: one launch for all paths, and partial velocities of bodies in
+place of poses beside each pose.
 """
 
 from collections.abc import Mapping

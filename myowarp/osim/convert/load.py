@@ -10,12 +10,7 @@ from pathlib import Path
 
 from myowarp.disk import cache_dir, files_digest, version, writable_folder
 from myowarp.osim.bundle.bundle import MODEL
-from myowarp.osim.convert.check.accelerations import too_fast
-from myowarp.osim.convert.compose.convert import Options, convert
-from myowarp.osim.convert.compose.geometry import MIN_MASS
-from myowarp.osim.convert.compose.meshes import mesh_files
-from myowarp.osim.document.model import Loss
-from myowarp.osim.document.read.model import read_model
+from myowarp.osim.document.read.mesh_files import mesh_files
 from myowarp.process import warn_once
 
 SOURCES = ("osim/**/*.py", "laws/**/*.py", "disk.py")
@@ -48,6 +43,8 @@ def load(path: Path) -> Path:
         warn_once(f"{path.name}: {line}")
     codes = json.loads((folder / LEFT_OUT).read_text())
     if MASSLESS in codes:
+        from myowarp.osim.convert.compose.geometry import MIN_MASS
+
         warn_once(
             f"{path.name} gives no body a mass; bodies of {MIN_MASS * 1e3:g} g stand for them, which muscles "
             "throw: use the model for paths and forces, not for motion"
@@ -62,6 +59,11 @@ def load(path: Path) -> Path:
 
 def _convert(path: Path, folder: Path) -> None:
     """Keep the bundle of a model, and what is said of it, in a folder."""
+    from myowarp.osim.convert.check.accelerations import too_fast  # a model in the cache needs none of these
+    from myowarp.osim.convert.compose.convert import Options, convert
+    from myowarp.osim.document.model import Loss
+    from myowarp.osim.document.read.model import read_model
+
     try:
         model = read_model(path)
     except NotImplementedError as error:

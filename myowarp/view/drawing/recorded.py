@@ -18,8 +18,8 @@ from myowarp.motion.storage import Storage, read_storage
 from myowarp.motion.trial import read_motion
 from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.body.moment_arm import Poses, poses_of, stacked
+from myowarp.osim.body.path_solution import solve
 from myowarp.osim.body.skeleton import Bones
-from myowarp.osim.body.wrap.path import solve
 from myowarp.osim.convert.compose.convert import Options, convert
 from myowarp.osim.document.kinematics import Frames
 from myowarp.osim.document.model import GROUND, Model

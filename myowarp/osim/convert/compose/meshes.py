@@ -4,11 +4,9 @@ A .vtp file is XML; its ASCII form, which OpenSim's bones have, is rewritten as 
 are for looking at: they have no mass and collide with nothing, contact meshes excepted.
 """
 
-import re
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from xml.sax.saxutils import unescape
 
 import mujoco
 import numpy as np
@@ -17,16 +15,10 @@ from myowarp.osim.convert.compose.geometry import Build, quaternion
 from myowarp.osim.document.elements import Shape
 from myowarp.osim.document.kinematics import about
 from myowarp.osim.document.model import Note
-from myowarp.osim.document.read.element import Element, decoded, parse
-
-MAX_PATH = 200  # characters of a file's name
+from myowarp.osim.document.read.element import Element, parse
+from myowarp.osim.document.read.mesh_files import FOLDERS, located
 
 MESH_GROUP, CONTACT_GROUP = 1, 0
-
-FOLDERS = ("", "Geometry", "../Geometry")
-"""Beside the model, where its meshes usually are."""
-NAMED = re.compile("<(?:mesh_file|geometry_file|filename)>([^<]+)<")
-"""What names a mesh in the text of a document."""
 
 TURN_Y_TO_Z = about(np.array([1.0, 0.0, 0.0]), np.array([-np.pi / 2]))[0]
 """OpenSim's cylinders stand along y, MuJoCo's along z."""
@@ -99,7 +91,7 @@ def _add_mesh(
     build: Build, shape: Shape, places: Sequence[Path], files: dict[str, bytes], missing: list[str]
 ) -> str | None:
     """Add a mesh asset and return its name; None, with a note or in `missing`, if there is no usable file."""
-    file, found = _found(shape.file or "", places)
+    file, found = located(shape.file or "", places)
     if found is None:
         missing.append(file.name)
         return None
@@ -116,21 +108,6 @@ def _add_mesh(
     mesh = build.spec.add_mesh(name=asset, file=name, scale=shape.size)
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     return asset
-
-
-def _found(name: str, places: Sequence[Path]) -> tuple[Path, Path | None]:
-    """Return a mesh file as a document names it, and where it is; None: nowhere."""
-    file = Path(name.replace("\\", "/")[-MAX_PATH:])
-    files = (place / part for place in places for part in (file, file.name))
-    return file, next((path for path in files if path.is_file()), None)
-
-
-def mesh_files(model: Path) -> list[Path]:
-    """Return the mesh files of a model that are there; its document is not parsed, so that this is quick."""
-    text, _ = decoded(model.read_bytes())
-    names = dict.fromkeys(unescape(name.strip()) for name in NAMED.findall(text))
-    places = [model.parent / folder for folder in FOLDERS]
-    return [found for name in names if (found := _found(name, places)[1]) is not None]
 
 
 def _content(path: Path) -> tuple[str, bytes]:

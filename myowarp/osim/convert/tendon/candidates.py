@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from myowarp.osim.body.wrap.cylinder import dot, unit
-from myowarp.osim.body.wrap.path import Solution, quadrant
+from myowarp.osim.body.described import quadrant
+from myowarp.osim.body.path_solution import Solution
 from myowarp.osim.convert.tendon.path import Over
-from myowarp.osim.convert.tendon.surface import Surface
+from myowarp.osim.convert.tendon.surface import Surface, dot, unit
 from myowarp.osim.document.elements import ConditionalPathPoint, Path
 from myowarp.osim.document.kinematics import Frames
 from myowarp.osim.document.model import Model, WrapObject

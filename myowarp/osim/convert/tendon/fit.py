@@ -13,11 +13,10 @@ import numpy as np
 from scipy import optimize
 
 from myowarp.osim.body.moment_arm import STEP, Poses, Reference, crossed, own_reference, stacked
-from myowarp.osim.body.wrap.cylinder import unit
-from myowarp.osim.body.wrap.path import activity, locations, solve
+from myowarp.osim.body.path_solution import activity, locations, solve
 from myowarp.osim.convert.tendon.candidates import TINY, Observed
 from myowarp.osim.convert.tendon.path import TendonPath, lengths
-from myowarp.osim.convert.tendon.surface import Surface
+from myowarp.osim.convert.tendon.surface import Surface, unit
 from myowarp.osim.document.elements import Path
 from myowarp.osim.document.model import Model
 

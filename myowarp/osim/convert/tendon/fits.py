@@ -20,6 +20,7 @@ import numpy as np
 from myowarp.disk import cached, files_digest, version
 from myowarp.osim.body.hill_muscle import ACTIVATIONS, HillMuscle, known
 from myowarp.osim.body.moment_arm import Poses, crossed, own_reference, poses_of
+from myowarp.osim.body.path_solution import load_kernel
 from myowarp.osim.convert.tendon.choice import fit_path
 from myowarp.osim.convert.tendon.fit import Method as PathMethod
 from myowarp.osim.convert.tendon.fitted import Expected, MuscleFit, PathOnly
@@ -133,7 +134,8 @@ def fit_muscles(
         _share(*shared)
         yield from map(_work, names)
         return
-    # Forked workers share the poses and need not import Warp again, which takes longer than the fits.
+    # Forked workers share poses and kernel, and need not import Warp again, which takes longer than the fits.
+    load_kernel()
     fork = "fork" if "fork" in multiprocessing.get_all_start_methods() else None
     context = multiprocessing.get_context(fork)
     with ProcessPoolExecutor(min(workers, len(names)), context, _begin, shared) as pool:

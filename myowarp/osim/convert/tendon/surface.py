@@ -15,8 +15,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from myowarp.osim.body.wrap.cylinder import dot, unit
-
 MIN = 1e-15
 """MuJoCo's smallest number."""
 INSIDE_STEPS, INSIDE_ERROR = 20, 1e-6
@@ -193,3 +191,14 @@ def _through(
     point = radius * (cosine * base + sine * np.stack([-base[:, 1], base[:, 0]], axis=1))
     point = np.where(average[:, None], radius * unit(e0 + e1), point)
     return wrapped, point, point, np.zeros(len(e0))
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the scalar products of two arrays of vectors."""
+    return np.einsum("...i,...i->...", a, b)
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors of length one; a zero vector stays zero."""
+    norms = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(norms > 0, norms, 1.0)

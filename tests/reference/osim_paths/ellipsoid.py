@@ -8,8 +8,7 @@ rules and of all constants: `WrapEllipsoid.cpp` of opensim-core; nearest points 
 """
 
 import numpy as np
-
-from myowarp.osim.body.wrap.cylinder import INSIDE, MANDATORY, NONE, Wrap, dot, on_side, unit
+from reference.osim_paths.cylinder import INSIDE, MANDATORY, NONE, Wrap, dot, on_side, unit
 
 BLEND = (0.7073, 0.9)
 """Cosine between line and main axis: below, only the fan of `hybrid`, above, only the axial rule."""

@@ -4,8 +4,7 @@ Sources of the rules: `WrapSphere.cpp` and `WrapTorus.cpp` of opensim-core.
 """
 
 import numpy as np
-
-from myowarp.osim.body.wrap.cylinder import (
+from reference.osim_paths.cylinder import (
     INSIDE,
     MANDATORY,
     NONE,

@@ -9,56 +9,22 @@ Source of the rules: `GeometryPath.cpp` of opensim-core, and what 4.6 returns.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
+from reference.osim_paths.cylinder import INSIDE, MANDATORY, NONE, WRAPPED, Wrap, wrap_cylinder
+from reference.osim_paths.ellipsoid import wrap_ellipsoid
+from reference.osim_paths.sphere import wrap_sphere, wrap_torus
 
-from myowarp.osim.body.wrap.cylinder import INSIDE, MANDATORY, NONE, WRAPPED, Wrap, wrap_cylinder
-from myowarp.osim.body.wrap.ellipsoid import wrap_ellipsoid
-from myowarp.osim.body.wrap.sphere import wrap_sphere, wrap_torus
-from myowarp.osim.document.elements import ConditionalPathPoint, MovingPathPoint, Path, PathWrap
+from myowarp.osim.body.described import path_range, quadrant
+from myowarp.osim.body.path_solution import Solution, activity, locations
+from myowarp.osim.document.elements import Path
 from myowarp.osim.document.kinematics import Frames
 from myowarp.osim.document.model import Model, WrapObject
 
 SWEEPS = 8
 """Rounds over several wrap objects."""
-RANGE_SLACK = 1e-5
-"""[rad] or [m] beyond the ends of its range in which OpenSim still counts a conditional point."""
 SETTLED = 0.0005
 """[m] of change in length after which no further round follows."""
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """A path in n poses.
-
-    Attributes:
-        length: [m], shape `(n,)`.
-        order: what the path consists of, shape `(n, points + 2 wraps)`: numbers of points, then
-            `points + 2 w` and `points + 2 w + 1` where it arrives at and leaves wrap `w`; -1 fills up.
-        location: of points and wrap points in ground [m], shape `(n, points + 2 wraps, 3)`.
-        cached: the same as OpenSim remembers them; lengths and directions come from these.
-        arc: length over each wrap object [m], 0 where it does not touch, shape `(n, wraps)`.
-    """
-
-    length: np.ndarray
-    order: np.ndarray
-    location: np.ndarray
-    cached: np.ndarray
-    arc: np.ndarray
-
-    def wrapped(self, wrap: int) -> np.ndarray:
-        """Whether the path wraps over wrap number `wrap`, shape `(n,)`."""
-        points = self.order.shape[1] - 2 * self.arc.shape[1]
-        return (self.order == points + 2 * wrap).any(axis=1)
-
-    def before(self, wrap: int) -> np.ndarray:
-        """Number of the path point before wrap number `wrap`, -1 where it does not wrap, shape `(n,)`."""
-        points = self.order.shape[1] - 2 * self.arc.shape[1]
-        at = np.argmax(self.order == points + 2 * wrap, axis=1)
-        earlier = np.arange(self.order.shape[1]) < at[:, None]
-        last = np.where(earlier & (self.order < points), self.order, -1).max(axis=1)
-        return np.where(self.wrapped(wrap), last, -1)
 
 
 def solve(model: Model, path: Path, frames: Frames, coordinates: Mapping[str, np.ndarray]) -> Solution:
@@ -75,42 +41,6 @@ def solve(model: Model, path: Path, frames: Frames, coordinates: Mapping[str, np
     points = locations(path, frames, within)
     active = activity(path, coordinates, len(points))
     return _Solver(model, path, points, active, frames).solution()
-
-
-def locations(path: Path, frames: Frames, coordinates: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the points of a path in ground, active or not [m], shape `(n, points, 3)`."""
-    placed = []
-    for point in path.points:
-        rotation, origin = frames[point.body]
-        if isinstance(point, MovingPathPoint):
-            axes = [
-                function.value(coordinates[name] if name is not None else np.zeros(len(origin)))
-                for function, name in zip(point.functions, point.coordinates, strict=True)
-            ]
-            local = point.frame.position + np.stack(axes, axis=1) @ point.frame.rotation.T
-            placed.append(origin + np.einsum("nij,nj->ni", rotation, local))
-        else:
-            placed.append(origin + rotation @ point.location)
-    return np.stack(placed, axis=1)
-
-
-def activity(path: Path, coordinates: Mapping[str, np.ndarray], count: int) -> np.ndarray:
-    """Return which points are part of the path, shape `(n, points)`."""
-    active = np.ones((count, len(path.points)), bool)
-    for number, point in enumerate(path.points):
-        if isinstance(point, ConditionalPathPoint):
-            value = coordinates[point.coordinate]
-            low, high = point.range[0] - RANGE_SLACK, point.range[1] + RANGE_SLACK
-            active[:, number] = (value >= low) & (value <= high)
-    return active
-
-
-def quadrant(name: str) -> tuple[int, int]:
-    """Return axis and sign that a quadrant's name stands for; sign 0 for `all`."""
-    letter = name.strip().lower().lstrip("+-")
-    if letter not in ("x", "y", "z"):
-        return 0, 0
-    return "xyz".index(letter), -1 if name.strip().startswith("-") else 1
 
 
 def wrap_lines(wrap: WrapObject, method: str, start: np.ndarray, end: np.ndarray, adjust: bool) -> Wrap:
@@ -296,9 +226,3 @@ class _Best:
         self.first[rows], self.last[rows] = placed[0][better], placed[1][better]
         self.length[rows] = wrap.length[better]
         self.final[tried] = mandatory
-
-
-def path_range(wrap: PathWrap, points: int) -> tuple[int, int]:
-    """Return the first and last path point between which a path may wrap, counted from 0."""
-    first, last = wrap.range
-    return (0 if first < 1 else first - 1), (points if last < 1 else min(last, points)) - 1

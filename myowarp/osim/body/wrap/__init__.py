@@ -1,1 +1,0 @@
-"""Paths as OpenSim has them: the reference."""
