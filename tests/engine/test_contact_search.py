@@ -12,6 +12,8 @@ import pytest
 import warp as wp
 from stepping import launch_place
 
+from myowarp.engine.stages import contact_search
+from myowarp.engine.stages.contact_filter import ContactFilter
 from myowarp.engine.stages.contact_search import ContactSearch
 from myowarp.engine.stages.primitive_contacts import CLOSED_FORMS
 
@@ -244,3 +246,60 @@ def test_closed_forms_are_as_many_as_in_mujoco(kind):
         mujoco.mj_fwdPosition(model, data)
         agreeing += (data.contact.geom[:, 0] == 0).sum() == (found[:, 2] == world).sum()
     assert agreeing > 0.9 * NUM_STATES
+
+
+CROWD = ("sphere", "capsule", "ellipsoid", "cylinder") * 3
+ROOM = 200  # contacts of a world
+
+
+def crowd(count):
+    """Return a model of bodies of four kinds, and states in which each touches some of the others."""
+    bodies = "".join(
+        f'<body><freejoint/><geom type="{kind}" size="{SHAPES[kind]}" margin="{MARGIN / 2}"/></body>'
+        for kind in CROWD
+    )
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    rng = np.random.default_rng(4)
+    qpos = rng.standard_normal((count, len(CROWD), 7))
+    qpos[..., :3] = rng.uniform(-0.035, 0.035, (count, len(CROWD), 3))
+    qpos[..., 3:] /= np.linalg.norm(qpos[..., 3:], axis=2)[..., None]
+    return model, qpos.reshape(count, -1)
+
+
+def test_pairs_left_out_are_apart(monkeypatch):
+    """Contacts are those of all pairs, one after the other, as on CUDA; the lists hold few others."""
+    model, qpos = crowd(count := 21)  # in lanes, and the last ones alone
+    listed = {}
+    for whole in (False, True):
+        if whole:
+            monkeypatch.setattr(contact_search, "ContactFilter", lambda stepped: None)
+        data = collided(model, qpos, ROOM)
+        number = data.nacon.numpy()[0]
+        columns = (data.contact.worldid, data.contact.geom, data.contact.dist, data.contact.frame)
+        rows = np.hstack([column.numpy()[:number].reshape(number, -1) for column in columns])
+        listed[whole] = rows[np.lexsort(rows[:, 2::-1].T)]
+    np.testing.assert_array_equal(listed[False][:, :3], listed[True][:, :3])
+    np.testing.assert_allclose(listed[False][:, 3:], listed[True][:, 3:], atol=NORMAL_TOLERANCE)
+    assert len(listed[True]) > 10 * count
+
+
+def test_lists_do_not_depend_on_lanes():
+    """A world alone has the pairs and the normals, bit for bit, that it has beside others."""
+    model, qpos = crowd(16)
+
+    def lists(states):
+        scene = SimpleNamespace(model=mjw.put_model(model), oracle=model, device=wp.get_device("cpu"))
+        scene.data = mjw.make_data(model, nworld=len(states), nconmax=ROOM)
+        scene.data.qpos.assign(states)
+        mjw.kinematics(scene.model, scene.data)
+        found = ContactFilter(scene)
+        found.launch(scene.model, scene.data)
+        number, pairs, normals = (x.numpy() for x in (found.near.num, found.near.pairs, found.near.normals))
+        return [(pairs[w, :n], normals[w, :n]) for w, n in enumerate(number)]
+
+    together, alone = lists(qpos), [lists(one[None])[0] for one in qpos]
+    for one, other in zip(together, alone, strict=True):
+        np.testing.assert_array_equal(one[0], other[0])
+        np.testing.assert_array_equal(one[1], other[1])
+    num_pairs = len(CROWD) * (len(CROWD) - 1) // 2
+    assert 0 < np.mean([len(pairs) for pairs, _ in together]) < num_pairs / 2

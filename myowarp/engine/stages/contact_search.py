@@ -11,10 +11,12 @@ from mujoco_warp._src.collision_driver import MJ_COLLISION_TABLE, CollisionType,
 
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import ContactPool, filled
+from myowarp.engine.stages.contact_filter import ContactFilter
 from myowarp.engine.stages.contact_search_kernel import (
     OURS,
     Candidates,
     ContactMaterial,
+    NearPairs,
     Shapes,
     find_contacts,
 )
@@ -70,6 +72,7 @@ class ContactSearch(Stage):
         self._primitive = [kind for kind in primitive if kind not in CLOSED_FORMS]
         with wp.ScopedDevice(stepped.device):
             self._context = create_collision_context(stepped.data.naconmax)
+        self._filter = ContactFilter(stepped) if stepped.device.is_cpu else None
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Find the contacts of all worlds, as `mujoco_warp.collision` does."""
@@ -84,7 +87,11 @@ class ContactSearch(Stage):
             "contact": filled(ContactPool, data.contact, data),
         }
         pairs = num_threads(data.nacon.device, model.nxn_geom_pair_filtered.shape[0])
-        launch(find_contacts, (data.nworld, pairs), data, threads=pairs, **shared)
+        near = NearPairs()
+        if self._filter:
+            self._filter.launch(model, data)
+            near = self._filter.near
+        launch(find_contacts, (data.nworld, pairs), data, threads=pairs, near=near, **shared)
         if self._convex:
             _if_any(data, lambda: convex_narrowphase(model, data, self._context, self._convex))
         if self._closed:

@@ -13,14 +13,21 @@ from mujoco_warp._src.math import make_frame
 from mujoco_warp._src.types import GeomType, vec5
 
 from myowarp.engine.stages.arrays import ContactPool
-from myowarp.engine.stages.separation import Bodies, Touch, capsule_touch, ellipsoid_matrix, ellipsoid_touch
+from myowarp.engine.stages.separation import (
+    FAR,
+    Bodies,
+    Touch,
+    capsule_touch,
+    ellipsoid_matrix,
+    ellipsoid_touch,
+    roundness,
+)
 from myowarp.kernels.batching import batched
 
 SPHERE = wp.constant(int(GeomType.SPHERE))
 CAPSULE = wp.constant(int(GeomType.CAPSULE))
 ELLIPSOID = wp.constant(int(GeomType.ELLIPSOID))
 CYLINDER = wp.constant(int(GeomType.CYLINDER))
-FAR = wp.constant(1e10)  # m
 
 OURS = tuple(
     (GeomType(first), GeomType(second))
@@ -76,6 +83,21 @@ class Candidates:
     collision_pair: wp.array[wp.vec2i]
     collision_pairid: wp.array[wp.vec2i]
     collision_worldid: wp.array[int]
+
+
+@wp.struct
+class NearPairs:
+    """Pairs that may touch in each world, which `contact_filter` finds; without columns: all.
+
+    Attributes:
+        num: Of each world.
+        pairs: Numbers of the pairs.
+        normals: About where f of a pair with an ellipsoid is largest.
+    """
+
+    num: wp.array[int]
+    pairs: wp.array2d[int]
+    normals: wp.array2d[wp.vec3]
 
 
 @wp.struct
@@ -235,15 +257,18 @@ def round_touches(one: Geom, two: Geom) -> Touches:
 
 
 @wp.func
-def touch_with_ellipsoid(one: Geom, two: Geom, cutoff: float) -> Touch:
+def touch_with_ellipsoid(one: Geom, two: Geom, cutoff: float, start: wp.vec3) -> Touch:
     """n = argmax f(n), dist = f(n): where a sphere, capsule or ellipsoid and an ellipsoid are closest."""
     bodies = Bodies()
     bodies.p = two.pos - one.pos
+    bodies.start = start
     bodies.e2 = ellipsoid_matrix(two.size, two.rotation)
     bodies.rotation1 = two.rotation
     bodies.rotation2 = two.rotation
     bodies.cutoff = cutoff
+    bodies.roundness = roundness(two.size)
     if one.type == ELLIPSOID:
+        bodies.roundness += roundness(one.size)
         bodies.e1 = ellipsoid_matrix(one.size, one.rotation)
         bodies.rotation1 = one.rotation
         return ellipsoid_touch(bodies, one.pos)
@@ -280,28 +305,24 @@ def boxes_meet(one: Geom, two: Geom, cutoff: float) -> bool:
 
 
 @wp.func
-def closest(one: Geom, two: Geom, cutoff: float) -> Touches:
+def closest(one: Geom, two: Geom, cutoff: float, start: wp.vec3) -> Touches:
     """Where two spheres, capsules or ellipsoids are closest; a bound will do beyond the cutoff."""
     if two.type <= CAPSULE:
         return round_touches(one, two)
     touches = Touches()
-    touches.first.dist = FAR
+    touches.first = touch_with_ellipsoid(one, two, cutoff, start)
     touches.second.dist = FAR
-    if boxes_meet(one, two, cutoff):
-        touches.first = touch_with_ellipsoid(one, two, cutoff)
     return touches
 
 
 @wp.func
 def may_touch(one: Geom, two: Geom, cutoff: float) -> bool:
-    """Return whether two geoms of other shapes may be less than `cutoff` apart."""
-    if not boxes_meet(one, two, cutoff):
-        return False
+    """Return whether two geoms of which one has another shape may be less than `cutoff` apart."""
     if one.type < SPHERE or two.type != CYLINDER:
         return True
     two.type = CAPSULE  # a capsule of the same size holds the cylinder
     if one.type == ELLIPSOID:
-        touch = touch_with_ellipsoid(two, one, cutoff)
+        touch = touch_with_ellipsoid(two, one, cutoff, wp.normalize(one.pos - two.pos))
         return touch.dist < cutoff
     if one.type == CYLINDER:
         one.type = CAPSULE
@@ -318,6 +339,7 @@ def find_contacts(
     naconmax_in: int,
     # In:
     threads: int,
+    near: NearPairs,
     # Data out:
     contact_out: ContactPool,
     # Out:
@@ -333,7 +355,14 @@ def find_contacts(
     kind, xpos, xmat = shapes.geom_type, shapes.geom_xpos[worldid], shapes.geom_xmat[worldid]
     pair = Pair()
     pair.worldid = worldid
-    for i in range(thread, shapes.nxn_geom_pair_filtered.shape[0], threads):
+    listed = near.pairs.shape[1] > 0
+    num_pairs = shapes.nxn_geom_pair_filtered.shape[0]
+    if listed:
+        num_pairs = near.num[worldid]
+    for k in range(thread, num_pairs, threads):
+        i = int(k)
+        if listed:
+            i = near.pairs[worldid, k]
         a, b = shapes.nxn_geom_pair_filtered[i][0], shapes.nxn_geom_pair_filtered[i][1]
         pair.pairid = shapes.nxn_pairid_filtered[i]
         pair.margin = margins[a] + margins[b]
@@ -352,11 +381,17 @@ def find_contacts(
         a, b = pair.geoms[0], pair.geoms[1]
         one = geom_at(kind[a], size[a], bound[a], box[a, 0], box[a, 1], xpos[a], xmat[a])
         two = geom_at(kind[b], size[b], bound[b], box[b, 0], box[b, 1], xpos[b], xmat[b])
-        if one.type >= SPHERE and two.type <= ELLIPSOID:
-            touches = closest(one, two, cutoff)
+        ours = one.type >= SPHERE and two.type <= ELLIPSOID
+        if not (ours and (listed or two.type <= CAPSULE)) and not boxes_meet(one, two, cutoff):
+            continue
+        start = wp.normalize(two.pos - one.pos)
+        if listed:
+            start = wp.vec3(near.normals[worldid, k])
+        if ours:
+            touches = closest(one, two, cutoff, start)
             if touches.first.dist < cutoff:
                 write_touch(touches.first, pair, material, 0, naconmax_in, contact_out)
             if touches.second.dist < cutoff:
                 write_touch(touches.second, pair, material, 1, naconmax_in, contact_out)
-        elif may_touch(one, two, cutoff):
+        elif listed or may_touch(one, two, cutoff):
             add_candidate(pair, one.type, two.type, naconmax_in, candidates)

@@ -20,6 +20,7 @@ MAX_STEPS = wp.constant(40)
 MAX_HALVINGS = wp.constant(6)
 LONGEST_STEP = wp.constant(0.5)  # rad
 CONVERGED = wp.constant(1e-4)  # rad; the next error is its square
+FAR = wp.constant(1e10)  # m
 LEAST_CURVATURE = wp.constant(1e-3)  # of the bodies' size; the Hessian is lifted to it
 
 
@@ -29,20 +30,24 @@ class Bodies:
 
     Attributes:
         p: From the first center to the second [m].
+        start: Unit vector from which the search begins.
         e1: E of the first ellipsoid [m^2]; 0 for a point.
         e2: E of the second.
         rotation1: Axes of the first ellipsoid; those of the second beside a point.
         rotation2: Axes of the second.
         axis: n is sought on the circle across this unit vector; 0: on the whole sphere.
+        roundness: Least radius of curvature of the bodies' Minkowski sum [m].
         cutoff: Distance [m] beyond which the bodies do not touch.
     """
 
     p: wp.vec3
+    start: wp.vec3
     e1: wp.mat33
     e2: wp.mat33
     rotation1: wp.mat33
     rotation2: wp.mat33
     axis: wp.vec3
+    roundness: float
     cutoff: float
 
 
@@ -83,6 +88,12 @@ def ellipsoid_matrix(size: wp.vec3, rotation: wp.mat33) -> wp.mat33:
     """E = R diag(size^2) R' [m^2]."""
     scaled = rotation @ wp.diag(size)
     return scaled @ wp.transpose(scaled)
+
+
+@wp.func
+def roundness(size: wp.vec3) -> float:
+    """Least radius of curvature of an ellipsoid [m]: least semi-axis squared over the greatest."""
+    return wp.min(size) * wp.min(size) / wp.max(size)
 
 
 @wp.func
@@ -195,11 +206,12 @@ def ellipsoid_axis(bodies: Bodies, k: int, towards: wp.vec3) -> wp.vec3:
 def separating_normal(bodies: Bodies) -> wp.vec3:
     """Return argmax f(n).
 
-    Bodies apart have one maximum. Bodies in each other have several, near their axes: each is climbed.
+    Bodies apart have one maximum. Bodies in each other have several, near their axes: each is climbed. One
+    less deep than the bodies are round is the highest: a ball of that radius rolls within their sum.
     """
-    best = climb(bodies, across(bodies.p, bodies.axis))
-    if separation(bodies, best) < 0.0:
-        for k in range(6):
+    best = climb(bodies, across(bodies.start, bodies.axis))
+    if separation(bodies, best) < -bodies.roundness:
+        for k in range(wp.where(bodies.e1[0, 0] == 0.0, 3, 6)):
             other = climb(bodies, ellipsoid_axis(bodies, k, bodies.p))
             if separation(bodies, other) > separation(bodies, best):
                 best = other
@@ -216,14 +228,19 @@ def capsule_normal(bodies: Bodies, axis: wp.vec3, half: float) -> tuple[wp.vec3,
     end = bodies
     end.axis = wp.vec3(0.0)
     bodies.axis = axis
-    n = separating_normal(bodies)
-    level = separation(bodies, n)
-    t = wp.dot(axis, bodies.p - support_point(bodies.e2, n))
-    if level >= 0.0:
-        if level < bodies.cutoff and wp.abs(t) > half:
+    n, level = wp.vec3(bodies.start), float(-FAR)
+    for k in range(2):
+        if k == 1:
+            n = separating_normal(bodies)
+            level = separation(bodies, n)
+        t = wp.dot(axis, bodies.p - support_point(bodies.e2, n))
+        if level > bodies.cutoff or (level >= -bodies.roundness and wp.abs(t) <= half):
+            return n, 0.0
+        if wp.abs(t) > half:
             end.p = bodies.p - wp.sign(t) * half * axis
-            return climb(end, n), wp.sign(t)
-        return n, 0.0
+            other = climb(end, n)
+            if separation(end, other) >= -bodies.roundness and wp.dot(axis, other) * t > 0.0:
+                return other, wp.sign(t)
     side = float(0.0)
     for k in range(6):
         tip = wp.where(k < 3, half, -half) * axis
