@@ -1,4 +1,4 @@
-"""Arrays of structs are made in several threads: NumPy parses their layout, which Python 3.11.7 cannot at once."""
+"""Threads make arrays of structs one after the other: Python 3.11.7 cannot parse two layouts at once."""
 
 import gc
 import sys
