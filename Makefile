@@ -27,7 +27,7 @@ STAMP := $(VENV)/.installed
 TEST_STAMP := $(VENV)/.installed-test
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help setup demo test test-slow scale lint format bench gpu rivals opensim opensim-check accuracy parity soak audit docs pictures dist learning test-view clean
+.PHONY: help setup demo test fast test-slow scale lint format bench gpu rivals opensim opensim-check accuracy parity soak audit docs pictures dist learning test-view clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -59,7 +59,9 @@ demo: setup ## Film 256 trained hands that reach for targets: success rate, out/
 	@mkdir -p out
 	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --policy baselines/myoHandReachRandom-v0 --num-worlds 256 --video out/demo.mp4 --overwrite
 
-test: lint ## Check format, lint and types, then run the fast tests (what CI runs)
+test: lint fast ## Check format, lint and types, then run the fast tests (what CI runs)
+
+fast: $(TEST_STAMP) ## Run the fast tests alone
 	$(BIN)/python -m pytest -m "not slow and not view and not scale" -n auto --dist loadfile $(PYTEST)
 
 test-slow: $(TEST_STAMP) ## Run the tests marked slow

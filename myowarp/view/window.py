@@ -12,7 +12,7 @@ from collections.abc import Iterable
 import mujoco
 import numpy as np
 
-from myowarp.view.drawing.render import GL_ERRORS, NoGraphicsError
+from myowarp.view.drawing.render import GL_ERRORS, NoGraphicsError, open_graphics
 from myowarp.view.drawing.snapshot import Snapshot
 from myowarp.view.drawing.world import WorldDrawing, draw_bones_alone
 
@@ -111,8 +111,7 @@ def check_window() -> None:
             from mujoco import viewer  # noqa: F401 (finds GLFW's library)
             from mujoco.glfw import GLContext
 
-            context = GLContext(1, 1)
-            context.make_current()
+            context = open_graphics(GLContext, 1, 1)
             mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), 100).free()
             context.free()
     except GL_ERRORS as error:

@@ -23,6 +23,8 @@ from myowarp.sim.simulation import Simulation
 ARCHITECTURE = 90  # compute capability 9.0, without a meaning of its own
 THREADS = 2  # cores that CI has
 ELBOW, HAND = "myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v0"
+FEW = ("kernels.episode", "models.muscles.mujoco", "models.muscles.hill_kernels")
+"""Whose kernels `make test` compiles; together they have what device code is made of."""
 AFTER_STEPS = 1e-3  # rad after five control steps: float32 sums in another order, grown by the dynamics
 EXPECTED = 0.01  # rad at least that the hand moves meanwhile
 
@@ -32,15 +34,19 @@ needs_compiler = pytest.mark.skipif(
 needs_gpu = pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
 
 
+def modules_of(module):
+    """Return the Warp modules of the kernels that a module of Python has, by name."""
+    kernels = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
+    return {kernel.module.name: kernel.module for kernel in kernels}
+
+
 def kernel_modules():
     """Return the Warp modules of all of the package's kernels by name, but for the CPU's own solver."""
     found = {}
     for entry in pkgutil.walk_packages(myowarp.__path__, "myowarp."):
         if ".opensim." in entry.name or ".view" in entry.name:
             continue  # host code behind extras
-        module = importlib.import_module(entry.name)
-        kernels = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
-        found |= {kernel.module.name: kernel.module for kernel in kernels}
+        found |= modules_of(importlib.import_module(entry.name))
     modules = [touch_kernel(kind).module for kind in CLOSED_FORMS]
     for key in {TASKS[key].family: key for key in TASKS}.values():
         with wp.ScopedDevice("cpu"):
@@ -63,6 +69,15 @@ def compile_share(share, folder):
 
 
 @needs_compiler
+@pytest.mark.parametrize("name", FEW)
+def test_kernels_compile(name, tmp_path):
+    for warp_name, module in modules_of(importlib.import_module(f"myowarp.{name}")).items():
+        compile_for_cuda(module, tmp_path / warp_name)
+        assert list((tmp_path / warp_name).glob("*.ptx"))
+
+
+@needs_compiler
+@pytest.mark.slow
 def test_every_kernel_compiles(tmp_path):
     """In processes of their own: other tests import modules anew, whose kernels are then elsewhere."""
     with ProcessPoolExecutor(THREADS, multiprocessing.get_context("spawn")) as pool:

@@ -1,4 +1,4 @@
-"""Arrays of structs are made in several threads: NumPy parses their layout, which 3.11.7 cannot at once."""
+"""Threads make arrays of structs one after the other: Python 3.11.7 cannot parse two layouts at once."""
 
 import gc
 import sys
@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from myowarp.kernels.structs import struct_array
-from myowarp.laws.paths.path import Surface
+from myowarp.models.paths.path import Surface
 
 
 @pytest.fixture

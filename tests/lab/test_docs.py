@@ -3,6 +3,7 @@
 A command runs smaller than it is written: fewer worlds, steps and samples.
 """
 
+import importlib
 import re
 import runpy
 import shlex
@@ -268,26 +269,37 @@ def test_version_changelog_and_citation_agree():
     assert latest in ("Unreleased", myowarp.__version__)
 
 
-@pytest.mark.parametrize("builder", ["dummy", pytest.param("html", marks=pytest.mark.slow)])
-def test_the_site_is_built_without_a_warning(builder, tmp_path):
-    """Every page is in the navigation, every link inside of the site leads, every task has a page.
-
-    The dummy reads and resolves all of it; what takes half of the time is the navigation beside every page.
-    """
+@pytest.mark.slow  # `make docs` builds it, too, beside the tests
+def test_the_site_is_built_without_a_warning(tmp_path):
+    """Every page is in the navigation, every link inside of the site leads, every task has a page."""
     build = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-D", "recordings=0"]
-    build += ["-b", builder, "-d", str(tmp_path / "doctrees")]
+    build += ["-d", str(tmp_path / "doctrees")]
     done = subprocess.run([*build, "docs", str(tmp_path / "site")], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     for key in IDS:
         assert (WRITTEN / f"{key}.md").read_text().startswith(f"# {key}\n")
-    if builder == "dummy":
-        return
-    for key in IDS:
         page = (tmp_path / f"site/tasks/{key}.html").read_text()
         assert "Observation:" in page
         assert f"../audit.html#{key}" in page
     anchors = (tmp_path / "site/audit.html").read_text()
     assert all(f'id="{key}"' in anchors for key in IDS)
+
+
+def test_the_site_has_a_page_of_each_family_and_names_every_page(monkeypatch):
+    """What the built site is made of: pages that are written, and a navigation that lists the others."""
+    pytest.importorskip("sphinx")
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    written = importlib.import_module("task_pages")
+    for key in {myowarp.TASKS[key].family: key for key in reversed(IDS)}.values():
+        page = written.page(key, None)
+        assert page.startswith(f"# {key}\n")
+        assert "Observation:" in page
+    pages = [page for page in (ROOT / "docs").rglob("*.md") if page.parent != WRITTEN]
+    trees = "\n".join(tree for page in pages for tree in blocks(page, "{toctree}"))
+    listed = set(re.findall(r"[\w/-]+", trees))
+    outside = {"index", "audit/README"}
+    names = {str(page.relative_to(ROOT / "docs").with_suffix("")) for page in pages}
+    assert {name for name in names - outside if not name.startswith("experiments/")} <= listed
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

@@ -19,6 +19,7 @@ from myowarp.view.drawing.render import NoGraphicsError, WorldRenderer
 from myowarp.view.drawing.skeleton import Skeleton
 from myowarp.view.drawing.snapshot import snapshot
 from myowarp.view.pictures import Pictures
+from myowarp.view.window import check_window
 
 ASPECT = 4 / 3
 SPHERE = mujoco.mjtGeom.mjGEOM_SPHERE
@@ -337,3 +338,18 @@ def test_environment_writes_the_episode_on_pictures(mode):
     assert env._text.lines() == [["0.00 s  return 0.0"]]
     env.close()
     plain.close()
+
+
+def test_pictures_are_drawn_after_a_display_that_did_not_answer(leg, monkeypatch):
+    """MuJoCo ends the process when it draws without OpenGL a second time."""
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    for _ in range(2):
+        monkeypatch.setenv("DISPLAY", ":4711")
+        with pytest.raises(NoGraphicsError, match=r"got none at ':4711' \(GLFW opens no window\)$"):
+            check_window()
+        monkeypatch.delenv("DISPLAY")
+        try:
+            renderer = WorldRenderer(leg, 64, 48)
+        except NoGraphicsError as error:
+            pytest.skip(str(error))
+        renderer.close()

@@ -15,7 +15,7 @@ import os
 import platform
 import warnings
 import weakref
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -85,8 +85,7 @@ class _Canvas:
                 warnings.simplefilter("ignore")
                 on_egl = headless and not chosen
                 module = importlib.import_module("mujoco.egl") if on_egl else mujoco
-                self._graphics = module.GLContext(width, height)
-                self._graphics.make_current()
+                self._graphics = open_graphics(module.GLContext, width, height)
                 self.context = mujoco.MjrContext(model, font_size(height))
         except GL_ERRORS as error:
             raise no_graphics(chosen or ("egl" if headless else "glfw"), error) from error
@@ -114,6 +113,24 @@ class _Canvas:
         image = np.empty((self._area.height, self._area.width, 3), dtype=np.uint8)
         mujoco.mjr_readPixels(image, None, self._area, self.context)
         return image[::-1]
+
+
+def open_graphics(kind: Callable[[int, int], Any], width: int, height: int) -> Any:
+    """Open one of MuJoCo's OpenGL contexts and make it current.
+
+    GLFW opens none without a word where no display answers. MuJoCo's drawing must not be asked for then: it
+    raises once, and ends the process when it is asked again, for whatever context.
+
+    Raises:
+        RuntimeError: GLFW opened none.
+    """
+    graphics = kind(width, height)
+    graphics.make_current()
+    if type(graphics).__module__ == "mujoco.glfw":
+        glfw = importlib.import_module("glfw")
+        if not glfw.get_current_context():
+            raise RuntimeError("GLFW opens no window")
+    return graphics
 
 
 def _free(graphics: Any, context: mujoco.MjrContext) -> None:
