@@ -70,7 +70,7 @@ class Knob:
 
     @property
     def doc(self) -> str:
-        """What it means: what the condition's docstring says of it; "" where it says nothing."""
+        """Return its meaning from the condition's docstring; "" if there is none."""
         return attributes_of(CONDITIONS[self.condition]).get(self.field, "")
 
     @property

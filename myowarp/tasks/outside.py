@@ -72,7 +72,7 @@ def tasks_of(source: str) -> dict[str, Variant]:
 
 
 _OFFERED: dict[ModuleType, dict[str, Variant]] = {}
-"""What modules offered when they were run: they register once."""
+"""Variants of modules that were run: they register once."""
 
 
 def load(source: str) -> ModuleType:

@@ -29,7 +29,7 @@ BATCHED_WEIGHT = (
     *("body_mass", "body_subtreemass", "body_inertia", "body_ipos", "body_iquat"),
     *("body_invweight0", "dof_invweight0"),
 )
-"""What `write_weight` writes."""
+"""Fields that `write_weight` writes."""
 
 
 @wp.struct

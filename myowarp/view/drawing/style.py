@@ -1,4 +1,4 @@
-"""What to draw and in which colours, shared by pictures and viewers.
+"""Parts to draw and their colours, shared by pictures and viewers.
 
 Everything here reads a compiled, unslimmed ``mujoco.MjModel`` and plain NumPy arrays. Muscles are the
 actuators that pull on a spatial tendon, in actuator order, whatever their gain and bias types are, so
@@ -30,7 +30,7 @@ TRAVEL = 1.0
 """m: range of a slide from which on it carries the whole body away."""
 
 DEVICE, WORN = "exo_", 0.4
-"""How names of bodies begin that are worn over muscles, and their opacity in the page."""
+"""Prefix of bodies that are worn over muscles, and their opacity in the page."""
 
 VISIBLE_GEOM_GROUPS = (0, 1, 2)
 """MuJoCo draws these groups by default; myo-sim keeps collision geoms in 3 and above."""

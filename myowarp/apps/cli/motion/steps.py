@@ -1,4 +1,4 @@
-"""What the steps of `myowarp motion` share: options, checks before work, a motion in parts, last words."""
+"""Parts that steps of `myowarp motion` share: options, checks before work, a motion in parts, last words."""
 
 from __future__ import annotations
 

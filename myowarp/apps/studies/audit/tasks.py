@@ -40,7 +40,7 @@ class Job:
 
 FILES = "audit.json", "index.html"
 QUANTILES = (0, 5, 25, 50, 75, 95, 100)  # %, of returns, in the JSON
-"""What `audit_all` writes into a folder."""
+"""Files that `audit_all` writes into a folder."""
 
 
 def find_jobs(names: Iterable[str], paper: bool, setup: Setup = Setup()) -> list[Job]:

@@ -1,4 +1,4 @@
-"""What `myowarp cohort` does."""
+"""The work of `myowarp cohort`."""
 
 from __future__ import annotations
 
