@@ -37,6 +37,7 @@ ROOMS = (
     "definitions",
     "kernels",
     "disk",
+    "extras",
     "progress",
 )
 """The house from the top floor down; what a room imports, for types too, lies below it."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 
 from myowarp.disk import check_folder, files_digest, in_place, make_folder
+from myowarp.extras import to_install
 from myowarp.opensim.model.model import Loss, Model, pulling
 from myowarp.progress import patient_bar
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from myowarp.opensim.tendon.fits import Samples
     from myowarp.opensim.tendon.fitted import Fits
 
-NO_FITS = "paths and muscles' forces are not fitted: it needs SciPy; pip install 'myowarp[convert]'"
+NO_FITS = f"paths and muscles' forces are not fitted: it needs SciPy; run {to_install('convert')}"
 LACKS = (
     "Joints that follow others do so by quartics and springs, on bodies too heavy: accelerations are "
     "off by a third in places; model.mjb in MuJoCo, and couplings.json in MyoWarp, are near OpenSim's. "

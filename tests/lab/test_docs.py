@@ -18,7 +18,7 @@ from socket_client import Client, until
 
 import myowarp
 from benchmarks import readme, result_pages
-from myowarp import motion
+from myowarp import extras, motion
 from myowarp.apps.cli import main as cli
 from myowarp.apps.studies.audit import tasks as audit_command
 from myowarp.tasks.outside import find_task
@@ -323,6 +323,28 @@ def test_install_names_every_extra():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     named = re.findall(r"^\| `(\w+)` \|", (ROOT / "docs/install.md").read_text(), re.M)
     assert sorted(named) == sorted(set(extras) - {"dev", "docs", "test"})
+
+
+@pytest.mark.parametrize(
+    ("released", "shown"),
+    [(False, '`pip install ".[view]"` in the clone'), (True, '`pip install "myowarp[view]"`')],
+)
+def test_a_hint_is_that_of_clone_or_release(released, shown, monkeypatch):
+    monkeypatch.setattr(extras, "RELEASED", released)
+    assert extras.to_install("view") == shown
+
+
+def test_one_constant_decides_how_extras_are_installed():
+    """In pages, README included, and in messages: nothing else of the package names its own extras."""
+    name = "myowarp" if extras.RELEASED else "."
+    for page in PAGES:
+        for line in (line for block in blocks(page, "sh") for line in block.splitlines()):
+            if (found := re.match(r"(?:pip install|uvx --from) [\"'](.*?)\[", line)) and "dist/" not in line:
+                assert found[1] == name, f"{page.name}: {line}"
+    for notebook in (ROOT / "examples").glob("*.ipynb"):
+        assert re.findall(r'pip install \\"(.*?)\[', notebook.read_text()) == [name], notebook
+    for path in (ROOT / "myowarp").rglob("*.py"):
+        assert path.name == "extras.py" or "myowarp[" not in path.read_text(), path
 
 
 def test_version_changelog_and_citation_agree():

@@ -18,6 +18,7 @@ from typing import Any
 from myowarp.apps.policies.checkpoint import versions
 from myowarp.disk import sentence
 from myowarp.engine.threads import CORES, num_cores
+from myowarp.extras import to_install
 
 logger = logging.getLogger("myowarp")
 
@@ -30,7 +31,7 @@ LOOK = 0.5  # s between two looks at what is done
 def check_ray(what: str) -> None:
     """Raise ImportError if Ray is not installed; `what` needs it."""
     if importlib.util.find_spec("ray") is None:
-        raise ImportError(f'{what} needs ray, which is not installed; run `pip install "myowarp[ray]"`')
+        raise ImportError(f"{what} needs ray, which is not installed; run {to_install('ray')}")
 
 
 @contextmanager
