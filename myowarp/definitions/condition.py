@@ -48,7 +48,7 @@ class Condition(abc.ABC):
     Attributes:
         PHASE: Where it acts.
         WRITES: Names of the quantities that it sets. No two conditions of an environment may set the same.
-            What only multiplies (strength, transmission) is not listed: factors compose.
+            Factors (strength, transmission) are not listed: they compose.
         NEUTRAL: Parameters with which it changes nothing, bit for bit.
         NEEDS: Parameter at whose neutral value all others change nothing; "": there is none.
         AT_START: Parameters that act where an episode begins, and later not at all.

@@ -176,7 +176,7 @@ def _columns(knob: Knob, muscles: Sequence[str]) -> list[int]:
 def _knob(parameter: Parameter, conditions: Sequence[Condition]) -> Knob | None:
     """Return the knob of a parameter of a condition; None where no end of its slider is known.
 
-    What changes by itself, a ramp, has none either.
+    A ramp, which changes by itself, has none either.
     """
     name, _, field = parameter.name.partition(" of ")[0].partition(" ")
     kind = next((condition for condition in conditions if condition.name == name), None)

@@ -1,6 +1,6 @@
 """A Ray cluster: started or reached, its nodes checked, and work given to it piece by piece.
 
-Ray starts a piece again where its worker or its node died. What a piece leaves behind is written in one move
+Ray starts a piece again where its worker or its node died. The result of a piece is written in one move
 (`myowarp.disk.in_place`), so that a piece that was done twice is there once.
 """
 

@@ -203,7 +203,7 @@ def mobile_bodies(model: mujoco.MjModel) -> np.ndarray:
 def rigid_roots(model: mujoco.MjModel) -> np.ndarray:
     """Returns for each body the first of those that move with it as one; in the world, its tree's.
 
-    What stands in the world are trees of their own, because a task may put each elsewhere.
+    Bodies that stand in the world are trees of their own, because a task may put each elsewhere.
     """
     return np.where(model.body_weldid == 0, model.body_rootid, model.body_weldid)
 
