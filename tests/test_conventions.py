@@ -39,6 +39,7 @@ ROOMS = (
     "kernels",
     "process",
     "disk",
+    "extras",
     "progress",
 )
 """The house from the top floor down; what a room imports, for types too, lies below it."""
@@ -640,3 +641,31 @@ def test_planted_writers_are_found(planted):
 def test_a_writer_with_in_place_is_none():
     assert not list(writers(ast.parse("def f(p):\n    with in_place(p) as s: s.write_text('a')")))
     assert not list(writers(ast.parse("def f(p):\n    with p.open() as s: return s.read()")))
+
+
+CLAUSES = re.compile(r"(What|Where|Who|Whoever|Whose|Which|Those|That|How) ")
+NOUNS_FIRST = ("apps/", "view/", "tasks/", "definitions/", "sim/", "kernels/")
+LATER = "apps/train/"
+
+
+def docstrings(module):
+    """Return the docstrings of a module, the texts under its constants included."""
+    for node in ast.walk(module):
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
+            for child in node.body:
+                text = child.value if isinstance(child, ast.Expr) else None
+                if isinstance(text, ast.Constant) and isinstance(text.value, str):
+                    yield text.value
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in FILES if name.startswith(NOUNS_FIRST) and not name.startswith(LATER)]
+)
+def test_docstrings_begin_with_a_noun_or_a_verb(name):
+    """A relative clause in place of the thing has to be read twice."""
+    assert not [text.splitlines()[0] for text in docstrings(tree(name)) if CLAUSES.match(text.strip())]
+
+
+def test_a_docstring_that_is_a_clause_is_found():
+    module = ast.parse('"""What a body is."""\nA = 1\n"""Where it is."""\ndef f():\n    """Return it."""')
+    assert [bool(CLAUSES.match(text)) for text in docstrings(module)] == [True, True, False]

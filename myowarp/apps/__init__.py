@@ -1,1 +1,1 @@
-"""What people run: command line, rollouts, policies, recordings, audits, cohorts."""
+"""The lab: command line, rollouts, policies, recordings, audits, cohorts."""

@@ -1,1 +1,1 @@
-"""What a thing is, before any array exists: task, body, muscle model, condition, parameter, scene."""
+"""Definitions, before any array exists: task, body, muscle model, condition, parameter, scene."""

@@ -1,4 +1,4 @@
-"""What a body is: a function that returns a fresh, editable `mujoco.MjSpec`, and what others know of it.
+"""Bodies: a function that returns a fresh, editable `mujoco.MjSpec`, and facts for all others.
 
 Tasks, conditions and signals name no muscle, joint or bone of a certain body: they find them here.
 """
@@ -39,7 +39,7 @@ CAUTIOUS_STEP = CoarseStep(0.004, 0.5)  # where nothing was measured
 
 @dataclass(frozen=True)
 class FatigueRates:
-    """How fast a muscle tires and recovers: parameters of the condition `fatigue_3ccr`.
+    """Rates at which a muscle tires and recovers: parameters of the condition `fatigue_3ccr`.
 
     Attributes:
         fatigue_rate: F [1/s].
@@ -67,7 +67,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Brace:
-    """Where an exoskeleton is worn.
+    """The place of an exoskeleton.
 
     Attributes:
         joint: Joint that it turns.
@@ -131,7 +131,7 @@ class Body:
 
     @property
     def doc(self) -> str:
-        """What it is, for people: what `build` says that it returns; "" where it says nothing."""
+        """Return its description from `build`'s docstring, after "Return"; "" if there is none."""
         said = inspect.getdoc(self.build) if inspect.isfunction(self.build) else None
         sentence = " ".join((said or "").split("\n\n")[0].split())
         return sentence.removeprefix("Return the ").removeprefix("Return ")

@@ -1,4 +1,4 @@
-"""What makes one patient's body differ from another's, and today's from yesterday's: muscle conditions.
+"""Conditions: changes to a body that vary between patients or over time.
 
 A condition is described on the host by a `Condition`, whose parameters may differ between worlds, be drawn
 at random and change over time (`Parameter`), and acts on the device as an `Effect`. What acts when follows
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Phase(enum.IntEnum):
-    """Where in a control step a condition acts, in this order.
+    """The place of a condition in a control step, in this order.
 
     The first three change excitations once per control step; `STRENGTH` scales the active force of the
     muscles, `TRANSMISSION` what their tendons pass on, `BODY` masses and what else moves the joints.
@@ -48,7 +48,7 @@ class Condition(abc.ABC):
     Attributes:
         PHASE: Where it acts.
         WRITES: Names of the quantities that it sets. No two conditions of an environment may set the same.
-            What only multiplies (strength, transmission) is not listed: factors compose.
+            Factors (strength, transmission) are not listed: they compose.
         NEUTRAL: Parameters with which it changes nothing, bit for bit.
         NEEDS: Parameter at whose neutral value all others change nothing; "": there is none.
         AT_START: Parameters that act where an episode begins, and later not at all.
@@ -78,7 +78,7 @@ class Condition(abc.ABC):
 
     @property
     def scene_key(self) -> tuple[object, ...]:
-        """What `edit` makes of a model, hashable; empty where it leaves the model alone."""
+        """Return a hashable key of `edit`'s changes to a model; empty where it leaves the model alone."""
         return ()
 
     @property

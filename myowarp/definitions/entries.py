@@ -1,4 +1,4 @@
-"""What the single numbers of a vector are called and measured in, by the names in a model.
+"""Names and units of the single numbers of a vector, by the names in a model.
 
 Blocks that most tasks observe are here as (unit, meaning, names, source), the end of a `task.Column`.
 """

@@ -1,4 +1,4 @@
-"""What acts along a model's joints besides what the engine, muscles and motors do."""
+"""Forces along a model's joints besides those of engine, muscles and motors."""
 
 from typing import Protocol
 

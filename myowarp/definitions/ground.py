@@ -1,4 +1,4 @@
-"""What a ground is: height fields whose contacts are found by kernels of ours, world by world."""
+"""Grounds: height fields whose contacts are found by kernels of ours, world by world."""
 
 from typing import Protocol
 

@@ -1,4 +1,4 @@
-"""What a muscle model is: a class with its parameters, its state, one kernel and its launcher.
+"""Muscle models: a class with its parameters, its state, one kernel and its launcher.
 
 It reads musculotendon length and velocity from MuJoCo's tendons and writes the force; it never knows how the
 path was computed.
@@ -21,7 +21,7 @@ from myowarp.kernels.reset import masked_fill
 
 @wp.struct
 class Anatomy:
-    """What a condition can change in any muscle model; arrays (1 or num_worlds, num_muscles).
+    """Properties that a condition can change in any muscle model; arrays (1 or num_worlds, num_muscles).
 
     Attributes:
         path: Actuator whose tendon the muscle pulls; its control stays its own.
@@ -36,7 +36,7 @@ class Anatomy:
 
 @wp.struct
 class MuscleResults:
-    """What a muscle model publishes in every physics step; arrays (num_worlds, num_muscles).
+    """Results of a muscle model in every physics step; arrays (num_worlds, num_muscles).
 
     Attributes:
         tension: Force that the tendon transmits [N], >= 0.
@@ -55,7 +55,7 @@ class MuscleResults:
 
 @wp.struct
 class FiberStates:
-    """What the fibers of a muscle model do; arrays (num_worlds, num_muscles).
+    """States of the fibers of a muscle model; arrays (num_worlds, num_muscles).
 
     Attributes:
         norm_length: Fiber length over its optimum [1].
@@ -108,7 +108,7 @@ def restore_anatomy(
 
 
 class MuscleGeometry(NamedTuple):
-    """What pictures and plots show of muscles; host arrays (1 or num_worlds, num_muscles), NaN: not known.
+    """Geometry of muscles for pictures and plots; host arrays (1 or num_worlds, num_muscles), NaN: not known.
 
     Attributes:
         max_isometric_force: Peak active force of a healthy muscle [N].

@@ -1,4 +1,4 @@
-"""What a path provider is: lengths and moment arms of a model's tendons from elsewhere than the engine."""
+"""Path providers: lengths and moment arms of a model's tendons from elsewhere than the engine."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Paths(Protocol):
-    """What computes the tendons of a model in place of the engine."""
+    """A computation of a model's tendons in place of the engine's."""
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Write `ten_length` and `ten_J`; poses, `cdof` and `subtree_com` are those of `qpos`."""

@@ -66,7 +66,7 @@ class Program:
 
     @property
     def owners(self) -> tuple[object, ...]:
-        """Whose attributes are the arguments of kernels, and what functions read."""
+        """Objects whose attributes are the arguments of kernels and functions."""
         scene = self.scene
         return self, self.spec, scene, scene.data, scene.model, scene.muscles
 
@@ -103,7 +103,7 @@ class Program:
 
     @cached_property
     def _kernels(self) -> tuple[wp.Kernel, wp.Kernel]:
-        """What writes observation and reward by the functions that the task names."""
+        """Kernels that write observation and reward by the functions that the task names."""
         terms = tuple(term.source for term in self.spec.reward_terms())
         sources = tuple(column.source for column in self.columns)
         return self.around(sources, tuple(self.spec.measures.items()), terms)

@@ -59,7 +59,7 @@ class Registry(Generic[T]):
             name: Its name.
             entry: What is registered.
             replace: Whether it may take the place of another entry, such as the one of an edited notebook
-                cell; what was made with the other keeps it. What the package brings stays what it is.
+                cell; what was made with the other keeps it. Entries of the package cannot be replaced.
 
         Raises:
             ValueError: `name` is taken, or one who watches refuses it.

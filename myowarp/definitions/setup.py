@@ -1,4 +1,4 @@
-"""What an environment is: one description that environments, commands, studies and manifests take whole.
+"""The description of an environment, which environments, commands, studies and manifests take whole.
 
     setup = Setup(task="myoElbowPose1D6MRandom-v0", conditions=("sarcopenia(strength=0.3)",), seed=3)
 

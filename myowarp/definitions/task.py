@@ -1,4 +1,4 @@
-"""What a task is, before any array exists: frozen, hashable, checked on the host.
+"""Tasks before any array exists: frozen, hashable, checked on the host.
 
 A task family (`tasks/<family>.py`) subclasses `TaskSpec` once; a function under `@task` returns the instance
 of each id. From its tables (`columns`, `reward_terms`, `draws`) follow the kernels, the spaces, the info
@@ -80,7 +80,7 @@ class RewardTerm:
 
 @dataclass(frozen=True)
 class Draw:
-    """What a new episode draws uniformly; a quantity with equal bounds always has that value.
+    """A quantity that a new episode draws uniformly; with equal bounds it always has that value.
 
     Attributes:
         name: Name of the quantity.
@@ -123,7 +123,7 @@ class Draw:
 
     @property
     def size(self) -> int:
-        """How many numbers it is."""
+        """Return its count of numbers."""
         return len(self.low) or 1
 
     @property
@@ -134,7 +134,7 @@ class Draw:
 
 @dataclass(frozen=True)
 class PhysicsPreset:
-    """How a control step is cut into physics steps.
+    """The division of a control step into physics steps.
 
     Attributes:
         integrator: Name of a `mujoco.mjtIntegrator` member without its prefix; None: the task's.
@@ -236,12 +236,12 @@ class TaskSpec(abc.ABC):
 
     @property
     def summary(self) -> str:
-        """What the task asks for: the first sentence of `doc`."""
+        """Return the aim of the task: the first sentence of `doc`."""
         return self.doc.partition(". ")[0].removesuffix(".") + "."
 
     @property
     def why(self) -> str:
-        """What else `doc` says: what this version corrects, and why; "" where there is nothing to say."""
+        """Return the rest of `doc`: corrections of this version, with reasons; "" if there is none."""
         return self.doc.partition(". ")[2]
 
     @property
@@ -256,7 +256,7 @@ class TaskSpec(abc.ABC):
 
     @property
     def scene_key(self) -> tuple[object, ...]:
-        """What the compiled model depends on; tasks that agree in it share one on disk."""
+        """Return a key of the compiled model; tasks that agree in it share one on disk."""
         return (self.family, self.body, self.sites, self.physics_dt)
 
     @property
@@ -286,7 +286,7 @@ class TaskSpec(abc.ABC):
 
     @property
     def start_doc(self) -> str:
-        """What `start` is, for people."""
+        """Return a description of `start`."""
         return "the model's zero pose"
 
     @property
@@ -301,7 +301,7 @@ class TaskSpec(abc.ABC):
 
     @property
     def draws(self) -> tuple[Draw, ...]:
-        """What new episodes draw."""
+        """Return the quantities that new episodes draw."""
         return ()
 
     def start(self, model: mujoco.MjModel) -> np.ndarray:
@@ -349,7 +349,7 @@ RESETS = {
     "none": "the state that the last episode left (reset-free); a reset that is asked for, and one after a"
     " fault, starts as fixed does",
 }
-"""What a new episode starts from; a random posture carries along what lies in the hand."""
+"""Starts of a new episode; a random posture carries along objects in the hand."""
 
 LISTED_BY = "`myowarp tasks` lists them, `myowarp tasks --paper` the paper's grid"
 TASKS: Registry[TaskSpec] = Registry("task", listed_by=LISTED_BY)

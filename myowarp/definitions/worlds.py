@@ -1,4 +1,4 @@
-"""Which worlds a scene holds, and the arrays that it shares with the scenes of the others.
+"""The worlds of a scene, and the arrays that it shares with the scenes of the others.
 
 On many cores the worlds are parts of one whole (`myowarp.sim.simulation`). A part has arrays of its own, but
 for what is written and read from outside: state, actions, results. These are rows of arrays over all worlds.
@@ -57,17 +57,17 @@ class Worlds:
 
     @property
     def everywhere(self) -> int:
-        """How many there are in all ranks."""
+        """Return the number of worlds in all ranks."""
         return self.rank[1] * self.total
 
     @property
     def given(self) -> slice:
-        """Which rows of a parameter over the worlds of all ranks are theirs."""
+        """Return their rows of a parameter over the worlds of all ranks."""
         return slice(self.offset + self.first, self.offset + self.first + self.number)
 
     @property
     def own(self) -> slice:
-        """Which rows of an array over all worlds are theirs."""
+        """Return their rows of an array over all worlds."""
         return slice(self.first, self.first + self.number)
 
     def rows(self, name: str, array: wp.array) -> wp.array:

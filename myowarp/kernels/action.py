@@ -22,7 +22,7 @@ CENTER = 0.5  # action at which the excitation is 0.5; MyoSuite 3.0.0
 LEAST_EXCITATION = 1e-6  # below what the action -1 gives, and finite under the logarithm
 
 EXCITATION = f"excitation = 1 / (1 + exp(-{STEEPNESS:g} (action - {CENTER:g})))"
-"""What a muscle gets, for people."""
+"""The excitation of a muscle, as a formula to print."""
 
 
 LINEAR_EXCITATION = "excitation = (1 + action) / 2"

@@ -1,4 +1,4 @@
-"""How kernels walk through worlds: rows of batched arrays, and in how many threads."""
+"""Kernels' way through worlds: rows of batched arrays, and the number of threads."""
 
 import math
 

@@ -1,8 +1,8 @@
 """Mass of a body that hangs on a limb, set per world.
 
 The engine needs the mass of every subtree that the body is in, besides the body's own: it divides by it when
-it computes the point about which it takes moments. What MuJoCo derives from masses at compile time only to
-choose the softness of joint limits and contacts (`dof_invweight0`, `body_invweight0`) is left alone here.
+it computes the point about which it takes moments. Fields that MuJoCo derives from masses at compile time
+only to choose the softness of limits and contacts (`dof_invweight0`, `body_invweight0`) stay as they are.
 """
 
 import mujoco

@@ -27,7 +27,7 @@ TOLERANCE = 1e-10
 
 @wp.struct
 class Workspace:
-    """What the solver works with, of all worlds.
+    """Arrays of the solver, of all worlds.
 
     Attributes:
         hessian: H = A^T A + ridge, (num_worlds, num_unknowns, num_unknowns).

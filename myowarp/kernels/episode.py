@@ -56,7 +56,7 @@ AUTORESET = {
 
 @wp.struct
 class EpisodeState:
-    """Where every world stands in its episode; all arrays (num_worlds,).
+    """The place of every world in its episode; all arrays (num_worlds,).
 
     Attributes:
         step_count: Steps since reset.
@@ -73,7 +73,7 @@ class EpisodeState:
 
 @wp.struct
 class Transition:
-    """What one step of every world led to; arrays (num_worlds,), terms (num_worlds, num_terms).
+    """Results of one step of every world; arrays (num_worlds,), terms (num_worlds, num_terms).
 
     Attributes:
         obs: Observation, shape (num_worlds, obs_size).
@@ -102,7 +102,7 @@ class Transition:
 
 @wp.struct
 class Masks:
-    """Which worlds the later kernels of a step act on; all arrays (num_worlds,).
+    """Masks of worlds for the later kernels of a step; all arrays (num_worlds,).
 
     Attributes:
         live: Stepped and healthy: observe and score the state reached.

@@ -2,7 +2,7 @@
 
 A tree of bodies is the same in all worlds, so that 4, 8 or 16 of them, as many as a vector register of the
 machine holds, go through it at once. `lanes.cpp` has the vectors, and moves rows of the engine's arrays into
-them and back. What is written with it runs a world at a time, too, with the same bits: where few worlds are
+them and back. Code for it runs a world at a time, too, with the same bits: where few worlds are
 left for a block, and where the compiler has no vectors. The width follows from the CPU's features, which are
 in the key of Warp's cache.
 

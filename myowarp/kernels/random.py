@@ -19,7 +19,7 @@ POSTURE = wp.constant(2)
 
 @wp.struct
 class RandomKeys:
-    """What the numbers of a world are drawn from.
+    """Keys from which the numbers of a world are drawn.
 
     Attributes:
         seed: Seed of each world, shape (num_worlds,).

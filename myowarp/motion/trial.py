@@ -538,7 +538,7 @@ def forces(
         output: Folder, which exists, or its tables: those of a motion in parts are written into one.
         loads: A file of OpenSim's `ExternalLoads`, or what it says.
         mode: What a muscle can give, see `muscle_forces`.
-        exponent: p of the cost sum |a|^p.
+        exponent: p of the cost, the sum of a^p.
         reserves: By coordinate, the force of a reserve at cost 1 [N m] or [N].
 
     Raises:

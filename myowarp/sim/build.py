@@ -50,8 +50,8 @@ RESULT_FIELDS = (
 )
 """Further arrays of `mjw.Data` with a row for each world that are of use outside of the engine.
 
-What only the engine reads stays with the part: cores that write what lies side by side take cache lines from
-each other, which costs 64 elbows up to 7 % of a step. So does what our stages do not write, such as the
+Arrays that only the engine reads stay with the part: cores that write side by side take cache lines from
+each other, which costs 64 elbows up to 7 % of a step. So do arrays that our stages do not write, such as the
 poses of all sites: it would be old.
 """
 
@@ -140,7 +140,7 @@ def _cached_model(
 ) -> mujoco.MjModel:
     """Return `make(spec, conditions, exact)`, through the disk cache if all of it is ours.
 
-    What others write may depend on anything: on files that it reads, on fields that no key names.
+    User code may depend on anything: on files that it reads, on fields that no key names.
     """
     edits = tuple(condition for condition in conditions if condition.scene_key)
     if not is_ours(type(spec), BODIES[spec.body].build, *map(type, conditions)):

@@ -1,4 +1,4 @@
-"""How many contacts and constraint rows a world can need, found from the model and from random motion.
+"""Numbers of contacts and constraint rows that a world can need, from the model and from random motion.
 
 Arrays in mujoco-warp have fixed sizes; what does not fit is dropped, with wrong physics. So sizes are
 measured with MuJoCo C, with a margin, and never guessed.

@@ -1,4 +1,4 @@
-"""What an episode costs the body: metabolic rates, and of a body that walks speed and cost of transport.
+"""Costs of an episode: metabolic rates, and of a body that walks speed and cost of transport.
 
 All are means over the episode. A body that falls does not walk: of a free root nothing is said in an episode
 that failed, part of which is the fall. Speed is the distance from the root's first place to its last one,
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from myowarp.sim.simulation import Simulation
 
 WALKING_UNITS = {"speed": "m/s"} | {f"{law}_per_kg_m": "J/kg/m" for law in LAWS}
-"""What is known of a free root besides the rates, with units; `..._per_kg_m` is the cost of transport."""
+"""Figures of a free root besides the rates, with units; `..._per_kg_m` is the cost of transport."""
 UNITS = WHOLE_BODY_UNITS | WALKING_UNITS
 """All figures, with units."""
 SOURCES = dict(zip(LAWS, ("Bhargava 2004", "Umberger 2010"), strict=True))

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.registry import check_choice
+from myowarp.extras import to_install
 from myowarp.kernels.write import write
 from myowarp.process import with_build_lock
 
@@ -32,8 +33,7 @@ class Output:
         check_choice("output", library, OUTPUTS)
         if importlib.util.find_spec(library) is None:
             raise ImportError(
-                f'output="{library}" needs {library}, which is not installed; '
-                f'run `pip install "myowarp[{library}]"`'
+                f'output="{library}" needs {library}, which is not installed; run {to_install(library)}'
             )
         self._library = library
         self._copy = copy

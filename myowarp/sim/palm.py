@@ -1,4 +1,4 @@
-"""What lies in the hand goes where the palm goes: T_object = T_palm(q) T_palm(start)^-1 T_object(start)."""
+"""Objects in the hand follow the palm: T_object = T_palm(q) T_palm(start)^-1 T_object(start)."""
 
 from collections.abc import Iterable
 
@@ -63,7 +63,7 @@ def coordinates(model: mujoco.MjModel, body: int, rotation: np.ndarray, position
 
 
 class Palm:
-    """Where objects lie in the palm."""
+    """Places of objects in the palm."""
 
     def __init__(
         self, model: mujoco.MjModel, start: np.ndarray, palm: str | None, carried: Iterable[str]

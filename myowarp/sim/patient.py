@@ -70,7 +70,7 @@ class Knob:
 
     @property
     def doc(self) -> str:
-        """What it means: what the condition's docstring says of it; "" where it says nothing."""
+        """Return its meaning from the condition's docstring; "" if there is none."""
         return attributes_of(CONDITIONS[self.condition]).get(self.field, "")
 
     @property
@@ -176,7 +176,7 @@ def _columns(knob: Knob, muscles: Sequence[str]) -> list[int]:
 def _knob(parameter: Parameter, conditions: Sequence[Condition]) -> Knob | None:
     """Return the knob of a parameter of a condition; None where no end of its slider is known.
 
-    What changes by itself, a ramp, has none either.
+    A ramp, which changes by itself, has none either.
     """
     name, _, field = parameter.name.partition(" of ")[0].partition(" ")
     kind = next((condition for condition in conditions if condition.name == name), None)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from myowarp.definitions.task import TaskSpec
+from myowarp.extras import to_install
 from myowarp.kernels.action import MUSCLE
 from myowarp.sim.build import actuator_kinds, oracle_model
 from myowarp.sim.patient_columns import COLUMNS, EXCLUSIVE, TornMuscles
@@ -112,7 +113,7 @@ def read_table(path: Path, what: str = "cohort") -> tuple[list[str], list[list[A
     for package in ("pandas", "pyarrow"):
         if importlib.util.find_spec(package) is None:
             raise ImportError(
-                f'{str(path)!r} needs {package}, which is not installed; run `pip install "myowarp[cohort]"`'
+                f"{str(path)!r} needs {package}, which is not installed; run {to_install('cohort')}"
             )
     import pandas as pd
     import pyarrow as pa

@@ -1,7 +1,7 @@
 """Muscles in the present state of the worlds: their paths, their tension, and where an episode begins.
 
 After a step lengths and velocities in `Data` are those of the last physics step's begin, and after a reset
-those of another episode. What is launched here computes them anew, and writes nothing else that lasts.
+those of another episode. The launches here recompute them, and write nothing else that lasts.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the muscles of every world do: activation, force, length, velocity, power, metabolic rate, by name.
+"""Signals of the muscles of every world: activation, force, length, velocity, power, metabolic rate.
 
     signals = Signals(env.sim)  # arrays (num_worlds, num_muscles), filled in every step from here on
     env.step(actions)
@@ -89,7 +89,7 @@ def read_muscles(
     # Out:
     muscles: MuscleSignals,
 ):
-    """What the muscle model publishes, everywhere or in the worlds of the mask; power = -tension velocity."""
+    """Copy the muscle model's results, everywhere or in the worlds of the mask; power = -tension velocity."""
     worldid, muscleid = wp.tid()
     if not (everywhere or mask[worldid]):
         return

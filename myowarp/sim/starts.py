@@ -1,7 +1,7 @@
 """Random start configurations of a task: free of penetration, and shown by the engine not to fail at once.
 
 A posture is drawn uniformly within the joint ranges; where geoms touch, only a random subset of the
-joints goes there from the task's own start, and part of the way. What lies in the hand goes with the palm. A
+joints goes there from the task's own start, and part of the way. Objects in the hand go with the palm. A
 start is kept if
 
 - no two geoms penetrate each other deeper than they do in the task's own start, in MuJoCo C, and

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger("myowarp")
 
 Worlds = int | Sequence[int] | npt.NDArray[np.integer] | npt.NDArray[np.bool_] | None
-"""Which worlds: None for all, a number, numbers, or a mask (num_worlds,) bool."""
+"""A choice of worlds: None for all, a number, numbers, or a mask (num_worlds,) bool."""
 
 CONDITION = "condition."  # begin of the names of what belongs to conditions
 UNLISTED = "unlisted."  # begin of the names of what is only taken for state
@@ -54,12 +54,12 @@ DAMAGES = (
     *(ValueError, TypeError, KeyError, EOFError, MemoryError, OverflowError),
     *(NotImplementedError, IsADirectoryError, zipfile.BadZipFile),
 )
-"""What reading a damaged file can raise: of zipfile, and of NumPy for the head of an array."""
+"""Errors of reading a damaged file: of zipfile, and of NumPy for the head of an array."""
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What some worlds of a task are.
+    """The state of some worlds of a task.
 
     Attributes:
         task: Name and version of the task.

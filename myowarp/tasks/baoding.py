@@ -55,7 +55,7 @@ BALL_FRICTION = (1.0, 0.005, 0.0001)  # slide, spin, roll
 FRICTIONS = ("slide", "spin", "roll")
 NOMINAL_BALLS = BallRanges(2 * (BALL_MASS,), 2 * (BALL_RADIUS,), (BALL_FRICTION, BALL_FRICTION))
 DROP_WEIGHT = 500.0
-"""What a fall costs, in the paper's code. It exceeds 200 steps at full effort with both balls as far from
+"""Cost of a fall, in the paper's code. It exceeds 200 steps at full effort with both balls as far from
 their targets as the hand reaches, 0.19 m: 200 (10 * 0.19 + 0.16) = 412."""
 
 
@@ -128,7 +128,7 @@ def num_met(pos_dist_1: float, pos_dist_2: float) -> float:
 
 @wp.func
 def met_bonus(met: float) -> float:
-    """What balls at their targets earn."""
+    """Reward of balls at their targets."""
     return met + BOTH_BONUS * indicator(met == 2.0)
 
 
@@ -183,7 +183,7 @@ class BaodingProgram(Program):
         self.launch(move_targets, step_count=step_count)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
-        """Where the balls have to be."""
+        """Return the targets of the balls."""
         data = self.scene.data
         palm = data.site_xpos.numpy()[world, self.palm_site]
         frame = data.site_xmat.numpy()[world, self.palm_site]
@@ -238,7 +238,7 @@ class BaodingTask(TaskSpec):
 
     @property
     def batched(self) -> tuple[str, ...]:
-        """What differs between balls."""
+        """Fields that differ between balls."""
         inertia = BATCHED_INERTIA if self.corrected else ()
         return () if self.balls is None else (*BATCHED, *inertia)
 

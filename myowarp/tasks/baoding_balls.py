@@ -30,7 +30,7 @@ BATCHED = (
 """Names of the model's fields that `sample_balls` writes per world."""
 
 BATCHED_INERTIA = ("body_inertia",)
-"""What `weigh_balls` writes besides."""
+"""Further fields that `weigh_balls` writes."""
 
 Range = tuple[float, float]
 

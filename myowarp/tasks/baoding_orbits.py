@@ -42,7 +42,7 @@ class OrbitBounds:
 
 @dataclass(frozen=True)
 class OrbitRanges:
-    """What the orbits of the targets are drawn from, uniformly.
+    """Ranges from which the orbits of the targets are drawn uniformly.
 
     Attributes:
         directions: Senses of rotation to choose from: 1 counter-clockwise, -1 clockwise, 0 hold.
@@ -62,7 +62,7 @@ class OrbitRanges:
 
     @property
     def draws(self) -> tuple[Draw, ...]:
-        """What a new episode draws."""
+        """Quantities that a new episode draws."""
         low, high = zip(self.radius_x, self.radius_y, strict=True)
         path = f"jump, {self.jumps} times a revolution" if self.jumps else "circle"
         half_axes = f"half axes of the ellipse along which the targets {path}, frame of the trapezium"

@@ -31,7 +31,7 @@ BATCHED_SHAPE = ("geom_size", "geom_pos", "geom_rbound", "geom_aabb", "geom_fric
 """Names of the model's fields that `shape_die` writes per world."""
 
 BATCHED_MASS = ("body_mass", "body_subtreemass", "body_inertia", "body_invweight0", "dof_invweight0")
-"""What `weigh_die` writes."""
+"""Fields that `weigh_die` writes."""
 
 
 def add_die(body: mujoco.MjsBody, name: str, rgba: tuple[float, ...]) -> list[mujoco.MjsGeom]:

@@ -205,7 +205,7 @@ class DieReorientProgram(Program):
         self.launch(show_wanted, mask=mask)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
-        """Where the die's centre should be."""
+        """Return the target of the die's centre."""
         return {"object_o_target": np.array(DIE_POS) + self.goal_offset.numpy()[world]}
 
 
@@ -272,7 +272,7 @@ class DieReorientTask(TaskSpec):
 
     @property
     def batched(self) -> tuple[str, ...]:
-        """What follows from the die's size, mass and friction."""
+        """Fields that follow from the die's size, mass and friction."""
         return (*BATCHED_SHAPE, *BATCHED_MASS) if self.varied else ()
 
     @property

@@ -31,7 +31,7 @@ from myowarp.tasks.walk import VELOCITY_NEAR
 
 LEAST_ROOT_HEIGHT = wp.constant(0.7)  # m
 EFFORT_WEIGHT = 0.1
-"""What the mean square of all activations costs; the velocity earns 1 at most."""
+"""Cost of the mean square of all activations; the velocity earns 1 at most."""
 
 
 @wp.func
@@ -159,7 +159,7 @@ class DirectionalTask(TaskSpec):
 
 
 AHEAD, BACK = -0.5 * np.pi, 0.5 * np.pi
-"""Where the legs look in the start pose, and the opposite [rad]."""
+"""Heading of the legs in the start pose, and the opposite [rad]."""
 LOOKS = "Upstream's legs look along -y, and its commands have the opposite sign."
 
 

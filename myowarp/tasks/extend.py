@@ -10,7 +10,7 @@
     myowarp.extend("myoElbowPose1D6MRandom-v0", "myElbowThrifty-v0", rewards={"effort": (-0.1, effort)})
 
 The name of a parameter says what it is: one of `QUANTITIES`, or an array of the task's program with a row or
-a value for each world, such as `target` of pose and reach. What belongs to a step belongs to the state that
+a value for each world, such as `target` of pose and reach. Values of a step belong to the state that
 the step led to; a kernel around the function is part of the step's graph.
 
 Indices are not checked, as in all of Warp: `qpos[-50]` reads what lies there. With `wp.config.mode = "debug"`

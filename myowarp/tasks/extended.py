@@ -24,7 +24,7 @@ from myowarp.tasks.quantities import QUANTITIES, SITES, Present
 
 @dataclass(frozen=True)
 class Extension:
-    """What an extended task has beyond its family.
+    """Additions of an extended task to its family.
 
     Attributes:
         rewards: New terms of the reward.
@@ -41,7 +41,7 @@ class Extension:
 
 @dataclass(frozen=True, kw_only=True)
 class Extended(TaskSpec):
-    """What an extended task adds to that of its family, of which it is a subclass.
+    """The task of an extended family, a subclass of the family's.
 
     Its additions show no source here: `ExtendedProgram` writes them, whose `site_xpos` is another one.
     """
@@ -76,7 +76,7 @@ class Extended(TaskSpec):
 
 
 class ExtendedProgram(Program):
-    """What an extended task launches beside the program of its family, of which it is a subclass."""
+    """The program of an extended task, a subclass of its family's."""
 
     spec: Extended
 
@@ -166,7 +166,7 @@ def check_type(block: Column | RewardTerm, name: str, dtype: type, ndim: int) ->
 
 
 NAMES = {wp.float32: "float", wp.vec3f: "wp.vec3", wp.quatf: "wp.quat", wp.int32: "int", wp.bool: "bool"}
-"""How types are written."""
+"""Names of types."""
 
 
 @cache

@@ -361,7 +361,7 @@ def _substeps(physics_dt: float, control_dt: float | None) -> int:
 
 
 class _Given(NamedTuple):
-    """What the goals of a task are made of; as in `from_mjcf`."""
+    """Sources of a task's goals; as in `from_mjcf`."""
 
     model: mujoco.MjModel
     path: Path

@@ -12,7 +12,7 @@ BATCHED_SIZE = ("geom_size", "geom_rbound", "geom_aabb")
 """Names of the model's fields that `resize_object` writes per world."""
 
 BATCHED_MASS = ("body_mass", "body_subtreemass", "body_inertia", "body_invweight0")
-"""What `weigh_object` writes besides."""
+"""Further fields that `weigh_object` writes."""
 
 
 @wp.kernel(enable_backward=False)

@@ -40,7 +40,7 @@ QUARTER_TURN = wp.constant(0.5 * np.pi)
 KEY_POS = (-0.15, -0.55, 1.425)  # m, world
 KEY_TILT = 2.2  # rad about the vertical
 ALIVE_WEIGHT = 60.0
-"""What a step without failure earns, more than the 58.4 that it can cost: penalties 2 * 25, distances of at
+"""Reward of a step without failure, more than the 58.4 that it can cost: penalties 2 * 25, distances of at
 most 0.1 m 2 * 1, effort 1 / sqrt(39) = 0.16, and a key turned the wrong way by a revolution 6.28."""
 
 
@@ -147,7 +147,7 @@ class KeyTurnProgram(Program):
         self.launch(sample_key, mask=mask)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
-        """Where the key head is."""
+        """Return the place of the key head."""
         return {"keyhead": self.scene.data.site_xpos.numpy()[world, self.key_site].copy()}
 
 

@@ -2,7 +2,7 @@
 
 Two folders may hold files of one name, such as `utils.py`. So an `import` in a file looks into the file's own
 folder first, whenever it is executed, and the second `utils` of a process has another name in `sys.modules`.
-What names a module in another way, such as `pickle` or `importlib.import_module`, gets the first one.
+Other ways to name a module, such as `pickle` or `importlib.import_module`, get the first one.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Tasks from files and modules of the user's: `my_task.py:reach`, `package.module:reach`.
 
 The file is run once, as Python runs a script: files beside it can be imported, also where files of another
-folder have the same names (`neighbours`). What it registers, or holds as a `TaskSpec`, is what it offers.
+folder have the same names (`neighbours`). It offers the tasks that it registers or holds as `TaskSpec`.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def tasks_of(source: str) -> dict[str, Variant]:
 
 
 _OFFERED: dict[ModuleType, dict[str, Variant]] = {}
-"""What modules offered when they were run: they register once."""
+"""Variants of modules that were run: they register once."""
 
 
 def load(source: str) -> ModuleType:

@@ -179,7 +179,7 @@ class PenTwirlProgram(Program):
         self.launch(sample_pen, mask=mask)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
-        """Where the top of the pen should be, its centre being where it started."""
+        """Return the target of the pen's top, its centre being at its start."""
         wanted = self.scene.data.xmat.numpy()[world, self.target_body, :, 2]
         return {"object_top_target": np.array(PEN_POS) + HALF_LENGTH * wanted}
 

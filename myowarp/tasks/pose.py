@@ -123,7 +123,7 @@ class PoseProgram(Program):
         return qpos
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
-        """Where the tips are in the target pose, by forward kinematics."""
+        """Return the tips in the target pose, by forward kinematics."""
         data = self._posed
         data.qpos[:] = self.goal_pose(world)
         mujoco.mj_kinematics(self._full, data)
@@ -167,7 +167,7 @@ class PoseTask(TaskSpec):
 
     @property
     def batched(self) -> tuple[str, ...]:
-        """What follows from the weight, where one is drawn."""
+        """Fields that follow from the weight, where one is drawn."""
         return BATCHED if self.weight else ()
 
     @property

@@ -1,4 +1,4 @@
-"""What a function of one world can read: its state, and what its muscles do."""
+"""Quantities that a function of one world can read: its state and its muscles."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from myowarp.sim.present import present_muscles
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a parameter of a function can be.
+    """A quantity that a function's parameter can name.
 
     Attributes:
         dtype: Type of the entries of a world's row.
@@ -41,7 +41,7 @@ QUANTITIES = {
     "umberger2010": Quantity(wp.float32, "W", "metabolic rate after Umberger 2010, (num_muscles,)"),
     "site_xpos": Quantity(wp.vec3f, "m", "positions of `sites`, in their order, (num_sites,)"),
 }
-"""What every task offers: parameters of the type `wp.array[float]`, of `site_xpos` `wp.array[wp.vec3]`."""
+"""Quantities of every task: parameters of the type `wp.array[float]`, of `site_xpos` `wp.array[wp.vec3]`."""
 
 SITES = "site_numbers"  # all coordinates of `site_xpos` in a row, to be observed
 OF_STATE = ("qpos", "qvel", "ctrl")

@@ -55,7 +55,7 @@ def sample_reach(
 
 @wp.func
 def tip_position(site_xpos: wp.array[wp.vec3], tip_site: wp.array[int], i: int) -> wp.vec3:
-    """Where tip i is [m]."""
+    """Position of tip i [m]."""
     return site_xpos[tip_site[i]]
 
 

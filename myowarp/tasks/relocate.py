@@ -207,7 +207,7 @@ class RelocateProgram(Program):
         self.launch(put_bin, mask=mask)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
-        """Where the object should be."""
+        """Return the target of the object."""
         return {"object_o_target": self.goal_place.numpy()[world]}
 
 
@@ -277,7 +277,7 @@ class RelocateTask(TaskSpec):
 
     @property
     def batched(self) -> tuple[str, ...]:
-        """What follows from the object's parts, and where it lies."""
+        """Fields that follow from the object's parts and place."""
         return (*BATCHED, *(() if self.free else ("body_pos",))) if self.varied else ()
 
     @property

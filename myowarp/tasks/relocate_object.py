@@ -1,4 +1,4 @@
-"""What is relocated: a box, or three solids of random kinds that overlap.
+"""The object of relocate: a box, or three solids of random kinds that overlap.
 
 Source: MyoSuite 3.0.0, `myoChallengeRelocateP1-v0` and `P2-v0`. P2 draws kind, size, place, turn and friction
 of each part and the mass of all; parts have one density. In MyoSuite the engine takes the larger friction of
@@ -49,7 +49,7 @@ BATCHED = (*BATCHED_SHAPE, *BATCHED_WEIGHT, "geom_pos", "geom_quat", "geom_frict
 
 @wp.struct
 class Parts:
-    """What an episode draws of the parts, arrays (num_worlds, n).
+    """Drawn properties of the parts, arrays (num_worlds, n).
 
     Attributes:
         kind_0: Kind of the first part, a number of `mujoco.mjtGeom`.
@@ -74,7 +74,7 @@ class Parts:
 
 @wp.struct
 class Places:
-    """Where geoms are on their bodies, and how rough; fields are the engine's."""
+    """Places of geoms on their bodies, and friction; fields are the engine's."""
 
     geom_pos: wp.array2d[wp.vec3]
     geom_quat: wp.array2d[wp.quat]
@@ -135,7 +135,7 @@ def part_draws(
 
 @wp.func
 def three(values: wp.array2d[float], worldid: int, part: int) -> wp.vec3:
-    """What is drawn of a part."""
+    """Drawn numbers of a part."""
     i = 3 * part
     return wp.vec3(values[worldid, i], values[worldid, i + 1], values[worldid, i + 2])
 

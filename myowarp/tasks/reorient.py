@@ -125,7 +125,7 @@ class ReorientProgram(MuscleProgram):
         self.launch(turn_target, mask=mask)
 
     def goal_markers(self, world: int) -> dict[str, np.ndarray]:
-        """Where the end of the object's axis should be."""
+        """Return the target of the end of the object's axis."""
         wanted = self.scene.data.xmat.numpy()[world, self.target_body, :, 2]
         return {"object_top_target": np.array(PLACE) + LENGTH_OF_AXIS * wanted}
 
@@ -169,7 +169,7 @@ class ReorientTask(TaskSpec):
 
     @property
     def batched(self) -> tuple[str, ...]:
-        """What follows from the object's shape."""
+        """Fields that follow from the object's shape."""
         return (*BATCHED_SHAPE, *BATCHED_WEIGHT)
 
     @property

@@ -1,4 +1,4 @@
-"""What is reoriented: a solid of a kind and size from a table; a disc at each end of its axis only weighs.
+"""The object of reorient: a solid of a kind and size from a table; discs at the ends of its axis only weigh.
 
 Source: MyoSuite 3.0.0, family Reorient; the tables are recorded from its wheel, Apache-2.0.
 """

@@ -1,9 +1,9 @@
 """Objects of simple solids whose kind, size and place are drawn anew in every episode.
 
 MuJoCo fixes the kind of a geom when a model is compiled. So an object has a geom of every kind in each
-place, of which one is there in a world: the others are tiny and touch nothing. What MuJoCo derives from
-geoms when it compiles them is computed here and written per world: bounds for the search of contacts, mass,
-inertia, inverse weights.
+place, of which one is there in a world: the others are tiny and touch nothing. Quantities that MuJoCo
+derives from geoms when it compiles them are computed here and written per world: bounds for the search of
+contacts, mass, inertia, inverse weights.
 
 Source: MuJoCo documentation, *XML reference, body/geom* and *compiler* (`inertiafromgeom`, `boundinertia`);
 solids are homogeneous, a capsule is a cylinder with two half spheres.
@@ -29,7 +29,7 @@ BATCHED_WEIGHT = (
     *("body_mass", "body_subtreemass", "body_inertia", "body_ipos", "body_iquat"),
     *("body_invweight0", "dof_invweight0"),
 )
-"""What `write_weight` writes."""
+"""Fields that `write_weight` writes."""
 
 
 @wp.struct

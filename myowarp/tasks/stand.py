@@ -23,7 +23,7 @@ from myowarp.kernels.reward import minus_effort
 from myowarp.tasks.reach import ReachProgram, ReachTask
 
 STANDING = 10.0
-"""What a step at rest on the target earns; velocities take as much for each 1 rad a control step."""
+"""Reward of a step at rest on the target; velocities cost as much for each 1 rad a control step."""
 EFFORT_SCALE = 100.0
 
 

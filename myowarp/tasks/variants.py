@@ -20,7 +20,7 @@ PREFIXES = {
 
 @dataclass(frozen=True)
 class Variant:
-    """What an id stands for.
+    """The meaning of an id.
 
     Attributes:
         task: Key of the task in `TASKS`.

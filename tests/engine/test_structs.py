@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from myowarp.kernels.structs import struct_array
-from myowarp.models.paths.path import Surface
+from myowarp.laws.paths.path import Surface
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from myowarp.apps.studies.audit import tasks as command
 from myowarp.apps.studies.audit.figures import FIGURES, changes, findings
 from myowarp.apps.studies.audit.page import COLORS, Page, draw
 from myowarp.definitions.task import TASKS
+from myowarp.extras import to_install
 from myowarp.sim.simulation import Simulation
 
 ELBOW, REACH = "myoElbowPose1D6MRandom-v0", "myoHandReachFixed-v0"
@@ -165,7 +166,7 @@ def test_without_matplotlib_json_and_table_come(run, monkeypatch, tmp_path):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     status, out, err = run(ELBOW, "--num-worlds", 1, "--device", "cpu", "--output", tmp_path)
     assert status == 0, err
-    assert "No page: it needs matplotlib; pip install 'myowarp[plot]'\n" in err
+    assert f"No page: it needs matplotlib; run {to_install('plot')}\n" in err
     assert [path.name for path in tmp_path.iterdir()] == ["audit.json"]
     assert out.count(ELBOW) > 1  # the table comes in parts
 

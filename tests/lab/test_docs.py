@@ -19,6 +19,7 @@ from socket_client import Client, until
 
 import myowarp
 from benchmarks import readme, result_pages
+from myowarp import extras, motion
 from myowarp.apps.cli import main as cli
 from myowarp.apps.studies.audit import tasks as audit_command
 from myowarp.tasks.outside import find_task
@@ -31,6 +32,21 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += [page for page in sorted((ROOT / "docs").rglob("*.md")) if page.parent != WRITTEN]
 IDS = tuple(myowarp.TASKS)  # before tests add some
 MOST_LINES = 110  # of README
+MOST_WORDS = 1200  # of a page, rows of tables left out
+GENERATED = {"baselines.md", "experiments.md", "page.md"}  # by programs, from texts of their own
+BANNED = (
+    (r"^(?-i:What|Who|Whoever|Whatever) [^?]*$", "a relative clause is the subject"),
+    (r"^(?-i:Those|That) (that|which|who) ", "a relative clause is the subject"),
+    (r", which is (said|told|counted|named|shown|reported)\b", "say who says it: 'a message says so'"),
+    (r"\bwhat (is|was|are|were) (asked|aimed|wanted|meant|left|known)\b", "name it"),
+    (r"\b(is|are|be) asked (for|of)\b", "say who asks, or name the quantity"),
+    (r"\bbut for\b", "'except'"),
+    (r"\bof one's own\b", "'of your own'"),
+    (r"\b(anew|thereof|wherein|whereof|nought)\b", "a word of today"),
+    (r"\bdo(es)? (neither|not) [^,.]* neither\b", "one negation"),
+    (r"\bnobody has\b", "'there is no'"),
+)
+"""Forms of sentences that readers had to read twice, and what to write in their place."""
 
 
 def blocks(page, language):
@@ -100,7 +116,7 @@ def test_numbers_of_results_are_read_as_they_are_written():
 
 @pytest.mark.slow
 def test_readmes_set_up_leaves_the_system_alone(tmp_path):
-    """README's venv line as a stranger types it: no package of ours or of the user is seen, pip is its own."""
+    """README's venv line, as a stranger types it: no package of ours or the user's is seen."""
     venv, install = blocks(ROOT / "README.md", "sh")[0].splitlines()
     assert install.startswith("pip install ")
     home = {"HOME": str(tmp_path), "PATH": f"{Path(sys.base_exec_prefix, 'bin')}:/usr/bin:/bin"}
@@ -116,6 +132,49 @@ def test_readmes_set_up_leaves_the_system_alone(tmp_path):
 def test_readme_is_short():
     assert len((ROOT / "README.md").read_text().splitlines()) <= MOST_LINES
     assert len(COMMANDS) > 10
+
+
+def paragraphs(page):
+    """Return the running text of a page: without code, tables, headings and links' targets."""
+    text = re.sub(r"^(---\n.*?\n---|```.*?\n```)$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(r"\]\([^)]*\)", "]", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
+    lines = [line for line in text.splitlines() if not line.startswith(("|", "#", "    "))]
+    blocks = re.split(r"\n\s*\n|\n(?=[-*] |\d\. )", "\n".join(lines))
+    return [" ".join(block.split()) for block in blocks]
+
+
+PROSE = [page for page in PAGES if page.name not in GENERATED]
+
+
+@pytest.mark.parametrize("page", PROSE, ids=lambda page: str(page.relative_to(ROOT)))
+def test_sentences_are_read_once(page):
+    for paragraph in paragraphs(page):
+        for sentence in re.split(r"(?<=[.!?:;])\s+", paragraph.lstrip("-*0123456789. ")):
+            for form, advice in BANNED:
+                assert not re.search(form, sentence.lstrip("*"), re.I), f"{sentence!r}: {advice}"
+
+
+@pytest.mark.parametrize("page", PROSE, ids=lambda page: str(page.relative_to(ROOT)))
+def test_pages_are_short(page):
+    if page.name != "CONTRIBUTING.md":
+        assert sum(len(paragraph.split()) for paragraph in paragraphs(page)) <= MOST_WORDS
+
+
+def test_banned_forms_are_found(tmp_path):
+    """In sentences that newcomers named."""
+    page = tmp_path / "page.md"
+    page.write_text(
+        "Rows are sorted, which is said.\n\n- What is asked for before anything is built is the least.\n"
+        "- What a newton metre saves is read between patients.\n\nWhat does not work? See below.\n"
+    )
+    with pytest.raises(AssertionError, match="which is said"):
+        test_sentences_are_read_once(page)
+    found = [
+        sentence
+        for sentence in paragraphs(page)
+        if any(re.search(form, sentence.lstrip("- "), re.I) for form, _ in BANNED)
+    ]
+    assert len(found) == 3
 
 
 @pytest.mark.parametrize(("page", "line"), COMMANDS, ids=[line for _, line in COMMANDS])
@@ -232,6 +291,7 @@ def test_every_snippet_runs(page, tmp_path, monkeypatch, run):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "tests").mkdir()
     (tmp_path / "tests/data").symlink_to(ROOT / "tests/data")
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
     names = {}
     for number, snippet in enumerate(SNIPPETS[page]):
         if "run.parquet" in snippet:
@@ -254,12 +314,38 @@ def test_reference_lists_what_is_public():
         r"^\.\. (?:autoclass|autofunction|data):: (\w+)$", (ROOT / "docs/reference.md").read_text(), re.M
     )
     assert sorted(named) == sorted(set(myowarp.__all__) - {"__version__"})
+    found = re.findall(
+        r"^\.\. auto\w+:: myowarp\.motion\.(\w+)$", (ROOT / "docs/reference.md").read_text(), re.M
+    )
+    assert sorted(found) == sorted(motion.__all__)
 
 
 def test_install_names_every_extra():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     named = re.findall(r"^\| `(\w+)` \|", (ROOT / "docs/install.md").read_text(), re.M)
     assert sorted(named) == sorted(set(extras) - {"dev", "docs", "test"})
+
+
+@pytest.mark.parametrize(
+    ("released", "shown"),
+    [(False, '`pip install ".[view]"` in the clone'), (True, '`pip install "myowarp[view]"`')],
+)
+def test_a_hint_is_that_of_clone_or_release(released, shown, monkeypatch):
+    monkeypatch.setattr(extras, "RELEASED", released)
+    assert extras.to_install("view") == shown
+
+
+def test_one_constant_decides_how_extras_are_installed():
+    """In pages, README included, and in messages: nothing else of the package names its own extras."""
+    name = "myowarp" if extras.RELEASED else "."
+    for page in PAGES:
+        for line in (line for block in blocks(page, "sh") for line in block.splitlines()):
+            if (found := re.match(r"(?:pip install|uvx --from) [\"'](.*?)\[", line)) and "dist/" not in line:
+                assert found[1] == name, f"{page.name}: {line}"
+    for notebook in (ROOT / "examples").glob("*.ipynb"):
+        assert re.findall(r'pip install \\"(.*?)\[', notebook.read_text()) == [name], notebook
+    for path in (ROOT / "myowarp").rglob("*.py"):
+        assert path.name == "extras.py" or "myowarp[" not in path.read_text(), path
 
 
 def test_version_changelog_and_citation_agree():

@@ -14,6 +14,7 @@ from clusters import PATIENCE, fill_store, kill_worker, replace_node, start, wai
 from myowarp.apps.studies.sweep.report import measures, summary
 from myowarp.apps.studies.sweep.study import read_study
 from myowarp.apps.studies.sweep.work import RESULT, finished
+from myowarp.extras import to_install
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 TINY = {"num_worlds": 8, "rollout_steps": 16, "minibatches": 2, "epochs": 1, "hidden": [16, 16]}
@@ -235,7 +236,7 @@ def test_without_ray_a_message_names_what_to_install(run, tmp_path, monkeypatch)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "ray" else find(name))
     status, _, err = run("sweep", study(tmp_path / "a.yaml", **EVAL), "--output", tmp_path / "out")
     assert status == 2
-    assert 'a sweep needs ray, which is not installed; run `pip install "myowarp[ray]"`' in err
+    assert f"a sweep needs ray, which is not installed; run {to_install('ray')}" in err
     code = "import sys, myowarp.apps.cli.main; print({'ray', 'yaml', 'torch'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"

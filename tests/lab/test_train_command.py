@@ -30,6 +30,7 @@ from myowarp.apps.train.settings import ALGORITHMS, choose, preset_algorithm
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
+from myowarp.extras import to_install
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import State
@@ -963,7 +964,7 @@ def test_settings_are_all_in_the_manifest(tiny):
 @pytest.mark.parametrize(
     ("package", "arguments", "sentence"),
     [
-        ("tensorboard", (), 'training needs tensorboard; run `pip install "myowarp[train]"`'),
+        ("tensorboard", (), f"training needs tensorboard; run {to_install('train')}"),
         ("wandb", ("--wandb",), "--wandb needs wandb, which is not installed; run `pip install wandb`"),
     ],
 )

@@ -21,6 +21,7 @@ from myowarp.apps.train.learner import Average
 from myowarp.apps.train.worlds import Clock
 from myowarp.definitions.setup import Setup
 from myowarp.disk import plain
+from myowarp.extras import to_install
 
 NUM_OBS, NUM_ACTIONS, ROWS = 7, 3, 400
 SAME = 1e-6
@@ -232,7 +233,7 @@ def test_a_full_disk_ends_an_export_with_a_sentence(trained, tmp_path, run, name
         (
             "policy.pt",
             "torch",
-            'need torch, which is not installed; run `pip install "myowarp[torch]"`',
+            f"need torch, which is not installed; run {to_install('torch')}",
         ),
         ("nowhere/policy.pt", None, "its folder must exist and be writable"),
         ("there.onnx", None, "exists; choose another name, or replace it with --overwrite"),

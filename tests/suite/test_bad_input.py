@@ -14,6 +14,7 @@ from myowarp.bridge_gym import MyoWarpEnv, MyoWarpVectorEnv
 from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import LISTED_BY
+from myowarp.extras import to_install
 from myowarp.kernels.episode import FAULTS
 from myowarp.sim.simulation import Simulation
 from myowarp.view.drawing.snapshot import snapshot
@@ -278,7 +279,7 @@ def test_unknown_id(maker):
 
 def test_torch_without_torch(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
-    sentence = 'output="torch" needs torch, which is not installed; run `pip install "myowarp[torch]"`'
+    sentence = f'output="torch" needs torch, which is not installed; run {to_install("torch")}'
     with refused(ImportError, sentence):
         make(output="torch")
 

@@ -1,4 +1,4 @@
-"""What every adapter asks of an environment."""
+"""Requirements of every adapter on an environment."""
 
 from myowarp.bridge_gym import MyoWarpVectorEnv
 

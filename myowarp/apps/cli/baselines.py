@@ -32,8 +32,8 @@ class Baselines:
     """
 
     action: Annotated[Literal["list", "run"], tyro.conf.Positional]
-    """list: all baselines, or the one of a task. run: train it again with its settings (needs
-    "myowarp[train]"), evaluate 256 episodes under parity, and compare."""
+    """list: all baselines, or the one of a task. run: train it again with its settings (needs the
+    extra `train`), evaluate 256 episodes under parity, and compare."""
     asked: Annotated[Asked, environment(only=("task", "device", "seed"))]
     output: Annotated[Path | None, optional("FOLDER")] = None
     """run: new folder; by default runs/baseline_<task>_<seed>."""

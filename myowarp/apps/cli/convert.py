@@ -33,7 +33,7 @@ class Convert:
     method: Literal["least_squares", "paper"] = "least_squares"
     """Fitting method; paper: simulated annealing and differential evolution, slow, for comparison."""
     reference: Literal["own", "opensim"] = "own"
-    """What lengths and moment arms are checked against: our own path code, or an installed OpenSim."""
+    """Reference of lengths and moment arms: our own path code, or an installed OpenSim."""
     workers: int = 0
     """Processes that fit muscles; 0: one per core."""
     strict: bool = False

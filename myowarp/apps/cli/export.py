@@ -9,8 +9,9 @@ import tyro
 from rich.console import Console
 
 from myowarp.apps.cli.options import Overwrite
+from myowarp.extras import to_install
 
-NEEDS = {".onnx": ("onnx", "onnx"), ".pt": ("torch", '"myowarp[torch]"')}
+NEEDS = {".onnx": ("onnx", "`pip install onnx`"), ".pt": ("torch", to_install("torch"))}
 
 
 @dataclass
@@ -42,9 +43,7 @@ class Export:
         package, source = NEEDS[suffix]
         if importlib.util.find_spec(package) is None:
             instead = "; a .pt file needs torch alone" if suffix == ".onnx" else ""
-            raise ImportError(
-                f"{suffix} files need {package}, which is not installed; run `pip install {source}`{instead}"
-            )
+            raise ImportError(f"{suffix} files need {package}, which is not installed; run {source}{instead}")
         checkpoint = load_checkpoint(policy_folder(str(self.checkpoint), None) or self.checkpoint)
         write = write_onnx if suffix == ".onnx" else write_torchscript
         write(checkpoint, self.output)

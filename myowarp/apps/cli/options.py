@@ -18,7 +18,7 @@ import tyro
 from myowarp.definitions.setup import OPTIONS, Setup
 
 UNSET = ""
-"""What is said of a default that the help text itself explains."""
+"""The default, where the help text itself explains it."""
 
 
 def optional(metavar: str) -> object:
@@ -32,11 +32,11 @@ def described(metavar: str, text: str, hint: str | None = None) -> object:
 
 
 class Asked(Protocol):
-    """What a user said of an environment."""
+    """A user's options of an environment."""
 
     @property
     def setup(self) -> Setup:
-        """What was said, as a setup.
+        """Return the options as a setup.
 
         Raises:
             ValueError: Both a task and a model's file are given.

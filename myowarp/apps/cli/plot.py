@@ -13,6 +13,7 @@ from rich.console import Console
 
 from myowarp.apps.cli.options import Asked, Overwrite, environment, optional
 from myowarp.definitions.registry import check_least
+from myowarp.extras import to_install
 
 if TYPE_CHECKING:
     from myowarp.definitions.setup import Setup
@@ -69,9 +70,7 @@ class Plot:
         from myowarp.disk import check_folder, check_output, check_overwrite, make_folder
 
         if importlib.util.find_spec("matplotlib") is None:
-            raise ImportError(
-                'plot needs matplotlib, which is not installed; run `pip install "myowarp[plot]"`'
-            )
+            raise ImportError(f"plot needs matplotlib, which is not installed; run {to_install('plot')}")
         check_folder(self.output.parent)
         make_folder(self.output.parent)
         check_output(self.output, ".png", ".pdf")

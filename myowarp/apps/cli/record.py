@@ -43,7 +43,7 @@ class Record:
     beside: Annotated[tuple[str, ...], optional("[NAME ...]")] = ()
     """Film the same worlds with these conditions, too, side by side; "none" for no condition."""
     color: Annotated[str | None, tyro.conf.arg(metavar="{" + ",".join(QUANTITIES) + "}")] = None
-    """What the colour of a muscle shows; by default activation, of a recorded motion its force."""
+    """Quantity that colours muscles; by default activation, of a recorded motion force."""
     camera: Annotated[str | None, optional("NAME")] = None
     """Camera of the model; by default one that frames the limb, tips, targets and objects."""
     size: tuple[int, int] = (480, 360)

@@ -35,7 +35,7 @@ class Reproduce:
     quick: bool = False
     """A first look within two minutes: fewer seeds and worlds, shorter protocols."""
     retrain: bool = False
-    """Train the policies here instead of taking those of the package (needs "myowarp[train]")."""
+    """Train the policies here instead of taking those of the package (needs the extra `train`)."""
     seeds: Annotated[int | None, optional("INT")] = None
     """Number of seeds, each with a policy of its own; by default 5, with --quick 2."""
     num_worlds: Annotated[int | None, optional("INT")] = None

@@ -18,7 +18,7 @@ from myowarp.kernels.episode import SUCCESS_RULE
 TILE = (320, 240)  # px of one world in a video
 RANDOM_ELBOW_ID = "myoElbowPose1D6MRandom-v0"
 RANDOM_ELBOW = 56
-"""How many episodes of that id random actions succeed in [%]; a yardstick for a percentage of success."""
+"""Share of that id's episodes in which random actions succeed [%]; a yardstick for success."""
 
 
 @dataclass

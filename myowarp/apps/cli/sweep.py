@@ -22,7 +22,7 @@ class Sweep:
     """
 
     study: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY")]
-    """What to run, .yaml."""
+    """The study, .yaml."""
     output: Annotated[Path | None, optional("FOLDER")] = None
     """Folder of the runs, which every node must see; by default out/<name of the study>."""
     address: Annotated[str | None, optional("HOST:PORT")] = None

@@ -135,12 +135,12 @@ class View:
 
     @property
     def _policy(self) -> str:
-        """What acts at first: what was asked for, else what suits a model to look at, or a task."""
+        """Return the first policy: the user's, else one that suits a model to look at, or a task."""
         return self.policy or ("zero" if isinstance(self.asked.setup.task, Path) else "random")
 
     @property
     def _title(self) -> str:
-        """What the page calls the task of the command."""
+        """Return the page's name of the command's task."""
         return str(self.asked.setup.task).removeprefix("MyoWarp/")
 
     def _find(self, title: str) -> Setup:

@@ -1,1 +1,1 @@
-"""What acts: trained policies, baselines, controls from a file, hold."""
+"""Policies: trained ones, baselines, controls from a file, hold."""

@@ -48,7 +48,7 @@ class CheckpointError(ValueError):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What a folder holds.
+    """A trained policy as a folder holds it.
 
     Attributes:
         folder: Where it is.

@@ -1,4 +1,4 @@
-"""What acts: policies by name, built in, trained, recorded or of the user's own.
+"""Policies by name: built in, trained, recorded or the user's own.
 
 A policy is a function of the observations, shape (num_worlds, obs_size), that returns actions in [-1, 1],
 shape (num_worlds, num_actions).
@@ -30,7 +30,7 @@ CHECKS = {"hold": check_hold, "muscle-control": check_muscle_control}
 
 @dataclass(frozen=True)
 class Policy:
-    """What acts.
+    """A policy.
 
     Attributes:
         name: How the user called it.

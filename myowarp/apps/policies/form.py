@@ -1,4 +1,4 @@
-"""What a checkpoint must hold: the form of its manifest, and arrays of a policy whose actions are finite.
+"""The form of a checkpoint: its manifest, and arrays of a policy whose actions are finite.
 
 Checksums tell damage, not intent: who changes a file can make its checksum anew.
 """

@@ -9,7 +9,7 @@ In every control step, for every world,
 
 with the mass matrix M, joint damping D, gravity and centripetal torques, torques of passive springs, moment
 arms R, tension F_0 at rest and F_1 more at full activation, of each muscle on its present path. W weighs each
-torque by the velocity that it would change. What follows by equalities moves with what leads. The way of a
+torque by the velocity that it would change. Followers by equalities move with their leaders. The way of a
 pose task is q_target - q, that of a reach task the least change of the coordinates that brings the tips to
 their targets: J^T (J J^T + softness)^-1 (targets - tips), with their Jacobian J.
 
@@ -167,7 +167,7 @@ class MuscleControl:
     ) -> np.ndarray:
         """Return the least change that brings tips to their targets, to first order.
 
-        What would leave its joint's range goes to the limit, and the others make up for it.
+        Coordinates that would leave their range go to its limit, and the others make up for it.
         """
         model, data, joints = self._model, self._data, self._model.dof_jntid[leads]
         arms, error = np.zeros((len(target), model.nv)), target.astype(float)

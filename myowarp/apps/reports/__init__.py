@@ -1,1 +1,1 @@
-"""What a result looks like: figures, descriptions of tasks."""
+"""Reports: figures, descriptions of tasks."""

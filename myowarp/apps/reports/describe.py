@@ -1,4 +1,4 @@
-"""What a task is, number by number: observation, actions, reward, success, failure, resets, body, conditions.
+"""A task number by number: observation, actions, reward, success, failure, resets, body, conditions.
 
     describe(TASKS["myoHandPoseRandom-v1"])["observation"]["blocks"]
 
@@ -41,11 +41,11 @@ DRAWN_IN = {
 """Reset: what `Draw.when` it draws."""
 
 MUSCLE_PARAMETERS = {"max_isometric_force": "N", "optimal_fiber_length": "m", "tendon_slack_length": "m"}
-"""What is shown of a muscle, where its model has it, with units."""
+"""Parameters that are shown of a muscle, where its model has them, with units."""
 
 
 SAID = ("name", "weight", "unit", "doc")
-"""What is shown of a term of the reward."""
+"""Fields that are shown of a term of the reward."""
 
 
 def describe(what: Setup | TaskSpec, env_id: str | None = None, **fields: Any) -> dict[str, Any]:

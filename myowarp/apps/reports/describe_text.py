@@ -1,4 +1,4 @@
-"""What `describe` returns, as text for a terminal."""
+"""The result of `describe` as text for a terminal."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ COLORS = (
 """Of lines in one panel: no two look alike."""
 DPI = 110
 TICK = r"\mathdefault"
-"""What matplotlib writes powers of ten on axes with."""
+"""Matplotlib's command before powers of ten on axes."""
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""What a study finds: figures of merit beside those of a paper, claims, and how sure we are."""
+"""Results of a study: figures of merit beside those of a paper, claims, and how sure we are."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from myowarp.apps.reports.intervals import mean_interval
 from myowarp.apps.reports.table import number
 
 POSITIVE, PERCENT, CHANGE = (0.0, math.inf), (0.0, 100.0), (-100.0, math.inf)
-"""What a mean can be: of root mean squares, of shares."""
+"""Bounds of a mean: of root mean squares, of shares."""
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ KINDS: dict[str, type] = {
     **dict.fromkeys(("success", "success_last", "success_any", MYOSUITE, "failed"), bool),
     "fault": int,
 }
-"""What is known of an episode, and its type."""
+"""Fields of an episode, and their types."""
 
 
 class Trace(Watcher):

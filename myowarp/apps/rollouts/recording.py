@@ -44,6 +44,7 @@ from myowarp.apps.rollouts.recording_formats import (
 )
 from myowarp.apps.rollouts.run import Step, Watcher
 from myowarp.disk import check_output
+from myowarp.extras import to_install
 from myowarp.sim.signals import JOINT_UNITS, UNITS, Signals
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def check_recording(path: Path | None, num_worlds: int) -> None:
     if suffix in NEED_PYARROW and importlib.util.find_spec("pyarrow") is None:
         raise ImportError(
             f"output {str(path)!r} needs pyarrow, which is not installed; run "
-            '`pip install "myowarp[cohort]"` or write .npz'
+            f"{to_install('cohort')} or write .npz"
         )
 
 

@@ -1,4 +1,4 @@
-"""Which share of a task's targets can be met at all: a rule for each family.
+"""The share of a task's targets that can be met: a rule for each family.
 
 Geometry alone is asked: joint ranges, the reach of the tips, and room for an object over the open hand of
 the start. Muscles, gravity and time are not, so a share of postures is an upper bound of what a policy can
@@ -41,7 +41,7 @@ Judgement = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Targets:
-    """Which share of the targets can be met.
+    """The share of the targets that can be met.
 
     Attributes:
         count: Different targets judged, of `NUM_TARGETS` draws.

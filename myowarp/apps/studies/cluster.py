@@ -1,6 +1,6 @@
 """A Ray cluster: started or reached, its nodes checked, and work given to it piece by piece.
 
-Ray starts a piece again where its worker or its node died. What a piece leaves behind is written in one move
+Ray starts a piece again where its worker or its node died. The result of a piece is written in one move
 (`myowarp.disk.in_place`), so that a piece that was done twice is there once.
 """
 
@@ -17,6 +17,7 @@ from typing import Any
 
 from myowarp.apps.policies.checkpoint import versions
 from myowarp.disk import sentence
+from myowarp.extras import to_install
 from myowarp.process import CORES, num_cores
 
 logger = logging.getLogger("myowarp")
@@ -30,7 +31,7 @@ LOOK = 0.5  # s between two looks at what is done
 def check_ray(what: str) -> None:
     """Raise ImportError if Ray is not installed; `what` needs it."""
     if importlib.util.find_spec("ray") is None:
-        raise ImportError(f'{what} needs ray, which is not installed; run `pip install "myowarp[ray]"`')
+        raise ImportError(f"{what} needs ray, which is not installed; run {to_install('ray')}")
 
 
 @contextmanager

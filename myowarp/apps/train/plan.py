@@ -36,6 +36,7 @@ from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import OPTIONS, Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.disk import check_folder, locked, make_folder
+from myowarp.extras import to_install
 from myowarp.sim.patient_columns import conditions_of
 from myowarp.sim.patient_table import population_of
 from myowarp.sim.state import State
@@ -135,7 +136,7 @@ def check_packages() -> None:
     """Raise ImportError if a package that training needs is not installed."""
     missing = [name for name in NEEDS if importlib.util.find_spec(name) is None]
     if missing:
-        raise ImportError(f'training needs {", ".join(missing)}; run `pip install "myowarp[train]"`')
+        raise ImportError(f"training needs {', '.join(missing)}; run {to_install('train')}")
 
 
 def plan(

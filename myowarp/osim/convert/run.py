@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 
 from myowarp.disk import check_folder, files_digest
+from myowarp.extras import to_install
 from myowarp.osim.bundle.bundle import MODEL, SIDECARS, write
 from myowarp.osim.document.model import Loss, Model, pulling
 from myowarp.progress import patient_bar
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from myowarp.osim.convert.tendon.fits import Samples
     from myowarp.osim.convert.tendon.fitted import Fits
 
-NO_FITS = "paths and muscles' forces are not fitted: it needs SciPy; pip install 'myowarp[convert]'"
+NO_FITS = f"paths and muscles' forces are not fitted: it needs SciPy; run {to_install('convert')}"
 LACKS = (
     "Joints that follow others do so by quartics and springs, on bodies too heavy: accelerations are "
     "off by a third in places; model.mjb in MuJoCo, and couplings.json in MyoWarp, are near OpenSim's. "

@@ -65,7 +65,7 @@ class Chart:
 
 
 class Pen(Protocol):
-    """What draws; places are px from the upper left."""
+    """A drawing surface; places are px from the upper left."""
 
     def line(self, points: np.ndarray, color: str, width: float, dash: tuple[int, ...]) -> None:
         """Draw a line through points (n, 2)."""

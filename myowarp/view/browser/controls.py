@@ -1,4 +1,4 @@
-"""What the loop and the panel of a page share: how it runs, what is shown, what browsers have asked for."""
+"""State that the loop and the panel of a page share: how it runs, what it shows, requests of browsers."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ USUAL = (950, 760)
 """px of a picture beside the panel, of a page that has not said what it has."""
 Hotkey = Literal["space", "arrowright", "R"]
 View = tuple[np.ndarray, np.ndarray, float]
-"""Where a camera stands and looks [m], and its opening [rad]."""
+"""Position and aim of a camera [m], and its opening [rad]."""
 
 
 class Wishes(abc.ABC):
-    """What browsers have asked a page for, and how it plays; changed by its loop alone.
+    """Requests of browsers to a page, and how it plays; changed by its loop alone.
 
     Attributes:
         server: The page's server.

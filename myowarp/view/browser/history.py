@@ -9,7 +9,7 @@ import numpy as np
 from myowarp.view.browser.readings import Kind, Moment
 
 SECONDS = 10.0
-"""How far back it goes, at real time."""
+"""Length of the history at real time [s]."""
 FRAMES = 300
 """Moments that are kept."""
 

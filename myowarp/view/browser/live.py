@@ -36,11 +36,11 @@ TRAFFIC = 1.9e6
 READING = 0.5
 """Time between two readings and plots [s]."""
 LATE = 0.25
-"""s: who is later than that does not catch up, but says that it is slower than real time."""
+"""Delay [s] beyond which the page stops catching up and shows that it is slower than real time."""
 LETTERS = 1.5
 """Size of the text above bodies over viser's."""
 PICKED = ("activation", "force")
-"""What is written beside a muscle that was clicked, and traced."""
+"""Quantities beside a muscle that was clicked; they are traced, too."""
 ASPECT = 1.75
 """Of the picture beside the panel and above the traces, about."""
 NEAR_REST = 0.25

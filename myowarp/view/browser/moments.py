@@ -12,7 +12,7 @@ def at_once(server: viser.ViserServer, send: Callable[[], None]) -> None:
     """Send what belongs together, while nothing of it leaves.
 
     From another thread, viser may have sent half of the picture before when the next one replaces the other
-    half: a page would show two moments. What its event loop calls cannot come in between.
+    half: a page would show two moments. Calls of its event loop cannot come in between.
 
     Raises:
         Exception: What `send` raises.

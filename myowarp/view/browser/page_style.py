@@ -1,4 +1,4 @@
-"""How a page looks beyond what viser lets one say: rules for the classes of Mantine, with which it is made.
+"""Style of a page beyond viser's options: rules for the classes of Mantine, with which it is made.
 
 Where a class gets another name, its rule does nothing.
 """

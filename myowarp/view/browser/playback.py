@@ -31,7 +31,7 @@ KEY = (
     "<div style='display:flex;justify-content:space-between'><span>{low:g}</span><span>{label}</span>"
     "<span>{high:g}</span></div></div>"
 )
-"""What the colours of muscles mean, above viser's bar of times."""
+"""The legend of muscle colours, above viser's bar of times."""
 
 
 class Take(NamedTuple):

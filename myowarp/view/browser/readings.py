@@ -1,4 +1,4 @@
-"""What can be traced in a session: quantities of muscles, joints, devices and rewards, with their units.
+"""Quantities that a session can trace: of muscles, joints, devices and rewards, with their units.
 
 Each is read in the shown world and in its twin. Musculotendon lengths and moment arms r = -dl/dq are those of
 MuJoCo C in the state that is shown; a joint's muscle torque is sum_m r_m F_m over the muscles' tensions F_m.
@@ -29,7 +29,7 @@ class Kind(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """What the shown world and its twin are at one time.
+    """The shown world and its twin at one time.
 
     Attributes:
         time: Time since the session was opened [s].

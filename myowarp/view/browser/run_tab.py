@@ -27,7 +27,7 @@ PLAYING, PAUSED = (PAUSE, STEP, RESET), (PLAY, STEP, RESET)
 
 
 class RunTab:
-    """What runs."""
+    """The tab of the running session."""
 
     def __init__(self, live: Controls, widgets: Widgets) -> None:
         """Add the controls to the container that is open."""

@@ -1,4 +1,4 @@
-"""What a page shows of a world: bones and objects as meshes, muscles as bellies and tubes, goals as balls.
+"""A world in a page: bones and objects as meshes, muscles as bellies and tubes, goals as balls.
 
 Meshes of bodies are sent once, as they lie in their bodies; what moves afterwards is the place of each body,
 the rings of each belly, and all tubes and balls together. Only what has changed is sent.
@@ -30,7 +30,7 @@ from myowarp.view.drawing.snapshot import Snapshot
 from myowarp.view.drawing.world import ARROW_RADIUS, GHOST_ALPHA, LINK_RADIUS, MARKER_RADIUS
 
 CELL = 1 / 150
-"""What is smaller in a mesh is not sent, in units of the framed radius: some browsers draw in software."""
+"""Smallest detail of a mesh that is sent, in units of the framed radius: some browsers draw in software."""
 KEPT, KEPT_FAINT = ((0.8, 0.3), (4.0, 0.15)), ((0.8, 0.15), (4.0, 0.08))
 """Shares of its faces that are drawn of a mesh beyond distances, in units of the framed radius: its outline
 stays. Faint are bones that no muscle moves, and the posture that is wanted."""
@@ -41,7 +41,7 @@ BALL_SIDES = (6, 12)
 BELLY, SMALL_BELLY, CROWD = (11, 8), (8, 6), 20
 """Rings of a belly and points on each, and where there are more muscles than the last number, small ones."""
 OVERLAP = 0.45
-"""How far a tube reaches into the next one, in units of its radius."""
+"""Overlap of a tube with the next one, in units of its radius."""
 STILL = 2e-5
 """m or 1: what has moved by less is not sent."""
 SPARE = 1.25
@@ -128,7 +128,7 @@ class Figure:
 
     @property
     def data(self) -> mujoco.MjData:
-        """What was shown last, posed."""
+        """Return the last shown state, posed."""
         return self._data
 
     def show(
@@ -174,7 +174,7 @@ class Figure:
 
     @property
     def bytes_per_frame(self) -> int:
-        """What a frame sends at most, about."""
+        """Return about the most bytes that a frame sends."""
         belly = BELLY_BYTES + 12 * self._rings * self._sides
         meshes = BODY_BYTES * sum(map(len, self._meshes.values())) + belly * len(self._bellies)
         return meshes + COPY_BYTES * (self._tubes.room + self._balls.room)

@@ -17,7 +17,7 @@ from myowarp.view.browser.updates import send_whole, take_values_alone
 
 LOCAL = "127.0.0.1"
 AHEAD = np.array((0.0, 1.0, -0.2))
-"""Where a camera looks until the page has pointed it, a direction."""
+"""Direction of a camera until the page has pointed it."""
 LEFT = "Queued a .* on a closed connection"
 """viser's warning about a browser that has left while something was sent to it."""
 

@@ -1,4 +1,4 @@
-"""What a page shows: a task that runs, what acts in it, its patient, and the same patient without the change.
+"""The session of a page: a running task, its policy, its patient, and the same patient without the change.
 
 The last world is the twin: it has the conditions that the session began with, and starts from the state that
 the shown world is in.
@@ -39,7 +39,7 @@ AT_REST = "zero"
 
 @dataclass(frozen=True)
 class Choices:
-    """What can be chosen in a page.
+    """Choices of a page.
 
     Attributes:
         tasks: Ids of tasks.

@@ -16,7 +16,7 @@ from myowarp.definitions.task import TASKS
 
 OWN = "your own"
 LEVELS = {"Fixed": "easy", "Random": "hard"}
-"""What the last word of a name stands for: a fixed goal, or one that each episode draws."""
+"""Meanings of the last word of a name: a fixed goal, or one that each episode draws."""
 WORDS = {
     "contact_hand": "hand",
     "elbow_exo": "elbow with exoskeleton",

@@ -42,7 +42,7 @@ FASTEST, SLOWEST = 4.0, 0.05
 LEGIBLE = 0.9
 """Share of the space above the traces that the body takes."""
 FIRST = {"activation": 3, "force": 2, "joint angle": 1}
-"""How many of the largest of each quantity are traced at first."""
+"""Number of each quantity's largest curves that are traced at first."""
 PLAY, PAUSE, STEP, RESET = "Play", "Pause", "Step", "Reset"
 
 

@@ -1,7 +1,7 @@
-"""What viser does otherwise with messages than a page needs, and keeps private.
+"""Changes to viser's private handling of messages.
 
-A browser may set a control's value; viser sets whatever attribute a message names. What is sent together
-leaves together; viser cuts it after 128 messages, fewer than a hand takes, and a page draws one part a
+A browser may set a control's value; viser sets whatever attribute a message names. Messages that are sent
+together leave together; viser cuts after 128 of them, fewer than a hand takes, and a page draws one part a
 picture later. Where what this needs is gone, viser's own way stays, and a line says so.
 """
 
@@ -13,7 +13,7 @@ from viser.infra import ClientId, Message
 from myowarp.process import warn_once
 
 MOST_MESSAGES = 1 << 16
-"""That leave together: more than any body takes."""
+"""Messages that leave together: more than any body takes."""
 
 
 def send_whole(server: viser.ViserServer) -> None:

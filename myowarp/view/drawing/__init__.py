@@ -1,1 +1,1 @@
-"""How bodies look, and MuJoCo's renderer that draws them."""
+"""The look of bodies, and MuJoCo's renderer that draws them."""

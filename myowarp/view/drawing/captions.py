@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Captions:
-    """What is written on the pictures of some worlds."""
+    """Captions on the pictures of some worlds."""
 
     def __init__(self, worlds: Sequence[int], control_dt: float, title: str = "") -> None:
         """Start all at time 0.

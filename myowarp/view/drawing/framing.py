@@ -1,4 +1,4 @@
-"""Where the camera stands: everything that matters in the picture, as large as it can be.
+"""The camera's place: everything that matters in the picture, as large as it can be.
 
 The limb with its muscles, its tips, the targets and the objects matter. The camera is fitted to their points
 in closed form; it looks at the flattest side of the limb, and goes along with a root that moves. The points
@@ -28,10 +28,10 @@ TURN = 15.0
 ABOVE = -12.0
 """deg by which it looks down."""
 ARM = 2.0
-"""How much of a limb beside its end is in the picture, in units of the end's radius: of an arm the hand and
+"""Part of a limb beside its end in the picture, in units of the end's radius: of an arm the hand and
 half of the forearm."""
 STRETCH = 0.35
-"""How far the picture grows for what leaves its usual place, in its own widths on each side."""
+"""Growth of the picture for moves beyond the usual place, in its own widths on each side."""
 
 
 class Framing:

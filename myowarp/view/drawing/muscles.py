@@ -49,7 +49,7 @@ PIECES = 350
 
 @dataclass(frozen=True)
 class Quantity:
-    """What the colour of a muscle shows.
+    """A quantity that colours muscles.
 
     Attributes:
         label: What the legend says.
@@ -331,12 +331,12 @@ class _Paths:
 
     @property
     def begin(self) -> np.ndarray:
-        """Where the path of each muscle begins, shape (num_muscles,)."""
+        """Return the first point of each muscle's path, shape (num_muscles,)."""
         return self.marks[self.bounds[:-1]]
 
     @property
     def length(self) -> np.ndarray:
-        """How long it is [m], shape (num_muscles,)."""
+        """Return the length of each path [m], shape (num_muscles,)."""
         return np.diff(self.marks[self.bounds])
 
     def places(self, shares: np.ndarray) -> np.ndarray:

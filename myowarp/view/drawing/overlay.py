@@ -1,4 +1,4 @@
-"""What is written on a picture: lines of text, and the legend of the muscles' colours; MuJoCo draws both."""
+"""Text on a picture: lines, and the legend of the muscles' colours; MuJoCo draws both."""
 
 from __future__ import annotations
 

@@ -34,12 +34,12 @@ TABLES = {
     "muscle power": ("powers.sto", "W"),
     "metabolic power": ("metabolic_powers.sto", "W"),
 }
-"""What a folder of `myowarp motion` may have, by quantity: file and unit."""
+"""Files of a folder of `myowarp motion`, by quantity: name and unit."""
 MOTIONS = ("tracked.mot", "ik.mot")
 """Joint angles that such a folder may have, the first that is there is shown."""
 EMG = "emg.sto"
 MOST_FRAMES = 3000
-"""That are shown; of more some are left out."""
+"""Frames that are shown; of more some are left out."""
 SAMPLES = 50
 """Frames that say from where a motion is seen."""
 SLACK = 1e-6
@@ -147,7 +147,7 @@ class Recorded:
 
     @property
     def colored(self) -> str:
-        """What colours of muscles show by default."""
+        """Return the quantity that colours muscles by default."""
         return next((kind for kind in ("force", "activation") if kind in self.courses), "fiber_length")
 
     def _path(self, model: Model, name: str, poses: Poses) -> tuple[np.ndarray, np.ndarray]:

@@ -41,7 +41,7 @@ COARSE = 1.0
 LEAST_CELLS = 6
 """Cells that a mesh is long at least: one that is smaller than a pixel keeps a shape."""
 GL_ERRORS = (ImportError, RuntimeError, AttributeError, OSError, ctypes.ArgumentError, mujoco.FatalError)
-"""What a missing or broken OpenGL raises: PyOpenGL looks functions up on a library that is None."""
+"""Errors of a missing or broken OpenGL: PyOpenGL looks functions up on a library that is None."""
 
 
 class NoGraphicsError(RuntimeError):
@@ -49,7 +49,7 @@ class NoGraphicsError(RuntimeError):
 
 
 class _Canvas:
-    """What MuJoCo draws on, off screen.
+    """MuJoCo's surface off screen.
 
     Attributes:
         scene: What is to be drawn.

@@ -1,4 +1,4 @@
-"""What a picture shows besides the model: balls, capsules, floor, wall and lamp, put in by hand."""
+"""Scenery of a picture besides the model: balls, capsules, floor, wall and lamp, put in by hand."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from myowarp.view.drawing import style as look
 FLOOR_REACH = 4.0
 """Half a side of the floor, in units of the framed radius."""
 LAMP = np.array((0.5, -0.7, 0.6))
-"""Where the lamp above the viewer's left shoulder shines: to the right, up, forward."""
+"""Direction to the lamp above the viewer's left shoulder: to the right, up, forward."""
 CAPSULE, NOWHERE, UPRIGHT = mujoco.mjtGeom.mjGEOM_CAPSULE, np.zeros(3), np.eye(3).ravel()
 
 

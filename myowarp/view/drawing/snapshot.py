@@ -18,7 +18,7 @@ FLOAT32 = 1e-6  # m, rounding of these fields
 
 
 class Snapshot(NamedTuple):
-    """What a picture of a world shows.
+    """The content of a picture of a world.
 
     Attributes:
         qpos: Joint configuration, shape (nq,).

@@ -1,4 +1,4 @@
-"""What to draw and in which colours, shared by pictures and viewers.
+"""Parts to draw and their colours, shared by pictures and viewers.
 
 Everything here reads a compiled, unslimmed ``mujoco.MjModel`` and plain NumPy arrays. Muscles are the
 actuators that pull on a spatial tendon, in actuator order, whatever their gain and bias types are, so
@@ -30,7 +30,7 @@ TRAVEL = 1.0
 """m: range of a slide from which on it carries the whole body away."""
 
 DEVICE, WORN = "exo_", 0.4
-"""How names of bodies begin that are worn over muscles, and their opacity in the page."""
+"""Prefix of bodies that are worn over muscles, and their opacity in the page."""
 
 VISIBLE_GEOM_GROUPS = (0, 1, 2)
 """MuJoCo draws these groups by default; myo-sim keeps collision geoms in 3 and above."""
@@ -203,7 +203,7 @@ def mobile_bodies(model: mujoco.MjModel) -> np.ndarray:
 def rigid_roots(model: mujoco.MjModel) -> np.ndarray:
     """Returns for each body the first of those that move with it as one; in the world, its tree's.
 
-    What stands in the world are trees of their own, because a task may put each elsewhere.
+    Bodies that stand in the world are trees of their own, because a task may put each elsewhere.
     """
     return np.where(model.body_weldid == 0, model.body_rootid, model.body_weldid)
 

@@ -23,7 +23,7 @@ VIDEOS: dict[str, dict[str, Any]] = {
     ".mp4": {"codec": "libx264", "quality": QUALITY, "output_params": ["-movflags", "+faststart"]},
     ".gif": {"codec": "gif", "pix_fmt_out": "pal8", "output_params": ["-vf", PALETTE, "-loop", "0"]},
 }
-"""What the encoder is told, by the ending of the file."""
+"""Options of the encoder, by the ending of the file."""
 PICTURES: dict[str, dict[str, Any]] = {
     ".png": {"codec": "png", "pix_fmt_out": "rgb24", "output_params": ["-frames:v", "1", "-update", "1"]}
 }

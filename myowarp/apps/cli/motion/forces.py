@@ -94,7 +94,7 @@ class Forces:
 
 
 class Worst:
-    """What muscles could not do in a motion, of all its parts."""
+    """The moments of a motion that muscles could not provide, over all its parts."""
 
     def __init__(self) -> None:
         """Begin with none."""

@@ -1,4 +1,4 @@
-"""What the steps of `myowarp motion` share: options, checks before work, a motion in parts, last words."""
+"""Parts that steps of `myowarp motion` share: options, checks before work, a motion in parts, last words."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from rich.console import Console
 
 from myowarp.apps.cli.options import UNSET, described
 from myowarp.disk import check_folder, check_overwrite, in_place, make_folder
+from myowarp.extras import to_install
 from myowarp.progress import patient_bar
 
 if TYPE_CHECKING:
@@ -224,6 +225,6 @@ def write_page(output: Path, model: Path, motion: Path | None) -> None:
 def page_of(output: Path, model: Path, motion: Path) -> list[str]:
     """Write the page where matplotlib is installed; return what is to be said."""
     if importlib.util.find_spec("matplotlib") is None:
-        return ["no page: it needs matplotlib; pip install 'myowarp[plot]'"]
+        return [f"no page: it needs matplotlib; run {to_install('plot')}"]
     write_page(output, model, motion)
     return []

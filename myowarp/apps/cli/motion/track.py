@@ -45,7 +45,7 @@ FILES = (
 class Track:
     """Find excitations that make a simulation follow a motion under its loads, by computed muscle control.
 
-    What reserves of --reserve, and --residual at the root, have to add is said.
+    The last lines say how much --reserve, and --residual at the root, had to add.
 
     Example: myowarp motion track gait.osim --motion ik.mot --loads grf.xml --reserve 1 --strength
     soleus_r=0.9

@@ -1,4 +1,4 @@
-"""What of an audit stands in the table, what of it is a finding, and what differs from upstream's version."""
+"""Figures of an audit: columns of the table, findings, and differences from upstream's version."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class Figure:
 
     @property
     def meaning(self) -> str:
-        """What it says, one sentence."""
+        """Return its meaning, one sentence."""
         return self._texts[0].format(early_steps=EARLY_STEPS)
 
     def finding(self, value: str) -> str:

@@ -35,7 +35,7 @@ Tick = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Audit:
-    """What an audit of one id found. Shares are 0 to 1, None says that there is nothing to say.
+    """Findings of an audit of one id. Shares are 0 to 1, None means not applicable.
 
     Attributes:
         id: Gymnasium id.

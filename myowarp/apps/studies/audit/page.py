@@ -159,7 +159,7 @@ def _draw_alive(axes: Axes, audit: Audit) -> None:
 
 
 def _draw_terms(axes: Axes, audit: Audit) -> None:
-    """What each weighted term adds to the reward of a step, on average."""
+    """Draw the average share of each weighted term in the reward of a step."""
     terms = [term for term in audit.terms if term.weight != 0.0]
     places, height = np.arange(len(terms)), 0.8 / len(audit.scores)
     for i, name in enumerate(audit.scores):

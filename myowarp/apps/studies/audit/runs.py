@@ -51,7 +51,7 @@ POLICIES: dict[str, Callable[[tuple[int, ...], np.random.Generator], Actions]] =
 
 @dataclass(frozen=True)
 class Score:
-    """What a policy got, over `episodes` episodes; everything else is None where there are none.
+    """Scores of a policy over `episodes` episodes; all others are None where there are none.
 
     Counted are the episodes that began at least a horizon before the end of the run. All of them have
     finished, so that short ones are no more likely to be counted than long ones.
@@ -132,7 +132,7 @@ class Failing:
 
 @dataclass(frozen=True)
 class Load:
-    """How full the arrays of contacts and constraint rows were, at the ends of control steps.
+    """Use of the arrays of contacts and constraint rows, at the ends of control steps.
 
     Attributes:
         contacts: Largest number of contacts in all worlds together.

@@ -17,12 +17,13 @@ from myowarp.apps.studies.audit.measure import Audit, audit
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 from myowarp.disk import in_place, plain
+from myowarp.extras import to_install
 from myowarp.progress import progress_bar
 from myowarp.tasks.paper import grid
 from myowarp.tasks.setups import complete
 
 GUTTER = 2  # characters between columns: a line and a space
-NO_PAGE = "No page: it needs matplotlib; pip install 'myowarp[plot]'"
+NO_PAGE = f"No page: it needs matplotlib; run {to_install('plot')}"
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Job:
 
 FILES = "audit.json", "index.html"
 QUANTILES = (0, 5, 25, 50, 75, 95, 100)  # %, of returns, in the JSON
-"""What `audit_all` writes into a folder."""
+"""Files that `audit_all` writes into a folder."""
 
 
 def find_jobs(names: Iterable[str], paper: bool, setup: Setup = Setup()) -> list[Job]:

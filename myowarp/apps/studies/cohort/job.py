@@ -1,4 +1,4 @@
-"""What `myowarp cohort` does."""
+"""The work of `myowarp cohort`."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from myowarp.apps.studies.cohort.plan import plan_cohort
 from myowarp.apps.studies.cohort.run import CohortResult, result_files, run_plan
 from myowarp.apps.train.settings import SUCCESSES
 from myowarp.disk import check_folder, check_overwrite
+from myowarp.extras import to_install
 from myowarp.sim.economy import UNITS as ECONOMY
 from myowarp.sim.economy import word
 
@@ -35,7 +36,7 @@ def run(table: Path, output: Path, suffix: str, console: Console, overwrite: boo
     result = run_plan(plan, console)
     paths = result.save(output, suffix)
     if importlib.util.find_spec("matplotlib") is None:
-        console.print('No plot: it needs matplotlib; run `pip install "myowarp[plot]"`', style="yellow")
+        console.print(f"No plot: it needs matplotlib; run {to_install('plot')}", style="yellow", markup=False)
     else:
         from myowarp.apps.studies.cohort.assistance import assistance_map, crosses
         from myowarp.apps.studies.cohort.plot import draw_cohort

@@ -14,6 +14,7 @@ from myowarp.apps.policies.find import Act, Policy, find_policy
 from myowarp.definitions.condition import resolve
 from myowarp.definitions.registry import check_least
 from myowarp.definitions.setup import MOST_SEED, Setup
+from myowarp.extras import to_install
 from myowarp.sim.build import MOST_STEPS, resolve_device
 from myowarp.sim.patient_columns import conditions_of
 from myowarp.sim.patient_table import Population, population_of
@@ -70,9 +71,7 @@ def plan_cohort(
     """
     for package in ("pandas", "pyarrow"):
         if importlib.util.find_spec(package) is None:
-            raise ImportError(
-                f'a cohort needs {package}, which is not installed; run `pip install "myowarp[cohort]"`'
-            )
+            raise ImportError(f"a cohort needs {package}, which is not installed; run {to_install('cohort')}")
     setup = Setup.of(what)
     if (variant := variant_of(setup)) != Variant(variant.task):
         raise ValueError(

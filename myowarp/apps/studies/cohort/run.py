@@ -56,7 +56,7 @@ def tracking_blocks(columns: Iterable[Column]) -> tuple[list[slice], str]:
 
 @dataclass(frozen=True)
 class CohortResult:
-    """What came of a cohort.
+    """Results of a cohort.
 
     Attributes:
         samples: One row per patient, trial and sampled time: `tracking_error` where the task has one,

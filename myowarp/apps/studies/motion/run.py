@@ -1,4 +1,4 @@
-"""What `myowarp motion study` does: solve the draws of all trials, in parts, and say what they spread.
+"""The work of `myowarp motion study`: solve the draws of all trials in parts, and report their spread.
 
     out/settings.json                        what the results depend on
     out/results/part-00000.parquet           a row for each trial, draw and time
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FRAMES = 4096
-"""That are solved together, unless one draw has more."""
+"""Frames that are solved together, unless one draw has more."""
 LOW, HIGH = 0.05, 0.95
 """Quantiles that intervals have as ends."""
 QUANTITIES = {

@@ -1,4 +1,4 @@
-"""What the elbow's experiments share: five policies, and arms that follow targets which change over time.
+"""Parts of the elbow's experiments: five policies, and arms that follow targets over time.
 
 All policies are trained in `myoElbowPose1D6MRandom-v0`: start at a random angle, hold one of 0 to 130
 degrees for 2 s, MyoSuite's reward. Their network is the paper's, two layers of 32; PPO takes the place of
@@ -60,7 +60,7 @@ which costs it nothing. Thrifty: activations cost ten times what they cost in th
 
 @dataclass(frozen=True)
 class Trace:
-    """What arms did; T control steps, N worlds, 6 muscles.
+    """Movements of arms; T control steps, N worlds, 6 muscles.
 
     Attributes:
         angle: Elbow angle after each step [deg], shape (T, N).

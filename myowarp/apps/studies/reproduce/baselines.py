@@ -89,7 +89,7 @@ def samples_to(curve: Curve, share: float = LEARNED) -> float:
 
 @dataclass(frozen=True)
 class Ours:
-    """What the package has for a task.
+    """The package's policies for a task.
 
     Attributes:
         algorithm: By which the first seed was trained.

@@ -1,4 +1,4 @@
-"""How long a muscle can hold a load before it tires: 3CC-r in the simulation, in closed form, and measured.
+"""Endurance of a muscle under a held load: 3CC-r in the simulation, in closed form, and measured.
 
 A held load f keeps M_A = f, so that M_F follows dM_F/dt = F f - R M_F and the reserve M_R is used up when
 M_F = 1 - f, after

@@ -30,7 +30,7 @@ LOADS = (0.0, 1.0, 2.0)  # kg
 ANGLES = (0.0, 30.0, 0.0, 60.0, 0.0, 80.0)  # deg
 HOLD, SETTLED = 2.0, 1.0  # s
 BRACE, NEW, DRIVEN = "brace that follows", "brace, never worn before", "motor of the policy"
-"""Whose torque it is, and who wears it: a policy trained with it, the healthy one, one that drives it."""
+"""Sources of the torque: worn by a policy trained with it, by the healthy one, driven by the policy."""
 
 FOLLOWING = (
     *((BRACE, load, a) for load in LOADS for a in (0.0, ASSISTANCE)),

@@ -1,4 +1,4 @@
-"""What an experiment is and finds, and the lab in which it runs: seeds, worlds, policies, finished runs."""
+"""An experiment, its findings, and the lab in which it runs: seeds, worlds, policies, finished runs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Tick = Callable[[float], None]
 
 @dataclass(frozen=True)
 class Findings:
-    """What an experiment returns.
+    """Findings of an experiment.
 
     Attributes:
         merits: Rows of the table.
@@ -81,13 +81,13 @@ class Experiment:
 
     @property
     def paper(self) -> str:
-        """Where the paper has it and what it says there, or that it goes beyond the paper."""
+        """Return the place and content of the paper's claim, or that it goes beyond the paper."""
         return " ".join(self.essay["The paper"].split())
 
 
 @dataclass
 class Lab:
-    """What the user asked for, and what is done already.
+    """The user's options, and the runs that are finished.
 
     Attributes:
         folder: Output folder; it exists.

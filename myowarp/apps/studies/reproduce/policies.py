@@ -29,7 +29,7 @@ NEVER = 2.0  # share of successful episodes at which a training stops early
 
 @dataclass(frozen=True)
 class Training:
-    """How a policy is trained.
+    """Training of a policy.
 
     Attributes:
         name: Its name, that of its folder.

@@ -1,4 +1,4 @@
-"""What an experiment writes: result.json, table.csv, page.md, figure.png and figure.pdf."""
+"""Files of an experiment: result.json, table.csv, page.md, figure.png and figure.pdf."""
 
 from __future__ import annotations
 

@@ -13,6 +13,7 @@ from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.definitions.registry import check_flag, check_least
 from myowarp.definitions.setup import Setup
 from myowarp.disk import check_folder, make_folder
+from myowarp.extras import to_install
 from myowarp.sim.build import MOST_WORLDS, check_device_name, resolve_device
 
 SEEDS, WORLDS = 5, 64
@@ -96,7 +97,7 @@ def plan_experiment(
         raise ValueError(f"--models {str(missing[0])!r} is no file; give the path of an .osim file")
     for package in ("matplotlib", "scipy"):
         if importlib.util.find_spec(package) is None:
-            raise ImportError(f'reproduce needs {package}; run `pip install "myowarp[plot]"`')
+            raise ImportError(f"reproduce needs {package}; run {to_install('plot')}")
     folder = output or report.output_folder(name, quick, retrain)
     check_folder(folder)
     return ExperimentJob(experiment, folder, number, worlds, quick, retrain, overwrite, setup, tuple(models))

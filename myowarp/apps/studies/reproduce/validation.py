@@ -81,7 +81,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Path3D:
-    """Where a marker goes while a coordinate moves, ours and OpenSim's, in the ground frame [m], (K, 3)."""
+    """The path of a marker while a coordinate moves, ours and OpenSim's, in the ground frame [m], (K, 3)."""
 
     marker: str
     coordinate: str
@@ -96,7 +96,7 @@ class Path3D:
 
 @dataclass(frozen=True)
 class Conversion:
-    """What a conversion of a file is beside OpenSim.
+    """A conversion of a file beside OpenSim.
 
     Attributes:
         fitted: With fitted paths and forces, as `myowarp convert` writes it.

@@ -1,4 +1,4 @@
-"""What one sees of a study: a live table, then runs.csv, table.csv and study.png with intervals."""
+"""Output of a study: a live table, then runs.csv, table.csv and study.png with intervals."""
 
 from __future__ import annotations
 

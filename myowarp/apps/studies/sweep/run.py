@@ -1,4 +1,4 @@
-"""What `myowarp sweep` does: send what is missing of a study over a cluster, and gather what came of it."""
+"""The work of `myowarp sweep`: send missing runs of a study over a cluster, and gather their results."""
 
 from __future__ import annotations
 

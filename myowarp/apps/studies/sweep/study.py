@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Any
 from myowarp.definitions.registry import check_choice, check_least
 from myowarp.definitions.setup import OPTIONS, Setup
 from myowarp.disk import number_in
+from myowarp.extras import to_install
 from myowarp.sim.build import MOST_WORLDS
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def read_study(path: Path, output: Path) -> list[Run]:
 def _read(path: Path) -> dict[str, Any]:
     """Return what a YAML file holds."""
     if importlib.util.find_spec("yaml") is None:
-        raise ImportError('a study needs PyYAML, which is not installed; run `pip install "myowarp[ray]"`')
+        raise ImportError(f"a study needs PyYAML, which is not installed; run {to_install('ray')}")
     import yaml
 
     try:

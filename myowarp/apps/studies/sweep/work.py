@@ -1,4 +1,4 @@
-"""What one run of a study does, wherever it is sent: train, evaluate, and write its result in one move."""
+"""One run of a study, on any node: train, evaluate, and write its result in one move."""
 
 from __future__ import annotations
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from myowarp.extras import to_install
 from myowarp.osim.body.hill_muscle import HillMuscle, known
 from myowarp.osim.body.moment_arm import STEP, Poses, Reference
 from myowarp.osim.convert.tendon.fitted import Fits
@@ -46,7 +47,7 @@ def opened(source: Path) -> tuple[Any, Any]:
     try:
         import opensim
     except ImportError as error:
-        raise ValueError("reference opensim needs OpenSim; pip install 'myowarp[opensim]'") from error
+        raise ValueError(f"reference opensim needs OpenSim; run {to_install('opensim')}") from error
     opensim.Logger.setLevelString("Off")
     try:
         return opensim, opensim.Model(str(source))
