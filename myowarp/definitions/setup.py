@@ -8,8 +8,8 @@ A new option is a field here, and the place where it acts.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,33 +17,13 @@ from myowarp.definitions.body import BODIES
 from myowarp.definitions.condition import Condition, condition_from
 from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.muscle_table import MuscleTable
-from myowarp.definitions.registry import check_choice, check_least
+from myowarp.definitions.option import checked, option
+from myowarp.definitions.registry import check_least
 from myowarp.definitions.task import PHYSICS, RESETS, TASKS, TaskSpec
 
 MOST_SEED = 2**63 - 1  # world i has seed + i, a uint64
 UNRECORDED = ("task", "shards", "rank")
 """Options that `plain` leaves out: the task, which has a place of its own, and what only this process is."""
-
-
-def option(
-    text: str,
-    form: str = "",
-    *,
-    choices: Iterable[str] = (),
-    check: Callable[[Any], object] = lambda value: None,
-    flag: bool = False,
-) -> Any:
-    """Return the field of an option.
-
-    Args:
-        text: Help, a sentence or two.
-        form: What a command line shows of its value where it has no choices; without both no command has it.
-        choices: Texts that are allowed.
-        check: Raises ValueError for a value that is not allowed.
-        flag: Whether it is true unless a command line says --no-NAME.
-    """
-    told = {"text": text, "form": form, "choices": choices, "check": check, "flag": flag}
-    return field(default=None, metadata=told)
 
 
 def _check_conditions(conditions: tuple[str | Condition, ...]) -> None:
@@ -62,49 +42,54 @@ class Setup:
     """
 
     task: str | Path | TaskSpec | None = option(
+        None,
         'Task id, with or without "MyoWarp/" (`myowarp tasks` lists them), or file.py:name for your own.',
         "ID",
     )
     physics: str | None = option(
+        None,
         "parity: MyoSuite's integrator and step. fast: implicit integrator, muscles integrated exactly, and a"
         " longer step, which `myowarp describe ID` says. By default parity; a training has its preset's, else"
         " fast.",
         choices=PHYSICS,
     )
     muscle: str | MuscleTable | None = option(
+        None,
         "Muscle model; by default mujoco, for a converted OpenSim model its own muscles (opensim).",
         choices=MUSCLES,
         check=lambda muscle: isinstance(muscle, MuscleTable) or MUSCLES[muscle],
     )
     muscle_parameters: Path | None = option(
+        None,
         "Muscle parameters in place of the model's, .csv: column `muscle`, and one for each parameter.",
         "FILE",
     )
-    reset: str | None = option(
-        "What episodes start from; by default what the id says.",
-        choices=RESETS,
-    )
+    reset: str | None = option(None, "What episodes start from; by default what the id says.", choices=RESETS)
     conditions: tuple[str | Condition, ...] | None = option(
+        None,
         "Muscle conditions besides those of the id, such as fatigue_3ccr 'sarcopenia(strength=0.3)'.",
         "[NAME ...]",
         check=_check_conditions,
     )
     stops: bool | None = option(
+        None,
         "Of --model: joints go beyond their ranges, as coordinates do in OpenSim; by default ranges of"
         " clamped coordinates, and limits of joints of an MJCF file, stop them.",
         flag=True,
     )
-    horizon: int | None = option("Control steps in an episode; by default the task's.", "INT")
+    horizon: int | None = option(None, "Control steps in an episode; by default the task's.", "INT")
     device: str | None = option(
-        "Warp device, such as cpu or cuda:0; by default the GPU if there is one.", "NAME"
+        None, "Warp device, such as cpu or cuda:0; by default the GPU if there is one.", "NAME"
     )
     shards: int | None = option(
+        None,
         "Threads that share the worlds on the CPU, which changes no result; by default all cores.",
         "INT",
         check=lambda shards: check_least(1, shards=shards),
     )
-    rank: tuple[int, int] | None = option("Which of how many equal ranks, each a process of its own.")
+    rank: tuple[int, int] | None = option(None, "Which of how many equal ranks, each a process of its own.")
     seed: int | None = option(
+        None,
         "World i resets with seed + i, and random policies draw from it; by default 0, in `myowarp eval`"
         " 1000000.",
         "INT",
@@ -173,13 +158,9 @@ class Setup:
 
     def check(self) -> None:
         """Raise ValueError, in one sentence, for a value that no task allows."""
-        for option in dataclasses.fields(Setup):
-            value = getattr(self, option.name)
-            if value is None:
-                continue
-            if option.name != "muscle" and option.metadata["choices"]:
-                check_choice(option.name, value, option.metadata["choices"])
-            option.metadata["check"](value)
+        for name, entry in OPTIONS.items():
+            if (value := getattr(self, name)) is not None:
+                checked(entry, value, name)
 
     def plain(self) -> dict[str, Any]:
         """Return it as JSON holds it, but for the task and what only this process is; "" is an open text.
@@ -209,9 +190,9 @@ class Setup:
 
 DEFAULTS = Setup(physics="parity", muscle="mujoco", reset="task", conditions=(), rank=(0, 1), seed=0)
 
-OPTIONS = {option.name: option for option in dataclasses.fields(Setup)}
+OPTIONS = {entry.name: entry for entry in dataclasses.fields(Setup)}
 Setup.__doc__ = (
     f"{Setup.__doc__}".rstrip()
     + "\n\n    Attributes:"
-    + "".join(f"\n        {name}: {option.metadata['text']}" for name, option in OPTIONS.items())
+    + "".join(f"\n        {name}: {entry.metadata['text']}" for name, entry in OPTIONS.items())
 )

@@ -66,28 +66,42 @@ def environment(*, flag: bool = False, only: Iterable[str] = OPTIONS, leave_out:
         only: Fields that a command has.
         leave_out: Fields that a command does not have.
     """
-    kinds = typing.get_type_hints(Setup)
+    kinds = typing.get_type_hints(Setup) | COMMAND_LINE
     fields: list[tuple[str, Any, Any]] = []
     for name, option in OPTIONS.items():
-        choices = ",".join(option.metadata["choices"])
-        form = f"{{{choices}}}" if choices else option.metadata["form"]
-        switch = option.metadata["flag"]
-        if not (form or switch) or name not in only or name in leave_out:
+        shown = option.metadata["choices"] or option.metadata["form"] or option.metadata["flag"]
+        if not shown or name not in only or name in leave_out:
             continue
-        kind = bool if switch else COMMAND_LINE.get(name, kinds[name])
-        told: list[object] = [described(form, option.metadata["text"], UNSET)]
-        if name == "task" and not flag:
-            told.append(tyro.conf.Positional)
-        default = dataclasses.field(default=True if switch else None)
-        fields.append((name, Annotated[(kind, *told)], default))
+        fields.append(flag_of(option, kinds[name]))
         if name == "task":
             fields.append(("model", Annotated[Path | None, MODEL], dataclasses.field(default=None)))
+            if not flag:
+                fields[0] = (name, Annotated[fields[0][1], tyro.conf.Positional], fields[0][2])
     made = dataclasses.make_dataclass(
         "Environment", fields, kw_only=True, namespace={"setup": property(_setup)}
     )
     return tyro.conf.arg(name="", constructor=made)
 
 
+def flag_of(option: dataclasses.Field[Any], kind: Any, hint: str = UNSET, more: str = "") -> Any:
+    """Return an option as a field of a command, None where it is not given.
+
+    Args:
+        option: The option.
+        kind: Its type.
+        hint: What is said of its default, where the text does not.
+        more: What is said behind the text.
+    """
+    told = option.metadata
+    choices = ",".join(filter(None, told["choices"]))
+    form = f"{{{choices}}}" if choices else told["form"] or FORMS.get(kind, "")
+    said, switch = described(form, told["text"] + more, hint), told["flag"]
+    default = dataclasses.field(default=True if switch else None)
+    return option.name, Annotated[bool if switch else kind | None, said], default
+
+
+FORMS = {int: "INT", float: "FLOAT", str: "NAME", tuple[int, ...]: "[INT ...]"}
+"""What a command line shows of values by their type."""
 COMMAND_LINE = {"task": str | None, "muscle": str | None, "conditions": tuple[str, ...] | None}
 """Types of what a command line can say, where a setup takes more."""
 

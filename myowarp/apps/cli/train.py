@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+import typing
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any
 
-import tyro
-
-from myowarp.apps.cli.options import Environment, Said, optional
+from myowarp.apps.cli.options import Environment, Said, flag_of, optional
 from myowarp.apps.cli.rollout import Rollout
 from myowarp.apps.train.evaluation import EVALUATION_SEED
 from myowarp.apps.train.plan import SAVE_SECONDS, Job, plan, shown
 from myowarp.apps.train.run import train
-from myowarp.apps.train.settings import ALGORITHMS, all_settings
+from myowarp.apps.train.settings import ALGORITHMS, all_settings, settings_of
 from myowarp.disk import check_output
 
 
@@ -67,33 +66,17 @@ def _film(job: Job, video: Path) -> None:
     Rollout(Said(asked), policy=str(job.folder), video=video)()
 
 
-def setting_fields(algorithms: Iterable[str], leave_out: Iterable[str] = ()) -> list[tuple[str, Any, Any]]:
+def setting_fields(algorithms: Collection[str], leave_out: Iterable[str] = ()) -> list[tuple[str, Any, Any]]:
     """Return the settings of algorithms as fields of a command, each None where it is not given."""
-    kinds = {name: {f.name for f in dataclasses.fields(ALGORITHMS[name])} for name in algorithms}
     fields: list[tuple[str, Any, Any]] = []
     for name, entry in all_settings().items():
-        owners = [algorithm for algorithm, names in kinds.items() if name in names]
-        if not owners or name in leave_out:
-            continue
-        kind: Any = type(entry.default)
-        metavar = "{" + ",".join(filter(None, entry.metadata["choices"])) + "}"
-        if kind is tuple:
-            numbers = entry.metadata["items"] is int
-            kind = tuple[int, ...] if numbers else tuple[str, ...]
-            metavar = "[INT ...]" if numbers else "[NAME=WEIGHT ...]"
-        elif not entry.metadata["choices"]:
-            metavar = {int: "INT", float: "FLOAT"}.get(kind, "NAME")
-        only = "" if len(owners) == len(kinds) else f" ({', '.join(owners)})"
-        own = {f.name: f for f in dataclasses.fields(ALGORITHMS[owners[0]])}[name]
-        hint = f"(preset, else {shown(own.default if len(kinds) == 1 else entry.default)})"
-        text = entry.metadata["text"] + only
-        fields.append(
-            (
-                name,
-                Annotated[Optional[kind], tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=hint)],  # noqa: UP045
-                dataclasses.field(default=None),
-            )
-        )
+        owners = [algorithm for algorithm in algorithms if name in settings_of(ALGORITHMS[algorithm])]
+        if owners and name not in leave_out:
+            own = ALGORITHMS[owners[0]]
+            default = settings_of(own)[name].default if len(algorithms) == 1 else entry.default
+            hint = f"(preset, else {shown(default)})"
+            only = "" if len(owners) == len(algorithms) else f" ({', '.join(owners)})"
+            fields.append(flag_of(entry, typing.get_type_hints(own)[name], hint, only))
     return fields
 
 

@@ -26,12 +26,12 @@ from myowarp.apps.train.settings import (
     all_settings,
     choose,
     divided,
-    flag,
     preset,
     preset_algorithm,
     restore,
 )
 from myowarp.definitions.condition import resolve
+from myowarp.definitions.option import flag
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import OPTIONS, Setup
 from myowarp.definitions.task import TaskSpec
@@ -393,10 +393,9 @@ def _plan_resume(
     for name, value in (given | own).items():
         free = name in fields and fields[name].metadata["free"]
         if name not in recorded or (not free and _listed(value) != recorded[name]):
-            flag = "--" + name.replace("_", "-")
             raise ValueError(
-                f"--resume goes on with the settings of its run, where {flag} is {recorded.get(name)!r}, "
-                f"got {value!r}; leave it out, or start a new run"
+                f"--resume goes on with the settings of its run, where {flag(name)} is "
+                f"{recorded.get(name)!r}, got {value!r}; leave it out, or start a new run"
             )
     check_choice("algorithm", manifest["algorithm"], ALGORITHMS)
     chosen = restore(ALGORITHMS[manifest["algorithm"]], settings | given)
@@ -405,7 +404,7 @@ def _plan_resume(
     if (now := job.files_read) != (then := manifest.get("files_read", {})):
         changed = next(name for name in now if now[name] != then.get(name))
         file = getattr(chosen, changed, "") or str(began.muscle_parameters)
-        raise ValueError(f"--{changed.replace('_', '-')} {file!r} has changed since the run began")
+        raise ValueError(f"{flag(changed)} {file!r} has changed since the run began")
     return job
 
 
