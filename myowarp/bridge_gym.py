@@ -125,8 +125,8 @@ class MyoWarpVectorEnv(VectorEnv):
                 `myowarp.view.drawing.muscles.QUANTITIES`.
             render_text: Whether `render` writes time, return and success on pictures, counted since the
                 episode began or its state was set; every step then waits for a CUDA device.
-            deterministic: Whether CUDA launches in a fixed order, which is slower; it does not sort rows of
-                constraints, so that last bits may differ with contacts. Runs on the CPU agree bit for bit.
+            deterministic: Whether CUDA launches in a fixed order, which is slower; rows of constraints get
+                their places as threads come, so that last bits may differ. Runs on the CPU agree bit for bit.
             progress: Whether to show a progress bar while kernels compile.
             rank: Which of how many equal ranks, each a process of its own: rank r of R has worlds r num_envs
                 to (r + 1) num_envs - 1 of one numbered set. World i of all resets with `seed + i`, and
@@ -179,7 +179,6 @@ class MyoWarpVectorEnv(VectorEnv):
         }
         self._autoreset = mode
         self._was_reset = self._warned = False
-        self._ended = np.zeros(self.num_envs, dtype=bool)
         self._resetting = np.zeros(self.num_envs, dtype=bool)
         num_obs, num_actions = self.sim.transition.obs.shape[1], self.sim.action.shape[1]
         self.single_observation_space = Box(-np.inf, np.inf, (num_obs,), np.float32)
@@ -201,6 +200,7 @@ class MyoWarpVectorEnv(VectorEnv):
         self._given_final = output.of(arrays(sim.final, "obs", *ENTRIES))
         on_host = Output("numpy", copy=False)
         self._seen = on_host.of(arrays(sim.transition, *SEEN))
+        self._over = on_host.of(arrays(sim.episode, "ended"))
         self._scored = on_host.of(arrays(sim.transition, *SCORED) | arrays(sim.episode, "step_count"))
         self._terms = tuple(f"terms/{term.name}" for term in sim.terms)
         self._masks = tuple(f"_{key}" for key in self._entries(self._given))
@@ -249,7 +249,7 @@ class MyoWarpVectorEnv(VectorEnv):
         if start:
             place(self.sim, {name: rows[mask] for name, rows in start.items()}, np.flatnonzero(mask))
         self._was_reset = self._was_reset or bool(mask.all())
-        self._ended[mask] = self._resetting[mask] = False
+        self._resetting[mask] = False
         if self._text is not None:
             self._text.begin(mask)
         self._show()
@@ -265,12 +265,13 @@ class MyoWarpVectorEnv(VectorEnv):
         Raises:
             ValueError: Wrong shape or dtype, or an action on the host is NaN or infinite; no world was
                 stepped. On other devices such a world gets a fault instead.
-            gymnasium.error.ResetNeeded: Not reset yet, or, without autoreset, a world has ended.
+            gymnasium.error.ResetNeeded: Not reset yet, or, without autoreset, a world has ended; to know it,
+                such a step waits for a CUDA device.
         """
         if not self._was_reset:
             raise ResetNeeded("step needs an environment that was reset; call reset() first")
-        if self._autoreset == AutoresetMode.DISABLED and self._ended.any():
-            worlds = np.flatnonzero(self._ended).tolist()
+        if self._autoreset == AutoresetMode.DISABLED and (ended := self._over()["ended"]).any():
+            worlds = np.flatnonzero(ended).tolist()
             raise ResetNeeded(
                 f"worlds {worlds} have ended; reset them with reset(options={{'reset_mask': mask}}) first"
             )
@@ -317,7 +318,6 @@ class MyoWarpVectorEnv(VectorEnv):
         rows = set_state(self.sim, state, worlds, conditions=conditions)
         self._was_reset = self._was_reset or len(rows) == self.num_envs
         ended = self.sim.episode.ended.numpy()[rows]
-        self._ended[rows] = ended & (self._autoreset == AutoresetMode.DISABLED)
         self._resetting[rows] = ended & (self._autoreset == AutoresetMode.NEXT_STEP)
         if self._text is not None:
             self._text.begin(np.isin(np.arange(self.num_envs), rows))
@@ -427,8 +427,6 @@ class MyoWarpVectorEnv(VectorEnv):
         stepped = ~ended if same_step else ~self._resetting
         if self._autoreset == AutoresetMode.NEXT_STEP:
             self._resetting = ended
-        elif self._autoreset == AutoresetMode.DISABLED:
-            self._ended = ended
         info |= dict.fromkeys(self._masks, stepped)
         if not np.count_nonzero(ended):
             return

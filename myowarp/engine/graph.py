@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import warp as wp
 
+from myowarp.engine.arena import Arena
 from myowarp.engine.replaced import replaced
 from myowarp.engine.replay import Operation, replay
 from myowarp.process import warn_once, with_build_lock
@@ -32,6 +33,7 @@ class Graph:
 
     Attributes:
         recorded: What Warp has recorded.
+        arena: On CUDA, what the launches allocate; on the CPU Warp keeps it with its record.
         replay: What launches them on the CPU; None where Warp does.
     """
 
@@ -46,7 +48,9 @@ class Graph:
         warp = _warp_recording() if device.is_cpu else None
         notes = None if warp is None else _Notes(warp)
         notebook = contextlib.nullcontext() if notes is None else notes.taken(device)
-        with wp.ScopedCapture(device=device, force_module_load=False) as capture, notebook:
+        self.arena = Arena(launches, device) if device.is_cuda else None
+        memory = contextlib.nullcontext() if self.arena is None else self.arena.used()
+        with wp.ScopedCapture(device=device, force_module_load=False) as capture, notebook, memory:
             launches()
         self.recorded = capture.graph
         self.replay: Replay | None = None

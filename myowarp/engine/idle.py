@@ -35,10 +35,12 @@ IDLE_WHEN: dict[str, Callable[[mujoco.MjModel], bool]] = {
     "_spring_damper_tendon_passive": lambda m: _NO_TENDON_DAMPING(m) and _NO_TENDON_SPRING(m),
     "_tendon_velocity": lambda m: _NO_TENDON_DAMPING(m) and m.nsensor == 0,
     "_qderiv_tendon_damping": _NO_TENDON_DAMPING,
+    "_friction_dof": _zero("dof_frictionloss"),
     "_friction_tendon": _zero("tendon_frictionloss"),
     "_gravity_force": _zero("body_gravcomp"),
     "_tendon_actuator_force": lambda m: _NO_FORCE_LIMIT(m) and m.nsensor == 0,
     "_tendon_actuator_force_clamp": _NO_FORCE_LIMIT,
+    "_qfrc_actuator_gravcomp_limits": _zero("jnt_actfrclimited", "jnt_actgravcomp"),
     "_next_activation": lambda m: m.na == np.count_nonzero(m.actuator_dyntype == _MUSCLE),  # ours have none
     "_spatial_tendon_wrap": lambda m: True,  # exports the path for drawing; we draw with MuJoCo C
     "_apply_ft": lambda m: True,  # external forces on bodies; the simulation applies none

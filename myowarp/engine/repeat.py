@@ -16,20 +16,15 @@ def count_down(
 
 
 def repeat(launches: Callable[[], None], times: int, countdown: wp.array) -> None:
-    """Launch `launches` so many times.
+    """Launch `launches` so many times, in a loop, so that a graph holds them once.
 
-    On the CPU this is a loop, whose graph holds them, and what they allocate, once. On CUDA a loop must not
-    allocate, as `mjw.step` does.
+    On CUDA a loop must not allocate, as the engine does: see `Arena`.
 
     Args:
         launches: Launches kernels.
         times: How often, >= 1.
         countdown: Counter of the loop, shape (1,).
     """
-    if not countdown.device.is_cpu:
-        for _ in range(times):
-            launches()
-        return
 
     def once() -> None:
         launches()

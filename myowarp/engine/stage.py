@@ -43,6 +43,7 @@ class Stage(abc.ABC):
 
     Attributes:
         REPLACES: Places in `step.ORDER` that it fills, with one launch in the first.
+        SPARES: Kernels of the engine whose results nobody reads beside it, by name.
         OBSTACLES: What a model must not have, beside `step.UNCOVERED`.
         ON_CUDA: Whether it is worth its launches on CUDA, too.
         TOLERANCE: Largest difference that it makes to a step's change of velocity or of position, as a share
@@ -52,6 +53,7 @@ class Stage(abc.ABC):
     """
 
     REPLACES: ClassVar[tuple[str, ...]]
+    SPARES: ClassVar[frozenset[str]] = frozenset()
     OBSTACLES: ClassVar[Obstacles]
     ON_CUDA = False
     TOLERANCE = 1e-4
@@ -73,6 +75,10 @@ class Stage(abc.ABC):
         Only the worlds of a mask, shape (num_worlds,) bool, matter to whoever gives one.
         """
         return self.launch
+
+    def begin(self) -> None:
+        """Launch what comes before the first of several physics steps."""
+        return
 
     def refresh(self, model: mjw.Model, data: mjw.Data, mask: wp.array | None) -> bool:
         """Bring poses of bodies and of the task's sites up to date in masked worlds, or return False."""

@@ -255,6 +255,7 @@ class Step:
             mask: Worlds for which the places of `only` are wanted, shape (num_worlds,) bool; None: all.
         """
         stages = tuple(stages)
+        idle = idle.union(*(stage.SPARES for stage in stages))
         if only is None:
             places = tuple(self.places(stages).values())
         else:

@@ -254,7 +254,7 @@ def _rounded(state: State) -> State:
 
 def _changes(step: Step, batches: Iterable[State], stages: Iterable[Stage]) -> tuple[np.ndarray, np.ndarray]:
     """Return what a physics step adds to velocities, (num_states, nv), and to positions, (num_states, nq)."""
-    data, changes = step.stepped.data, []
+    data, changes, stages = step.stepped.data, [], tuple(stages)
     stock, ours = step.launches(), step.launches(stages)
     for state in batches:
         # Fill Data from another state first, so that a stage that forgets a field is caught.
@@ -262,6 +262,8 @@ def _changes(step: Step, batches: Iterable[State], stages: Iterable[Stage]) -> t
         stock()
         set_state(step.stepped, state)
         before = data.qvel.numpy().copy(), data.qpos.numpy().copy()
+        for stage in stages:
+            stage.begin()
         ours()
         wp.synchronize_device(step.stepped.device)
         changes.append((data.qvel.numpy() - before[0], data.qpos.numpy() - before[1]))

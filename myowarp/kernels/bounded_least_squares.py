@@ -200,7 +200,7 @@ def solve_bounded_least_squares(
 
 
 class BoundedLeastSquares:
-    """Problems of all worlds, on one device: fill `matrix`, `right` and the bounds, then `solve`.
+    """Problems of all worlds, on the CPU unless a device is named: fill all arrays, then `solve`.
 
     The last solution is where the next one starts.
 
@@ -226,7 +226,7 @@ class BoundedLeastSquares:
         ridge: float,
         rounds: int = ROUNDS,
         tolerance: float = TOLERANCE,
-        device: Any = None,
+        device: Any = "cpu",
     ) -> None:
         """Allocate.
 

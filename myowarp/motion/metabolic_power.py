@@ -53,7 +53,7 @@ def burn_energy(
     power[worldid, i] = heat + work
 
 
-def metabolic_power(model: Model, found: MuscleForces, paths: MusclePaths, device: Any = None) -> np.ndarray:
+def metabolic_power(model: Model, found: MuscleForces, paths: MusclePaths, device: Any = "cpu") -> np.ndarray:
     """Return the metabolic power of each muscle [W], shape (frames, muscles), without that of a body at rest.
 
     Args:

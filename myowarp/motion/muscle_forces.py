@@ -122,7 +122,7 @@ def muscle_forces(
     actuators: Actuators | None = None,
     strength: np.ndarray | float = 1.0,
     slack: np.ndarray | float = 1.0,
-    device: Any = None,
+    device: Any = "cpu",
     sequence: int = 0,
 ) -> MuscleForces:
     """Return the muscle forces of least cost that give the moments of a motion.

@@ -216,7 +216,7 @@ def measure(model: Model, recorded: Markers, measurement: Measurement) -> Measur
     return float(np.mean([row[3] / row[2] for row in rows])), tuple(rows)
 
 
-def scale(source: Path, setup: Setup, static: Path | None = None, device: Any = None) -> Scaled:
+def scale(source: Path, setup: Setup, static: Path | None = None, device: Any = "cpu") -> Scaled:
     """Scale a generic model to a person.
 
     Args:
@@ -265,7 +265,7 @@ def _recording(path: Path | None) -> Markers:
 
 
 def place_markers(
-    document: Document, recorded: Markers, tasks: Tasks, device: Any = None
+    document: Document, recorded: Markers, tasks: Tasks, device: Any = "cpu"
 ) -> tuple[Document, Fitted, dict[str, float]]:
     """Move markers to where they were recorded, in the pose that fits best.
 

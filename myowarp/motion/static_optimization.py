@@ -55,7 +55,7 @@ def optimal_activations(
     lower: np.ndarray | float = 0.0,
     upper: np.ndarray | float = 1.0,
     exponent: float = 2.0,
-    device: Any = None,
+    device: Any = "cpu",
     near: np.ndarray | None = None,
     sequence: int = 0,
     scale: np.ndarray | float = 1.0,

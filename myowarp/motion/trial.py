@@ -168,7 +168,7 @@ def read_parts(
 
 
 def scale_to(
-    source: Path, output: Path, setup: Path, static: Path | None = None, device: Any = None
+    source: Path, output: Path, setup: Path, static: Path | None = None, device: Any = "cpu"
 ) -> Scaled:
     """Scale a model to a person; write `scaled.osim`, `scale_factors.xml` and, posed, `static.mot`.
 

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Iterable
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import PHYSICS, PhysicsPreset, TaskSpec
 from myowarp.definitions.worlds import Worlds
 from myowarp.disk import cached, files_digest, is_ours, model_bytes, model_from_bytes
+from myowarp.engine.arena import Arena
 from myowarp.engine.ground import height_field
 from myowarp.engine.step import uncovered
 from myowarp.engine.stepped import Stepped
@@ -288,8 +289,12 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
     def make_data(number: int) -> mjw.Data:
         return mjw.make_data(stepped, nworld=number, nconmax=capacity.contacts, njmax=capacity.rows)
 
-    def all_data(number: int) -> tuple[mjw.Data | None, ...]:
-        return make_data(number), data_beside(oracle, number, capacity.contacts, capacity.rows)
+    def all_data(number: int) -> tuple[mjw.Data | wp.array | None, ...]:
+        data = make_data(number)
+        beside = data_beside(oracle, number, capacity.contacts, capacity.rows)
+        if where.is_cpu:  # whose stages are ours
+            return data, beside
+        return data, beside, *Arena(partial(mjw.step, mjw.put_model(stepped), data), where).blocks
 
     check_memory(all_data, spec.world_bytes, worlds.total, where)
     with wp.ScopedDevice(where):
@@ -374,6 +379,16 @@ def resolve_device(device: str | None) -> wp.Device:
     if str(device) == "cuda" and wp.is_cuda_available():
         return wp.get_device("cuda")
     if str(device) not in known:
-        why = f" ({missing})" if missing and str(device).startswith("cuda") else ""
-        raise ValueError(f"device {str(device)!r} is not available; available: {', '.join(known)}{why}")
+        why = _why_no_cuda(missing) if str(device).startswith("cuda") else ""
+        there = ", ".join(known) + (f" ({why})" if why else "")
+        raise ValueError(f"device {str(device)!r} is not available; available: {there}")
     return wp.get_device(str(device))
+
+
+def _why_no_cuda(missing: str) -> str:
+    """Return why there is no such device, as far as it is known; `missing` is what Warp has said."""
+    driver, toolkit = wp.get_cuda_driver_version(), wp.get_cuda_toolkit_version()
+    if driver is None or toolkit is None or driver >= (toolkit[0], 0):
+        return missing
+    has, needs = ".".join(map(str, driver)), f"{toolkit[0]}.0"
+    return f"Warp needs an NVIDIA driver of CUDA {needs} or newer, got {has}; update the driver"

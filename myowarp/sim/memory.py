@@ -18,13 +18,16 @@ MEMINFO, CGROUP_LIMIT = Path("/proc/meminfo"), Path("/sys/fs/cgroup/memory.max")
 
 
 def check_memory(
-    make_data: Callable[[int], Iterable[mjw.Data | None]], further: int, num_worlds: int, device: wp.Device
+    make_data: Callable[[int], Iterable[mjw.Data | wp.array | None]],
+    further: int,
+    num_worlds: int,
+    device: wp.Device,
 ) -> None:
     """Raise if worlds need more memory than is available.
 
     Args:
-        make_data: Allocates the arrays of the engine and of the step in so many worlds, most of what a
-            simulation needs.
+        make_data: Allocates the arrays of the engine and of the step in so many worlds, and on CUDA what a
+            step allocates: most of what a simulation needs.
         further: What the task keeps of each world besides [bytes].
         num_worlds: Number of worlds.
         device: Where they are to live.
@@ -35,7 +38,7 @@ def check_memory(
     available = available_memory(device)
     if available is None or num_worlds * LARGE_WORLD <= available:
         return
-    with wp.ScopedDevice("cpu"):
+    with wp.ScopedDevice(device):
         one, two = (sum(map(_bytes, make_data(number))) + number * further for number in (1, 2))
     needed = one + (num_worlds - 1) * (two - one)
     if needed > available:

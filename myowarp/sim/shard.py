@@ -160,8 +160,14 @@ class Shard:
     def _take_stages(self) -> None:
         """Step, and look at the present state, with the stages that were chosen."""
         self._launch_physics = self.physics_step.launches(self.stages, self._idle)
-        bring_paths = partial(self.physics_step.launches, self.stages, self._idle, only=PATHS)
-        self.program.bring_paths, self._bring_settling = bring_paths(), bring_paths(mask=self._settling)
+        bring = partial(self.physics_step.launches, self.stages, self._idle)
+        self._bring_settling = bring(only=PATHS, mask=self._settling)
+        # `_refresh` has brought bodies before; a stage of ours does them in the launch that follows paths.
+        with_paths = any("kinematics" in stage.replaces for stage in self.stages)
+        fresh = self.scene.spec.uses_kinematics and not with_paths
+        self.program.bring_paths = bring(only=PATHS - {"kinematics"} if fresh else PATHS)
+        for stage in self.stages:  # the engine's own step has run, to verify them
+            stage.begin()
 
     def _allocate(self, horizon: int) -> None:
         """Allocate every array of the step."""
@@ -200,6 +206,8 @@ class Shard:
         """One control step of all worlds."""
         self.launch_action()
         self.launch_conditions()
+        for stage in self.stages:
+            stage.begin()
         repeat(self._launch_physics, self.scene.num_substeps, self._countdown)
         self._refresh()
         wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])

@@ -117,9 +117,9 @@ class MusclePaths:
             self._layout = {
                 name: wp.array(np.tile(row, (data.nworld, 1)), dtype=int) for name, row in layout.items()
             }
-        self._write_layout()
+        self.write_layout()
 
-    def _write_layout(self) -> None:
+    def write_layout(self) -> None:
         """Say where `actuator_moment` has what."""
         for name, rows in self._layout.items():
             wp.copy(getattr(self._data, name), rows)
@@ -191,8 +191,6 @@ class MusclePaths:
 
     def launch(self) -> None:
         """Launch `muscle_path`; body poses, `geom_xpos` and `cdof` have to be those of `qpos`."""
-        if self._data.qpos.device.is_cuda:  # where the engine's own step leaves rows in any order
-            self._write_layout()
         launch(muscle_path, self._dim, self, threads=self._dim[1])
 
 
@@ -208,6 +206,7 @@ class MusclePath(Stage):
     """
 
     REPLACES = ("tendon", "transmission", "velocity")
+    SPARES = frozenset({"_site_local_to_global"})  # read by paths, else by tasks alone, after the step
     ON_CUDA = True
     OBSTACLES: ClassVar = {
         "the model has paths of its own": lambda stepped: stepped.paths is not None,
@@ -228,6 +227,11 @@ class MusclePath(Stage):
         if any("kinematics" in stage.replaces for stage in stages):
             return lambda model, data: None
         return self.launch
+
+    def begin(self) -> None:
+        """Put the moments' layout right, which the engine's own step on CUDA leaves in any order."""
+        if self.paths.transmission.actuator_moment.device.is_cuda:
+            self.paths.write_layout()
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Follow all paths."""

@@ -206,7 +206,7 @@ class Bones:
     """
 
     @classmethod
-    def read(cls, path: Path, device: Any = None, markers: Path | None = None) -> Bones:
+    def read(cls, path: Path, device: Any = "cpu", markers: Path | None = None) -> Bones:
         """Return the bones of an OpenSim document.
 
         Args:
@@ -222,7 +222,7 @@ class Bones:
             return cls(read_model(path), device)
         return cls(set_markers(Document(path, parse(path)[0]), parse(markers)[0]).model, device)
 
-    def __init__(self, model: Model, device: Any = None) -> None:
+    def __init__(self, model: Model, device: Any = "cpu") -> None:
         """Put a model on a device.
 
         Raises:

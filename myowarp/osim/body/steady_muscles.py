@@ -114,7 +114,7 @@ class SteadyMuscles:
         muscles: Their parameters, in the order of columns, each with equations that are known.
     """
 
-    def __init__(self, muscles: Iterable[HillMuscle], device: Any = None) -> None:
+    def __init__(self, muscles: Iterable[HillMuscle], device: Any = "cpu") -> None:
         """Put muscles on a device."""
         self.muscles = [known(muscle)[0] for muscle in muscles]
         self._device = wp.get_device(device)
