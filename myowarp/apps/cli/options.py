@@ -101,7 +101,7 @@ def flag_of(option: dataclasses.Field[Any], kind: Any, hint: str = UNSET, more: 
 
 
 FORMS = {int: "INT", float: "FLOAT", str: "NAME", tuple[int, ...]: "[INT ...]"}
-"""What a command line shows of values by their type."""
+"""Values on a command line, by their type."""
 COMMAND_LINE = {"task": str | None, "muscle": str | None, "conditions": tuple[str, ...] | None}
 """Types of what a command line can say, where a setup takes more."""
 
