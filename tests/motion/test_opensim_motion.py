@@ -181,7 +181,7 @@ def test_paths_are_those_of_numpy(name):
 
 
 def test_points_that_move_stay_where_the_range_ends():
-    """OpenSim places them as if their coordinates did not leave their ranges; our paths are as long beyond."""
+    """OpenSim places them as if coordinates did not leave their ranges; beyond, our paths are as long."""
     body = bones("gait10dof18musc")
     with np.load(DATA / "opensim/beyond_gait10dof18musc.npz") as there:
         values = dict(zip(there["coordinates"].tolist(), there["values"].T, strict=True))
