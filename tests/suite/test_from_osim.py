@@ -12,6 +12,7 @@ from muscle_bench import hold
 import myowarp
 from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES
+from myowarp.models.bodies.from_file import read_body
 from myowarp.osim.body.hill_muscle import HillMuscle, known
 from myowarp.osim.convert.load import load
 from myowarp.osim.document.read import model as reading
@@ -19,7 +20,6 @@ from myowarp.osim.document.read.model import read_model
 from myowarp.process import warn_once
 from myowarp.sim.build import compile_scene, full_spec, stepped_of
 from myowarp.sim.simulation import Simulation
-from myowarp.tasks.from_file import read_body
 from myowarp.view.drawing.snapshot import snapshot
 from myowarp.view.drawing.style import muscle_tendons, pose
 
