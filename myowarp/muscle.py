@@ -41,7 +41,6 @@ from myowarp.laws.muscles.hill_arrays import (
     PASSIVE,
     TENDON,
     VELOCITY,
-    HillMuscle64,
     Parameters,
     contract_muscles,
     evaluate_curve,
@@ -50,7 +49,7 @@ from myowarp.laws.muscles.hill_arrays import (
     hold_muscles,
     rate_of_activation,
 )
-from myowarp.laws.muscles.hill_law import DEGROOTE, MILLARD, THELEN
+from myowarp.laws.muscles.hill_law import DEGROOTE, MILLARD, THELEN, HillMuscle64
 from myowarp.laws.muscles.hill_parameters import LAWS, hill_parameters
 from myowarp.models.muscles.hill import Hill
 

@@ -12,11 +12,11 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.coordinates.own_paths import ValueTables, evaluated, value_tables
 from myowarp.kernels.launch import launch
 from myowarp.kernels.structs import struct_array
 from myowarp.laws.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
 from myowarp.laws.forces.ligament import Ligament, ligament_tension
+from myowarp.laws.pieces import PieceTables, evaluated, piece_tables
 from myowarp.osim.bundle.forces import PassiveForces
 
 
@@ -49,7 +49,7 @@ def push_and_pull(
     # Params:
     limits: wp.array[CoordinateLimit],
     ligaments: wp.array[Ligament],
-    curves: ValueTables,
+    curves: PieceTables,
     # Data in:
     qpos_in: wp.array2d[float],
     ten_length_in: wp.array2d[float],
@@ -94,7 +94,7 @@ class OwnForces:
                 for g in acting.ligaments
             ],
         )
-        self.curves = value_tables(host, [(None, ligament.curves) for ligament in acting.ligaments])
+        self.curves = piece_tables(ligament.curves for ligament in acting.ligaments)
         springs = [host.tendon(name).id for name in acting.springs]
         for name in ("tendon_stiffness", "tendon_stiffnesspoly") if springs else ():
             values = getattr(model, name)

@@ -12,7 +12,6 @@ as MuJoCo does.
 """
 
 import dataclasses
-from collections.abc import Iterable
 
 import mujoco
 import mujoco_warp as mjw
@@ -24,28 +23,8 @@ from myowarp.kernels.launch import launch
 from myowarp.kernels.structs import struct_array
 from myowarp.laws.paths.path import Frames, Pulls
 from myowarp.laws.paths.tables import OsimPath, OsimPaths, PathMemory, Via
-from myowarp.osim.bundle.paths import WRAP_SITE, DocumentPaths, Driven, is_of
-
-
-@wp.struct
-class ValueTables:
-    """What points depend on: piecewise polynomials of joints, in float64.
-
-    Attributes:
-        address: Of each value's joint in qpos; -1: it depends on none.
-        first_curve: Of each value, and the number of all.
-        first_piece: Of each curve, and the number of all.
-        held: Of each curve: beyond, the value stays as at the ends, the slope does not.
-        breaks: Where pieces begin.
-        coefficients: Ascending in powers of the distance from there, shape (num_pieces, num_terms).
-    """
-
-    address: wp.array[int]
-    first_curve: wp.array[int]
-    first_piece: wp.array[int]
-    held: wp.array[wp.vec2d]
-    breaks: wp.array[wp.float64]
-    coefficients: wp.array2d[wp.float64]
+from myowarp.laws.pieces import PieceTables, evaluated, piece_tables
+from myowarp.osim.bundle.paths import WRAP_SITE, DocumentPaths, is_of
 
 
 @wp.struct
@@ -121,39 +100,12 @@ class RowTables:
     joints: wp.array[JointEntry]
 
 
-@wp.func
-def on_curve(tables: ValueTables, curve: int, x: wp.float64) -> wp.vec2d:
-    """Return a curve's value and slope."""
-    piece, end = int(tables.first_piece[curve]), tables.first_piece[curve + 1]
-    while piece + 1 < end and x >= tables.breaks[piece + 1]:
-        piece += 1
-    d = x - tables.breaks[piece]
-    f, df = wp.float64(0.0), wp.float64(0.0)
-    for k in range(tables.coefficients.shape[1] - 1, -1, -1):
-        df = df * d + f
-        f = f * d + tables.coefficients[piece, k]
-    return wp.vec2d(f, df)
-
-
-@wp.func
-def evaluated(tables: ValueTables, number: int, x: wp.float64) -> wp.vec2d:
-    """Return a value and its slope at a joint's position."""
-    value, slope = x, wp.float64(1.0)
-    for curve in range(tables.first_curve[number], tables.first_curve[number + 1]):
-        found, held = on_curve(tables, curve, value), tables.held[curve]
-        slope = found[1] * slope
-        inside = wp.clamp(value, held[0], held[1])
-        if inside != value:
-            found = on_curve(tables, curve, inside)
-        value = found[0]
-    return wp.vec2d(value, slope)
-
-
 @wp.kernel(enable_backward=False)
 def place_bodies(
     # Params:
     bodies: wp.array[int],
-    tables: ValueTables,
+    address: wp.array[int],
+    values: PieceTables,
     # Data in:
     qpos_in: wp.array2d[float],
     xpos_in: wp.array2d[wp.vec3],
@@ -167,11 +119,11 @@ def place_bodies(
     for i in range(bodies.shape[0]):
         frames.origin[worldid, i] = wp.vec3d(xpos_in[worldid, bodies[i]])
         frames.rotation[worldid, i] = wp.mat33d(xmat_in[worldid, bodies[i]])
-    for i in range(tables.address.shape[0]):
+    for i in range(address.shape[0]):
         x = wp.float64(0.0)
-        if tables.address[i] >= 0:
-            x = wp.float64(qpos_in[worldid, tables.address[i]])
-        found = evaluated(tables, i, x)
+        if address[i] >= 0:
+            x = wp.float64(qpos_in[worldid, address[i]])
+        found = evaluated(values, i, x)
         frames.value[worldid, i] = found[0]
         slopes[worldid, i] = found[1]
 
@@ -287,7 +239,10 @@ class OwnPaths:
         self.names = tuple(described.paths)
         self.memory = PathMemory(described, data.nworld, len(said.values), said.guard, said.exact)
         self.bodies = wp.array([host.body(name).id for name in described.bodies], dtype=int)
-        self.values, self.slopes = value_tables(host, said.values), wp.zeros_like(self.memory.frames.value)
+        address = [-1 if of is None else host.joint(of).qposadr[0] for of, _ in said.values]
+        self.address = wp.array(address, dtype=int)
+        self.values = piece_tables(chain for _, chain in said.values)
+        self.slopes = wp.zeros_like(self.memory.frames.value)
         self.drives = None
         if any(_moves_within(path) or len(path.wraps) > 1 for path in described.paths.values()):
             on_tendon = host.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
@@ -363,7 +318,8 @@ class OwnPaths:
             data.nworld,
             data,
             bodies=self.bodies,
-            tables=self.values,
+            address=self.address,
+            values=self.values,
             frames=self.memory.frames,
             slopes=self.slopes,
         )
@@ -410,23 +366,6 @@ def _of_sites(host: mujoco.MjModel, tendon: int) -> OsimPath:
     sites = host.wrap_objid[first : first + host.tendon_num[tendon]]
     bodies = [host.body(body).name for body in host.site_bodyid[sites]]
     return OsimPath(tuple(map(Via, bodies, map(tuple, host.site_pos[sites].tolist()))))
-
-
-def value_tables(host: mujoco.MjModel, values: Iterable[Driven]) -> ValueTables:
-    """Return what points depend on, on the current Warp device."""
-    values = list(values)
-    curves = [curve for _, chain in values for curve in chain]
-    terms = max((len(row) for curve in curves for row in curve.coefficients), default=1)
-    table = [(*row, *[0.0] * (terms - len(row))) for curve in curves for row in curve.coefficients]
-    tables = ValueTables()
-    address = [-1 if of is None else host.joint(of).qposadr[0] for of, _ in values]
-    tables.address = wp.array(address, dtype=int)
-    tables.first_curve = wp.array(np.cumsum([0, *(len(chain) for _, chain in values)]), dtype=int)
-    tables.first_piece = wp.array(np.cumsum([0, *(len(curve.breaks) for curve in curves)]), dtype=int)
-    tables.held = wp.array([curve.held for curve in curves] or [(0.0, 0.0)], dtype=wp.vec2d)
-    tables.breaks = wp.array([b for curve in curves for b in curve.breaks] or [0.0], dtype=wp.float64)
-    tables.coefficients = wp.array(np.array(table or [(0.0,) * terms]), dtype=wp.float64)
-    return tables
 
 
 def _moved(host: mujoco.MjModel, bodies: list[int], common: bool) -> list[tuple[list[int], list[int]]]:

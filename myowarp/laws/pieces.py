@@ -1,11 +1,16 @@
-"""Piecewise polynomials: joints that follow others, points of paths that move, curves of ligaments."""
+"""Piecewise polynomials: joints that follow others, points of paths that move, curves of ligaments.
+
+Functions are chains of them, applied one after the other: last(...(first(x))).
+"""
 
 import dataclasses
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import zip_longest
 
 import numpy as np
+import warp as wp
 from numpy.typing import ArrayLike
 
 EVERYWHERE = (-np.inf, np.inf)
@@ -68,3 +73,67 @@ class Pieces:
 def line(slope: float, offset: float = 0.0) -> Pieces:
     """Return slope x + offset."""
     return Pieces((0.0,), ((offset, slope),))
+
+
+@wp.struct
+class PieceTables:
+    """Functions of one variable as chains of piecewise polynomials, in float64.
+
+    Attributes:
+        first_curve: Of each function, and the number of all.
+        first_piece: Of each curve, and the number of all.
+        held: Of each curve: beyond, the value stays as at the ends, the slope does not.
+        breaks: Where pieces begin.
+        coefficients: Ascending in powers of the distance from there, shape (num_pieces, num_terms).
+    """
+
+    first_curve: wp.array[int]
+    first_piece: wp.array[int]
+    held: wp.array[wp.vec2d]
+    breaks: wp.array[wp.float64]
+    coefficients: wp.array2d[wp.float64]
+
+
+@wp.func
+def on_curve(tables: PieceTables, curve: int, x: wp.float64) -> wp.vec3d:
+    """Return a curve's value, slope and second derivative."""
+    piece, end = int(tables.first_piece[curve]), tables.first_piece[curve + 1]
+    while piece + 1 < end and x >= tables.breaks[piece + 1]:
+        piece += 1
+    d = x - tables.breaks[piece]
+    f, df, ddf = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+    for k in range(tables.coefficients.shape[1] - 1, -1, -1):
+        ddf = ddf * d + wp.float64(2.0) * df
+        df = df * d + f
+        f = f * d + tables.coefficients[piece, k]
+    return wp.vec3d(f, df, ddf)
+
+
+@wp.func
+def evaluated(tables: PieceTables, number: int, x: wp.float64) -> wp.vec3d:
+    """Return a function's value, slope and second derivative."""
+    value, slope, bend = x, wp.float64(1.0), wp.float64(0.0)
+    for curve in range(tables.first_curve[number], tables.first_curve[number + 1]):
+        found, held = on_curve(tables, curve, value), tables.held[curve]
+        bend = found[2] * slope * slope + found[1] * bend
+        slope = found[1] * slope
+        inside = wp.clamp(value, held[0], held[1])
+        if inside != value:
+            found = on_curve(tables, curve, inside)
+        value = found[0]
+    return wp.vec3d(value, slope, bend)
+
+
+def piece_tables(chains: Iterable[tuple[Pieces, ...]]) -> PieceTables:
+    """Return functions on the current Warp device."""
+    chains = list(chains)
+    curves = [curve for chain in chains for curve in chain]
+    terms = max((len(row) for curve in curves for row in curve.coefficients), default=1)
+    table = [(*row, *[0.0] * (terms - len(row))) for curve in curves for row in curve.coefficients]
+    tables = PieceTables()
+    tables.first_curve = wp.array(np.cumsum([0, *map(len, chains)]), dtype=int)
+    tables.first_piece = wp.array(np.cumsum([0, *(len(curve.breaks) for curve in curves)]), dtype=int)
+    tables.held = wp.array([curve.held for curve in curves] or [(0.0, 0.0)], dtype=wp.vec2d)
+    tables.breaks = wp.array([b for curve in curves for b in curve.breaks] or [0.0], dtype=wp.float64)
+    tables.coefficients = wp.array(np.array(table or [(0.0,) * terms]), dtype=wp.float64)
+    return tables

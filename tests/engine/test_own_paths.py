@@ -10,6 +10,7 @@ import pytest
 from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES
 from myowarp.laws.paths.tables import TURNS, OsimPath, OsimPaths, Over, Via, WrapSurface
+from myowarp.models.bodies.from_file import read_body
 from myowarp.osim.body.on_device import lengths_and_moment_arms
 from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.bundle.paths import DocumentPaths
@@ -17,7 +18,7 @@ from myowarp.osim.convert.compose.convert import convert
 from myowarp.osim.document.kinematics import independent, random_poses
 from myowarp.osim.document.read.model import read_model
 from myowarp.sim.build import compile_scene, stepped_of
-from myowarp.tasks.from_file import pose_task, read_body
+from myowarp.tasks.from_file import pose_task
 from tests.converted import OSIM, simulation
 
 WORLDS = 7

@@ -180,6 +180,17 @@ def test_paths_are_those_of_numpy(name):
     assert np.ptp(found.length, axis=0).max() > 1e-3
 
 
+def test_points_that_move_stay_where_the_range_ends():
+    """OpenSim places them as if coordinates did not leave their ranges; beyond, our paths are as long."""
+    body = bones("gait10dof18musc")
+    with np.load(DATA / "opensim/beyond_gait10dof18musc.npz") as there:
+        values = dict(zip(there["coordinates"].tolist(), there["values"].T, strict=True))
+        q = np.stack([values[c] for c in body.coordinates], axis=1)
+        found = muscle_paths(body, q, np.zeros_like(q))
+        order = [found.muscles.index(muscle) for muscle in there["muscles"].tolist()]
+        np.testing.assert_allclose(found.length[:, order], there["length"], atol=1e-9)
+
+
 def test_static_optimisation():
     name = "gait10dof18musc"
     there, body = recorded(name), bones(name)

@@ -12,14 +12,14 @@ from muscle_bench import hold
 import myowarp
 from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES
+from myowarp.models.bodies.from_file import read_body
 from myowarp.osim.body.hill_muscle import HillMuscle, known
-from myowarp.osim.convert import load as loading
 from myowarp.osim.convert.load import load
+from myowarp.osim.document.read import model as reading
 from myowarp.osim.document.read.model import read_model
 from myowarp.process import warn_once
 from myowarp.sim.build import compile_scene, full_spec, stepped_of
 from myowarp.sim.simulation import Simulation
-from myowarp.tasks.from_file import read_body
 from myowarp.view.drawing.snapshot import snapshot
 from myowarp.view.drawing.style import muscle_tendons, pose
 
@@ -111,7 +111,7 @@ def test_meshes_that_come_later_are_seen(tmp_path):
 
 def test_a_file_is_read_once(monkeypatch):
     found = load(OSIM / "arm26.osim")
-    monkeypatch.setattr(loading, "read_model", lambda path: pytest.fail(f"{path} is read again"))
+    monkeypatch.setattr(reading, "read_model", lambda path: pytest.fail(f"{path} is read again"))
     assert load(OSIM / "arm26.osim") == found
     names = {file.name for file in found.parent.iterdir()}
     assert names == {

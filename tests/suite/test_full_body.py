@@ -9,9 +9,10 @@ from stepping import step
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.setup import Setup
+from myowarp.models.bodies.from_file import read_body
 from myowarp.sim import memory
 from myowarp.sim.simulation import Simulation
-from myowarp.tasks.from_file import from_mjcf, read_body
+from myowarp.tasks.from_file import from_mjcf
 from myowarp.tasks.setups import complete
 
 FULL = "full_body"

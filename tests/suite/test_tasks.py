@@ -12,8 +12,8 @@ import myowarp.tasks
 from myowarp.definitions.body import BODIES, CAUTIOUS_STEP, CoarseStep
 from myowarp.definitions.task import TASKS, task
 from myowarp.kernels.world_function import Row, num_numbers
+from myowarp.models.bodies.from_file import read_body
 from myowarp.sim.simulation import Simulation
-from myowarp.tasks.from_file import read_body
 from myowarp.tasks.pose import PoseTask, sample_configuration
 from myowarp.tasks.reach import ReachTask
 

@@ -11,13 +11,13 @@ import warp as wp
 
 from myowarp.laws.muscles.hill_law import (
     DEGROOTE,
+    HillMuscle64,
     active_force_length_curve,
     degroote_activation_rate,
     fiber_of,
     fiber_pull,
     fiber_velocity,
     force_velocity_curve,
-    hill_muscle,
     passive_force_curve,
     steady_equilibrium,
     tendon_force_curve,
@@ -26,7 +26,6 @@ from myowarp.laws.muscles.hill_law import (
 ACTIVE, PASSIVE, TENDON, VELOCITY = range(4)
 TOLERANCE = wp.constant(wp.float64(1e-14))
 
-HillMuscle64: Any = hill_muscle(wp.float64)
 CURVES: tuple[str, ...] = (
     "active_width",
     "passive_shape",

@@ -103,8 +103,10 @@ def hill_muscle(real: type) -> Any:
 
 if TYPE_CHECKING:
     HillMuscle = Any
+    HillMuscle64 = Any
 else:
     HillMuscle = hill_muscle(wp.float32)
+    HillMuscle64 = hill_muscle(wp.float64)
 
 
 @wp.func

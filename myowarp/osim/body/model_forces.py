@@ -20,9 +20,10 @@ from myowarp.kernels.structs import struct_array
 from myowarp.laws.forces.bushing import Bushing, bushing_force, bushing_torque
 from myowarp.laws.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
 from myowarp.laws.forces.ligament import Ligament, ligament_tension
+from myowarp.laws.pieces import evaluated
 from myowarp.osim.body.moment_arm import coordinates_between, leading
 from myowarp.osim.body.muscle_paths import muscle_paths
-from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, move_value, station
+from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, station
 from myowarp.osim.document.elements import LEAST_TRANSITION
 from myowarp.osim.document.functions import IDENTITY, Function
 from myowarp.osim.document.model import GROUND, Loss, Model, Note
@@ -81,7 +82,7 @@ def push_coordinates(
         limit = acting.limits[i]
         k = acting.coordinates.free[limit.address]
         if k >= 0:
-            q = move_value(acting.coordinates, limit.address, values[worldid, k])
+            q = evaluated(acting.coordinates.functions, limit.address, values[worldid, k])
             rate = q[1] * speeds[worldid, k]
             force = limit_spring(limit, q[0]) - limit_damping(limit, q[0]) * rate
             passive[worldid, k] += q[1] * force
@@ -89,7 +90,7 @@ def push_coordinates(
         spring = acting.springs[i]
         k = acting.coordinates.free[spring.address]
         if k >= 0:
-            q = move_value(acting.coordinates, spring.address, values[worldid, k])
+            q = evaluated(acting.coordinates.functions, spring.address, values[worldid, k])
             rate = q[1] * speeds[worldid, k]
             force = -spring.stiffness * (q[0] - spring.rest) - spring.damping * rate
             passive[worldid, k] += q[1] * force

@@ -23,9 +23,10 @@ import warp as wp
 from myowarp.kernels.launch import launch
 from myowarp.laws.paths.path import Frames, PathTables, Pulls
 from myowarp.laws.paths.tables import PathMemory
+from myowarp.laws.pieces import evaluated
 from myowarp.osim.body.described import described
 from myowarp.osim.body.parts import in_parts, joined
-from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, move_value, place
+from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, place
 from myowarp.osim.body.straight_paths import StraightPaths, acted_on
 from myowarp.osim.document.model import pulling
 
@@ -88,7 +89,7 @@ def place_path_bodies(
         x = wp.float64(0.0)
         if needed.free[number] >= 0:
             x = values[worldid, needed.free[number]]
-        curve = move_value(needed, number, x)
+        curve = evaluated(needed.functions, number, x)
         frames.value[worldid, number] = curve[0]
         slope[worldid, number] = curve[1]
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from myowarp.laws.pieces import Pieces
+from myowarp.laws.pieces import Pieces, PieceTables, evaluated, piece_tables
 from myowarp.osim.body.scale_document import Document, set_markers
 from myowarp.osim.document.functions import Function, curves
 from myowarp.osim.document.kinematics import independent
@@ -55,10 +55,7 @@ class Skeleton:
         kind: `HINGE` or `SLIDE`, of each move.
         axis: Unit vector in the frame that earlier moves carried along.
         free: Number of the independent coordinate that moves it, -1 for none.
-        curve: First function of each move, applied one after the other.
-        piece: First piece of each function.
-        start: Where a piece begins.
-        coefficients: Of a piece, ascending in powers of what is above its start.
+        functions: Of the coordinate, of each move.
         gravity: [m/s^2].
     """
 
@@ -74,10 +71,7 @@ class Skeleton:
     kind: wp.array[int]
     axis: wp.array[wp.vec3d]
     free: wp.array[int]
-    curve: wp.array[int]
-    piece: wp.array[int]
-    start: wp.array[wp.float64]
-    coefficients: wp.array2d[wp.float64]
+    functions: PieceTables
     gravity: wp.vec3d
 
 
@@ -104,31 +98,6 @@ class Placement:
     shift: wp.array2d[wp.vec3d]
     slope: wp.array2d[wp.float64]
     bend: wp.array2d[wp.float64]
-
-
-@wp.func
-def move_value(skeleton: Skeleton, move: int, x: wp.float64) -> wp.vec3d:
-    """Return the value of a move, its slope and its second derivative by the coordinate."""
-    value = x
-    slope = wp.float64(1.0)
-    bend = wp.float64(0.0)
-    for curve in range(skeleton.curve[move], skeleton.curve[move + 1]):
-        piece = int(skeleton.piece[curve])
-        while piece + 1 < skeleton.piece[curve + 1] and skeleton.start[piece + 1] <= value:
-            piece += 1
-        away = value - skeleton.start[piece]
-        outer = wp.float64(0.0)
-        outer_slope = wp.float64(0.0)
-        outer_bend = wp.float64(0.0)
-        for power in range(skeleton.coefficients.shape[1]):
-            coefficient = skeleton.coefficients[piece, skeleton.coefficients.shape[1] - 1 - power]
-            outer_bend = outer_bend * away + wp.float64(2.0) * outer_slope
-            outer_slope = outer_slope * away + outer
-            outer = outer * away + coefficient
-        bend = outer_bend * slope * slope + outer_slope * bend
-        slope = outer_slope * slope
-        value = outer
-    return wp.vec3d(value, slope, bend)
 
 
 @wp.func
@@ -159,7 +128,7 @@ def place(worldid: int, skeleton: Skeleton, values: wp.array2d[wp.float64], row:
             x = wp.float64(0.0)
             if free >= 0:
                 x = values[row, free]
-            curve = move_value(skeleton, move, x)
+            curve = evaluated(skeleton.functions, move, x)
             direction = rotation * skeleton.axis[move]
             placement.point[worldid, move] = origin
             placement.direction[worldid, move] = direction
@@ -256,24 +225,16 @@ class Bones:
             s.gravity = wp.vec3d(*model.gravity)
 
     def values_of(self, functions: Sequence[tuple[Function, str | None]]) -> Skeleton:
-        """Return functions of coordinates in the fields of a skeleton that `move_value` reads, by number.
+        """Return functions of coordinates in the fields `free` and `functions` of a skeleton, by number.
 
         Raises:
             NotImplementedError: A function is no piecewise polynomial.
         """
         chains, frees = zip(*(self._chain(*one) for one in functions), strict=True) if functions else ((), ())
-        pieces = [piece for chain in chains for piece in chain]
-        rows = [row for piece in pieces for row in piece.coefficients]
-        table = np.zeros((max(len(rows), 1), max([len(row) for row in rows], default=1)))
-        for number, row in enumerate(rows):
-            table[number, : len(row)] = row
         s = Skeleton()
         with wp.ScopedDevice(self.device):
             s.free = put(frees, int)
-            s.curve = put(_ends([len(chain) for chain in chains]), int)
-            s.piece = put(_ends([len(piece.coefficients) for piece in pieces]), int)
-            s.start = put([start for piece in pieces for start in piece.breaks], wp.float64)
-            s.coefficients = put(table, wp.float64)
+            s.functions = piece_tables(chains)
         return s
 
     def _chain(self, function: Function, coordinate: str | None) -> tuple[tuple[Pieces, ...], int]:

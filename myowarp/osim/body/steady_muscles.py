@@ -16,30 +16,23 @@ from numpy.typing import ArrayLike
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
 from myowarp.laws.muscles.hill_law import (
-    DEGROOTE,
     MILLARD,
-    THELEN,
+    OPENSIM_LAWS,
+    SCHUTTE_CLASS,
+    HillMuscle64,
     along_tendon,
     equilibrium,
     fiber_pull,
-    hill_muscle,
     steady_equilibrium,
 )
 from myowarp.laws.muscles.hill_parameters import COMMON, DEFAULTS, LAWS, hill_parameters
 from myowarp.osim.body.hill_muscle import HillMuscle, known
 
-KINDS = {
-    "Thelen2003Muscle": int(THELEN),
-    "Millard2012EquilibriumMuscle": int(MILLARD),
-    "Millard2012AccelerationMuscle": int(MILLARD),
-    "DeGrooteFregly2016Muscle": int(DEGROOTE),
-}
-"""Law of each class."""
+KINDS = {kind: law for kind, law in OPENSIM_LAWS.items() if kind != SCHUTTE_CLASS}
+"""Law of each class that is solved on the device."""
 
 TOLERANCE = wp.constant(wp.float64(1e-12))
 """A step of Newton's method [lengths of fiber and tendon] that changes nothing."""
-
-Muscle64: Any = hill_muscle(wp.float64)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -47,7 +40,7 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel(enable_backward=False)
 def steady_muscles(
     # Params:
-    muscles: wp.array[Muscle64],
+    muscles: wp.array[HillMuscle64],
     tables: wp.array2d[wp.vec2d],
     spans: wp.array[wp.vec2d],
     slack: wp.array2d[wp.float64],
@@ -121,7 +114,7 @@ class SteadyMuscles:
         laws = [KINDS.get(muscle.kind, -1) for muscle in self.muscles]
         self._column = np.array([k for k, law in enumerate(laws) if law >= 0], np.int32)
         self._others = [k for k, law in enumerate(laws) if law < 0]
-        rows = np.zeros(len(laws), Muscle64.numpy_dtype())
+        rows = np.zeros(len(laws), HillMuscle64.numpy_dtype())
         tables, spans = np.zeros((1, 2, 2)), np.zeros((1, 2))
         for law in set(laws) - {-1}:
             own = [k for k in self._column if laws[k] == law]
@@ -132,7 +125,7 @@ class SteadyMuscles:
             if law == MILLARD:
                 tables, spans = curves
         with wp.ScopedDevice(self._device):
-            self._muscles = wp.array(rows[self._column], dtype=Muscle64)
+            self._muscles = wp.array(rows[self._column], dtype=HillMuscle64)
             self._tables = wp.array(tables, dtype=wp.vec2d)
             self._spans = wp.array(spans, dtype=wp.vec2d)
 

@@ -42,31 +42,45 @@ struct Bodies {
     Point3 *origin, *turn, *shift;
 };
 
-// `move_value` of skeleton.py: what piecewise polynomials one after the other make of x, and its slope.
-template <class Skeleton> INLINE void move_value(Skeleton& s, int move, Reals& value, Reals& slope) {
+// `on_curve` of laws/pieces.py: the value of a curve and its slope.
+template <class Tables> INLINE void on_curve(Tables& s, int curve, const Reals& x, Reals& value, Reals& slope) {
     const int powers = s.coefficients.shape[1];
+    const int first = s.first_piece.data[curve], end = s.first_piece.data[curve + 1];
+    int piece[MYOWARP_LANES];
+    Reals start;
+    for (int lane = 0; lane < MYOWARP_LANES; ++lane) {
+        piece[lane] = first;
+        while (piece[lane] + 1 < end && s.breaks.data[piece[lane] + 1] <= at(x, lane))
+            ++piece[lane];
+        at(start, lane) = s.breaks.data[piece[lane]];
+    }
+    const Reals away = x - start;
+    value = all(0.0), slope = all(0.0);
+    for (int power = powers - 1; power >= 0; --power) {
+        Reals coefficient = all(s.coefficients.data[first * powers + power]);
+        if (end - first > 1)
+            for (int lane = 0; lane < MYOWARP_LANES; ++lane)
+                at(coefficient, lane) = s.coefficients.data[piece[lane] * powers + power];
+        slope = slope * away + value;
+        value = value * away + coefficient;
+    }
+}
+
+// `evaluated` of laws/pieces.py: what curves one after the other make of x, and its slope.
+template <class Tables> INLINE void evaluated(Tables& s, int number, Reals& value, Reals& slope) {
     slope = all(1.0);
-    for (int curve = s.curve.data[move]; curve < s.curve.data[move + 1]; ++curve) {
-        const int first = s.piece.data[curve], end = s.piece.data[curve + 1];
-        int piece[MYOWARP_LANES];
-        Reals start;
-        for (int lane = 0; lane < MYOWARP_LANES; ++lane) {
-            piece[lane] = first;
-            while (piece[lane] + 1 < end && s.start.data[piece[lane] + 1] <= at(value, lane))
-                ++piece[lane];
-            at(start, lane) = s.start.data[piece[lane]];
-        }
-        const Reals away = value - start;
-        Reals outer = all(0.0), outer_slope = all(0.0);
-        for (int power = powers - 1; power >= 0; --power) {
-            Reals coefficient = all(s.coefficients.data[first * powers + power]);
-            if (end - first > 1)
-                for (int lane = 0; lane < MYOWARP_LANES; ++lane)
-                    at(coefficient, lane) = s.coefficients.data[piece[lane] * powers + power];
-            outer_slope = outer_slope * away + outer;
-            outer = outer * away + coefficient;
-        }
+    for (int curve = s.first_curve.data[number]; curve < s.first_curve.data[number + 1]; ++curve) {
+        Reals outer, outer_slope, inside = value;
+        on_curve(s, curve, value, outer, outer_slope);
         slope = outer_slope * slope;
+        bool beyond = false;
+        for (int lane = 0; lane < MYOWARP_LANES; ++lane) {
+            const double x = at(value, lane), low = s.held.data[curve][0], high = s.held.data[curve][1];
+            at(inside, lane) = x < low ? low : (x > high ? high : x);
+            beyond = beyond || at(inside, lane) != x;
+        }
+        if (beyond)
+            on_curve(s, curve, inside, outer, outer_slope);
         value = outer;
     }
 }
@@ -86,7 +100,7 @@ template <class Skeleton> void place_bodies(Skeleton& s, const Reals* q, Bodies&
         for (int move = s.first.data[body]; move < s.first.data[body + 1]; ++move) {
             const int free = s.free.data[move];
             Reals value = free >= 0 ? q[free] : all(0.0), slope;
-            move_value(s, move, value, slope);
+            evaluated(s.functions, move, value, slope);
             const Point3 direction = times(rotation, s.axis.data[move]);
             if (s.kind.data[move] == HINGE) {
                 to.turn[move] = slope * direction;
@@ -246,7 +260,7 @@ void follow_straight(double* memory, Skeleton& skeleton, Needed& needed, Tables&
         for (int k = 0; k < depends; ++k) {
             const int own = needed.free.data[k];
             follower.value[k] = own >= 0 ? q[own] : all(0.0);
-            move_value(needed, k, follower.value[k], follower.slope[k]);
+            evaluated(needed.functions, k, follower.value[k], follower.slope[k]);
         }
         for (int path = 0; path < paths; ++path) {
             const int column = fixed.column.data[path], *crossed = fixed.crossed.data + path * width;
