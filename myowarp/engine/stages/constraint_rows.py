@@ -13,7 +13,6 @@ from myowarp.engine.stages.contact_rows import KinematicTree, RowOptions, write_
 from myowarp.engine.stages.joint_rows import JointConstraints, JointState, write_joint_rows
 from myowarp.engine.stages.row_places import RowPlaces
 from myowarp.engine.stepped import Stepped
-from myowarp.kernels.batching import num_threads
 from myowarp.kernels.launch import launch
 
 KINDS = DisableBit.CONSTRAINT | DisableBit.EQUALITY | DisableBit.FRICTIONLOSS | DisableBit.LIMIT
@@ -68,14 +67,12 @@ class ConstraintRows(Stage):
 
 def launch_contact_rows(model: mjw.Model, data: mjw.Data) -> None:
     """Write the rows of all contacts that have places."""
-    threads = num_threads(data.nacon.device, data.naconmax)
     launch(
         write_contact_rows,
-        threads,
+        1,
         data,
         tree=filled(KinematicTree, model),
         options=filled(RowOptions, model.opt),
-        threads=threads,
         contacts=filled(ContactPool, data.contact, data),
         rows=filled(Rows, data.efc),
     )
