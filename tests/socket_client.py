@@ -100,7 +100,7 @@ class Client:
         self._reader.join(10)
 
 
-def until(condition, seconds=60.0):
+def until(condition, seconds=240.0):
     """Wait for a condition, and return what it returns."""
     end = time.monotonic() + seconds
     while not (found := condition()):

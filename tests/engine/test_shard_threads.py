@@ -22,7 +22,7 @@ from myowarp.sim.simulation import Simulation
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
 NUM_WORLDS = 7
-DEADLINE = 1.0  # s, until a failure is known
+DEADLINE = 30.0  # s, until a failure is known on busy cores; a part that is waited for never ends
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
@@ -224,7 +224,7 @@ else:
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_exit_and_fork():
     """Neither the end of the interpreter nor a forked process waits for threads for ever."""
-    done = subprocess.run([sys.executable, "-W", "ignore", "-c", SCRIPT], capture_output=True, timeout=120)
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", SCRIPT], capture_output=True, timeout=600)
     assert done.returncode == 0, done.stderr.decode()
     assert done.stdout.decode().endswith("stepped\n")
 
@@ -246,7 +246,7 @@ def test_parts_act_at_the_same_time_where_warp_replays(monkeypatch, caplog):
             sim = Simulation(TASKS[ELBOW], 8, shards=2, device="cpu", progress=False)
             assert all((part.step_graph.replay is not None) == replayed for part in sim.shards)
             if not replayed:
-                both = threading.Barrier(2, timeout=30)
+                both = threading.Barrier(2, timeout=300)
                 for part in sim.shards:
                     launch = part.step_graph.launch
                     monkeypatch.setattr(part.step_graph, "launch", partial(together, both, launch))

@@ -196,16 +196,30 @@ def test_every_command_is_understood(page, line, monkeypatch):
             assert Path(word).exists(), word
 
 
+def kind_of(line):
+    """Return which command a line is, with its step where it has steps."""
+    words = line.split()[1:3]
+    return tuple(words if words[0] in ("motion", "baselines") else words[:1])
+
+
 def runs():
-    """Return what runs for each block and mark: the lines without a mark, and those that have it."""
+    """Return what runs for each block and mark: the lines without a mark, and those that have it.
+
+    A block without a command that none before it has is slow.
+    """
+    shown = set()
     for name, page, lines in BLOCKS:
         marks = [
             next((mark for begin, mark in MARKS.items() if line.startswith(begin)), "") for line in lines
         ]
         for mark in dict.fromkeys(marks):
             chosen = [line for line, own in zip(lines, marks, strict=True) if own in ("", mark)]
+            known = shown >= set(map(kind_of, chosen))
+            marked = mark or ("slow" if known else "")
+            if not marked:
+                shown |= set(map(kind_of, chosen))
             yield pytest.param(
-                page, chosen, id=f"{name}{mark}", marks=[getattr(pytest.mark, mark)] if mark else []
+                page, chosen, id=f"{name}{mark}", marks=[getattr(pytest.mark, marked)] if marked else []
             )
 
 

@@ -28,7 +28,7 @@ ALGORITHMS = {
 }
 KILLED = 8 * 16 * 30  # samples before the kill, five episodes a world
 SAMPLES = 8 * 16 * 120  # of a run; more than it can have when it is killed
-PATIENCE = 120.0  # s
+PATIENCE = 600.0  # s
 TIMES = ("seconds", "samples_per_s", "share_simulation", "share_learner", "share_rest")
 
 
