@@ -67,18 +67,28 @@ def rates(row: dict[str, Any]) -> dict[str, float]:
     return found
 
 
+RIVALS = ("MuJoCo C", "EnvPool", "MyoSuite")
+
+
 def steps_table(result: str) -> str:
-    """Return steps a second, and ratios to each rival."""
-    rivals = ("MuJoCo C", "EnvPool", "MyoSuite")
-    ours = [f"{preset} 256" for preset in PRESETS]
-    ratios = [f"{preset} / {rival}" for rival in rivals for preset in PRESETS]
+    """Return steps a second of 256 worlds and of rivals."""
+    columns = {f"{preset} 256": f"MyoWarp `{preset}`" for preset in PRESETS} | {who: who for who in RIVALS}
     rows = []
     for family, row in read(result)["families"].items():
         found = rates(row)
-        shown = [number(found[who], 3) if who in found else "" for who in (*ours, *rivals)]
-        over = [number(found[o] / found[r]) if r in found else "" for r in rivals for o in ours]
-        rows.append((family, *shown, *over))
-    return markdown(("family", *(f"MyoWarp {preset}" for preset in PRESETS), *rivals, *ratios), rows)
+        rows.append((family, *(number(found[who], 3) if who in found else "" for who in columns)))
+    return markdown(("family", *columns.values()), rows)
+
+
+def ratio_table(result: str) -> str:
+    """Return the ratios of these medians."""
+    columns = [(preset, rival) for rival in RIVALS for preset in PRESETS]
+    rows = []
+    for family, row in read(result)["families"].items():
+        found = rates(row)
+        over = (number(found[f"{p} 256"] / found[r]) if r in found else "" for p, r in columns)
+        rows.append((family, *over))
+    return markdown(("family", *(f"`{preset}` / {rival}" for preset, rival in columns)), rows)
 
 
 def disturbed(result: str) -> str:
@@ -146,7 +156,9 @@ def speed() -> dict[str, Any]:
     ranks = read("ranks")
     return {
         "families": steps_table("rivals"),
+        "ratios": ratio_table("rivals"),
         "bodies": steps_table("rivals_bodies"),
+        "bodies_ratios": ratio_table("rivals_bodies"),
         "disturbed": disturbed("rivals"),
         "disturbed_bodies": disturbed("rivals_bodies"),
         "starts": starts(),

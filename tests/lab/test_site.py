@@ -40,7 +40,11 @@ def visited(browser, address):
 @pytest.mark.parametrize("width", WIDTHS)
 def test_nothing_is_cut(site, width):
     """Folded tables are opened; a page of each kind of task stands for all."""
-    pages = [page for folder in (".", "start", "experiments/exo1") for page in (site / folder).glob("*.html")]
+    pages = [
+        page
+        for folder in (".", "start", "howto", "results", "experiments/exo1")
+        for page in (site / folder).glob("*.html")
+    ]
     tasks = ("index", "pose", "reach", "myoHandPenTwirlRandom-v0", "myoArmReachRandom-v0")
     pages += [site / f"tasks/{name}.html" for name in tasks]
     with Chromium((width, 800)) as browser:
