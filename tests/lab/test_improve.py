@@ -101,6 +101,18 @@ def test_what_cannot_be_searched_is_refused_before_anything_is_built(settings, s
     assert not (tmp_path / "run").exists()
 
 
+def test_copies_of_a_start_are_one_patient(tmp_path):
+    (tmp_path / "patients.csv").write_text("patient,strength\nwell,1.0\nweak,0.4\n")
+    given = {"expert": "hold", "cohort": str(tmp_path / "patients.csv"), "copies": 12}
+    sentence = (
+        "--num-worlds must give each of the 2 patients of --cohort a multiple of the 12 --copies, which are"
+        " one patient, got 36"
+    )
+    with pytest.raises(ValueError, match=f"^{sentence}$"):
+        plan(ELBOW, algorithm="improve", output=tmp_path / "run", num_worlds=36, **given)
+    assert plan(ELBOW, algorithm="improve", output=tmp_path / "run", num_worlds=48, **given)
+
+
 def test_a_memory_that_holds_no_episode_is_refused():
     with pytest.raises(
         ValueError, match=f"^--replay must hold an episode of {HORIZON} control steps, got 22$"

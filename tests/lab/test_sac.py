@@ -1,6 +1,5 @@
 """SAC's parts beside float64 NumPy, and gradient steps beside their definition."""
 
-import copy
 import dataclasses
 
 import numpy as np
@@ -161,11 +160,16 @@ def apart(critics, number):
         layer.weight.data, layer.bias.data = pair.weight[number].T.clone(), pair.bias[number, 0].clone()
         return layer
 
+    def norm(pair):
+        layer = nn.LayerNorm(pair.weight.shape[-1])
+        layer.weight.data, layer.bias.data = pair.weight[number, 0].clone(), pair.bias[number, 0].clone()
+        return layer
+
     blocks = [
-        nn.Sequential(copy.deepcopy(block[0]), linear(block[1]), nn.ReLU(), linear(block[3]))
+        nn.Sequential(norm(block[0]), linear(block[1]), nn.ReLU(), linear(block[3]))
         for block in critics.blocks
     ]
-    last = nn.Sequential(copy.deepcopy(critics.last[0]), linear(critics.last[1]))
+    last = nn.Sequential(norm(critics.last[0]), linear(critics.last[1]))
     return nn.ModuleList([linear(critics.first), *blocks, last])
 
 
@@ -173,6 +177,9 @@ def test_two_critics_side_by_side_are_two_critics():
     """Values and gradients of each are those of a network that was built from its weights alone."""
     torch.manual_seed(0)
     critics = Critics(OBS + ACTIONS, 8, 2, 21)
+    with torch.no_grad():
+        for parameter in critics.parameters():
+            parameter += 0.3 * torch.randn_like(parameter)
     obs, action = torch.randn(40, OBS), torch.rand(40, ACTIONS)
     logits = critics(obs, action)
     (logits.square().sum() / 40).backward()
@@ -187,6 +194,21 @@ def test_two_critics_side_by_side_are_two_critics():
         (own.square().sum() / 40).backward()
         for pair, layer in ((critics.first, layers[0]), (critics.last[1], layers[-1][1])):
             np.testing.assert_allclose(pair.weight.grad[number], layer.weight.grad.T, atol=20 * FLOAT32)
+        np.testing.assert_allclose(critics.last[0].weight.grad[number, 0], last[0].weight.grad, atol=1e-4)
+
+
+def test_what_critics_of_before_shared_each_of_them_gets():
+    learner, other = filled(False), filled(False)
+    arrays, name = learner.arrays(), "critics.last.0.weight"
+    shared = arrays[name][0, 0] + 0.5
+    index = [own for own, _ in learner.critics.named_parameters()].index("last.0.weight")
+    moments = [f"optimizer.critics.{index}.{moment}" for moment in ("exp_avg", "exp_avg_sq")]
+    arrays |= {name: shared} | {key: arrays[key][0, 0] for key in moments}
+    other.restore(arrays)
+    np.testing.assert_array_equal(other.critics.last[0].weight.detach(), np.stack([shared[None]] * 2))
+    other._update()
+    with pytest.raises(RuntimeError, match=r"critics\.last\.0\.bias"):
+        other.restore(arrays | {"critics.last.0.bias": np.ones(7, np.float32)})
 
 
 def test_losses_in_bfloat16_are_near_those_in_float32():

@@ -262,6 +262,10 @@ def test_presets_are_of_tasks_and_within_bounds(name):
         (("--discount", 1.5), "--discount must be from 0.0 to 1.0, got 1.5"),
         (("--save-seconds", -1), "--save-seconds must be at least 0, got -1.0"),
         (("--replay", 64), "ppo has no setting --replay; it belongs to sac and dagger and improve"),
+        (
+            ("--algorithm", "trpo", "--learning-rate", 1e-3),
+            "trpo has no setting --learning-rate; it belongs to ppo and sac and dagger and improve",
+        ),
         (("--algorithm", "flashsac"), "algorithm 'flashsac' is called sac now"),
         (("--algorithm", "a3c"), "algorithm 'a3c' unknown; available: ppo, trpo, sac, dagger"),
         (("--selections", -1), "--selections must be at least 0, got -1"),

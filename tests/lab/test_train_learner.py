@@ -9,8 +9,8 @@ import torch
 from elbows import learner_env
 from learners import make_learner, parents
 
-from myowarp.apps.train import machine
-from myowarp.apps.train.learner import Average
+from myowarp.apps.train import machine, ppo
+from myowarp.apps.train.learner import Average, Captured
 from myowarp.apps.train.loop import INHERITED_STEPS, DivergedError, Run, precision
 from myowarp.apps.train.networks import CLIP, Normaliser, products
 from myowarp.apps.train.ppo import RATE_FACTOR, Rollout
@@ -162,7 +162,9 @@ def rollout_of(learner, apart=0.6):
     obs, std = normal(ROWS, learner.normaliser.mean.shape[0]), torch.full((OUTPUTS,), 0.4)
     with torch.no_grad():
         mean = learner.policy(obs) + apart * 0.4 * normal(ROWS, OUTPUTS)
-    return Rollout(obs, mean + std * normal(ROWS, OUTPUTS), mean, normal(ROWS), normal(ROWS), std)
+    action = mean + std * normal(ROWS, OUTPUTS)
+    density = ppo.log_density(action, mean, std)
+    return Rollout(obs, action, mean, normal(ROWS), normal(ROWS), std, density)
 
 
 def unpacked(vector):
@@ -279,6 +281,32 @@ def test_a_policy_waits_until_its_value_function_knows_something():
         assert (packed(learner.policy) == before).all() == waits, iteration
         assert not learner.optimizers["policy"].state_dict()["state"] or not waits  # Adam has seen nothing
         assert (learner.value[2].weight != value).any()
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_a_captured_step_has_the_numbers_of_a_plain_one(algorithm, monkeypatch):
+    """A graph replays a step on inputs of its own; on the CPU a call on those stands for it."""
+    monkeypatch.setattr(Captured, "_warm_up", lambda self, *tensors: self._step(*tensors))
+    monkeypatch.setattr(Captured, "_capture", lambda self: lambda: self._step(*self._inputs))
+    found, replayed = {}, 0
+    for captures in (False, True):
+        learner = small(algorithm, **({} if algorithm == "ppo" else KEPT))
+        steps = [value for value in vars(learner).values() if isinstance(value, Captured)]
+        assert steps
+        for step in steps:
+            step._captures = captures
+        if algorithm == "sac":
+            rows = torch.Generator().manual_seed(1)
+            sizes = {name: kept.shape for name, kept in learner.replay._rows.items()}
+            learner.replay.add(**{name: torch.rand(shape, generator=rows) for name, shape in sizes.items()})
+            learner.scale.see(torch.ones(6), torch.zeros(6, dtype=torch.bool))
+        for _ in range(10):
+            learner.update(rollout_of(learner)) if algorithm == "ppo" else learner._update()
+        replayed += sum(step._replay is not None for step in steps)
+        found[captures] = learner.arrays() | learner.figures()
+    assert replayed == len(steps)
+    for name, array in found[False].items():
+        np.testing.assert_array_equal(array, found[True][name], err_msg=name)
 
 
 def shifted(learner, by):

@@ -11,7 +11,6 @@ Noise while samples are taken: Laskey et al. (2017), *DART*, arXiv:1703.09327; h
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -55,19 +54,15 @@ class DAgger(Learner):
         """Alternate between a control step of all worlds and some gradient steps."""
         self.set_rates()
         for _ in range(self.settings.rollout_steps):
-            begin = time.perf_counter()
             obs = worlds.obs.clone()
             advice = advice_of(self.expert, obs, 1.0)
             with torch.no_grad(), self.products():
                 expert_acts = worlds.steps < self.settings.expert_steps
                 mean = advice if expert_acts else self.policy(self.normaliser(obs))
-            acted = time.perf_counter()
             worlds.step((mean + self._noise * torch.randn_like(mean)).clamp(-1.0, 1.0))
-            stepped = time.perf_counter()
             self.replay.add(obs=obs, action=advice)
             if worlds.steps >= self.settings.expert_steps:
                 self._update()
-            worlds.clock.learner += acted - begin + time.perf_counter() - stepped
         return self.figures()
 
     def _update(self) -> None:

@@ -12,7 +12,6 @@ the best episodes as in Oh et al. 2018, arXiv:1806.05635.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 
 import numpy as np
@@ -68,7 +67,6 @@ class Improve(Learner):
         """Search for one episode of every start, keep what succeeded, and fit the network to all that did."""
         self.set_rates()
         obs, output, success = self._search(worlds)
-        begin = time.perf_counter()
         self.note("solved_starts", success.any(dim=1).float().mean())
         first = torch.arange(len(success), device=self.device) * success.shape[1]
         best = first + success.float().argmax(dim=1)
@@ -76,7 +74,6 @@ class Improve(Learner):
             self.replay.add(obs=obs[:, world], output=output[:, world])
         if self.replay.filled:
             self._fit()
-        worlds.clock.learner += time.perf_counter() - begin
         return self.figures()
 
     @torch.no_grad()
@@ -98,12 +95,10 @@ class Improve(Learner):
         score = torch.zeros(number, device=self.device)
         alive, success = torch.ones_like(score, dtype=torch.bool), torch.zeros_like(score, dtype=torch.bool)
         for t in range(steps):
-            begin = time.perf_counter()
             obs[t] = worlds.obs
             noise = settings.initial_std * self.noise.next()
             noise[::copies] = 0.0  # a copy of every start acts without
             output[t] = self._proposal(worlds.obs) + noise
-            worlds.clock.learner += time.perf_counter() - begin
             step = worlds.step(self.policy.bounded(output[t]))
             score += torch.where(alive, step.reward, 0.0)
             alive &= ~step.terminated

@@ -114,14 +114,15 @@ class Run:
             DivergedError: A loss or a weight is not finite.
             FaultyTaskError: All worlds have had faults for a while.
         """
-        begin, cpu = time.perf_counter(), time.process_time()
-        self.learner.share = self.samples / self.settings.samples
+        clock, begin, cpu = self.worlds.clock, time.perf_counter(), time.process_time()
+        simulation, self.learner.share = clock.simulation, self.samples / self.settings.samples
         losses = self.learner.iterate(self.worlds)
+        clock.learner += time.perf_counter() - begin - (clock.simulation - simulation)
         self.average.follow()
         self.updates += 1
         self._exchange(losses)
-        self.worlds.clock.total += time.perf_counter() - begin
-        self.worlds.clock.cpu += time.process_time() - cpu
+        clock.total += time.perf_counter() - begin
+        clock.cpu += time.process_time() - cpu
         wrong = [name for name, value in self.losses.items() if not math.isfinite(value)]
         if wrong or not self.learner.is_finite():
             culprit = wrong[0].replace("_", " ") if wrong else "a weight"

@@ -7,7 +7,9 @@ A policy's tensors are `net.<i>.weight`, `net.<i>.bias` and, with one spread for
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import AbstractContextManager
+from functools import partial
 
 import torch
 from torch import nn
@@ -15,7 +17,12 @@ from torch import nn
 from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import Gaussian, Settings
 
-ACTIVATION = {"elu": nn.ELU, "tanh": nn.Tanh, "relu": nn.ReLU}
+# In place: the slope of a function is then one of its result, without another exponential.
+ACTIVATION: dict[str, Callable[[], nn.Module]] = {
+    "elu": partial(nn.ELU, inplace=True),
+    "tanh": nn.Tanh,
+    "relu": partial(nn.ReLU, inplace=True),
+}
 FIRST_GAIN = 0.01  # of a policy's last layer: the first actions have about the same mean in every state
 LOG_STD = (-5.0, 2.0)  # bounds of a spread that depends on the state; as in SAC's reference implementation
 GAUSSIAN_LOG_STD = (-20.0, 2.0)  # bounds of a spread that is one for all states
@@ -147,11 +154,11 @@ class Critics(nn.Module):
         self.first = Pair(inputs, width)
         self.blocks = nn.ModuleList(
             nn.Sequential(
-                nn.LayerNorm(width), Pair(width, EXPANSION * width), nn.ReLU(), Pair(EXPANSION * width, width)
+                PairNorm(width), Pair(width, EXPANSION * width), nn.ReLU(), Pair(EXPANSION * width, width)
             )
             for _ in range(blocks)
         )
-        self.last = nn.Sequential(nn.LayerNorm(width), Pair(width, atoms))
+        self.last = nn.Sequential(PairNorm(width), Pair(width, atoms))
 
     def forward(self, observations: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
         """Return logits, shape (2, rows, atoms), float32."""
@@ -173,6 +180,19 @@ class Pair(nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return W x + b of both."""
         return torch.baddbmm(self.bias, x.expand(2, -1, -1), self.weight)
+
+
+class PairNorm(nn.Module):
+    """Two layer normalisations: (2, rows, width) to the same shape."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(torch.ones(2, 1, width))
+        self.bias = nn.Parameter(torch.zeros(2, 1, width))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return rows of mean 0 and variance 1, scaled and shifted by each one's own."""
+        return torch.addcmul(self.bias, nn.functional.layer_norm(x, x.shape[-1:]), self.weight)
 
 
 def _soften(net: nn.Sequential, bias: float = 0.0) -> None:

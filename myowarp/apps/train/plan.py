@@ -21,6 +21,7 @@ from myowarp.apps.train.settings import (
     ALGORITHMS,
     TRAINING,
     Gaussian,
+    ImproveSettings,
     PPOSettings,
     Settings,
     all_settings,
@@ -260,7 +261,13 @@ def _with_files(job: Job) -> Job:
                 f"--num-worlds must be a multiple of the {number} patients of --cohort, got "
                 f"{settings.num_worlds}"
             )
-        patients = conditions_of(population.entries, spec, settings.num_worlds // number)
+        each = settings.num_worlds // number
+        if isinstance(settings, ImproveSettings) and each % settings.copies:
+            raise ValueError(
+                f"--num-worlds must give each of the {number} patients of --cohort a multiple of the "
+                f"{settings.copies} --copies, which are one patient, got {settings.num_worlds}"
+            )
+        patients = conditions_of(population.entries, spec, each)
         setup = dataclasses.replace(setup, conditions=(*(setup.conditions or ()), *patients))
         resolve(setup.conditions or (), spec)
     if settings.start and not Path(settings.start).is_file():
@@ -374,6 +381,8 @@ def _plan_resume(
             f"{ranks.size}"
         )
     began, settings = trained_setup(manifest), divided(manifest["settings"])[1]
+    if manifest["algorithm"] == "trpo":
+        settings.pop("learning_rate", None)  # of runs of before, where it did nothing
     if is_file(began):
         if said.task is None:
             raise ValueError(

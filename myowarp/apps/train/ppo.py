@@ -6,13 +6,12 @@ value function have an optimiser each: a value function whose rate follows the p
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import nn
 
-from myowarp.apps.train.learner import Learner
+from myowarp.apps.train.learner import Captured, Learner, set_rate
 from myowarp.apps.train.networks import GaussianPolicy, Normaliser, perceptron
 from myowarp.apps.train.noise import RepeatedNoise
 from myowarp.apps.train.ranks import Ranks
@@ -33,6 +32,7 @@ class Rollout:
         advantage: Advantages with mean 0 and deviation 1, shape (rows,).
         returns: What the value function is to say, normalised, shape (rows,).
         std: The policy's standard deviations, shape (num_actions,).
+        density: Logarithms of the actions' densities, as of `log_density`, shape (rows,).
     """
 
     obs: torch.Tensor
@@ -41,15 +41,15 @@ class Rollout:
     advantage: torch.Tensor
     returns: torch.Tensor
     std: torch.Tensor
+    density: torch.Tensor
 
-    def __len__(self) -> int:
-        """Number of samples."""
-        return len(self.obs)
-
-    def __getitem__(self, rows: torch.Tensor) -> Rollout:
-        """Return some samples."""
-        advantage, returns = self.advantage[rows], self.returns[rows]
-        return Rollout(self.obs[rows], self.action[rows], self.mean[rows], advantage, returns, self.std)
+    def parts(self, number: int) -> list[Rollout]:
+        """Return the samples in so many parts of one size, drawn."""
+        rows = torch.randperm(len(self.obs), device=self.obs.device)
+        columns = [
+            v[rows].chunk(number) if len(v) == len(rows) else [v] * number for v in vars(self).values()
+        ]
+        return [Rollout(*values) for values in zip(*columns, strict=True)]
 
 
 class OnPolicyLearner(Learner):
@@ -72,11 +72,8 @@ class OnPolicyLearner(Learner):
     def iterate(self, worlds: Worlds) -> dict[str, float]:
         """Act for some control steps, and learn from them."""
         self.set_rates()
-        rollout = self.collect(worlds)
-        begin = time.perf_counter()
-        self.update(rollout)
+        self.update(self.collect(worlds))
         self.iterations += 1
-        worlds.clock.learner += time.perf_counter() - begin
         self.note("action_std", self.policy.std.mean())
         return self.figures()
 
@@ -104,21 +101,16 @@ class OnPolicyLearner(Learner):
         reward, ended = torch.empty(2, steps, worlds.num_worlds, device=self.device)
         std, repeated = self.policy.std.clone(), getattr(self.settings, "noise", "white") == "repeated"
         for t in range(steps):
-            begin = time.perf_counter()
             seen[t], obs[t] = worlds.obs, self.normaliser(worlds.obs)
             with self.products():
                 mean[t] = self.policy(obs[t])
             noise = self.noise.next() if repeated else torch.randn_like(mean[t])
             action[t] = mean[t] + std * noise
-            worlds.clock.learner += time.perf_counter() - begin
             step = worlds.step(action[t])
-            begin = time.perf_counter()
             if step.truncated.any():  # the time is over, not the task: what would have followed counts
                 further = self.worth(self.normaliser(step.obs[step.truncated]))
                 step.reward[step.truncated] += self.settings.discount * further
             reward[t], ended[t] = step.reward, step.ended.float()
-            worlds.clock.learner += time.perf_counter() - begin
-        begin = time.perf_counter()
         values = self.worth(torch.cat((obs, self.normaliser(worlds.obs)[None])))
         advantage = advantages(reward, ended, values, self.settings.discount, self.settings.trace_decay)
         returns = (advantage + values[:-1]).flatten()[:, None]
@@ -126,8 +118,8 @@ class OnPolicyLearner(Learner):
         self.normaliser.see(seen.flatten(0, 1), self.ranks)
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         obs, action, mean = obs.flatten(0, 1), action.flatten(0, 1), mean.flatten(0, 1)
-        worlds.clock.learner += time.perf_counter() - begin
-        return Rollout(obs, action, mean, advantage.flatten(), self.returns(returns)[:, 0], std)
+        density = log_density(action, mean, std)
+        return Rollout(obs, action, mean, advantage.flatten(), self.returns(returns)[:, 0], std, density)
 
     def update_value(self, part: Rollout) -> None:
         """Move the value function towards the returns of some samples."""
@@ -149,26 +141,36 @@ class PPO(OnPolicyLearner):
         self.optimizers["policy"] = self.adam(self.policy.net.parameters(), settings.learning_rate)
         self.optimizers["spread"] = self.adam([self.policy.log_std], settings.spread_rate)
         self.register_buffer("rate", torch.tensor(settings.learning_rate, dtype=torch.float64))
+        self._step = Captured(self, lambda *part: self._descend(Rollout(*part)))
 
     def update(self, rollout: Rollout) -> None:
-        """Pass over the samples some times, in parts drawn anew for every pass."""
-        size = len(rollout) // self.settings.minibatches
-        for _ in range(self.settings.epochs):
-            for rows in torch.randperm(len(rollout), device=self.device).split(size):
-                self.update_value(rollout[rows])
-                if not self.value_alone:
-                    self._update_policy(rollout[rows])
+        """Pass over the samples some times, in parts that are drawn once, as rsl_rl does."""
+        if self.settings.precision == "bfloat16":
+            rollout = replace(rollout, obs=rollout.obs.bfloat16())  # once, and not in every product
+        parts = rollout.parts(self.settings.minibatches)
+        # A rate with an aim is the host's, and so are messages to other ranks.
+        alike = not (self.value_alone or self.settings.kl or self.ranks.size > 1)
+        for part in parts * self.settings.epochs:
+            if alike:
+                self._step(*vars(part).values())
+            else:
+                self._descend(part)
+
+    def _descend(self, part: Rollout) -> None:
+        """Do a gradient step of value function and policy on some samples."""
+        self.update_value(part)
+        if not self.value_alone:
+            self._update_policy(part)
 
     def _update_policy(self, part: Rollout) -> None:
         """Make actions of positive advantage more likely, within the clip."""
         with self.products():
             mean = self.policy(part.obs)
         std, clip = self.policy.std, self.settings.clip
-        before = log_density(part.action, part.mean, part.std)
-        ratio = (log_density(part.action, mean, std) - before).exp()
+        ratio = (log_density(part.action, mean, std) - part.density).exp()
         gain = torch.min(ratio * part.advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * part.advantage)
         loss = -gain.mean() - self.settings.entropy * std.log().sum()
-        divergence = kl(part.mean, part.std, mean, std).detach()
+        divergence = kl(part.mean, part.std, mean.detach(), std.detach())
         if self.settings.kl:
             self._aim(float(self.ranks.mean(divergence)) / part.action.shape[1])
         self.optimizers["spread"].zero_grad()
@@ -180,11 +182,10 @@ class PPO(OnPolicyLearner):
     def _aim(self, divergence: float) -> None:
         """Let the policy's rate follow the KL divergence an entry of the action."""
         aim, settings = self.settings.kl, self.settings
-        factor = (
-            1.0 / RATE_FACTOR if divergence > 2.0 * aim else RATE_FACTOR if divergence < 0.5 * aim else 1.0
-        )
-        self.rate.copy_((self.rate * factor).clamp(settings.least_rate, settings.largest_rate))
-        self.optimizers["policy"].param_groups[0]["lr"] = float(self.rate)
+        power = -1 if divergence > 2.0 * aim else 1 if divergence < 0.5 * aim else 0
+        rate = (self.rate * RATE_FACTOR**power).clamp(settings.least_rate, settings.largest_rate)
+        self.rate.copy_(rate)
+        set_rate(self.optimizers["policy"], float(rate))
 
 
 def advantages(
@@ -210,10 +211,11 @@ def advantages(
 
 def log_density(action: torch.Tensor, mean: torch.Tensor, std: torch.Tensor) -> torch.Tensor:
     """Return log N(action; mean, std) up to a constant, summed over the action's entries."""
-    return (-0.5 * ((action - mean) / std).square() - std.log()).sum(dim=-1)
+    return -0.5 * ((action - mean).square() @ std.square().reciprocal()) - std.log().sum()
 
 
 def kl(mean: torch.Tensor, std: torch.Tensor, new_mean: torch.Tensor, new_std: torch.Tensor) -> torch.Tensor:
     """Return the KL divergence from N(mean, std) to N(new_mean, new_std), a mean over rows."""
-    squares = std.square() + (mean - new_mean).square()
-    return (new_std.log() - std.log() + squares / (2.0 * new_std.square()) - 0.5).sum(dim=-1).mean()
+    weight = 0.5 / new_std.square()
+    of_spread = (new_std.log() - std.log() + std.square() * weight - 0.5).sum()
+    return of_spread + ((mean - new_mean).square() @ weight).mean()

@@ -282,11 +282,11 @@ def _select(job: Job, run: Run, selection: Selection) -> dict[str, float]:
 
     if not selection.is_due(run.samples):
         return selection.figures()
-    policy = run.average.arrays()
-    better = selection.evaluate(run.samples, manifest_of(job, run, selection), policy)
-    if better and job.ranks.leads:
+    manifest, policy = manifest_of(job, run, selection), run.average.arrays()
+    if selection.evaluate(run.samples, manifest, policy) and job.ranks.leads:
+        manifest |= {"selection": plain(selection.manifest())}
         with _written(job, f"the best policy, after {run.samples} samples"):
-            save_checkpoint(job.folder, run.samples, manifest_of(job, run, selection), policy, root=BEST)
+            save_checkpoint(job.folder, run.samples, manifest, policy, root=BEST)
     return selection.figures()
 
 

@@ -16,13 +16,12 @@ from __future__ import annotations
 
 import copy
 import math
-import time
 
 import torch
 from torch import nn
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
-from myowarp.apps.train.learner import Learner
+from myowarp.apps.train.learner import Captured, Learner
 from myowarp.apps.train.networks import Critics, SquashedPolicy
 from myowarp.apps.train.noise import RepeatedNoise
 from myowarp.apps.train.ranks import Ranks
@@ -63,17 +62,16 @@ class SAC(Learner):
         self.replay = Replay(
             settings.replay, self.device, obs=obs, action=actions, reward=1, next_obs=obs, terminated=1
         )
+        self._critics_step = Captured(self, self._update_critics)
+        self._policy_step = Captured(self, self._update_policy)
         self._follow = get_ema_multi_avg_fn(1.0 - settings.target_rate)
 
     def iterate(self, worlds: Worlds) -> dict[str, float]:
         """Alternate between a control step of all worlds and some gradient steps."""
         self.set_rates()
         for _ in range(self.settings.rollout_steps):
-            begin = time.perf_counter()
             obs, action = worlds.obs.clone(), self._act(worlds)
-            acted = time.perf_counter()
             step = worlds.step(action)
-            stepped = time.perf_counter()
             self.normaliser.see(obs)
             self.scale.see(step.reward, step.ended)
             self.replay.add(
@@ -81,7 +79,6 @@ class SAC(Learner):
             )
             if worlds.steps >= self.settings.random_steps and self.replay.filled >= self.settings.batch_size:
                 self._update()
-            worlds.clock.learner += acted - begin + time.perf_counter() - stepped
         self.note("entropy_weight", self.log_temperature.detach().exp())
         return self.figures()
 
@@ -100,13 +97,14 @@ class SAC(Learner):
         obs, after = self.normaliser(batch["obs"]), self.normaliser(batch["next_obs"])
         reward = batch["reward"] / self.scale.value()
         keep = settings.discount * (1.0 - batch["terminated"])
+        before = int(self.gradient_steps)
         for i in range(settings.gradient_steps):
-            self._update_critics(obs[i], batch["action"][i], reward[i], after[i], keep[i])
-            if self.gradient_steps % settings.policy_every == 0:
-                self._update_policy(obs[i])
+            self._critics_step(obs[i], batch["action"][i], reward[i], after[i], keep[i])
+            if (before + i) % settings.policy_every == 0:
+                self._policy_step(obs[i])
             with torch.no_grad():
                 self._follow([*self.targets.parameters()], [*self.critics.parameters()], 0)
-            self.gradient_steps += 1
+        self.gradient_steps += settings.gradient_steps
 
     def _update_critics(
         self,

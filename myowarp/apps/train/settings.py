@@ -97,7 +97,6 @@ class Settings:
         (128, 128), "Widths of the hidden layers of policy and value function.", least=1, most=16384
     )
     activation: str = option("elu", "Function between the layers.", choices=ACTIVATIONS)
-    learning_rate: float = option(3e-4, "Learning rate of Adam at the start.", least=0.0)
     last_rate: float = option(
         0.5, "Share of all learning rates at the end; they fall along half a cosine.", least=0.0, most=1.0
     )
@@ -168,6 +167,7 @@ class TRPOSettings(OnPolicy):
 class Replaying(Settings):
     """What SAC and DAgger share: a memory of samples."""
 
+    learning_rate: float = option(3e-4, "Learning rate of Adam at the start.", least=0.0)
     batch_size: int = option(512, "Samples of a gradient step.", least=1)
     gradient_steps: int = option(8, "Gradient steps after each control step of the worlds.", least=1)
     replay: int = option(1_048_576, "Samples in the replay memory; a checkpoint holds them.", least=1)

@@ -27,20 +27,17 @@ class TRPO(OnPolicyLearner):
         """Step the policy once, and pass over the samples for the value function."""
         if not self.value_alone:
             self._step(rollout)
-        size = len(rollout) // self.settings.minibatches
-        for _ in range(self.settings.epochs):
-            for rows in torch.randperm(len(rollout), device=self.device).split(size):
-                self.update_value(rollout[rows])
+        for part in rollout.parts(self.settings.minibatches) * self.settings.epochs:
+            self.update_value(part)
 
     def _step(self, rollout: Rollout) -> None:
         """Go as far along the natural gradient as the divergence allows."""
         parameters = [*self.policy.parameters()]
         before = nn.utils.parameters_to_vector(parameters).detach()
-        old = log_density(rollout.action, rollout.mean, rollout.std)
 
         def gain() -> torch.Tensor:
             now = log_density(rollout.action, self.policy(rollout.obs), self.policy.std)
-            return ((now - old).exp() * rollout.advantage).mean()
+            return ((now - rollout.density).exp() * rollout.advantage).mean()
 
         def divergence() -> torch.Tensor:
             return kl(rollout.mean, rollout.std, self.policy(rollout.obs), self.policy.std)

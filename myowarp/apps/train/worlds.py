@@ -152,11 +152,13 @@ class Worlds:
 
     def restart(self) -> None:
         """Begin a new episode in every world."""
+        begin = time.perf_counter()
         everywhere = np.ones(self.num_worlds, dtype=bool)
         self.tally.forget(everywhere)
         if self._backplay:
             self._backplay.forget()
         self.obs.copy_(self._restart(everywhere))
+        self.clock.simulation += time.perf_counter() - begin
 
     def copy(self, rows: torch.Tensor) -> None:
         """Make every world what another one is; random numbers to come stay its own.
