@@ -6,6 +6,7 @@
 #   make learning LEARNING=--quick   the elbow alone
 #   make test-view MINUTES=10        watch the memory for ten minutes instead of one
 #   make opensim OPENSIM=--quick     one model and two rounds instead of all
+#   make gpu-run DEVICE=cpu SIZES=16 GPU='--budget 300'   a dry run of the kit on the CPU
 
 SHELL := bash
 .DEFAULT_GOAL := help
@@ -15,6 +16,9 @@ PYTEST ?=
 RIVALS ?=
 LEARNING ?=
 OPENSIM ?=
+DEVICE ?= cuda:0
+SIZES ?= 1024 4096 8192 32768
+GPU ?=
 MODELS ?=
 CHECKED = $(or $(MODELS),$(addprefix tests/data/osim/,$(addsuffix .osim,arm26 leg6dof9musc gait10dof18musc)))
 MOTIONS = $(filter %gait10dof18musc.osim %Rajagopal2016.osim,$(CHECKED) $(wildcard ../shared/osim/Rajagopal2016.osim))
@@ -27,7 +31,7 @@ STAMP := $(VENV)/.installed
 TEST_STAMP := $(VENV)/.installed-test
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help setup demo test test-slow scale lint format bench gpu rivals opensim opensim-check accuracy parity soak audit docs pictures dist learning test-view clean
+.PHONY: help setup demo test test-slow scale lint format bench gpu gpu-kit gpu-run rivals opensim opensim-check accuracy parity soak audit docs pictures dist learning test-view clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -91,8 +95,14 @@ bench: setup ## Measure speed, conditions, overhead, what a world costs, policie
 	$(BIN)/python -m benchmarks.memory --output out/memory.json
 	$(BIN)/python -m benchmarks.policies --output out/policies.json
 
-gpu: setup ## Measure on a GPU, JSON to out/gpu.json (8 minutes)
-	benchmarks/gpu.sh
+gpu: setup ## Measure on this machine's GPU, JSON to out/gpu.json (9 minutes)
+	$(BIN)/python -m benchmarks.gpu --output out/gpu.json
+
+gpu-kit: setup ## Pack what a GPU machine without internet needs, for Python 3.12, into parts in out/gpu_kit
+	$(BIN)/python -m benchmarks.gpu_kit out/gpu_kit
+
+gpu-run: ## Measure from out/gpu_kit alone, JSON to out (DEVICE=cpu SIZES="16 64": a dry run; PYTHON=...)
+	PYTHON=$(if $(filter python3,$(PYTHON)),python3.12,$(PYTHON)) out/gpu_kit/run.sh out/gpu_kit out --device $(DEVICE) --sizes $(SIZES) $(GPU)
 
 rivals: setup .venv-parity/.installed .venv-envpool/.installed ## Measure speed beside MyoSuite, EnvPool and MuJoCo C (8 to 20 minutes, idle cores)
 	$(BIN)/python -m benchmarks.rivals --output out/rivals.json $(RIVALS)

@@ -1,16 +1,22 @@
-"""What `benchmarks.gpu` measures of a task: rates beside the engine's, agreement with the CPU, repeatability.
+"""What `benchmarks.gpu` measures: agreement with the CPU, rates, time of every kernel, training.
 
 The engine's own rate is that of mujoco-warp's stock step on the same slim model with MuJoCo's built-in
-muscles, from the same states, a control step as one graph; it has nothing else of an environment.
+muscles, from the same states, a physics step as one graph; it has nothing else of an environment. The rate of
+the cores is that of the environment on all CPU cores of the same machine.
 """
 
+import csv
 import functools
 import gc
 import importlib.util
 import os
+import signal
 import statistics
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,18 +28,22 @@ import numpy as np
 import tyro
 import warp as wp
 
+from benchmarks.cuda_step import CASES
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.scene import Scene
 from myowarp.definitions.task import TASKS
-from myowarp.engine.compile import compile_kernels, quiet, recorded
-from myowarp.engine.repeat import repeat
+from myowarp.disk import in_place
+from myowarp.engine.build_lock import BUILD_LOCK
+from myowarp.engine.compile import compile_kernels, quiet
 from myowarp.sim.build import resolve_device
 from myowarp.sim.shard import Shard
 from myowarp.sim.simulation import Simulation
 
 CONTROLS = 8  # sets of random controls of the engine, used in turn
 WARMUP = 5  # control steps
-HAND = "myoHandPoseRandom-v0"
+BANDWIDTH_BYTES = 2**28
+GATES = {5: 1e-4, 20: 1e-3}
+"""Most that a position may differ from the CPU's after so many control steps [rad, m]."""
 
 
 @dataclass(frozen=True)
@@ -44,22 +54,40 @@ class Options:
     """JSON file to write."""
     device: str = "cuda:0"
     """Warp device; "cpu" is a dry run."""
-    tasks: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["-t"])] = (HAND, "myoHandKeyTurnRandom-v0")
+    tasks: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["-t"])] = tuple(task for task, _ in CASES)
     """Task names with version."""
     sizes: tuple[int, ...] = (1024, 4096, 8192, 32768)
     """Numbers of worlds, ascending."""
-    seconds: float = 1.0
+    seconds: float = 0.5
     """Rough duration of one measurement."""
     rounds: int = 3
     """Rounds; the median counts."""
-    checked_worlds: int = 256
+    checked_worlds: int = 64
     """Worlds that are compared between runs and devices."""
     checked_steps: int = 20
     """Control steps that are compared."""
-    budget: float = 420.0
+    references: Path | None = None
+    """What the CPU made of them, as `--record` writes it; without it, the CPU makes it now."""
+    record: Path | None = None
+    """Write that file, and measure nothing."""
+    training: float = 120.0
+    """Seconds of training, together; 0: none."""
+    budget: float = 540.0
     """Seconds for everything; what does not fit is left out."""
-    tests: str = ""
-    """What the tests said, for the JSON."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What one process measures: a key of `KINDS`, a task, a physics preset and a number of worlds."""
+
+    kind: str
+    task: str = ""
+    physics: str = "parity"
+    num_worlds: int = 0
+
+    def __str__(self) -> str:
+        worlds = f", {self.num_worlds} worlds" if self.num_worlds else ""
+        return f"{self.kind} of {self.task}, {self.physics}{worlds}" if self.task else self.kind
 
 
 def used_memory(device: wp.Device) -> int:
@@ -82,7 +110,7 @@ def seconds_of(step: Callable[[], object], steps: int, device: wp.Device) -> flo
 
 
 class Engine:
-    """mujoco-warp alone: control steps of the slim model with its own muscles, a graph each."""
+    """mujoco-warp alone: physics steps of the slim model with its own muscles, a graph each."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.turn = scene, 0
@@ -96,19 +124,14 @@ class Engine:
             sizes = {"nconmax": capacity.contacts, "njmax": capacity.rows}
             self.data = mjw.make_data(scene.oracle, nworld=worlds, **sizes)
             self.controls = [wp.array(part, dtype=float) for part in controls]
-            self.countdown = wp.zeros(1, dtype=int)
             compile_kernels(self.launch, device, show=False)
             with wp.ScopedCapture(force_module_load=False) as capture:
                 self.launch()
         self.graph = capture.graph
 
-    def step_physics(self) -> None:
+    def launch(self) -> None:
         """Launch a physics step."""
         mjw.step(self.model, self.data)
-
-    def launch(self) -> None:
-        """Launch a control step."""
-        repeat(self.step_physics, self.scene.num_substeps, self.countdown)
 
     def start(self) -> None:
         """Take over the states of the environment."""
@@ -121,24 +144,24 @@ class Engine:
         """Make a control step under the next controls."""
         self.turn = (self.turn + 1) % CONTROLS
         wp.copy(self.data.ctrl, self.controls[self.turn])
-        wp.capture_launch(self.graph)
+        for _ in range(self.scene.num_substeps):
+            wp.capture_launch(self.graph)
 
 
 class Environment:
     """The vector environment as a learner on the device uses it: torch in and out, where torch is there."""
 
-    def __init__(self, task: str, physics: str, num_worlds: int, device: wp.Device) -> None:
+    def __init__(self, case: Case, device: wp.Device) -> None:
         self.device, output = device, "warp"
         if importlib.util.find_spec("torch") is not None:
             import torch
 
             output = "torch" if device.is_cpu or torch.cuda.is_available() else "warp"
         self.env = MyoWarpVectorEnv(
-            task,
-            num_worlds,
+            case.task,
+            case.num_worlds,
             device=device.alias,
-            shards=1 if device.is_cpu else None,
-            physics=physics,
+            physics=case.physics,
             output=output,
             progress=False,
         )
@@ -179,23 +202,6 @@ class Environment:
             "host_reads": reads,  # on the CPU they are views
         }
 
-    def launches(self, engine: Engine) -> dict[str, int]:
-        """Return kernel launches of a control step; what the solver's loop repeats counts once."""
-
-        def unrolled(launches: Callable[[], None], times: int, _: wp.array) -> None:
-            for _ in range(times):
-                launches()
-
-        counts = {}
-        with quiet(), wp.ScopedDevice(self.device), mock.patch("myowarp.sim.shard.repeat", unrolled):
-            with recorded() as found:
-                self.sim.shards[0]._launch_step()
-            counts["environment"] = len(found)
-            with recorded() as found:
-                engine.step_physics()
-            counts["engine"] = self.sim.scene.num_substeps * len(found)
-        return counts
-
 
 @contextmanager
 def timed(owner: Any, name: str, seconds: dict[str, float], key: str) -> Iterator[None]:
@@ -213,15 +219,15 @@ def timed(owner: Any, name: str, seconds: dict[str, float], key: str) -> Iterato
         yield
 
 
-def measure_size(task: str, physics: str, num_worlds: int, options: Options) -> dict[str, Any]:
-    """Return rates of environment and engine in turns, memory, launches and times of start-up."""
+def rates(case: Case, options: Options) -> Iterator[dict[str, Any]]:
+    """Yield rates of environment and engine in turns, memory and times of start-up."""
     device, start = resolve_device(options.device), dict[str, float]()
     before, begin = used_memory(device), time.perf_counter()
     with (
         timed(Shard, "_choose_kernels", start, "kernels"),
         timed(Shard, "_capture", start, "capture"),
     ):
-        env = Environment(task, physics, num_worlds, device)
+        env = Environment(case, device)
     seconds_of(env.step, 1, device)
     start["until_first_step"] = round(time.perf_counter() - begin, 3)
     memory = used_memory(device) - before
@@ -235,10 +241,9 @@ def measure_size(task: str, physics: str, num_worlds: int, options: Options) -> 
     rates: dict[str, list[float]] = {name: [] for name in contestants}
     for _ in range(options.rounds):
         for name, step in contestants.items():
-            rates[name].append(num_worlds / seconds_of(step, steps[name], device))
+            rates[name].append(case.num_worlds / seconds_of(step, steps[name], device))
     ratios = [ours / bare for ours, bare in zip(*rates.values(), strict=True)]
-    return {
-        "num_worlds": num_worlds,
+    yield {
         "env_steps_per_s": round(statistics.median(rates["environment"]), 1),
         "engine_steps_per_s": round(statistics.median(rates["engine"]), 1),
         "ratio_to_engine": round(statistics.median(ratios), 3),
@@ -246,22 +251,25 @@ def measure_size(task: str, physics: str, num_worlds: int, options: Options) -> 
         "output": env.env.output,
         "start_seconds": start,
         "memory_bytes": memory,
-        "memory_bytes_per_world": round(memory / num_worlds),
+        "memory_bytes_per_world": round(memory / case.num_worlds),
         "footprint": env.footprint(steps=20),
-        "launches": env.launches(engine),
         "stages": sorted(type(stage).__name__ for stage in env.sim.shards[0].stages),
         "idle_kernels": len(env.sim.shards[0]._idle),
     }
 
 
-def rates(task: str, physics: str, options: Options) -> Iterator[dict[str, Any]]:
-    """Yield a row for each number of worlds, up to the first that does not fit."""
-    for num_worlds in options.sizes:
-        try:
-            yield measure_size(task, physics, num_worlds, options)
-        except (RuntimeError, MemoryError) as error:  # Warp raises the first where memory is short
-            yield {"num_worlds": num_worlds, "failed": first_line(error)}
-            return
+def cores(case: Case, options: Options) -> Iterator[dict[str, Any]]:
+    """Yield the rate of the environment on all CPU cores of this machine."""
+    device = wp.get_device("cpu")
+    env = Environment(case, device)
+    seconds_of(env.step, WARMUP, device)
+    steps = max(2, round(options.seconds / seconds_of(env.step, 2, device)))
+    found = [case.num_worlds / seconds_of(env.step, steps, device) for _ in range(options.rounds)]
+    yield {
+        "env_steps_per_s": round(statistics.median(found), 1),
+        "shards": len(env.sim.shards),
+        "output": env.env.output,
+    }
 
 
 def trajectory(sim: Simulation, actions: np.ndarray) -> dict[str, np.ndarray]:
@@ -296,36 +304,119 @@ def differences(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> 
     return report
 
 
-def agreement(task: str, physics: str, options: Options) -> Iterator[dict[str, Any]]:
-    """Yield how far the device's worlds are from the CPU's, same seeds and actions."""
-    found = []
-    for device in ("cpu", options.device):
-        sim = Simulation(TASKS[task], options.checked_worlds, device=device, physics=physics, progress=False)
-        found.append(trajectory(sim, random_actions(sim, options.checked_steps)))
-    yield {"num_worlds": options.checked_worlds, "difference_to_cpu": differences(*found)}
+def simulation(case: Case, device: str, **options: Any) -> Simulation:
+    """Return the worlds of a case."""
+    return Simulation(
+        TASKS[case.task], case.num_worlds, device=device, physics=case.physics, progress=False, **options
+    )
 
 
-def repeats(task: str, physics: str, options: Options) -> Iterator[dict[str, Any]]:
-    """Yield whether two runs have the same bits, without and with `deterministic=True`."""
-    for deterministic in (False, True):
-        sim = Simulation(
-            TASKS[task],
-            options.checked_worlds,
-            device=options.device,
-            physics=physics,
-            deterministic=deterministic,
-            progress=False,
-        )
-        actions = random_actions(sim, options.checked_steps)
-        first, second = trajectory(sim, actions), trajectory(sim, actions)
-        steps = max(2, round(0.3 * options.seconds / seconds_of(sim.step, 2, sim.scene.device)))
-        yield {
-            "num_worlds": options.checked_worlds,
-            "deterministic": deterministic,
-            "same_bits": all(np.array_equal(first[name], second[name]) for name in first),
-            "difference": differences(first, second),
-            "env_steps_per_s": round(sim.num_worlds / seconds_of(sim.step, steps, sim.scene.device), 1),
-        }
+def walk(sim: Simulation, options: Options) -> dict[str, np.ndarray]:
+    """Return the trajectory of random actions, the same in every simulation."""
+    return trajectory(sim, random_actions(sim, options.checked_steps))
+
+
+def record(cases: Iterable[Case], options: Options, path: Path) -> None:
+    """Write what the CPU makes of cases, by case and array."""
+    kept = {}
+    for case in cases:
+        for name, values in walk(simulation(case, "cpu"), options).items():
+            kept[f"{case}|{name}"] = values
+    with in_place(path) as scratch, scratch.open("wb") as file:
+        np.savez_compressed(file, **kept)
+
+
+def agreement(case: Case, options: Options) -> Iterator[dict[str, Any]]:
+    """Yield how far the device's worlds are from the CPU's, same seeds and actions, and from a second run."""
+    sim = simulation(case, options.device)
+    mine, again = walk(sim, options), walk(sim, options)
+    if options.references is None:
+        theirs = walk(simulation(case, "cpu"), options)
+    else:
+        with np.load(options.references) as kept:
+            theirs = {name: kept[f"{case}|{name}"] for name in mine}
+    apart = np.abs(mine["qpos"] - theirs["qpos"]).reshape(len(mine["qpos"]), -1).max(axis=1)
+    yield {
+        "agrees": {step: bool(apart[step - 1] <= most) for step, most in GATES.items() if step <= len(apart)},
+        "moved": float(np.ptp(mine["qpos"], axis=0).max()),
+        "difference_to_cpu": differences(mine, theirs),
+        "same_bits_twice": all(np.array_equal(mine[name], again[name]) for name in mine),
+        "stages": sorted(type(stage).__name__ for stage in sim.shards[0].stages),
+        "idle_kernels": len(sim.shards[0]._idle),
+    }
+
+
+def repeats(case: Case, options: Options) -> Iterator[dict[str, Any]]:
+    """Yield whether two runs with `deterministic=True` have the same bits, and how fast they are."""
+    sim = simulation(case, options.device, deterministic=True)
+    first, second = walk(sim, options), walk(sim, options)
+    steps = max(2, round(0.3 * options.seconds / seconds_of(sim.step, 2, sim.scene.device)))
+    yield {
+        "same_bits": all(np.array_equal(first[name], second[name]) for name in first),
+        "difference": differences(first, second),
+        "env_steps_per_s": round(sim.num_worlds / seconds_of(sim.step, steps, sim.scene.device), 1),
+    }
+
+
+def bandwidth(case: Case, options: Options) -> Iterator[dict[str, Any]]:
+    """Yield how fast memory is copied, reads and writes counted [TB/s]."""
+    device = resolve_device(options.device)
+    source, target = (wp.zeros(BANDWIDTH_BYTES, dtype=wp.uint8, device=device) for _ in range(2))
+    seconds_of(lambda: wp.copy(target, source), 2, device)
+    yield {"tb_per_s": 2 * BANDWIDTH_BYTES / seconds_of(lambda: wp.copy(target, source), 10, device) / 1e12}
+
+
+def kernels(case: Case, options: Options) -> Iterator[dict[str, Any]]:
+    """Yield milliseconds of each kernel of a physics step, launched one by one, the longest first."""
+    steps = 3
+    sim = simulation(case, options.device)
+    for _ in range(WARMUP):
+        sim.step()
+    device, (shard, *_) = sim.scene.device, sim.shards
+    with BUILD_LOCK, quiet(), wp.ScopedDevice(device):
+        shard._launch_physics()
+        wp.synchronize_device(device)
+        wp.timing_begin(cuda_filter=wp.TIMING_ALL)
+        for _ in range(steps):
+            shard._launch_physics()
+        results = wp.timing_end()
+    found: dict[str, list[float]] = {}
+    for result in results:
+        name = result.name.removeprefix("forward kernel ").split("__locals__")[0]
+        found.setdefault(name, []).append(result.elapsed)
+    table = [(round(sum(ms) / steps, 4), len(ms) // steps, name) for name, ms in found.items()]
+    data = shard.scene.data
+    yield {
+        "physics_step_ms": round(sum(ms for ms, *_ in table), 4),
+        "kernels": sorted(table, reverse=True),
+        "solver_iterations": _mean_and_most(data.solver_niter),
+        "rows": _mean_and_most(data.nefc),
+    }
+
+
+def _mean_and_most(numbers: wp.array) -> tuple[float, int]:
+    return round(float(numbers.numpy().mean()), 2), int(numbers.numpy().max())
+
+
+def training(case: Case, options: Options) -> Iterator[dict[str, Any]]:
+    """Yield what is known of a training when its seconds are over: the last row of `progress.csv`."""
+    with tempfile.TemporaryDirectory() as folder:
+        run = Path(folder, "run")
+        arguments = ("train", case.task, "--num-worlds", str(case.num_worlds), "--output", str(run))
+        command = sys.executable, "-m", "myowarp", *arguments, "--device", options.device
+        done = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        begin = time.perf_counter()
+        try:
+            _, said = done.communicate(timeout=options.training / 2)
+        except subprocess.TimeoutExpired:
+            done.send_signal(signal.SIGINT)
+            _, said = done.communicate()
+        rows = []
+        if (table := run / "progress.csv").exists():
+            with table.open(newline="") as file:
+                rows = list(csv.DictReader(file))
+        last = rows[-1] if rows else {"said": said[-400:]}
+        yield {"seconds": round(time.perf_counter() - begin, 1), "iterations": len(rows), "last": last}
 
 
 def first_line(error: BaseException) -> str:

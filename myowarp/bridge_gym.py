@@ -125,8 +125,8 @@ class MyoWarpVectorEnv(VectorEnv):
                 `myowarp.view.drawing.muscles.QUANTITIES`.
             render_text: Whether `render` writes time, return and success on pictures, counted since the
                 episode began or its state was set; every step then waits for a CUDA device.
-            deterministic: Whether CUDA launches in a fixed order, which is slower; it does not sort rows of
-                constraints, so that last bits may differ with contacts. Runs on the CPU agree bit for bit.
+            deterministic: Whether CUDA launches in a fixed order, which is slower; rows of constraints get
+                their places as threads come, so that last bits may differ. Runs on the CPU agree bit for bit.
             progress: Whether to show a progress bar while kernels compile.
             rank: Which of how many equal ranks, each a process of its own: rank r of R has worlds r num_envs
                 to (r + 1) num_envs - 1 of one numbered set. World i of all resets with `seed + i`, and

@@ -40,7 +40,6 @@ class ContactSearch(Stage):
 
     REPLACES = ("collision",)
     TOLERANCE = 1e-2  # the engine's own normals of deep contacts are off by as much
-    ON_CUDA = True
     OBSTACLES: ClassVar = {
         "no sphere, capsule or ellipsoid can touch another": lambda stepped: _kinds(stepped).isdisjoint(OURS),
         "the engine does not compare all pairs": lambda stepped: (
