@@ -1,16 +1,19 @@
 """What a control step is on CUDA, without a GPU: its launches on the CPU, its graph's nodes, its memory."""
 
+import re
 from functools import cache
 
 import numpy as np
 import pytest
 import warp as wp
 
-from benchmarks.cuda_step import CUDA_STAGES, counts, cuda_shard, engine_nodes, step_nodes
+from benchmarks.cuda_step import CUDA_STAGES, Listing, counts, cuda_shard, engine_nodes, step_nodes
 from benchmarks.gpu_cases import random_actions, trajectory
 from myowarp.definitions.task import TASKS
 from myowarp.engine.arena import Arena
 from myowarp.engine.stages.muscle_path import MusclePaths
+from myowarp.sim import memory
+from myowarp.sim.build import compile_scene
 from myowarp.sim.simulation import Simulation
 
 CPU = wp.get_device("cpu")
@@ -94,6 +97,22 @@ def test_bodies_are_moved_twice_beside_the_physics_steps():
     """For score and observation, and once more after resets."""
     nodes, _ = nodes_of(WALK, "fast")
     assert sum(node.name == "_kinematics_branch" and node.depth == 0 for node in nodes) == 2
+
+
+@pytest.mark.filterwarnings(r"ignore:\s*CUDA version")
+def test_memory_that_a_step_allocates_is_asked_for(monkeypatch):
+    """Of the key turn four times what the engine's arrays take: room for pairs of convex bodies."""
+    monkeypatch.setattr(memory, "available_memory", lambda device: 10**9)
+
+    def most_worlds():
+        with pytest.raises(ValueError, match="worlds need at least") as caught:
+            compile_scene(TASKS[KEY], 100_000, device="cpu")
+        return int(re.search(r"use at most ([\d,]+) worlds$", str(caught.value))[1].replace(",", ""))
+
+    on_cpu = most_worlds()
+    with Listing().patched():
+        on_cuda = most_worlds()
+    assert on_cuda < on_cpu / 3
 
 
 def test_steps_from_an_arena_have_the_same_bits(on_cpu):
