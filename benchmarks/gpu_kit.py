@@ -89,7 +89,7 @@ def pack(kit: Path, folder: Path, size: str = PART) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     shutil.copy(Path(__file__).with_name("gpu_run.sh"), folder / "run.sh")
-    command = f"tar c -C {kit} . | xz -6 -T0 | split -d -b {size} - {folder}/part"
+    command = f"tar c -C {kit} . | xz -T0 | split -d -b {size} - {folder}/part"
     run("bash", "-o", "pipefail", "-c", command)
 
 
