@@ -36,6 +36,7 @@ from benchmarks.gpu_cases import (
     record,
     repeats,
     training,
+    unroll,
 )
 from benchmarks.machine import processor
 from myowarp.definitions.task import TASKS
@@ -78,6 +79,8 @@ def plan(options: Options) -> list[Case]:
 
 def serve(case: Case, options: Options, answers: Any) -> None:
     """Measure a case and send its rows; the main function of a process."""
+    if options.unrolled:
+        unroll()
     try:
         for row in KINDS[case.kind](case, options):
             answers.send(row)

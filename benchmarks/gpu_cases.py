@@ -35,8 +35,8 @@ from myowarp.definitions.task import TASKS
 from myowarp.disk import in_place
 from myowarp.engine.compile import compile_kernels, quiet
 from myowarp.process import BUILD_LOCK
+from myowarp.sim import shard
 from myowarp.sim.build import resolve_device
-from myowarp.sim.shard import Shard
 from myowarp.sim.simulation import Simulation
 
 CONTROLS = 8  # sets of random controls of the engine, used in turn
@@ -70,6 +70,8 @@ class Options:
     """What the CPU made of them, as `--record` writes it; without it, the CPU makes it now."""
     record: Path | None = None
     """Write that file, and measure nothing."""
+    unrolled: bool = False
+    """Whether graphs hold each physics step of a control step, should their loop fail on a device."""
     training: float = 120.0
     """Seconds of training, together; 0: none."""
     budget: float = 540.0
@@ -224,8 +226,8 @@ def rates(case: Case, options: Options) -> Iterator[dict[str, Any]]:
     device, start = resolve_device(options.device), dict[str, float]()
     before, begin = used_memory(device), time.perf_counter()
     with (
-        timed(Shard, "_choose_kernels", start, "kernels"),
-        timed(Shard, "_capture", start, "capture"),
+        timed(shard.Shard, "_choose_kernels", start, "kernels"),
+        timed(shard.Shard, "_capture", start, "capture"),
     ):
         env = Environment(case, device)
     seconds_of(env.step, 1, device)
@@ -270,6 +272,16 @@ def cores(case: Case, options: Options) -> Iterator[dict[str, Any]]:
         "shards": len(env.sim.shards),
         "output": env.env.output,
     }
+
+
+def unroll() -> None:
+    """Have graphs hold each physics step of a control step in this process."""
+
+    def unrolled(launches: Callable[[], None], times: int, countdown: wp.array) -> None:
+        for _ in range(times):
+            launches()
+
+    shard.repeat = unrolled
 
 
 def trajectory(sim: Simulation, actions: np.ndarray) -> dict[str, np.ndarray]:
@@ -372,20 +384,20 @@ def kernels(case: Case, options: Options) -> Iterator[dict[str, Any]]:
     sim = simulation(case, options.device)
     for _ in range(WARMUP):
         sim.step()
-    device, (shard, *_) = sim.scene.device, sim.shards
+    device, (first, *_) = sim.scene.device, sim.shards
     with BUILD_LOCK, quiet(), wp.ScopedDevice(device):
-        shard._launch_physics()
+        first._launch_physics()
         wp.synchronize_device(device)
         wp.timing_begin(cuda_filter=wp.TIMING_ALL)
         for _ in range(steps):
-            shard._launch_physics()
+            first._launch_physics()
         results = wp.timing_end()
     found: dict[str, list[float]] = {}
     for result in results:
         name = result.name.removeprefix("forward kernel ").split("__locals__")[0]
         found.setdefault(name, []).append(result.elapsed)
     table = [(round(sum(ms) / steps, 4), len(ms) // steps, name) for name, ms in found.items()]
-    data = shard.scene.data
+    data = first.scene.data
     yield {
         "physics_step_ms": round(sum(ms for ms, *_ in table), 4),
         "kernels": sorted(table, reverse=True),

@@ -21,6 +21,8 @@ import tyro
 import warp as wp
 from rich.console import Console
 
+from myowarp.process import start_warp
+
 PYTHON = "3.12"
 PART = "50MB"  # as `split` reads it
 PACKAGES = (
@@ -50,15 +52,19 @@ class Options:
 
 def run(*command: object, kit: Path | None = None) -> None:
     """Run a command; in a kit, with its sources and caches."""
-    caches = {} if kit is None else {"XDG_CACHE_HOME": str(kit / "cache"), "PYTHONPATH": str(kit)}
-    subprocess.run([str(part) for part in command], check=True, cwd=kit, env=os.environ | caches)
+    environment = dict(os.environ)
+    if kit is not None:
+        kernels = Path(wp.config.kernel_cache_dir).parent  # those of this CPU are of no use elsewhere
+        folders = {"PYTHONPATH": kit, "XDG_CACHE_HOME": kit / "cache", "WARP_CACHE_PATH": kernels}
+        environment |= {name: str(folder) for name, folder in folders.items()}
+    subprocess.run([str(part) for part in command], check=True, cwd=kit, env=environment)
 
 
 def install(site: Path) -> None:
     """Install the packages into a folder, for the other machine's Python."""
     wanted = [f"{name}=={version(name)}" for name in PACKAGES]
     platforms = [f"--platform={name}" for name in PLATFORMS]
-    options = ("--quiet", "--no-deps", "--no-compile", "--only-binary=:all:", f"--python-version={PYTHON}")
+    options = ("-qq", "--no-deps", "--no-compile", "--only-binary=:all:", f"--python-version={PYTHON}")
     run(sys.executable, "-m", "pip", "install", *options, *platforms, f"--target={site}", *wanted)
     for pattern in UNREAD:
         for folder in site.glob(pattern):
@@ -83,13 +89,14 @@ def pack(kit: Path, folder: Path, size: str = PART) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     shutil.copy(Path(__file__).with_name("gpu_run.sh"), folder / "run.sh")
-    command = f"tar c -C {kit} . | xz -6 -T0 | split -d -b {size} - {folder}/part"
+    command = f"tar c -C {kit} . | xz -T0 | split -d -b {size} - {folder}/part"
     run("bash", "-o", "pipefail", "-c", command)
 
 
 def main() -> None:
     """Pack, and say how large the parts are."""
     options = tyro.cli(Options, prog="python -m benchmarks.gpu_kit")
+    start_warp()
     with tempfile.TemporaryDirectory() as folder:
         fill(Path(folder), options)
         pack(Path(folder), options.folder)

@@ -10,6 +10,7 @@ import pytest
 import warp as wp
 
 from benchmarks import gpu, gpu_cases
+from benchmarks.cuda_step import CUDA_STAGES
 from benchmarks.gpu_cases import (
     Case,
     Environment,
@@ -26,6 +27,7 @@ from benchmarks.gpu_cases import (
     trajectory,
 )
 from myowarp.definitions.task import TASKS
+from myowarp.sim import shard
 from myowarp.sim.simulation import Simulation
 
 ELBOW = "myoElbowPose1D6MRandom-v0"
@@ -97,6 +99,17 @@ def test_differences_show():
     other["obs"][3, 1, 1] = 3.0
     expected = {f"after_{step}": {"worst": 2.0 * (step == 4), "median": 0.0} for step in (1, 4)}
     assert differences(ones, other) == {"obs": expected}
+
+
+def test_unrolled_graphs_step_alike(monkeypatch):
+    runs = []
+    for prepare in (None, gpu_cases.unroll):
+        monkeypatch.setattr(shard, "repeat", shard.repeat)
+        if prepare:
+            prepare()
+        sim = gpu_cases.simulation(CASE, "cpu", stages=CUDA_STAGES)
+        runs.append(trajectory(sim, random_actions(sim, 2))["qpos"])
+    np.testing.assert_array_equal(*runs)
 
 
 def test_repeats():
