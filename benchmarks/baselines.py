@@ -4,21 +4,23 @@
     python -m benchmarks.baselines --evaluate ID      # evaluate a committed policy again; then the page
     python -m benchmarks.baselines                    # docs/baselines.md and docs/baselines.png alone
 
-A run of a task that has a baseline replaces the run of the same seed; the policy that acts is that of the
-lowest seed.
+A run of a task that has a baseline replaces the run of the same seed, and all runs of an earlier trainer; the
+policy that acts is that of the lowest seed. The policy that it started from goes with it, unless that is the
+baseline of another task.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
 
 from myowarp.apps.policies import baselines
 from myowarp.apps.policies.baselines import CURVE, RESULT, Baseline, load_baseline
-from myowarp.apps.policies.checkpoint import load_checkpoint, save_policy
+from myowarp.apps.policies.checkpoint import LEARNER, POLICY, Checkpoint, load_checkpoint, save_policy
 from myowarp.apps.reports.table import markdown
 from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
 from myowarp.apps.train.progress import CSV
@@ -60,7 +62,7 @@ def add(run: Path) -> None:
     entry = {"training": training, "evaluation": _evaluation(run, None)}
     if (corrected := task.replace("-v0", "-v1")) in set(TASKS) - {task}:
         entry["corrected"] = _evaluation(run, corrected)
-    before = load_baseline(task).runs if (folder / RESULT).is_file() else []
+    before = _runs_of_this_trainer(task) if (folder / RESULT).is_file() else []
     runs = [other for other in before if other["training"]["seed"] != training["seed"]]
     runs.append(entry)
     runs.sort(key=lambda other: other["training"]["seed"])
@@ -70,9 +72,37 @@ def add(run: Path) -> None:
             raise ValueError(
                 f"policy of {task!r} has {size} bytes, at most {MOST_BYTES} are allowed; --hidden 128 128"
             )
-        save_policy(folder, checkpoint)
+        save_policy(folder, _with_parent(checkpoint, folder))
         _write_curve(run / CSV, folder / CURVE)
     _write_result(folder, runs)
+
+
+def _runs_of_this_trainer(task: str) -> list[dict[str, Any]]:
+    """Return the runs of a baseline, none if the trainer before this one made them."""
+    baseline = load_baseline(task)
+    return baseline.runs if baseline.checkpoint.manifest.get("learner") == LEARNER else []
+
+
+def _with_parent(checkpoint: Checkpoint, folder: Path) -> Checkpoint:
+    """Put the policy that a run started from into the package; return the run's, which names it there.
+
+    Raises:
+        ValueError: It has changed since.
+    """
+    task, settings = checkpoint.task, checkpoint.manifest["settings"]
+    name, shipped = settings.get("parent"), f"{baselines.PREFIX}{task}/{baselines.PARENT}"
+    if not name or name == shipped or (name.startswith(baselines.PREFIX) and not name.endswith(task)):
+        return checkpoint
+    source = baselines.policy_folder(name, task)
+    if source is None:
+        raise ValueError(f"the run of {task!r} started from {name!r}, which is gone; train it again")
+    parent = load_checkpoint(source)
+    digest = hashlib.sha256((parent.folder / POLICY).read_bytes()).hexdigest()
+    if digest != checkpoint.manifest["parent"]["sha256"]:
+        raise ValueError(f"the run of {task!r} started from {name!r}, which has changed; train it again")
+    save_policy(folder / baselines.PARENT, parent)
+    manifest = checkpoint.manifest | {"settings": settings | {"parent": shipped}}
+    return Checkpoint(checkpoint.folder, manifest, checkpoint.policy)
 
 
 def evaluate_again(task: str) -> None:

@@ -148,10 +148,13 @@ def test_a_baseline_acts_wherever_a_policy_is_taken(run, tmp_path):
 
 
 def test_a_run_becomes_a_baseline(run, tmp_path, monkeypatch):
-    """Its policy, figures and curve; a second seed is a row more, the first seed again takes its place."""
+    """Its policy, figures and curve; a second seed is a row more, the first seed again takes its place.
+
+    The policy that it started from, which it replaces, goes with it.
+    """
     monkeypatch.setattr(baselines, "FOLDER", tmp_path / "baselines")
     monkeypatch.setattr(selection, "EPISODES", 8)
-    for name, seed, steps in (("a", 1, 64), ("b", 3, 128), ("c", 1, 192)):
+    for name, seed, steps, parent in (("a", 1, 64, ()), ("b", 3, 128, ()), ("c", 1, 192, (tmp_path / "a",))):
         options = (
             "--num-worlds",
             8,
@@ -167,6 +170,7 @@ def test_a_run_becomes_a_baseline(run, tmp_path, monkeypatch):
             1,
         )
         options += ("--device", "cpu", "--seed", seed, "--output", tmp_path / name)
+        options += tuple(part for folder in parent for part in ("--parent", folder))
         assert run("train", REACHED[0], *options)[0] == 0
         add(tmp_path / name)
     baseline = baselines.load_baseline(REACHED[0])
@@ -174,6 +178,10 @@ def test_a_run_becomes_a_baseline(run, tmp_path, monkeypatch):
     policy = checkpoints.load_checkpoint(tmp_path / "c").policy
     assert all(np.array_equal(policy[key], array) for key, array in baseline.checkpoint.policy.items())
     assert baseline.checkpoint.manifest["learner"] == checkpoints.LEARNER
+    assert baseline.checkpoint.manifest["settings"]["parent"] == f"baselines/{REACHED[0]}/parent"
+    shipped = checkpoints.load_checkpoint(baselines.policy_folder(f"baselines/{REACHED[0]}/parent", None))
+    first = checkpoints.load_checkpoint(tmp_path / "a").policy
+    assert all(np.array_equal(first[key], array) for key, array in shipped.policy.items())
     _, figures = evaluate_policy(plan_evaluation(tmp_path / "c", device="cpu"))
     evaluated = baseline.runs[0]["evaluation"]
     assert evaluated["sampled"]["return_mean"] == figures["sampled"]["return_mean"]

@@ -5,6 +5,8 @@
         result.json                         {"runs": [{"training", "evaluation"}, ...]}, a run for each seed;
                                             the policy is that of the first
         curve.csv                           return and success over samples of that run
+        parent/                             manifest and policy that this run started from, where they are no
+                                            other task's baseline
 
 Playing one needs no torch. `python -m benchmarks.baselines --add` makes these files from runs.
 """
@@ -21,7 +23,7 @@ from myowarp.kernels.episode import MYOSUITE
 from myowarp.process import warn_once
 
 FOLDER = Path(__file__).parents[2] / "baselines"
-RESULT, CURVE = "result.json", "curve.csv"
+RESULT, CURVE, PARENT = "result.json", "curve.csv", "parent"
 OWN, PREFIX = "baseline", "baselines/"
 """Names of policies: the baseline of the task that it is to act in, and that of a task that is named."""
 
@@ -70,11 +72,13 @@ def baseline_tasks() -> list[str]:
 
 
 def baseline_folder(task: str) -> Path:
-    """Return the folder of a task's baseline.
+    """Return the folder of a task's baseline, or of `<task>/parent`.
 
     Raises:
         ValueError: There is none.
     """
+    if task.endswith(f"/{PARENT}") and (FOLDER / task).is_dir():
+        return FOLDER / task
     if task not in (available := baseline_tasks()):
         other = _other_version(task)
         others = (
