@@ -44,9 +44,10 @@ from myowarp.engine.compile import quiet
 from myowarp.engine.graph import Graph
 from myowarp.engine.idle import idle_kernels
 from myowarp.engine.stage import STAGES
+from myowarp.osim.bundle.couplings import Couplings
 from myowarp.process import num_cores
 from myowarp.sim.simulation import Simulation
-from myowarp.tasks.from_file import COUPLINGS, pose_task
+from myowarp.tasks.from_file import pose_task
 
 ALL, BY_WARP, ENGINE, ENGINE_IDLE, EQUALITIES, MUJOCO_C = (
     "all",
@@ -137,7 +138,7 @@ class Physics:
         if not isinstance(self.sim.shards[0].physics_step, FreeCoordinates):
             raise ValueError(f"{folder} must have joints that follow exactly; see the line logged above")
         with tempfile.TemporaryDirectory() as other:
-            shutil.copytree(folder, other, dirs_exist_ok=True, ignore=shutil.ignore_patterns(COUPLINGS))
+            shutil.copytree(folder, other, dirs_exist_ok=True, ignore=shutil.ignore_patterns(Couplings.FILE))
             held = Physics(pose_task(Path(other) / "model.xml"), self.scene.num_worlds, options)
         held.state = self.state
         return held.all_stages()

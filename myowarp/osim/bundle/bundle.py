@@ -29,7 +29,7 @@ OURS = b"name,class,"
 """How a `muscles.csv` of ours begins."""
 COORDINATES = "coordinates.json"
 PARTS: tuple[type[Sidecar], ...] = (Couplings, DocumentPaths, PassiveForces)
-SIDECARS = tuple(f"{part.NAME}.json" for part in PARTS)
+SIDECARS = tuple(part.FILE for part in PARTS)
 """Files that not every model has, and that act where they lie beside one."""
 
 
@@ -69,7 +69,12 @@ class Bundle:
         found: dict[str, Any] = {part.NAME: _beside(path, part) for part in PARTS}
         table = path.with_name(MUSCLES)
         if table.is_file() and (content := table.read_bytes()).startswith(OURS):
-            found["muscles"] = content.decode()
+            try:
+                found["muscles"] = content.decode()
+            except UnicodeDecodeError as error:
+                raise ForeignPartError(
+                    f"file {str(table)!r} must be written in UTF-8; save it as that"
+                ) from error
         return cls(spec=spec, **found)
 
     @property
@@ -98,7 +103,7 @@ class Bundle:
         return {
             **{f"meshes/{name}": content for name, content in self.meshes.items()},
             **({} if coordinates is None else {COORDINATES: coordinates.encode()}),
-            **{f"{part.NAME}.json": part.text.encode() for part in self.parts},
+            **{part.FILE: part.text.encode() for part in self.parts},
             **({MUSCLES: self.muscles.encode()} if self.muscles else {}),
             MODEL: mjcf(self.spec, comment=comment).encode(),
         }
@@ -115,7 +120,7 @@ class Bundle:
 
 def _beside(path: Path, part: type[Sidecar]) -> Sidecar | None:
     """Return a part from its file beside a model, None for none."""
-    file = path.with_name(f"{part.NAME}.json")
+    file = path.with_name(part.FILE)
     if not file.is_file():
         return None
     try:
@@ -126,9 +131,7 @@ def _beside(path: Path, part: type[Sidecar]) -> Sidecar | None:
 
 def _foreign(path: Path, part: type[Sidecar], error: ValueError) -> ValueError:
     """Return the error of a file that does not belong to a model."""
-    return ForeignPartError(
-        f"file {str(path.with_name(f'{part.NAME}.json'))!r} must belong to {path.name}: {error}"
-    )
+    return ForeignPartError(f"file {str(path.with_name(part.FILE))!r} must belong to {path.name}: {error}")
 
 
 class ForeignPartError(ValueError):

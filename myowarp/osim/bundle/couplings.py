@@ -59,7 +59,7 @@ class Couplings(Sidecar):
             heavier in the model, because MuJoCo needs it.
     """
 
-    NAME = "couplings"
+    NAME, FILE = "couplings", "couplings.json"
     KEYS = "'joints' and 'bodies'"
     curves: Mapping[str, tuple[str | None, tuple[Pieces, ...]]]
     bodies: Mapping[str, tuple[float, tuple[float, ...]]]

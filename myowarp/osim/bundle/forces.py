@@ -61,7 +61,7 @@ class PassiveForces(Sidecar):
         dampers: Damping that stands for them, by joint [N m s/rad or N s/m].
     """
 
-    NAME = "forces"
+    NAME, FILE = "forces", "forces.json"
     KEYS = "'limits', 'ligaments', 'springs' and 'dampers'"
     limits: tuple[JointLimit, ...] = ()
     ligaments: tuple[TendonSpring, ...] = ()

@@ -34,7 +34,7 @@ class DocumentPaths(Sidecar):
         exact: As in `PathMemory`.
     """
 
-    NAME = "paths"
+    NAME, FILE = "paths", "paths.json"
     KEYS = "'guard', 'exact', 'values', 'surfaces' and 'paths'"
     paths: OsimPaths
     values: tuple[Driven, ...]

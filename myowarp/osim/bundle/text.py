@@ -19,12 +19,14 @@ class Sidecar:
     """A part of a bundle.
 
     Attributes:
-        NAME: Of the text; the file is `<NAME>.json`.
+        NAME: Of the text.
+        FILE: Of the JSON.
         KEYS: What its JSON has, as an error says it.
         written: The text that it was read from, "" where it was made here.
     """
 
     NAME: ClassVar[str]
+    FILE: ClassVar[str]
     KEYS: ClassVar[str]
     written: str = field(default="", kw_only=True, compare=False, repr=False)
 

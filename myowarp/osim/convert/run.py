@@ -92,7 +92,7 @@ def run(
     couplings = converted.couplings
     files = converted.files(f"{model.name}. {LACKS if couplings.curves else ''}{model.credits}")
     if not couplings.acts:
-        del files[f"{couplings.NAME}.json"]
+        del files[couplings.FILE]
     text = files[MODEL].decode()
     compiled = mujoco.MjModel.from_xml_string(text, {**converted.meshes})
     stiffer = stiff(compiled, couplings)

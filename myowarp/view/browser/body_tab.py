@@ -16,6 +16,7 @@ import numpy as np
 
 from myowarp.definitions.body import BODIES, POINT_JOINTS
 from myowarp.definitions.registry import check_choice
+from myowarp.osim.bundle.bundle import COORDINATES
 from myowarp.osim.bundle.couplings import couplings, follow
 from myowarp.view.browser.chart import Chart, Curve, as_svg
 from myowarp.view.browser.controls import Controls
@@ -161,7 +162,7 @@ class OpenSimArms:
             return
         try:
             report = json.loads(model.with_name("report.json").read_bytes())
-            coordinates = json.loads(model.with_name("coordinates.json").read_bytes())["coordinates"]
+            coordinates = json.loads(model.with_name(COORDINATES).read_bytes())["coordinates"]
             self._joints = {entry["joint"]: (entry["name"], float(entry["scale"])) for entry in coordinates}
             scaled = {
                 entry["joint"]: np.sort(float(entry["scale"]) * np.array(entry["range"]))
