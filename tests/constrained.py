@@ -108,7 +108,7 @@ def states(name):
 def rows_of(name):
     """Return the engine's arrays of the states of MuJoCo C, one in each world."""
     one = [mjw.put_data(model_of(name), data, njmax=NUM_ROWS, nconmax=NUM_CONTACTS) for data in states(name)]
-    owners = {"": ("M", "ne", "nf", "nefc", "qfrc_smooth"), "efc": EFC}
+    owners = {"": ("M", "ne", "nf", "nl", "nefc", "qfrc_smooth"), "efc": EFC}
     return {
         (owner, array): np.concatenate(
             [getattr(getattr(data, owner) if owner else data, array).numpy() for data in one]

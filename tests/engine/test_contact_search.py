@@ -34,14 +34,16 @@ def support(kind, size, n):
     """Return h(n) [m] of a body with the world's axes, n of shape (..., 3)."""
     if kind == "ellipsoid":
         return np.linalg.norm(n * size, axis=-1)
+    if kind == "cylinder":
+        return size[0] * np.hypot(n[..., 0], n[..., 1]) + size[1] * np.abs(n[..., 2])
     return size[0] + (size[1] * np.abs(n[..., 2]) if kind == "capsule" else 0.0)
 
 
-def search(kind, size1, size2, center, rotation):
+def search(kind, size1, size2, center, rotation, other="ellipsoid"):
     """Return max and argmax of f(n) over the sphere: a grid, then a random search that closes in."""
 
     def f(n):
-        return n @ center - support(kind, size1, n) - support("ellipsoid", size2, n @ rotation)
+        return n @ center - support(kind, size1, n) - support(other, size2, n @ rotation)
 
     count = np.arange(8000) + 0.5
     polar, azimuth = np.arccos(1 - 2 * count / 8000), np.pi * (1 + 5**0.5) * count
@@ -145,6 +147,38 @@ def test_contacts_are_those_of_mujoco(kind):
             assert contact.dist == pytest.approx(dist, abs=2e-6)  # its tolerance is 1e-6 m
             np.testing.assert_allclose(contact.pos, rest[3:], atol=1e-4)
     assert compared >= 5
+
+
+def test_side_of_a_cylinder():
+    """A capsule's contact with it is in closed form, and the largest separation; other contacts are not."""
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco><worldbody>
+      <geom type="cylinder" size="0.01 0.06" margin="{MARGIN / 2}"/>
+      <body><freejoint/><geom type="capsule" size="0.008 0.02" margin="{MARGIN / 2}"/></body>
+    </worldbody></mujoco>""")
+    rng = np.random.default_rng(5)
+    center = rng.uniform((-0.03, -0.03, -0.09), (0.03, 0.03, 0.09), (NUM_STATES, 3))
+    quat = rng.standard_normal((NUM_STATES, 4))
+    qpos = np.hstack([center, quat / np.linalg.norm(quat, axis=1)[:, None]])
+    found, touching, ends = engine_contacts(model, qpos), 0, 0
+    cylinder, capsule = model.geom_size
+    for x, (dist, *rest) in zip(qpos, found, strict=True):
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, x[3:])
+        expected, normal = search(
+            "cylinder", cylinder, capsule, x[:3], rotation.reshape(3, 3), other="capsule"
+        )
+        assert np.isnan(dist) == (expected >= MARGIN)
+        side = abs(normal[2]) < NORMAL_TOLERANCE and expected > -capsule[0]
+        ends += not (np.isnan(dist) or side)
+        if np.isnan(dist) or not side:
+            continue
+        touching += 1
+        assert dist == pytest.approx(expected, abs=DIST_TOLERANCE)
+        np.testing.assert_allclose(rest[:3], -normal, atol=NORMAL_TOLERANCE)
+        witness = np.array(rest[3:]) - dist / 2 * normal
+        assert np.hypot(*witness[:2]) == pytest.approx(cylinder[0], abs=NORMAL_TOLERANCE)
+    assert touching >= 10
+    assert collided(model, qpos, 2).ncollision.numpy()[0] == ends
 
 
 def test_side_of_a_long_capsule():

@@ -28,6 +28,7 @@ SPHERE = wp.constant(int(GeomType.SPHERE))
 CAPSULE = wp.constant(int(GeomType.CAPSULE))
 ELLIPSOID = wp.constant(int(GeomType.ELLIPSOID))
 CYLINDER = wp.constant(int(GeomType.CYLINDER))
+INNER = wp.constant(0.999)  # of a cylinder's half length
 
 OURS = tuple(
     (GeomType(first), GeomType(second))
@@ -316,18 +317,18 @@ def closest(one: Geom, two: Geom, cutoff: float, start: wp.vec3) -> Touches:
 
 
 @wp.func
-def may_touch(one: Geom, two: Geom, cutoff: float) -> bool:
-    """Return whether two geoms of which one has another shape may be less than `cutoff` apart."""
-    if one.type < SPHERE or two.type != CYLINDER:
-        return True
-    two.type = CAPSULE  # a capsule of the same size holds the cylinder
-    if one.type == ELLIPSOID:
-        touch = touch_with_ellipsoid(two, one, cutoff, wp.normalize(one.pos - two.pos))
-        return touch.dist < cutoff
-    if one.type == CYLINDER:
-        one.type = CAPSULE
-    touches = round_touches(one, two)
-    return wp.min(touches.first.dist, touches.second.dist) < cutoff
+def side_touch(capsule: Geom, cylinder: Geom) -> tuple[Touch, bool]:
+    """Where a capsule is closest to the one that holds a cylinder, and whether that is the cylinder's side.
+
+    There, with n across its axis, both have the same f(n), a maximum. It is the highest where the bodies are
+    apart, or less deep in each other than the first is thick: that ball rolls within their sum.
+    """
+    touches = round_touches(capsule, cylinder)
+    touch = touches.first
+    inner = touch.pos + (0.5 * touch.dist + cylinder.size[0]) * touch.normal - cylinder.pos
+    along = wp.abs(wp.dot(long_axis(cylinder.rotation), inner))
+    alone = touches.second.dist >= FAR
+    return touch, alone and touch.dist > -capsule.size[0] and along < INNER * cylinder.size[1]
 
 
 @wp.kernel(enable_backward=False)
@@ -393,5 +394,12 @@ def find_contacts(
                 write_touch(touches.first, pair, material, 0, naconmax_in, contact_out)
             if touches.second.dist < cutoff:
                 write_touch(touches.second, pair, material, 1, naconmax_in, contact_out)
-        elif listed or may_touch(one, two, cutoff):
-            add_candidate(pair, one.type, two.type, naconmax_in, candidates)
+            continue
+        if one.type == CAPSULE and two.type == CYLINDER:
+            touch, is_whole = side_touch(one, two)
+            if touch.dist >= cutoff:
+                continue
+            if is_whole:
+                write_touch(touch, pair, material, 0, naconmax_in, contact_out)
+                continue
+        add_candidate(pair, one.type, two.type, naconmax_in, candidates)

@@ -45,10 +45,11 @@ class SolverOptions:
 
 @wp.struct
 class RowCounts:
-    """Rows of each world: equalities, friction losses, all."""
+    """Rows of each world: equalities, friction losses, limits, all."""
 
     ne: wp.array[int]
     nf: wp.array[int]
+    nl: wp.array[int]
     nefc: wp.array[int]
 
 

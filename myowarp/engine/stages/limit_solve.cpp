@@ -26,14 +26,14 @@ template <class Rows> INLINE int lone_dof(Rows& rows, int world, int row, int n,
 // A dof's row, -1 if there is none, and the row's entry of J.
 struct Limit { int row; float J; };
 
-// Whether a world is one of those, and its limits; rows of contacts are last, and seen first.
+// Whether a world is one of those, and its limits.
 template <class Counts, class Rows>
 bool has_limits_only(Counts& counts, Rows& rows, int world, int n, Limit* limits) {
-    if (counts.ne.data[world] + counts.nf.data[world] > 0)
+    const int most = rows.aref.shape[1], found = counts.nefc.data[world];
+    if (counts.nl.data[world] < found)
         return false;
     for (int dof = 0; dof < n; ++dof)
         limits[dof] = {-1, 0.0f};
-    const int most = rows.aref.shape[1], found = counts.nefc.data[world];
     for (int i = (found < most ? found : most) - 1; i >= 0; --i) {
         float value;
         const int dof = lone_dof(rows, world, i, n, value);
