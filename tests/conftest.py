@@ -3,11 +3,10 @@
 import re
 import sys
 
-import gymnasium as gym
 import pytest
 from clusters import cluster  # noqa: F401 (a fixture)
+from registries import as_before
 
-import myowarp
 from myowarp.apps.cli import main as cli
 
 
@@ -28,13 +27,10 @@ def run(monkeypatch, capsys):
 
 
 @pytest.fixture
-def registered(monkeypatch):
+def registered():
     """What a test registers goes again."""
-    ids = set(gym.registry)
-    monkeypatch.setattr(myowarp.TASKS, "_entries", dict(myowarp.TASKS._entries))
-    yield
-    for name in set(gym.registry) - ids:
-        del gym.registry[name]
+    with as_before():
+        yield
 
 
 LARGE = re.compile(
