@@ -1,6 +1,7 @@
 """Rules of the code base that no linter knows, checked on the syntax trees of the package."""
 
 import ast
+import gc
 import re
 from functools import cache
 from pathlib import Path
@@ -62,6 +63,16 @@ def tree(name):
 def nodes(name):
     """Return all nodes of a file's syntax tree."""
     return list(ast.walk(tree(name)))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def memory():
+    """Hold the trees while rules are checked, and look for no cycles among a million nodes meanwhile."""
+    gc.disable()
+    yield
+    for kept in (tree, nodes, imports, kernels, launches, all_own_names):
+        kept.cache_clear()
+    gc.enable()
 
 
 def refuse(faults):

@@ -362,6 +362,17 @@ def test_one_constant_decides_how_extras_are_installed():
         assert path.name == "extras.py" or "myowarp[" not in path.read_text(), path
 
 
+def test_ci_runs_what_readme_promises():
+    """One command; and what the workflows make, the Makefile has."""
+    script = (ROOT / ".ci/run").read_text()
+    assert script.splitlines()[-1] == "make test"
+    assert "`make test`" in (ROOT / "README.md").read_text()
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.M)
+    files = [ROOT / ".ci/run", *(ROOT / ".github").rglob("*.yml")]
+    made = {name for file in files for name in re.findall(r"\bmake ([a-z-]+)", file.read_text())}
+    assert {"test", "fast", "lint", "docs", "dist"} <= made <= set(targets)
+
+
 def test_version_changelog_and_citation_agree():
     cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.M).group(1)
     latest = re.search(r"^## \[(.*?)\]", (ROOT / "CHANGELOG.md").read_text(), re.M).group(1)

@@ -35,8 +35,7 @@ ROUNDING = 1e-5  # of float32 sums
 
 
 @pytest.fixture(autouse=True)
-def task(registered, monkeypatch):
-    monkeypatch.setattr(myowarp.BODIES, "_entries", dict(myowarp.BODIES._entries))
+def task(registered):
     return thrown()
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 from converted import OSIM, muscled
+from registries import as_before
 
 import myowarp
 from myowarp.apps.reports.figures import contraction_curves
@@ -95,8 +96,8 @@ class TendonMuscle(myowarp.MujocoMuscle):
 def task(request, tmp_path_factory):
     """Register the muscle; yield a task and the model's file, None for the elbow."""
     path = None if request.param == "elbow" else muscled(tmp_path_factory.mktemp("arm"), "arm26")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(myowarp.MUSCLES._entries, NAME, TendonMuscle)
+    with as_before():
+        myowarp.MUSCLES.add(NAME, TendonMuscle)
         yield myowarp.from_mjcf(path) if path else myowarp.TASKS["myoElbowPose1D6MRandom-v0"], path
 
 

@@ -494,10 +494,9 @@ def test_a_task_from_a_file_has_its_id(run, tmp_path):
     assert json.loads(out)["id"] == "MyoWarp/myCalm-v0"
 
 
-def test_a_model_from_a_file_has_units_of_its_own(run, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("registered")
+def test_a_model_from_a_file_has_units_of_its_own(run, tmp_path):
     """A slide is in metres; a motor's torque follows its gear and the control range that it gets."""
-    for registry in (TASKS, BODIES):  # what the file registers goes again
-        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
     (tmp_path / "mixed.xml").write_text(MODEL)
     status, out, err = run("describe", "--model", tmp_path / "mixed.xml", "--json")
     assert status == 0, err

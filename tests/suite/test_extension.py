@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 import pytest
 import test_draws
+from registries import as_before
 
 import myowarp
 from myowarp.apps.reports.describe import describe
@@ -28,7 +29,6 @@ from myowarp.tasks.outside import find_task, load
 from myowarp.view.drawing.render import NoGraphicsError
 
 OUTSIDE = Path(__file__).parents[1] / "outside"
-REGISTRIES = (myowarp.TASKS, myowarp.BODIES, myowarp.CONDITIONS, myowarp.MUSCLES)
 ENGINE = 2e-5  # rad or m over 10 control steps in float32, against MuJoCo C in float64
 FLOAT32 = 1e-6  # rad or m
 
@@ -51,16 +51,8 @@ def folder(tmp_path, monkeypatch):
     """Put the files into a folder of their own; what they register goes again."""
     shutil.copytree(OUTSIDE, tmp_path, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    modules, ids = set(sys.modules), set(gym.registry)
-    for registry in REGISTRIES:
-        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
-    yield tmp_path
-    for name in set(sys.modules) - modules:
-        if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
-            del sys.modules[name]
-    for name in set(gym.registry) - ids:
-        del gym.registry[name]
+    with as_before(tmp_path):
+        yield tmp_path
 
 
 def key_of(folder, name):

@@ -218,8 +218,9 @@ class Untold(myowarp.MujocoMuscle):
         self.more = wp.zeros_like(self.activation)
 
 
-def test_a_muscle_that_tells_nothing_of_its_fibers_has_no_rate(monkeypatch):
-    monkeypatch.setitem(myowarp.MUSCLES._entries, "untold", Untold)
+@pytest.mark.usefixtures("registered")
+def test_a_muscle_that_tells_nothing_of_its_fibers_has_no_rate():
+    myowarp.MUSCLES.add("untold", Untold)
     _, signals = worlds("untold", number=1)
     assert np.isnan(signals.muscles.bhargava2004.numpy()).all()
     assert np.isnan(signals.whole_body["umberger2010_per_kg"].numpy()).all()

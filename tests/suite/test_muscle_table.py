@@ -158,15 +158,10 @@ def test_command_lists_the_choices():
 
 
 @pytest.fixture
-def elastic(tmp_path, monkeypatch):
-    """Register a muscle model from a file of its own; yield its name."""
-    for registry in (MUSCLES, TASKS):
-        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
-    ids = set(gym.registry)
+def elastic(tmp_path, registered):
+    """Register a muscle model from a file of its own; return its name."""
     path = shutil.copy(Path(__file__).parents[1] / "outside" / "muscle.py", tmp_path)
-    yield load(str(path)) and "outside_elastic"
-    for name in set(gym.registry) - ids:
-        del gym.registry[name]
+    return load(str(path)) and "outside_elastic"
 
 
 @pytest.mark.parametrize("shards", [1, 2])

@@ -3,10 +3,10 @@
 import importlib
 import sys
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import warp as wp
+from registries import as_before
 
 from myowarp.definitions.task import TASKS
 from myowarp.disk import code_digest
@@ -72,22 +72,15 @@ WEIGHTS = {"a": -3.0, "b": -4.0}
 
 
 @pytest.fixture(autouse=True)
-def folders(tmp_path, monkeypatch):
+def folders(tmp_path):
     """Two folders of the same files, which differ in a number; what they register goes again."""
     for x, w in WEIGHTS.items():
         for name, text in FILES.items():
             path = tmp_path / x / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text.format(x=x, w=w))
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.setattr(TASKS, "_entries", dict(TASKS._entries))
-    before, ids = set(sys.modules), set(gym.registry)
-    yield tmp_path
-    for name in set(sys.modules) - before:
-        if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
-            del sys.modules[name]
-    for name in set(gym.registry) - ids:
-        del gym.registry[name]
+    with as_before(tmp_path):
+        yield tmp_path
 
 
 def both(folders, file, order="ab"):
