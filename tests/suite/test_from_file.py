@@ -320,6 +320,14 @@ def test_another_encoding(tmp_path):
     from_mjcf(path)
 
 
+def test_muscles_in_another_encoding(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(MOTOR.format(**USUAL))
+    path.with_name("muscles.csv").write_bytes("name,class,\nm\xfcscle,x,\n".encode("latin-1"))
+    with pytest.raises(ValueError, match=r"^file '.*muscles.csv' must be written in UTF-8; save it as that$"):
+        from_mjcf(path)
+
+
 ARGUMENTS = [
     ({"path": None}, "path must be that of an MJCF file, got None"),
     ({"targets": 5}, "targets must be names of joints or sites, got 5"),
