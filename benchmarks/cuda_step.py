@@ -157,7 +157,7 @@ class Unlaunched(shard_module.Shard):
 
 
 def _stages_of_cuda(step: Step, *args: Any) -> tuple[tuple[Stage, ...], frozenset[str]]:
-    return step.stages(CUDA_STAGES), idle_kernels(step.stepped.oracle)
+    return step.stages(CUDA_STAGES), idle_kernels(step.stepped)
 
 
 def cuda_shard(task: str, physics: str) -> shard_module.Shard:

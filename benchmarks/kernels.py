@@ -34,6 +34,7 @@ from myowarp.engine.idle import idle_kernels
 from myowarp.engine.patch import exchanged
 from myowarp.engine.replay import Operation
 from myowarp.engine.stages import contact_solve
+from myowarp.sim.build import stepped_of
 
 PART = re.compile(r"// Part: (.*)\n")
 COUNTED = """
@@ -83,7 +84,7 @@ class Kernels(Physics):
         super().__init__(TASKS[key], options.num_worlds, Warmup())
         self.keys: list[str] = []
         with exchanged(self._note):
-            self._graph = self.graph(self.names, idle_kernels(self.scene.oracle))
+            self._graph = self.graph(self.names, idle_kernels(stepped_of(self.scene)))
         self.rows = self._graph.replay.rows.view(np.int64).tolist()
         number = sum(row[0] == Operation.LAUNCH for row in self.rows)
         self.keys = self.keys[-1 - number : -1]  # after those that were compiled; the last is `replay` itself

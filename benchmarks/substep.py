@@ -46,6 +46,7 @@ from myowarp.engine.idle import idle_kernels
 from myowarp.engine.stage import STAGES
 from myowarp.osim.bundle.couplings import Couplings
 from myowarp.process import num_cores
+from myowarp.sim.build import stepped_of
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import pose_task
 
@@ -115,7 +116,7 @@ class Physics:
 
     def contestants(self) -> dict[str, Callable[[], float]]:
         """Return what measures microseconds of one world and step, by name."""
-        names, idle = self.names, idle_kernels(self.scene.oracle)
+        names, idle = self.names, idle_kernels(stepped_of(self.scene))
         sets = {ALL: names}
         sets |= {f"without {name}": [other for other in names if other != name] for name in names}
         graphs = {name: self.graph(stages, idle) for name, stages in sets.items()}
@@ -126,7 +127,7 @@ class Physics:
 
     def all_stages(self) -> Callable[[], float]:
         """Return what measures the step with all stages of ours."""
-        graph = self.graph(self.names, idle_kernels(self.scene.oracle))
+        graph = self.graph(self.names, idle_kernels(stepped_of(self.scene)))
         return lambda: self.run(graph.launch)
 
     def held(self, folder: Path, options: Options) -> Callable[[], float]:

@@ -67,6 +67,7 @@ class Scene:
         reset: What episodes start from, one of `spec.RESETS`.
         actuator_kind: How an action becomes a control, MUSCLE or MOTOR (linear), shape (nu,).
         capacity: Contacts and constraint rows that the arrays hold.
+        batched: Fields of the model that each world has for itself, by the task and the conditions.
         state: All that a world is from one step to the next, by name: arrays (num_worlds, ...).
         parameters: Those of the conditions (`Parameter`), in the order of their binding.
         paths: Of tendons, where the model brings its own; None: they are the engine's.
@@ -87,6 +88,7 @@ class Scene:
     reset: str
     actuator_kind: wp.array
     capacity: Capacity
+    batched: frozenset[str]
     device: wp.Device = field(repr=False)
     state: dict[str, wp.array] = field(default_factory=dict, repr=False)
     parameters: list[Any] = field(default_factory=list, repr=False)

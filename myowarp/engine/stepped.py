@@ -24,6 +24,7 @@ class Stepped:
         sites: Ids of the sites whose poses are read outside of the step.
         qpos_start: Configuration to start from, shape (nq,).
         num_substeps: Physics steps in a control step.
+        batched: Fields of the model that each world has for itself.
         paths: Of tendons, where the model brings its own; None: they are the engine's.
         forces: Springs and dampers that the model brings along; None: it brings none.
         ground: Height field whose contacts are ours; None: there is none.
@@ -38,6 +39,7 @@ class Stepped:
     sites: tuple[int, ...]
     qpos_start: wp.array
     num_substeps: int
+    batched: frozenset[str] = frozenset()
     paths: Paths | None = None
     forces: Forces | None = None
     ground: Ground | None = None

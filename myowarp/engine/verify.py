@@ -118,7 +118,8 @@ def _cached_verdict(
         type(step).__name__,
         names,
         muscles,
-        [(type(condition).__qualname__, condition.batched) for condition in theirs],
+        [type(condition).__qualname__ for condition in theirs],
+        sorted(stepped.batched),
         deterministic,
         where,
         version("mujoco-warp"),
@@ -127,7 +128,7 @@ def _cached_verdict(
 
     def load(content: bytes) -> Verdict:
         entry = json.loads(content)
-        known = {"idle": idle_kernels(stepped.oracle), "stages": frozenset(names)}
+        known = {"idle": idle_kernels(stepped), "stages": frozenset(names)}
         if not isinstance(entry, dict) or any(not isinstance(entry.get(part), list) for part in known):
             raise ValueError("it holds no verdict")
         parts = {part: frozenset(map(str, entry[part])) for part in known}
@@ -179,7 +180,7 @@ def verified_idle(step: Step) -> frozenset[str]:
     """
     stepped = step.stepped
     host, data = stepped.oracle, stepped.data
-    names = idle_kernels(host)
+    names = idle_kernels(stepped)
     rng = np.random.default_rng(0)
     low, high = np.where(host.jnt_limited[:, None], host.jnt_range, (-1.0, 1.0)).T
     qpos = np.tile(host.qpos0, (data.nworld, 1))

@@ -318,13 +318,14 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
             reset=str(setup.reset),
             actuator_kind=wp.array(_action_kinds(oracle, spec), dtype=int),
             capacity=capacity,
+            batched=frozenset(batched),
             device=where,
             paths=paths_of(oracle, model, data),
             forces=forces_of(oracle, model, data),
         )
         if uncovered(stepped_of(scene)) is None:
             scene.ground = height_field(oracle, model)
-        _adopt_arrays(scene, batched, individual=bool(conditions))
+        _adopt_arrays(scene, individual=bool(conditions))
     return scene
 
 
@@ -338,13 +339,14 @@ def stepped_of(scene: Scene) -> Stepped:
         sites=tuple(scene.site_id(name) for name in scene.spec.sites),
         qpos_start=scene.qpos_start,
         num_substeps=scene.num_substeps,
+        batched=scene.batched,
         paths=scene.paths,
         forces=scene.forces,
         ground=scene.ground,
     )
 
 
-def _adopt_arrays(scene: Scene, batched: set[str], individual: bool) -> None:
+def _adopt_arrays(scene: Scene, individual: bool) -> None:
     """Name the arrays that engine, muscles and random numbers share with other shards, and the state."""
     data, model, muscles = scene.data, scene.model, scene.muscles
     for name in STATE_FIELDS:
@@ -352,7 +354,7 @@ def _adopt_arrays(scene: Scene, batched: set[str], individual: bool) -> None:
     scene.adopt("data", data, RESULT_FIELDS, state=False)
     scene.adopt("model", model, sorted(scene.spec.batched))
     scene.adopt("model", model, ("actuator_biasprm",), state=False)
-    scene.adopt("condition.model", model, sorted(batched - {"actuator_biasprm", *scene.spec.batched}))
+    scene.adopt("condition.model", model, sorted(scene.batched - {"actuator_biasprm", *scene.spec.batched}))
     scene.adopt("muscles", muscles, (*muscles.STATE, *muscles.RESULTS))
     scene.adopt("keys", scene.keys)
     if individual:

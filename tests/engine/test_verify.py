@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -23,7 +24,7 @@ def counted(tmp_path, monkeypatch):
     """Return a step, a verdict about it, and a function that counts how often it was asked for."""
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path))
     step = Step(stepped_of(compile_scene(TASKS[KEY], 1, device="cpu")))
-    verdict = Verdict(idle_kernels(step.stepped.oracle), frozenset())
+    verdict = Verdict(idle_kernels(step.stepped), frozenset())
     assert verdict.idle
     calls = []
 
@@ -85,3 +86,21 @@ def test_an_edited_condition_of_the_users_is_another_verdict(counted, tmp_path):
     path.write_text(path.read_text().replace("RATE = 2.0", "RATE = 3.0"))
     cached_verdict(step, (), verify, (fading,))
     assert len(calls) == 3
+
+
+def test_what_worlds_have_for_themselves_is_not_idle():
+    """Zeros of the model say nothing then: a condition may write friction, springs or weight into worlds."""
+    stepped = stepped_of(compile_scene(TASKS[KEY], 1, device="cpu"))
+    for kernel, field in {
+        "_friction_dof": "dof_frictionloss",
+        "_gravity_force": "body_gravcomp",
+        "_spring_damper_tendon_passive": "tendon_stiffness",
+    }.items():
+        assert kernel in idle_kernels(stepped)
+        assert kernel not in idle_kernels(replace(stepped, batched=stepped.batched | {field}))
+
+
+def test_a_task_names_what_its_worlds_have_for_themselves():
+    scene = compile_scene(TASKS["myoHandKeyTurnRandom-v0"], 1, device="cpu")
+    assert scene.spec.batched
+    assert set(scene.spec.batched) < stepped_of(scene).batched

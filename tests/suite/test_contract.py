@@ -9,6 +9,7 @@ import warp as wp
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TASKS
 from myowarp.engine.idle import idle_kernels
+from myowarp.sim.build import stepped_of
 from myowarp.sim.simulation import Simulation
 
 KEYS = sorted(TASKS)
@@ -187,4 +188,4 @@ def test_masked_reset_touches_only_its_worlds(key):
 def test_idle_kernels_are_left_out(key):
     """Verification lets all pass that a model has idle; a state that it forgets to set would let none."""
     sim = Simulation(TASKS[key], 2, device="cpu", graph=False, progress=False)
-    assert sim.shards[0]._idle == idle_kernels(sim.scene.oracle)
+    assert sim.shards[0]._idle == idle_kernels(stepped_of(sim.scene))
