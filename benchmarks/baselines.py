@@ -21,11 +21,10 @@ from typing import Any
 from myowarp.apps.policies import baselines
 from myowarp.apps.policies.baselines import CURVE, RESULT, Baseline, load_baseline
 from myowarp.apps.policies.checkpoint import LEARNER, POLICY, Checkpoint, load_checkpoint, save_policy
+from myowarp.apps.reports.evaluation import SUCCESSES, evaluate_policy, plan_evaluation, success_text
 from myowarp.apps.reports.table import markdown
-from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
 from myowarp.apps.train.progress import CSV
 from myowarp.apps.train.run import REPORT
-from myowarp.apps.train.settings import SUCCESSES, success_text
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 from myowarp.disk import in_place

@@ -102,8 +102,9 @@ def make_run(kind: str, task: str, python: str, cores: int) -> Run:
 
     AsyncVectorEnv gets one environment a core, for each is a process, and as many more steps an iteration.
     """
-    job = plan(task, algorithm="ppo", device="cpu", output=Path("unwritten"))
-    if kind == "myowarp":
+    algorithm = "sac" if kind == "myowarp_sac" else "ppo"
+    job = plan(task, algorithm=algorithm, device="cpu", output=Path("unwritten"))
+    if kind.startswith("myowarp"):
         return start(job)
     settings = job.settings
     torch.set_num_threads(settings.threads)
@@ -119,11 +120,17 @@ def main() -> None:
     share, seconds, begin = options.pop("share"), options.pop("seconds"), options.pop("begin")
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
-    run = make_run(**options)
+    run, started = make_run(**options), time.time() - begin
     while True:
         run.iterate()
         figures, wall = run.worlds.tally.figures(), time.time() - begin
-        row = {"seconds": wall, "cpu": cpu_seconds(), "samples": run.samples, "success": figures["success"]}
+        row = {
+            "seconds": wall,
+            "start": started,
+            "cpu": cpu_seconds(),
+            "samples": run.samples,
+            "success": figures["success"],
+        }
         reached = run.worlds.tally.reached(share, "success")
         print(json.dumps(row | run.worlds.clock.shares() | {"reached": reached}), file=answers)
         if reached or wall > seconds:

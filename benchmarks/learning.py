@@ -1,11 +1,11 @@
-"""Time to success: one trainer, one algorithm and one set of settings, on MyoWarp and on its rivals.
+"""Time to success: one trainer and one set of settings, on MyoWarp and on its rivals; our SAC beside it.
 
     make learning
 
 The loop and the PPO of `myowarp train` with a task's preset learn in MyoWarp, in EnvPool and in MyoSuite with
 Gymnasium's AsyncVectorEnv, on the same cores, one training at a time. Time counts from the start of the
-process, compilation from a warm cache included, to the share of successes that ends a training, of the last
-256 episodes with sampled actions. Linux only.
+process to the share of successes that ends a training, of the last 256 episodes with sampled actions. What
+passed before the first step, compilation from a warm cache included, is `start`. Linux only.
 """
 
 import json
@@ -33,14 +33,21 @@ TASKS = {
     "finger pose": "myoFingerPoseRandom-v0",
     "hand reach": "myoHandReachFixed-v0",
     "key turn": "myoHandKeyTurnFixed-v0",
+    "object hold": "myoHandObjHoldRandom-v0",
 }
 GOALS = {"elbow pose": 5.0, "hand reach": 3.0, "key turn": 3.0}
 """How many times sooner than the better rival we want to be."""
-CONTESTANTS = {"myowarp": "MyoWarp", "envpool": "EnvPool", "myosuite_async": "MyoSuite async"}
-COLORS = {"myowarp": "#1f5fa8", "envpool": "#d9822b", "myosuite_async": "#777777"}
+CONTESTANTS = {
+    "myowarp": "MyoWarp",
+    "myowarp_sac": "MyoWarp, SAC",
+    "envpool": "EnvPool",
+    "myosuite_async": "MyoSuite async",
+}
+COLORS = {"myowarp": "#1f5fa8", "myowarp_sac": "#7fb0e0", "envpool": "#d9822b", "myosuite_async": "#777777"}
 DIFFERENCES = {
     "MyoWarp": "the preset's physics, as in the training of the baselines; success under parity is in "
     "docs/baselines.md",
+    "MyoWarp, SAC": "the preset's settings for SAC, or its defaults; all others learn by PPO",
     "EnvPool": "EnvPool 1.2.5: MyoSuite 2.11.6, its models and observations; one thread a core; every "
     "environment starts every episode alike, so that its Random ids are easier",
     "MyoSuite async": "MyoSuite 3.0.0 in AsyncVectorEnv, one worker a core, with as many steps more in an "
@@ -109,7 +116,8 @@ def summary(rows: dict[str, list[dict[str, Any]]]) -> dict[str, Any]:
     for kind, trainings in rows.items():
         last = [training["curve"][-1] for training in trainings]
         figures = {
-            name: round(statistics.median(row[name] for row in last), 2) for name in ("seconds", "cpu")
+            name: round(statistics.median(row[name] for row in last), 2)
+            for name in ("seconds", "start", "cpu")
         }
         found[kind] = figures | {
             "samples": statistics.median(row["samples"] for row in last),
@@ -120,7 +128,7 @@ def summary(rows: dict[str, list[dict[str, Any]]]) -> dict[str, Any]:
             "cores_busy_with_others": max(training["others"] for training in trainings),
         }
     ours = found["myowarp"]
-    rivals = [row for kind, row in found.items() if kind != "myowarp"]
+    rivals = [row for kind, row in found.items() if not kind.startswith("myowarp")]
     for name in ("seconds", "cpu"):  # a rival that has not succeeded yet would take longer still
         found[f"times_better_{name}"] = round(min(row[name] for row in rivals) / max(ours[name], 1e-9), 2)
     return found
@@ -149,15 +157,17 @@ def draw(report: dict[str, Any], path: Path) -> None:
 
 def print_table(report: dict[str, Any]) -> None:
     """Print the summaries."""
-    table = Table("task", "contestant", "seconds", "CPU [s]", "samples", "success", "simulation", "others")
+    figures = ("seconds", r"start \[s]", r"CPU \[s]", "samples", "success", "simulation", "others")
+    table = Table("task", "contestant", *figures)  # rich would take [s] for a tag
     for task, entry in report["tasks"].items():
-        for kind, name in CONTESTANTS.items():
+        for kind in entry["trainings"]:
             row = entry["summary"][kind]
             bound = "" if row["reached"] == row["trainings"] else "> "
-            cells = [f"{bound}{row['seconds']:.1f}", f"{bound}{row['cpu']:.1f}", f"{row['samples']:,.0f}"]
+            cells = [f"{bound}{row['seconds']:.1f}", f"{row['start']:.1f}", f"{bound}{row['cpu']:.1f}"]
+            cells += [f"{row['samples']:,.0f}"]
             cells += [f"{100 * row['success']:.0f} %", f"{100 * row['simulation']:.0f} %"]
-            table.add_row(task, name, *cells, f"{row['cores_busy_with_others']:.2f} cores")
-    Console(width=None if sys.stdout.isatty() else 140).print(table)
+            table.add_row(task, CONTESTANTS[kind], *cells, f"{row['cores_busy_with_others']:.2f} cores")
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
 
 
 def measure(task: str, options: Options, log: Any, say: Any) -> dict[str, list[dict[str, Any]]]:

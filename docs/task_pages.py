@@ -15,7 +15,7 @@ from sphinx.util.display import status_iterator
 from myowarp.apps.policies import baselines
 from myowarp.apps.reports.describe import describe
 from myowarp.apps.reports.describe_text import sections
-from myowarp.apps.train.settings import success_text
+from myowarp.apps.reports.evaluation import success_text
 from myowarp.definitions.task import TASKS
 from myowarp.kernels.episode import MYOSUITE
 

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import torch
 
+from myowarp.apps.rollouts.ranks import ALONE
 from myowarp.apps.train.loop import LEARNERS
-from myowarp.apps.train.ranks import ALONE
 from myowarp.apps.train.settings import choose
 from myowarp.apps.train.worlds import Clock, Step
 

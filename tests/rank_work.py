@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from myowarp.apps.train.ranks import Ranks
+from myowarp.apps.rollouts.ranks import Ranks
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.models.conditions import MotorNoise, Sarcopenia, Uniform
 

@@ -316,7 +316,7 @@ NOT_OPTIONS = {
     "apps/train/networks.py": {"device"},
     "apps/train/replay.py": {"device"},
     "apps/train/tally.py": {"device"},
-    "apps/train/ranks.py": {"device", "rank"},
+    "apps/rollouts/ranks.py": {"device", "rank"},
     "apps/adapters/rsl_rl.py": {"seed"},
     # A recorded motion has no environment.
     "apps/cli/motion/study.py": {"seed"},

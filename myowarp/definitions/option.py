@@ -67,7 +67,7 @@ def checked(entry: Field[Any], value: Any, name: str) -> Any:
     if told["check"]:
         told["check"](value)
         return value
-    for item in value if isinstance(value, tuple) else (value,):
+    for item in value if kind is tuple else (value,):
         if told["choices"]:
             check_choice(name, item, told["choices"])
         elif kind is tuple and type(item) is not (wanted := type(default[0]) if default else str):

@@ -16,8 +16,8 @@ from myowarp.apps.policies import baselines
 from myowarp.apps.policies import checkpoint as checkpoints
 from myowarp.apps.policies.checkpoint import check_contract
 from myowarp.apps.policies.learned import LearnedPolicy, read_policy
+from myowarp.apps.reports.evaluation import evaluate_policy, plan_evaluation
 from myowarp.apps.train import selection
-from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
 from myowarp.apps.train.plan import plan
 from myowarp.apps.train.run import STOPPED, train
 from myowarp.apps.train.settings import ALGORITHMS, TRAINING, divided, preset, restore

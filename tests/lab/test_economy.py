@@ -14,13 +14,13 @@ from thrown import AHEAD, thrown
 import myowarp
 from myowarp.apps.cli.eval import _print_table
 from myowarp.apps.policies.find import find_policy
+from myowarp.apps.reports.evaluation import evaluate
 from myowarp.apps.reports.intervals import wilson
 from myowarp.apps.rollouts.episodes import Episodes, are_one
 from myowarp.apps.rollouts.rollout import roll_out
 from myowarp.apps.rollouts.run import run as run_policy
 from myowarp.apps.studies.cohort.job import figures as cohort_figures
 from myowarp.apps.studies.cohort.run import run_cohort
-from myowarp.apps.train.evaluate import evaluate
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.setup import Setup
 from myowarp.sim.economy import UNITS, Economy, as_text, free_root

@@ -89,11 +89,19 @@ def test_a_rival_is_learned_in_with_the_learner_of_ours(served):
 
 def test_the_summary_counts_a_rival_that_did_not_succeed(tmp_path, capsys):
     def training(seconds, reached):
-        row = {"seconds": seconds, "cpu": 2 * seconds, "samples": 100, "success": 0.96, "simulation": 0.5}
+        row = {
+            "seconds": seconds,
+            "start": 1.5,
+            "cpu": 2 * seconds,
+            "samples": 100,
+            "success": 0.96,
+            "simulation": 0.5,
+        }
         return {"reached": reached, "curve": [row | {"success": float("nan")}, row], "others": 0.0}
 
     rows = {
         "myowarp": [training(s, True) for s in (3.0, 2.0, 9.0)],
+        "myowarp_sac": [training(1.0, True)],  # no rival
         "envpool": [training(30.0, False)],
         "myosuite_async": [training(24.0, True)],
     }
@@ -103,4 +111,6 @@ def test_the_summary_counts_a_rival_that_did_not_succeed(tmp_path, capsys):
     draw(report, tmp_path / "plot.png")
     assert (tmp_path / "plot.png").stat().st_size > 1000
     print_table(json.loads(json.dumps(report)))
-    assert "> 30.0" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "> 30.0" in out
+    assert "start [s]" in out

@@ -13,7 +13,7 @@ import pytest
 import rank_work
 
 from myowarp.apps.policies.checkpoint import find_folder, load_checkpoint
-from myowarp.apps.train.ranks import Ranks
+from myowarp.apps.rollouts.ranks import Ranks
 from myowarp.bridge_gym import MyoWarpVectorEnv
 
 TORCHRUN = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2"]

@@ -21,10 +21,11 @@ from myowarp.apps.cli import train as command
 from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.rollout import Rollout
 from myowarp.apps.policies import checkpoint as checkpoints
+from myowarp.apps.policies.checkpoint import eval_command
 from myowarp.apps.policies.learned import LearnedPolicy, read_policy
+from myowarp.apps.reports.evaluation import evaluate
 from myowarp.apps.reports.intervals import wilson
-from myowarp.apps.train.evaluate import evaluate
-from myowarp.apps.train.plan import eval_command, held, plan, resume_command
+from myowarp.apps.train.plan import held, plan, resume_command
 from myowarp.apps.train.run import start, train
 from myowarp.apps.train.settings import ALGORITHMS, choose, preset_algorithm
 from myowarp.bridge_gym import MyoWarpVectorEnv
@@ -214,7 +215,7 @@ def test_evaluation_counts_each_world_once(monkeypatch):
         return np.tanh(3.0 * obs[:, 2:3] * gains)
 
     in_reach = np.arange(6) % 2 == 0
-    monkeypatch.setattr("myowarp.apps.train.evaluate.in_reach", lambda *of: in_reach)
+    monkeypatch.setattr("myowarp.apps.reports.evaluation.in_reach", lambda *of: in_reach)
     got = evaluate(sim, act)
     returns, solved, success, effort, rate = [], [], [], [], []
     for world in range(6):

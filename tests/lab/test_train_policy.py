@@ -260,7 +260,7 @@ import sys
 sys.modules["torch"] = None
 from pathlib import Path
 import numpy as np
-import myowarp.apps.train.evaluate
+import myowarp.apps.reports.evaluation
 from myowarp.apps.policies.learned import LearnedPolicy
 from myowarp.apps.policies.checkpoint import load_checkpoint
 for run in Path({str(tmp_path)!r}).iterdir():

@@ -151,7 +151,7 @@ def test_settled_stepped_filmed_plotted_and_restored(task, tmp_path):
 @pytest.mark.slow
 def test_trained_and_evaluated(task, tmp_path):
     pytest.importorskip("torch")
-    from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
+    from myowarp.apps.reports.evaluation import evaluate_policy, plan_evaluation
     from myowarp.apps.train.plan import plan
     from myowarp.apps.train.run import train
 

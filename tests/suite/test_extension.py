@@ -19,9 +19,9 @@ from registries import as_before
 
 import myowarp
 from myowarp.apps.reports.describe import describe
+from myowarp.apps.reports.evaluation import evaluate
 from myowarp.apps.rollouts.targets import in_reach
 from myowarp.apps.rollouts.targets import measure as measure_targets
-from myowarp.apps.train.evaluate import evaluate
 from myowarp.disk import code_digest, is_ours
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.sim.build import oracle_model

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import myowarp
-from myowarp.apps.train.plan import trained_setup
+from myowarp.apps.policies.checkpoint import trained_setup
 from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.setup import Setup

@@ -12,7 +12,8 @@ from rich.console import Console
 from rich.table import Table
 
 from myowarp.apps.cli.options import Asked, environment, optional
-from myowarp.apps.train.settings import SUCCESSES, divided, success_text
+from myowarp.apps.reports.evaluation import SUCCESSES, success_text
+from myowarp.apps.train.settings import divided
 from myowarp.definitions.setup import Setup
 from myowarp.kernels.episode import MYOSUITE
 
@@ -101,7 +102,7 @@ def _remake(
     Returns:
         Figures of each mode.
     """
-    from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
+    from myowarp.apps.reports.evaluation import evaluate_policy, plan_evaluation
     from myowarp.apps.train.plan import plan
     from myowarp.apps.train.run import train
 

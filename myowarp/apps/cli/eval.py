@@ -14,8 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from myowarp.apps.cli.options import Asked, environment
-from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
-from myowarp.apps.train.settings import SUCCESSES, success_text
+from myowarp.apps.reports.evaluation import SUCCESSES, evaluate_policy, plan_evaluation, success_text
 from myowarp.kernels.episode import MYOSUITE
 from myowarp.sim.economy import UNITS as ECONOMY
 from myowarp.sim.economy import WALKING_UNITS, word

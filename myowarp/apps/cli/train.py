@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from myowarp.apps.cli.options import Environment, Said, flag_of, optional
 from myowarp.apps.cli.rollout import Rollout
-from myowarp.apps.train.evaluation import EVALUATION_SEED
+from myowarp.apps.reports.evaluation import EVALUATION_SEED
 from myowarp.apps.train.plan import SAVE_SECONDS, Job, plan, shown
 from myowarp.apps.train.run import train
 from myowarp.apps.train.settings import ALGORITHMS, all_settings, settings_of

@@ -124,7 +124,7 @@ class View:
     def _run(self) -> View | None:
         """Return the command for a run's folder in place of a task: the task and the policy of the run."""
         from myowarp.apps.policies.follow import is_run
-        from myowarp.apps.train.evaluation import plan_evaluation
+        from myowarp.apps.reports.evaluation import plan_evaluation
 
         asked = self.asked.setup
         if not isinstance(asked.task, str) or not is_run(asked.task):

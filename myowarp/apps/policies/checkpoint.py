@@ -17,6 +17,7 @@ import hashlib
 import json
 import os
 import platform
+import shlex
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from myowarp.apps.policies.form import check_manifest, check_policy
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.process import warn_once
@@ -72,6 +74,24 @@ class Checkpoint:
             CheckpointError: It is damaged.
         """
         return _read_arrays(self.folder, STATE, self.manifest)
+
+
+def is_file(asked: Setup) -> bool:
+    """Whether a task is from a file, which a checkpoint does not open by itself."""
+    return isinstance(asked.task, Path) or ":" in str(asked.task)
+
+
+def eval_command(asked: Setup, folder: Path | str) -> str:
+    """Return what a shell is told to evaluate a policy, of which its checkpoint says the task."""
+    flag = "--model" if isinstance(asked.task, Path) else "--task"
+    file = [flag, str(asked.task)] if is_file(asked) else []
+    return f"myowarp {shlex.join(['eval', str(folder), *file])}"
+
+
+def trained_setup(manifest: Mapping[str, Any]) -> Setup:
+    """Return what a checkpoint's policy was trained in, as its user said it."""
+    task = Path(manifest["task"]) if manifest["model"] else manifest["task"]
+    return Setup(task=task).over(Setup.from_plain(manifest["settings"]))
 
 
 def task_contract(sim: Simulation) -> dict[str, Any]:

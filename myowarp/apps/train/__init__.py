@@ -1,4 +1,4 @@
-"""Training: PPO, TRPO, SAC and DAgger, each a file; exact checkpoints, and evaluation.
+"""Training: PPO, TRPO, SAC and DAgger, each a file, and exact checkpoints.
 
 | file | what it holds |
 |---|---|
@@ -10,7 +10,5 @@
 | `networks.py`, `noise.py`, `replay.py` | policies, critics; noise that lasts; a memory of samples |
 | `loop.py`, `run.py` | a run between two iterations; from its first step to its report |
 | `selection.py` | evaluations on the way, of which the best policy is kept |
-| `ranks.py` | processes that share a policy |
 | `progress.py` | the live line, CSV, TensorBoard, the curve |
-| `evaluate.py`, `evaluation.py` | episodes of a policy, three success rules; needs no torch |
 """

@@ -16,9 +16,9 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
+from myowarp.apps.rollouts.ranks import Ranks
 from myowarp.apps.train.learner import Learner
 from myowarp.apps.train.networks import GaussianPolicy
-from myowarp.apps.train.ranks import Ranks
 from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import DAggerSettings
 from myowarp.apps.train.worlds import Worlds

@@ -17,11 +17,11 @@ from collections.abc import Mapping
 import numpy as np
 import torch
 
+from myowarp.apps.rollouts.ranks import Ranks
 from myowarp.apps.train.dagger import Expert, advice_of
 from myowarp.apps.train.learner import Learner
 from myowarp.apps.train.networks import GaussianPolicy
 from myowarp.apps.train.noise import RepeatedNoise
-from myowarp.apps.train.ranks import Ranks
 from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import ImproveSettings
 from myowarp.apps.train.worlds import Worlds

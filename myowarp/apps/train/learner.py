@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from torch import nn
 
+from myowarp.apps.rollouts.ranks import Ranks
 from myowarp.apps.train.networks import CLIP, EPSILON, GaussianPolicy, Normaliser, SquashedPolicy, products
-from myowarp.apps.train.ranks import Ranks
 from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import Settings
 from myowarp.apps.train.worlds import Worlds

@@ -14,13 +14,13 @@ import torch
 
 from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.find import acting, find_policy
+from myowarp.apps.rollouts.ranks import ALONE, Ranks
 from myowarp.apps.train import bonus
 from myowarp.apps.train.dagger import DAgger
 from myowarp.apps.train.improve import Improve
 from myowarp.apps.train.learner import GENERATORS, NOISE, Arrays, Average, Learner
 from myowarp.apps.train.machine import multiplies_bfloat16
 from myowarp.apps.train.ppo import PPO
-from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.sac import SAC
 from myowarp.apps.train.settings import Settings
 from myowarp.apps.train.trpo import TRPO

@@ -14,7 +14,7 @@ from functools import partial
 import torch
 from torch import nn
 
-from myowarp.apps.train.ranks import ALONE, Ranks
+from myowarp.apps.rollouts.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import Gaussian, Settings
 
 # In place: the slope of a function is then one of its result, without another exponential.

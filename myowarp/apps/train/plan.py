@@ -10,13 +10,26 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from myowarp.apps.policies.baselines import policy_folder
+from myowarp.apps.policies.checkpoint import (
+    FOLDER,
+    LEARNER,
+    STATE,
+    Checkpoint,
+    CheckpointError,
+    find_folder,
+    is_file,
+    load_checkpoint,
+    trained_setup,
+)
 from myowarp.apps.policies.find import find_policy
+from myowarp.apps.policies.learned import read_policy
+from myowarp.apps.rollouts.ranks import ALONE, Ranks
 from myowarp.apps.train import bonus
-from myowarp.apps.train.ranks import ALONE, Ranks
 from myowarp.apps.train.settings import (
     ALGORITHMS,
     TRAINING,
@@ -42,9 +55,6 @@ from myowarp.sim.patient_columns import conditions_of
 from myowarp.sim.patient_table import population_of
 from myowarp.sim.state import State
 from myowarp.tasks.setups import complete
-
-if TYPE_CHECKING:
-    from myowarp.apps.policies.checkpoint import Checkpoint
 
 SAVE_SECONDS = 30.0  # from one checkpoint to the next
 LOCK = ".lock"
@@ -89,11 +99,6 @@ class Job:
         return resume_command(self.asked, self.folder, self.ranks.size)
 
 
-def is_file(asked: Setup) -> bool:
-    """Whether a task is from a file, which a checkpoint does not open by itself."""
-    return isinstance(asked.task, Path) or ":" in str(asked.task)
-
-
 def resume_command(asked: Setup, folder: Path, ranks: int) -> str:
     """Return what a shell is told to go on with a run, which its checkpoint says."""
     start = f"torchrun --nproc-per-node {ranks} -m myowarp" if ranks > 1 else "myowarp"
@@ -102,22 +107,9 @@ def resume_command(asked: Setup, folder: Path, ranks: int) -> str:
     return f"{start} {shlex.join(['train', *file, '--resume', str(folder)])}"
 
 
-def eval_command(asked: Setup, folder: Path | str) -> str:
-    """Return what a shell is told to evaluate a policy, of which its checkpoint says the task."""
-    flag = "--model" if isinstance(asked.task, Path) else "--task"
-    file = [flag, str(asked.task)] if is_file(asked) else []
-    return f"myowarp {shlex.join(['eval', str(folder), *file])}"
-
-
 def task_name(setup: Setup) -> str:
     """Return the task of a setup as a manifest says it; what a specification changes is in the contract."""
     return setup.task.key if isinstance(setup.task, TaskSpec) else str(setup.task)
-
-
-def trained_setup(manifest: Mapping[str, Any]) -> Setup:
-    """Return what a checkpoint's policy was trained in, as its user said it."""
-    task = Path(manifest["task"]) if manifest["model"] else manifest["task"]
-    return Setup(task=task).over(divided(manifest["settings"])[0])
 
 
 def policy_task(name: str) -> Path | str | None:
@@ -126,9 +118,6 @@ def policy_task(name: str) -> Path | str | None:
     Raises:
         ValueError: It is damaged.
     """
-    from myowarp.apps.policies.baselines import policy_folder
-    from myowarp.apps.policies.checkpoint import load_checkpoint
-
     folder = None if name == "baseline" else policy_folder(name, None)
     return folder and trained_setup(load_checkpoint(folder).manifest).task  # type: ignore[return-value]
 
@@ -236,8 +225,6 @@ def held(job: Job) -> Iterator[None]:
 
 def last_saved(folder: Path) -> Path | None:
     """Return the last checkpoint in the folder of a run; None if there is none."""
-    from myowarp.apps.policies.checkpoint import CheckpointError, find_folder
-
     try:
         return find_folder(folder, learning=True)
     except CheckpointError:
@@ -323,10 +310,6 @@ def _with_parent(
     Raises:
         ValueError: There is no such policy, or it is not one that the run can train.
     """
-    from myowarp.apps.policies.baselines import policy_folder
-    from myowarp.apps.policies.checkpoint import CheckpointError
-    from myowarp.apps.policies.learned import read_policy
-
     folder = policy_folder(settings.parent, spec.key)
     if folder is None:
         raise ValueError(f"--parent {settings.parent!r} must be a run's folder, baseline or baselines/<id>")
@@ -362,8 +345,6 @@ def _plan_resume(
         given: Settings that were named.
         how: Fields of the job that belong to this process.
     """
-    from myowarp.apps.policies.checkpoint import FOLDER, LEARNER, STATE, CheckpointError, load_checkpoint
-
     checkpoint, ranks = load_checkpoint(folder, learning=True), how["ranks"]
     manifest = checkpoint.manifest
     if STATE not in manifest["files"]:

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import nn
 
+from myowarp.apps.rollouts.ranks import Ranks
 from myowarp.apps.train.learner import Captured, Learner, set_rate
 from myowarp.apps.train.networks import GaussianPolicy, Normaliser, perceptron
 from myowarp.apps.train.noise import RepeatedNoise
-from myowarp.apps.train.ranks import Ranks
 from myowarp.apps.train.settings import OnPolicy, PPOSettings
 from myowarp.apps.train.worlds import Worlds
 

@@ -19,8 +19,8 @@ from rich.live import Live
 from rich.text import Text
 
 from myowarp.apps.reports import panel
+from myowarp.apps.reports.evaluation import SUCCESSES
 from myowarp.apps.reports.table import read_numbers
-from myowarp.apps.train.settings import SUCCESSES
 from myowarp.disk import in_place
 
 CSV, CURVE = "progress.csv", "curve.png"

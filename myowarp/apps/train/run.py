@@ -16,10 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
+from myowarp.apps.policies import checkpoint
+from myowarp.apps.policies.checkpoint import BEST, LEARNER, POLICY, CheckpointError, eval_command, versions
+from myowarp.apps.reports.evaluation import SUCCESSES
 from myowarp.apps.train.machine import Stopwatch, check_replay, processor
-from myowarp.apps.train.plan import Job, eval_command, held, last_saved, task_name
+from myowarp.apps.train.plan import Job, held, last_saved, task_name
 from myowarp.apps.train.selection import Selection
-from myowarp.apps.train.settings import SUCCESSES
 from myowarp.definitions.condition import Condition
 from myowarp.disk import in_place, plain
 from myowarp.tasks.setups import variant_of
@@ -77,7 +79,6 @@ def start(job: Job) -> Run:
     """
     import torch
 
-    from myowarp.apps.policies.checkpoint import CheckpointError, check_contract
     from myowarp.apps.train.loop import Run
     from myowarp.apps.train.replay import replay_bytes
 
@@ -85,12 +86,12 @@ def start(job: Job) -> Run:
     torch.set_num_threads(settings.threads)
     env = _environment(job, job.checkpoint.manifest["samples"] if job.checkpoint else 0)
     if job.parent is not None:
-        check_contract(job.parent, env.sim)
+        checkpoint.check_contract(job.parent, env.sim)
     obs, actions = env.sim.transition.obs.shape[1], env.sim.action.shape[1]
     check_replay(replay_bytes(settings, obs, actions), job.folder)
     run = Run(env, settings, job.parent, job.start, ranks)
     if job.checkpoint is not None:
-        check_contract(job.checkpoint, env.sim, learning=True)
+        checkpoint.check_contract(job.checkpoint, env.sim, learning=True)
         try:
             run.restore(job.checkpoint)
         except (KeyError, RuntimeError, ValueError) as error:
@@ -216,24 +217,24 @@ def _stop_asked() -> Iterator[Any]:
         return
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
+    def put_back() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
     def note(number: int, frame: object) -> None:
         came.append(number)
-        for each, handler in before.items():
-            signal.signal(each, handler)
+        put_back()
 
     for number in before:
         signal.signal(number, note)
     try:
         yield lambda: bool(came)
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        put_back()
 
 
 def _note_versions(job: Job, console: Console) -> None:
     """Say if packages are not those that wrote the checkpoint that is resumed."""
-    from myowarp.apps.policies.checkpoint import versions
-
     if job.checkpoint is None:
         return
     before, now = job.checkpoint.manifest["versions"], versions()
@@ -263,13 +264,10 @@ def _save(job: Job, run: Run, selection: Selection) -> None:
     Raises:
         OSError: It cannot be written; the one before is still there.
     """
-    from myowarp.apps.policies.checkpoint import save_checkpoint
-
     manifest, policy, state = manifest_of(job, run, selection), run.average.arrays(), run.arrays()
-    if not job.ranks.leads:
-        return
-    with _written(job, f"checkpoint after {run.samples} samples"):
-        save_checkpoint(job.folder, run.samples, manifest, policy, state)
+    if job.ranks.leads:
+        with _written(job, f"checkpoint after {run.samples} samples"):
+            checkpoint.save_checkpoint(job.folder, run.samples, manifest, policy, state)
 
 
 def _select(job: Job, run: Run, selection: Selection) -> dict[str, float]:
@@ -278,22 +276,18 @@ def _select(job: Job, run: Run, selection: Selection) -> dict[str, float]:
     Raises:
         OSError: It cannot be written; the best one before is still there.
     """
-    from myowarp.apps.policies.checkpoint import BEST, save_checkpoint
-
     if not selection.is_due(run.samples):
         return selection.figures()
     manifest, policy = manifest_of(job, run, selection), run.average.arrays()
     if selection.evaluate(run.samples, manifest, policy) and job.ranks.leads:
         manifest |= {"selection": plain(selection.manifest())}
         with _written(job, f"the best policy, after {run.samples} samples"):
-            save_checkpoint(job.folder, run.samples, manifest, policy, root=BEST)
+            checkpoint.save_checkpoint(job.folder, run.samples, manifest, policy, root=BEST)
     return selection.figures()
 
 
 def manifest_of(job: Job, run: Run, selection: Selection) -> dict[str, Any]:
     """Return what a checkpoint is."""
-    from myowarp.apps.policies import checkpoint
-
     # A model's file was read at the start, and may be gone by now.
     from_file = isinstance(job.asked.task, Path)
     task = job.setup.spec.key if from_file else job.asked.task
@@ -305,10 +299,10 @@ def manifest_of(job: Job, run: Run, selection: Selection) -> dict[str, Any]:
         "reset": variant.reset,
         "conditions": [*variant.conditions, *objects],
         "algorithm": job.algorithm,
-        "learner": checkpoint.LEARNER,
+        "learner": LEARNER,
         "contract": checkpoint.task_contract(run.env.sim),
         "settings": _settings(job, run),
-        "versions": checkpoint.versions(),
+        "versions": versions(),
         "parent": _origin(job),
         "files_read": job.files_read,
         "selection": selection.manifest(),
@@ -342,8 +336,6 @@ def _origin(job: Job) -> dict[str, Any] | None:
         return dict(job.checkpoint.manifest.get("parent") or {}) or None
     if job.parent is None:
         return None
-    from myowarp.apps.policies.checkpoint import POLICY
-
     manifest = job.parent.manifest
     return {"task": job.parent.task, "samples": manifest["samples"], **manifest["files"][POLICY]}
 

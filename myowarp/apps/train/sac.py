@@ -21,10 +21,10 @@ import torch
 from torch import nn
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
+from myowarp.apps.rollouts.ranks import Ranks
 from myowarp.apps.train.learner import Captured, Learner
 from myowarp.apps.train.networks import Critics, SquashedPolicy
 from myowarp.apps.train.noise import RepeatedNoise
-from myowarp.apps.train.ranks import Ranks
 from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import SACSettings
 from myowarp.apps.train.worlds import Worlds

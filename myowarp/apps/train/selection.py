@@ -17,7 +17,7 @@ from rich.console import Console
 
 from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.learned import LearnedPolicy
-from myowarp.apps.train.evaluate import evaluate
+from myowarp.apps.reports.evaluation import evaluate
 from myowarp.apps.train.plan import Job
 from myowarp.definitions.condition import Condition
 from myowarp.sim.simulation import Simulation

@@ -15,29 +15,15 @@ from importlib import resources
 from typing import Any, TypeVar
 
 from myowarp.apps.policies.form import ACTIVATIONS, MEAN_BOUNDS
+from myowarp.apps.reports.evaluation import SUCCESSES
 from myowarp.apps.train import bonus
 from myowarp.definitions.option import checked, flag, option
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import OPTIONS, Setup
 
-SUCCESSES = {
-    "success": "more than 5 solved steps, no failure",
-    "success_last": "solved on the last step",
-    "success_any": "solved at any step",
-}
 PRECISIONS = ("auto", "bfloat16", "float32")
 NOISES = ("white", "repeated")
 TRAINING = Setup(physics="fast", muscle="mujoco", seed=0)  # unless the preset of a task says otherwise
-
-
-def success_text(figures: Mapping[str, Any], rule: str) -> str:
-    """Return a success of an evaluation in percent, with its interval unless all episodes are one."""
-    if rule not in figures:  # of an evaluation of before
-        return "-"
-    if figures["one_episode"]:
-        return f"{100 * figures[rule]:.0f} % (one episode)"
-    low, high = figures["intervals"][rule]
-    return f"{100 * figures[rule]:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
 
 
 @dataclass(frozen=True, kw_only=True)

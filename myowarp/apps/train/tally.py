@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from myowarp.apps.train.settings import SUCCESSES
+from myowarp.apps.reports.evaluation import SUCCESSES
 
 WINDOW = 256  # episodes that figures cover
 COLUMNS = ("return", "length", *SUCCESSES)  # of an episode
@@ -23,35 +23,34 @@ class Tally:
     """
 
     def __init__(self, num_worlds: int, device: str) -> None:
-        self._return = torch.zeros(num_worlds, dtype=torch.float64, device=device)
-        self._length = torch.zeros(num_worlds, dtype=torch.float64, device=device)
-        self._any = torch.zeros(num_worlds, dtype=torch.bool, device=device)
+        kinds = {"return": torch.float64, "length": torch.float64, "any": torch.bool}
+        self._worlds = {
+            name: torch.zeros(num_worlds, dtype=kind, device=device) for name, kind in kinds.items()
+        }
         self._new: list[np.ndarray] = []
         self._last: deque[np.ndarray] = deque(maxlen=WINDOW)
         self.episodes = 0
 
     def add(self, reward: torch.Tensor, ended: torch.Tensor, any_ended: bool, info: dict[str, Any]) -> None:
         """Count one control step of all worlds."""
-        self._return += reward
-        self._length += 1.0
-        self._any |= info["solved"]
-        if not any_ended:
-            return
-        columns = (self._return, self._length, info["success"], info["solved"], self._any)
-        self._new.append(torch.stack([column[ended].double() for column in columns], dim=1).cpu().numpy())
-        self._return[ended] = 0.0
-        self._length[ended] = 0.0
-        self._any[ended] = False
+        now = self._worlds
+        now["return"] += reward
+        now["length"] += 1.0
+        now["any"] |= info["solved"]
+        if any_ended:
+            columns = (now["return"], now["length"], info["success"], info["solved"], now["any"])
+            rows = [column[ended].double() for column in columns]
+            self._new.append(torch.stack(rows, dim=1).cpu().numpy())
+            self.forget(ended)
 
-    def forget(self, worlds: np.ndarray) -> None:
+    def forget(self, worlds: torch.Tensor) -> None:
         """Begin anew in the worlds of a mask."""
-        mask = torch.from_numpy(worlds).to(self._return.device)
-        for column in (self._return, self._length, self._any):
-            column[mask] = 0
+        for column in self._worlds.values():
+            column[worlds] = 0
 
     def copy(self, rows: torch.Tensor) -> None:
         """Give every world the numbers of another one."""
-        self._return, self._length, self._any = (c[rows] for c in (self._return, self._length, self._any))
+        self._worlds = {name: column[rows] for name, column in self._worlds.items()}
 
     def take(self) -> np.ndarray:
         """Return the episodes that ended since the last call, shape (episodes, columns)."""
@@ -75,24 +74,16 @@ class Tally:
 
     def rows(self) -> dict[str, np.ndarray]:
         """Return the numbers of the worlds."""
-        return {
-            "tally.return": self._return.cpu().numpy().copy(),
-            "tally.length": self._length.cpu().numpy().copy(),
-            "tally.any": self._any.cpu().numpy().copy(),
-        }
+        return {f"tally.{name}": column.cpu().numpy().copy() for name, column in self._worlds.items()}
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the numbers of the episodes that ended."""
-        return {
-            "tally.last": np.array(self._last, dtype=np.float64).reshape(-1, len(COLUMNS)),
-            "tally.episodes": np.array([self.episodes]),
-        }
+        last = np.array(self._last, dtype=np.float64).reshape(-1, len(COLUMNS))
+        return {"tally.last": last, "tally.episodes": np.array([self.episodes])}
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Put all numbers back."""
-        device = self._return.device
-        self._return = torch.from_numpy(arrays["tally.return"].copy()).to(device)
-        self._length = torch.from_numpy(arrays["tally.length"].copy()).to(device)
-        self._any = torch.from_numpy(arrays["tally.any"].copy()).to(device)
+        for name, column in self._worlds.items():
+            column.copy_(torch.from_numpy(arrays[f"tally.{name}"].copy()))
         self._last = deque(arrays["tally.last"], maxlen=WINDOW)
         self.episodes = int(arrays["tally.episodes"][0])

@@ -48,12 +48,8 @@ class Clock:
     def shares(self) -> dict[str, float]:
         """Return the shares of simulation, learner and rest."""
         total = max(self.total, 1e-9)
-        rest = self.total - self.simulation - self.learner
-        return {
-            "simulation": self.simulation / total,
-            "learner": self.learner / total,
-            "rest": max(rest, 0.0) / total,
-        }
+        shares = {"simulation": self.simulation / total, "learner": self.learner / total}
+        return shares | {"rest": max(1.0 - sum(shares.values()), 0.0) if self.total else 0.0}
 
 
 class Step(NamedTuple):
@@ -154,7 +150,7 @@ class Worlds:
         """Begin a new episode in every world."""
         begin = time.perf_counter()
         everywhere = np.ones(self.num_worlds, dtype=bool)
-        self.tally.forget(everywhere)
+        self.tally.forget(torch.from_numpy(everywhere).to(self.device))
         if self._backplay:
             self._backplay.forget()
         self.obs.copy_(self._restart(everywhere))

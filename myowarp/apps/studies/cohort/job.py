@@ -10,10 +10,10 @@ from rich.console import Console
 from rich.table import Table
 
 from myowarp.apps.reports import panel
+from myowarp.apps.reports.evaluation import SUCCESSES
 from myowarp.apps.reports.table import number, terminal
 from myowarp.apps.studies.cohort.plan import plan_cohort
 from myowarp.apps.studies.cohort.run import CohortResult, result_files, run_plan
-from myowarp.apps.train.settings import SUCCESSES
 from myowarp.disk import check_folder, check_overwrite
 from myowarp.extras import to_install
 from myowarp.sim.economy import UNITS as ECONOMY

@@ -35,8 +35,8 @@ from myowarp.extras import to_install
 from myowarp.sim.build import MOST_WORLDS
 
 if TYPE_CHECKING:
+    from myowarp.apps.reports.evaluation import EvaluationJob
     from myowarp.apps.studies.reproduce.run import ExperimentJob
-    from myowarp.apps.train.evaluation import EvaluationJob
     from myowarp.apps.train.plan import Job
 
 KINDS = ("train", "eval", "reproduce")
@@ -303,7 +303,7 @@ def _check_eval(run: Run, folder: Path) -> None:
 
 def evaluation(run: Run) -> EvaluationJob:
     """Return the evaluation of a policy, checked."""
-    from myowarp.apps.train.evaluation import plan_evaluation
+    from myowarp.apps.reports.evaluation import plan_evaluation
 
     setup, options = _divided(run)
     return plan_evaluation(options.pop("checkpoint"), setup, episodes=run.episodes, **options)

@@ -65,7 +65,7 @@ def do(run: Run, output: Path) -> dict[str, Any]:
 
 def _train(run: Run, folder: Path) -> dict[str, Any]:
     """Train a policy and evaluate it."""
-    from myowarp.apps.train.evaluation import evaluate_policy, plan_evaluation
+    from myowarp.apps.reports.evaluation import evaluate_policy, plan_evaluation
     from myowarp.apps.train.plan import last_saved
     from myowarp.apps.train.run import train
 
@@ -83,7 +83,7 @@ def _train(run: Run, folder: Path) -> dict[str, Any]:
 
 def _eval(run: Run, folder: Path) -> dict[str, Any]:
     """Evaluate a policy."""
-    from myowarp.apps.train.evaluation import evaluate_policy
+    from myowarp.apps.reports.evaluation import evaluate_policy
 
     return evaluate_policy(evaluation(run))[1]
 

@@ -113,7 +113,7 @@ class Ranks:
             yield
             self.everyones(None)  # nobody leaves while another one still reads
         except RuntimeError as error:
-            if type(error).__module__.startswith(__package__):
+            if type(error).__module__.startswith("myowarp."):
                 raise
             reason = str(error).strip().splitlines()[0]
             raise LostRankError(

@@ -1,28 +1,54 @@
 """How good a policy is: one episode in each of many worlds, success, return, effort, metabolic rate.
 
 Every world runs one episode from its first reset on, so that short episodes count no more than long ones.
+An evaluation is planned first, then run in an environment of its own; torch is not needed.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 
+from myowarp.apps.policies.baselines import policy_folder
+from myowarp.apps.policies.checkpoint import (
+    Checkpoint,
+    CheckpointError,
+    check_contract,
+    eval_command,
+    is_file,
+    load_checkpoint,
+    trained_setup,
+)
+from myowarp.apps.policies.learned import LearnedPolicy
 from myowarp.apps.reports.intervals import wilson
 from myowarp.apps.rollouts.episodes import Episodes, are_one
+from myowarp.apps.rollouts.ranks import ALONE, Ranks
 from myowarp.apps.rollouts.run import Act, Step, Watcher, progress, run, seeds_of
 from myowarp.apps.rollouts.targets import in_reach
-from myowarp.apps.train.ranks import ALONE, Ranks
-from myowarp.apps.train.settings import SUCCESSES
+from myowarp.definitions.registry import check_choice, check_least
+from myowarp.definitions.setup import Setup
 from myowarp.kernels.episode import MYOSUITE
+from myowarp.sim.build import MOST_WORLDS
 from myowarp.sim.economy import UNITS as ECONOMY
 from myowarp.sim.economy import Economy
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import get_state
+from myowarp.tasks.setups import complete
+
+SUCCESSES = {
+    "success": "more than 5 solved steps, no failure",
+    "success_last": "solved on the last step",
+    "success_any": "solved at any step",
+}
+EVALUATION_SEED = 1_000_000  # other worlds than those of training
+MODES = ("deterministic", "sampled")
 
 
 @dataclass(frozen=True)
@@ -164,15 +190,12 @@ def _figures(found: dict[str, np.ndarray], control_dt: float | None) -> Evaluati
     steps = np.maximum(found["length"] - 1.0, 1.0)  # activation is not seen in the step that ends an episode
     effort = None if control_dt is None else float((found["effort"] / steps).mean())
     rate = None if control_dt is None else float((found["rate"] / steps).mean() / control_dt)
+    shares: dict[str, Any] = {name: float(found[name].mean()) for name in (*SUCCESSES, MYOSUITE)}
     economy = {name: found[name][np.isfinite(found[name])] for name in ECONOMY if name in found}
     rates: dict[str, Any] = {name: float(own.mean()) if own.size else None for name, own in economy.items()}
     return Evaluation(
         episodes=n,
-        success=float(found["success"].mean()),
-        success_last=float(found["success_last"].mean()),
-        success_any=float(found["success_any"].mean()),
-        success_myosuite=float(found["success_myosuite"].mean()),
-        intervals={name: wilson(int(np.count_nonzero(found[name])), n) for name in (*SUCCESSES, MYOSUITE)},
+        intervals={name: wilson(int(np.count_nonzero(found[name])), n) for name in shares},
         return_mean=float(found["return"].mean()),
         return_std=float(found["return"].std()),
         length_mean=float(found["length"].mean()),
@@ -180,5 +203,108 @@ def _figures(found: dict[str, np.ndarray], control_dt: float | None) -> Evaluati
         activation_rate=rate,
         failed=int(np.count_nonzero(found["failed"])),
         faults=int(np.count_nonzero(found["fault"])),
+        **shares,
         **rates,
     )
+
+
+@dataclass(frozen=True)
+class EvaluationJob:
+    """An evaluation that was checked and can be run.
+
+    Attributes:
+        checkpoint: What is evaluated.
+        setup: In what.
+        episodes: Episodes of each mode, over all ranks.
+        modes: Of `MODES`.
+        ranks: This process among those that share the episodes.
+    """
+
+    checkpoint: Checkpoint
+    setup: Setup
+    episodes: int
+    modes: tuple[str, ...]
+    ranks: Ranks
+
+
+def plan_evaluation(
+    checkpoint: Path,
+    what: Setup | str = Setup(),
+    *,
+    episodes: int = 256,
+    mode: str = "both",
+    **fields: Any,
+) -> EvaluationJob:
+    """Return the evaluation that is asked for, checked; nothing is built.
+
+    Args:
+        checkpoint: Folder of a run or of a checkpoint, or a policy of the package, baselines/<task>.
+        what: Where it is evaluated: task (one with the same observation and actuators), muscle, reset and
+            conditions are those of the training where it says nothing; physics is "parity" then.
+        episodes: Episodes of each mode, and worlds simulated together.
+        mode: One of `MODES`, or "both".
+        **fields: Fields of `Setup`, in place of those of `what`.
+
+    Raises:
+        ValueError: An argument is wrong.
+    """
+    asked = Setup.of(what, **fields)
+    check_least(1, MOST_WORLDS, episodes=episodes)
+    check_choice("mode", mode, ("both", *MODES))
+    own = asked.task.removeprefix("MyoWarp/") if isinstance(asked.task, str) else None
+    loaded = load_checkpoint(policy_folder(str(checkpoint), own) or checkpoint)
+    trained = trained_setup(loaded.manifest)
+    if asked.task is None and is_file(trained):
+        raise CheckpointError(
+            f"checkpoint {str(checkpoint)!r} was trained in a task from a file, which a checkpoint does not "
+            f"open by itself; try {eval_command(trained, checkpoint)}"
+        )
+    inherited = replace(trained, physics=None, device=None, seed=EVALUATION_SEED)
+    if asked.task is not None:
+        inherited = replace(inherited, task=None)
+    modes = MODES if mode == "both" else (mode,)
+    return EvaluationJob(loaded, complete(asked.over(inherited)), episodes, modes, Ranks.started())
+
+
+def evaluate_policy(job: EvaluationJob) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """Run an evaluation, one episode in every world for each mode.
+
+    Returns:
+        Under what the policy was evaluated; and the figures of `Evaluation`, by mode.
+
+    Raises:
+        CheckpointError: The policy does not fit the task as it is now.
+    """
+    checkpoint, ranks, results = job.checkpoint, job.ranks, {}
+    number, device = ranks.share("--episodes", job.episodes), ranks.device(job.setup.device)
+    console = Console(stderr=True, quiet=not ranks.leads)
+    setup = replace(job.setup, device=device, rank=ranks.part)
+    with ranks.together(device):
+        sim = Simulation(setup, number, autoreset="same_step")
+        check_contract(checkpoint, sim)
+        signals = Signals(sim) if sim.scene.muscles.names else None
+        for mode in job.modes:
+            act = LearnedPolicy(checkpoint, setup if mode == "sampled" else None)
+            figures = evaluate(sim, act, signals=signals, title=mode, console=console, ranks=ranks)
+            results[mode] = dataclasses.asdict(figures)
+        sim.close()
+    head: dict[str, Any] = {
+        "task": setup.spec.env_id,
+        "checkpoint": str(checkpoint.folder),
+        "seed": setup.seed,
+    }
+    head |= {"physics": setup.physics, "muscle": setup.muscles.model, "reset": setup.reset}
+    head |= {"conditions": list(map(str, setup.conditions or ())), "device": str(sim.scene.device)}
+    trained = checkpoint.manifest
+    head |= {"trained_under": trained["settings"]["physics"], "samples": trained["samples"]}
+    return head, results
+
+
+def success_text(figures: Mapping[str, Any], rule: str) -> str:
+    """Return a success of an evaluation in percent, with its interval unless all episodes are one."""
+    if rule not in figures:  # of an evaluation of before
+        return "-"
+    if figures["one_episode"]:
+        return f"{100 * figures[rule]:.0f} % (one episode)"
+    low, high = figures["intervals"][rule]
+    return f"{100 * figures[rule]:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
