@@ -1,4 +1,4 @@
-"""How good a policy is: one episode in each of many worlds, success, return, effort, metabolic rate.
+"""Evaluations of a policy: one episode in each of many worlds, success, return, effort, metabolic rate.
 
 Every world runs one episode from its first reset on, so that short episodes count no more than long ones.
 An evaluation is planned first, then run in an environment of its own; torch is not needed.
