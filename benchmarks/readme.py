@@ -59,7 +59,7 @@ def learning() -> dict[str, Any]:
     """Return what trained policies reach."""
     easy = {task: success(task) for task in EASY}
     good = [min(own) for own in easy.values() if min(own) >= LEARNED]
-    means = {name: sum(own) / len(own) for task, name in HARD.items() for own in [success(task)]}
+    hard = {name: success(task) for task, name in HARD.items()}
     counts = [len(own) for own in easy.values()]
     walking = [run["evaluation"]["deterministic"] for run in load_baseline("myoLegWalk-v0").runs]
     return {
@@ -68,7 +68,7 @@ def learning() -> dict[str, Any]:
         "least": min(good),
         "exception": "; ".join(exception(task) for task in easy if min(easy[task]) < LEARNED),
         "seeds": f"{min(counts)} to {max(counts)}",
-        "hard": ", ".join(f"{name} {mean:.0f}" for name, mean in means.items()),
+        "hard": ", ".join(f"{name} {sum(own) / len(own):.0f} ({len(own)})" for name, own in hard.items()),
         "speed": walking[0]["speed"],
         "cost": walking[0]["bhargava2004_per_kg_m"],
         "walkers": len(walking),
