@@ -64,7 +64,7 @@ def plan_evaluation(
         ValueError: An argument is wrong.
     """
     from myowarp.apps.policies.baselines import policy_folder
-    from myowarp.apps.policies.checkpoint import CheckpointError, load_checkpoint
+    from myowarp.apps.policies.checkpoint import CheckpointError, check_task, load_checkpoint
 
     asked = Setup.of(what, **fields)
     check_least(1, MOST_WORLDS, episodes=episodes)
@@ -80,8 +80,9 @@ def plan_evaluation(
     inherited = dataclasses.replace(trained, physics=None, device=None, seed=EVALUATION_SEED)
     if asked.task is not None:
         inherited = dataclasses.replace(inherited, task=None)
-    modes = MODES if mode == "both" else (mode,)
-    return EvaluationJob(loaded, complete(asked.over(inherited)), episodes, modes, Ranks.started())
+    modes, setup = MODES if mode == "both" else (mode,), complete(asked.over(inherited))
+    check_task(loaded, setup.spec)
+    return EvaluationJob(loaded, setup, episodes, modes, Ranks.started())
 
 
 def evaluate_policy(job: EvaluationJob) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
