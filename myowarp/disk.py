@@ -230,12 +230,13 @@ def check_output(path: Path | None, *suffixes: str) -> None:
         raise ValueError(f"output {str(path)!r} cannot be written; its folder must exist and be writable")
 
 
-def check_overwrite(paths: Iterable[Path | None], overwrite: bool) -> None:
+def check_overwrite(paths: Iterable[Path | None], overwrite: bool, other: str = "name") -> None:
     """Raise a clear error now if files are there that would be replaced, or one would be written twice.
 
     Args:
         paths: Files to be written; None: none.
         overwrite: Whether they may be replaced.
+        other: What the user may choose otherwise.
 
     Raises:
         ValueError: One is there and may not be replaced, or two are the same.
@@ -247,7 +248,7 @@ def check_overwrite(paths: Iterable[Path | None], overwrite: bool) -> None:
         seen.add(path.resolve())
         if os.path.lexists(path) and not overwrite:
             raise ValueError(
-                f"output {str(path)!r} exists; choose another name, or replace it with --overwrite"
+                f"output {str(path)!r} exists; choose another {other}, or replace it with --overwrite"
             )
 
 

@@ -26,6 +26,11 @@ UNITS = WHOLE_BODY_UNITS | WALKING_UNITS
 SOURCES = dict(zip(LAWS, ("Bhargava 2004", "Umberger 2010"), strict=True))
 LEAST_SPEED = 0.1
 """m/s: what is slower does not walk, and has no cost of transport."""
+ABSURD_RATE = 20.0
+"""W/kg: people spend as much at 5 m/s, as running costs 4 J/kg/m (Margaria 1963, J Appl Physiol 18:367).
+
+It judges whole bodies alone: an arm without its trunk is mostly muscle at work.
+"""
 
 
 def free_root(model: mujoco.MjModel) -> int:
@@ -103,11 +108,27 @@ def word(name: str) -> str:
     return f"{what}, {SOURCES[law]}" if law in SOURCES else name
 
 
+def doubt(figures: Mapping[str, float | None]) -> str:
+    """Return, in a sentence, that a free root's metabolic rate is above `ABSURD_RATE`; "" where none is."""
+    speed, *rates = (figures.get(name) for name in ("speed", *(f"{law}_per_kg" for law in LAWS)))
+    most = max((rate for rate in rates if rate is not None and np.isfinite(rate)), default=0.0)
+    if speed is None or most <= ABSURD_RATE:
+        return ""
+    return (
+        f"absurd metabolic rate: up to {most:.1f} W/kg, where a person who runs at 5 m/s spends "
+        f"{ABSURD_RATE:g}; do not compare it with people"
+    )
+
+
 def as_text(figures: Mapping[str, float | None]) -> str:
-    """Return speed, rate and cost of transport of a walk by the law of Bhargava; "" where one is unknown."""
+    """Return speed, rate and cost of transport of a walk by the law of Bhargava; "" where one is unknown.
+
+    A rate above `ABSURD_RATE` is marked.
+    """
     names = ("speed", "bhargava2004_per_kg", "bhargava2004_per_kg_m")
     speed, rate, cost = (np.nan if (value := figures.get(name)) is None else value for name in names)
     if not np.isfinite((speed, rate)).all():
         return ""
     transport = f", {cost:.1f} J/kg/m" if np.isfinite(cost) else ""
-    return f"{speed:.2f} m/s, {rate:.1f} W/kg{transport}"
+    mark = f" (absurd: over {ABSURD_RATE:g})" if rate > ABSURD_RATE else ""
+    return f"{speed:.2f} m/s, {rate:.1f} W/kg{mark}{transport}"

@@ -376,3 +376,29 @@ def test_what_is_not_there_is_said(copies, run, no_simulation):
 
 def test_the_page_is_what_the_results_say():
     assert (DOCS / "baselines.md").read_text() == page()
+
+
+def test_a_policy_of_another_observation_is_refused_before_kernels_compile(
+    tmp_path, run, monkeypatch, registered
+):
+    """An observation that the task has on top is named; no simulation is built, which takes minutes."""
+
+    def refuse(*rest, **options):
+        pytest.fail("a simulation was built")
+
+    monkeypatch.setattr(Simulation, "__init__", refuse)
+    file, policy = tmp_path / "tasks.py", "baselines/myoElbowPose1D6MRandom-v0"
+    file.write_text(
+        "import myowarp\n\nseen = myowarp.extend('myoElbowPose1D6MRandom-v0', 'seenElbowPoseRandom-v0', "
+        "observations={'pull': 'tension'})\n"
+    )
+    (tmp_path / "patients.csv").write_text("strength\n1.0\n")
+    task = f"{file}:seen"
+    cohort = "cohort", tmp_path / "patients.csv", "--output", tmp_path / "out"
+    for arguments in (
+        ("rollout", task, "--policy", policy),
+        ("eval", policy, "--task", task),
+        (*cohort, "--task", task, "--policy", policy),
+    ):
+        words = said(run(*arguments))
+        assert "columns have 4 entries there and 5 here; only here: pull" in words

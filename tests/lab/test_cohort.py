@@ -387,6 +387,9 @@ def test_effort_saved_by_a_newton_metre():
     np.testing.assert_allclose(found[:, 1:], [[9.0, 10.0], [2.0, 2.0]])  # points per N m
     assert np.isnan(found[:, 0]).all()
     np.testing.assert_allclose(drawn[0].get_images()[0].get_array(), np.degrees(0.1))
+    worst = np.array([axes.get_images()[0].cmap(1.0)[:3] for axes in drawn])
+    assert (worst[:2, 0] > worst[:2, 2]).all(), "red outweighs blue where much is bad"
+    assert worst[2, 2] > worst[2, 0], "and not where much is good"
     assert not assistance.crosses(summary[summary["exo_assistance"] > 0.0])
 
 

@@ -23,7 +23,7 @@ from myowarp.apps.studies.cohort.job import figures as cohort_figures
 from myowarp.apps.studies.cohort.run import run_cohort
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.setup import Setup
-from myowarp.sim.economy import UNITS, Economy, as_text, free_root
+from myowarp.sim.economy import UNITS, Economy, as_text, doubt, free_root
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 from myowarp.view.browser.session import Session
@@ -176,11 +176,23 @@ def test_only_a_free_root_that_muscles_move_has_a_speed():
         ((1.3, 0.01, np.nan), "0.01 m/s, 1.3 W/kg"),
         ((np.nan, np.nan, np.nan), ""),
         ((1.3,), ""),
+        ((42.0, 1.4, 30.0), "1.40 m/s, 42.0 W/kg (absurd: over 20), 30.0 J/kg/m"),
     ],
 )
 def test_a_walk_in_words(figures, text):
     names = ("bhargava2004_per_kg", "speed", "bhargava2004_per_kg_m")
     assert as_text(dict(zip(names, figures, strict=False))) == text
+
+
+@pytest.mark.parametrize("rates", [(42.0, 3.0), (3.0, 42.0), (np.nan, 42.0), (None, 42.0)])
+def test_an_absurd_rate_is_said_to_be_so(rates):
+    """By either law; a runner at 5 m/s spends about 4 J/kg/m, which is no absurd rate."""
+    names = ("bhargava2004_per_kg", "umberger2010_per_kg")
+    figures, walks = dict(zip(names, rates, strict=True)), {"speed": 1.4}
+    assert doubt(figures | walks).startswith("absurd metabolic rate: up to 42.0 W/kg, ")
+    assert not doubt(figures), "of an arm without a body"
+    assert not doubt(dict.fromkeys(names, 4.0 * 5.0) | walks)
+    assert not doubt(dict.fromkeys(names) | walks)
 
 
 def test_a_page_says_that_it_failed_and_how_it_walks(task, known):
@@ -214,6 +226,7 @@ def test_eval_prints_rules_units_and_one_episode(capsys, monkeypatch):
     figures |= {"episodes": 4, "failed": 1, "faults": 0}
     head = {"task": "thrown", "physics": "parity", "conditions": [], "seed": 0}
     one, many = figures | {"one_episode": True}, figures | {"one_episode": False}
+    many["umberger2010_per_kg"] = 42.0
     _print_table(head, {"deterministic": one, "sampled": many})
     said = capsys.readouterr().out
     for text in ("length [steps]", "speed [m/s]", "cost of transport, Bhargava 2004 [J/kg/m]", "failed"):
@@ -221,3 +234,4 @@ def test_eval_prints_rules_units_and_one_episode(capsys, monkeypatch):
     assert said.count("100 % (one episode)") == said.count("100.0 % (50.0 to 100.0)") == 4
     assert "more than 5 solved steps, failed or not (MyoSuite)" in said
     assert re.search(r"return +│ 20.0 +│ 20.0 ± 0.0", said)
+    assert said.count("absurd") == said.count("sampled: absurd metabolic rate: up to 42.0 W/kg") == 1

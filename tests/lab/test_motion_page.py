@@ -105,7 +105,7 @@ def test_the_command(tmp_path):
     peak = np.abs(read_storage(tmp_path / "out/moments.sto").values).max()
     assert f"<td>{peak:.3g}</td>" in text or f"<td>-{peak:.3g}</td>" in text
     (tmp_path / "out/report.html").write_text("mine")
-    with pytest.raises(ValueError, match="exists; choose another name"):
+    with pytest.raises(ValueError, match="exists; choose another folder"):
         Report(arm, output=tmp_path / "out")()
     with pytest.raises(ValueError, match="has no table of a motion; write one with"):
         Report(arm, output=tmp_path)()

@@ -229,6 +229,9 @@ def test_intervals_are_students_over_seeds_and_wilsons_of_one(tmp_path):
     (row, *_) = summary(runs[:1], found)
     assert (row["low"], row["high"], row["n"]) == (10.0, 90.0, 1)
     assert measures(found[runs[0].name])["return, sampled"][0] == 0.5
+    found[runs[0].name]["figures"]["sampled"]["one_episode"] = True
+    (row, *_) = summary(runs[:1], found)
+    assert np.isnan((row["low"], row["high"])).all(), "all its episodes were the same"
 
 
 def test_without_ray_a_message_names_what_to_install(run, tmp_path, monkeypatch):

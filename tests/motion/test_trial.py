@@ -65,7 +65,7 @@ def test_forces(gait, capsys, monkeypatch):
     assert "reserve at pelvis_ty" in capsys.readouterr().err
     of_others = {"passive_moments.sto", "actuators.sto"}  # the model has neither springs nor motors
     assert {path.name for path in (folder / "out").iterdir()} == set(FILES) - of_others
-    with pytest.raises(ValueError, match="exists; choose another name, or replace it with --overwrite"):
+    with pytest.raises(ValueError, match="exists; choose another folder with --output, or"):
         arms()
 
 
@@ -119,23 +119,29 @@ def test_residuals_need_a_root(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_step_renews_what_an_earlier_one_wrote(tmp_path, monkeypatch):
+def test_a_step_renews_what_an_earlier_one_wrote(tmp_path, monkeypatch, capsys):
     """`dynamics`, `forces`, `analyze`, `report` into one folder; what others wrote there stays."""
     arm, bend = (DATA.parents[1] / "examples" / name for name in ("arm.osim", "arm_bend.mot"))
     monkeypatch.setattr("myowarp.apps.reports.motion.page", lambda *rest: RENEWED["report.html"])
     folder, options = tmp_path, {"motion": bend, "output": tmp_path / "out"}
     Dynamics(arm, **options)()
     rough = (folder / "out/moments.sto").read_bytes()
+    assert "replaces" not in capsys.readouterr().err
     Forces(arm, **options, filter=6.0)()
+    assert f"An earlier step wrote moments.sto in {folder / 'out'}; this one replaces it" in (
+        capsys.readouterr().err
+    )
     smooth = (folder / "out/moments.sto").read_bytes()
     assert smooth != rough
     Analyze(arm, **options)()
     Report(arm, output=folder / "out")()
     Report(arm, output=folder / "out")()
     for step in (Dynamics, Forces, Analyze):
-        with pytest.raises(ValueError, match="exists; choose another name, or replace it with --overwrite"):
+        with pytest.raises(
+            ValueError, match="exists; choose another folder with --output, or replace it with"
+        ):
             step(arm, **options)()
     (folder / "out/report.html").write_text("<!doctype html>mine")
-    with pytest.raises(ValueError, match=r"report\.html' exists; choose another name"):
+    with pytest.raises(ValueError, match=r"report\.html' exists; choose another folder"):
         Report(arm, output=folder / "out")()
     assert (folder / "out/moments.sto").read_bytes() == smooth

@@ -17,7 +17,7 @@ from myowarp.apps.cli.options import Asked, environment
 from myowarp.apps.reports.evaluation import SUCCESSES, evaluate_policy, plan_evaluation, success_text
 from myowarp.kernels.episode import MYOSUITE
 from myowarp.sim.economy import UNITS as ECONOMY
-from myowarp.sim.economy import WALKING_UNITS, word
+from myowarp.sim.economy import WALKING_UNITS, doubt, word
 
 
 @dataclass
@@ -82,6 +82,9 @@ def _print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> No
             cells = ("-" if value is None else f"{value:.4g}" for value in values)
             table.add_row(escape(text), *cells)  # rich would take [m/s] for a tag
     console.print(table)
+    for mode, figures in results.items():
+        if text := doubt(figures):
+            console.print(f"{mode}: {text}", style="yellow", markup=False, soft_wrap=True)
 
 
 def _return_text(figures: dict[str, Any]) -> str:

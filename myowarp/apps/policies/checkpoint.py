@@ -32,8 +32,9 @@ from safetensors.numpy import load, save
 from myowarp.apps.policies.form import check_manifest, check_policy
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
-from myowarp.kernels.action import CENTER, STEEPNESS
+from myowarp.kernels.action import CENTER, MUSCLE, STEEPNESS
 from myowarp.process import warn_once
+from myowarp.sim.build import actuator_kinds, oracle_model
 from myowarp.sim.simulation import Simulation
 
 FORMAT = 1
@@ -112,6 +113,30 @@ def task_contract(sim: Simulation) -> dict[str, Any]:
     }
 
 
+def check_task(checkpoint: Checkpoint, spec: TaskSpec) -> None:
+    """Raise CheckpointError if a policy cannot act in a task whatever the conditions; nothing is compiled.
+
+    Conditions may append columns, and change sizes of the task's: `check_contract` sees those.
+    """
+    recorded, model = checkpoint.manifest["contract"], oracle_model(spec)
+    muscles = int((actuator_kinds(model) == int(MUSCLE)).sum())
+    own = [[column.name, column.size, column.unit] for column in spec.columns(model.nq, model.nv, muscles)]
+    present = {"family": spec.family, "body": spec.body, "columns": [column for column in own if column[1]]}
+    there, here = ([(name, unit) for name, _, unit in of["columns"]] for of in (recorded, present))
+    differs = {key: recorded[key] != present[key] for key in ("family", "body")}
+    differs["columns"] = there[: len(here)] != here
+    for key in filter(differs.get, differs):
+        raise _refusal(checkpoint, "act", spec.key, _difference(key, recorded[key], present[key]))
+
+
+def _refusal(checkpoint: Checkpoint, does: str, task: str, why: str) -> CheckpointError:
+    """Return the error of a policy that cannot act or learn in a task."""
+    return CheckpointError(
+        f"checkpoint {str(checkpoint.folder)!r} was trained in {checkpoint.task!r} and cannot {does} in "
+        f"{task!r}: {why}"
+    )
+
+
 def check_contract(checkpoint: Checkpoint, sim: Simulation, *, learning: bool = False) -> None:
     """Raise CheckpointError if a policy cannot act in a simulation, or not go on to learn in it.
 
@@ -121,11 +146,8 @@ def check_contract(checkpoint: Checkpoint, sim: Simulation, *, learning: bool = 
     recorded = checkpoint.manifest["contract"]
     for key in present if learning else ACTING:
         if recorded.get(key) != present[key]:
-            does = "learn" if learning else "act"
-            raise CheckpointError(
-                f"checkpoint {str(checkpoint.folder)!r} was trained in {recorded['task']!r} and cannot "
-                f"{does} in {present['task']!r}: {_difference(key, recorded.get(key), present[key])}"
-            )
+            why = _difference(key, recorded.get(key), present[key])
+            raise _refusal(checkpoint, "learn" if learning else "act", present["task"], why)
     trained, runs = checkpoint.manifest["settings"].get("muscle") or "mujoco", sim.setup.muscles.model
     if trained != runs:
         warn_once(f"policy {str(checkpoint.folder)!r} was trained with {trained} muscles and acts on {runs}")
@@ -135,10 +157,15 @@ def _difference(key: str, recorded: Any, present: Any) -> str:
     """Return how an entry of two contracts differs, in a few words."""
     if not isinstance(recorded, list):
         return f"{key} is {recorded!r} there and {present!r} here"
+    lists = {"there": recorded, "here": present}
+    names = {where: [x[0] if isinstance(x, list) else x for x in own] for where, own in lists.items()}
+    alone = {where: [x for x in own if sum(x in other for other in names.values()) == 1]
+             for where, own in names.items()}  # fmt: skip
+    only = "".join(f"; only {where}: {', '.join(own)}" for where, own in alone.items() if own)
     pairs = [(a, b) for a, b in zip(recorded, present, strict=False) if a != b]
-    if pairs:
+    if pairs and not only:
         return f"{key} have {pairs[0][0]} there and {pairs[0][1]} here"
-    return f"{key} have {len(recorded)} entries there and {len(present)} here"
+    return f"{key} have {len(recorded)} entries there and {len(present)} here{only}"
 
 
 def versions() -> dict[str, str]:

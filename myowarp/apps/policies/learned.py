@@ -15,7 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, check_contract, load_checkpoint
+from myowarp.apps.policies.checkpoint import (
+    Checkpoint,
+    CheckpointError,
+    check_contract,
+    check_task,
+    load_checkpoint,
+)
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.sim.simulation import Simulation
@@ -102,7 +108,7 @@ def read_policy(name: str, folder: Path, spec: TaskSpec) -> Checkpoint:
         spec: The task in which it is to act.
 
     Raises:
-        CheckpointError: There is none, it is damaged, or it belongs to another family or body.
+        CheckpointError: There is none, it is damaged, or it belongs to another family, body or observation.
     """
     checkpoint = load_checkpoint(folder)
     contract = checkpoint.manifest["contract"]
@@ -112,6 +118,7 @@ def read_policy(name: str, folder: Path, spec: TaskSpec) -> Checkpoint:
             f"policy {name!r} was trained in {there} and cannot act in {spec.key!r} "
             f"({spec.family} with {spec.body})"
         )
+    check_task(checkpoint, spec)
     return checkpoint
 
 

@@ -20,6 +20,7 @@ from myowarp.apps.policies.checkpoint import (
     Checkpoint,
     CheckpointError,
     check_contract,
+    check_task,
     eval_command,
     is_file,
     load_checkpoint,
@@ -262,8 +263,9 @@ def plan_evaluation(
     inherited = replace(trained, physics=None, device=None, seed=EVALUATION_SEED)
     if asked.task is not None:
         inherited = replace(inherited, task=None)
-    modes = MODES if mode == "both" else (mode,)
-    return EvaluationJob(loaded, complete(asked.over(inherited)), episodes, modes, Ranks.started())
+    modes, setup = MODES if mode == "both" else (mode,), complete(asked.over(inherited))
+    check_task(loaded, setup.spec)
+    return EvaluationJob(loaded, setup, episodes, modes, Ranks.started())
 
 
 def evaluate_policy(job: EvaluationJob) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:

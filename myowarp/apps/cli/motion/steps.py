@@ -108,7 +108,7 @@ def needed(path: Path | None, step: str, option: str) -> Path:
 
 
 def check_results(output: Path, files: Iterable[str], overwrite: bool, renewed: Iterable[str] = ()) -> None:
-    """Raise a clear error now if results could not be written, or would replace others.
+    """Raise a clear error now if results could not be written, or would replace others; say which may.
 
     Args:
         output: Their folder.
@@ -120,8 +120,11 @@ def check_results(output: Path, files: Iterable[str], overwrite: bool, renewed: 
         ValueError: As it says.
     """
     check_folder(output)
-    own = [name for name in files if name not in renewed or not _begins(output / name, RENEWED[name])]
-    check_overwrite((output / name for name in own), overwrite)
+    again = [name for name in renewed if _begins(output / name, RENEWED[name])]
+    own = [output / name for name in files if name not in again]
+    check_overwrite(own, overwrite, "folder with --output")
+    if again:
+        say([f"An earlier step wrote {', '.join(again)} in {output}; this one replaces it"])
 
 
 def _begins(path: Path, text: str) -> bool:

@@ -33,8 +33,10 @@ LEAST_TORQUE = 1e-3
 CAPTION = (
     "Medians over the patients of a cell, n episodes. Effort: mean activation of all muscles over the "
     "episode. Saved: effort without assistance less effort, at the same strength, in points, over the size "
-    "of the mean torque of the exoskeleton."
+    "of the mean torque of the exoskeleton. Orange: the darker, the worse; blue: the darker, the better."
 )
+WORSE, BETTER = ("#fdf6ee", COLORS[1], COLORS[7]), ("#f4f8fb", COLORS[0], COLORS[6])
+"""Colors from low to high of what patients want little of, and much of."""
 
 
 def read_summary(folder: Path) -> tuple[pd.DataFrame, dict[str, Any]]:
@@ -86,12 +88,12 @@ def assistance_map(summary: pd.DataFrame, settings: dict[str, Any]) -> Figure:
     panels = figure.subplots(1, 3, sharey=True)
     low = medians(summary["exo_assistance"], strength, assistance)
     shown = (
-        (name, factor * cells[key], "{:.0f}"),
-        ("Effort [% of full activation]", effort, "{:.1f}"),
-        ("Effort saved [points per N m]", saved(effort, cells[TORQUE], low), "{:.2f}"),
+        (name, factor * cells[key], "{:.0f}", BETTER if key == "return" else WORSE),
+        ("Effort [% of full activation]", effort, "{:.1f}", WORSE),
+        ("Effort saved [points per N m]", saved(effort, cells[TORQUE], low), "{:.2f}", BETTER),
     )
-    for axes, (title, values, form) in zip(panels, shown, strict=True):
-        _draw(axes, title, values, count, form)
+    for axes, (title, values, form, colors) in zip(panels, shown, strict=True):
+        _draw(axes, title, values, count, form, colors)
         axes.set_xticks(range(len(assistance.labels)), assistance.labels)
         axes.set_yticks(range(len(strength.labels)), strength.labels)
         axes.set_xlabel(label("exo_assistance"))
@@ -129,15 +131,17 @@ def saved(effort: np.ndarray, torque: np.ndarray, assistance: np.ndarray) -> np.
     return np.where(strong & (assistance != 0.0), (base[:, None] - effort) / size, np.nan)
 
 
-def _draw(axes: Axes, title: str, values: np.ndarray, count: np.ndarray, form: str) -> None:
-    """Draw a heat map with its numbers."""
+def _draw(
+    axes: Axes, title: str, values: np.ndarray, count: np.ndarray, form: str, colors: tuple[str, ...]
+) -> None:
+    """Draw a heat map with its numbers, in colors from low to high."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    pale = LinearSegmentedColormap.from_list("pale", ("#f4f8fb", COLORS[0], COLORS[6]))
+    scale = LinearSegmentedColormap.from_list(title, colors)
     present = values[~np.isnan(values)] if (~np.isnan(values)).any() else np.zeros(1)
     low, high = float(present.min()), float(present.max())
     image = axes.imshow(
-        values, cmap=pale.with_extremes(bad="#eeeeee"), vmin=low, vmax=high, aspect="auto", origin="lower"
+        values, cmap=scale.with_extremes(bad="#eeeeee"), vmin=low, vmax=high, aspect="auto", origin="lower"
     )
     axes.figure.colorbar(image, ax=axes, fraction=0.05, pad=0.02).outline.set_visible(False)
     axes.set_title(title, color=INK)

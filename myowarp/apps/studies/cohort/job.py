@@ -17,7 +17,7 @@ from myowarp.apps.studies.cohort.run import CohortResult, result_files, run_plan
 from myowarp.disk import check_folder, check_overwrite
 from myowarp.extras import to_install
 from myowarp.sim.economy import UNITS as ECONOMY
-from myowarp.sim.economy import word
+from myowarp.sim.economy import doubt, word
 
 PLOT, ASSISTANCE = "plot.png", "assistance.png"
 
@@ -48,6 +48,8 @@ def run(table: Path, output: Path, suffix: str, console: Console, overwrite: boo
             with panel.style(9.5):
                 panel.save(assistance_map(result.summary, result.settings), paths[-1], dpi=130)
     Console().print(figures(result))
+    if text := doubt(result.summary.filter(ECONOMY).max()):
+        console.print(text, style="yellow", markup=False)
     for path in paths:
         console.print(f"Saved {path}")
 

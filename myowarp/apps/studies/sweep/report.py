@@ -34,7 +34,8 @@ def measures(result: Mapping[str, Any]) -> dict[str, tuple[float, float, float]]
         found[label] = ours, low, high
     for mode in ("deterministic", "sampled"):
         if mode in figures:
-            low, high = figures[mode]["intervals"]["success"]
+            same = figures[mode].get("one_episode")  # which older results do not say
+            low, high = none if same else figures[mode]["intervals"]["success"]
             found[f"success, {mode} [%]"] = 100 * figures[mode]["success"], 100 * low, 100 * high
             found[f"return, {mode}"] = figures[mode]["return_mean"], *none
     if "training" in figures:
