@@ -109,11 +109,11 @@ def check_task(checkpoint: Checkpoint, spec: TaskSpec) -> None:
         raise _refusal(checkpoint, "act", spec.key, _difference(key, recorded[key], present[key]))
 
 
-def _refusal(checkpoint: Checkpoint, does: str, task: str, why: str) -> CheckpointError:
+def _refusal(checkpoint: Checkpoint, does: str, key: str, why: str) -> CheckpointError:
     """Return the error of a policy that cannot act or learn in a task."""
     return CheckpointError(
         f"checkpoint {str(checkpoint.folder)!r} was trained in {checkpoint.task!r} and cannot {does} in "
-        f"{task!r}: {why}"
+        f"{key!r}: {why}"
     )
 
 
