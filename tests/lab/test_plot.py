@@ -1,17 +1,22 @@
 """Figures show what recordings, models and tables hold."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
 
 from myowarp.apps.cli.main import main
 from myowarp.apps.reports import figures
+from myowarp.apps.reports.motion_curves import curves
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
+from myowarp.motion.storage import Storage, write_storage
 from myowarp.osim.bundle.couplings import couplings
 from myowarp.sim.build import oracle_model
 
 pytest.importorskip("matplotlib")
+BEND = Path(__file__).parents[2] / "examples/arm_bend.mot"
 ELBOW = "myoElbowPose1D6MRandom-v0"
 
 
@@ -145,6 +150,37 @@ def test_learning_curves(tmp_path):
         figures.learning([path])
 
 
+def test_curves_of_a_motion_are_sides_over_their_cycles(tmp_path):
+    """Moments over mass, forces over weight; each side over the times of its own cycle; by hand."""
+    time = np.linspace(0.0, 2.0, 21)
+    labels = "knee_angle_r_moment", "pelvis_ty_force", "knee_angle_l_moment"
+    values = np.stack([70.0 * time, 70.0 * 9.80665 * time, -140.0 * time], axis=1)
+    path = tmp_path / "moments.sto"
+    write_storage(path, "joint moments", Storage(labels, time, values))
+    cycles = {"": (0.5, 1.5), "l": (1.0, 2.0)}
+    figure = curves(path, ["knee_angle_moment", "pelvis_ty_force"], cycles, 70.0)
+    knee, pelvis = figure.axes
+    (right, left), (weight,) = knee.lines, pelvis.lines
+    for line, first, factor in ((right, 0.5, 1.0), (left, 1.0, -2.0), (weight, 0.5, 1.0)):
+        x, y = line.get_data()
+        np.testing.assert_allclose(x, np.linspace(0.0, 100.0, 11), atol=1e-9)
+        np.testing.assert_allclose(y, factor * (first + np.linspace(0.0, 1.0, 11)), rtol=1e-6)
+    assert (knee.get_ylabel(), pelvis.get_ylabel()) == ("[N m/kg]", "[BW]")
+    assert right.get_color() != left.get_color()
+    assert [text.get_text() for text in figure.legends[0].texts] == ["right", "left"]
+    (whole, _) = curves(path, ["knee_angle_moment"]).axes[0].lines
+    np.testing.assert_allclose(whole.get_data(), (time, 70.0 * time), rtol=1e-6)
+
+
+def test_a_motion_has_the_size_of_a_journal(capsys, monkeypatch, tmp_path):
+    """183 mm at 300 dpi."""
+    from PIL import Image
+
+    status, said = run(capsys, monkeypatch, "plot", "motion", BEND, "-o", tmp_path / "bend.png")
+    assert status == 0, said
+    assert Image.open(tmp_path / "bend.png").width == pytest.approx(183 / 25.4 * 300, rel=0.01)
+
+
 @pytest.mark.parametrize("suffix", [".png", ".pdf"])
 def test_command_writes_the_figure(capsys, monkeypatch, tmp_path, suffix):
     path = tmp_path / "new" / f"plot{suffix}"
@@ -175,6 +211,20 @@ def test_models_stand_side_by_side():
         (["force", "run.txt"], "needs a recording, .parquet, .csv or .npz, got 'run.txt'"),
         (["force", "a.npz", "b.npz"], "plot force shows one recording, body or cohort, got 2"),
         (["learning", "nowhere.csv"], "nowhere.csv"),
+        (["motion", "nowhere.sto"], "nowhere.sto"),
+        (["motion", BEND, "--columns", "knee"], "quantity 'knee' unknown; available: shoulder"),
+        (
+            ["motion", BEND, "--cycle", 0.5, 3],
+            "a cycle must be two times, one after the other, within 0 and 1 s",
+        ),
+        (
+            ["motion", BEND, "--cycle", 0.5, 0.501],
+            "a cycle needs two rows or more, got 1 from 0.5 to 0.501 s",
+        ),
+        (["motion", BEND, "--cycle-left", 0, 1], "--cycle-left needs --cycle"),
+        (["motion", BEND, "--mass", 70], "--mass is of tables of forces, moments and powers"),
+        (["motion", BEND, "--mass", 0], "--mass must be positive"),
+        (["learning", "a.csv", "--mass", 70], "--mass belongs to plot motion, got plot learning"),
     ],
 )
 def test_bad_input_is_one_sentence(capsys, monkeypatch, tmp_path, arguments, text):

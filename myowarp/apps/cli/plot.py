@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from myowarp.definitions.setup import Setup
 
 BODY = ("moment-arms", "force-length", "force-velocity")
-LEARNING, ASSISTANCE = "learning", "assistance"
+LEARNING, ASSISTANCE, MOTION = "learning", "assistance", "motion"
 
 
 @dataclass
@@ -38,15 +38,18 @@ class Plot:
     outcome, effort, and effort saved per newton metre.
     myowarp plot assistance out/cohort
 
+    Of a table of `myowarp motion` or OpenSim, .sto or .mot: motion, left beside right, at a journal's size.
+    myowarp plot motion out/trial/moments.sto --cycle 0.6 1.8 --mass 70 -o moments.pdf
+
     Of one or several trainings, CSV files with a column `samples`: learning.
     myowarp plot learning runs/a/progress.csv runs/b/progress.csv --columns return
     """
 
     what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="WHAT")]
-    """A signal, such as activation or fatigue; moment-arms, force-length, force-velocity; assistance; or
-    learning."""
+    """A signal, such as activation or fatigue; moment-arms, force-length, force-velocity; assistance;
+    motion; or learning."""
     sources: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE ...")]
-    """A recording (.parquet, .npz), a task id or MJCF file, a cohort's folder, or CSV files."""
+    """A recording (.parquet, .npz), a task id or MJCF file, a cohort's folder, a .sto, or CSV files."""
     asked: Annotated[Asked, environment(only=("muscle", "muscle_parameters"))]
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/plot.png")
     """File to write, .png or .pdf."""
@@ -61,7 +64,14 @@ class Plot:
     episode: Annotated[int | None, optional("INT")] = None
     """Episode of that world; by default its first in the recording."""
     columns: Annotated[tuple[str, ...], optional("[NAME ...]")] = ()
-    """Columns of the CSV files; by default those with `return` or `success` in their name."""
+    """Columns of the CSV files; by default those with `return` or `success` in their name. Of motion:
+    quantities without their side, such as knee_angle; by default the greatest."""
+    cycle: Annotated[tuple[float, float] | None, optional("START END")] = None
+    """Of motion: first and last time [s], drawn from 0 to 100 %; by default all is drawn over time."""
+    cycle_left: Annotated[tuple[float, float] | None, optional("START END")] = None
+    """The same of the left side; by default --cycle."""
+    mass: Annotated[float | None, optional("KG")] = None
+    """Of motion: mass of the person, by which forces (as weight), moments and powers are divided."""
     overwrite: Overwrite = False
 
     def __call__(self) -> None:
@@ -75,8 +85,9 @@ class Plot:
         make_folder(self.output.parent)
         check_output(self.output, ".png", ".pdf")
         check_overwrite((self.output,), self.overwrite)
-        with panel.style(10.0):
-            panel.save(self._draw(), self.output, dpi=150)
+        look, dpi = (7.0, 300) if self.what == MOTION else (10.0, 150)
+        with panel.style(look):
+            panel.save(self._draw(), self.output, dpi=dpi)
         Console(stderr=True, highlight=False, soft_wrap=True).print(f"Saved {self.output}")
 
     def _draw(self):
@@ -84,11 +95,17 @@ class Plot:
         from myowarp.apps.reports import figures
         from myowarp.sim.build import oracle_model
 
+        self._check_motion()
         if self.what == LEARNING:
             return figures.learning([Path(source) for source in self.sources], self.columns)
         if len(self.sources) != 1:
             raise ValueError(f"plot {self.what} shows one recording, body or cohort, got {len(self.sources)}")
         source = self.sources[0]
+        if self.what == MOTION:
+            from myowarp.apps.reports.motion_curves import curves
+
+            cycles = None if self.cycle is None else {"": self.cycle, "l": self.cycle_left or self.cycle}
+            return curves(Path(source), self.columns, cycles, self.mass)
         if self.what == ASSISTANCE:
             from myowarp.apps.studies.cohort.assistance import assistance_map, read_summary
 
@@ -101,6 +118,16 @@ class Plot:
         check_least(0, world=self.world)
         course = figures.read_course(Path(source), self.what, self.world, self.episode)
         return figures.over_time(course, self.muscles)
+
+    def _check_motion(self) -> None:
+        """Raise ValueError if options of motion are of something else, or no person's."""
+        for name in ("cycle", "cycle_left", "mass"):
+            if getattr(self, name) is not None and self.what != MOTION:
+                raise ValueError(f"--{name.replace('_', '-')} belongs to plot motion, got plot {self.what}")
+        if self.cycle_left is not None and self.cycle is None:
+            raise ValueError("--cycle-left needs --cycle, the times of the right side")
+        if self.mass is not None and not 0.0 < self.mass < float("inf"):
+            raise ValueError(f"--mass must be positive and finite, got {self.mass:g}")
 
 
 def find_setup(source: str, asked: Setup) -> tuple[Setup, str]:
