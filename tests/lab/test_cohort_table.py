@@ -1,6 +1,7 @@
 """Patient tables: what people write, what is refused and how, and the table of columns."""
 
 import dataclasses
+import re
 import runpy
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from myowarp.definitions.condition import CONDITIONS
 from myowarp.definitions.task import TASKS
+from myowarp.extras import to_install
 from myowarp.sim.simulation import Simulation
 
 pd = pytest.importorskip("pandas")
@@ -258,7 +260,7 @@ def test_without_pandas(monkeypatch):
     monkeypatch.setattr(plan.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(
         ImportError,
-        match=r"^a cohort needs pandas, which is not installed; run `pip install \"myowarp\[cohort\]\"`$",
+        match=rf"^a cohort needs pandas, which is not installed; run {re.escape(to_install('cohort'))}$",
     ):
         run_cohort(PATIENTS, ELBOW)
 

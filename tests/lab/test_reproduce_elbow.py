@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import re
 import sys
 
 import mujoco
@@ -30,6 +31,7 @@ from myowarp.apps.studies.reproduce.policies import FOLDER, Training, committed,
 from myowarp.apps.studies.reproduce.report import FILES, output_folder
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.setup import Setup
+from myowarp.extras import to_install
 from myowarp.models.bodies.arm_muscles import ELBOW_EXTENSOR, ELBOW_FLEXOR
 from myowarp.models.conditions import Exoskeleton, Load
 from myowarp.sim.signals import Signals
@@ -148,7 +150,7 @@ def test_options_that_an_experiment_does_not_read_are_refused(name, tmp_path):
 def test_what_is_not_installed_is_named(package, monkeypatch, tmp_path):
     find = importlib.util.find_spec
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == package else find(name))
-    with pytest.raises(ImportError, match=rf'reproduce needs {package}; run `pip install "myowarp\[plot\]"`'):
+    with pytest.raises(ImportError, match=f"reproduce needs {package}; run {re.escape(to_install('plot'))}"):
         Reproduce(Said(Setup()), name="speed", output=tmp_path / "out")()
     assert not (tmp_path / "out").exists()
 

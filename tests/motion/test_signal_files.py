@@ -1,6 +1,7 @@
 """Recordings of signals: what pandas and NumPy read back, long ones, failed ones."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from myowarp.apps.rollouts.recording import recording, sample_of
 from myowarp.apps.rollouts.rollout import roll_out
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.task import TASKS
+from myowarp.extras import to_install
 from myowarp.sim.signals import JOINT_UNITS, UNITS
 from myowarp.sim.simulation import Simulation
 
@@ -199,6 +201,6 @@ def test_parquet_without_pyarrow(tmp_path, monkeypatch):
     with pytest.raises(
         ImportError,
         match=r"^output '.*run\.parquet' needs pyarrow, which is not installed; "
-        r"run `pip install \"myowarp\[cohort\]\"` or write \.npz$",
+        rf"run {re.escape(to_install('cohort'))} or write \.npz$",
     ):
         record.check_recording(tmp_path / "run.parquet", 1)

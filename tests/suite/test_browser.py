@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import re
 import socket
 import threading
 import time
@@ -20,6 +21,7 @@ from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.view import View, policies_for
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
+from myowarp.extras import to_install
 from myowarp.process import warn_once
 from myowarp.view.browser import live as live_module
 from myowarp.view.browser.live import Live
@@ -483,7 +485,7 @@ def test_a_wrong_argument_is_one_sentence(arguments, says):
 
 def test_without_viser_it_says_what_to_install(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ImportError, match=r'needs viser.*pip install "myowarp\[view\]"'):
+    with pytest.raises(ImportError, match=f"needs viser.*{re.escape(to_install('view'))}"):
         View(Said(Setup(task=KEY)))()
 
 

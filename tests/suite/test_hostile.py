@@ -23,6 +23,7 @@ from myowarp.definitions.condition import CONDITIONS, resolve
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.task import TASKS
 from myowarp.disk import number_in
+from myowarp.extras import to_install
 from myowarp.models.conditions.exoskeleton import Exoskeleton
 from myowarp.sim import memory, simulation
 from myowarp.sim.patient_columns import COLUMNS, CohortColumn
@@ -323,7 +324,7 @@ def test_gymnasium_checks_what_can_be_shown(monkeypatch):
         assert modes.render_modes() == ("rgb_array",)
         on_macos.setenv("MJPYTHON_BIN", "mjpython")  # only this opens windows there
         assert modes.render_modes() == ("human", "rgb_array")
-    hint = r'^render_mode="human" without a display needs viser.*; run `pip install "myowarp\[view\]"`$'
+    hint = f'^render_mode="human" without a display needs viser.*; run {re.escape(to_install("view"))}$'
     with pytest.raises(ImportError, match=hint):
         gym.make_vec(ID, num_envs=2, device="cpu", render_mode="human")
 
