@@ -6,6 +6,7 @@ import pytest
 import warp as wp
 from reference import mujoco_muscle as reference
 
+from myowarp.laws.muscles.activation import activation_after, activation_rate
 from myowarp.models.muscles import mujoco as law
 
 FLOAT32 = 1e-6
@@ -128,7 +129,7 @@ def test_activation_rate_equals_reference(constants):
     ctrl, act = (grid.ravel() for grid in np.meshgrid(levels, np.float32(np.linspace(0, 1.1, 45))))
     tau_act, tau_deact, width = np.float32(constants).astype(np.float64)
     expected = reference.activation_rate(ctrl, act, tau_act, tau_deact, width)
-    got = on_device(law.activation_rate, ctrl, act, tau_act, tau_deact, width)
+    got = on_device(activation_rate, ctrl, act, tau_act, tau_deact, width)
     # A difference of order one over a time constant; the smooth switch takes the difference of the
     # slow and the fast one, which magnifies the rounding by their ratio.
     fastest, slowest = 0.5 * min(tau_act, tau_deact), 2.0 * max(tau_act, tau_deact)
@@ -148,7 +149,7 @@ def test_activation_after_equals_reference(constants):
     level = np.float32(np.linspace(0.0, 1.0, 41)).astype(np.float64)
     time, ctrl, act = np.meshgrid(np.float32(STEPS).astype(np.float64), level, level)
     expected = reference.activation_after(time, ctrl, act, tau_act, tau_deact)
-    got = on_device(law.activation_after, time, ctrl, act, tau_act, tau_deact)
+    got = on_device(activation_after, time, ctrl, act, tau_act, tau_deact)
     assert np.abs(got - expected).max() <= FLOAT32
     assert np.abs(expected - act)[time > 0.0].max() > 10.0 * FLOAT32
 
@@ -158,7 +159,7 @@ def test_activation_after_vanishing_time_constants(constant):
     """The excitation, at once; MuJoCo accepts a time constant of 0."""
     level = np.linspace(0.0, 1.0, 21)
     ctrl, act = np.meshgrid(level, level)
-    got = on_device(law.activation_after, 0.005, ctrl, act, constant, constant)
+    got = on_device(activation_after, 0.005, ctrl, act, constant, constant)
     assert np.abs(got - np.float32(ctrl)).max() <= FLOAT32
 
 
@@ -184,7 +185,7 @@ def test_reference_solves_the_activation_equation():
 def test_activation_landmarks():
     tau_act, tau_deact = 0.01, 0.04
     rate = on_device(
-        law.activation_rate,
+        activation_rate,
         np.array([1.0, 0.0, 0.4, 1.0]),
         np.array([0.0, 1.0, 0.4, 0.5]),
         tau_act,
@@ -198,7 +199,7 @@ def test_activation_landmarks():
 def test_smooth_switch_meets_hard_switch_outside_its_width():
     act = np.full(101, 0.5)
     ctrl = np.linspace(0.0, 1.0, 101)
-    hard, smooth = (on_device(law.activation_rate, ctrl, act, 0.01, 0.04, width) for width in (0.0, 0.4))
+    hard, smooth = (on_device(activation_rate, ctrl, act, 0.01, 0.04, width) for width in (0.0, 0.4))
     outside = np.abs(ctrl - act) > 0.2 + 1e-6
     assert smooth[outside] == pytest.approx(hard[outside], rel=FLOAT32)
     inside = (np.abs(ctrl - act) < 0.19) & (np.abs(ctrl - act) > 0.01)
