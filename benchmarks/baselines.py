@@ -146,7 +146,9 @@ def page() -> str:
     faults = sum(_faults(run) for b in found for run in b.runs)
     audits = {audit["task"]: audit for audit in json.loads(AUDIT.read_text())["audits"]}
     met = 100.0 * audits["myoHandReachRandom-v0"]["targets"]["solvable"]
+    todays = [f"`{one.task}`" for one in found if one.checkpoint.manifest.get("learner") == LEARNER]
     return PAGE.read_text().format(
+        todays=" and ".join(filter(None, (", ".join(todays[:-1]), *todays[-1:]))) or "none",
         summary=_summary_table(found, published),
         success=_success_table(found),
         failed=_failed_table(found),
