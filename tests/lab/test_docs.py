@@ -77,12 +77,17 @@ SMALL = {
         **{"--num-worlds": "8", "--rollout-steps": "8", "--minibatches": "2", "--samples": "64"},
         "--selections": "0",
     },
+    "improve": {
+        **{"--num-worlds": "8", "--copies": "4", "--rollout-steps": "8", "--samples": "64"},
+        **{"--gradient-steps": "2", "--selections": "0"},
+    },
     "eval": {"--episodes": "2"},
     "reproduce": {"--seeds": "1", "--num-worlds": "2"},
 }
 """Options that make a command small, and take the place of its own."""
 MARKS = {
     "myowarp train myoHandReachFixed-v1 --output runs/hand --video": "slow",  # films whole episodes
+    "myowarp improve baselines": "slow",  # two starts of a key
     "myowarp export runs/hand": "slow",  # what that has trained
     "myowarp baselines run": "slow",  # trains an elbow to the end
     "myowarp reproduce exo1": "slow",  # trains, and measures for minutes
