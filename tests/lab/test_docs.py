@@ -88,6 +88,7 @@ SMALL = {
 MARKS = {
     "myowarp train myoHandReachFixed-v1 --output runs/hand --video": "slow",  # films whole episodes
     "myowarp improve baselines": "slow",  # two starts of a key
+    "myowarp train myoHandKeyTurnRandom-v0 --parent": "slow",  # from what that has found
     "myowarp export runs/hand": "slow",  # what that has trained
     "myowarp baselines run": "slow",  # trains an elbow to the end
     "myowarp reproduce exo1": "slow",  # trains, and measures for minutes
