@@ -13,14 +13,13 @@ from __future__ import annotations
 
 import argparse
 import csv
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
 
 from myowarp.apps.policies import baselines
 from myowarp.apps.policies.baselines import CURVE, RESULT, Baseline, load_baseline
-from myowarp.apps.policies.checkpoint import LEARNER, POLICY, Checkpoint, load_checkpoint, save_policy
+from myowarp.apps.policies.checkpoint import POLICY, Checkpoint, load_checkpoint, save_policy
 from myowarp.apps.reports.evaluation import SUCCESSES, evaluate_policy, plan_evaluation, success_text
 from myowarp.apps.reports.table import markdown
 from myowarp.apps.train.progress import CSV
@@ -61,7 +60,8 @@ def add(run: Path) -> None:
     entry = {"training": training, "evaluation": _evaluation(run, None)}
     if (corrected := task.replace("-v0", "-v1")) in set(TASKS) - {task}:
         entry["corrected"] = _evaluation(run, corrected)
-    before = _runs_of_this_trainer(task) if (folder / RESULT).is_file() else []
+    earlier = load_baseline(task) if (folder / RESULT).is_file() else None
+    before = earlier.runs if earlier is not None and earlier.is_todays else []
     runs = [other for other in before if other["training"]["seed"] != training["seed"]]
     runs.append(entry)
     runs.sort(key=lambda other: other["training"]["seed"])
@@ -74,12 +74,6 @@ def add(run: Path) -> None:
         save_policy(folder, _with_parent(checkpoint, folder))
         _write_curve(run / CSV, folder / CURVE)
     _write_result(folder, runs)
-
-
-def _runs_of_this_trainer(task: str) -> list[dict[str, Any]]:
-    """Return the runs of a baseline, none if the trainer before this one made them."""
-    baseline = load_baseline(task)
-    return baseline.runs if baseline.checkpoint.manifest.get("learner") == LEARNER else []
 
 
 def _with_parent(checkpoint: Checkpoint, folder: Path) -> Checkpoint:
@@ -96,8 +90,7 @@ def _with_parent(checkpoint: Checkpoint, folder: Path) -> Checkpoint:
     if source is None:
         raise ValueError(f"the run of {task!r} started from {name!r}, which is gone; train it again")
     parent = load_checkpoint(source)
-    digest = hashlib.sha256((parent.folder / POLICY).read_bytes()).hexdigest()
-    if digest != checkpoint.manifest["parent"]["sha256"]:
+    if parent.manifest["files"][POLICY]["sha256"] != checkpoint.manifest["parent"]["sha256"]:
         raise ValueError(f"the run of {task!r} started from {name!r}, which has changed; train it again")
     save_policy(folder / baselines.PARENT, parent)
     manifest = checkpoint.manifest | {"settings": settings | {"parent": shipped}}
@@ -146,7 +139,7 @@ def page() -> str:
     faults = sum(_faults(run) for b in found for run in b.runs)
     audits = {audit["task"]: audit for audit in json.loads(AUDIT.read_text())["audits"]}
     met = 100.0 * audits["myoHandReachRandom-v0"]["targets"]["solvable"]
-    todays = [f"`{one.task}`" for one in found if one.checkpoint.manifest.get("learner") == LEARNER]
+    todays = [f"`{one.task}`" for one in found if one.is_todays]
     return PAGE.read_text().format(
         todays=" and ".join(filter(None, (", ".join(todays[:-1]), *todays[-1:]))) or "none",
         summary=_summary_table(found, published),

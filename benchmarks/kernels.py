@@ -97,7 +97,7 @@ class Kernels(Physics):
     def replay(self) -> None:
         """Do what `engine.replay` does, and add up the nanoseconds of each kernel."""
         launch = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
-        keys, row = {}, 0
+        row = 0
         launches = (i for i, (operation, *_) in enumerate(self.rows) if operation == Operation.LAUNCH)
         keys = dict(zip(launches, self.keys, strict=True))
         while self.rows[row][0] != Operation.FINISH:

@@ -27,8 +27,6 @@ R = TypeVar("R")
 logger = logging.getLogger("myowarp")
 
 NO_DRIVER = "Could not find or load the NVIDIA CUDA driver"  # as Warp's native code says
-
-
 GPU_FILES = ("/dev/nvidiactl", "/dev/dxg")  # of a machine that has an NVIDIA GPU: Linux, WSL
 
 CORES = "MYOWARP_CORES"

@@ -300,6 +300,12 @@ class MuscleModel(abc.ABC):
         )
 
 
+def muscle_names(model: MjModel) -> list[str]:
+    """Return the names of the actuators that are muscles, in their order."""
+    muscles = np.flatnonzero(model.actuator_dyntype == mjtDyn.mjDYN_MUSCLE)
+    return [model.actuator(i).name for i in muscles]
+
+
 def muscle_index(muscle: str, names: Sequence[str]) -> int:
     """Return the index of a muscle; the side suffix `_r` may be left out.
 

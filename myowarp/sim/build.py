@@ -17,7 +17,7 @@ from myowarp.coordinates.own_paths import paths_of
 from myowarp.coordinates.step import data_beside
 from myowarp.definitions.body import BODIES, Body
 from myowarp.definitions.condition import Condition, resolve
-from myowarp.definitions.muscle import MUSCLES, MuscleModel
+from myowarp.definitions.muscle import MUSCLES, MuscleModel, muscle_names
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.scene import Scene
 from myowarp.definitions.setup import Setup
@@ -189,7 +189,7 @@ def new_muscles(
     Raises:
         ValueError: A parameter does not fit, or the muscle model's state is not what it says.
     """
-    names = [model.actuator(i).name for i in np.flatnonzero(actuator_kinds(model) == int(MUSCLE))]
+    names = muscle_names(model)
     given = muscle.over(BODIES[spec.body].muscles, names, worlds)
     muscles = MUSCLES[muscle.model](model, worlds.number, given)
     muscles.midstep = preset.midstep

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from myowarp.definitions.muscle import muscle_names
 from myowarp.definitions.task import TaskSpec
 from myowarp.extras import to_install
-from myowarp.kernels.action import MUSCLE
-from myowarp.sim.build import actuator_kinds, oracle_model
+from myowarp.sim.build import oracle_model
 from myowarp.sim.patient_columns import COLUMNS, EXCLUSIVE, TornMuscles
 
 if TYPE_CHECKING:
@@ -54,8 +52,7 @@ def population_of(table: str | Path | pd.DataFrame, spec: TaskSpec) -> Populatio
     model = oracle_model(spec)
     if not model.na:
         raise ValueError(f"a cohort is about muscles; the body of task {spec.key!r} has none")
-    muscles = tuple(model.actuator(i).name for i in np.flatnonzero(actuator_kinds(model) == int(MUSCLE)))
-    return read_population(table, muscles)
+    return read_population(table, tuple(muscle_names(model)))
 
 
 def read_population(table: str | Path | pd.DataFrame, muscles: Sequence[str]) -> Population:

@@ -42,6 +42,11 @@ class Baseline:
     checkpoint: Checkpoint
     runs: list[dict[str, Any]]
 
+    @property
+    def is_todays(self) -> bool:
+        """Whether today's trainer made it, which can then make it again."""
+        return bool(self.checkpoint.manifest.get("learner") == LEARNER)
+
     def settings(self, seed: int | None = None) -> dict[str, Any]:
         """Return the settings of a seed's run.
 
@@ -59,7 +64,7 @@ class Baseline:
 
     def check_trainer(self) -> None:
         """Raise CheckpointError if the trainer before this one made it, whose settings were others."""
-        if self.checkpoint.manifest.get("learner") != LEARNER:
+        if not self.is_todays:
             raise CheckpointError(
                 f"baseline {self.task!r} is of the trainer before this one, whose settings were others; "
                 f"train a policy with `myowarp train {self.task}`"

@@ -30,11 +30,12 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from myowarp.apps.policies.form import check_manifest, check_policy
+from myowarp.definitions.muscle import muscle_names
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
-from myowarp.kernels.action import CENTER, MUSCLE, STEEPNESS
+from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.process import warn_once
-from myowarp.sim.build import actuator_kinds, oracle_model
+from myowarp.sim.build import oracle_model
 from myowarp.sim.simulation import Simulation
 
 FORMAT = 1
@@ -119,8 +120,8 @@ def check_task(checkpoint: Checkpoint, spec: TaskSpec) -> None:
     Conditions may append columns, and change sizes of the task's: `check_contract` sees those.
     """
     recorded, model = checkpoint.manifest["contract"], oracle_model(spec)
-    muscles = int((actuator_kinds(model) == int(MUSCLE)).sum())
-    own = [[column.name, column.size, column.unit] for column in spec.columns(model.nq, model.nv, muscles)]
+    columns = spec.columns(model.nq, model.nv, len(muscle_names(model)))
+    own = [[column.name, column.size, column.unit] for column in columns]
     present = {"family": spec.family, "body": spec.body, "columns": [column for column in own if column[1]]}
     there, here = ([(name, unit) for name, _, unit in of["columns"]] for of in (recorded, present))
     differs = {key: recorded[key] != present[key] for key in ("family", "body")}
@@ -157,10 +158,8 @@ def _difference(key: str, recorded: Any, present: Any) -> str:
     """Return how an entry of two contracts differs, in a few words."""
     if not isinstance(recorded, list):
         return f"{key} is {recorded!r} there and {present!r} here"
-    lists = {"there": recorded, "here": present}
-    names = {where: [x[0] if isinstance(x, list) else x for x in own] for where, own in lists.items()}
-    alone = {where: [x for x in own if sum(x in other for other in names.values()) == 1]
-             for where, own in names.items()}  # fmt: skip
+    there, here = ([x[0] if isinstance(x, list) else x for x in own] for own in (recorded, present))
+    alone = {"there": [x for x in there if x not in here], "here": [x for x in here if x not in there]}
     only = "".join(f"; only {where}: {', '.join(own)}" for where, own in alone.items() if own)
     pairs = [(a, b) for a, b in zip(recorded, present, strict=False) if a != b]
     if pairs and not only:

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from myowarp.definitions.body import BODIES, Body
+from myowarp.definitions.muscle import muscle_names
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.disk import model_digest
 from myowarp.models.bodies import arm_muscles, leg_muscles
@@ -92,7 +93,7 @@ def register_body(path: Path, tips: tuple[str, ...], stops: bool) -> tuple[str, 
             warn_once(f"{source.name}: {change}")
     known = BODIES[name].muscles if name in BODIES else None
     if name not in BODIES or _of(known) != _of(muscles):
-        names = [model.actuator(i).name for i in np.flatnonzero(_is_muscle(model))]
+        names = muscle_names(model)
         own = own_model(muscles, names)
         BODIES.add(name, Body(spec.copy, tips, muscles=muscles, muscle=own, **_facts(names)), replace=True)
     return name, model
@@ -143,11 +144,6 @@ def own_model(muscles: MuscleTable | None, names: list[str]) -> str:
         warn_once(f"{some}, are of a class without a law here; {instead}")
         return "mujoco"
     return "opensim"
-
-
-def _is_muscle(model: mujoco.MjModel) -> np.ndarray:
-    """Return which actuators are muscles, shape (nu,)."""
-    return model.actuator_dyntype == mujoco.mjtDyn.mjDYN_MUSCLE
 
 
 def _check(model: mujoco.MjModel, path: Path) -> None:
