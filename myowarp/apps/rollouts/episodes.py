@@ -64,11 +64,17 @@ class Episodes(Watcher):
             return {name: np.zeros(0, dtype=kind) for name, kind in KINDS.items()}
         return {name: np.concatenate([rows[name] for rows in self._rows]) for name in KINDS}
 
-    def first(self) -> dict[str, np.ndarray]:
-        """Return the same of the first episode of every world, in the order of the worlds that had one."""
+    def first(self, after: int = 0) -> dict[str, np.ndarray]:
+        """Return the same of the first episode of every world, in the order of the worlds that had one.
+
+        Args:
+            after: Episodes of a world before it; 1: the second of every world.
+        """
         arrays = self.arrays()
-        _, first = np.unique(arrays["world"], return_index=True)
-        return {name: array[first] for name, array in arrays.items()}
+        order = np.argsort(arrays["world"], kind="stable")
+        _, begin = np.unique(arrays["world"][order], return_index=True)
+        number = np.arange(len(order)) - np.repeat(begin, np.diff(np.append(begin, len(order))))
+        return {name: array[order][number == after] for name, array in arrays.items()}
 
 
 SAME_EPISODES = 1e-3

@@ -7,6 +7,8 @@ from myowarp.apps.studies.reproduce import (
     exo1,
     exo2,
     fatigue,
+    grid,
+    motor,
     recovery,
     sarcopenia,
     speed,
@@ -19,5 +21,5 @@ from myowarp.definitions.registry import Registry
 
 EXPERIMENTS: Registry[Experiment] = Registry("experiment")
 _PAPER = validation, speed, baselines, sarcopenia, fatigue, tear, transfer, exo1, exo2
-for _file in (*_PAPER, conditions, cohort_exo, recovery):
+for _file in (*_PAPER, grid, motor, conditions, cohort_exo, recovery):
     EXPERIMENTS.add(_file.EXPERIMENT.name, _file.EXPERIMENT)

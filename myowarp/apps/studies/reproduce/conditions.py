@@ -127,21 +127,41 @@ def run(lab: Lab) -> Findings:
 def _episodes(lab: Lab, when: str, task: str, condition: str, policy: Checkpoint) -> Mapping[str, np.ndarray]:
     """Return success and fault of the first episode of each world, drawn actions, shape (num_worlds,)."""
     conditions = () if condition == NONE else (CONDITIONS[condition],)
+    setup = Setup(task=task, conditions=conditions, physics="parity", seed=SEED)
+    return episode_of_each_world(lab, f"{when}_{task}_{condition}", setup, policy)
+
+
+def episode_of_each_world(lab: Lab, name: str, setup: Setup, policy: Checkpoint) -> Mapping[str, np.ndarray]:
+    """Return success by the paper's rule and fault of an episode of each world, drawn actions.
+
+    It is the first episode; without resets it is the second, which starts where the first has ended.
+
+    Args:
+        lab: Number of worlds, and where runs are kept.
+        name: Name of the run.
+        setup: Task, conditions, reset, physics and seed.
+        policy: Acts.
+
+    Returns:
+        `success` bool and `fault`, each of shape (num_worlds,).
+    """
+    before = int(setup.reset == "none")
 
     def measure(tick: Tick) -> dict[str, np.ndarray]:
-        setup = Setup(task=task, conditions=conditions, physics="parity", seed=SEED).over(lab.setup)
-        sim = Simulation(setup, lab.num_worlds, autoreset="same_step", progress=False)
+        sim = Simulation(setup.over(lab.setup), lab.num_worlds, autoreset="same_step", progress=False)
         check_contract(policy, sim)
-        episodes = Episodes(lab.num_worlds)
-        bar = Each(lambda step: tick(step.number / sim.horizon))
-        act = LearnedPolicy(policy, Setup(seed=SEED))
-        roll(sim, act, sim.horizon, episodes, bar, until=lambda: bool(episodes.ended_once.all()))
+        steps, episodes = (1 + before) * sim.horizon, Episodes(lab.num_worlds)
+        bar = Each(lambda step: tick(step.number / steps))
+        act = LearnedPolicy(policy, Setup(seed=setup.seed))
+        roll(sim, act, steps, episodes, bar, until=lambda: bool(not before and episodes.ended_once.all()))
         sim.close()
-        first = episodes.first()
-        return {"success": first[MYOSUITE], "fault": first["fault"]}
+        found = episodes.first(after=before)
+        return {"success": found[MYOSUITE], "fault": found["fault"]}
 
-    settings = {"task": task, "conditions": list(conditions), "seed": SEED, "num_worlds": lab.num_worlds}
-    return lab.kept(f"{when}_{task}_{condition}", settings, measure, policy)
+    settings: dict[str, Any] = {"task": setup.task, "conditions": list(setup.conditions or ())}
+    settings |= {"reset": setup.reset} if setup.reset else {}
+    settings |= {"seed": setup.seed, "num_worlds": lab.num_worlds}
+    return lab.kept(name, settings, measure, policy)
 
 
 def _loss(shares: Shares, task: str, condition: str) -> float:
@@ -149,7 +169,7 @@ def _loss(shares: Shares, task: str, condition: str) -> float:
     return 100.0 * float(shares[task, NONE].mean() - shares[task, condition].mean())
 
 
-def _apart(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+def apart(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
     """Return a 95 % interval of how many points more of the second episodes succeed than of the first."""
     low, high = newcombe(int(first.sum()), len(first), int(second.sum()), len(second))
     return 100.0 * low, 100.0 * high
@@ -165,15 +185,14 @@ def findings(runs_before: Runs, runs_after: Runs) -> Findings:
     runs = runs_before, runs_after
     before, after = ({cell: found["success"] for cell, found in own.items()} for own in runs)
     faults = [int(np.count_nonzero(found["fault"])) for own in runs for found in own.values()]
-    rows = [_row("success", *cell, own) for cell, own in before.items()] + [
-        _row("success after more training", *cell, own) for cell, own in after.items()
-    ]
-    harmed = [c for c in before if c[1] != NONE and _apart(before[c[0], NONE], before[c])[1] < -LOSS]
-    spared = [c for c in before if c[1] != NONE and _apart(before[c[0], NONE], before[c])[0] > -LOSS]
+    rows = [row("success", ", ".join(cell), own) for cell, own in before.items()]
+    rows += [row("success after more training", ", ".join(cell), own) for cell, own in after.items()]
+    harmed = [c for c in before if c[1] != NONE and apart(before[c[0], NONE], before[c])[1] < -LOSS]
+    spared = [c for c in before if c[1] != NONE and apart(before[c[0], NONE], before[c])[0] > -LOSS]
     adapted = [c for c in after if c[1] != NONE]
-    gained = [c for c in adapted if _apart(before[c], after[c])[0] > 0.0]
-    restored = [c for c in adapted if _apart(before[c[0], NONE], after[c])[0] > -LOSS]
-    short = [c for c in adapted if _apart(before[c[0], NONE], after[c])[1] < -LOSS]
+    gained = [c for c in adapted if apart(before[c], after[c])[0] > 0.0]
+    restored = [c for c in adapted if apart(before[c[0], NONE], after[c])[0] > -LOSS]
+    short = [c for c in adapted if apart(before[c[0], NONE], after[c])[1] < -LOSS]
     control = [c for c in after if c[1] == NONE and abs(100.0 * (after[c].mean() - before[c].mean())) > LOSS]
     worst = max((c for c in before if c[1] != NONE), key=lambda c: _loss(before, *c))
     pairs = len([c for c in before if c[1] != NONE])
@@ -205,11 +224,17 @@ def findings(runs_before: Runs, runs_after: Runs) -> Findings:
     return Findings(rows, holds, lambda figure: draw(figure, before, after), measured, over)
 
 
-def _row(quantity: str, task: str, condition: str, own: np.ndarray) -> Merit:
-    """Return the row of a policy under a condition."""
+def row(quantity: str, what: str, own: np.ndarray) -> Merit:
+    """Return the row of a policy in a task under a condition.
+
+    Args:
+        quantity: Success, and when.
+        what: Task and condition.
+        own: Whether each world's episode succeeded.
+    """
     low, high = wilson(int(own.sum()), len(own))
     note = f"{100 * low:.1f} to {100 * high:.1f} (Wilson, {len(own)} episodes)"
-    return Merit(quantity, "%", f"{task}, {condition}", [100.0 * own.mean()], note=note, within=PERCENT)
+    return Merit(quantity, "%", what, [100.0 * own.mean()], note=note, within=PERCENT)
 
 
 def _listed(cells: list[tuple[str, str]]) -> str:
