@@ -8,7 +8,6 @@ server, too.
 import re
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
 
 from sphinx.application import Sphinx
 
@@ -16,6 +15,7 @@ from myowarp.apps.policies.find import acting, find_policy
 from myowarp.apps.rollouts.film import Film, write
 from myowarp.apps.rollouts.run import run
 from myowarp.definitions.setup import Setup
+from myowarp.definitions.task import TASKS, Shown
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.setups import complete
 
@@ -25,117 +25,19 @@ RECORDING = re.compile(r"<script>(window\.__VISER_EMBED_DATA__=.*?)</script>", r
 CHOOSE = "<script>document.write('<script src=\"' + location.hash.slice(1) + '.js\"></'+'script>')</script>"
 
 
-class Shown(NamedTuple):
-    """What a recording shows.
-
-    Attributes:
-        task: Id of the task.
-        policy: What acts.
-        steps: Control steps.
-        every: Control steps from picture to picture.
-        text: What is seen, for people.
-    """
-
-    task: str
-    policy: str
-    steps: int
-    every: int
-    text: str
+def by_family() -> dict[str, Shown]:
+    """Return what is shown of each family."""
+    return {spec.family: spec.shown for spec in map(TASKS.__getitem__, TASKS) if spec.shown}
 
 
-SHOWN = {
-    "keyturn": Shown(
-        "myoHandKeyTurnFixed-v0", "baseline", 80, 2, "A trained hand turns the key by half a turn."
-    ),
-    "pose": Shown(
-        "myoElbowPose1D6MRandom-v0",
-        "baseline",
-        60,
-        2,
-        "A trained elbow bends to the angle of the green ghost.",
-    ),
-    "reach": Shown(
-        "myoFingerReachRandom-v0", "baseline", 40, 1, "A trained finger brings its tip to the green ball."
-    ),
-    "objecthold": Shown(
-        "myoHandObjHoldRandom-v0", "baseline", 30, 2, "A trained hand carries the object to its target."
-    ),
-    "pentwirl": Shown("myoHandPenTwirlFixed-v0", "baseline", 45, 3, "A trained hand turns the pen."),
-    "diereorient": Shown(
-        "myoChallengeDieReorientP1-v1",
-        "random",
-        30,
-        2,
-        "Random actions: no policy has been trained for the die.",
-    ),
-    "baoding": Shown(
-        "myoChallengeBaodingP1-v2",
-        "random",
-        30,
-        2,
-        "Random actions: no policy has been trained for the balls.",
-    ),
-    "reorient": Shown(
-        "myoHandReorient100-v0",
-        "random",
-        20,
-        1,
-        "Random actions: no policy has been trained for these objects.",
-    ),
-    "relocate": Shown(
-        "myoChallengeRelocateP1-v0",
-        "random",
-        40,
-        3,
-        "Random actions: no policy has been trained for carrying.",
-    ),
-    "stand": Shown(
-        "myoLegStandRandom-v0",
-        "random",
-        60,
-        4,
-        "Random actions: no policy has been trained for standing.",
-    ),
-    "walk": Shown(
-        "myoLegWalk-v0",
-        "random",
-        60,
-        4,
-        "Random actions: no policy has been trained for walking.",
-    ),
-    "directional": Shown(
-        "myoLegDirectionalForward-v1",
-        "random",
-        60,
-        4,
-        "Random actions: no policy has been trained for walking.",
-    ),
-    "ground": Shown(
-        "myoLegStairTerrainWalk-v1",
-        "random",
-        60,
-        2,
-        "Random actions: no policy has been trained for walking.",
-    ),
-    "terrain": Shown(
-        "myoLegStairTerrainWalk-v0",
-        "random",
-        60,
-        2,
-        "Random actions: no policy has been trained for walking.",
-    ),
-}
-"""What is shown of each family."""
-
-
-def frame(family: str, root: str) -> str:
+def frame(family: str, shown: Shown, root: str) -> str:
     """Return a recording as a part of a page, Markdown.
 
     Args:
         family: Name of the family.
+        shown: What is shown of it.
         root: Way from the page to the site's root, ending in "/", or "".
     """
-    shown = SHOWN[family]
     return (
         "```{raw} html\n"
         f'<iframe src="{root}{FOLDER}/{PLAYER}#{family}" title="{shown.text}" loading="lazy" '
@@ -160,7 +62,9 @@ def record(shown: Shown, path: Path) -> None:
 def add(app: Sphinx, error: Exception | None) -> None:
     """Make the recordings that are not there yet, unless `-D recordings=0`."""
     folder = Path(app.outdir) / FOLDER
-    missing = {family: shown for family, shown in SHOWN.items() if not (folder / f"{family}.js").exists()}
+    missing = {
+        family: shown for family, shown in by_family().items() if not (folder / f"{family}.js").exists()
+    }
     if error is not None or not missing or not app.config.recordings:
         return
     folder.mkdir(exist_ok=True)

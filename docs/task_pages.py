@@ -21,17 +21,6 @@ from myowarp.kernels.episode import MYOSUITE
 
 DOCS = Path(__file__).parent
 PAGES = DOCS / "tasks"
-TITLES = {
-    "keyturn": "Key turn",
-    "objecthold": "Object hold",
-    "pentwirl": "Pen twirl",
-    "diereorient": "Die reorient",
-    "baoding": "Baoding balls",
-    "reorient": "Hand reorient",
-    "directional": "Directional walking",
-    "terrain": "Walking on terrain",
-    "ground": "Walking on drawn ground",
-}
 FOLDED = 60  # characters of names that a page folds
 UNBROKEN = 100_000  # characters of a line that is not broken
 WIDTH = 90  # characters that a page shows without scrolling at 1280 px
@@ -121,11 +110,6 @@ def families() -> dict[str, list[str]]:
     return {family: list(keys) for family, keys in groupby(order, lambda key: TASKS[key].family)}
 
 
-def title(family: str) -> str:
-    """Return what a family is called."""
-    return TITLES.get(family, family.capitalize())
-
-
 def rows(keys: list[str]) -> str:
     """Return a table of ids, a row each."""
     lines = (f"| [{key}]({key}.md) | {TASKS[key].summary} |" for key in keys)
@@ -134,10 +118,10 @@ def rows(keys: list[str]) -> str:
 
 def family_page(family: str, keys: list[str]) -> str:
     """Return the page of a family: a recording to turn where there is one, its ids, commands."""
-    parts = [f"# {title(family)}", rows(keys)]
-    if shown := recordings.SHOWN.get(family):
+    parts = [f"# {TASKS[keys[0]].title}", rows(keys)]
+    if shown := TASKS[keys[0]].shown:
         commands = f"myowarp view {shown.task} --policy {shown.policy}\nmyowarp describe {shown.task}"
-        parts.insert(1, recordings.frame(family, "../"))
+        parts.insert(1, recordings.frame(family, shown, "../"))
         parts.append(f"```sh\n{commands}\n```")
     parts.append("```{toctree}\n:hidden:\n\n" + "\n".join(keys) + "\n```")
     return "\n\n".join(parts) + "\n"
@@ -151,7 +135,7 @@ def index() -> str:
         "observation. `myowarp tasks` prints this list, `myowarp tasks --paper` the paper's grid of 204 ids.",
     ]
     for family, keys in families().items():
-        parts.append(f"## {title(family)}\n\n[Recording and commands]({family}.md)\n\n{rows(keys)}")
+        parts.append(f"## {TASKS[keys[0]].title}\n\n[Recording and commands]({family}.md)\n\n{rows(keys)}")
     parts.append("```{toctree}\n:hidden:\n\n" + "\n".join(families()) + "\n```")
     return "\n\n".join(parts) + "\n"
 

@@ -3,12 +3,15 @@
 import gc
 import re
 import sys
+from functools import cache
 
 import pytest
 from clusters import cluster  # noqa: F401 (a fixture)
 from registries import as_before
 
 from myowarp.apps.cli import main as cli
+from myowarp.definitions.body import BODIES
+from myowarp.definitions.task import TASKS
 
 
 @pytest.fixture
@@ -34,11 +37,14 @@ def registered():
         yield
 
 
-LARGE = re.compile(
-    r"Torso|torso|LegWalk|LegDirectional|TerrainWalk|legs|ArmReach|\barm\b|DieReorientP[12]|HandReorient|Relocate"
-    r"|whole_arm|full_body"
-)
-"""Bodies and tasks that cost several seconds a test; their oracle tests are always run."""
+@cache
+def large():
+    """Return a pattern of bodies and tasks that cost seconds a test; their oracle tests always run."""
+    tasks = {TASKS[key].name.removeprefix("myo") for key in TASKS if TASKS[key].large}
+    bodies = {name for name in BODIES if BODIES[name].large}
+    return re.compile("|".join([*sorted(tasks), rf"\b(?:{'|'.join(sorted(bodies))})\b"]))
+
+
 QUICK = "test_conditions.py"  # one or two seconds
 
 
@@ -58,5 +64,5 @@ def pytest_collection_modifyitems(items):
     """Leave large bodies to `make test-slow`, where a test is run for every body or task."""
     for item in items:
         case = item.callspec.id if hasattr(item, "callspec") else ""
-        if item.path.parent.name in ("suite", "engine") and item.path.name != QUICK and LARGE.search(case):
+        if item.path.parent.name in ("suite", "engine") and item.path.name != QUICK and large().search(case):
             item.add_marker(pytest.mark.slow)

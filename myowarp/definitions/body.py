@@ -113,6 +113,8 @@ class Body:
             The policy "muscle-control" begins with them.
         muscles: Parameters of its muscles beside those in the model, for the muscle model that they name.
         muscle: Muscle model that runs where none is asked for.
+        title: Its name for people, where that is not its name in `BODIES`.
+        large: Whether a step costs many times that of a hand.
     """
 
     build: Callable[[], mujoco.MjSpec]
@@ -128,6 +130,8 @@ class Body:
     approach: tuple[str, ...] = ()
     muscles: MuscleTable | None = field(default=None, repr=False)
     muscle: str = "mujoco"
+    title: str = ""
+    large: bool = False
 
     @property
     def doc(self) -> str:

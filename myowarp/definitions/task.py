@@ -151,6 +151,28 @@ class PhysicsPreset:
 
 MOST_SUBSTEPS = 10_000  # physics steps in a control step: one that lasts seconds is a mistake
 
+Judgement = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Of each target: whether it can be met well enough to count as solved, whether exactly, and the miss."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A recording that shows a family of tasks.
+
+    Attributes:
+        text: A sentence about what is seen.
+        task: Id of the task.
+        policy: What acts.
+        steps: Control steps.
+        every: Control steps from picture to picture.
+    """
+
+    text: str
+    task: str
+    policy: str
+    steps: int
+    every: int
+
 
 @dataclass(frozen=True, kw_only=True)
 class TaskSpec(abc.ABC):
@@ -166,6 +188,8 @@ class TaskSpec(abc.ABC):
             show how many there can be (`sim/capacity.py`).
         world_bytes: Memory of what a world has besides the engine's arrays, where that is much
             (`sim/memory.py`).
+        title: Name of the family for people; by default that of its class.
+        shown: What shows the family in the documentation; None: nothing does.
         name: Upstream's name of the task, such as `myoHandPoseFixed`; `@task` takes it from the id.
         version: Version of our id, from there too; 0 keeps MyoSuite 3.0.0's semantics.
         body: Name in `BODIES`.
@@ -182,6 +206,14 @@ class TaskSpec(abc.ABC):
     linear_excitation: ClassVar[bool] = False
     least_contacts: ClassVar[int] = 0
     world_bytes: ClassVar[int] = 0
+    title: ClassVar[str] = ""
+    shown: ClassVar[Shown | None] = None
+
+    def __init_subclass__(cls) -> None:
+        """Name the family after its class, and show none by what its parent shows."""
+        words = re.findall("[A-Z][a-z0-9]*", cls.__name__.removesuffix("Task"))
+        cls.title = vars(cls).get("title", " ".join(words).capitalize())
+        cls.shown = vars(cls).get("shown")
 
     name: str = ""
     version: int = 0
@@ -260,6 +292,11 @@ class TaskSpec(abc.ABC):
         return (self.family, self.body, self.sites, self.physics_dt)
 
     @property
+    def large(self) -> bool:
+        """Whether a step costs many times that of a hand, so that not every test is for every day."""
+        return BODIES[self.body].large
+
+    @property
     def uses_kinematics(self) -> bool:
         """Whether observation or reward read body or site positions."""
         return True
@@ -315,6 +352,21 @@ class TaskSpec(abc.ABC):
                 f"start_pose of task {self.key!r} must have {model.nq} entries, got {len(self.start_pose)}"
             )
         return np.array(self.start_pose) if self.start_pose else model.qpos0.copy()
+
+    def judge(self, model: mujoco.MjModel, targets: np.ndarray) -> Judgement | None:
+        """Judge by joint ranges alone which targets can be met.
+
+        Args:
+            model: The task's model.
+            targets: Different rows of `task.target`, shape (num_targets, size).
+
+        Returns:
+            None where the family has no rule.
+
+        Raises:
+            ValueError: The reach of this body is not solved.
+        """
+        return None
 
     @abc.abstractmethod
     def edit(self, spec: mujoco.MjSpec) -> None:

@@ -26,7 +26,7 @@ from myowarp.definitions.body import CoarseStep
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, XYZ
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec
+from myowarp.definitions.task import Column, Draw, RewardTerm, Shown, TaskSpec
 from myowarp.kernels.reward import EFFORT, indicator, minus_failed
 from myowarp.kernels.world_function import Row
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, SOFT, add_object
@@ -203,6 +203,14 @@ class BaodingTask(TaskSpec):
     """
 
     program: ClassVar[type] = BaodingProgram
+    title: ClassVar[str] = "Baoding balls"
+    shown: ClassVar[Shown | None] = Shown(
+        "Random actions: no policy has been trained for the balls.",
+        "myoChallengeBaodingP1-v2",
+        "random",
+        30,
+        2,
+    )
     measures: ClassVar = {
         "palm": palm_place,
         "frame": palm_frame,

@@ -22,7 +22,7 @@ from myowarp.definitions.body import CoarseStep
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, TURN, VELOCITIES, XYZ
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec
+from myowarp.definitions.task import Column, Draw, RewardTerm, Shown, TaskSpec
 from myowarp.kernels.reward import EFFORT, is_far, minus_error, minus_failed, near_bonus
 from myowarp.models.bodies.contact_hand import (
     HAND_JOINTS,
@@ -226,6 +226,13 @@ class DieReorientTask(TaskSpec):
     """
 
     program: ClassVar[type] = DieReorientProgram
+    shown: ClassVar[Shown | None] = Shown(
+        "Random actions: no policy has been trained for the die.",
+        "myoChallengeDieReorientP1-v1",
+        "random",
+        30,
+        2,
+    )
     aligned: ClassVar[float] = 0.262  # rad, error of the orientation below which the task counts as solved
     wider: ClassVar[float] = 2.0  # times `near`: where the first bonus begins
     far: ClassVar[float] = 0.2  # m, error beyond which the die is lost
@@ -244,6 +251,11 @@ class DieReorientTask(TaskSpec):
     mass: tuple[float, float] = (MASS, MASS)
     friction: tuple[float, float, float] = (0.0, 0.0, 0.0)
     free: bool = False
+
+    @property
+    def large(self) -> bool:
+        """Whether a step costs many times that of a hand: objects of many kinds and parts touch it."""
+        return True
 
     @property
     def measures(self) -> dict[str, wp.Function]:  # type: ignore[override]

@@ -22,7 +22,7 @@ import warp as wp
 
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, VELOCITIES
 from myowarp.definitions.program import Program
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
+from myowarp.definitions.task import Column, Draw, RewardTerm, Shown, TaskSpec, task
 from myowarp.kernels.reward import indicator
 from myowarp.kernels.world_function import Row
 from myowarp.tasks.field import FIELD_POINTS, add_field
@@ -95,6 +95,14 @@ class DirectionalTask(TaskSpec):
     """
 
     program: ClassVar[type] = Program
+    title: ClassVar[str] = "Directional walking"
+    shown: ClassVar[Shown | None] = Shown(
+        "Random actions: no policy has been trained for these directions.",
+        "myoLegDirectionalForward-v1",
+        "random",
+        60,
+        4,
+    )
     measures: ClassVar = {
         "heading": direction,
         "error": missed_velocity,

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from myowarp.definitions.task import Column, Draw, task
+from myowarp.definitions.task import Column, Draw, Shown, task
 from myowarp.kernels.random import RandomKeys, open_stream, stream_of
 from myowarp.tasks.field import FIELD_POINTS, HALF_LENGTH, add_field
 from myowarp.tasks.terrain import LEAST_RISE, TerrainProgram, TerrainTask
@@ -147,6 +147,14 @@ class GroundTask(TerrainTask):
     """
 
     program: ClassVar[type] = GroundProgram
+    title: ClassVar[str] = "Walking on drawn ground"
+    shown: ClassVar[Shown | None] = Shown(
+        "Random actions: no policy has been trained on this ground.",
+        "myoLegStairTerrainWalk-v1",
+        "random",
+        60,
+        2,
+    )
     measures: ClassVar = {
         "ground": ground_below,
         "height": height_above,

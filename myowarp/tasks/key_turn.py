@@ -24,7 +24,7 @@ from myowarp.definitions.body import CoarseStep
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, VELOCITIES, XYZ
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
+from myowarp.definitions.task import Column, Draw, RewardTerm, Shown, TaskSpec, task
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
 from myowarp.kernels.reward import EFFORT, indicator
 from myowarp.kernels.world_function import Row
@@ -164,6 +164,9 @@ class KeyTurnTask(TaskSpec):
     """
 
     program: ClassVar[type] = KeyTurnProgram
+    shown: ClassVar[Shown | None] = Shown(
+        "A trained hand turns the key by half a turn.", "myoHandKeyTurnFixed-v0", "baseline", 80, 2
+    )
     measures: ClassVar = {
         "index_approach": index_approach,
         "thumb_approach": thumb_approach,

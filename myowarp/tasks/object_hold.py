@@ -19,7 +19,7 @@ from myowarp.definitions.body import CoarseStep
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, VELOCITIES, XYZ
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
+from myowarp.definitions.task import Column, Draw, RewardTerm, Shown, TaskSpec, task
 from myowarp.kernels.random import GOAL, START
 from myowarp.kernels.reward import EFFORT, is_far, is_near, minus_error, minus_failed, near_bonus
 from myowarp.models.bodies.contact_hand import HAND_JOINTS, PALM_UP, add_object
@@ -98,6 +98,9 @@ class ObjectHoldTask(TaskSpec):
     """
 
     program: ClassVar[type] = ObjectHoldProgram
+    shown: ClassVar[Shown | None] = Shown(
+        "A trained hand carries the object to its target.", "myoHandObjHoldRandom-v0", "baseline", 30, 2
+    )
     measures: ClassVar = {"error": goal_distance, "solved": is_near, "failed": is_far}
     near: ClassVar[float] = 0.01  # m, error below which the task counts as solved
     wider: ClassVar[float] = 2.0  # times `near`: where the first bonus begins

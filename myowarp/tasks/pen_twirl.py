@@ -20,7 +20,7 @@ from myowarp.definitions.body import CoarseStep
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, FREE_RATES, XYZ
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
+from myowarp.definitions.task import Column, Draw, RewardTerm, Shown, TaskSpec, task
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
 from myowarp.kernels.reward import EFFORT, indicator, is_far, minus_error, minus_failed
 from myowarp.kernels.world_function import Row
@@ -195,6 +195,9 @@ class PenTwirlTask(TaskSpec):
     """
 
     program: ClassVar[type] = PenTwirlProgram
+    shown: ClassVar[Shown | None] = Shown(
+        "A trained hand turns the pen.", "myoHandPenTwirlFixed-v0", "baseline", 45, 3
+    )
     measures: ClassVar = {
         "position": pen_position,
         "axis": pen_axis,

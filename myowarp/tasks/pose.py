@@ -22,13 +22,15 @@ from myowarp.definitions.entries import ACTIVATION, COORDINATES, VELOCITIES, Ent
 from myowarp.definitions.program import Program
 from myowarp.definitions.registry import check_bounds
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec
+from myowarp.definitions.task import Column, Draw, Judgement, RewardTerm, Shown, TaskSpec
 from myowarp.kernels.random import GOAL, START, RandomKeys, open_stream
 from myowarp.kernels.reward import EFFORT, is_far, is_near, minus_error, minus_failed, near_bonus
 from myowarp.osim.bundle.couplings import follow
 from myowarp.sim.build import full_model
 from myowarp.tasks.carried_weight import BATCHED, CarriedWeight
 from myowarp.tasks.markers import add_tip_targets
+
+ON_THE_BOUND = 1e-5  # rad, float32; of a target that is within the ranges
 
 
 @wp.func
@@ -147,6 +149,13 @@ class PoseTask(TaskSpec):
     """
 
     program: ClassVar[type] = PoseProgram
+    shown: ClassVar[Shown | None] = Shown(
+        "A trained elbow bends to the angle of the green ghost.",
+        "myoElbowPose1D6MRandom-v0",
+        "baseline",
+        60,
+        2,
+    )
     measures: ClassVar = {"error": pose_error, "solved": is_near, "failed": is_far}
     wider: ClassVar[float] = 1.5  # times `near`: where the first bonus begins
 
@@ -227,6 +236,14 @@ class PoseTask(TaskSpec):
     def target_entries(self, model: mujoco.MjModel) -> tuple[Entry, ...]:
         """Return names and units of the joints that have a target, in its order."""
         return of_joints(model, self.target_joints(model))
+
+    def judge(self, model: mujoco.MjModel, targets: np.ndarray) -> Judgement:
+        joints = self.target_joints(model)
+        limited = model.jnt_limited[joints, None] > 0
+        low, high = np.where(limited, model.jnt_range[joints], (-np.inf, np.inf)).T
+        beyond = targets - np.clip(targets, low, high)
+        miss = np.linalg.norm(beyond, axis=1)
+        return miss < self.near, np.abs(beyond).max(axis=1) <= ON_THE_BOUND, miss
 
     def edit(self, spec: mujoco.MjSpec) -> None:
         """Add the markers that show where the tips of the target pose are."""

@@ -22,12 +22,14 @@ from myowarp.definitions.entries import ACTIVATION, COORDINATES, VELOCITIES, axe
 from myowarp.definitions.program import Program
 from myowarp.definitions.registry import check_bounds
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec
+from myowarp.definitions.task import Column, Draw, Judgement, RewardTerm, Shown, TaskSpec
 from myowarp.kernels.random import GOAL, RandomKeys, open_stream
 from myowarp.kernels.reward import EFFORT, is_near, minus_error, minus_failed, near_bonus
+from myowarp.models.reachability import reachable, unsolved
 from myowarp.tasks.markers import add_tip_targets
 
 NEAR_PER_TIP = 0.0125  # m; MyoSuite 3.0.0
+EXACT = 1e-3  # m, error of a target that counts as none
 FIRST_FAILING_STEP = wp.constant(2)  # upstream tests data.time > 2 dt, which rounding makes true at step 2
 
 
@@ -130,6 +132,9 @@ class ReachTask(TaskSpec):
     """
 
     program: ClassVar[type] = ReachProgram
+    shown: ClassVar[Shown | None] = Shown(
+        "A trained finger brings its tip to the green ball.", "myoFingerReachRandom-v0", "baseline", 40, 1
+    )
     measures: ClassVar = {"error": reach_error, "solved": is_near, "failed": is_far_later}
     wider: ClassVar[float] = 2.0  # times `near`: where the first bonus begins
 
@@ -179,6 +184,12 @@ class ReachTask(TaskSpec):
         low, high = (tuple(np.add(self.center, end).tolist()) for end in (self.low, self.high))
         source = "" if self.table is None else "; a row of a table of targets within reach, which lie in"
         return (Draw("target", "m", low, high, f"target of each tip, world{source}", axes(self.tips)),)
+
+    def judge(self, model: mujoco.MjModel, targets: np.ndarray) -> Judgement:
+        if why := unsolved(model):
+            raise ValueError(why)
+        miss, _ = reachable(model, self.tips, targets)
+        return miss < self.near, miss <= EXACT, miss
 
     def edit(self, spec: mujoco.MjSpec) -> None:
         """Add the target markers."""

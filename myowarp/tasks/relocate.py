@@ -20,7 +20,7 @@ import warp as wp
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, TURN, VELOCITIES, XYZ, Entry, coordinates
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec
+from myowarp.definitions.task import Column, Draw, RewardTerm, Shown, TaskSpec
 from myowarp.engine.stages.arrays import filled
 from myowarp.kernels.reward import EFFORT, minus_error
 from myowarp.models.bodies.contact_hand import INERTIA_FLOOR, add_object, add_object_joints
@@ -231,6 +231,13 @@ class RelocateTask(TaskSpec):
     """
 
     program: ClassVar[type] = RelocateProgram
+    shown: ClassVar[Shown | None] = Shown(
+        "Random actions: no policy has been trained for carrying.",
+        "myoChallengeRelocateP1-v0",
+        "random",
+        40,
+        3,
+    )
     near: ClassVar[float] = 0.1  # m, distance from the bin's middle below which the task counts as solved
     far: ClassVar[float] = 0.5  # m, distance of the palm from the object beyond which it is lost
     least_contacts: ClassVar[int] = 48  # three parts in a corner, four with each side, and a hand around them

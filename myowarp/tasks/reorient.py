@@ -21,7 +21,7 @@ import warp as wp
 from myowarp.definitions.body import CoarseStep
 from myowarp.definitions.entries import ACTIVATION, COORDINATES, FREE_RATES, XYZ
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec
+from myowarp.definitions.task import Column, Draw, RewardTerm, Shown, TaskSpec
 from myowarp.engine.stages.arrays import filled
 from myowarp.kernels.reward import EFFORT, is_far, minus_error, minus_failed
 from myowarp.kernels.world_function import Row
@@ -142,6 +142,14 @@ class ReorientTask(TaskSpec):
     """
 
     program: ClassVar[type] = ReorientProgram
+    title: ClassVar[str] = "Hand reorient"
+    shown: ClassVar[Shown | None] = Shown(
+        "Random actions: no policy has been trained for these objects.",
+        "myoHandReorient100-v0",
+        "random",
+        20,
+        1,
+    )
     measures: ClassVar = {
         "position": pen_position,
         "axis": pen_axis,
@@ -161,6 +169,11 @@ class ReorientTask(TaskSpec):
     table: str
     condim: int = SLIDING
     free: bool = False
+
+    @property
+    def large(self) -> bool:
+        """Whether a step costs many times that of a hand: objects of many kinds and parts touch it."""
+        return True
 
     @property
     def scene_key(self) -> tuple[object, ...]:

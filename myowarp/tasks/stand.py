@@ -18,7 +18,7 @@ import warp as wp
 from myowarp.definitions.body import POINT_JOINTS
 from myowarp.definitions.entries import Entry, of_joints
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Draw, RewardTerm, task
+from myowarp.definitions.task import Draw, RewardTerm, Shown, task
 from myowarp.kernels.reward import minus_effort
 from myowarp.tasks.reach import ReachProgram, ReachTask
 
@@ -109,11 +109,19 @@ class StandTask(ReachTask):
     """
 
     program: ClassVar[type] = StandProgram
+    shown: ClassVar[Shown | None] = Shown(
+        "Random actions: legs fall.", "myoLegStandRandom-v0", "random", 60, 4
+    )
 
     horizon: int = 150
     physics_dt: float = 0.001
     offset: float
     num_joints: int
+
+    @property
+    def large(self) -> bool:
+        """Not the test's: legs that stand are tried every day, for all legs."""
+        return False
 
     @property
     def start_doc(self) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Draw, task
+from myowarp.definitions.task import Draw, Shown, task
 from myowarp.kernels.random import RandomKeys, open_stream, stream_of
 from myowarp.tasks.field import FIELD_POINTS, add_field
 from myowarp.tasks.walk import (
@@ -131,6 +131,14 @@ class TerrainTask(WalkTask):
     """
 
     program: ClassVar[type] = TerrainProgram
+    title: ClassVar[str] = "Walking on terrain"
+    shown: ClassVar[Shown | None] = Shown(
+        "Random actions: no policy has been trained on this ground.",
+        "myoLegStairTerrainWalk-v0",
+        "random",
+        60,
+        2,
+    )
     measures: ClassVar = {
         "height": center_height,
         "velocity": center_velocity,

@@ -34,7 +34,7 @@ from myowarp.definitions.entries import (
     coordinates,
 )
 from myowarp.definitions.scene import Scene
-from myowarp.definitions.task import Column, Draw, RewardTerm, TaskSpec, task
+from myowarp.definitions.task import Column, Draw, RewardTerm, Shown, TaskSpec, task
 from myowarp.kernels.reward import EFFORT, indicator, minus_effort
 from myowarp.kernels.world_function import Row
 from myowarp.tasks.seen_muscles import MuscleProgram, of_muscles
@@ -250,6 +250,7 @@ class WalkTask(TaskSpec):
     """
 
     program: ClassVar[type] = WalkProgram
+    shown: ClassVar[Shown | None] = Shown("Trained legs walk.", "myoLegWalk-v0", "baseline", 60, 4)
     measures: ClassVar = {
         "height": center_height,
         "velocity": center_velocity,

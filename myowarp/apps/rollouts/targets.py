@@ -15,8 +15,8 @@ import warp as wp
 
 from myowarp.apps.rollouts.objects import host_model, object_bodies, overlaps, place
 from myowarp.definitions.body import BODIES
-from myowarp.definitions.task import TaskSpec
-from myowarp.models.reachability import reachable, unsolved
+from myowarp.definitions.task import Judgement, TaskSpec
+from myowarp.models.reachability import unsolved
 from myowarp.process import warn_once
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks import baoding, pen_twirl
@@ -26,17 +26,12 @@ from myowarp.tasks.key_turn import KeyTurnTask
 from myowarp.tasks.object_hold import ObjectHoldTask
 from myowarp.tasks.pen_twirl import PenTwirlTask
 from myowarp.tasks.pose import PoseProgram, PoseTask
-from myowarp.tasks.reach import ReachProgram, ReachTask
+from myowarp.tasks.reach import EXACT, ReachProgram, ReachTask
 
 NUM_TARGETS = 256  # drawn; of those that are alike one is judged
-EXACT = 1e-3  # m, error or overlap that counts as none
-ON_THE_BOUND = 1e-5  # rad, float32
 OVERLAP = 5e-3  # m, overlap with the open hand that the hand can make room for
 PHASES = 8  # of an episode, at which moving targets are judged
 LIFTS = 15  # places above its start at which a pen is tried
-
-Judgement = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Of each target: whether it can be met well enough to count as solved, whether exactly, and the miss."""
 
 
 @dataclass(frozen=True)
@@ -85,32 +80,13 @@ def in_reach(spec: TaskSpec, model: mujoco.MjModel, rows: np.ndarray) -> np.ndar
         None where the targets are neither joint angles nor points of tips, or, which a line says, points of
         a body for which reach is not solved.
     """
-    if isinstance(spec, ReachTask) and (why := unsolved(model)):
+    different, number = np.unique(rows.astype(float), axis=0, return_inverse=True)
+    try:
+        judgement = spec.judge(model, different)
+    except ValueError as why:
         warn_once(f"success over reachable targets of {spec.key} is left out: {why}")
         return None
-    for kind, judge in JUDGES.items():
-        if isinstance(spec, kind):
-            different, number = np.unique(rows.astype(float), axis=0, return_inverse=True)
-            return np.asarray(judge(spec, model, different)[1][number])
-    return None
-
-
-def _judge_pose(spec: PoseTask, model: mujoco.MjModel, rows: np.ndarray) -> Judgement:
-    """Target angles against the joint ranges."""
-    joints = spec.target_joints(model)
-    low, high = np.where(model.jnt_limited[joints, None] > 0, model.jnt_range[joints], (-np.inf, np.inf)).T
-    beyond = rows - np.clip(rows, low, high)
-    miss = np.linalg.norm(beyond, axis=1)
-    return miss < spec.near, np.abs(beyond).max(axis=1) <= ON_THE_BOUND, miss
-
-
-def _judge_reach(spec: ReachTask, model: mujoco.MjModel, rows: np.ndarray) -> Judgement:
-    """Target points against the tips' reach."""
-    miss, _ = reachable(model, spec.tips, rows)
-    return miss < spec.near, miss <= EXACT, miss
-
-
-JUDGES: dict[type[TaskSpec], Callable[..., Judgement]] = {PoseTask: _judge_pose, ReachTask: _judge_reach}
+    return None if judgement is None else judgement[1][number]
 
 
 def _none(why: str) -> Targets:
@@ -150,7 +126,7 @@ def _pose(sim: Simulation) -> Targets:
         "joints; exact: the target is within the ranges"
     )
     drawn = _draws(sim, program.target.numpy)
-    found = _judged(drawn, partial(_judge_pose, spec, sim.scene.oracle), "rad", rule)
+    found = _judged(drawn, partial(spec.judge, sim.scene.oracle), "rad", rule)
     if spec.body != "hand":
         return found
     return replace(found, thumb_off=_thumb_off(spec, np.unique(drawn, axis=0)))
@@ -187,7 +163,7 @@ def _reach(sim: Simulation) -> Targets:
         f"solvable: some posture within the joint ranges brings the tips closer than {1e3 * spec.near:.3g} "
         f"mm, norm over all tips as the task scores it; exact: closer than {1e3 * EXACT:.0f} mm"
     )
-    judge = partial(_judge_reach, spec, sim.scene.oracle)
+    judge = partial(spec.judge, sim.scene.oracle)
     return _judged(_draws(sim, program.target.numpy), judge, "m", rule)
 
 

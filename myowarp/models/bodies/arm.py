@@ -45,5 +45,6 @@ BODIES.add(
         coarse_step=CoarseStep(0.010, 0.5),
         groups=GROUPS,
         fatigue_rates=FATIGUE_RATES,
+        large=True,
     ),
 )

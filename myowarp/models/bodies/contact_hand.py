@@ -120,4 +120,4 @@ def add_object_joints(
 
 
 PALM_UP = -1.5  # rad, joint 0, the forearm's rotation: an object can lie on the palm
-BODIES.add("contact_hand", replace(HAND, build=contact_hand, coarse_step=CAUTIOUS_STEP))
+BODIES.add("contact_hand", replace(HAND, build=contact_hand, coarse_step=CAUTIOUS_STEP, title="hand"))

@@ -26,4 +26,4 @@ def elbow_exo() -> mujoco.MjSpec:
     return spec
 
 
-BODIES.add("elbow_exo", replace(ELBOW, build=elbow_exo, exoskeleton=None))  # it has one already
+BODIES.add("elbow_exo", replace(ELBOW, build=elbow_exo, exoskeleton=None, title="elbow with exoskeleton"))

@@ -56,5 +56,7 @@ BODIES.add(
         fatigue_rates=dict.fromkeys(GROUPS, HAND),
     ),
 )
-BODIES.add("motor_finger", Body(motor_finger, tips=("IFtip",)))
-BODIES.add("strong_motor_finger", Body(strong_motor_finger, tips=("IFtip",)))
+BODIES.add("motor_finger", Body(motor_finger, tips=("IFtip",), title="finger with motors"))
+BODIES.add(
+    "strong_motor_finger", Body(strong_motor_finger, tips=("IFtip",), title="finger with strong motors")
+)

@@ -33,5 +33,6 @@ BODIES.add(
         tips=("IFtip_r", "IFtip_l"),
         groups=torso_muscles.GROUPS | grouped_by_side(arm_muscles.GROUPS) | leg_muscles.GROUPS,
         fatigue_rates=on_both_sides(arm_muscles.FATIGUE_RATES) | leg_muscles.FATIGUE_RATES,
+        large=True,
     ),
 )

@@ -40,4 +40,6 @@ def torso() -> mujoco.MjSpec:
     return including(FILES, torso_in("Torso", "-0.025 0.1 0.9"))
 
 
-TORSO = BODIES.add("torso", Body(torso, tips=(TIP,), coarse_step=CoarseStep(0.010, 0.5), groups=GROUPS))
+TORSO = BODIES.add(
+    "torso", Body(torso, tips=(TIP,), coarse_step=CoarseStep(0.010, 0.5), groups=GROUPS, large=True)
+)

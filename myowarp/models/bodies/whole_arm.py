@@ -63,4 +63,7 @@ def whole_arm() -> mujoco.MjSpec:
     return spec
 
 
-BODIES.add("whole_arm", Body(whole_arm, tips=TIPS, palm=PALM, groups=GROUPS, fatigue_rates=FATIGUE_RATES))
+BODIES.add(
+    "whole_arm",
+    Body(*(whole_arm, TIPS, PALM), groups=GROUPS, fatigue_rates=FATIGUE_RATES, title="arm", large=True),
+)

@@ -12,24 +12,12 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TASKS
 
 OWN = "your own"
 LEVELS = {"Fixed": "easy", "Random": "hard"}
 """Meanings of the last word of a name: a fixed goal, or one that each episode draws."""
-WORDS = {
-    "contact_hand": "hand",
-    "elbow_exo": "elbow with exoskeleton",
-    "motor_finger": "finger with motors",
-    "strong_motor_finger": "finger with strong motors",
-    "whole_arm": "arm",
-    "objecthold": "object hold",
-    "keyturn": "key turn",
-    "pentwirl": "pen twirl",
-    "diereorient": "die reorient",
-}
-"""Names of families and bodies as people write them."""
-
 Tree = dict[str, dict[str, dict[str, str]]]
 """Id of a task by family, level and version; the newest version first."""
 
@@ -55,8 +43,8 @@ def place_of(task: str) -> tuple[str, str, str]:
     if task not in TASKS:
         return OWN, "/".join(Path(task).parts[-2:]), "-"
     spec = TASKS[task]
-    family, body = (WORDS.get(name, name.replace("_", " ")) for name in (spec.family, spec.body))
-    return f"{family}, {body}", _level(spec.name), f"v{spec.version}"
+    body = BODIES[spec.body].title or spec.body.replace("_", " ")
+    return f"{spec.title.lower()}, {body}", _level(spec.name), f"v{spec.version}"
 
 
 def _level(name: str) -> str:
