@@ -93,8 +93,6 @@ class Listing:
             (type(device), "is_cpu", False),
             (type(device), "is_cuda", True),
             (type(device), "sm_count", MULTIPROCESSORS),
-            (type(device), "get_allocator", _allocator),
-            (device, "_custom_allocator", None),
             (device, "context_guard", contextlib.nullcontext()),
         ]
         with BUILD_LOCK, contextlib.ExitStack() as stack:
@@ -143,10 +141,6 @@ class Listing:
                 self.nodes.append(Node("allocation", self._depth))
 
         return allocate
-
-
-def _allocator(device: wp.Device, pinned: bool = False) -> Any:
-    return device._custom_allocator or device.default_allocator
 
 
 class Unlaunched(shard_module.Shard):
