@@ -96,6 +96,7 @@ class Listing:
             (type(device), "is_cpu", False),
             (type(device), "is_cuda", True),
             (type(device), "sm_count", MULTIPROCESSORS),
+            (type(device), "get_allocator", lambda device, pinned=False: device.default_allocator),
             (device, "context_guard", contextlib.nullcontext()),
         ]
         with BUILD_LOCK, contextlib.ExitStack() as stack:
