@@ -11,7 +11,7 @@ machine code get the names that Warp looks for on such a device, so that FOLDER 
 import contextlib
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -44,6 +44,9 @@ CASES = (
     ("myoLegWalk-v0", "fast"),
 )
 """Tasks and presets that a GPU is measured with."""
+WHOLE = CASES[0]
+"""The one of them whose physics step can be one launch."""
+
 CUDA_STAGES = tuple(name for name in STAGES if (kind := load(name)) is not None and kind.ON_CUDA)
 
 
@@ -93,8 +96,7 @@ class Listing:
             (type(device), "is_cpu", False),
             (type(device), "is_cuda", True),
             (type(device), "sm_count", MULTIPROCESSORS),
-            (type(device), "get_allocator", _allocator),
-            (device, "_custom_allocator", None),
+            (type(device), "get_allocator", lambda device, pinned=False: device.default_allocator),
             (device, "context_guard", contextlib.nullcontext()),
         ]
         with BUILD_LOCK, contextlib.ExitStack() as stack:
@@ -145,10 +147,6 @@ class Listing:
         return allocate
 
 
-def _allocator(device: wp.Device, pinned: bool = False) -> Any:
-    return device._custom_allocator or device.default_allocator
-
-
 class Unlaunched(shard_module.Shard):
     """A shard whose step is listed, not made."""
 
@@ -156,18 +154,18 @@ class Unlaunched(shard_module.Shard):
         """Do nothing."""
 
 
-def _stages_of_cuda(step: Step, *args: Any) -> tuple[tuple[Stage, ...], frozenset[str]]:
-    return step.stages(CUDA_STAGES), idle_kernels(step.stepped)
+def _trusted(step: Step, names: Iterable[str], *args: Any) -> tuple[tuple[Stage, ...], frozenset[str]]:
+    return step.stages(names), idle_kernels(step.stepped)
 
 
-def cuda_shard(task: str, physics: str) -> shard_module.Shard:
+def cuda_shard(task: str, physics: str, stages: Iterable[str] = CUDA_STAGES) -> shard_module.Shard:
     """Return the worlds of a task with what they launch on CUDA, if all of it proves to be right there."""
     with (
-        mock.patch.object(shard_module, "choose_stages", _stages_of_cuda),
+        mock.patch.object(shard_module, "choose_stages", _trusted),
         mock.patch.object(shard_module, "compile_kernels", return_value=()),
     ):
         scene = compile_scene(TASKS[task], WORLDS, device="cpu", physics=physics)
-        shard = Unlaunched(scene, autoreset="next_step", graph=False, progress=False)
+        shard = Unlaunched(scene, autoreset="next_step", graph=False, stages=stages, progress=False)
     if hasattr(shard.physics_step, "in_lanes"):
         shard.physics_step.in_lanes = False
     return shard
@@ -210,18 +208,20 @@ def counts(nodes: list[Node]) -> dict[str, int]:
 
 
 def compile_nodes(nodes: list[Node], folder: Path) -> dict[str, Need]:
-    """Compile the kernels of nodes for ARCHITECTURE, each for its block, on all cores.
+    """Compile the kernels of nodes for ARCHITECTURE, each for its block, on all cores, unless it is there.
 
     Returns:
         What each kernel needs, by name: the most of all its variants.
     """
     wanted = {(node.kernel.module, node.block) for node in nodes if node.kernel is not None}
+    found_as = f"*.sm{ARCHITECTURE}.cubin"
 
     def compiled(module: wp.Module, block: int) -> dict[str, Need]:
         options = module.resolve_options(wp.config, block_dim=block)
         into = folder / module.get_module_identifier(block)
-        module._compile(None, into, output_arch=ARCHITECTURE, use_ptx=False, options=options)
-        return needs(next(into.glob(f"*.sm{ARCHITECTURE}.cubin")))
+        if not list(into.glob(found_as)):  # its name is of what it holds
+            module._compile(None, into, output_arch=ARCHITECTURE, use_ptx=False, options=options)
+        return needs(next(into.glob(found_as)))
 
     found: dict[str, Need] = {}
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -260,6 +260,8 @@ def main() -> None:
             print(4 * node.depth * " ", node.kind, node.name, node.block or "")
         if options.compile is not None:
             more = other_nodes(shard) + engine_nodes(shard) if options.complete else []
+            if (task, physics) == WHOLE:
+                more += step_nodes(cuda_shard(task, physics, stages=("whole_step",)))
             for name, need in compile_nodes(nodes + more, options.compile).items():
                 found[name] = need.or_more(found.get(name, need))
     if options.output is not None:

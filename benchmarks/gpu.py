@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.__main__ import PACKAGES
-from benchmarks.cuda_step import CASES
+from benchmarks.cuda_step import CASES, WHOLE
 from benchmarks.gpu_cases import (
     Case,
     Options,
@@ -37,6 +37,7 @@ from benchmarks.gpu_cases import (
     repeats,
     training,
     unroll,
+    whole_step,
 )
 from benchmarks.machine import processor
 from myowarp.definitions.task import TASKS
@@ -57,6 +58,7 @@ KINDS = {
     "rates": rates,
     "cores": cores,
     "kernels": kernels,
+    "whole_step": whole_step,
     "repeats": repeats,
     "training": training,
 }
@@ -70,6 +72,7 @@ def plan(options: Options) -> list[Case]:
     cases += [Case("rates", *one, number) for number in options.sizes for one in asked]
     cases += [Case("cores", *one, min(CORES_WORLDS, most)) for one in asked]
     cases += [Case("kernels", *one, most) for one in asked]
+    cases += [Case("whole_step", *WHOLE, number) for number in options.sizes if WHOLE in asked]
     cases += [Case("repeats", *one, options.checked_worlds) for one in asked]
     if options.training > 0.0:
         worlds = {task: number if len(options.sizes) > 1 else least for task, number in TRAINED.items()}

@@ -358,6 +358,27 @@ def agreement(case: Case, options: Options) -> Iterator[dict[str, Any]]:
     }
 
 
+def whole_step(case: Case, options: Options) -> Iterator[dict[str, Any]]:
+    """Yield rates with one launch a physics step and with the default's, and how far they get apart."""
+    found: dict[str, tuple[float, np.ndarray]] = {}
+    for name, stages in (("stages", None), ("whole_step", ("whole_step",))):
+        sim = simulation(case, options.device, stages=stages)
+        qpos = trajectory(sim, random_actions(sim, min(GATES)))["qpos"]
+        steps = max(2, round(options.seconds / seconds_of(sim.step, 2, sim.scene.device)))
+        found[name] = case.num_worlds / seconds_of(sim.step, steps, sim.scene.device), qpos
+        if name == "whole_step" and [type(stage).__name__ for stage in sim.shards[0].stages] != ["WholeStep"]:
+            raise RuntimeError("the physics step in one launch is not the engine's on this device")
+        del sim
+        gc.collect()
+    (one, first), (other, second) = found.values()
+    yield {
+        "stages_steps_per_s": round(one, 1),
+        "whole_step_steps_per_s": round(other, 1),
+        "ratio_to_stages": round(other / one, 3),
+        "apart": float(np.abs(first - second).max()),
+    }
+
+
 def repeats(case: Case, options: Options) -> Iterator[dict[str, Any]]:
     """Yield whether two runs with `deterministic=True` have the same bits, and how fast they are."""
     sim = simulation(case, options.device, deterministic=True)

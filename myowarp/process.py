@@ -58,6 +58,12 @@ def warn_once(message: str) -> None:
     logger.warning(message)
 
 
+def check_on_cpu(what: str, device: object) -> None:
+    """Raise ValueError for a device other than the CPU, where `what`, in float64 and for few worlds, runs."""
+    if str(device) != "cpu":
+        raise ValueError(f"{what} run on the CPU, got device {str(device)!r}; leave device out")
+
+
 def num_cores() -> int:
     """Return how many cores this process may use."""
     found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

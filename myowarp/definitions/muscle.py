@@ -156,7 +156,8 @@ class MuscleModel(abc.ABC):
         midstep: Whether forces come from the activation in the middle of a physics step, exactly integrated,
             rather than from the one at its start.
         implicitness: Share of dtension/dvelocity in `damping`, 0 for explicit integrators.
-        anatomy: What conditions change in it.
+        individual: Whether conditions change the anatomy, which every world then has for itself.
+        anatomy: What they change in it.
         activation_time_constant: Time constant at full rise [s], shape (1 or num_worlds, num_muscles).
         deactivation_time_constant: Time constant of decay [s], shape (1 or num_worlds, num_muscles).
         workload: Time integral of the normalized active force a f_L f_V [s], shape (num_worlds,
@@ -172,6 +173,7 @@ class MuscleModel(abc.ABC):
     coarse_step = math.inf
     midstep = False
     implicitness = 0.0
+    individual = False
 
     def __init__(
         self, model: MjModel, num_worlds: int, parameters: Mapping[str, np.ndarray] | None = None
@@ -221,6 +223,7 @@ class MuscleModel(abc.ABC):
 
     def individualize(self) -> None:
         """Give every world an anatomy of its own; before anything is captured."""
+        self.individual = True
         self._set_anatomy(self.activation.shape[0])
 
     def _set_anatomy(self, rows: int) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 import warp as wp
 
 from myowarp.engine.compile import recorded
+from myowarp.engine.replaced import replaced
 
 
 class Arena:
@@ -37,9 +38,9 @@ class Arena:
 
     @contextlib.contextmanager
     def used(self) -> Iterator[None]:
-        """Let arrays that are made in the block lie in the arena, from its first block on."""
+        """Let arrays that this thread makes in the block lie in the arena, from its first block on."""
         self._next = 0
-        with wp.ScopedAllocator(self._device, self):
+        with replaced(self._device, "get_allocator", lambda pinned=False: self):
             yield
 
     def allocate(self, size_in_bytes: int) -> int:
@@ -49,7 +50,7 @@ class Arena:
             RuntimeError: It is none of that size.
         """
         if not self._complete:
-            with wp.ScopedAllocator(self._device, self._own):
+            with replaced(self._device, "get_allocator", lambda pinned=False: self._own):
                 self.blocks.append(wp.empty(size_in_bytes, dtype=wp.uint8, device=self._device))
         sizes = [block.capacity for block in self.blocks[self._next : self._next + 1]]
         if sizes != [size_in_bytes]:

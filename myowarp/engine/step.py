@@ -259,8 +259,13 @@ class Step:
         if only is None:
             places = tuple(self.places(stages).values())
         else:
-            # Without the others, all is written that they would not read.
-            stages = tuple(stage for stage in stages if only.intersection(stage.replaces))
+            # Without the others, all is written that they would not read; what would move the state is left.
+            motion = frozenset(MOTION) - only
+            stages = tuple(
+                stage
+                for stage in stages
+                if only.intersection(stage.replaces) and not motion.intersection(stage.replaces)
+            )
             bound = self.bound(self.stage_launches(stages, mask))
             places = tuple(launch_place for place, launch_place in bound.items() if place in only)
 

@@ -200,7 +200,7 @@ def solve_bounded_least_squares(
 
 
 class BoundedLeastSquares:
-    """Problems of all worlds, on the CPU unless a device is named: fill all arrays, then `solve`.
+    """Problems of all worlds, on the CPU: fill all arrays, then `solve`.
 
     The last solution is where the next one starts.
 
@@ -226,7 +226,6 @@ class BoundedLeastSquares:
         ridge: float,
         rounds: int = ROUNDS,
         tolerance: float = TOLERANCE,
-        device: Any = "cpu",
     ) -> None:
         """Allocate.
 
@@ -239,7 +238,7 @@ class BoundedLeastSquares:
             )
         self.ridge, self.rounds, self.tolerance = ridge, rounds, tolerance
         rows, square = (num_worlds, num_unknowns), (num_worlds, num_unknowns, num_unknowns)
-        with wp.ScopedDevice(device):
+        with wp.ScopedDevice("cpu"):
             self.matrix = wp.zeros((num_worlds, num_rows, num_unknowns), dtype=wp.float64)
             self.right = wp.zeros((num_worlds, num_rows), dtype=wp.float64)
             self.lower, self.upper = wp.zeros(rows, dtype=wp.float64), wp.ones(rows, dtype=wp.float64)

@@ -69,7 +69,10 @@ INLINE Doubles select(WideMask mask, Doubles yes, Doubles no) { return mask ? ye
 #endif
 
 constexpr float TINY = 1e-15f;  // mjMINVAL
+template <class V> struct LanesOf { static constexpr int number = sizeof(V) / sizeof(float); };
 template <class V> INLINE V splat(float x) { V v; v = x; return v; }
+template <class V> INLINE float& in_lane(V& v, int lane) { return ((float*)&v)[lane]; }
+template <class V> INLINE const float& in_lane(const V& v, int lane) { return ((const float*)&v)[lane]; }
 template <class V> INLINE V larger(V a, V b) { return select(a > b, a, b); }
 template <class V> INLINE V smaller(V a, V b) { return select(a < b, a, b); }
 
@@ -194,6 +197,47 @@ template <class V> struct Block {
     template <class A> void store(A&, const V*, int, int) {}
 };
 
+struct Held { const void* array; int at; };  // what is in a block's memory, and where
+constexpr int MOST_HELD = 128;
+static __attribute__((noinline)) int find(const Held* held, int num_held, const void* array) {
+    int k = num_held - 1;
+    while (k >= 0 && held[k].array != array)
+        --k;
+    return k;
+}
+
+// A block that computes in scratch memory, where `load` gathers floats begin, ..., end - 1 of the rows of its
+// worlds, and from where `store` writes them. What is there already is not gathered again: a step reads
+// what an earlier step of the same launch wrote.
+template <class V, class Own> struct Gathering {
+    int first, count;
+    V *memory, *scratch;
+    Held* held;
+    int num_held = 0;
+    Gathering(int first, int count, V* memory, Held* held)
+        : first(first), count(count), memory(memory), scratch(memory), held(held) {}
+    V* take(int n) { return (scratch += n) - n; }
+    template <class A> const V* in(A& array) {
+        const int found = find(held, num_held, array.data);
+        if (found >= 0)
+            return memory + held[found].at;
+        V* to = out<V>(array);
+        ((Own*)this)->load(array, to, 0, row_floats(array));
+        return to;
+    }
+    template <class T, class A> T* out(A& array) {
+        V* to = take(row_floats(array));
+        if (num_held < MOST_HELD)
+            held[num_held++] = {array.data, (int)(to - memory)};
+        return (T*)to;
+    }
+    template <class A> Field<V> model(A& array) {
+        if (array.shape[0] == 1)
+            return {row_of(array, 0), nullptr};
+        return {nullptr, in(array)};
+    }
+};
+
 INLINE void neighbours(const float* from, int begin, float* to) {
     memcpy(to, from + begin, 4 * sizeof(float));
 }
@@ -297,50 +341,16 @@ static __attribute__((noinline)) void from_lanes(float* to, int stride, int coun
             *(float*)((char*)(to + k) + (long long)lane * stride) = from[k][lane];
 }
 
-// A world in each lane: it computes in scratch memory, which stays in the cache from one block to the next.
-// Lanes beyond `count` repeat the last world and are not stored. What is in lanes already is not gathered
-// again: a step reads there what an earlier step of the same launch wrote.
-template <> struct Block<Lanes> {
-    int first, count;
-    float* scratch;
-    const void* arrays[96];
-    Lanes* held[96];
-    int num_held = 0;
-    Block(int first, int count, float* scratch) : first(first), count(count), scratch(scratch) {}
-    Lanes* take(int n) {
-        Lanes* taken = (Lanes*)scratch;
-        scratch += n * MYOWARP_LANES;
-        return taken;
-    }
-    // Gather floats begin, ..., end - 1 of the rows of the worlds.
+// A world in each lane: lanes beyond `count` repeat the last world and are not stored.
+template <> struct Block<Lanes> : Gathering<Lanes, Block<Lanes>> {
+    Held rows[MOST_HELD];
+    Block(int first, int count, float* scratch) : Gathering(first, count, (Lanes*)scratch, rows) {}
     template <class A> void load(A& array, Lanes* to, int begin, int end) {
         const float* from[MYOWARP_LANES];
         for (int lane = 0; lane < MYOWARP_LANES; ++lane)
             from[lane] = row_of(array, (first + (lane < count ? lane : count - 1)) % array.shape[0]) + begin;
         to_lanes(to + begin, from, end - begin);
     }
-    template <class A> const Lanes* in(A& array) {
-        for (int k = num_held - 1; k >= 0; --k)
-            if (arrays[k] == array.data)
-                return held[k];
-        Lanes* to = out<Lanes>(array);
-        load(array, to, 0, row_floats(array));
-        return to;
-    }
-    template <class T, class A> T* out(A& array) {
-        Lanes* to = take(row_floats(array));
-        if (num_held < 96) {
-            arrays[num_held] = array.data;
-            held[num_held++] = to;
-        }
-        return (T*)to;
-    }
-    template <class A> Field<Lanes> model(A& array) {
-        if (array.shape[0] == 1)
-            return {row_of(array, 0), nullptr};
-        return {nullptr, in(array)};
-    }
-    // Write floats begin, ..., end - 1 of the rows of the worlds.
     template <class A> void store(A& array, const Lanes* from, int begin, int end) {
         from_lanes(row_of(array, first) + begin, array.strides[0], count, from + begin, end - begin);
     }

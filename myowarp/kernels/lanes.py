@@ -21,6 +21,9 @@ import warp as wp
 WIDEST = 16
 """Lanes of the widest registers, AVX-512."""
 
+STRIDED = Path(__file__).with_name("strided.cpp")
+"""Source with worlds side by side in threads of a GPU."""
+
 DOUBLES = Path(__file__).with_name("double_lanes.cpp")
 """Source with lanes in float64, as many as there are in float32."""
 
@@ -42,17 +45,23 @@ def block_scratch(device: wp.Device, *owners: Any) -> wp.array[float]:
 
     An owner that is a number stands for so many floats.
     """
-    arrays = [array for one in owners if not isinstance(one, int) for array in _arrays(one)]
-    floats = sum(one for one in owners if isinstance(one, int)) + sum(
+    return wp.empty(
+        (row_floats(*owners) + 1) * WIDEST, dtype=float, device=device
+    )  # a vector begins at a multiple of its size
+
+
+def row_floats(*owners: Any) -> int:
+    """Return how many floats a row of each array of these structs has, and owners that are numbers."""
+    arrays = [array for one in owners if not isinstance(one, int) for array in arrays_of(one)]
+    return sum(one for one in owners if isinstance(one, int)) + sum(
         math.prod(array.shape[1:]) * wp.types.type_size_in_bytes(array.dtype) // 4
         for array in arrays
         if array is not None
     )
-    return wp.empty(
-        (floats + 1) * WIDEST, dtype=float, device=device
-    )  # a vector begins at a multiple of its size
 
 
-def _arrays(owner: Any) -> list[wp.array]:
-    """Return an array, or those of a struct."""
-    return [one for one in (owner, *vars(owner).values()) if isinstance(one, wp.array)]
+def arrays_of(owner: Any) -> list[wp.array]:
+    """Return an array, or those of a struct and of the structs in it."""
+    if isinstance(owner, wp.array):
+        return [owner]
+    return [array for one in vars(owner).values() if hasattr(one, "__dict__") for array in arrays_of(one)]

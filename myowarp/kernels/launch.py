@@ -14,7 +14,9 @@ def _arguments(kernel: wp.Kernel) -> tuple[str, ...]:
     return tuple(name.removesuffix("_in").removesuffix("_out") for name in parameters)
 
 
-def launch(kernel: wp.Kernel, dim: int | tuple[int, ...], *owners: object, **given: Any) -> None:
+def launch(
+    kernel: wp.Kernel, dim: int | tuple[int, ...], *owners: object, block_dim: int = 256, **given: Any
+) -> None:
     """Launch a kernel whose arguments are found by name.
 
     A parameter `x`, `x_in` or `x_out` is what is given as `x`, else the attribute `x` of the first owner that
@@ -25,6 +27,7 @@ def launch(kernel: wp.Kernel, dim: int | tuple[int, ...], *owners: object, **giv
         kernel: The kernel.
         dim: Its threads.
         *owners: Objects whose attributes are arguments.
+        block_dim: Threads of a block on CUDA.
         **given: Arguments by the parameter's name, without `_in` or `_out`.
 
     Raises:
@@ -35,7 +38,7 @@ def launch(kernel: wp.Kernel, dim: int | tuple[int, ...], *owners: object, **giv
         raise TypeError(f"kernel {kernel.key} takes {', '.join(names)}, got {', '.join(sorted(surplus))} too")
     reader = f"kernel {kernel.key}"
     inputs = [given[name] if name in given else find(name, owners, reader) for name in names]
-    wp.launch(kernel, dim=dim, inputs=inputs)
+    wp.launch(kernel, dim=dim, inputs=inputs, block_dim=block_dim)
 
 
 def find(name: str, owners: tuple[object, ...], reader: str) -> Any:

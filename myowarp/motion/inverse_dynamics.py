@@ -284,7 +284,7 @@ def inverse_dynamics(
         motion = values[c], speeds[c], accelerations[c]
         return _chunk(bones, motion, loading[c], frames, masses, acting, passive and acting.any)
 
-    moment, pushed, *rest = joined(in_parts(len(values), CHUNK, bones.device, solve))
+    moment, pushed, *rest = joined(in_parts(len(values), CHUNK, solve))
     pushed = pushed if pushed.shape[1] else np.broadcast_to(0.0, moment.shape)
     if not (passive and acting.ligaments):
         return Needed(moment, pushed, {}, *rest)

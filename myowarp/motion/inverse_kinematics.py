@@ -532,7 +532,7 @@ def _run(
         with wp.ScopedDevice(bones.device):
             _launch(bones, targets, first[part], frames, stride, out)
 
-    in_parts(len(first), len(first), bones.device, solve)
+    in_parts(len(first), len(first), solve)
 
 
 def _launch(

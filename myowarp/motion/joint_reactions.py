@@ -86,5 +86,5 @@ def muscle_wrenches(
         own = PathsOfMuscles(bones, min(len(values[part]), TOGETHER), names)
         return own.wrenches(values[part], pull[part])
 
-    force, torque = joined(in_parts(len(values), FRAMES, bones.device, solve))
+    force, torque = joined(in_parts(len(values), FRAMES, solve))
     return force, torque

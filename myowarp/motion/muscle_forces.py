@@ -15,7 +15,6 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
-import warp as wp
 from numpy.typing import ArrayLike
 
 from myowarp.motion.actuators import Actuators
@@ -168,7 +167,7 @@ def muscle_forces(
         return _made_of(own, given[0], given[1], wanted, mode, found)
 
     grain = sequence or GRAIN
-    return _together(in_parts(len(joint_moment), FRAMES, wp.get_device(device), solve, grain))
+    return _together(in_parts(len(joint_moment), FRAMES, solve, grain))
 
 
 def _together(parts: list[MuscleForces]) -> MuscleForces:

@@ -26,6 +26,7 @@ import warp as wp
 from myowarp.kernels.launch import launch
 from myowarp.motion.dual_newton import DualWork, Problem, optimize_activations
 from myowarp.motion.dual_newton_lanes import optimize_in_lanes
+from myowarp.process import check_on_cpu
 
 RUN = 16
 """Frames that one thread solves, each from the solution of the one before, at most."""
@@ -79,8 +80,9 @@ def optimal_activations(
             -1: it is 1.
 
     Raises:
-        ValueError: The exponent is below 1, or a lower bound is above its upper one.
+        ValueError: The exponent is below 1, a lower bound is above its upper one, or the device is no CPU.
     """
+    check_on_cpu("optimal activations", device)
     if not 1.0 <= exponent < np.inf:
         raise ValueError(f"the exponent of activations must be at least 1 and finite, got {exponent}")
     frames, count = len(effects), len(rows)
@@ -122,8 +124,8 @@ def optimal_activations(
 
 
 def in_lanes(exponent: float) -> bool:
-    """Whether problems are solved in SIMD lanes on the current device."""
-    return bool(wp.get_device().is_cpu and exponent == 2.0)
+    """Whether problems are solved in SIMD lanes."""
+    return exponent == 2.0
 
 
 def given(values: np.ndarray) -> wp.array:

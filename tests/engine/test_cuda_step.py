@@ -1,6 +1,7 @@
 """What a control step is on CUDA, without a GPU: its launches on the CPU, its graph's nodes, its memory."""
 
 import re
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
 import numpy as np
@@ -22,24 +23,6 @@ STEPS, EXPECTED = 5, 0.01  # control steps, and rad at least that something move
 ROUNDING = 1e-4  # rad after them: float32 sums in another order, grown by the dynamics; 1e-5 were seen
 NODES = dict(zip(CASES, (59, 73, 59, 71), strict=True))
 """Of a physics step at most, beside the solver's iterations; of the hand 132 with what is left out."""
-
-
-class CpuAllocator:
-    """`wp.ScopedAllocator` for the CPU device, which Warp has none for."""
-
-    def __init__(self, device, allocator):
-        self.device, self.allocator = device, allocator
-
-    def __enter__(self):
-        self.before, self.device.default_allocator = self.device.default_allocator, self.allocator
-
-    def __exit__(self, *_):
-        self.device.default_allocator = self.before
-
-
-@pytest.fixture
-def on_cpu(monkeypatch):
-    monkeypatch.setattr(wp, "ScopedAllocator", CpuAllocator)
 
 
 @cache
@@ -119,7 +102,7 @@ def test_memory_that_a_step_allocates_is_asked_for(monkeypatch):
     assert on_cuda < on_cpu / 3
 
 
-def test_steps_from_an_arena_have_the_same_bits(on_cpu):
+def test_steps_from_an_arena_have_the_same_bits():
     """It gives the blocks again, full of what was there before, where Warp would give others."""
     sim = cuda_simulation(HAND, graph=False)
     expected = qpos_of(sim)
@@ -137,7 +120,7 @@ def test_steps_from_an_arena_have_the_same_bits(on_cpu):
     np.testing.assert_array_equal(qpos_of(sim), expected)
 
 
-def test_launches_that_allocate_otherwise_than_before(on_cpu):
+def test_launches_that_allocate_otherwise_than_before():
     sizes = [3]
     arena = Arena(lambda: [wp.empty(size, dtype=float, device=CPU) for size in sizes], CPU)
     with arena.used():
@@ -148,3 +131,16 @@ def test_launches_that_allocate_otherwise_than_before(on_cpu):
     with arena.used():
         again = wp.empty(3, dtype=float, device=CPU)
     assert again.ptr == first.ptr
+
+
+def test_another_thread_allocates_as_ever_while_an_arena_is_used():
+    """It would else take a block that launches are captured with, or refuse what it asks for."""
+
+    def allocate():
+        return wp.empty(7, dtype=float, device=CPU)
+
+    arena = Arena(allocate, CPU)
+    with arena.used(), ThreadPoolExecutor(1) as pool:
+        theirs, mine = pool.submit(allocate).result(), allocate()
+    assert mine.ptr == arena.blocks[0].ptr
+    assert theirs.ptr != mine.ptr

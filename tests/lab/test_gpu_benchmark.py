@@ -25,6 +25,7 @@ from benchmarks.gpu_cases import (
     record,
     repeats,
     trajectory,
+    whole_step,
 )
 from myowarp.definitions.task import TASKS
 from myowarp.sim import shard
@@ -110,6 +111,12 @@ def test_unrolled_graphs_step_alike(monkeypatch):
         sim = gpu_cases.simulation(CASE, "cpu", stages=CUDA_STAGES)
         runs.append(trajectory(sim, random_actions(sim, 2))["qpos"])
     np.testing.assert_array_equal(*runs)
+
+
+def test_whole_step():
+    (row,) = whole_step(CASE, OPTIONS)
+    assert row["ratio_to_stages"] > 0
+    assert row["apart"] == 0.0
 
 
 def test_repeats():

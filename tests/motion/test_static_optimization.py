@@ -8,6 +8,7 @@ from myowarp.kernels.bounded_least_squares import bounded_least_squares
 from myowarp.motion import static_optimization
 from myowarp.motion.dual_newton import TOLERANCE
 from myowarp.motion.static_optimization import optimal_activations
+from myowarp.osim.body.skeleton import Bones
 
 FRAMES, MUSCLES, ROWS = 33, 9, 3
 LANES = 1e-7
@@ -127,3 +128,13 @@ def test_bad_options():
         optimal_activations(rows, effects, wanted, lower, upper, 0.5)
     with pytest.raises(ValueError, match="must be at most the upper ones"):
         optimal_activations(rows, effects, wanted, upper, lower)
+
+
+def test_another_device_is_refused():
+    """Before anything is built: neither the arrays of the problem nor those of a model."""
+    rows, effects, _, wanted, lower, upper = problem()
+    sentence = "run on the CPU, got device 'cuda:0'; leave device out$"
+    with pytest.raises(ValueError, match=f"^optimal activations {sentence}"):
+        optimal_activations(rows, effects, wanted, lower, upper, device="cuda:0")
+    with pytest.raises(ValueError, match=f"^recorded motions {sentence}"):
+        Bones(None, "cuda:0")

@@ -19,6 +19,8 @@ from myowarp.engine.stepped import Stepped
 from myowarp.kernels.lanes import at_namespace_level, block_scratch
 from myowarp.kernels.launch import launch
 
+FILE = Path(__file__).with_suffix(".cpp")
+
 
 @wp.struct
 class Actuators:
@@ -44,7 +46,7 @@ class ActuatorMoments:
     actuator_moment: wp.array2d[float]
 
 
-@wp.func_native(at_namespace_level(Path(__file__).with_suffix(".cpp")))
+@wp.func_native(at_namespace_level(FILE))
 def declare_actuate_block(thread: int):
     """Declare the template of `affine_actuators.cpp`."""
     ...

@@ -3,7 +3,11 @@
 from typing import Any
 
 import warp as wp
+from mujoco_warp import JointType
 from mujoco_warp._src.types import vec5
+
+JOINTS = {kind.name: int(kind) for kind in JointType}
+"""Kinds of joints, as constants of native functions."""
 
 
 @wp.struct
@@ -56,11 +60,15 @@ class InertiaRows:
 
 
 def filled(kind: Any, *sources: Any) -> Any:
-    """Return a struct of a kind; each field is the attribute of that name of the first object that has it."""
+    """Return a struct of a kind; each field is the attribute of that name of the first object that has it.
+
+    A field that none has, and that is a struct, is filled likewise.
+    """
     struct = kind()
-    for name in kind.vars:
-        owner = next((source for source in sources if hasattr(source, name)), sources[0])
-        setattr(struct, name, getattr(owner, name))
+    for name, field in kind.vars.items():
+        owner = next((source for source in sources if hasattr(source, name)), None)
+        inner = owner is None and isinstance(field.type, type(kind))
+        setattr(struct, name, filled(field.type, *sources) if inner else getattr(owner or sources[0], name))
     return struct
 
 

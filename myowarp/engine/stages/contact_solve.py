@@ -28,6 +28,7 @@ from myowarp.kernels.launch import launch
 VECTOR = 8  # floats that one instruction adds
 MAX_STACK = 2**20  # bytes that a world may take; threads have 8 MB on Linux, and more on macOS
 SOURCE = Path(__file__).with_suffix(".cpp").read_text()
+FILES = tuple(map(Path(__file__).with_name, ("factor.cpp", "limit_solve.cpp")))
 FLAGS = {
     "ITERATIONS_OVERFLOW": int(OverflowType.ITERATIONS),
     "LINE_SEARCH_OVERFLOW": int(OverflowType.LS_ITERATIONS),
@@ -64,6 +65,14 @@ class SolverResult:
     Ma: wp.array2d[float]
 
 
+def solver_result(data: mjw.Data) -> Any:
+    """Return where a solve leaves its results."""
+    result = SolverResult()
+    result.niter, result.overflow = data.solver_niter, data.overflow
+    result.force, result.state, result.Ma = data.efc.force, data.efc.state, data.efc.Ma
+    return result
+
+
 @wp.struct
 class InLanes:
     """Memory of a block, the limits of each world's dofs, and which worlds are solved with them alone."""
@@ -73,9 +82,7 @@ class InLanes:
     solved: wp.array[bool]
 
 
-@wp.func_native(
-    at_namespace_level(*map(Path(__file__).with_name, ("factor.cpp", "limit_solve.cpp")), **FLAGS)
-)
+@wp.func_native(at_namespace_level(*FILES, **FLAGS))
 def declare_solve_limits(thread: int):
     """Declare the templates of `limit_solve.cpp`."""
     ...
@@ -274,9 +281,6 @@ class ContactSolve(Stage):
 
     def solve(self, model: mjw.Model, data: mjw.Data) -> None:
         """Solve the constraints of all worlds, as `mujoco_warp.solve` does."""
-        result = SolverResult()
-        result.niter, result.overflow = data.solver_niter, data.overflow
-        result.force, result.state, result.Ma = data.efc.force, data.efc.state, data.efc.Ma
         solve_constraints = solver_kernel(width_of(model.nv))
         launch(
             solve_constraints,
@@ -287,5 +291,5 @@ class ContactSolve(Stage):
             options=filled(SolverOptions, model.opt),
             counts=filled(RowCounts, data),
             rows=filled(ConstraintRows, data.efc),
-            result=result,
+            result=solver_result(data),
         )

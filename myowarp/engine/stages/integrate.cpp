@@ -4,8 +4,6 @@
 #endif
 namespace lanes {
 
-enum { FREE, BALL };  // mjtJoint
-
 // The derivative of the actuators' forces by velocity, in the pattern of M. H[-1] takes what has no place in
 // it, whose number is -1. In every world an actuator acts on the same dofs.
 template <class V, class Forces> void add_actuators(Block<V>& block, Forces& forces, int n, V* H) {

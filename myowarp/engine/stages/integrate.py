@@ -19,21 +19,19 @@ from mujoco_warp._src.forward import _advance, implicit_free_body
 from mujoco_warp._src.types import vec10
 
 from myowarp.engine.stage import Stage
-from myowarp.engine.stages.arrays import InertiaRows, any_of, filled
+from myowarp.engine.stages.arrays import JOINTS, InertiaRows, any_of, filled
 from myowarp.engine.stepped import Stepped
 from myowarp.kernels.lanes import at_namespace_level, block_scratch
 from myowarp.kernels.launch import launch
 
-CONSTANTS = {
+FILES = tuple(map(Path(__file__).with_name, ("factor.cpp", "integrate.cpp")))
+FLAGS = {
     "AFFINE": BiasType.AFFINE,
     "NEFC_OVERFLOW": OverflowType.NEFC,
     "BROADPHASE_OVERFLOW": OverflowType.BROADPHASE,
     "NARROWPHASE_OVERFLOW": OverflowType.NARROWPHASE,
 }
-SOURCE = at_namespace_level(
-    *map(Path(__file__).with_name, ("factor.cpp", "integrate.cpp")),
-    **{name: int(value) for name, value in CONSTANTS.items()},
-)
+CONSTANTS = JOINTS | {name: int(value) for name, value in FLAGS.items()}
 
 
 @wp.struct
@@ -104,7 +102,7 @@ class StepState:
     overflow: wp.array[int]
 
 
-@wp.func_native(SOURCE)
+@wp.func_native(at_namespace_level(*FILES, **CONSTANTS))
 def declare_end_block(thread: int):
     """Declare the templates of `integrate.cpp`."""
     ...

@@ -51,7 +51,7 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
     typedef decltype(widen(V())) W;
     typedef typename MaskOf<V>::type Truth;
     typedef decltype(W() < W()) WideTruth;
-    constexpr int NUM_LANES = sizeof(V) / sizeof(float);
+    constexpr int NUM_LANES = LanesOf<V>::number;
     const int n = qacc.shape[1], num_entries = M.shape[1];
     const int *begins = inertia.M_rowadr.data, *sizes = inertia.M_rownnz.data;
     const int* columns = inertia.M_colind.data;
@@ -70,12 +70,12 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
         const int world = block.first + (lane < block.count ? lane : block.count - 1);
         for (int i = 0; i < n; ++i) {
             const Limit limit = limits[world * n + i];
-            ((float*)J)[i * NUM_LANES + lane] = limit.J;
+            in_lane(J[i], lane) = limit.J;
             if (limit.row < 0)
                 continue;
-            ((float*)&num_rows)[lane] += 1.0f;
-            ((float*)D)[i * NUM_LANES + lane] = row_of(rows.D, world)[limit.row];
-            ((float*)aref)[i * NUM_LANES + lane] = row_of(rows.aref, world)[limit.row];
+            in_lane(num_rows, lane) += 1.0f;
+            in_lane(D[i], lane) = row_of(rows.D, world)[limit.row];
+            in_lane(aref[i], lane) = row_of(rows.aref, world)[limit.row];
         }
     }
 
@@ -226,15 +226,16 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
     block.store(result.Ma, Mx, 0, n);
     for (int lane = 0; lane < block.count; ++lane) {
         const int world = block.first + lane;
-        result.niter.data[world] = (int)((float*)&iterations)[lane];
+        result.niter.data[world] = (int)in_lane(iterations, lane);
         result.overflow.data[world] |= at(unfinished, lane) ? ITERATIONS_OVERFLOW : 0;
         result.overflow.data[world] |= at(unbracketed, lane) ? LINE_SEARCH_OVERFLOW : 0;
         for (int dof = 0; dof < n; ++dof) {
-            const int at = dof * NUM_LANES + lane, row = limits[world * n + dof].row;
+            const int row = limits[world * n + dof].row;
             if (row < 0)
                 continue;
-            row_of(result.force, world)[row] = ((float*)force)[at];
-            ((int*)row_of(result.state, world))[row] = ((float*)weight)[at] == 0.0f ? SATISFIED : QUADRATIC;
+            row_of(result.force, world)[row] = in_lane(force[dof], lane);
+            const bool satisfied = in_lane(weight[dof], lane) == 0.0f;
+            ((int*)row_of(result.state, world))[row] = satisfied ? SATISFIED : QUADRATIC;
         }
     }
 }

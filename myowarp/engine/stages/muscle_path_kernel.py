@@ -169,10 +169,10 @@ class Transmission:
     actuator_moment: wp.array2d[float]
 
 
-SOURCE = at_namespace_level(File(__file__).with_name("muscle_path.cpp"))
+FILE = File(__file__).with_name("muscle_path.cpp")
 
 
-@wp.func_native(SOURCE)
+@wp.func_native(at_namespace_level(FILE))
 def declare_follow_block(thread: int):
     """Declare the templates of `muscle_path.cpp`."""
     ...

@@ -3,7 +3,6 @@
 namespace lanes {
 
 template <class V> struct Inertia { V xx, yy, zz, xy, xz, yz; Vec3<V> moment; V mass; };
-enum { FREE, BALL, SLIDE, HINGE };
 
 template <class V> INLINE void add(Motion<V>& to, const Motion<V>& motion, V factor) {
     to.angular = to.angular + factor * motion.angular;
@@ -177,6 +176,7 @@ void move_block(Block<V>& block, Bodies& bodies, Switches& switches, Sites& site
         const V diagonal[3] = {moments.x, moments.y, moments.z};
         auto moment = [&](int i, int j) {
             V sum = -m * d[i] * d[j];
+#pragma unroll
             for (int k = 0; k < 3; ++k)
                 sum += R.m[i][k] * diagonal[k] * R.m[j][k];
             return sum;

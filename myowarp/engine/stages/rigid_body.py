@@ -17,14 +17,14 @@ from mujoco_warp import DisableBit, JointType
 from mujoco_warp._src.types import vec10
 
 from myowarp.engine.stage import Launches, Stage
-from myowarp.engine.stages.arrays import any_of, filled
+from myowarp.engine.stages.arrays import JOINTS, any_of, filled
 from myowarp.engine.stages.muscle_path import MusclePath, MusclePaths
 from myowarp.engine.stages.muscle_path_kernel import PathProgram, Transmission, declare_follow_block
 from myowarp.engine.stepped import Stepped
 from myowarp.kernels.lanes import at_namespace_level, block_scratch
 from myowarp.kernels.launch import launch
 
-SOURCE = at_namespace_level(Path(__file__).with_name("rigid_body.cpp"))
+FILE = Path(__file__).with_suffix(".cpp")
 
 
 @wp.struct
@@ -129,7 +129,7 @@ class BodyMotion:
     qfrc_passive: wp.array2d[float]
 
 
-@wp.func_native(SOURCE)
+@wp.func_native(at_namespace_level(FILE, **JOINTS))
 def declare_move_block(thread: int):
     """Declare the templates of `rigid_body.cpp`."""
     ...
@@ -206,6 +206,19 @@ def _springy_quaternions(stepped: Stepped) -> bool:
     return any_of(*(spring.numpy()[:, quaternions] for spring in springs))
 
 
+def others_are_passive(stepped: Stepped) -> bool:
+    """Whether more than joints makes passive forces."""
+    model = stepped.model
+    tendons = (
+        model.tendon_stiffness,
+        model.tendon_stiffnesspoly,
+        model.tendon_damping,
+        model.tendon_dampingpoly,
+    )
+    others = model.has_fluid or model.flg_adhesion or model.callback.passive is not None
+    return bool(others or any_of(*tendons, model.body_gravcomp))
+
+
 READERS = {"tendon", "transmission", "passive", "make_constraint", "acceleration", "solve", "integrate"}
 """Places of a step where the engine's own functions read poses and motions; ours read few."""
 
@@ -241,14 +254,7 @@ class RigidBody(Stage):
         self._arrays = bodies, filled(Pose, data), filled(BodyMotion, data), data.qpos, data.qvel
         self._scratch = block_scratch(stepped.device, *self._arrays)
         self._every = wp.ones(stepped.data.nworld, dtype=bool, device=stepped.device)
-        tendons = (
-            model.tendon_stiffness,
-            model.tendon_stiffnesspoly,
-            model.tendon_damping,
-            model.tendon_dampingpoly,
-        )
-        others = model.has_fluid or model.flg_adhesion or model.callback.passive is not None
-        if others or any_of(*tendons, model.body_gravcomp):
+        if others_are_passive(stepped):
             self.replaces = tuple(place for place in self.REPLACES if place != "passive")
 
     def launcher(self, stages: tuple[Stage, ...], mask: wp.array | None = None) -> Launches:

@@ -19,9 +19,10 @@ from myowarp.kernels.launch import launch
 from myowarp.models.muscles.mujoco import MujocoMuscle, MujocoMuscleParams
 
 MUSCLE_BLOCK = Path(__file__).with_name("muscle_block.cpp")
+FILES = (DECAY, MUSCLE_BLOCK, Path(__file__).with_suffix(".cpp"))
 
 
-@wp.func_native(at_namespace_level(DECAY, MUSCLE_BLOCK, Path(__file__).with_suffix(".cpp")))
+@wp.func_native(at_namespace_level(*FILES))
 def declare_contract_block(thread: int):
     """Declare the templates of `mujoco_native.cpp`."""
     ...

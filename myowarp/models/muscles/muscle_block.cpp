@@ -45,7 +45,7 @@ template <class V> INLINE V activation_after(V time, V excitation, V activation,
 
 // The paths that muscles pull, and what they publish: `MuscleResults`, and `affine_bias` for the engine.
 template <class V, class Anatomy, class Results, class Bias> struct Pulling {
-    static constexpr int LANES = sizeof(V) / sizeof(float);
+    static constexpr int LANES = LanesOf<V>::number;
     Block<V>& block;
     Results& results;
     Bias& biasprm;
@@ -74,7 +74,7 @@ template <class V, class Anatomy, class Results, class Bias> struct Pulling {
     V of_path(const V* values, int m) const {
         V found = values[paths[0][m]];
         for (int lane = 1; own_paths && lane < LANES; ++lane)
-            ((float*)&found)[lane] = ((const float*)&values[paths[lane][m]])[lane];
+            in_lane(found, lane) = in_lane(values[paths[lane][m]], lane);
         return found;
     }
     // Length and velocity of the path of a muscle.
@@ -89,8 +89,8 @@ template <class V, class Anatomy, class Results, class Bias> struct Pulling {
         for (int lane = 0; lane < block.count; ++lane) {
             float* affine = row_of(biasprm, block.first + lane) + 10 * paths[lane][m];
             memset(affine, 0, 10 * sizeof(float));
-            affine[0] = ((const float*)&constant)[lane];
-            affine[2] = ((const float*)&factor)[lane];
+            affine[0] = in_lane(constant, lane);
+            affine[2] = in_lane(factor, lane);
         }
     }
     void store(int num_muscles) {

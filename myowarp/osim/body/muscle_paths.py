@@ -280,7 +280,7 @@ def muscle_paths(
     names = muscles_of(bones) if names is None else tuple(names)
     every = pulling(bones.model)
     crossed = {name: acted_on(bones, every[name]) for name in names}
-    over = [name for name in names if every[name].wraps or not bones.device.is_cpu]
+    over = [name for name in names if every[name].wraps]
     straight = [name for name in names if name not in over]
     place = {name: (names.index(name), crossed[name]) for name in straight}
     in_lanes = StraightPaths(bones, place) if straight else None
@@ -298,5 +298,5 @@ def muscle_paths(
             length[part, columns], velocity[part, columns] = found.length, found.velocity
             arm[part, columns] = found.moment_arm
 
-    in_parts(len(values), 16 * TOGETHER, bones.device, solve)
+    in_parts(len(values), 16 * TOGETHER, solve)
     return MusclePaths(names, length, velocity, arm, tuple(crossed.values()))

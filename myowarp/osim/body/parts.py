@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,20 +17,17 @@ COMPILED: set[str] = set()
 """Who has solved a part before: kernels are compiled once, not by each thread."""
 
 
-def in_parts(
-    count: int, most: int, device: Any, solve: Callable[[slice], Found], grain: int = GRAIN
-) -> list[Found]:
-    """Solve frames in parts, on the CPU on all cores at a time; return what was found, in order.
+def in_parts(count: int, most: int, solve: Callable[[slice], Found], grain: int = GRAIN) -> list[Found]:
+    """Solve frames in parts, on all cores at a time; return what was found, in order.
 
     Args:
         count: Number of frames.
         most: Of a part, up to a `grain`.
-        device: Where they are solved.
         solve: Called with the frames of a part.
         grain: What parts are multiples of, so that runs of frames begin at the same ones on any number of
             cores.
     """
-    cores = num_cores() if device.is_cpu else 1
+    cores = num_cores()
     parts = cores * max(-(-count // (most * cores)), 1)  # as many for each core
     size = -(-count // (parts * grain)) * grain or grain
     slices = [slice(at, min(at + size, count)) for at in range(0, max(count, 1), size)]

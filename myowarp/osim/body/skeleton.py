@@ -31,7 +31,7 @@ from myowarp.osim.document.kinematics import independent
 from myowarp.osim.document.model import GROUND, Model
 from myowarp.osim.document.read.element import parse
 from myowarp.osim.document.read.model import read_model
-from myowarp.process import start_warp
+from myowarp.process import check_on_cpu, start_warp
 
 HINGE, SLIDE = 0, 1
 
@@ -195,8 +195,10 @@ class Bones:
         """Put a model on a device.
 
         Raises:
+            ValueError: The device is not the CPU.
             NotImplementedError: A function of a joint is no piecewise polynomial.
         """
+        check_on_cpu("recorded motions", device)
         self.model, self.coordinates = model, tuple(independent(model))
         joints = list(model.joints.values())
         self.bodies = {GROUND: -1} | {joint.child: number for number, joint in enumerate(joints)}

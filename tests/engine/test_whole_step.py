@@ -1,0 +1,48 @@
+"""A physics step as one launch: its bits on the CPU, what it refuses, and what it needs of a GPU."""
+
+import numpy as np
+import pytest
+
+from benchmarks.cuda_step import WHOLE, cuda_shard, step_nodes
+from benchmarks.gpu_cases import random_actions, trajectory
+from myowarp.definitions.task import TASKS
+from myowarp.engine.stages.whole_step import STRIDE, WholeStep
+from myowarp.sim.build import compile_scene, stepped_of
+from myowarp.sim.simulation import Simulation
+
+ELBOW, HAND, KEY = "myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v0", "myoHandKeyTurnFixed-v0"
+WORLDS, STEPS, EXPECTED = STRIDE + 3, 3, 0.01  # worlds of two warps; control steps; rad that something moves
+
+
+def simulation(task, **options):
+    return Simulation(TASKS[task], WORLDS, device="cpu", physics="fast", progress=False, **options)
+
+
+@pytest.mark.parametrize("task", [ELBOW, pytest.param(HAND, marks=pytest.mark.slow)])
+def test_bits_of_lanes(task):
+    """A world in a thread, beside 31 others in memory, computes what a lane does."""
+    whole, lanes = simulation(task, stages=("whole_step",)), simulation(task)
+    assert [type(stage) for stage in whole.shards[0].stages] == [WholeStep]
+    actions = random_actions(lanes, STEPS)
+    got, expected = trajectory(whole, actions), trajectory(lanes, actions)
+    assert np.ptp(expected["qpos"], axis=0).max() > EXPECTED
+    np.testing.assert_array_equal(got["qpos"], expected["qpos"])
+    np.testing.assert_array_equal(whole.scene.data.qvel.numpy(), lanes.scene.data.qvel.numpy())
+    np.testing.assert_array_equal(whole.scene.muscles.tension.numpy(), lanes.scene.muscles.tension.numpy())
+
+
+def obstacle(task, **options):
+    return WholeStep.obstacle(stepped_of(compile_scene(TASKS[task], 2, device="cpu", **options)))
+
+
+def test_what_it_refuses():
+    assert obstacle(ELBOW) is None
+    assert obstacle(KEY) == "contacts are looked for"
+    assert obstacle(ELBOW, muscle="millard2012") == "the muscles are not MuJoCo's"
+    assert obstacle(ELBOW, conditions=("fatigue",)) == "conditions act"
+
+
+def test_a_physics_step_is_one_kernel():
+    nodes = [node for node in step_nodes(cuda_shard(*WHOLE, stages=("whole_step",))) if node.depth == 1]
+    assert [node.name for node in nodes if node.kind == "kernel"] == ["step_worlds", "count_down"]
+    assert {node.kind for node in nodes} == {"kernel"}
