@@ -24,15 +24,16 @@ PERCENT = np.linspace(0.0, 100.0, 101)
 """Places in a gait cycle [%]."""
 
 
-def side_of(name: str) -> str:
-    """Return the side that a name says, "l" or "r"; "" where it says none."""
-    found = SIDE.search(name)
-    return found[1] if found else ""
+def side_of(name: str) -> tuple[str, str]:
+    """Return a name without its side, and the side: "l" or "r"; "" where the name says none or both."""
+    sides = set(SIDE.findall(name))
+    return (SIDE.sub("", name), sides.pop()) if len(sides) == 1 else (name, "")
 
 
 def mirrored(name: str) -> str:
-    """Return the name of the same thing on the other side."""
-    return SIDE.sub(lambda found: "_r" if found[1] == "l" else "_l", name)
+    """Return the name of the same thing on the other side; its own where it says none."""
+    side = side_of(name)[1]
+    return SIDE.sub("_r" if side == "l" else "_l", name) if side else name
 
 
 def heel_strikes(time: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -68,7 +69,7 @@ def gait_cycles(path: Path) -> dict[str, list[tuple[float, float]]]:
         return {}
     table, force = read_storage(source), dict[str, np.ndarray]()
     for load in columns:
-        if (side := side_of(load.body)) and load.force and load.force_frame == "ground":
+        if (side := side_of(load.body)[1]) and load.force and load.force_frame == "ground":
             up = load.at(table, table.time).force[:, 1]
             force[side] = force.get(side, np.zeros(len(table.time))) + up
     strikes = {side: heel_strikes(table.time, up).tolist() for side, up in force.items()}

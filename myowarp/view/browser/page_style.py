@@ -25,5 +25,5 @@ browser without a GPU becomes a line of the panel.
 """
 SOFTWARE = (
     "<div class='myowarp-software' title='Its settings may have hardware acceleration turned off.'>"
-    "This browser draws without a GPU: few pictures a second.</div>"
+    "Drawn without a GPU: few pictures a second.</div>"
 )

@@ -40,7 +40,7 @@ class RunTab:
         )
         widgets.slide(
             "speed",
-            "speed [× real time]",
+            "× real time",
             (SLOWEST, FASTEST),
             0.05,
             lambda: live.speed,

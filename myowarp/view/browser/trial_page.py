@@ -166,7 +166,7 @@ class TrialPage(Wishes):
                 lambda value: self.show(recorded.frame_at(value)), "Pauses, and shows this moment.",
             )  # fmt: skip
             widgets.slide(
-                "speed", "speed [× real time]", (SLOWEST, FASTEST), 0.05, lambda: self.speed,
+                "speed", "× real time", (SLOWEST, FASTEST), 0.05, lambda: self.speed,
                 lambda value: setattr(self, "speed", value),
             )  # fmt: skip
             colors = [name for name in QUANTITIES if name in ("fiber_length", *recorded.courses)]

@@ -32,8 +32,7 @@ class TrialTraces(Traces):
         """Add the controls to the container that is open, and the window."""
         self._recorded, self.now = recorded, float(recorded.time[0])
         courses = recorded.courses
-        two_sided = any(mirrored(item) in course.items for course in courses.values() for item in course.items
-                        if side_of(item))  # fmt: skip
+        two_sided = any(mirrored(k) != k for course in courses.values() for k in course.items)
         self.sides, self.percent, self.by_weight = two_sided, False, False
 
         def tick(label: str, field: str) -> None:
@@ -78,7 +77,7 @@ class TrialTraces(Traces):
                         shown.append((f"{name} EMG", course.measured[:, index], TARGET_DASH))
                     for label, values, pattern in shown:
                         drawn = (
-                            over_cycle(recorded.time, values, recorded.cycle_of(side_of(name)))
+                            over_cycle(recorded.time, values, recorded.cycle_of(side_of(name)[1]))
                             if percent
                             else values[kept]
                         )
@@ -109,5 +108,4 @@ def largest(recorded: Recorded, kind: str) -> list[int]:
     seen = np.zeros(len(most), bool) if course.measured is None else np.isfinite(course.measured).any(axis=0)
     order = [int(k) for k in np.lexsort((-most, ~seen))]
     names = [course.items[k] for k in order]
-    return [k for place, k in enumerate(order) if mirrored(course.items[k]) not in names[:place]
-            or not side_of(course.items[k])]  # fmt: skip
+    return [k for place, k in enumerate(order) if mirrored(course.items[k]) not in names[:place]]
