@@ -34,6 +34,9 @@ class Chromium:
             page = next(target for target in json.load(answer) if target["type"] == "page")
         self._socket = connect(page["webSocketDebuggerUrl"], max_size=None)
         self._count = 0
+        width, height = size  # the page's: the window has a bar above it
+        page = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": False}
+        self.call("Emulation.setDeviceMetricsOverride", **page)
 
     def __enter__(self):
         return self

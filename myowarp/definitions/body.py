@@ -107,6 +107,7 @@ class Body:
         fatigue_rates: How fast muscles tire and recover, by name.
         load: Center of a load that the hand holds; None where none can.
         exoskeleton: Where an exoskeleton is worn; None where none can.
+        devices: Joints at which a page offers a device, beside that of an exoskeleton.
         transfer: What a tendon transfer is about; None where there is none.
         torn: Muscles that a tendon tear is about where it names none.
         approach: Muscles that bend and spread it; a posture that is reached from there is more often stable.
@@ -125,6 +126,7 @@ class Body:
     fatigue_rates: Mapping[str, FatigueRates] = field(default_factory=dict, repr=False)
     load: Place | None = None
     exoskeleton: Brace | None = None
+    devices: tuple[str, ...] = ()
     transfer: Transfer | None = None
     torn: tuple[str, ...] = ()
     approach: tuple[str, ...] = ()

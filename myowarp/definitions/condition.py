@@ -52,6 +52,8 @@ class Condition(abc.ABC):
         NEUTRAL: Parameters with which it changes nothing, bit for bit.
         NEEDS: Parameter at whose neutral value all others change nothing; "": there is none.
         AT_START: Parameters that act where an episode begins, and later not at all.
+        TITLE: What people call it; "": its name.
+        LABELS: What people call its parameters, where that is not their name.
     """
 
     PHASE: ClassVar[Phase]
@@ -59,6 +61,8 @@ class Condition(abc.ABC):
     NEUTRAL: ClassVar[dict[str, float]]
     NEEDS: ClassVar[str] = ""
     AT_START: ClassVar[tuple[str, ...]] = ()
+    TITLE: ClassVar[str] = ""
+    LABELS: ClassVar[dict[str, str]] = {}
 
     @property
     def name(self) -> str:
@@ -75,6 +79,15 @@ class Condition(abc.ABC):
         condition = cls(**cls.NEUTRAL)
         condition.check(spec)
         return condition
+
+    @classmethod
+    def neutrals(cls, spec: TaskSpec) -> tuple[Condition, ...]:
+        """Return those that a body can have at once, each as `neutral`.
+
+        Raises:
+            ValueError: The body cannot have it.
+        """
+        return (cls.neutral(spec),)
 
     @property
     def scene_key(self) -> tuple[object, ...]:

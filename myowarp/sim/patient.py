@@ -39,7 +39,7 @@ def every_condition(spec: TaskSpec, given: Sequence[str | Condition] = ()) -> tu
         if name in {condition.name for condition in found}:
             continue
         try:
-            found = resolve((*found, CONDITIONS[name].neutral(spec)), spec)
+            found = resolve((*found, *CONDITIONS[name].neutrals(spec)), spec)
         except ValueError:  # not in this body, or not beside the others
             continue
     return found
@@ -55,6 +55,7 @@ class Knob:
         parameter: The parameter.
         low: Least value.
         high: Greatest value of a slider; `Patient.set` takes more where the parameter does.
+        place: Where it is, as a joint; "" where a body has one alone.
     """
 
     condition: str
@@ -62,11 +63,18 @@ class Knob:
     parameter: Parameter
     low: float
     high: float
+    place: str = ""
 
     @property
     def name(self) -> str:
-        """Condition and parameter."""
-        return f"{self.condition} {self.field}"
+        """Condition, parameter and place."""
+        return f"{self.condition} {self.field}" + (f" of {self.place}" if self.place else "")
+
+    @property
+    def label(self) -> str:
+        """What people call it, with its unit."""
+        label = CONDITIONS[self.condition].LABELS.get(self.field, self.field.replace("_", " "))
+        return label + (f" [{self.unit}]" if self.unit else "")
 
     @property
     def doc(self) -> str:
@@ -124,7 +132,7 @@ class Patient:
         if needed is not None and needed is not knob:
             neutral = kind.NEUTRAL[kind.NEEDS]
             if self.value(needed, world, muscles) == neutral:
-                return f"No effect while {kind.NEEDS.replace('_', ' ')} is {neutral:g}."
+                return f"No effect while {needed.label!r} is {neutral:g}."
         if knob.field in kind.AT_START:
             return "Acts from the next episode on: press Reset."
         return ""
@@ -178,7 +186,8 @@ def _knob(parameter: Parameter, conditions: Sequence[Condition]) -> Knob | None:
 
     A ramp, which changes by itself, has none either.
     """
-    name, _, field = parameter.name.partition(" of ")[0].partition(" ")
+    what, _, place = parameter.name.partition(" of ")
+    name, _, field = what.partition(" ")
     kind = next((condition for condition in conditions if condition.name == name), None)
     if kind is None or parameter.curve.start.ptr != parameter.curve.end.ptr:
         return None
@@ -191,4 +200,4 @@ def _knob(parameter: Parameter, conditions: Sequence[Condition]) -> Knob | None:
         power = 10.0 ** np.floor(np.log10(top))
         top = min(high, power * next(figure for figure in ROUND if figure >= 0.999 * top / power))
     bottom = low if np.isfinite(low) else -top
-    return Knob(name, field, parameter, bottom, float(f"{top:.3g}")) if top > bottom else None
+    return Knob(name, field, parameter, bottom, float(f"{top:.3g}"), place) if top > bottom else None

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
 from myowarp.definitions.body import BODIES
@@ -87,15 +86,17 @@ class Pictures:
     def show(self, sim: Simulation, world: int = 0) -> None:
         """Show a world in a window, or in a page where none opens."""
         if self._viewer is None:
-            self._viewer = self._open_viewer(sim.full_model, BODIES[sim.scene.spec.body].tips)
+            self._viewer = self._open_viewer(sim)
         self._viewer.show(self.snapshot(sim, world))
 
-    def _open_viewer(self, model: mujoco.MjModel, tips: tuple[str, ...]) -> Window | Page:
+    def _open_viewer(self, sim: Simulation) -> Window | Page:
         """Open a window, or a page where none opens.
 
         Raises:
             ImportError: No window opens, and the package that draws pages is not installed.
         """
+        model, spec = sim.full_model, sim.scene.spec
+        tips = BODIES[spec.body].tips
         if has_display():
             from myowarp.view.drawing.render import NoGraphicsError
             from myowarp.view.window import Window
@@ -107,7 +108,7 @@ class Pictures:
         check_viser('render_mode="human" without a window')
         from myowarp.view.browser.page import Page
 
-        return Page(model, tips, self._color)
+        return Page(model, tips, self._color, spec.key)
 
     def close(self) -> None:
         """Close what is open."""

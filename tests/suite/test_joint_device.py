@@ -12,6 +12,7 @@ from myowarp.definitions.condition import resolve
 from myowarp.definitions.task import TASKS
 from myowarp.models.conditions.exoskeleton import Exoskeleton
 from myowarp.models.conditions.joint_device import JointDevice
+from myowarp.sim.patient import Patient, every_condition
 from myowarp.sim.simulation import Simulation
 
 HAND = "myoHandPoseRandom-v1"
@@ -139,7 +140,11 @@ def test_a_commanded_motor_comes_before_devices_that_are_not():
 def test_two_devices_at_two_joints_weigh_their_own():
     options = {"device": "cpu", "graph": False, "progress": False}
     worn_twice = (JointDevice(WRIST, 1.0, mass=0.2), JointDevice("pro_sup_r", 1.0, mass=0.3))
-    sim = Simulation(TASKS[HAND], 2, conditions=worn_twice, **options)
+    sim = Simulation(TASKS[HAND], 2, conditions=worn_twice, adjustable=True, **options)
+    knobs, patient = Patient(sim).knobs, Patient(sim)
+    springs = [knobs[f"joint_device stiffness of {name}"] for name in (WRIST, "pro_sup_r")]
+    patient.set(springs[0], 7.0, [0])
+    assert [patient.value(spring, world) for spring in springs for world in (0, 1)] == [7.0, 1.0, 1.0, 1.0]
     sim.shards[0].launch_conditions()
     masses = sim.scene.model.body_mass.numpy()
     for name, mass in ((WRIST, 0.2), ("pro_sup_r", 0.3)):
@@ -150,6 +155,18 @@ def test_two_devices_at_two_joints_weigh_their_own():
     both = "conditions 'joint_device' and 'joint_device' both set the torque of a device at flexion_r"
     with pytest.raises(ValueError, match=f"^{both}; leave one out$"):
         resolve((JointDevice(WRIST), JointDevice(WRIST, 2.0)), TASKS[HAND])
+
+
+def test_legs_can_wear_devices_at_hips_knees_and_ankles():
+    """A page offers them; each is at the joint of its side, and nothing is worn twice."""
+    worn = [kind for kind in every_condition(TASKS["myoLegWalk-v0"]) if isinstance(kind, JointDevice)]
+    joints = [kind.joint for kind in worn]
+    both = [f"{j}_{side}" for j in ("ankle_angle", "hip_flexion", "knee_angle") for side in "lr"]
+    assert sorted(joints) == both
+    assert all(kind.stiffness == kind.assistance == kind.peak == kind.mass == 0.0 for kind in worn)
+    chosen = JointDevice("ankle_angle_r", 30.0)
+    given = every_condition(TASKS["myoLegWalk-v0"], [chosen])
+    assert [kind for kind in given if isinstance(kind, JointDevice)] == [chosen]
 
 
 @pytest.mark.parametrize(

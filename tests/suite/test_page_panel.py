@@ -12,6 +12,7 @@ from PIL import Image
 
 from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.view import View, note_on, policies_for
+from myowarp.definitions.body import BODIES
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 from myowarp.osim.convert.run import run as convert
@@ -20,8 +21,13 @@ from myowarp.sim.presets import PRESETS, fatigued_after, offered
 from myowarp.view.browser.body_tab import OpenSimArms, moment_arm
 from myowarp.view.browser.chart import Chart, Curve, as_png, as_svg
 from myowarp.view.browser.history import History
+from myowarp.view.browser.live import ASPECT
+from myowarp.view.browser.names import places
 from myowarp.view.browser.readings import Readings
-from myowarp.view.browser.task_tree import OWN, place_of, task_tree
+from myowarp.view.browser.task_tree import OWN, place_of, task_tree, title_of
+from myowarp.view.browser.traces import TRACES_HEIGHT, above_traces
+from myowarp.view.drawing import style as look
+from myowarp.view.drawing.framing import Framing, view_axes
 
 ELBOW, HAND = "myoElbowPose1D6MRandom-v0", "myoHandPoseFixed-v1"
 OSIM = Path(__file__).parents[1] / "data" / "osim"
@@ -43,6 +49,45 @@ def test_every_task_has_one_place_in_the_tree():
     assert tree["pose, hand"]["easy, pose 3"]["v0"] == "myoHandPose3Fixed-v0"
     assert tree["baoding, hand"]["P2"]["v2"] == "myoChallengeBaodingP2-v2"
     assert place_of("out/arm26/model.xml") == (OWN, "arm26/model.xml", "-")
+    assert tree["walk, legs"]["walk"]["v0"] == "myoLegWalk-v0"
+
+
+def test_each_page_has_a_title_as_people_say_it():
+    assert title_of("myoLegWalk-v0") == "Legs: walk"
+    assert title_of("myoHandKeyTurnRandom-v1") == "Hand: key turn"
+    assert title_of("out/arm26/model.xml") == "arm26/model.xml"
+
+
+def test_joints_are_named_as_people_say_them():
+    names = ("ankle_angle_r", "ankle_angle_l", "lumbar_extension")
+    assert places(names) == {
+        "both: ankle": names[:2],
+        "right ankle": names[:1],
+        "left ankle": names[1:2],
+        "lumbar extension": names[2:],
+    }
+
+
+@pytest.mark.parametrize("body", ["elbow", "finger", "hand", "legs"])
+def test_traces_leave_the_body_its_height(body):
+    """Beside a panel of 324 px, all of what is framed is above the traces; at 1280 x 800 over 200 px."""
+    model = BODIES[body].build().compile()
+    data, framing = mujoco.MjData(model), Framing(model, BODIES[body].tips, ASPECT)
+    look.pose(model, data, look.rest_pose(model))
+    camera = framing.camera(data, {})
+    axes, half = view_axes(camera.azimuth, camera.elevation), float(np.radians(model.vis.global_.fovy)) / 2
+    for width, height in ((956, 800), (1276, 1000), (700, 600)):
+        eye, middle, _ = above_traces(camera, 2 * half, ASPECT, (width, height))
+        np.testing.assert_allclose(axes[2], (middle - eye) / np.linalg.norm(middle - eye), atol=1e-6)
+        right, up, depth = axes @ (framing._points(data, {}) - eye).T
+        focal = 0.5 * height / np.tan(half)  # px
+        rows, columns = 0.5 * height - focal * up / depth, 0.5 * width + focal * right / depth
+        assert rows.min() >= 0.0
+        assert rows.max() <= height - TRACES_HEIGHT + 1.0
+        assert columns.min() >= 0.0
+        assert columns.max() <= width
+        if height == 800:
+            assert max(np.ptp(rows), np.ptp(columns)) > 200.0
 
 
 @pytest.mark.parametrize("key", TASKS)
@@ -99,11 +144,12 @@ def test_a_slider_without_effect_says_why(sessions):
     patient, worlds = session.patient, range(session.twin)
     rate, affected = (patient.knobs[f"fatigue_3ccr {name}"] for name in ("fatigue_rate", "affected"))
     initial = patient.knobs["fatigue_3ccr initial"]
-    assert patient.idle(rate, 0) == "No effect while affected is 0."
+    says = "No effect while 'share that tires' is 0."
+    assert patient.idle(rate, 0) == says
     assert patient.idle(affected, 0) == patient.idle(patient.knobs["sarcopenia strength"], 0) == ""
     patient.set(affected, 0.5, worlds, ["BIClong"])
     assert patient.idle(rate, 0, ["BIClong"]) == ""
-    assert patient.idle(rate, 0, ["TRIlong"]) == "No effect while affected is 0."
+    assert patient.idle(rate, 0, ["TRIlong"]) == says
     assert patient.idle(initial, 0, ["BIClong"]) == "Acts from the next episode on: press Reset."
     session.become("as it began")
 
@@ -154,8 +200,9 @@ def test_quantities_agree_with_mujoco(sessions, key):
     np.testing.assert_allclose(moment.values["muscle torque"][0], expected, atol=2e-3, rtol=1e-3)
     assert moment.values["reward term"][0, 0] == pytest.approx(session.sim.transition.reward.numpy()[0])
     assert np.isnan(moment.values["force"][1]).all()
-    targets = moment.seen[0].ghost[[model.joint(j).qposadr[0] for j in readings.kinds["joint angle"].items]]
-    np.testing.assert_array_equal(moment.targets["joint angle"], targets)
+    places = [model.joint(j).qposadr[0] for j in readings.kinds["joint angle"].items]
+    np.testing.assert_allclose(moment.targets["joint angle"], np.degrees(moment.seen[0].ghost[places]))
+    np.testing.assert_allclose(moment.values["joint angle"][0], np.degrees(moment.seen[0].qpos[places]))
 
 
 def test_moment_arms_over_a_coordinate_are_those_of_opensim(tmp_path):

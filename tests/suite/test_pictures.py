@@ -134,6 +134,17 @@ def test_camera_goes_along_with_a_root(leg):
     assert not Framing(BODIES["elbow"].build().compile()).follows
 
 
+@pytest.mark.parametrize("body", ["legs", "full_body"])
+def test_a_body_that_walks_is_seen_from_its_right(body):
+    """The right hip is nearer to the camera than the left one, and hides it."""
+    model = BODIES[body].build().compile()
+    data = posed(model)
+    camera = Framing(model, BODIES[body].tips, ASPECT).camera(data, {})
+    forward = view_axes(camera.azimuth, camera.elevation)[2]
+    apart = data.body("femur_l").xpos - data.body("femur_r").xpos
+    assert forward @ apart > 0.9 * np.linalg.norm(apart)
+
+
 def test_what_falls_far_away_does_not_shrink_the_limb(leg):
     framing, data = Framing(leg, aspect=ASPECT), posed(leg)
     usual = framing.camera(data, {}).distance

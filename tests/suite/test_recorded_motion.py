@@ -3,6 +3,8 @@
 import re
 import threading
 from pathlib import Path
+from time import sleep
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -19,10 +21,13 @@ from myowarp.motion.trial import read_motion
 from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.kinematics import complete, forward
+from myowarp.view.browser.controls import Wishes
 from myowarp.view.browser.server import close_server, open_server
 from myowarp.view.browser.trial_page import TrialPage
+from myowarp.view.browser.trial_traces import TrialTraces
+from myowarp.view.browser.widgets import Widgets
 from myowarp.view.drawing import style as look
-from myowarp.view.drawing.recorded import LONGEST, Recorded
+from myowarp.view.drawing.recorded import LONGEST, Course, Recorded
 from myowarp.view.drawing.render import NoGraphicsError
 
 ROOT = Path(__file__).parents[2]
@@ -114,7 +119,7 @@ def test_a_picture_is_one_moment(recorded):
     """What is drawn, traced and written is the shown frame's, while it plays and when one is asked for."""
     measured = recorded.courses["activation"].items[0]
     server = open_server(0, "test")
-    page = TrialPage(server, recorded, "bend")
+    page = TrialPage(server, recorded)
     thread = threading.Thread(target=page.run, daemon=True)
     thread.start()
     seen = []
@@ -122,16 +127,14 @@ def test_a_picture_is_one_moment(recorded):
 
     def watched():
         draw()
-        written = float(re.search(r"([\d.]+) s</b> · frame", page._status.content)[1])
-        seen.append(
-            (page.time, page._history.now, written, page._slider.value, page._figure.data.qpos.copy())
-        )
+        written = float(re.search(r"([\d.]+) s</b> · frame", page._drive._status.content)[1])
+        seen.append((page.time, page._traces.now, written, page._slider.value, page._figure.data.qpos.copy()))
 
     page.draw = watched
     try:
         browser = Client(f"ws://127.0.0.1:{server.get_port()}")
         assert until(lambda: browser.frames > 3), "it plays"
-        browser.set("time [s]", 0.5)
+        browser.set("time [s]", asked := 0.5)
         assert until(lambda: not page.playing and abs(page.time - 0.5) < 0.01)
         page.ask("pick", lambda: page.pick("BRA"))
         assert until(lambda: ("force", "BRA") in page._traces.chosen and page._tag.visible)
@@ -145,14 +148,92 @@ def test_a_picture_is_one_moment(recorded):
         close_server(server)
     assert len({time for time, *_ in seen}) > 3
     for time, traced, written, slider, qpos in seen:
-        assert traced == slider == time
+        assert traced == time
+        assert slider in (time, asked)  # the browser's own value comes at any time
         assert abs(written - time) < 1e-3
         np.testing.assert_allclose(qpos, recorded.seen(recorded.frame_at(time)).qpos, atol=1e-12)
 
 
+def test_curves_are_over_the_cycle_of_their_side_and_by_the_bodys_weight():
+    """Left over right, each over its own cycle; N over m g, N m over m; the other side only once."""
+    time = np.linspace(0.0, 2.0, 201)
+    moments = Course("N m", ("knee_r_moment", "knee_l_moment"), np.stack((time, 10.0 + time), axis=1))
+    forces = Course("N", ("soleus_r", "soleus_l"), np.stack((100.0 * time, 50.0 * time), axis=1))
+    cycles = {"r": (0.5, 1.5), "l": (1.0, 2.0)}
+    trial = SimpleNamespace(
+        time=time,
+        courses={"joint moment": moments, "force": forces},
+        cycles=cycles,
+        cycle_of=lambda side: cycles[side or "r"],
+        mass=70.0,
+        gravity=9.81,
+    )
+    server = open_server(0, "test")
+    try:
+        traces = TrialTraces(page := Asked(server), Widgets(page), trial)
+        traces.chosen, traces.now = [("joint moment", "knee_r_moment"), ("force", "soleus_l")], 1.0
+        plain = traces.charts()
+        assert [chart.title for chart in plain] == ["joint moment / N m", "force / N"]
+        assert [curve.label for curve in plain[1].curves] == ["soleus_l", "soleus_r"]
+        assert [bool(curve.dash) for curve in plain[0].curves] == [False, True]
+        np.testing.assert_allclose(plain[0].curves[0].values, plain[0].along)
+        traces.percent = traces.by_weight = True
+        moment, force = traces.charts()
+        assert (moment.title, force.title) == ("joint moment / N m/kg", "force / body weight")
+        assert moment.axis == "% of the gait cycle"
+        assert moment.now == pytest.approx(50.0)
+        share = np.linspace(0.0, 1.0, 101)
+        np.testing.assert_allclose(moment.curves[0].values, (0.5 + share) / 70.0)
+        np.testing.assert_allclose(moment.curves[1].values, (11.0 + share) / 70.0)
+        np.testing.assert_allclose(force.curves[0].values, 50.0 * (1.0 + share) / (70.0 * 9.81))
+        rows = traces.table().splitlines()
+        assert rows[0].startswith("% of the gait cycle,")
+        assert len(rows) == 102
+        traces.sides = False
+        assert [len(chart.curves) for chart in traces.charts()] == [1, 1]
+        traces.sides, traces.chosen = True, [("force", "soleus_l"), ("force", "soleus_r")]
+        assert [curve.label for curve in traces.charts()[0].curves] == ["soleus_l", "soleus_r"]
+    finally:
+        close_server(server)
+
+
+class Asked(Wishes):
+    """A page that shows nothing."""
+
+    def view(self, width, height):
+        return np.ones(3), np.zeros(3), 1.0
+
+    def single_step(self):
+        pass
+
+    def reset(self):
+        pass
+
+
+def test_a_slow_browser_sees_the_trial_move(recorded, monkeypatch):
+    """Where a picture takes longer than the trial, frames still follow one another."""
+    server = open_server(0, "test")
+    page = TrialPage(server, recorded)
+    shown = []
+
+    def slow():
+        shown.append(page.frame)
+        sleep(1.5 * float(np.ptp(recorded.time)))
+        if len(shown) == 3:
+            page.stop()
+
+    monkeypatch.setattr(page, "draw", slow)
+    monkeypatch.setattr(server, "get_clients", lambda: {0: None})
+    try:
+        page.run()
+    finally:
+        close_server(server)
+    assert len(set(shown)) == 3
+
+
 def test_the_page_is_lit_and_no_message_ends_it(recorded):
     server = open_server(0, "test")
-    page = TrialPage(server, recorded, "bend")
+    page = TrialPage(server, recorded)
     thread = threading.Thread(target=page.run, daemon=True)
     thread.start()
     address = f"ws://127.0.0.1:{server.get_port()}"

@@ -22,10 +22,20 @@ from socket_client import Client, until
 
 from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.view import View
+from myowarp.definitions.body import BODIES
 from myowarp.definitions.setup import Setup
+from myowarp.view.browser import controls as controls_module
+from myowarp.view.browser import server as server_module
 from myowarp.view.browser.live import Live
+from myowarp.view.browser.page import Page
+from myowarp.view.browser.patient_tab import FIRST
+from myowarp.view.browser.playback import Take, write_playback
 from myowarp.view.browser.server import close_server, open_server
 from myowarp.view.browser.traces import TRACES_HEIGHT
+from myowarp.view.browser.trial_page import TrialPage
+from myowarp.view.drawing import style as look
+from myowarp.view.drawing.recorded import Recorded
+from myowarp.view.drawing.snapshot import Snapshot
 from myowarp.view.drawing.style import SKY_RGB
 
 pytestmark = [pytest.mark.view, pytest.mark.skipif(NAME is None, reason="needs chromium")]
@@ -45,7 +55,13 @@ SHOWN = (
 SIZE = (1000, 700)
 MINUTES = float(os.environ.get("MYOWARP_VIEW_MINUTES", "1"))
 FRAMES, BYTES, GROWTH, CHANGE = 29.5, 2e6, 20.0, 0.1  # 1/s, 1/s, MB, of a signal
-LIT = 90.0  # of 255, the mean colour of a body in the page of a trial: 164, and 9 without lights
+USUAL_SCREEN = (1280, 800)
+LIT, GREY = (
+    90.0,
+    60.0,
+)  # of 255, the mean colour of bones: 164 in a trial, 9 without lights; what is no colour
+PAINTED = 30.0  # least spread of what has a colour
+SMALLEST = 200  # px, of a body above the traces
 WAITING = 0.1  # of the time
 TYPING = 0.1  # s; viser's page sends what was typed 20 times a second
 PANEL = 350  # px, with a border
@@ -157,13 +173,16 @@ def filled(picture):
 
 def body_and_muscles(window, client, path):
     """Pause, and return masks of pixels: of all that is there, and of what another colour mode changes."""
+    window.press("Run")
     client.press("Pause")
     window.wait_for("paused")
     picture = settled(window, path)
     client.set("color", "fiber_length")
     window.wait_for("fiber length / optimal")
     recolored = settled(window, path.with_suffix(".fiber_length.png"))
-    return filled(picture), np.abs(picture - recolored).max(axis=-1) > 20
+    body, muscles = filled(picture), np.abs(picture - recolored).max(axis=-1) > 20
+    assert picture[body & ~muscles].mean() > LIT, "bones are dark"
+    return body, muscles
 
 
 def test_pause_stops_the_counter_and_the_picture(window, tmp_path):
@@ -235,6 +254,8 @@ def test_each_slider_moves_a_signal_of_the_muscles(tmp_path):
     thread.start()
     session = live.session
     knobs = list(session.patient.knobs.values())
+    order = list(dict.fromkeys((*FIRST, *(knob.condition for knob in knobs))))
+    knobs.sort(key=lambda knob: order.index(knob.condition))  # as the page has them
     neutral = {kind.name: type(kind).NEUTRAL for kind in session.sim.conditions}
     value, found, change = session.patient.value, [], {}
     with Chromium((700, 900)) as window:
@@ -297,22 +318,88 @@ def test_body_and_muscles_are_seen(shown, tmp_path):
             assert body.sum() > 0.5 * filled(first).sum()
 
 
-def test_a_trial_is_lit():
-    """What is bone and what is muscle has the colours of the legend, not black."""
+@contextlib.contextmanager
+def played(page):
+    """Run a page of this process; yields its address."""
+    thread = threading.Thread(target=page.run, daemon=True)
+    thread.start()
+    try:
+        yield f"http://localhost:{page.server.get_port()}"
+    finally:
+        page.stop()
+        thread.join(60)
+        close_server(page.server)
+
+
+def lit(picture):
+    """Return the mean colour of what has none above the horizon: of bones, lit or not."""
+    above = picture[: len(picture) // 4]
+    bones = above[filled(above) & (np.ptp(above, axis=-1) < GREY)]
+    assert len(bones) > 300
+    return bones.mean()
+
+
+@pytest.mark.parametrize("lamps", [True, False], ids=["lit", "dark"])
+def test_bones_of_a_trial_are_lit(lamps, monkeypatch):
+    """With its lights out the page of a trial is black, and is found to be. The body keeps its size."""
     PICTURES.mkdir(parents=True, exist_ok=True)
-    trial = (ROOT / "examples/arm.osim", "--motion", ROOT / "examples/arm_bend.mot")
-    with serving("--model", *trial) as (_, address), Chromium(SIZE) as window:
+    if not lamps:
+        for module in (server_module, controls_module):
+            monkeypatch.setattr(module, "add_lights", lambda *_: None)
+    recorded = Recorded(ROOT / "examples/arm.osim", ROOT / "examples/arm_bend.mot")
+    page = TrialPage(open_server(0, "bend"), recorded)
+    page.playing = False
+    with played(page) as address, Chromium(USUAL_SCREEN) as window:
         window.open(address)
-        window.wait_for("frame")
-        window.press("Pause")
         window.wait_for("paused")
-        picture = settled(window, PICTURES / "trial.png")
-    seen = picture[filled(picture)]
-    above = picture[: len(picture) // 4]  # the sky's half, where the arm is and no floor
-    limb = above[filled(above)]
-    assert len(limb) > 1000
-    assert seen.mean() > LIT
-    assert limb.mean() > LIT
+        picture = settled(window, PICTURES / f"trial_{'lit' if lamps else 'dark'}.png")
+        assert window.run("document.title") == "bend · MyoWarp"
+    assert (lit(picture) > LIT) == lamps
+    if lamps:  # muscles, as neither floor nor sky has a colour
+        muscles = filled(picture) & (np.ptp(picture, axis=-1) > PAINTED)
+        assert np.ptp(np.flatnonzero(muscles.any(axis=1))) > SMALLEST
+
+
+def still(body):
+    """Return a body's model, its tips, and what it looks like at rest."""
+    model = BODIES[body].build().compile()
+    return model, BODIES[body].tips, Snapshot(look.rest_pose(model), {})
+
+
+def test_bones_of_a_page_without_a_panel_are_lit(tmp_path):
+    page = Page(*still("legs")[:2], "activation", "legs")
+    try:
+        page.show(still("legs")[2])
+        with Chromium(SIZE) as window:
+            window.open(f"http://localhost:{page.server.get_port()}")
+            until(lambda: window.run("document.title") == "legs · MyoWarp")
+            until(lambda: filled(pixels(window, tmp_path / "wait.png")).mean() > 0.02)
+            assert lit(settled(window, PICTURES / "legs.png")) > LIT
+    finally:
+        page.close()
+
+
+def test_bones_of_a_film_to_turn_are_lit(tmp_path):
+    model, tips, seen = still("elbow")
+    film = tmp_path / "elbow.html"
+    write_playback(film, [[Take(model, tips, [seen, seen], [["0 s"], ["1 s"]])]], "activation", 2.0)
+    with Chromium(SIZE) as window:
+        window.open(film.as_uri())
+        until(lambda: filled(pixels(window, tmp_path / "wait.png")).mean() > 0.02)
+        assert lit(settled(window, PICTURES / "film.png")) > LIT
+        assert window.run("document.title") == "elbow · MyoWarp"
+
+
+def test_the_first_sight_has_a_slider_and_a_title(served):
+    """At 1280 x 800, without a click: the slider of strength is on the page, and its tab says what it is."""
+    with Chromium(USUAL_SCREEN) as window:
+        window.open(served[1])
+        window.wait_for("strength left")
+        label = "[...document.querySelectorAll('label')].find(e => e.innerText.trim() === 'strength left')"
+        top, bottom = window.run(f"(b => [b.top, b.bottom])({label}.getBoundingClientRect())")
+        assert 0 < top < bottom < USUAL_SCREEN[1]
+        assert window.run("document.title") == "Elbow: pose · MyoWarp"
+        window.wait_for("Elbow: pose")
 
 
 def test_a_hand_comes_with_30_frames_a_second():

@@ -84,7 +84,7 @@ class View:
         session, choices = self._open(self._title, self._policy), self._choices()
         if self.preset is not None:
             session.become(self.preset)
-        server = open_server(self.port, "MyoWarp")
+        server = open_server(self.port, self._title)
         try:
             live = Live(server, session, choices)
             if self.preset is not None:
@@ -103,9 +103,10 @@ class View:
         assert trial.motion is not None
         check_port(self.port)
         recorded = Recorded(source, trial.motion, trial.results, trial.loads)
-        server = open_server(self.port, "MyoWarp")
+        title = f"{trial.motion.stem} of {source.stem}"
+        server = open_server(self.port, title)
         try:
-            self._serve(server, TrialPage(server, recorded, trial.motion.stem))
+            self._serve(server, TrialPage(server, recorded))
         finally:
             close_server(server)
 

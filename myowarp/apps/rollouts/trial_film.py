@@ -12,10 +12,10 @@ from rich.console import Console
 
 from myowarp.apps.rollouts.film import PLAYBACKS
 from myowarp.progress import progress_bar
-from myowarp.view.browser.chart import SHARPNESS, TARGET_INK, Chart, Curve, as_png
+from myowarp.view.browser.chart import SHARPNESS, Chart, Curve, as_png
 from myowarp.view.browser.playback import Take, write_playback
-from myowarp.view.browser.traces import INKS, TARGET_DASH
-from myowarp.view.browser.trial_page import FIRST, largest
+from myowarp.view.browser.traces import INKS, TARGET_DASH, titled
+from myowarp.view.browser.trial_traces import FIRST, largest
 from myowarp.view.drawing.recorded import Recorded
 from myowarp.view.drawing.render import WorldRenderer
 from myowarp.view.drawing.video import PICTURES, write_picture, write_video
@@ -95,9 +95,8 @@ def strip(recorded: Recorded, now: float, width: int) -> np.ndarray:
         for ink, k in zip(INKS, largest(recorded, kind)[:number], strict=False):
             curves.append(Curve(course.items[k], course.values[:, k], ink))
             if course.measured is not None and np.isfinite(course.measured[:, k]).any():
-                curves.append(Curve(f"{course.items[k]} EMG", course.measured[:, k], TARGET_INK, TARGET_DASH))
-        title = kind if course.unit == "1" else f"{kind} / {course.unit}"
-        charts.append(Chart(title, recorded.time, curves, now=now))
+                curves.append(Curve(f"{course.items[k]} EMG", course.measured[:, k], ink, TARGET_DASH))
+        charts.append(Chart(titled(kind, course.unit), recorded.time, curves, now=now))
     drawn = Image.open(io.BytesIO(as_png(charts, SHARPNESS * 480, SHARPNESS * STRIP)))
     height = round(STRIP / 480 * width)
     return np.asarray(drawn.resize((width, height), Image.Resampling.LANCZOS))

@@ -19,6 +19,7 @@ FILES = (
     *(f"leg/assets/myolegs_{part}.xml" for part in ("tendon", "muscle", "assets")),
     "scene/myosuite_scene_noPedestal.xml",
 )
+DEVICES = "ankle_angle", "knee_angle", "hip_flexion"
 # The trunk is z-up. The files of the legs turn the pelvis themselves, which the frame undoes.
 WORLD = f"""
 <body name="root" pos="0 0 1" euler="0 0 -1.57">
@@ -46,5 +47,6 @@ BODIES.add(
         groups=GROUPS,
         fatigue_rates=FATIGUE_RATES,
         large=True,
+        devices=tuple(f"{joint}_{side}" for joint in DEVICES for side in "rl"),
     ),
 )

@@ -61,6 +61,8 @@ class Exoskeleton(Condition):
     PHASE = Phase.BODY
     WRITES = ("the torque of the exoskeleton",)
     NEUTRAL: ClassVar = {"assistance": 0.0, "forearm_mass": 0.0}
+    TITLE = "exoskeleton at the elbow"
+    LABELS: ClassVar = {"assistance": "share of muscles"}
 
     assistance: Value = 0.5
     motor: bool = False

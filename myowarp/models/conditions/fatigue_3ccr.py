@@ -83,6 +83,14 @@ class Fatigue3CCR(Condition):
     NEUTRAL: ClassVar = {"affected": 0.0}
     NEEDS = "affected"
     AT_START = ("initial",)
+    TITLE = "fatigue"
+    LABELS: ClassVar = {
+        "affected": "share that tires",
+        "fatigue_rate": "tiring rate",
+        "recovery_rate": "recovery rate",
+        "rest_recovery_factor": "faster at rest",
+        "initial": "tired at start",
+    }
 
     affected: Value = 1.0
     fatigue_rate: Value | None = None

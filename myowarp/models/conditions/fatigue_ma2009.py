@@ -54,6 +54,8 @@ class FatigueMa2009(Condition):
     WRITES = ("fatigue",)
     NEUTRAL: ClassVar = {"rate": 0.0}
     AT_START = ("initial",)
+    TITLE = "fatigue (Ma 2009)"
+    LABELS: ClassVar = {"rate": "tiring rate", "initial": "tired at start"}
 
     rate: Value = 1.0
     initial: Value = 0.0

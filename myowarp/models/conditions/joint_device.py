@@ -51,7 +51,7 @@ class JointDevice(Condition):
         stiffness: Of the spring [N m/rad], >= 0.
         rest: Angle at which the spring is at rest [rad].
         assistance: Motor torque as a share of the muscles' torque at the joint [1], >= 0.
-        peak: Motor torque where the profile is 1 [N m].
+        peak: Motor torque where the profile is 1 [N m], positive where the joint's angle grows.
         profile: Motor torque over time: pairs of a time [s] and a share of `peak`, times rising, straight
             lines between them; before and after them it is as at the ends.
         period: Time after which the profile begins anew [s]; 0: it comes once an episode.
@@ -64,6 +64,8 @@ class JointDevice(Condition):
 
     PHASE = Phase.BODY
     NEUTRAL: ClassVar = {"stiffness": 0.0, "assistance": 0.0, "peak": 0.0, "mass": 0.0}
+    TITLE = "device at a joint"
+    LABELS: ClassVar = {"stiffness": "spring", "assistance": "share of muscles", "peak": "motor"}
 
     joint: str = ""
     stiffness: Value = 5.0
@@ -139,6 +141,13 @@ class JointDevice(Condition):
     def undriven(self) -> tuple[str, ...]:
         """The actuator, where the policy does not command it."""
         return () if self.motor else (f"device_{self.joint}",)
+
+    @classmethod
+    def neutrals(cls, spec: TaskSpec) -> tuple[Condition, ...]:
+        """Return one at each joint where the body has room for devices, `Body.devices`."""
+        if not (joints := BODIES[spec.body].devices):
+            return super().neutrals(spec)
+        return tuple(cls(joint, **cls.NEUTRAL) for joint in joints)
 
     def check(self, spec: TaskSpec) -> None:
         """Raise ValueError if the body has no such joint."""

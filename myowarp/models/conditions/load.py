@@ -38,6 +38,7 @@ class Load(Condition):
     PHASE = Phase.BODY
     WRITES = ("the weight in the hand",)
     NEUTRAL: ClassVar = {"mass": 0.0}
+    TITLE = "weight in the hand"
 
     mass: Value = 1.0
     radius: float = 0.05

@@ -36,6 +36,8 @@ class MotorNoise(Condition):
     PHASE = Phase.NOISE
     WRITES = ("motor noise",)
     NEUTRAL: ClassVar = {"signal": 0.0, "constant": 0.0}
+    TITLE = "noise of the motor command"
+    LABELS: ClassVar = {"signal": "noise of effort", "constant": "noise at rest"}
 
     signal: Value = 0.103
     constant: Value = 0.185

@@ -44,6 +44,8 @@ class Reafferentation(Condition):
     PHASE = Phase.ROUTING
     WRITES = ("the command of the lost muscle",)
     NEUTRAL: ClassVar = {"affected": 0.0}
+    TITLE = "nerve transfer (reafferentation)"
+    LABELS: ClassVar = {"affected": "operated"}
 
     affected: Value = 1.0
 

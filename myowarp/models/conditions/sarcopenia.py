@@ -29,6 +29,8 @@ class Sarcopenia(Condition):
 
     PHASE = Phase.STRENGTH
     NEUTRAL: ClassVar = {"strength": 1.0}
+    TITLE = "weakness (sarcopenia)"
+    LABELS: ClassVar = {"strength": "strength left"}
 
     strength: Value = 0.5
 

@@ -46,6 +46,8 @@ class TendonTear(Condition):
 
     PHASE = Phase.TRANSMISSION
     NEUTRAL: ClassVar = {"transmission": 1.0}
+    TITLE = "torn tendon"
+    LABELS: ClassVar = {"transmission": "force passed on"}
 
     muscles: str | Sequence[str] | None = None
     time: Value = 0.0

@@ -47,6 +47,8 @@ class TendonTransfer(Condition):
     PHASE = Phase.TRANSMISSION
     WRITES = ("the path of the transferred muscle",)
     NEUTRAL: ClassVar = {"affected": 0.0}
+    TITLE = "tendon transfer"
+    LABELS: ClassVar = {"affected": "operated"}
 
     affected: Value = 1.0
 

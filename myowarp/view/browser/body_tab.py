@@ -20,6 +20,7 @@ from myowarp.osim.bundle.bundle import COORDINATES
 from myowarp.osim.bundle.couplings import couplings, follow
 from myowarp.view.browser.chart import Chart, Curve, as_svg
 from myowarp.view.browser.controls import Controls
+from myowarp.view.browser.names import spoken
 from myowarp.view.browser.readings import jacobian
 from myowarp.view.browser.widgets import Widgets
 from myowarp.view.drawing import style as look
@@ -61,9 +62,7 @@ class BodyTab:
         self._shown: np.ndarray | None = None
 
     def refresh(self) -> None:
-        """Move the sliders to where the body is, while it stands still."""
-        if self._live.playing:
-            return
+        """Move the sliders to where the body is."""
         qpos = self._qpos()
         if self._shown is not None and np.array_equal(qpos, self._shown):
             return
@@ -78,31 +77,37 @@ class BodyTab:
         def turn(value: float) -> None:
             self._live.look_back(0.0)
             qpos = self._qpos()
-            qpos[self._model.jnt_qposadr[joint]] = value
+            qpos[self._model.jnt_qposadr[joint]] = value / self._scale(joint)
             self._live.session.pose(qpos)
 
         self._sliders[joint] = widgets.slide(
             name,
-            f"{name} [{self._unit(joint)}]",
+            f"{spoken(name)} [{self._unit(joint)}]",
             (low, high),
             float(f"{(high - low) / STEPS:.1g}"),
             lambda: self._value(joint),
             turn,
-            "Puts the body there, at rest.",
+            f"Puts the body there, at rest. In the model it is called {name}.",
         )
 
     def _unit(self, joint: int) -> str:
         """Return the unit of a joint's coordinate."""
-        return "m" if self._model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
+        return "m" if self._model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE else "°"
+
+    def _scale(self, joint: int) -> float:
+        """Return what a slider shows over the joint's coordinate."""
+        return 1.0 if self._unit(joint) == "m" else float(np.degrees(1.0))
 
     def _ends(self, joint: int) -> tuple[float, float]:
-        """Return the range of a joint, rounded outwards."""
+        """Return the range of a joint as its slider has it, rounded outwards."""
         low, high = self._model.jnt_range[joint]
         if known := self._curves.ranges.get(self._model.joint(joint).name):
             low, high = known
         elif not self._model.jnt_limited[joint] or not high > low:
             low, high = -REACH, REACH
-        return float(np.floor(100.0 * low) / 100.0), float(np.ceil(100.0 * high) / 100.0)
+        figures = 100.0 if self._unit(joint) == "m" else 1.0
+        ends = figures * self._scale(joint) * np.array((low, high))
+        return float(np.floor(ends[0]) / figures), float(np.ceil(ends[1]) / figures)
 
     def _qpos(self) -> np.ndarray:
         """Return the configuration of the shown world."""
@@ -111,7 +116,7 @@ class BodyTab:
 
     def _value(self, joint: int) -> float:
         """Return where a joint is, within its slider's ends."""
-        value = self._qpos()[self._model.jnt_qposadr[joint]]
+        value = self._scale(joint) * self._qpos()[self._model.jnt_qposadr[joint]]
         return float(np.round(np.clip(value, *self._ends(joint)), 3))
 
     def _add_arms(self, joints: list[str]) -> None:
@@ -135,13 +140,17 @@ class BodyTab:
         check_choice("joint", joint, joints)
         number = self._model.joint(joint).id
         low, high = self._ends(number)
-        along = np.linspace(low, high, POINTS)
+        shown = np.linspace(low, high, POINTS)
+        along = shown / self._scale(number)
         curves = [Curve("ours", 1e3 * moment_arm(self._model, muscle, joint, along), OURS)]
         theirs = self._curves.of(muscle, joint, along)
         if theirs is not None:
             curves.append(Curve("OpenSim", 1e3 * theirs, THEIRS, (6, 4)))
         chart = Chart(
-            "moment arm / mm, others at rest", along, curves, axis=f"{joint} / {self._unit(number)}"
+            "moment arm / mm, others at rest",
+            shown,
+            curves,
+            axis=f"{spoken(joint)} / {self._unit(number)}",
         )
         self._picture.content = f"<div style='padding:0 0.5em'>{as_svg([chart], WIDTH, HEIGHT)}</div>"
 

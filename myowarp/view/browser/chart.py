@@ -15,8 +15,8 @@ INK, GRID, BORDER = "#1f2937", "#e5e7eb", "#9ca3af"
 TARGET_INK = "#15803d"
 LEFT, RIGHT, TOP, BOTTOM = 44, 8, 20, 20
 """px around a curve's area."""
-AXIS_ROOM = 60
-"""px at the end of the axis for what it is."""
+CHARACTER = 7
+"""px of a character, at most."""
 LINE = 13
 """px of a line of text in the legend."""
 SHARPNESS = 2
@@ -93,6 +93,15 @@ def as_png(charts: Sequence[Chart], width: int, height: int) -> bytes:
     return file.getvalue()
 
 
+def as_csv(charts: Sequence[Chart]) -> str:
+    """Return charts with one axis as a table: the axis, and a column for each curve."""
+    names = [charts[0].axis, *(f"{curve.label}, {chart.title}" for chart in charts for curve in chart.curves)]
+    columns = [charts[0].along, *(curve.values for chart in charts for curve in chart.curves)]
+    lines = [",".join(f'"{name}"' if "," in name else name for name in names)]
+    lines += [",".join(f"{value:.9g}" for value in row) for row in zip(*columns, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
 def _draw(charts: Sequence[Chart], pen: Pen, width: int, height: int) -> None:
     """Draw charts side by side."""
     for index, chart in enumerate(charts):
@@ -117,7 +126,7 @@ def _draw_one(chart: Chart, pen: Pen, left: float, right: float, top: float, bot
         pen.line(np.array(((left, y(tick)), (right, y(tick)))), GRID, 1.0, ())
         pen.text(left - 4, float(y(tick)) + 4, f"{tick:.4g}", INK, "end")
     ticks = _ticks(begin, end, 5)
-    for tick in ticks[x(ticks) < right - AXIS_ROOM]:
+    for tick in ticks[x(ticks) < right - CHARACTER * (len(chart.axis) + 2)]:
         pen.text(float(x(tick)), bottom + 14, f"{tick:.4g}", INK, "middle")
     pen.text(right, bottom + 14, chart.axis, INK, "end")
     for border in chart.borders:

@@ -75,10 +75,32 @@ class Wishes(abc.ABC):
             return False
         return True
 
-    def bind(self, label: str, hotkey: Hotkey, wish: Callable[[], None]) -> None:
+    def bind_keys(self) -> None:
+        """Have keys play and pause, step, and begin anew."""
+        self._bind("Play or pause", "space", lambda: (self.pause if self.playing else self.play)())
+        self._bind("Step", "arrowright", self.single_step)
+        self._bind("Reset", "R", self.reset)
+
+    def _bind(self, label: str, hotkey: Hotkey, wish: Callable[[], None]) -> None:
         """Have a key do something."""
         command = self.server.gui.add_command(label, hotkey=hotkey)
         command.on_trigger(lambda _: self.ask(label, wish))
+
+    def play(self) -> None:
+        """Go on from what is shown."""
+        self.playing = True
+
+    def pause(self) -> None:
+        """Stand still."""
+        self.playing = False
+
+    @abc.abstractmethod
+    def single_step(self) -> None:
+        """Pause, and go one step on."""
+
+    @abc.abstractmethod
+    def reset(self) -> None:
+        """Begin anew."""
 
     @abc.abstractmethod
     def view(self, width: int, height: int) -> View:
@@ -147,10 +169,6 @@ class Controls(Wishes, abc.ABC):
         """Go on from the last moment."""
         self.playing, self.back = True, 0.0
 
-    def pause(self) -> None:
-        """Stand still."""
-        self.playing = False
-
     def look_back(self, seconds: float) -> None:
         """Pause, and show what was seen some seconds before the last moment; 0 is that moment."""
         self.playing, self.back = False, seconds
@@ -163,10 +181,6 @@ class Controls(Wishes, abc.ABC):
         except ValueError as error:
             self.complain(f"{error}; the task is opened anew, without changes to the patient")
             self.open(self.session.title, self.session.policy)
-
-    @abc.abstractmethod
-    def single_step(self) -> None:
-        """Pause, and make one step."""
 
     @abc.abstractmethod
     def show_twin(self, beside: bool) -> None:

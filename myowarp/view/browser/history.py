@@ -19,15 +19,11 @@ class History:
 
     Attributes:
         moments: The moments.
-        aim: What is drawn beside a quantity, where something is.
-        now: Time that is shown [s]; None: the last.
     """
 
     def __init__(self) -> None:
         """Begin without any."""
         self.moments: deque[Moment] = deque(maxlen=FRAMES)
-        self.aim = "target"
-        self.now: float | None = None
 
     def add(self, moment: Moment) -> None:
         """Keep a moment, unless no time has passed."""

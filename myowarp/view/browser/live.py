@@ -6,6 +6,7 @@ that once. While no page is open, nothing moves.
 
 from __future__ import annotations
 
+import copy
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -25,7 +26,9 @@ from myowarp.view.browser.panel import Panel
 from myowarp.view.browser.readings import Moment, Readings
 from myowarp.view.browser.scene import Figure, Floor
 from myowarp.view.browser.session import Choices, Session
-from myowarp.view.browser.traces import TRACES_HEIGHT
+from myowarp.view.browser.task_tree import title_of
+from myowarp.view.browser.traces import above_traces
+from myowarp.view.browser.updates import name_page
 from myowarp.view.drawing import style as look
 from myowarp.view.drawing.framing import Framing, motion_samples, view_axes
 
@@ -45,8 +48,6 @@ ASPECT = 1.75
 """Of the picture beside the panel and above the traces, about."""
 NEAR_REST = 0.25
 """Share of the way to the ends of its ranges on which a model's file is in the picture."""
-LEAST_FREE = 0.5
-"""Share of the height that the body has at least."""
 
 
 class Live(Controls):
@@ -67,9 +68,7 @@ class Live(Controls):
         """
         super().__init__(server, session, choices)
         server.gui.add_html(STYLE + SOFTWARE)
-        self.bind("Play or pause", "space", self._toggle)
-        self.bind("Step", "arrowright", self.single_step)
-        self.bind("Reset", "R", self.reset)
+        self.bind_keys()
         self._progress: deque[tuple[float, int]] = deque()
         self._due = self._drawn = self._read = 0.0
         self._open()
@@ -133,10 +132,6 @@ class Live(Controls):
                 if muscle in self._readings.kinds.get(kind, ("", ()))[1]:
                     self._panel.traces.add(kind, muscle)
 
-    def _toggle(self) -> None:
-        """Play, or pause."""
-        (self.pause if self.playing else self.play)()
-
     def draw(self, now: float) -> None:
         """Send what is new."""
         in_time = now < self._drawn + 2.0 * self._frame
@@ -171,7 +166,8 @@ class Live(Controls):
         self._tag.visible = place is not None
         if place is None:
             return
-        parts = [self._picked]
+        group = BODIES[self.session.sim.scene.spec.body].group_of(self._picked)
+        parts = [f"{self._picked} ({group})" if group else self._picked]
         for kind in PICKED:
             unit, items = self._readings.kinds.get(kind, ("", ()))
             if self._picked in items:
@@ -210,6 +206,7 @@ class Live(Controls):
         if self.session.file is not None:
             self._framing.fit(self._near_rest(model))
         self._progress.clear()
+        name_page(self.server, title_of(self.session.title))
         self._roots = {name: scene.add_frame(name, show_axes=False) for name in ("/world", "/twin")}
         self._figure_shown = self._figure("/world")
         self._twin = None
@@ -279,12 +276,9 @@ class Live(Controls):
 
     def view(self, width: int, height: int) -> View:
         """Return the camera for a picture of a size [px]: all is above the traces."""
-        camera, beside = self._camera, self.session.beside
-        _, up, forward = view_axes(camera.azimuth, camera.elevation)
+        camera = copy.copy(self._camera)
+        if self.session.beside:
+            camera.distance *= self._farther
+            camera.lookat += 0.5 * self._side
         opening = float(np.radians(self.session.sim.full_model.vis.global_.fovy))
-        free = max(height - TRACES_HEIGHT, LEAST_FREE * height)
-        distance = camera.distance * (self._farther if beside else 1.0)
-        distance *= height / free * max(1.0, ASPECT * free / max(width, 1))
-        below = (height - free) / height * distance * np.tan(opening / 2.0)
-        middle = camera.lookat + (0.5 * self._side if beside else 0.0) - below * up
-        return middle - distance * forward, middle, opening
+        return above_traces(camera, opening, ASPECT, (width, height))

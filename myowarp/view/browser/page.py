@@ -22,17 +22,18 @@ class Page:
         server: The page's server.
     """
 
-    def __init__(self, model: mujoco.MjModel, tips: tuple[str, ...] = (), color: str = "activation") -> None:
+    def __init__(self, model: mujoco.MjModel, tips: tuple[str, ...], color: str, title: str) -> None:
         """Open it at a free port, and say where.
 
         Args:
             model: The full model.
             tips: Names of the sites at the ends of the limb.
             color: What the colour of a muscle shows, a name in `myowarp.view.drawing.muscles.QUANTITIES`.
+            title: Title of the page.
         """
         self._color = color
         framing = Framing(model, tips)
-        self.server = open_server(0, "MyoWarp")
+        self.server = open_server(0, title)
         self._figure = Figure(self.server, "/world", model, framing.radius, tips)
         look.pose(model, self._figure.data, look.rest_pose(model))
         camera, start = framing.camera(self._figure.data, {}), self.server.initial_camera

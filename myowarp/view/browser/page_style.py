@@ -24,6 +24,6 @@ corner of the panel, off the picture; traces keep off the panel in a narrow wind
 browser without a GPU becomes a line of the panel.
 """
 SOFTWARE = (
-    "<div class='myowarp-software'>This browser draws without a GPU, so that pictures are rare; its settings "
-    "may have hardware acceleration turned off.</div>"
+    "<div class='myowarp-software' title='Its settings may have hardware acceleration turned off.'>"
+    "Drawn without a GPU: few pictures a second.</div>"
 )

@@ -87,7 +87,7 @@ def write_playback(path: Path, takes: Sequence[Sequence[Take]], color: str, fps:
         color: What the colour of a muscle shows, a name in `myowarp.view.drawing.muscles.QUANTITIES`.
         fps: Frames per second.
     """
-    server = open_server(0, "MyoWarp")
+    server = open_server(0, path.stem)
     try:
         sky = (255 * look.SKY_RGB).round().astype(np.uint8)
         server.scene.set_background_image(sky.reshape(1, 1, 3), "png")

@@ -6,6 +6,7 @@ MuJoCo C in the state that is shown; a joint's muscle torque is sum_m r_m F_m ov
 
 from __future__ import annotations
 
+from itertools import compress
 from typing import NamedTuple
 
 import mujoco
@@ -51,6 +52,7 @@ class Readings:
 
     Attributes:
         kinds: Quantities by name.
+        first: What is traced at first, quantity and item: the strongest muscle, and a joint.
     """
 
     def __init__(self, session: Session) -> None:
@@ -64,6 +66,7 @@ class Readings:
         still = self._model.jnt_bodyid[self._joints] == root
         self._joints = self._joints[np.argsort(still, kind="stable")]  # what is held says least
         self._dofs, self._places = self._model.jnt_dofadr[self._joints], self._model.jnt_qposadr[self._joints]
+        self._turns = self._model.jnt_type[self._joints] == mujoco.mjtJoint.mjJNT_HINGE
         self._tendons = {
             i: int(self._model.actuator(oracle.actuator(i).name).trnid[0])
             for i in range(oracle.nu)
@@ -71,6 +74,7 @@ class Readings:
         }
         self._devices = np.flatnonzero(oracle.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)
         joints = tuple(self._model.joint(int(joint)).name for joint in self._joints)
+        hinged, sliding = (tuple(compress(joints, mask)) for mask in (self._turns, ~self._turns))
         muscles = tuple(sim.scene.muscles.names) if session.signals is not None else ()
         self._pairs = self._crossing()
         devices = tuple(oracle.actuator(int(device)).name for device in self._devices)
@@ -82,12 +86,18 @@ class Readings:
             "musculotendon length": Kind("m", muscles),
             "fatigue": Kind("1", muscles if session.signals and "fatigue" in session.signals.info else ()),
             "moment arm": Kind("m", arms),
-            "joint angle": Kind("rad, slides m", joints),
-            "muscle torque": Kind("N m, slides N", joints if muscles else ()),
-            "device torque": Kind("N m, slides N", devices),
+            "joint angle": Kind("°", hinged),
+            "joint translation": Kind("m", sliding),
+            "muscle torque": Kind("N m", hinged if muscles else ()),
+            "muscle force along a slide": Kind("N", sliding if muscles else ()),
+            "device torque": Kind("N m", devices),
             "reward term": Kind("1", ("total", *session.terms)),
         }
         self.kinds = {name: kind for name, kind in kinds.items() if kind.items}
+        self.first = [("joint angle", joint) for joint in hinged[:1]]
+        if muscles:
+            strongest = sim.scene.muscles.geometry().max_isometric_force[0].argmax()
+            self.first.insert(0, ("activation", muscles[int(strongest)]))
 
     def read(self) -> Moment:
         """Return what there is now."""
@@ -100,19 +110,20 @@ class Readings:
         else:
             twin, its = seen, {name: np.full(len(values), np.nan) for name, values in own.items()}
         values = {name: np.stack((own[name], its[name])) for name in self.kinds}
-        wanted = seen.ghost
-        targets = (
-            {}
-            if wanted is None or session.file is not None
-            else {"joint angle": np.asarray(wanted)[self._places]}
-        )
+        known = seen.ghost is not None and session.file is None
+        targets = self._at_joints(np.asarray(seen.ghost)) if known else {}
         return Moment(session.elapsed, session.episode, (seen, twin), values, targets)
+
+    def _at_joints(self, qpos: np.ndarray) -> dict[str, np.ndarray]:
+        """Return where joints are in a configuration, hinges [deg] and slides [m]."""
+        values = qpos[self._places]
+        return {"joint angle": np.degrees(values[self._turns]), "joint translation": values[~self._turns]}
 
     def _of(self, world: int, seen: Snapshot) -> dict[str, np.ndarray]:
         """Return the values of a world, by quantity."""
         session, sim = self._session, self._session.sim
         found = {
-            "joint angle": seen.qpos[self._places],
+            **self._at_joints(seen.qpos),
             "device torque": sim.scene.data.actuator_force.numpy()[world, self._devices]
             * sim.scene.oracle.actuator_gear[self._devices, 0],
             "reward term": np.array(
@@ -124,13 +135,15 @@ class Readings:
         muscles = session.signals.muscles
         force = muscles.force.numpy()[world]
         arms = self._arms(world, seen)
+        torque = force @ arms
         found |= {
             "activation": muscles.activation.numpy()[world],
             "excitation": muscles.excitation.numpy()[world],
             "force": force,
             "musculotendon length": muscles.length.numpy()[world],
             "moment arm": arms[tuple(np.array(self._pairs, dtype=int).reshape(-1, 2).T)],
-            "muscle torque": force @ arms,
+            "muscle torque": torque[self._turns],
+            "muscle force along a slide": torque[~self._turns],
         }
         if "fatigue" in session.signals.info:
             found["fatigue"] = session.signals.info["fatigue"].numpy()[world]

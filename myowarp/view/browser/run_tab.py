@@ -1,15 +1,13 @@
-"""The tab that says what runs: readings, what drives, the last seconds, the task, what acts, and colours."""
+"""The tab that says what runs: reward terms, the last seconds, the task, what acts, and colours."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from myowarp.definitions.body import BODIES
-from myowarp.definitions.registry import check_choice
 from myowarp.view.browser import status as html
 from myowarp.view.browser.controls import Controls
 from myowarp.view.browser.history import SECONDS
@@ -21,9 +19,6 @@ from myowarp.view.drawing.muscles import QUANTITIES
 
 FASTEST, SLOWEST = 10.0, 0.05
 """Speeds over real time that can be chosen."""
-PLAY, PAUSE, STEP, RESET = "Play", "Pause", "Step", "Reset"
-PLAYING, PAUSED = (PAUSE, STEP, RESET), (PLAY, STEP, RESET)
-"""Buttons, while it plays and while it does not."""
 
 
 class RunTab:
@@ -33,14 +28,10 @@ class RunTab:
         """Add the controls to the container that is open."""
         self._live, self._gui, session = live, live.server.gui, live.session
         gui = self._gui
-        self._status = gui.add_html(html.status(live))
-        self._drive: Any = gui.add_button_group(
-            "", self._buttons(), hint="Keys: space plays and pauses, right arrow steps, R resets."
-        )
-        self._drive.on_click(lambda _: live.ask("drive", lambda: self._press(self._drive.value)))
+        self._terms = gui.add_html(html.terms(session))
         widgets.slide(
             "seconds back",
-            "look back [s]",
+            "seconds ago",
             (0.0, SECONDS),
             0.1,
             lambda: live.back,
@@ -49,7 +40,7 @@ class RunTab:
         )
         widgets.slide(
             "speed",
-            "speed / real time",
+            "× real time",
             (SLOWEST, FASTEST),
             0.05,
             lambda: live.speed,
@@ -73,28 +64,12 @@ class RunTab:
         widgets.tick("camera follows", lambda: live.follow, lambda value: setattr(live, "follow", value))
 
     def refresh(self) -> None:
-        """Show time, speed, return and success."""
-        self._status.content = html.status(self._live)
+        """Show reward terms, and what is to be said of the policy."""
         session = self._live.session
+        self._terms.content = html.terms(session)
         note = self._live.choices.note(session.policy, session.sim.scene.spec)
         if self._note.content != note:
             self._note.content = note
-        if tuple(self._drive.options) != self._buttons():
-            self._drive.options = self._buttons()
-
-    def _buttons(self) -> tuple[str, ...]:
-        """Return the buttons that there are now."""
-        return PLAYING if self._live.playing else PAUSED
-
-    def _press(self, button: str) -> None:
-        """Do what a button says."""
-        check_choice("button", button, (PLAY, *PLAYING))
-        {
-            PLAY: self._live.play,
-            PAUSE: self._live.pause,
-            STEP: self._live.single_step,
-            RESET: self._live.reset,
-        }[button]()
 
     def _add_task(self, widgets: Widgets) -> None:
         """Add the tree of tasks: each list opens what it says, with the newest version."""
@@ -113,7 +88,11 @@ class RunTab:
             "Family and body.",
         )
         widgets.choose(
-            "goal", tuple(tree[family]), lambda: level, open_level, "Fixed goals are easy, drawn ones hard."
+            "variant",
+            tuple(tree[family]),
+            lambda: level,
+            open_level,
+            "Fixed goals are easy, drawn ones hard.",
         )
         if len(versions := tree[family][level]) > 1:
             widgets.choose(

@@ -13,7 +13,7 @@ import viser
 
 from myowarp.view.browser.lights import add_lights
 from myowarp.view.browser.origins import check_refusal, refusing_other_sites
-from myowarp.view.browser.updates import send_whole, take_values_alone
+from myowarp.view.browser.updates import name_page, send_whole, take_values_alone
 
 LOCAL = "127.0.0.1"
 AHEAD = np.array((0.0, 1.0, -0.2))
@@ -34,7 +34,7 @@ def open_server(port: int, title: str) -> viser.ViserServer:
 
     Args:
         port: Its port; 0 for any that is free.
-        title: Title of the panel.
+        title: Title of the page.
 
     Raises:
         OSError: The port is taken.
@@ -55,6 +55,7 @@ def open_server(port: int, title: str) -> viser.ViserServer:
     server.get_event_loop().set_exception_handler(lambda loop, context: None)
     take_values_alone(server)
     send_whole(server)
+    name_page(server, title)
     # Light from a picture takes longer than all else where software draws.
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(False)

@@ -20,7 +20,7 @@ BAR_WIDTH = 6.0
 
 
 def status(live: Controls) -> str:
-    """Return time, return, success and reward terms."""
+    """Return time, return and success."""
     session = live.session
     state = "" if live.playing else "paused · "
     if live.back > 0.0:
@@ -41,10 +41,12 @@ def status(live: Controls) -> str:
             rows[-1] += f" · before the change {session.returns[session.twin]:.2f}"
     if live.message:
         rows.append(f"<span style='color:{BAD}'>{html.escape(live.message)}</span>")
-    return (
-        f"<div style='padding:0.5em 1em;font-size:0.85em'>{'<br>'.join(rows)}"
-        f"<table>{_terms(session.terms) if session.scored else ''}</table></div>"
-    )
+    return block(rows)
+
+
+def block(rows: Sequence[str]) -> str:
+    """Return lines of readings, HTML."""
+    return f"<div style='padding:0.5em 1em;font-size:0.85em'>{'<br>'.join(rows)}</div>"
 
 
 def _verdict(session: Session) -> str:
@@ -55,16 +57,20 @@ def _verdict(session: Session) -> str:
     return f" · <b style='color:{color}' title='{html.escape(SUCCESS_RULE)}'>{text}</b>"
 
 
-def _terms(terms: dict[str, float]) -> str:
-    """Return reward terms of the last step with bars."""
+def terms(session: Session) -> str:
+    """Return reward terms of the last step with bars; "" where nobody has asked for a reward."""
+    if not session.scored:
+        return ""
+    terms = session.terms
     largest = max((abs(value) for value in terms.values()), default=0.0) or 1.0
-    return "".join(
+    rows = "".join(
         f"<tr><td>{html.escape(name)}</td>"
         f"<td style='text-align:right;padding:0 0.7em'>{value:.3f}</td>"
         f"<td><div style='height:0.7em;width:{BAR_WIDTH * abs(value) / largest:.2f}em;"
         f"background:{BAR if value >= 0 else BAD}'></div></td></tr>"
         for name, value in terms.items()
     )
+    return block([f"reward of the last step<table>{rows}</table>"])
 
 
 def legend(quantity: Quantity) -> str:
@@ -82,7 +88,7 @@ def key(tips: bool, targets: bool, ghost: bool, objects: Sequence[tuple[str, np.
     """Return what the balls, the ghost and other bodies in the picture are."""
     rows = []
     if tips:
-        rows.append((_css(look.TIP_RGB), "1", "tip of the limb"))
+        rows.append((_css(look.TIP_RGB), "1", "point that the task steers"))
     if targets:
         rows.append((_css(look.TARGET_RGB), "1", "target"))
     if ghost:

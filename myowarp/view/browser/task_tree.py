@@ -47,11 +47,19 @@ def place_of(task: str) -> tuple[str, str, str]:
     return f"{spec.title.lower()}, {body}", _level(spec.name), f"v{spec.version}"
 
 
+def title_of(task: str) -> str:
+    """Return the name of a task or a model as people say it."""
+    place, level, _ = place_of(task)
+    family, _, body = place.partition(", ")
+    return f"{body.capitalize()}: {family}" if body else level
+
+
 def _level(name: str) -> str:
-    """Return what the end of a task's name says: "easy" or "hard", which pose, which phase; else the name."""
+    """Return what the end of a task's name says: "easy" or "hard", which pose, which phase, which ground."""
     found = re.fullmatch(r"(my|mot)o.*?(\d*)(Fixed|Random|Swap|Demo|P\d)", name)
     if found is None:
-        return name
+        words = re.findall(r"[A-Z]+[a-z]*|\d+", re.sub(r"^(my|mot)o[A-Z][a-z]+", "", name))
+        return " ".join(words).lower() or name
     _, number, word = found.groups()
     level = LEVELS.get(word, word if name.startswith("myoChallenge") else word.lower())
     return f"{level}, pose {number}" if number and word in LEVELS else level

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Callable
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from myowarp.definitions.registry import check_choice
 from myowarp.view.browser.chart import TARGET_INK, Chart, Curve, as_png, as_svg
-from myowarp.view.browser.controls import Wishes
+from myowarp.view.browser.controls import View, Wishes
 from myowarp.view.browser.history import History
 from myowarp.view.browser.page_style import TRACES as CLASS
 from myowarp.view.browser.readings import Kind
+from myowarp.view.drawing.framing import view_axes
 
 INKS = ("#1d4ed8", "#b91c1c", "#047857", "#b45309")
 """Of the shown world's curves in a chart."""
@@ -32,18 +35,26 @@ BORDER = 15
 """px between the window and the picture of the body."""
 TRACES_HEIGHT = HEIGHT + ROOM + 2 * BORDER
 """px at the bottom of a page that the window takes."""
+LEAST_FREE = 0.5
+"""Share of the height that the body has at least."""
 
 
-class Traces:
-    """The window with curves, and what is chosen in the panel."""
+class Traces(abc.ABC):
+    """The window with curves, and what is chosen in the panel.
 
-    def __init__(self, live: Wishes, kinds: dict[str, Kind], history: History) -> None:
-        """Add the controls to the container that is open, and the window."""
-        self._live, self._gui, self._kinds, self._history = live, live.server.gui, kinds, history
-        self.chosen: list[tuple[str, str]] = []
-        for kind in ("activation", "joint angle"):
-            if kind in self._kinds:
-                self.chosen.append((kind, self._kinds[kind].items[0]))
+    Attributes:
+        chosen: Quantity and item of each curve.
+    """
+
+    def __init__(self, live: Wishes, kinds: dict[str, Kind], first: list[tuple[str, str]]) -> None:
+        """Add the controls to the container that is open, and the window.
+
+        Args:
+            live: The page.
+            kinds: What can be traced.
+            first: What is traced at first.
+        """
+        self._live, self._gui, self._kinds, self.chosen = live, live.server.gui, kinds, list(first)
         gui = self._gui
         self._kind: Any = gui.add_dropdown("quantity", tuple(self._kinds))
         self._item: Any = gui.add_dropdown("of", (NOTHING, *self._kinds[self._kind.value].items))
@@ -98,30 +109,18 @@ class Traces:
         """Draw none."""
         self.chosen = []
 
+    @abc.abstractmethod
     def charts(self) -> list[Chart]:
-        """Return a chart for each chosen quantity."""
-        history = self._history
-        if len(history.moments) < 2:
-            return []
-        times, borders, beside = history.times, history.borders.tolist(), self._live.beside
-        found = []
-        for kind in dict.fromkeys(pair[0] for pair in self.chosen):
-            curves = []
-            items = [item for own, item in self.chosen if own == kind]
-            for item, ink, twin_ink in zip(items, INKS, TWIN_INKS, strict=False):
-                index = self._kinds[kind].items.index(item)
-                curves.append(Curve(item, history.values(kind, index, False), ink))
-                if beside:
-                    values = history.values(kind, index, True)
-                    curves.append(Curve(f"{item} before", values, twin_ink, DASH))
-                targets = history.targets(kind, index)
-                if np.isfinite(targets).any():
-                    curves.append(Curve(f"{item} {history.aim}", targets, TARGET_INK, TARGET_DASH))
-            unit = self._kinds[kind].unit
-            found.append(
-                Chart(kind if unit == "1" else f"{kind} / {unit}", times, curves, borders, now=history.now)
-            )
-        return found
+        """Return a chart for each chosen quantity; none where there is nothing to draw yet."""
+
+    @abc.abstractmethod
+    def table(self) -> str:
+        """Return the curves as CSV."""
+
+    def by_kind(self) -> dict[str, list[str]]:
+        """Return the chosen items by quantity."""
+        kinds = dict.fromkeys(kind for kind, _ in self.chosen)
+        return {kind: [item for own, item in self.chosen if own == kind] for kind in kinds}
 
     def _offer(self) -> None:
         """List what has the chosen quantity."""
@@ -141,10 +140,67 @@ class Traces:
 
     def _save_csv(self, client: Any) -> None:
         """Send the curves as a table to the browser that asked."""
-        table = self._history.table(self._kinds, self.chosen, self._live.beside)
-        client.send_file_download("traces.csv", table.encode())
+        client.send_file_download("traces.csv", self.table().encode())
 
     def _save_png(self, client: Any) -> None:
         """Send the curves as a picture to the browser that asked."""
         if charts := self.charts():
             client.send_file_download("traces.png", as_png(charts, WIDTH, HEIGHT))
+
+
+class LiveTraces(Traces):
+    """The last seconds of a session."""
+
+    def __init__(
+        self, live: Wishes, kinds: dict[str, Kind], history: History, first: list[tuple[str, str]]
+    ) -> None:
+        """See `Traces`; the history is what is drawn."""
+        super().__init__(live, kinds, first)
+        self._history = history
+
+    def table(self) -> str:
+        """Return the curves as CSV."""
+        return self._history.table(self._kinds, self.chosen, self._live.beside)
+
+    def charts(self) -> list[Chart]:
+        """Return a chart for each chosen quantity."""
+        history = self._history
+        if len(history.moments) < 2:
+            return []
+        times, borders, beside = history.times, history.borders.tolist(), self._live.beside
+        found = []
+        for kind, items in self.by_kind().items():
+            curves = []
+            for item, ink, twin_ink in zip(items, INKS, TWIN_INKS, strict=False):
+                index = self._kinds[kind].items.index(item)
+                curves.append(Curve(item, history.values(kind, index, False), ink))
+                if beside:
+                    values = history.values(kind, index, True)
+                    curves.append(Curve(f"{item} before", values, twin_ink, DASH))
+                targets = history.targets(kind, index)
+                if np.isfinite(targets).any():
+                    curves.append(Curve(f"{item} target", targets, TARGET_INK, TARGET_DASH))
+            found.append(Chart(titled(kind, self._kinds[kind].unit), times, curves, borders))
+        return found
+
+
+def titled(kind: str, unit: str) -> str:
+    """Return a quantity with its unit."""
+    return kind if unit == "1" else f"{kind} / {unit}"
+
+
+def above_traces(camera: mujoco.MjvCamera, opening: float, aspect: float, size: tuple[int, int]) -> View:
+    """Return a camera for which all is above the traces.
+
+    Args:
+        camera: Camera of a picture that what matters fills.
+        opening: Its vertical field of view [rad].
+        aspect: Width over height of that picture.
+        size: Width and height of the page's picture [px].
+    """
+    width, height = size
+    _, up, forward = view_axes(camera.azimuth, camera.elevation)
+    free = max(height - TRACES_HEIGHT, LEAST_FREE * height)
+    distance = camera.distance * height / free * max(1.0, aspect * free / max(width, 1))
+    middle = camera.lookat - (height - free) / height * distance * np.tan(opening / 2.0) * up
+    return middle - distance * forward, middle, opening

@@ -65,16 +65,24 @@ class Widgets:
         button.on_click(lambda _: self._live.ask(label, do))
 
     def on(self, key: str, handle: Any, do: Callable[[Any], object], now: Callable[[], Any]) -> None:
-        """Have something done when a control is moved; a control that cannot have its way goes back."""
+        """Have something done when a browser moves a control; one that cannot have its way goes back.
 
-        def wish() -> None:
-            if handle.value == now():
+        The value is that of the message: the page, too, moves controls, such as the time of what plays.
+        """
+
+        def wish(value: Any) -> None:
+            if value == now():
                 return
             try:
-                do(handle.value)
+                do(value)
             except Exception:
                 handle.value = now()
                 raise
             self._live.message = ""
 
-        handle.on_update(lambda _: self._live.ask(key, wish))
+        async def hear(event: Any) -> None:  # at once, before the page moves the control again
+            if event.client_id is not None:
+                value = handle.value
+                self._live.ask(key, lambda: wish(value))
+
+        handle.on_update(hear)

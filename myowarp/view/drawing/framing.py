@@ -1,8 +1,9 @@
 """The camera's place: everything that matters in the picture, as large as it can be.
 
 The limb with its muscles, its tips, the targets and the objects matter. The camera is fitted to their points
-in closed form; it looks at the flattest side of the limb, and goes along with a root that moves. The points
-are those of the joints' ranges; `Framing.fit` takes those of a film instead.
+in closed form; it looks at the flattest side of the limb. A body with a root that moves is seen from its
+right, as gaits are, and the camera goes along. The points are those of the joints' ranges; `Framing.fit`
+takes those of a film instead.
 """
 
 from __future__ import annotations
@@ -82,6 +83,8 @@ class Framing:
         rest, motion, everything, away = self._range_of_motion(data, drawn[~moving[body]])
         self.azimuth, self.elevation = broadside(rest, motion, away)
         self._axes = view_axes(self.azimuth, self.elevation)
+        if self._root:
+            self.look_along(leftwards(model, data))
         look.pose(model, data, look.rest_pose(model))
         whole = look.geom_box(model, data, drawn[look.limb_bodies(model)[body]]) @ self._axes[:2].T
         self._limb_size = np.ptp(whole, axis=0) if len(whole) else np.zeros(2)
@@ -222,6 +225,25 @@ def motion_samples(model: mujoco.MjModel, ranges: bool = True) -> Iterator[np.nd
                 qpos[model.jnt_qposadr[joint]] = end
                 follow(model, qpos)
                 yield qpos
+
+
+def leftwards(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Return the level direction (3,) about which the limb's hinges turn most mass, from right to left.
+
+    Args:
+        model: The full model.
+        data: The data, posed. Where no names end in `_r` and `_l`, either direction is returned.
+    """
+    hinges = (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) & look.limb_trees(model)[model.jnt_bodyid]
+    weight = (model.body_subtreemass[model.jnt_bodyid] * np.ptp(model.jnt_range, axis=1) ** 2)[hinges]
+    level = data.xaxis[hinges, :2]
+    axis = np.linalg.eigh((level * weight[:, None]).T @ level)[1][:, -1]
+    sides = [
+        data.xpos[[model.body(body).name.endswith(end) for body in range(model.nbody)], :2]
+        for end in ("_l", "_r")
+    ]
+    across = sides[0].mean(axis=0) - sides[1].mean(axis=0) if min(map(len, sides)) else axis
+    return np.array((*(axis if axis @ across > 0.0 else -axis), 0.0))
 
 
 def view_axes(azimuth: float, elevation: float) -> np.ndarray:

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
+from myowarp.motion.gait import gait_cycles
 from myowarp.motion.loads import loads_at
 from myowarp.motion.storage import Storage, read_storage
 from myowarp.motion.trial import read_motion
@@ -29,12 +31,13 @@ from myowarp.view.drawing.snapshot import Snapshot
 TABLES = {
     "activation": ("activations.sto", "1"),
     "force": ("forces.sto", "N"),
-    "joint moment": ("moments.sto", "N m, N"),
-    "reserve": ("reserves.sto", "N m, N"),
+    "joint moment": ("moments.sto", "N m"),
+    "reserve": ("reserves.sto", "N m"),
     "muscle power": ("powers.sto", "W"),
     "metabolic power": ("metabolic_powers.sto", "W"),
 }
 """Files of a folder of `myowarp motion`, by quantity: name and unit."""
+REACTIONS = "joint_reactions.sto"
 MOTIONS = ("tracked.mot", "ik.mot")
 """Joint angles that such a folder may have, the first that is there is shown."""
 EMG = "emg.sto"
@@ -73,6 +76,10 @@ class Recorded:
         time: Of the frames [s], shape (frames,).
         courses: What can be traced, by name.
         newtons_per_metre: Force over the length of its arrow [N/m]; 0 without loads.
+        mass: Of the body [kg].
+        gravity: [m/s^2].
+        cycles: Begin and end [s] of a gait cycle by side, "l" or "r": of those that the recorded loads have
+            whole, the one that the motion covers most.
     """
 
     def __init__(
@@ -116,9 +123,14 @@ class Recorded:
         self._paths = [self._path(bones.model, name, poses) for name in self._muscles]
         self.courses = _courses(bones.model, angles, self.time, folder)
         self._known = self._of_muscles(bones.model)
+        self.mass = sum(body.mass for body in bones.model.bodies.values())
+        self.gravity = float(np.linalg.norm(self.model.opt.gravity))
+        self.cycles: dict[str, tuple[float, float]] = {}
         self._arrows, self.newtons_per_metre = np.zeros((len(self.time), 0, 2, 3)), 0.0
         if loads is not None:
             self._point_forces(loads, poses.frames)
+            for side, cycles in gait_cycles(loads).items():
+                self.cycles[side] = max(cycles, key=self._covered)
 
     def seen(self, frame: int) -> Snapshot:
         """Return what a frame looks like."""
@@ -131,6 +143,14 @@ class Recorded:
     def frame_at(self, time: float) -> int:
         """Return the frame that is nearest to a time [s]."""
         return int(np.abs(self.time - time).argmin())
+
+    def cycle_of(self, side: str) -> tuple[float, float]:
+        """Return the cycle of a side, "" for what has none; never (NaN) where it is not known whole."""
+        return self.cycles.get(side or next(iter(self.cycles), ""), (np.nan, np.nan))
+
+    def _covered(self, cycle: tuple[float, float]) -> float:
+        """Return how much of a cycle the motion covers [s]."""
+        return float(min(cycle[1], self.time[-1]) - max(cycle[0], self.time[0]))
 
     @property
     def across(self) -> np.ndarray:
@@ -233,8 +253,16 @@ def _courses(
         if (folder / file).is_file():
             table = read_storage(folder / file)
             values = at(table)
-            if np.isfinite(values).any():
-                found[kind] = Course(unit, table.labels, values)
+            if not np.isfinite(values).any():
+                continue
+            slides = np.array([label.endswith("_force") and unit == "N m" for label in table.labels])
+            found |= _split(kind, unit, f"{kind} along a slide", "N", table.labels, values, slides)
+    if (folder / REACTIONS).is_file():
+        table = read_storage(folder / REACTIONS)
+        first = [k for k, label in enumerate(table.labels) if label.endswith("_fx")]
+        size = np.linalg.norm(at(table).reshape(len(time), -1)[:, np.add.outer(first, range(3))], axis=2)
+        names = tuple(table.labels[k].partition("_on_")[0] for k in first)
+        found["joint reaction"] = Course("N", names, size)
     if "activation" in found and (folder / EMG).is_file():
         emg, own = read_storage(folder / EMG, gaps=True), found["activation"]
         measured = np.full_like(own.values, np.nan)
@@ -242,6 +270,24 @@ def _courses(
             if name in own.items:
                 measured[:, own.items.index(name)] = column
         found["activation"] = Course(own.unit, own.items, own.values, measured)
-    turns = [model.coordinates[name].rotational for name in angles]
-    shown = [np.degrees(v) if turn else v for v, turn in zip(angles.values(), turns, strict=True)]
-    return found | {"joint angle": Course("°, slides m", tuple(angles), np.stack(shown, axis=1))}
+    turns = np.array([model.coordinates[name].rotational for name in angles])
+    shown = np.stack(list(angles.values()), axis=1) * np.where(turns, np.degrees(1.0), 1.0)
+    return found | _split("joint angle", "°", "joint translation", "m", tuple(angles), shown, ~turns)
+
+
+def _split(
+    kind: str,
+    unit: str,
+    other: str,
+    its_unit: str,
+    labels: tuple[str, ...],
+    values: np.ndarray,
+    mask: np.ndarray,
+) -> dict[str, Course]:
+    """Return columns as two quantities, the second of those in a mask; none that has no column."""
+    parts = ((kind, unit, ~mask), (other, its_unit, mask))
+    return {
+        name: Course(measure, tuple(compress(labels, own)), values[:, own])
+        for name, measure, own in parts
+        if own.any()
+    }

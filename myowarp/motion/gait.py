@@ -1,0 +1,88 @@
+"""Gait cycles: from a heel strike to the next one of the same foot, as the ground's force on it has them.
+
+A foot is on the ground where the vertical force on it is above 20 N, as with force plates in Zeni et al.
+(2008), doi:10.1016/j.gaitpost.2007.07.007. Left and right are what OpenSim's names say, `_l` and `_r`.
+"""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from myowarp.motion.loads import read_loads
+from myowarp.motion.storage import read_storage
+
+CONTACT = 20.0
+"""Vertical force above which a foot is on the ground [N]."""
+BOUNCE = 0.1
+"""Time that a foot is off the ground before a heel strike, at least [s]."""
+SIDE = re.compile(r"_([lr])(?=_|$)")
+PERCENT = np.linspace(0.0, 100.0, 101)
+"""Places in a gait cycle [%]."""
+
+
+def side_of(name: str) -> tuple[str, str]:
+    """Return a name without its side, and the side: "l" or "r"; "" where the name says none or both."""
+    sides = set(SIDE.findall(name))
+    return (SIDE.sub("", name), sides.pop()) if len(sides) == 1 else (name, "")
+
+
+def mirrored(name: str) -> str:
+    """Return the name of the same thing on the other side; its own where it says none."""
+    side = side_of(name)[1]
+    return SIDE.sub("_r" if side == "l" else "_l", name) if side else name
+
+
+def heel_strikes(time: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Return when a foot comes to the ground [s], on straight lines between the rows.
+
+    Args:
+        time: Increasing [s], shape (rows,).
+        force: Vertical force on the foot [N], shape (rows,).
+    """
+    on = force > CONTACT
+    rises, falls = np.flatnonzero(on[1:] & ~on[:-1]), np.flatnonzero(~on[1:] & on[:-1])
+    share = (CONTACT - force[rises]) / (force[rises + 1] - force[rises])
+    found = time[rises] + share * (time[rises + 1] - time[rises])
+    off = [time[falls[falls < rise]].max(initial=-np.inf) for rise in rises]
+    return found[found - np.array(off) >= BOUNCE]
+
+
+def gait_cycles(path: Path) -> dict[str, list[tuple[float, float]]]:
+    """Return the cycles of each side that a recording of ground reactions has whole.
+
+    Args:
+        path: A file of OpenSim's `ExternalLoads`; forces in the ground's frame, whose y is up.
+
+    Returns:
+        Begin and end [s] of each cycle by side, "l" or "r"; nothing where a side has no two heel strikes.
+
+    Raises:
+        ValueError: A file is not what it should be.
+        OSError: A file cannot be read.
+    """
+    columns, source = read_loads(path)
+    if source is None:
+        return {}
+    table, force = read_storage(source), dict[str, np.ndarray]()
+    for load in columns:
+        if (side := side_of(load.body)[1]) and load.force and load.force_frame == "ground":
+            up = load.at(table, table.time).force[:, 1]
+            force[side] = force.get(side, np.zeros(len(table.time))) + up
+    strikes = {side: heel_strikes(table.time, up).tolist() for side, up in force.items()}
+    return {s: list(pairwise(at)) for s, at in strikes.items() if len(at) > 1}
+
+
+def over_cycle(time: np.ndarray, values: np.ndarray, cycle: tuple[float, float]) -> np.ndarray:
+    """Return a quantity at `PERCENT` of a cycle, shape (101,); NaN where it is not known.
+
+    Args:
+        time: Increasing [s], shape (rows,).
+        values: The quantity, shape (rows,).
+        cycle: Begin and end [s].
+    """
+    begin, end = cycle
+    return np.interp(begin + PERCENT / 100.0 * (end - begin), time, values, left=np.nan, right=np.nan)
