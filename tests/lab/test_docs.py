@@ -392,6 +392,49 @@ def test_ci_runs_what_readme_promises():
     assert {"test", "fast", "lint", "docs", "dist"} <= made <= set(targets)
 
 
+def test_lock_is_of_these_requirements():
+    """`uv lock` was run after the last change; every file comes from PyPI."""
+    lock = tomllib.loads((ROOT / "uv.lock").read_text())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    asked = {("", *requirement(text)) for text in project["dependencies"]}
+    asked |= {(extra, *requirement(text)) for extra in extras for text in with_ours(extra, extras)}
+    (ours,) = (package for package in lock["package"] if package["name"] == "myowarp")
+    assert {
+        (
+            re.sub(r"extra == '(.*)'", r"\1", item.get("marker", "")),
+            item["name"],
+            set_of(item.get("specifier", "")),
+        )
+        for item in ours["metadata"]["requires-dist"]
+    } == asked
+    assert lock["requires-python"] == project["requires-python"]
+    hosts = {url.split("/")[2] for url in re.findall(r"https?://[^\"]+", (ROOT / "uv.lock").read_text())}
+    assert hosts == {"pypi.org", "files.pythonhosted.org"}
+    assert "file://" not in (ROOT / "uv.lock").read_text()
+
+
+def set_of(specifier):
+    """Return the parts of a version specifier, in no order."""
+    return frozenset(part.strip() for part in specifier.split(",") if part.strip())
+
+
+def requirement(text):
+    """Return name and specifier of a requirement without an extra."""
+    name, specifier = re.fullmatch(r"([\w.-]+)(?:\[[^]]*\])?(.*)", text).groups()
+    return name, set_of(specifier)
+
+
+def with_ours(extra, extras):
+    """Yield the requirements of an extra, those of the package's own extras resolved."""
+    for text in extras[extra]:
+        if found := re.fullmatch(r"myowarp\[(.*)\]", text):
+            for other in found[1].split(","):
+                yield from with_ours(other, extras)
+        else:
+            yield text
+
+
 def test_version_changelog_and_citation_agree():
     cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.M).group(1)
     latest = re.search(r"^## \[(.*?)\]", (ROOT / "CHANGELOG.md").read_text(), re.M).group(1)

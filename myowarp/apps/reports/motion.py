@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -39,7 +39,11 @@ LISTED, DRAWN, COLUMNS, DPI = 12, 24, 6, 110
 GRAVITY = 9.80665  # m/s^2
 REACTION = re.compile(r"(?P<joint>.+)_on_.+_in_.+_(?P<kind>[fmp])[xyz]")
 """Labels of joint reactions, as OpenSim writes them."""
-SIDES = {"r": ("right", panel.COLORS[0], "-"), "l": ("left", panel.COLORS[1], "--"), "": ("", panel.INK, "-")}
+SIDES: dict[str, tuple[str, str, Literal["-", "--"]]] = {
+    "r": ("right", panel.COLORS[0], "-"),
+    "l": ("left", panel.COLORS[1], "--"),
+    "": ("", panel.INK, "-"),
+}
 """Word, color and form of a side's lines."""
 TEMPLATE = Path(__file__).with_suffix(".html")
 
@@ -216,14 +220,12 @@ def name_sides(figure: Figure, labels: Iterable[str], ink: str | None = None) ->
 
 def resultants(table: Storage) -> Storage:
     """Return the size of each joint's force [N], of a table of joint reactions; of others no column."""
-    parts: dict[str, list[int]] = {}
+    parts: dict[tuple[str, str], list[int]] = {}
     for k, label in enumerate(table.labels):
         if (found := REACTION.fullmatch(label)) and found["kind"] == "f":
-            parts.setdefault(label[: -len("_fx")], []).append(k)
-    joints = [REACTION.fullmatch(f"{name}_fx")["joint"] for name in parts]
-    labels = tuple(
-        joint if joints.count(joint) == 1 else name for joint, name in zip(joints, parts, strict=True)
-    )
+            parts.setdefault((found["joint"], label[: -len("_fx")]), []).append(k)
+    joints = [joint for joint, _ in parts]
+    labels = tuple(joint if joints.count(joint) == 1 else name for joint, name in parts)
     sizes = [np.linalg.norm(table.values[:, own], axis=1) for own in parts.values()]
     values = np.stack(sizes, axis=1) if sizes else np.empty((len(table.time), 0))
     return Storage(labels, table.time, values)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -188,11 +188,10 @@ def _panels(
         return dict(list(default.items())[:MOST])
     panels = {}
     for word in chosen:
-        title, _, names = word.rpartition("=")
-        panels[title or names] = names.split(",") if title else [names]
-    for names in panels.values():
-        for name in names:
-            check_choice("quantity", name, tuple(size))
+        title, _, members = word.rpartition("=")
+        panels[title or members] = members.split(",") if title else [members]
+    for name in (name for names in panels.values() for name in names):
+        check_choice("quantity", name, tuple(size))
     return panels
 
 
@@ -201,8 +200,13 @@ def _legend(axes: Axes, colors: Mapping[str, str]) -> None:
     from matplotlib.lines import Line2D
 
     lines = [Line2D([], [], color=color, linewidth=1.5) for color in colors.values()]
-    where = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
-    axes.legend(lines, list(colors), fontsize="x-small", handlelength=0.9, handletextpad=0.4, **where)
+    look: dict[str, Any] = {
+        "fontsize": "x-small",
+        "handlelength": 0.9,
+        "handletextpad": 0.4,
+        "borderaxespad": 0.2,
+    }
+    axes.legend(lines, list(colors), loc="upper left", bbox_to_anchor=(1.0, 1.0), **look)
 
 
 def _window(time: np.ndarray, side: str, cycles: Mapping[str, Span] | None) -> tuple[np.ndarray, np.ndarray]:
