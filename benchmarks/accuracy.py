@@ -1,4 +1,4 @@
-"""How far a preset's coarse steps lead from fine ones: joints of the limb, position and tilt of the object.
+"""Deviation of a preset's coarse steps from fine ones: joints of the limb, position and tilt of the object.
 
     make accuracy
 
@@ -68,7 +68,7 @@ class Scheme:
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name in tables."""
         parts = [self.integrator.lower()]
         parts += ["mid-step activation"] if self.midstep else []
         parts += [f"{self.implicitness:g} dF/dv"] if self.implicitness != 1.0 else []

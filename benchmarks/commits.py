@@ -32,7 +32,7 @@ class Options:
     """Measure a change of speed."""
 
     commit: tyro.conf.Positional[str]
-    """What to compare this tree with."""
+    """Commit to compare this tree with."""
     output: Path = Path("out/commits.json")
     """JSON file to write."""
     tasks: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["-t"])] = (

@@ -1,4 +1,4 @@
-"""What each muscle condition costs: the environment step with it beside the same step without.
+"""Cost of each muscle condition: the environment step with it beside the same step without.
 
     python -m benchmarks.conditions --output out/conditions.json
 

@@ -1,4 +1,4 @@
-"""What kernels need of a GPU, read from their machine code: an ELF file with a section for each.
+"""Resources of kernels on a GPU, read from their machine code: an ELF file with a section for each.
 
 The format of the notes is that of `cuobjdump --dump-elf`; NVIDIA's "CUDA Binary Utilities" names them.
 """

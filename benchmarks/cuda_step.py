@@ -1,4 +1,4 @@
-"""What a control step launches on CUDA, listed and compiled on a machine without a GPU.
+"""Launches of a control step on CUDA, listed and compiled on a machine without a GPU.
 
     python -m benchmarks.cuda_step                                    graph nodes of four tasks
     python -m benchmarks.cuda_step -t myoHandPoseRandom-v0 --list     each launch

@@ -1,4 +1,4 @@
-"""What `benchmarks.gpu` measures: agreement with the CPU, rates, time of every kernel, training.
+"""Cases of `benchmarks.gpu`: agreement with the CPU, rates, time of every kernel, training.
 
 The engine's own rate is that of mujoco-warp's stock step on the same slim model with MuJoCo's built-in
 muscles, from the same states, a physics step as one graph; it has nothing else of an environment. The rate of
@@ -67,7 +67,7 @@ class Options:
     checked_steps: int = 20
     """Control steps that are compared."""
     references: Path | None = None
-    """What the CPU made of them, as `--record` writes it; without it, the CPU makes it now."""
+    """The CPU's results, as `--record` writes them; without them, the CPU computes now."""
     record: Path | None = None
     """Write that file, and measure nothing."""
     unrolled: bool = False
@@ -80,7 +80,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Case:
-    """What one process measures: a key of `KINDS`, a task, a physics preset and a number of worlds."""
+    """Measurement of one process: a key of `KINDS`, a task, a physics preset and a number of worlds."""
 
     kind: str
     task: str = ""

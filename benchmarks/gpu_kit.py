@@ -30,7 +30,7 @@ PACKAGES = (
     *("numpy", "gymnasium", "farama-notifications", "cloudpickle", "typing-extensions", "safetensors"),
     *("tyro", "typeguard", "docstring-parser", "platformdirs", "rich", "markdown-it-py", "mdurl", "pygments"),
 )
-"""What `benchmarks.gpu` imports, and what that needs; at the versions of this environment."""
+"""Imports of `benchmarks.gpu`, and their requirements; at the versions of this environment."""
 
 PLATFORMS = tuple(f"manylinux{tag}_x86_64" for tag in ("_2_34", "_2_31", "_2_28", "_2_27", "_2_17", "2014"))
 UNREAD = ("warp/tests", "warp/examples", "mujoco_warp/test_data", "numpy/*/tests")

@@ -36,7 +36,7 @@ TASKS = {
     "object hold": "myoHandObjHoldRandom-v0",
 }
 GOALS = {"elbow pose": 5.0, "hand reach": 3.0, "key turn": 3.0}
-"""How many times sooner than the better rival we want to be."""
+"""Ratios of time to the better rival's that we want to reach."""
 CONTESTANTS = {
     "myowarp": "MyoWarp",
     "myowarp_sac": "MyoWarp, SAC",

@@ -1,10 +1,10 @@
-"""What memory a world takes, family by family and body by body, counted in three ways.
+"""Memory of a world, family by family and body by body, counted in three ways.
 
     python -m benchmarks.memory --output out/memory.json
 
 Warp's own count of all arrays, engine included; the growth of the process (resident set), after a reset and
-some steps with random actions; and the least that is asked for before anything is built, of which the error
-message about too many worlds speaks. The first two are differences between few worlds and many, each in a
+some steps with random actions; and the estimate that is checked before anything is built, which the error
+message about too many worlds gives. The first two are differences between few worlds and many, each in a
 process of its own: machine code, models and Python are there once, whatever the number of worlds.
 """
 

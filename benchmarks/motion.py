@@ -54,7 +54,7 @@ class Options:
     opensim: Path = ROOT / ".venv-opensim/bin/python"
     """Interpreter with OpenSim."""
     frames: int = 10_000
-    """That we get."""
+    """Frames that we solve."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/motion.json")
     """JSON file."""
 

@@ -41,7 +41,7 @@ BENCH = ("hanging", "ball", "sine")
 STEPS = (0.0005, 0.001, 0.002, 0.005)  # s
 FINE = 1e-5  # s
 WITHOUT = "millard2012_rigid"
-"""Where a model begins that OpenSim has not."""
+"""Beginning of the name of each model that OpenSim lacks."""
 
 
 def on_bench(folder: Path, scene: str, name: str, number: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What muscle models cost: whole environment steps under each, in one thread, beside MuJoCo's muscle.
+"""Cost of muscle models: whole environment steps under each, in one thread, beside MuJoCo's muscle.
 
     python -m benchmarks.muscles --output benchmarks/results/muscles.json
     python -m benchmarks.muscles --models OUT/gait2354_simbody

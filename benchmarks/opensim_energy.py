@@ -1,4 +1,4 @@
-"""Which accelerations keep the energy of bones: OpenSim's, or those of the document's equations of motion?
+"""Energy of bones under two accelerations: OpenSim's, and those of the document's equations of motion.
 
     python -m benchmarks.opensim_energy MODEL.osim ... [--python .venv-opensim/bin/python]
 

@@ -1,4 +1,4 @@
-"""What OpenSim says about a model's muscles, for `benchmarks.opensim_muscles`; needs opensim==4.6 and NumPy.
+"""OpenSim's values of a model's muscles, for `benchmarks.opensim_muscles`; needs opensim==4.6 and NumPy.
 
     .venv-opensim/bin/python benchmarks/opensim_live.py MODEL.osim -o FILE.npz
 

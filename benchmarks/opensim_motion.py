@@ -51,7 +51,7 @@ GOALS = {
     "reaction forces / peak": 0.01,
     "reaction moments / peak": 0.01,
 }
-"""What a deviation may be."""
+"""Bounds of deviations."""
 
 
 def of_angles(bones: Bones, there: Any, markers: Markers, **wanted: Any) -> dict[str, float]:

@@ -23,8 +23,8 @@ from record_opensim_motion import analyze, columns, optimised, record, table
 
 SPAN = (0.4, 1.6)
 ACCURACY = 1e-10
-"""Of inverse kinematics. With clamped coordinates OpenSim's solver is an interior-point one, which stays away
-from the ends of ranges: the forearms of Rajagopal2016 by 0.9 deg at 1e-7, 0.09 at 1e-9, 0.02 at 1e-10."""
+"""Of inverse kinematics. With clamped coordinates OpenSim's interior-point solver keeps a distance from the
+ends of ranges: the forearms of Rajagopal2016 by 0.9 deg at 1e-7, 0.09 at 1e-9, 0.02 at 1e-10."""
 
 
 def vector(v):

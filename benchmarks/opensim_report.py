@@ -1,4 +1,4 @@
-"""What `benchmarks.opensim_speed` measured, as tables and a plot."""
+"""Results of `benchmarks.opensim_speed`, as tables and a plot."""
 
 import textwrap
 from pathlib import Path

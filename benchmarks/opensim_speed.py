@@ -60,7 +60,7 @@ class Options:
     durations: tuple[float, ...] = (0.5, 0.06)
     """Simulated time of an episode for each model [s], a multiple of 0.02 s."""
     copies: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 64)
-    """How often each muscle is there."""
+    """Numbers of copies of each muscle."""
     worlds: int = 64
     """Worlds of MyoWarp on the CPU."""
     gpu_worlds: int = 1024

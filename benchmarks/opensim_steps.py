@@ -1,4 +1,4 @@
-"""What a physics step of a converted model costs: in free coordinates, with equalities, and in MuJoCo C.
+"""Cost of a physics step of a converted model: in free coordinates, with equalities, and in MuJoCo C.
 
     python -m benchmarks.opensim_steps OUT/gait2354_simbody OUT/gait2392_millard2012muscle
 

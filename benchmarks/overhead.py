@@ -1,4 +1,4 @@
-"""What an environment step costs beyond the engine's: action, muscles, observation, reward, reset, Gymnasium.
+"""Cost of an environment step beyond the engine's: action, muscles, observation, reward, reset, Gymnasium.
 
     python -m benchmarks.overhead
 

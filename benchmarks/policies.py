@@ -1,4 +1,4 @@
-"""What a policy on the same cores does to the steps after it.
+"""Effect of a policy on the same cores on the steps after it.
 
     python -m benchmarks.policies --output out/policies.json
 

@@ -1,4 +1,4 @@
-"""What `benchmarks.rivals` measured, as a summary, tables and a plot."""
+"""Results of `benchmarks.rivals`, as a summary, tables and a plot."""
 
 import statistics
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ GOALS = {
     "leg walk": LIMBS,
     "leg hills": LIMBS,
 }
-"""What we want to reach over EnvPool and the better of MyoSuite's two, or over MuJoCo C."""
+"""Ratios that we want to reach, to EnvPool and the better of MyoSuite's two, or to MuJoCo C."""
 PRESETS = ("parity", "fast")
 COLORS = {"parity": "#1f5fa8", "fast": "#d9822b"}
 

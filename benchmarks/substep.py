@@ -1,4 +1,4 @@
-"""What each stage of ours saves of a physics step, with MuJoCo C beside it in the same run.
+"""Saving of each stage of ours in a physics step, with MuJoCo C beside it in the same run.
 
     python -m benchmarks.substep
     python -m benchmarks.substep --models OUT/gait2354_simbody --output out/substep.json

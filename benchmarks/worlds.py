@@ -1,4 +1,4 @@
-"""What a world costs, in time and memory, with few worlds and with many.
+"""Cost of a world, in time and memory, with few worlds and with many.
 
     python -m benchmarks.worlds --output out/worlds.json
 

@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 logger = logging.getLogger("myowarp")
 SCRATCH = ".myowarp-"
-"""How the names of files begin that are being written; readers of datasets skip names with a leading dot."""
+"""Prefix of files that are being written; readers of datasets skip names with a leading dot."""
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 NUMBER = re.compile(r"[ \t]*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?[ \t]*")
 OURS = frozenset({"myowarp", "abc", "builtins"})

@@ -72,7 +72,7 @@ TIMES = {THELEN: (0.015, 0.05), MILLARD: (0.01, 0.04), DEGROOTE: (0.015, 0.06)} 
 
 
 class Equilibrium(NamedTuple):
-    """Where fiber and tendon agree.
+    """Equilibrium of fiber and tendon.
 
     Attributes:
         fiber_length: [m].
@@ -84,7 +84,7 @@ class Equilibrium(NamedTuple):
 
 
 class Contraction(NamedTuple):
-    """What fibers of a given length do; power flows out of what shortens under tension.
+    """Velocity and powers of fibers of a given length; power flows out of a part that shortens under tension.
 
     Attributes:
         fiber_velocity: [m/s], lengthening > 0.

@@ -1,4 +1,4 @@
-"""What the whole process has once: its cores, Warp, one construction at a time, lines that are said once.
+"""Parts that a process has once: its cores, Warp, one construction at a time, lines that are said once.
 
 To build a simulation is to change what belongs to the process: the functions that launch, the capture that is
 being made, the default device, the level of Warp's log. Two threads that built at the same time would take

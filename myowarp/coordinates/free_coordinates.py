@@ -264,7 +264,7 @@ OBSTACLES: Obstacles = {
     "the model's masses leave a coordinate without inertia": _massless,
     "there are plastic springs": lambda stepped: bool(stepped.model.nplastic),
 }
-"""What free coordinates cannot do, beside `engine.step.UNCOVERED`."""
+"""Features that free coordinates lack, beside `engine.step.UNCOVERED`."""
 
 
 class FreeCoordinates(Step):

@@ -65,7 +65,7 @@ class Triples:
 
 @wp.struct
 class Bodies:
-    """Where axes are, and what they carry; fields are those of the engine's `Model` and `Data`."""
+    """Places of axes, and masses on them; fields are those of the engine's `Model` and `Data`."""
 
     dof_bodyid: wp.array[int]
     body_rootid: wp.array[int]

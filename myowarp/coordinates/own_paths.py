@@ -55,7 +55,7 @@ class Entry:
 
 @wp.struct
 class MovingEntry:
-    """That a value moves a point along an axis, and the address of its joint's dof in `ten_J`."""
+    """A value that moves a point along an axis, and the address of its joint's dof in `ten_J`."""
 
     moving: int
     axis: int
@@ -90,7 +90,7 @@ class JointEntry:
 
 @wp.struct
 class RowTables:
-    """How `ten_J` follows from what paths do to bodies."""
+    """Tables from forces of paths on bodies to `ten_J`."""
 
     rows: wp.array[Row]
     groups: wp.array[Group]

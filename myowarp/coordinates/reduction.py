@@ -8,7 +8,7 @@ from myowarp.kernels.batching import batched
 
 @wp.struct
 class Followers:
-    """How degrees of freedom follow coordinates; pieces are those of `couplings.Pieces`.
+    """Degrees of freedom as functions of coordinates; pieces are those of `couplings.Pieces`.
 
     Attributes:
         place: In qpos of each position of the free joints, shape (num_positions,).
@@ -46,7 +46,7 @@ class Coordinates:
 
 @wp.struct
 class Moments:
-    """What actuators do along all joints; fields are those of the engine's `Data`."""
+    """Moments of actuators along all joints; fields are those of the engine's `Data`."""
 
     moment_rownnz: wp.array2d[int]
     moment_rowadr: wp.array2d[int]
@@ -68,7 +68,7 @@ class Acting:
 
 @wp.struct
 class Damping:
-    """What slows down joints; fields are those of the engine's `Model`."""
+    """Damping of joints; fields are those of the engine's `Model`."""
 
     dof_damping: wp.array2d[float]
     dof_dampingpoly: wp.array2d[wp.vec2]
@@ -87,7 +87,7 @@ class RowJacobian:
 
 @wp.struct
 class Reduced:
-    """Where what acts along the free coordinates is written; fields are those of `Data` and `Model`."""
+    """Outputs along the free coordinates; fields are those of `Data` and `Model`."""
 
     M: wp.array2d[float]
     qfrc_applied: wp.array2d[float]

@@ -107,7 +107,7 @@ def code_address(function: Any) -> int:
 
 
 class _WarpRecording(NamedTuple):
-    """What is private to Warp and needed to take notes.
+    """Private names of Warp that are needed to take notes.
 
     Attributes:
         runtime: Its native library, and the record that is being made.
@@ -146,7 +146,7 @@ def _warp_recording() -> _WarpRecording | None:
 
 
 class _Notes:
-    """What Warp records on the CPU, an entry for each of its operations.
+    """Notes of Warp's recording on the CPU, one for each of its operations.
 
     It is noted where Warp hands it to its native code, by functions that are private to it: another minor
     version has to be tried out. A graph that has operations of other kinds has fewer notes than operations,

@@ -1,4 +1,4 @@
-"""What a stage of ours is: kernels in place of a part of the engine's physics step; same results, less work.
+"""Stages: kernels in place of a part of the engine's physics step; same results, less work.
 
 A stage depends on the engine's internals. It is therefore imported when a step is made, and one that cannot
 be, because a private name of the engine is gone, is left to mujoco-warp and says so once; one whose step

@@ -133,7 +133,7 @@ UNCOVERED: Obstacles = {
     "the user has sensors": lambda stepped: stepped.model.callback.sensor is not None,
     "body accelerations are asked for": lambda stepped: bool(stepped.model.opt.run_rne_postconstraint),
 }
-"""What `mujoco_warp.step` does besides `ORDER`."""
+"""Parts of `mujoco_warp.step` besides `ORDER`."""
 
 
 def uncovered(stepped: Stepped) -> str | None:

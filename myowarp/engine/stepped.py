@@ -1,4 +1,4 @@
-"""What a physics step steps: a model and its worlds, whatever they are for."""
+"""A model and its worlds, as a physics step takes them, whatever they are for."""
 
 from dataclasses import dataclass
 
@@ -47,5 +47,5 @@ class Stepped:
 
     @property
     def device(self) -> wp.Device:
-        """Where the worlds are."""
+        """Device of the worlds."""
         return self.data.qpos.device

@@ -49,7 +49,7 @@ State = tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]
 
 
 class Verdict(NamedTuple):
-    """What was verified.
+    """The result of a verification.
 
     Attributes:
         idle: Kernels of the engine to leave out.

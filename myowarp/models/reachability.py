@@ -1,4 +1,4 @@
-"""Which points the tips of a body can reach within its joint ranges, by batched inverse kinematics.
+"""Points that the tips of a body reach within its joint ranges, by batched inverse kinematics.
 
     residual(target) = min over q in [low, high] of |tips(q) - target|
 

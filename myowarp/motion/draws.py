@@ -29,7 +29,7 @@ from myowarp.osim.body.skeleton import Bones
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How far draws of a trial spread.
+    """Spreads of a trial's draws.
 
     Attributes:
         max_isometric_force: s of the factor on that of each muscle [1].

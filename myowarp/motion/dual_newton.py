@@ -69,7 +69,7 @@ class Problem:
 
 @wp.struct
 class DualWork:
-    """What a frame works with.
+    """Arrays of a frame's iteration.
 
     Attributes:
         dual: y, (num_worlds, num_rows).

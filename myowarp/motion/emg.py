@@ -35,7 +35,7 @@ UNEVEN = 0.01
 
 @dataclass(frozen=True)
 class Agreement:
-    """How an activation follows an electromyogram.
+    """Agreement of an activation with an electromyogram.
 
     Attributes:
         muscle: Name.

@@ -19,7 +19,7 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Header:
-    """What a file has before its rows.
+    """The part of a file before its rows.
 
     Attributes:
         labels: Names of the columns, without `time`.

@@ -58,7 +58,7 @@ class Load:
 
 @dataclass(frozen=True, eq=False)
 class Needed:
-    """What a motion takes.
+    """Generalised forces of a motion.
 
     Attributes:
         joint_moment: Along the independent coordinates [N m] or [N], shape (frames, coordinates).

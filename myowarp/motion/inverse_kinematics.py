@@ -53,7 +53,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Targets:
-    """What is wanted, of all frames.
+    """Targets of all frames.
 
     Attributes:
         body: Of each marker.
@@ -78,7 +78,7 @@ class Targets:
 
 @wp.struct
 class Normal:
-    """What a world works with.
+    """Normal equations of a world.
 
     Attributes:
         weight: Sum of w of what a body carries, (num_worlds, num_bodies).
@@ -373,7 +373,7 @@ class Fitted:
 
 
 class MarkerErrors:
-    """How far markers are off, of all parts of a recording."""
+    """Errors of markers, of all parts of a recording."""
 
     def __init__(self) -> None:
         """Begin with none."""

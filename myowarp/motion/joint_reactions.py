@@ -22,12 +22,12 @@ from myowarp.osim.body.parts import in_parts, joined
 from myowarp.osim.body.skeleton import Bones
 
 FRAMES = 4096
-"""That are solved together."""
+"""Frames that are solved together."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointReactions:
-    """What joints pass to their children, in ground's axes.
+    """Forces and moments of joints on their children, in ground's axes.
 
     Attributes:
         joints: Names.

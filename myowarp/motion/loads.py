@@ -18,7 +18,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class LoadColumns:
-    """Which columns of a recording are a load.
+    """Columns of a recording that are a load.
 
     Attributes:
         name: Of the load.

@@ -1,4 +1,4 @@
-"""What the muscles of a motion burn: heat and work of their fibers after Bhargava 2004, frame by frame.
+"""Metabolic power of a motion: heat and work of its fibers after Bhargava 2004, frame by frame.
 
 Fibers have the lengths and forces that `muscle_forces` found, and the velocity that the path leaves them with
 a tendon that keeps its length. Activations stand for excitations, which nothing in a frame says. The law is

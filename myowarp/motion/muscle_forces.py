@@ -42,7 +42,7 @@ FEASIBLE = 1e-5
 the softness of the solver leaves less."""
 
 FRAMES = 4096
-"""That are solved together."""
+"""Frames that are solved together."""
 
 SATURATED = 0.999
 """Share of the way to its upper bound from which a muscle counts as saturated."""
@@ -190,7 +190,7 @@ Solved = tuple[Activations, np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class _Share:
-    """How muscles, and motors and reserves behind them, share the moments of a motion.
+    """Shares of muscles, and of motors and reserves behind them, in the moments of a motion.
 
     Attributes:
         muscles: Their parameters.

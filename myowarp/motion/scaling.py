@@ -48,7 +48,7 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Setup:
-    """What a set-up file of `ScaleTool` says.
+    """Contents of a set-up file of `ScaleTool`.
 
     Attributes:
         model: The generic model, None where it is not stated.

@@ -1,4 +1,4 @@
-"""How a trial is solved: its files, filter, times, weights and reserves, which steps and studies take.
+"""Set-up of a trial: files, filter, times, weights and reserves, for steps and studies.
 
 What a user states comes before what a set-up file of one of OpenSim's tools says (`tool_setup`).
 """
@@ -23,7 +23,7 @@ EXPONENT = 2.0
 
 @dataclass(frozen=True)
 class TrialSetup:
-    """What a trial is solved from, and how; None and nothing mean the default of a step.
+    """Set-up of a trial; None and nothing mean the default of a step.
 
     Attributes:
         file: The set-up file.

@@ -28,7 +28,7 @@ FORGOTTEN = 12.0
 
 @dataclass(frozen=True)
 class Margin:
-    """What is read before and after the rows of a part.
+    """Rows that are read before and after those of a part.
 
     A natural spline of fifth degree forgets its ends by 0.43 a row, a cubic one by 0.27; the filter by
     exp(-pi f t). So 64 rows and 12 / f are far below the rounding of float64.

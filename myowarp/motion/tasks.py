@@ -1,4 +1,4 @@
-"""What a pose shall fit: weights of markers and coordinates in a set-up file of OpenSim."""
+"""Targets of a pose: weights of markers and coordinates in a set-up file of OpenSim."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from myowarp.osim.document.read.element import Element
 
 WITH = ("InverseKinematicsTool", "MarkerPlacer")
-"""What has a set of tasks, which may be empty."""
+"""Tools with a set of tasks, which may be empty."""
 
 
 @dataclass(frozen=True)

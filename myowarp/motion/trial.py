@@ -40,7 +40,7 @@ from myowarp.osim.document.model import Model
 from myowarp.osim.document.read.element import write
 
 ANGLES = "Coordinates"
-"""What a file of joint angles calls itself."""
+"""Name of a file of joint angles, in its header."""
 HELD = 0.05
 """Share of the weight that a root may give without external loads, unsaid."""
 

@@ -33,6 +33,7 @@ PAGES += [page for page in sorted((ROOT / "docs").rglob("*.md")) if page.parent 
 IDS = tuple(myowarp.TASKS)  # before tests add some
 MOST_LINES = 110  # of README
 MOST_WORDS = 1200  # of a page, rows of tables left out
+MOST_WORDS_BY_HAND = 13_100  # of README and docs together, code and tables too; they had 21,890 before 0.1.0
 GENERATED = {"baselines.md", "experiments.md", "page.md"}  # by programs, from texts of their own
 BANNED = (
     (r"^(?-i:What|Who|Whoever|Whatever) [^?]*$", "a relative clause is the subject"),
@@ -164,6 +165,18 @@ def test_sentences_are_read_once(page):
 def test_pages_are_short(page):
     if page.name != "CONTRIBUTING.md":
         assert sum(len(paragraph.split()) for paragraph in paragraphs(page)) <= MOST_WORDS
+
+
+def by_hand(page):
+    """Return the text of a page that no program writes."""
+    if page.name in ("baselines.md", "page.md") or page.parent.name == "results":
+        return ""
+    return re.sub(r"<!-- written by.*?<!-- end of what is written -->", "", page.read_text(), flags=re.DOTALL)
+
+
+def test_pages_are_short_together():
+    pages = [page for page in PAGES if page.name != "CONTRIBUTING.md"]
+    assert 10_000 < sum(len(by_hand(page).split()) for page in pages) <= MOST_WORDS_BY_HAND
 
 
 def test_banned_forms_are_found(tmp_path):
@@ -377,6 +390,49 @@ def test_ci_runs_what_readme_promises():
     files = [ROOT / ".ci/run", *(ROOT / ".github").rglob("*.yml")]
     made = {name for file in files for name in re.findall(r"\bmake ([a-z-]+)", file.read_text())}
     assert {"test", "fast", "lint", "docs", "dist"} <= made <= set(targets)
+
+
+def test_lock_is_of_these_requirements():
+    """`uv lock` was run after the last change; every file comes from PyPI."""
+    lock = tomllib.loads((ROOT / "uv.lock").read_text())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    asked = {("", *requirement(text)) for text in project["dependencies"]}
+    asked |= {(extra, *requirement(text)) for extra in extras for text in with_ours(extra, extras)}
+    (ours,) = (package for package in lock["package"] if package["name"] == "myowarp")
+    assert {
+        (
+            re.sub(r"extra == '(.*)'", r"\1", item.get("marker", "")),
+            item["name"],
+            set_of(item.get("specifier", "")),
+        )
+        for item in ours["metadata"]["requires-dist"]
+    } == asked
+    assert lock["requires-python"] == project["requires-python"]
+    hosts = {url.split("/")[2] for url in re.findall(r"https?://[^\"]+", (ROOT / "uv.lock").read_text())}
+    assert hosts == {"pypi.org", "files.pythonhosted.org"}
+    assert "file://" not in (ROOT / "uv.lock").read_text()
+
+
+def set_of(specifier):
+    """Return the parts of a version specifier, in no order."""
+    return frozenset(part.strip() for part in specifier.split(",") if part.strip())
+
+
+def requirement(text):
+    """Return name and specifier of a requirement without an extra."""
+    name, specifier = re.fullmatch(r"([\w.-]+)(?:\[[^]]*\])?(.*)", text).groups()
+    return name, set_of(specifier)
+
+
+def with_ours(extra, extras):
+    """Yield the requirements of an extra, those of the package's own extras resolved."""
+    for text in extras[extra]:
+        if found := re.fullmatch(r"myowarp\[(.*)\]", text):
+            for other in found[1].split(","):
+                yield from with_ours(other, extras)
+        else:
+            yield text
 
 
 def test_version_changelog_and_citation_agree():

@@ -56,6 +56,29 @@ def test_the_worst_comes_first(tmp_path):
     assert "http" not in text
 
 
+def test_joint_reactions_are_in_the_report(tmp_path):
+    """The size of each joint's force; weights are those of the model's masses."""
+    leg = read_model(LEG)
+    weight = 9.80665 * sum(body.mass for body in leg.bodies.values())
+    force = {
+        f"knee_r_on_tibia_r_in_ground_f{axis}": k * weight for axis, k in zip("xyz", (2, -3, 6), strict=True)
+    }
+    table(tmp_path, "joint_reactions.sto", **force, knee_r_on_tibia_r_in_ground_mx=1e6)
+    text = page(tmp_path, leg)
+    assert re.search(
+        r"The greatest joint reaction is knee_r: \d+ N at 0 s, 7 times the weight of the model", text
+    )
+    assert named(text, "Joint reactions") == ["knee_r"]
+
+
+def test_left_is_beside_right(tmp_path):
+    """One panel for both, the limb of the worst first."""
+    sides = Storage(("knee_angle_r", "hip_l", "knee_angle_l"), TIME, np.outer(np.ones(11), (1.0, 2.0, 3.0)))
+    picture = draw(LIST[0], sides, "svg").decode()
+    titles = re.findall(r">(knee_angle|hip|right|left|knee_angle_[rl])</text>", picture)
+    assert sorted(titles) == ["hip", "knee_angle", "left", "right"]
+
+
 def test_a_good_trial_is_not_red(tmp_path):
     table(tmp_path, "marker_errors.sto", A=0.005, B=0.004)
     table(tmp_path, "missing.sto", knee_angle_r_moment=1e-9)

@@ -8,7 +8,7 @@ import pytest
 
 from myowarp.apps.cli.main import main
 from myowarp.apps.reports import figures
-from myowarp.apps.reports.motion_curves import curves
+from myowarp.apps.reports.motion_curves import COLORS, curves
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 from myowarp.motion.storage import Storage, write_storage
@@ -17,6 +17,7 @@ from myowarp.sim.build import oracle_model
 
 pytest.importorskip("matplotlib")
 BEND = Path(__file__).parents[2] / "examples/arm_bend.mot"
+GAIT = Path(__file__).parents[1] / "data/osim/gait10dof18musc.osim"
 ELBOW = "myoElbowPose1D6MRandom-v0"
 
 
@@ -170,6 +171,62 @@ def test_curves_of_a_motion_are_sides_over_their_cycles(tmp_path):
     assert [text.get_text() for text in figure.legends[0].texts] == ["right", "left"]
     (whole, _) = curves(path, ["knee_angle_moment"]).axes[0].lines
     np.testing.assert_allclose(whole.get_data(), (time, 70.0 * time), rtol=1e-6)
+
+
+def test_muscles_stand_in_the_groups_of_their_model(tmp_path):
+    """Both sides of a muscle have its color; groups by hand, in order of the forces."""
+    groups = {"R_knee_ext": "rect_fem_r vasti_r", "L_knee_ext": "rect_fem_l vasti_l", "ankle_r": "soleus_r"}
+    xml = [f"<ObjectGroup name='{name}'><members>{g}</members></ObjectGroup>" for name, g in groups.items()]
+    osim = tmp_path / "model.osim"
+    osim.write_text(GAIT.read_text().replace("<groups />", f"<groups>{''.join(xml)}</groups>", 1))
+    time = np.linspace(0.0, 1.0, 11)
+    forces = {"rect_fem_r": 100.0, "vasti_r": 900.0, "rect_fem_l": 200.0, "vasti_l": 800.0, "soleus_r": 1.0}
+    table = Storage(tuple(forces), time, np.outer(1.0 + time, list(forces.values())))
+    path = tmp_path / "forces.sto"
+    write_storage(path, "forces of muscles, N", table)
+    for figure in (curves(path, osim=osim), curves(path, ["knee_ext=rect_fem,vasti", "ankle=soleus"])):
+        knee, ankle = figure.axes
+        assert [axes.get_title() for axes in (knee, ankle)] == ["knee_ext", "ankle"]
+        drawn = {line.get_ydata()[0]: (line.get_color(), line.get_linestyle()) for line in knee.lines}
+        assert drawn == {
+            **{900.0: (COLORS[0], "-"), 800.0: (COLORS[0], "--")},
+            **{100.0: (COLORS[1], "-"), 200.0: (COLORS[1], "--")},
+        }
+        assert [text.get_text() for text in knee.get_legend().texts] == ["vasti", "rect_fem"]
+        assert knee.get_ylabel() == "[N]"
+    with pytest.raises(ValueError, match="quantity 'pain' unknown; available: rect_fem, vasti, soleus"):
+        curves(path, ["knee_ext=rect_fem,pain"])
+
+
+def test_joint_reactions_are_drawn_as_resultants(tmp_path):
+    """3, 4 and 12 N make 13 N; a component that is asked for is its column."""
+    time = np.linspace(0.0, 1.0, 3)
+    labels = [f"knee_r_on_tibia_r_in_ground_{part}{axis}" for part in "fmp" for axis in "xyz"]
+    values = np.broadcast_to(9.80665 * np.array([3.0, 4.0, 12.0, *range(6)]), (3, 9))
+    path = tmp_path / "trial_ReactionLoads.sto"
+    write_storage(path, "joint reactions", Storage(tuple(labels), time, values))
+    (knee,) = curves(path, mass=13.0).axes
+    np.testing.assert_allclose(knee.lines[0].get_ydata(), 1.0)
+    assert (knee.get_title(), knee.get_ylabel()) == ("knee", "[BW]")
+    (component,) = curves(path, ["knee_on_tibia_in_ground_fy"]).axes
+    np.testing.assert_allclose(component.lines[0].get_ydata(), 4.0 * 9.80665)
+    with pytest.raises(ValueError, match=r"--mass is for forces .* got a column with the unit 'm'"):
+        curves(path, ["knee_on_tibia_in_ground_px"], mass=13.0)
+
+
+def test_colors_differ_for_eyes_without_red_or_green_cones():
+    """In CIELAB after Machado et al. 2009 (doi:10.1109/TVCG.2009.113), full severity; 2.3 is just noticed."""
+    red = [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
+    green = [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]]
+    to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    shown = np.array([[int(color[k : k + 2], 16) / 255 for k in (1, 3, 5)] for color in COLORS])
+    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    for seen in (np.eye(3), np.array(red), np.array(green)):
+        xyz = np.clip(linear @ seen.T, 0.0, 1.0) @ np.array(to_xyz).T / (0.95047, 1.0, 1.08883)
+        x, y, z = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116).T
+        lab = np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=1)
+        apart = np.linalg.norm(lab[:, None] - lab, axis=2)[np.triu_indices(len(COLORS), 1)]
+        assert apart.min() > 15.0
 
 
 def test_a_motion_has_the_size_of_a_journal(capsys, monkeypatch, tmp_path):

@@ -40,6 +40,7 @@ class Plot:
 
     Of a table of `myowarp motion` or OpenSim, .sto or .mot: motion, left beside right, at a journal's size.
     myowarp plot motion out/trial/moments.sto --cycle 0.6 1.8 --mass 70 -o moments.pdf
+    myowarp plot motion out/trial/forces.sto --columns thigh=rect_fem,vas_int calf=soleus -o out/thigh.pdf
 
     Of one or several trainings, CSV files with a column `samples`: learning.
     myowarp plot learning runs/a/progress.csv runs/b/progress.csv --columns return
@@ -65,7 +66,10 @@ class Plot:
     """Episode of that world; by default its first in the recording."""
     columns: Annotated[tuple[str, ...], optional("[NAME ...]")] = ()
     """Columns of the CSV files; by default those with `return` or `success` in their name. Of motion:
-    quantities without their side, such as knee_angle; by default the greatest."""
+    quantities without their side, such as knee_angle, or groups of them, NAME=a,b; by default the groups of
+    --model, or the greatest."""
+    model: Annotated[Path | None, optional("FILE")] = None
+    """Of motion: the OpenSim model, whose groups of muscles become panels."""
     cycle: Annotated[tuple[float, float] | None, optional("START END")] = None
     """Of motion: first and last time [s], drawn from 0 to 100 %; by default all is drawn over time."""
     cycle_left: Annotated[tuple[float, float] | None, optional("START END")] = None
@@ -105,7 +109,7 @@ class Plot:
             from myowarp.apps.reports.motion_curves import curves
 
             cycles = None if self.cycle is None else {"": self.cycle, "l": self.cycle_left or self.cycle}
-            return curves(Path(source), self.columns, cycles, self.mass)
+            return curves(Path(source), self.columns, cycles, self.mass, self.model)
         if self.what == ASSISTANCE:
             from myowarp.apps.studies.cohort.assistance import assistance_map, read_summary
 
@@ -121,7 +125,7 @@ class Plot:
 
     def _check_motion(self) -> None:
         """Raise ValueError if options of motion are of something else, or no person's."""
-        for name in ("cycle", "cycle_left", "mass"):
+        for name in ("cycle", "cycle_left", "mass", "model"):
             if getattr(self, name) is not None and self.what != MOTION:
                 raise ValueError(f"--{name.replace('_', '-')} belongs to plot motion, got plot {self.what}")
         if self.cycle_left is not None and self.cycle is None:

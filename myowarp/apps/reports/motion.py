@@ -9,11 +9,13 @@ Source: Hicks et al. (2015), doi:10.1115/1.4029304, and the best practices of Op
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from string import Template
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -24,6 +26,9 @@ from myowarp.motion.units import Angles
 from myowarp.osim.document.kinematics import floating
 from myowarp.osim.document.model import Model
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 MARKER_RMS, MARKER_MOST = 20.0, 40.0
 """[mm]."""
 NOTHING = 1e-3
@@ -31,6 +36,15 @@ NOTHING = 1e-3
 FULL = 0.999
 """Activation from which a muscle is fully active."""
 LISTED, DRAWN, COLUMNS, DPI = 12, 24, 6, 110
+GRAVITY = 9.80665  # m/s^2
+REACTION = re.compile(r"(?P<joint>.+)_on_.+_in_.+_(?P<kind>[fmp])[xyz]")
+"""Labels of joint reactions, as OpenSim writes them."""
+SIDES: dict[str, tuple[str, str, Literal["-", "--"]]] = {
+    "r": ("right", panel.COLORS[0], "-"),
+    "l": ("left", panel.COLORS[1], "--"),
+    "": ("", panel.INK, "-"),
+}
+"""Word, color and form of a side's lines."""
 TEMPLATE = Path(__file__).with_suffix(".html")
 
 
@@ -65,6 +79,12 @@ ROOT = replace(
     "motion do not agree on; without them it is the weight, too.",
 )
 ACTIVATIONS = Part("activations.sto", "Activations", "1")
+REACTIONS = Part(
+    "joint_reactions.sto",
+    "Joint reactions",
+    "N",
+    "Size of the force of each joint on its child, muscles included; the table has components and moments.",
+)
 RESERVES = Part("reserves.sto", "Reserves", "N m, N", "What reserves, and motors of the model, had to add.")
 PARTS = (
     RESERVES,
@@ -77,6 +97,7 @@ PARTS = (
         "What springs, limits, bushings and ligaments of the model give; joint moments are what is left.",
     ),
     Part("actuators.sto", "Motors of the model", "N m or N", "Moment or force of each, by its name."),
+    REACTIONS,
     ACTIVATIONS,
     Part("forces.sto", "Muscle forces", "N", open=False),
     Part("powers.sto", "Muscle powers", "W", "Shortening is positive.", open=False),
@@ -119,6 +140,9 @@ def page(folder: Path, model: Model, motion: Path | None = None) -> str:
             f"analyze or forces, with the same --output"
         )
     findings, sections = [], []
+    if REACTIONS.file in tables:
+        tables[REACTIONS.file] = resultants(tables[REACTIONS.file])
+        findings += _bearing(tables[REACTIONS.file], model)
     if MISSING.file in tables:
         findings += _holding(tables[MISSING.file])
     if ACTIVATIONS.file in tables:
@@ -174,6 +198,39 @@ def among(table: Storage, labels: Sequence[str] | set[str]) -> Storage:
     return Storage(tuple(table.labels[k] for k in kept), table.time, table.values[:, kept], table.in_degrees)
 
 
+def side_of(label: str) -> tuple[str, str]:
+    """Return the quantity of a column and its side: r, l or "", by its name as in OpenSim's models."""
+    sides = set(re.findall(r"_([rl])(?=_|$)", label))
+    if len(sides) != 1:
+        return label, ""
+    (side,) = sides
+    return re.sub(f"_{side}(?=_|$)", "", label), side
+
+
+def name_sides(figure: Figure, labels: Iterable[str], ink: str | None = None) -> None:
+    """Say above a figure which lines are right and left, where there are any; `ink` replaces their colors."""
+    from matplotlib.lines import Line2D
+
+    there = {side_of(label)[1] for label in labels}
+    named = [SIDES[side] for side in "rl" if side in there]
+    if named:
+        lines = [Line2D([], [], color=ink or color, linestyle=form) for _, color, form in named]
+        figure.legend(lines, [words for words, _, _ in named], loc="outside upper right", ncols=2)
+
+
+def resultants(table: Storage) -> Storage:
+    """Return the size of each joint's force [N], of a table of joint reactions; of others no column."""
+    parts: dict[tuple[str, str], list[int]] = {}
+    for k, label in enumerate(table.labels):
+        if (found := REACTION.fullmatch(label)) and found["kind"] == "f":
+            parts.setdefault((found["joint"], label[: -len("_fx")]), []).append(k)
+    joints = [joint for joint, _ in parts]
+    labels = tuple(joint if joints.count(joint) == 1 else name for joint, name in parts)
+    sizes = [np.linalg.norm(table.values[:, own], axis=1) for own in parts.values()]
+    values = np.stack(sizes, axis=1) if sizes else np.empty((len(table.time), 0))
+    return Storage(labels, table.time, values)
+
+
 def root_mean_square(values: np.ndarray) -> np.ndarray:
     """Return the root mean square over frames of what is there, 0 where nothing is."""
     seen = np.isfinite(values)
@@ -208,6 +265,17 @@ def _full(activations: Storage) -> list[tuple[str, bool]]:
         return []
     more = f" and {len(named) - LISTED} more" if len(named) > LISTED else ""
     return [(f"Fully active, in frames of {len(activations.time)}: {', '.join(named[:LISTED])}{more}.", True)]
+
+
+def _bearing(reactions: Storage, model: Model) -> list[tuple[str, bool]]:
+    if not reactions.labels:
+        return []
+    label, value, time = _peak(reactions)
+    weight = GRAVITY * sum(body.mass for body in model.bodies.values())
+    share = (
+        f", {value / weight:.2g} times the weight of the model ({number(weight)} N)" if weight > 0.0 else ""
+    )
+    return [(f"The greatest joint reaction is {label}: {number(value)} N at {time:.3g} s{share}.", False)]
 
 
 def _fitting(errors: Storage) -> tuple[str, bool]:
@@ -249,7 +317,8 @@ def _section(part: Part, table: Storage, units: Sequence[str]) -> str:
     heads = "".join(f"<th>{head}</th>" for head in ("", "rms", "greatest", "unit", "at [s]"))
     picture = base64.b64encode(draw(part, table)).decode()
     note = f'<p class="note">{escape(part.note)}</p>' if part.note else ""
-    drawn = f"the first {DRAWN} are drawn" if len(order) > DRAWN else "all are drawn"
+    panels = {side_of(label)[0] for label in table.labels}
+    drawn = f"the first {DRAWN} are drawn" if len(panels) > DRAWN else "all are drawn"
     rest = f'<p class="note">{left} more are in {escape(part.file)}; {drawn}.</p>' if left else ""
     inner = (
         f"{note}<table><tr>{heads}</tr>{''.join(rows)}</table>{rest}"
@@ -261,22 +330,28 @@ def _section(part: Part, table: Storage, units: Sequence[str]) -> str:
 
 
 def draw(part: Part, table: Storage, form: str = "png") -> bytes:
-    """Return a picture with a panel for each column over time, the worst first."""
-    order = worst(table)[:DRAWN]
-    rows = -(-len(order) // COLUMNS)
+    """Return a picture with a panel for each quantity over time, left beside right, the worst first."""
+    quantities: dict[str, list[int]] = {}
+    for k in worst(table):
+        quantities.setdefault(side_of(table.labels[k])[0], []).append(k)
+    shown = list(quantities.items())[:DRAWN]
+    rows = -(-len(shown) // COLUMNS)
     with panel.style(7.5, **{"axes.titleweight": "bold"}):
         figure = panel.blank(13.0, 0.5 + 1.35 * rows)
         grid = figure.subplots(rows, COLUMNS, sharex=True, squeeze=False)
-        for axes in grid.ravel()[len(order) :]:
+        for axes in grid.ravel()[len(shown) :]:
             axes.set_visible(False)
-        for axes, k in zip(grid.ravel(), order, strict=False):
-            axes.plot(table.time, part.scale * table.values[:, k], color=panel.COLORS[0], linewidth=1.2)
-            axes.set_title(table.labels[k])
+        for axes, (name, columns) in zip(grid.ravel(), shown, strict=False):
+            for k in columns:
+                _, color, dash = SIDES[side_of(table.labels[k])[1]]
+                axes.plot(table.time, part.scale * table.values[:, k], dash, color=color, linewidth=1.2)
+            axes.set_title(name)
             axes.margins(x=0)
             if part is ACTIVATIONS:
                 axes.set_ylim(0.0, 1.03)
             elif part.zero:
                 axes.axhline(0.0, color=panel.INK, linewidth=0.5, alpha=0.5)
+        name_sides(figure, table.labels)
         figure.supxlabel("time [s]")
         figure.supylabel(f"[{part.unit}]")
         return panel.picture(figure, form, DPI)

@@ -1,4 +1,4 @@
-"""What `--bonus` adds to a reward in training alone: evaluations are always of the task's own reward.
+"""`--bonus`: an addition to the reward in training alone; evaluations always have the task's own reward.
 
 A reward may pay nothing for the last step to the goal: a key's has bonuses at half of the turn that counts, a
 reach's none within the radius that counts.

@@ -1,4 +1,4 @@
-"""What every algorithm has: a policy, a normaliser, optimisers, a memory; and all their numbers by name.
+"""The base of every algorithm: a policy, a normaliser, optimisers, a memory; and all their numbers by name.
 
 An algorithm is a file: `ppo.py`, `trpo.py`, `sac.py`, `dagger.py`. Its class says in `iterate` what one
 iteration is, from the worlds' first step to the last step of an optimiser.

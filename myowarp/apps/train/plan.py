@@ -1,4 +1,4 @@
-"""What a training is told, checked before anything is built or written."""
+"""The plan of a training, checked before anything is built or written."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Job:
 
     @property
     def resume_command(self) -> str:
-        """What a shell is told to go on with the run."""
+        """The command that goes on with the run."""
         return resume_command(self.asked, self.folder, self.ranks.size)
 
 

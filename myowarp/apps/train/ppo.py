@@ -53,7 +53,7 @@ class Rollout:
 
 
 class OnPolicyLearner(Learner):
-    """What PPO and TRPO share: policy, value function, samples and their advantages."""
+    """The base of PPO and TRPO: policy, value function, samples and their advantages."""
 
     settings: OnPolicy
     policy: GaussianPolicy

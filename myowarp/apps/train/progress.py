@@ -1,4 +1,4 @@
-"""What one sees of a run: a live line, a row of `progress.csv` and TensorBoard scalars, and the curve."""
+"""Progress of a run: a live line, a row of `progress.csv` and TensorBoard scalars, and the curve."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which policy of a run is kept: the best of the averages that were evaluated on the way.
+"""Selection of a run's policy: the best of the averages that were evaluated on the way.
 
 Mean actions, `parity` physics, one episode in each of 128 worlds, whose seeds are neither those of the
 training nor those of `myowarp eval`. Patients have as many worlds here as in the training.
@@ -28,7 +28,7 @@ SEED = 2_000_000
 
 @dataclass(frozen=True)
 class Score:
-    """What an evaluation found.
+    """The result of an evaluation.
 
     Attributes:
         samples: Samples of the run before it.

@@ -1,4 +1,4 @@
-"""What a training run can be told, the presets of tasks, and what is refused before anything is built.
+"""Settings of a training run, the presets of tasks, and checks before anything is built.
 
 A setting is an `option`: default, help, bounds. The command line, the presets (`presets/<task>.toml`), the
 checks and the manifest of a checkpoint all follow from it. The defaults are settings B of a plain PPO on the
@@ -93,7 +93,7 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True)
 class Gaussian(Settings):
-    """What PPO, TRPO and DAgger share: one spread for all states."""
+    """Settings of PPO, TRPO and DAgger: one spread for all states."""
 
     initial_std: float = option(0.5, "Spread of actions at the start, with a parent, too.", least=1e-3)
     initial_mean: float = option(
@@ -108,7 +108,7 @@ class Gaussian(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class OnPolicy(Gaussian):
-    """What PPO and TRPO share."""
+    """Settings of PPO and TRPO."""
 
     num_worlds: int = option(512, "Worlds simulated together.", least=1)
     trace_decay: float = option(0.95, "Lambda of generalised advantage estimation.", least=0.0, most=1.0)
@@ -151,7 +151,7 @@ class TRPOSettings(OnPolicy):
 
 @dataclass(frozen=True, kw_only=True)
 class Replaying(Settings):
-    """What SAC and DAgger share: a memory of samples."""
+    """Settings of SAC and DAgger: a memory of samples."""
 
     learning_rate: float = option(3e-4, "Learning rate of Adam at the start.", least=0.0)
     batch_size: int = option(512, "Samples of a gradient step.", least=1)

@@ -1,4 +1,4 @@
-"""Where episodes start: resets, states of a file, or states on the way of episodes that succeeded.
+"""Starts of episodes: resets, states of a file, or states on the way of episodes that succeeded.
 
 The third kind is backplay (Resnick et al. 2018, arXiv:1807.06919) without a demonstration: every ten control
 steps the worlds' states are noted, and those of an episode that succeeds later are kept, from before its

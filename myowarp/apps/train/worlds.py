@@ -53,7 +53,7 @@ class Clock:
 
 
 class Step(NamedTuple):
-    """What a control step led to, before anything was reset; tensors of the learner's own.
+    """Results of a control step before any reset; tensors of the learner's own.
 
     Attributes:
         obs: Observations, shape (num_worlds, obs_size).

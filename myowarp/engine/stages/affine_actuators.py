@@ -24,7 +24,7 @@ FILE = Path(__file__).with_suffix(".cpp")
 
 @wp.struct
 class Actuators:
-    """What forces depend on; fields are those of the engine's `Model`."""
+    """Parameters of actuator forces; fields are those of the engine's `Model`."""
 
     actuator_ctrllimited: wp.array[bool]
     actuator_ctrlrange: wp.array2d[wp.vec2]

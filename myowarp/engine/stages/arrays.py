@@ -52,7 +52,7 @@ class ConstraintRows:
 
 @wp.struct
 class InertiaRows:
-    """Where the entries of M's lower triangle are: a row holds the dofs above its own, and ends with it."""
+    """Addresses of M's lower triangle: a row holds the dofs above its own, and ends with it."""
 
     M_rownnz: wp.array[int]
     M_rowadr: wp.array[int]

@@ -59,7 +59,7 @@ class Shapes:
 
 @wp.struct
 class ContactMaterial:
-    """What a contact takes from its geoms or from its explicit pair; fields are the engine's."""
+    """Properties of a contact, of its geoms or of its explicit pair; fields are the engine's."""
 
     geom_condim: wp.array[int]
     geom_priority: wp.array[int]
@@ -127,7 +127,7 @@ class Geom:
 
 @wp.struct
 class Touches:
-    """Where two geoms are closest; parallel capsules are so twice."""
+    """Closest points of two geoms; parallel capsules have two."""
 
     first: Touch
     second: Touch
@@ -307,7 +307,7 @@ def boxes_meet(one: Geom, two: Geom, cutoff: float) -> bool:
 
 @wp.func
 def closest(one: Geom, two: Geom, cutoff: float, start: wp.vec3) -> Touches:
-    """Where two spheres, capsules or ellipsoids are closest; a bound will do beyond the cutoff."""
+    """Return the closest points of two spheres, capsules or ellipsoids; beyond the cutoff a bound will do."""
     if two.type <= CAPSULE:
         return round_touches(one, two)
     touches = Touches()
@@ -318,7 +318,7 @@ def closest(one: Geom, two: Geom, cutoff: float, start: wp.vec3) -> Touches:
 
 @wp.func
 def side_touch(capsule: Geom, cylinder: Geom) -> tuple[Touch, bool]:
-    """Where a capsule is closest to the one that holds a cylinder, and whether that is the cylinder's side.
+    """Return the closest points of a capsule and a cylinder's capsule, and whether on the cylinder's side.
 
     There, with n across its axis, both have the same f(n), a maximum. It is the highest where the bodies are
     apart, or less deep in each other than the first is thick: that ball rolls within their sum.

@@ -56,7 +56,7 @@ class RowCounts:
 
 @wp.struct
 class SolverResult:
-    """What the solve leaves in `Data`."""
+    """Results of the solve in `Data`."""
 
     niter: wp.array[int]
     overflow: wp.array[int]

@@ -36,7 +36,7 @@ CONSTANTS = JOINTS | {name: int(value) for name, value in FLAGS.items()}
 
 @wp.struct
 class Parts:
-    """What a launch does; the two parts are separate where the engine has to do something between them.
+    """Parts of a launch; the two are separate where the engine has to do something between them.
 
     Attributes:
         timestep: [s], shape (1,) or (num_worlds,).
@@ -73,7 +73,7 @@ class VelocityForces:
 
 @wp.struct
 class JointAddresses:
-    """Where the state of joints is; fields are those of the engine's `Model`."""
+    """Addresses of the joints' state; fields are those of the engine's `Model`."""
 
     jnt_type: wp.array[int]
     jnt_qposadr: wp.array[int]
@@ -82,7 +82,7 @@ class JointAddresses:
 
 @wp.struct
 class Usage:
-    """How much of the engine's arrays is used, and how much there is; fields are those of `Data`."""
+    """Used and allocated sizes of the engine's arrays; fields are those of `Data`."""
 
     nefc: wp.array[int]
     ncollision: wp.array[int]
@@ -93,7 +93,7 @@ class Usage:
 
 @wp.struct
 class StepState:
-    """What a step leaves; fields are those of the engine's `Data`."""
+    """Results of a step; fields are those of the engine's `Data`."""
 
     qpos: wp.array2d[float]
     qvel: wp.array2d[float]

@@ -18,7 +18,7 @@ from myowarp.kernels.batching import batched
 
 @wp.struct
 class JointConstraints:
-    """What constrains joints and tendons; fields are those of the engine's `Model`."""
+    """Constraints of joints and tendons; fields are those of the engine's `Model`."""
 
     qpos0: wp.array2d[float]
     jnt_qposadr: wp.array[int]
@@ -51,7 +51,7 @@ class JointConstraints:
 
 @wp.struct
 class JointState:
-    """Where joints and tendons are; fields are those of `Data`."""
+    """Positions of joints and tendons; fields are those of `Data`."""
 
     qpos: wp.array2d[float]
     qvel: wp.array2d[float]

@@ -56,7 +56,7 @@ PATH_OBSTACLES = {
     "an actuator that is neither on a tendon nor on a joint": _drives_others,
     "an actuator on a ball or free joint": _drives_quaternions,
 }
-"""What in a model a path program cannot express."""
+"""Features of a model that a path program cannot express."""
 
 
 class MusclePaths:

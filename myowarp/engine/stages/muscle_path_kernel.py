@@ -146,7 +146,7 @@ class PathProgram:
 
 @wp.struct
 class Pose:
-    """Where all bodies are and how they move; the arrays of `mujoco_warp.Data` with these names."""
+    """Places and velocities of all bodies; the arrays of `mujoco_warp.Data` with these names."""
 
     qpos: wp.array2d[float]
     qvel: wp.array2d[float]
@@ -160,7 +160,7 @@ class Pose:
 
 @wp.struct
 class Transmission:
-    """What paths and actuators make of a pose; the arrays of `mujoco_warp.Data` with these names."""
+    """Lengths and moments of paths and actuators; the arrays of `mujoco_warp.Data` with these names."""
 
     ten_length: wp.array2d[float]
     ten_J: wp.array2d[float]  # noqa: N815  (the engine's name)

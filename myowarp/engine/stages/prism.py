@@ -201,7 +201,7 @@ def ellipsoid_at_pillar(touch: Touch, solid: Solid, prism: Prism, k: int) -> Tou
 
 @wp.func
 def prism_touch(solid: Solid, prism: Prism, cutoff: float) -> Touch:
-    """Where a body and a prism are closest; beyond the cutoff a bound will do."""
+    """Return the closest points of a body and a prism; beyond the cutoff a bound will do."""
     touch = Touch()
     touch.dist = -FAR
     n = wp.normalize(wp.cross(prism.top[1] - prism.top[0], prism.top[2] - prism.top[0]))

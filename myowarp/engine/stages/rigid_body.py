@@ -71,7 +71,7 @@ class RigidBodies:
 
 @wp.struct
 class Switches:
-    """What is computed, and what of it is written in every physics step of a control step.
+    """Parts that are computed, and those that every physics step of a control step writes.
 
     Attributes:
         dynamics: Whether to compute more than poses of bodies and of some sites.
@@ -93,7 +93,7 @@ class Switches:
 
 @wp.struct
 class Pose:
-    """Where everything is; fields are those of the engine's `Data`."""
+    """Places of bodies, geoms and sites; fields are those of the engine's `Data`."""
 
     mocap_pos: wp.array2d[wp.vec3]
     mocap_quat: wp.array2d[wp.quat]

@@ -9,7 +9,7 @@ from myowarp.engine.stages.contact_rows import KinematicTree, clear, last_dof
 
 @wp.struct
 class RowPlaces:
-    """How many rows fit, how many there are, and where some are; fields of `Data` and `Data.efc`.
+    """Numbers of rows, allocated and used, and places of some; fields of `Data` and `Data.efc`.
 
     Attributes:
         efc_nnz: Entries given out in the sparse J of each world, those that did not fit included.

@@ -7,7 +7,7 @@ TINY = wp.constant(1e-15)
 
 
 LEAST_EXPONENT = wp.constant(-87.0)
-"""Where e^x leaves float32."""
+"""Exponent below which e^x leaves float32."""
 
 
 @wp.func

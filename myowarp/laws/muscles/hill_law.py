@@ -274,10 +274,10 @@ def steady_equilibrium(
 
 
 NEWTON = wp.constant(50.0)
-"""How much longer than a step of bisection the last one of Newton's method may be."""
+"""Longest last step of Newton's method, in steps of bisection."""
 
 NEWTON_SPEED = wp.constant(1e-3)
-"""How far it may change the fiber's velocity [maximum contraction velocities]."""
+"""Largest change of the fiber's velocity by it [maximum contraction velocities]."""
 
 
 @wp.func

@@ -39,7 +39,7 @@ ZERO = wp.constant(wp.float64(2e-12))  # below which OpenSim calls a coordinate 
 
 @wp.struct
 class Plane:
-    """What sets the plane of a path.
+    """Vectors that set the plane of a path.
 
     Attributes:
         point: Of the surface, in the plane.

@@ -55,7 +55,7 @@ class Point:
 
 @wp.struct
 class MovingPoint:
-    """Where a point is in a frame.
+    """A point's place in a frame.
 
     Attributes:
         value: Numbers of the values that are its x, y, z; -1: that one does not move.
@@ -95,7 +95,7 @@ class Surface:
 
 @wp.struct
 class PathWrap:
-    """That a path may wrap over a surface.
+    """A surface that a path may wrap over.
 
     Attributes:
         surface: Number of the surface.
@@ -152,7 +152,7 @@ class PathTables:
 
 @wp.struct
 class Frames:
-    """Where bodies are, and what moving and conditional points depend on.
+    """Places of bodies, and arguments of moving and conditional points.
 
     Attributes:
         origin: Of bodies in ground [m], shape (num_worlds, num_bodies).
@@ -184,7 +184,7 @@ class Followed:
 
 @wp.struct
 class Pulls:
-    """What paths are, and do to bodies at unit tension.
+    """Lengths of paths, and their forces on bodies at unit tension.
 
     Attributes:
         length: [m], shape (num_worlds, num_paths).

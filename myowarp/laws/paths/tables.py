@@ -66,7 +66,7 @@ class Via:
 
 @dataclass(frozen=True)
 class Over:
-    """That a path may wrap over a surface.
+    """A surface that a path may wrap over.
 
     Attributes:
         surface: Its name.
@@ -83,7 +83,7 @@ class Over:
 
 @dataclass(frozen=True)
 class WrapSurface:
-    """What paths wrap over.
+    """A surface that paths wrap over.
 
     Attributes:
         kind: A name in `KINDS`.

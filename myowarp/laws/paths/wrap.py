@@ -1,4 +1,4 @@
-"""What lines over OpenSim's wrap objects have in common, in float64: float32 would change which way some go.
+"""Common parts of lines over OpenSim's wrap objects, in float64: float32 would change which way some go.
 
 The oracle of this folder is the float64 NumPy of `tests/reference/osim_paths`, one function beside each here.
 """

@@ -40,7 +40,7 @@ SITES = {
     "LAT3_LAT3-P5_r": "-0.055320 0.195570 1.287330",
     "LAT3_LAT3-P6_r": "-0.009070 0.155170 1.232620",
 }
-"""Where muscles come from the thorax, and on which side of the ribs they pass [m], world."""
+"""Places on the thorax where muscles begin, and the side of the ribs on which they pass [m], world."""
 
 WORLD = f"""
 <body name="thorax_stub">

@@ -1,4 +1,4 @@
-"""What somebody wears or holds: rigid, without a joint, its mass per world and changing over time.
+"""A worn or held mass: rigid, without a joint, one per world and changing over time.
 
 A body of mass 0 is compiled into the model and stays a body of its own (slimming would melt it into the
 limb); mass m then gives it mass m and the inertia m I_unit of its shape. Gravity and inertia follow from the

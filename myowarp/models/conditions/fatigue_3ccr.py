@@ -54,7 +54,7 @@ REST_LOAD = wp.constant(0.01)  # a muscle rests up to this target load [1]; MyoS
 FAST = 2.0  # 1/s: a hundred times what is measured, so that a viewer need not wait for minutes
 STREAM = wp.constant(zlib.crc32(b"fatigue_3ccr initial_random") & 0x7FFFFFFF)
 OTHER = FatigueRates(0.0097, 0.00091, 15.0)
-"""Where the body has none: "general" of Frey-Law et al. (2012), r of Looft et al. (2018)."""
+"""Rates where the body has none: "general" of Frey-Law et al. (2012), r of Looft et al. (2018)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -106,7 +106,7 @@ def _muscle_names(body: str) -> tuple[str, ...]:
 
 @wp.struct
 class Tear:
-    """Which muscles tear, when and how far.
+    """Torn muscles, with time and extent.
 
     Attributes:
         muscles: Muscles, shape (num_torn,).

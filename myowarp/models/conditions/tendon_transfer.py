@@ -140,7 +140,7 @@ def path_range(model: mujoco.MjModel, tendon: int) -> tuple[float, float]:
 
 @wp.struct
 class Route:
-    """Who pulls what.
+    """A muscle and the path that it pulls.
 
     Attributes:
         donor: Muscle that is rerouted.

@@ -27,7 +27,7 @@ from myowarp.models.muscles.hill_native import PLACES, native_contract_hill
 from myowarp.models.muscles.mujoco import length_scale, peak_force
 
 FIBER_STATE = ("fiber_length", "expected_length", "fiber_share")
-"""What a muscle with an elastic tendon remembers beside its activation, see `Fibers`."""
+"""State of a muscle with an elastic tendon beside its activation, see `Fibers`."""
 
 TIME_CONSTANTS = ("activation_time_constant", "deactivation_time_constant")
 

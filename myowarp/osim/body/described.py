@@ -12,7 +12,7 @@ from myowarp.osim.document.model import Model, WrapObject
 RANGE_SLACK = 1e-5
 """[rad] or [m] beyond the ends of its range in which OpenSim still counts a conditional point."""
 Value = tuple[Function, str]
-"""What points depend on: a function, and the coordinate that is its argument."""
+"""A value of a point: a function, and the coordinate that is its argument."""
 
 
 def described(model: Model, paths: Mapping[str, Path]) -> tuple[OsimPaths, list[Value]]:

@@ -1,4 +1,4 @@
-"""What acts in a model beside muscles: springs and limits of coordinates, bushings, ligaments, path springs.
+"""Forces of a model beside muscles: springs and limits of coordinates, bushings, ligaments, path springs.
 
 The laws are those of the simulation (`laws.forces`). A coordinate that follows another one pushes that one
 with its slope. OpenSim's inverse dynamics and static optimisation have these forces act, too; what acts there
@@ -54,7 +54,7 @@ class CoordinateSpring:
 
 @wp.struct
 class ModelForces:
-    """What acts in a model on coordinates and between bodies.
+    """Forces of a model on coordinates and between bodies.
 
     Attributes:
         coordinates: Those that something acts on, as functions of independent ones.
@@ -188,7 +188,7 @@ def pull_ligaments(
 
 @dataclass(frozen=True, eq=False)
 class Acting:
-    """What acts in a model beside muscles.
+    """Forces of a model beside muscles.
 
     Attributes:
         tables: What kernels read.

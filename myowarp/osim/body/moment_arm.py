@@ -41,7 +41,7 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What OpenSim says about one muscle in n poses.
+    """OpenSim's values of one muscle in n poses.
 
     Attributes:
         length: of the path [m], shape `(n,)`.

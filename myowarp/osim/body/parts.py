@@ -14,7 +14,7 @@ Found = TypeVar("Found")
 GRAIN = 16
 """By default, frames that parts are multiples of."""
 COMPILED: set[str] = set()
-"""Who has solved a part before: kernels are compiled once, not by each thread."""
+"""Kinds of parts solved before: kernels are compiled once, not by each thread."""
 
 
 def in_parts(count: int, most: int, solve: Callable[[slice], Found], grain: int = GRAIN) -> list[Found]:

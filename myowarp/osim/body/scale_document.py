@@ -66,7 +66,7 @@ class Document:
 
 @dataclass(frozen=True)
 class Scaling:
-    """How the bodies of a model grow."""
+    """Scale factors of the bodies of a model."""
 
     model: Model
     frames: Frames
@@ -261,7 +261,7 @@ RULES: dict[str, Rule] = {
 """By OpenSim's class."""
 
 LENGTHS = {"muscles": ("optimal_fiber_length", "tendon_slack_length"), "ligaments": ("resting_length",)}
-"""What grows as a path does."""
+"""Properties that grow as a path does."""
 
 
 def scale_document(

@@ -77,7 +77,7 @@ class Skeleton:
 
 @wp.struct
 class Placement:
-    """Where the bodies of all worlds are, and how moves move them.
+    """Places and axes of the bodies and joints' moves of all worlds.
 
     Attributes:
         rotation: Axes of bodies, (num_worlds, num_bodies).

@@ -27,7 +27,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Fixed:
-    """What paths are fixed to.
+    """Bodies and points that paths are fixed to.
 
     Attributes:
         body: Numbers in the skeleton of bodies that points are fixed to, -1 for ground.

@@ -1,1 +1,1 @@
-"""What a scene takes of a model of OpenSim beside its MJCF: couplings, paths, forces, coordinates."""
+"""Parts of an OpenSim model that a scene takes beside its MJCF: couplings, paths, forces, coordinates."""

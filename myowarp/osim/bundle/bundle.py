@@ -26,7 +26,7 @@ from myowarp.osim.document.model import Note
 MODEL = "model.xml"
 MUSCLES = "muscles.csv"
 OURS = b"name,class,"
-"""How a `muscles.csv` of ours begins."""
+"""First bytes of a `muscles.csv` of ours."""
 COORDINATES = "coordinates.json"
 PARTS: tuple[type[Sidecar], ...] = (Couplings, DocumentPaths, PassiveForces)
 SIDECARS = tuple(part.FILE for part in PARTS)

@@ -1,4 +1,4 @@
-"""How OpenSim coordinates map to MuJoCo joints: the sidecar `coordinates.json`.
+"""Map from OpenSim coordinates to MuJoCo joints: the sidecar `coordinates.json`.
 
 A free coordinate q has a joint with the value scale * q. All other joints follow one joint each by a
 quartic, as the equality of the same name says; `couplings.json` says what the quartic stands for.

@@ -51,7 +51,7 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Couplings(Sidecar):
-    """How joints follow each other exactly, and what bodies weigh.
+    """Joints that follow others exactly, and masses of bodies.
 
     Attributes:
         curves: Of joints that follow, by name: the joint that each follows, None for none, and its curves.

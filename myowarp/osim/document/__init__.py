@@ -1,1 +1,1 @@
-"""What an OpenSim model is: elements, functions, coordinates, equations of motion."""
+"""An OpenSim model: elements, functions, coordinates, equations of motion."""

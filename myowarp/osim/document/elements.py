@@ -121,9 +121,9 @@ class BodyActuator:
     name: str
     kind: Literal["point", "torque"]
     body: str
-    """Where the force acts."""
+    """Body on which the force acts."""
     reaction: str
-    """Where its opposite acts."""
+    """Body on which its opposite acts."""
     location: Array
     """Of a force [m], in the body."""
     axis: Array
@@ -201,7 +201,7 @@ class Ligament:
     dissipation: float
     """By how much of that it grows with the speed of lengthening [s/m]."""
     damping: float
-    """What lengthening adds to it, beyond a strain of 0.01 [N s/m]."""
+    """Its increase by lengthening, beyond a strain of 0.01 [N s/m]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,9 +40,9 @@ class Note:
     path: str
     """Element, such as `/forceset/vasti_r` or `knee_r/knee_angle_r`."""
     rule: str
-    """What was done instead, one sentence."""
+    """The replacement, one sentence."""
     error_bound: str | None = None
-    """How far off that can be, with its unit; None: not bounded."""
+    """Bound of the error, with its unit; None: not bounded."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ class Loss(Note):
     """Something that acts in the document and not, or not as there, in the result."""
 
     code: str = ""
-    """What accepts it: OpenSim's class, or a word of ours."""
+    """Word that accepts it: OpenSim's class, or a word of ours."""
     effect: Literal["force", "motion", "mass", "contact", "control"] = "force"
-    """What it changes."""
+    """Kind of change."""
     largest: float | None = None
     """Its greatest force in the poses of the check; None: not measured."""
     unit: str = "N"
@@ -242,7 +242,7 @@ class Model:
     bushings: tuple[Bushing, ...]
     shapes: tuple[Shape, ...]
     notes: tuple[Note, ...] = field(default=())
-    """What was skipped or approximated while reading."""
+    """Skipped and approximated elements of the file."""
 
 
 def pulling(model: Model) -> dict[str, Path]:

@@ -1,4 +1,4 @@
-"""How fast a model starts to move: at rest in its default pose, and by its motors.
+"""Accelerations of a model: at rest in its default pose, and by its motors.
 
 Bodies of next to no inertia start so fast that no time step follows them, OpenSim's own neither; a motor may
 throw a light body, too. Both are known from the document's equations of motion before anything is simulated.

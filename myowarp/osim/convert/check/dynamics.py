@@ -68,7 +68,7 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class EngineErrors:
-    """What an engine makes of a model.
+    """Errors of an engine's step of a model.
 
     Attributes:
         errors: By quantity, shares of the reference, shape (samples, k).

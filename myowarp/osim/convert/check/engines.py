@@ -42,7 +42,7 @@ class States:
 
 
 class Engine(Protocol):
-    """What steps a converted model."""
+    """An engine that steps a converted model."""
 
     def accelerations(self, states: States) -> Array:
         """Return u'' [rad/s^2] or [m/s^2], shape (n, k)."""

@@ -14,7 +14,7 @@ POSES = 200
 
 @dataclass(frozen=True)
 class KinematicsError:
-    """How far frames are off, over random poses; every free coordinate on its own over its range.
+    """Errors of frames over random poses; every free coordinate on its own over its range.
 
     Attributes:
         position: Greatest distance between body origins [m].

@@ -32,7 +32,7 @@ ENGINES = {
     "mjb": "model.mjb in MuJoCo",
     "xml": "model.xml in MuJoCo",
 }
-"""What steps a converted model."""
+"""Engines that step a converted model."""
 ACCELERATIONS = {"step": (0.01, 1.0), "mjb": (0.5, 5.0)}
 """[%]: median and worst of the states."""
 COORDINATES = {
@@ -59,7 +59,7 @@ class Gate:
     bound: float
     unit: str
     where: str = ""
-    """Whose figure it is; "": all."""
+    """The owner of the figure; "": all."""
 
     @property
     def passed(self) -> bool:

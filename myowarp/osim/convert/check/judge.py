@@ -1,4 +1,4 @@
-"""What a user of a converted model relies on: joint torques of all muscles and lengths of paths, three ways.
+"""Verdict on a converted model: joint torques of all muscles and lengths of paths, three ways.
 
 These are OpenSim's own paths in MyoWarp with the file's muscles (`own`), the fitted tendons with the file's
 muscles (`tendon`), and the fitted tendons with MuJoCo's muscles (`plain`). The judge of torques is
@@ -123,7 +123,7 @@ class TorqueJudged:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the judge found."""
+    """The result of the judge."""
 
     muscles: list[MuscleJudged]
     torques: list[TorqueJudged]

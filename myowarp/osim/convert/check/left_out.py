@@ -1,4 +1,4 @@
-"""How large what was left out is: its greatest force in random poses at rest.
+"""Size of forces that were left out: the greatest in random poses at rest.
 
 A bushing is evaluated by us, everything else by OpenSim, where it is installed: what its force or constraint
 records there, the model assembled so that constraints can hold.

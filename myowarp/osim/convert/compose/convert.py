@@ -42,7 +42,7 @@ KEYFRAME = "default"
 
 @dataclass(frozen=True)
 class Options:
-    """What a conversion may choose.
+    """Options of a conversion.
 
     Attributes:
         mesh_folders: Where to look for meshes, before the folders of the model.

@@ -58,19 +58,19 @@ class Demand:
     function: Function
     coordinate: str
     lever: float
-    """What one unit of the joint counts for [m]."""
+    """Length for which one unit of the joint counts [m]."""
 
 
 @dataclass
 class Build:
-    """What grows while a model is converted."""
+    """State of a conversion."""
 
     model: Model
     spec: mujoco.MjSpec
     bodies: dict[str, mujoco.MjsBody]
     """By name in the OpenSim model."""
     starts: dict[str, float] = field(default_factory=dict)
-    """Where joints are in the default pose, as far as that is known before they are there."""
+    """Positions of joints in the default pose, as far as they are known before the joints are there."""
     carriers: dict[str, tuple[str, float]] = field(default_factory=dict)
     """Coordinate: joint that shows it, and scale."""
     shown: dict[tuple[str, int], tuple[str, float, float]] = field(default_factory=dict)

@@ -50,7 +50,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Argument:
-    """What quartics are fitted in: u and du/dt at the samples, t in [-1, 1]."""
+    """Arguments in which quartics are fitted: u and du/dt at the samples, t in [-1, 1]."""
 
     value: Array
     slope: Array

@@ -1,4 +1,4 @@
-"""What stands for bones where no mesh of a document is found: capsules from joint to joint, and a floor.
+"""Bones where no mesh of a document is found: capsules from joint to joint, and a floor.
 
 They are for looking at: without mass, touching nothing. A capsule is fixed in its body, so that a knee that
 slides moves along it.

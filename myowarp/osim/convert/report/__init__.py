@@ -1,1 +1,1 @@
-"""What a conversion is worth, as data and as a page."""
+"""Report of a conversion, as data and as a page."""

@@ -1,4 +1,4 @@
-"""What fitted paths and forces approximate, as notes with the errors found in the poses of the check."""
+"""Approximations by fitted paths and forces, as notes with the errors found in the poses of the check."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from myowarp.osim.document.elements import ConditionalPathPoint, Path
 from myowarp.osim.document.model import Model, Note, pulling
 
 BEYOND = f"beyond {ARM[0]:g} mm of moment arm or {LENGTH[0]:g} mm of length, root mean square"
-"""What the gates of the worst muscle refuse."""
+"""Bounds of the gates of the worst muscle, in words."""
 
 
 def approximations(

@@ -1,4 +1,4 @@
-"""What `report.json` holds: what was left out, and how far a model is from its source, against gates."""
+"""Contents of `report.json`: losses, and how far a model is from its source, against gates."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Check:
     poses: int = 0
     """Of moment arms and forces."""
     notes: list[Note] = field(default_factory=list)
-    """What the fits approximate, with these errors."""
+    """Approximations by the fits, with these errors."""
     judgement: Judgement | None = None
     """None without fits."""
 

@@ -1,4 +1,4 @@
-"""Which surfaces may stand between two sites of a tendon, from where the reference path goes in many poses.
+"""Surfaces that may stand between two sites of a tendon, from the reference path in many poses.
 
 Between two sites there is nothing or one surface: a conditional point as a small sphere that the path may
 leave to one side, or an object as it is, or as a similar sphere or cylinder, with each class of winding

@@ -37,7 +37,7 @@ Method = Literal["least_squares", "annealing"]
 
 
 class Target:
-    """What lengths in stacked poses should give: moment arms and lengths of the reference, weighted."""
+    """Target of lengths in stacked poses: moment arms and lengths of the reference, weighted."""
 
     def __init__(self, reference: Reference, along: list[str]) -> None:
         self.count, self.along = len(reference.length), along
@@ -63,7 +63,7 @@ class Target:
 
 
 class PathProblem:
-    """What does not change while a path is being chosen and fitted."""
+    """Constants of a path while it is being chosen and fitted."""
 
     def __init__(
         self, model: Model, name: str, path: Path, poses: Poses, reference: Reference | None

@@ -46,7 +46,7 @@ GRID = 33
 
 @dataclass(frozen=True)
 class Methods:
-    """How paths and forces are fitted."""
+    """Methods by which paths and forces are fitted."""
 
     path: PathMethod = "least_squares"
     force: ForceMethod = "least_squares"

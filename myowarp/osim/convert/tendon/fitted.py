@@ -1,4 +1,4 @@
-"""What the fits of a conversion give: paths and forces, and what OpenSim says about them.
+"""Results of a conversion's fits: paths and forces, and OpenSim's values for them.
 
 Apart from the fits themselves, which need SciPy.
 """
@@ -22,7 +22,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """What OpenSim says about a muscle.
+    """OpenSim's values for a muscle.
 
     Attributes:
         random: In the random poses of the check.

@@ -16,7 +16,7 @@ from myowarp.osim.document.kinematics import Frames
 from myowarp.osim.document.model import GROUND
 
 GEOM_GROUP = 4
-"""Where viewers find the wrapping geoms; collision geoms and meshes are in others."""
+"""Group of wrapping geoms for viewers; collision geoms and meshes are in others."""
 SITE_GROUP = 4
 SIDE_REACH = 1.3
 """Distance of a side site from the centre, in radii: only its direction matters."""

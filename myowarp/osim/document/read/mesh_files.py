@@ -12,7 +12,7 @@ MAX_PATH = 200  # characters of a file's name
 FOLDERS = ("", "Geometry", "../Geometry")
 """Beside the model, where its meshes usually are."""
 NAMED = re.compile("<(?:mesh_file|geometry_file|filename)>([^<]+)<")
-"""What names a mesh in the text of a document."""
+"""Elements that name a mesh in the text of a document."""
 
 
 def located(name: str, places: Sequence[Path]) -> tuple[Path, Path | None]:

@@ -21,7 +21,7 @@ COMMON = {
     "min_control": 0.0,
     "max_control": 1.0,
 }
-"""What every muscle has, with OpenSim's defaults."""
+"""Parameters of every muscle, with OpenSim's defaults."""
 
 NEEDED = ("max_isometric_force", "optimal_fiber_length", "tendon_slack_length")
 """Parameters that may not be empty."""
@@ -36,7 +36,7 @@ ABOVE = {
     **dict.fromkeys(("active_force_width_scale", "passive_fiber_strain_at_one_norm_force"), 0.0),
     "tendon_strain_at_one_norm_force": 0.0,
 }
-"""What further parameters must be greater than, in the classes that have them."""
+"""Lower bounds of further parameters, in the classes that have them."""
 
 OTHERS = {name for defaults in DEFAULTS.values() for name in defaults}
 """Parameters that some class has always; optional ones of a class are not among them."""

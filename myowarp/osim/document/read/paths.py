@@ -35,7 +35,7 @@ MAX_POINTS = 1000  # of one path
 
 @dataclass(frozen=True)
 class Scope:
-    """What the elements of a path refer to."""
+    """Objects to which elements of a path refer."""
 
     frames: Frames
     coordinates: Mapping[str, Coordinate]
