@@ -53,6 +53,7 @@ class Stage(abc.ABC):
             of the largest such change in the state (float32 sums in another order), beyond
             `verify.ROUNDINGS` of the state.
         replaces: `REPLACES`, or the part of it that applies here.
+        data: The engine's data that it steps.
     """
 
     REPLACES: ClassVar[tuple[str, ...]]
@@ -70,7 +71,7 @@ class Stage(abc.ABC):
 
     def __init__(self, stepped: Stepped) -> None:
         """Allocate all that the kernels need, on the device of what is stepped."""
-        self.replaces = self.REPLACES
+        self.replaces, self.data = self.REPLACES, stepped.data
 
     def launcher(self, stages: tuple[Stage, ...], mask: wp.array | None = None) -> Launches:
         """Return what the step launches in the first place, knowing all stages of ours in it.

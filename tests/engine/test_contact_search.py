@@ -300,13 +300,28 @@ def crowd(count):
     return model, qpos.reshape(count, -1)
 
 
+class AllPairs(ContactFilter):
+    """Lists of all pairs."""
+
+    def launch(self, model, data):
+        """List them, with the lines between their centers as normals."""
+        pairs, worlds = model.nxn_geom_pair_filtered.numpy(), data.nworld
+        kind, center = model.geom_type.numpy(), data.geom_xpos.numpy()
+        order = np.argsort(kind[pairs], axis=1, kind="stable")
+        first, second = np.take_along_axis(pairs, order, axis=1).T
+        lines = center[:, second] - center[:, first]
+        self.near.num.fill_(len(pairs))
+        self.near.pairs.assign(np.tile(np.arange(len(pairs)), (worlds, 1)))
+        self.near.normals.assign(lines / np.linalg.norm(lines, axis=2, keepdims=True))
+
+
 def test_pairs_left_out_are_apart(monkeypatch):
-    """Contacts are those of all pairs, one after the other, as on CUDA; the lists hold few others."""
+    """Contacts are those of all pairs, each from the line between its centers; the lists hold few others."""
     model, qpos = crowd(count := 21)  # in lanes, and the last ones alone
     listed = {}
     for whole in (False, True):
         if whole:
-            monkeypatch.setattr(contact_search, "ContactFilter", lambda stepped: None)
+            monkeypatch.setattr(contact_search, "ContactFilter", AllPairs)
         data = collided(model, qpos, ROOM)
         number = data.nacon.numpy()[0]
         columns = (data.contact.worldid, data.contact.geom, data.contact.dist, data.contact.frame)

@@ -13,6 +13,7 @@ from mujoco_warp._src.types import DisableBit
 from reference.constraint_newton import acceleration, imbalance, row_forces
 
 from myowarp.definitions.task import TASKS
+from myowarp.engine.stages.constraint_rows import ConstraintRows, frames_in_solver
 from myowarp.engine.stages.contact_solve import ContactSolve
 from myowarp.sim.simulation import Simulation
 
@@ -22,6 +23,10 @@ BALANCE = 2e-5  # forces that must cancel, float32
 ENGINE_MEDIAN, ENGINE_MAX = 4e-7, 2e-5  # two float32 solvers on the same rows
 EFFECT = 10.0
 ALL = np.arange(NUM_WORLDS)
+CONTACTS = (
+    int(mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS),
+    int(mujoco.mjtConstraint.mjCNSTR_CONTACT_PYRAMIDAL),
+)
 
 
 def on_device(name, warmth, worlds=ALL):
@@ -40,10 +45,10 @@ def on_device(name, warmth, worlds=ALL):
     return mjw.put_model(model_of(name)), data
 
 
-def launch_solve(model, data):
+def launch_solve(model, data, in_solver=False):
     """Launch our solver alone; returns whether each world was solved in lanes."""
     stage = ContactSolve(SimpleNamespace(model=model, data=data, device=data.qpos.device))
-    stage.solve(model, data)
+    stage.solve(model, data, in_solver)
     return stage.memory.solved.numpy()
 
 
@@ -126,6 +131,39 @@ def test_acceleration_and_forces(name, warmth):
         assert np.array_equal(data.efc.state.numpy()[i, : host.nefc], host.efc_state)
         assert imbalance(data.qacc.numpy()[i].astype(float), *rows) < BALANCE
         assert data.solver_niter.numpy()[i] >= 1
+
+
+@pytest.mark.parametrize("name", MORE)
+def test_contacts_without_a_jacobian(name):
+    """Where rows are ours, the solver computes normal and tangents itself: edges are sums of them."""
+    turns = set()
+    for host in states(name):
+        data = mjw.put_data(model_of(name), host, njmax=NUM_ROWS, nconmax=NUM_CONTACTS)
+        J, address = data.efc.J.numpy(), data.efc.J_rowadr.numpy()
+        rows = np.flatnonzero(np.isin(host.efc_type, CONTACTS))
+        if data.efc.J_rownnz.shape[1]:
+            J[0, 0, address[0, rows[0]] :] = np.nan
+        else:
+            J[:, rows] = np.nan
+        data.efc.J.assign(J)
+        data.qacc_warmstart.zero_()
+        launch_solve(mjw.put_model(model_of(name)), data, in_solver=True)
+        assert relative(data.qacc.numpy(), host.qacc[None]).max() < CLOSE
+        assert relative(data.qfrc_constraint.numpy(), host.qfrc_constraint[None]).max() < CLOSE
+        force = data.efc.force.numpy()[0, : host.nefc]
+        assert np.abs(force - host.efc_force).max() < CLOSE * np.abs(host.efc_force).max()
+        assert np.array_equal(data.efc.state.numpy()[0, : host.nefc], host.efc_state)
+        turns |= set(host.contact.dim)
+    assert turns >= ({3, 4, 6} if name == "wide" else {1, 3, 4, 6})
+
+
+def test_who_writes_the_jacobian_of_contacts():
+    """Our solver goes without it where it solves our rows, and not where others write rows in between."""
+    scenes = [SimpleNamespace(data=on_device("dense", 0.0)[1], device=wp.get_device("cpu")) for _ in range(2)]
+    rows, solver, others = ConstraintRows(scenes[0]), *(ContactSolve(scene) for scene in scenes)
+    assert frames_in_solver((solver, rows))
+    for stages in ((rows,), (solver,), (others, rows)):
+        assert not frames_in_solver(stages)
 
 
 @pytest.mark.parametrize("name", [*MORE, *LIMITED])

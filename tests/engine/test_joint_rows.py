@@ -96,6 +96,7 @@ def on_device(name, capacity="rows", per_world=()):
     data.qpos.assign([state.qpos for state in states(name)])
     data.qvel.assign([state.qvel for state in states(name)])
     mjw.fwd_position(model, data)
+    mjw.com_vel(model, data)
     rng = np.random.default_rng(5)
     for part in per_world:
         owner = model.opt if part == "timestep" else model

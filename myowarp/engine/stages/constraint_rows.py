@@ -1,12 +1,13 @@
 """Constraint rows in two launches: those of joints and tendons, then those of contacts."""
 
+from functools import partial
 from typing import ClassVar
 
 import mujoco_warp as mjw
 import warp as wp
 from mujoco_warp import DeterminismType, DisableBit
 
-from myowarp.engine.stage import Stage
+from myowarp.engine.stage import Launches, Stage
 from myowarp.engine.stages.arrays import ConstraintRows as Rows
 from myowarp.engine.stages.arrays import ContactPool, any_of, filled
 from myowarp.engine.stages.contact_rows import KinematicTree, RowOptions, write_contact_rows
@@ -48,7 +49,11 @@ class ConstraintRows(Stage):
         super().__init__(stepped)
         self.efc_nnz = wp.zeros(stepped.data.nworld, dtype=int, device=stepped.device)
 
-    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+    def launcher(self, stages: tuple[Stage, ...], mask: wp.array | None = None) -> Launches:
+        """Return a launch that leaves the Jacobian of contacts to our solver, if it solves these rows."""
+        return partial(self.launch, in_solver=frames_in_solver(stages))
+
+    def launch(self, model: mjw.Model, data: mjw.Data, in_solver: bool = False) -> None:
         """Write the rows of joints and tendons, give those of contacts their places, then write these."""
         launch(
             write_joint_rows,
@@ -62,11 +67,18 @@ class ConstraintRows(Stage):
             rows=filled(Rows, data.efc),
         )
         if data.naconmax:
-            launch_contact_rows(model, data)
+            launch_contact_rows(model, data, in_solver)
 
 
-def launch_contact_rows(model: mjw.Model, data: mjw.Data) -> None:
-    """Write the rows of all contacts that have places."""
+def frames_in_solver(stages: tuple[Stage, ...]) -> bool:
+    """Return whether our solver solves our rows: those of free coordinates others write in between."""
+    places = {"make_constraint", "solve"}
+    owners = [stage.data for stage in stages if places.intersection(stage.replaces)]
+    return len(owners) == len(places) and owners[0] is owners[1]
+
+
+def launch_contact_rows(model: mjw.Model, data: mjw.Data, in_solver: bool = False) -> None:
+    """Write the rows of all contacts that have places; `in_solver`: all but their Jacobian."""
     launch(
         write_contact_rows,
         1,
@@ -74,5 +86,6 @@ def launch_contact_rows(model: mjw.Model, data: mjw.Data) -> None:
         tree=filled(KinematicTree, model),
         options=filled(RowOptions, model.opt),
         contacts=filled(ContactPool, data.contact, data),
+        in_solver=in_solver,
         rows=filled(Rows, data.efc),
     )

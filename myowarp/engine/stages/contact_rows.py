@@ -4,6 +4,9 @@ Each friction direction k of a contact gives two rows, normal ± friction_k dire
 of the two bodies' relative motion at the contact point (MuJoCo documentation, Computation, "Friction cones").
 mujoco-warp computes every column of every row, and the stiffness of every row; here only the columns of the
 two kinematic chains are computed, once for all rows of the contact, and the stiffness once.
+
+Where our solver follows, it computes what the chains do along normal and tangents by itself
+(`contact_frame.cpp`), and no Jacobian of an edge is written.
 """
 
 from pathlib import Path
@@ -62,16 +65,20 @@ def last_dof(tree: KinematicTree, body: int) -> int:
     return wp.max(-1, tree.body_dofadr[moved] + tree.body_dofnum[moved] - 1)
 
 
-@wp.func_native(Path(__file__).with_suffix(".cpp").read_text())
+FRAME = Path(__file__).with_name("contact_frame.cpp").read_text()
+
+
+@wp.func_native(FRAME + Path(__file__).with_suffix(".cpp").read_text())
 def write_jacobians(
     tree: KinematicTree,
     contacts: ContactPool,
-    qvel: wp.array2d[float],
     subtree_com: wp.array2d[wp.vec3],
     cdof: wp.array2d[wp.spatial_vector],
+    cvel: wp.array2d[wp.spatial_vector],
+    in_solver: bool,
     rows: ConstraintRows,
 ):
-    """Write J and J qvel of the rows of all contacts that have places."""
+    """Write J qvel of the rows of all contacts that have places, and J unless the solver does without."""
     ...
 
 
@@ -82,11 +89,12 @@ def write_contact_rows(
     # Params:
     options: RowOptions,
     # Data in:
-    qvel_in: wp.array2d[float],
     subtree_com_in: wp.array2d[wp.vec3],
     cdof_in: wp.array2d[wp.spatial_vector],
+    cvel_in: wp.array2d[wp.spatial_vector],
     # In:
     contacts: ContactPool,
+    in_solver: bool,
     # Out:
     rows: ConstraintRows,
 ):
@@ -95,7 +103,7 @@ def write_contact_rows(
     For one thread. Functions take structs by value: for every contact, only numbers.
     """
     thread = wp.tid()
-    write_jacobians(tree, contacts, qvel_in, subtree_com_in, cdof_in, rows)
+    write_jacobians(tree, contacts, subtree_com_in, cdof_in, cvel_in, in_solver, rows)
     for conid in range(thread, wp.min(contacts.nacon[0], contacts.dist.shape[0])):
         first = contacts.efc_address[conid, 0]
         if first < 0:

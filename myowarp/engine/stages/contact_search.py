@@ -1,6 +1,5 @@
 """Contacts in few launches: those of spheres, capsules and ellipsoids in one, see `contact_search_kernel`."""
 
-from collections.abc import Callable
 from typing import ClassVar
 
 import mujoco_warp as mjw
@@ -16,13 +15,11 @@ from myowarp.engine.stages.contact_search_kernel import (
     OURS,
     Candidates,
     ContactMaterial,
-    NearPairs,
     Shapes,
     find_contacts,
 )
 from myowarp.engine.stages.primitive_contacts import CLOSED_FORMS, touch_kernel
 from myowarp.engine.stepped import Stepped
-from myowarp.kernels.batching import num_threads
 from myowarp.kernels.launch import launch
 from myowarp.models.slim import colliding_pairs
 
@@ -71,7 +68,7 @@ class ContactSearch(Stage):
         self._primitive = [kind for kind in primitive if kind not in CLOSED_FORMS]
         with wp.ScopedDevice(stepped.device):
             self._context = create_collision_context(stepped.data.naconmax)
-        self._filter = ContactFilter(stepped) if stepped.device.is_cpu else None
+        self._filter = ContactFilter(stepped)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Find the contacts of all worlds, as `mujoco_warp.collision` does."""
@@ -85,30 +82,18 @@ class ContactSearch(Stage):
             "candidates": filled(Candidates, self._context, data),
             "contact": filled(ContactPool, data.contact, data),
         }
-        pairs = num_threads(data.nacon.device, model.nxn_geom_pair_filtered.shape[0])
-        near = NearPairs()
-        if self._filter:
-            self._filter.launch(model, data)
-            near = self._filter.near
-        launch(find_contacts, (data.nworld, pairs), data, threads=pairs, near=near, **shared)
-        if self._convex:
-            _if_any(data, lambda: convex_narrowphase(model, data, self._context, self._convex))
-        if self._closed:
-            _if_any(data, lambda: self._launch_closed_forms(data, shared))
-        if self._primitive:
-            _if_any(data, lambda: mjw.primitive_narrowphase(model, data, self._context, self._primitive))
+        self._filter.launch(model, data)
+        launch(find_contacts, data.nworld, data, near=self._filter.near, **shared)
+        if not (self._convex or self._closed or self._primitive):
+            return
 
-    def _launch_closed_forms(self, data: mjw.Data, shared: dict[str, object]) -> None:
-        """Find the contacts of the kinds of pairs that have a closed form."""
-        threads = num_threads(data.nacon.device, data.naconmax)
-        for kind in self._closed:
-            touch_pairs = touch_kernel(kind)
-            launch(touch_pairs, threads, data, threads=threads, **shared)
+        def find_others() -> None:
+            if self._convex:
+                convex_narrowphase(model, data, self._context, self._convex)
+            for kind in self._closed:
+                touch_pairs = touch_kernel(kind)
+                launch(touch_pairs, 1, data, **shared)
+            if self._primitive:
+                mjw.primitive_narrowphase(model, data, self._context, self._primitive)
 
-
-def _if_any(data: mjw.Data, launches: Callable[[], None]) -> None:
-    """Launch where pairs are left on the engine's list; on CUDA its threads find that out by themselves."""
-    if data.nacon.device.is_cpu:
-        wp.capture_if(data.ncollision, launches)
-    else:
-        launches()
+        wp.capture_if(data.ncollision, find_others)

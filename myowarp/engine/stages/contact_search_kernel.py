@@ -1,4 +1,4 @@
-"""Search for contacts: bounding spheres, then the distance itself wherever it has a short way to be found.
+"""Contacts of pairs that may touch: the distance itself wherever it has a short way to be found.
 
 The engine lists the pairs of geoms whose spheres and boxes meet, and goes through the list once for every
 family of shapes. Here a pair is done with in one go: spheres and capsules in closed form, ellipsoids by
@@ -7,7 +7,7 @@ Newton's method (`stages.separation`); pairs of other shapes go on the engine's 
 
 import warp as wp
 from mujoco_warp._src.collision_core import contact_material_params, write_contact
-from mujoco_warp._src.collision_driver import _add_geom_pair, _obb_filter, _plane_filter, _sphere_filter
+from mujoco_warp._src.collision_driver import _add_geom_pair, _obb_filter, _plane_filter
 from mujoco_warp._src.collision_primitive_core import capsule_capsule, sphere_capsule, sphere_sphere
 from mujoco_warp._src.math import make_frame
 from mujoco_warp._src.types import GeomType, vec5
@@ -88,7 +88,7 @@ class Candidates:
 
 @wp.struct
 class NearPairs:
-    """Pairs that may touch in each world, which `contact_filter` finds; without columns: all.
+    """Pairs that may touch in each world, which `contact_filter` finds.
 
     Attributes:
         num: Of each world.
@@ -339,7 +339,6 @@ def find_contacts(
     # Data in:
     naconmax_in: int,
     # In:
-    threads: int,
     near: NearPairs,
     # Data out:
     contact_out: ContactPool,
@@ -347,7 +346,7 @@ def find_contacts(
     candidates: Candidates,
 ):
     """dist(geom_1, geom_2) < margin + gap. Functions take structs by value: for every pair, only numbers."""
-    worldid, thread = wp.tid()
+    worldid = wp.tid()
     bound = shapes.geom_rbound[batched(worldid, shapes.geom_rbound.shape[0])]
     size = shapes.geom_size[batched(worldid, shapes.geom_size.shape[0])]
     box = shapes.geom_aabb[batched(worldid, shapes.geom_aabb.shape[0])]
@@ -356,14 +355,8 @@ def find_contacts(
     kind, xpos, xmat = shapes.geom_type, shapes.geom_xpos[worldid], shapes.geom_xmat[worldid]
     pair = Pair()
     pair.worldid = worldid
-    listed = near.pairs.shape[1] > 0
-    num_pairs = shapes.nxn_geom_pair_filtered.shape[0]
-    if listed:
-        num_pairs = near.num[worldid]
-    for k in range(thread, num_pairs, threads):
-        i = int(k)
-        if listed:
-            i = near.pairs[worldid, k]
+    for k in range(near.num[worldid]):
+        i = near.pairs[worldid, k]
         a, b = shapes.nxn_geom_pair_filtered[i][0], shapes.nxn_geom_pair_filtered[i][1]
         pair.pairid = shapes.nxn_pairid_filtered[i]
         pair.margin = margins[a] + margins[b]
@@ -373,9 +366,6 @@ def find_contacts(
             pair.gap = shapes.pair_gap[batched(worldid, shapes.pair_gap.shape[0]), pair.pairid[0]]
         # A collision sensor wants the distance however large it is.
         cutoff = wp.where(pair.pairid[1] < 0, pair.margin + pair.gap, FAR)
-        if bound[a] > 0.0 and bound[b] > 0.0:
-            if not _sphere_filter(bound[a], bound[b], cutoff, 0.0, xpos[a], xpos[b]):
-                continue
         pair.geoms = wp.vec2i(a, b)
         if kind[a] > kind[b]:
             pair.geoms = wp.vec2i(b, a)
@@ -383,17 +373,14 @@ def find_contacts(
         one = geom_at(kind[a], size[a], bound[a], box[a, 0], box[a, 1], xpos[a], xmat[a])
         two = geom_at(kind[b], size[b], bound[b], box[b, 0], box[b, 1], xpos[b], xmat[b])
         ours = one.type >= SPHERE and two.type <= ELLIPSOID
-        if not (ours and (listed or two.type <= CAPSULE)) and not boxes_meet(one, two, cutoff):
-            continue
-        start = wp.normalize(two.pos - one.pos)
-        if listed:
-            start = wp.vec3(near.normals[worldid, k])
         if ours:
-            touches = closest(one, two, cutoff, start)
+            touches = closest(one, two, cutoff, near.normals[worldid, k])
             if touches.first.dist < cutoff:
                 write_touch(touches.first, pair, material, 0, naconmax_in, contact_out)
             if touches.second.dist < cutoff:
                 write_touch(touches.second, pair, material, 1, naconmax_in, contact_out)
+            continue
+        if not boxes_meet(one, two, cutoff):
             continue
         if one.type == CAPSULE and two.type == CYLINDER:
             touch, is_whole = side_touch(one, two)

@@ -1,10 +1,13 @@
-// Body of the native function `solve_world` (contact_solve.py, which explains the method); WIDTH and the
-// overflow bits are defined before it. Degrees of freedom are padded to WIDTH, rows to whole vectors.
+// Body of the native function `solve_world` (contact_solve.py, which explains the method), after
+// contact_frame.cpp; WIDTH and the overflow bits are defined before it. Degrees of freedom are padded to
+// WIDTH, rows to whole vectors.
 
 #pragma clang diagnostic ignored "-Wvla-cxx-extension"
 typedef float lanes __attribute__((ext_vector_type(8)));
 typedef float loose_lanes __attribute__((ext_vector_type(8), aligned(4)));
+typedef float half __attribute__((ext_vector_type(4)));
 typedef float loose_half __attribute__((ext_vector_type(4), aligned(4)));
+typedef int numbers __attribute__((ext_vector_type(8)));
 typedef double wide __attribute__((ext_vector_type(8)));
 typedef bool bits __attribute__((ext_vector_type(8)));
 constexpr int BLOCKS = WIDTH / 8, WORDS = WIDTH / 64 + 1;
@@ -24,6 +27,17 @@ auto dot = [&](const lanes* a, const lanes* b) {
     for (int k = 0; k < BLOCKS; ++k)
         total += a[k] * b[k];
     return sum(total);
+};
+// Of the first three rows of a frame, their sums with a vector; the fourth is 0.
+auto dots = [](const lanes (*rows)[BLOCKS], const lanes* b) {
+    lanes total[3] = {};
+    for (int k = 0; k < BLOCKS; ++k)
+        for (int axis = 0; axis < 3; ++axis)
+            total[axis] += rows[axis][k] * b[k];
+    const half x = total[0].lo + total[0].hi, y = total[1].lo + total[1].hi, z = total[2].lo + total[2].hi;
+    const half xy = __builtin_shufflevector(x, y, 0, 4, 1, 5) + __builtin_shufflevector(x, y, 2, 6, 3, 7);
+    const half zs = __builtin_shufflevector(z, z, 0, 2, 1, 3), z0 = zs + zs.zwxy;
+    return (half){xy.x + xy.z, xy.y + xy.w, z0.x + z0.y, 0.0f};
 };
 auto add = [](lanes* to, float factor, const lanes* from, int blocks = BLOCKS) {
     for (int k = 0; k < blocks; ++k)
@@ -45,20 +59,36 @@ auto for_nonzeros = [](const lanes* row, int end, auto use) {
             use(64 * word + __builtin_ctzll(columns));
     }
 };
+auto add_three = [](lanes* to, half factors, const lanes (*rows)[BLOCKS], int blocks = BLOCKS) {
+    for (int k = 0; k < blocks; ++k)
+        to[k] += factors.x * rows[0][k] + factors.y * rows[1][k] + factors.z * rows[2][k];
+};
 auto blocks_up_to = [](int column) { return column / 8 + 1; };
 
 const int n = qfrc_smooth.shape[0];
 const int ne = counts.ne[world], nf = counts.nf[world];
 const int num_rows = wp::min(counts.nefc[world], rows.aref.shape[1]);
 const int row_blocks = (num_rows + 7) / 8;
+// Rows from here on are edges of contacts, whose frames stand for them: J has normal, tangents and turns.
+// Three axes and four edges are always computed: without friction, what the next frame overwrites.
+const int num_plain = moving.in_solver ? wp::min(ne + nf + counts.nl[world], num_rows) : num_rows;
+struct Frame {
+    int row, num_rows, first, num_axes;  // edges; rows of J
+    half slopes;                         // of four edges
+    const float* friction;
+    unsigned long long dofs[WORDS];
+};
+int num_frames = 0;
 
 // Part: gather
 // Inertia, symmetric, and what a row needs. J is gathered: it comes dense or sparse, here rows are dense.
-lanes mass[WIDTH][BLOCKS], J[num_rows + 1][BLOCKS];
+lanes mass[WIDTH][BLOCKS], J[num_rows + 6][BLOCKS];
 lanes x[BLOCKS], Mx[BLOCKS], smooth[BLOCKS], pull[BLOCKS], gradient[BLOCKS], search[BLOCKS], Ms[BLOCKS];
+Frame frames[num_rows - num_plain + 1];
 lanes D[row_blocks + 1], low[row_blocks + 1], high[row_blocks + 1], loss[row_blocks + 1];
 lanes residual[row_blocks + 1], change[row_blocks + 1], force[row_blocks + 1];
-int state[num_rows + 1];
+lanes weight[row_blocks + 1], heavier[row_blocks + 1];
+numbers state[row_blocks + 1];
 
 for (int i = 0; i < WIDTH; ++i)
     for (int k = 0; k < BLOCKS; ++k)
@@ -85,12 +115,13 @@ for (int j = 0; j < n; ++j)
 
 // Every row pulls with -D residual between `low` and `high` and with a constant force outside: an equality
 // has no bounds, friction loss is bounded on both sides, a limit or contact never pulls above zero.
-for (int b = 0; b < row_blocks; ++b) {
-    D[b] = loss[b] = residual[b] = change[b] = 0.0f;
+for (int b = 0; b <= row_blocks; ++b) {
+    D[b] = loss[b] = residual[b] = change[b] = weight[b] = heavier[b] = force[b] = 0.0f;
     low[b] = -INF;
     high[b] = INF;
+    state[b] = SATISFIED;
 }
-for (int i = 0; i < num_rows; ++i) {
+for (int i = 0; i < num_plain; ++i) {
     for (int k = 0; k < BLOCKS; ++k)
         J[i][k] = 0.0f;
     if (rows.J_rownnz.shape[1] > 0) {
@@ -109,17 +140,56 @@ for (int i = 0; i < num_rows; ++i) {
             J[i][BLOCKS - 1] = lane_number < (float)(n % 8) ? J[i][BLOCKS - 1] : (lanes)0.0f;
         }
     }
-    at(D, i) = wp::index(rows.D, world, i);
-    at(residual, i) = dot(J[i], x) - wp::index(rows.aref, world, i);
-    if (i >= ne + nf) {
-        at(high, i) = 0.0f;
-    } else if (i >= ne) {
-        const float limit = wp::index(rows.frictionloss, world, i);
-        at(loss, i) = limit;
-        at(high, i) = limit / at(D, i);
-        at(low, i) = -limit / at(D, i);
+}
+for (int row = num_plain, first = num_plain; row < num_rows;) {
+    const int conid = wp::index(rows.id, world, row), num_axes = contacts.dim.data[conid];
+    const float* friction = friction_of(conid);
+    Frame& frame = frames[num_frames++];
+    frame = {row, wp::min(wp::max(1, 2 * (num_axes - 1)), num_rows - row), first, num_axes};
+    frame.friction = friction;
+    frame.slopes = (half){friction[0], -friction[0], friction[1], -friction[1]};
+    for (int i = first; i < first + wp::max(num_axes, 3); ++i)
+        for (int k = 0; k < BLOCKS; ++k)
+            J[i][k] = 0.0f;
+    for_dofs(world, sides_of(world, conid), [&](int dof, axes motion) {
+        at(J[first], dof) = motion.x;
+        at(J[first + 1], dof) = motion.y;
+        at(J[first + 2], dof) = motion.z;
+        for (int axis = 3; axis < num_axes; ++axis)
+            at(J[first + axis], dof) = ((const float*)&motion)[axis];
+        frame.dofs[dof / 64] |= 1ull << dof % 64;
+    });
+    first += num_axes;
+    row += frame.num_rows;
+}
+// What rows are of a vector, J v.
+auto multiply = [&](const lanes* v, lanes* to) __attribute__((noinline)) {
+    for (int i = 0; i < num_plain; ++i)
+        at(to, i) = dot(J[i], v);
+    for (int f = 0; f < num_frames; ++f) {
+        const Frame& frame = frames[f];
+        const half along = dots(J + frame.first, v);
+        *(loose_half*)((float*)to + frame.row) = along.xxxx + frame.slopes * along.yyzz;
+        for (int k = 4; k < frame.num_rows; k += 2) {
+            const float slope = frame.friction[k / 2] * dot(J[frame.first + k / 2 + 1], v);
+            at(to, frame.row + k) = along.x + slope;
+            at(to, frame.row + k + 1) = along.x - slope;
+        }
     }
-    state[i] = SATISFIED;
+};
+multiply(x, residual);
+const float *stiffness = &wp::index(rows.D, world, 0), *aref = &wp::index(rows.aref, world, 0);
+for (int i = 0; i < num_rows; ++i) {
+    at(D, i) = stiffness[i];
+    at(residual, i) -= aref[i];
+}
+for (int i = ne + nf; i < num_rows; ++i)
+    at(high, i) = 0.0f;
+for (int i = ne; i < wp::min(ne + nf, num_rows); ++i) {
+    const float limit = wp::index(rows.frictionloss, world, i);
+    at(loss, i) = limit;
+    at(high, i) = limit / at(D, i);
+    at(low, i) = -limit / at(D, i);
 }
 
 // H = M + sum of D J'J over the quadratic rows, lower triangle. Vector writes leave junk right of the
@@ -133,6 +203,38 @@ auto copy = [](lanes (*to)[BLOCKS], lanes (*from)[BLOCKS]) {
 };
 auto add_row_to_H = [&](int i, float weight) {
     for_nonzeros(J[i], n, [&](int c) { add(H[c], weight * at(J[i], c), J[i], blocks_up_to(c)); });
+};
+auto sum_of_edges = [](const Frame& frame, half edges) {
+    return frame.num_axes > 1 ? edges.x + edges.y + edges.z + edges.w : edges.x;
+};
+// The edges of a contact whose weights change, by their frame: J' C J, of which C couples the normal with
+// each other axis.
+auto add_frame_to_H = [&](const Frame& frame, const float* more) {
+    const half edges = *(const loose_half*)more, coupled = frame.slopes * edges;
+    const half squares = frame.slopes * coupled;
+    float normal = sum_of_edges(frame, edges), to_normal[5] = {}, own[5] = {};
+    for (int k = 4; k < frame.num_rows; k += 2) {
+        const float slope = frame.friction[k / 2], both = more[k] + more[k + 1];
+        normal += both;
+        to_normal[k / 2] = slope * (more[k] - more[k + 1]);
+        own[k / 2] = slope * slope * both;
+    }
+    const float first = coupled.x + coupled.y, second = coupled.z + coupled.w;
+    const float first_own = squares.x + squares.y, second_own = squares.z + squares.w;
+    lanes(*j)[BLOCKS] = J + frame.first;
+    for (int word = 0; word < WORDS; ++word) {
+        for (unsigned long long dofs = frame.dofs[word]; dofs; dofs &= dofs - 1) {
+            const int c = 64 * word + __builtin_ctzll(dofs), blocks = blocks_up_to(c);
+            const float x = at(j[0], c), y = at(j[1], c), z = at(j[2], c);
+            half factors = {normal * x + first * y + second * z, first * x + first_own * y,
+                            second * x + second_own * z, 0.0f};
+            for (int k = 2; k < frame.num_axes - 1; ++k) {
+                factors.x += to_normal[k] * at(j[k + 1], c);
+                add(H[c], to_normal[k] * x + own[k] * at(j[k + 1], c), j[k + 1], blocks);
+            }
+            add_three(H[c], factors, j, blocks);
+        }
+    }
 };
 // H = L' P L with unit lower L and pivots P, last row first: zeros of the kinematic tree stay zero.
 auto factorize = [&]() __attribute__((noinline)) {
@@ -165,33 +267,52 @@ auto solve = [&]() __attribute__((noinline)) {
 
 // Forces and states of all rows at the present residual; H follows the rows whose state flips.
 auto update_states = [&]() __attribute__((noinline)) {
-    bool flipped = false;
+    numbers flipped = 0;
     for (int b = 0; b < row_blocks; ++b) {
-        lanes r = residual[b];
-        force[b] = r <= low[b] ? loss[b] : (r >= high[b] ? -loss[b] : -D[b] * r);
+        const lanes r = residual[b];
+        const auto below = r <= low[b], above = r >= high[b];
+        force[b] = below ? loss[b] : (above ? -loss[b] : -D[b] * r);
+        const numbers now = below ? (numbers)LINEARNEG : (above ? (numbers)SATISFIED : (numbers)QUADRATIC);
+        flipped |= now ^ state[b];
+        state[b] = now;
+        const lanes present = below | above ? (lanes)0.0f : D[b];
+        heavier[b] = present - weight[b];
+        weight[b] = present;
     }
-    for (int i = 0; i < num_rows; ++i) {
-        const float r = at(residual, i);
-        const int above = i < ne + nf ? LINEARPOS : SATISFIED;
-        const int now = r <= at(low, i) ? LINEARNEG : r >= at(high, i) ? above : QUADRATIC;
-        if (now == state[i])
-            continue;
-        flipped = true;
-        if (now == QUADRATIC)
-            add_row_to_H(i, at(D, i));
-        else if (state[i] == QUADRATIC)
-            add_row_to_H(i, -at(D, i));
-        state[i] = now;
+    if (!__builtin_reduce_or(flipped))
+        return false;
+    for (int i = 0; i < num_plain; ++i)
+        if (at(heavier, i) != 0.0f)
+            add_row_to_H(i, at(heavier, i));
+    for (int f = 0; f < num_frames; ++f) {
+        const float* more = (const float*)heavier + frames[f].row;
+        bool changed = false;
+        for (int k = 0; k < frames[f].num_rows; ++k)
+            changed |= more[k] != 0.0f;
+        if (changed)
+            add_frame_to_H(frames[f], more);
     }
-    return flipped;
+    return true;
 };
 // pull = J' force, gradient = M x - smooth - pull; returns the gradient's norm.
 auto update_gradient = [&]() __attribute__((noinline)) {
     for (int k = 0; k < BLOCKS; ++k)
         pull[k] = 0.0f;
-    for (int i = 0; i < num_rows; ++i)
+    for (int i = 0; i < num_plain; ++i)
         if (at(force, i) != 0.0f)
             add(pull, at(force, i), J[i]);
+    for (int f = 0; f < num_frames; ++f) {
+        const Frame& frame = frames[f];
+        const float* push = (const float*)force + frame.row;
+        const half edges = *(const loose_half*)push, slopes = frame.slopes * edges;
+        half along = {sum_of_edges(frame, edges), slopes.x + slopes.y, slopes.z + slopes.w, 0.0f};
+        for (int k = 4; k < frame.num_rows; k += 2) {
+            along.x += push[k] + push[k + 1];
+            add(pull, frame.friction[k / 2] * (push[k] - push[k + 1]), J[frame.first + k / 2 + 1]);
+        }
+        if (along.x != 0.0f)
+            add_three(pull, along, J + frame.first);
+    }
     for (int k = 0; k < BLOCKS; ++k)
         gradient[k] = Mx[k] - smooth[k] - pull[k];
     return wp::sqrt(dot(gradient, gradient));
@@ -263,8 +384,7 @@ while (true) {
         Ms[k] = 0.0f;
     for (int j = 0; j < n; ++j)
         add(Ms, at(search, j), mass[j]);
-    for (int i = 0; i < num_rows; ++i)
-        at(change, i) = dot(J[i], search);
+    multiply(search, change);
     wide slopes = 0.0, curvatures = 0.0;
     for (int k = 0; k < BLOCKS; ++k) {
         slopes += widen(search[k]) * (widen(Mx[k]) - widen(smooth[k]));
@@ -312,8 +432,13 @@ for (int i = 0; i < n; ++i) {
     qfrc_constraint[i] = at(pull, i);
     wp::index(result.Ma, world, i) = at(Mx, i);
 }
+float* forces = &wp::index(result.force, world, 0);
+int* states = &wp::index(result.state, world, 0);
 for (int i = 0; i < num_rows; ++i) {
-    wp::index(result.force, world, i) = at(force, i);
-    wp::index(result.state, world, i) = state[i];
+    forces[i] = at(force, i);
+    states[i] = ((const int*)state)[i];
 }
+for (int i = ne; i < wp::min(ne + nf, num_rows); ++i)  // of friction losses, above is not satisfied
+    if (states[i] == SATISFIED)
+        states[i] = LINEARPOS;
 result.niter[world] = iterations;

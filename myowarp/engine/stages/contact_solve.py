@@ -7,11 +7,15 @@ launches an iteration become plain loops over small dense arrays on the stack (`
 Hessian changes only by the rows whose state flipped, and is factorised again only then. The line search is
 exact, in double precision.
 
+Where the rows are ours, too, a contact is its frame: what normal, tangents and turns are along the dofs of
+its two bodies' chains is computed here, once. Edges of the friction pyramid are sums of them: their values,
+their forces, and their share of the Hessian, J' C J with a small C.
+
 Where every row is a limit of one dof, as in a body that touches nothing, the Hessian has the zeros of M, and
 worlds go through the same method in lanes (`limit_solve.cpp`): there are no rows to multiply by.
 """
 
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -19,8 +23,10 @@ import mujoco_warp as mjw
 import warp as wp
 from mujoco_warp import DisableBit, OverflowType
 
-from myowarp.engine.stage import Stage
-from myowarp.engine.stages.arrays import ConstraintRows, InertiaRows, filled
+from myowarp.engine.stage import Launches, Stage
+from myowarp.engine.stages.arrays import ConstraintRows, ContactPool, InertiaRows, filled
+from myowarp.engine.stages.constraint_rows import frames_in_solver
+from myowarp.engine.stages.contact_rows import FRAME, KinematicTree
 from myowarp.engine.stepped import Stepped
 from myowarp.kernels.lanes import at_namespace_level, block_scratch
 from myowarp.kernels.launch import launch
@@ -74,6 +80,17 @@ def solver_result(data: mjw.Data) -> Any:
 
 
 @wp.struct
+class MovingContacts:
+    """What frames of contacts are made of; `in_solver`: rows of contacts are last, and have no Jacobian."""
+
+    tree: KinematicTree
+    contacts: ContactPool
+    subtree_com: wp.array2d[wp.vec3]
+    cdof: wp.array2d[wp.spatial_vector]
+    in_solver: bool
+
+
+@wp.struct
 class InLanes:
     """Memory of a block, the limits of each world's dofs, and which worlds are solved with them alone."""
 
@@ -121,7 +138,11 @@ def native_solve(width: int) -> Any:
     constants = {"WIDTH": width, **FLAGS}
 
     @wp.func_native(
-        "".join(f"constexpr int {name} = {value};\n" for name, value in constants.items()) + SOURCE
+        "".join(f"constexpr int {name} = {value};\n" for name, value in constants.items())
+        + "auto &tree = moving.tree; auto &contacts = moving.contacts;\n"
+        + "auto &subtree_com = moving.subtree_com; auto &cdof = moving.cdof;\n"
+        + FRAME
+        + SOURCE
     )
     def solve_world(
         world: int,
@@ -132,6 +153,7 @@ def native_solve(width: int) -> Any:
         qacc_warmstart: wp.array[float],
         counts: RowCounts,
         rows: ConstraintRows,
+        moving: MovingContacts,
         qacc: wp.array[float],
         qfrc_constraint: wp.array[float],
         result: SolverResult,
@@ -158,6 +180,7 @@ def solver_kernel(width: int) -> Any:
         memory: InLanes,
         counts: RowCounts,
         rows: ConstraintRows,
+        moving: MovingContacts,
         # Data out:
         qacc_out: wp.array2d[float],
         qfrc_constraint_out: wp.array2d[float],
@@ -191,6 +214,7 @@ def solver_kernel(width: int) -> Any:
                     qacc_warmstart_in[worldid],
                     counts,
                     rows,
+                    moving,
                     qacc_out[worldid],
                     qfrc_constraint_out[worldid],
                     result,
@@ -239,9 +263,9 @@ def width_of(num_dofs: int) -> int:
 
 
 def stack_of(num_dofs: int, num_rows: int) -> int:
-    """Return the bytes of stack that a world takes: three matrices, J, and eight vectors of its rows."""
+    """Return the bytes of stack that a world takes: three matrices, J, ten vectors of its rows, frames."""
     width = width_of(num_dofs)
-    return 4 * (3 * width * width + num_rows * (width + 8))
+    return 4 * (3 * width * width + num_rows * (width + 10 + 16 + width // 32))
 
 
 class ContactSolve(Stage):
@@ -274,13 +298,20 @@ class ContactSolve(Stage):
         self.memory.limits = wp.empty(data.qvel.shape, dtype=wp.vec2, device=stepped.device)
         self.memory.scratch = block_scratch(stepped.device, data.M, data.M, data.efc.Ma, *[data.qvel] * 16)
 
-    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+    def launcher(self, stages: tuple[Stage, ...], mask: wp.array | None = None) -> Launches:
+        """Return a launch that computes the frames of contacts, if the rows are ours."""
+        return partial(self.launch, in_solver=frames_in_solver(stages))
+
+    def launch(self, model: mjw.Model, data: mjw.Data, in_solver: bool = False) -> None:
         """Sum the forces, then solve the constraints of all worlds."""
         launch(sum_forces, data.nworld, data)
-        self.solve(model, data)
+        self.solve(model, data, in_solver)
 
-    def solve(self, model: mjw.Model, data: mjw.Data) -> None:
-        """Solve the constraints of all worlds, as `mujoco_warp.solve` does."""
+    def solve(self, model: mjw.Model, data: mjw.Data, in_solver: bool = False) -> None:
+        """Solve the constraints of all worlds, as `mujoco_warp.solve` does; see `MovingContacts`."""
+        moving = MovingContacts()
+        moving.tree, moving.contacts = filled(KinematicTree, model), filled(ContactPool, data.contact, data)
+        moving.subtree_com, moving.cdof, moving.in_solver = data.subtree_com, data.cdof, in_solver
         solve_constraints = solver_kernel(width_of(model.nv))
         launch(
             solve_constraints,
@@ -291,5 +322,6 @@ class ContactSolve(Stage):
             options=filled(SolverOptions, model.opt),
             counts=filled(RowCounts, data),
             rows=filled(ConstraintRows, data.efc),
+            moving=moving,
             result=solver_result(data),
         )

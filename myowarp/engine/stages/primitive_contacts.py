@@ -78,14 +78,13 @@ def touch_kernel(kind: tuple[GeomType, GeomType]) -> wp.Kernel:
         # Data in:
         naconmax_in: int,
         # In:
-        threads: int,
         candidates: Candidates,
         # Data out:
         contact_out: ContactPool,
     ):
-        """Contacts of every `threads`-th pair on the engine's list, if it is of this kind."""
+        """Contacts of the pairs on the engine's list that are of this kind; for one thread."""
         thread = wp.tid()
-        for i in range(thread, wp.min(candidates.ncollision[0], naconmax_in), threads):
+        for i in range(thread, wp.min(candidates.ncollision[0], naconmax_in)):
             geoms = candidates.collision_pair[i]
             if shapes.geom_type[geoms[0]] != type1 or shapes.geom_type[geoms[1]] != type2:
                 continue

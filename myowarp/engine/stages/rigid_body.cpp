@@ -297,7 +297,7 @@ void move_block(Block<V>& block, Bodies& bodies, Switches& switches, Sites& site
     store(motion.crb, composite, last);
     store(motion.cdof, dof, last || switches.has_contacts);
     store(motion.cdof_dot, dof_change, last);
-    store(motion.cvel, velocity, last);
+    store(motion.cvel, velocity, last || switches.has_contacts);
     store(motion.cacc, acceleration, last);
     store(motion.cfrc_int, force, last);
     store(motion.M, M);
