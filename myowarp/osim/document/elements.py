@@ -1,5 +1,6 @@
 """Parts of an OpenSim model that paths and forces are made of; conventions as in `model`."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -85,11 +86,46 @@ class PathWrap:
 
 
 @dataclass(frozen=True)
+class LengthFunction:
+    """The length of a path as a polynomial: a sum of c x_1^p_1 ... x_n^p_n, each x of one coordinate."""
+
+    coordinates: tuple[str, ...]
+    functions: tuple[Function, ...]
+    """x_i of coordinate i [rad] or [m]; mostly the coordinate itself."""
+    coefficients: tuple[float, ...]
+    """Of each term [m]."""
+    powers: tuple[tuple[int, ...], ...]
+    """Of each term, one for each x."""
+
+    def at(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
+        """Return the length [m], shape (n,), and its derivatives by the coordinates, (coordinates, n).
+
+        Args:
+            values: Of the coordinates [rad] or [m], each of shape (n,).
+        """
+        chosen = [values[name] for name in self.coordinates]
+        pairs = list(zip(self.functions, chosen, strict=True))
+        x = np.stack([function.value(value) for function, value in pairs])
+        inner = np.stack([function.derivative(value) for function, value in pairs])
+        powers = np.array(self.powers)[:, :, None]
+        factors = x**powers
+        length = self.coefficients @ factors.prod(axis=1)
+        slopes = np.empty_like(x)
+        for k in range(len(x)):
+            below = factors.copy()
+            below[:, k] = powers[:, k] * x[k] ** np.maximum(powers[:, k] - 1, 0)
+            slopes[k] = self.coefficients @ below.prod(axis=1)
+        return length, slopes * inner
+
+
+@dataclass(frozen=True)
 class Path:
-    """Points from origin to insertion, and objects to wrap over."""
+    """Points from origin to insertion, and objects to wrap over; or a length that is a function."""
 
     points: tuple[Point, ...]
     wraps: tuple[PathWrap, ...]
+    function: LengthFunction | None = None
+    """Of coordinates, in place of points and objects."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ muscles (`tendon`), and the fitted tendons with MuJoCo's muscles (`plain`). The 
 and left out: there the guard refuses a wrap, or OpenSim has no length.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -218,7 +218,7 @@ def judge(
     paths = {fit.name: source.muscles[fit.name].path for fit in fits.muscles}
     still = np.zeros((len(found.length), len(free)))
     own = lengths_and_moment_arms(source, paths, values, still, TURNS)
-    straight = {name: Path(path.points, ()) for name, path in paths.items()}
+    straight = {name: replace(path, wraps=()) for name, path in paths.items()}
     chain = lengths_and_moment_arms(source, straight, values, still).length
     muscles: list[MuscleJudged] = []
     laws: dict[str, HillMuscle] = {}

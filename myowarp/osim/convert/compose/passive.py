@@ -11,17 +11,18 @@ import mujoco
 import numpy as np
 
 from myowarp.osim.bundle.forces import PassiveForces
-from myowarp.osim.convert.compose.geometry import TIGHT, Build, quaternion, reduced
+from myowarp.osim.convert.compose.geometry import TIGHT, Build, default_of, quaternion, reduced
 from myowarp.osim.convert.tendon.path import TendonPath, Via, add_tendon
 from myowarp.osim.document.elements import (
     BodyActuator,
     Bushing,
     ConditionalPathPoint,
     CoordinateLimitForce,
+    LengthFunction,
     Ligament,
     Path,
 )
-from myowarp.osim.document.functions import IDENTITY
+from myowarp.osim.document.functions import IDENTITY, derivatives
 from myowarp.osim.document.kinematics import sampling_range
 from myowarp.osim.document.model import GROUND, Joint, Loss, Note
 
@@ -145,6 +146,8 @@ def path_tendon(
     build: Build, name: str, path: Path, moving: Mapping[int, str], tendons: Mapping[str, TendonPath]
 ) -> mujoco.MjsTendon:
     """Add a tendon: as fitted, else through the fixed and moving points, noting what that leaves out."""
+    if path.function is not None:
+        return _line_tendon(build, name, path.function)
     if name in tendons:
         return add_tendon(build.spec, tendons[name], path, moving)
     last = len(path.points) - 1
@@ -162,6 +165,26 @@ def path_tendon(
             )
         )
     return add_tendon(build.spec, TendonPath(name, tuple(Via(number) for number in kept)), path, moving)
+
+
+def _line_tendon(build: Build, name: str, function: LengthFunction) -> mujoco.MjsTendon:
+    """Add the tangent of a length in its coordinates at the default pose, which plain MuJoCo has for it."""
+    model, tendon = build.model, build.spec.add_tendon(name=name)
+    at = {of: np.array([default_of(model, IDENTITY, of)]) for of in function.coordinates}
+    slopes: dict[str, float] = {}
+    for of, slope in zip(function.coordinates, function.at(at)[1][:, 0], strict=True):
+        follows, free = reduced(model, IDENTITY, of)
+        if free is not None and free in build.carriers:
+            joint, scale = build.carriers[free]
+            rate = float(derivatives(follows, model.coordinates[free].default)[1])
+            slopes[joint] = slopes.get(joint, 0.0) + float(slope) * rate / scale
+    if not slopes:
+        raise ValueError(f"{model.source}: the length of {name!r} depends on no coordinate that moves")
+    for joint, slope in slopes.items():
+        tendon.wrap_joint(joint, slope)
+    rule = "in plain MuJoCo the tangent of its length at the default pose, without the length there"
+    build.notes.append(Loss(f"/forceset/{name}", rule, code="FunctionBasedPath"))
+    return tendon
 
 
 def _add_ligament(build: Build, ligament: Ligament, tendon: mujoco.MjsTendon) -> None:
