@@ -66,7 +66,7 @@ class MovingEntry:
 
 @wp.struct
 class VariableEntry:
-    """A variable of a length that is a polynomial, its value, and the address of its joint's dof in `ten_J`."""
+    """A variable of a length that is a polynomial, its value, and the address of its dof in `ten_J`."""
 
     variable: int
     value: int

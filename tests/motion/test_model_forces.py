@@ -17,6 +17,7 @@ from myowarp.motion.actuators import actuators_of
 from myowarp.motion.draws import Recording, Uncertainty, draw_trial
 from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
 from myowarp.motion.joint_reactions import joint_reactions
+from myowarp.motion.loads import prescribed_loads
 from myowarp.motion.muscle_forces import muscle_forces
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.storage import read_storage
@@ -32,7 +33,9 @@ DATA = Path(__file__).parents[1] / "data"
 ARM = (DATA / "osim/arm26.osim").read_text()
 RECORDED = json.loads((DATA / "opensim/beside.json").read_text())
 TIME, VALUES = np.array(RECORDED["time"]), np.array(RECORDED["values"])
-FORCES = np.load(DATA / "opensim/forces.npz")
+RECORDED_FORCES = {name: np.load(DATA / f"opensim/{name}.npz") for name in ("forces", "devices")}
+AT = 0.37
+"""s: time of the recorded states."""
 
 TOLERANCE = 1e-6
 """N m: what twice differentiated splines differ by."""
@@ -123,24 +126,47 @@ def test_moments_are_those_of_opensim(name, tmp_path):
         assert np.abs(theirs - bare).max() > 1e6 * TOLERANCE
 
 
-def test_coordinates_that_follow_push_those_that_lead():
+@pytest.mark.parametrize("name", RECORDED_FORCES)
+def test_coordinates_that_follow_push_those_that_lead(name):
     """Every class on a model with couplers and moving points, as OpenSim's inverse dynamics has it."""
-    bones = Bones.read(DATA / "osim/forces.osim", "cpu")
-    names, forces = FORCES["coordinates"].tolist(), FORCES["forces"].tolist()
+    recorded = RECORDED_FORCES[name]
+    bones = Bones.read(DATA / f"osim/{name}.osim", "cpu")
+    names, forces = recorded["coordinates"].tolist(), recorded["forces"].tolist()
     columns = [names.index(name) for name in bones.coordinates]
-    values, rates = FORCES["values"][:, columns], FORCES["rates"][:, columns]
-    along = [FORCES["free"].tolist().index(name) for name in bones.coordinates]
-    for kept in (*(name for name in forces if name not in ("cable", "push")), None):
+    values, rates = recorded["values"][:, columns], recorded["rates"][:, columns]
+    along = [recorded["free"].tolist().index(name) for name in bones.coordinates]
+    driven = np.isfinite(recorded["control"])
+    still, time = np.zeros_like(values), np.full(len(values), AT)
+    for kept in (*(name for name, on in zip(forces, driven, strict=True) if not on), None):
         model, unknown = without(bones.model, [name for name in forces if name != kept] if kept else [])
         assert not unknown
-        chosen = (
-            [forces.index(kept)] if kept else [k for k, n in enumerate(forces) if n not in ("cable", "push")]
-        )
-        theirs = FORCES["acting"][:, chosen].sum(axis=1)[:, along]
-        found = inverse_dynamics(Bones(model, "cpu"), values, rates, np.zeros_like(values))
+        chosen = [forces.index(kept)] if kept else np.flatnonzero(~driven)
+        theirs = recorded["acting"][:, chosen].sum(axis=1)[:, along]
+        acting = Bones(model, "cpu")
+        loads = prescribed_loads(acting, time)
+        found = inverse_dynamics(acting, values, rates, still, loads)
+        bare = inverse_dynamics(acting, values, rates, still, passive=False).joint_moment
         scale = np.abs(theirs).max()
-        assert scale > 0.1
-        np.testing.assert_allclose(found.passive, theirs, atol=1e-8 * scale)
+        assert scale > 0.01
+        np.testing.assert_allclose(bare - found.joint_moment, theirs, atol=1e-8 * scale, err_msg=kept or "")
+        if not loads:
+            np.testing.assert_allclose(found.passive, theirs, atol=1e-8 * scale, err_msg=kept or "")
+
+
+@pytest.mark.parametrize("name", RECORDED_FORCES)
+def test_motors_do_what_those_of_opensim_do(name):
+    recorded = RECORDED_FORCES[name]
+    bones = Bones.read(DATA / f"osim/{name}.osim", "cpu")
+    names, forces = recorded["coordinates"].tolist(), recorded["forces"].tolist()
+    values = recorded["values"][:, [names.index(name) for name in bones.coordinates]]
+    along = [recorded["free"].tolist().index(name) for name in bones.coordinates]
+    motors = actuators_of(bones, values)
+    driven = {name for name, control in zip(forces, recorded["control"], strict=True) if np.isfinite(control)}
+    assert set(motors.names) == driven
+    for number, motor in enumerate(motors.names):
+        theirs = recorded["acting"][:, forces.index(motor)][:, along]
+        found = recorded["control"][forces.index(motor)] * motors.effect[:, number]
+        np.testing.assert_allclose(found, theirs, atol=1e-8 * np.abs(theirs).max(), err_msg=motor)
 
 
 @pytest.mark.parametrize("words", RECORDED["excluded"])

@@ -132,8 +132,8 @@ class MusclePath:
         longest: By which one wrap may make it longer [m]; more is a jump.
         first_variable: First variable of its length, where that is a polynomial.
         variables: Number of these; 0: it runs over points.
-        first_term: First term of the polynomial.
-        terms: Number of these.
+        first_group: First group of terms of the polynomial.
+        groups: Number of these.
     """
 
     first_point: int
@@ -146,8 +146,8 @@ class MusclePath:
     longest: wp.float64
     first_variable: int
     variables: int
-    first_term: int
-    terms: int
+    first_group: int
+    groups: int
 
 
 @wp.struct
@@ -161,8 +161,9 @@ class PathTables:
         wraps: Of paths.
         surfaces: What these wrap over.
         variable: Numbers of the values that are variables of polynomials.
-        coefficient: Of each term [m].
-        power: Of each term, one for each variable of its path; shape (num_terms, most variables).
+        power: Of all variables but the last, which a group of terms shares; shape (num_groups, most).
+        first_coefficient: Of each group, and the number of all.
+        coefficient: Of a group, of ascending powers of the last variable from 0 [m].
     """
 
     paths: wp.array[MusclePath]
@@ -171,8 +172,9 @@ class PathTables:
     wraps: wp.array[PathWrap]
     surfaces: wp.array[Surface]
     variable: wp.array[int]
-    coefficient: wp.array[wp.float64]
     power: wp.array2d[int]
+    first_coefficient: wp.array[int]
+    coefficient: wp.array[wp.float64]
 
 
 @wp.struct
@@ -182,7 +184,7 @@ class Frames:
     Attributes:
         origin: Of bodies in ground [m], shape (num_worlds, num_bodies).
         rotation: Of bodies in ground.
-        value: Coordinates of moving points [m], of conditions and of polynomials; shape (num_worlds, num_values).
+        value: Of moving points [m], conditions and polynomials, shape (num_worlds, num_values).
     """
 
     origin: wp.array2d[wp.vec3d]
@@ -481,14 +483,22 @@ def pull_moving(
 def polynomial_length(
     path: MusclePath, tables: PathTables, value: wp.array[wp.float64], by_variable: wp.array[wp.float64]
 ) -> wp.float64:
-    """Return sum c x_1^p_1 ... x_n^p_n, and write its derivatives by the variables."""
+    """Return sum c x_1^p_1 ... x_n^p_n, and write its derivatives by the variables.
+
+    Terms that differ in the power of the last variable alone are one polynomial of it, by Horner's rule.
+    """
     total, slopes, x = real(0.0), Slopes(), Slopes()
+    last = path.variables - 1
     for k in range(path.variables):
         x[k] = value[tables.variable[path.first_variable + k]]
-    for term in range(path.first_term, path.first_term + path.terms):
-        product, by = real(tables.coefficient[term]), Slopes()
-        for k in range(path.variables):
-            power = tables.power[term, k]
+    for group in range(path.first_group, path.first_group + path.groups):
+        inner, steep = real(0.0), real(0.0)
+        for c in range(tables.first_coefficient[group + 1] - 1, tables.first_coefficient[group] - 1, -1):
+            steep = steep * x[last] + inner
+            inner = inner * x[last] + tables.coefficient[c]
+        product, by = real(1.0), Slopes()
+        for k in range(last):
+            power = tables.power[group, k]
             if power > 0:
                 below = real(1.0)
                 for _ in range(power - 1):
@@ -497,8 +507,9 @@ def polynomial_length(
                     by[before] = by[before] * below * x[k]
                 by[k] = product * real(power) * below
                 product *= below * x[k]
-        total += product
-        slopes += by
+        total += product * inner
+        slopes += inner * by
+        slopes[last] = slopes[last] + product * steep
     for k in range(path.variables):
         by_variable[path.first_variable + k] = slopes[k]
     return total

@@ -128,6 +128,16 @@ class Polynomial:
     coefficients: tuple[float, ...]
     powers: tuple[tuple[int, ...], ...]
 
+    @property
+    def groups(self) -> list[tuple[tuple[int, ...], list[float]]]:
+        """Powers of all variables but the last, and coefficients of the last's ascending powers from 0."""
+        found: dict[tuple[int, ...], list[float]] = {}
+        for coefficient, (*others, last) in zip(self.coefficients, self.powers, strict=True):
+            row = found.setdefault(tuple(others), [])
+            row += [0.0] * (last + 1 - len(row))
+            row[last] += coefficient
+        return list(found.items())
+
 
 @dataclass(frozen=True)
 class OsimPath:
@@ -196,7 +206,7 @@ class PathMemory:
         self.places: list[int] = []
         self.path_moving: list[range] = []
         variables: list[int] = []
-        terms: list[tuple[float, tuple[int, ...]]] = []
+        groups: list[tuple[tuple[int, ...], list[float]]] = []
         self.path_variables: list[dict[int, int]] = []
         place = 0
         for path in described.paths.values():
@@ -205,12 +215,11 @@ class PathMemory:
             spans = (len(points), len(path.points), len(wraps), len(path.wraps))
             self.places.append(place)
             longest = guard * turns if guard else np.inf
-            sizes = [len(variables), 0, len(terms), 0]
+            sizes = [len(variables), 0, len(groups), 0]
             if path.polynomial is not None:
-                own_values = path.polynomial.values
-                sizes[1::2] = len(own_values), len(path.polynomial.coefficients)
-                terms += zip(path.polynomial.coefficients, path.polynomial.powers, strict=True)
-                variables += own_values
+                groups += path.polynomial.groups
+                variables += path.polynomial.values
+                sizes[1::2] = len(path.polynomial.values), len(groups) - sizes[2]
             self.path_variables.append(dict(enumerate(variables[sizes[0] :], sizes[0])))
             paths.append((*spans, place, self.handles[-1], len(own), longest, *sizes))
             first_moving = len(moving)
@@ -252,12 +261,15 @@ class PathMemory:
                 for s in described.surfaces.values()
             ],
         )
-        powers = np.zeros((max(len(terms), 1), MOST_VARIABLES), np.int32)
-        for row, (_, one) in zip(powers, terms, strict=False):
+        powers = np.zeros((max(len(groups), 1), MOST_VARIABLES), np.int32)
+        for row, (one, _) in zip(powers, groups, strict=False):
             row[: len(one)] = one
+        ends = np.cumsum([0, *(len(own) for _, own in groups)], dtype=np.int32)
+        coefficients = [c for _, own in groups for c in own]
         self.tables.variable = wp.array(np.array(variables or [0], np.int32), dtype=int)
-        self.tables.coefficient = wp.array([c for c, _ in terms] or [0.0], dtype=wp.float64)
         self.tables.power = wp.array(powers, dtype=int)
+        self.tables.first_coefficient = wp.array(ends, dtype=int)
+        self.tables.coefficient = wp.array(coefficients or [0.0], dtype=wp.float64)
         self.worlds, self.number = worlds, len(paths)
         self.frames, self.memory, self.pulls = Frames(), Followed(), Pulls()
         real, vec, mat = wp.float64, wp.vec3d, wp.mat33d

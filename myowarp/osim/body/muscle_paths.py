@@ -76,7 +76,8 @@ def place_path_bodies(
     """Frames of the bodies that paths are fixed to, and what their points depend on, with its slope."""
     worldid = wp.tid()
     one = wp.float64(1.0)
-    place(worldid, skeleton, values, worldid, placement)
+    if body.shape[0] > 0:
+        place(worldid, skeleton, values, worldid, placement)
     for number in range(body.shape[0]):
         own = body[number]
         if own >= 0:

@@ -28,8 +28,8 @@ from myowarp.osim.document.read.element import Element, parse
 from myowarp.osim.document.read.frames import FRAMES, Frames, euler_xyz, socket
 from myowarp.osim.document.read.functions import READERS as FUNCTIONS
 from myowarp.osim.document.read.joints import JOINTS, TRANSLATIONS
-from myowarp.osim.document.read.paths import FUNCTIONS as FUNCTION_PATH
 from myowarp.osim.document.read.model import checked, frames_of, model_of, read_model
+from myowarp.osim.document.read.paths import FUNCTIONS as FUNCTION_PATH
 
 ONE = (1.0, 1.0, 1.0)
 SAME = 1e-12

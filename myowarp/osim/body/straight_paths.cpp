@@ -167,15 +167,24 @@ template <class Skeleton, class Needed, class Tables, class Fixed> struct Straig
     // A length that is a polynomial: `polynomial_length`, and its moment arms.
     template <class Path> void polynomial(const Path& path, Reals& length) {
         length = all(0.0);
-        for (int term = path.first_term; term < path.first_term + path.terms; ++term) {
-            const int* power = tables.power.data + term * tables.power.shape[1];
-            Reals product = all(tables.coefficient.data[term]);
-            Reals by[MOST_VARIABLES];
-            for (int k = 0; k < path.variables; ++k) {
+        const int last = path.variables - 1, *variable = tables.variable.data + path.first_variable;
+        Reals slopes[MOST_VARIABLES];
+        for (int k = 0; k <= last; ++k)
+            slopes[k] = all(0.0);
+        for (int group = path.first_group; group < path.first_group + path.groups; ++group) {
+            const int* power = tables.power.data + group * tables.power.shape[1];
+            const int begin = tables.first_coefficient.data[group];
+            const Reals& y = value[variable[last]];
+            Reals inner = all(0.0), steep = all(0.0), product = all(1.0), by[MOST_VARIABLES];
+            for (int c = tables.first_coefficient.data[group + 1] - 1; c >= begin; --c) {
+                steep = steep * y + inner;
+                inner = inner * y + tables.coefficient.data[c];
+            }
+            for (int k = 0; k < last; ++k) {
                 by[k] = all(0.0);
                 if (power[k] == 0)
                     continue;
-                const Reals& x = value[tables.variable.data[path.first_variable + k]];
+                const Reals& x = value[variable[k]];
                 Reals below = all(1.0);
                 for (int n = 1; n < power[k]; ++n)
                     below = below * x;
@@ -184,13 +193,14 @@ template <class Skeleton, class Needed, class Tables, class Fixed> struct Straig
                 by[k] = double(power[k]) * (product * below);
                 product = product * (below * x);
             }
-            length += product;
-            for (int k = 0; k < path.variables; ++k) {
-                const int own = tables.variable.data[path.first_variable + k];
-                if (power[k] > 0 && needed.free.data[own] >= 0)
-                    arm[needed.free.data[own]] -= by[k] * slope[own];
-            }
+            length += product * inner;
+            for (int k = 0; k < last; ++k)
+                slopes[k] += by[k] * inner;
+            slopes[last] += product * steep;
         }
+        for (int k = 0; k <= last; ++k)
+            if (needed.free.data[variable[k]] >= 0)
+                arm[needed.free.data[variable[k]]] -= slopes[k] * slope[variable[k]];
     }
 
     // The length, and moment arms.
@@ -291,7 +301,8 @@ void follow_straight(double* memory, Skeleton& skeleton, Needed& needed, Tables&
             q[k] = gathered(values, frame, k);
             u[k] = gathered(speeds, frame, k);
         }
-        place_bodies(skeleton, q, follower.bodies);
+        if (fixed.body.shape[0] > 0)
+            place_bodies(skeleton, q, follower.bodies);
         for (int k = 0; k < depends; ++k) {
             const int own = needed.free.data[k];
             follower.value[k] = own >= 0 ? q[own] : all(0.0);

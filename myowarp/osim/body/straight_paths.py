@@ -44,7 +44,10 @@ class Fixed:
     column: wp.array[int]
 
 
-@wp.func_native(at_namespace_level(DOUBLES, Path(__file__).with_suffix(".cpp"), HINGE=HINGE, MOST_VARIABLES=MOST_VARIABLES))
+SOURCE = Path(__file__).with_suffix(".cpp")
+
+
+@wp.func_native(at_namespace_level(DOUBLES, SOURCE, HINGE=HINGE, MOST_VARIABLES=MOST_VARIABLES))
 def declare_follow_straight(thread: int):
     """Declare the template of `straight_paths.cpp`."""
     ...

@@ -60,12 +60,12 @@ class DocumentPaths(Sidecar):
     @classmethod
     def from_entry(cls, entry: Any) -> Self:
         """Return what parsed JSON says; see `Sidecar.from_entry`."""
-        surfaces = {name: WrapSurface(**_tuples(surface)) for name, surface in entry["surfaces"].items()}
+        surfaces = {name: WrapSurface(**frozen(surface)) for name, surface in entry["surfaces"].items()}
         paths = {
             name: OsimPath(
-                tuple(Via(**_tuples(point)) for point in path["points"]),
-                tuple(Over(**_tuples(wrap)) for wrap in path["wraps"]),
-                Polynomial(**_tuples(path["polynomial"])) if path.get("polynomial") else None,
+                tuple(Via(**frozen(point)) for point in path["points"]),
+                tuple(Over(**frozen(wrap)) for wrap in path["wraps"]),
+                Polynomial(**frozen(path["polynomial"])) if path.get("polynomial") else None,
             )
             for name, path in entry["paths"].items()
         }
@@ -98,13 +98,13 @@ class DocumentPaths(Sidecar):
                 )
 
 
-def _tuples(entry: dict[str, Any]) -> dict[str, Any]:
+def frozen(entry: dict[str, Any]) -> dict[str, Any]:
     """Return an entry with tuples in place of lists."""
 
-    def frozen(value: Any) -> Any:
-        return tuple(map(frozen, value)) if isinstance(value, list) else value
+    def tupled(value: Any) -> Any:
+        return tuple(map(tupled, value)) if isinstance(value, list) else value
 
-    return {name: frozen(value) for name, value in entry.items()}
+    return {name: tupled(value) for name, value in entry.items()}
 
 
 def _check(said: DocumentPaths) -> None:

@@ -118,9 +118,7 @@ class _Problem:
     def orders(self) -> Iterable[int]:
         """Return the orders to try."""
         dimension = self.values.shape[1]
-        return [
-            order for order in range(1, MOST_ORDER + 1) if len(exponents(dimension, order)) <= MOST_TERMS
-        ]
+        return [order for order in range(1, MOST_ORDER + 1) if len(exponents(dimension, order)) <= MOST_TERMS]
 
     def fitted(
         self, order: int, length: np.ndarray, arm: np.ndarray
@@ -154,15 +152,11 @@ class _Problem:
             for k, slope in enumerate(steep)
         ]
         lengths, arms = off[0], np.concatenate(off[1:])
-        errors = [
-            function(part) for part in (lengths, arms) for function in (_rms, lambda one: abs(one).max(axis=0))
-        ]
+        errors = [of(part) for part in (lengths, arms) for of in (_rms, _worst)]
         return [(row, *map(float, one)) for row, *one in zip(coefficients.T, *errors, strict=True)]  # type: ignore[misc]
 
-    def _in_coordinates(
-        self, solution: np.ndarray, order: int, terms: list[tuple[int, ...]]
-    ) -> np.ndarray:
-        """Return coefficients of powers of coordinates, of those of Chebyshev's polynomials; (terms, paths)."""
+    def _in_coordinates(self, solution: np.ndarray, order: int, terms: list[tuple[int, ...]]) -> np.ndarray:
+        """Return coefficients of powers of coordinates, of those of Chebyshev's polynomials."""
         dimension = self.values.shape[1]
         tensor = np.zeros((*(order + 1,) * dimension, solution.shape[1]))
         places = tuple(np.array(terms).T)
@@ -202,6 +196,10 @@ def _products(curves: list[np.ndarray], terms: list[tuple[int, ...]]) -> np.ndar
     for curve, rows in zip(curves, np.array(terms).T, strict=True):
         found *= curve[rows].T
     return found
+
+
+def _worst(error: np.ndarray) -> np.ndarray:
+    return np.abs(error).max(axis=0)
 
 
 def _rms(error: np.ndarray) -> np.ndarray:

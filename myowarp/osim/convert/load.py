@@ -64,8 +64,8 @@ def load(path: Path, function_paths: Path | None = None) -> Path:
 
 def _convert(path: Path, function_paths: Path | None, folder: Path) -> None:
     """Keep the bundle of a model, and what is said of it, in a folder."""
-    from myowarp.osim.convert.check.accelerations import too_fast  # a model in the cache needs none of these
     from myowarp.osim.body.scale_document import read_with
+    from myowarp.osim.convert.check.accelerations import too_fast  # a model in the cache needs none of these
     from myowarp.osim.convert.compose.convert import Options, convert
     from myowarp.osim.document.model import Loss
 

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from myowarp.laws.expressions import Expression
 from myowarp.osim.document.functions import Function
 
 Array = np.ndarray
@@ -205,6 +206,31 @@ class CoordinateSpring:
     """[N m s/rad] or [N s/m]."""
 
 
+@dataclass(frozen=True)
+class CoordinateFormula:
+    """A force on a coordinate that is a formula of its value and speed."""
+
+    name: str
+    coordinate: str
+    formula: Expression
+    """[N m] or [N] of [rad] or [m], and [rad/s] or [m/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PrescribedForce:
+    """A force at a point of a body, and a torque on it, that are functions of time."""
+
+    name: str
+    body: str
+    formulas: tuple[Expression, ...]
+    """Force [N], point [m] and torque [N m], x, y, z each, of time [s]."""
+    frame: Pose
+    """In the body: axes of what is not in ground."""
+    force_in_ground: bool
+    """Whether force and torque are along ground's axes."""
+    point_in_ground: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Bushing:
     """Springs and dampers between two frames, along and about the three axes."""
@@ -220,6 +246,9 @@ class Bushing:
     """[N m s/rad], shape (3,)."""
     translational_damping: Array
     """[N s/m], shape (3,)."""
+    formulas: tuple[Expression, ...] = ()
+    """Of the three angles and three distances: the three moments [N m] and forces [N] that spring against
+    these, in place of stiffness."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +257,7 @@ class Ligament:
 
     name: str
     type: str
-    """OpenSim's class: `Ligament`, `Blankevoort1991Ligament` or `PathSpring`."""
+    """OpenSim's class, such as `Ligament`."""
     path: Path
     resting_length: float
     """[m]; no force below."""
@@ -238,6 +267,8 @@ class Ligament:
     """By how much of that it grows with the speed of lengthening [s/m]."""
     damping: float
     """What lengthening adds to it, beyond a strain of 0.01 [N s/m]."""
+    formula: Expression | None = None
+    """Tension [N] of length [m] and its speed [m/s], in place of all that, below the resting length, too."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,6 @@ from myowarp.osim.convert.check.muscles import Motion, engine_force
 from myowarp.osim.convert.compose.convert import Converted
 from myowarp.osim.convert.tendon.fits import Samples
 from myowarp.osim.convert.tendon.fitted import Fits, MuscleFit
-from myowarp.osim.document.elements import Path
 from myowarp.osim.document.kinematics import independent
 
 Array = np.ndarray

@@ -104,7 +104,7 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     forces = passive_forces(build, has_paths=paths is not None)
     add_forces(build, moving, stages.tendons, forces, instead=options.tendons)
     if forces is not None:
-        forces = replace(forces, springs=tuple(build.springs), dampers=build.dampers)
+        forces = replace(forces, springs=tuple(build.springs), dampers=build.dampers, bare=build.bare)
     meshes = add_shapes(build, options.mesh_folders)
     for name, text in (("credits", model.credits), ("publications", model.publications)):
         if text:

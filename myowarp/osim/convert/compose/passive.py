@@ -87,8 +87,12 @@ def add_forces(
             joint, scale = build.carriers[spring.coordinate]
             stiffness, damping = spring.stiffness / scale**2, spring.damping / scale**2
             _spring(build, joint, scale * spring.rest, stiffness, damping)
-    for bushing in build.model.bushings:
-        _add_bushing(build, bushing)
+    # Springs that stay come first: what joints have without the others is kept in `build.bare`.
+    for bushing in sorted(build.model.bushings, key=lambda one: not is_of_joint(build, one)):
+        if instead or is_of_joint(build, bushing):
+            _add_bushing(build, bushing)
+    for item in (*build.model.coordinate_formulas, *build.model.prescribed_forces) if instead else ():
+        build.notes.append(Note(f"/forceset/{item.name}", "left out of plain MuJoCo; acts in MyoWarp"))
     _add_constraints(build)
 
 
@@ -189,6 +193,9 @@ def _line_tendon(build: Build, name: str, function: LengthFunction) -> mujoco.Mj
 
 def _add_ligament(build: Build, ligament: Ligament, tendon: mujoco.MjsTendon) -> None:
     """Give a tendon a spring: the parabola through 0 that is nearest to the ligament's force."""
+    if ligament.formula is not None:
+        build.notes.append(Note(f"/forceset/{ligament.name}", "left out of plain MuJoCo; acts in MyoWarp"))
+        return
     length = STRAIN * ligament.resting_length
     force = np.asarray(ligament.force.value(1 + STRAIN))
     basis = np.stack([length, length**2], axis=1)
@@ -292,17 +299,30 @@ def rising(x: np.ndarray, force: np.ndarray) -> np.ndarray:
     return best
 
 
+def is_of_joint(build: Build, bushing: Bushing) -> bool:
+    """Whether springs on joints are all that a bushing does."""
+    spanned = None if bushing.formulas else _spanned(build, bushing)
+    return spanned is not None and spanned[1] and _along_axes(spanned[0])
+
+
 def _add_bushing(build: Build, bushing: Bushing) -> None:
     """Add springs on the joints of the OpenSim joint at which a bushing sits, else what a tendon can do."""
     path, spanned = f"/forceset/{bushing.name}", _spanned(build, bushing)
+    if bushing.formulas:
+        build.notes.append(Note(path, "left out of plain MuJoCo; acts in MyoWarp"))
+        return
     if spanned is None:
         _add_bushing_between(build, bushing, path)
         return
-    joint, forward = spanned
+    joint, _ = spanned
+    exact = is_of_joint(build, bushing)
     for index, move in enumerate(joint.moves):
         if (joint.name, index) not in build.shown:
             continue  # it stands still
         name, sign, offset = build.shown[joint.name, index]
+        if not exact:
+            own = build.spec.joint(name)
+            build.bare.setdefault(name, (float(own.stiffness[0]), float(own.springref)))
         along = move.axis**2
         if move.kind == "hinge":
             stiffness, damping = along @ bushing.rotational_stiffness, along @ bushing.rotational_damping
@@ -311,9 +331,12 @@ def _add_bushing(build: Build, bushing: Bushing) -> None:
                 along @ bushing.translational_stiffness,
                 along @ bushing.translational_damping,
             )
+        if not exact:
+            build.dampers[name] = build.dampers.get(name, 0.0) + float(damping)
         _spring(build, name, -sign * offset, float(stiffness), float(damping))
     rule = "springs and dampers on the joints between its frames"
-    build.notes.append(Note(path, rule, "0" if forward and _along_axes(joint) else "exact for small angles"))
+    where = "" if exact else "in plain MuJoCo "
+    build.notes.append(Note(path, where + rule, "0" if exact else "exact for small angles"))
 
 
 def _spanned(build: Build, bushing: Bushing) -> tuple[Joint, bool] | None:
@@ -356,7 +379,8 @@ def _add_bushing_between(build: Build, bushing: Bushing, path: str) -> None:
             build.bodies[body].add_site(name=site, pos=frame.position, size=[0.002] * 3, group=4)
             tendon.wrap_site(site)
         tendon.stiffness[0], tendon.springlength = stiffness[0], (0.0, 0.0)
-        build.notes.append(Note(path, "a spring from point to point", "0"))
+        build.springs.append(tendon.name)
+        build.notes.append(Note(path, "in plain MuJoCo a spring from point to point"))
     lost = {
         "translational stiffness": not alike,
         "rotational stiffness": bushing.rotational_stiffness.any(),
@@ -364,8 +388,7 @@ def _add_bushing_between(build: Build, bushing: Bushing, path: str) -> None:
     }
     if any(lost.values()):
         said = ", ".join(what for what, gone in lost.items() if gone)
-        rule = f"its frames are not those of a joint; left out: {said}"
-        build.notes.append(Loss(path, rule, code="BushingForce"))
+        build.notes.append(Note(path, f"left out of plain MuJoCo, acts in MyoWarp: {said}"))
 
 
 def _add_constraints(build: Build) -> None:

@@ -38,7 +38,7 @@ MAX_POINTS = 1000  # of one path
 FUNCTIONS = "FunctionBasedPath"
 
 POSES, CONSISTENT = 64, 1e-6
-"""Random poses in which moment arms and speeds of such a path may differ from those of its length [m, m/s]."""
+"""Random poses in which its moment arms and speeds may differ from those of its length [m, m/s]."""
 
 
 @dataclass(frozen=True)
