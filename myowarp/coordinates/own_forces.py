@@ -64,6 +64,7 @@ class PushedBody:
 
     Attributes:
         body: Its id.
+        ground: Of the body whose axes are ground's.
         rotation: Of the frame that is meant, in the body.
         origin: Of that frame [m].
         force_in_ground: Whether force and torque are along ground's axes, 0 or 1.
@@ -72,6 +73,7 @@ class PushedBody:
     """
 
     body: int
+    ground: int
     rotation: wp.mat33d
     origin: wp.vec3d
     force_in_ground: int
@@ -146,20 +148,30 @@ def along_dofs(
 
 
 @wp.func
-def pushed_body(push: PushedBody, formulas: Programs, time: float, motion: BodyMotion) -> Wrench:
-    """Return what acts on a body at a time."""
+def three(formulas: Programs, program: int, at: Variables) -> wp.vec3d:
+    """Return the values of three formulas in turn."""
+    x, y = run(formulas, program, at), run(formulas, program + 1, at)
+    return wp.vec3d(x, y, run(formulas, program + 2, at))
+
+
+@wp.func
+def pushed_body(
+    push: PushedBody, formulas: Programs, time: float, motion: BodyMotion, origin: wp.vec3d, axes: wp.mat33d
+) -> Wrench:
+    """Return what acts on a body at a time; of where it is, and of ground's origin and axes."""
     at = Variables()
     at[0] = wp.float64(time)
-    force, point, torque = wp.vec3d(), wp.vec3d(), wp.vec3d()
-    for k in range(3):
-        force[k] = run(formulas, push.program + k, at)
-        point[k] = run(formulas, push.program + 3 + k, at)
-        torque[k] = run(formulas, push.program + 6 + k, at)
-    if push.force_in_ground == 0:
-        force = motion.rotation * (push.rotation * force)
-        torque = motion.rotation * (push.rotation * torque)
+    force = three(formulas, push.program, at)
+    point = three(formulas, push.program + 3, at)
+    torque = three(formulas, push.program + 6, at)
+    own = motion.rotation * push.rotation
+    along = wp.where(push.force_in_ground == 0, own, axes)
+    force = along * force
+    torque = along * torque
     if push.point_in_ground == 0:
-        point = motion.origin + motion.rotation * (push.origin + push.rotation * point)
+        point = motion.origin + motion.rotation * push.origin + own * point
+    else:
+        point = origin + axes * point
     found = Wrench()
     found.force = force
     found.torque = torque + wp.cross(point, force)
@@ -248,15 +260,17 @@ def push_and_pull(
     one = wp.float64(1.0)
     for i in range(bushings.shape[0]):
         bushing = bushings[i]
-        first = motion_of(worldid, bushing.first, tree, xpos_in, xmat_in, subtree_com_in, cdof_in, qvel_in)
-        second = motion_of(worldid, bushing.second, tree, xpos_in, xmat_in, subtree_com_in, cdof_in, qvel_in)
-        wrench = bushing_wrench(bushing, formulas, first, second)
+        begin = motion_of(worldid, bushing.first, tree, xpos_in, xmat_in, subtree_com_in, cdof_in, qvel_in)
+        end = motion_of(worldid, bushing.second, tree, xpos_in, xmat_in, subtree_com_in, cdof_in, qvel_in)
+        wrench = bushing_wrench(bushing, formulas, begin, end)
         along_dofs(worldid, bushing.first, -one, wrench, tree, subtree_com_in, cdof_in, qfrc_passive_out)
         along_dofs(worldid, bushing.second, one, wrench, tree, subtree_com_in, cdof_in, qfrc_passive_out)
     for i in range(pushed_bodies.shape[0]):
         body = pushed_bodies[i].body
         motion = motion_of(worldid, body, tree, xpos_in, xmat_in, subtree_com_in, cdof_in, qvel_in)
-        wrench = pushed_body(pushed_bodies[i], formulas, time_in[worldid], motion)
+        ground = pushed_bodies[i].ground
+        origin, axes = wp.vec3d(xpos_in[worldid, ground]), wp.mat33d(xmat_in[worldid, ground])
+        wrench = pushed_body(pushed_bodies[i], formulas, time_in[worldid], motion, origin, axes)
         along_dofs(worldid, body, one, wrench, tree, subtree_com_in, cdof_in, qfrc_passive_out)
 
 
@@ -301,6 +315,7 @@ class OwnForces:
         bodies = [
             (
                 host.body(one.body).id,
+                host.body(one.ground).id,
                 one.rotation,
                 one.origin,
                 int(one.force_in_ground),

@@ -97,6 +97,7 @@ class BodyPush:
 
     Attributes:
         body: Its name.
+        ground: Name of the body whose axes are ground's.
         rotation: Of the frame whose axes are meant, by rows.
         origin: Of that frame in the body [m].
         force_in_ground: Whether force and torque are along ground's axes.
@@ -105,6 +106,7 @@ class BodyPush:
     """
 
     body: str
+    ground: str
     rotation: Rows
     origin: Vector
     force_in_ground: bool
@@ -146,7 +148,10 @@ class PassiveForces(Sidecar):
     @property
     def bodies_apart(self) -> Iterable[str]:
         """Bodies that bushings are fixed to, and that are pushed."""
-        return (*(name for one in self.bushings for name in one.bodies), *(p.body for p in self.body_pushes))
+        return (
+            *(name for one in self.bushings for name in one.bodies),
+            *(name for p in self.body_pushes for name in (p.body, p.ground)),
+        )
 
     @classmethod
     def from_entry(cls, entry: Any) -> Self:
@@ -216,7 +221,9 @@ def _check(acting: PassiveForces) -> None:
         if not (np.isfinite(push.scale) and push.scale):
             raise ValueError(f"the push of joint {push.joint!r} needs a finite scale other than 0")
     for one in (*acting.bushings, *acting.body_pushes):
-        parts = [value for name, value in vars(one).items() if name not in ("bodies", "body", "formulas")]
+        parts = [
+            value for name, value in vars(one).items() if name not in ("bodies", "body", "ground", "formulas")
+        ]
         if not all(np.isfinite(np.array(part, float)).all() for part in parts):
             raise ValueError(f"what acts on {one!r:.60} needs finite numbers")
         if len(one.formulas) not in ((0, 6) if isinstance(one, BodyBushing) else (9,)):

@@ -26,6 +26,7 @@ from myowarp.osim.document.model import Model, pulling
 from myowarp.osim.document.read.element import Element, write
 from myowarp.osim.document.read.functions import exponents
 
+FILES = "function_paths.xml", "function_paths.csv"
 LENGTH, ARM = 0.0005, 0.001
 """Errors within which a polynomial is good enough, at worst over the held-out poses [m]."""
 POSES, HELD_OUT = 6000, 2000
@@ -204,6 +205,33 @@ def _worst(error: np.ndarray) -> np.ndarray:
 
 def _rms(error: np.ndarray) -> np.ndarray:
     return np.sqrt((error**2).mean(axis=0))
+
+
+def write_fitted(source: Path, output: Path) -> str:
+    """Fit the paths of a model, write `FILES` into a folder, and return what is to be said.
+
+    Raises:
+        ValueError: The file is not what it should be.
+        OSError: A file cannot be read or written.
+    """
+    bones = Bones.read(source)
+    fitted, without = fit_function_paths(bones)
+    write_function_paths(output / FILES[0], bones.model, fitted)
+    rows = ["path,coordinates,order,length rms [m],length worst [m],moment arm rms [m],moment arm worst [m]"]
+    for one in fitted:
+        errors = one.length_rms, one.length_worst, one.arm_rms, one.arm_worst
+        cells = [one.name, " ".join(one.function.coordinates), str(one.order), *map("{:.3g}".format, errors)]
+        rows.append(",".join(cells))
+    (output / FILES[1]).write_text("\n".join(rows) + "\n", encoding="utf-8")
+    beyond = [one for one in fitted if not one.good]
+    said = f"{len(fitted)} paths as functions in {output / FILES[0]}"
+    if beyond:
+        worst = max(beyond, key=lambda one: one.badness)
+        said += (
+            f"; {len(beyond)} at worst beyond {1e3 * LENGTH:g} mm of length or {1e3 * ARM:g} mm of arm, "
+            f"{worst.name} most: {1e3 * worst.length_worst:.2g} and {1e3 * worst.arm_worst:.2g} mm"
+        )
+    return said + (f"; none for {', '.join(without)}" if without else "")
 
 
 def write_function_paths(path: Path, model: Model, fitted: Iterable[FittedPath]) -> None:

@@ -246,6 +246,8 @@ class Bushing:
     """[N m s/rad], shape (3,)."""
     translational_damping: Array
     """[N s/m], shape (3,)."""
+    type: str = "BushingForce"
+    """OpenSim's class."""
     formulas: tuple[Expression, ...] = ()
     """Of the three angles and three distances: the three moments [N m] and forces [N] that spring against
     these, in place of stiffness."""

@@ -20,7 +20,7 @@ from myowarp.osim.document.elements import (
     Pose,
 )
 from myowarp.osim.document.functions import curves
-from myowarp.osim.document.model import Note
+from myowarp.osim.document.model import GROUND, Note
 
 
 def passive_forces(build: Build, has_paths: bool) -> PassiveForces | None:
@@ -45,6 +45,7 @@ def passive_forces(build: Build, has_paths: bool) -> PassiveForces | None:
     body_pushes = tuple(
         BodyPush(
             build.bodies[item.body].name,
+            build.bodies[GROUND].name,
             *_posed(item.frame),
             item.force_in_ground,
             item.point_in_ground,

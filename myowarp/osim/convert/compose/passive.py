@@ -38,6 +38,9 @@ WEAK = 1e-4
 FAR = 1e6
 """m or rad: the end of a spring that acts on one side only."""
 
+ONLY_HERE = "left out of plain MuJoCo; acts in MyoWarp"
+"""What is said of a force that has no counterpart there."""
+
 SAME = 1e-9
 """m and 1: frames that differ by less coincide."""
 
@@ -91,8 +94,12 @@ def add_forces(
     for bushing in sorted(build.model.bushings, key=lambda one: not is_of_joint(build, one)):
         if instead or is_of_joint(build, bushing):
             _add_bushing(build, bushing)
-    for item in (*build.model.coordinate_formulas, *build.model.prescribed_forces) if instead else ():
-        build.notes.append(Note(f"/forceset/{item.name}", "left out of plain MuJoCo; acts in MyoWarp"))
+    for formula in build.model.coordinate_formulas:
+        kind = "ExpressionBasedCoordinateForce"
+        if _has_joint(build, formula.name, kind, formula.coordinate) and instead:
+            build.notes.append(Loss(f"/forceset/{formula.name}", ONLY_HERE, code=kind))
+    for force in build.model.prescribed_forces if instead else ():
+        build.notes.append(Loss(f"/forceset/{force.name}", ONLY_HERE, code="PrescribedForce"))
     _add_constraints(build)
 
 
@@ -194,7 +201,7 @@ def _line_tendon(build: Build, name: str, function: LengthFunction) -> mujoco.Mj
 def _add_ligament(build: Build, ligament: Ligament, tendon: mujoco.MjsTendon) -> None:
     """Give a tendon a spring: the parabola through 0 that is nearest to the ligament's force."""
     if ligament.formula is not None:
-        build.notes.append(Note(f"/forceset/{ligament.name}", "left out of plain MuJoCo; acts in MyoWarp"))
+        build.notes.append(Loss(f"/forceset/{ligament.name}", ONLY_HERE, code=ligament.type))
         return
     length = STRAIN * ligament.resting_length
     force = np.asarray(ligament.force.value(1 + STRAIN))
@@ -309,7 +316,7 @@ def _add_bushing(build: Build, bushing: Bushing) -> None:
     """Add springs on the joints of the OpenSim joint at which a bushing sits, else what a tendon can do."""
     path, spanned = f"/forceset/{bushing.name}", _spanned(build, bushing)
     if bushing.formulas:
-        build.notes.append(Note(path, "left out of plain MuJoCo; acts in MyoWarp"))
+        build.notes.append(Loss(path, ONLY_HERE, code=bushing.type))
         return
     if spanned is None:
         _add_bushing_between(build, bushing, path)
@@ -388,7 +395,8 @@ def _add_bushing_between(build: Build, bushing: Bushing, path: str) -> None:
     }
     if any(lost.values()):
         said = ", ".join(what for what, gone in lost.items() if gone)
-        build.notes.append(Note(path, f"left out of plain MuJoCo, acts in MyoWarp: {said}"))
+        rule = f"its frames are not those of a joint; left out of plain MuJoCo: {said}"
+        build.notes.append(Loss(path, rule, code=bushing.type))
 
 
 def _add_constraints(build: Build) -> None:

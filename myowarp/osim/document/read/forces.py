@@ -130,7 +130,7 @@ def read_bushing(element: Element, scope: Scope) -> Bushing:
         for number, (one, deflection) in enumerate(zip(BUSHING_FORCES, DEFLECTIONS, strict=True)):
             tag = f"{one[0].lower()}_{one[1]}_{deflection}_function"
             formulas.append(_program(element, function_in(element, tag) or Constant(0.0), number))
-    return Bushing(element.name, bodies, poses, *numbers, tuple(formulas))
+    return Bushing(element.name, bodies, poses, *numbers, element.tag, tuple(formulas))
 
 
 def _program(element: Element, function: Function, variable: int = 0) -> Expression:
