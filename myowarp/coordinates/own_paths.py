@@ -65,6 +65,15 @@ class MovingEntry:
 
 
 @wp.struct
+class VariableEntry:
+    """A variable of a length that is a polynomial, its value, and the address of its dof in `ten_J`."""
+
+    variable: int
+    value: int
+    address: int
+
+
+@wp.struct
 class Row:
     """A tendon: its path, -1 where it is a sum of joints, and spans of the tables."""
 
@@ -75,6 +84,8 @@ class Row:
     last_moving: int
     first_joint: int
     last_joint: int
+    first_variable: int
+    last_variable: int
     first: int
     last: int
 
@@ -98,6 +109,7 @@ class RowTables:
     entries: wp.array[Entry]
     moving: wp.array[MovingEntry]
     joints: wp.array[JointEntry]
+    variables: wp.array[VariableEntry]
 
 
 @wp.kernel(enable_backward=False)
@@ -174,6 +186,10 @@ def pull_tendons(
         shown = tables.moving[m]
         more = pulls.along[worldid, shown.moving][shown.axis] * slopes[worldid, shown.value]
         ten_J_out[worldid, shown.address] = ten_J_out[worldid, shown.address] + float(more)
+    for v in range(row.first_variable, row.last_variable):
+        of = tables.variables[v]
+        slope = pulls.by_variable[worldid, of.variable] * slopes[worldid, of.value]
+        ten_J_out[worldid, of.address] = ten_J_out[worldid, of.address] + float(slope)
 
 
 @wp.kernel(enable_backward=False)
@@ -252,13 +268,13 @@ class OwnPaths:
     def _place(self, host: mujoco.MjModel, model: mjw.Model, data: mjw.Data, described: OsimPaths) -> None:
         """Write the rows, and make room for them."""
         of_path, joint_dof = {name: k for k, name in enumerate(described.paths)}, host.jnt_dofadr
-        rows, groups, handles, entries, moving, joints = ([] for _ in range(6))  # type: ignore[var-annotated]
+        rows, groups, handles, entries, moving, joints, variables = ([] for _ in range(7))  # type: ignore[var-annotated]
         columns: list[int] = []
         begins: list[int] = []
         for tendon in range(host.ntendon):
             path, first = of_path.get(host.tendon(tendon).name, -1), len(columns)
             begins.append(first)
-            spans = [len(groups), len(moving), len(joints)]
+            spans = [len(groups), len(moving), len(joints), len(variables)]
             if path < 0:
                 at = slice(host.tendon_adr[tendon], host.tendon_adr[tendon] + host.tendon_num[tendon])
                 tied = sorted(zip(host.wrap_objid[at].tolist(), host.wrap_prm[at].tolist(), strict=True))
@@ -271,13 +287,27 @@ class OwnPaths:
                 sets = _moved(
                     host, [host.body(name).id for name in described.handles(one)], len(one.wraps) > 1
                 )
+                driven = {
+                    value: int(joint_dof[host.joint(of).id])
+                    for value, (of, _) in enumerate(self.said.values)
+                    if of is not None
+                }
                 shown = [
-                    (number, axis, value, int(joint_dof[host.joint(str(self.said.values[value][0])).id]))
+                    (number, axis, value, driven[value])
                     for number in self.memory.path_moving[path]
                     for axis, value in enumerate(self.memory.moving[number])
-                    if value >= 0 and self.said.values[value][0] is not None
+                    if value in driven
                 ]
-                dofs = sorted({dof for _, several in sets for dof in several} | {dof for *_, dof in shown})
+                of_length = [
+                    (variable, value)
+                    for variable, value in self.memory.path_variables[path].items()
+                    if value in driven
+                ]
+                dofs = sorted(
+                    {dof for _, several in sets for dof in several}
+                    | {dof for *_, dof in shown}
+                    | {driven[value] for _, value in of_length}
+                )
                 place = {dof: first + k for k, dof in enumerate(dofs)}
                 for bodies, several in sets:
                     ends = len(handles), len(entries)
@@ -285,8 +315,9 @@ class OwnPaths:
                     entries += [(d, host.body_rootid[host.dof_bodyid[d]], place[d]) for d in several]
                     groups.append((ends[0], len(handles), ends[1], len(entries)))
                 moving += [(*entry, place[entry[-1]]) for entry in shown]
+                variables += [(variable, value, place[driven[value]]) for variable, value in of_length]
                 columns += dofs
-            after = [len(groups), len(moving), len(joints)]
+            after = [len(groups), len(moving), len(joints), len(variables)]
             pairs = [number for pair in zip(spans, after, strict=True) for number in pair]
             rows.append((path, *pairs, first, len(columns)))
         self.rows = RowTables()
@@ -296,6 +327,7 @@ class OwnPaths:
             ("entries", Entry, entries),
             ("moving", MovingEntry, moving),
             ("joints", JointEntry, joints),
+            ("variables", VariableEntry, variables),
         ):
             setattr(self.rows, name, struct_array(struct, values))
         self.rows.handles = wp.array(handles, dtype=int)

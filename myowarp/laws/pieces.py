@@ -4,10 +4,11 @@ Functions are chains of them, applied one after the other: last(...(first(x))).
 """
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -68,6 +69,27 @@ class Pieces:
         """Return what a text says of it: breaks, coefficients, and where it is held if it is."""
         held = [self.held] if np.isfinite(self.held).any() else []
         return [self.breaks, self.coefficients, *held]
+
+
+def chain_of(curves: Iterable[Sequence[Any]]) -> tuple[Pieces, ...]:
+    """Return the piecewise polynomials that a text says, each as `Pieces.entry` has it.
+
+    Raises:
+        ValueError: They are broken.
+    """
+    pieces = []
+    for breaks, rows, *held in curves:
+        if not breaks or len(breaks) != len(rows) or not all(rows) or (np.diff(breaks) < 0).any():
+            raise ValueError("a curve needs as many pieces as breaks, and these must ascend")
+        numbers = np.concatenate([breaks, *rows]).astype(float)
+        if not np.isfinite(numbers).all():
+            raise ValueError("a curve has a number that is not finite")
+        low, high = held[0] if held else EVERYWHERE
+        if not low <= high:
+            raise ValueError(f"a curve must be held from a lower to a higher value, got {low} and {high}")
+        table = tuple(tuple(map(float, row)) for row in rows)
+        pieces.append(Pieces(tuple(map(float, breaks)), table, (float(low), float(high))))
+    return tuple(pieces)
 
 
 def line(slope: float, offset: float = 0.0) -> Pieces:

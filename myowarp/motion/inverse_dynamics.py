@@ -17,13 +17,14 @@ import warp as wp
 
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
+from myowarp.laws.forces.bushing import bushing_wrench
 from myowarp.osim.body.model_forces import (
     Acting,
     ModelForces,
     acting_in,
     along_moves,
-    bushing_wrench,
     ligament_pulls,
+    motion_of,
     push_coordinates,
 )
 from myowarp.osim.body.parts import in_parts, joined
@@ -219,14 +220,16 @@ def invert_dynamics(
             joint_moment[worldid, k] -= passive[worldid, k]
         for number in range(acting.bushings.shape[0]):
             bushing = acting.bushings[number]
-            force, torque = bushing_wrench(worldid, bushing, skeleton, speeds, placement)
+            first = motion_of(worldid, bushing.first, skeleton, speeds, placement)
+            second = motion_of(worldid, bushing.second, skeleton, speeds, placement)
+            wrench = bushing_wrench(bushing, acting.formulas, first, second)
             for end in range(2):
                 body = wp.where(end == 0, bushing.first, bushing.second)
                 sign = wp.where(end == 0, wp.float64(-1.0), wp.float64(1.0))
                 if body >= 0:
-                    flow.force[worldid, body] -= sign * force
-                    flow.torque[worldid, body] -= sign * torque
-                along_moves(worldid, body, sign * force, sign * torque, skeleton, placement, passive)
+                    flow.force[worldid, body] -= sign * wrench.force
+                    flow.torque[worldid, body] -= sign * wrench.torque
+                along_moves(worldid, body, sign, wrench, skeleton, placement, passive)
     for back in range(count):
         body = count - 1 - back
         force = flow.force[worldid, body]

@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from myowarp.laws.expressions import values_of
 from myowarp.motion.inverse_dynamics import Load
 from myowarp.motion.setup_words import body_of, file_of, stated
 from myowarp.motion.storage import Storage, logger, read_storage
 from myowarp.motion.streams import Stream
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.model import GROUND
 from myowarp.osim.document.read.element import Element, parse
 
 AXES = ("x", "y", "z")
@@ -154,6 +157,26 @@ class Loads:
         if isinstance(table, Stream):
             table = table.around(times[0], times[-1])
         return [one.at(table, times) for one in self._columns]
+
+
+def prescribed_loads(bones: Bones, time: np.ndarray) -> list[Load]:
+    """Return what a model's own `PrescribedForce`s put on bodies.
+
+    Args:
+        bones: The model.
+        time: [s], shape (frames,).
+    """
+    found = []
+    for one in bones.model.prescribed_forces:
+        parts = values_of(one.formulas, time[:, None]).reshape(len(time), 3, 3)
+        force, point, torque = parts.swapaxes(0, 1)
+        if not one.force_in_ground:
+            force, torque = (part @ one.frame.rotation.T for part in (force, torque))
+        if not one.point_in_ground:
+            point = one.frame.position + point @ one.frame.rotation.T
+        axes, place = (GROUND if on else one.body for on in (one.force_in_ground, one.point_in_ground))
+        found.append(Load(one.body, force, point, torque, axes, place))
+    return found
 
 
 def loads_at(path: Path, times: np.ndarray, recording: Path | None = None) -> list[Load]:

@@ -19,7 +19,7 @@ from myowarp.motion.actuators import actuators_of
 from myowarp.motion.inverse_dynamics import Load, Needed, inverse_dynamics
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.joint_reactions import JointReactions, joint_reactions
-from myowarp.motion.loads import Loads, loads_at
+from myowarp.motion.loads import Loads, loads_at, prescribed_loads
 from myowarp.motion.markers import Markers, MarkerStream, read_trc
 from myowarp.motion.metabolic_power import metabolic_power
 from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces, rigid_capacity
@@ -415,7 +415,7 @@ def dynamics(
         ValueError: A file is not what it should be.
         OSError: A file cannot be read or written.
     """
-    acting = _acting(loads, motion)
+    acting = _acting(bones, loads, motion)
     needed = inverse_dynamics(bones, motion.values, motion.speeds, motion.accelerations, acting)
     with tables_in(output) as tables:
         _write_moments(tables, bones, motion, needed, acting)
@@ -447,10 +447,11 @@ def held_up(bones: Bones, time: np.ndarray, moment: np.ndarray) -> str:
     return f"no external loads: {worst}, carry the weight"
 
 
-def _acting(loads: Path | Loads | None, motion: Movement) -> Sequence[Load]:
-    """Return the loads of a motion."""
+def _acting(bones: Bones, loads: Path | Loads | None, motion: Movement) -> Sequence[Load]:
+    """Return the loads of a motion, and what forces of the model prescribe."""
     known_loads = Loads(loads) if isinstance(loads, Path) else loads
-    return () if known_loads is None else known_loads.at(motion.time)
+    own = prescribed_loads(bones, motion.time)
+    return own if known_loads is None else [*known_loads.at(motion.time), *own]
 
 
 def _write_moments(
@@ -546,7 +547,7 @@ def forces(
         OSError: A file cannot be read or written.
     """
     paths = muscle_paths(bones, motion.values, motion.speeds)
-    acting = _acting(loads, motion)
+    acting = _acting(bones, loads, motion)
     needed = inverse_dynamics(bones, motion.values, motion.speeds, motion.accelerations, acting)
     actuators = actuators_of(bones, motion.values)
     found = muscle_forces(
@@ -636,7 +637,10 @@ def follow(
         bones,
         motion.time,
         motion.values,
-        lambda times: () if loads is None else loads_at(loads, times),
+        lambda times: [
+            *(() if loads is None else loads_at(loads, times)),
+            *prescribed_loads(bones, times),
+        ],
         reserves=reserves,
         strength=strength,
         gains=gains,

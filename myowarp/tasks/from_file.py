@@ -60,6 +60,7 @@ def from_mjcf(
     far: float | None = None,
     rewards: Mapping[str, Reward] | None = None,
     stops: bool = True,
+    function_paths: str | Path | None = None,
     doc: str = "",
     replace: bool = False,
 ) -> TaskSpec:
@@ -83,6 +84,8 @@ def from_mjcf(
         rewards: New weights of terms and new terms, as in `extend`.
         stops: Whether joints stop at their ranges; in OpenSim's simulations coordinates do not. Targets stay
             those within the ranges.
+        function_paths: Of an .osim, a file with a set of `FunctionBasedPath`, such as Moco's, in place of the
+            paths of the muscles that it names.
         doc: One sentence: what the task asks for; "": what follows from the above.
         replace: Whether it may take the place of a task that is registered.
 
@@ -104,7 +107,8 @@ def from_mjcf(
     bounds = dict(targets) if isinstance(targets, Mapping) else dict.fromkeys(names)
     if not isinstance(stops, bool):
         raise ValueError(f"stops must be True or False, got {stops!r}")
-    body, model = register_body(path, tuple(bounds) if kind == "reach" else (), stops)
+    lengths = None if function_paths is None else Path(function_paths)
+    body, model = register_body(path, tuple(bounds) if kind == "reach" else (), stops, lengths)
     name, version = split_key(key) if key is not None else (body if kind == "pose" else f"{body}_{kind}", 0)
     start = _start(model, path, keyframe)
     common: dict[str, Any] = {

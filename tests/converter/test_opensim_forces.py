@@ -21,6 +21,14 @@ DATA = Path(__file__).parents[1] / "data"
 MODEL = DATA / "osim" / "forces.osim"
 RECORDED = np.load(DATA / "opensim" / "forces.npz")
 
+DEVICES, BESIDE = DATA / "osim" / "devices.osim", np.load(DATA / "opensim" / "devices.npz")
+AT = 0.37
+"""s: time of the recorded states."""
+RESTING = ("push", "twist")
+"""Actuators that the tests leave alone; the reaction of the second is on ground, not on its body."""
+DEVICES_TOLERANCE = 1e-5
+"""Of the greatest force of all, float32."""
+
 TOLERANCE = 2e-5
 """Of the greatest force of a kind, float32; short ligaments multiply rounding by their stiffness."""
 
@@ -48,26 +56,27 @@ def alone(kind, tmp_path):
     return path
 
 
-def acting(task, coordinates, worlds=None):
+def acting(task, coordinates, worlds=None, recorded=RECORDED, at=0.0):
     """Return what passive forces and actuators do about the free coordinates in the recorded states."""
-    free, names = RECORDED["free"].tolist(), RECORDED["coordinates"].tolist()
-    rows = np.arange(len(RECORDED["values"])) if worlds is None else worlds
+    free, names = recorded["free"].tolist(), recorded["coordinates"].tolist()
+    rows = np.arange(len(recorded["values"])) if worlds is None else worlds
     scene = compile_scene(task, len(rows), device="cpu", physics="parity")
-    values = dict(zip(names, RECORDED["values"][rows].T, strict=True))
-    rates = dict(zip(names, RECORDED["rates"][rows].T, strict=True))
+    values = dict(zip(names, recorded["values"][rows].T, strict=True))
+    rates = dict(zip(names, recorded["rates"][rows].T, strict=True))
     qpos, slope = coordinates.rates(scene.oracle, {name: values[name] for name in free})
     order = coordinates.free()
     speeds = np.stack([rates[name] for name in order], axis=1)
-    control = dict(zip(RECORDED["forces"].tolist(), RECORDED["control"].tolist(), strict=True))
+    control = dict(zip(recorded["forces"].tolist(), recorded["control"].tolist(), strict=True))
     ctrl = np.zeros(scene.data.ctrl.shape, np.float32)
     for number in range(scene.oracle.nu):
-        if (name := scene.oracle.actuator(number).name) == "cable":
+        if (name := scene.oracle.actuator(number).name) not in RESTING:
             ctrl[:, number] = control[name]
     launch = step_of(stepped_of(scene)).launches()
     for _ in range(2):  # what the first step leaves must not count in the second
         scene.data.qpos.assign(qpos)
         scene.data.qvel.assign(np.einsum("nij,nj->ni", slope, speeds))
         scene.data.ctrl.assign(ctrl)
+        scene.data.time.fill_(at)
         launch()
     force = scene.data.qfrc_passive.numpy() + scene.data.qfrc_actuator.numpy()
     found = np.einsum("nij,ni->nj", slope, force)
@@ -90,6 +99,24 @@ def test_forces_are_those_of_opensim(kind, tmp_path):
     assert np.abs(theirs).max() > 1.0
     assert (np.abs(theirs).max(axis=1) > 1e-3).mean() > 0.4
     np.testing.assert_allclose(found, theirs, atol=TOLERANCE * np.abs(theirs).max())
+
+
+@pytest.fixture(scope="module")
+def devices():
+    """Return what everything in a model of devices does at once, and what each does in OpenSim."""
+    coordinates = CoordinateMap.read(load(DEVICES).with_name("coordinates.json"))
+    found = acting(from_osim(DEVICES, replace=True), coordinates, None, BESIDE, AT)
+    names = BESIDE["forces"].tolist()
+    return found, {name: BESIDE["acting"][:, k] for k, name in enumerate(names) if name not in RESTING}
+
+
+def test_devices_do_what_those_of_opensim_do(devices):
+    """Bushings, formulas, between points, along functions, prescribed: none is missing or doubled."""
+    found, each = devices
+    theirs = sum(each.values())
+    off = np.abs(found - theirs).max()
+    assert off < DEVICES_TOLERANCE * np.abs(theirs).max()
+    assert min(np.abs(one).max() for one in each.values()) > 10 * off
 
 
 def test_a_converted_model_has_no_springs_besides(tmp_path):

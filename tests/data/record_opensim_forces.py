@@ -1,13 +1,14 @@
-"""Record what limits, ligaments and path actuators of OpenSim do, and a motion under all of them.
+"""Record what forces and actuators of OpenSim do beside muscles, and a motion under all of them.
 
     python tests/data/record_opensim_forces.py tests/data/osim/forces.osim -o tests/data/opensim/forces.npz
+    python tests/data/record_opensim_forces.py tests/data/osim/devices.osim -o tests/data/opensim/devices.npz
 
 needs an interpreter with `opensim` (4.6) and numpy only; nothing of ours is imported. States are random: n
 poses over the ranges, speeds normal with `SPEED`. Arrays, float64, SI units, k forces and f free coordinates:
 
     coordinates (c,), values (n, c), rates (n, c)   of all coordinates
     free (f,), forces (k,)                          names
-    acting (n, k, f)                                what each force does about the free coordinates
+    acting (n, k, f)                                what each force does about the free coordinates at `TIME`
     control (k,)                                    of actuators, else NaN
     time (t,), motion (t, c)                        from the default pose, controls held, all forces on
     version ()                                      of OpenSim
@@ -21,7 +22,8 @@ import opensim
 from record_opensim_paths import Posed, members
 
 COUNT, SEED, SPEED = 40, 4, 3.0
-CONTROL = {"cable": 0.4, "push": 0.6}
+CONTROL = {"cable": 0.4, "push": 0.6, "belt": 0.7, "piston": -0.5, "twist": 0.3, "thrust": 0.8}
+TIME = 0.37
 DURATION, EVERY, ACCURACY = 0.5, 0.01, 1e-8
 
 
@@ -36,6 +38,7 @@ def acting(file):
     forces = members(posed.model.getForceSet())
     actuators = {item.getName(): opensim.ScalarActuator.safeDownCast(item) for item in forces}
     state = posed.state
+    state.setTime(TIME)
     still = opensim.Vector(state.getNU(), 0.0)
     for name, item in actuators.items():
         if item is not None:
@@ -79,7 +82,8 @@ def motion(file):
     """Return times and coordinates from the default pose at rest, all forces on."""
     model = opensim.Model(str(file))
     controller = opensim.PrescribedController()
-    for name, value in CONTROL.items():
+    driven = members(model.getActuators())
+    for name, value in ((item.getName(), CONTROL[item.getName()]) for item in driven):
         controller.addActuator(model.getActuators().get(name))
         controller.prescribeControlForActuator(name, opensim.Constant(value))
     model.addController(controller)

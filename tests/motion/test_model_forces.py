@@ -17,6 +17,7 @@ from myowarp.motion.actuators import actuators_of
 from myowarp.motion.draws import Recording, Uncertainty, draw_trial
 from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
 from myowarp.motion.joint_reactions import joint_reactions
+from myowarp.motion.loads import prescribed_loads
 from myowarp.motion.muscle_forces import muscle_forces
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.storage import read_storage
@@ -32,7 +33,9 @@ DATA = Path(__file__).parents[1] / "data"
 ARM = (DATA / "osim/arm26.osim").read_text()
 RECORDED = json.loads((DATA / "opensim/beside.json").read_text())
 TIME, VALUES = np.array(RECORDED["time"]), np.array(RECORDED["values"])
-FORCES = np.load(DATA / "opensim/forces.npz")
+RECORDED_FORCES = {name: np.load(DATA / f"opensim/{name}.npz") for name in ("forces", "devices")}
+AT = 0.37
+"""s: time of the recorded states."""
 
 TOLERANCE = 1e-6
 """N m: what twice differentiated splines differ by."""
@@ -113,7 +116,7 @@ def test_springs_and_limits_are_their_laws(tmp_path):
     assert np.abs(law[[0, 3]]).min() > 10.0
 
 
-@pytest.mark.parametrize("name", [name for name in RECORDED["moments"] if name != "expression"])
+@pytest.mark.parametrize("name", RECORDED["moments"])
 def test_moments_are_those_of_opensim(name, tmp_path):
     theirs, bare = (np.array(RECORDED["moments"][key]) for key in (name, ""))
     found = needed(arm(tmp_path, name))
@@ -123,24 +126,47 @@ def test_moments_are_those_of_opensim(name, tmp_path):
         assert np.abs(theirs - bare).max() > 1e6 * TOLERANCE
 
 
-def test_coordinates_that_follow_push_those_that_lead():
+@pytest.mark.parametrize("name", RECORDED_FORCES)
+def test_coordinates_that_follow_push_those_that_lead(name):
     """Every class on a model with couplers and moving points, as OpenSim's inverse dynamics has it."""
-    bones = Bones.read(DATA / "osim/forces.osim", "cpu")
-    names, forces = FORCES["coordinates"].tolist(), FORCES["forces"].tolist()
+    recorded = RECORDED_FORCES[name]
+    bones = Bones.read(DATA / f"osim/{name}.osim", "cpu")
+    names, forces = recorded["coordinates"].tolist(), recorded["forces"].tolist()
     columns = [names.index(name) for name in bones.coordinates]
-    values, rates = FORCES["values"][:, columns], FORCES["rates"][:, columns]
-    along = [FORCES["free"].tolist().index(name) for name in bones.coordinates]
-    for kept in (*(name for name in forces if name not in ("cable", "push")), None):
+    values, rates = recorded["values"][:, columns], recorded["rates"][:, columns]
+    along = [recorded["free"].tolist().index(name) for name in bones.coordinates]
+    driven = np.isfinite(recorded["control"])
+    still, time = np.zeros_like(values), np.full(len(values), AT)
+    for kept in (*(name for name, on in zip(forces, driven, strict=True) if not on), None):
         model, unknown = without(bones.model, [name for name in forces if name != kept] if kept else [])
         assert not unknown
-        chosen = (
-            [forces.index(kept)] if kept else [k for k, n in enumerate(forces) if n not in ("cable", "push")]
-        )
-        theirs = FORCES["acting"][:, chosen].sum(axis=1)[:, along]
-        found = inverse_dynamics(Bones(model, "cpu"), values, rates, np.zeros_like(values))
+        chosen = [forces.index(kept)] if kept else np.flatnonzero(~driven)
+        theirs = recorded["acting"][:, chosen].sum(axis=1)[:, along]
+        acting = Bones(model, "cpu")
+        loads = prescribed_loads(acting, time)
+        found = inverse_dynamics(acting, values, rates, still, loads)
+        bare = inverse_dynamics(acting, values, rates, still, passive=False).joint_moment
         scale = np.abs(theirs).max()
-        assert scale > 0.1
-        np.testing.assert_allclose(found.passive, theirs, atol=1e-8 * scale)
+        assert scale > 0.01
+        np.testing.assert_allclose(bare - found.joint_moment, theirs, atol=1e-8 * scale, err_msg=kept or "")
+        if not loads:
+            np.testing.assert_allclose(found.passive, theirs, atol=1e-8 * scale, err_msg=kept or "")
+
+
+@pytest.mark.parametrize("name", RECORDED_FORCES)
+def test_motors_do_what_those_of_opensim_do(name):
+    recorded = RECORDED_FORCES[name]
+    bones = Bones.read(DATA / f"osim/{name}.osim", "cpu")
+    names, forces = recorded["coordinates"].tolist(), recorded["forces"].tolist()
+    values = recorded["values"][:, [names.index(name) for name in bones.coordinates]]
+    along = [recorded["free"].tolist().index(name) for name in bones.coordinates]
+    motors = actuators_of(bones, values)
+    driven = {name for name, control in zip(forces, recorded["control"], strict=True) if np.isfinite(control)}
+    assert set(motors.names) == driven
+    for number, motor in enumerate(motors.names):
+        theirs = recorded["acting"][:, forces.index(motor)][:, along]
+        found = recorded["control"][forces.index(motor)] * motors.effect[:, number]
+        np.testing.assert_allclose(found, theirs, atol=1e-8 * np.abs(theirs).max(), err_msg=motor)
 
 
 @pytest.mark.parametrize("words", RECORDED["excluded"])
@@ -234,6 +260,8 @@ def test_tracking_drives_motors(tmp_path):
     assert driven.activation.mean() < 0.8 * alone.activation.mean()
 
 
+UNREAD = '<NoOneKnowsForce name="unknown"><coordinate>r_elbow_flex</coordinate></NoOneKnowsForce>'
+RECORDED["forces"]["unknown"] = UNREAD
 CONTACT = """<HuntCrossleyForce name="touch"><HuntCrossleyForce::ContactParametersSet><objects>
 <HuntCrossleyForce::ContactParameters><geometry>ball floor</geometry></HuntCrossleyForce::ContactParameters>
 </objects></HuntCrossleyForce::ContactParametersSet></HuntCrossleyForce>"""
@@ -245,10 +273,10 @@ GEOMETRY = """<ContactGeometrySet><objects><ContactSphere name="ball">
 
 def test_what_is_left_out_is_named_with_its_coordinates(tmp_path, caplog):
     path = tmp_path / "touching.osim"
-    text = ARM.replace(RECORDED["place"], RECORDED["place"] + RECORDED["forces"]["expression"] + CONTACT)
+    text = ARM.replace(RECORDED["place"], RECORDED["place"] + UNREAD + CONTACT)
     path.write_text(text.replace('<ForceSet name="forceset">', GEOMETRY))
     sentence = (
-        "left out, though OpenSim has it act: ExpressionBasedCoordinateForce 'expression' (r_elbow_flex); "
+        "left out, though OpenSim has it act: NoOneKnowsForce 'unknown' (r_elbow_flex); "
         "HuntCrossleyForce 'touch' (r_shoulder_elev, r_elbow_flex)"
     )
     assert left_out(read_model(path)) == sentence
@@ -257,12 +285,10 @@ def test_what_is_left_out_is_named_with_its_coordinates(tmp_path, caplog):
         needed(Bones.read(path, "cpu"))
         needed(Bones.read(path, "cpu"))
     assert [record.getMessage() for record in caplog.records] == [f"touching.osim: {sentence}"]
-    model, unknown = without(read_model(path), ["expression", "touch"])
+    model, unknown = without(read_model(path), ["unknown", "touch"])
     assert left_out(model) == ""
     assert not unknown
     assert left_out(read_model(DATA / "osim/forces.osim")) == ""
-    theirs, bare = (np.array(RECORDED["moments"][name]) for name in ("expression", ""))
-    assert np.abs(theirs - bare).max() > 1.0, "it matters"
 
 
 def written(folder, bones):
@@ -278,14 +304,14 @@ def title(path):
 
 def test_the_commands(tmp_path, capsys):
     """Moments, what springs and motors give, what a set-up file excludes; files of another model go."""
-    names = f"{RECORDED['driven']}+expression"
+    names = f"{RECORDED['driven']}+unknown"
     options, out = written(tmp_path, arm(tmp_path, names)), tmp_path / "out"
     model = tmp_path / "arm.osim"
     Dynamics(model, **options)()
     passive = read_storage(out / "passive_moments.sto")
     bare = np.array(RECORDED["moments"][""])
     np.testing.assert_allclose(read_storage(out / "moments.sto").values + passive.values, bare, atol=1e-5)
-    lost = "left out, though OpenSim has it act: ExpressionBasedCoordinateForce 'expression' (r_elbow_flex)"
+    lost = "left out, though OpenSim has it act: NoOneKnowsForce 'unknown' (r_elbow_flex)"
     assert title(out / "moments.sto") == f"joint moments, N m and N; {lost}"
     assert read_storage(out / "moments.sto").labels == ("r_shoulder_elev_moment", "r_elbow_flex_moment")
     text = page(out, read_model(model)).replace("&#x27;", "'")

@@ -9,6 +9,7 @@ import tyro
 from rich.console import Console
 
 from myowarp.disk import check_overwrite
+from myowarp.osim.convert.function_paths import FILES, write_fitted
 from myowarp.osim.convert.run import COMPLETE, run
 
 
@@ -36,6 +37,11 @@ class Convert:
     """Reference of lengths and moment arms: our own path code, or an installed OpenSim."""
     workers: int = 0
     """Processes that fit muscles; 0: one per core."""
+    function_paths: Path | None = None
+    """A set of FunctionBasedPath, such as Moco's, in place of the paths of the muscles that it names."""
+    fit_paths: bool = False
+    """Write function_paths.xml, too, lengths as polynomials of coordinates, which OpenSim reads and
+    --function-paths takes; and function_paths.csv with their errors."""
     strict: bool = False
     """Fail if a stated gate is missed or something is left out; the result is written all the same."""
     accept_losses: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[CODE ...]", help_behavior_hint="")] = ()
@@ -49,7 +55,8 @@ class Convert:
         """Convert, check, write."""
         from myowarp.sim.converted_step import OurStep  # compiles nothing that help needs
 
-        check_overwrite((self.output / name for name in COMPLETE), self.overwrite)
+        fitted = FILES if self.fit_paths else ()
+        check_overwrite((self.output / name for name in (*COMPLETE, *fitted)), self.overwrite)
         report = run(
             self.model,
             self.output,
@@ -59,13 +66,21 @@ class Convert:
             self.workers,
             self.reference,
             self.accept_losses,
+            self.function_paths,
         )
+        if self.fit_paths:
+            say(write_fitted(self.model, self.output))
         if self.json:
             print(json.dumps(report, indent=1))
         else:
             _summarize(report, self.output, self.accept_losses)
         if self.strict and (failed := _failed(report)):
             raise ValueError(f"{self.model}: {failed}")
+
+
+def say(line: str) -> None:
+    """Say a line beside the summary."""
+    Console(stderr=True, highlight=False, soft_wrap=True).print(line, markup=False)
 
 
 def _failed(report: dict[str, Any]) -> str:

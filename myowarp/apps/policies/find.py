@@ -15,6 +15,7 @@ from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.hold import Hold, check_hold
 from myowarp.apps.policies.learned import bind, read_policy
 from myowarp.apps.policies.muscle_control import MuscleControl, check_muscle_control
+from myowarp.apps.policies.prescribed import is_prescribed, prescribed
 from myowarp.apps.policies.replay import Replay, is_replay
 from myowarp.definitions.task import TaskSpec
 from myowarp.motion.storage import Storage, read_storage
@@ -54,7 +55,8 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
 
     Args:
         name: "random", "zero", "hold", "muscle-control", "baseline", "baselines/<task>", the folder of a
-            trained policy, a file of excitations (each a file in `myowarp.apps.policies`),
+            trained policy, a file of excitations, a model with controllers (each a file in
+            `myowarp.apps.policies`),
             "package.module:function" or "file.py:function".
         spec: The task in which it is to act.
 
@@ -70,11 +72,14 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
         return Policy(name, checkpoint=read_policy(name, folder, spec))
     if is_replay(name):
         return Policy(name, excitations=read_storage(Path(name)))
+    if is_prescribed(name):
+        return Policy(name, excitations=prescribed(Path(name), spec))
     source, colon, attribute = name.rpartition(":")
     if not colon:
         raise ValueError(
             f"policy {name!r} unknown; available: {', '.join(BUILT_IN)}, baseline, "
-            "baselines/<task>, the folder of a trained policy, excitations (.sto, .mot, .csv), "
+            "baselines/<task>, the folder of a trained policy, excitations (.sto, .mot, .csv), a model's own "
+            "controllers (.osim), "
             "package.module:function, file.py:function"
         )
     try:

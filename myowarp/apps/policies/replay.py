@@ -2,7 +2,7 @@
 
     myowarp rollout --model arm.xml --policy controls.sto
 
-A muscle's column is called like the muscle, with or without `.excitation` behind it and `/forceset/` before
+A column is called like its muscle or motor, with or without `.excitation` behind it and `/forceset/` before
 it. Between two rows the excitation changes linearly; before the first row and after the last one it keeps
 that row's value. A control step holds the value of its end, so a recording of every step replays itself.
 """
@@ -59,9 +59,10 @@ class Replay:
             logger.warning("excitations of %s above %.3f become %.3f: actions give no more", name, most, most)
         self._time, self._values = storage.time, values
         self._sim, self._actuator_id = sim, scene.muscles.actuator_id
+        self._motors = _motors(storage, sim, name)
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
-        """Return actions (num_worlds, num_actions) of the step that comes; 0 for motors."""
+        """Return actions (num_worlds, num_actions) of the step that comes; 0 for motors without a column."""
         scene = self._sim.scene
         action = np.zeros((len(obs), scene.num_actions), dtype=np.float32)
         time = (self._sim.episode.step_count.numpy() + 1) * scene.control_dt
@@ -69,7 +70,31 @@ class Replay:
             action[:, actuator] = action_of(
                 np.interp(time, self._time, self._values[:, muscle]), scene.spec.linear_excitation
             )
+        for actuator, controls in self._motors.items():
+            action[:, actuator] = np.interp(time, self._time, controls)
         return action
+
+
+def _motors(storage: Storage, sim: Simulation, name: str) -> dict[int, np.ndarray]:
+    """Return the actions of motors that have a column, by actuator: where controls are in their ranges."""
+    oracle, found = sim.scene.oracle, {}
+    for actuator in set(range(oracle.nu)) - set(sim.scene.muscles.actuator_id):
+        own = oracle.actuator(actuator).name
+        place = _place(storage, own)
+        if place is None:
+            continue
+        low, high = oracle.actuator_ctrlrange[actuator]
+        controls = storage.values[:, place]
+        if ((controls < low) | (controls > high)).any():
+            logger.warning("controls of %s in %s go beyond %g to %g, and are cut", own, name, low, high)
+        found[actuator] = np.clip(2.0 * (controls - low) / (high - low) - 1.0, -1.0, 1.0)
+    return found
+
+
+def _place(storage: Storage, own: str) -> int | None:
+    """Return the column of an actuator, None: there is none."""
+    labels = (own, f"{own}.excitation", f"/forceset/{own}", f"/forceset/{own}.excitation")
+    return next((storage.labels.index(label) for label in labels if label in storage.labels), None)
 
 
 def _column(storage: Storage, own: str, name: str) -> int:
@@ -78,10 +103,9 @@ def _column(storage: Storage, own: str, name: str) -> int:
     Raises:
         ValueError: There is none.
     """
-    labels = (own, f"{own}.excitation", f"/forceset/{own}", f"/forceset/{own}.excitation")
-    for label in labels:
-        if label in storage.labels:
-            return storage.labels.index(label)
+    place = _place(storage, own)
+    if place is not None:
+        return place
     raise ValueError(
         f"policy {name!r} has no excitation of muscle {own!r}; it needs a column {own!r} or "
         f"'{own}.excitation' for every muscle"

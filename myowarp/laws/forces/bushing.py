@@ -1,13 +1,17 @@
 """A bushing: springs and dampers between two frames, along and about three axes: OpenSim's BushingForce.
 
 Frame M in frame F has the angles (a, b, c) of R = X(a) Y(b) Z(c) and the position p. They are deflections q,
-with the forces -K q - C dq/dt. The force acts at the origin of M, along F; the torque on M is N^T times those
-about the angles, where dq/dt = N w, w the angular velocity of M in F along M. F gets the opposite.
+with the forces -K q - C dq/dt; K q may be any formula of all q. The force acts at the origin of M, along F;
+the torque on M is N^T times those about the angles, where dq/dt = N w, w the angular velocity of M in F along
+M. F gets the opposite.
 
-Source: OpenSim 4.6, class BushingForce; Simbody's Force::LinearBushing.
+Source: OpenSim 4.6, classes BushingForce, FunctionBasedBushingForce and ExpressionBasedBushingForce;
+Simbody's Force::LinearBushing.
 """
 
 import warp as wp
+
+from myowarp.laws.expressions import Programs, Variables, run
 
 
 @wp.struct
@@ -25,6 +29,7 @@ class Bushing:
         shift_stiffness: Along the axes of F [N/m].
         turn_damping: [N m s/rad].
         shift_damping: [N s/m].
+        program: First of six formulas of the deflections in place of stiffness; -1: there are none.
     """
 
     first: int
@@ -37,18 +42,69 @@ class Bushing:
     shift_stiffness: wp.vec3d
     turn_damping: wp.vec3d
     shift_damping: wp.vec3d
+    program: int
+
+
+@wp.struct
+class BodyMotion:
+    """Where a body is and how it moves, in ground.
+
+    Attributes:
+        rotation: Its axes.
+        origin: [m].
+        turn: Angular velocity [rad/s].
+        shift: Velocity of the point of it that is where ground's origin is [m/s].
+    """
+
+    rotation: wp.mat33d
+    origin: wp.vec3d
+    turn: wp.vec3d
+    shift: wp.vec3d
+
+
+@wp.struct
+class Wrench:
+    """A force [N], and a torque about ground's origin [N m], in ground's axes."""
+
+    force: wp.vec3d
+    torque: wp.vec3d
 
 
 @wp.func
-def bushing_force(bushing: Bushing, position: wp.vec3d, velocity: wp.vec3d) -> wp.vec3d:
-    """Return the force on M at its origin, along F [N]; of where M is in F, and how fast it moves there."""
-    spring = wp.cw_mul(bushing.shift_stiffness, position)
-    return -spring - wp.cw_mul(bushing.shift_damping, velocity)
+def bushing_wrench(bushing: Bushing, formulas: Programs, first: BodyMotion, second: BodyMotion) -> Wrench:
+    """Return what acts on the second body; the first gets the opposite."""
+    first_axes = first.rotation * bushing.first_rotation
+    second_axes = second.rotation * bushing.second_rotation
+    begin = first.origin + first.rotation * bushing.first_origin
+    end = second.origin + second.rotation * bushing.second_origin
+    to_first = wp.transpose(first_axes)
+    spin = second.turn - first.turn
+    # How the second origin moves in the first frame.
+    velocity = to_first * (second.shift - first.shift + wp.cross(spin, end))
+    position = to_first * (end - begin)
+    angles, to_rates = deflection(to_first * second_axes)
+    springs = wp.cw_mul(bushing.shift_stiffness, position)
+    moments = wp.cw_mul(bushing.turn_stiffness, angles)
+    if bushing.program >= 0:
+        at = Variables()
+        for k in range(3):
+            at[k] = angles[k]
+            at[k + 3] = position[k]
+        for k in range(3):
+            moments[k] = run(formulas, bushing.program + k, at)
+            springs[k] = run(formulas, bushing.program + k + 3, at)
+    force = first_axes * (-springs - wp.cw_mul(bushing.shift_damping, velocity))
+    rates = to_rates * (wp.transpose(second_axes) * spin)
+    torque = second_axes * (wp.transpose(to_rates) * (-moments - wp.cw_mul(bushing.turn_damping, rates)))
+    found = Wrench()
+    found.force = force
+    found.torque = torque + wp.cross(end, force)
+    return found
 
 
 @wp.func
-def bushing_torque(bushing: Bushing, turned: wp.mat33d, spin: wp.vec3d) -> wp.vec3d:
-    """Return the torque on M, along M [N m]; of its axes in F, and its angular velocity in F along M."""
+def deflection(turned: wp.mat33d):
+    """Return the angles of M in F, and what takes an angular velocity along M to their rates; of M's axes."""
     one, zero = wp.float64(1.0), wp.float64(0.0)
     a = wp.atan2(-turned[1, 2], turned[2, 2])
     b = wp.asin(wp.clamp(turned[0, 2], -one, one))
@@ -58,5 +114,4 @@ def bushing_torque(bushing: Bushing, turned: wp.mat33d, spin: wp.vec3d) -> wp.ve
     to_rates = wp.mat33d(
         cos_c / cos_b, -sin_c / cos_b, zero, sin_c, cos_c, zero, -tan_b * cos_c, tan_b * sin_c, one
     )
-    spring = wp.cw_mul(bushing.turn_stiffness, wp.vec3d(a, b, c))
-    return wp.transpose(to_rates) * (-spring - wp.cw_mul(bushing.turn_damping, to_rates * spin))
+    return wp.vec3d(a, b, c), to_rates

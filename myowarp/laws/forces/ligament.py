@@ -5,11 +5,14 @@
 f is a spline (Ligament; d = c = 0), a parabola over the toe and a line (Blankevoort1991Ligament; d = 0) or a
 line (PathSpring; c = 0), and S the step of coordinate_limit.py.
 
+Forces between two points and of formulas (PointToPointSpring, ExpressionBased...) have any T of l and dl/dt.
+
 Sources: OpenSim 4.6, classes of these names; Blankevoort, Huiskes 1991, doi:10.1115/1.2894883.
 """
 
 import warp as wp
 
+from myowarp.laws.expressions import Programs, Variables, run
 from myowarp.laws.forces.coordinate_limit import onset
 
 SETS_IN = wp.constant(wp.float64(0.01))
@@ -25,19 +28,26 @@ class Ligament:
         resting_length: l_0 [m].
         dissipation: d [s/m].
         damping: c [N s/m].
+        program: Formula of l and dl/dt that is T; -1: there is none.
     """
 
     tendon: int
     resting_length: wp.float64
     dissipation: wp.float64
     damping: wp.float64
+    program: int
 
 
 @wp.func
 def ligament_tension(
-    ligament: Ligament, spring: wp.float64, length: wp.float64, velocity: wp.float64
+    ligament: Ligament, formulas: Programs, spring: wp.float64, length: wp.float64, velocity: wp.float64
 ) -> wp.float64:
     """T [N]; `spring` is f(l / l_0)."""
+    if ligament.program >= 0:
+        at = Variables()
+        at[0] = length
+        at[1] = velocity
+        return run(formulas, ligament.program, at)
     strain = length / ligament.resting_length - wp.float64(1.0)
     if strain <= wp.float64(0.0):
         return wp.float64(0.0)

@@ -27,6 +27,9 @@ ELLIPSOID = wp.constant(2)
 TORUS = wp.constant(3)
 
 ROUNDS = wp.constant(8)  # over several wrap objects
+MOST_VARIABLES = 6  # of a length that is a polynomial
+Slopes = wp.types.vector(length=MOST_VARIABLES, dtype=wp.float64)
+
 SETTLED = wp.constant(wp.float64(0.0005))  # m of change in length after which no further round follows
 
 
@@ -127,6 +130,10 @@ class MusclePath:
         first_handle: Its first handle.
         handles: Number of bodies that it pulls on.
         longest: By which one wrap may make it longer [m]; more is a jump.
+        first_variable: First variable of its length, where that is a polynomial.
+        variables: Number of these; 0: it runs over points.
+        first_group: First group of terms of the polynomial.
+        groups: Number of these.
     """
 
     first_point: int
@@ -137,27 +144,47 @@ class MusclePath:
     first_handle: int
     handles: int
     longest: wp.float64
+    first_variable: int
+    variables: int
+    first_group: int
+    groups: int
 
 
 @wp.struct
 class PathTables:
-    """All paths of a model; a handle is a body that a path pulls on."""
+    """All paths of a model; a handle is a body that a path pulls on.
+
+    Attributes:
+        paths: All.
+        points: Of paths.
+        moving: Where points that move are.
+        wraps: Of paths.
+        surfaces: What these wrap over.
+        variable: Numbers of the values that are variables of polynomials.
+        power: Of all variables but the last, which a group of terms shares; shape (num_groups, most).
+        first_coefficient: Of each group, and the number of all.
+        coefficient: Of a group, of ascending powers of the last variable from 0 [m].
+    """
 
     paths: wp.array[MusclePath]
     points: wp.array[Point]
     moving: wp.array[MovingPoint]
     wraps: wp.array[PathWrap]
     surfaces: wp.array[Surface]
+    variable: wp.array[int]
+    power: wp.array2d[int]
+    first_coefficient: wp.array[int]
+    coefficient: wp.array[wp.float64]
 
 
 @wp.struct
 class Frames:
-    """Places of bodies, and arguments of moving and conditional points.
+    """Places of bodies, and arguments of points and polynomials.
 
     Attributes:
         origin: Of bodies in ground [m], shape (num_worlds, num_bodies).
         rotation: Of bodies in ground.
-        value: Coordinates of moving points [m], and values of conditions; shape (num_worlds, num_values).
+        value: Of moving points [m], conditions and polynomials, shape (num_worlds, num_values).
     """
 
     origin: wp.array2d[wp.vec3d]
@@ -195,6 +222,7 @@ class Pulls:
         within: What moves a moving point against another of its body: it counts for the speed of the length
             and, in OpenSim, not for forces.
         twist: The same of turning such a body, where OpenSim remembers other places than it ends with.
+        by_variable: d length / d variable of polynomials, shape (num_worlds, num_variables).
         jumps: How often OpenSim would have taken a wrap that is refused as a jump.
     """
 
@@ -205,6 +233,7 @@ class Pulls:
     along: wp.array2d[wp.vec3d]
     within: wp.array2d[wp.vec3d]
     twist: wp.array2d[wp.vec3d]
+    by_variable: wp.array2d[wp.float64]
     jumps: wp.array2d[int]
 
 
@@ -450,6 +479,42 @@ def pull_moving(
             into[point.moving] = into[point.moving] + wp.transpose(axes) * force
 
 
+@wp.func
+def polynomial_length(
+    path: MusclePath, tables: PathTables, value: wp.array[wp.float64], by_variable: wp.array[wp.float64]
+) -> wp.float64:
+    """Return sum c x_1^p_1 ... x_n^p_n, and write its derivatives by the variables.
+
+    Terms that differ in the power of the last variable alone are one polynomial of it, by Horner's rule.
+    """
+    total, slopes, x = real(0.0), Slopes(), Slopes()
+    last = path.variables - 1
+    for k in range(path.variables):
+        x[k] = value[tables.variable[path.first_variable + k]]
+    for group in range(path.first_group, path.first_group + path.groups):
+        inner, steep = real(0.0), real(0.0)
+        for c in range(tables.first_coefficient[group + 1] - 1, tables.first_coefficient[group] - 1, -1):
+            steep = steep * x[last] + inner
+            inner = inner * x[last] + tables.coefficient[c]
+        product, by = real(1.0), Slopes()
+        for k in range(last):
+            power = tables.power[group, k]
+            if power > 0:
+                below = real(1.0)
+                for _ in range(power - 1):
+                    below *= x[k]
+                for before in range(k):
+                    by[before] = by[before] * below * x[k]
+                by[k] = product * real(power) * below
+                product *= below * x[k]
+        total += product * inner
+        slopes += inner * by
+        slopes[last] = slopes[last] + product * steep
+    for k in range(path.variables):
+        by_variable[path.first_variable + k] = slopes[k]
+    return total
+
+
 @wp.kernel(enable_backward=False)
 def follow_paths(
     # Params:
@@ -460,9 +525,18 @@ def follow_paths(
     memory: Followed,
     pulls: Pulls,
 ):
-    """Length = straight pieces + arcs; force, torque = sum over pieces between bodies of +-u, x cross +-u."""
+    """Length = straight pieces + arcs; force, torque = sum over pieces between bodies of +-u, x cross +-u.
+
+    Or the length is a polynomial, with its derivatives by the variables.
+    """
     worldid, pathid = wp.tid()
     path = tables.paths[pathid]
+    if path.variables > 0:
+        pulls.size[worldid, pathid] = 0
+        pulls.length[worldid, pathid] = polynomial_length(
+            path, tables, frames.value[worldid], pulls.by_variable[worldid]
+        )
+        return
     count = followed(path, tables, frames, memory, worldid, pulls.jumps[worldid], pathid)
     pulls.size[worldid, pathid] = count
     pulls.length[worldid, pathid] = path_length(path, tables, memory, worldid, count)

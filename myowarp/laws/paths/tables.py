@@ -13,6 +13,7 @@ from myowarp.laws.paths.ellipsoid import AXIAL, HYBRID, MIDPOINT, SAMPLED
 from myowarp.laws.paths.path import (
     CYLINDER,
     ELLIPSOID,
+    MOST_VARIABLES,
     SPHERE,
     TORUS,
     Followed,
@@ -114,11 +115,37 @@ class WrapSurface:
 
 
 @dataclass(frozen=True)
+class Polynomial:
+    """A length that is a sum of c x_1^p_1 ... x_n^p_n.
+
+    Attributes:
+        values: Numbers of the values that are x_1 to x_n.
+        coefficients: Of each term [m].
+        powers: Of each term, one for each x.
+    """
+
+    values: tuple[int, ...]
+    coefficients: tuple[float, ...]
+    powers: tuple[tuple[int, ...], ...]
+
+    @property
+    def groups(self) -> list[tuple[tuple[int, ...], list[float]]]:
+        """Powers of all variables but the last, and coefficients of the last's ascending powers from 0."""
+        found: dict[tuple[int, ...], list[float]] = {}
+        for coefficient, (*others, last) in zip(self.coefficients, self.powers, strict=True):
+            row = found.setdefault(tuple(others), [])
+            row += [0.0] * (last + 1 - len(row))
+            row[last] += coefficient
+        return list(found.items())
+
+
+@dataclass(frozen=True)
 class OsimPath:
-    """A path from origin to insertion, and what it may wrap over."""
+    """A path from origin to insertion, and what it may wrap over; or a length that is a polynomial."""
 
     points: tuple[Via, ...]
     wraps: tuple[Over, ...] = ()
+    polynomial: Polynomial | None = None
 
 
 @dataclass(frozen=True)
@@ -151,6 +178,7 @@ class PathMemory:
         memory: What the kernel works in.
         pulls: What it writes.
         moving: Of each moving point the numbers of its values.
+        path_variables: Of each path its variables, and of each of these the number of its value.
         handles: Of each path its first handle, and the number of all.
         places: Of each path its first place in `memory`.
     """
@@ -158,12 +186,12 @@ class PathMemory:
     def __init__(
         self, described: OsimPaths, worlds: int, values: int, guard: float = TURNS, exact: bool = True
     ) -> None:
-        """Write the tables of paths whose points depend on a number of values.
+        """Write the tables of paths that depend on a number of values.
 
         Args:
             described: The paths.
             worlds: Number of worlds.
-            values: Number of values that points depend on.
+            values: Number of values that paths depend on.
             guard: As `TURNS`; 0: no guard.
             exact: Whether the fan of an ellipsoid's hybrid method has all of OpenSim's rays; else most lie on
                 cubics between a ninth of them, which takes a fifth of the time.
@@ -177,13 +205,23 @@ class PathMemory:
         self.handles = [0]
         self.places: list[int] = []
         self.path_moving: list[range] = []
+        variables: list[int] = []
+        groups: list[tuple[tuple[int, ...], list[float]]] = []
+        self.path_variables: list[dict[int, int]] = []
         place = 0
         for path in described.paths.values():
             own = {name: self.handles[-1] + number for number, name in enumerate(described.handles(path))}
             turns = sum(described.surfaces[wrap.surface].turn for wrap in path.wraps)
             spans = (len(points), len(path.points), len(wraps), len(path.wraps))
             self.places.append(place)
-            paths.append((*spans, place, self.handles[-1], len(own), guard * turns if guard else np.inf))
+            longest = guard * turns if guard else np.inf
+            sizes = [len(variables), 0, len(groups), 0]
+            if path.polynomial is not None:
+                groups += path.polynomial.groups
+                variables += path.polynomial.values
+                sizes[1::2] = len(path.polynomial.values), len(groups) - sizes[2]
+            self.path_variables.append(dict(enumerate(variables[sizes[0] :], sizes[0])))
+            paths.append((*spans, place, self.handles[-1], len(own), longest, *sizes))
             first_moving = len(moving)
             for point in path.points:
                 number = -1
@@ -223,6 +261,15 @@ class PathMemory:
                 for s in described.surfaces.values()
             ],
         )
+        powers = np.zeros((max(len(groups), 1), MOST_VARIABLES), np.int32)
+        for row, (one, _) in zip(powers, groups, strict=False):
+            row[: len(one)] = one
+        ends = np.cumsum([0, *(len(own) for _, own in groups)], dtype=np.int32)
+        coefficients = [c for _, own in groups for c in own]
+        self.tables.variable = wp.array(np.array(variables or [0], np.int32), dtype=int)
+        self.tables.power = wp.array(powers, dtype=int)
+        self.tables.first_coefficient = wp.array(ends, dtype=int)
+        self.tables.coefficient = wp.array(coefficients or [0.0], dtype=wp.float64)
         self.worlds, self.number = worlds, len(paths)
         self.frames, self.memory, self.pulls = Frames(), Followed(), Pulls()
         real, vec, mat = wp.float64, wp.vec3d, wp.mat33d
@@ -241,6 +288,7 @@ class PathMemory:
             (self.pulls, "twist", self.handles[-1], vec),
             (self.pulls, "along", len(moving), vec),
             (self.pulls, "within", len(moving), vec),
+            (self.pulls, "by_variable", len(variables), real),
             (self.pulls, "jumps", len(paths), int),
         ):
             setattr(owner, name, wp.zeros((worlds, max(columns, 1)), dtype=kind))

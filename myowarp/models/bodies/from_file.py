@@ -45,8 +45,12 @@ def read_body(path: Path, tips: tuple[str, ...] = (), stops: bool = True) -> str
     return register_body(path, tips, stops)[0]
 
 
-def register_body(path: Path, tips: tuple[str, ...], stops: bool) -> tuple[str, mujoco.MjModel]:
-    """Return the name of a body, which is registered, and its model; see `read_body`."""
+def register_body(
+    path: Path, tips: tuple[str, ...], stops: bool, function_paths: Path | None = None
+) -> tuple[str, mujoco.MjModel]:
+    """Return the name of a body, which is registered, and its model; see `read_body` and `load.load`."""
+    if function_paths is not None and path.suffix.lower() != OPENSIM:
+        raise ValueError(f"function_paths are an option of an .osim file; {str(path)!r} is none")
     source = path
     if str(path) in BODIES and not path.exists():
         if not stops:
@@ -56,7 +60,7 @@ def register_body(path: Path, tips: tuple[str, ...], stops: bool) -> tuple[str, 
     if path.suffix.lower() == OPENSIM:
         from myowarp.osim.convert.load import load  # reading .osim files is not needed at every start
 
-        path = load(path)
+        path = load(path, function_paths)
     try:
         bundle = Bundle.load(path)
         spec = bundle.into(bundle.spec)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from myowarp.laws.paths.tables import OsimPath, OsimPaths, Over, Vector, Via, WrapSurface
+from myowarp.laws.paths.tables import OsimPath, OsimPaths, Over, Polynomial, Vector, Via, WrapSurface
 from myowarp.osim.document.elements import ConditionalPathPoint, MovingPathPoint, Path, PathWrap, Point
 from myowarp.osim.document.functions import IDENTITY, Function, Held
 from myowarp.osim.document.model import Model, WrapObject
@@ -12,11 +12,11 @@ from myowarp.osim.document.model import Model, WrapObject
 RANGE_SLACK = 1e-5
 """[rad] or [m] beyond the ends of its range in which OpenSim still counts a conditional point."""
 Value = tuple[Function, str]
-"""A value of a point: a function, and the coordinate that is its argument."""
+"""A value that a path depends on: a function, and the coordinate that is its argument."""
 
 
 def described(model: Model, paths: Mapping[str, Path]) -> tuple[OsimPaths, list[Value]]:
-    """Return paths of a model, and the values that their points depend on."""
+    """Return paths of a model, and the values that they depend on."""
     values: list[Value] = []
     objects = dict.fromkeys(wrap.object for path in paths.values() for wrap in path.wraps)
     found = {name: _path(model, path, values) for name, path in paths.items()}
@@ -24,6 +24,10 @@ def described(model: Model, paths: Mapping[str, Path]) -> tuple[OsimPaths, list[
 
 
 def _path(model: Model, path: Path, values: list[Value]) -> OsimPath:
+    if (function := path.function) is not None:
+        pairs = zip(function.functions, function.coordinates, strict=True)
+        numbers = tuple(_number(pair, values) for pair in pairs)
+        return OsimPath((), (), Polynomial(numbers, function.coefficients, function.powers))
     over = [Over(wrap.object, wrap.method, *path_range(wrap, len(path.points))) for wrap in path.wraps]
     return OsimPath(tuple(_point(model, point, values) for point in path.points), tuple(over))
 

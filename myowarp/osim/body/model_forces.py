@@ -17,13 +17,14 @@ import warp as wp
 
 from myowarp.kernels.launch import launch
 from myowarp.kernels.structs import struct_array
-from myowarp.laws.forces.bushing import Bushing, bushing_force, bushing_torque
+from myowarp.laws.expressions import Programs, Variables, added, programs, run
+from myowarp.laws.forces.bushing import BodyMotion, Bushing, Wrench
 from myowarp.laws.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
 from myowarp.laws.forces.ligament import Ligament, ligament_tension
 from myowarp.laws.pieces import evaluated
 from myowarp.osim.body.moment_arm import coordinates_between, leading
 from myowarp.osim.body.muscle_paths import muscle_paths
-from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, station
+from myowarp.osim.body.skeleton import Bones, Placement, Skeleton
 from myowarp.osim.document.elements import LEAST_TRANSITION
 from myowarp.osim.document.functions import IDENTITY, Function
 from myowarp.osim.document.model import GROUND, Loss, Model, Note
@@ -61,12 +62,16 @@ class ModelForces:
         limits: Limits of coordinates; their address is a number in `coordinates`.
         springs: Springs of coordinates.
         bushings: Between bodies.
+        pushed: Numbers in `coordinates` of those that formulas of value and speed push.
+        formulas: First those, then those of bushings and ligaments.
     """
 
     coordinates: Skeleton
     limits: wp.array[CoordinateLimit]
     springs: wp.array[CoordinateSpring]
     bushings: wp.array[Bushing]
+    pushed: wp.array[int]
+    formulas: Programs
 
 
 @wp.func
@@ -94,77 +99,56 @@ def push_coordinates(
             rate = q[1] * speeds[worldid, k]
             force = -spring.stiffness * (q[0] - spring.rest) - spring.damping * rate
             passive[worldid, k] += q[1] * force
+    for i in range(acting.pushed.shape[0]):
+        address = acting.pushed[i]
+        k = acting.coordinates.free[address]
+        if k >= 0:
+            q = evaluated(acting.coordinates.functions, address, values[worldid, k])
+            at = Variables()
+            at[0] = q[0]
+            at[1] = q[1] * speeds[worldid, k]
+            passive[worldid, k] += q[1] * run(acting.formulas, i, at)
 
 
 @wp.func
 def motion_of(
     worldid: int, body: int, skeleton: Skeleton, speeds: wp.array2d[wp.float64], placement: Placement
-):
-    """Return the angular velocity of a body, and its velocity where ground's origin is."""
-    turn = wp.vec3d()
-    shift = wp.vec3d()
+) -> BodyMotion:
+    """Return where a body is and how it moves; -1 is ground."""
+    one, found = wp.float64(1.0), BodyMotion()
+    found.rotation = wp.diag(wp.vec3d(one, one, one))
+    if body >= 0:
+        found.rotation = placement.rotation[worldid, body]
+        found.origin = placement.origin[worldid, body]
     carried = int(body)
     while carried >= 0:
         for move in range(skeleton.first[carried], skeleton.first[carried + 1]):
             k = skeleton.free[move]
             if k >= 0:
-                turn += speeds[worldid, k] * placement.turn[worldid, move]
-                shift += speeds[worldid, k] * placement.shift[worldid, move]
+                found.turn += speeds[worldid, k] * placement.turn[worldid, move]
+                found.shift += speeds[worldid, k] * placement.shift[worldid, move]
         carried = skeleton.parent[carried]
-    return turn, shift
-
-
-@wp.func
-def axes_of(worldid: int, body: int, rotation: wp.mat33d, placement: Placement) -> wp.mat33d:
-    """Return axes of a frame of a body in ground."""
-    if body < 0:
-        return rotation
-    return placement.rotation[worldid, body] * rotation
-
-
-@wp.func
-def bushing_wrench(
-    worldid: int,
-    bushing: Bushing,
-    skeleton: Skeleton,
-    speeds: wp.array2d[wp.float64],
-    placement: Placement,
-):
-    """Return force and torque about ground's origin on the second body; the first gets the opposite."""
-    first_turn, first_shift = motion_of(worldid, bushing.first, skeleton, speeds, placement)
-    second_turn, second_shift = motion_of(worldid, bushing.second, skeleton, speeds, placement)
-    first_axes = axes_of(worldid, bushing.first, bushing.first_rotation, placement)
-    second_axes = axes_of(worldid, bushing.second, bushing.second_rotation, placement)
-    begin = station(worldid, bushing.first, bushing.first_origin, placement)
-    end = station(worldid, bushing.second, bushing.second_origin, placement)
-    to_first = wp.transpose(first_axes)
-    spin = second_turn - first_turn
-    # How the second origin moves in the first frame.
-    velocity = to_first * (second_shift - first_shift + wp.cross(spin, end))
-    force = first_axes * bushing_force(bushing, to_first * (end - begin), velocity)
-    along = wp.transpose(second_axes) * spin
-    torque = second_axes * bushing_torque(bushing, to_first * second_axes, along)
-    return force, torque + wp.cross(end, force)
+    return found
 
 
 @wp.func
 def along_moves(
     worldid: int,
     body: int,
-    force: wp.vec3d,
-    torque: wp.vec3d,
+    sign: wp.float64,
+    wrench: Wrench,
     skeleton: Skeleton,
     placement: Placement,
     passive: wp.array2d[wp.float64],
 ):
-    """Add what a force and a torque about ground's origin on a body do along independent coordinates."""
+    """Add what a wrench times a sign on a body does along independent coordinates."""
     carried = int(body)
     while carried >= 0:
         for move in range(skeleton.first[carried], skeleton.first[carried + 1]):
             k = skeleton.free[move]
             if k >= 0:
-                passive[worldid, k] += wp.dot(placement.turn[worldid, move], torque)
-                passive[worldid, k] += wp.dot(placement.shift[worldid, move], force)
+                passive[worldid, k] += sign * wp.dot(placement.turn[worldid, move], wrench.torque)
+                passive[worldid, k] += sign * wp.dot(placement.shift[worldid, move], wrench.force)
         carried = skeleton.parent[carried]
 
 
@@ -172,6 +156,7 @@ def along_moves(
 def pull_ligaments(
     # Params:
     ligaments: wp.array[Ligament],
+    formulas: Programs,
     # In:
     spring: wp.array2d[wp.float64],
     length: wp.array2d[wp.float64],
@@ -182,7 +167,7 @@ def pull_ligaments(
     """T of ligaments and path springs [N]."""
     worldid, i = wp.tid()
     tension[worldid, i] = ligament_tension(
-        ligaments[i], spring[worldid, i], length[worldid, i], velocity[worldid, i]
+        ligaments[i], formulas, spring[worldid, i], length[worldid, i], velocity[worldid, i]
     )
 
 
@@ -207,7 +192,8 @@ class Acting:
 
 def acts(model: Model) -> bool:
     """Whether anything acts in a model beside muscles and motors."""
-    return bool(model.limit_forces or model.coordinate_springs or model.bushings or model.ligaments)
+    on_coordinates = model.limit_forces or model.coordinate_springs or model.coordinate_formulas
+    return bool(on_coordinates or model.bushings or model.ligaments)
 
 
 def left_out(model: Model) -> str:
@@ -250,7 +236,9 @@ def without(model: Model, names: Iterable[str]) -> tuple[Model, list[str]]:
     def place(note: Note) -> str:
         return note.path.rpartition("/")[2]
 
-    kinds = ("limit_forces", "coordinate_springs", "bushings")
+    kinds = (
+        "limit_forces", "coordinate_springs", "coordinate_formulas", "bushings", "prescribed_forces",
+    )  # fmt: skip
     motors = ("coordinate_actuators", "path_actuators", "body_actuators")
     left: dict[str, Any] = {
         kind: tuple(one for one in getattr(model, kind) if stays(one.name)) for kind in kinds
@@ -270,6 +258,9 @@ def acting_in(bones: Bones) -> Acting:
         warn_once(f"{model.source.name}: {sentence}")
     on = [item.coordinate for item in model.limit_forces]
     on += [item.coordinate for item in model.coordinate_springs]
+    pushed = range(len(on), len(on) + len(model.coordinate_formulas))
+    on += [item.coordinate for item in model.coordinate_formulas]
+    formulas = [item.formula for item in model.coordinate_formulas]
     limits = [
         (number, 0, *item.limits, *item.stiffness, item.damping, max(item.transition, LEAST_TRANSITION))
         for number, item in enumerate(model.limit_forces)
@@ -278,6 +269,7 @@ def acting_in(bones: Bones) -> Acting:
         (len(limits) + number, item.stiffness, item.rest, item.damping)
         for number, item in enumerate(model.coordinate_springs)
     ]
+    ligaments = tuple(model.ligaments.values())
     bushings = [
         (
             *(bones.number(body) for body in item.bodies),
@@ -286,8 +278,19 @@ def acting_in(bones: Bones) -> Acting:
             item.translational_stiffness,
             item.rotational_damping,
             item.translational_damping,
+            added(formulas, item.formulas),
         )
         for item in model.bushings
+    ]
+    rows_of = [
+        (
+            number,
+            item.resting_length,
+            item.dissipation,
+            item.damping,
+            added(formulas, () if item.formula is None else (item.formula,)),
+        )
+        for number, item in enumerate(ligaments)
     ]
     tables = ModelForces()
     with wp.ScopedDevice(bones.device):
@@ -297,11 +300,9 @@ def acting_in(bones: Bones) -> Acting:
             struct_array(CoordinateSpring, springs),
         )
         tables.bushings = struct_array(Bushing, bushings)
-        ligaments = tuple(model.ligaments.values())
-        rows = struct_array(
-            Ligament,
-            [(i, own.resting_length, own.dissipation, own.damping) for i, own in enumerate(ligaments)],
-        )
+        tables.pushed = wp.array(np.array(pushed, np.int32), dtype=int)
+        tables.formulas = programs(formulas)
+        rows = struct_array(Ligament, rows_of)
     curves = tuple(ligament.force for ligament in ligaments)
     return Acting(tables, bool(on or bushings), tuple(model.ligaments), rows, curves)
 
@@ -330,6 +331,7 @@ def ligament_pulls(bones: Bones, values: np.ndarray, speeds: np.ndarray) -> tupl
             pull_ligaments,
             paths.length.shape,
             ligaments=acting.rows,
+            formulas=acting.tables.formulas,
             spring=wp.array(spring, dtype=wp.float64),
             length=wp.array(paths.length, dtype=wp.float64),
             velocity=wp.array(paths.velocity, dtype=wp.float64),

@@ -78,6 +78,8 @@ def poses_of(model: Model, coordinates: Mapping[str, np.ndarray], along: list[st
 
 def crossed(model: Model, path: Path) -> list[str]:
     """Return the free coordinates on which the length of a path can depend."""
+    if path.function is not None:
+        return leading(model, path.function.coordinates)
     bodies = [point.body for point in path.points]
     bodies += [model.wraps[wrap.object].body for wrap in path.wraps]
     moved = coordinates_between(model, bodies)
@@ -115,6 +117,11 @@ def _chain(model: Model, body: str) -> list[str]:
 def own_reference(model: Model, path: Path, poses: Poses, along: list[str]) -> Reference:
     """Return length and moment arms of a path by our own path code."""
     count = len(next(iter(poses.coordinates.values())))
+    if path.function is not None:
+        length = path.function.at(poses.coordinates)[0]
+        beside = {name: [path.function.at(values)[0] for values, _ in poses.beside[name]] for name in along}
+        slopes = {name: (low - high) / (2 * STEP) for name, (low, high) in beside.items()}
+        return Reference(length, slopes, slopes)
     solution = solve(model, path, *stacked(model, path, poses, along))
     lengths = solution.length.reshape(-1, count)
     slopes = {

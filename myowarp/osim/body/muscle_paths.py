@@ -76,7 +76,8 @@ def place_path_bodies(
     """Frames of the bodies that paths are fixed to, and what their points depend on, with its slope."""
     worldid = wp.tid()
     one = wp.float64(1.0)
-    place(worldid, skeleton, values, worldid, placement)
+    if body.shape[0] > 0:
+        place(worldid, skeleton, values, worldid, placement)
     for number in range(body.shape[0]):
         own = body[number]
         if own >= 0:
@@ -109,7 +110,10 @@ def project_paths(
     # Out:
     moment_arm: wp.array3d[wp.float64],
 ):
-    """r_k = -(sum of v . F + w . T of the moves of k below each body, and dx/dq_k . F_x of moving points)."""
+    """r_k = -(sum of v . F + w . T of the moves of k below each body, and dx/dq_k . F_x of moving points).
+
+    Of a length that is a polynomial, r_k = -dl/dx dx/dq_k.
+    """
     worldid, pathid = wp.tid()
     path = tables.paths[pathid]
     for k in range(moment_arm.shape[2]):
@@ -134,6 +138,11 @@ def project_paths(
                 if number >= 0 and needed.free[number] >= 0:
                     moved = pulls.along[worldid, moving][axis] * slope[worldid, number]
                     moment_arm[worldid, pathid, needed.free[number]] -= moved
+    for variable in range(path.first_variable, path.first_variable + path.variables):
+        number = tables.variable[variable]
+        if needed.free[number] >= 0:
+            changed = pulls.by_variable[worldid, variable] * slope[worldid, number]
+            moment_arm[worldid, pathid, needed.free[number]] -= changed
 
 
 def muscles_of(bones: Bones) -> tuple[str, ...]:

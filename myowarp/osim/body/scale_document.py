@@ -22,13 +22,14 @@ import numpy as np
 
 from myowarp.osim.body.moment_arm import own_reference, poses_of
 from myowarp.osim.document.kinematics import complete
-from myowarp.osim.document.model import GROUND, Model
+from myowarp.osim.document.model import GROUND, Model, pulling
 from myowarp.osim.document.read.components import READERS
-from myowarp.osim.document.read.element import Element
+from myowarp.osim.document.read.element import Element, parse
 from myowarp.osim.document.read.frames import FRAMES, Frames, euler_xyz, socket
 from myowarp.osim.document.read.functions import READERS as FUNCTIONS
 from myowarp.osim.document.read.joints import JOINTS, TRANSLATIONS
-from myowarp.osim.document.read.model import checked, frames_of, model_of
+from myowarp.osim.document.read.model import checked, frames_of, model_of, read_model
+from myowarp.osim.document.read.paths import FUNCTIONS as FUNCTION_PATH
 
 ONE = (1.0, 1.0, 1.0)
 SAME = 1e-12
@@ -260,6 +261,12 @@ RULES: dict[str, Rule] = {
 }
 """By OpenSim's class."""
 
+PULLING = {tag for tag, (field, _) in READERS.items() if field in ("muscles", "ligaments", "path_actuators")}
+"""Classes with a path."""
+
+PATH_PARTS = ("GeometryPath", FUNCTION_PATH, "PathPointSet", "PathWrapSet", "MusclePointSet", "MuscleWrapSet")
+"""What a path consists of in documents of any version."""
+
 LENGTHS = {"muscles": ("optimal_fiber_length", "tendon_slack_length"), "ligaments": ("resting_length",)}
 """Properties that grow as a path does."""
 
@@ -278,6 +285,11 @@ def scale_document(
     Raises:
         ValueError: The model says something impossible, or has no mass.
     """
+    if named := [name for name, path in pulling(document.model).items() if path.function is not None]:
+        raise ValueError(
+            f"{document.model.source}: {len(named)} paths, such as that of {named[0]!r}, are functions of "
+            "coordinates, which no factor scales; scale the model with its points, then fit functions again"
+        )
     before = path_lengths(document.model)
     scaling = Scaling(document.model, document.frames, factors, keep_masses)
     for own, element in document.pairs:
@@ -306,6 +318,54 @@ def path_lengths(model: Model) -> dict[str, np.ndarray]:
     poses = poses_of(model, complete(model, {}, 1), [])
     paths = {name: one.path for group in (model.muscles, model.ligaments) for name, one in group.items()}
     return {name: own_reference(model, path, poses, []).length for name, path in paths.items()}
+
+
+def read_with(path: Path, markers: Path | None = None, function_paths: Path | None = None) -> Model:
+    """Read an .osim file, with parts of other files in place of its own.
+
+    Args:
+        path: The file.
+        markers: An OpenSim `MarkerSet`, in place of the model's markers of the same names.
+        function_paths: A set of `FunctionBasedPath`, in place of the paths of the muscles that it names.
+
+    Raises:
+        ValueError: A file is not what it should be, or names what the model does not have.
+        NotImplementedError: The model needs something that is not supported.
+        OSError: A file cannot be read.
+    """
+    if markers is None and function_paths is None:
+        return read_model(path)
+    document = Document(path, parse(path)[0])
+    for file, put in ((markers, set_markers), (function_paths, set_function_paths)):
+        if file is not None:
+            document = put(document, parse(file)[0])
+    return document.model
+
+
+def set_function_paths(document: Document, paths: Element) -> Document:
+    """Put the lengths of a set of `FunctionBasedPath` in place of the paths of the forces that they name.
+
+    The set is what Moco's `ModOpReplacePathsWithFunctionBasedPaths` reads; return what the model is now.
+
+    Raises:
+        ValueError: The set has none, or one names a force that the model does not have, or that has no path.
+    """
+    owners = {own.name: own for own, element in document.pairs if element.tag in PULLING}
+    found = [element for element in paths.walk() if element.tag == FUNCTION_PATH]
+    if not found:
+        raise paths.error(f"has no <{FUNCTION_PATH}>; give a set of them, such as Moco's")
+    for path in found:
+        name = path.name.rpartition("/")[2]
+        if name not in owners:
+            raise path.error("names a force that the model does not have, or that has no path")
+        owner, held = owners[name], owners[name].own("path")
+        places = [owner] if held is None else [owner, held]
+        for place in places:
+            place.children = [child for child in place.children if child.tag not in PATH_PARTS]
+        inner = Element(path.source, FUNCTION_PATH, {"name": "path"}, path.line, parent=places[-1])
+        inner.children = path.children
+        places[-1].children.insert(0, inner)
+    return Document(document.model.source, document.root)
 
 
 def set_markers(document: Document, markers: Element) -> Document:

@@ -25,12 +25,10 @@ import numpy as np
 import warp as wp
 
 from myowarp.laws.pieces import Pieces, PieceTables, evaluated, piece_tables
-from myowarp.osim.body.scale_document import Document, set_markers
+from myowarp.osim.body.scale_document import read_with
 from myowarp.osim.document.functions import Function, curves
 from myowarp.osim.document.kinematics import independent
 from myowarp.osim.document.model import GROUND, Model
-from myowarp.osim.document.read.element import parse
-from myowarp.osim.document.read.model import read_model
 from myowarp.process import check_on_cpu, start_warp
 
 HINGE, SLIDE = 0, 1
@@ -175,21 +173,26 @@ class Bones:
     """
 
     @classmethod
-    def read(cls, path: Path, device: Any = "cpu", markers: Path | None = None) -> Bones:
+    def read(
+        cls,
+        path: Path,
+        device: Any = "cpu",
+        markers: Path | None = None,
+        function_paths: Path | None = None,
+    ) -> Bones:
         """Return the bones of an OpenSim document.
 
         Args:
             path: The document, .osim.
             device: Where they are.
             markers: An OpenSim `MarkerSet`, in place of the model's markers of the same names.
+            function_paths: A set of `FunctionBasedPath`, in place of the paths of the muscles that it names.
 
         Raises:
             ValueError: A file is not what it should be, or a marker is on no body.
             OSError: A file cannot be read.
         """
-        if markers is None:
-            return cls(read_model(path), device)
-        return cls(set_markers(Document(path, parse(path)[0]), parse(markers)[0]).model, device)
+        return cls(read_with(path, markers, function_paths), device)
 
     def __init__(self, model: Model, device: Any = "cpu") -> None:
         """Put a model on a device.

@@ -164,15 +164,61 @@ template <class Skeleton, class Needed, class Tables, class Fixed> struct Straig
         along[slot].z += R[0][2] * own.x + R[1][2] * own.y + R[2][2] * own.z;
     }
 
-    // Return the length, and leave moment arms.
-    Reals follow(int number) {
+    // A length that is a polynomial: `polynomial_length`, and its moment arms.
+    template <class Path> void polynomial(const Path& path, Reals& length) {
+        length = all(0.0);
+        const int last = path.variables - 1, *variable = tables.variable.data + path.first_variable;
+        Reals slopes[MOST_VARIABLES];
+        for (int k = 0; k <= last; ++k)
+            slopes[k] = all(0.0);
+        for (int group = path.first_group; group < path.first_group + path.groups; ++group) {
+            const int* power = tables.power.data + group * tables.power.shape[1];
+            const int begin = tables.first_coefficient.data[group];
+            const Reals& y = value[variable[last]];
+            Reals inner = all(0.0), steep = all(0.0), product = all(1.0), by[MOST_VARIABLES];
+            for (int c = tables.first_coefficient.data[group + 1] - 1; c >= begin; --c) {
+                steep = steep * y + inner;
+                inner = inner * y + tables.coefficient.data[c];
+            }
+            for (int k = 0; k < last; ++k) {
+                by[k] = all(0.0);
+                if (power[k] == 0)
+                    continue;
+                const Reals& x = value[variable[k]];
+                Reals below = all(1.0);
+                for (int n = 1; n < power[k]; ++n)
+                    below = below * x;
+                for (int before = 0; before < k; ++before)
+                    by[before] = by[before] * (below * x);
+                by[k] = double(power[k]) * (product * below);
+                product = product * (below * x);
+            }
+            length += product * inner;
+            for (int k = 0; k < last; ++k)
+                slopes[k] += by[k] * inner;
+            slopes[last] += product * steep;
+        }
+        for (int k = 0; k <= last; ++k)
+            if (needed.free.data[variable[k]] >= 0)
+                arm[needed.free.data[variable[k]]] -= slopes[k] * slope[variable[k]];
+    }
+
+    // The length, and moment arms.
+    void follow(int number, Reals& length) {
         const auto& path = tables.paths.data[number];
+        if (path.variables > 0) {
+            const int width = fixed.crossed.shape[1], *crossed = fixed.crossed.data + number * width;
+            for (int k = 0; k < width && crossed[k] >= 0; ++k)
+                arm[crossed[k]] = all(0.0);
+            polynomial(path, length);
+            return;
+        }
         const Point3 none = {all(0.0), all(0.0), all(0.0)};
         for (int handle = 0; handle < path.handles; ++handle)
             force[handle] = torque[handle] = none;
         for (int slot = 0; slot < path.points; ++slot)
             place_point(path.first_point + slot, slot);
-        Reals length = all(0.0);
+        length = all(0.0);
         for (int far = 1; far < path.points; ++far) {
             const auto& end = tables.points.data[path.first_point + far];
             Truth open = active[far];
@@ -221,7 +267,6 @@ template <class Skeleton, class Needed, class Tables, class Fixed> struct Straig
                     arm[needed.free.data[own]] -= pull[axis] * slope[own];
             }
         }
-        return length;
     }
 };
 
@@ -256,7 +301,8 @@ void follow_straight(double* memory, Skeleton& skeleton, Needed& needed, Tables&
             q[k] = gathered(values, frame, k);
             u[k] = gathered(speeds, frame, k);
         }
-        place_bodies(skeleton, q, follower.bodies);
+        if (fixed.body.shape[0] > 0)
+            place_bodies(skeleton, q, follower.bodies);
         for (int k = 0; k < depends; ++k) {
             const int own = needed.free.data[k];
             follower.value[k] = own >= 0 ? q[own] : all(0.0);
@@ -264,8 +310,9 @@ void follow_straight(double* memory, Skeleton& skeleton, Needed& needed, Tables&
         }
         for (int path = 0; path < paths; ++path) {
             const int column = fixed.column.data[path], *crossed = fixed.crossed.data + path * width;
-            scatter(lengths, frame, on, column, follower.follow(path));
-            Reals velocity = all(0.0);
+            Reals length, velocity = all(0.0);
+            follower.follow(path, length);
+            scatter(lengths, frame, on, column, length);
             for (int k = 0; k < width && crossed[k] >= 0; ++k) {
                 const int coordinate = crossed[k];
                 velocity -= follower.arm[coordinate] * u[coordinate];

@@ -14,7 +14,7 @@ import warp as wp
 
 from myowarp.kernels.lanes import DOUBLES, WIDEST, at_namespace_level
 from myowarp.kernels.launch import launch
-from myowarp.laws.paths.path import PathTables
+from myowarp.laws.paths.path import MOST_VARIABLES, PathTables
 from myowarp.laws.paths.tables import PathMemory
 from myowarp.osim.body.described import described
 from myowarp.osim.body.moment_arm import crossed
@@ -44,7 +44,10 @@ class Fixed:
     column: wp.array[int]
 
 
-@wp.func_native(at_namespace_level(DOUBLES, Path(__file__).with_suffix(".cpp"), HINGE=HINGE))
+SOURCE = Path(__file__).with_suffix(".cpp")
+
+
+@wp.func_native(at_namespace_level(DOUBLES, SOURCE, HINGE=HINGE, MOST_VARIABLES=MOST_VARIABLES))
 def declare_follow_straight(thread: int):
     """Declare the template of `straight_paths.cpp`."""
     ...
@@ -135,9 +138,9 @@ class StraightPaths:
                 ("column", columns),
             ):
                 setattr(self._fixed, name, wp.array(np.array(numbers, np.int32), dtype=int))
-        points = max(len(path.points) for path in paths.values())
+        points = max(1, *(len(path.points) for path in paths.values()))
         self._numbers = 12 * len(parent) + 6 * bones.skeleton.kind.shape[0] + 2 * len(depends)
-        self._numbers += 3 * len(bones.coordinates) + 7 * points + 6 * max(map(len, handles))
+        self._numbers += 3 * len(bones.coordinates) + 7 * points + 6 * max(1, *map(len, handles))
 
     def follow(
         self,
@@ -173,6 +176,8 @@ class StraightPaths:
 
 def _carrier(bodies: Sequence[int], parent: np.ndarray) -> int:
     """Return the last body that carries all of some, -1 for ground."""
+    if not bodies:  # of a length that is a function
+        return -1
     chains = []
     for body in bodies:
         chain = [body]

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from myowarp.laws.pieces import EVERYWHERE, Pieces
+from myowarp.laws.pieces import Pieces, chain_of
 from myowarp.osim.bundle.text import Sidecar, scalar_joints
 
 REGULAR = 1e-9
@@ -108,19 +108,7 @@ def driven(entry: Mapping[str, object]) -> tuple[str | None, tuple[Pieces, ...]]
         KeyError: It has no joint or no curves.
     """
     of, curves = entry["of"], entry["curves"]
-    pieces = []
-    for breaks, rows, *held in curves:  # type: ignore[attr-defined]
-        if not breaks or len(breaks) != len(rows) or not all(rows) or (np.diff(breaks) < 0).any():
-            raise ValueError("a curve needs as many pieces as breaks, and these must ascend")
-        numbers = np.concatenate([breaks, *rows]).astype(float)
-        if not np.isfinite(numbers).all():
-            raise ValueError("a curve has a number that is not finite")
-        low, high = held[0] if held else EVERYWHERE
-        if not low <= high:
-            raise ValueError(f"a curve must be held from a lower to a higher value, got {low} and {high}")
-        table = tuple(tuple(map(float, row)) for row in rows)
-        pieces.append(Pieces(tuple(map(float, breaks)), table, (float(low), float(high))))
-    return (None if of is None else str(of)), tuple(pieces)
+    return (None if of is None else str(of)), chain_of(curves)  # type: ignore[arg-type]
 
 
 def _bodies(entries: Mapping[str, Mapping[str, object]]) -> dict[str, tuple[float, tuple[float, ...]]]:

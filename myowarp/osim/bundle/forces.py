@@ -1,19 +1,23 @@
 """Springs and dampers that a model brings along: the text `forces`, `forces.json` of `myowarp convert`.
 
-It has OpenSim's limits of coordinates, ligaments and path springs (`laws.forces`), along the model's joints
-and tendons, and names the springs and dampers that stand for them in plain MuJoCo (`coordinates.own_forces`).
+It has OpenSim's limits of coordinates, ligaments and path springs, bushings, formulas and prescribed forces
+(`laws.forces`), along the model's joints and tendons and on its bodies, and names the springs and dampers
+that stand for them in plain MuJoCo (`coordinates.own_forces`).
 """
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Self
 
 import mujoco
 import numpy as np
 
+from myowarp.laws.expressions import Expression
+from myowarp.laws.paths.tables import Rows, Vector
 from myowarp.laws.pieces import Pieces
 from myowarp.osim.bundle.couplings import driven
+from myowarp.osim.bundle.paths import frozen
 from myowarp.osim.bundle.text import Sidecar, scalar_joints
 
 
@@ -48,17 +52,81 @@ class TendonSpring:
     dissipation: float
     damping: float
     curves: tuple[Pieces, ...]
+    formula: Expression | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class JointPush:
+    """A force along a coordinate that is a formula of its value and speed.
+
+    Attributes:
+        joint: Name of the hinge or slide.
+        scale: What it has for each unit of the coordinate.
+        formula: The force along the coordinate.
+    """
+
+    joint: str
+    scale: float
+    formula: Expression
+
+
+@dataclasses.dataclass(frozen=True)
+class BodyBushing:
+    """A bushing between two bodies; as `laws.forces.bushing.Bushing`.
+
+    Attributes:
+        bodies: Names.
+        rotations: Axes of the two frames in these, by rows.
+        origins: Origins of the frames [m].
+        formulas: Six, in place of stiffness, or none.
+    """
+
+    bodies: tuple[str, str]
+    rotations: tuple[Rows, Rows]
+    origins: tuple[Vector, Vector]
+    turn_stiffness: Vector
+    shift_stiffness: Vector
+    turn_damping: Vector
+    shift_damping: Vector
+    formulas: tuple[Expression, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class BodyPush:
+    """A force at a point of a body and a torque on it, which are functions of time.
+
+    Attributes:
+        body: Its name.
+        ground: Name of the body whose axes are ground's.
+        rotation: Of the frame whose axes are meant, by rows.
+        origin: Of that frame in the body [m].
+        force_in_ground: Whether force and torque are along ground's axes.
+        point_in_ground: The same of the point.
+        formulas: Force, point and torque, x, y, z each.
+    """
+
+    body: str
+    ground: str
+    rotation: Rows
+    origin: Vector
+    force_in_ground: bool
+    point_in_ground: bool
+    formulas: tuple[Expression, ...]
 
 
 @dataclasses.dataclass(frozen=True)
 class PassiveForces(Sidecar):
-    """Limits and ligaments of an OpenSim document in terms of a MuJoCo model.
+    """What acts beside muscles and motors in an OpenSim document, in terms of a MuJoCo model.
 
     Attributes:
         limits: Beyond which joints are pushed back.
         ligaments: Tendons that pull by themselves.
         springs: Tendons whose own springs stand for these forces in plain MuJoCo.
         dampers: Damping that stands for them, by joint [N m s/rad or N s/m].
+        bare: Stiffness and resting place of joints without springs that stand for them.
+        pushes: Of coordinates.
+        bushings: That are no springs of joints.
+        body_pushes: Of bodies.
     """
 
     NAME, FILE = "forces", "forces.json"
@@ -67,40 +135,99 @@ class PassiveForces(Sidecar):
     ligaments: tuple[TendonSpring, ...] = ()
     springs: tuple[str, ...] = ()
     dampers: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    bare: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    pushes: tuple[JointPush, ...] = ()
+    bushings: tuple[BodyBushing, ...] = ()
+    body_pushes: tuple[BodyPush, ...] = ()
+
+    @property
+    def acts(self) -> bool:
+        """Whether anything is in it."""
+        return bool(self.limits or self.ligaments or self.pushes or self.bushings or self.body_pushes)
+
+    @property
+    def bodies_apart(self) -> Iterable[str]:
+        """Bodies that bushings are fixed to, and that are pushed."""
+        return (
+            *(name for one in self.bushings for name in one.bodies),
+            *(name for p in self.body_pushes for name in (p.body, p.ground)),
+        )
 
     @classmethod
     def from_entry(cls, entry: Any) -> Self:
         """Return what parsed JSON says; see `Sidecar.from_entry`."""
         limits = tuple(JointLimit(**limit) for limit in entry["limits"])
         ligaments = tuple(
-            TendonSpring(**ligament | {"curves": driven({"of": None, "curves": ligament["curves"]})[1]})
+            TendonSpring(
+                **ligament
+                | {"curves": driven({"of": None, "curves": ligament["curves"]})[1]}
+                | {"formula": Expression.from_entry(ligament["formula"]) if ligament.get("formula") else None}
+            )
             for ligament in entry["ligaments"]
         )
+        pushes, bushings, body_pushes = (
+            tuple(kind(**frozen(one) | formulas_of(one)) for one in entry.get(name, ()))
+            for name, kind in (("pushes", JointPush), ("bushings", BodyBushing), ("body_pushes", BodyPush))
+        )
+        bare = {str(joint): (float(k), float(at)) for joint, (k, at) in entry.get("bare", {}).items()}
         dampers = {str(joint): float(damping) for joint, damping in entry["dampers"].items()}
-        found = cls(limits, ligaments, tuple(map(str, entry["springs"])), dampers)
+        springs = tuple(map(str, entry["springs"]))
+        found = cls(limits, ligaments, springs, dampers, bare, pushes, bushings, body_pushes)
         _check(found)
         return found
 
     def as_json(self) -> str:
         """Return the text."""
         ligaments = [
-            vars(ligament) | {"curves": [curve.entry() for curve in ligament.curves]}
+            vars(ligament)
+            | {"curves": [curve.entry() for curve in ligament.curves]}
+            | {"formula": None if ligament.formula is None else ligament.formula.entry()}
             for ligament in self.ligaments
         ]
         limits = [vars(limit) for limit in self.limits]
-        instead = {"springs": self.springs, "dampers": dict(self.dampers)}
-        return json.dumps({"limits": limits, "ligaments": ligaments, **instead})
+        instead = {"springs": self.springs, "dampers": dict(self.dampers), "bare": dict(self.bare)}
+        others = {
+            name: [vars(one) | entry_of_formulas(one) for one in getattr(self, name)]
+            for name in ("pushes", "bushings", "body_pushes")
+        }
+        return json.dumps({"limits": limits, "ligaments": ligaments, **instead, **others})
 
     def check(self, model: mujoco.MjModel) -> None:
         """Raise ValueError if it names what a model has not."""
-        joints = {*(limit.joint for limit in self.limits), *self.dampers}
+        joints = {*(one.joint for one in (*self.limits, *self.pushes)), *self.dampers, *self.bare}
+        self.check_named("body", self.bodies_apart, {model.body(i).name for i in range(model.nbody)})
         tendons = {*(ligament.tendon for ligament in self.ligaments), *self.springs}
         self.check_named("hinge or slide", joints, scalar_joints(model))
         self.check_named("tendon", tendons, {model.tendon(i).name for i in range(model.ntendon)})
 
 
+def formulas_of(entry: dict[str, Any]) -> dict[str, Any]:
+    """Return the formulas of parsed JSON."""
+    if "formula" in entry:
+        return {"formula": Expression.from_entry(entry["formula"])}
+    return {"formulas": tuple(map(Expression.from_entry, entry["formulas"]))}
+
+
+def entry_of_formulas(one: JointPush | BodyBushing | BodyPush) -> dict[str, Any]:
+    """Return what `formulas_of` reads."""
+    if isinstance(one, JointPush):
+        return {"formula": one.formula.entry()}
+    return {"formulas": [formula.entry() for formula in one.formulas]}
+
+
 def _check(acting: PassiveForces) -> None:
     """Raise ValueError if a number cannot be computed with."""
+    for push in acting.pushes:
+        if not (np.isfinite(push.scale) and push.scale):
+            raise ValueError(f"the push of joint {push.joint!r} needs a finite scale other than 0")
+    for one in (*acting.bushings, *acting.body_pushes):
+        parts = [
+            value for name, value in vars(one).items() if name not in ("bodies", "body", "ground", "formulas")
+        ]
+        if not all(np.isfinite(np.array(part, float)).all() for part in parts):
+            raise ValueError(f"what acts on {one!r:.60} needs finite numbers")
+        if len(one.formulas) not in ((0, 6) if isinstance(one, BodyBushing) else (9,)):
+            raise ValueError(f"what acts on {one!r:.60} has {len(one.formulas)} formulas")
     for limit in acting.limits:
         numbers = np.array([value for name, value in vars(limit).items() if name != "joint"], float)
         if not (np.isfinite(numbers).all() and limit.transition > 0):

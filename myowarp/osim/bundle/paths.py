@@ -12,7 +12,18 @@ from typing import Any, Self
 import mujoco
 import numpy as np
 
-from myowarp.laws.paths.tables import KINDS, METHODS, TURNS, OsimPath, OsimPaths, Over, Via, WrapSurface
+from myowarp.laws.paths.path import MOST_VARIABLES
+from myowarp.laws.paths.tables import (
+    KINDS,
+    METHODS,
+    TURNS,
+    OsimPath,
+    OsimPaths,
+    Over,
+    Polynomial,
+    Via,
+    WrapSurface,
+)
 from myowarp.laws.pieces import Pieces
 from myowarp.osim.bundle.couplings import driven, entry_of
 from myowarp.osim.bundle.text import Sidecar, scalar_joints
@@ -29,7 +40,7 @@ class DocumentPaths(Sidecar):
 
     Attributes:
         paths: The paths, by name of the tendon.
-        values: What their points depend on.
+        values: What they depend on.
         guard: As in `PathMemory`.
         exact: As in `PathMemory`.
     """
@@ -49,11 +60,12 @@ class DocumentPaths(Sidecar):
     @classmethod
     def from_entry(cls, entry: Any) -> Self:
         """Return what parsed JSON says; see `Sidecar.from_entry`."""
-        surfaces = {name: WrapSurface(**_tuples(surface)) for name, surface in entry["surfaces"].items()}
+        surfaces = {name: WrapSurface(**frozen(surface)) for name, surface in entry["surfaces"].items()}
         paths = {
             name: OsimPath(
-                tuple(Via(**_tuples(point)) for point in path["points"]),
-                tuple(Over(**_tuples(wrap)) for wrap in path["wraps"]),
+                tuple(Via(**frozen(point)) for point in path["points"]),
+                tuple(Over(**frozen(wrap)) for wrap in path["wraps"]),
+                Polynomial(**frozen(path["polynomial"])) if path.get("polynomial") else None,
             )
             for name, path in entry["paths"].items()
         }
@@ -72,11 +84,11 @@ class DocumentPaths(Sidecar):
 
     def check(self, model: mujoco.MjModel) -> None:
         """Raise ValueError if it names what a model has not, or leaves a tendon out that wraps."""
-        spatial = [model.tendon(i).name for i in range(model.ntendon) if not is_of(model, i, WRAP_JOINT)]
+        tendons = [model.tendon(i).name for i in range(model.ntendon)]
         leading = [of for of, _ in self.values if of is not None]
         self.check_named("body", self.paths.bodies, [model.body(b).name for b in range(model.nbody)])
         self.check_named("hinge or slide", leading, scalar_joints(model))
-        self.check_named("tendon", self.paths.paths, spatial)
+        self.check_named("tendon", self.paths.paths, tendons)
         for tendon in range(model.ntendon):
             name = model.tendon(tendon).name
             sites = is_of(model, tendon, WRAP_SITE) or is_of(model, tendon, WRAP_JOINT)
@@ -86,13 +98,13 @@ class DocumentPaths(Sidecar):
                 )
 
 
-def _tuples(entry: dict[str, Any]) -> dict[str, Any]:
+def frozen(entry: dict[str, Any]) -> dict[str, Any]:
     """Return an entry with tuples in place of lists."""
 
-    def frozen(value: Any) -> Any:
-        return tuple(map(frozen, value)) if isinstance(value, list) else value
+    def tupled(value: Any) -> Any:
+        return tuple(map(tupled, value)) if isinstance(value, list) else value
 
-    return {name: frozen(value) for name, value in entry.items()}
+    return {name: tupled(value) for name, value in entry.items()}
 
 
 def _check(said: DocumentPaths) -> None:
@@ -106,6 +118,9 @@ def _check(said: DocumentPaths) -> None:
         if numbers.shape != (15,) or not np.isfinite(numbers).all() or min(surface.size) < 0:
             raise ValueError(f"surface {name!r} needs position, rotation and sizes, finite and not negative")
     for name, path in said.paths.paths.items():
+        if path.polynomial is not None:
+            _check_polynomial(name, path.polynomial, len(said.values))
+            continue
         if len(path.points) < 2:
             raise ValueError(f"path {name!r} needs at least 2 points, got {len(path.points)}")
         for point in path.points:
@@ -121,6 +136,18 @@ def _check(said: DocumentPaths) -> None:
                 raise ValueError(f"path {name!r} wraps over a surface, or by a method, that does not exist")
             if not (0 <= wrap.first < len(path.points) and 0 <= wrap.last < len(path.points)):
                 raise ValueError(f"path {name!r} wraps between points that it has not")
+
+
+def _check_polynomial(name: str, polynomial: Polynomial, values: int) -> None:
+    """Raise ValueError if a length that is a polynomial cannot be computed."""
+    count, terms = len(polynomial.values), len(polynomial.coefficients)
+    if not 1 <= count <= MOST_VARIABLES or not all(0 <= number < values for number in polynomial.values):
+        raise ValueError(f"path {name!r} needs 1 to {MOST_VARIABLES} variables that exist, got {count}")
+    powers = np.array(polynomial.powers, float)
+    if powers.shape != (terms, count) or terms < 1 or not ((powers >= 0) & (powers % 1 == 0)).all():
+        raise ValueError(f"path {name!r} needs a whole power from 0 of every variable in every term")
+    if not np.isfinite(np.array(polynomial.coefficients, float)).all():
+        raise ValueError(f"path {name!r} needs finite coefficients")
 
 
 def is_of(model: mujoco.MjModel, tendon: int, kind: int) -> bool:

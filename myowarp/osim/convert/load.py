@@ -24,8 +24,12 @@ MASSLESS = "massless"
 """Code of a model without masses, as in the report of a conversion."""
 
 
-def load(path: Path) -> Path:
+def load(path: Path, function_paths: Path | None = None) -> Path:
     """Return model.xml of the bundle of an .osim file; a line is logged for what is left out.
+
+    Args:
+        path: The file.
+        function_paths: A set of `FunctionBasedPath`, in place of the paths of the muscles that it names.
 
     Raises:
         ValueError: The file is no usable model, or contains something that is not supported.
@@ -34,11 +38,12 @@ def load(path: Path) -> Path:
         raise ValueError(f"model {str(path)!r} is no file; give the path of an .osim file")
     package = Path(__file__).parents[2]
     sources = sorted(file for pattern in SOURCES for file in package.glob(pattern))
-    digest = files_digest([path, *mesh_files(path), *sources])[:16]
+    beside = [] if function_paths is None else [function_paths]
+    digest = files_digest([path, *beside, *mesh_files(path), *sources])[:16]
     kept = writable_folder(cache_dir(), "MYOWARP_CACHE_DIR") / "opensim"
     folder = kept / f"{path.stem}-{digest}-mujoco-{version('mujoco')}"
     if not (folder / MODEL).is_file():
-        _convert(path, folder)
+        _convert(path, function_paths, folder)
     for line in json.loads((folder / TOO_FAST).read_text()):
         warn_once(f"{path.name}: {line}")
     codes = json.loads((folder / LEFT_OUT).read_text())
@@ -57,15 +62,15 @@ def load(path: Path) -> Path:
     return folder / MODEL
 
 
-def _convert(path: Path, folder: Path) -> None:
+def _convert(path: Path, function_paths: Path | None, folder: Path) -> None:
     """Keep the bundle of a model, and what is said of it, in a folder."""
+    from myowarp.osim.body.scale_document import read_with
     from myowarp.osim.convert.check.accelerations import too_fast  # a model in the cache needs none of these
     from myowarp.osim.convert.compose.convert import Options, convert
     from myowarp.osim.document.model import Loss
-    from myowarp.osim.document.read.model import read_model
 
     try:
-        model = read_model(path)
+        model = read_with(path, function_paths=function_paths)
     except NotImplementedError as error:
         raise ValueError(str(error)) from error
     bundle = convert(model, Options(tendons=False))

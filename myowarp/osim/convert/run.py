@@ -42,6 +42,7 @@ def run(
     workers: int = 0,
     reference: str = "own",
     accepted: Sequence[str] = (),
+    function_paths: Path | None = None,
 ) -> dict[str, Any]:
     """Convert a file and write the result; the report is written last, the model before it.
 
@@ -54,12 +55,14 @@ def run(
         workers: Processes that fit; 0: one per core.
         reference: "own" or "opensim", what paths are checked against.
         accepted: Codes of what may be left out.
+        function_paths: A set of `FunctionBasedPath`, in place of the paths of the muscles that it names.
 
     Raises:
         ValueError: The file is no usable model, or the folder cannot be written.
         NotImplementedError: The model contains something that is not supported.
         OSError: A file cannot be read or written.
     """
+    from myowarp.osim.body.scale_document import read_with
     from myowarp.osim.convert.check.dynamics import dynamics
     from myowarp.osim.convert.check.engines import Engine, PlainMuJoCo
     from myowarp.osim.convert.check.left_out import sized
@@ -67,7 +70,6 @@ def run(
     from myowarp.osim.convert.compose.convert import Options, Stages, convert
     from myowarp.osim.convert.report.data import along_coordinates, check, report_of
     from myowarp.osim.convert.report.page import page
-    from myowarp.osim.document.read.model import read_model
 
     if not source.is_file():
         raise ValueError(f"model {str(source)!r} is no file; give the path of an .osim file")
@@ -75,8 +77,8 @@ def run(
         raise ValueError(f"workers must be at least 0, got {workers}")
     check_folder(output)
     begin = time.perf_counter()
-    digest = files_digest([source])
-    model = read_model(source)
+    digest = files_digest([source, *([] if function_paths is None else [function_paths])])
+    model = read_with(source, function_paths=function_paths)
     fits, samples = _fits(model, digest, method, workers)
     if samples is not None and reference == "opensim":
         from myowarp.osim.convert.check.oracle import against_opensim

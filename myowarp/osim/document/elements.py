@@ -1,10 +1,12 @@
 """Parts of an OpenSim model that paths and forces are made of; conventions as in `model`."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from myowarp.laws.expressions import Expression
 from myowarp.osim.document.functions import Function
 
 Array = np.ndarray
@@ -85,11 +87,46 @@ class PathWrap:
 
 
 @dataclass(frozen=True)
+class LengthFunction:
+    """The length of a path as a polynomial: a sum of c x_1^p_1 ... x_n^p_n, each x of one coordinate."""
+
+    coordinates: tuple[str, ...]
+    functions: tuple[Function, ...]
+    """x_i of coordinate i [rad] or [m]; mostly the coordinate itself."""
+    coefficients: tuple[float, ...]
+    """Of each term [m]."""
+    powers: tuple[tuple[int, ...], ...]
+    """Of each term, one for each x."""
+
+    def at(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
+        """Return the length [m], shape (n,), and its derivatives by the coordinates, (coordinates, n).
+
+        Args:
+            values: Of the coordinates [rad] or [m], each of shape (n,).
+        """
+        chosen = [values[name] for name in self.coordinates]
+        pairs = list(zip(self.functions, chosen, strict=True))
+        x = np.stack([function.value(value) for function, value in pairs])
+        inner = np.stack([function.derivative(value) for function, value in pairs])
+        powers = np.array(self.powers)[:, :, None]
+        factors = x**powers
+        length = self.coefficients @ factors.prod(axis=1)
+        slopes = np.empty_like(x)
+        for k in range(len(x)):
+            below = factors.copy()
+            below[:, k] = powers[:, k] * x[k] ** np.maximum(powers[:, k] - 1, 0)
+            slopes[k] = self.coefficients @ below.prod(axis=1)
+        return length, slopes * inner
+
+
+@dataclass(frozen=True)
 class Path:
-    """Points from origin to insertion, and objects to wrap over."""
+    """Points from origin to insertion, and objects to wrap over; or a length that is a function."""
 
     points: tuple[Point, ...]
     wraps: tuple[PathWrap, ...]
+    function: LengthFunction | None = None
+    """Of coordinates, in place of points and objects."""
 
 
 @dataclass(frozen=True)
@@ -169,6 +206,31 @@ class CoordinateSpring:
     """[N m s/rad] or [N s/m]."""
 
 
+@dataclass(frozen=True)
+class CoordinateFormula:
+    """A force on a coordinate that is a formula of its value and speed."""
+
+    name: str
+    coordinate: str
+    formula: Expression
+    """[N m] or [N] of [rad] or [m], and [rad/s] or [m/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PrescribedForce:
+    """A force at a point of a body, and a torque on it, that are functions of time."""
+
+    name: str
+    body: str
+    formulas: tuple[Expression, ...]
+    """Force [N], point [m] and torque [N m], x, y, z each, of time [s]."""
+    frame: Pose
+    """In the body: axes of what is not in ground."""
+    force_in_ground: bool
+    """Whether force and torque are along ground's axes."""
+    point_in_ground: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Bushing:
     """Springs and dampers between two frames, along and about the three axes."""
@@ -184,6 +246,11 @@ class Bushing:
     """[N m s/rad], shape (3,)."""
     translational_damping: Array
     """[N s/m], shape (3,)."""
+    type: str = "BushingForce"
+    """OpenSim's class."""
+    formulas: tuple[Expression, ...] = ()
+    """Of the three angles and three distances: the three moments [N m] and forces [N] that spring against
+    these, in place of stiffness."""
 
 
 @dataclass(frozen=True)
@@ -192,7 +259,7 @@ class Ligament:
 
     name: str
     type: str
-    """OpenSim's class: `Ligament`, `Blankevoort1991Ligament` or `PathSpring`."""
+    """OpenSim's class, such as `Ligament`."""
     path: Path
     resting_length: float
     """[m]; no force below."""
@@ -202,6 +269,8 @@ class Ligament:
     """By how much of that it grows with the speed of lengthening [s/m]."""
     damping: float
     """Its increase by lengthening, beyond a strain of 0.01 [N s/m]."""
+    formula: Expression | None = None
+    """Tension [N] of length [m] and its speed [m/s], in place of all that, below the resting length, too."""
 
 
 @dataclass(frozen=True, eq=False)

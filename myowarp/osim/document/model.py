@@ -18,12 +18,14 @@ from myowarp.osim.document.elements import (
     BodyActuator,
     Bushing,
     CoordinateActuator,
+    CoordinateFormula,
     CoordinateLimitForce,
     CoordinateSpring,
     Ligament,
     Path,
     PathActuator,
     Pose,
+    PrescribedForce,
     Shape,
 )
 from myowarp.osim.document.functions import Function
@@ -241,6 +243,8 @@ class Model:
     coordinate_springs: tuple[CoordinateSpring, ...]
     bushings: tuple[Bushing, ...]
     shapes: tuple[Shape, ...]
+    coordinate_formulas: tuple[CoordinateFormula, ...] = ()
+    prescribed_forces: tuple[PrescribedForce, ...] = ()
     notes: tuple[Note, ...] = field(default=())
     """Skipped and approximated elements of the file."""
 

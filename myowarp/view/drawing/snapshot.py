@@ -70,7 +70,7 @@ def snapshot(sim: Simulation, world: int, signals: Signals | None = None) -> Sna
 
 
 def _paths(scene: Scene, world: int) -> list[np.ndarray]:
-    """Return `Snapshot.paths` of a world; empty where they are MuJoCo's, or have more points than fit."""
+    """Return `Snapshot.paths` of a world; empty where they are MuJoCo's, more points than fit, or none."""
     if scene.paths is None:
         return []
     oracle, data = scene.oracle, scene.data
@@ -82,7 +82,7 @@ def _paths(scene: Scene, world: int) -> list[np.ndarray]:
     on_tendon = oracle.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
     names = [oracle.tendon(int(tendon)).name for tendon in oracle.actuator_trnid[on_tendon, 0]]
     paths = [points[name] for name in names if name in points]
-    fit = len(paths) == len(names) and sum(map(len, paths)) <= 2 * oracle.nwrap
+    fit = len(paths) == len(names) and sum(map(len, paths)) <= 2 * oracle.nwrap and all(map(len, paths))
     return paths if fit and all(np.isfinite(path).all() for path in paths) else []
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from myowarp.apps.cli.motion.steps import (
     OUT,
     Filter,
+    FunctionPaths,
     Model,
     Output,
     Recorded,
@@ -38,6 +39,7 @@ class Analyze:
     model: Model
     motion: Recorded = None
     setup: ToolFile = None
+    function_paths: FunctionPaths = None
     filter: Filter = None
     span: Span = None
     output: Output = OUT
@@ -51,7 +53,7 @@ class Analyze:
         setup = setup_of(self.setup, motion=self.motion, cutoff=self.filter, span=self.span)
         motion = needed(setup.motion, "analyze", "motion")
         check_results(self.output, FILES, self.overwrite, ("passive_moments.sto", "report.html"))
-        bones = bones_of(self.model, setup)
+        bones = bones_of(self.model, setup, self.function_paths)
         lines = along(
             bones, setup, motion, self.output, lambda part, tables, _: trial.analyze(bones, part, tables)
         )

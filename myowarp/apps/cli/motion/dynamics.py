@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from myowarp.apps.cli.motion.steps import (
     OUT,
     Filter,
+    FunctionPaths,
     Loading,
     Model,
     Output,
@@ -35,6 +36,7 @@ class Dynamics:
     model: Model
     motion: Recorded = None
     setup: ToolFile = None
+    function_paths: FunctionPaths = None
     loads: Loading = None
     filter: Filter = None
     span: Span = None
@@ -48,7 +50,7 @@ class Dynamics:
         setup = setup_of(self.setup, motion=self.motion, loads=self.loads, cutoff=self.filter, span=self.span)
         motion = needed(setup.motion, "dynamics", "motion")
         check_results(self.output, FILES, self.overwrite, ("passive_moments.sto",))
-        bones = bones_of(self.model, setup)
+        bones = bones_of(self.model, setup, self.function_paths)
         lines = along(
             bones,
             setup,

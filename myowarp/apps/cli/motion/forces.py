@@ -13,6 +13,7 @@ from myowarp.apps.cli.motion.steps import (
     SHOWN,
     Exponent,
     Filter,
+    FunctionPaths,
     Loading,
     Mode,
     Model,
@@ -59,6 +60,7 @@ class Forces:
     model: Model
     motion: Recorded = None
     setup: ToolFile = None
+    function_paths: FunctionPaths = None
     loads: Loading = None
     filter: Filter = None
     mode: Mode = "equilibrium"
@@ -80,7 +82,7 @@ class Forces:
         )  # fmt: skip
         motion = needed(setup.motion, "forces", "motion")
         check_results(self.output, FILES, self.overwrite, RENEWS)
-        bones, worst = bones_of(self.model, setup), Worst()
+        bones, worst = bones_of(self.model, setup, self.function_paths), Worst()
         reserves, exponent = setup.reserves_of(bones), setup.exponent or EXPONENT
 
         def solve(part: Movement, tables: Tables, loads: Loads | None) -> None:

@@ -35,6 +35,14 @@ ToolFile = Annotated[
         UNSET,
     ),
 ]
+FunctionPaths = Annotated[
+    Path | None,
+    described(
+        "FILE",
+        "Set of FunctionBasedPath, as Moco's, in place of the paths of the muscles that it names.",
+        UNSET,
+    ),
+]
 Filter = Annotated[
     float | None, described("HZ", "Frequency below which the motion is kept; by default all is.", UNSET)
 ]
@@ -148,7 +156,7 @@ def setup_of(file: Path | None, **stated: Any) -> TrialSetup:
     return (TrialSetup() if file is None else read_tool_setup(file)).stating(**stated)
 
 
-def bones_of(model: Path, setup: TrialSetup) -> Bones:
+def bones_of(model: Path, setup: TrialSetup, function_paths: Path | None = None) -> Bones:
     """Return a model as a set-up has it, and say what it leaves out.
 
     Raises:
@@ -156,7 +164,7 @@ def bones_of(model: Path, setup: TrialSetup) -> Bones:
     """
     from myowarp.osim.body.skeleton import Bones
 
-    bones, lines = setup.model_of(Bones.read(model))
+    bones, lines = setup.model_of(Bones.read(model, function_paths=function_paths))
     say(lines)
     return bones
 

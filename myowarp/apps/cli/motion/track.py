@@ -12,6 +12,7 @@ from myowarp.apps.cli.motion.steps import (
     OUT,
     SHOWN,
     Filter,
+    FunctionPaths,
     Loading,
     Model,
     Output,
@@ -54,6 +55,7 @@ class Track:
     model: Model
     motion: Recorded = None
     setup: ToolFile = None
+    function_paths: FunctionPaths = None
     loads: Loading = None
     filter: Filter = None
     reserve: Reserve = None
@@ -80,7 +82,7 @@ class Track:
         )  # fmt: skip
         recorded = needed(setup.motion, "track", "motion")
         check_results(self.output, FILES, self.overwrite)
-        bones = bones_of(self.model, setup)
+        bones = bones_of(self.model, setup, self.function_paths)
         motion = trial.read_motion(recorded, bones, setup.cutoff)
         make_folder(self.output)
         ends = zip(setup.span or (-np.inf, np.inf), motion.time[[0, -1]], strict=True)

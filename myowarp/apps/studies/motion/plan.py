@@ -27,7 +27,7 @@ from myowarp.definitions.registry import check_least
 from myowarp.disk import files_digest, number_in
 from myowarp.motion.draws import Recording, Uncertainty, check_factors
 from myowarp.motion.inverse_kinematics import inverse_kinematics
-from myowarp.motion.loads import loads_at, read_loads
+from myowarp.motion.loads import loads_at, prescribed_loads, read_loads
 from myowarp.motion.muscle_forces import Mode
 from myowarp.motion.setup import EXPONENT, TrialSetup
 from myowarp.motion.tool_setup import read_tool_setup
@@ -278,6 +278,6 @@ def recording_of(trial: Trial, study: Study) -> Recording:
         motion = read_motion(setup.motion, bones)
         time = motion.time if setup.span is None else motion.between(*setup.span).time
         known, values = motion.time, motion.values
-    if setup.loads is not None:
-        how["loads"] = loads_at(setup.loads, time)
+    loads = [] if setup.loads is None else loads_at(setup.loads, time)
+    how["loads"] = [*loads, *prescribed_loads(bones, time)]
     return Recording(bones, time, values, known=known, **how)

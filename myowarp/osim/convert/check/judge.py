@@ -6,7 +6,7 @@ muscles (`tendon`), and the fitted tendons with MuJoCo's muscles (`plain`). The 
 and left out: there the guard refuses a wrap, or OpenSim has no length.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -19,7 +19,6 @@ from myowarp.osim.convert.check.muscles import Motion, engine_force
 from myowarp.osim.convert.compose.convert import Converted
 from myowarp.osim.convert.tendon.fits import Samples
 from myowarp.osim.convert.tendon.fitted import Fits, MuscleFit
-from myowarp.osim.document.elements import Path
 from myowarp.osim.document.kinematics import independent
 
 Array = np.ndarray
@@ -218,7 +217,7 @@ def judge(
     paths = {fit.name: source.muscles[fit.name].path for fit in fits.muscles}
     still = np.zeros((len(found.length), len(free)))
     own = lengths_and_moment_arms(source, paths, values, still, TURNS)
-    straight = {name: Path(path.points, ()) for name, path in paths.items()}
+    straight = {name: replace(path, wraps=()) for name, path in paths.items()}
     chain = lengths_and_moment_arms(source, straight, values, still).length
     muscles: list[MuscleJudged] = []
     laws: dict[str, HillMuscle] = {}

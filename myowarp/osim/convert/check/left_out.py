@@ -30,7 +30,7 @@ def sized(source: Path, model: Model, notes: Sequence[Note]) -> tuple[Note, ...]
     found: dict[str, tuple[float, str]] = {}
     frames = forward(model, poses)
     for bushing in model.bushings:
-        if f"/forceset/{bushing.name}" in lost:
+        if f"/forceset/{bushing.name}" in lost and not bushing.formulas:
             found[f"/forceset/{bushing.name}"] = _bushing_load(bushing, frames)
     others = [path for path in lost if path not in found]
     if others and importlib.util.find_spec("opensim") is not None:

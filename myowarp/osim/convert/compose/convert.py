@@ -29,7 +29,7 @@ from myowarp.osim.convert.compose.points import add_markers, add_moving_points, 
 from myowarp.osim.convert.compose.visible_body import add_visible_body
 from myowarp.osim.convert.muscle_table import muscle_table
 from myowarp.osim.convert.tendon.path import TendonPath
-from myowarp.osim.document.model import Model, Muscle, Note
+from myowarp.osim.document.model import Model, Muscle, Note, pulling
 
 if TYPE_CHECKING:
     from myowarp.osim.convert.tendon.force import ForceFit
@@ -104,7 +104,9 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     forces = passive_forces(build, has_paths=paths is not None)
     add_forces(build, moving, stages.tendons, forces, instead=options.tendons)
     if forces is not None:
-        forces = replace(forces, springs=tuple(build.springs), dampers=build.dampers)
+        forces = replace(forces, springs=tuple(build.springs), dampers=build.dampers, bare=build.bare)
+    # What stands for functions in plain MuJoCo alone is no loss where it does not run.
+    tangents = {f"/forceset/{name}" for name, path in pulling(model).items() if path.function is not None}
     meshes = add_shapes(build, options.mesh_folders)
     for name, text in (("credits", model.credits), ("publications", model.publications)):
         if text:
@@ -125,7 +127,7 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
         coordinates=coordinates,
         muscles=muscle_table(map(HillMuscle.of, source.muscles.values())),
         meshes=meshes,
-        notes=(*model.notes, *build.notes),
+        notes=(*model.notes, *(note for note in build.notes if options.tendons or note.path not in tangents)),
         model=model,
         bodies={name: body.name for name, body in build.bodies.items()},
         moving=moving,

@@ -1,10 +1,26 @@
-"""Limits of coordinates and ligaments in terms of the converted model: the sidecar `forces.json`."""
+"""What acts beside muscles and motors in terms of the converted model: the sidecar `forces.json`."""
 
-from myowarp.osim.bundle.forces import JointLimit, PassiveForces, TendonSpring
+from myowarp.laws.paths.tables import Rows, Vector
+from myowarp.osim.body.described import vector
+from myowarp.osim.bundle.forces import (
+    BodyBushing,
+    BodyPush,
+    JointLimit,
+    JointPush,
+    PassiveForces,
+    TendonSpring,
+)
 from myowarp.osim.convert.compose.geometry import Build
-from myowarp.osim.document.elements import LEAST_TRANSITION, CoordinateLimitForce, Ligament
+from myowarp.osim.convert.compose.passive import is_of_joint
+from myowarp.osim.document.elements import (
+    LEAST_TRANSITION,
+    Bushing,
+    CoordinateLimitForce,
+    Ligament,
+    Pose,
+)
 from myowarp.osim.document.functions import curves
-from myowarp.osim.document.model import Note
+from myowarp.osim.document.model import GROUND, Note
 
 
 def passive_forces(build: Build, has_paths: bool) -> PassiveForces | None:
@@ -20,9 +36,44 @@ def passive_forces(build: Build, has_paths: bool) -> PassiveForces | None:
     limits = tuple(_limit(build, item) for item in model.limit_forces if item.coordinate in build.carriers)
     ligaments = [_ligament(build, item) for item in model.ligaments.values()] if has_paths else []
     pulling = tuple(ligament for ligament in ligaments if ligament is not None)
-    if not limits and not pulling:
-        return None
-    return PassiveForces(limits, pulling)
+    pushes = tuple(
+        JointPush(*build.carriers[item.coordinate], item.formula)
+        for item in model.coordinate_formulas
+        if item.coordinate in build.carriers
+    )
+    bushings = tuple(_bushing(build, item) for item in model.bushings if not is_of_joint(build, item))
+    body_pushes = tuple(
+        BodyPush(
+            build.bodies[item.body].name,
+            build.bodies[GROUND].name,
+            *_posed(item.frame),
+            item.force_in_ground,
+            item.point_in_ground,
+            item.formulas,
+        )
+        for item in model.prescribed_forces
+    )
+    found = PassiveForces(limits, pulling, pushes=pushes, bushings=bushings, body_pushes=body_pushes)
+    return found if found.acts else None
+
+
+def _posed(frame: Pose) -> tuple[Rows, Vector]:
+    """Return axes by rows and origin of a frame."""
+    return tuple(vector(row) for row in frame.rotation), vector(frame.position)  # type: ignore[return-value]
+
+
+def _bushing(build: Build, item: Bushing) -> BodyBushing:
+    """Return a bushing with MuJoCo's names of bodies."""
+    (first_turn, first), (second_turn, second) = map(_posed, item.frames)
+    one, other = (build.bodies[body].name for body in item.bodies)
+    numbers = (
+        item.rotational_stiffness,
+        item.translational_stiffness,
+        item.rotational_damping,
+        item.translational_damping,
+    )
+    vectors = map(vector, numbers)
+    return BodyBushing((one, other), (first_turn, second_turn), (first, second), *vectors, item.formulas)
 
 
 def _limit(build: Build, item: CoordinateLimitForce) -> JointLimit:
@@ -48,4 +99,4 @@ def _ligament(build: Build, item: Ligament) -> TendonSpring | None:
         rule = "its curve is no polynomial; it is the spring of plain MuJoCo"
         build.notes.append(Note(f"/forceset/{item.name}", rule))
         return None
-    return TendonSpring(item.name, item.resting_length, item.dissipation, item.damping, chain)
+    return TendonSpring(item.name, item.resting_length, item.dissipation, item.damping, chain, item.formula)

@@ -79,6 +79,8 @@ class Build:
     """Bodies that the document gives another mass [kg] or other principal moments [kg m^2]."""
     springs: list[str] = field(default_factory=list)
     """Tendons whose springs stand for forces that MyoWarp has as the document says."""
+    bare: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Stiffness and resting place of joints without springs that stand for such forces."""
     dampers: dict[str, float] = field(default_factory=dict)
     """Joint: damping that does so."""
     demands: list[Demand] = field(default_factory=list)

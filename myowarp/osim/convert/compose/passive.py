@@ -11,17 +11,18 @@ import mujoco
 import numpy as np
 
 from myowarp.osim.bundle.forces import PassiveForces
-from myowarp.osim.convert.compose.geometry import TIGHT, Build, quaternion, reduced
+from myowarp.osim.convert.compose.geometry import TIGHT, Build, default_of, quaternion, reduced
 from myowarp.osim.convert.tendon.path import TendonPath, Via, add_tendon
 from myowarp.osim.document.elements import (
     BodyActuator,
     Bushing,
     ConditionalPathPoint,
     CoordinateLimitForce,
+    LengthFunction,
     Ligament,
     Path,
 )
-from myowarp.osim.document.functions import IDENTITY
+from myowarp.osim.document.functions import IDENTITY, derivatives
 from myowarp.osim.document.kinematics import sampling_range
 from myowarp.osim.document.model import GROUND, Joint, Loss, Note
 
@@ -36,6 +37,9 @@ WEAK = 1e-4
 
 FAR = 1e6
 """m or rad: the end of a spring that acts on one side only."""
+
+ONLY_HERE = "left out of plain MuJoCo; acts in MyoWarp"
+"""What is said of a force that has no counterpart there."""
 
 SAME = 1e-9
 """m and 1: frames that differ by less coincide."""
@@ -86,8 +90,16 @@ def add_forces(
             joint, scale = build.carriers[spring.coordinate]
             stiffness, damping = spring.stiffness / scale**2, spring.damping / scale**2
             _spring(build, joint, scale * spring.rest, stiffness, damping)
-    for bushing in build.model.bushings:
-        _add_bushing(build, bushing)
+    # Springs that stay come first: what joints have without the others is kept in `build.bare`.
+    for bushing in sorted(build.model.bushings, key=lambda one: not is_of_joint(build, one)):
+        if instead or is_of_joint(build, bushing):
+            _add_bushing(build, bushing)
+    for formula in build.model.coordinate_formulas:
+        kind = "ExpressionBasedCoordinateForce"
+        if _has_joint(build, formula.name, kind, formula.coordinate) and instead:
+            build.notes.append(Loss(f"/forceset/{formula.name}", ONLY_HERE, code=kind))
+    for force in build.model.prescribed_forces if instead else ():
+        build.notes.append(Loss(f"/forceset/{force.name}", ONLY_HERE, code="PrescribedForce"))
     _add_constraints(build)
 
 
@@ -145,6 +157,8 @@ def path_tendon(
     build: Build, name: str, path: Path, moving: Mapping[int, str], tendons: Mapping[str, TendonPath]
 ) -> mujoco.MjsTendon:
     """Add a tendon: as fitted, else through the fixed and moving points, noting what that leaves out."""
+    if path.function is not None:
+        return _line_tendon(build, name, path.function)
     if name in tendons:
         return add_tendon(build.spec, tendons[name], path, moving)
     last = len(path.points) - 1
@@ -164,8 +178,31 @@ def path_tendon(
     return add_tendon(build.spec, TendonPath(name, tuple(Via(number) for number in kept)), path, moving)
 
 
+def _line_tendon(build: Build, name: str, function: LengthFunction) -> mujoco.MjsTendon:
+    """Add the tangent of a length in its coordinates at the default pose, which plain MuJoCo has for it."""
+    model, tendon = build.model, build.spec.add_tendon(name=name)
+    at = {of: np.array([default_of(model, IDENTITY, of)]) for of in function.coordinates}
+    slopes: dict[str, float] = {}
+    for of, slope in zip(function.coordinates, function.at(at)[1][:, 0], strict=True):
+        follows, free = reduced(model, IDENTITY, of)
+        if free is not None and free in build.carriers:
+            joint, scale = build.carriers[free]
+            rate = float(derivatives(follows, model.coordinates[free].default)[1])
+            slopes[joint] = slopes.get(joint, 0.0) + float(slope) * rate / scale
+    if not slopes:
+        raise ValueError(f"{model.source}: the length of {name!r} depends on no coordinate that moves")
+    for joint, slope in slopes.items():
+        tendon.wrap_joint(joint, slope)
+    rule = "in plain MuJoCo the tangent of its length at the default pose, without the length there"
+    build.notes.append(Loss(f"/forceset/{name}", rule, code="FunctionBasedPath"))
+    return tendon
+
+
 def _add_ligament(build: Build, ligament: Ligament, tendon: mujoco.MjsTendon) -> None:
     """Give a tendon a spring: the parabola through 0 that is nearest to the ligament's force."""
+    if ligament.formula is not None:
+        build.notes.append(Loss(f"/forceset/{ligament.name}", ONLY_HERE, code=ligament.type))
+        return
     length = STRAIN * ligament.resting_length
     force = np.asarray(ligament.force.value(1 + STRAIN))
     basis = np.stack([length, length**2], axis=1)
@@ -269,17 +306,30 @@ def rising(x: np.ndarray, force: np.ndarray) -> np.ndarray:
     return best
 
 
+def is_of_joint(build: Build, bushing: Bushing) -> bool:
+    """Whether springs on joints are all that a bushing does."""
+    spanned = None if bushing.formulas else _spanned(build, bushing)
+    return spanned is not None and spanned[1] and _along_axes(spanned[0])
+
+
 def _add_bushing(build: Build, bushing: Bushing) -> None:
     """Add springs on the joints of the OpenSim joint at which a bushing sits, else what a tendon can do."""
     path, spanned = f"/forceset/{bushing.name}", _spanned(build, bushing)
+    if bushing.formulas:
+        build.notes.append(Loss(path, ONLY_HERE, code=bushing.type))
+        return
     if spanned is None:
         _add_bushing_between(build, bushing, path)
         return
-    joint, forward = spanned
+    joint, _ = spanned
+    exact = is_of_joint(build, bushing)
     for index, move in enumerate(joint.moves):
         if (joint.name, index) not in build.shown:
             continue  # it stands still
         name, sign, offset = build.shown[joint.name, index]
+        if not exact:
+            own = build.spec.joint(name)
+            build.bare.setdefault(name, (float(own.stiffness[0]), float(own.springref)))
         along = move.axis**2
         if move.kind == "hinge":
             stiffness, damping = along @ bushing.rotational_stiffness, along @ bushing.rotational_damping
@@ -288,9 +338,12 @@ def _add_bushing(build: Build, bushing: Bushing) -> None:
                 along @ bushing.translational_stiffness,
                 along @ bushing.translational_damping,
             )
+        if not exact:
+            build.dampers[name] = build.dampers.get(name, 0.0) + float(damping)
         _spring(build, name, -sign * offset, float(stiffness), float(damping))
     rule = "springs and dampers on the joints between its frames"
-    build.notes.append(Note(path, rule, "0" if forward and _along_axes(joint) else "exact for small angles"))
+    where = "" if exact else "in plain MuJoCo "
+    build.notes.append(Note(path, where + rule, "0" if exact else "exact for small angles"))
 
 
 def _spanned(build: Build, bushing: Bushing) -> tuple[Joint, bool] | None:
@@ -333,7 +386,8 @@ def _add_bushing_between(build: Build, bushing: Bushing, path: str) -> None:
             build.bodies[body].add_site(name=site, pos=frame.position, size=[0.002] * 3, group=4)
             tendon.wrap_site(site)
         tendon.stiffness[0], tendon.springlength = stiffness[0], (0.0, 0.0)
-        build.notes.append(Note(path, "a spring from point to point", "0"))
+        build.springs.append(tendon.name)
+        build.notes.append(Note(path, "in plain MuJoCo a spring from point to point"))
     lost = {
         "translational stiffness": not alike,
         "rotational stiffness": bushing.rotational_stiffness.any(),
@@ -341,8 +395,8 @@ def _add_bushing_between(build: Build, bushing: Bushing, path: str) -> None:
     }
     if any(lost.values()):
         said = ", ".join(what for what, gone in lost.items() if gone)
-        rule = f"its frames are not those of a joint; left out: {said}"
-        build.notes.append(Loss(path, rule, code="BushingForce"))
+        rule = f"its frames are not those of a joint; left out of plain MuJoCo: {said}"
+        build.notes.append(Loss(path, rule, code=bushing.type))
 
 
 def _add_constraints(build: Build) -> None:

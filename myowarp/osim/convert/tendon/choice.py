@@ -68,6 +68,8 @@ def fit_path(
         reference: what OpenSim says in these poses; None: what our own path code says.
         method: of the fit.
     """
+    if path.function is not None:  # `compose.passive` puts its tangent there
+        return PathFit(TendonPath(name, ()), {}, {}, float("nan"))
     problem = PathProblem(model, name, path, poses, reference)
     candidates = _rows(problem)
     best = candidates[0]

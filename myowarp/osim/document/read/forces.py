@@ -5,24 +5,34 @@ from typing import Any, Literal
 
 import numpy as np
 
+from myowarp.laws.expressions import Expression
 from myowarp.osim.document.elements import (
     BodyActuator,
     Bushing,
     CoordinateActuator,
+    CoordinateFormula,
     CoordinateLimitForce,
     CoordinateSpring,
+    Ligament,
+    Path,
+    PathActuator,
+    PathPoint,
     Pose,
+    PrescribedForce,
     Shape,
 )
-from myowarp.osim.document.functions import IDENTITY, Multiplier
+from myowarp.osim.document.functions import IDENTITY, Constant, Function, Linear, Multiplier
 from myowarp.osim.document.model import GROUND, Constraint, Coupler, Marker
 from myowarp.osim.document.read.element import Element
+from myowarp.osim.document.read.expressions import expression_in, expression_of
 from myowarp.osim.document.read.frames import Frames, euler_xyz, pose_of, socket
-from myowarp.osim.document.read.functions import function_in
+from myowarp.osim.document.read.functions import function_in, read_function
 from myowarp.osim.document.read.muscles import control_range
 from myowarp.osim.document.read.paths import Scope
 
 ZERO = (0.0, 0.0, 0.0)
+DEFLECTIONS = ("theta_x", "theta_y", "theta_z", "delta_x", "delta_y", "delta_z")
+BUSHING_FORCES = ("Mx", "My", "Mz", "Fx", "Fy", "Fz")
 
 
 def read_coordinate_actuator(element: Element, scope: Scope) -> CoordinateActuator:
@@ -104,7 +114,7 @@ def _two_frames(element: Element, frames: Frames) -> tuple[tuple[str, str], tupl
 
 
 def read_bushing(element: Element, scope: Scope) -> Bushing:
-    """Return a `BushingForce`."""
+    """Return a bushing: `BushingForce`, or one of functions or formulas."""
     bodies, poses = _two_frames(element, scope.frames)
     properties = (
         "rotational_stiffness",
@@ -112,8 +122,78 @@ def read_bushing(element: Element, scope: Scope) -> Bushing:
         "rotational_damping",
         "translational_damping",
     )
-    return Bushing(
-        element.name, bodies, poses, *(element.numbers(name, default=ZERO, count=3) for name in properties)
+    numbers = [element.numbers(name, default=ZERO, count=3) for name in properties]
+    formulas: list[Expression] = []
+    if element.tag == "ExpressionBasedBushingForce":
+        formulas = [expression_in(element, f"{one}_expression", DEFLECTIONS) for one in BUSHING_FORCES]
+    elif element.tag == "FunctionBasedBushingForce":
+        for number, (one, deflection) in enumerate(zip(BUSHING_FORCES, DEFLECTIONS, strict=True)):
+            tag = f"{one[0].lower()}_{one[1]}_{deflection}_function"
+            formulas.append(_program(element, function_in(element, tag) or Constant(0.0), number))
+    return Bushing(element.name, bodies, poses, *numbers, element.tag, tuple(formulas))
+
+
+def _program(element: Element, function: Function, variable: int = 0) -> Expression:
+    """Return a function of one variable as a program."""
+    try:
+        return expression_of(function, variable)
+    except NotImplementedError as error:
+        raise element.unsupported(str(error)) from None
+
+
+def read_coordinate_formula(element: Element, scope: Scope) -> CoordinateFormula:
+    """Return an `ExpressionBasedCoordinateForce`."""
+    coordinate = scope.coordinate(element, "coordinate")
+    return CoordinateFormula(element.name, coordinate, expression_in(element, "expression", ("q", "qdot")))
+
+
+def read_between_points(element: Element, scope: Scope) -> Ligament | PathActuator:
+    """Return a force along the line between two points: a spring, a formula, or an actuator.
+
+    Raises:
+        NotImplementedError: Its points are fixed in ground.
+    """
+    letters = "AB" if element.tag == "PointToPointActuator" else "12"
+    if element.flag("points_are_global", default=False):
+        raise element.unsupported("acts between points of ground; only points of bodies are supported")
+    points = []
+    for letter in letters:
+        body, frame = scope.frames.attached(element, f"body{letter}")
+        location = frame.point(element.numbers(f"point{letter}", default=ZERO, count=3))
+        points.append(PathPoint(f"{element.name}-{letter}", body, location))
+    path = Path(tuple(points), ())
+    if element.tag == "PointToPointActuator":
+        force = -element.number("optimal_force", default=1.0)
+        return PathActuator(element.name, path, force, control_range(element, -math.inf, math.inf))
+    if element.tag == "PointToPointSpring":
+        stiffness, rest = element.number("stiffness", default=1.0), element.number("rest_length", default=0.0)
+        formula = expression_of(Linear(stiffness, -stiffness * rest))
+    else:
+        formula = expression_in(element, "expression", ("d", "ddot"))
+    return Ligament(element.name, element.tag, path, 1.0, Constant(0.0), 0.0, 0.0, formula)
+
+
+def read_prescribed_force(element: Element, scope: Scope) -> PrescribedForce:
+    """Return a `PrescribedForce`.
+
+    Raises:
+        ValueError: A set of functions has not three.
+    """
+    body, frame = scope.frames.attached(element, "frame", "body")
+    formulas: list[Expression] = []
+    for tag in ("forceFunctions", "pointFunctions", "torqueFunctions"):
+        found = [read_function(one) for place in element.children if tag in (place.tag, place.name)
+                 for one in (place.own("objects") or place).children if one.tag != "groups"]  # fmt: skip
+        if found and len(found) != 3:
+            raise element.error(f"must have 3 functions or none as {tag}, got {len(found)}")
+        formulas += [_program(element, function) for function in found or [Constant(0.0)] * 3]
+    return PrescribedForce(
+        element.name,
+        body,
+        tuple(formulas),
+        frame,
+        element.flag("forceIsGlobal", default=True),
+        element.flag("pointIsGlobal", default=False),
     )
 
 

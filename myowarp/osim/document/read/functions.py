@@ -4,7 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from myowarp.osim.document.elements import LengthFunction
 from myowarp.osim.document.functions import (
+    IDENTITY,
     Constant,
     Function,
     GCVSpline,
@@ -46,6 +48,65 @@ def function_in(owner: Element, *tags: str) -> Function | None:
             if child.name in tags and child.tag in READERS:
                 return read_function(child)
     return None
+
+
+MOST_POWER = 20
+"""Of a variable of a function of several."""
+
+
+def function_of(element: Element, coordinates: tuple[str, ...]) -> LengthFunction:
+    """Return the function of some coordinates that an element describes.
+
+    Raises:
+        NotImplementedError: Its class is unknown.
+        ValueError: It has another number of arguments.
+    """
+    scale = 1.0
+    while element.tag == "MultiplierFunction":
+        scale *= element.number("scale", default=1.0)
+        inner = element.find("function")
+        if inner is None or not inner.children:
+            raise element.error("has no <function>")
+        element = inner.children[0]
+    count = len(coordinates)
+    functions: tuple[Function, ...] = (IDENTITY,) * count
+    match element.tag:
+        case "MultivariatePolynomialFunction":
+            powers, numbers = _multivariate(element, count)
+        case "LinearFunction":
+            numbers = element.numbers("coefficients", default=(1.0,) * count + (0.0,), count=count + 1)
+            powers = [tuple(row) for row in np.eye(count, dtype=int).tolist()] + [(0,) * count]
+        case "Constant":
+            numbers, powers = np.array([element.number("value", default=0.0)]), [(0,) * count]
+        case _ if count == 1:
+            functions, numbers, powers = (read_function(element),), np.ones(1), [(1,)]
+        case _:
+            raise element.unsupported(
+                f"is no function of {count} coordinates; these are: MultivariatePolynomialFunction, "
+                "LinearFunction, Constant, MultiplierFunction of these"
+            )
+    terms = [(scale * float(c), p) for c, p in zip(numbers, powers, strict=True) if c != 0]
+    terms = terms or [(0.0, (0,) * count)]
+    return LengthFunction(coordinates, functions, *(tuple(part) for part in zip(*terms, strict=True)))
+
+
+def _multivariate(element: Element, count: int) -> tuple[list[tuple[int, ...]], np.ndarray]:
+    """Return powers and coefficients of the terms: ascending powers, those of the last variable first."""
+    dimension, order = (int(element.number(name, default=0.0)) for name in ("dimension", "order"))
+    if dimension != count:
+        raise element.error(f"must have as many dimensions as coordinates, {count}, got {dimension}")
+    if not 0 <= order <= MOST_POWER:
+        raise element.error(f"must have an order of 0 to {MOST_POWER}, got {order}")
+    powers = exponents(dimension, order)
+    return powers, element.numbers("coefficients", count=len(powers))
+
+
+def exponents(dimension: int, order: int) -> list[tuple[int, ...]]:
+    """Return the powers of all terms of a polynomial in OpenSim's order of coefficients."""
+    found: list[tuple[int, ...]] = [()]
+    for _ in range(dimension):
+        found = [(*powers, power) for powers in found for power in range(order - sum(powers) + 1)]
+    return found
 
 
 def _knots(element: Element, least: int, repeat: bool = False) -> tuple[tuple[float, ...], tuple[float, ...]]:

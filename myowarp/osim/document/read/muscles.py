@@ -3,9 +3,10 @@
 import math
 
 from myowarp.osim.document.elements import Ligament, PathActuator
-from myowarp.osim.document.functions import Function, Linear, Multiplier, ToeThenLine
+from myowarp.osim.document.functions import Constant, Function, Linear, Multiplier, ToeThenLine
 from myowarp.osim.document.model import Muscle
 from myowarp.osim.document.read.element import Element, number_of
+from myowarp.osim.document.read.expressions import expression_in
 from myowarp.osim.document.read.functions import READERS, function_in, read_function
 from myowarp.osim.document.read.muscle_defaults import DEFAULTS, FORCE_LENGTH
 from myowarp.osim.document.read.paths import Scope, read_path
@@ -173,6 +174,15 @@ def read_ligament(element: Element, scope: Scope) -> Ligament:
         ValueError: Its resting length is not above 0, or its path is wrong.
     """
     length = element.number("resting_length", "slack_length", default=0.0)
+    if element.tag == "ExpressionBasedPathForce":
+        clamp = element.flag("clamp_stretch", default=True)
+        formula = expression_in(element, "expression", ("s", "ldot"))
+        stretch: tuple[tuple[str, float], ...] = (("variable", 0.0), ("number", length), ("sub", 0.0))
+        stretch += (("number", 0.0), ("max", 0.0)) if clamp else ()
+        formula = formula.of(0, stretch)
+        return Ligament(
+            element.name, element.tag, read_path(element, scope), 1.0, Constant(0.0), 0.0, 0.0, formula
+        )
     if length <= 0:
         raise element.error(f"must have a resting length above 0, got {length:g}")
     force: Function

@@ -4,6 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from myowarp.laws.paths.path import MOST_VARIABLES
 from myowarp.osim.document.elements import (
     ConditionalPathPoint,
     MovingPathPoint,
@@ -16,7 +19,7 @@ from myowarp.osim.document.functions import Constant, Function, affine
 from myowarp.osim.document.model import Coordinate, Note, WrapObject
 from myowarp.osim.document.read.element import Element
 from myowarp.osim.document.read.frames import Frames, pose_of, socket
-from myowarp.osim.document.read.functions import function_in
+from myowarp.osim.document.read.functions import function_in, function_of
 
 WRAPS: dict[str, Any] = {
     "WrapCylinder": ("cylinder", ("radius", "length")),
@@ -31,6 +34,11 @@ QUADRANTS = ("all", "x", "-x", "y", "-y", "z", "-z")
 METHODS = ("hybrid", "midpoint", "axial")
 
 MAX_POINTS = 1000  # of one path
+
+FUNCTIONS = "FunctionBasedPath"
+
+POSES, CONSISTENT = 64, 1e-6
+"""Random poses in which its moment arms and speeds may differ from those of its length [m, m/s]."""
 
 
 @dataclass(frozen=True)
@@ -106,21 +114,71 @@ def read_path(owner: Element, scope: Scope) -> Path:
         NotImplementedError: A kind of path or point that is not supported.
         ValueError: Points, bodies or wrap objects are missing or wrong.
     """
-    element = owner.find("GeometryPath")
-    if element is None:
-        inner = owner.find("path")
-        element = inner.find("GeometryPath") if inner is not None else None
+    held = owner.find("path")
+    element = None
+    for place in (owner, held):
+        if element is None and place is not None:
+            element = place.find("GeometryPath", FUNCTIONS)
+    if element is not None and element.tag == FUNCTIONS:
+        return read_function_path(element, scope.coordinates)
     if element is None and owner.find("PathPointSet") is not None:
         element = owner  # as in documents before 20302
     if element is None:
-        other = next((child for child in owner.children if "Path" in child.tag), owner)
-        raise other.unsupported("is no <GeometryPath>; other kinds of path are not supported")
+        there = [child for place in (owner, held) if place is not None for child in place.children]
+        other = next((child for child in there if "Path" in child.tag), owner)
+        raise other.unsupported(f"is no supported kind of path; these are: GeometryPath, {FUNCTIONS}")
     points = element.objects("PathPointSet")
     if not 2 <= len(points) <= MAX_POINTS:
         raise element.error(f"must have 2 to {MAX_POINTS} path points, got {len(points)}")
     read = tuple(_read_point(point, scope) for point in points)
     wraps = [_read_path_wrap(wrap, scope, len(read)) for wrap in element.objects("PathWrapSet")]
     return Path(read, tuple(wrap for wrap in wraps if wrap is not None))
+
+
+def read_function_path(element: Element, coordinates: Mapping[str, Coordinate]) -> Path:
+    """Return a `FunctionBasedPath`.
+
+    Raises:
+        NotImplementedError: A class of function, or moment arms or speeds that are not those of the length.
+        ValueError: It has no length, or not the functions and coordinates that it needs.
+    """
+    paths = element.string("coordinate_paths").split()
+    names = tuple(path.rpartition("/")[2] for path in paths)
+    for name, path in zip(names, paths, strict=True):
+        if name not in coordinates:
+            raise element.error(f"refers to coordinate {path!r}, which the model does not have")
+    if not names or len(set(names)) < len(names):
+        raise element.error(f"must have coordinates, each once, got {' '.join(paths) or 'none'}")
+    if len(names) > MOST_VARIABLES:
+        raise element.unsupported(
+            f"depends on {len(names)} coordinates; at most {MOST_VARIABLES} are supported"
+        )
+    length, arms, speed = (
+        element.objects(tag)
+        for tag in ("length_function", "moment_arm_functions", "lengthening_speed_function")
+    )
+    if not length:
+        raise element.error("has no <length_function>")
+    if arms and len(arms) != len(names):
+        raise element.error(f"must have a moment arm for each of {len(names)} coordinates, got {len(arms)}")
+    function = function_of(length[0], names)
+    low, high = np.array([coordinates[name].range for name in names]).clip(-np.pi, np.pi).T
+    random = np.random.default_rng(0)
+    at = random.uniform(low, np.maximum(high, low + 0.1), size=(POSES, len(names))).T
+    values = dict(zip(names, at, strict=True))
+    slopes = function.at(values)[1]
+    rates = {f"speed of {name}": random.normal(size=POSES) for name in names}
+    found = [(-function_of(arm, names).at(values)[0], one) for arm, one in zip(arms, slopes, strict=False)]
+    if speed:
+        along = (slopes * np.stack(list(rates.values()))).sum(axis=0)
+        found.append((function_of(speed[0], (*names, *rates)).at(values | rates)[0], along))
+    off = max((float(np.abs(stated - own).max()) for stated, own in found), default=0.0)
+    if off > CONSISTENT:
+        raise element.unsupported(
+            f"states moment arms or speeds up to {off:.2g} m or m/s from those that follow from its length; "
+            "only such are supported: take them out"
+        )
+    return Path((), (), function)
 
 
 def _read_point(element: Element, scope: Scope) -> Point:
