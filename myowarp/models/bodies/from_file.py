@@ -45,20 +45,30 @@ def read_body(path: Path, tips: tuple[str, ...] = (), stops: bool = True) -> str
     return register_body(path, tips, stops)[0]
 
 
-def register_body(path: Path, tips: tuple[str, ...], stops: bool) -> tuple[str, mujoco.MjModel]:
-    """Return the name of a body, which is registered, and its model; see `read_body`."""
+def register_body(
+    path: Path, tips: tuple[str, ...], stops: bool, contact: str = "mujoco"
+) -> tuple[str, mujoco.MjModel]:
+    """Return the name of a body, which is registered, and its model; see `read_body`.
+
+    `contact` "opensim" has the model's contact forces of OpenSim act in place of MuJoCo's contact.
+
+    Raises:
+        ValueError: As `read_body`; or OpenSim's contact is asked for, and the model brings none.
+    """
     source = path
     if str(path) in BODIES and not path.exists():
         if not stops:
             raise ValueError(f"stops are an option of a model's file; {str(path)!r} is a body with its own")
+        if contact == "opensim":
+            raise ValueError(f"contact is an option of a model's file; {str(path)!r} is a body with its own")
         body = _with_tips(str(path), tips)
         return body, BODIES[body].build().compile()
     if path.suffix.lower() == OPENSIM:
         from myowarp.osim.convert.load import load  # reading .osim files is not needed at every start
 
-        path = load(path)
+        path = load(path, contact)
     try:
-        bundle = Bundle.load(path)
+        bundle = Bundle.load(path).touching(contact, source)
         spec = bundle.into(bundle.spec)
         # What the file says of it is for MuJoCo C; mujoco-warp has dense Jacobians of small models only.
         spec.option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
@@ -82,6 +92,8 @@ def register_body(path: Path, tips: tuple[str, ...], stops: bool) -> tuple[str, 
     _check(model, source)
     if source.suffix.lower() == OPENSIM:
         _say_stops(model, source, stops)
+    if contact == "opensim":
+        _say_contact(model, source)
     bundle.check(model, path)
     title = re.sub(r"[^A-Za-z0-9]+", "_", spec.modelname).strip("_")
     name = "_".join((title, model_digest(model)[:8], *tips))
@@ -108,6 +120,11 @@ def _say_stops(model: mujoco.MjModel, source: Path, stops: bool) -> None:
             f"{source.name}: ranges stop {count} clamped joints, which they do not in OpenSim's simulations; "
             "--no-stops, or stops=False, lets them go on"
         )
+
+
+def _say_contact(model: mujoco.MjModel, source: Path) -> None:
+    """Log that contact is OpenSim's."""
+    warn_once(f"{source.name}: contact is OpenSim's")
 
 
 def _facts(names: list[str]) -> dict[str, Any]:

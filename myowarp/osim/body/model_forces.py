@@ -250,7 +250,7 @@ def without(model: Model, names: Iterable[str]) -> tuple[Model, list[str]]:
     def place(note: Note) -> str:
         return note.path.rpartition("/")[2]
 
-    kinds = ("limit_forces", "coordinate_springs", "bushings")
+    kinds = ("limit_forces", "coordinate_springs", "bushings", "contact_forces")
     motors = ("coordinate_actuators", "path_actuators", "body_actuators")
     left: dict[str, Any] = {
         kind: tuple(one for one in getattr(model, kind) if stays(one.name)) for kind in kinds

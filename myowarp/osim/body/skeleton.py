@@ -26,6 +26,7 @@ import warp as wp
 
 from myowarp.laws.pieces import Pieces, PieceTables, evaluated, piece_tables
 from myowarp.osim.body.scale_document import Document, set_markers
+from myowarp.osim.document.contacts import resting
 from myowarp.osim.document.functions import Function, curves
 from myowarp.osim.document.kinematics import independent
 from myowarp.osim.document.model import GROUND, Model
@@ -175,21 +176,26 @@ class Bones:
     """
 
     @classmethod
-    def read(cls, path: Path, device: Any = "cpu", markers: Path | None = None) -> Bones:
+    def read(
+        cls, path: Path, device: Any = "cpu", markers: Path | None = None, contact: bool = False
+    ) -> Bones:
         """Return the bones of an OpenSim document.
 
         Args:
             path: The document, .osim.
             device: Where they are.
             markers: An OpenSim `MarkerSet`, in place of the model's markers of the same names.
+            contact: Whether its contact forces act, beside loads from outside.
 
         Raises:
             ValueError: A file is not what it should be, or a marker is on no body.
             OSError: A file cannot be read.
         """
         if markers is None:
-            return cls(read_model(path), device)
-        return cls(set_markers(Document(path, parse(path)[0]), parse(markers)[0]).model, device)
+            model = read_model(path)
+        else:
+            model = set_markers(Document(path, parse(path)[0]), parse(markers)[0]).model
+        return cls(model if contact else resting(model), device)
 
     def __init__(self, model: Model, device: Any = "cpu") -> None:
         """Put a model on a device.

@@ -17,6 +17,7 @@ import numpy as np
 from myowarp.osim.document.elements import (
     BodyActuator,
     Bushing,
+    ContactForce,
     CoordinateActuator,
     CoordinateLimitForce,
     CoordinateSpring,
@@ -240,6 +241,8 @@ class Model:
     limit_forces: tuple[CoordinateLimitForce, ...]
     coordinate_springs: tuple[CoordinateSpring, ...]
     bushings: tuple[Bushing, ...]
+    contact_forces: tuple[ContactForce, ...]
+    """Those that act; see `contacts.resting`."""
     shapes: tuple[Shape, ...]
     notes: tuple[Note, ...] = field(default=())
     """What was skipped or approximated while reading."""

@@ -35,6 +35,12 @@ ToolFile = Annotated[
         UNSET,
     ),
 ]
+Contact = Annotated[
+    Literal["opensim"] | None,
+    described(
+        "opensim", "Contact forces of the model act, as OpenSim computes them; by default they rest.", UNSET
+    ),
+]
 Filter = Annotated[
     float | None, described("HZ", "Frequency below which the motion is kept; by default all is.", UNSET)
 ]
@@ -70,6 +76,7 @@ Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder for the resu
 OUT = Path("out/motion")
 
 RENEWED = {
+    "contact_forces.sto": "contact forces on ",
     "moments.sto": "joint moments, ",
     "passive_moments.sto": "what springs, ",
     "report.html": '<!doctype html><html lang="en"><meta charset="utf-8"><title>A motion of ',
@@ -156,7 +163,7 @@ def bones_of(model: Path, setup: TrialSetup) -> Bones:
     """
     from myowarp.osim.body.skeleton import Bones
 
-    bones, lines = setup.model_of(Bones.read(model))
+    bones, lines = setup.model_of(Bones.read(model, contact=setup.contact is not None))
     say(lines)
     return bones
 
