@@ -327,6 +327,7 @@ class FreeCoordinates(Step):
     def places(self, stages: tuple[Stage, ...]) -> dict[str, Callable[[], None]]:
         """Return what is launched, place by place."""
         places = self.bound(self.stage_launches(stages))
+        places.pop("implicit", None)  # it is done along the directions of `reduce`
         forces = {place: launches for place, launches in places.items() if place not in MOTION}
         motion = {place: launches for place, launches in places.items() if place in MOTION}
         return {"follow": self.follow, **forces, "reduce": self.reduce, **motion, "expand": self.expand}
@@ -375,6 +376,9 @@ class FreeCoordinates(Step):
         reduced = filled(Reduced, free.data, free.model)
         if self.triples is not None:
             launch(straighten_dynamics, data.nworld, data, self, bodies=filled(Bodies, model, data))
+        if self.stepped.forces is not None:
+            directions = data.cdof if self.triples is None else self.directions
+            self.stepped.forces.launch_implicit(model, data, directions)
         arguments = {
             "inertia": filled(InertiaRows, model),
             "damping": filled(Damping, model),

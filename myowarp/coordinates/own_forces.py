@@ -371,6 +371,9 @@ class OwnForces:
         """Add all other forces to `qfrc_passive`."""
         launch(push_and_pull, data.nworld, self, model, data)
 
+    def launch_implicit(self, model: mjw.Model, data: mjw.Data, directions: wp.array) -> None:
+        """Add nothing: what damps is `dof_damping`."""
+
 
 def forces_of(host: mujoco.MjModel, model: mjw.Model, data: mjw.Data) -> OwnForces | None:
     """Return the forces that a model brings along, on the current Warp device; None: it brings none."""

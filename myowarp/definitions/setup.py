@@ -22,6 +22,8 @@ from myowarp.definitions.registry import check_least
 from myowarp.definitions.task import PHYSICS, RESETS, TASKS, TaskSpec
 
 MOST_SEED = 2**63 - 1  # world i has seed + i, a uint64
+CONTACTS = ("mujoco", "opensim")
+"""Who computes contact."""
 UNRECORDED = ("task", "shards", "rank")
 """Options that `plain` leaves out: the task, which has a place of its own, and what only this process is."""
 
@@ -76,6 +78,12 @@ class Setup:
         "Of --model: joints go beyond their ranges, as coordinates do in OpenSim; by default ranges of"
         " clamped coordinates, and limits of joints of an MJCF file, stop them.",
         flag=True,
+    )
+    contact: str | None = option(
+        None,
+        "Of --model: contact as MuJoCo computes it, or as OpenSim does with the file's contact forces; by"
+        " default mujoco.",
+        choices=CONTACTS,
     )
     horizon: int | None = option(None, "Control steps in an episode; by default the task's.", "INT")
     device: str | None = option(

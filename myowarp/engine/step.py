@@ -69,6 +69,10 @@ def _velocity_along(paths: Paths, model: mjw.Model, data: mjw.Data) -> None:
     paths.launch_velocity(model, data)
 
 
+def _implicitly(forces: Forces, model: mjw.Model, data: mjw.Data) -> None:
+    forces.launch_implicit(model, data, data.cdof)
+
+
 def _control(model: mjw.Model, data: mjw.Data) -> None:
     if model.callback.control is not None:
         model.callback.control(model, data)
@@ -183,6 +187,7 @@ def stage_launches(
     for place, launches in places.items():
         if place == "control":
             ordered["forces"] = forces.launch
+            ordered["implicit"] = partial(_implicitly, forces)
         ordered[place] = launches
     return ordered
 

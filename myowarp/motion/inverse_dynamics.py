@@ -3,13 +3,13 @@
     joint_moment = M(q) q'' + c(q, q') - sum of J^T load - passive
 
 by two recursions over the bodies: accelerations from ground outwards, forces back. Passive is what springs,
-limits, bushings and ligaments of the model do (`model_forces`). What the root joint needs is no muscle's: it
-is the residual, what motion and loads disagree by.
+limits, bushings and ligaments of the model do (`model_forces`); its contact forces are loads. What the root
+joint needs is no muscle's: it is the residual, what motion and loads disagree by.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ import warp as wp
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
 from myowarp.laws.forces.bushing import bushing_wrench
+from myowarp.osim.body.contacts import Contacts, contacts_along
 from myowarp.osim.body.model_forces import (
     Acting,
     ModelForces,
@@ -29,6 +30,7 @@ from myowarp.osim.body.model_forces import (
 )
 from myowarp.osim.body.parts import in_parts, joined
 from myowarp.osim.body.skeleton import HINGE, Bones, Placement, Skeleton, place, station
+from myowarp.osim.document.model import GROUND
 
 CHUNK = 4096
 """Frames that are on the device at once."""
@@ -64,6 +66,7 @@ class Needed:
     Attributes:
         joint_moment: Along the independent coordinates [N m] or [N], shape (frames, coordinates).
         passive: What the model's own springs, limits, bushings and ligaments do of what it takes, likewise.
+        contacts: What its contact forces do; None: it has none that act.
         tension: Of its ligaments and path springs [N], by name, each of shape (frames,).
         force: What a joint, and the muscles over it, pass to its body [N], in ground, shape (frames, bodies,
             3).
@@ -74,6 +77,7 @@ class Needed:
 
     joint_moment: np.ndarray
     passive: np.ndarray
+    contacts: Contacts | None
     tension: Mapping[str, np.ndarray]
     force: np.ndarray
     torque: np.ndarray
@@ -263,7 +267,7 @@ def inverse_dynamics(
         accelerations: Their second derivatives.
         loads: From outside.
         masses: Factors on masses and inertias, which broadcast to (frames, bodies).
-        passive: Whether springs, limits, bushings and ligaments of the model act.
+        passive: Whether springs, limits, bushings, ligaments and contact forces of the model act.
 
     Raises:
         ValueError: Shapes do not fit, or a load acts on an unknown body.
@@ -273,6 +277,9 @@ def inverse_dynamics(
     for name, given in (("values", values), ("speeds", speeds), ("accelerations", accelerations)):
         if given.shape != wanted:
             raise ValueError(f"{name} must have the shape {wanted} (frames, coordinates), got {given.shape}")
+    contacts = contacts_along(bones, values, speeds) if passive and bones.model.contact_forces else None
+    if contacts is not None:
+        loads = [*loads, *_pushing(contacts)]
     frames = [(bones.number(x.body), bones.number(x.force_frame), bones.number(x.point_frame)) for x in loads]
     loading = np.zeros((len(values), len(loads), 3, 3))
     for number, load in enumerate(loads):
@@ -290,10 +297,19 @@ def inverse_dynamics(
     moment, pushed, *rest = joined(in_parts(len(values), CHUNK, solve))
     pushed = pushed if pushed.shape[1] else np.broadcast_to(0.0, moment.shape)
     if not (passive and acting.ligaments):
-        return Needed(moment, pushed, {}, *rest)
+        return Needed(moment, pushed, contacts, {}, *rest)
     tension, pulled = ligament_pulls(bones, values, speeds)
     pulls = dict(zip(acting.ligaments, tension.T, strict=True))
-    return Needed(moment - pulled, pushed + pulled, pulls, *rest)
+    return Needed(moment - pulled, pushed + pulled, contacts, pulls, *rest)
+
+
+def _pushing(contacts: Contacts) -> Iterator[Load]:
+    """Yield what contacts put on bodies."""
+    for number, pair in enumerate(contacts.pairs):
+        force, point = contacts.force[:, number], contacts.location[:, number]
+        for surface, sign in ((pair.first, -1.0), (pair.second, 1.0)):
+            if surface.body != GROUND:
+                yield Load(surface.body, sign * force, point, np.zeros_like(force))
 
 
 def _chunk(

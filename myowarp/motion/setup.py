@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from myowarp.osim.body.model_forces import without
 from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.contacts import TYPES
 from myowarp.osim.document.kinematics import floating
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ class TrialSetup:
         unread: Actuators of other classes, which are left out.
         gains: Ways back to a motion that is tracked, by coordinate [1/s^2].
         controls: Least and greatest excitation of a motion that is tracked, by muscle [1].
+        contact: "opensim": contact forces of the model act beside the loads; None: they rest.
         excluded: Forces that inverse dynamics leaves out; None: the tool is another one.
         sources: Files that were read for this: the set-up file, and those that it is spread over.
     """
@@ -62,6 +64,7 @@ class TrialSetup:
     unread: tuple[str, ...] = ()
     gains: Mapping[str, float] = field(default_factory=dict)
     controls: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    contact: str | None = None
     excluded: tuple[str, ...] | None = None
     sources: tuple[Path, ...] = ()
 
@@ -112,8 +115,23 @@ class TrialSetup:
         return {name: force for name, force in found.items() if force}
 
     def model_of(self, bones: Bones) -> tuple[Bones, list[str]]:
-        """Return the model without the forces that are excluded, and what is to be said of them."""
+        """Return the model without the forces that are excluded, and what is to be said of them.
+
+        Raises:
+            ValueError: Contact forces are to act, and the model has none.
+        """
         lines = [f"left out of {self.file}: {', '.join(self.unread)}"] if self.unread else []
+        touching = len(bones.model.contact_forces)
+        if self.contact is not None and not touching:
+            raise ValueError(
+                f"--contact opensim needs a {' or '.join(TYPES)} in the model; "
+                f"{bones.model.source.name} has none"
+            )
+        if touching and self.loads is not None:
+            lines.append(
+                f"{touching} contact forces of the model act beside the external loads of "
+                f"{self.loads.name}: the ground may push twice"
+            )
         if self.excluded is None:
             return bones, lines
         model, unknown = without(bones.model, self.excluded)

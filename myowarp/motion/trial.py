@@ -31,6 +31,7 @@ from myowarp.motion.streams import Margin, Stream, is_long
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.tracking import Tracked, track
 from myowarp.motion.units import Angles
+from myowarp.osim.body.contacts import Contacts
 from myowarp.osim.body.hill_muscle import HillMuscle, known
 from myowarp.osim.body.model_forces import acts, left_out
 from myowarp.osim.body.muscle_paths import MusclePaths, muscle_paths
@@ -465,6 +466,7 @@ def _write_moments(
             logger.warning("%s", sentence)
     _write_along(tables, "moments", title, bones, motion, needed.joint_moment)
     _write_passive(tables, bones, motion, needed.passive)
+    _write_contacts(tables, bones, motion, needed.contacts)
 
 
 def _write_passive(tables: Tables, bones: Bones, motion: Movement, passive: np.ndarray) -> None:
@@ -474,6 +476,24 @@ def _write_passive(tables: Tables, bones: Bones, motion: Movement, passive: np.n
         return
     title = "what springs, limits, bushings and ligaments of the model give, N m and N"
     _write_along(tables, "passive_moments", title, bones, motion, passive)
+
+
+def _write_contacts(tables: Tables, bones: Bones, motion: Movement, found: Contacts | None) -> None:
+    """Write what contact forces of a model do to the second geometry of each pair; none: no file."""
+    if found is None:
+        tables.remove("contact_forces.sto")
+        return
+    labels = [
+        f"{pair.force}.{pair.second.name}.{part}.{axis}"
+        for pair in found.pairs
+        for part in ("force", "point")
+        for axis in "XYZ"
+    ]
+    table = np.concatenate([found.force, found.location], axis=2).reshape(len(motion.time), -1)
+    title = _titled(
+        "contact forces on the geometry that a label names, N, and where they act, m; in ground", bones
+    )
+    _write(tables, "contact_forces", title, labels, motion, table)
 
 
 def analyze(bones: Bones, motion: Movement, output: Path | Tables) -> MusclePaths:
@@ -506,7 +526,7 @@ def analyze(bones: Bones, motion: Movement, output: Path | Tables) -> MusclePath
         passive[:, i] = muscle.values["max_isometric_force"] * muscle.tendon_force(0.0, length, velocity)
     power = -(active + passive) * paths.velocity
     moved = motion.values, motion.speeds, motion.accelerations
-    springs = inverse_dynamics(bones, *moved).passive if acts(bones.model) else np.zeros_like(motion.values)
+    found = inverse_dynamics(bones, *moved)
     with tables_in(output) as tables:
         for name, title, values in (
             ("lengths", "lengths of muscle and tendon, m", paths.length),
@@ -517,7 +537,8 @@ def analyze(bones: Bones, motion: Movement, output: Path | Tables) -> MusclePath
         ):
             _write(tables, name, title, paths.muscles, motion, values)
         _write(tables, "moment_arms", "moment arms, m", arms, motion, np.stack(list(arms.values()), axis=1))
-        _write_passive(tables, bones, motion, springs)
+        _write_passive(tables, bones, motion, found.passive)
+        _write_contacts(tables, bones, motion, found.contacts)
     return paths
 
 

@@ -12,7 +12,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.coordinates.own_forces import forces_of
+from myowarp.coordinates.own_contacts import acting_on
 from myowarp.coordinates.own_paths import paths_of
 from myowarp.coordinates.step import data_beside
 from myowarp.definitions.body import BODIES, Body
@@ -321,7 +321,7 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
             batched=frozenset(batched),
             device=where,
             paths=paths_of(oracle, model, data),
-            forces=forces_of(oracle, model, data),
+            forces=acting_on(oracle, model, data),
         )
         if uncovered(stepped_of(scene)) is None:
             scene.ground = height_field(oracle, model)

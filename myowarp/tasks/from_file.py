@@ -14,6 +14,7 @@ import numpy as np
 
 from myowarp.definitions.body import POINT_JOINTS
 from myowarp.definitions.registry import check_choice
+from myowarp.definitions.setup import CONTACTS
 from myowarp.definitions.task import MOST_SUBSTEPS, TaskSpec, register, split_key
 from myowarp.models.bodies.from_file import OPENSIM, register_body
 from myowarp.models.reachability import tip_positions
@@ -34,17 +35,18 @@ STEP_ROUNDING = 1e-6  # of a time step
 KINDS = ("pose", "reach")
 
 
-def pose_task(path: Path, stops: bool = True) -> PoseTask:
+def pose_task(path: Path, stops: bool = True, contact: str = CONTACTS[0]) -> PoseTask:
     """Return the pose task of all joints that the actuators of a model move; it is registered.
 
     Args:
         path: As for `from_mjcf`.
         stops: As for `from_mjcf`.
+        contact: As for `from_mjcf`.
 
     Raises:
         ValueError: The file is unsuitable (`read_body`), or its actuators move no joint.
     """
-    return cast(PoseTask, from_mjcf(path, stops=stops))
+    return cast(PoseTask, from_mjcf(path, stops=stops, contact=contact))
 
 
 def from_mjcf(
@@ -61,6 +63,7 @@ def from_mjcf(
     rewards: Mapping[str, Reward] | None = None,
     stops: bool = True,
     function_paths: str | Path | None = None,
+    contact: str = CONTACTS[0],
     doc: str = "",
     replace: bool = False,
 ) -> TaskSpec:
@@ -86,6 +89,8 @@ def from_mjcf(
             those within the ranges.
         function_paths: Of an .osim, a file with a set of `FunctionBasedPath`, such as Moco's, in place of the
             paths of the muscles that it names.
+        contact: Who computes contact: "mujoco", or "opensim" with the contact forces of the .osim file, which
+            may be one that `myowarp convert` has converted.
         doc: One sentence: what the task asks for; "": what follows from the above.
         replace: Whether it may take the place of a task that is registered.
 
@@ -107,8 +112,9 @@ def from_mjcf(
     bounds = dict(targets) if isinstance(targets, Mapping) else dict.fromkeys(names)
     if not isinstance(stops, bool):
         raise ValueError(f"stops must be True or False, got {stops!r}")
+    check_choice("contact", contact, CONTACTS)
     lengths = None if function_paths is None else Path(function_paths)
-    body, model = register_body(path, tuple(bounds) if kind == "reach" else (), stops, lengths)
+    body, model = register_body(path, tuple(bounds) if kind == "reach" else (), stops, lengths, contact)
     name, version = split_key(key) if key is not None else (body if kind == "pose" else f"{body}_{kind}", 0)
     start = _start(model, path, keyframe)
     common: dict[str, Any] = {

@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 
 from myowarp.definitions.condition import resolve
-from myowarp.definitions.setup import Setup
+from myowarp.definitions.setup import CONTACTS, Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.sim.build import check_device_name, checked_horizon
 from myowarp.tasks.from_file import pose_task
@@ -22,9 +22,12 @@ def variant_of(setup: Setup) -> Variant:
     """
     task = setup.task
     if isinstance(task, Path):
-        return Variant(pose_task(task, setup.stops is not False).key)
-    if setup.stops is not None:
-        raise ValueError("stops are an option of a model's file; give it with --model FILE, or to from_osim")
+        return Variant(pose_task(task, setup.stops is not False, setup.contact or CONTACTS[0]).key)
+    for name, verb in (("stops", "are"), ("contact", "is")):
+        if getattr(setup, name) is not None:
+            raise ValueError(
+                f"{name} {verb} an option of a model's file; give it with --model FILE, or to from_osim"
+            )
     if isinstance(task, TaskSpec):
         return Variant(task.key)
     if task is None:
@@ -48,7 +51,7 @@ def complete(what: Setup | TaskSpec | str | Path) -> Setup:
     setup.check()
     check_device_name(setup.device)
     if not isinstance(setup.task, TaskSpec):
-        setup = dataclasses.replace(setup, task=variant.task, stops=None)
+        setup = dataclasses.replace(setup, task=variant.task, stops=None, contact=None)
     setup = setup.over(Setup(reset=variant.reset)).finished()
     if setup.horizon is not None:
         checked_horizon(setup.horizon)

@@ -170,11 +170,11 @@ def test_defaults_of_the_document(tmp_path):
 
 
 def test_what_is_left_out_is_noted(tmp_path):
-    extra = """<ForceSet><objects><HuntCrossleyForce name="floor"><HuntCrossleyForce::ContactParametersSet/>
-    </HuntCrossleyForce><BushingForce name="off"><appliesForce>false</appliesForce></BushingForce>"""
+    extra = """<ForceSet><objects><ElasticFoundationForce name="floor">
+    </ElasticFoundationForce><BushingForce name="off"><appliesForce>false</appliesForce></BushingForce>"""
     path = changed(tmp_path, OLD, "<ForceSet>\n      <objects>", extra)
     notes = {note.path: note.rule for note in read_model(path).notes}
-    assert notes["/forceset/floor"] == "HuntCrossleyForce has no counterpart; left out"
+    assert notes["/forceset/floor"] == "ElasticFoundationForce has no counterpart; left out"
     assert notes["/forceset/off"] == "switched off in the file; left out"
 
 

@@ -46,23 +46,35 @@ def read_body(path: Path, tips: tuple[str, ...] = (), stops: bool = True) -> str
 
 
 def register_body(
-    path: Path, tips: tuple[str, ...], stops: bool, function_paths: Path | None = None
+    path: Path,
+    tips: tuple[str, ...],
+    stops: bool,
+    function_paths: Path | None = None,
+    contact: str = "mujoco",
 ) -> tuple[str, mujoco.MjModel]:
-    """Return the name of a body, which is registered, and its model; see `read_body` and `load.load`."""
+    """Return the name of a body, which is registered, and its model; see `read_body` and `load.load`.
+
+    `contact` "opensim" has the model's contact forces of OpenSim act in place of MuJoCo's contact.
+
+    Raises:
+        ValueError: As `read_body`; or OpenSim's contact is asked for, and the model brings none.
+    """
     if function_paths is not None and path.suffix.lower() != OPENSIM:
         raise ValueError(f"function_paths are an option of an .osim file; {str(path)!r} is none")
     source = path
     if str(path) in BODIES and not path.exists():
         if not stops:
             raise ValueError(f"stops are an option of a model's file; {str(path)!r} is a body with its own")
+        if contact == "opensim":
+            raise ValueError(f"contact is an option of a model's file; {str(path)!r} is a body with its own")
         body = _with_tips(str(path), tips)
         return body, BODIES[body].build().compile()
     if path.suffix.lower() == OPENSIM:
         from myowarp.osim.convert.load import load  # reading .osim files is not needed at every start
 
-        path = load(path, function_paths)
+        path = load(path, function_paths, contact)
     try:
-        bundle = Bundle.load(path)
+        bundle = Bundle.load(path).touching(contact, source)
         spec = bundle.into(bundle.spec)
         # What the file says of it is for MuJoCo C; mujoco-warp has dense Jacobians of small models only.
         spec.option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
@@ -86,6 +98,8 @@ def register_body(
     _check(model, source)
     if source.suffix.lower() == OPENSIM:
         _say_stops(model, source, stops)
+    if contact == "opensim":
+        _say_contact(model, source)
     bundle.check(model, path)
     title = re.sub(r"[^A-Za-z0-9]+", "_", spec.modelname).strip("_")
     name = "_".join((title, model_digest(model)[:8], *tips))
@@ -112,6 +126,11 @@ def _say_stops(model: mujoco.MjModel, source: Path, stops: bool) -> None:
             f"{source.name}: ranges stop {count} clamped joints, which they do not in OpenSim's simulations; "
             "--no-stops, or stops=False, lets them go on"
         )
+
+
+def _say_contact(model: mujoco.MjModel, source: Path) -> None:
+    """Log that contact is OpenSim's."""
+    warn_once(f"{source.name}: contact is OpenSim's")
 
 
 def _facts(names: list[str]) -> dict[str, Any]:

@@ -237,8 +237,9 @@ def without(model: Model, names: Iterable[str]) -> tuple[Model, list[str]]:
         return note.path.rpartition("/")[2]
 
     kinds = (
-        "limit_forces", "coordinate_springs", "coordinate_formulas", "bushings", "prescribed_forces",
-    )  # fmt: skip
+        *("limit_forces", "coordinate_springs", "coordinate_formulas", "bushings", "prescribed_forces"),
+        "contact_forces",
+    )
     motors = ("coordinate_actuators", "path_actuators", "body_actuators")
     left: dict[str, Any] = {
         kind: tuple(one for one in getattr(model, kind) if stays(one.name)) for kind in kinds

@@ -26,6 +26,7 @@ import warp as wp
 
 from myowarp.laws.pieces import Pieces, PieceTables, evaluated, piece_tables
 from myowarp.osim.body.scale_document import read_with
+from myowarp.osim.document.contacts import resting
 from myowarp.osim.document.functions import Function, curves
 from myowarp.osim.document.kinematics import independent
 from myowarp.osim.document.model import GROUND, Model
@@ -179,6 +180,7 @@ class Bones:
         device: Any = "cpu",
         markers: Path | None = None,
         function_paths: Path | None = None,
+        contact: bool = False,
     ) -> Bones:
         """Return the bones of an OpenSim document.
 
@@ -187,12 +189,14 @@ class Bones:
             device: Where they are.
             markers: An OpenSim `MarkerSet`, in place of the model's markers of the same names.
             function_paths: A set of `FunctionBasedPath`, in place of the paths of the muscles that it names.
+            contact: Whether its contact forces act, beside loads from outside.
 
         Raises:
             ValueError: A file is not what it should be, or a marker is on no body.
             OSError: A file cannot be read.
         """
-        return cls(read_with(path, markers, function_paths), device)
+        model = read_with(path, markers, function_paths)
+        return cls(model if contact else resting(model), device)
 
     def __init__(self, model: Model, device: Any = "cpu") -> None:
         """Put a model on a device.

@@ -1,26 +1,28 @@
 """A model of OpenSim as a scene takes it: MJCF, and what stands beside it.
 
-In a folder these are `model.xml` with meshes, the JSON of `couplings`, `paths`, `forces` and `coordinates`,
-and `muscles.csv`. What is not there is None or empty: the model then has MuJoCo's equalities, tendons,
-springs and muscles.
+In a folder these are `model.xml` with meshes, the JSON of `couplings`, `paths`, `forces`, `contacts` and
+`coordinates`, and `muscles.csv`. What is not there is None or empty: the model then has MuJoCo's equalities,
+tendons, springs, contact and muscles.
 """
 
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import mujoco
 
 from myowarp.disk import in_place, make_folder
+from myowarp.osim.bundle.contacts import DocumentContacts
 from myowarp.osim.bundle.coordinate_map import CoordinateMap
 from myowarp.osim.bundle.couplings import Couplings
 from myowarp.osim.bundle.forces import PassiveForces
 from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.bundle.paths import DocumentPaths
 from myowarp.osim.bundle.text import Sidecar
+from myowarp.osim.document.contacts import TYPES
 from myowarp.osim.document.model import Note
 
 MODEL = "model.xml"
@@ -28,7 +30,7 @@ MUSCLES = "muscles.csv"
 OURS = b"name,class,"
 """First bytes of a `muscles.csv` of ours."""
 COORDINATES = "coordinates.json"
-PARTS: tuple[type[Sidecar], ...] = (Couplings, DocumentPaths, PassiveForces)
+PARTS: tuple[type[Sidecar], ...] = (Couplings, DocumentPaths, PassiveForces, DocumentContacts)
 SIDECARS = tuple(part.FILE for part in PARTS)
 """Files that not every model has, and that act where they lie beside one."""
 
@@ -42,6 +44,7 @@ class Bundle:
         couplings: How joints follow each other, and what bodies weigh; None: as the spec's equalities say.
         paths: Paths of tendons; None: as MuJoCo's.
         forces: Limits of coordinates and ligaments; None: as the spec's springs.
+        contacts: Contact as OpenSim computes it; None: as MuJoCo does.
         coordinates: How coordinates and joints belong together; None: it is not known.
         muscles: Hill parameters of muscles, as `muscles.csv` has them; "": there are none.
         meshes: Files that belong into the folder `meshes`.
@@ -52,6 +55,7 @@ class Bundle:
     couplings: Couplings | None = None
     paths: DocumentPaths | None = None
     forces: PassiveForces | None = None
+    contacts: DocumentContacts | None = None
     coordinates: CoordinateMap | None = None
     muscles: str = ""
     meshes: Mapping[str, bytes] = field(default_factory=dict)
@@ -80,7 +84,28 @@ class Bundle:
     @property
     def parts(self) -> list[Sidecar]:
         """The parts that it has."""
-        return [part for part in (self.couplings, self.paths, self.forces) if part is not None]
+        parts = self.couplings, self.paths, self.forces, self.contacts
+        return [part for part in parts if part is not None]
+
+    def touching(self, contact: str, path: Path) -> "Bundle":
+        """Return it with contact as MuJoCo computes it, or as OpenSim does.
+
+        Args:
+            contact: "mujoco" or "opensim".
+            path: Of the model, for the message.
+
+        Raises:
+            ForeignPartError: It is to be OpenSim's, and the model brings none.
+        """
+        if contact == "mujoco":
+            return replace(self, contacts=None)
+        if self.contacts is None:
+            raise ForeignPartError(
+                f"contact 'opensim' needs a {' or '.join(TYPES)} in the file; {str(path)!r} has none"
+            )
+        for geom in self.spec.geoms:
+            geom.contype = geom.conaffinity = 0
+        return self
 
     def into(self, spec: mujoco.MjSpec) -> mujoco.MjSpec:
         """Have the parts act in a spec, which is returned; those that it has already are replaced."""

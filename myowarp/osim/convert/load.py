@@ -18,18 +18,20 @@ SOURCES = ("osim/**/*.py", "laws/**/*.py", "disk.py")
 
 LEFT_OUT = "left_out.json"
 TOO_FAST = "accelerations.json"
-"""Beside the model: codes of what is left out, and sentences on what accelerates too fast."""
+"""Beside the model: codes of what is left out always and with MuJoCo's contact; sentences on what accelerates
+too fast."""
 
 MASSLESS = "massless"
 """Code of a model without masses, as in the report of a conversion."""
 
 
-def load(path: Path, function_paths: Path | None = None) -> Path:
+def load(path: Path, function_paths: Path | None = None, contact: str = "mujoco") -> Path:
     """Return model.xml of the bundle of an .osim file; a line is logged for what is left out.
 
     Args:
         path: The file.
         function_paths: A set of `FunctionBasedPath`, in place of the paths of the muscles that it names.
+        contact: "opensim" where its contact forces are to act, which are then not left out; else "mujoco".
 
     Raises:
         ValueError: The file is no usable model, or contains something that is not supported.
@@ -46,7 +48,8 @@ def load(path: Path, function_paths: Path | None = None) -> Path:
         _convert(path, function_paths, folder)
     for line in json.loads((folder / TOO_FAST).read_text()):
         warn_once(f"{path.name}: {line}")
-    codes = json.loads((folder / LEFT_OUT).read_text())
+    codes, resting = json.loads((folder / LEFT_OUT).read_text())
+    codes = sorted({*codes, *(resting if contact == "mujoco" else ())})
     if MASSLESS in codes:
         from myowarp.osim.convert.compose.geometry import MIN_MASS
 
@@ -74,9 +77,12 @@ def _convert(path: Path, function_paths: Path | None, folder: Path) -> None:
     except NotImplementedError as error:
         raise ValueError(str(error)) from error
     bundle = convert(model, Options(tendons=False))
-    left_out = {note.code for note in bundle.notes if isinstance(note, Loss)}
+    losses = [note for note in bundle.notes if isinstance(note, Loss)]
+    resting = {f"/forceset/{force.name}" for force in model.contact_forces}
+    rests = sorted({note.code for note in losses if note.path in resting})
+    left_out = {note.code for note in losses if note.path not in resting}
     if not any(body.mass for body in model.bodies.values()):
         left_out.add(MASSLESS)
-    said = {LEFT_OUT: sorted(left_out), TOO_FAST: too_fast(model)}
+    said = {LEFT_OUT: [sorted(left_out), rests], TOO_FAST: too_fast(model)}
     more = {name: json.dumps(lines).encode() for name, lines in said.items()}
     bundle.save(folder, f"{model.name}. {model.credits}", more)

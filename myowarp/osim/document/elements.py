@@ -273,6 +273,39 @@ class Ligament:
     """Tension [N] of length [m] and its speed [m/s], in place of all that, below the resting length, too."""
 
 
+@dataclass(frozen=True)
+class ContactParameters:
+    """Contact geometries of one material."""
+
+    geometries: tuple[str, ...]
+    """Names of shapes."""
+    stiffness: float
+    """Plane strain modulus [N/m^2]."""
+    dissipation: float
+    """[s/m]."""
+    static_friction: float
+    """[1]."""
+    dynamic_friction: float
+    """[1]."""
+    viscous_friction: float
+    """[s/m]."""
+
+
+@dataclass(frozen=True)
+class ContactForce:
+    """Pushes contact geometries apart that overlap."""
+
+    name: str
+    type: str
+    """OpenSim's class."""
+    parameters: tuple[ContactParameters, ...]
+    transition_velocity: float
+    """Slip from which dynamic friction acts [m/s]."""
+    smoothing: tuple[float, ...] = ()
+    """Of a SmoothSphereHalfSpaceForce: constant contact force [m^2] and smoothing of Hertz's force [1/m] and
+    of Hunt and Crossley's [s/m]; of others nothing."""
+
+
 @dataclass(frozen=True, eq=False)
 class Shape:
     """Something to look at, or (`contact`) to collide with."""

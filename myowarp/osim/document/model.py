@@ -17,6 +17,7 @@ import numpy as np
 from myowarp.osim.document.elements import (
     BodyActuator,
     Bushing,
+    ContactForce,
     CoordinateActuator,
     CoordinateFormula,
     CoordinateLimitForce,
@@ -242,6 +243,8 @@ class Model:
     limit_forces: tuple[CoordinateLimitForce, ...]
     coordinate_springs: tuple[CoordinateSpring, ...]
     bushings: tuple[Bushing, ...]
+    contact_forces: tuple[ContactForce, ...]
+    """Those that act; see `contacts.resting`."""
     shapes: tuple[Shape, ...]
     coordinate_formulas: tuple[CoordinateFormula, ...] = ()
     prescribed_forces: tuple[PrescribedForce, ...] = ()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from myowarp.apps.cli.motion.steps import (
     OUT,
+    Contact,
     Filter,
     FunctionPaths,
     Model,
@@ -25,7 +26,7 @@ from myowarp.apps.cli.options import Overwrite
 
 FILES = (
     *("lengths.sto", "velocities.sto", "moment_arms.sto", "active_forces.sto", "passive_forces.sto"),
-    *("full_powers.sto", "passive_moments.sto", "report.html"),
+    *("full_powers.sto", "passive_moments.sto", "contact_forces.sto", "report.html"),
 )
 
 
@@ -40,6 +41,7 @@ class Analyze:
     motion: Recorded = None
     setup: ToolFile = None
     function_paths: FunctionPaths = None
+    contact: Contact = None
     filter: Filter = None
     span: Span = None
     output: Output = OUT
@@ -50,7 +52,9 @@ class Analyze:
         from myowarp.motion import trial
         from myowarp.motion.streams import is_long
 
-        setup = setup_of(self.setup, motion=self.motion, cutoff=self.filter, span=self.span)
+        setup = setup_of(
+            self.setup, motion=self.motion, contact=self.contact, cutoff=self.filter, span=self.span
+        )
         motion = needed(setup.motion, "analyze", "motion")
         check_results(self.output, FILES, self.overwrite, ("passive_moments.sto", "report.html"))
         bones = bones_of(self.model, setup, self.function_paths)

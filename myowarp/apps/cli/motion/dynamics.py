@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from myowarp.apps.cli.motion.steps import (
     OUT,
+    Contact,
     Filter,
     FunctionPaths,
     Loading,
@@ -23,7 +24,7 @@ from myowarp.apps.cli.motion.steps import (
 )
 from myowarp.apps.cli.options import Overwrite
 
-FILES = "moments.sto", "passive_moments.sto"
+FILES = "moments.sto", "passive_moments.sto", "contact_forces.sto"
 
 
 @dataclass
@@ -38,6 +39,7 @@ class Dynamics:
     setup: ToolFile = None
     function_paths: FunctionPaths = None
     loads: Loading = None
+    contact: Contact = None
     filter: Filter = None
     span: Span = None
     output: Output = OUT
@@ -47,7 +49,14 @@ class Dynamics:
         """Check, solve, write."""
         from myowarp.motion import trial
 
-        setup = setup_of(self.setup, motion=self.motion, loads=self.loads, cutoff=self.filter, span=self.span)
+        setup = setup_of(
+            self.setup,
+            motion=self.motion,
+            contact=self.contact,
+            loads=self.loads,
+            cutoff=self.filter,
+            span=self.span,
+        )
         motion = needed(setup.motion, "dynamics", "motion")
         check_results(self.output, FILES, self.overwrite, ("passive_moments.sto",))
         bones = bones_of(self.model, setup, self.function_paths)

@@ -11,6 +11,7 @@ import numpy as np
 from myowarp.apps.cli.motion.steps import (
     OUT,
     SHOWN,
+    Contact,
     Exponent,
     Filter,
     FunctionPaths,
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from myowarp.motion.trial import Movement
     from myowarp.osim.body.skeleton import Bones
 
-RENEWS = "moments.sto", "passive_moments.sto"
+RENEWS = "moments.sto", "passive_moments.sto", "contact_forces.sto"
 FILES = (
     *RENEWS,
     *("actuators.sto", "activations.sto", "forces.sto", "powers.sto", "metabolic_powers.sto"),
@@ -62,6 +63,7 @@ class Forces:
     setup: ToolFile = None
     function_paths: FunctionPaths = None
     loads: Loading = None
+    contact: Contact = None
     filter: Filter = None
     mode: Mode = "equilibrium"
     exponent: Exponent = None
@@ -77,7 +79,8 @@ class Forces:
         from myowarp.motion.setup import EXPONENT
 
         setup = setup_of(
-            self.setup, motion=self.motion, loads=self.loads, cutoff=self.filter, span=self.span,
+            self.setup, motion=self.motion, contact=self.contact, loads=self.loads, cutoff=self.filter,
+            span=self.span,
             exponent=self.exponent, reserve=self.reserve, residual=self.residual,
         )  # fmt: skip
         motion = needed(setup.motion, "forces", "motion")

@@ -43,6 +43,12 @@ FunctionPaths = Annotated[
         UNSET,
     ),
 ]
+Contact = Annotated[
+    Literal["opensim"] | None,
+    described(
+        "opensim", "Contact forces of the model act, as OpenSim computes them; by default they rest.", UNSET
+    ),
+]
 Filter = Annotated[
     float | None, described("HZ", "Frequency below which the motion is kept; by default all is.", UNSET)
 ]
@@ -78,6 +84,7 @@ Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder for the resu
 OUT = Path("out/motion")
 
 RENEWED = {
+    "contact_forces.sto": "contact forces on ",
     "moments.sto": "joint moments, ",
     "passive_moments.sto": "what springs, ",
     "report.html": '<!doctype html><html lang="en"><meta charset="utf-8"><title>A motion of ',
@@ -164,7 +171,9 @@ def bones_of(model: Path, setup: TrialSetup, function_paths: Path | None = None)
     """
     from myowarp.osim.body.skeleton import Bones
 
-    bones, lines = setup.model_of(Bones.read(model, function_paths=function_paths))
+    bones, lines = setup.model_of(
+        Bones.read(model, function_paths=function_paths, contact=setup.contact is not None)
+    )
     say(lines)
     return bones
 

@@ -11,6 +11,7 @@ from rich.console import Console
 from myowarp.apps.cli.motion.steps import (
     OUT,
     SHOWN,
+    Contact,
     Filter,
     FunctionPaths,
     Loading,
@@ -57,6 +58,7 @@ class Track:
     setup: ToolFile = None
     function_paths: FunctionPaths = None
     loads: Loading = None
+    contact: Contact = None
     filter: Filter = None
     reserve: Reserve = None
     residual: Residual = None
@@ -77,7 +79,8 @@ class Track:
         factors = numbers_of("strength", self.strength, "soleus_r=0.9")
         gains = numbers_of("gain", self.gain, "mtp_angle_r=1600")
         setup = setup_of(
-            self.setup, motion=self.motion, loads=self.loads, cutoff=self.filter, span=self.span,
+            self.setup, motion=self.motion, contact=self.contact, loads=self.loads, cutoff=self.filter,
+            span=self.span,
             reserve=self.reserve, residual=self.residual,
         )  # fmt: skip
         recorded = needed(setup.motion, "track", "motion")

@@ -20,6 +20,7 @@ from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.bundle.bundle import Bundle
 from myowarp.osim.bundle.coordinate_map import CoordinateMap
 from myowarp.osim.bundle.couplings import Couplings
+from myowarp.osim.convert.compose.contacts import document_contacts
 from myowarp.osim.convert.compose.forces import passive_forces
 from myowarp.osim.convert.compose.geometry import Build, begin, exact_couplings, starts_of, tie
 from myowarp.osim.convert.compose.meshes import add_shapes
@@ -29,6 +30,7 @@ from myowarp.osim.convert.compose.points import add_markers, add_moving_points, 
 from myowarp.osim.convert.compose.visible_body import add_visible_body
 from myowarp.osim.convert.muscle_table import muscle_table
 from myowarp.osim.convert.tendon.path import TendonPath
+from myowarp.osim.document.contacts import resting
 from myowarp.osim.document.model import Model, Muscle, Note, pulling
 
 if TYPE_CHECKING:
@@ -100,7 +102,7 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     add_markers(build)
     for muscle in model.muscles.values():
         _add_muscle(build, muscle, moving[muscle.name], stages)
-    paths = document_paths(build, source)
+    paths, contacts = document_paths(build, source), document_contacts(build, source)
     forces = passive_forces(build, has_paths=paths is not None)
     add_forces(build, moving, stages.tendons, forces, instead=options.tendons)
     if forces is not None:
@@ -124,10 +126,14 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
         couplings=exact_couplings(build, coordinates),
         paths=paths,
         forces=forces,
+        contacts=contacts,
         coordinates=coordinates,
         muscles=muscle_table(map(HillMuscle.of, source.muscles.values())),
         meshes=meshes,
-        notes=(*model.notes, *(note for note in build.notes if options.tendons or note.path not in tangents)),
+        notes=(
+            *resting(model).notes,
+            *(note for note in build.notes if options.tendons or note.path not in tangents),
+        ),
         model=model,
         bodies={name: body.name for name, body in build.bodies.items()},
         moving=moving,

@@ -48,6 +48,9 @@ def add_shapes(build: Build, folders: Sequence[Path]) -> dict[str, bytes]:
                 meshes[key] = _add_mesh(build, shape, places, files, missing)
             if meshes[key] is not None:
                 _add_geom(build, shape, meshes[key])
+        elif shape.kind == "plane" and _moves(build.bodies[shape.body]):
+            rule = "a half space on a body that moves, which MuJoCo's contact has not; left out there"
+            build.notes.append(Note(f"/contactgeometryset/{shape.name}", rule))
         else:
             _add_geom(build, shape, None)
     if missing:
@@ -55,6 +58,15 @@ def add_shapes(build: Build, folders: Sequence[Path]) -> dict[str, bytes]:
         rule = f"{len(missing)} mesh files are not found; --meshes names their folder: {named}"
         build.notes.append(Note("/meshes", rule, "0: for looking at only"))
     return files
+
+
+def _moves(body: mujoco.MjsBody | None) -> bool:
+    """Whether a body, or one that carries it, has joints."""
+    while body is not None:
+        if body.joints:
+            return True
+        body = body.parent
+    return False
 
 
 def _add_geom(build: Build, shape: Shape, mesh: str | None) -> None:

@@ -1,0 +1,221 @@
+"""Contact as OpenSim computes it, of a model that brings it along: forces between surfaces that overlap.
+
+What a model's text says (`osim.bundle.contacts`) is evaluated in float64 from the engine's poses and acts as
+passive forces,
+
+    qfrc_j += d_j . (location x f - com x f, f) of both bodies, d_j the motion of dof j about com.
+
+Friction below the transition velocity is a damper of 1e3 to 1e5 N s/m, which explicit steps of a
+millisecond would throw back and forth. Its slope goes into the step: M + h sum of J' D J in place of M, where
+J moves the point of contact, and D is the drag across the normal and the damping along it. Between two
+bodies of different branches of the tree the rows of M have no place for what couples them; there each damps
+itself (as `engine.stages.integrate` has it with actuators).
+"""
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+from myowarp.coordinates.own_forces import forces_of
+from myowarp.definitions.forces import Forces
+from myowarp.engine.stages.arrays import InertiaRows, filled
+from myowarp.kernels.batching import batched
+from myowarp.kernels.launch import launch
+from myowarp.laws.forces.contact import Contact, contact_wrench, overlap_of
+from myowarp.osim.bundle.contacts import DocumentContacts, contact_table
+
+
+@wp.struct
+class Pushes:
+    """What contacts do in all worlds, (num_worlds, num_contacts).
+
+    Attributes:
+        force: On the second body [N]; 0 where the surfaces are apart.
+        location: Where it acts [m].
+        normal: Out of the first body.
+        damping: Along the normal [N s/m].
+        drag: Across it [N s/m].
+    """
+
+    force: wp.array2d[wp.vec3]
+    location: wp.array2d[wp.vec3]
+    normal: wp.array2d[wp.vec3]
+    damping: wp.array2d[float]
+    drag: wp.array2d[float]
+
+
+@wp.struct
+class Chains:
+    """Which dofs move the bodies of contacts.
+
+    Attributes:
+        last: Last dof that moves the first and the second body of each, -1 for none, (num_contacts, 2).
+        root: Body whose `subtree_com` their velocities refer to, (num_contacts, 2).
+        parent: Dof above each dof, -1 for none.
+    """
+
+    last: wp.array2d[int]
+    root: wp.array2d[int]
+    parent: wp.array[int]
+
+
+@wp.kernel(enable_backward=False)
+def touch_surfaces(
+    # Params:
+    contacts: wp.array[Contact],
+    chains: Chains,
+    # Data in:
+    xpos_in: wp.array2d[wp.vec3],
+    xmat_in: wp.array2d[wp.mat33],
+    subtree_com_in: wp.array2d[wp.vec3],
+    cvel_in: wp.array2d[wp.spatial_vector],
+    # Out:
+    pushes: Pushes,
+):
+    """Force, location and slopes of a contact."""
+    worldid, number = wp.tid()
+    contact = contacts[number]
+    one, two = contact.first, contact.second
+    first, second = wp.mat33d(xmat_in[worldid, one.body]), wp.mat33d(xmat_in[worldid, two.body])
+    overlap = overlap_of(
+        contact,
+        first * one.rotation,
+        wp.vec3d(xpos_in[worldid, one.body]) + first * one.origin,
+        second * two.rotation,
+        wp.vec3d(xpos_in[worldid, two.body]) + second * two.origin,
+    )
+    turn, shift = wp.vec3d(), wp.vec3d()
+    for side in range(2):
+        body, sign = wp.where(side == 0, one.body, two.body), wp.float64(1 - 2 * side)
+        spin = wp.vec3d(wp.spatial_top(cvel_in[worldid, body]))
+        com = wp.vec3d(subtree_com_in[worldid, chains.root[number, side]])
+        turn += sign * spin
+        shift += sign * (wp.vec3d(wp.spatial_bottom(cvel_in[worldid, body])) - wp.cross(spin, com))
+    found = contact_wrench(contact, overlap, turn, shift)
+    pushes.force[worldid, number] = wp.vec3(found.touch.force)
+    pushes.location[worldid, number] = wp.vec3(found.location)
+    pushes.normal[worldid, number] = wp.vec3(found.normal)
+    pushes.damping[worldid, number] = float(found.touch.damping)
+    pushes.drag[worldid, number] = float(found.touch.drag)
+
+
+@wp.kernel(enable_backward=False)
+def push_bodies(
+    # Params:
+    chains: Chains,
+    # Data in:
+    subtree_com_in: wp.array2d[wp.vec3],
+    cdof_in: wp.array2d[wp.spatial_vector],
+    # In:
+    pushes: Pushes,
+    # Data out:
+    qfrc_passive_out: wp.array2d[float],
+):
+    """qfrc_passive += d . ((location - com) x f, f) on the second body, - the same on the first."""
+    worldid = wp.tid()
+    for number in range(pushes.force.shape[1]):
+        force = pushes.force[worldid, number]
+        if wp.length_sq(force) > 0.0:
+            for side in range(2):
+                dof = int(chains.last[number, side])
+                pushed = wp.where(side == 0, -force, force)
+                arm = pushes.location[worldid, number] - subtree_com_in[worldid, chains.root[number, side]]
+                wrench = wp.spatial_vector(wp.cross(arm, pushed), pushed)
+                while dof >= 0:
+                    more = wp.dot(cdof_in[worldid, dof], wrench)
+                    qfrc_passive_out[worldid, dof] = qfrc_passive_out[worldid, dof] + more
+                    dof = chains.parent[dof]
+
+
+@wp.func
+def moved(direction: wp.spatial_vector, arm: wp.vec3) -> wp.vec3:
+    """Return how a motion about a point moves another one, `arm` from it."""
+    return wp.spatial_bottom(direction) + wp.cross(wp.spatial_top(direction), arm)
+
+
+@wp.kernel(enable_backward=False)
+def damp_bodies(
+    # Params:
+    chains: Chains,
+    inertia: InertiaRows,
+    timestep: wp.array[float],
+    # Data in:
+    subtree_com_in: wp.array2d[wp.vec3],
+    # In:
+    directions: wp.array2d[wp.spatial_vector],
+    pushes: Pushes,
+    # Data out:
+    M_out: wp.array2d[float],
+):
+    """M += h J' (drag (1 - n n') + damping n n') J of both bodies of each contact."""
+    worldid = wp.tid()
+    h = timestep[batched(worldid, timestep.shape[0])]
+    for number in range(pushes.force.shape[1]):
+        if wp.length_sq(pushes.force[worldid, number]) > 0.0:
+            normal, drag = pushes.normal[worldid, number], pushes.drag[worldid, number]
+            stiffer = pushes.damping[worldid, number] - drag
+            for side in range(2):
+                dof = int(chains.last[number, side])
+                arm = pushes.location[worldid, number] - subtree_com_in[worldid, chains.root[number, side]]
+                while dof >= 0:
+                    own = moved(directions[worldid, dof], arm)
+                    slowed = h * (drag * own + stiffer * wp.dot(normal, own) * normal)
+                    first = inertia.M_rowadr[dof]
+                    for k in range(first, first + inertia.M_rownnz[dof]):
+                        other = moved(directions[worldid, inertia.M_colind[k]], arm)
+                        M_out[worldid, k] = M_out[worldid, k] + wp.dot(slowed, other)
+                    dof = chains.parent[dof]
+
+
+class OwnContacts:
+    """Contact of a model, in all worlds, and its springs and dampers.
+
+    Attributes:
+        said: What the model's text says.
+        pushes: What contacts did in the last step.
+    """
+
+    def __init__(self, said: DocumentContacts, host: mujoco.MjModel, data: mjw.Data, forces: Forces | None):
+        """Write tables on the current Warp device."""
+        self.said, self.forces = said, forces
+        self.contacts = contact_table(said.pairs, lambda name: int(host.body(name).id))
+        bodies = [[host.body(s.body).id for s in (pair.first, pair.second)] for pair in said.pairs]
+        chains = self.chains = Chains()
+        chains.last = wp.array([[_last_dof(host, body) for body in two] for two in bodies], dtype=int)
+        chains.root = wp.array(host.body_rootid[np.array(bodies)], dtype=int)
+        chains.parent = wp.array(host.dof_parentid, dtype=int)
+        shape, self.pushes = (data.nworld, len(bodies)), Pushes()
+        for name, kind in (("force", wp.vec3), ("location", wp.vec3), ("normal", wp.vec3),
+                           ("damping", float), ("drag", float)):  # fmt: skip
+            setattr(self.pushes, name, wp.zeros(shape, dtype=kind))
+
+    def launch_damping(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Write the damping of limits of coordinates."""
+        if self.forces is not None:
+            self.forces.launch_damping(model, data)
+
+    def launch(self, model: mjw.Model, data: mjw.Data) -> None:
+        """Add what springs, dampers and contacts do to `qfrc_passive`."""
+        if self.forces is not None:
+            self.forces.launch(model, data)
+        launch(touch_surfaces, self.pushes.force.shape, self, data)
+        launch(push_bodies, data.nworld, self, data)
+
+    def launch_implicit(self, model: mjw.Model, data: mjw.Data, directions: wp.array) -> None:
+        """Add h J' D J to `M`; see `Forces`."""
+        inertia = filled(InertiaRows, model)
+        launch(damp_bodies, data.nworld, self, model.opt, data, inertia=inertia, directions=directions)
+
+
+def _last_dof(host: mujoco.MjModel, body: int) -> int:
+    """Return the last dof that moves a body, -1 for none."""
+    while body and not host.body_dofnum[body]:
+        body = host.body_parentid[body]
+    return int(host.body_dofadr[body] + host.body_dofnum[body] - 1) if body else -1
+
+
+def acting_on(host: mujoco.MjModel, model: mjw.Model, data: mjw.Data) -> Forces | None:
+    """Return the forces and contacts that a model brings along, on the current Warp device; None: none."""
+    forces, said = forces_of(host, model, data), DocumentContacts.of(host)
+    return forces if said is None or not said.pairs else OwnContacts(said, host, data, forces)

@@ -1,0 +1,105 @@
+"""Contact forces of a model along a motion, in float64, by the laws of the simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from myowarp.kernels.launch import launch
+from myowarp.laws.forces.contact import Contact, Wrench, contact_wrench, overlap_of
+from myowarp.osim.body.model_forces import axes_of, motion_of
+from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, place, station
+from myowarp.osim.bundle.contacts import SurfacePair, contact_table
+from myowarp.osim.document.contacts import contact_pairs
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def contact_between(
+    worldid: int,
+    contact: Contact,
+    skeleton: Skeleton,
+    speeds: wp.array2d[wp.float64],
+    placement: Placement,
+) -> Wrench:
+    """Return what a contact does to its second body."""
+    one, two = contact.first, contact.second
+    first_turn, first_shift = motion_of(worldid, one.body, skeleton, speeds, placement)
+    second_turn, second_shift = motion_of(worldid, two.body, skeleton, speeds, placement)
+    overlap = overlap_of(
+        contact,
+        axes_of(worldid, one.body, one.rotation, placement),
+        station(worldid, one.body, one.origin, placement),
+        axes_of(worldid, two.body, two.rotation, placement),
+        station(worldid, two.body, two.origin, placement),
+    )
+    return contact_wrench(contact, overlap, first_turn - second_turn, first_shift - second_shift)
+
+
+@wp.kernel(enable_backward=False)
+def push_contacts(
+    # Model:
+    skeleton: Skeleton,
+    contacts: wp.array[Contact],
+    # In:
+    values: wp.array2d[wp.float64],
+    speeds: wp.array2d[wp.float64],
+    # Out:
+    placement: Placement,
+    force: wp.array2d[wp.vec3d],
+    location: wp.array2d[wp.vec3d],
+):
+    """Force on the second body of each contact [N], and where it acts [m]."""
+    worldid = wp.tid()
+    place(worldid, skeleton, values, worldid, placement)
+    for number in range(contacts.shape[0]):
+        found = contact_between(worldid, contacts[number], skeleton, speeds, placement)
+        force[worldid, number] = found.touch.force
+        location[worldid, number] = found.location
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """What contacts do in a motion.
+
+    Attributes:
+        pairs: Who touches whom.
+        force: On the second body of each [N], in ground, shape (frames, pairs, 3).
+        location: Where it acts [m], in ground, likewise.
+    """
+
+    pairs: tuple[SurfacePair, ...]
+    force: np.ndarray
+    location: np.ndarray
+
+
+def contacts_along(bones: Bones, values: np.ndarray, speeds: np.ndarray) -> Contacts:
+    """Return what the contacts of a model do.
+
+    Args:
+        bones: The model.
+        values: Of the independent coordinates [rad] or [m], shape (frames, coordinates).
+        speeds: Their derivatives by time.
+
+    Raises:
+        ValueError: A contact force names a contact geometry that the model has not.
+    """
+    pairs = tuple(map(SurfacePair.of, contact_pairs(bones.model)))
+    shape = len(values), len(pairs)
+    with wp.ScopedDevice(bones.device):
+        force, location = wp.zeros(shape, dtype=wp.vec3d), wp.zeros(shape, dtype=wp.vec3d)
+        launch(
+            push_contacts,
+            len(values),
+            skeleton=bones.skeleton,
+            contacts=contact_table(pairs, bones.number),
+            values=wp.array(values, dtype=wp.float64),
+            speeds=wp.array(speeds, dtype=wp.float64),
+            placement=bones.placement(len(values)),
+            force=force,
+            location=location,
+        )
+    return Contacts(pairs, force.numpy(), location.numpy())
