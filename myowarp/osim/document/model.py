@@ -215,7 +215,7 @@ class Model:
     name: str
     source: FilePath
     version: int
-    """Of the document: 20101 to 40600."""
+    """Of the document: 10901 to 40600."""
     credits: str
     publications: str
     length_units: str
@@ -243,6 +243,8 @@ class Model:
     shapes: tuple[Shape, ...]
     notes: tuple[Note, ...] = field(default=())
     """What was skipped or approximated while reading."""
+    frames: Mapping[str, tuple[str, Pose]] = field(default_factory=dict)
+    """Body of each frame whose name no other has, bodies and ground included, and the frame in it."""
 
 
 def pulling(model: Model) -> dict[str, Path]:
