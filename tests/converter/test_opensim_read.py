@@ -214,12 +214,12 @@ BAD = {
     "duplicate": (
         '<Body name="lower">',
         '<Body name="upper">',
-        r"has the name of another component, in line \d+",
+        r"has the name of another body, in line \d+",
     ),
     "duplicate coordinate": (
-        '"elbow_flexion"',
-        '"shoulder_flexion"',
-        r"has the coordinate 'shoulder_flexion' of",
+        '<Coordinate name="shoulder_flexion">',
+        '<Coordinate name="shoulder_flexion"/><Coordinate name="shoulder_flexion">',
+        r"<Coordinate name='shoulder_flexion'> has the coordinate 'shoulder_flexion' twice",
     ),
     "unsupported joint": (
         "PinJoint",
@@ -234,7 +234,7 @@ BAD = {
     "unsupported point": ("ConditionalPathPoint", "Orbit", r"<Orbit name='t-P2'> is no supported path point"),
     "falling knots": ("-1 0 1 2", "-1 0 -0.1 2", r"must have knots with ascending x"),
     "uneven knots": ("-1 0 1 2", "-1 0 1", r"must have at least 2 knots, as many x as y, got 3 and 4"),
-    "old version": ('"30000"', '"10905"', r"has version '10905'; documents 20101 to 40699 are read"),
+    "old version": ('"30000"', '"10900"', r"has version '10900'; documents 10901 to 40699 are read"),
     "other root": ("OpenSimDocument", "Sdf", r"is no OpenSim model; its root must be <OpenSimDocument>"),
     "zero fiber": (">0.12<", ">0<", r"must have optimal_fiber_length from 1e-06 to inf, got 0"),
     "falling range": (

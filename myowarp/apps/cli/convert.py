@@ -26,7 +26,7 @@ class Convert:
     """
 
     model: Annotated[Path, tyro.conf.Positional]
-    """The model, .osim of OpenSim 2.1 to 4.6 (document versions 20101 to 40600)."""
+    """The model, .osim of OpenSim 1.9 to 4.6 (document versions 10901 to 40600)."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/model")
     """Folder for the result."""
     meshes: tuple[Path, ...] = ()

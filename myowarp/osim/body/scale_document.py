@@ -103,6 +103,7 @@ def _point(own: Element, element: Element, scaling: Scaling) -> None:
 def _moving_point(own: Element, element: Element, scaling: Scaling) -> None:
     for axis, factor in zip("xyz", scaling.at(element, "parent_frame", "body"), strict=True):
         _multiply_function(own, f"{axis}_location", float(factor))
+        _multiply_function(own, f"{axis.upper()}Attachment", float(factor))  # the same, before 30000
 
 
 def _multiply_function(own: Element, tag: str, factor: float) -> None:
@@ -130,10 +131,10 @@ def _joint(own: Element, element: Element, scaling: Scaling) -> None:
     holder = element.parent
     if holder is not None and holder.tag == "Joint" and holder.parent is not None:  # before 4.0
         child = scaling.of(holder.parent.name)
-        _multiply(own, element, "location_in_parent", base, (0.0, 0.0, 0.0))
-        _multiply(own, element, "location", child, (0.0, 0.0, 0.0))
     else:
-        child = scaling.at(element, "child_frame")
+        child = scaling.at(element, "child_frame", "child_body")
+    for tag, factors in (("location_in_parent", base), ("location", child), ("location_in_child", child)):
+        _multiply(own, element, tag, factors, (0.0, 0.0, 0.0))
     if element.tag == "ScapulothoracicJoint":
         _multiply(own, element, "thoracic_ellipsoid_radii_x_y_z", base, ONE)
         _multiply(own, element, "scapula_winging_axis_origin", child[:2], (0.0, 0.0))

@@ -218,7 +218,7 @@ class Model:
     name: str
     source: FilePath
     version: int
-    """Of the document: 20101 to 40600."""
+    """Of the document: 10901 to 40600."""
     credits: str
     publications: str
     length_units: str
@@ -250,6 +250,8 @@ class Model:
     prescribed_forces: tuple[PrescribedForce, ...] = ()
     notes: tuple[Note, ...] = field(default=())
     """Skipped and approximated elements of the file."""
+    frames: Mapping[str, tuple[str, Pose]] = field(default_factory=dict)
+    """Body of each frame whose name no other has, bodies and ground included, and the frame in it."""
 
 
 def pulling(model: Model) -> dict[str, Path]:

@@ -247,6 +247,16 @@ SHAPES: dict[str, Any] = {
 """OpenSim's class: kind, the properties that are its size, and how many numbers these have."""
 
 
+def _scale_around(element: Element) -> np.ndarray:
+    """Return the factors that a `VisibleObject`, before 4.0, has on all in it, shape (3,)."""
+    around: Element | None = element
+    while around is not None and around.tag not in ("VisibleObject", "Body", "Ground"):
+        around = around.parent
+    if around is None or around.tag != "VisibleObject":
+        return np.ones(3)
+    return around.numbers("scale_factors", default=(1.0,) * 3, count=3)
+
+
 def read_shape(element: Element, frames: Frames) -> Shape:
     """Return something to look at or to collide with.
 
@@ -267,6 +277,8 @@ def read_shape(element: Element, frames: Frames) -> Shape:
     )
     size = size[:count] if count else np.ones(3)
     scale = element.numbers("scale_factors", default=(1.0,) * 3, count=3)
+    if kind == "mesh":
+        size = size * _scale_around(element)
     if kind != "mesh" and count:
         size = size * (scale if count == 3 else scale[0])
     if len(size) < count or (kind != "mesh" and (size <= 0).any()):

@@ -9,6 +9,7 @@ from myowarp.osim.document.elements import Pose
 from myowarp.osim.document.functions import IDENTITY, Constant, Multiplier, affine
 from myowarp.osim.document.model import GROUND, Coordinate, Joint, Move, Note
 from myowarp.osim.document.read.element import Element
+from myowarp.osim.document.read.frames import IDENTITY as IDENTITY_POSE
 from myowarp.osim.document.read.frames import Frames, pose_of
 from myowarp.osim.document.read.functions import function_in
 
@@ -82,13 +83,17 @@ def read_joint(
         ValueError: Frames or axes missing or wrong.
         NotImplementedError: A joint class or function that is not supported.
     """
-    if child_body is None:
-        parent, parent_frame = frames.attached(element, "parent_frame", "parent_body")
-        child, child_frame = frames.attached(element, "child_frame")
-    else:
-        parent, base = frames.attached(element, "parent_frame", "parent_body")
-        parent_frame = base @ pose_of(element, ("location_in_parent",), ("orientation_in_parent",))
-        child, child_frame = child_body, pose_of(element, ("location",), ("orientation",))
+    parent, parent_frame = frames.attached(element, "parent_frame", "parent_body")
+    child, child_frame = (
+        (child_body, IDENTITY_POSE)
+        if child_body is not None
+        else frames.attached(element, "child_frame", "child_body")
+    )
+    # Places in the bodies themselves, before 30505.
+    parent_frame = parent_frame @ pose_of(element, ("location_in_parent",), ("orientation_in_parent",))
+    child_frame = child_frame @ pose_of(
+        element, ("location_in_child", "location"), ("orientation_in_child", "orientation")
+    )
     coordinates = element.objects("coordinates", "CoordinateSet")
     names = [item.name or f"{element.name}_coord_{index}" for index, item in enumerate(coordinates)]
     if element.tag in (*SIMPLE, *ELLIPSOIDS):

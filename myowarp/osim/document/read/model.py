@@ -1,11 +1,11 @@
-"""Read an .osim file, documents 20101 to 40600, without OpenSim.
+"""Read an .osim file, documents 10901 to 40600, without OpenSim.
 
 What the file cannot say legally is an error that names file, line and element; what is legal but has no
 counterpart here is skipped with a `Note`. Documents before 4.0 keep joints inside their child bodies
 and know no offset frames; both forms end in the same `Model`.
 """
 
-from collections import Counter
+from collections.abc import Container
 from pathlib import Path
 from types import MappingProxyType
 
@@ -20,8 +20,9 @@ from myowarp.osim.document.read.joints import JOINTS, in_order, read_coordinate,
 from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 from myowarp.osim.document.read.paths import Scope, read_wraps
 
-VERSIONS = (20101, 40699)
-"""First and last version of a document that is read; the later ones of 4.6 add nothing."""
+VERSIONS = (10901, 40699)
+"""First and last version of a document that is read: the first that OpenSim 4.6 reads; later ones of 4.6 add
+nothing."""
 
 RENAMED = {
     "ActuatorSet": "ForceSet",
@@ -38,6 +39,20 @@ RENAMED = {
     "Delp1990Muscle": "Delp1990Muscle_Deprecated",
 }
 """Classes and sets of documents before 30000, and what OpenSim 4.6 reads them as."""
+
+PROPERTIES = (
+    (30000, "MovingPathPoint", {f"{axis.upper()}Attachment": f"{axis}_location" for axis in "xyz"}),
+    (20002, "ConditionalPathPoint", {"coordinates": "coordinate"}),
+    (10905, "TorqueActuator", {"body_A": "bodyB", "body_B": "bodyA", "direction_A": "axis"}),
+    (10905, "PointActuator", {"body_B": "body", "point_B": "point", "direction_A": "direction"}),
+)
+"""First version without, class, and what OpenSim 4.6 reads its properties as."""
+
+REVERSED = 10905
+"""First version in which an actuator pushes along its direction, not against it."""
+
+ONE_LIST = 20101
+"""First version in which each mesh of a body is an element."""
 
 STATED = 30513
 """First version in which a muscle's `min_control` of 0 counts; OpenSim 4.6 drops that of earlier ones."""
@@ -127,6 +142,7 @@ def model_of(path: Path, version: int, root: Element, notes: list[Note]) -> Mode
         shapes=shapes,
         **found,
         notes=tuple(notes),
+        frames=MappingProxyType(frames.named()),
     )
 
 
@@ -142,11 +158,12 @@ def checked(root: Element) -> int:
     if not (version.isascii() and version.isdigit() and VERSIONS[0] <= int(version[:9]) <= VERSIONS[1]):
         raise root.error(
             f"has version {version[:60]!r}; documents {VERSIONS[0]} to {VERSIONS[1]} are read, "
-            "older ones after saving them with OpenSim"
+            "older ones after saving them with OpenSim 3.3"
         )
-    for element in root.walk():
+    for element in list(root.walk()):
         if int(version) < 30000:
             element.tag = RENAMED.get(element.tag, element.tag)
+            _renew(element, int(version))
         if int(version) < STATED and element.tag in DEFAULTS and (control := element.own("min_control")):
             if not control.parsed(finite=False).any():
                 element.children.remove(control)
@@ -161,6 +178,37 @@ def checked(root: Element) -> int:
     return int(version)
 
 
+def _renew(element: Element, version: int) -> None:
+    """Give an element of a document before 30000 the properties of today."""
+    for before, tag, names in PROPERTIES:
+        if version < before and element.tag == tag:
+            for child in element.children:
+                child.tag = names.get(child.tag, child.tag)
+    if version < REVERSED and element.tag in ("TorqueActuator", "PointActuator"):
+        axis = "axis" if element.tag == "TorqueActuator" else "direction"
+        element.put_numbers(axis, -element.numbers(axis, default=(0.0, 0.0, 1.0), count=3))
+        element.put("force_is_global", "true")
+    owner = element.parent
+    files = element.own("geometry_files") if element.tag == "VisibleObject" else None
+    if version < ONE_LIST and files is not None and owner is not None and owner.tag == "Body":
+        for file in files.text.split():
+            mesh = Element(element.source, "DisplayGeometry", {}, files.line, parent=element)
+            mesh.put("geometry_file", file)
+            element.children.append(mesh)
+
+
+def _rename_coordinates(joint: Element, before: Container[str]) -> None:
+    """Call coordinates of a joint that have names of other joints' joint_coordinate."""
+    names = {}
+    for item in joint.objects("coordinates", "CoordinateSet"):
+        if item.name in before:
+            names[item.name] = item.attributes["name"] = f"{joint.name}_{item.name}"
+    for axis in joint.walk() if names else ():
+        for child in axis.children if axis.tag == "TransformAxis" else ():
+            if child.tag == "coordinates":
+                child.text = " ".join(names.get(word, word) for word in child.text.split())
+
+
 def _components(model: Element) -> list[tuple[str, Element]]:
     """Return all components with their paths, those inside joints and frames left out."""
     listed = []
@@ -172,15 +220,16 @@ def _components(model: Element) -> list[tuple[str, Element]]:
             listed.append((name, element))
             if tag == "BodySet" and (inside := element.own("Joint")) is not None:
                 listed += [("jointset", joint) for joint in inside.children]
-    # As OpenSim does: the class's name, and a number from the second one on.
-    names, unnamed = {element.name for _, element in listed}, Counter[str]()
-    for _, element in listed:
-        if not element.name and element.tag in (*JOINTS, *READERS):
-            base = element.tag.lower()
-            while not element.name or element.name in names:
-                number, unnamed[base] = unnamed[base], unnamed[base] + 1
-                element.attributes["name"] = f"{base}_{number - 1}" if number else base
-            names.add(element.name)
+    # As OpenSim does: the class's name where there is none, and a number from the second one of a name on.
+    taken: set[tuple[str, str]] = set()
+    for place, element in listed:
+        if element.tag in (*JOINTS, *READERS) and element.tag != "Marker":
+            base, number = element.name or element.tag.lower(), -1
+            while (place, name := f"{base}_{number}" if number >= 0 else base) in taken:
+                number += 1
+            if name != element.name:
+                element.attributes["name"] = name
+            taken.add((place, name))
     return [(f"/{name}/{element.name}", element) for name, element in listed]
 
 
@@ -200,15 +249,15 @@ def _is_body(element: Element) -> bool:
 
 
 def _refuse_duplicates(components: list[tuple[str, Element]]) -> None:
-    """Raise if two components of a kind that others refer to have one name, or one has none."""
+    """Raise if two bodies have one name, or one has none."""
     seen: dict[str, Element] = {}
     for path, element in components:
-        if element.tag not in ("Body", *JOINTS, *READERS) or element.tag == "Marker":
+        if element.tag != "Body":
             continue
         if not element.name:
             raise element.error("has no name")
         if path in seen:
-            raise element.error(f"has the name of another component, in line {seen[path].line}")
+            raise element.error(f"has the name of another body, in line {seen[path].line}")
         seen[path] = element
 
 
@@ -244,14 +293,13 @@ def _joints(
             element.parent is not None and element.parent.tag == "Joint" and element.parent.parent is not None
         )
         owner = element.parent.parent.name if inside and element.parent and element.parent.parent else None
+        _rename_coordinates(element, elements)
         joint, listed, names = read_joint(element, frames, owner, notes)
         read[joint.name] = joint, element
         for index, name in enumerate(names):
             item = listed[index] if index < len(listed) else None
             if name in elements:
-                raise (item or element).error(
-                    f"has the coordinate {name!r} of another joint; names must differ"
-                )
+                raise (item or element).error(f"has the coordinate {name!r} twice; names must differ")
             elements[name] = item, joint.name
     ordered, copies, more = in_order(read, bodies)
     notes += more

@@ -54,7 +54,10 @@ class Scope:
     def coordinate(self, element: Element, *sockets: str) -> str:
         """Return the coordinate that one of these sockets leads to."""
         target = socket(element, *sockets)
-        name = target.rsplit("/", 1)[-1]
+        *_, joint, name = "", *target.split("/")
+        longer = f"{joint}_{name}"
+        if longer in self.coordinates and name in self.coordinates and self.coordinates[name].joint != joint:
+            name = longer  # as `read.model` calls a coordinate of a name that another joint has, too
         if name not in self.coordinates:
             raise element.error(f"refers to coordinate {target!r}, which the model does not have")
         return name
