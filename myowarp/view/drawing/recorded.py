@@ -249,7 +249,7 @@ def _courses(
         columns = [np.interp(time, table.time, column) for column in table.values.T]
         return np.where(known[:, None], np.stack(columns, axis=1), np.nan)
 
-    found = {}
+    found: dict[str, Course] = {}
     for kind, (file, unit) in TABLES.items():
         if (folder / file).is_file():
             table = read_storage(folder / file)
