@@ -52,8 +52,8 @@ class Condition(abc.ABC):
         NEUTRAL: Parameters with which it changes nothing, bit for bit.
         NEEDS: Parameter at whose neutral value all others change nothing; "": there is none.
         AT_START: Parameters that act where an episode begins, and later not at all.
-        TITLE: What people call it; "": its name.
-        LABELS: What people call its parameters, where that is not their name.
+        TITLE: Its common name; "": its name in `CONDITIONS`.
+        LABELS: Common names of its parameters, where they have others.
     """
 
     PHASE: ClassVar[Phase]

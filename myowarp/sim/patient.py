@@ -72,7 +72,7 @@ class Knob:
 
     @property
     def label(self) -> str:
-        """What people call it, with its unit."""
+        """Its common name, with its unit."""
         label = CONDITIONS[self.condition].LABELS.get(self.field, self.field.replace("_", " "))
         return label + (f" [{self.unit}]" if self.unit else "")
 

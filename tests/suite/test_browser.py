@@ -287,6 +287,9 @@ class Standing(Wishes):
     def reset(self):
         pass
 
+    def show_twin(self, beside):
+        pass
+
 
 def test_a_device_acts_where_it_is_worn():
     """On both ankles, until another joint is chosen; what is no joint of the list changes nothing."""

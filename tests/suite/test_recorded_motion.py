@@ -180,14 +180,14 @@ def test_curves_are_over_the_cycle_of_their_side_and_by_the_bodys_weight():
         traces.percent = traces.by_weight = True
         moment, force = traces.charts()
         assert (moment.title, force.title) == ("joint moment / N m/kg", "force / body weight")
-        assert moment.axis == "% of the gait cycle"
+        assert moment.axis == "% gait cycle"
         assert moment.now == pytest.approx(50.0)
         share = np.linspace(0.0, 1.0, 101)
         np.testing.assert_allclose(moment.curves[0].values, (0.5 + share) / 70.0)
         np.testing.assert_allclose(moment.curves[1].values, (11.0 + share) / 70.0)
         np.testing.assert_allclose(force.curves[0].values, 50.0 * (1.0 + share) / (70.0 * 9.81))
         rows = traces.table().splitlines()
-        assert rows[0].startswith("% of the gait cycle,")
+        assert rows[0].startswith("% gait cycle,")
         assert len(rows) == 102
         traces.sides = False
         assert [len(chart.curves) for chart in traces.charts()] == [1, 1]

@@ -12,7 +12,7 @@ of the muscles' torque, Caggiano et al. (2022), arXiv:2205.13600.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -147,7 +147,8 @@ class JointDevice(Condition):
         """Return one at each joint where the body has room for devices, `Body.devices`."""
         if not (joints := BODIES[spec.body].devices):
             return super().neutrals(spec)
-        return tuple(cls(joint, **cls.NEUTRAL) for joint in joints)
+        worn: Callable[..., Condition] = cls
+        return tuple(worn(joint, **cls.NEUTRAL) for joint in joints)
 
     def check(self, spec: TaskSpec) -> None:
         """Raise ValueError if the body has no such joint."""

@@ -15,8 +15,8 @@ INK, GRID, BORDER = "#1f2937", "#e5e7eb", "#9ca3af"
 TARGET_INK = "#15803d"
 LEFT, RIGHT, TOP, BOTTOM = 44, 8, 20, 20
 """px around a curve's area."""
-CHARACTER = 7
-"""px of a character, at most."""
+CHARACTER = 6
+"""px of a character, about."""
 LINE = 13
 """px of a line of text in the legend."""
 SHARPNESS = 2

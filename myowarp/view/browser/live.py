@@ -21,7 +21,6 @@ from myowarp.progress import listening
 from myowarp.view.browser.controls import Controls, View
 from myowarp.view.browser.history import History
 from myowarp.view.browser.moments import at_once
-from myowarp.view.browser.page_style import SOFTWARE, STYLE
 from myowarp.view.browser.panel import Panel
 from myowarp.view.browser.readings import Moment, Readings
 from myowarp.view.browser.scene import Figure, Floor
@@ -67,7 +66,6 @@ class Live(Controls):
             choices: What can be chosen.
         """
         super().__init__(server, session, choices)
-        server.gui.add_html(STYLE + SOFTWARE)
         self.bind_keys()
         self._progress: deque[tuple[float, int]] = deque()
         self._due = self._drawn = self._read = 0.0

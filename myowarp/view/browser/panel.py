@@ -20,8 +20,6 @@ class Panel:
     def __init__(self, live: Controls, readings: Readings, history: History) -> None:
         """Make them."""
         gui, widgets = live.server.gui, Widgets(live)
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
-        gui.main_panel.dock_right()
         self._drive = Drive(live, lambda: html.status(live))
         self._tabs = gui.add_tab_group()
         with self._tabs.add_tab("Patient"):  # first: its sliders are what a page is opened for

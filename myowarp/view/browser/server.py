@@ -13,6 +13,7 @@ import viser
 
 from myowarp.view.browser.lights import add_lights
 from myowarp.view.browser.origins import check_refusal, refusing_other_sites
+from myowarp.view.browser.page_style import SOFTWARE, STYLE
 from myowarp.view.browser.updates import name_page, send_whole, take_values_alone
 
 LOCAL = "127.0.0.1"
@@ -30,7 +31,7 @@ class _LocalServer(viser.ViserServer):
 
 
 def open_server(port: int, title: str) -> viser.ViserServer:
-    """Open a server on this machine; its scene is lit.
+    """Open a server on this machine; its scene is lit, and its panel is empty.
 
     Args:
         port: Its port; 0 for any that is free.
@@ -56,6 +57,9 @@ def open_server(port: int, title: str) -> viser.ViserServer:
     take_values_alone(server)
     send_whole(server)
     name_page(server, title)
+    server.gui.add_html(STYLE + SOFTWARE)
+    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+    server.gui.main_panel.dock_right()
     # Light from a picture takes longer than all else where software draws.
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(False)

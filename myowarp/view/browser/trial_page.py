@@ -18,7 +18,6 @@ from myowarp.view.browser.controls import USUAL, View, Wishes
 from myowarp.view.browser.drive import Drive
 from myowarp.view.browser.moments import at_once
 from myowarp.view.browser.names import SIDES
-from myowarp.view.browser.page_style import SOFTWARE, STYLE
 from myowarp.view.browser.scene import Figure, Floor
 from myowarp.view.browser.traces import TRACES_HEIGHT, above_traces
 from myowarp.view.browser.trial_traces import TrialTraces
@@ -63,7 +62,6 @@ class TrialPage(Wishes):
         self.color, self._clock, self._last = recorded.colored, float(recorded.time[0]), 0.0
         self._picked, self._drawn = "", 0.0
         model, scene = recorded.model, server.scene
-        server.gui.add_html(STYLE + SOFTWARE)
         self._framing = Framing(model, (), ASPECT)
         self._framing.look_along(recorded.across)
         self._figure = Figure(
@@ -155,8 +153,6 @@ class TrialPage(Wishes):
     def _add_panel(self) -> None:
         """Add controls and traces."""
         gui, widgets, recorded = self.server.gui, Widgets(self), self.recorded
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
-        gui.main_panel.dock_right()
         self._drive = Drive(self, self._said)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Trial"):

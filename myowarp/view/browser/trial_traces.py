@@ -61,7 +61,7 @@ class TrialTraces(Traces):
         percent = self.percent and bool(recorded.cycles)
         along, axis, now = recorded.time[kept], "time / s", self.now
         if percent:
-            along, axis = PERCENT, "% of the gait cycle"
+            along, axis = PERCENT, "% gait cycle"
             begin, end = recorded.cycle_of("")
             now = 100.0 * (self.now - begin) / (end - begin)
         for kind, items in self.by_kind().items():

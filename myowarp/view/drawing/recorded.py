@@ -6,6 +6,7 @@ in the tables of a folder is taken at the time of the frame.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import compress
@@ -248,21 +249,26 @@ def _courses(
         columns = [np.interp(time, table.time, column) for column in table.values.T]
         return np.where(known[:, None], np.stack(columns, axis=1), np.nan)
 
-    found = {}
+    found: dict[str, Course] = {}
     for kind, (file, unit) in TABLES.items():
         if (folder / file).is_file():
             table = read_storage(folder / file)
             values = at(table)
             if not np.isfinite(values).any():
                 continue
-            slides = np.array([label.endswith("_force") and unit == "N m" for label in table.labels])
-            found |= _split(kind, unit, f"{kind} along a slide", "N", table.labels, values, slides)
+            if unit != "N m":
+                found[kind] = Course(unit, table.labels, values)
+                continue
+            names = tuple(re.sub("_(moment|force)$", "", label) for label in table.labels)
+            slides = np.array([label.endswith("_force") for label in table.labels])
+            found |= _split(kind, unit, f"{kind} along a slide", "N", names, values, slides)
     if (folder / REACTIONS).is_file():
         table = read_storage(folder / REACTIONS)
-        first = [k for k, label in enumerate(table.labels) if label.endswith("_fx")]
+        first = np.flatnonzero([label.endswith("_fx") for label in table.labels])
         size = np.linalg.norm(at(table).reshape(len(time), -1)[:, np.add.outer(first, range(3))], axis=2)
         names = tuple(table.labels[k].partition("_on_")[0] for k in first)
-        found["joint reaction"] = Course("N", names, size)
+        if names:
+            found["joint reaction"] = Course("N", names, size)
     if "activation" in found and (folder / EMG).is_file():
         emg, own = read_storage(folder / EMG, gaps=True), found["activation"]
         measured = np.full_like(own.values, np.nan)
