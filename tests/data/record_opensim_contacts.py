@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import opensim
-from record_opensim_paths import Posed, members
+from record_opensim_paths import Posed
 
 COUNT, SEED, SPEED = 300, 60, 0.5
 KINDS = ("SmoothSphereHalfSpaceForce", "HuntCrossleyForce", "ElasticFoundationForce")
@@ -27,9 +27,14 @@ def recorded(file, count=COUNT):
     """Return the arrays of a model."""
     posed, random = Posed(file), np.random.default_rng(SEED)
     solver, state = opensim.InverseDynamicsSolver(posed.model), posed.state
-    forces = [force for force in members(posed.model.getForceSet()) if force.getConcreteClassName() in KINDS]
+    found = [one for one in posed.model.getComponentsList() if one.getConcreteClassName() in KINDS]
+    forces = [opensim.Force.safeDownCast(one) for one in found]
     free, still = len(posed.free), opensim.Vector(state.getNU(), 0.0)
-    values, speeds, acting, accelerations = [], [], [], []
+    values, speeds, acting, accelerations, slopes = [], [], [], [], []
+    for item in posed.free:  # speeds of OpenSim's state have an order of their own
+        item.setSpeedValue(state, 1.0)
+        slopes.append(state.getU().to_numpy())
+        item.setSpeedValue(state, 0.0)
     for pose in random.uniform(*posed.ranges(), (count, free)):
         posed.set(pose)
         values.append(pose)
@@ -46,7 +51,7 @@ def recorded(file, count=COUNT):
         for force in forces:
             force.setAppliesForce(state, True)
             posed.model.realizeDynamics(state)
-            row.append(rest - solver.solve(state, still).to_numpy())
+            row.append(slopes @ (rest - solver.solve(state, still).to_numpy()))
             force.setAppliesForce(state, False)
         acting.append(row)
         for force in forces:

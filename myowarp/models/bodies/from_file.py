@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from myowarp.definitions.body import BODIES, Body
+from myowarp.definitions.body import BODIES, CAUTIOUS_STEP, Body
 from myowarp.definitions.muscle import muscle_names
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.disk import model_digest
@@ -61,7 +61,7 @@ def register_body(
     """
     if function_paths is not None and path.suffix.lower() != OPENSIM:
         raise ValueError(f"function_paths are an option of an .osim file; {str(path)!r} is none")
-    source = path
+    source, longest = path, np.inf
     if str(path) in BODIES and not path.exists():
         if not stops:
             raise ValueError(f"stops are an option of a model's file; {str(path)!r} is a body with its own")
@@ -84,6 +84,11 @@ def register_body(
         for joint in spec.joints if not stops else ():
             joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
         model = spec.compile()
+        if bundle.contacts is not None:
+            longest = bundle.contacts.longest_step(model)
+            while spec.option.timestep > longest > 0.0:
+                spec.option.timestep *= 0.5
+            model.opt.timestep = spec.option.timestep
         model.names.decode()
     except ForeignPartError:
         raise
@@ -98,8 +103,11 @@ def register_body(
     _check(model, source)
     if source.suffix.lower() == OPENSIM:
         _say_stops(model, source, stops)
-    if contact == "opensim":
-        _say_contact(model, source)
+    if bundle.contacts is not None:
+        warn_once(
+            f"{source.name}: contact is OpenSim's; physics steps are {1e3 * model.opt.timestep:g} ms, its "
+            f"springs stand {1e3 * longest:.2g} ms"
+        )
     bundle.check(model, path)
     title = re.sub(r"[^A-Za-z0-9]+", "_", spec.modelname).strip("_")
     name = "_".join((title, model_digest(model)[:8], *tips))
@@ -113,7 +121,9 @@ def register_body(
     if name not in BODIES or _of(known) != _of(muscles):
         names = muscle_names(model)
         own = own_model(muscles, names)
-        BODIES.add(name, Body(spec.copy, tips, muscles=muscles, muscle=own, **_facts(names)), replace=True)
+        step = replace(CAUTIOUS_STEP, dt=min(CAUTIOUS_STEP.dt, longest))
+        whole = Body(spec.copy, tips, muscles=muscles, muscle=own, coarse_step=step, **_facts(names))
+        BODIES.add(name, whole, replace=True)
     return name, model
 
 
@@ -126,11 +136,6 @@ def _say_stops(model: mujoco.MjModel, source: Path, stops: bool) -> None:
             f"{source.name}: ranges stop {count} clamped joints, which they do not in OpenSim's simulations; "
             "--no-stops, or stops=False, lets them go on"
         )
-
-
-def _say_contact(model: mujoco.MjModel, source: Path) -> None:
-    """Log that contact is OpenSim's."""
-    warn_once(f"{source.name}: contact is OpenSim's")
 
 
 def _facts(names: list[str]) -> dict[str, Any]:

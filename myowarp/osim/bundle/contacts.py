@@ -21,6 +21,9 @@ from myowarp.laws.forces.contact_shapes import ELLIPSOID, HALF_SPACE, SPHERE
 from myowarp.osim.bundle.text import Sidecar
 from myowarp.osim.document.contacts import Material, Pair
 
+STEADY = 0.5
+"""Step times frequency; from 2 on a spring is not stable."""
+
 KINDS = {"plane": HALF_SPACE, "sphere": SPHERE, "ellipsoid": ELLIPSOID}
 
 
@@ -77,12 +80,8 @@ def contact_table(pairs: Iterable[SurfacePair], number: Callable[[str], int]) ->
             (number(one.body), KINDS[one.kind], one.rotation, one.origin, one.size)
             for one in (pair.first, pair.second)
         )
-        rows.append((*surfaces, tuple(getattr(pair.material, name) for name in MATERIAL)))
+        rows.append((*surfaces, dataclasses.astuple(pair.material)))
     return struct_array(Contact, rows)
-
-
-MATERIAL = ("smooth", *(field.name for field in dataclasses.fields(Material) if field.name != "smooth"))
-"""Fields in the order of `laws.forces.hunt_crossley.ContactMaterial`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,10 +109,28 @@ class DocumentContacts(Sidecar):
         """Raise ValueError if it names what a model has not."""
         self.check_named("body", self.bodies_apart, {model.body(i).name for i in range(model.nbody)})
 
+    def longest_step(self, model: mujoco.MjModel) -> float:
+        """Return the longest physics step that the springs of contacts stand [s]; `STEADY` of 1 / frequency.
+
+        Of each pair it is that of its Hertz spring under the weight of the model, with the inertia that its
+        bodies have in the model's first pose. Friction and dissipation are integrated implicitly.
+        """
+        weight = float(model.body_mass.sum() * np.linalg.norm(model.opt.gravity))
+        return min((STEADY / _frequency(pair, model, weight) for pair in self.pairs), default=np.inf)
+
     @property
     def bodies_apart(self) -> Iterable[str]:
         """Names of bodies that need frames of their own."""
         return {surface.body for pair in self.pairs for surface in (pair.first, pair.second)}
+
+
+def _frequency(pair: SurfacePair, model: mujoco.MjModel, weight: float) -> float:
+    """Return sqrt(df/dd / mass) of a contact that carries a weight [N], in rad/s."""
+    sizes = [1 / min(one.size) for one in (pair.first, pair.second) if one.kind != "plane"]
+    hertz = 4 / 3 * pair.material.stiffness**1.5 * sum(sizes) ** -0.5
+    slope = 1.5 * hertz ** (2 / 3) * weight ** (1 / 3)
+    lightness = sum(model.body(one.body).invweight0[0] for one in (pair.first, pair.second))
+    return max(float(np.sqrt(slope * lightness)), 1e-9)
 
 
 def _pair(entry: Any) -> SurfacePair:

@@ -28,6 +28,7 @@ TYPES = ("SmoothSphereHalfSpaceForce", "HuntCrossleyForce")
 class Material:
     """What surfaces of a contact force are made of; as `laws.forces.hunt_crossley.ContactMaterial`."""
 
+    smooth: bool
     stiffness: float
     share: float
     dissipation: float
@@ -35,10 +36,9 @@ class Material:
     dynamic_friction: float
     viscous_friction: float
     transition_velocity: float
-    constant_contact_force: float = 0.0
-    hertz_smoothing: float = 0.0
-    hunt_crossley_smoothing: float = 0.0
-    smooth: bool = False
+    constant_contact_force: float
+    hertz_smoothing: float
+    hunt_crossley_smoothing: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,17 +104,22 @@ def _material(force: ContactForce, one: ContactParameters, two: ContactParameter
     if not first * second:
         return None
     share = second / (first + second)
-    frictions = (
-        (one.static_friction, two.static_friction),
-        (one.dynamic_friction, two.dynamic_friction),
-        (one.viscous_friction, two.viscous_friction),
-    )
+    smoothing = force.smoothing or (0.0, 0.0, 0.0)
     return Material(
-        first * share,
-        share,
-        one.dissipation * share + two.dissipation * (1 - share),
-        *(2 * a * b / (a + b) if a or b else 0.0 for a, b in frictions),
-        force.transition_velocity,
-        *force.smoothing,
         smooth=bool(force.smoothing),
+        stiffness=first * share,
+        share=share,
+        dissipation=one.dissipation * share + two.dissipation * (1 - share),
+        static_friction=_harmonic(one.static_friction, two.static_friction),
+        dynamic_friction=_harmonic(one.dynamic_friction, two.dynamic_friction),
+        viscous_friction=_harmonic(one.viscous_friction, two.viscous_friction),
+        transition_velocity=force.transition_velocity,
+        constant_contact_force=smoothing[0],
+        hertz_smoothing=smoothing[1],
+        hunt_crossley_smoothing=smoothing[2],
     )
+
+
+def _harmonic(one: float, two: float) -> float:
+    """Return the harmonic mean of two numbers that are not below 0."""
+    return 2 * one * two / (one + two) if one or two else 0.0
