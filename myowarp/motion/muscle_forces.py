@@ -41,6 +41,13 @@ FEASIBLE = 1e-5
 """Share of the greatest moment of a coordinate up to which it counts as met; beside weak reserves
 the softness of the solver leaves less."""
 
+SOLVED = 1e-3
+"""Distance from the least cost, in units of the rows, from which a frame counts as unsolved; less is said as
+what is missing."""
+
+MOST_RESERVE = 1e6
+"""N m or N at cost 1; the solver's tolerance is a share of it, beyond which moments would be lost."""
+
 FRAMES = 4096
 """Frames that are solved together."""
 
@@ -144,15 +151,19 @@ def muscle_forces(
         sequence: Frames of a recording, where several follow each other, see `optimal_activations`.
 
     Raises:
-        ValueError: A coordinate is unknown, the exponent is below 1, or the mode unknown.
+        ValueError: A coordinate is unknown, an option is out of bounds, or a frame is not solved.
     """
     if mode not in ("equilibrium", "opensim"):
         raise ValueError(f"mode must be equilibrium or opensim, got {mode!r}")
     reserves = dict(reserves or {})
     if unknown := set(reserves) - set(coordinates):
         raise ValueError(f"reserve on {sorted(unknown)[0]!r}: unknown; available: {', '.join(coordinates)}")
-    if not all(0.0 < force < np.inf for force in reserves.values()):
-        raise ValueError("the force of a reserve must be above 0 and finite")
+    for name, force in reserves.items():
+        if not 0.0 < force <= MOST_RESERVE:
+            raise ValueError(
+                f"the force of a reserve must be above 0 and at most {MOST_RESERVE:g} N m or N, got "
+                f"{force:g} on {name!r}"
+            )
     muscles = [known(HillMuscle.of(model.muscles[name]))[0] for name in paths.muscles]
     share = _Share.of(muscles, coordinates, paths, reserves, actuators, exponent, device, sequence)
     steady = SteadyMuscles(muscles, device) if mode == "equilibrium" else None
@@ -164,6 +175,11 @@ def muscle_forces(
         given = paths.part(part), joint_moment[part], strong, long
         own = share if actuators is None else replace(share, motor=actuators.effect[part])
         found = own.rigid(*given) if steady is None else own.settled(steady, *given)
+        if far := int((found[0].residual > SOLVED).sum()):
+            raise ValueError(
+                f"no least cost was found in {far} of {len(found[0].residual)} frames with an exponent of "
+                f"{exponent:g}; take one nearer to 2, or change the reserves"
+            )
         return _made_of(own, given[0], given[1], wanted, mode, found)
 
     grain = sequence or GRAIN

@@ -142,8 +142,9 @@ def test_gaps_are_listed_and_filled_up_to_a_length(leg, capsys):
     said = capsys.readouterr().err
     assert f"{names[1]} was not seen from" in said
     assert "1 gaps were filled; gaps.csv lists all 3" in said
-    with pytest.raises(ValueError, match="must be above 0 s and finite, got -1 s"):
-        recorded.filled(-1.0)
+    for wrong in (-1.0, np.inf, np.nan):
+        with pytest.raises(ValueError, match=f"must be above 0 s and finite, got {wrong:g} s"):
+            recorded.filled(wrong)
 
 
 def test_names_with_commas(leg, capsys):

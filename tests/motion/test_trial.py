@@ -96,6 +96,11 @@ def test_kinematics(tmp_path, capsys):
         ({"residual": np.nan}, "--residual must be at least 0 and finite, got nan"),
         ({"residual": np.inf}, "--residual must be at least 0 and finite, got inf"),
         ({"exponent": np.nan}, "--exponent must be at least 1 and finite, got nan"),
+        (
+            {"exponent": 30.0, "reserve": 1.0},
+            "no least cost was found in .* frames with an exponent of 30; take",
+        ),
+        ({"reserve": 1e9}, r"at most 1e\+06 N m or N, got 1e\+09 on 'pelvis_tilt'"),
         ({"filter": 500.0}, "must be at least 0.003 and below 30 Hz, half of the rate, got 500"),
         ({"loads": "other.xml"}, "body 'nose' unknown; available: ground, pelvis"),
         ({"motion": "push.mot"}, "has no column of a coordinate; the model has pelvis_tilt"),
