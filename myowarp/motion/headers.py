@@ -28,6 +28,7 @@ class Header:
         rows: How many it says it has, in its own words; empty: it does not say.
         columns: The same, with `time`.
         counts: Whether OpenSim goes by these counts.
+        title: What it calls itself.
     """
 
     labels: tuple[str, ...]
@@ -36,6 +37,7 @@ class Header:
     rows: str = ""
     columns: str = ""
     counts: bool = True
+    title: str = ""
 
 
 def pair_of(line: str) -> tuple[str, str]:
@@ -77,4 +79,6 @@ def header_of(lines: Sequence[str], labels: Sequence[str], simm: bool) -> Header
             unit = UNITS.get(word.lower(), word)
         elif found := NOTE.match(line.strip()):
             note = found[1].lower()
-    return Header(tuple(labels), degrees or (simm and version < 1), unit or note, rows, columns, version < 2)
+    title = lines[0].strip() if lines else ""
+    degrees = degrees or (simm and version < 1)
+    return Header(tuple(labels), degrees, unit or note, rows, columns, version < 2, title)

@@ -16,7 +16,7 @@ OpenSim weighs them. The normalisation of marker weights is OpenSim's (Simbody's
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,6 +60,10 @@ class Targets:
         location: In the body [m].
         weight: Of each marker, (1 or frames, markers).
         marker: Where it was seen [m], NaN where it was not, (frames, markers).
+        sensor_body: Of each sensor.
+        sensor_axes: In the body.
+        sensor_weight: Of each sensor.
+        orientation: Recorded axes of it, NaN where there are none, (frames, sensors).
         value: Wanted value of each coordinate, (frames, coordinates); counts where its weight is above 0.
         value_weight: Of coordinates.
         lower: Least value of each coordinate.
@@ -70,6 +74,10 @@ class Targets:
     location: wp.array[wp.vec3d]
     weight: wp.array2d[wp.float64]
     marker: wp.array2d[wp.vec3d]
+    sensor_body: wp.array[int]
+    sensor_axes: wp.array[wp.mat33d]
+    sensor_weight: wp.array[wp.float64]
+    orientation: wp.array2d[wp.mat33d]
     value: wp.array2d[wp.float64]
     value_weight: wp.array[wp.float64]
     lower: wp.array[wp.float64]
@@ -123,10 +131,43 @@ def total_weight(frame: int, targets: Targets) -> wp.float64:
 
 
 @wp.func
+def sensor_weight(frame: int, number: int, targets: Targets) -> wp.float64:
+    """Return the weight of a sensor in a frame, 0 where nothing was recorded."""
+    seen = targets.orientation[frame, number]
+    return wp.where(wp.isfinite(seen[0, 0]), targets.sensor_weight[number], wp.float64(0.0))
+
+
+@wp.func
+def total_sensor_weight(frame: int, targets: Targets) -> wp.float64:
+    """Return the weight of all sensors of a frame, 1 where nothing was recorded."""
+    total = wp.float64(0.0)
+    for number in range(targets.sensor_body.shape[0]):
+        total += sensor_weight(frame, number, targets)
+    return wp.where(total > wp.float64(0.0), total, wp.float64(1.0))
+
+
+@wp.func
+def turned_off(worldid: int, frame: int, number: int, targets: Targets, placement: Placement) -> wp.vec3d:
+    """Return the rotation vector from the recorded axes of a sensor to those of the model [rad]."""
+    axes = targets.sensor_axes[number]
+    body = targets.sensor_body[number]
+    if body >= 0:
+        axes = placement.rotation[worldid, body] * axes
+    q = wp.quat_from_matrix(axes * wp.transpose(targets.orientation[frame, number]))
+    part = wp.vec3d(q[0], q[1], q[2])
+    sine = wp.length(part)
+    if sine == wp.float64(0.0):
+        return wp.vec3d()
+    cosine = wp.where(q[3] < wp.float64(0.0), -q[3], q[3])
+    angle = wp.float64(2.0) * wp.atan2(sine, cosine)
+    return wp.where(q[3] < wp.float64(0.0), -angle, angle) / sine * part
+
+
+@wp.func
 def objective(
     worldid: int, frame: int, targets: Targets, placement: Placement, values: wp.array2d[wp.float64]
 ) -> wp.float64:
-    """sum w_i |p_i - m_i|^2 / sum w_i + sum w_k (q_k - r_k)^2."""
+    """sum w_i |p_i - m_i|^2 / sum w_i + sum w_i angle_i^2 / sum w_i + sum w_k (q_k - r_k)^2."""
     cost = wp.float64(0.0)
     for number in range(targets.body.shape[0]):
         weight = marker_weight(frame, number, targets)
@@ -134,6 +175,12 @@ def objective(
             p = station(worldid, targets.body[number], targets.location[number], placement)
             cost += weight * wp.length_sq(p - targets.marker[frame, number])
     cost /= total_weight(frame, targets)
+    turned = wp.float64(0.0)
+    for number in range(targets.sensor_body.shape[0]):
+        weight = sensor_weight(frame, number, targets)
+        if weight > wp.float64(0.0):
+            turned += weight * wp.length_sq(turned_off(worldid, frame, number, targets, placement))
+    cost += turned / total_sensor_weight(frame, targets)
     for k in range(values.shape[1]):
         off = values[frame, k] - targets.value[frame, k]
         cost += targets.value_weight[k] * off * off
@@ -167,6 +214,13 @@ def collect(
             )
             normal.force[worldid, body] += off
             normal.torque[worldid, body] += wp.cross(p, off)
+    total = total_sensor_weight(frame, targets)
+    for number in range(targets.sensor_body.shape[0]):
+        weight = sensor_weight(frame, number, targets) / total
+        body = targets.sensor_body[number]
+        if weight > wp.float64(0.0) and body >= 0:
+            normal.second[worldid, body] += weight * wp.diag(wp.vec3d(one, one, one))
+            normal.torque[worldid, body] += weight * turned_off(worldid, frame, number, targets, placement)
     for back in range(count):
         body = count - 1 - back
         parent = skeleton.parent[body]
@@ -193,7 +247,7 @@ def normal_equations_of_markers(
         if weight > wp.float64(0.0):
             normal.slope[worldid, j] = weight * (values[frame, j] - targets.value[frame, j])
     for body in range(skeleton.parent.shape[0]):
-        if normal.weight[worldid, body] > wp.float64(0.0):
+        if normal.weight[worldid, body] + wp.trace(normal.second[worldid, body]) > wp.float64(0.0):
             for move in range(skeleton.first[body], skeleton.first[body + 1]):
                 k = skeleton.free[move]
                 if k >= 0:
@@ -320,10 +374,12 @@ def solve_inverse_kinematics(
     values: wp.array2d[wp.float64],
     cost: wp.array[wp.float64],
     places: wp.array2d[wp.vec3d],
+    angles: wp.array2d[wp.float64],
 ):
     """Solve frames first, first + stride, ..., `frames` of them, each from the one before.
 
-    The values of the first frame are where it starts. `places` is where the markers of the model are.
+    The values of the first frame are where it starts. `places` is where the markers of the model are,
+    `angles` by how much its sensors are off.
     """
     worldid = wp.tid()
     for step in range(frames):
@@ -338,6 +394,9 @@ def solve_inverse_kinematics(
                 places[frame, number] = station(
                     worldid, targets.body[number], targets.location[number], placement
                 )
+            for number in range(targets.sensor_body.shape[0]):
+                off = turned_off(worldid, frame, number, targets, placement)
+                angles[frame, number] = wp.length(off)
 
 
 @dataclass(frozen=True, eq=False)
@@ -446,25 +505,14 @@ def inverse_kinematics(
         raise ValueError(
             f"no frame shows {FEWEST} markers with a weight; the recording has {', '.join(recorded.names)}"
         )
-    count = len(seen)
-    values = np.tile([(start or {}).get(name, model.coordinates[name].default) for name in names], (count, 1))
     with wp.ScopedDevice(bones.device):
-        targets, lower, upper = _targets(bones, seen, coordinate_weights or {}, coordinate_values or {})
+        targets, bounds = targets_of(bones, len(seen), coordinate_weights or {}, coordinate_values or {})
+        targets.marker = wp.array(seen, dtype=wp.vec3d)
         factors = np.atleast_2d(np.asarray(weight_factors, float))
         targets.body = wp.array([bones.number(model.markers[name].body) for name in used], dtype=int)
         targets.location = wp.array([model.markers[name].location for name in used], dtype=wp.vec3d)
         targets.weight = wp.array(factors * list(weights.values()), dtype=wp.float64)
-        out = {
-            "values": wp.array(np.clip(values if near is None else near, lower, upper), dtype=wp.float64),
-            "cost": wp.zeros(count, dtype=wp.float64),
-            "places": wp.zeros((count, len(used)), dtype=wp.vec3d),
-        }
-        if near is None:
-            heads = np.arange(0, count, STRIDE)
-            _run(bones, targets, np.zeros(1, int), len(heads), STRIDE, out)
-            _run(bones, targets, heads, STRIDE, 1, out)
-        else:
-            _run(bones, targets, np.arange(count), 1, 1, out)
+        out = fitted_values(bones, targets, bounds, len(seen), start, near)
         places = out["places"].numpy()
         error = np.linalg.norm(places - seen, axis=2)
         return Fitted(names, recorded.time, out["values"].numpy(), used, places, error, out["cost"].numpy())
@@ -495,16 +543,62 @@ def _checked(bones: Bones, recorded: Markers, marker_weights: Mapping[str, float
     return used
 
 
-def _targets(
-    bones: Bones, seen: np.ndarray, weights: Mapping[str, float], values: Mapping[str, float | np.ndarray]
-) -> tuple[Targets, np.ndarray, np.ndarray]:
-    """Return where markers were seen and what coordinates should be, and the bounds of coordinates.
+def fitted_values(
+    bones: Bones,
+    targets: Targets,
+    bounds: tuple[np.ndarray, np.ndarray],
+    count: int,
+    start: Mapping[str, float] | None = None,
+    near: np.ndarray | None = None,
+) -> dict[str, wp.array]:
+    """Return values, costs, places of markers and angles of sensors of so many frames.
+
+    Args:
+        bones: The model.
+        targets: What is wanted.
+        bounds: Least and greatest values of coordinates, each of shape (coordinates,).
+        count: Of frames.
+        start: As in `inverse_kinematics`.
+        near: As in `inverse_kinematics`.
+    """
+    names, model = bones.coordinates, bones.model
+    values = np.tile([(start or {}).get(name, model.coordinates[name].default) for name in names], (count, 1))
+    out = {
+        "values": wp.array(np.clip(values if near is None else near, *bounds), dtype=wp.float64),
+        "cost": wp.zeros(count, dtype=wp.float64),
+        "places": wp.zeros((count, targets.body.shape[0]), dtype=wp.vec3d),
+        "angles": wp.zeros((count, targets.sensor_body.shape[0]), dtype=wp.float64),
+    }
+    if near is None:
+        heads = np.arange(0, count, STRIDE)
+        _run(bones, targets, np.zeros(1, int), len(heads), STRIDE, out)
+        _run(bones, targets, heads, STRIDE, 1, out)
+    else:
+        _run(bones, targets, np.arange(count), 1, 1, out)
+    return out
+
+
+def targets_of(
+    bones: Bones,
+    count: int,
+    weights: Mapping[str, float] | None = None,
+    values: Mapping[str, float | np.ndarray] | None = None,
+    still: Collection[str] = (),
+) -> tuple[Targets, tuple[np.ndarray, np.ndarray]]:
+    """Return what coordinates of so many frames should be, and their bounds; no markers, no sensors.
+
+    Args:
+        bones: The model.
+        count: Of frames.
+        weights: As `coordinate_weights` of `inverse_kinematics`.
+        values: As `coordinate_values` of it.
+        still: Coordinates that stay at their defaults.
 
     Raises:
         ValueError: A coordinate is unknown.
     """
-    model, names = bones.model, bones.coordinates
-    pull, wanted = np.zeros(len(names)), np.zeros((len(seen), len(names)))
+    model, names, weights, values = bones.model, bones.coordinates, weights or {}, values or {}
+    pull, wanted = np.zeros(len(names)), np.zeros((count, len(names)))
     for name, weight in weights.items():
         if name in names:
             pull[names.index(name)] = weight
@@ -515,12 +609,15 @@ def _targets(
     bounds = [
         model.coordinates[n].range if model.coordinates[n].clamped else (-np.inf, np.inf) for n in names
     ]
+    for number, name in enumerate(names):
+        if name in still:
+            bounds[number] = (model.coordinates[name].default,) * 2
     lower, upper = np.array(bounds, float).reshape(-1, 2).T
     targets = Targets()
-    targets.marker = wp.array(seen, dtype=wp.vec3d)
+    targets.body, targets.sensor_body = wp.zeros(0, dtype=int), wp.zeros(0, dtype=int)
     for name, array in (("value", wanted), ("value_weight", pull), ("lower", lower), ("upper", upper)):
         setattr(targets, name, wp.array(array, dtype=wp.float64))
-    return targets, lower, upper
+    return targets, (lower, upper)
 
 
 def _run(

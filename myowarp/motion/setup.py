@@ -31,6 +31,9 @@ class TrialSetup:
         markers: Recorded markers, .trc.
         motion: Joint angles.
         loads: External loads.
+        orientations: Recorded orientations of sensors.
+        sensor_angles: From the sensors' world into OpenSim's, about its x, then y, then z [rad].
+        sensor_weights: By sensor; others have 1.
         coordinates: Joint angles that kinematics should have.
         cutoff: Of the filter [Hz].
         span: First and last time [s], of which one may be infinite.
@@ -52,6 +55,9 @@ class TrialSetup:
     markers: Path | None = None
     motion: Path | None = None
     loads: Path | None = None
+    orientations: Path | None = None
+    sensor_angles: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sensor_weights: Mapping[str, float] = field(default_factory=dict)
     coordinates: Path | None = None
     cutoff: float | None = None
     span: tuple[float, float] | None = None

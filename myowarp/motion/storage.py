@@ -29,6 +29,8 @@ logger = logging.getLogger("myowarp")
 SUFFIXES = (".sto", ".mot", ".csv")
 CLOSE = 1e-7
 """[s] below which two times are no two samples, and splines through them no motion."""
+SAME = 1e-8
+"""Of values, relative to their size and 1, by which a row that is there twice may differ."""
 TAIL = 100
 """Rows before the last one that its digits are compared with."""
 
@@ -44,6 +46,7 @@ class Storage:
         in_degrees: Whether angles are in degrees, as OpenSim reads the file.
         unit: Of angles as the words of the header have it: `degrees`, `radians`, what else it has there, or
             empty.
+        title: What the file calls itself.
     """
 
     labels: tuple[str, ...]
@@ -51,6 +54,7 @@ class Storage:
     values: np.ndarray
     in_degrees: bool = False
     unit: str = ""
+    title: str = ""
 
 
 class Tables:
@@ -419,17 +423,29 @@ class Rows:
 
     def table(self, rows: np.ndarray) -> Storage:
         """Return rows, the first column of which is time, with the names of the columns."""
-        return Storage(self.header.labels, rows[:, 0], rows[:, 1:], self.header.in_degrees, self.header.unit)
+        head = self.header
+        return Storage(head.labels, rows[:, 0], rows[:, 1:], head.in_degrees, head.unit, head.title)
 
 
 def in_order(path: Path, what: str, table: np.ndarray) -> np.ndarray:
     """Return rows in the order of their times, the first column, and say where they were not.
 
+    A row that says the same once more, as the last one of OpenSim's RRA, is left out.
+
     Raises:
-        ValueError: A time is there twice, or nearly.
+        ValueError: A time is there twice with other values, or nearly.
     """
     time = table[:, 0]
     order = np.argsort(time, kind="stable")
+    one, other = table[order[:-1]], table[order[1:]]
+    close = np.abs(other - one) <= SAME * (1.0 + np.abs(one))
+    again = (one[:, 0] == other[:, 0]) & (close | (np.isnan(one) & np.isnan(other))).all(axis=1)
+    if again.any():
+        first = np.flatnonzero(again)[0]
+        logger.warning(
+            "%s: %s %d says the same as %d; left out", path, what, order[first + 1] + 1, order[first] + 1
+        )
+        order = order[np.concatenate([[True], ~again])]
     check_apart(path, what, time[order], order + 1)
     if late := int((np.diff(time) < 0.0).sum()):
         logger.warning("%s: %ss are not in the order of their times, in %d places; sorted", path, what, late)

@@ -1,8 +1,8 @@
 """Set-up files of OpenSim's tools: which files a step reads, and how.
 
-`InverseKinematicsTool`, `InverseDynamicsTool`, `AnalyzeTool` (with `StaticOptimization`) and `CMCTool`. Files
-are beside the set-up file. What belongs to OpenSim's own solvers (accuracies, integrators, optimisers) has no
-meaning here.
+`InverseKinematicsTool`, `IMUInverseKinematicsTool`, `InverseDynamicsTool`, `AnalyzeTool` (with
+`StaticOptimization`) and `CMCTool`. Files are beside the set-up file. What belongs to OpenSim's own solvers
+(accuracies, integrators, optimisers) has no meaning here.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from myowarp.motion.orientations import angles_in
 from myowarp.motion.setup import TrialSetup
 from myowarp.motion.setup_words import Span, file_of, files_of, in_order, span_of
 from myowarp.motion.tasks import tasks_of
@@ -18,6 +19,7 @@ from myowarp.osim.document.read.element import Element, parse
 ALL = (-math.inf, math.inf)
 TOOLS = {
     "InverseKinematicsTool": ALL,
+    "IMUInverseKinematicsTool": ALL,
     "InverseDynamicsTool": ALL,
     "AnalyzeTool": (0.0, 1.0),
     "CMCTool": (0.0, 1.0),
@@ -56,6 +58,13 @@ def read_tool_setup(path: Path) -> TrialSetup:
         markers=file_of(tool, "marker_file"),
         motion=file_of(tool, *MOTIONS),
         loads=file_of(tool, "external_loads_file"),
+        orientations=file_of(tool, "orientations_file"),
+        sensor_angles=angles_in(tool),
+        sensor_weights={
+            one.name: one.number("weight", default=1.0)
+            for one in tool.walk()
+            if one.tag == "OrientationWeight" and one.name
+        },
         coordinates=file_of(tool, "coordinate_file"),
         cutoff=cutoff if cutoff > 0.0 else None,
         span=_span(tool),

@@ -23,6 +23,8 @@ from myowarp.motion.loads import Loads, loads_at, prescribed_loads
 from myowarp.motion.markers import Markers, MarkerStream, read_trc
 from myowarp.motion.metabolic_power import metabolic_power
 from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces, rigid_capacity
+from myowarp.motion.orientation_kinematics import Turned, orientation_kinematics
+from myowarp.motion.orientations import axes_of_sensors, read_orientations
 from myowarp.motion.scaling import Scaled, read_setup, scale, write_factors
 from myowarp.motion.setup import TrialSetup
 from myowarp.motion.smooth import derivatives
@@ -42,6 +44,8 @@ from myowarp.osim.document.read.element import write
 
 ANGLES = "Coordinates"
 """Name of a file of joint angles, in its header."""
+NO_MOTION = ("Speeds", "Accelerations", "PositionErrors")
+"""Names of files of OpenSim's tools whose columns are named by coordinates and hold none."""
 HELD = 0.05
 """Share of the weight that a root may give without external loads, unsaid."""
 
@@ -114,6 +118,11 @@ def _moved(angles: Angles, table: Storage, bones: Bones, cutoff: float | None) -
     Raises:
         ValueError: It has no coordinate of the model, is too short, or its unit is in doubt.
     """
+    if table.title in NO_MOTION:
+        raise ValueError(
+            f"{str(angles.path)!r} calls itself {table.title!r}; a motion holds coordinates, as OpenSim's "
+            "tools write them into the file that ends in _Kinematics_q.sto"
+        )
     found = angles.of(table, bones.coordinates)
     if not found:
         raise ValueError(
@@ -242,6 +251,32 @@ def kinematics_in_parts(bones: Bones, output: Path, setup: TrialSetup) -> Iterat
             tables.write("marker_errors.sto", "distances of markers, m", error, total)
             yield fitted
         gaps.write(output / "gaps.csv")
+
+
+def kinematics_of_sensors(bones: Bones, output: Path, setup: TrialSetup) -> Turned:
+    """Find the joint angles of recorded orientations; write `ik.mot` and `orientation_errors.sto`.
+
+    Args:
+        bones: The model, with a frame of the name of each sensor.
+        output: Folder, which exists.
+        setup: With a file of orientations.
+
+    Raises:
+        ValueError: A file is not what it should be, or the model has no frame of a sensor.
+        OSError: A file cannot be read or written.
+    """
+    if setup.orientations is None:
+        raise ValueError("joint angles of sensors need a file of quaternions; give --orientations FILE")
+    recorded = read_orientations(setup.orientations).turned(axes_of_sensors(setup.sensor_angles))
+    if setup.span is not None:
+        recorded = recorded.between(*setup.span)
+    turned = orientation_kinematics(bones, recorded, setup.sensor_weights)
+    with Tables(output) as tables:
+        angles = angles_table(bones.model, turned.coordinates, turned.time, turned.values)
+        tables.write("ik.mot", ANGLES, angles)
+        error = Storage(turned.sensors, turned.time, turned.error)
+        tables.write("orientation_errors.sto", "angles of sensors, rad", error)
+    return turned
 
 
 def targets(bones: Bones, setup: TrialSetup, recorded: Markers) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Tables over time: files of OpenSim, recordings for it, and excitations that are played back."""
 
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,10 @@ from myowarp.apps.rollouts.rollout import roll_out
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.task import TASKS
 from myowarp.motion.storage import Storage, read_storage, write_storage
+from myowarp.motion.trial import read_motion
+from myowarp.osim.body.skeleton import Bones
 
+ARM = Path(__file__).parents[1] / "data" / "osim" / "arm26.osim"
 ELBOW = "myoElbowPose1D6MRandom-v0"
 # As OpenSim 4.6 writes a table, and as OpenSim 3 wrote a motion.
 OPENSIM_4 = """inDegrees=no
@@ -97,7 +101,7 @@ def test_what_is_written_is_read(tmp_path):
             "says nColumns=3 and has 2 columns; .* correct its header",
         ),
         ("a\0b\nendheader\ntime\ta\n0\t1\n", "is no text file in UTF-8 or Latin-1"),
-        ("endheader\ntime\ta\n0\t1\n0\t1\n", "must differ; those of rows 1 and 2 are both 0 s"),
+        ("endheader\ntime\ta\n0\t1\n0\t2\n", "must differ; those of rows 1 and 2 are both 0 s"),
         ("endheader\ntime\ta\ta\n0\t1\t1\n", "column 'a' twice"),
     ],
 )
@@ -234,3 +238,21 @@ def test_a_recording_for_opensim_without_a_sample_is_refused(elbow, tmp_path):
     with pytest.raises(ValueError, match="has no sample"), recording(elbow().sim, tmp_path / "run.sto"):
         pass
     assert not list(tmp_path.iterdir())
+
+
+def test_a_row_that_says_the_same_twice(tmp_path, caplog):
+    """As the last one of RRA's files."""
+    path = tmp_path / "rra.sto"
+    path.write_text("endheader\ntime\ta\tb\n0\t1\t100\n0.1\t2\t200\n0.1\t2\t200.0000001\n")
+    table = read_storage(path)
+    np.testing.assert_array_equal(table.values, [[1, 100], [2, 200]])
+    assert "row 3 says the same as 2; left out" in caplog.text
+
+
+@pytest.mark.parametrize("title", ["Speeds", "Accelerations", "PositionErrors"])
+def test_files_that_hold_no_motion(tmp_path, title):
+    """OpenSim's RRA and CMC name their columns by coordinates in all of these files."""
+    path = tmp_path / "walk_Kinematics_u.sto"
+    path.write_text(f"{title}\nversion=1\ninDegrees=yes\nendheader\ntime\tr_elbow_flex\n0\t1\n0.1\t2\n")
+    with pytest.raises(ValueError, match=f"calls itself '{title}'; a motion holds coordinates"):
+        read_motion(path, Bones.read(ARM))

@@ -6,10 +6,12 @@ from collections.abc import Callable
 from typing import ClassVar
 
 from myowarp.apps.cli.motion.analyze import Analyze
+from myowarp.apps.cli.motion.c3d import C3d
 from myowarp.apps.cli.motion.dynamics import Dynamics
 from myowarp.apps.cli.motion.emg import Emg
 from myowarp.apps.cli.motion.forces import Forces
 from myowarp.apps.cli.motion.kinematics import Kinematics
+from myowarp.apps.cli.motion.place import Place
 from myowarp.apps.cli.motion.report import Report
 from myowarp.apps.cli.motion.scale import Scale
 from myowarp.apps.cli.motion.study import Study
@@ -28,7 +30,9 @@ class Motion:
     """
 
     COMMANDS: ClassVar[dict[str, type[Callable[[], None]]]] = {
+        "c3d": C3d,
         "scale": Scale,
+        "place": Place,
         "kinematics": Kinematics,
         "analyze": Analyze,
         "dynamics": Dynamics,

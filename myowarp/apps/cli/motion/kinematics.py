@@ -22,11 +22,12 @@ from myowarp.apps.cli.options import Overwrite, optional
 from myowarp.disk import make_folder
 
 FILES = "ik.mot", "marker_errors.sto", "gaps.csv"
+SENSOR_FILES = "ik.mot", "orientation_errors.sto"
 
 
 @dataclass
 class Kinematics:
-    """Find joint angles from markers, with the weights of an OpenSim set-up file.
+    """Find joint angles from markers or inertial sensors, with the weights of an OpenSim set-up file.
 
     Example: myowarp motion kinematics gait.osim --markers walk.trc --setup ik.xml
     """
@@ -34,9 +35,13 @@ class Kinematics:
     model: Model
     markers: Annotated[Path | None, optional("FILE")] = None
     """Markers over time, .trc; by default those that the set-up file names."""
+    orientations: Annotated[Path | None, optional("FILE")] = None
+    """Orientations of sensors over time in place of markers, .sto of quaternions; the model has their frames
+    from myowarp motion place."""
     setup: Annotated[Path | None, optional("FILE")] = None
-    """Set-up file of OpenSim's InverseKinematicsTool: weights of markers and coordinates, by default the same
-    for all markers; file and times are taken from it unless they are given here."""
+    """Set-up file of OpenSim's InverseKinematicsTool or IMUInverseKinematicsTool: weights of markers, sensors
+    and coordinates, by default the same for all markers; file and times are taken from it unless they are
+    given here."""
     marker_set: Annotated[Path | None, optional("FILE")] = None
     """An OpenSim MarkerSet, in place of the model's markers of the same names."""
     fill: Annotated[float | None, optional("SECONDS")] = None
@@ -47,11 +52,30 @@ class Kinematics:
 
     def __call__(self) -> None:
         """Check, solve, write."""
+        import numpy as np
+
         from myowarp.motion import trial
         from myowarp.motion.inverse_kinematics import MarkerErrors
         from myowarp.osim.body.skeleton import Bones
 
-        setup = setup_of(self.setup, markers=self.markers, span=self.span, fill=self.fill)
+        setup = setup_of(
+            self.setup,
+            markers=self.markers,
+            orientations=self.orientations,
+            span=self.span,
+            fill=self.fill,
+        )
+        if setup.orientations is not None:
+            if setup.markers is not None:
+                raise ValueError("motion kinematics takes --markers or --orientations, not both")
+            check_results(self.output, SENSOR_FILES, self.overwrite)
+            bones = Bones.read(self.model)
+            make_folder(self.output)
+            turned = trial.kinematics_of_sensors(bones, self.output, setup)
+            lines = [f"{name}: {np.degrees(rms):.1f} degrees rms, {np.degrees(most):.1f} degrees at most"
+                     for name, rms, most in turned.worst()[:SHOWN]]  # fmt: skip
+            say_saved(lines, SENSOR_FILES, self.output)
+            return
         needed(setup.markers, "kinematics", "markers")
         check_results(self.output, FILES, self.overwrite)
         bones, fitted = Bones.read(self.model, markers=self.marker_set), MarkerErrors()
