@@ -371,10 +371,15 @@ def test_a_hint_is_that_of_clone_or_release(released, shown, monkeypatch):
 def test_one_constant_decides_how_extras_are_installed():
     """In pages, README included, and in messages: nothing else of the package names its own extras."""
     name = "myowarp" if extras.RELEASED else "."
+    known = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"])
     for page in PAGES:
         for line in (line for block in blocks(page, "sh") for line in block.splitlines()):
             if (found := re.match(r"(?:pip install|uvx --from) [\"'](.*?)\[", line)) and "dist/" not in line:
                 assert found[1] == name, f"{page.name}: {line}"
+        text = page.read_text()
+        for asked in re.findall(r'(?:pip install|--from) "[^"]*\[([^]]*)\]"', text):
+            assert set(asked.split(",")) <= known, f"{page.name}: {asked}"
+        assert set(re.findall(r"dist/myowarp-(.*?)-py3", text)) <= {myowarp.__version__}, page.name
     for notebook in (ROOT / "examples").glob("*.ipynb"):
         assert re.findall(r'pip install \\"(.*?)\[', notebook.read_text()) == [name], notebook
     for path in (ROOT / "myowarp").rglob("*.py"):
@@ -390,6 +395,8 @@ def test_ci_runs_what_readme_promises():
     files = [ROOT / ".ci/run", *(ROOT / ".github").rglob("*.yml")]
     made = {name for file in files for name in re.findall(r"\bmake ([a-z-]+)", file.read_text())}
     assert {"test", "fast", "lint", "docs", "dist"} <= made <= set(targets)
+    for page in PAGES:
+        assert set(re.findall(r"(?:^|`)make ([a-z-]+)", page.read_text(), re.M)) <= set(targets), page.name
 
 
 def test_lock_is_of_these_requirements():
