@@ -87,10 +87,10 @@ SMALL = {
 }
 """Options that make a command small, and take the place of its own."""
 MARKS = {
-    "myowarp train myoHandReachFixed-v1 --output runs/hand --video": "slow",  # films whole episodes
+    "myowarp train myoHandReachFixed-v1 --output runs/filmed": "slow",  # films whole episodes
     "myowarp improve baselines": "slow",  # two starts of a key
     "myowarp train myoHandKeyTurnRandom-v0 --parent": "slow",  # from what that has found
-    "myowarp export runs/hand": "slow",  # what that has trained
+    "myowarp export runs/filmed": "slow",  # what that has trained
     "myowarp baselines run": "slow",  # trains an elbow to the end
     "myowarp reproduce exo1": "slow",  # trains, and measures for minutes
     "myowarp sweep examples/study.yaml --dry-run": "",  # only says what it would do
@@ -213,6 +213,17 @@ def test_every_command_is_understood(page, line, monkeypatch):
     for word in arguments:
         if word.startswith(("examples/", "tests/")):
             assert Path(word).exists(), word
+
+
+def test_no_page_writes_where_another_did():
+    """A reader who goes from README to a tutorial and on is never told that an output exists."""
+    taken = {}
+    for block, _, lines in BLOCKS:
+        for words in (shlex.split(line, comments=True) for line in lines):
+            named = {"--output", "-o", "--video", "--signals"} & {*words}
+            outputs = [words[words.index(option) + 1] for option in named]
+            for output in outputs or ["out/plot.png"] * ("plot" in words):
+                assert taken.setdefault(output, block) == block, f"{output}: {taken[output]} and {block}"
 
 
 def kind_of(line):
