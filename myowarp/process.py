@@ -90,7 +90,9 @@ def start_warp() -> str:
     folder = writable_folder(given, "WARP_CACHE_PATH")
     if folder != given:
         for module in given.glob("wp_*"):
-            with contextlib.suppress(FileExistsError):
+            with contextlib.suppress(
+                OSError
+            ):  # it is there; or Windows allows no links: it is compiled again
                 (folder / module.name).symlink_to(module, target_is_directory=True)
         wp.config.kernel_cache_dir = str(folder)
     return "".join(said)

@@ -87,10 +87,10 @@ SMALL = {
 }
 """Options that make a command small, and take the place of its own."""
 MARKS = {
-    "myowarp train myoHandReachFixed-v1 --output runs/hand --video": "slow",  # films whole episodes
+    "myowarp train myoHandReachFixed-v1 --output runs/filmed": "slow",  # films whole episodes
     "myowarp improve baselines": "slow",  # two starts of a key
     "myowarp train myoHandKeyTurnRandom-v0 --parent": "slow",  # from what that has found
-    "myowarp export runs/hand": "slow",  # what that has trained
+    "myowarp export runs/filmed": "slow",  # what that has trained
     "myowarp baselines run": "slow",  # trains an elbow to the end
     "myowarp reproduce exo1": "slow",  # trains, and measures for minutes
     "myowarp sweep examples/study.yaml --dry-run": "",  # only says what it would do
@@ -213,6 +213,17 @@ def test_every_command_is_understood(page, line, monkeypatch):
     for word in arguments:
         if word.startswith(("examples/", "tests/")):
             assert Path(word).exists(), word
+
+
+def test_no_page_writes_where_another_did():
+    """A reader who goes from README to a tutorial and on is never told that an output exists."""
+    taken = {}
+    for block, _, lines in BLOCKS:
+        for words in (shlex.split(line, comments=True) for line in lines):
+            named = {"--output", "-o", "--video", "--signals"} & {*words}
+            outputs = [words[words.index(option) + 1] for option in named]
+            for output in outputs or ["out/plot.png"] * ("plot" in words):
+                assert taken.setdefault(output, block) == block, f"{output}: {taken[output]} and {block}"
 
 
 def kind_of(line):
@@ -371,10 +382,15 @@ def test_a_hint_is_that_of_clone_or_release(released, shown, monkeypatch):
 def test_one_constant_decides_how_extras_are_installed():
     """In pages, README included, and in messages: nothing else of the package names its own extras."""
     name = "myowarp" if extras.RELEASED else "."
+    known = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"])
     for page in PAGES:
         for line in (line for block in blocks(page, "sh") for line in block.splitlines()):
             if (found := re.match(r"(?:pip install|uvx --from) [\"'](.*?)\[", line)) and "dist/" not in line:
                 assert found[1] == name, f"{page.name}: {line}"
+        text = page.read_text()
+        for asked in re.findall(r'(?:pip install|--from) "[^"]*\[([^]]*)\]"', text):
+            assert set(asked.split(",")) <= known, f"{page.name}: {asked}"
+        assert set(re.findall(r"dist/myowarp-(.*?)-py3", text)) <= {myowarp.__version__}, page.name
     for notebook in (ROOT / "examples").glob("*.ipynb"):
         assert re.findall(r'pip install \\"(.*?)\[', notebook.read_text()) == [name], notebook
     for path in (ROOT / "myowarp").rglob("*.py"):
@@ -390,6 +406,8 @@ def test_ci_runs_what_readme_promises():
     files = [ROOT / ".ci/run", *(ROOT / ".github").rglob("*.yml")]
     made = {name for file in files for name in re.findall(r"\bmake ([a-z-]+)", file.read_text())}
     assert {"test", "fast", "lint", "docs", "dist"} <= made <= set(targets)
+    for page in PAGES:
+        assert set(re.findall(r"(?:^|`)make ([a-z-]+)", page.read_text(), re.M)) <= set(targets), page.name
 
 
 def test_lock_is_of_these_requirements():

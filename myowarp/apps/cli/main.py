@@ -93,7 +93,7 @@ def command() -> None:
         sys.exit(128 + signal.SIGINT)
     except BrokenPipeError:  # who reads has left, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(128 + signal.SIGPIPE)  # what a shell reports of other tools
+        sys.exit(128 + 13)  # SIGPIPE, which Windows does not name: what a shell reports of other tools
 
 
 def main() -> None:

@@ -9,6 +9,7 @@ continues, and an edited model repeats what was edited.
 import dataclasses
 import multiprocessing
 import pickle
+import platform
 import signal
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -135,9 +136,9 @@ def fit_muscles(
         yield from map(_work, names)
         return
     # Forked workers share poses and kernel, and need not import Warp again, which takes longer than the fits.
+    # macOS may kill a process that forks with threads.
     load_kernel()
-    fork = "fork" if "fork" in multiprocessing.get_all_start_methods() else None
-    context = multiprocessing.get_context(fork)
+    context = multiprocessing.get_context("fork" if platform.system() == "Linux" else None)
     with ProcessPoolExecutor(min(workers, len(names)), context, _begin, shared) as pool:
         try:
             for future in as_completed([pool.submit(_work, name) for name in names]):
