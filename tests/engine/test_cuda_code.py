@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from benchmarks.cubin import Need
-from benchmarks.cuda_step import ARCHITECTURE, CASES, compile_nodes, cuda_shard, step_nodes
+from benchmarks.cuda_step import ARCHITECTURE, CASES, WHOLE, compile_nodes, cuda_shard, step_nodes
 
 HAND, PARITY = CASES[0]
 TABLE = json.loads((Path(__file__).parents[1] / "data" / "cuda_kernels.json").read_text())
@@ -25,10 +25,13 @@ def is_small(need):
     return all(value <= most for value, most in zip(need, MOST, strict=True))
 
 
-def assert_as_in_table(nodes, found):
+def assert_small(nodes, found):
     for node in nodes:
         if node.kernel is not None and node.kernel.func.__module__.startswith("myowarp."):
             assert is_small(found[node.name]), (node.name, found[node.name])
+
+
+def assert_as_in_table(found):
     for name, need in found.items():
         assert name in TABLE, f"{name} is new: write the table anew"
         for field, value, known in zip(Need._fields, need, TABLE[name], strict=True):
@@ -39,7 +42,8 @@ def test_kernels_of_ours_in_a_step_of_the_hand(tmp_path):
     nodes = [node for node in step_nodes(cuda_shard(HAND, PARITY)) if node.name in OURS]
     found = compile_nodes(nodes, tmp_path)
     assert found.keys() >= OURS
-    assert_as_in_table(nodes, found)
+    assert_small(nodes, found)
+    assert_as_in_table(found)
     assert len(list(tmp_path.glob(f"*/*.sm{ARCHITECTURE}.cubin"))) == len(OURS)
 
 
@@ -50,4 +54,14 @@ def test_all_kernels_of_a_step(task, physics, tmp_path):
     nodes = step_nodes(cuda_shard(task, physics))
     found = compile_nodes(nodes, tmp_path)
     assert found.keys() >= {node.name for node in nodes if node.kernel is not None}
-    assert_as_in_table(nodes, found)
+    assert_small(nodes, found)
+    assert_as_in_table(found)
+
+
+@pytest.mark.slow
+def test_a_physics_step_in_one_kernel(tmp_path):
+    """It is no small one: the code of all stages, and a stack; but one for each physics step."""
+    nodes = step_nodes(cuda_shard(*WHOLE, stages=("whole_step",)))
+    found = compile_nodes([node for node in nodes if node.name == "step_worlds"], tmp_path)
+    assert found.keys() == {"step_worlds"}
+    assert_as_in_table(found)
