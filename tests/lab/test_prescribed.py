@@ -1,4 +1,4 @@
-"""A model's own controllers as a policy, by the closed forms of their functions; XML as OpenSim 4.6 writes it."""
+"""A model's own controllers as a policy, by the closed forms of their functions; XML as in OpenSim 4.6."""
 
 from pathlib import Path
 from types import SimpleNamespace
