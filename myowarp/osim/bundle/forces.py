@@ -165,14 +165,19 @@ class PassiveForces(Sidecar):
             )
             for ligament in entry["ligaments"]
         )
-        pushes, bushings, body_pushes = (
-            tuple(kind(**frozen(one) | formulas_of(one)) for one in entry.get(name, ()))
-            for name, kind in (("pushes", JointPush), ("bushings", BodyBushing), ("body_pushes", BodyPush))
+        kinds: tuple[tuple[str, Any], ...] = (
+            ("pushes", JointPush),
+            ("bushings", BodyBushing),
+            ("body_pushes", BodyPush),
         )
+        others: dict[str, tuple[Any, ...]] = {
+            name: tuple(kind(**frozen(one) | formulas_of(one)) for one in entry.get(name, ()))
+            for name, kind in kinds
+        }
         bare = {str(joint): (float(k), float(at)) for joint, (k, at) in entry.get("bare", {}).items()}
         dampers = {str(joint): float(damping) for joint, damping in entry["dampers"].items()}
         springs = tuple(map(str, entry["springs"]))
-        found = cls(limits, ligaments, springs, dampers, bare, pushes, bushings, body_pushes)
+        found = cls(limits, ligaments, springs, dampers, bare, **others)
         _check(found)
         return found
 
@@ -194,7 +199,8 @@ class PassiveForces(Sidecar):
 
     def check(self, model: mujoco.MjModel) -> None:
         """Raise ValueError if it names what a model has not."""
-        joints = {*(one.joint for one in (*self.limits, *self.pushes)), *self.dampers, *self.bare}
+        joints = {*(limit.joint for limit in self.limits), *(push.joint for push in self.pushes)}
+        joints |= {*self.dampers, *self.bare}
         self.check_named("body", self.bodies_apart, {model.body(i).name for i in range(model.nbody)})
         tendons = {*(ligament.tendon for ligament in self.ligaments), *self.springs}
         self.check_named("hinge or slide", joints, scalar_joints(model))
@@ -220,7 +226,8 @@ def _check(acting: PassiveForces) -> None:
     for push in acting.pushes:
         if not (np.isfinite(push.scale) and push.scale):
             raise ValueError(f"the push of joint {push.joint!r} needs a finite scale other than 0")
-    for one in (*acting.bushings, *acting.body_pushes):
+    on_bodies: tuple[BodyBushing | BodyPush, ...] = (*acting.bushings, *acting.body_pushes)
+    for one in on_bodies:
         parts = [
             value for name, value in vars(one).items() if name not in ("bodies", "body", "ground", "formulas")
         ]

@@ -3,7 +3,8 @@
 OpenSim 4.6 and MyoWarp both read the set that is written (`FunctionBasedPath`), and follow such a path faster
 than one that wraps. A polynomial has all terms up to an order; it is fitted by least squares to lengths and
 moment arms in random poses of the coordinates that the path crosses, in products of Chebyshev's polynomials,
-and the least order is taken whose errors in other poses are within `LENGTH` and `ARM`.
+and the least order is taken whose errors in other poses are within `LENGTH` and `ARM`. The length of a path
+that crosses one coordinate is a spline, which bends where a wrap begins.
 
 Source: van den Bogert et al. (2013), doi:10.1007/s11517-013-1076-z; the classes are OpenSim 4.6's
 `FunctionBasedPath` and `MultivariatePolynomialFunction`.
@@ -20,7 +21,7 @@ from myowarp.laws.paths.path import MOST_VARIABLES
 from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.elements import LengthFunction
-from myowarp.osim.document.functions import IDENTITY
+from myowarp.osim.document.functions import IDENTITY, SimmSpline
 from myowarp.osim.document.kinematics import sampling_range
 from myowarp.osim.document.model import Model, pulling
 from myowarp.osim.document.read.element import Element, write
@@ -33,6 +34,7 @@ POSES, HELD_OUT = 6000, 2000
 """Random poses of a fit, half of them nearer the ends of the ranges, and of its check."""
 MOST_TERMS = 500
 MOST_ORDER = 12
+KNOTS = (9, 17, 33, 65, 129)
 SEED = 0
 
 
@@ -43,7 +45,7 @@ class FittedPath:
     Attributes:
         name: Of the muscle, ligament or path actuator.
         function: The polynomial.
-        order: Of it.
+        order: Of it; of a spline the number of knots.
         length_rms: Error over the held-out poses, root mean square [m].
         length_worst: The same at worst.
         arm_rms: The same of moment arms, over all coordinates that it crosses [m] or [1].
@@ -88,6 +90,12 @@ def fit_function_paths(bones: Bones) -> tuple[list[FittedPath], list[str]]:
     for crossed, numbers in groups.items():
         if not 1 <= len(crossed) <= MOST_VARIABLES:
             continue
+        if len(crossed) == 1:
+            name, ends = bones.coordinates[crossed[0]], (low[crossed[0]], high[crossed[0]])
+            for k in numbers:
+                samples = values[:, crossed[0]], paths.length[:, k], paths.moment_arm[:, k, crossed[0]]
+                found[names[k]] = fitted_spline(names[k], name, ends, *samples)
+            continue
         columns, waiting = list(crossed), numbers
         problem = _Problem(values[:, columns], low[columns], high[columns])
         for order in problem.orders():
@@ -108,6 +116,43 @@ def fit_function_paths(bones: Bones) -> tuple[list[FittedPath], list[str]]:
                 break
     kept = [found[name] for name in names if name in found]
     return kept, [name for name in names if name not in found]
+
+
+def fitted_spline(
+    name: str,
+    coordinate: str,
+    ends: tuple[float, float],
+    values: np.ndarray,
+    length: np.ndarray,
+    arm: np.ndarray,
+) -> FittedPath:
+    """Return the spline with the fewest knots whose errors are within the bounds, else the nearest one.
+
+    Args:
+        name: Of the path.
+        coordinate: That it crosses.
+        ends: Of the coordinate's range.
+        values: Of the coordinate in random poses, the last `HELD_OUT` for the check.
+        length: In these [m].
+        arm: The same of moment arms.
+    """
+    order = np.argsort(values[:POSES])
+    best: FittedPath | None = None
+    for knots in KNOTS:
+        x = np.linspace(*ends, knots)
+        y = np.interp(x, values[:POSES][order], length[:POSES][order])
+        function = LengthFunction(
+            (coordinate,), (SimmSpline(tuple(x.tolist()), tuple(y.tolist())),), (1.0,), ((1,),)
+        )
+        found, slope = function.at({coordinate: values[POSES:]})
+        off, turned = (found - length[POSES:])[:, None], (-slope[0] - arm[POSES:])[:, None]
+        errors = [float(of(part)[0]) for part in (off, turned) for of in (_rms, _worst)]
+        one = FittedPath(name, function, knots, *errors)
+        best = one if best is None or one.badness < best.badness else best
+        if one.good:
+            break
+    assert best is not None
+    return best
 
 
 class _Problem:
@@ -217,7 +262,8 @@ def write_fitted(source: Path, output: Path) -> str:
     bones = Bones.read(source)
     fitted, without = fit_function_paths(bones)
     write_function_paths(output / FILES[0], bones.model, fitted)
-    rows = ["path,coordinates,order,length rms [m],length worst [m],moment arm rms [m],moment arm worst [m]"]
+    columns = "length rms [m]", "length worst [m]", "moment arm rms [m]", "moment arm worst [m]"
+    rows = [",".join(("path", "coordinates", "order or knots", *columns))]
     for one in fitted:
         errors = one.length_rms, one.length_worst, one.arm_rms, one.arm_worst
         cells = [one.name, " ".join(one.function.coordinates), str(one.order), *map("{:.3g}".format, errors)]
@@ -235,7 +281,7 @@ def write_fitted(source: Path, output: Path) -> str:
 
 
 def write_function_paths(path: Path, model: Model, fitted: Iterable[FittedPath]) -> None:
-    """Write polynomials as the set that OpenSim's `ModOpReplacePathsWithFunctionBasedPaths` reads.
+    """Write lengths as the set that OpenSim's `ModOpReplacePathsWithFunctionBasedPaths` reads.
 
     Raises:
         OSError: The file cannot be written.
@@ -248,7 +294,13 @@ def write_function_paths(path: Path, model: Model, fitted: Iterable[FittedPath])
         function = one.function
         joints = [f"/jointset/{model.coordinates[name].joint}/{name}" for name in function.coordinates]
         element.put("coordinate_paths", " ".join(joints))
-        inner = element.put("length_function", "").put("MultivariatePolynomialFunction", "")
+        held = element.put("length_function", "")
+        if isinstance(spline := function.functions[0], SimmSpline):
+            inner = held.put("SimmSpline", "")
+            inner.put_numbers("x", np.array(spline.x))
+            inner.put_numbers("y", np.array(spline.y))
+            continue
+        inner = held.put("MultivariatePolynomialFunction", "")
         inner.put_numbers("coefficients", np.array(function.coefficients))
         inner.put("dimension", str(len(function.coordinates)))
         inner.put("order", str(one.order))

@@ -122,7 +122,9 @@ def read_bushing(element: Element, scope: Scope) -> Bushing:
         "rotational_damping",
         "translational_damping",
     )
-    numbers = [element.numbers(name, default=ZERO, count=3) for name in properties]
+    turn, shift, turn_damping, shift_damping = (
+        element.numbers(name, default=ZERO, count=3) for name in properties
+    )
     formulas: list[Expression] = []
     if element.tag == "ExpressionBasedBushingForce":
         formulas = [expression_in(element, f"{one}_expression", DEFLECTIONS) for one in BUSHING_FORCES]
@@ -130,7 +132,9 @@ def read_bushing(element: Element, scope: Scope) -> Bushing:
         for number, (one, deflection) in enumerate(zip(BUSHING_FORCES, DEFLECTIONS, strict=True)):
             tag = f"{one[0].lower()}_{one[1]}_{deflection}_function"
             formulas.append(_program(element, function_in(element, tag) or Constant(0.0), number))
-    return Bushing(element.name, bodies, poses, *numbers, element.tag, tuple(formulas))
+    return Bushing(
+        element.name, bodies, poses, turn, shift, turn_damping, shift_damping, element.tag, tuple(formulas)
+    )
 
 
 def _program(element: Element, function: Function, variable: int = 0) -> Expression:

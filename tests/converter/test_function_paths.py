@@ -1,0 +1,129 @@
+"""Lengths that are functions of coordinates: sets in files, fits, refusals, and the step.
+
+What OpenSim makes of such paths is in `test_opensim_forces.py` and `tests/motion/test_model_forces.py`.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from myowarp.osim.body.muscle_paths import PathsOfMuscles, muscle_paths
+from myowarp.osim.body.scale_document import Document, read_with, scale_document
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.convert.function_paths import ARM, LENGTH, fit_function_paths, write_function_paths
+from myowarp.osim.document.kinematics import sampling_range
+from myowarp.osim.document.read.element import parse
+from myowarp.osim.document.read.functions import exponents
+from myowarp.osim.document.read.model import read_model
+
+OSIM = Path(__file__).parents[1] / "data/osim"
+LEG = OSIM / "leg6dof9musc.osim"
+DEVICES = OSIM / "devices.osim"
+
+SET = """<OpenSimDocument Version="40600"><Set_FunctionBasedPath_><objects>
+<FunctionBasedPath name="/forceset/{name}"><coordinate_paths>{coordinates}</coordinate_paths>
+<length_function>{function}</length_function>{more}</FunctionBasedPath></objects></Set_FunctionBasedPath_>
+</OpenSimDocument>"""
+SQUARE = """<MultivariatePolynomialFunction><coefficients>{}</coefficients><dimension>1</dimension>
+<order>2</order></MultivariatePolynomialFunction>"""
+
+
+def bones_with(folder, name="cable", coordinates="/jointset/knee/knee_angle", function="", more=""):
+    """Return the devices with a path of a set in place of one of theirs."""
+    file = folder / "paths.xml"
+    function = function or SQUARE.format("0.4 0.05 0.01")
+    file.write_text(SET.format(name=name, coordinates=coordinates, function=function, more=more))
+    return Bones.read(DEVICES, function_paths=file)
+
+
+def test_terms_are_in_the_order_of_opensim():
+    """OpenSim 4.6: 1, 2, ... 6 of order 2 at (10, 100) is 35841."""
+    terms = [10.0**p * 100.0**q for p, q in exponents(2, 2)]
+    assert np.dot(range(1, 7), terms) == 35841.0
+    assert len(exponents(3, 5)) == 56
+    assert len(exponents(6, 5)) == 462
+
+
+def test_a_set_takes_the_place_of_paths(tmp_path):
+    bones = bones_with(tmp_path)
+    knee, hip = (bones.coordinates.index(name) for name in ("knee_angle", "hip_flexion"))
+    values = np.random.default_rng(0).uniform(-1.0, 1.0, size=(37, len(bones.coordinates)))
+    speeds = np.random.default_rng(1).normal(size=values.shape)
+    lanes = muscle_paths(bones, values, speeds, ["cable", "belt"])
+    kernels = PathsOfMuscles(bones, 37, ["cable", "belt"]).along(values, speeds)
+    for found in (lanes, kernels):
+        q = values[:, knee]
+        np.testing.assert_allclose(found.length[:, 0], 0.4 + 0.05 * q + 0.01 * q**2, rtol=1e-14)
+        np.testing.assert_allclose(found.moment_arm[:, 0, knee], -0.05 - 0.02 * q, rtol=1e-14)
+        np.testing.assert_allclose(found.velocity[:, 0], (0.05 + 0.02 * q) * speeds[:, knee], rtol=1e-12)
+        assert not found.moment_arm[:, 0, hip].any()
+        assert found.moment_arm[:, 1].any()
+    before = muscle_paths(Bones.read(DEVICES), values, speeds, ["cable"])
+    assert np.abs(before.length - lanes.length[:, :1]).max() > 0.01
+
+
+WRONG = [
+    ({"name": "nobody"}, ValueError, "names a force that the model does not have, or that has no path"),
+    ({"coordinates": "/jointset/x/elsewhere"}, ValueError, "refers to coordinate '/jointset/x/elsewhere'"),
+    ({"coordinates": ""}, ValueError, "must have coordinates, each once, got none"),
+    ({"function": SQUARE.format("1 2")}, ValueError, "3"),
+    ({"function": "<Nothing/>"}, NotImplementedError, "Nothing"),
+    (
+        {"coordinates": "knee_angle hip_flexion", "function": SQUARE.format("1 2 3")},
+        ValueError,
+        "as many dimensions as coordinates, 2, got 1",
+    ),
+    (
+        {"more": f"<moment_arm_functions>{SQUARE.format('0.05 0.02 0')}</moment_arm_functions>"},
+        NotImplementedError,
+        "states moment arms or speeds up to 0.1",
+    ),
+]
+
+
+@pytest.mark.parametrize(("parts", "error", "reason"), WRONG)
+def test_what_is_wrong_is_said(parts, error, reason, tmp_path):
+    with pytest.raises(error, match=reason) as raised:
+        bones_with(tmp_path, **parts)
+    assert "\n" not in str(raised.value)
+
+
+def test_other_kinds_of_path_are_named(tmp_path):
+    text = DEVICES.read_text().replace("FunctionBasedPath", "Scholz2015GeometryPath")
+    path = tmp_path / "scholz.osim"
+    path.write_text(text)
+    with pytest.raises(
+        NotImplementedError, match="<Scholz2015GeometryPath name='path'> is no supported kind"
+    ):
+        read_model(path)
+
+
+def test_no_factor_scales_a_function():
+    document = Document(DEVICES, parse(DEVICES)[0])
+    with pytest.raises(ValueError, match="4 paths, such as that of 'tether', are functions of coordinates"):
+        scale_document(document, {"thigh": np.full(3, 1.1)}, None, False)
+
+
+def test_fits_are_as_near_as_they_say(tmp_path):
+    """Of nine muscles over wraps and moving points; read back, they are what was fitted."""
+    bones = Bones.read(LEG)
+    fitted, without = fit_function_paths(bones)
+    assert not without
+    assert len(fitted) == len(bones.model.muscles)
+    file = tmp_path / "paths.xml"
+    write_function_paths(file, bones.model, fitted)
+    functions = Bones(read_with(LEG, function_paths=file))
+    low, high = np.array([sampling_range(bones.model, name) for name in bones.coordinates]).T
+    values = np.random.default_rng(7).uniform(low, high, size=(500, len(low)))
+    still = np.zeros_like(values)
+    theirs, found = muscle_paths(bones, values, still), muscle_paths(functions, values, still)
+    assert theirs.muscles == found.muscles
+    off = np.abs(found.length - theirs.length).max(axis=0)
+    arm = np.abs(found.moment_arm - theirs.moment_arm).max(axis=(0, 2))
+    good = np.array([one.good for one in fitted])
+    assert good.sum() >= 5, "psoas jumps by 19 mm, three others bend where their wraps begin"
+    assert off[good].max() <= 1.3 * LENGTH
+    assert arm[good].max() <= 1.3 * ARM
+    assert max(one.length_worst for one in fitted) > 10 * LENGTH
+    assert {len(one.function.coordinates) for one in fitted} == {1, 2}
