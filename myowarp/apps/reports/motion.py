@@ -21,6 +21,7 @@ import numpy as np
 
 from myowarp.apps.reports import panel
 from myowarp.apps.reports.table import number
+from myowarp.motion.gait import side_of
 from myowarp.motion.storage import Storage, read_storage
 from myowarp.motion.units import Angles
 from myowarp.osim.document.kinematics import floating
@@ -196,15 +197,6 @@ def among(table: Storage, labels: Sequence[str] | set[str]) -> Storage:
     """Return the columns with these labels, in their order in the table."""
     kept = [number for number, label in enumerate(table.labels) if label in labels]
     return Storage(tuple(table.labels[k] for k in kept), table.time, table.values[:, kept], table.in_degrees)
-
-
-def side_of(label: str) -> tuple[str, str]:
-    """Return the quantity of a column and its side: r, l or "", by its name as in OpenSim's models."""
-    sides = set(re.findall(r"_([rl])(?=_|$)", label))
-    if len(sides) != 1:
-        return label, ""
-    (side,) = sides
-    return re.sub(f"_{side}(?=_|$)", "", label), side
 
 
 def name_sides(figure: Figure, labels: Iterable[str], ink: str | None = None) -> None:

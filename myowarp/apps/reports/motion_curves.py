@@ -18,9 +18,9 @@ from myowarp.apps.reports.motion import (
     name_sides,
     resultants,
     root_mean_square,
-    side_of,
 )
 from myowarp.definitions.registry import check_choice
+from myowarp.motion.gait import side_of
 from myowarp.motion.storage import Storage, read_storage
 from myowarp.osim.document.read.groups import read_groups
 from myowarp.osim.document.read.model import read_model
