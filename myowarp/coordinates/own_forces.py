@@ -214,29 +214,19 @@ def push_and_pull(
     ten_J_rowadr: wp.array[int],
     ten_J_colind: wp.array[int],
     # Params:
-    tree: Tree,
     limits: wp.array[CoordinateLimit],
-    pushes: wp.array[Push],
     ligaments: wp.array[Ligament],
     curves: PieceTables,
-    bushings: wp.array[Bushing],
-    pushed_bodies: wp.array[PushedBody],
     formulas: Programs,
     # Data in:
-    time_in: wp.array[float],
     qpos_in: wp.array2d[float],
-    qvel_in: wp.array2d[float],
-    xpos_in: wp.array2d[wp.vec3],
-    xmat_in: wp.array2d[wp.mat33],
-    subtree_com_in: wp.array2d[wp.vec3],
-    cdof_in: wp.array2d[wp.spatial_vector],
     ten_length_in: wp.array2d[float],
     ten_velocity_in: wp.array2d[float],
     ten_J_in: wp.array2d[float],
     # Data out:
     qfrc_passive_out: wp.array2d[float],
 ):
-    """qfrc_passive += limits + formulas + J' w of bushings and pushed bodies - J' T of ligaments."""
+    """qfrc_passive += springs of limits - J' T of ligaments."""
     worldid = wp.tid()
     for i in range(limits.shape[0]):
         limit = limits[i]
@@ -253,10 +243,46 @@ def push_and_pull(
         for k in range(first, first + ten_J_rownnz[tendon]):
             dof = ten_J_colind[k]
             qfrc_passive_out[worldid, dof] = qfrc_passive_out[worldid, dof] - tension * ten_J_in[worldid, k]
+
+
+@wp.kernel(enable_backward=False)
+def push_joints(
+    # Params:
+    pushes: wp.array[Push],
+    formulas: Programs,
+    # Data in:
+    qpos_in: wp.array2d[float],
+    qvel_in: wp.array2d[float],
+    # Data out:
+    qfrc_passive_out: wp.array2d[float],
+):
+    """qfrc_passive += formulas of coordinates, without their damping."""
+    worldid = wp.tid()
     for i in range(pushes.shape[0]):
         dof = pushes[i].dof
         found = pushed(pushes[i], formulas, i, qpos_in[worldid, pushes[i].address], qvel_in[worldid, dof])
         qfrc_passive_out[worldid, dof] = qfrc_passive_out[worldid, dof] + float(found[0])
+
+
+@wp.kernel(enable_backward=False)
+def push_bodies(
+    # Params:
+    tree: Tree,
+    bushings: wp.array[Bushing],
+    pushed_bodies: wp.array[PushedBody],
+    formulas: Programs,
+    # Data in:
+    time_in: wp.array[float],
+    qvel_in: wp.array2d[float],
+    xpos_in: wp.array2d[wp.vec3],
+    xmat_in: wp.array2d[wp.mat33],
+    subtree_com_in: wp.array2d[wp.vec3],
+    cdof_in: wp.array2d[wp.spatial_vector],
+    # Data out:
+    qfrc_passive_out: wp.array2d[float],
+):
+    """qfrc_passive += J' w of bushings and of pushed bodies."""
+    worldid = wp.tid()
     one = wp.float64(1.0)
     for i in range(bushings.shape[0]):
         bushing = bushings[i]
@@ -370,6 +396,10 @@ class OwnForces:
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Add all other forces to `qfrc_passive`."""
         launch(push_and_pull, data.nworld, self, model, data)
+        if self.pushes.size:
+            launch(push_joints, data.nworld, self, model, data)
+        if self.bushings.size or self.pushed_bodies.size:
+            launch(push_bodies, data.nworld, self, model, data)
 
     def launch_implicit(self, model: mjw.Model, data: mjw.Data, directions: wp.array) -> None:
         """Add nothing: what damps is `dof_damping`."""
