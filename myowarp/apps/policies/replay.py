@@ -70,8 +70,8 @@ class Replay:
             action[:, actuator] = action_of(
                 np.interp(time, self._time, self._values[:, muscle]), scene.spec.linear_excitation
             )
-        for actuator, controls in self._motors.items():
-            action[:, actuator] = np.interp(time, self._time, controls)
+        for motor, controls in self._motors.items():
+            action[:, motor] = np.interp(time, self._time, controls)
         return action
 
 

@@ -9,8 +9,8 @@ import warp as wp
 
 from myowarp.kernels.launch import launch
 from myowarp.laws.forces.contact import Contact, Wrench, contact_wrench, overlap_of
-from myowarp.osim.body.model_forces import axes_of, motion_of
-from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, place, station
+from myowarp.osim.body.model_forces import motion_of
+from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, place
 from myowarp.osim.bundle.contacts import SurfacePair, contact_table
 from myowarp.osim.document.contacts import contact_pairs
 
@@ -27,16 +27,16 @@ def contact_between(
 ) -> Wrench:
     """Return what a contact does to its second body."""
     one, two = contact.first, contact.second
-    first_turn, first_shift = motion_of(worldid, one.body, skeleton, speeds, placement)
-    second_turn, second_shift = motion_of(worldid, two.body, skeleton, speeds, placement)
+    first = motion_of(worldid, one.body, skeleton, speeds, placement)
+    second = motion_of(worldid, two.body, skeleton, speeds, placement)
     overlap = overlap_of(
         contact,
-        axes_of(worldid, one.body, one.rotation, placement),
-        station(worldid, one.body, one.origin, placement),
-        axes_of(worldid, two.body, two.rotation, placement),
-        station(worldid, two.body, two.origin, placement),
+        first.rotation * one.rotation,
+        first.origin + first.rotation * one.origin,
+        second.rotation * two.rotation,
+        second.origin + second.rotation * two.origin,
     )
-    return contact_wrench(contact, overlap, first_turn - second_turn, first_shift - second_shift)
+    return contact_wrench(contact, overlap, first.turn - second.turn, first.shift - second.shift)
 
 
 @wp.kernel(enable_backward=False)

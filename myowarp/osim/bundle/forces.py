@@ -165,19 +165,20 @@ class PassiveForces(Sidecar):
             )
             for ligament in entry["ligaments"]
         )
-        kinds: tuple[tuple[str, Any], ...] = (
-            ("pushes", JointPush),
-            ("bushings", BodyBushing),
-            ("body_pushes", BodyPush),
-        )
-        others: dict[str, tuple[Any, ...]] = {
-            name: tuple(kind(**frozen(one) | formulas_of(one)) for one in entry.get(name, ()))
-            for name, kind in kinds
-        }
+
+        def others(name: str, kind: Any) -> Any:
+            """Return the forces of a kind."""
+            return tuple(kind(**frozen(one) | formulas_of(one)) for one in entry.get(name, ()))
+
         bare = {str(joint): (float(k), float(at)) for joint, (k, at) in entry.get("bare", {}).items()}
         dampers = {str(joint): float(damping) for joint, damping in entry["dampers"].items()}
         springs = tuple(map(str, entry["springs"]))
-        found = cls(limits, ligaments, springs, dampers, bare, **others)
+        found = cls(
+            *(limits, ligaments, springs, dampers, bare),
+            pushes=others("pushes", JointPush),
+            bushings=others("bushings", BodyBushing),
+            body_pushes=others("body_pushes", BodyPush),
+        )
         _check(found)
         return found
 

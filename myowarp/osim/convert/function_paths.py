@@ -199,7 +199,7 @@ class _Problem:
         ]
         lengths, arms = off[0], np.concatenate(off[1:])
         errors = [of(part) for part in (lengths, arms) for of in (_rms, _worst)]
-        return [(row, *map(float, one)) for row, *one in zip(coefficients.T, *errors, strict=True)]  # type: ignore[misc]
+        return [(row, *map(float, one)) for row, *one in zip(coefficients.T, *errors, strict=True)]
 
     def _in_coordinates(self, solution: np.ndarray, order: int, terms: list[tuple[int, ...]]) -> np.ndarray:
         """Return coefficients of powers of coordinates, of those of Chebyshev's polynomials."""

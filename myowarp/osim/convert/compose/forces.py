@@ -66,14 +66,16 @@ def _bushing(build: Build, item: Bushing) -> BodyBushing:
     """Return a bushing with MuJoCo's names of bodies."""
     (first_turn, first), (second_turn, second) = map(_posed, item.frames)
     one, other = (build.bodies[body].name for body in item.bodies)
-    numbers = (
-        item.rotational_stiffness,
-        item.translational_stiffness,
-        item.rotational_damping,
-        item.translational_damping,
+    return BodyBushing(
+        bodies=(one, other),
+        rotations=(first_turn, second_turn),
+        origins=(first, second),
+        turn_stiffness=vector(item.rotational_stiffness),
+        shift_stiffness=vector(item.translational_stiffness),
+        turn_damping=vector(item.rotational_damping),
+        shift_damping=vector(item.translational_damping),
+        formulas=item.formulas,
     )
-    vectors = map(vector, numbers)
-    return BodyBushing((one, other), (first_turn, second_turn), (first, second), *vectors, item.formulas)
 
 
 def _limit(build: Build, item: CoordinateLimitForce) -> JointLimit:
