@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from itertools import islice
 from pathlib import Path
 
 import mujoco
@@ -13,13 +14,15 @@ from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.reproduce import Reproduce
 from myowarp.apps.policies.baselines import load_baseline
 from myowarp.apps.policies.checkpoint import CheckpointError, load_checkpoint
-from myowarp.apps.studies.reproduce import baselines, conditions, speed, transfer, validation
+from myowarp.apps.rollouts.run import stepped
+from myowarp.apps.studies.reproduce import baselines, conditions, grid, motor, speed, transfer, validation
 from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
 from myowarp.apps.studies.reproduce.experiment import Lab
 from myowarp.apps.studies.reproduce.policies import Training, retrained
 from myowarp.apps.studies.reproduce.report import FILES
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.setup import Setup
+from myowarp.sim.simulation import Simulation
 
 pytest.importorskip("matplotlib").use("agg")
 
@@ -84,6 +87,48 @@ def test_conditions_take_success_from_policies(found):
     assert success[f"{conditions.QUICK_TASKS[0]}, none"] == 100.0
     after = ours(result, "success after more training")
     assert set(after) == {f"{conditions.QUICK_TASKS[1]}, {name}" for name in ("none", "tear")}
+
+
+def test_the_grid_shows_the_policies_of_the_package(found):
+    """The elbow's 24 cells; where nothing is changed the evaluation of the baseline holds."""
+    result, folder = found("grid", num_worlds=8)
+    success = ours(result, "success, the package's policy")
+    assert set(success) == {cell.id for cell in grid.grid() if cell.family == "ElbowPose"}
+    for task, cell in (("Fixed", "paperElbowPoseEasyF-v0"), ("Random", "paperElbowPoseHardF-v0")):
+        baseline = load_baseline(f"myoElbowPose1D6M{task}-v0").runs[0]["evaluation"]["sampled"]
+        assert success[f"MyoWarp/{cell}"] == pytest.approx(100.0 * baseline["success_myosuite"], abs=15.0)
+    assert "24 of 24 cells" in (folder / "page.md").read_text()
+
+
+def test_cells_of_the_grid_are_compared_by_their_reset():
+    cells = [cell for cell in grid.grid() if (cell.family, cell.difficulty) == ("FingerPose", "easy")]
+    healthy = {cell.reset: cell for cell in cells if cell.condition == "none"}
+    counts = {"fixed": 200, "random": 100, "none": 196}
+    shipped = {healthy[reset]: np.arange(200) < count for reset, count in counts.items()}
+    trained = {healthy["random"]: np.arange(200) < 180, healthy["none"]: np.arange(200) < 190}
+    found = grid.findings(cells, shipped, trained)
+    assert found.holds == {"resets": False, "reset-free": True, "trained": True, "own": False}
+    names = ("cells", "numbers", "empty", "pairs", "changed", "kept", "gained", "lost")
+    assert [found.measured[name] for name in names] == [9, 3, 6, 2, 1, 1, 1, 0]
+
+
+def test_work_of_motors_is_mujocos_torque_times_the_speed():
+    """MuJoCo C's torques in the states that steps lead to; ours are those of 2 ms before."""
+    sim = Simulation(Setup(task="motorFingerPoseFixed-v1", physics="parity", device="cpu"), 3, progress=False)
+    sim.reset(seeds=np.arange(3))
+    action = np.random.default_rng(0).uniform(-1.0, 1.0, (3, sim.scene.num_actions)).astype(np.float32)
+    watched, work, host = motor.Movement(sim, lambda share: None), np.zeros(3), mujoco.MjData(sim.full_model)
+    for step in islice(stepped(sim, lambda obs: action), 40):
+        watched.see(step)
+        qpos, qvel, ctrl = (getattr(sim.scene.data, name).numpy() for name in ("qpos", "qvel", "ctrl"))
+        for world in range(3):
+            host.qpos, host.qvel, host.ctrl = qpos[world], qvel[world], ctrl[world]
+            mujoco.mj_forward(sim.full_model, host)
+            power = np.maximum(host.qfrc_actuator * host.qvel, 0.0).sum()
+            work[world] += power * sim.scene.control_dt
+    assert work.min() > 1e-3
+    np.testing.assert_allclose(watched.work, work, rtol=0.02)
+    assert len(watched.velocity) == 20
 
 
 def test_losses_are_judged_by_intervals():
