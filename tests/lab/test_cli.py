@@ -373,7 +373,7 @@ BAD_LATER = {
     "no such policy": (
         ["--policy", "best"],
         "policy 'best' unknown; available: random, zero, hold, muscle-control, baseline, baselines/<task>, "
-        "the folder of a trained policy, excitations (.sto, .mot, .csv), "
+        "the folder of a trained policy, excitations (.sto, .mot, .csv), a model's own controllers (.osim), "
         "package.module:function, file.py:function",
     ),
     "no such file": (["--policy", "none.py:act"], "file 'none.py' does not exist"),

@@ -47,7 +47,7 @@ def test_every_task_has_one_place_in_the_tree():
     assert len(tree) < len(TASKS) / 3
     assert list(tree["pose, hand"]["easy"]) == ["v1", "v0"]
     assert tree["pose, hand"]["easy, pose 3"]["v0"] == "myoHandPose3Fixed-v0"
-    assert tree["baoding, hand"]["P2"]["v2"] == "myoChallengeBaodingP2-v2"
+    assert tree["baoding balls, hand"]["P2"]["v2"] == "myoChallengeBaodingP2-v2"
     assert place_of("out/arm26/model.xml") == (OWN, "arm26/model.xml", "-")
     assert tree["walk, legs"]["walk"]["v0"] == "myoLegWalk-v0"
 

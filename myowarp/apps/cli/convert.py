@@ -37,7 +37,7 @@ class Convert:
     """Reference of lengths and moment arms: our own path code, or an installed OpenSim."""
     workers: int = 0
     """Processes that fit muscles; 0: one per core."""
-    function_paths: Path | None = None
+    function_paths: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """A set of FunctionBasedPath, such as Moco's, in place of the paths of the muscles that it names."""
     fit_paths: bool = False
     """Write function_paths.xml, too, lengths as polynomials of coordinates, which OpenSim reads and

@@ -78,9 +78,8 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
     if not colon:
         raise ValueError(
             f"policy {name!r} unknown; available: {', '.join(BUILT_IN)}, baseline, "
-            "baselines/<task>, the folder of a trained policy, excitations (.sto, .mot, .csv), a model's own "
-            "controllers (.osim), "
-            "package.module:function, file.py:function"
+            "baselines/<task>, the folder of a trained policy, excitations (.sto, .mot, .csv), "
+            "a model's own controllers (.osim), package.module:function, file.py:function"
         )
     try:
         act = getattr(load(source), attribute, None)
