@@ -15,6 +15,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import recordings
 from socket_client import Client, until
 
 import myowarp
@@ -262,8 +263,8 @@ def arm(tmp_path_factory):
     return folder / "arm26"
 
 
-def prepare(folder, page):
-    """Put into a folder what the commands of a page name; the study is made small."""
+def prepare(folder, page, lines):
+    """Put into a folder what the commands of a block name; the study is made small."""
     (folder / "tests").mkdir()
     (folder / "tests/data").symlink_to(ROOT / "tests/data")
     shutil.copytree(ROOT / "examples", folder / "examples")
@@ -271,6 +272,11 @@ def prepare(folder, page):
     study.write_text(re.sub(r"(seeds|episodes): .*", r"\1: 2", study.read_text().replace("300_000", "2048")))
     shutil.copy(ROOT / "tests/data/osim/arm26.osim", folder)
     (folder / "my_tasks.py").write_text("".join(blocks(page, "python")))
+    if any("gait.osim" in line for line in lines):
+        recordings.write_gait(folder)
+    if any("walk.c3d" in line for line in lines):
+        labels = [*recordings.MARKERS]
+        recordings.write(folder / "walk.c3d", POINT={"LABELS": labels, "ANGLES": ["none"]})
 
 
 def smaller(line):
@@ -313,7 +319,7 @@ def visited(live):
 @pytest.mark.parametrize(("page", "lines"), list(runs()))
 def test_every_command_runs(page, lines, tmp_path, monkeypatch, run, request):
     """Those of a block one after the other, in a folder of their own."""
-    prepare(tmp_path, page)
+    prepare(tmp_path, page, lines)
     if any("out/arm26" in line for line in lines) and not any("convert" in line for line in lines):
         shutil.copytree(request.getfixturevalue("arm"), tmp_path / "out/arm26")
     monkeypatch.chdir(tmp_path)

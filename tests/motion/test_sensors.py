@@ -2,12 +2,12 @@
 
 import json
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import reader_cases as cases
+from recordings import ANGLES, STILL, WALK, WEIGHTS, write_sensors
 
 from myowarp.apps.cli.motion.kinematics import Kinematics
 from myowarp.apps.cli.motion.place import Place
@@ -24,11 +24,8 @@ from myowarp.osim.document.read.model import read_model
 
 DATA = Path(__file__).parents[1] / "data"
 MODEL = DATA / "osim" / "sensors.osim"
-STILL, WALK = (DATA / "opensim" / f"sensors_{name}.sto" for name in ("still", "walk"))
 RECORDED = json.loads((DATA / "opensim" / "sensors.json").read_text())
 
-ANGLES = (-np.pi / 2, 0.0, 0.0)
-WEIGHTS = {"pelvis_imu": 1.0, "thigh_imu": 2.0, "shank_imu": 0.5}
 TIGHT = 2e-6
 """[rad]: OpenSim's solver at an accuracy of 1e-9."""
 TOOL = 1e-2
@@ -93,35 +90,17 @@ def test_a_frame_without_a_sensor_and_a_half_turn(fitted):
 
 
 def test_from_set_up_files_to_files(tmp_path):
-    for path in (STILL, WALK):
-        shutil.copy(path, tmp_path)
-    (tmp_path / "placer.xml").write_text(
-        f"""<OpenSimDocument Version="40500"><IMUPlacer>
-        <sensor_to_opensim_rotations>{ANGLES[0]} 0 0</sensor_to_opensim_rotations>
-        <orientation_file_for_calibration>{STILL.name}</orientation_file_for_calibration>
-        <base_imu_label></base_imu_label></IMUPlacer></OpenSimDocument>"""
-    )
-    weights = "".join(
-        f'<OrientationWeight name="{name}"><weight>{weight}</weight></OrientationWeight>'
-        for name, weight in WEIGHTS.items()
-    )
-    (tmp_path / "ik.xml").write_text(
-        f"""<OpenSimDocument Version="40500"><IMUInverseKinematicsTool><time_range>0.5 1</time_range>
-        <sensor_to_opensim_rotations>{ANGLES[0]} 0 0</sensor_to_opensim_rotations>
-        <orientations_file>{WALK.name}</orientations_file>
-        <orientation_weights><objects>{weights}</objects></orientation_weights>
-        </IMUInverseKinematicsTool></OpenSimDocument>"""
-    )
+    write_sensors(tmp_path)
     out = tmp_path / "out"
     Place(MODEL, setup=tmp_path / "placer.xml", output=out)()
-    Kinematics(out / "placed.osim", setup=tmp_path / "ik.xml", output=out)()
+    Kinematics(out / "placed.osim", setup=tmp_path / "imu_ik.xml", output=out)()
     table = read_storage(out / "ik.mot")
     wanted = np.array(RECORDED["solver"])[10:21]
     np.testing.assert_allclose(table.time, wanted[:, 0], atol=1e-9)
     knee = np.radians(table.values[:, table.labels.index("knee_angle")])
     np.testing.assert_allclose(knee, wanted[:, -1], atol=TIGHT)
     assert set(read_storage(out / "orientation_errors.sto").labels) == set(WEIGHTS)
-    assert read_tool_setup(tmp_path / "ik.xml").sensor_weights == WEIGHTS
+    assert read_tool_setup(tmp_path / "imu_ik.xml").sensor_weights == WEIGHTS
 
 
 @pytest.mark.parametrize("angles", [(0.3, -0.4, 2.0), (1.0, np.pi / 2, 0.0), (3.0, 1.5, -3.0)])
