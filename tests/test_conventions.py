@@ -331,7 +331,7 @@ NOT_OPTIONS = {
 """Words of `Setup` that mean something else; file: words."""
 
 
-PROTOCOLS = {"task", "muscle", "conditions", "seed"}
+PROTOCOLS = {"task", "muscle", "conditions", "reset", "seed"}
 """In the paper's experiments: what a protocol itself sets, one muscle's name, the seed of a repetition."""
 
 

@@ -28,7 +28,7 @@ from myowarp.osim.bundle.contacts import DocumentContacts, contact_table
 
 @wp.struct
 class Pushes:
-    """What contacts do in all worlds, (num_worlds, num_contacts).
+    """Forces of contacts in all worlds, (num_worlds, num_contacts).
 
     Attributes:
         force: On the second body [N]; 0 where the surfaces are apart.
@@ -47,7 +47,7 @@ class Pushes:
 
 @wp.struct
 class Chains:
-    """Which dofs move the bodies of contacts.
+    """Dofs that move the bodies of contacts.
 
     Attributes:
         last: Last dof that moves the first and the second body of each, -1 for none, (num_contacts, 2).
@@ -101,7 +101,7 @@ def touch_surfaces(
 
 
 @wp.kernel(enable_backward=False)
-def push_bodies(
+def push_touching_bodies(
     # Params:
     chains: Chains,
     # Data in:
@@ -200,7 +200,7 @@ class OwnContacts:
         if self.forces is not None:
             self.forces.launch(model, data)
         launch(touch_surfaces, self.pushes.force.shape, self, data)
-        launch(push_bodies, data.nworld, self, data)
+        launch(push_touching_bodies, data.nworld, self, data)
 
     def launch_implicit(self, model: mjw.Model, data: mjw.Data, directions: wp.array) -> None:
         """Add h J' D J to `M`; see `Forces`."""

@@ -23,7 +23,7 @@ from myowarp.definitions.task import PHYSICS, RESETS, TASKS, TaskSpec
 
 MOST_SEED = 2**63 - 1  # world i has seed + i, a uint64
 CONTACTS = ("mujoco", "opensim")
-"""Who computes contact."""
+"""Engines that compute contact."""
 UNRECORDED = ("task", "shards", "rank")
 """Options that `plain` leaves out: the task, which has a place of its own, and what only this process is."""
 

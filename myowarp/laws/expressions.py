@@ -25,7 +25,7 @@ UNARY = (
 )  # fmt: skip
 BINARY = ("add", "sub", "mul", "div", "pow", "min", "max")
 CODES = {name: code for code, name in enumerate((*NULLARY, *UNARY, *BINARY))}
-"""What instructions are called in a text, and on the device."""
+"""Names of instructions in a text, and their numbers on the device."""
 
 DEPTH = 24
 """Numbers on the stack, at most."""

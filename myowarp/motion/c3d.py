@@ -63,7 +63,7 @@ class Plate:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a C3D file has, in OpenSim's axes.
+    """Content of a C3D file, in OpenSim's axes.
 
     Attributes:
         markers: NaN where one was not seen; None: it has none.

@@ -125,7 +125,7 @@ def axes_of_sensors(angles: Sequence[float]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Placing:
-    """How sensors are placed.
+    """Placement of sensors.
 
     Attributes:
         orientations: File of quaternions, recorded in the model's default pose.

@@ -81,7 +81,7 @@ def solver_result(data: mjw.Data) -> Any:
 
 @wp.struct
 class MovingContacts:
-    """What frames of contacts are made of; `in_solver`: rows of contacts are last, and have no Jacobian."""
+    """Sources of the frames of contacts; `in_solver`: rows of contacts are last, and have no Jacobian."""
 
     tree: KinematicTree
     contacts: ContactPool

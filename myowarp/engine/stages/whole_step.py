@@ -58,7 +58,7 @@ FILES = (
 
 @wp.struct
 class Fixed:
-    """What a step depends on and does not change; the worlds' own fields are in their stages' structs.
+    """Constants of a step; the worlds' own fields are in their stages' structs.
 
     Attributes:
         sites: Whose poses are computed: none.
@@ -110,7 +110,7 @@ class Moving:
 
 @wp.struct
 class Memory:
-    """Where threads compute.
+    """Memory in which threads compute.
 
     Attributes:
         scratch: Of all worlds, those of a warp beside each other.

@@ -47,7 +47,7 @@ class Bushing:
 
 @wp.struct
 class BodyMotion:
-    """Where a body is and how it moves, in ground.
+    """Place and motion of a body, in ground.
 
     Attributes:
         rotation: Its axes.

@@ -50,7 +50,7 @@ class Contact:
 
 @wp.struct
 class Wrench:
-    """What a contact does to its second body: a force, and where; the first gets the opposite.
+    """Force of a contact on its second body, and its place; the first body gets the opposite.
 
     Attributes:
         touch: The force [N] and its slopes.

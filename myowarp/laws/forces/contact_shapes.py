@@ -1,4 +1,4 @@
-"""Where two bodies overlap that touch: half spaces, spheres and ellipsoids.
+"""Overlap of two bodies that touch: half spaces, spheres and ellipsoids.
 
 Of each pair: how deep, midway between the surfaces, along which normal, and how round both are there, as one
 sphere of the radius R on a plane would be.
@@ -28,7 +28,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Overlap:
-    """Where two bodies overlap.
+    """Overlap of two bodies.
 
     Attributes:
         depth: [m], below 0 where they are apart.

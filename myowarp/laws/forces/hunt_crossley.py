@@ -29,7 +29,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class ContactMaterial:
-    """What two surfaces are made of.
+    """Material of two surfaces.
 
     Attributes:
         smooth: Whether the smooth form acts.
@@ -60,7 +60,7 @@ class ContactMaterial:
 
 @wp.struct
 class Touch:
-    """What a contact does.
+    """Force of a contact.
 
     Attributes:
         force: On the second body [N].

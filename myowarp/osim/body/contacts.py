@@ -63,7 +63,7 @@ def push_contacts(
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """What contacts do in a motion.
+    """Forces of contacts in a motion.
 
     Attributes:
         pairs: Who touches whom.

@@ -266,7 +266,7 @@ PULLING = {tag for tag, (field, _) in READERS.items() if field in ("muscles", "l
 """Classes with a path."""
 
 PATH_PARTS = ("GeometryPath", FUNCTION_PATH, "PathPointSet", "PathWrapSet", "MusclePointSet", "MuscleWrapSet")
-"""What a path consists of in documents of any version."""
+"""Parts of a path in documents of any version."""
 
 LENGTHS = {"muscles": ("optimal_fiber_length", "tendon_slack_length"), "ligaments": ("resting_length",)}
 """Properties that grow as a path does."""

@@ -116,7 +116,7 @@ class BodyPush:
 
 @dataclasses.dataclass(frozen=True)
 class PassiveForces(Sidecar):
-    """What acts beside muscles and motors in an OpenSim document, in terms of a MuJoCo model.
+    """Forces beside muscles and motors in an OpenSim document, in terms of a MuJoCo model.
 
     Attributes:
         limits: Beyond which joints are pushed back.

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from myowarp.disk import in_place
 from myowarp.laws.paths.path import MOST_VARIABLES
 from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones
@@ -268,7 +269,8 @@ def write_fitted(source: Path, output: Path) -> str:
         errors = one.length_rms, one.length_worst, one.arm_rms, one.arm_worst
         cells = [one.name, " ".join(one.function.coordinates), str(one.order), *map("{:.3g}".format, errors)]
         rows.append(",".join(cells))
-    (output / FILES[1]).write_text("\n".join(rows) + "\n", encoding="utf-8")
+    with in_place(output / FILES[1]) as scratch:
+        scratch.write_text("\n".join(rows) + "\n", encoding="utf-8")
     beyond = [one for one in fitted if not one.good]
     said = f"{len(fitted)} paths as functions in {output / FILES[0]}"
     if beyond:

@@ -26,7 +26,7 @@ TYPES = ("SmoothSphereHalfSpaceForce", "HuntCrossleyForce")
 
 @dataclass(frozen=True)
 class Material:
-    """What surfaces of a contact force are made of; as `laws.forces.hunt_crossley.ContactMaterial`."""
+    """Material of the surfaces of a contact force; as `laws.forces.hunt_crossley.ContactMaterial`."""
 
     smooth: bool
     stiffness: float

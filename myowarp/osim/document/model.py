@@ -244,7 +244,7 @@ class Model:
     coordinate_springs: tuple[CoordinateSpring, ...]
     bushings: tuple[Bushing, ...]
     contact_forces: tuple[ContactForce, ...]
-    """Those that act; see `contacts.resting`."""
+    """Contact forces that act; see `contacts.resting`."""
     shapes: tuple[Shape, ...]
     coordinate_formulas: tuple[CoordinateFormula, ...] = ()
     prescribed_forces: tuple[PrescribedForce, ...] = ()

@@ -1,4 +1,4 @@
-"""What acts beside muscles and motors in terms of the converted model: the sidecar `forces.json`."""
+"""Forces beside muscles and motors in terms of the converted model: the sidecar `forces.json`."""
 
 from myowarp.laws.paths.tables import Rows, Vector
 from myowarp.osim.body.described import vector

@@ -39,7 +39,7 @@ FAR = 1e6
 """m or rad: the end of a spring that acts on one side only."""
 
 ONLY_HERE = "left out of plain MuJoCo; acts in MyoWarp"
-"""What is said of a force that has no counterpart there."""
+"""Note of a force that has no counterpart there."""
 
 SAME = 1e-9
 """m and 1: frames that differ by less coincide."""
