@@ -186,6 +186,14 @@ def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int
         """Return rows of the trial once for each draw."""
         return np.tile(array, (count, *[1] * (array.ndim - 1)))
 
+    def finite(name: str, values: np.ndarray) -> None:
+        """Raise ValueError if a result of a draw is not finite."""
+        if not np.isfinite(values).all():
+            draw = draws[int(np.argmin(np.isfinite(values.reshape(count, -1)).all(axis=1)))]
+            raise ValueError(
+                f"{name} of draw {draw} are not finite; its motion, factors or loads are too large"
+            )
+
     fitted = _fitted(recording, uncertain, draws, seed) if uncertain.moves else None
     if fitted is None:
         known = recording.time if recording.known is None else recording.known
@@ -204,6 +212,8 @@ def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int
     ]
     bodies = [name for name, number in bones.bodies.items() if number >= 0]
     needed = inverse_dynamics(bones, motion[0], motion[1], motion[2], loads, spread("mass", bodies))
+    finite("joint angles", motion[0])
+    finite("joint moments", needed.joint_moment)
     forces = muscle_forces(
         bones.model,
         bones.coordinates,
@@ -222,20 +232,10 @@ def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int
     rms = np.full(count, np.nan)
     if fitted is not None:
         rms = np.sqrt(np.nanmean(fitted.error.reshape(shape) ** 2, axis=(1, 2)))
-    results = {
-        "joint angles": motion[0],
-        "joint moments": needed.joint_moment,
-        "forces of muscles": forces.force,
-        "activations": forces.activation,
-        "reserves": forces.reserve,
-        "missing moments": forces.missing,
-    }
-    for name, values in results.items():
-        if not np.isfinite(values).all():
-            draw = draws[int(np.argmin(np.isfinite(values.reshape(count, -1)).all(axis=1)))]
-            raise ValueError(
-                f"{name} of draw {draw} are not finite; its motion, factors or loads are too large"
-            )
+    finite("forces of muscles", forces.force)
+    finite("activations", forces.activation)
+    finite("reserves", forces.reserve)
+    finite("missing moments", forces.missing)
     return Drawn(
         np.array(draws), motion[0].reshape(shape), needed.joint_moment.reshape(shape), muscles, forces, rms
     )

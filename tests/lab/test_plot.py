@@ -279,7 +279,7 @@ def test_models_stand_side_by_side():
             "a cycle needs two rows or more, got 1 from 0.5 to 0.501 s",
         ),
         (["motion", BEND, "--cycle-left", 0, 1], "--cycle-left needs --cycle"),
-        (["motion", BEND, "--mass", 70], "--mass is of tables of forces, moments and powers"),
+        (["motion", BEND, "--mass", 70], "--mass is for forces [N], moments [N m] and powers [W]"),
         (["motion", BEND, "--mass", 0], "--mass must be positive"),
         (["learning", "a.csv", "--mass", 70], "--mass belongs to plot motion, got plot learning"),
     ],

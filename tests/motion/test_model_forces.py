@@ -26,6 +26,7 @@ from myowarp.motion.trial import dynamics, held_up, read_motion, write_angles
 from myowarp.osim.body.model_forces import left_out, without
 from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.contacts import resting
 from myowarp.osim.document.read.model import read_model
 from myowarp.process import warn_once
 
@@ -279,7 +280,7 @@ def test_what_is_left_out_is_named_with_its_coordinates(tmp_path, caplog):
         "left out, though OpenSim has it act: NoOneKnowsForce 'unknown' (r_elbow_flex); "
         "HuntCrossleyForce 'touch' (r_shoulder_elev, r_elbow_flex)"
     )
-    assert left_out(read_model(path)) == sentence
+    assert left_out(resting(read_model(path))) == sentence
     warn_once.cache_clear()
     with caplog.at_level(logging.WARNING, "myowarp"):
         needed(Bones.read(path, "cpu"))

@@ -362,7 +362,7 @@ def test_a_muscle_that_is_clicked_is_named_and_traced(page, client):
     live = page[0]
     live._figure_shown._pick("BRA")
     until(lambda: ("force", "BRA") in live._panel.traces.chosen)
-    until(lambda: live._tag.visible and live._tag.text.startswith("BRA (flexors) · activation "))
+    until(lambda: live._tag.visible and live._tag.text.startswith("BRA (elbow flexors) · activation "))
     live._figure_shown._pick("BRA")
     until(lambda: not live._tag.visible)
 
