@@ -63,7 +63,7 @@ def test_forces(gait, capsys, monkeypatch):
         total[:, coordinates.index(coordinate)] += column * force.values[:, force.labels.index(muscle)]
     np.testing.assert_allclose(total, moments.values, atol=DIGITS * scale)
     assert "reserve at pelvis_ty" in capsys.readouterr().err
-    of_others = {"passive_moments.sto", "actuators.sto"}  # the model has neither springs nor motors
+    of_others = {"passive_moments.sto", "actuators.sto", "contact_forces.sto"}  # the model has none of these
     assert {path.name for path in (folder / "out").iterdir()} == set(FILES) - of_others
     with pytest.raises(ValueError, match="exists; choose another folder with --output, or"):
         arms()
