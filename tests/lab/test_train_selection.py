@@ -26,6 +26,7 @@ ELBOW = "myoElbowPose1D6MRandom-v0"
 ITERATION = 8 * 8  # samples
 SMALL = {"num_worlds": 8, "rollout_steps": 8, "minibatches": 2, "hidden": (16,)}
 SMALL |= {"device": "cpu", "samples": 12 * ITERATION, "selections": 6, "stop_success": 0.9}
+SMALL |= {"stop_rule": "success"}
 
 
 @dataclasses.dataclass
