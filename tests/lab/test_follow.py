@@ -26,12 +26,13 @@ def sim():
 
 
 def write(run, samples, shift):
-    """Write a checkpoint whose actions are shifted."""
+    """Write a checkpoint whose actions are a number, below its bound by a hyperbolic tangent."""
     trained = load_checkpoint(BASELINES / KEY)
     policy = {name: array.copy() for name, array in trained.policy.items()}
     last = max(int(name.split(".")[1]) for name in policy if name.startswith("net."))
     policy[f"net.{last}.weight"][:] = 0.0
-    policy[f"net.{last}.bias"][:] = shift
+    policy[f"net.{last}.bias"][:] = np.arctanh(shift)
+    assert trained.manifest["policy"]["mean_bound"] == "tanh"
     folder = run / "checkpoints" / f"{samples:012d}"
     folder.mkdir(parents=True)
     save_policy(folder, Checkpoint(folder, trained.manifest, policy))
